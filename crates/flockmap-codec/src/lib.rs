@@ -1,0 +1,2 @@
+//! flockmap-codec
+#![forbid(unsafe_code)]

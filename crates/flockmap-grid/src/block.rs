@@ -1,0 +1,104 @@
+//! The states of the 8³ voxels of a block as bit planes, so that work is done 64 voxels at a time.
+
+use crate::{State, Voxel};
+
+/// Voxels in a block.
+pub const BLOCK_VOXELS: usize = 512;
+
+/// One bit for each voxel of a block. Bit number of a voxel: `z·64 + y·8 + x` of its place in the block,
+/// so that each word is one slice of constant z.
+pub type Plane = [u64; 8];
+
+/// The bit number (0 … 511) of a voxel in the planes of its block.
+pub const fn voxel_bit(voxel: Voxel) -> usize {
+    (((voxel.z & 7) << 6) | ((voxel.y & 7) << 3) | (voxel.x & 7)) as usize
+}
+
+/// The place of a bit in its block: x, y, z, each 0 … 7. Inverse of [`voxel_bit`].
+pub const fn bit_of(bit: usize) -> [i32; 3] {
+    [(bit & 7) as i32, ((bit >> 3) & 7) as i32, ((bit >> 6) & 7) as i32]
+}
+
+/// The states of a block: each voxel Free, Occupied or neither (Unknown; in a set of changes: unchanged).
+/// The two planes never share a bit.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct StateBlock {
+    free: Plane,
+    occupied: Plane,
+}
+
+impl StateBlock {
+    /// A block from its planes. A bit set in both counts as Occupied.
+    pub fn new(mut free: Plane, occupied: Plane) -> Self {
+        for (f, o) in free.iter_mut().zip(&occupied) {
+            *f &= !o;
+        }
+        Self { free, occupied }
+    }
+
+    /// The voxels that are Free.
+    pub const fn free(&self) -> &Plane {
+        &self.free
+    }
+
+    /// The voxels that are Occupied.
+    pub const fn occupied(&self) -> &Plane {
+        &self.occupied
+    }
+
+    /// The voxels that are Free or Occupied.
+    pub fn known(&self) -> Plane {
+        core::array::from_fn(|z| self.free[z] | self.occupied[z])
+    }
+
+    /// Number of voxels that are Free or Occupied.
+    pub fn known_count(&self) -> u32 {
+        self.known().iter().map(|w| w.count_ones()).sum()
+    }
+
+    /// Whether no voxel is Free or Occupied.
+    pub fn is_empty(&self) -> bool {
+        self.known() == [0; 8]
+    }
+
+    /// The state of the voxel with this bit number (0 … 511).
+    pub fn get(&self, bit: usize) -> State {
+        let (word, mask) = (bit >> 6 & 7, 1u64 << (bit & 63));
+        if self.occupied[word] & mask != 0 {
+            State::Occupied
+        } else if self.free[word] & mask != 0 {
+            State::Free
+        } else {
+            State::Unknown
+        }
+    }
+
+    /// Sets the state of the voxel with this bit number (0 … 511).
+    pub fn set(&mut self, bit: usize, state: State) {
+        let (word, mask) = (bit >> 6 & 7, 1u64 << (bit & 63));
+        self.free[word] &= !mask;
+        self.occupied[word] &= !mask;
+        match state {
+            State::Unknown => {}
+            State::Free => self.free[word] |= mask,
+            State::Occupied => self.occupied[word] |= mask,
+        }
+    }
+
+    /// The same block with only the voxels of `mask`.
+    pub fn masked(&self, mask: &Plane) -> Self {
+        Self {
+            free: core::array::from_fn(|z| self.free[z] & mask[z]),
+            occupied: core::array::from_fn(|z| self.occupied[z] & mask[z]),
+        }
+    }
+
+    /// Takes over every voxel that is known in `newer`; the others stay.
+    pub fn overlay(&mut self, newer: &Self) {
+        for z in 0..8 {
+            let keep = !(newer.free[z] | newer.occupied[z]);
+            self.free[z] = (self.free[z] & keep) | newer.free[z];
+            self.occupied[z] = (self.occupied[z] & keep) | newer.occupied[z];
+        }
+    }
+}

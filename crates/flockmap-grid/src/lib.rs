@@ -1,0 +1,20 @@
+//! The occupancy map of Flockmap: voxel geometry, block-sparse grids, the log-odds mapper, change tracking,
+//! layers of what each robot reported, and their fusion into one map for a planner.
+//!
+//! This crate knows no bytes, no network and no clock: time comes in with each scan as a [`Stamp`].
+//! Everything is deterministic: the same input gives the same map on every machine.
+#![forbid(unsafe_code)]
+
+mod block;
+mod changes;
+mod origin;
+mod pose;
+mod scan;
+mod voxel;
+
+pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, voxel_bit};
+pub use changes::Changes;
+pub use origin::{RobotId, Stamp, Stream};
+pub use pose::Pose;
+pub use scan::Scan;
+pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};

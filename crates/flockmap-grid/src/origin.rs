@@ -1,0 +1,67 @@
+//! Who observed, in which run, and when.
+
+use core::fmt;
+
+/// A robot of the swarm. Unique within the swarm; chosen by the user.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RobotId(pub u16);
+
+impl fmt::Debug for RobotId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "robot {}", self.0)
+    }
+}
+
+impl fmt::Display for RobotId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// All that one robot observed in one run: packages are numbered 1, 2, 3 … within a stream.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Stream {
+    /// The robot whose sensor made the observations.
+    pub origin: RobotId,
+    /// The run of that robot. A robot that starts again without its store takes a higher epoch.
+    pub epoch: u32,
+}
+
+impl fmt::Debug for Stream {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?} epoch {}", self.origin, self.epoch)
+    }
+}
+
+/// A point in time in microseconds, on the clock of one robot. Which zero the clock has is up to the user;
+/// two robots' clocks may differ, fusion corrects for it.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub struct Stamp(pub i64);
+
+impl Stamp {
+    /// A stamp from seconds; saturates at the ends of the range.
+    pub fn from_seconds(seconds: f64) -> Self {
+        Self((seconds * 1e6).round() as i64)
+    }
+
+    /// The stamp in seconds.
+    pub fn seconds(self) -> f64 {
+        self.0 as f64 / 1e6
+    }
+
+    /// This stamp moved by some microseconds; saturates at the ends of the range.
+    pub const fn plus_micros(self, micros: i64) -> Self {
+        Self(self.0.saturating_add(micros))
+    }
+
+    /// Microseconds from `earlier` to this stamp; saturates at the ends of the range.
+    pub const fn micros_since(self, earlier: Self) -> i64 {
+        self.0.saturating_sub(earlier.0)
+    }
+}
+
+impl fmt::Debug for Stamp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.6} s", self.seconds())
+    }
+}

@@ -1,0 +1,2 @@
+//! flockmap-sync
+#![forbid(unsafe_code)]

@@ -1,0 +1,2 @@
+//! flockmap
+#![forbid(unsafe_code)]
