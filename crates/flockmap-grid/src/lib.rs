@@ -9,6 +9,7 @@ mod block;
 mod changes;
 mod origin;
 mod pose;
+mod present;
 mod scan;
 mod voxel;
 
@@ -16,5 +17,6 @@ pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, voxel_bit};
 pub use changes::Changes;
 pub use origin::{RobotId, Stamp, Stream};
 pub use pose::Pose;
+pub use present::PresentState;
 pub use scan::Scan;
 pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};
