@@ -7,6 +7,7 @@
 
 mod block;
 mod changes;
+mod mapper;
 mod origin;
 mod pose;
 mod present;
@@ -15,6 +16,10 @@ mod voxel;
 
 pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, voxel_bit};
 pub use changes::Changes;
+pub use mapper::{
+    ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport,
+    SensorModel, Sphere, Which,
+};
 pub use origin::{RobotId, Stamp, Stream};
 pub use pose::Pose;
 pub use present::PresentState;

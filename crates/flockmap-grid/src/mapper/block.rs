@@ -1,0 +1,224 @@
+//! One block of the map, and what the counts of one scan do to it.
+
+use super::config::Rules;
+use super::rays::TouchedBlock;
+use crate::{BLOCK_VOXELS, Plane, StateBlock};
+
+/// Log-odds of a voxel that no ray has touched.
+pub(super) const UNOBSERVED: i16 = i16::MIN;
+
+/// 512 voxels of the map: 2,304 bytes.
+#[derive(Clone)]
+pub(super) struct MapBlock {
+    log_odds: [i16; BLOCK_VOXELS],
+    /// Number of the scan that touched the voxel last; 0 = none, or one too long ago to be told apart.
+    seen: [u16; BLOCK_VOXELS],
+    states: StateBlock,
+    /// The states that the swarm was told last.
+    packed: StateBlock,
+}
+
+impl MapBlock {
+    pub(super) fn new() -> Self {
+        Self {
+            log_odds: [UNOBSERVED; BLOCK_VOXELS],
+            seen: [0; BLOCK_VOXELS],
+            states: StateBlock::default(),
+            packed: StateBlock::default(),
+        }
+    }
+
+    pub(super) fn states(&self) -> &StateBlock {
+        &self.states
+    }
+
+    pub(super) fn seen(&self, bit: usize) -> u16 {
+        self.seen[bit]
+    }
+
+    /// Log-odds of a voxel, `None` if no ray has touched it.
+    pub(super) fn log_odds(&self, bit: usize) -> Option<i16> {
+        Some(self.log_odds[bit]).filter(|value| *value != UNOBSERVED)
+    }
+
+    /// Voxels whose state differs from what was packed last, with the state now. A voxel that has become Unknown
+    /// is none of them.
+    pub(super) fn changes(&self) -> StateBlock {
+        let free = |z: usize| self.states.free()[z] & !self.packed.free()[z];
+        let occupied = |z: usize| self.states.occupied()[z] & !self.packed.occupied()[z];
+        StateBlock::new(core::array::from_fn(free), core::array::from_fn(occupied))
+    }
+
+    pub(super) fn mark_packed(&mut self, changes: &StateBlock) {
+        self.packed.overlay(changes);
+    }
+
+    /// Forgets which scan touched what before scan number `by`, and counts from there.
+    pub(super) fn rebase_seen(&mut self, by: u16) {
+        for seen in &mut self.seen {
+            *seen = seen.saturating_sub(by);
+        }
+    }
+
+    /// Takes in the counts of one scan and sets them back to zero. Returns the voxels that were touched.
+    pub(super) fn update(&mut self, rules: &Rules, scan: u16, counts: &mut TouchedBlock<'_>) -> Plane {
+        let mut touched = [0u64; 8];
+        let mut states_free = *self.states.free();
+        let mut states_occupied = *self.states.occupied();
+        let (log_odds, _) = self.log_odds.as_chunks_mut::<8>();
+        let (seen, _) = self.seen.as_chunks_mut::<8>();
+        let (misses, _) = counts.misses.as_chunks_mut::<8>();
+        let (hits, _) = counts.hits.as_chunks_mut::<8>();
+        let rows = log_odds.iter_mut().zip(seen).zip(misses.iter_mut().zip(hits));
+        for (row, ((log_odds, seen), (misses, hits))) in rows.enumerate() {
+            let (any_miss, any_hit) = (*misses != [0; 8], *hits != [0; 8]);
+            if !any_miss && !any_hit {
+                continue;
+            }
+            let before = *log_odds;
+            let was_touched: [bool; 8] = core::array::from_fn(|i| (misses[i] | hits[i]) != 0);
+            for i in 0..8 {
+                let rays = misses[i].min(rules.rays_max) as i16;
+                let value = if log_odds[i] == UNOBSERVED { rules.start } else { log_odds[i] };
+                let missed = value.saturating_add(rays * rules.miss).max(rules.min);
+                log_odds[i] = if rays != 0 { missed } else { log_odds[i] };
+                seen[i] = if was_touched[i] { scan } else { seen[i] };
+            }
+            if any_hit {
+                // Hits win: the misses of the same scan do not count.
+                for i in (0..8).filter(|i| hits[*i] != 0) {
+                    let value = if before[i] == UNOBSERVED { rules.start } else { before[i] };
+                    let rays = i32::from(hits[i].min(rules.rays_max));
+                    let sum = i32::from(value) + i32::from(rules.hit) * rays;
+                    log_odds[i] = sum.min(i32::from(rules.max)) as i16;
+                }
+                *hits = [0; 8];
+            }
+            *misses = [0; 8];
+            let bits =
+                |is: [bool; 8]| is.iter().enumerate().fold(0u64, |bits, (i, is)| bits | u64::from(*is) << i);
+            let occupied: [bool; 8] = core::array::from_fn(|i| log_odds[i] >= rules.occupied_from);
+            let free: [bool; 8] =
+                core::array::from_fn(|i| log_odds[i] < rules.free_below && log_odds[i] != UNOBSERVED);
+            let (word, shift) = (row / 8, row % 8 * 8);
+            let keep = !(0xff << shift);
+            states_free[word] = states_free[word] & keep | bits(free) << shift;
+            states_occupied[word] = states_occupied[word] & keep | bits(occupied) << shift;
+            touched[word] |= bits(was_touched) << shift;
+        }
+        self.states = StateBlock::new(states_free, states_occupied);
+        touched
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapper::config::{MapperConfig, Preset};
+    use crate::{BlockIndex, Resolution, State};
+    use proptest::prelude::*;
+
+    fn rules(preset: Preset) -> Rules {
+        MapperConfig::preset(preset, Resolution::from_metres(0.1).unwrap(), 7.0).rules().unwrap()
+    }
+
+    /// The rules of `references`, one voxel, in plain words.
+    fn naive(preset: Preset, value: Option<f64>, misses: u16, hits: u16) -> Option<f64> {
+        let log = |p: f64| (p / (1.0 - p)).ln();
+        let (hit, miss, min, max, start) = match preset {
+            Preset::RogMap => (log(0.9), log(0.49), log(0.12), log(0.98), 0.0),
+            Preset::Racer => (log(0.9), log(0.48), log(0.1), log(0.98), log(0.8)),
+            Preset::OctoMap => (log(0.7), log(0.4), log(0.1192), log(0.971), 0.0),
+        };
+        let (hits, misses) =
+            if preset == Preset::RogMap { (hits, misses) } else { (hits.min(1), misses.min(1)) };
+        if hits > 0 {
+            Some((value.unwrap_or(start) + hit * f64::from(hits)).min(max))
+        } else if misses > 0 {
+            Some((value.unwrap_or(start) + miss * f64::from(misses)).max(min))
+        } else {
+            value
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_voxel_follows_the_rules_of_its_preset(
+            preset in prop_oneof![Just(Preset::RogMap), Just(Preset::Racer), Just(Preset::OctoMap)],
+            scans in prop::collection::vec((0u16..200, prop_oneof![4 => Just(0u16), 1 => 1u16..5]), 1..40),
+            bit in 0..BLOCK_VOXELS,
+        ) {
+            let rules = rules(preset);
+            let mut block = MapBlock::new();
+            let mut value = None;
+            for (number, (misses, hits)) in scans.into_iter().enumerate() {
+                let mut miss_counts = [0; BLOCK_VOXELS];
+                let mut hit_counts = [0; BLOCK_VOXELS];
+                miss_counts[bit] = misses;
+                hit_counts[bit] = hits;
+                let mut counts = TouchedBlock {
+                    index: BlockIndex::default(), misses: &mut miss_counts, hits: &mut hit_counts,
+                };
+                let touched = block.update(&rules, number as u16 + 1, &mut counts);
+                prop_assert_eq!(touched.iter().map(|w| w.count_ones()).sum::<u32>(), u32::from(misses + hits != 0));
+                prop_assert_eq!((miss_counts, hit_counts), ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]));
+                value = naive(preset, value, misses, hits);
+                match (block.log_odds(bit), value) {
+                    (Some(units), Some(nats)) => {
+                        // Every scan may round once for each ray; saturation forgets it.
+                        let error = (f64::from(units) / 1024.0 - nats).abs();
+                        prop_assert!(error < 0.2, "{preset}: {units} units, expected {nats} nats");
+                    }
+                    (None, None) => {}
+                    other => prop_assert!(false, "{other:?}"),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn one_hit_occupies_and_one_miss_frees_as_in_rog_map() {
+        let rules = rules(Preset::RogMap);
+        let apply = |block: &mut MapBlock, misses: u16, hits: u16| {
+            let (mut m, mut h) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
+            (m[77], h[77]) = (misses, hits);
+            let mut counts = TouchedBlock { index: BlockIndex::default(), misses: &mut m, hits: &mut h };
+            block.update(&rules, 1, &mut counts);
+            block.states().get(77)
+        };
+        let mut block = MapBlock::new();
+        assert_eq!(apply(&mut block, 1, 0), State::Free);
+        assert_eq!(apply(&mut block, 60, 1), State::Occupied);
+        assert_eq!(apply(&mut block, 0, 9), State::Occupied);
+        // From the top at 0.98, 54 misses clear it, and 44 more free it.
+        assert_eq!(apply(&mut block, 53, 0), State::Occupied);
+        assert_eq!(apply(&mut block, 1, 0), State::Unknown);
+        assert_eq!(apply(&mut block, 43, 0), State::Unknown);
+        assert_eq!(apply(&mut block, 1, 0), State::Free);
+    }
+
+    #[test]
+    fn only_what_differs_from_what_was_packed_is_a_change() {
+        let rules = rules(Preset::OctoMap);
+        let mut block = MapBlock::new();
+        let apply = |block: &mut MapBlock, misses: u16, hits: u16| {
+            let (mut m, mut h) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
+            (m[0], h[0]) = (misses, hits);
+            let mut counts = TouchedBlock { index: BlockIndex::default(), misses: &mut m, hits: &mut h };
+            block.update(&rules, 1, &mut counts);
+        };
+        apply(&mut block, 1, 0);
+        let changes = block.changes();
+        assert_eq!(changes.get(0), State::Free);
+        block.mark_packed(&changes);
+        assert!(block.changes().is_empty());
+        for _ in 0..3 {
+            apply(&mut block, 0, 1);
+        }
+        assert_eq!(block.changes().get(0), State::Occupied);
+        for _ in 0..10 {
+            apply(&mut block, 1, 0);
+        }
+        assert!(block.changes().is_empty(), "it flipped back: nothing to send");
+    }
+}

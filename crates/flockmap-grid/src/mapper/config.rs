@@ -1,0 +1,224 @@
+//! What the mapper may be told: sensor model, range, limits; and the three presets.
+
+use crate::Resolution;
+
+/// Log-odds are whole numbers: 1,024 units are one natural unit (nat). One miss of the `rog-map` preset is 41 units.
+pub const LOG_ODDS_UNITS_PER_NAT: f64 = 1024.0;
+
+/// Rules and values of a known mapper.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub enum Preset {
+    /// ROG-Map (its yaml files): every ray counts; hits win over the misses of the same scan; Unknown is a band of
+    /// values between Free and Occupied. The default.
+    #[default]
+    RogMap,
+    /// RACER's map with the values of C2-Explorer on LiDAR: one update a voxel and scan; the first touch decides.
+    Racer,
+    /// OctoMap's `insertPointCloud` with its default sensor model: one update a voxel and scan.
+    OctoMap,
+}
+
+impl core::str::FromStr for Preset {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "rog-map" => Ok(Self::RogMap),
+            "racer" => Ok(Self::Racer),
+            "octomap" => Ok(Self::OctoMap),
+            _ => Err(format!("unknown mapper \"{name}\"; known are rog-map, racer and octomap")),
+        }
+    }
+}
+
+impl core::fmt::Display for Preset {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::RogMap => "rog-map",
+            Self::Racer => "racer",
+            Self::OctoMap => "octomap",
+        })
+    }
+}
+
+/// How hits and misses add up to a state. Probabilities 0 … 1.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct SensorModel {
+    /// Probability that a voxel is occupied, given one ray that ends in it. More than 0.5.
+    pub p_hit: f64,
+    /// Probability that a voxel is occupied, given one ray that passes through. Less than 0.5.
+    pub p_miss: f64,
+    /// Values are kept at this or above.
+    pub p_min: f64,
+    /// Values are kept at this or below.
+    pub p_max: f64,
+    /// A voxel at this or above is Occupied (above it, if `start_at_occupied`).
+    pub p_occupied: f64,
+    /// A voxel below this is Free. Between the two it is Unknown; equal to `p_occupied`: there is no band.
+    pub p_free: f64,
+    /// Whether each ray of a scan counts (ROG-Map), or a voxel changes once a scan (RACER, OctoMap).
+    pub every_ray_counts: bool,
+    /// Whether the first touch starts from `p_occupied` in place of 0.5, so that it decides the state (RACER).
+    pub start_at_occupied: bool,
+    /// Rays cut at the range or at the update box are dropped when they end below this height in the map
+    /// frame, in metres (RACER: 0.2, so that the ground is not cleared by rays which never reached it).
+    pub drop_cut_rays_below_m: Option<f64>,
+}
+
+impl SensorModel {
+    /// The values of a preset. Sources: ROG-Map's example yaml files; C2-Explorer's launch file; OctoMap's defaults.
+    pub const fn preset(preset: Preset) -> Self {
+        match preset {
+            Preset::RogMap => Self {
+                p_hit: 0.90,
+                p_miss: 0.49,
+                p_min: 0.12,
+                p_max: 0.98,
+                p_occupied: 0.85,
+                p_free: 0.499,
+                every_ray_counts: true,
+                start_at_occupied: false,
+                drop_cut_rays_below_m: None,
+            },
+            Preset::Racer => Self {
+                p_hit: 0.90,
+                p_miss: 0.48,
+                p_min: 0.10,
+                p_max: 0.98,
+                p_occupied: 0.80,
+                p_free: 0.80,
+                every_ray_counts: false,
+                start_at_occupied: true,
+                drop_cut_rays_below_m: Some(0.2),
+            },
+            Preset::OctoMap => Self {
+                p_hit: 0.7,
+                p_miss: 0.4,
+                p_min: 0.1192,
+                p_max: 0.971,
+                p_occupied: 0.5,
+                p_free: 0.5,
+                every_ray_counts: false,
+                start_at_occupied: false,
+                drop_cut_rays_below_m: None,
+            },
+        }
+    }
+}
+
+/// Everything a mapper may be told.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapperConfig {
+    /// Side of a voxel.
+    pub resolution: Resolution,
+    /// Rays longer than this are cut there and end without a hit. Metres, above 0; at most 500 voxels.
+    pub range_m: f64,
+    /// Points nearer than this are ignored (the robot's own body). Metres; default 0.
+    pub range_min_m: f64,
+    /// Half extents in metres, along the axes of the map, of a box around the sensor: rays are cut at its
+    /// faces and end there without a hit. `None`: only the range limits.
+    pub update_box_m: Option<[f64; 3]>,
+    /// How hits and misses add up.
+    pub sensor: SensorModel,
+    /// The blocks of the map are kept within this many bytes by forgetting those farthest from the sensor.
+    /// Worst case held by the mapper: this, plus 2.1 kB for each block that one scan can touch. Default 512 MiB.
+    pub memory_bytes_max: usize,
+}
+
+impl MapperConfig {
+    /// A preset's values at this resolution and range, with the default limits.
+    pub const fn preset(preset: Preset, resolution: Resolution, range_m: f64) -> Self {
+        Self {
+            resolution,
+            range_m,
+            range_min_m: 0.0,
+            update_box_m: None,
+            sensor: SensorModel::preset(preset),
+            memory_bytes_max: 512 << 20,
+        }
+    }
+}
+
+/// A configuration that cannot work.
+#[derive(Clone, PartialEq, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// The range is not positive or holds too many voxels.
+    #[error("range_m is {range_m}, expected more than 0 and at most {max_m} (500 voxels of {resolution:?})")]
+    Range {
+        /// As configured.
+        range_m: f64,
+        /// The largest that is allowed.
+        max_m: f64,
+        /// As configured.
+        resolution: Resolution,
+    },
+    /// A probability is outside of what it may be, or they are in the wrong order.
+    #[error("sensor model: {0}")]
+    Sensor(&'static str),
+    /// The update box has an extent that is not positive.
+    #[error("update_box_m is {0:?}, expected three half extents above 0")]
+    UpdateBox([f64; 3]),
+}
+
+/// The sensor model in whole log-odds units, as the update wants it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Rules {
+    pub(super) hit: i16,
+    pub(super) miss: i16,
+    pub(super) min: i16,
+    pub(super) max: i16,
+    /// Occupied from this value on.
+    pub(super) occupied_from: i16,
+    /// Free below this value.
+    pub(super) free_below: i16,
+    /// Value before the first touch.
+    pub(super) start: i16,
+    /// More rays than this through one voxel in one scan make no difference.
+    pub(super) rays_max: u16,
+}
+
+impl MapperConfig {
+    pub(super) fn rules(&self) -> Result<Rules, ConfigError> {
+        let max_m = 500.0 * self.resolution.metres();
+        if !(self.range_m > 0.0 && self.range_m <= max_m) {
+            return Err(ConfigError::Range { range_m: self.range_m, max_m, resolution: self.resolution });
+        }
+        if let Some(half) = self.update_box_m
+            && !half.iter().all(|h| *h > 0.0)
+        {
+            return Err(ConfigError::UpdateBox(half));
+        }
+        let s = &self.sensor;
+        let all = [s.p_hit, s.p_miss, s.p_min, s.p_max, s.p_occupied, s.p_free];
+        if !all.iter().all(|p| (0.000_001..=0.999_999).contains(p)) {
+            return Err(ConfigError::Sensor("every probability must be above 0 and below 1"));
+        }
+        if !(s.p_hit > 0.5 && s.p_miss < 0.5) {
+            return Err(ConfigError::Sensor("p_hit must be above 0.5 and p_miss below 0.5"));
+        }
+        if !(s.p_min < s.p_free && s.p_free <= s.p_occupied && s.p_occupied < s.p_max) {
+            return Err(ConfigError::Sensor("expected p_min < p_free <= p_occupied < p_max"));
+        }
+        let units = |p: f64| (libm::log(p / (1.0 - p)) * LOG_ODDS_UNITS_PER_NAT).round() as i16;
+        let occupied = units(s.p_occupied);
+        let (min, max, miss) = (units(s.p_min), units(s.p_max), units(s.p_miss).min(-1));
+        let occupied_from = if s.start_at_occupied { occupied + 1 } else { occupied };
+        Ok(Rules {
+            hit: units(s.p_hit).max(1),
+            miss,
+            min,
+            max,
+            occupied_from,
+            free_below: if s.p_free == s.p_occupied { occupied_from } else { units(s.p_free) },
+            start: if s.start_at_occupied { occupied } else { 0 },
+            rays_max: if s.every_ray_counts {
+                // Enough misses to go from the top to the bottom; also keeps the product within 16 bits.
+                (i32::from(max) - i32::from(min)).unsigned_abs().div_ceil(i32::from(miss).unsigned_abs())
+                    as u16
+            } else {
+                1
+            },
+        })
+    }
+}

@@ -1,0 +1,302 @@
+//! The mapper: scans in, occupancy out, and which voxels have changed since the swarm was last told.
+
+mod block;
+mod config;
+mod rays;
+
+use rustc_hash::FxHashMap;
+
+use crate::{
+    BlockIndex, Changes, Plane, Pose, Scan, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, voxel_bit,
+};
+use block::MapBlock;
+use config::Rules;
+pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset, SensorModel};
+use rays::{Ray, RayCounts};
+
+/// A robot's own occupancy map, made from its own scans (paper Alg. 1, line 6 to 12).
+///
+/// Block-sparse: a hash map of blocks of 8³ voxels, 2.3 kB each. What was never observed costs nothing.
+pub struct Mapper {
+    config: MapperConfig,
+    rules: Rules,
+    blocks: FxHashMap<BlockIndex, Box<MapBlock>>,
+    /// Blocks with changes, or that had some; the flag in `is_pending` keeps each in here once.
+    pending_blocks: FxHashMap<BlockIndex, u32>,
+    pending: usize,
+    counts: RayCounts,
+    rays: Vec<Ray>,
+    /// Stamp of scan number `i + 1`.
+    scan_stamps: Vec<Stamp>,
+}
+
+/// A sphere in the frame of the map, in metres.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct Sphere {
+    /// Its centre.
+    pub centre: [f64; 3],
+    /// Its radius.
+    pub radius: f64,
+}
+
+/// What became of a scan.
+#[derive(Clone, PartialEq, Debug, Default)]
+pub struct ScanReport {
+    /// Blocks with touched voxels, and which.
+    pub touched: Vec<(BlockIndex, Plane)>,
+    /// Blocks that were forgotten under the byte cap.
+    pub forgotten: Vec<BlockIndex>,
+    /// Rays that ended with a hit.
+    pub hits: usize,
+    /// Rays that were cut, or came back with nothing: they carve free space only.
+    pub cut: usize,
+    /// Points that were ignored: not finite, too near, or too far out for voxel indices.
+    pub ignored: usize,
+    /// Points that were ignored since they lie on a team-mate.
+    pub masked: usize,
+}
+
+/// Which changes to take.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Which {
+    /// All of them.
+    All,
+    /// Only voxels that are Occupied now.
+    Occupied,
+    /// Only voxels that are Free now.
+    Free,
+}
+
+/// Bytes that one block of the map takes, its place in the hash map included.
+pub const MAP_BLOCK_BYTES: usize = size_of::<MapBlock>() + 32;
+
+impl Mapper {
+    /// An empty map.
+    ///
+    /// # Errors
+    /// [`ConfigError`] says which value cannot work and what was expected.
+    pub fn new(config: MapperConfig) -> Result<Self, ConfigError> {
+        let rules = config.rules()?;
+        Ok(Self {
+            config,
+            rules,
+            blocks: FxHashMap::default(),
+            pending_blocks: FxHashMap::default(),
+            pending: 0,
+            counts: RayCounts::default(),
+            rays: Vec::new(),
+            scan_stamps: Vec::new(),
+        })
+    }
+
+    /// Its configuration.
+    pub const fn config(&self) -> &MapperConfig {
+        &self.config
+    }
+
+    /// Takes in one scan made at `T_map_sensor`. Points inside one of the spheres of `teammates` are ignored, so
+    /// that a robot in sight does not become an obstacle.
+    ///
+    /// Cost: about one nanosecond a voxel passed by a ray; memory for what is touched for the first time.
+    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
+    pub fn insert(&mut self, scan: &Scan, T_map_sensor: &Pose, teammates: &[Sphere]) -> ScanReport {
+        let mut report = ScanReport::default();
+        let scale = 1.0 / self.config.resolution.metres();
+        let start = T_map_sensor.translation().map(|v| v * scale);
+        // Room for the longest ray, so that every end has a voxel.
+        let limit = f64::from(VOXEL_LIMIT) - 1024.0;
+        if !start.iter().all(|v| v.abs() <= limit) {
+            report.ignored = scan.points.len() + scan.no_returns.len();
+            return report;
+        }
+        self.collect_rays(scan, T_map_sensor, teammates, start, scale, &mut report);
+        let number = self.next_scan_number(scan.stamp);
+        let mut rays = core::mem::take(&mut self.rays);
+        self.counts.cast(start, &rays);
+        rays.clear();
+        self.rays = rays;
+        for mut counts in self.counts.blocks() {
+            let block = self.blocks.entry(counts.index).or_insert_with(|| Box::new(MapBlock::new()));
+            let before = *block.states();
+            let touched = block.update(&self.rules, number, &mut counts);
+            if *block.states() != before {
+                let changed = block.changes().known_count();
+                let known = self.pending_blocks.entry(counts.index).or_insert(0);
+                self.pending = self.pending + changed as usize - *known as usize;
+                *known = changed;
+            }
+            if touched != [0; 8] {
+                report.touched.push((counts.index, touched));
+            }
+        }
+        self.forget_far_blocks(start, &mut report);
+        report
+    }
+
+    /// Number of voxels whose state differs from what was taken last (the paper's `ChangesInList(S)`).
+    pub const fn pending(&self) -> usize {
+        self.pending
+    }
+
+    /// Takes the net changes: each voxel whose state now differs from its state when it was last taken. One
+    /// that flipped and flipped back, or has become Unknown, is none of them.
+    pub fn take_changes(&mut self, which: Which) -> Changes {
+        let mut taken = Vec::with_capacity(self.pending_blocks.len());
+        self.pending_blocks.retain(|index, known| {
+            let Some(block) = self.blocks.get_mut(index) else { return false };
+            let all = block.changes();
+            let part = match which {
+                Which::All => all,
+                Which::Occupied => StateBlock::new([0; 8], *all.occupied()),
+                Which::Free => StateBlock::new(*all.free(), [0; 8]),
+            };
+            block.mark_packed(&part);
+            let (taken_here, left) = (part.known_count(), all.known_count() - part.known_count());
+            self.pending -= *known as usize - left as usize;
+            *known = left;
+            if taken_here > 0 {
+                taken.push((*index, part));
+            }
+            left > 0
+        });
+        taken.sort_unstable_by_key(|(index, _)| *index);
+        Changes::from_blocks(taken)
+    }
+
+    /// State of a voxel.
+    pub fn state(&self, voxel: Voxel) -> State {
+        self.blocks.get(&voxel.block()).map_or(State::Unknown, |block| block.states().get(voxel_bit(voxel)))
+    }
+
+    /// Log-odds of a voxel in nats, `None` if no ray has touched it.
+    pub fn log_odds(&self, voxel: Voxel) -> Option<f64> {
+        let units = self.blocks.get(&voxel.block())?.log_odds(voxel_bit(voxel))?;
+        Some(f64::from(units) / LOG_ODDS_UNITS_PER_NAT)
+    }
+
+    /// The states of a block, `None` if nothing in it was ever observed.
+    pub fn block(&self, index: BlockIndex) -> Option<&StateBlock> {
+        self.blocks.get(&index).map(|block| block.states())
+    }
+
+    /// All blocks, in no order.
+    pub fn blocks(&self) -> impl Iterator<Item = (BlockIndex, &StateBlock)> {
+        self.blocks.iter().map(|(index, block)| (*index, block.states()))
+    }
+
+    /// Stamp of the last scan that touched a voxel; `None` if none did, or longer ago than 32,768 scans.
+    pub fn last_seen(&self, voxel: Voxel) -> Option<Stamp> {
+        let number = self.blocks.get(&voxel.block())?.seen(voxel_bit(voxel));
+        self.scan_stamps.get(usize::from(number).checked_sub(1)?).copied()
+    }
+
+    /// Bytes that the map holds.
+    pub fn memory_bytes(&self) -> usize {
+        self.blocks.len() * MAP_BLOCK_BYTES
+    }
+
+    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
+    fn collect_rays(
+        &mut self,
+        scan: &Scan,
+        T_map_sensor: &Pose,
+        teammates: &[Sphere],
+        start: [f64; 3],
+        scale: f64,
+        report: &mut ScanReport,
+    ) {
+        let rotation = T_map_sensor.rotation_rows().map(|row| row.map(|v| v * scale));
+        let (range, range_min) = (self.config.range_m * scale, self.config.range_min_m * scale);
+        let half_box = self.config.update_box_m.map(|half| half.map(|h| h * scale));
+        let lowest_cut_end = self.config.sensor.drop_cut_rays_below_m.map(|z| z * scale);
+        let masks: Vec<([f64; 3], f64)> =
+            teammates.iter().map(|s| (s.centre.map(|c| c * scale), (s.radius * scale).powi(2))).collect();
+        self.rays.clear();
+        self.rays.reserve(scan.points.len() + scan.no_returns.len());
+        let returns = scan.points.iter().map(|p| (p, true));
+        for (point, returned) in returns.chain(scan.no_returns.iter().map(|p| (p, false))) {
+            let p = point.map(f64::from);
+            let d: [f64; 3] = core::array::from_fn(|axis| {
+                rotation[axis][0] * p[0] + rotation[axis][1] * p[1] + rotation[axis][2] * p[2]
+            });
+            let length = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+            // Written so that a NaN is ignored.
+            if !(length >= range_min && length < f64::INFINITY) {
+                report.ignored += 1;
+                continue;
+            }
+            let end: [f64; 3] = core::array::from_fn(|axis| start[axis] + d[axis]);
+            if returned
+                && masks.iter().any(|(c, radius2)| {
+                    (0..3).map(|axis| (end[axis] - c[axis]).powi(2)).sum::<f64>() <= *radius2
+                })
+            {
+                report.masked += 1;
+                continue;
+            }
+            let mut part = if length > range { range / length } else { 1.0 };
+            if let Some(half) = half_box {
+                for axis in 0..3 {
+                    if (d[axis] * part).abs() > half[axis] {
+                        part = half[axis] / d[axis].abs();
+                    }
+                }
+            }
+            let is_hit = returned && part == 1.0;
+            let end =
+                if part == 1.0 { end } else { core::array::from_fn(|axis| start[axis] + d[axis] * part) };
+            if !is_hit && lowest_cut_end.is_some_and(|z| end[2] < z) {
+                report.ignored += 1;
+                continue;
+            }
+            if is_hit {
+                report.hits += 1;
+            } else {
+                report.cut += 1;
+            }
+            self.rays.push(Ray { end, is_hit });
+        }
+    }
+
+    /// Numbers the scan. Numbers are 16 bits: when they run out, the older half is forgotten.
+    fn next_scan_number(&mut self, stamp: Stamp) -> u16 {
+        const HALF: u16 = 1 << 15;
+        if self.scan_stamps.len() == usize::from(u16::MAX) {
+            self.scan_stamps.drain(..usize::from(HALF));
+            for block in self.blocks.values_mut() {
+                block.rebase_seen(HALF);
+            }
+        }
+        self.scan_stamps.push(stamp);
+        self.scan_stamps.len() as u16
+    }
+
+    /// Keeps the byte cap: forgets the blocks farthest from the sensor, a tenth more than needed so that it does
+    /// not come to this at every scan. What is forgotten is no change: the swarm keeps what it was told.
+    fn forget_far_blocks(&mut self, start: [f64; 3], report: &mut ScanReport) {
+        let blocks_max = (self.config.memory_bytes_max / MAP_BLOCK_BYTES).max(1);
+        if self.blocks.len() <= blocks_max {
+            return;
+        }
+        let keep = (blocks_max - blocks_max / 10).max(1);
+        let here = start.map(|v| (v / 8.0).floor() as i64);
+        let mut far: Vec<(i64, BlockIndex)> = self
+            .blocks
+            .keys()
+            .map(|b| {
+                let d = [i64::from(b.x) - here[0], i64::from(b.y) - here[1], i64::from(b.z) - here[2]];
+                (d.iter().map(|d| d * d).sum(), *b)
+            })
+            .collect();
+        far.select_nth_unstable(keep);
+        for (_, index) in &far[keep..] {
+            self.blocks.remove(index);
+            if let Some(known) = self.pending_blocks.remove(index) {
+                self.pending -= known as usize;
+            }
+            report.forgotten.push(*index);
+        }
+        report.forgotten.sort_unstable();
+        report.touched.retain(|(index, _)| self.blocks.contains_key(index));
+    }
+}
