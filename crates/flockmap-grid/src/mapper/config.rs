@@ -41,7 +41,7 @@ impl core::fmt::Display for Preset {
     }
 }
 
-/// How hits and misses add up to a state. Probabilities 0 … 1.
+/// How hits and misses add up to a state. Probabilities 0.001 … 0.999, so that sums fit 16 bits.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct SensorModel {
     /// Probability that a voxel is occupied, given one ray that ends in it. More than 0.5.
@@ -191,8 +191,8 @@ impl MapperConfig {
         }
         let s = &self.sensor;
         let all = [s.p_hit, s.p_miss, s.p_min, s.p_max, s.p_occupied, s.p_free];
-        if !all.iter().all(|p| (0.000_001..=0.999_999).contains(p)) {
-            return Err(ConfigError::Sensor("every probability must be above 0 and below 1"));
+        if !all.iter().all(|p| (0.001..=0.999).contains(p)) {
+            return Err(ConfigError::Sensor("every probability must be within 0.001 … 0.999"));
         }
         if !(s.p_hit > 0.5 && s.p_miss < 0.5) {
             return Err(ConfigError::Sensor("p_hit must be above 0.5 and p_miss below 0.5"));

@@ -12,6 +12,15 @@ use crate::{BLOCK_VOXELS, BlockIndex, Voxel};
 /// Rays that walk in step.
 const LANES: usize = 8;
 
+/// Rays between two checks that no count runs over 16 bits.
+const BATCH: usize = 1 << 15;
+
+/// Counts are cut to this between batches. No rule tells more rays than this apart.
+pub(super) const COUNT_MAX: u16 = u16::MAX - BATCH as u16;
+
+/// Steps that a group walks before its places are counted.
+const STEPS: usize = 32;
+
 /// Times along a ray are whole numbers: this is the end of the ray.
 const ONE: f64 = (1u32 << 29) as f64;
 
@@ -26,13 +35,21 @@ pub(super) struct RayCounts {
     /// For each block of the window: where its counts begin in the pools; 0 = not touched yet.
     table: Vec<u32>,
     /// Rays that passed through, 512 to a block. The first 512 are never used, so that 0 means "none".
+    /// All zero between scans: who takes the counts sets them back.
     misses: Vec<u16>,
     /// Rays that ended here, in the same places.
     hits: Vec<u16>,
     /// The touched blocks, in the order of their first touch; block `n` has its counts at `(n + 1) · 512`.
-    touched: Vec<u32>,
+    touched: Vec<Touched>,
     walks: Vec<Walk>,
     by_length: Vec<u32>,
+}
+
+#[derive(Clone, Copy)]
+struct Touched {
+    /// Place in the table.
+    block: u32,
+    has_hits: bool,
 }
 
 /// The part of the map that the rays of a scan can reach: block 0 0 0 of the table, and bits per axis.
@@ -109,7 +126,8 @@ pub(super) struct Ray {
 pub(super) struct TouchedBlock<'a> {
     pub(super) index: BlockIndex,
     pub(super) misses: &'a mut [u16; BLOCK_VOXELS],
-    pub(super) hits: &'a mut [u16; BLOCK_VOXELS],
+    /// `None` if no ray ended in the block.
+    pub(super) hits: Option<&'a mut [u16; BLOCK_VOXELS]>,
 }
 
 fn voxel_of(p: [f64; 3]) -> Voxel {
@@ -136,37 +154,40 @@ impl RayCounts {
         self.prepare(start, from, rays);
         self.sort_by_length();
         let order = core::mem::take(&mut self.by_length);
-        let mut groups = order.chunks_exact(LANES);
-        for group in &mut groups {
-            self.walk_group(group);
-        }
-        for &ray in groups.remainder() {
-            self.walk_one(self.walks[ray as usize], 0);
+        for (number, batch) in order.chunks(BATCH).enumerate() {
+            if number > 0 {
+                for count in &mut self.misses {
+                    *count = (*count).min(COUNT_MAX);
+                }
+            }
+            let (groups, rest) = batch.as_chunks::<LANES>();
+            for group in groups {
+                self.walk_group(group);
+            }
+            for &ray in rest {
+                self.walk_one(self.walks[ray as usize], 0);
+            }
         }
         self.by_length = order;
     }
 
-    /// The touched blocks, in the order of their first touch.
+    /// The touched blocks, in the order of their first touch. The counts must be set back to zero.
     pub(super) fn blocks(&mut self) -> impl Iterator<Item = TouchedBlock<'_>> {
         let window = self.window;
         let misses = self.misses.as_chunks_mut::<BLOCK_VOXELS>().0.iter_mut().skip(1);
         let hits = self.hits.as_chunks_mut::<BLOCK_VOXELS>().0.iter_mut().skip(1);
-        self.touched.iter().zip(misses.zip(hits)).map(move |(&block, (misses, hits))| TouchedBlock {
-            index: window.block(block),
+        self.touched.iter().zip(misses.zip(hits)).map(move |(touched, (misses, hits))| TouchedBlock {
+            index: window.block(touched.block),
             misses,
-            hits,
+            hits: touched.has_hits.then_some(hits),
         })
     }
 
     fn clear(&mut self) {
-        for &block in &self.touched {
-            self.table[block as usize] = 0;
+        for touched in &self.touched {
+            self.table[touched.block as usize] = 0;
         }
         self.touched.clear();
-        self.misses.clear();
-        self.hits.clear();
-        self.misses.resize(BLOCK_VOXELS, 0);
-        self.hits.resize(BLOCK_VOXELS, 0);
     }
 
     fn prepare(&mut self, start: [f64; 3], from: Voxel, rays: &[Ray]) {
@@ -202,6 +223,7 @@ impl RayCounts {
                 let [x, y, z] = self.window.place(end);
                 let at = self.slot(x | y | z);
                 self.hits[at] = self.hits[at].saturating_add(1);
+                self.touched[at / BLOCK_VOXELS - 1].has_hits = true;
             }
         }
     }
@@ -224,12 +246,12 @@ impl RayCounts {
         }
     }
 
-    fn walk_group(&mut self, group: &[u32]) {
+    fn walk_group(&mut self, group: &[u32; LANES]) {
         let mut place = [[0u32; LANES]; 3];
         let mut step = [[0u32; LANES]; 3];
         let mut next = [[0i32; LANES]; 3];
         let mut delta = [[0i32; LANES]; 3];
-        for (lane, &ray) in group.iter().enumerate().take(LANES) {
+        for (lane, &ray) in group.iter().enumerate() {
             let walk = &self.walks[ray as usize];
             for axis in 0..3 {
                 place[axis][lane] = walk.place[axis];
@@ -240,27 +262,27 @@ impl RayCounts {
         }
         let masks = self.window.masks;
         let together = self.walks[group[LANES - 1] as usize].length;
-        for _ in 0..together {
-            let mut at = [0u32; LANES];
-            for l in 0..LANES {
-                at[l] = place[0][l] | place[1][l] | place[2][l];
+        let mut steps = [[0u32; LANES]; STEPS];
+        let mut done = 0;
+        while done < together {
+            let count = STEPS.min((together - done) as usize);
+            for at in &mut steps[..count] {
+                for l in 0..LANES {
+                    at[l] = place[0][l] | place[1][l] | place[2][l];
+                    let (x, y, z) = (next[0][l], next[1][l], next[2][l]);
+                    let is_x = -i32::from((x <= y) & (x <= z));
+                    let is_y = -i32::from(y <= z) & !is_x;
+                    let is_z = !(is_x | is_y);
+                    next[0][l] = x.wrapping_add(delta[0][l] & is_x);
+                    next[1][l] = y.wrapping_add(delta[1][l] & is_y);
+                    next[2][l] = z.wrapping_add(delta[2][l] & is_z);
+                    place[0][l] = place[0][l].wrapping_add(step[0][l] & is_x as u32) & masks[0];
+                    place[1][l] = place[1][l].wrapping_add(step[1][l] & is_y as u32) & masks[1];
+                    place[2][l] = place[2][l].wrapping_add(step[2][l] & is_z as u32) & masks[2];
+                }
             }
-            for l in 0..LANES {
-                let (x, y, z) = (next[0][l], next[1][l], next[2][l]);
-                let is_x = -i32::from((x <= y) & (x <= z));
-                let is_y = -i32::from(y <= z) & !is_x;
-                let is_z = !(is_x | is_y);
-                next[0][l] = x.wrapping_add(delta[0][l] & is_x);
-                next[1][l] = y.wrapping_add(delta[1][l] & is_y);
-                next[2][l] = z.wrapping_add(delta[2][l] & is_z);
-                place[0][l] = place[0][l].wrapping_add(step[0][l] & is_x as u32) & masks[0];
-                place[1][l] = place[1][l].wrapping_add(step[1][l] & is_y as u32) & masks[1];
-                place[2][l] = place[2][l].wrapping_add(step[2][l] & is_z as u32) & masks[2];
-            }
-            for place in at {
-                let at = self.slot(place);
-                self.misses[at] = self.misses[at].saturating_add(1);
-            }
+            self.count_misses(&steps[..count]);
+            done += count as u32;
         }
         for (lane, &ray) in group.iter().enumerate() {
             let walk = Walk {
@@ -277,7 +299,7 @@ impl RayCounts {
         for _ in done..walk.length {
             let [x, y, z] = walk.place;
             let at = self.slot(x | y | z);
-            self.misses[at] = self.misses[at].saturating_add(1);
+            self.misses[at] += 1;
             let [x, y, z] = walk.next;
             let axis = if x <= y && x <= z {
                 0
@@ -288,6 +310,23 @@ impl RayCounts {
             };
             walk.next[axis] = walk.next[axis].wrapping_add(walk.delta[axis]);
             walk.place[axis] = walk.place[axis].wrapping_add(walk.step[axis]) & self.window.masks[axis];
+        }
+    }
+
+    /// Counts a miss at each place.
+    #[inline(always)]
+    fn count_misses(&mut self, places: &[[u32; LANES]]) {
+        // Slices in locals, so that the loop need not look them up again after every store.
+        let (mut table, mut misses) = (self.table.as_slice(), self.misses.as_mut_slice());
+        for step in places {
+            for place in step {
+                let mut slot = table[(place >> 9) as usize];
+                if slot == 0 {
+                    slot = self.touch((place >> 9) as usize);
+                    (table, misses) = (self.table.as_slice(), self.misses.as_mut_slice());
+                }
+                misses[slot as usize + (place & 511) as usize] += 1;
+            }
         }
     }
 
@@ -305,10 +344,12 @@ impl RayCounts {
     #[cold]
     #[inline(never)]
     fn touch(&mut self, block: usize) -> u32 {
-        let slot = self.misses.len();
-        self.misses.resize(slot + BLOCK_VOXELS, 0);
-        self.hits.resize(slot + BLOCK_VOXELS, 0);
-        self.touched.push(block as u32);
+        let slot = (self.touched.len() + 1) * BLOCK_VOXELS;
+        if self.misses.len() < slot + BLOCK_VOXELS {
+            self.misses.resize(slot + BLOCK_VOXELS, 0);
+            self.hits.resize(slot + BLOCK_VOXELS, 0);
+        }
+        self.touched.push(Touched { block: block as u32, has_hits: false });
         self.table[block] = slot as u32;
         slot as u32
     }
@@ -323,18 +364,26 @@ mod tests {
 
     fn counts(start: [f64; 3], rays: &[Ray]) -> HashMap<Voxel, (u16, u16)> {
         let mut counts = RayCounts::default();
+        // Used before, as it is from the second scan on.
         counts.cast([0.5; 3], &[Ray { end: [40.0, 3.0, -9.0], is_hit: true }]);
+        for block in counts.blocks() {
+            *block.misses = [0; BLOCK_VOXELS];
+            block.hits.map(|hits| *hits = [0; BLOCK_VOXELS]);
+        }
         counts.cast(start, rays);
         let mut found = HashMap::new();
         for block in counts.blocks() {
             let corner = block.index.corner();
             for bit in 0..BLOCK_VOXELS {
-                if (block.misses[bit], block.hits[bit]) != (0, 0) {
+                let hits = block.hits.as_ref().map_or(0, |hits| hits[bit]);
+                if (block.misses[bit], hits) != (0, 0) {
                     let [x, y, z] = bit_of(bit);
                     let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
-                    found.insert(voxel, (block.misses[bit], block.hits[bit]));
+                    found.insert(voxel, (block.misses[bit], hits));
                 }
             }
+            *block.misses = [0; BLOCK_VOXELS];
+            block.hits.map(|hits| *hits = [0; BLOCK_VOXELS]);
         }
         found
     }
