@@ -368,7 +368,9 @@ mod tests {
         counts.cast([0.5; 3], &[Ray { end: [40.0, 3.0, -9.0], is_hit: true }]);
         for block in counts.blocks() {
             *block.misses = [0; BLOCK_VOXELS];
-            block.hits.map(|hits| *hits = [0; BLOCK_VOXELS]);
+            if let Some(hits) = block.hits {
+                *hits = [0; BLOCK_VOXELS];
+            }
         }
         counts.cast(start, rays);
         let mut found = HashMap::new();
@@ -383,7 +385,9 @@ mod tests {
                 }
             }
             *block.misses = [0; BLOCK_VOXELS];
-            block.hits.map(|hits| *hits = [0; BLOCK_VOXELS]);
+            if let Some(hits) = block.hits {
+                *hits = [0; BLOCK_VOXELS];
+            }
         }
         found
     }
