@@ -79,6 +79,11 @@ impl Changes {
         })
     }
 
+    /// As [`Self::voxels`], without borrowing.
+    pub fn into_voxels(self) -> impl Iterator<Item = (Voxel, State)> {
+        self.blocks.into_iter().flat_map(|pair| Self { blocks: vec![pair] }.voxels().collect::<Vec<_>>())
+    }
+
     /// The smallest box that holds every change (the paper's "local OGM box"); `None` if there is none.
     pub fn bounding_box(&self) -> Option<VoxelBox> {
         let mut min = [i32::MAX; 3];

@@ -1,0 +1,222 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::{MapperConfig, Preset, Scan, VoxelBox, Which};
+
+const OWN: Stream = Stream { origin: RobotId(1), epoch: 1 };
+
+fn resolution() -> Resolution {
+    Resolution::from_metres(0.5).unwrap()
+}
+
+fn mapper() -> Mapper {
+    Mapper::new(MapperConfig::preset(Preset::OctoMap, resolution(), 12.0)).unwrap()
+}
+
+fn stream(origin: u16) -> Stream {
+    Stream { origin: RobotId(origin), epoch: 1 }
+}
+
+/// The rules of fusion voxel by voxel, in plain words, over a box that holds everything.
+fn naive(
+    mapper: &Mapper,
+    fusion: &Fusion,
+    alignments: &BTreeMap<u16, Pose>,
+    offsets: &BTreeMap<u16, i64>,
+) -> BTreeMap<Voxel, State> {
+    let mut words: BTreeMap<Voxel, Vec<(Stamp, bool)>> = BTreeMap::new();
+    for (index, block) in mapper.blocks() {
+        for (voxel, bit) in voxels_of(index, &block.known()) {
+            let stamp = mapper.last_seen(voxel).unwrap().plus_micros(fusion.config.own_priority_micros);
+            words.entry(voxel).or_default().push((stamp, block.get(bit) == State::Occupied));
+        }
+    }
+    let everywhere = VoxelBox::spanning(Voxel::new(-60, -60, -60), Voxel::new(60, 60, 60)).unwrap();
+    for (stream, layer) in fusion.layers() {
+        let pose = alignments.get(&stream.origin.0).copied().unwrap_or_default();
+        let offset = offsets.get(&stream.origin.0).copied().unwrap_or(0);
+        let mut told: BTreeMap<Voxel, (Stamp, bool)> = BTreeMap::new();
+        for (voxel, state) in layer.voxels().filter(|(_, state)| *state == State::Occupied) {
+            let image = resolution().voxel_at(pose.transform(resolution().centre(voxel))).unwrap();
+            let word = (layer.get(voxel).unwrap().1, state == State::Occupied);
+            let held = told.entry(image).or_insert(word);
+            *held = word.max(*held);
+        }
+        for target in everywhere.voxels() {
+            let source =
+                resolution().voxel_at(pose.inverse().transform(resolution().centre(target))).unwrap();
+            if let Some((State::Free, stamp)) = layer.get(source) {
+                told.entry(target).or_insert((stamp, false));
+            }
+        }
+        for (voxel, (stamp, occupied)) in told {
+            words.entry(voxel).or_default().push((stamp.plus_micros(offset), occupied));
+        }
+    }
+    let state = |words: Vec<(Stamp, bool)>| match words.into_iter().max() {
+        Some((_, true)) => State::Occupied,
+        _ => State::Free,
+    };
+    words.into_iter().map(|(voxel, words)| (voxel, state(words))).collect()
+}
+
+#[derive(Clone, Debug)]
+enum Event {
+    Scan { stamp: i64, points: Vec<[f32; 3]> },
+    Package { origin: u16, stamp: i64, voxels: Vec<(Voxel, State)> },
+    Align { origin: u16, pose: Pose },
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    let point = [-9.0..9.0f32, -9.0..9.0f32, -3.0..3.0f32];
+    let voxel = (-14..14i32, -14..14i32, -5..5i32).prop_map(|(x, y, z)| Voxel::new(x, y, z));
+    let state = prop_oneof![Just(State::Free), Just(State::Occupied)];
+    let pose =
+        ([-3.0..3.0f64, -3.0..3.0f64, -1.0..1.0f64], [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64, 0.3..1.0f64])
+            .prop_map(|(t, q)| Pose::new(t, q).unwrap());
+    prop_oneof![
+        3 => (0..100i64, prop::collection::vec(point, 1..12))
+            .prop_map(|(stamp, points)| Event::Scan { stamp, points }),
+        5 => (2..4u16, 0..100i64, prop::collection::vec((voxel, state), 1..60))
+            .prop_map(|(origin, stamp, voxels)| Event::Package { origin, stamp, voxels }),
+        1 => (2..4u16, pose).prop_map(|(origin, pose)| Event::Align { origin, pose }),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    /// Whatever happens in whatever order, the map that is kept up to date is the map made from scratch.
+    #[test]
+    fn the_fused_map_is_what_the_rules_say(
+        events in prop::collection::vec(event(), 1..14), offset in -20..20i64, with_alignment in any::<bool>(),
+    ) {
+        let mut mapper = mapper();
+        let config = FusionConfig { own_priority_micros: 5, ..FusionConfig::default() };
+        let mut fusion = Fusion::new(OWN, resolution(), config);
+        fusion.set_clock_offset(RobotId(3), offset);
+        let mut alignments = BTreeMap::new();
+        for event in events {
+            match event {
+                Event::Scan { stamp, points } => {
+                    let scan = Scan { stamp: Stamp(stamp), points, no_returns: Vec::new() };
+                    let report = mapper.insert(&scan, &Pose::from_translation([0.1, 0.2, 0.3]), &[]);
+                    fusion.own_scan(&mapper, &report);
+                    // What is published of oneself must change nothing in one's own fused map.
+                    let changes = mapper.take_changes(Which::All);
+                    fusion.apply(&mapper, OWN, &changes, Stamp(stamp)).unwrap();
+                }
+                Event::Package { origin, stamp, voxels } => {
+                    fusion.apply(&mapper, stream(origin), &Changes::from_voxels(voxels), Stamp(stamp)).unwrap();
+                }
+                Event::Align { origin, pose } if with_alignment => {
+                    fusion.set_alignment(&mapper, RobotId(origin), &pose);
+                    alignments.insert(origin, pose);
+                }
+                Event::Align { .. } => {}
+            }
+        }
+        fusion.layers.remove(&OWN);
+        let expected = naive(&mapper, &fusion, &alignments, &BTreeMap::from([(3, offset)]));
+        let found: BTreeMap<Voxel, State> = fusion.map().voxels().collect();
+        let differing: Vec<_> = expected.iter().filter(|(v, s)| found.get(v) != Some(s)).take(5).collect();
+        prop_assert!(differing.is_empty(), "{differing:?}");
+        prop_assert_eq!(found.len(), expected.len());
+        fusion.rebuild(&mapper);
+        prop_assert_eq!(fusion.map().voxels().collect::<BTreeMap<_, _>>(), expected);
+    }
+}
+
+fn told(voxels: &[(Voxel, State)]) -> Changes {
+    Changes::from_voxels(voxels.iter().copied())
+}
+
+#[test]
+fn a_view_stays_as_it_was_while_the_map_goes_on() {
+    let mapper = mapper();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    let (a, b) = (Voxel::new(1, 2, 3), Voxel::new(100, -200, 3));
+    fusion.apply(&mapper, stream(2), &told(&[(a, State::Free)]), Stamp(1)).unwrap();
+    let before = fusion.view();
+    fusion.apply(&mapper, stream(2), &told(&[(a, State::Occupied), (b, State::Free)]), Stamp(2)).unwrap();
+    assert_eq!((before.state(a), before.state(b)), (State::Free, State::Unknown));
+    assert_eq!((fusion.map().state(a), fusion.map().state(b)), (State::Occupied, State::Free));
+    assert_eq!(fusion.map().changed_since(before.version()), [a.block(), b.block()]);
+    assert!(fusion.map().changed_since(fusion.map().version()).is_empty());
+}
+
+#[test]
+fn muting_an_origin_takes_it_out_and_unmuting_brings_it_back_without_a_resend() {
+    let mapper = mapper();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    let voxel = Voxel::new(1, 2, 3);
+    fusion.apply(&mapper, stream(2), &told(&[(voxel, State::Occupied)]), Stamp(1)).unwrap();
+    fusion.set_muted(&mapper, RobotId(2), true);
+    assert_eq!(fusion.map().state(voxel), State::Unknown);
+    fusion.set_muted(&mapper, RobotId(2), false);
+    assert_eq!(fusion.map().state(voxel), State::Occupied);
+}
+
+#[test]
+fn rays_stop_at_obstacles_and_at_the_unknown() {
+    let mapper = mapper();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    let free = (0..10).map(|x| (Voxel::new(x, 0, 0), State::Free));
+    let changes = Changes::from_voxels(free.chain([(Voxel::new(10, 0, 0), State::Occupied)]));
+    fusion.apply(&mapper, stream(2), &changes, Stamp(1)).unwrap();
+    let from = [0.25, 0.25, 0.25];
+    let hit = fusion.map().cast_ray(from, [8.25, 0.25, 0.25], false);
+    assert_eq!(hit, RayEnd::Occupied { voxel: Voxel::new(10, 0, 0), distance_m: 4.75 });
+    assert_eq!(fusion.map().cast_ray(from, [4.0, 0.25, 0.25], false), RayEnd::Clear);
+    let up = fusion.map().cast_ray(from, [0.25, 0.25, 2.0], false);
+    assert_eq!(up, RayEnd::Unknown { voxel: Voxel::new(0, 0, 1), distance_m: 0.25 });
+    assert_eq!(fusion.map().cast_ray(from, [0.25, 0.25, 2.0], true), RayEnd::Clear);
+}
+
+#[test]
+fn layers_beyond_their_limit_are_refused_and_nothing_is_changed() {
+    let mapper = mapper();
+    let config = FusionConfig { layer_blocks_max: 2, streams_max: 2, ..FusionConfig::default() };
+    let mut fusion = Fusion::new(OWN, resolution(), config);
+    let two = told(&[(Voxel::new(0, 0, 0), State::Free), (Voxel::new(9, 0, 0), State::Free)]);
+    assert_eq!(fusion.apply(&mapper, stream(2), &two, Stamp(1)), Ok(2));
+    assert_eq!(fusion.apply(&mapper, stream(2), &two, Stamp(2)), Ok(2), "the same blocks fit");
+    let third = told(&[(Voxel::new(99, 0, 0), State::Free)]);
+    assert_eq!(
+        fusion.apply(&mapper, stream(3), &third, Stamp(1)),
+        Err(FusionError::LayersFull { held: 2, max: 2 })
+    );
+    assert_eq!(fusion.map().state(Voxel::new(99, 0, 0)), State::Unknown);
+    fusion.forget(&mapper, stream(2));
+    assert_eq!(fusion.apply(&mapper, stream(3), &third, Stamp(1)), Ok(1));
+}
+
+#[test]
+fn teammates_are_not_obstacles() {
+    let mut mapper = mapper();
+    let scan =
+        Scan { stamp: Stamp(0), points: vec![[5.0, 0.0, 0.0], [0.0, 5.0, 0.0]], no_returns: Vec::new() };
+    let teammate = crate::Sphere { centre: [5.2, 0.1, 0.0], radius: 0.4 };
+    let report = mapper.insert(&scan, &Pose::IDENTITY, &[teammate]);
+    assert_eq!((report.hits, report.masked), (1, 1));
+    assert_eq!(mapper.state(Voxel::new(10, 0, 0)), State::Unknown);
+    assert_eq!(mapper.state(Voxel::new(0, 10, 0)), State::Occupied);
+}
+
+#[test]
+fn under_the_byte_cap_the_farthest_blocks_are_forgotten_and_that_is_no_change() {
+    let mut config = MapperConfig::preset(Preset::RogMap, resolution(), 12.0);
+    config.memory_bytes_max = 20 * crate::MAP_BLOCK_BYTES;
+    let mut mapper = Mapper::new(config).unwrap();
+    for step in 0..40 {
+        let scan =
+            Scan { stamp: Stamp(step), points: vec![[3.0, 0.0, 0.0]], no_returns: vec![[0.0, 30.0, 0.0]] };
+        mapper.insert(&scan, &Pose::from_translation([step as f64 * 4.0, 0.0, 0.0]), &[]);
+        assert!(mapper.memory_bytes() <= 20 * crate::MAP_BLOCK_BYTES);
+        let pending = mapper.pending();
+        assert_eq!(mapper.take_changes(Which::All).len(), pending);
+        assert_eq!(mapper.pending(), 0);
+    }
+    assert_eq!(mapper.state(Voxel::new(6, 0, 0)), State::Unknown, "far behind");
+    assert_eq!(mapper.state(Voxel::new(2 * 39 * 4 + 6, 0, 0)), State::Occupied, "just seen");
+}

@@ -1,0 +1,181 @@
+//! The fused map as a planner reads it.
+
+use std::sync::Arc;
+
+use rustc_hash::FxHashMap;
+
+use crate::{
+    BLOCK_SIDE, BlockIndex, Changes, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, voxel_bit,
+};
+
+/// Blocks per side of a region: what is copied when a map is written to while a view of it is alive.
+const REGION_BITS: i32 = 3;
+
+/// The fused map at one moment. Made by [`super::Fusion::view`] in O(1); stays as it is while the map goes on. The
+/// next write after a view was made copies the touched regions of 64³ voxels, at most 80 kB each.
+#[derive(Clone, Debug)]
+pub struct MapView {
+    resolution: Resolution,
+    regions: Arc<FxHashMap<BlockIndex, Arc<Region>>>,
+    version: u64,
+}
+
+type Region = FxHashMap<BlockIndex, ViewBlock>;
+
+#[derive(Clone, Debug)]
+struct ViewBlock {
+    states: StateBlock,
+    version: u64,
+}
+
+/// Where a ray through the map ended, see [`MapView::cast_ray`].
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub enum RayEnd {
+    /// It met an Occupied voxel.
+    Occupied {
+        /// The voxel.
+        voxel: Voxel,
+        /// Metres from the start to where the ray enters the voxel.
+        distance_m: f64,
+    },
+    /// It met an Unknown voxel.
+    Unknown {
+        /// The voxel.
+        voxel: Voxel,
+        /// Metres from the start to where the ray enters the voxel.
+        distance_m: f64,
+    },
+    /// It reached its end.
+    Clear,
+}
+
+impl MapView {
+    pub(super) fn new(resolution: Resolution) -> Self {
+        Self { resolution, regions: Arc::default(), version: 0 }
+    }
+
+    /// Side of a voxel.
+    pub const fn resolution(&self) -> Resolution {
+        self.resolution
+    }
+
+    /// Goes up with every change of the map.
+    pub const fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// State of a voxel. Two hash look-ups.
+    pub fn state(&self, voxel: Voxel) -> State {
+        self.block(voxel.block()).map_or(State::Unknown, |block| block.get(voxel_bit(voxel)))
+    }
+
+    /// State at a point in metres, in the frame of this robot's map. Unknown where there are no voxels.
+    pub fn state_at(&self, point: [f64; 3]) -> State {
+        self.resolution.voxel_at(point).map_or(State::Unknown, |voxel| self.state(voxel))
+    }
+
+    /// States of a block, `None` if nothing in it is known.
+    pub fn block(&self, index: BlockIndex) -> Option<&StateBlock> {
+        Some(&self.regions.get(&region_of(index))?.get(&index)?.states)
+    }
+
+    /// All blocks in which something is known, in no order.
+    pub fn blocks(&self) -> impl Iterator<Item = (BlockIndex, &StateBlock)> {
+        self.regions.values().flat_map(|region| region.iter().map(|(index, block)| (*index, &block.states)))
+    }
+
+    /// Every known voxel of a box with its state, in ascending order of blocks. O(blocks of the box or of the
+    /// map, whichever are fewer).
+    pub fn voxels_in(&self, region: &VoxelBox) -> impl Iterator<Item = (Voxel, State)> + use<> {
+        let blocks_of_box: u128 =
+            region.size().iter().map(|s| u128::from(s / BLOCK_SIDE as u32 + 2)).product();
+        let blocks = if blocks_of_box < self.regions.len() as u128 * 64 {
+            region.blocks().filter_map(|index| Some((index, *self.block(index)?))).collect()
+        } else {
+            self.blocks().map(|(index, block)| (index, *block)).collect()
+        };
+        Changes::from_blocks(blocks).within(region).into_voxels()
+    }
+
+    /// Every known voxel with its state, in ascending order of blocks.
+    pub fn voxels(&self) -> impl Iterator<Item = (Voxel, State)> + use<> {
+        Changes::from_blocks(self.blocks().map(|(index, block)| (index, *block)).collect()).into_voxels()
+    }
+
+    /// Number of Free and of Occupied voxels. O(blocks).
+    pub fn count(&self) -> (usize, usize) {
+        let ones = |plane: &Plane| plane.iter().map(|w| w.count_ones() as usize).sum::<usize>();
+        self.blocks()
+            .fold((0, 0), |(free, occupied), (_, b)| (free + ones(b.free()), occupied + ones(b.occupied())))
+    }
+
+    /// Blocks that changed after [`Self::version`] had this value, ascending. After the map was made anew (an alignment
+    /// changed, an origin was muted) these are all blocks that it has now. O(blocks).
+    pub fn changed_since(&self, version: u64) -> Vec<BlockIndex> {
+        let mut changed: Vec<BlockIndex> = self
+            .regions
+            .values()
+            .flat_map(|region| region.iter().filter(|(_, b)| b.version > version).map(|(index, _)| *index))
+            .collect();
+        changed.sort_unstable();
+        changed
+    }
+
+    /// Follows the straight line between two points (metres) to the first voxel that is Occupied, or Unknown if
+    /// `through_unknown` is false. A point outside of the voxel limits ends as Unknown at the start.
+    pub fn cast_ray(&self, from: [f64; 3], to: [f64; 3], through_unknown: bool) -> RayEnd {
+        let side = self.resolution.metres();
+        let (Some(start), Some(end)) = (self.resolution.voxel_at(from), self.resolution.voxel_at(to)) else {
+            return RayEnd::Unknown { voxel: Voxel::default(), distance_m: 0.0 };
+        };
+        let d: [f64; 3] = core::array::from_fn(|axis| to[axis] - from[axis]);
+        let length = d.iter().map(|d| d * d).sum::<f64>().sqrt();
+        let mut at = [start.x, start.y, start.z];
+        let to = [end.x, end.y, end.z];
+        // Share of the ray at which it next crosses a face of each axis.
+        let mut next: [f64; 3] = core::array::from_fn(|axis| {
+            let face = f64::from(at[axis] + i32::from(d[axis] > 0.0)) * side;
+            if d[axis] == 0.0 { f64::INFINITY } else { (face - from[axis]) / d[axis] }
+        });
+        let mut entered = 0.0;
+        let steps: u32 = at.iter().zip(to).map(|(a, b)| a.abs_diff(b)).sum();
+        for _ in 0..=steps {
+            let voxel = Voxel::new(at[0], at[1], at[2]);
+            let distance_m = entered * length;
+            match self.state(voxel) {
+                State::Occupied => return RayEnd::Occupied { voxel, distance_m },
+                State::Unknown if !through_unknown => return RayEnd::Unknown { voxel, distance_m },
+                _ => {}
+            }
+            let axis = (0..3).min_by(|a, b| next[*a].total_cmp(&next[*b])).unwrap_or(0);
+            entered = next[axis].clamp(0.0, 1.0);
+            at[axis] += if d[axis] > 0.0 { 1 } else { -1 };
+            next[axis] += side / d[axis].abs();
+        }
+        RayEnd::Clear
+    }
+
+    /// Sets the voxels of `mask` to those of `states`.
+    pub(super) fn write(&mut self, index: BlockIndex, mask: &Plane, states: &StateBlock) {
+        let old = self.block(index).copied().unwrap_or_default();
+        let keep: Plane = core::array::from_fn(|z| !mask[z]);
+        let mut new = old.masked(&keep);
+        new.overlay(&states.masked(mask));
+        if new == old {
+            return;
+        }
+        self.version += 1;
+        let regions = Arc::make_mut(&mut self.regions);
+        let region = Arc::make_mut(regions.entry(region_of(index)).or_default());
+        region.insert(index, ViewBlock { states: new, version: self.version });
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.version += 1;
+        self.regions = Arc::default();
+    }
+}
+
+fn region_of(index: BlockIndex) -> BlockIndex {
+    BlockIndex::new(index.x >> REGION_BITS, index.y >> REGION_BITS, index.z >> REGION_BITS)
+}

@@ -1,0 +1,131 @@
+//! A stamp for each voxel of a block, exact and small.
+
+use crate::{BLOCK_VOXELS, Plane, Stamp};
+
+/// Stamps of the voxels of a block, as a palette and an index into it for each voxel. A block is touched by a few
+/// dozen cycles as a rule, so a byte a voxel is enough; with more than 256 stamps in use it takes two.
+/// At most 5.3 kB: 512 palette entries and 512 indices of two bytes.
+#[derive(Clone, Debug)]
+pub(crate) struct BlockStamps {
+    palette: Vec<Stamp>,
+    indices: Indices,
+}
+
+#[derive(Clone, Debug)]
+enum Indices {
+    /// All voxels have the only stamp of the palette.
+    One,
+    Narrow(Box<[u8; BLOCK_VOXELS]>),
+    Wide(Box<[u16; BLOCK_VOXELS]>),
+}
+
+impl BlockStamps {
+    /// One stamp for all voxels.
+    pub(crate) fn new(stamp: Stamp) -> Self {
+        Self { palette: vec![stamp], indices: Indices::One }
+    }
+
+    /// Stamp of the voxel with this bit number.
+    pub(crate) fn get(&self, bit: usize) -> Stamp {
+        self.palette[self.index(bit)]
+    }
+
+    /// The newest stamp that a voxel may have.
+    pub(crate) fn newest(&self) -> Stamp {
+        self.palette.iter().copied().max().unwrap_or_default()
+    }
+
+    /// Gives the voxels of `mask` this stamp. `in_use` are the voxels whose stamps matter.
+    pub(crate) fn set(&mut self, mask: &Plane, stamp: Stamp, in_use: &Plane) {
+        let number = match self.palette.iter().rposition(|s| *s == stamp) {
+            Some(number) => number,
+            None => {
+                if self.palette.len() >= self.capacity() {
+                    self.compact(in_use);
+                }
+                self.palette.push(stamp);
+                self.widen();
+                self.palette.len() - 1
+            }
+        };
+        for (z, word) in mask.iter().enumerate() {
+            let mut word = *word;
+            while word != 0 {
+                let bit = z * 64 + word.trailing_zeros() as usize;
+                word &= word - 1;
+                match &mut self.indices {
+                    Indices::One => {}
+                    Indices::Narrow(indices) => indices[bit] = number as u8,
+                    Indices::Wide(indices) => indices[bit] = number as u16,
+                }
+            }
+        }
+    }
+
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.palette.capacity() * size_of::<Stamp>()
+            + match self.indices {
+                Indices::One => 0,
+                Indices::Narrow(_) => BLOCK_VOXELS,
+                Indices::Wide(_) => 2 * BLOCK_VOXELS,
+            }
+    }
+
+    fn index(&self, bit: usize) -> usize {
+        match &self.indices {
+            Indices::One => 0,
+            Indices::Narrow(indices) => usize::from(indices[bit]),
+            Indices::Wide(indices) => usize::from(indices[bit]),
+        }
+    }
+
+    /// Stamps that fit before something has to give.
+    fn capacity(&self) -> usize {
+        match self.indices {
+            Indices::One => 1,
+            Indices::Narrow(_) => 256,
+            Indices::Wide(_) => 2 * BLOCK_VOXELS,
+        }
+    }
+
+    /// Makes room in the indices for the palette as it is now.
+    fn widen(&mut self) {
+        match &self.indices {
+            Indices::One if self.palette.len() > 1 => {
+                self.indices = Indices::Narrow(Box::new([0; BLOCK_VOXELS]))
+            }
+            Indices::Narrow(indices) if self.palette.len() > 256 => {
+                self.indices = Indices::Wide(Box::new(indices.map(u16::from)));
+            }
+            _ => {}
+        }
+    }
+
+    /// Drops the stamps that no voxel in use has. At most 512 are left.
+    fn compact(&mut self, in_use: &Plane) {
+        let mut number_of = vec![usize::MAX; self.palette.len()];
+        let mut palette = Vec::new();
+        let mut renumbered = [0u16; BLOCK_VOXELS];
+        for (bit, new) in renumbered.iter_mut().enumerate() {
+            if in_use[bit / 64] >> (bit % 64) & 1 == 1 {
+                let old = self.index(bit);
+                if number_of[old] == usize::MAX {
+                    number_of[old] = palette.len();
+                    palette.push(self.palette[old]);
+                }
+                *new = number_of[old] as u16;
+            }
+        }
+        if palette.is_empty() {
+            palette.push(self.newest());
+        }
+        self.palette = palette;
+        self.indices = if self.palette.len() == 1 {
+            Indices::One
+        } else if self.palette.len() <= 256 {
+            Indices::Narrow(Box::new(renumbered.map(|n| n as u8)))
+        } else {
+            Indices::Wide(Box::new(renumbered))
+        };
+    }
+}
