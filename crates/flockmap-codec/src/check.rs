@@ -1,0 +1,50 @@
+//! The check of a package: CRC-32 (the one of zlib) over its header and its decoded content in one fixed form.
+
+use flockmap_grid::{Changes, PresentState};
+
+/// The check of a package of changes. `header` is its bytes up to the check field.
+pub(crate) fn check_changes(header: &[u8], changes: &Changes) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(header);
+    hash_changes(&mut hasher, changes);
+    hasher.finalize()
+}
+
+/// The check of a tile of a present state.
+pub(crate) fn check_present(header: &[u8], state: &PresentState) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(header);
+    hash_parts(&mut hasher, state);
+    hasher.finalize()
+}
+
+/// Tells sets of tiles apart: the check of a whole present state.
+pub(crate) fn set_check(state: &PresentState) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hash_parts(&mut hasher, state);
+    hasher.finalize()
+}
+
+fn hash_parts(hasher: &mut crc32fast::Hasher, state: &PresentState) {
+    for (stamp, changes) in &state.parts {
+        hasher.update(&stamp.0.to_le_bytes());
+        hash_changes(hasher, changes);
+    }
+}
+
+/// Each block with a change, ascending by x, then y, then z: its index as three `i32`, then eight `u64` of
+/// Free voxels and eight of Occupied ones, all little-endian.
+fn hash_changes(hasher: &mut crc32fast::Hasher, changes: &Changes) {
+    for (index, block) in changes.blocks() {
+        let mut bytes = [0u8; 12 + 128];
+        let (corner, planes) = bytes.split_at_mut(12);
+        for (bytes, value) in corner.as_chunks_mut::<4>().0.iter_mut().zip([index.x, index.y, index.z]) {
+            *bytes = value.to_le_bytes();
+        }
+        let words = block.free().iter().chain(block.occupied());
+        for (bytes, word) in planes.as_chunks_mut::<8>().0.iter_mut().zip(words) {
+            *bytes = word.to_le_bytes();
+        }
+        hasher.update(&bytes);
+    }
+}

@@ -1,0 +1,325 @@
+//! From changes, or from the state of a layer, to packages.
+
+use flockmap_grid::{Changes, PresentState, Resolution, Stamp, Stream, VoxelBox};
+
+use crate::check::{check_changes, check_present, set_check};
+use crate::deflate::Deflater;
+use crate::piece::Piece;
+use crate::states::{self, Others, Scratch};
+use crate::{
+    BOX_VOXELS_MAX, Codec, ContentKind, EncodeError, Header, PACKAGE_BYTES_MIN, Package, stamps, varint,
+};
+
+/// One cycle of mapping: all changes from `start` to `end`.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Cycle {
+    /// Whose observations these are.
+    pub stream: Stream,
+    /// When the cycle began, on the origin's clock.
+    pub start: Stamp,
+    /// When it was closed: the stamp of every change in it. Cycles of a stream have strictly increasing ends.
+    pub end: Stamp,
+    /// Side of a voxel.
+    pub resolution: Resolution,
+}
+
+/// Makes packages. Keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box so
+/// far, and 300 KB. One for each thread. The same input gives the same packages, whatever was encoded before.
+pub struct Encoder {
+    scratch: Scratch,
+    deflater: Deflater,
+    payload: Vec<u8>,
+}
+
+impl Default for Encoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Encoder {
+    /// An encoder.
+    pub fn new() -> Self {
+        Self { scratch: Scratch::default(), deflater: Deflater::new(), payload: Vec::new() }
+    }
+
+    /// One package for all changes, whatever its size, as the paper sends it (Sec. III). For benchmarks: what goes
+    /// over a radio is better cut to its datagrams by [`Self::encode_cycle`].
+    pub fn encode_whole(
+        &mut self,
+        codec: Codec,
+        cycle: &Cycle,
+        index: u32,
+        changes: &Changes,
+    ) -> Result<Package, EncodeError> {
+        check_cycle(cycle, index, changes)?;
+        let region = changes.bounding_box().ok_or(EncodeError::OutsideGrid)?;
+        let voxels = region.volume();
+        if voxels > u128::from(BOX_VOXELS_MAX) {
+            return Err(EncodeError::BoxTooLarge { voxels });
+        }
+        self.payload.clear();
+        self.encode_states(codec, changes, &region, Others::Unchanged);
+        let header = changes_header(codec, cycle, index, region);
+        Ok(Package::seal(&header, &self.payload, |header| check_changes(header, changes)))
+    }
+
+    /// The changes of a cycle as packages of at most `bytes_max` bytes each, numbered from `first_index`. Each has a
+    /// tight box of its own and is useful alone; no two share a voxel. No changes: no packages.
+    ///
+    /// The changes are cut in two across the longest side of their box until each piece fits. What a piece will
+    /// take is foretold from the pieces before it, so that few are encoded in vain.
+    pub fn encode_cycle(
+        &mut self,
+        codec: Codec,
+        cycle: &Cycle,
+        first_index: u32,
+        changes: &Changes,
+        bytes_max: usize,
+    ) -> Result<Vec<Package>, EncodeError> {
+        if changes.is_empty() {
+            return Ok(Vec::new());
+        }
+        check_cycle(cycle, first_index, changes)?;
+        let piece = Piece::new(changes.clone(), Vec::new()).ok_or(EncodeError::OutsideGrid)?;
+        // There are no more packages than voxels, which bounds the index and with it the header.
+        let last_index = first_index.saturating_add(u32::try_from(changes.len()).unwrap_or(u32::MAX));
+        let last_index = changes_header(codec, cycle, last_index, piece.region);
+        let pieces = self.fit(codec, piece, &last_index, bytes_max)?;
+        let count = pieces.len();
+        let range = EncodeError::IndexOutOfRange { first: first_index, count };
+        if u64::from(first_index) + count as u64 - 1 > u64::from(u32::MAX) {
+            return Err(range);
+        }
+        let packages = (first_index..).zip(&pieces).map(|(index, (piece, payload))| {
+            let header = changes_header(codec, cycle, index, piece.region);
+            Package::seal(&header, payload, |header| check_changes(header, &piece.states))
+        });
+        Ok(packages.collect())
+    }
+
+    /// The state of a layer as tiles of at most `bytes_max` bytes each, codes `00 01 10` (Sec. IV-B of the paper), with
+    /// the stamp of every voxel. `upto_index` is the newest package whose changes, with those of all before it, are in
+    /// `state`. Always at least one tile: where nothing is known, one that says so of a single voxel.
+    pub fn encode_present(
+        &mut self,
+        codec: Codec,
+        stream: Stream,
+        upto_index: u32,
+        resolution: Resolution,
+        state: &PresentState,
+        bytes_max: usize,
+    ) -> Result<Vec<Package>, EncodeError> {
+        if upto_index == 0 {
+            return Err(EncodeError::IndexOutOfRange { first: 0, count: 1 });
+        }
+        let states = union(state)?;
+        let set = set_check(state);
+        let header = |region: VoxelBox, parts: &[(Stamp, Changes)], tile, tiles| Header {
+            stream,
+            index: upto_index,
+            cycle_start: parts.first().map_or(Stamp(0), |part| part.0),
+            cycle_end: parts.last().map_or(Stamp(0), |part| part.0),
+            reference: 0,
+            resolution,
+            region,
+            codec,
+            content: ContentKind::Present { set, tile, tiles },
+        };
+        let pieces = if states.is_empty() {
+            check_limit(bytes_max)?;
+            let min = state.region.min();
+            let region = VoxelBox::new(min, [1; 3]).ok_or(EncodeError::OutsideGrid)?;
+            let piece = Piece { states, parts: Vec::new(), region };
+            self.encode_piece(codec, &piece, Others::Unknown);
+            vec![(piece, self.payload.clone())]
+        } else {
+            let piece = Piece::new(states, state.parts.clone()).ok_or(EncodeError::OutsideGrid)?;
+            // There are no more tiles than voxels.
+            let tiles_max = u32::try_from(piece.states.len()).unwrap_or(u32::MAX);
+            let longest = header(piece.region, &piece.parts, tiles_max, tiles_max);
+            self.fit(codec, piece, &longest, bytes_max)?
+        };
+        let tiles = u32::try_from(pieces.len()).unwrap_or(u32::MAX);
+        let packages = (0..tiles).zip(pieces).map(|(tile, (piece, payload))| {
+            let header = header(piece.region, &piece.parts, tile, tiles);
+            let content = PresentState { region: piece.region, parts: piece.parts };
+            Package::seal(&header, &payload, |header| check_present(header, &content))
+        });
+        Ok(packages.collect())
+    }
+
+    /// Cuts `whole` until each piece fits into `bytes_max` with a header like `longest`, whose box and stamps are
+    /// replaced by those of the piece.
+    fn fit(
+        &mut self,
+        codec: Codec,
+        whole: Piece,
+        longest: &Header,
+        bytes_max: usize,
+    ) -> Result<Vec<(Piece, Vec<u8>)>, EncodeError> {
+        check_limit(bytes_max)?;
+        let others = match longest.content {
+            ContentKind::Changes => Others::Unchanged,
+            ContentKind::Present { .. } => Others::Unknown,
+        };
+        let mut forecast = Forecast::new(codec, others);
+        let mut done = Vec::new();
+        let mut waiting = vec![whole];
+        while let Some(piece) = waiting.pop() {
+            let room = bytes_max.saturating_sub(header_bytes(longest, &piece, bytes_max));
+            let needed = if piece.region.volume() > u128::from(BOX_VOXELS_MAX) {
+                usize::MAX
+            } else {
+                let expected = forecast.payload_bytes(&piece);
+                if expected > room + room / 4 {
+                    expected
+                } else {
+                    self.encode_piece(codec, &piece, others);
+                    forecast.learn(&piece, self.payload.len());
+                    if self.is_decodable(codec, &piece, others) { self.payload.len() } else { usize::MAX }
+                }
+            };
+            if needed <= room {
+                done.push((piece, self.payload.clone()));
+                continue;
+            }
+            // Pieces are meant to come out nine tenths full, since one that is just too large costs two.
+            let pieces = match needed {
+                usize::MAX => 2,
+                _ => needed.div_ceil((room * 9 / 10).max(1)).max(2),
+            };
+            let [head, tail] =
+                piece.cut(pieces / 2, pieces).ok_or(EncodeError::BytesMaxTooSmall { bytes_max })?;
+            waiting.push(tail);
+            waiting.push(head);
+        }
+        Ok(done)
+    }
+
+    /// The payload of a piece into `self.payload`.
+    fn encode_piece(&mut self, codec: Codec, piece: &Piece, others: Others) {
+        self.payload.clear();
+        self.encode_states(codec, &piece.states, &piece.region, others);
+        if others == Others::Unknown {
+            let mut length = Vec::new();
+            varint::write(&mut length, self.payload.len() as u64);
+            self.payload.splice(..0, length);
+            stamps::encode(&piece.parts, &piece.region, &mut self.deflater, &mut self.payload);
+        }
+    }
+
+    fn encode_states(&mut self, codec: Codec, states: &Changes, region: &VoxelBox, others: Others) {
+        let Self { scratch, deflater, payload } = self;
+        states::encode(codec, states, region, others, scratch, deflater, payload);
+    }
+
+    /// Whether the payload just made respects the limits that a decoder holds it to beyond its length.
+    fn is_decodable(&self, codec: Codec, piece: &Piece, others: Others) -> bool {
+        let length = self.payload.len();
+        let part_blocks: usize = piece.parts.iter().map(|(_, part)| part.blocks().len()).sum();
+        let box_limit = match others {
+            Others::Unchanged => BOX_VOXELS_MAX,
+            // The states are a part of the payload; what the rest takes is left out to be safe.
+            Others::Unknown => states::voxels_max(codec, length / 2, others),
+        };
+        let fills = codec == Codec::Raw || piece.region.volume() <= u128::from(box_limit);
+        fills && piece.parts.len() <= stamps::STAMPS_MAX && part_blocks <= stamps::part_blocks_max(length)
+    }
+}
+
+/// What the payload of a piece will take, judged by the pieces before it.
+struct Forecast {
+    codec: Codec,
+    others: Others,
+    /// For the codecs whose size depends on the pattern: bytes for 1,024 voxels.
+    bytes_per_1024: usize,
+}
+
+impl Forecast {
+    /// What a zlib stream takes however short it is.
+    const OVERHEAD: usize = 10;
+
+    fn new(codec: Codec, others: Others) -> Self {
+        let bytes_per_1024 = if others == Others::Unchanged { 384 } else { 512 };
+        Self { codec, others, bytes_per_1024 }
+    }
+
+    fn payload_bytes(&self, piece: &Piece) -> usize {
+        let voxels = piece.states.len();
+        match (self.codec, self.others) {
+            (Codec::Raw, Others::Unchanged) => piece.region.volume().div_ceil(4) as usize,
+            (Codec::Racer, Others::Unchanged) => voxels * 5,
+            _ => Self::OVERHEAD + voxels * self.bytes_per_1024 / 1024,
+        }
+    }
+
+    fn learn(&mut self, piece: &Piece, payload_bytes: usize) {
+        let bytes_per_1024 = payload_bytes.saturating_sub(Self::OVERHEAD) * 1024 / piece.states.len().max(1);
+        self.bytes_per_1024 = (self.bytes_per_1024 + bytes_per_1024).div_ceil(2);
+    }
+}
+
+fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> Header {
+    Header {
+        stream: cycle.stream,
+        index,
+        cycle_start: cycle.start,
+        cycle_end: cycle.end,
+        reference: 0,
+        resolution: cycle.resolution,
+        region,
+        codec,
+        content: ContentKind::Changes,
+    }
+}
+
+/// Bytes of the header of `piece`, with the check, if it is otherwise like `longest`.
+fn header_bytes(longest: &Header, piece: &Piece, payload_bytes: usize) -> usize {
+    let mut header = Header { region: piece.region, ..*longest };
+    if let (Some((first, _)), Some((last, _))) = (piece.parts.first(), piece.parts.last()) {
+        (header.cycle_start, header.cycle_end) = (*first, *last);
+    }
+    let mut bytes = Vec::with_capacity(96);
+    header.write(payload_bytes, &mut bytes);
+    bytes.len() + 4
+}
+
+fn check_cycle(cycle: &Cycle, index: u32, changes: &Changes) -> Result<(), EncodeError> {
+    if changes.is_empty() {
+        return Err(EncodeError::Empty);
+    }
+    if cycle.end < cycle.start {
+        return Err(EncodeError::CycleEndsBeforeStart);
+    }
+    if index == 0 {
+        return Err(EncodeError::IndexOutOfRange { first: 0, count: 1 });
+    }
+    Ok(())
+}
+
+fn check_limit(bytes_max: usize) -> Result<(), EncodeError> {
+    if bytes_max < PACKAGE_BYTES_MIN { Err(EncodeError::BytesMaxTooSmall { bytes_max }) } else { Ok(()) }
+}
+
+/// All known voxels of a present state, which is checked on the way.
+fn union(state: &PresentState) -> Result<Changes, EncodeError> {
+    let wrong = |rule| Err(EncodeError::PresentState { rule });
+    if !state.parts.is_sorted_by(|a, b| a.0 < b.0) {
+        return wrong("the stamps of the parts ascend");
+    }
+    let parts = || state.parts.iter().map(|(_, part)| part);
+    if parts().any(Changes::is_empty) {
+        return wrong("no part is empty");
+    }
+    let inside = |part: &Changes| part.bounding_box().is_some_and(|b| b.union(&state.region) == state.region);
+    if !parts().all(inside) {
+        return wrong("all voxels lie in the region");
+    }
+    let blocks = parts().flat_map(|part| part.blocks().iter().copied()).collect();
+    let all = Changes::from_blocks(blocks);
+    if all.len() != parts().map(Changes::len).sum::<usize>() {
+        return wrong("no voxel is in two parts");
+    }
+    Ok(all)
+}

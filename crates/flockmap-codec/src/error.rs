@@ -1,0 +1,134 @@
+//! What can be wrong with a package, and with a wish to make one.
+
+use crate::{BOX_VOXELS_MAX, Codec, PACKAGE_BYTES_MIN};
+
+/// Bytes that are no package, or a package that does not decode to what was encoded. Its sender or the way is at
+/// fault, or it is of a newer Flockmap; nothing of it may be used. Ask for it again.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PackageError {
+    /// The bytes end inside a field of the header.
+    #[error("package ends at byte {offset}, inside {field}")]
+    Truncated {
+        /// The field that is cut.
+        field: &'static str,
+        /// Where the bytes end.
+        offset: usize,
+    },
+    /// Another version of the format.
+    #[error("package format version {found}, this program reads version {}", crate::FORMAT_VERSION)]
+    Version {
+        /// The first byte of the package.
+        found: u8,
+    },
+    /// A codec that this version does not know.
+    #[error("package codec {found} is not known; the sender may be newer")]
+    Codec {
+        /// The codec byte.
+        found: u8,
+    },
+    /// A kind of content, or a flag beside it, that this version does not know. It is refused and not skipped,
+    /// since it may change what the rest means.
+    #[error("package content kind {found:#04x} is not known; the sender may be newer")]
+    ContentKind {
+        /// The content byte.
+        found: u8,
+    },
+    /// A number that is too large, or written longer than needed.
+    #[error("package field {field} at byte {offset} is no number of at most {max} in its shortest form")]
+    Number {
+        /// The field.
+        field: &'static str,
+        /// Where it begins.
+        offset: usize,
+        /// The largest value that it may have.
+        max: u64,
+    },
+    /// Fields that contradict a rule of the format.
+    #[error("package header: {rule}")]
+    Header {
+        /// The rule that is broken.
+        rule: &'static str,
+    },
+    /// The payload is shorter or longer than the header says.
+    #[error("package payload has {found} bytes, its header says {stated}")]
+    PayloadLength {
+        /// What the header says.
+        stated: u64,
+        /// What there is.
+        found: usize,
+    },
+    /// A box too large for its payload or for any package.
+    #[error(
+        "package box has {voxels} voxels, its {payload} bytes of {codec} payload can hold {limit} at most"
+    )]
+    BoxTooLarge {
+        /// Voxels in the box.
+        voxels: u128,
+        /// Bytes of payload.
+        payload: usize,
+        /// The codec of the payload.
+        codec: Codec,
+        /// Most voxels for a payload of this length.
+        limit: u64,
+    },
+    /// The payload breaks a rule of its codec.
+    #[error("package payload ({codec}): {rule}")]
+    Payload {
+        /// The codec of the payload.
+        codec: Codec,
+        /// The rule that is broken.
+        rule: &'static str,
+    },
+    /// Header and content do not match the check, so one of them is damaged.
+    #[error("package check is {stated:#010x}, header and decoded content give {found:#010x}")]
+    Check {
+        /// The check in the package.
+        stated: u32,
+        /// The check of what was read.
+        found: u32,
+    },
+}
+
+/// A package that cannot be made. The caller is at fault.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// There is nothing to say.
+    #[error("no voxel changed: there is nothing to encode")]
+    Empty,
+    /// The box around the changes is too large for one package.
+    #[error(
+        "the box around the changes has {voxels} voxels, a package holds {BOX_VOXELS_MAX} at most; use encode_cycle, which splits"
+    )]
+    BoxTooLarge {
+        /// Voxels in the box.
+        voxels: u128,
+    },
+    /// A voxel outside of the limits of the grid.
+    #[error("a voxel lies outside of ±{}", flockmap_grid::VOXEL_LIMIT)]
+    OutsideGrid,
+    /// The size limit is too small for anything.
+    #[error("packages of at most {bytes_max} bytes are too small, at least {PACKAGE_BYTES_MIN} are needed")]
+    BytesMaxTooSmall {
+        /// The limit that was asked for.
+        bytes_max: usize,
+    },
+    /// A cycle that ends before it starts.
+    #[error("the cycle ends before it starts")]
+    CycleEndsBeforeStart,
+    /// Index 0, or past the last index.
+    #[error("package indices run from 1 to {}; {first} with {count} packages does not fit", u32::MAX)]
+    IndexOutOfRange {
+        /// The first index.
+        first: u32,
+        /// Number of packages.
+        count: usize,
+    },
+    /// A present state that breaks a rule of [`flockmap_grid::PresentState`].
+    #[error("present state: {rule}")]
+    PresentState {
+        /// The rule that is broken.
+        rule: &'static str,
+    },
+}

@@ -1,0 +1,94 @@
+//! An encoded package: bytes that know their header.
+
+use core::fmt;
+use std::sync::Arc;
+
+use flockmap_grid::{Changes, PresentState};
+
+use crate::header::Tail;
+use crate::{Decoder, Header, PackageError};
+
+/// An encoded package with its header. Cloning shares the bytes.
+#[derive(Clone)]
+pub struct Package {
+    bytes: Arc<[u8]>,
+    header: Header,
+    tail: Tail,
+}
+
+/// What a package says.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub enum Content {
+    /// What changed in one cycle; every voxel gets the stamp `cycle_end` of the header.
+    Changes(Changes),
+    /// A tile of the present state, each voxel with its own stamp.
+    Present(PresentState),
+}
+
+impl Package {
+    /// Takes the bytes of exactly one package and reads its header. The payload is not looked at: only
+    /// [`Self::decode`] tells whether the package is whole. Holds a copy of `bytes` and about 150 bytes more.
+    pub fn parse(bytes: &[u8]) -> Result<Self, PackageError> {
+        let (header, tail, _) = Header::read(bytes)?;
+        Ok(Self { bytes: bytes.into(), header, tail })
+    }
+
+    /// Header, tail and payload as the encoder made them.
+    pub(crate) fn seal(header: &Header, payload: &[u8], check: impl FnOnce(&[u8]) -> u32) -> Self {
+        let mut bytes = Vec::with_capacity(64 + payload.len());
+        header.write(payload.len(), &mut bytes);
+        let tail = Tail { checked: bytes.len(), check: check(&bytes) };
+        bytes.extend_from_slice(&tail.check.to_le_bytes());
+        bytes.extend_from_slice(payload);
+        Self { bytes: bytes.into(), header: *header, tail }
+    }
+
+    /// What the package says about itself.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The package as it goes over the wire.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// The content. An error means that the package is damaged, or is not of this version: none of it may be used.
+    ///
+    /// Takes at most 2.5 bytes of memory for each voxel of the box while it works, and the box is refused before
+    /// that if the payload could not fill it: 12 MB for a package of 1,150 bytes, twice that for a present state. To
+    /// decode many packages use a [`Decoder`], which keeps its memory.
+    pub fn decode(&self) -> Result<Content, PackageError> {
+        Decoder::new().decode(self)
+    }
+
+    /// The bytes of the header that the check covers.
+    pub(crate) fn checked(&self) -> &[u8] {
+        self.bytes.get(..self.tail.checked).unwrap_or_default()
+    }
+
+    /// The check that the package carries.
+    pub(crate) fn check(&self) -> u32 {
+        self.tail.check
+    }
+
+    pub(crate) fn payload(&self) -> &[u8] {
+        self.bytes.get(self.tail.checked + 4..).unwrap_or_default()
+    }
+}
+
+impl PartialEq for Package {
+    fn eq(&self, other: &Self) -> bool {
+        self.bytes == other.bytes
+    }
+}
+
+impl Eq for Package {}
+
+impl fmt::Debug for Package {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let header = &self.header;
+        write!(f, "package {} of {:?}, ", header.index, header.stream)?;
+        write!(f, "{:?}, {} B {}, {:?}", header.content, self.bytes.len(), header.codec, header.region)
+    }
+}

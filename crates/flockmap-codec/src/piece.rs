@@ -1,0 +1,88 @@
+//! Cutting changes, or a present state, in two.
+
+use flockmap_grid::{Changes, Stamp, Voxel, VoxelBox};
+
+/// What will be one package, or be cut further.
+pub(crate) struct Piece {
+    /// All voxels of the piece. Never empty.
+    pub(crate) states: Changes,
+    /// The same voxels by stamp; empty for changes, which have one stamp.
+    pub(crate) parts: Vec<(Stamp, Changes)>,
+    /// The tight box around them.
+    pub(crate) region: VoxelBox,
+}
+
+impl Piece {
+    /// `None` if there is nothing in it, or a voxel lies outside of the limits of the grid.
+    pub(crate) fn new(states: Changes, parts: Vec<(Stamp, Changes)>) -> Option<Self> {
+        let region = states.bounding_box()?;
+        Some(Self { states, parts, region })
+    }
+
+    /// Cuts across the longest side of the box, so that `head / of` of the voxels come first, or as near to that as
+    /// whole slices allow. `None` if there is but one voxel.
+    pub(crate) fn cut(&self, head: usize, of: usize) -> Option<[Self; 2]> {
+        let size = self.region.size();
+        let axis = (0..3).rev().max_by_key(|&axis| size[axis])?;
+        let length = size[axis] as usize;
+        if length < 2 {
+            return None;
+        }
+        let counts = slice_counts(&self.states, &self.region, axis);
+        let total: usize = counts.iter().map(|&count| count as usize).sum();
+        let wanted = total * head / of.max(1);
+        // The number of slices that go first; the tight box makes sure that both sides have voxels.
+        let mut sum = 0;
+        let best = counts.iter().take(length - 1).enumerate().min_by_key(|(_, count)| {
+            sum += **count as usize;
+            sum.abs_diff(wanted)
+        });
+        let slices = best?.0 as i32 + 1;
+
+        let (min, max) = (self.region.min(), self.region.max());
+        let (mut head_max, mut tail_min) = (max, min);
+        *coordinate(&mut head_max, axis) = *coordinate(&mut min.clone(), axis) + slices - 1;
+        *coordinate(&mut tail_min, axis) += slices;
+        Some([
+            self.within(&VoxelBox::spanning(min, head_max)?)?,
+            self.within(&VoxelBox::spanning(tail_min, max)?)?,
+        ])
+    }
+
+    fn within(&self, region: &VoxelBox) -> Option<Self> {
+        let parts = self.parts.iter().map(|(stamp, part)| (*stamp, part.within(region)));
+        let parts = parts.filter(|(_, part)| !part.is_empty()).collect();
+        Self::new(self.states.within(region), parts)
+    }
+}
+
+fn coordinate(voxel: &mut Voxel, axis: usize) -> &mut i32 {
+    match axis {
+        0 => &mut voxel.x,
+        1 => &mut voxel.y,
+        _ => &mut voxel.z,
+    }
+}
+
+/// How many voxels there are in each slice of the box across `axis`.
+fn slice_counts(states: &Changes, region: &VoxelBox, axis: usize) -> Vec<u32> {
+    let mut min = region.min();
+    let mut counts = vec![0u32; region.size()[axis] as usize];
+    for (index, block) in states.blocks() {
+        let first = *coordinate(&mut index.corner(), axis) - *coordinate(&mut min, axis);
+        let known = block.known();
+        for slice in 0..8 {
+            let count: u32 = match axis {
+                0 => known.iter().map(|word| (word & (0x0101_0101_0101_0101 << slice)).count_ones()).sum(),
+                1 => known.iter().map(|word| (word & (0xff << (8 * slice))).count_ones()).sum(),
+                _ => known[slice as usize].count_ones(),
+            };
+            if count > 0
+                && let Some(to) = counts.get_mut((first + slice) as usize)
+            {
+                *to += count;
+            }
+        }
+    }
+    counts
+}
