@@ -91,7 +91,7 @@ impl Encoder {
         if u64::from(first_index) + count as u64 - 1 > u64::from(u32::MAX) {
             return Err(range);
         }
-        let packages = (first_index..).zip(&pieces).map(|(index, (piece, payload))| {
+        let packages = (first_index..=u32::MAX).zip(&pieces).map(|(index, (piece, payload))| {
             let header = changes_header(codec, cycle, index, piece.region);
             Package::seal(&header, payload, |header| check_changes(header, &piece.states))
         });

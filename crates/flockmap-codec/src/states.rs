@@ -43,7 +43,7 @@ pub(crate) fn voxels_max(codec: Codec, payload_bytes: usize, others: Others) -> 
         Codec::Raw => payload.saturating_mul(4),
         Codec::NestedZlib | Codec::Paper => payload.saturating_mul(4 * EXPANSION_MAX as u64),
         // An address list does not fill its box, but the stamps of a present state are laid out over it.
-        Codec::Racer if others == Others::Unknown => payload.saturating_mul(4 * EXPANSION_MAX as u64),
+        Codec::Racer if others == Others::Unknown => (payload + 1).saturating_mul(4 * EXPANSION_MAX as u64),
         Codec::Racer => BOX_VOXELS_MAX,
     };
     filled.min(BOX_VOXELS_MAX)

@@ -1,0 +1,133 @@
+//! What a received package can make a robot hold.
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use common::{cycle, resolution, stream};
+use flockmap_codec::{Codec, Decoder, Encoder, PACKAGE_BYTES_MAX, Package, PackageError};
+use flockmap_grid::{Changes, PresentState, Stamp, State, Voxel};
+
+/// Counts the bytes that are held, and the most that ever were.
+struct Counting;
+
+static HELD: AtomicUsize = AtomicUsize::new(0);
+static PEAK: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: hands everything to the system's allocator and only counts.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let held = HELD.fetch_add(layout.size(), Ordering::Relaxed) + layout.size();
+        PEAK.fetch_max(held, Ordering::Relaxed);
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        HELD.fetch_sub(layout.size(), Ordering::Relaxed);
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// The most bytes held at once during `work` beyond what was held before.
+fn peak_of<R>(work: impl FnOnce() -> R) -> (usize, R) {
+    let before = HELD.load(Ordering::Relaxed);
+    PEAK.store(before, Ordering::Relaxed);
+    let result = work();
+    (PEAK.load(Ordering::Relaxed) - before, result)
+}
+
+/// The header of `package` with another box size, and its payload.
+fn with_box(package: &Package, size: [u32; 3]) -> Vec<u8> {
+    fn varint(mut value: u64, out: &mut Vec<u8>) {
+        while value >= 0x80 {
+            out.push(value as u8 | 0x80);
+            value >>= 7;
+        }
+        out.push(value as u8);
+    }
+    let header = package.header();
+    let mut bytes = vec![1, header.codec.id(), 0];
+    varint(header.stream.origin.0.into(), &mut bytes);
+    varint(header.stream.epoch.into(), &mut bytes);
+    varint(header.index.into(), &mut bytes);
+    varint((header.cycle_end.0 as u64) << 1, &mut bytes);
+    varint(header.cycle_end.micros_since(header.cycle_start) as u64, &mut bytes);
+    varint(0, &mut bytes);
+    varint(header.resolution.micrometres().into(), &mut bytes);
+    bytes.extend([0, 0, 0]);
+    for side in size {
+        varint(u64::from(side) - 1, &mut bytes);
+    }
+    let payload = &package.bytes()[package.bytes().len() - 1000..];
+    varint(payload.len() as u64, &mut bytes);
+    bytes.extend([0; 4]);
+    bytes.extend(payload);
+    bytes
+}
+
+/// One test, since the counter is one for the whole process.
+#[test]
+fn memory_stays_within_the_stated_limits() {
+    let mut random = common::Random(5);
+    let noise = (0..20_000).map(|_| {
+        let mut place = || (random.next() % 60) as i32;
+        (Voxel::new(place(), place(), place()), State::Free)
+    });
+    let noise = Changes::from_voxels(noise.collect::<Vec<_>>());
+    let mut encoder = Encoder::new();
+    // Tables of the walk are made once.
+    encoder.encode_whole(Codec::Paper, &cycle(), 1, &noise).unwrap();
+
+    // A box that no package may have, one that the payload cannot fill, and one that it could.
+    for codec in Codec::ALL {
+        let package = encoder.encode_whole(codec, &cycle(), 1, &noise).unwrap();
+        for (size, limit) in [
+            ([1 << 28, 1 << 28, 1 << 28], 20_000),
+            ([1 << 9, 1 << 9, (1 << 9) + 1], 20_000),
+            ([4_128_001, 1, 1], if codec == Codec::Racer { 100_000 } else { 20_000 }),
+            ([160, 160, 160], 12_000_000),
+            ([1, 4_128_000, 1], 12_000_000),
+        ] {
+            let bytes = with_box(&package, size);
+            let (peak, result) = peak_of(|| Package::parse(&bytes).and_then(|package| package.decode()));
+            assert!(result.is_err());
+            assert!(peak < limit, "{codec} box {size:?}: {peak} bytes for {result:?}");
+            if limit == 20_000 {
+                assert!(matches!(
+                    result,
+                    Err(PackageError::BoxTooLarge { .. } | PackageError::Header { .. })
+                ));
+            }
+        }
+    }
+
+    // The most that an honest small package can hold: a huge empty cube.
+    let cube = (0..160).flat_map(|x| (0..160).flat_map(move |y| (0..160).map(move |z| (x, y, z))));
+    let cube = Changes::from_voxels(cube.map(|(x, y, z)| (Voxel::new(x, y, z), State::Free)));
+    let package = encoder.encode_whole(Codec::Paper, &cycle(), 1, &cube).unwrap();
+    assert!(package.bytes().len() <= PACKAGE_BYTES_MAX, "{package:?}");
+    let (peak, result) = peak_of(|| package.decode());
+    result.unwrap();
+    assert!(peak < 12_000_000, "{peak}");
+
+    // Tiles of many stamps, over and over with one decoder.
+    let mut parts: Vec<(Stamp, Vec<_>)> = (0..300).map(|n| (Stamp(n), Vec::new())).collect();
+    for (n, entry) in noise.voxels().enumerate() {
+        parts[n % 300].1.push(entry);
+    }
+    let parts = parts.into_iter().map(|(stamp, voxels)| (stamp, Changes::from_voxels(voxels)));
+    let state = PresentState { region: noise.bounding_box().unwrap(), parts: parts.collect() };
+    let tiles = encoder.encode_present(Codec::Paper, stream(), 1, resolution(), &state, 1150).unwrap();
+    let mut decoder = Decoder::new();
+    for tile in &tiles {
+        let (peak, result) = peak_of(|| decoder.decode(tile));
+        result.unwrap();
+        assert!(peak < 24_000_000, "{peak}");
+    }
+}
