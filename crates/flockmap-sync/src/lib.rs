@@ -1,2 +1,23 @@
-//! flockmap-sync
+//! Keeps the map packages of a swarm in sync: the request–response mechanism of the paper (Sec. IV-B), made
+//! whole.
+//!
+//! A [`Session`] is a state machine without sockets, threads or clocks: datagrams and time go in, datagrams and
+//! [`Event`]s come out. It moves packages and never decodes them. What it holds is in its [`Store`]; what it says
+//! on the wire is in [`wire`] and, byte by byte, in `WIRE.md`; how it behaves is set by a [`SessionConfig`].
 #![forbid(unsafe_code)]
+
+mod bytes;
+mod config;
+mod counters;
+mod interval_set;
+mod link;
+mod pacer;
+mod session;
+mod store;
+pub mod wire;
+
+pub use config::{Cast, ConfigError, InFlight, Order, Relay, SessionConfig};
+pub use counters::{Counters, Traffic};
+pub use interval_set::{IntervalSet, TooFragmented};
+pub use session::{Destination, Event, PeerInfo, PublishError, Session, Transmit};
+pub use store::{HELD_INTERVALS_MAX, Store, StoreLimits, Stored};

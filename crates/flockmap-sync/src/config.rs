@@ -1,0 +1,243 @@
+//! All options of a session.
+
+use crate::store::StoreLimits;
+use crate::wire::DATAGRAM_BYTES_MAX;
+
+/// How packages go out.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Cast {
+    /// To each peer on its own. Each link is then counted, and paced, on its own.
+    Unicast,
+    /// To everyone at once, for a shared radio: one datagram serves all, and an answer heard from another robot
+    /// is not given again.
+    Broadcast,
+}
+
+/// Which of the packages that a peer misses goes first.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Order {
+    /// The newest cycle: what a planner needs now comes first, old gaps fill later.
+    NewestFirst,
+    /// The oldest cycle, as a list walked from its front gives it.
+    OldestFirst,
+}
+
+/// Who answers for packages of other origins.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Relay {
+    /// The origin answers first. If the requester does not hear the origin, the robot with the lowest id of those
+    /// that the requester hears answers at once; the next ones only for what stays missing for `relay_delay_ms`,
+    /// each a further delay later.
+    Ranked,
+    /// Everyone who holds a package answers at once (the paper, RACER): safe and wasteful.
+    Always,
+    /// Only origins answer.
+    Never,
+}
+
+/// When a package that was sent and is still missing at the peer counts as lost.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum InFlight {
+    /// When the peer has heard something sent later and waited for reordered datagrams, or, if it has heard
+    /// nothing since, when the measured round trip has passed.
+    RoundTrip,
+    /// When it was already missing in the request before (Sec. IV-B of the paper: successive lists of missing
+    /// indices are compared).
+    PreviousRequest,
+}
+
+/// Options of a [`Session`](crate::Session). The default suits a swarm of up to some ten robots on Wi-Fi or a
+/// mesh radio.
+#[derive(Clone, PartialEq, Debug)]
+pub struct SessionConfig {
+    /// Robots of other swarms are ignored. Default 0.
+    pub swarm: u16,
+    /// Unicast or broadcast. Default unicast.
+    pub cast: Cast,
+
+    // When to ask.
+    /// Pause between requests while packages flow, ± 10 %. Finds the lost end of a burst. Default 1,000.
+    pub request_period_active_ms: u32,
+    /// Pause between requests when nothing flows, ± 10 %. They keep peers known and clocks measured. Default 3,000.
+    pub request_period_idle_ms: u32,
+    /// Packages count as flowing for so long after the last one. Default 3,000.
+    pub active_for_ms: u32,
+    /// Ask at once when a gap in the indices is seen. Default yes.
+    pub gap_requests: bool,
+    /// How long to wait for reordered datagrams before a gap is taken for a loss; more where the round trip is
+    /// seen to vary more. Used by both sides. Default 30.
+    pub reorder_patience_ms: u32,
+    /// Least pause between requests for gaps; doubles while a gap stays. Default 100.
+    pub gap_request_pause_ms: u32,
+
+    // What to answer.
+    /// Send new packages at once to peers that are heard both ways, and forward those of others, without waiting
+    /// for a request. Default yes; the paper sends on request only.
+    pub push: bool,
+    /// Newest or oldest first. Default newest.
+    pub order: Order,
+    /// Who answers for others' packages. Default ranked.
+    pub relay: Relay,
+    /// For ranked relaying: how long a package has to stay missing before the next robot in line sends it.
+    /// Default 2,000: longer than the origin needs for a repair.
+    pub relay_delay_ms: u32,
+    /// When something sent counts as lost. Default by the measured round trip.
+    pub in_flight: InFlight,
+    /// Round trip taken until one is measured. Default 300.
+    pub round_trip_initial_ms: u32,
+    /// Offer the present state instead of packages when at least so many bytes are missing and the state costs
+    /// less. Default 65,536; `None`: only if a missing package is not stored any more.
+    pub present_state_bytes_min: Option<u32>,
+    /// Send the present state when the missing indices span more than this (the paper's rule). Default `None`.
+    pub present_state_range_max: Option<u32>,
+
+    // How much to send.
+    /// Bytes that go out in any second over all links, datagrams sent to each peer counted each. At least
+    /// 2,000. Default 2,000,000: unlimited sending overruns the socket buffers of receivers. `None`: no limit.
+    pub radio_bytes_per_s: Option<u32>,
+    /// Bytes that go out to one peer in any second (unicast). At least 2,000. Default `None`: no limit.
+    pub link_bytes_per_s: Option<u32>,
+    /// How much of a second's budget may go out at once; the rest is spread. 10 to 1,000. Default 50.
+    pub burst_ms: u32,
+    /// Bytes counted for each datagram beside its payload. Default 28: IPv4 and UDP headers.
+    pub datagram_overhead_bytes: u32,
+    /// Longest datagram made, in bytes of UDP payload; 1,180 to 1,200. Default 1,200. Less leaves room for the tag of an
+    /// encrypting transport.
+    pub datagram_bytes_max: usize,
+
+    // Limits on what others can make this robot hold.
+    /// A peer not heard for so long is forgotten. Default 10,000.
+    pub peer_timeout_ms: u32,
+    /// Peers known at once. Default 32. Worst case per peer: 16 KiB for each of `streams_max` streams, 64 bytes
+    /// for each of `in_flight_max` packages.
+    pub peers_max: usize,
+    /// Streams of others known at once. Default 64. Worst case 8 KiB each.
+    pub streams_max: usize,
+    /// Runs kept of one origin. Default 4.
+    pub epochs_max: usize,
+    /// Bytes of stored packages. Default 64 MiB.
+    pub store_bytes_max: usize,
+    /// Packages sent to one peer and not yet confirmed; more wait. Default 4,096.
+    pub in_flight_max: usize,
+    /// Bytes of present-state tiles kept for sending. Default 16 MiB.
+    pub present_state_bytes_max: usize,
+    /// Present states received at once. Default 8. Worst case 8 KiB each.
+    pub transfers_max: usize,
+}
+
+impl Default for SessionConfig {
+    fn default() -> Self {
+        Self {
+            swarm: 0,
+            cast: Cast::Unicast,
+            request_period_active_ms: 1_000,
+            request_period_idle_ms: 3_000,
+            active_for_ms: 3_000,
+            gap_requests: true,
+            reorder_patience_ms: 30,
+            gap_request_pause_ms: 100,
+            push: true,
+            order: Order::NewestFirst,
+            relay: Relay::Ranked,
+            relay_delay_ms: 2_000,
+            in_flight: InFlight::RoundTrip,
+            round_trip_initial_ms: 300,
+            present_state_bytes_min: Some(65_536),
+            present_state_range_max: None,
+            radio_bytes_per_s: Some(2_000_000),
+            link_bytes_per_s: None,
+            burst_ms: 50,
+            datagram_overhead_bytes: 28,
+            datagram_bytes_max: DATAGRAM_BYTES_MAX,
+            peer_timeout_ms: 10_000,
+            peers_max: 32,
+            streams_max: 64,
+            epochs_max: 4,
+            store_bytes_max: 64 << 20,
+            in_flight_max: 4_096,
+            present_state_bytes_max: 16 << 20,
+            transfers_max: 8,
+        }
+    }
+}
+
+/// An option of a [`SessionConfig`] that cannot work.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+#[error("session option `{option}` is {got}; {expected} expected")]
+pub struct ConfigError {
+    /// Name of the option.
+    pub option: &'static str,
+    /// Its value.
+    pub got: u64,
+    /// What would work.
+    pub expected: &'static str,
+}
+
+/// A budget holds at least one full datagram, with some to spare for requests.
+const BYTES_PER_S_MIN: u32 = 2_000;
+
+impl SessionConfig {
+    /// The paper's own behaviour (Sec. IV-B): requests on a fixed period, packages only as answers to them, all
+    /// holders answer, oldest first, successive requests compared, present state by the range of missing indices.
+    /// The paper gives no values for the period and the range; 500 ms and 100 are ours.
+    pub fn paper() -> Self {
+        Self {
+            request_period_active_ms: 500,
+            request_period_idle_ms: 500,
+            gap_requests: false,
+            push: false,
+            order: Order::OldestFirst,
+            relay: Relay::Always,
+            in_flight: InFlight::PreviousRequest,
+            present_state_bytes_min: None,
+            present_state_range_max: Some(100),
+            ..Self::default()
+        }
+    }
+
+    /// Checks that every option is in its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let check = |option, ok: bool, got: u64, expected| {
+            if ok { Ok(()) } else { Err(ConfigError { option, got, expected }) }
+        };
+        for (option, rate) in
+            [("radio_bytes_per_s", self.radio_bytes_per_s), ("link_bytes_per_s", self.link_bytes_per_s)]
+        {
+            let rate = rate.unwrap_or(BYTES_PER_S_MIN);
+            check(option, rate >= BYTES_PER_S_MIN, rate.into(), "at least 2,000, or no limit,")?;
+        }
+        for (option, ms) in [
+            ("request_period_active_ms", self.request_period_active_ms),
+            ("request_period_idle_ms", self.request_period_idle_ms),
+            ("gap_request_pause_ms", self.gap_request_pause_ms),
+            ("peer_timeout_ms", self.peer_timeout_ms),
+        ] {
+            check(option, (10..=3_600_000).contains(&ms), ms.into(), "10 to 3,600,000")?;
+        }
+        check("burst_ms", (10..=1_000).contains(&self.burst_ms), self.burst_ms.into(), "10 to 1,000")?;
+        for (option, count) in [
+            ("peers_max", self.peers_max),
+            ("streams_max", self.streams_max),
+            ("epochs_max", self.epochs_max),
+            ("in_flight_max", self.in_flight_max),
+            ("transfers_max", self.transfers_max),
+        ] {
+            check(option, (1..=1 << 20).contains(&count), count as u64, "1 to 1,048,576")?;
+        }
+        let bytes = self.datagram_bytes_max;
+        check(
+            "datagram_bytes_max",
+            (1_180..=DATAGRAM_BYTES_MAX).contains(&bytes),
+            bytes as u64,
+            "1,180 to 1,200",
+        )
+    }
+
+    pub(crate) const fn store_limits(&self) -> StoreLimits {
+        StoreLimits {
+            streams_max: self.streams_max,
+            epochs_max: self.epochs_max,
+            bytes_max: self.store_bytes_max,
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! What a session counted.
+
+/// Datagrams and their bytes, with the overhead of each datagram (`datagram_overhead_bytes`) counted in.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct Traffic {
+    /// Datagrams.
+    pub datagrams: u64,
+    /// Bytes, overhead included.
+    pub bytes: u64,
+}
+
+impl Traffic {
+    pub(crate) const fn add(&mut self, datagrams: u64, bytes_each: usize) {
+        self.datagrams += datagrams;
+        self.bytes += datagrams * bytes_each as u64;
+    }
+}
+
+/// All that a session counted since it began. Nothing is dropped without a count here.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[non_exhaustive]
+pub struct Counters {
+    /// Requests sent. A datagram to everyone by unicast counts once for each known peer.
+    pub requests_out: Traffic,
+    /// Datagrams of packages sent.
+    pub packages_out: Traffic,
+    /// Requests received.
+    pub requests_in: Traffic,
+    /// Datagrams of packages received.
+    pub packages_in: Traffic,
+
+    /// Own packages published.
+    pub published: u64,
+    /// Packages sent, each time counted; by broadcast once for all.
+    pub sent: u64,
+    /// Of these: packages of other origins.
+    pub relayed: u64,
+    /// Tiles of present states sent.
+    pub tiles_sent: u64,
+    /// Packages that a peer confirmed by a request.
+    pub confirmed: u64,
+    /// Packages found lost by a request; they are sent again.
+    pub lost: u64,
+    /// Packages not sent because somebody else's answer was heard.
+    pub suppressed: u64,
+    /// Requests that went out because of a gap.
+    pub gap_requests: u64,
+    /// Times that the byte budget made something wait.
+    pub delayed_by_budget: u64,
+    /// Times that sending to a peer waited because too much was unconfirmed.
+    pub delayed_by_window: u64,
+
+    /// Packages and tiles that were delivered as events.
+    pub received: u64,
+    /// Packages accepted by the driver.
+    pub accepted: u64,
+    /// Of these: packages that came later than a higher index of their stream, so filled a gap.
+    pub repaired: u64,
+    /// Tiles accepted by the driver.
+    pub tiles_accepted: u64,
+    /// Present states received completely.
+    pub caught_up: u64,
+    /// Packages and tiles received again.
+    pub duplicates: u64,
+    /// Packages and tiles that the driver rejected.
+    pub rejected: u64,
+    /// Packages of the own stream that came back.
+    pub own_returned: u64,
+
+    /// Datagrams that are damaged, of a wrong length, or not from Flockmap.
+    pub damaged: u64,
+    /// Datagrams of another wire version or of an unknown kind.
+    pub foreign_version: u64,
+    /// Datagrams of another swarm.
+    pub foreign_swarm: u64,
+    /// Datagrams with a right check and a wrong content: the sender is faulty.
+    pub malformed: u64,
+    /// Own datagrams heard back.
+    pub own_heard: u64,
+    /// Signs that another robot uses the own id.
+    pub same_identity: u64,
+    /// Datagrams of a former run of a peer.
+    pub stale_epoch: u64,
+    /// Requests that arrived after a newer one of the same peer, or twice.
+    pub stale_requests: u64,
+    /// Datagrams of peers for whom there was no room.
+    pub too_many_peers: u64,
+    /// Packages and lists of streams for which there was no room, or of runs that are too old.
+    pub too_many_streams: u64,
+    /// Packages refused because they would tear too many gaps; they are asked for again.
+    pub too_fragmented: u64,
+    /// Packages not delivered because the driver did not drain its events; they are asked for again.
+    pub events_overflowed: u64,
+    /// Tiles not taken because too many present states are received at once; they are sent again.
+    pub too_many_transfers: u64,
+    /// Present states asked of the driver.
+    pub present_states_wanted: u64,
+    /// Present states that the driver gave and that could not be used: wrong stream, numbering or size.
+    pub present_states_unusable: u64,
+}
+
+impl Counters {
+    /// Everything sent.
+    pub const fn out(&self) -> Traffic {
+        Traffic {
+            datagrams: self.requests_out.datagrams + self.packages_out.datagrams,
+            bytes: self.requests_out.bytes + self.packages_out.bytes,
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! A byte budget: a token bucket that spreads, and a sliding second that is never exceeded.
+
+use flockmap_grid::Stamp;
+use std::collections::VecDeque;
+
+const SECOND: i64 = 1_000_000;
+/// Bytes sent within one such slot are counted as sent at its end, so the second is kept to the safe side.
+const SLOT: i64 = 10_000;
+
+/// Says when so many bytes may be sent. Memory: at most 102 slots of 16 bytes.
+#[derive(Clone, Debug)]
+pub(crate) struct Pacer {
+    bytes_per_s: i64,
+    /// Bytes · 10⁶: what may be sent at once.
+    burst: i64,
+    tokens: i64,
+    filled_at: Stamp,
+    /// Number of the slot and bytes sent in it, over the last second.
+    sent: VecDeque<(i64, i64)>,
+    sent_sum: i64,
+}
+
+impl Pacer {
+    /// At most `bytes_per_s` in any second, and at most `burst_bytes` at once. Both are at least one datagram.
+    pub(crate) fn new(bytes_per_s: u32, burst_bytes: u32) -> Self {
+        let burst = i64::from(burst_bytes.min(bytes_per_s)) * SECOND;
+        Self {
+            bytes_per_s: i64::from(bytes_per_s),
+            burst,
+            tokens: burst,
+            filled_at: Stamp(i64::MIN),
+            sent: VecDeque::new(),
+            sent_sum: 0,
+        }
+    }
+
+    /// `None` if `bytes` may be sent now, else the earliest time at which they may.
+    pub(crate) fn wait(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
+        self.advance(now);
+        let bytes = (bytes as i64).min(self.bytes_per_s);
+        // A debt is allowed for one datagram longer than the burst: it is paid before the next.
+        let lacking = (bytes * SECOND).min(self.burst) - self.tokens;
+        let bucket = (lacking > 0).then(|| now.plus_micros(ceil_div(lacking, self.bytes_per_s)));
+        let mut over = self.sent_sum + bytes - self.bytes_per_s;
+        let window = (over > 0).then(|| {
+            let mut ready = now.plus_micros(1);
+            for &(slot, sent) in &self.sent {
+                over -= sent;
+                ready = Stamp((slot + 1) * SLOT + SECOND);
+                if over <= 0 {
+                    break;
+                }
+            }
+            ready.max(now.plus_micros(1))
+        });
+        bucket.max(window)
+    }
+
+    /// Counts bytes as sent.
+    pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
+        self.advance(now);
+        self.tokens -= bytes as i64 * SECOND;
+        self.sent_sum += bytes as i64;
+        let slot = now.0.div_euclid(SLOT);
+        match self.sent.back_mut() {
+            Some(last) if last.0 == slot => last.1 += bytes as i64,
+            _ => self.sent.push_back((slot, bytes as i64)),
+        }
+    }
+
+    fn advance(&mut self, now: Stamp) {
+        let elapsed = now.micros_since(self.filled_at).clamp(0, SECOND * 3_600);
+        self.tokens = self.tokens.saturating_add(elapsed.saturating_mul(self.bytes_per_s)).min(self.burst);
+        self.filled_at = self.filled_at.max(now);
+        while let Some(&(slot, sent)) = self.sent.front()
+            && (slot + 1) * SLOT + SECOND <= now.0
+        {
+            self.sent_sum -= sent;
+            self.sent.pop_front();
+        }
+    }
+}
+
+const fn ceil_div(a: i64, b: i64) -> i64 {
+    (a + b - 1) / b
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn never_more_than_the_budget_in_any_second(
+            bytes_per_s in 1_300..200_000u32, burst in 1_300..50_000u32, start in -5_000_000_000i64..5_000_000_000,
+            steps in prop::collection::vec((0..300_000i64, 40..1_228usize), 1..400),
+        ) {
+            let mut pacer = Pacer::new(bytes_per_s, burst);
+            let mut now = Stamp(start);
+            let mut sent: Vec<(i64, usize)> = Vec::new();
+            for (pause, bytes) in steps {
+                now = now.plus_micros(if pause < 150_000 { 0 } else { pause });
+                let mut waits = 0;
+                while let Some(ready) = pacer.wait(now, bytes) {
+                    prop_assert!(ready > now, "a wait that does not wait");
+                    now = ready;
+                    waits += 1;
+                    prop_assert!(waits < 5);
+                }
+                pacer.spend(now, bytes);
+                sent.push((now.0, bytes));
+                let second: usize = sent.iter().filter(|s| s.0 > now.0 - SECOND).map(|s| s.1).sum();
+                prop_assert!(second <= bytes_per_s as usize, "{second} bytes in a second");
+            }
+        }
+    }
+
+    #[test]
+    fn spreads_over_time_and_uses_the_budget() {
+        let mut pacer = Pacer::new(10_000, 2_000);
+        let (mut now, mut sent) = (Stamp(0), 0);
+        while now < Stamp(10 * SECOND) {
+            match pacer.wait(now, 1_000) {
+                Some(ready) => now = ready,
+                None => {
+                    pacer.spend(now, 1_000);
+                    sent += 1_000;
+                }
+            }
+        }
+        assert!((95_000..=101_000).contains(&sent), "{sent} of 100,000 bytes used");
+    }
+}

@@ -1,0 +1,512 @@
+//! The request–response session of one robot (Sec. IV-B of the paper), as a state machine without sockets,
+//! threads or clocks.
+
+mod answer;
+mod ask;
+mod peer;
+mod present;
+mod receive;
+mod send;
+
+pub use peer::PeerInfo;
+
+use crate::pacer::Pacer;
+use crate::wire::{Datagram, DatagramError, DatagramHeader, Kind, Request, parse_packages};
+use crate::{Cast, ConfigError, Counters, IntervalSet, SessionConfig, Store};
+use ask::Schedule;
+use flockmap_codec::{ContentKind, Package};
+use flockmap_grid::{RobotId, Stamp, Stream};
+use peer::{Item, Peer, VIEW_INTERVALS_MAX};
+use present::{Incoming, Outgoing};
+use std::collections::{BTreeMap, VecDeque};
+
+/// Events that wait for the driver; more are dropped, counted, and come again by a later request.
+const EVENTS_MAX: usize = 4_096;
+
+/// Something for the driver to do or to know.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Event {
+    /// A package or tile that was not held before. Decode and merge it, then call [`Session::accept`], or
+    /// [`Session::reject`] if it does not decode, before any other input. Until then it is not held.
+    Received(Package),
+    /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
+    /// more. Encode the layer of the stream as tiles with index `upto` and call
+    /// [`Session::provide_present_state`] before any other input.
+    PresentStateWanted {
+        /// The stream whose layer is wanted.
+        stream: Stream,
+        /// All packages from 1 to this one are in the layer.
+        upto: u32,
+        /// The peer that misses it.
+        peer: RobotId,
+    },
+    /// All tiles of a present state are accepted: packages 1 to `upto` of the stream now count as held.
+    CaughtUp {
+        /// The stream.
+        stream: Stream,
+        /// The newest package that the state contains.
+        upto: u32,
+    },
+    /// A robot was heard for the first time, or again after it was lost, or in a new run.
+    PeerSeen(Stream),
+    /// A peer has not been heard for `peer_timeout_ms`.
+    PeerLost(Stream),
+    /// Something is known of a stream for the first time.
+    StreamSeen(Stream),
+    /// An old run of an origin was forgotten to make room for a newer one. What the map has of it may stay.
+    StreamForgotten(Stream),
+    /// Another robot uses the own id. Both will miss packages until one gets another id.
+    SameIdentity,
+}
+
+/// Whom a datagram goes to.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Destination {
+    /// This peer, at the address where it was last heard.
+    Peer(RobotId),
+    /// Everyone: the broadcast or multicast address, or each configured and each heard address in turn.
+    Everyone,
+}
+
+/// A datagram to send.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Transmit {
+    /// Whom to.
+    pub to: Destination,
+    /// The UDP payload, at most [`DATAGRAM_BYTES_MAX`](crate::wire::DATAGRAM_BYTES_MAX) bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// An own package that cannot be published. The caller is at fault.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+pub enum PublishError {
+    /// Not the own stream.
+    #[error("package of {got:?} published by {own:?}")]
+    Stream {
+        /// The stream of the package.
+        got: Stream,
+        /// The own stream.
+        own: Stream,
+    },
+    /// Not the next index.
+    #[error("package {got} published, {expected} is next")]
+    Index {
+        /// The index of the package.
+        got: u32,
+        /// The one that is next.
+        expected: u32,
+    },
+    /// A tile of a present state.
+    #[error("a tile of a present state cannot be published; it is given to provide_present_state")]
+    Content,
+    /// Too long for one datagram.
+    #[error("package of {got} bytes, a datagram takes {expected} at most")]
+    Bytes {
+        /// Bytes of the package.
+        got: usize,
+        /// The most that fits.
+        expected: usize,
+    },
+}
+
+/// Keeps the packages of all robots of a swarm in sync.
+///
+/// Methods are of four kinds: inputs (`handle_*`, `publish`, `accept`, `reject`, `provide_present_state`,
+/// `set_clock_offset`, `restore*`), outputs (`poll_*`), and queries. After every input, drain
+/// [`poll_event`](Self::poll_event), giving each event its answer, then [`poll_transmit`](Self::poll_transmit);
+/// then wait for a datagram or for [`poll_timeout`](Self::poll_timeout), whichever is first.
+///
+/// Time is the robot's own clock, given with every input; if it runs backwards it is taken to stand still. The
+/// same inputs and seed give the same outputs on every machine.
+///
+/// ```
+/// use flockmap_grid::{RobotId, Stamp, Stream};
+/// use flockmap_sync::{Event, Session, SessionConfig};
+///
+/// let own = Stream { origin: RobotId(1), epoch: 1 };
+/// let mut session = Session::new(own, SessionConfig::default(), 42)?;
+/// let mut now = Stamp(0);
+/// session.handle_timeout(now);
+/// while let Some(event) = session.poll_event() {
+///     if let Event::Received(package) = event {
+///         match package.decode() {
+///             Ok(_content) => session.accept(now, &package), // after merging it
+///             Err(_) => session.reject(now, &package),
+///         }
+///     }
+/// }
+/// let first = session.poll_transmit(now).expect("a request to everyone comes first");
+/// assert!(first.bytes.len() < 100);
+/// assert!(session.poll_transmit(now).is_none());
+/// now = session.poll_timeout().expect("the next request is due some time");
+/// assert!(now > Stamp(0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Session {
+    own: Stream,
+    config: SessionConfig,
+    now: Stamp,
+    random: u64,
+    store: Store,
+    peers: BTreeMap<RobotId, Peer>,
+    given_offsets: BTreeMap<RobotId, i64>,
+    /// Last measured offsets of streams whose robot may be gone; only of streams in the store.
+    measured_offsets: BTreeMap<Stream, i64>,
+    events: VecDeque<Event>,
+    /// Delivered, and neither accepted nor rejected yet, with the peer each came from.
+    undecided: VecDeque<(Item, RobotId)>,
+    /// Rejected, with the time until which they are not asked for again.
+    refused: BTreeMap<Item, Stamp>,
+    incoming: Vec<Incoming>,
+    outgoing: Vec<Outgoing>,
+    /// When the driver was last asked for a present state, and when to ask again.
+    present_asked: BTreeMap<Stream, Stamp>,
+    schedule: Schedule,
+    radio: Option<Pacer>,
+    /// The peer that was served last.
+    served: RobotId,
+    /// When a budget that stopped sending allows it again.
+    wake: Option<Stamp>,
+    counters: Counters,
+}
+
+impl Session {
+    /// A session of the own stream. `seed` moves requests of different robots apart; give each its own.
+    pub fn new(own: Stream, config: SessionConfig, seed: u64) -> Result<Self, ConfigError> {
+        config.validate()?;
+        Ok(Self {
+            own,
+            now: Stamp(i64::MIN),
+            random: seed ^ (u64::from(own.origin.0) << 32) ^ u64::from(own.epoch),
+            store: Store::new(own, config.store_limits()),
+            peers: BTreeMap::new(),
+            given_offsets: BTreeMap::new(),
+            measured_offsets: BTreeMap::new(),
+            events: VecDeque::new(),
+            undecided: VecDeque::new(),
+            refused: BTreeMap::new(),
+            incoming: Vec::new(),
+            outgoing: Vec::new(),
+            present_asked: BTreeMap::new(),
+            schedule: Schedule::default(),
+            radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),
+            served: RobotId(0),
+            wake: None,
+            counters: Counters::default(),
+            config,
+        })
+    }
+
+    // Inputs.
+
+    /// Takes in a received datagram. An error is already counted; it says what was wrong and needs no action.
+    pub fn handle_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
+        let now = self.advance(now);
+        let result = self.take_datagram(now, bytes);
+        if let Err(error) = &result {
+            let counter = match error {
+                DatagramError::Length { .. } | DatagramError::Magic { .. } | DatagramError::Check { .. } => {
+                    &mut self.counters.damaged
+                }
+                DatagramError::Version { .. } | DatagramError::Kind { .. } => {
+                    &mut self.counters.foreign_version
+                }
+                DatagramError::Swarm { .. } => &mut self.counters.foreign_swarm,
+                DatagramError::Malformed { .. } | DatagramError::Package { .. } => {
+                    &mut self.counters.malformed
+                }
+                DatagramError::StaleEpoch { .. } => &mut self.counters.stale_epoch,
+                DatagramError::SameIdentity { .. } => &mut self.counters.same_identity,
+                DatagramError::TooManyPeers { .. } => &mut self.counters.too_many_peers,
+            };
+            *counter += 1;
+        }
+        result
+    }
+
+    fn take_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
+        let datagram = Datagram::new_checked(bytes)?;
+        let header = *datagram.header();
+        if header.swarm != self.config.swarm {
+            return Err(DatagramError::Swarm { got: header.swarm, expected: self.config.swarm });
+        }
+        if header.sender == self.own {
+            self.counters.own_heard += 1;
+            return Ok(());
+        }
+        if header.sender.origin == self.own.origin {
+            self.push_event(Event::SameIdentity);
+            return Err(DatagramError::SameIdentity { id: self.own.origin });
+        }
+        // All of it is read before any of it counts.
+        match header.kind {
+            Kind::Request => {
+                let request = Request::parse(&datagram, VIEW_INTERVALS_MAX)?;
+                self.hear(now, &header, bytes.len())?;
+                self.counters.requests_in.add(1, bytes.len() + self.overhead());
+                self.handle_request(now, &header, &request);
+            }
+            Kind::Packages => {
+                let packages = parse_packages(&datagram)?;
+                self.hear(now, &header, bytes.len())?;
+                self.counters.packages_in.add(1, bytes.len() + self.overhead());
+                self.receive_packages(now, header.sender, packages);
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes that a peer was heard; makes its acquaintance if it is new or in a new run.
+    fn hear(&mut self, now: Stamp, header: &DatagramHeader, bytes: usize) -> Result<(), DatagramError> {
+        let (stream, id) = (header.sender, header.sender.origin);
+        let known = self.peers.get(&id).map(|peer| peer.stream.epoch);
+        if let Some(current) = known.filter(|&current| current > stream.epoch) {
+            return Err(DatagramError::StaleEpoch { sender: id, got: stream.epoch, current });
+        }
+        if known.is_none() && self.peers.len() >= self.config.peers_max {
+            return Err(DatagramError::TooManyPeers { sender: id, peers_max: self.config.peers_max });
+        }
+        if known != Some(stream.epoch) {
+            self.peers.insert(id, Peer::new(stream, now, &self.config));
+            self.push_event(Event::PeerSeen(stream));
+            self.greet(now);
+        }
+        let overhead = self.overhead();
+        if let Some(peer) = self.peers.get_mut(&id) {
+            peer.last_heard = now;
+            peer.traffic_in.add(1, bytes + overhead);
+            if header.stamp > peer.newest_stamp {
+                peer.newest_stamp = header.stamp;
+                peer.newest_stamp_at = now;
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets time pass. Call it when [`poll_timeout`](Self::poll_timeout) is reached.
+    pub fn handle_timeout(&mut self, now: Stamp) {
+        self.advance(now);
+    }
+
+    /// Takes in the next own package; index 1 first, then each one more than the last.
+    pub fn publish(&mut self, now: Stamp, package: Package) -> Result<(), PublishError> {
+        let now = self.advance(now);
+        let header = package.header();
+        if header.stream != self.own {
+            return Err(PublishError::Stream { got: header.stream, own: self.own });
+        }
+        if header.content != ContentKind::Changes {
+            return Err(PublishError::Content);
+        }
+        let expected = self.store.newest_known(self.own).saturating_add(1);
+        if header.index != expected {
+            return Err(PublishError::Index { got: header.index, expected });
+        }
+        let bytes_max = self.package_bytes_max();
+        if package.bytes().len() > bytes_max {
+            return Err(PublishError::Bytes { got: package.bytes().len(), expected: bytes_max });
+        }
+        // The own index list is one interval, so it never lacks room.
+        let _ = self.store.insert(&package, now, now);
+        self.counters.published += 1;
+        self.note_activity(now);
+        self.mark_queues_stale();
+        Ok(())
+    }
+
+    /// Puts back a package of an earlier time of this run, from a store on disk: it is held and can be sent on,
+    /// and is not delivered again. Own packages continue at the index after the highest restored one.
+    /// Whether it was taken.
+    pub fn restore(&mut self, now: Stamp, package: &Package) -> bool {
+        let now = self.advance(now);
+        package.header().content == ContentKind::Changes
+            && package.bytes().len() <= self.package_bytes_max()
+            && self.store.insert(package, now, now) == Ok(true)
+    }
+
+    /// Puts back that packages `low` to `high` of a stream are in the map, without the packages themselves.
+    /// Whether it was taken.
+    pub fn restore_held(&mut self, stream: Stream, low: u32, high: u32) -> bool {
+        low > 0 && self.store.hold(stream, low, high).is_ok()
+    }
+
+    /// Sets a robot's clock minus the own clock, in microseconds, known from elsewhere; it is used in place of
+    /// what is measured. `None`: measure again.
+    pub fn set_clock_offset(&mut self, robot: RobotId, micros: Option<i64>) {
+        match micros {
+            Some(micros) => self.given_offsets.insert(robot, micros),
+            None => self.given_offsets.remove(&robot),
+        };
+    }
+
+    // Outputs.
+
+    /// The next event, until `None`.
+    pub fn poll_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// The next datagram to send now, until `None`. Call it when the datagram can really go out: its send stamp
+    /// is `now`.
+    pub fn poll_transmit(&mut self, now: Stamp) -> Option<Transmit> {
+        let now = self.advance(now);
+        self.wake = None;
+        if self.request_due(now) {
+            return self.transmit_request(now);
+        }
+        self.transmit_packages(now)
+    }
+
+    /// When to call [`handle_timeout`](Self::handle_timeout) and poll again, if no datagram comes before.
+    /// Correct after `poll_transmit` returned `None`.
+    pub fn poll_timeout(&self) -> Option<Stamp> {
+        let lost = self.peers.values().map(|peer| peer.last_heard.plus_micros(self.peer_timeout())).min();
+        // A request that is due already waits for the budget, like everything else: `wake` says until when.
+        let request = self.next_request().filter(|&at| at > self.now || self.wake.is_none());
+        [lost, self.wake, request].into_iter().flatten().min().map(|at| at.max(self.now))
+    }
+
+    // Queries.
+
+    /// The own stream.
+    pub const fn own(&self) -> Stream {
+        self.own
+    }
+
+    /// The options.
+    pub const fn config(&self) -> &SessionConfig {
+        &self.config
+    }
+
+    /// Indices held of a stream; `None` for an unknown stream.
+    pub fn held(&self, stream: Stream) -> Option<&IntervalSet> {
+        self.store.held(stream)
+    }
+
+    /// The streams of which something is known; the own one is always among them.
+    pub fn streams(&self) -> impl Iterator<Item = Stream> + '_ {
+        self.store.streams()
+    }
+
+    /// All packages held.
+    pub const fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The peers heard, in ascending order of their ids.
+    pub fn peers(&self) -> impl Iterator<Item = PeerInfo> + '_ {
+        self.peers.values().map(|peer| PeerInfo {
+            stream: peer.stream,
+            last_heard: peer.last_heard,
+            hears_us: peer.hears(self.own.origin),
+            round_trip_micros: peer.round_trip.micros(),
+            clock_offset_micros: self.clock_offset(peer.stream),
+            in_flight: peer.in_flight.len(),
+            traffic_in: peer.traffic_in,
+            traffic_out: peer.traffic_out,
+        })
+    }
+
+    /// The clock of a stream's robot minus the own clock, in microseconds: as given, else as measured with that
+    /// robot, else by way of a peer that hears it, else as last measured.
+    pub fn clock_offset(&self, stream: Stream) -> Option<i64> {
+        if stream == self.own {
+            return Some(0);
+        }
+        if let Some(&given) = self.given_offsets.get(&stream.origin) {
+            return Some(given);
+        }
+        let direct = self.peers.get(&stream.origin).filter(|peer| peer.stream == stream);
+        if let Some(offset) = direct.and_then(|peer| peer.clock.offset()) {
+            return Some(offset);
+        }
+        let by_way = self.peers.values().filter_map(|peer| {
+            let report = peer
+                .clocks
+                .iter()
+                .find(|r| r.robot == stream.origin && r.epoch_low == stream.epoch as u16)?;
+            Some((peer.round_trip.micros()?, peer.clock.offset()?.checked_add(report.offset_micros)?))
+        });
+        by_way.min().map(|(_, offset)| offset).or_else(|| self.measured_offsets.get(&stream).copied())
+    }
+
+    /// What was counted so far.
+    pub const fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    // Helpers.
+
+    /// Moves the own clock on and forgets peers that fell silent.
+    fn advance(&mut self, now: Stamp) -> Stamp {
+        self.now = self.now.max(now);
+        let now = self.now;
+        let timeout = self.peer_timeout();
+        while let Some(lost) = self
+            .peers
+            .values()
+            .find(|peer| now.micros_since(peer.last_heard) >= timeout)
+            .map(|peer| peer.stream)
+        {
+            self.peers.remove(&lost.origin);
+            self.push_event(Event::PeerLost(lost));
+        }
+        now
+    }
+
+    fn push_event(&mut self, event: Event) {
+        if self.events.len() < EVENTS_MAX {
+            self.events.push_back(event);
+        } else {
+            self.counters.events_overflowed += 1;
+        }
+    }
+
+    /// A number from 0 to `below` − 1 (SplitMix64).
+    fn random(&mut self, below: u64) -> u64 {
+        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.random;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (z ^ (z >> 31)) % below.max(1)
+    }
+
+    fn mark_queues_stale(&mut self) {
+        for peer in self.peers.values_mut() {
+            peer.queue_stale = true;
+        }
+    }
+
+    const fn overhead(&self) -> usize {
+        self.config.datagram_overhead_bytes as usize
+    }
+
+    /// Longest package that fits into a datagram: header, record type and length go off.
+    const fn package_bytes_max(&self) -> usize {
+        self.config.datagram_bytes_max - crate::wire::HEADER_BYTES - 3
+    }
+
+    fn peer_timeout(&self) -> i64 {
+        i64::from(self.config.peer_timeout_ms) * 1_000
+    }
+
+    const fn header(&self, now: Stamp, kind: Kind) -> DatagramHeader {
+        DatagramHeader { kind, swarm: self.config.swarm, sender: self.own, stamp: now }
+    }
+
+    /// How often a datagram to everyone is counted.
+    fn copies(&self, to: Destination) -> u64 {
+        match (to, self.config.cast) {
+            (Destination::Everyone, Cast::Unicast) => self.peers.len().max(1) as u64,
+            _ => 1,
+        }
+    }
+}
+
+/// What of a budget may go out at once: a share of the second, but always a full datagram.
+fn burst_bytes(bytes_per_s: u32, burst_ms: u32) -> u32 {
+    let share = u64::from(bytes_per_s) * u64::from(burst_ms) / 1_000;
+    (share as u32).clamp(1_300, bytes_per_s.max(1_300))
+}

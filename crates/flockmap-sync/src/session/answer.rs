@@ -1,0 +1,196 @@
+//! Requests that come in: what the peer holds, what of the packages sent to it is lost, whose turn it is to answer.
+
+use super::Session;
+use super::peer::{Item, Peer, Sent, VIEW_INTERVALS_MAX, View};
+use crate::wire::{DatagramHeader, Request};
+use crate::{InFlight, IntervalSet, Relay};
+use flockmap_grid::{Stamp, Stream};
+
+impl Session {
+    pub(super) fn handle_request(&mut self, now: Stamp, header: &DatagramHeader, request: &Request) {
+        let id = header.sender.origin;
+        let Some(mut peer) = self.peers.remove(&id) else { return };
+        if peer.request.is_some_and(|(newest, _)| header.stamp <= newest) {
+            self.counters.stale_requests += 1;
+        } else {
+            peer.request = Some((header.stamp, now));
+            let echo = self.take_echoes(now, &mut peer, header, request);
+            self.take_holdings(now, &mut peer, request);
+            self.settle_in_flight(now, &mut peer, request, echo);
+            let streams: Vec<Stream> = self.store.streams().collect();
+            for stream in streams {
+                self.note_overdue(now, &mut peer, stream);
+                self.review_present_state(now, &mut peer, stream);
+            }
+            peer.queue_stale = true;
+        }
+        self.peers.insert(id, peer);
+    }
+
+    /// Takes in whom the peer hears. If it hears this robot: the stamp that came back and how long the peer had it.
+    fn take_echoes(
+        &mut self,
+        now: Stamp,
+        peer: &mut Peer,
+        header: &DatagramHeader,
+        request: &Request,
+    ) -> Option<(Stamp, i64)> {
+        peer.hears = request.echoes.iter().map(|echo| echo.robot).collect();
+        peer.hears_all_listed = request.all_echoes;
+        peer.clocks.clone_from(&request.clocks);
+        let own = |echo: &&crate::wire::Echo| {
+            echo.robot == self.own.origin && echo.epoch_low == self.own.epoch as u16
+        };
+        let echo = request.echoes.iter().find(own)?;
+        let (sent, age) = (echo.stamp(now), i64::from(echo.age_micros));
+        peer.round_trip.sample(now.micros_since(sent) - age);
+        peer.clock.sample(sent, header.stamp.plus_micros(-age), header.stamp, now);
+        if let Some(offset) = peer.clock.offset()
+            && self.store.held(peer.stream).is_some()
+        {
+            self.measured_offsets.insert(peer.stream, offset);
+        }
+        Some((sent, age))
+    }
+
+    /// Takes in what the peer holds of each stream.
+    fn take_holdings(&mut self, now: Stamp, peer: &mut Peer, request: &Request) {
+        peer.takes_unnamed = request.all_streams && !request.no_new_streams;
+        peer.floors.clone_from(&request.floors);
+        if request.all_streams {
+            peer.views.retain(|stream, view| {
+                // Not named: nothing is held any more, as after a lost store.
+                if !request.held.iter().any(|held| held.stream == *stream) {
+                    view.held = IntervalSet::new(VIEW_INTERVALS_MAX);
+                    view.from = 1;
+                }
+                peer.takes_unnamed || request.held.iter().any(|held| held.stream == *stream)
+            });
+        }
+        for stated in &request.held {
+            if stated.stream == self.own {
+                // Nobody but this robot can say which own packages there are.
+            } else if !self.open_stream(stated.stream) {
+                continue;
+            } else if let Some(newest) = stated.held.last()
+                && self.store.note_newest(stated.stream, newest)
+            {
+                self.note_gap(now, false);
+            }
+            let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));
+            // Of what lies below the list, the last word still holds.
+            let below = view.held.within(0, stated.from.saturating_sub(1));
+            view.held = if stated.from > 1 { below.union(&stated.held) } else { stated.held.clone() };
+            view.from = view.from.min(stated.from).max(view.held.keep_newest(VIEW_INTERVALS_MAX));
+        }
+        for progress in request.transfers.iter().filter(|progress| progress.source == self.own.origin) {
+            let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
+            if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
+                sending.accepted = progress.accepted.clone();
+                if progress.from > 1 {
+                    // What the cut list does not name, it does not ask for either.
+                    let below = IntervalSet::from_intervals(1, vec![(1, progress.from - 1)]);
+                    sending.accepted = sending.accepted.union(&below);
+                }
+            }
+        }
+    }
+
+    /// Goes through all that is in flight to the peer: confirmed, lost or still under way.
+    fn settle_in_flight(
+        &mut self,
+        now: Stamp,
+        peer: &mut Peer,
+        request: &Request,
+        echo: Option<(Stamp, i64)>,
+    ) {
+        let patience = (2 * peer.round_trip.variation())
+            .clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
+        let timeout = peer.round_trip.timeout();
+        let is_lost = |sent: &Sent| match self.config.in_flight {
+            InFlight::PreviousRequest => sent.requests >= 2,
+            InFlight::RoundTrip => match echo.filter(|(stamp, _)| *stamp >= sent.at) {
+                // The peer has heard something sent with it or later: how long has it waited since?
+                Some((stamp, age)) => stamp.micros_since(sent.at) + age >= patience,
+                None => now.micros_since(sent.at) >= timeout,
+            },
+        };
+        let (mut confirmed, mut lost) = (0, 0);
+        let views = &mut peer.views;
+        peer.in_flight.retain_mut(|sent| {
+            let Some(view) = views.get(&sent.item.stream()) else { return false };
+            let (held, stated) = match sent.item {
+                Item::Package { stream, index } => {
+                    let named = request.held.iter().find(|held| held.stream == stream);
+                    (view.held.contains(index), named.map_or(request.all_streams, |held| index >= held.from))
+                }
+                Item::Tile { set, tile, .. } => match &view.sending {
+                    Some(sending) if sending.set == set => (sending.accepted.contains(tile + 1), true),
+                    _ => (true, true),
+                },
+            };
+            if held {
+                confirmed += 1;
+                return false;
+            }
+            sent.requests = sent.requests.saturating_add(u8::from(stated));
+            let gone = stated && is_lost(sent);
+            lost += u64::from(gone);
+            !gone
+        });
+        self.counters.confirmed += confirmed;
+        self.counters.lost += lost;
+
+        for view in views.values_mut() {
+            view.covered = view.held.clone();
+            if let Some(sending) = &mut view.sending {
+                sending.covered = sending.accepted.clone();
+            }
+        }
+        for sent in &peer.in_flight {
+            if let Some(view) = views.get_mut(&sent.item.stream()) {
+                view.cover(sent.item);
+            }
+        }
+    }
+
+    /// For a relay that is not first in line: what was missing at a request one relay delay ago, and still is.
+    fn note_overdue(&mut self, now: Stamp, peer: &mut Peer, stream: Stream) {
+        let Some(turn) = self.turn(peer, stream) else { return };
+        let Some(held) = self.store.held(stream) else { return };
+        let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
+        let Some(view) = peer.view(stream, now) else { return };
+        if turn == 0 {
+            return;
+        }
+        let mut missing = held.within(view.from.max(1), u32::MAX).difference(&view.held);
+        missing.keep_newest(VIEW_INTERVALS_MAX);
+        if now.micros_since(view.missing_then.0) >= delay {
+            view.overdue = view.missing_then.1.intersection(&missing);
+            view.missing_then = (now, missing);
+        } else {
+            view.overdue = view.overdue.intersection(&missing);
+        }
+    }
+
+    /// This robot's place in the line of those who answer a peer for a stream: 0 answers at once, the next ones
+    /// each a relay delay later. `None`: it does not answer at all.
+    pub(super) fn turn(&self, peer: &Peer, stream: Stream) -> Option<u32> {
+        if !peer.wants(stream) {
+            return None;
+        }
+        if stream.origin == self.own.origin {
+            return Some(0);
+        }
+        match self.config.relay {
+            Relay::Never => None,
+            Relay::Always => Some(0),
+            Relay::Ranked => {
+                let hears_origin = stream.origin != peer.stream.origin && peer.hears(stream.origin);
+                let before = |robot| robot < self.own.origin && robot != stream.origin;
+                let others = peer.hears.iter().filter(|&&robot| before(robot)).count() as u32;
+                Some(u32::from(hears_origin) + others)
+            }
+        }
+    }
+}

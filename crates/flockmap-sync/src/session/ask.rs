@@ -1,0 +1,310 @@
+//! Requests: when they go out and what they say.
+
+use super::{Destination, Event, Session, Transmit};
+use crate::session::peer::Item;
+use crate::wire::{ClockReport, Echo, Held, Kind, Request, TransferProgress};
+use crate::{Cast, IntervalSet};
+use flockmap_grid::{RobotId, Stamp, Stream};
+
+/// When requests are due.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Schedule {
+    /// The periodic one.
+    periodic: Stamp,
+    /// A greeting to a new peer.
+    greeting: Option<Stamp>,
+    /// One because of a gap.
+    gap: Option<Stamp>,
+    /// Pause after the next request for a gap; 0 stands for the shortest.
+    gap_pause: i64,
+    last: Stamp,
+    last_activity: Stamp,
+    /// Requests made: lists that do not fit begin at another place each time.
+    count: usize,
+}
+
+impl Default for Schedule {
+    fn default() -> Self {
+        let never = Stamp(i64::MIN);
+        Self {
+            periodic: never,
+            greeting: None,
+            gap: None,
+            gap_pause: 0,
+            last: never,
+            last_activity: never,
+            count: 0,
+        }
+    }
+}
+
+/// New peers are greeted after at most so long, each robot at another time.
+const GREETING_JITTER: u64 = 20_000;
+/// Least pause before a greeting, so that ever new runs of a faulty peer do not make us talk without end.
+const GREETING_PAUSE: i64 = 50_000;
+
+impl Session {
+    /// Packages flow: the next periodic request is due sooner.
+    pub(super) fn note_activity(&mut self, now: Stamp) {
+        let soon = now.plus_micros(i64::from(self.config.request_period_active_ms) * 1_000);
+        self.schedule.last_activity = now;
+        self.schedule.periodic = self.schedule.periodic.min(soon);
+    }
+
+    /// A new peer: it should learn soon that it is heard.
+    pub(super) fn greet(&mut self, now: Stamp) {
+        let at = now.max(self.schedule.last.plus_micros(GREETING_PAUSE));
+        let at = at.plus_micros(self.random(GREETING_JITTER) as i64);
+        self.schedule.greeting = Some(self.schedule.greeting.map_or(at, |earlier| earlier.min(at)));
+    }
+
+    /// Something may be missing. `certain`: a later package has arrived, so it is late or lost.
+    pub(super) fn note_gap(&mut self, now: Stamp, certain: bool) {
+        if !self.config.gap_requests {
+            return;
+        }
+        if certain {
+            self.schedule.gap_pause = 0;
+        }
+        let patience = self.peers.values().map(|peer| 2 * peer.round_trip.variation()).max().unwrap_or(0);
+        let patience = patience.clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
+        let at = now.plus_micros(patience).max(self.schedule.last.plus_micros(self.gap_pause()));
+        self.schedule.gap = Some(self.schedule.gap.map_or(at, |earlier| earlier.min(at)));
+    }
+
+    /// Pause between two requests for gaps: an answer needs the round trip at least.
+    fn gap_pause(&self) -> i64 {
+        let round_trip = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
+        let shortest = (i64::from(self.config.gap_request_pause_ms) * 1_000).max(round_trip);
+        shortest.max(self.schedule.gap_pause)
+    }
+
+    /// When the next request is due.
+    pub(super) fn next_request(&self) -> Option<Stamp> {
+        [Some(self.schedule.periodic), self.schedule.greeting, self.schedule.gap].into_iter().flatten().min()
+    }
+
+    pub(super) fn request_due(&mut self, now: Stamp) -> bool {
+        if self.schedule.gap.is_some_and(|at| at <= now) && !self.has_gap(now) {
+            self.schedule.gap = None;
+            self.schedule.gap_pause = 0;
+        }
+        self.next_request().is_some_and(|at| at <= now)
+    }
+
+    fn has_gap(&self, now: Stamp) -> bool {
+        self.gaps(now).next().is_some()
+    }
+
+    /// The streams with gaps that somebody may fill now.
+    fn gaps(&self, now: Stamp) -> impl Iterator<Item = Stream> + '_ {
+        self.store.streams().filter(move |&stream| {
+            stream != self.own
+                && self.store.missing(stream).any(|(low, high)| {
+                    // Rejected packages are not asked for until their pause is over.
+                    u64::from(high - low) >= self.refused.len() as u64
+                        || (low..=high).any(|index| !self.is_refused(Item::Package { stream, index }, now))
+                })
+        })
+    }
+
+    pub(super) fn transmit_request(&mut self, now: Stamp) -> Option<Transmit> {
+        let for_gap = self.schedule.gap.is_some_and(|at| at <= now);
+        let periodic = self.schedule.periodic <= now || self.schedule.greeting.is_some_and(|at| at <= now);
+        let to = if for_gap && !periodic { self.whom_to_ask(now) } else { Destination::Everyone };
+        let bytes = self.request(now).emit(self.header(now, Kind::Request), self.config.datagram_bytes_max);
+        let (each, copies) = (bytes.len() + self.overhead(), self.copies(to));
+        let total = each * copies as usize;
+        if let Some(ready) = self.radio.as_mut().and_then(|radio| radio.wait(now, total)) {
+            self.wake = Some(ready);
+            self.counters.delayed_by_budget += 1;
+            return None;
+        }
+        if let Some(radio) = &mut self.radio {
+            radio.spend(now, total);
+        }
+        self.counters.requests_out.add(copies, each);
+        if let Destination::Peer(id) = to
+            && let Some(peer) = self.peers.get_mut(&id)
+        {
+            peer.traffic_out.add(1, each);
+        }
+        self.schedule_next(now, for_gap, to);
+        Some(Transmit { to, bytes })
+    }
+
+    fn schedule_next(&mut self, now: Stamp, for_gap: bool, to: Destination) {
+        if to == Destination::Everyone {
+            let active =
+                now.micros_since(self.schedule.last_activity) < i64::from(self.config.active_for_ms) * 1_000;
+            let period = match active {
+                true => self.config.request_period_active_ms,
+                false => self.config.request_period_idle_ms,
+            };
+            let period = u64::from(period) * 1_000;
+            let jittered = period - period / 10 + self.random(period / 5);
+            self.schedule.periodic = now.plus_micros(jittered as i64);
+            self.schedule.greeting = None;
+        }
+        self.schedule.last = now;
+        self.schedule.count = self.schedule.count.wrapping_add(1);
+        if for_gap {
+            self.counters.gap_requests += 1;
+        }
+        if self.schedule.gap.is_some() {
+            // The request has just said all that is missing; say it again after a pause that grows.
+            let pause = self.gap_pause();
+            self.schedule.gap_pause = pause * 2;
+            let periodic = i64::from(self.config.request_period_active_ms) * 1_000;
+            self.schedule.gap = (pause < periodic).then(|| now.plus_micros(pause));
+        }
+    }
+
+    /// By unicast the first request for a gap goes to the origin alone if it is heard; later ones go to everyone.
+    fn whom_to_ask(&self, now: Stamp) -> Destination {
+        if self.config.cast == Cast::Unicast && self.schedule.gap_pause == 0 {
+            let mut streams = self.gaps(now);
+            if let (Some(stream), None) = (streams.next(), streams.next())
+                && self.peers.get(&stream.origin).is_some_and(|peer| peer.stream == stream)
+            {
+                return Destination::Peer(stream.origin);
+            }
+        }
+        Destination::Everyone
+    }
+
+    fn request(&self, now: Stamp) -> Request {
+        let count = self.schedule.count;
+        let mut echoes: Vec<Echo> = self
+            .peers
+            .values()
+            .map(|peer| Echo {
+                robot: peer.stream.origin,
+                epoch_low: peer.stream.epoch as u16,
+                stamp_low: peer.newest_stamp.0 as u32,
+                age_micros: now.micros_since(peer.newest_stamp_at).clamp(0, i64::from(u32::MAX)) as u32,
+            })
+            .collect();
+        if !echoes.is_empty() {
+            let start = count * 8 % echoes.len();
+            echoes.rotate_left(start);
+        }
+        let mut held: Vec<Held> = self
+            .store
+            .streams()
+            .filter_map(|stream| {
+                let held = self.stated_as_held(stream, now);
+                (!held.is_empty()).then_some(Held { stream, from: 1, held })
+            })
+            .collect();
+        if !held.is_empty() {
+            let start = count % held.len();
+            held.rotate_left(start);
+        }
+        let transfers = self.incoming.iter().map(|incoming| {
+            let refused = self.refused.iter().filter_map(|(&item, &until)| match item {
+                Item::Tile { stream, set, tile }
+                    if stream == incoming.stream && set == incoming.set && until > now =>
+                {
+                    Some((tile + 1, tile + 1))
+                }
+                _ => None,
+            });
+            TransferProgress {
+                source: incoming.source,
+                stream: incoming.stream,
+                upto: incoming.upto,
+                set: incoming.set,
+                tiles: incoming.tiles,
+                from: 1,
+                accepted: union_with(&incoming.accepted, refused.collect()),
+            }
+        });
+        Request {
+            all_streams: true,
+            all_echoes: true,
+            no_new_streams: self.store.is_full_of_streams(),
+            echoes,
+            held,
+            transfers: transfers.collect(),
+            floors: self.store.floors().iter().map(|(&robot, &epoch)| (robot, epoch)).collect(),
+            clocks: self.clock_reports(),
+        }
+    }
+
+    /// What is held, and what was rejected a moment ago: nobody shall send that just now.
+    fn stated_as_held(&self, stream: Stream, now: Stamp) -> IntervalSet {
+        let Some(held) = self.store.held(stream) else { return IntervalSet::new(0) };
+        let of_stream = |index| Item::Package { stream, index };
+        let refused =
+            self.refused.range(of_stream(0)..=of_stream(u32::MAX)).filter_map(|(&item, &until)| match item {
+                Item::Package { index, .. } if until > now => Some((index, index)),
+                _ => None,
+            });
+        union_with(held, refused.collect())
+    }
+
+    /// Clocks of peers that somebody else here cannot hear.
+    fn clock_reports(&self) -> Vec<ClockReport> {
+        let unheard_by_somebody = |robot: RobotId| {
+            self.peers.values().any(|peer| {
+                peer.stream.origin != robot
+                    && peer.request.is_some()
+                    && peer.hears_all_listed
+                    && !peer.hears(robot)
+            })
+        };
+        self.peers
+            .values()
+            .filter(|peer| unheard_by_somebody(peer.stream.origin))
+            .filter_map(|peer| {
+                let given = self.given_offsets.get(&peer.stream.origin).copied();
+                Some(ClockReport {
+                    robot: peer.stream.origin,
+                    epoch_low: peer.stream.epoch as u16,
+                    offset_micros: given.or_else(|| peer.clock.offset())?,
+                })
+            })
+            .collect()
+    }
+
+    pub(super) fn is_refused(&self, item: Item, now: Stamp) -> bool {
+        self.refused.get(&item).is_some_and(|&until| until > now)
+    }
+
+    /// Opens a place for a stream and tells the driver; whether there is one.
+    pub(super) fn open_stream(&mut self, stream: Stream) -> bool {
+        match self.store.open(stream) {
+            Ok((is_new, forgotten)) => {
+                if let Some(forgotten) = forgotten {
+                    self.forget_stream(forgotten);
+                }
+                if is_new {
+                    self.push_event(Event::StreamSeen(stream));
+                }
+                true
+            }
+            Err(_) => {
+                self.counters.too_many_streams += 1;
+                false
+            }
+        }
+    }
+
+    fn forget_stream(&mut self, stream: Stream) {
+        for peer in self.peers.values_mut() {
+            peer.views.remove(&stream);
+            peer.in_flight.retain(|sent| sent.item.stream() != stream);
+            peer.queue_stale = true;
+        }
+        self.incoming.retain(|incoming| incoming.stream != stream);
+        self.outgoing.retain(|outgoing| outgoing.stream != stream);
+        self.present_asked.remove(&stream);
+        self.measured_offsets.remove(&stream);
+        self.push_event(Event::StreamForgotten(stream));
+    }
+}
+
+fn union_with(set: &IntervalSet, intervals: Vec<(u32, u32)>) -> IntervalSet {
+    if intervals.is_empty() { set.clone() } else { set.union(&IntervalSet::from_intervals(0, intervals)) }
+}

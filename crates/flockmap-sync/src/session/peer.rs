@@ -1,0 +1,180 @@
+//! What a session knows of one peer.
+
+use crate::counters::Traffic;
+use crate::link::{ClockFilter, RoundTrip};
+use crate::pacer::Pacer;
+use crate::{IntervalSet, SessionConfig};
+use flockmap_grid::{RobotId, Stamp, Stream};
+use std::collections::{BTreeMap, VecDeque};
+
+/// Intervals kept of what a peer states to hold of one stream; of more, the newest.
+pub(super) const VIEW_INTERVALS_MAX: usize = 256;
+
+/// One package, or one tile of a present state.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub(super) enum Item {
+    Package { stream: Stream, index: u32 },
+    Tile { stream: Stream, set: u32, tile: u32 },
+}
+
+impl Item {
+    pub(super) const fn stream(self) -> Stream {
+        match self {
+            Self::Package { stream, .. } | Self::Tile { stream, .. } => stream,
+        }
+    }
+}
+
+/// Something sent and not yet confirmed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sent {
+    pub(super) item: Item,
+    pub(super) at: Stamp,
+    /// Requests of the peer since then in which it was still missing.
+    pub(super) requests: u8,
+}
+
+/// A present state on its way to the peer.
+#[derive(Clone, Debug)]
+pub(super) struct Sending {
+    pub(super) set: u32,
+    pub(super) upto: u32,
+    /// Number + 1 of the tiles that the peer accepted.
+    pub(super) accepted: IntervalSet,
+    /// Those and the ones in flight.
+    pub(super) covered: IntervalSet,
+}
+
+/// What the peer holds of one stream, as far as it is known.
+#[derive(Clone, Debug)]
+pub(super) struct View {
+    /// Nothing is known below this index.
+    pub(super) from: u32,
+    /// What the peer stated to hold, or sent itself.
+    pub(super) held: IntervalSet,
+    /// Those and the ones in flight: what need not be sent now.
+    pub(super) covered: IntervalSet,
+    /// For a relay that is not first in line: what stayed missing for the whole relay delay.
+    pub(super) overdue: IntervalSet,
+    /// What was missing at some earlier request, and when that was.
+    pub(super) missing_then: (Stamp, IntervalSet),
+    pub(super) sending: Option<Sending>,
+}
+
+impl View {
+    pub(super) const fn new(from: u32, now: Stamp) -> Self {
+        Self {
+            from,
+            held: IntervalSet::new(VIEW_INTERVALS_MAX),
+            covered: IntervalSet::new(VIEW_INTERVALS_MAX),
+            overdue: IntervalSet::new(VIEW_INTERVALS_MAX),
+            missing_then: (now, IntervalSet::new(VIEW_INTERVALS_MAX)),
+            sending: None,
+        }
+    }
+
+    /// The peer proved to hold this package. A view that is too fragmented to note it learns it from the next request.
+    pub(super) fn note_held(&mut self, index: u32) {
+        let _ = self.held.insert(index);
+        let _ = self.covered.insert(index);
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Peer {
+    pub(super) stream: Stream,
+    pub(super) last_heard: Stamp,
+    /// Newest send stamp of any of its datagrams, and when that one was received.
+    pub(super) newest_stamp: Stamp,
+    pub(super) newest_stamp_at: Stamp,
+    /// Send stamp and time of receipt of its last request, once there was one.
+    pub(super) request: Option<(Stamp, Stamp)>,
+    /// Whom it hears, by its last request; whether that list was whole.
+    pub(super) hears: Vec<RobotId>,
+    pub(super) hears_all_listed: bool,
+    /// Its last request named all its streams and it takes new ones: what is not named is not held.
+    pub(super) takes_unnamed: bool,
+    pub(super) floors: Vec<(RobotId, u32)>,
+    pub(super) clocks: Vec<crate::wire::ClockReport>,
+    pub(super) views: BTreeMap<Stream, View>,
+    pub(super) in_flight: VecDeque<Sent>,
+    /// What to send next, best first, if nothing changes.
+    pub(super) queue: VecDeque<Item>,
+    /// The queue has to be made anew: something changed, or it was cut to its bound.
+    pub(super) queue_stale: bool,
+    pub(super) round_trip: RoundTrip,
+    pub(super) clock: ClockFilter,
+    pub(super) pacer: Option<Pacer>,
+    pub(super) traffic_in: Traffic,
+    pub(super) traffic_out: Traffic,
+}
+
+impl Peer {
+    pub(super) fn new(stream: Stream, now: Stamp, config: &SessionConfig) -> Self {
+        Self {
+            stream,
+            last_heard: now,
+            newest_stamp: Stamp(i64::MIN),
+            newest_stamp_at: now,
+            request: None,
+            hears: Vec::new(),
+            hears_all_listed: false,
+            takes_unnamed: false,
+            floors: Vec::new(),
+            clocks: Vec::new(),
+            views: BTreeMap::new(),
+            in_flight: VecDeque::new(),
+            queue: VecDeque::new(),
+            queue_stale: false,
+            round_trip: RoundTrip::new(i64::from(config.round_trip_initial_ms) * 1_000),
+            clock: ClockFilter::default(),
+            pacer: config
+                .link_bytes_per_s
+                .map(|rate| Pacer::new(rate, super::burst_bytes(rate, config.burst_ms))),
+            traffic_in: Traffic::default(),
+            traffic_out: Traffic::default(),
+        }
+    }
+
+    /// Whether the peer hears this robot; assumed if its list was cut.
+    pub(super) fn hears(&self, robot: RobotId) -> bool {
+        self.request.is_some() && (!self.hears_all_listed || self.hears.contains(&robot))
+    }
+
+    /// Whether the peer wants packages of this stream at all.
+    pub(super) fn wants(&self, stream: Stream) -> bool {
+        stream != self.stream
+            && !self.floors.iter().any(|&(origin, epoch)| origin == stream.origin && stream.epoch < epoch)
+    }
+
+    /// What is known of the peer's holdings of a stream. A stream that it did not name, where it names all, is
+    /// one of which it holds nothing.
+    pub(super) fn view(&mut self, stream: Stream, now: Stamp) -> Option<&mut View> {
+        if self.takes_unnamed {
+            return Some(self.views.entry(stream).or_insert_with(|| View::new(1, now)));
+        }
+        self.views.get_mut(&stream)
+    }
+}
+
+/// What [`Session::peers`](crate::Session::peers) tells of a peer.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[non_exhaustive]
+pub struct PeerInfo {
+    /// The peer and its run.
+    pub stream: Stream,
+    /// When it was last heard, on the own clock.
+    pub last_heard: Stamp,
+    /// Whether it hears this robot, as far as its last request tells.
+    pub hears_us: bool,
+    /// Smoothed round trip in microseconds, once measured.
+    pub round_trip_micros: Option<i64>,
+    /// Its clock minus the own clock in microseconds: as given, else as measured.
+    pub clock_offset_micros: Option<i64>,
+    /// Packages sent to it and not yet confirmed.
+    pub in_flight: usize,
+    /// Heard from it.
+    pub traffic_in: Traffic,
+    /// Sent to it alone.
+    pub traffic_out: Traffic,
+}

@@ -1,0 +1,238 @@
+//! Packages that go out: what each peer misses, in which order, within the budget.
+
+use super::peer::{Item, Peer, Sent, View};
+use super::{Destination, Session, Transmit};
+use crate::wire::{Kind, PackagesWriter};
+use crate::{Cast, Order};
+use flockmap_codec::Package;
+use flockmap_grid::{RobotId, Stamp, Stream};
+use std::cmp::Reverse;
+use std::collections::VecDeque;
+
+/// Items planned ahead for a peer, and looked at per stream for it.
+const QUEUE_MAX: usize = 256;
+/// Items looked at to fill up a datagram.
+const BUNDLE_LOOKAHEAD: usize = 16;
+
+/// What came of the attempt to send something to a peer.
+enum Attempt {
+    Send {
+        bytes: Vec<u8>,
+        items: Vec<Item>,
+    },
+    /// There is nothing for it now, or its link's budget is spent.
+    Nothing,
+    /// The radio's budget is spent: there is nothing for anybody now.
+    RadioSpent,
+}
+
+impl View {
+    /// Notes that an item need not be sent now; whether that was news. A view that is too fragmented to note it
+    /// says no: then it is not sent either, until the next request.
+    pub(super) fn cover(&mut self, item: Item) -> bool {
+        match item {
+            Item::Package { index, .. } => self.covered.insert(index).unwrap_or(false),
+            Item::Tile { set, tile, .. } => match &mut self.sending {
+                Some(sending) if sending.set == set => sending.covered.insert(tile + 1).unwrap_or(false),
+                _ => false,
+            },
+        }
+    }
+}
+
+impl Peer {
+    /// Notes that an item is on its way to the peer; whether it is now in the ledger.
+    pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
+        if self.in_flight.len() >= in_flight_max || !self.wants(item.stream()) {
+            return false;
+        }
+        let covered = self.view(item.stream(), now).is_some_and(|view| view.cover(item));
+        if covered {
+            self.in_flight.push_back(Sent { item, at: now, requests: 0 });
+        }
+        covered
+    }
+
+    /// Whether an item is still missing and not on its way.
+    fn lacks(&self, item: Item) -> bool {
+        let view = self.views.get(&item.stream());
+        match item {
+            Item::Package { index, .. } => view.is_some_and(|view| !view.covered.contains(index)),
+            Item::Tile { set, tile, .. } => view
+                .and_then(|view| view.sending.as_ref())
+                .is_some_and(|sending| sending.set == set && !sending.covered.contains(tile + 1)),
+        }
+    }
+}
+
+impl Session {
+    /// The next datagram of packages, serving the peers in turn.
+    pub(super) fn transmit_packages(&mut self, now: Stamp) -> Option<Transmit> {
+        let after = |id: &&RobotId| **id > self.served;
+        let ids: Vec<RobotId> = self
+            .peers
+            .keys()
+            .filter(after)
+            .chain(self.peers.keys().filter(|id| !after(id)))
+            .copied()
+            .collect();
+        for id in ids {
+            let mut peer = self.peers.remove(&id)?;
+            let attempt = self.attempt(now, &mut peer);
+            self.peers.insert(id, peer);
+            match attempt {
+                Attempt::Send { bytes, items } => {
+                    self.served = id;
+                    return Some(self.sent_to(now, id, bytes, &items));
+                }
+                Attempt::RadioSpent => return None,
+                Attempt::Nothing => {}
+            }
+        }
+        None
+    }
+
+    fn attempt(&mut self, now: Stamp, peer: &mut Peer) -> Attempt {
+        if !peer.hears(self.own.origin) {
+            return Attempt::Nothing;
+        }
+        if peer.queue_stale {
+            self.plan(now, peer);
+        }
+        let (writer, positions) = self.bundle(now, peer);
+        if positions.is_empty() {
+            return Attempt::Nothing;
+        }
+        if peer.in_flight.len() >= self.config.in_flight_max {
+            self.counters.delayed_by_window += 1;
+            return Attempt::Nothing;
+        }
+        let cost = writer.bytes() + self.overhead();
+        let link = peer.pacer.as_mut().and_then(|pacer| pacer.wait(now, cost));
+        let radio = self.radio.as_mut().and_then(|radio| radio.wait(now, cost));
+        if let Some(ready) = link.max(radio) {
+            self.wake = Some(self.wake.map_or(ready, |earlier| earlier.min(ready)));
+            self.counters.delayed_by_budget += 1;
+            return if radio.is_some() { Attempt::RadioSpent } else { Attempt::Nothing };
+        }
+        for pacer in [peer.pacer.as_mut(), self.radio.as_mut()].into_iter().flatten() {
+            pacer.spend(now, cost);
+        }
+        let mut items = Vec::with_capacity(positions.len());
+        for position in positions.into_iter().rev() {
+            items.extend(peer.queue.remove(position));
+        }
+        items.reverse();
+        // The queue may have been cut to its bound: look again when it is empty.
+        peer.queue_stale |= peer.queue.is_empty();
+        Attempt::Send { bytes: writer.finish(), items }
+    }
+
+    /// Fills a datagram from the peer's queue; the places in the queue of what went in. Drops from the front of
+    /// the queue what the peer does not miss any more.
+    fn bundle(&self, now: Stamp, peer: &mut Peer) -> (PackagesWriter, Vec<usize>) {
+        let mut writer =
+            PackagesWriter::new(self.header(now, Kind::Packages), self.config.datagram_bytes_max);
+        let mut positions = Vec::new();
+        while let Some(&item) = peer.queue.front()
+            && (!peer.lacks(item) || self.package(item).is_none())
+        {
+            peer.queue.pop_front();
+        }
+        for (position, &item) in peer.queue.iter().enumerate().take(BUNDLE_LOOKAHEAD) {
+            if peer.lacks(item)
+                && let Some(package) = self.package(item)
+                && writer.push(package)
+            {
+                positions.push(position);
+            }
+        }
+        (writer, positions)
+    }
+
+    fn sent_to(&mut self, now: Stamp, id: RobotId, bytes: Vec<u8>, items: &[Item]) -> Transmit {
+        let to = match self.config.cast {
+            Cast::Unicast => Destination::Peer(id),
+            Cast::Broadcast => Destination::Everyone,
+        };
+        let each = bytes.len() + self.overhead();
+        self.counters.packages_out.add(1, each);
+        for &item in items {
+            self.counters.sent += 1;
+            self.counters.relayed += u64::from(item.stream().origin != self.own.origin);
+            self.counters.tiles_sent += u64::from(matches!(item, Item::Tile { .. }));
+        }
+        let own = self.own.origin;
+        for (&other, peer) in &mut self.peers {
+            if other == id || (to == Destination::Everyone && peer.hears(own)) {
+                for &item in items {
+                    peer.cover(item, now, self.config.in_flight_max);
+                }
+            }
+            if other == id && to != Destination::Everyone {
+                peer.traffic_out.add(1, each);
+            }
+        }
+        self.note_activity(now);
+        Transmit { to, bytes }
+    }
+
+    /// Makes the peer's queue anew: the best of what it misses.
+    fn plan(&self, now: Stamp, peer: &mut Peer) {
+        peer.queue_stale = false;
+        let mut due: Vec<(Stamp, Stream, u32)> = Vec::new();
+        let mut overdue = Vec::new();
+        let mut tiles = Vec::new();
+        for stream in self.store.streams() {
+            let Some(turn) = self.turn(peer, stream) else { continue };
+            // Without push, a request is answered with what there was when it came.
+            let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
+            let Some(view) = peer.view(stream, now) else { continue };
+            let from = view
+                .sending
+                .as_ref()
+                .map_or(view.from, |sending| view.from.max(sending.upto.saturating_add(1)));
+            let upto = self.store.newest_known(stream);
+            let mut missing: Vec<(u32, u32)> = view.covered.missing(from.max(1), upto).collect();
+            if turn > 0 {
+                let overdue = crate::IntervalSet::from_intervals(0, missing).intersection(&view.overdue);
+                missing = overdue.intervals().to_vec();
+            }
+            let packages = missing.iter().flat_map(|&(low, high)| self.store.range(stream, low, high));
+            let packages = packages.filter(|(_, stored)| self.config.push || stored.stored_at <= asked_at);
+            let keyed = packages.map(|(index, stored)| (stored.fresh_at, stream, index));
+            if turn > 0 {
+                // The origin sends its newest first. From the other end a relay meets it in the middle.
+                overdue.extend(keyed.take(QUEUE_MAX));
+            } else if self.config.order == Order::OldestFirst {
+                due.extend(keyed.take(QUEUE_MAX));
+            } else {
+                let newest =
+                    missing.iter().rev().flat_map(|&(low, high)| self.store.range(stream, low, high).rev());
+                let newest = newest.filter(|(_, stored)| self.config.push || stored.stored_at <= asked_at);
+                due.extend(newest.map(|(index, stored)| (stored.fresh_at, stream, index)).take(QUEUE_MAX));
+            }
+            if let Some(sending) = &view.sending {
+                tiles.extend(self.tiles_to_send(stream, sending).take(QUEUE_MAX));
+            }
+        }
+        match self.config.order {
+            // Cycle by cycle; within a cycle in the order of the indices, so that no gaps appear on the way.
+            Order::NewestFirst => {
+                due.sort_unstable_by_key(|&(at, stream, index)| (Reverse(at), stream, index))
+            }
+            Order::OldestFirst => due.sort_unstable(),
+        }
+        overdue.sort_unstable();
+        let packages =
+            due.into_iter().chain(overdue).map(|(_, stream, index)| Item::Package { stream, index });
+        peer.queue = packages.chain(tiles).take(QUEUE_MAX).collect::<VecDeque<_>>();
+    }
+
+    fn package(&self, item: Item) -> Option<&Package> {
+        match item {
+            Item::Package { stream, index } => self.store.get(stream, index).map(|stored| &stored.package),
+            Item::Tile { stream, set, tile } => self.tile(stream, set, tile),
+        }
+    }
+}

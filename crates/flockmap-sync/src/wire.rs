@@ -1,0 +1,277 @@
+//! Datagrams as bytes: a header, then length-prefixed records. The layout, byte by byte, is in `WIRE.md`,
+//! section "Datagrams".
+//!
+//! Two levels: [`Datagram`] is a checked view of received bytes; [`Request`] and [`parse_packages`] give what the
+//! records of the two kinds of datagram say. A reader skips records of types that it does not know.
+
+mod packages;
+mod request;
+
+pub use packages::{PackagesWriter, parse_packages};
+pub use request::{ClockReport, Echo, Held, Request, TransferProgress};
+
+use crate::bytes::{Reader, put_varint, varint_len};
+use flockmap_codec::PackageError;
+use flockmap_grid::{RobotId, Stamp, Stream};
+
+/// No datagram is longer: UDP payload in bytes. Longer ones are refused unread.
+pub const DATAGRAM_BYTES_MAX: usize = 1_200;
+
+/// The version of the layout. Any change of the layout of what stands in `WIRE.md` is a change of this.
+pub const WIRE_VERSION: u8 = 1;
+
+/// Bytes of the header.
+pub const HEADER_BYTES: usize = 24;
+
+const MAGIC: [u8; 2] = *b"FM";
+/// The check covers everything but itself.
+const CHECK: core::ops::Range<usize> = 20..24;
+
+/// The layout that [`WIRE_VERSION`] stands for, in words. A test holds its hash: who changes a line here must
+/// change the version too.
+pub const LAYOUT: &str = "\
+header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u32, stamp i64, crc32 u32 of all else
+kind 1 request: flags u8 (1 all streams, 2 all echoes, 4 no new streams), records
+kind 2 packages: records
+record: type u8, length varint, content
+type 1 echoes: (robot u16, epoch low u16, stamp low u32, age varint)*
+type 2 held: origin varint, epoch varint, intervals
+type 3 transfer: source varint, origin varint, epoch varint, upto varint, set u32, tiles varint, intervals of accepted tile + 1
+type 4 floors: (origin varint, epoch varint)*
+type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
+type 16 package: map package
+intervals: from varint, (gap - to from, then to end + 2 - varint, length - 1 varint)*
+integers little-endian, varints shortest LEB128";
+
+/// What a datagram carries.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Kind {
+    /// What the sender holds and whom it hears: the paper's request.
+    Request,
+    /// Map packages: the paper's response, or a push of new ones.
+    Packages,
+}
+
+impl Kind {
+    const fn id(self) -> u8 {
+        match self {
+            Self::Request => 1,
+            Self::Packages => 2,
+        }
+    }
+}
+
+/// The header of every datagram.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct DatagramHeader {
+    /// What follows.
+    pub kind: Kind,
+    /// Robots of different swarms ignore each other.
+    pub swarm: u16,
+    /// The robot that sent this datagram, and its run.
+    pub sender: Stream,
+    /// When it was sent, on the sender's clock.
+    pub stamp: Stamp,
+}
+
+impl DatagramHeader {
+    /// Writes the header, with the check still zero. [`seal`] completes it.
+    fn emit(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(DATAGRAM_BYTES_MAX);
+        out.extend(MAGIC);
+        out.push(WIRE_VERSION);
+        out.push(self.kind.id());
+        out.extend(self.swarm.to_le_bytes());
+        out.extend(self.sender.origin.0.to_le_bytes());
+        out.extend(self.sender.epoch.to_le_bytes());
+        out.extend(self.stamp.0.to_le_bytes());
+        out.extend([0; 4]);
+        out
+    }
+}
+
+/// Why a received datagram was refused. It is the sender's or the radio's fault, never the user's.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DatagramError {
+    /// Shorter than a header, or longer than any datagram may be.
+    #[error("a datagram of {got} bytes; {HEADER_BYTES} to {DATAGRAM_BYTES_MAX} expected")]
+    Length {
+        /// Bytes received.
+        got: usize,
+    },
+    /// Not from Flockmap at all.
+    #[error("not a Flockmap datagram: it starts with {got:02x?}, `FM` expected")]
+    Magic {
+        /// The first two bytes.
+        got: [u8; 2],
+    },
+    /// From another version of Flockmap.
+    #[error("datagram of wire version {got}, {WIRE_VERSION} expected: run the same version on all robots")]
+    Version {
+        /// The version it states.
+        got: u8,
+    },
+    /// Damaged on the way.
+    #[error("damaged datagram: its check is {got:#010x}, its bytes give {expected:#010x}")]
+    Check {
+        /// The check it states.
+        got: u32,
+        /// The check of its bytes.
+        expected: u32,
+    },
+    /// Of a kind that this version does not know.
+    #[error("unknown kind of datagram {got}, 1 or 2 expected")]
+    Kind {
+        /// The kind it states.
+        got: u8,
+    },
+    /// From another swarm in reach.
+    #[error("datagram of swarm {got}, {expected} expected")]
+    Swarm {
+        /// The swarm it states.
+        got: u16,
+        /// The own swarm.
+        expected: u16,
+    },
+    /// Its check is right but its content is not: the sender is faulty.
+    #[error("malformed {what} in a datagram of {sender:?}")]
+    Malformed {
+        /// Who sent it.
+        sender: RobotId,
+        /// The part that is wrong.
+        what: &'static str,
+    },
+    /// A map package in it cannot be read.
+    #[error("unreadable map package in a datagram of {sender:?}: {error}")]
+    Package {
+        /// Who sent it.
+        sender: RobotId,
+        /// What is wrong with the package.
+        error: PackageError,
+    },
+    /// From a former run of the sender, overtaken by its present one.
+    #[error("datagram of epoch {got} of {sender:?}, which now runs epoch {current}")]
+    StaleEpoch {
+        /// Who sent it.
+        sender: RobotId,
+        /// The epoch it states.
+        got: u32,
+        /// The epoch heard since.
+        current: u32,
+    },
+    /// From a robot that bears the own id but is another run: two robots have the same id.
+    #[error("another robot uses the own id {id}: give every robot of a swarm its own id")]
+    SameIdentity {
+        /// The id used twice.
+        id: RobotId,
+    },
+    /// There are already as many peers as may be.
+    #[error("{sender:?} is one peer more than the {peers_max} that fit")]
+    TooManyPeers {
+        /// Who sent it.
+        sender: RobotId,
+        /// The bound.
+        peers_max: usize,
+    },
+}
+
+/// A received datagram whose length, magic, version, kind and check are right and whose records tile its body.
+#[derive(Clone, Copy, Debug)]
+pub struct Datagram<'a> {
+    header: DatagramHeader,
+    flags: u8,
+    records: &'a [u8],
+}
+
+impl<'a> Datagram<'a> {
+    /// Checks the bytes. Allocates nothing.
+    pub fn new_checked(bytes: &'a [u8]) -> Result<Self, DatagramError> {
+        if !(HEADER_BYTES..=DATAGRAM_BYTES_MAX).contains(&bytes.len()) {
+            return Err(DatagramError::Length { got: bytes.len() });
+        }
+        let too_short = DatagramError::Length { got: bytes.len() };
+        let mut reader = Reader::new(bytes);
+        let (magic, version, kind) =
+            (|| Some((reader.u16()?, reader.u8()?, reader.u8()?)))().ok_or_else(|| too_short.clone())?;
+        if magic.to_le_bytes() != MAGIC {
+            return Err(DatagramError::Magic { got: magic.to_le_bytes() });
+        }
+        if version != WIRE_VERSION {
+            return Err(DatagramError::Version { got: version });
+        }
+        let (swarm, origin, epoch, stamp, got) =
+            (|| Some((reader.u16()?, reader.u16()?, reader.u32()?, reader.i64()?, reader.u32()?)))()
+                .ok_or(too_short)?;
+        let expected = check_of(bytes);
+        if got != expected {
+            return Err(DatagramError::Check { got, expected });
+        }
+        let kind = match kind {
+            1 => Kind::Request,
+            2 => Kind::Packages,
+            got => return Err(DatagramError::Kind { got }),
+        };
+        let sender = Stream { origin: RobotId(origin), epoch };
+        let malformed = |what| DatagramError::Malformed { sender: sender.origin, what };
+        let flags = match kind {
+            Kind::Request => reader.u8().ok_or_else(|| malformed("flags"))?,
+            Kind::Packages => 0,
+        };
+        let records = &bytes[HEADER_BYTES + usize::from(kind == Kind::Request)..];
+        let mut rest = Reader::new(records);
+        while !rest.is_empty() {
+            next_record(&mut rest).ok_or_else(|| malformed("record"))?;
+        }
+        Ok(Self { header: DatagramHeader { kind, swarm, sender, stamp: Stamp(stamp) }, flags, records })
+    }
+
+    /// The header.
+    pub const fn header(&self) -> &DatagramHeader {
+        &self.header
+    }
+
+    /// Type and content of each record.
+    fn records(&self) -> impl Iterator<Item = (u8, &'a [u8])> + use<'a> {
+        let mut rest = Reader::new(self.records);
+        core::iter::from_fn(move || next_record(&mut rest))
+    }
+
+    fn malformed(&self, what: &'static str) -> DatagramError {
+        DatagramError::Malformed { sender: self.header.sender.origin, what }
+    }
+}
+
+fn next_record<'a>(reader: &mut Reader<'a>) -> Option<(u8, &'a [u8])> {
+    let id = reader.u8()?;
+    let length = reader.varint()?.try_into().ok()?;
+    Some((id, reader.bytes(length)?))
+}
+
+/// Bytes that a record with this much content takes.
+const fn record_len(content: usize) -> usize {
+    1 + varint_len(content as u64) + content
+}
+
+fn put_record(out: &mut Vec<u8>, id: u8, content: &[u8]) {
+    out.push(id);
+    put_varint(out, content.len() as u64);
+    out.extend(content);
+}
+
+fn check_of(bytes: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&bytes[..CHECK.start]);
+    hasher.update(&bytes[CHECK.end..]);
+    hasher.finalize()
+}
+
+/// Writes the check into a complete datagram.
+fn seal(mut bytes: Vec<u8>) -> Vec<u8> {
+    let check = check_of(&bytes);
+    bytes[CHECK].copy_from_slice(&check.to_le_bytes());
+    bytes
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,249 @@
+use super::*;
+use crate::IntervalSet;
+use flockmap_codec::{Codec, Cycle, Encoder, Package};
+use flockmap_grid::{Changes, Resolution, State, Voxel};
+use proptest::prelude::*;
+
+const HEADER: DatagramHeader = DatagramHeader {
+    kind: Kind::Request,
+    swarm: 0x0102,
+    sender: Stream { origin: RobotId(7), epoch: 3 },
+    stamp: Stamp(0x0011_2233_4455_6677),
+};
+
+fn set(intervals: &[(u32, u32)]) -> IntervalSet {
+    IntervalSet::from_intervals(1_000, intervals.to_vec())
+}
+
+fn sample() -> Request {
+    let stream = Stream { origin: RobotId(7), epoch: 3 };
+    let other = Stream { origin: RobotId(300), epoch: 1_700_000_000 };
+    Request {
+        all_streams: true,
+        all_echoes: true,
+        no_new_streams: false,
+        echoes: vec![Echo {
+            robot: RobotId(300),
+            epoch_low: 0xabcd,
+            stamp_low: 0x1234_5678,
+            age_micros: 1_000,
+        }],
+        held: vec![
+            Held { stream, from: 1, held: set(&[(1, 200)]) },
+            Held { stream: other, from: 5, held: set(&[(5, 9), (12, 12), (300, 500)]) },
+        ],
+        transfers: vec![TransferProgress {
+            source: RobotId(7),
+            stream: other,
+            upto: 1_000,
+            set: 0xdead_beef,
+            tiles: 40,
+            from: 1,
+            accepted: set(&[(1, 3), (8, 8)]),
+        }],
+        floors: vec![(RobotId(300), 1_600_000_000)],
+        clocks: vec![ClockReport { robot: RobotId(9), epoch_low: 1, offset_micros: -1_500 }],
+    }
+}
+
+fn package(index: u32) -> Package {
+    let stream = Stream { origin: RobotId(7), epoch: 3 };
+    let resolution = Resolution::from_metres(0.1).unwrap();
+    let cycle = Cycle { stream, start: Stamp(1_000), end: Stamp(2_000), resolution };
+    let changes =
+        Changes::from_voxels([(Voxel::new(1, 2, 3), State::Free), (Voxel::new(1, 2, 4), State::Occupied)]);
+    Encoder::new().encode_whole(Codec::Raw, &cycle, index, &changes).unwrap()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Writes the right check into bytes that were changed on purpose.
+fn resealed(bytes: Vec<u8>) -> Vec<u8> {
+    seal(bytes)
+}
+
+#[test]
+fn a_change_of_the_layout_is_a_change_of_the_version() {
+    // If this fails: raise WIRE_VERSION, describe the new layout in LAYOUT and WIRE.md, and put the new pair here.
+    assert_eq!((WIRE_VERSION, crc32fast::hash(LAYOUT.as_bytes())), (1, GOLDEN_LAYOUT));
+}
+
+#[test]
+fn golden_datagrams() {
+    // If one of these fails, robots of the old and the new build no longer understand each other: raise the version.
+    assert_eq!(hex(&sample().emit(HEADER, DATAGRAM_BYTES_MAX)), GOLDEN_REQUEST);
+    let mut writer = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX);
+    let package = package(5);
+    assert!(writer.push(&package));
+    let bytes = hex(&writer.finish());
+    // What is inside a package is the matter of the codec's own golden files.
+    let (head, tail) = bytes.split_at(2 * (HEADER_BYTES + 2));
+    let check = 2 * CHECK.start..2 * CHECK.end;
+    assert_eq!(tail, hex(package.bytes()));
+    assert_eq!(head[..check.start], GOLDEN_PACKAGES_HEADER[..check.start]);
+    assert_eq!(head[check.end..], format!("10{:02x}", package.bytes().len()));
+}
+
+const GOLDEN_LAYOUT: u32 = 3_459_344_274;
+const GOLDEN_REQUEST: &str = "464d010102010700030000007766554433221100d0e81d39\
+    03010a2c01cdab78563412e8070407ac0280a0f8fa050505090100b717020607030100c7\
+    010210ac0280e2cfaa0605000401009e02c801031407ac0280e2cfaa06e807efbeadde280100020300";
+const GOLDEN_PACKAGES_HEADER: &str = "464d010202010700030000007766554433221100";
+
+#[test]
+fn a_request_survives_the_wire() {
+    let bytes = sample().emit(HEADER, DATAGRAM_BYTES_MAX);
+    let datagram = Datagram::new_checked(&bytes).unwrap();
+    assert_eq!(*datagram.header(), HEADER);
+    assert_eq!(Request::parse(&datagram, 1_000).unwrap(), sample());
+}
+
+#[test]
+fn packages_survive_the_wire_and_small_ones_share_a_datagram() {
+    let mut writer = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX);
+    let packages: Vec<Package> = (1..).map(package).take_while(|package| writer.push(package)).collect();
+    assert!(packages.len() > 10);
+    let bytes = writer.finish();
+    assert!(bytes.len() <= DATAGRAM_BYTES_MAX);
+    let datagram = Datagram::new_checked(&bytes).unwrap();
+    assert_eq!(datagram.header().kind, Kind::Packages);
+    assert_eq!(parse_packages(&datagram).unwrap(), packages);
+}
+
+#[test]
+fn records_of_unknown_types_are_skipped() {
+    let mut bytes = sample().emit(HEADER, DATAGRAM_BYTES_MAX);
+    put_record(&mut bytes, 99, b"from a later version");
+    let bytes = resealed(bytes);
+    let datagram = Datagram::new_checked(&bytes).unwrap();
+    assert_eq!(Request::parse(&datagram, 1_000).unwrap(), sample());
+}
+
+#[test]
+fn a_request_that_does_not_fit_says_so_and_keeps_the_newest() {
+    let torn: Vec<(u32, u32)> = (0..800).map(|i| (10_000 + 3 * i, 10_000 + 3 * i)).collect();
+    let stream = |origin| Stream { origin: RobotId(origin), epoch: 1 };
+    let request = Request {
+        all_streams: true,
+        all_echoes: true,
+        echoes: (0..100)
+            .map(|i| Echo { robot: RobotId(i), epoch_low: 1, stamp_low: 2, age_micros: 3 })
+            .collect(),
+        held: (0..4).map(|origin| Held { stream: stream(origin), from: 1, held: set(&torn) }).collect(),
+        ..Request::default()
+    };
+    for bytes_max in [200, 300, 700, 1_199, 1_200] {
+        let bytes = request.emit(HEADER, bytes_max);
+        assert!(bytes.len() <= bytes_max, "{} of {bytes_max} bytes", bytes.len());
+        let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
+        assert!(!read.all_streams && !read.all_echoes);
+        let first = &read.held[0];
+        assert_eq!(first.held.last(), Some(10_000 + 3 * 799));
+        assert!(first.from > 1 && first.held == set(&torn).within(first.from, u32::MAX));
+    }
+    let whole =
+        Request { held: vec![Held { stream: stream(1), from: 1, held: set(&torn[..300]) }], ..request };
+    let bytes = whole.emit(HEADER, 1_200);
+    let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
+    assert!(read.all_streams && !read.all_echoes);
+    assert_eq!(read.held, whole.held);
+}
+
+#[test]
+fn long_lists_keep_their_newest_intervals_when_read() {
+    let torn: Vec<(u32, u32)> = (0..100).map(|i| (3 * i + 1, 3 * i + 1)).collect();
+    let stream = Stream { origin: RobotId(1), epoch: 1 };
+    let held = vec![Held { stream, from: 1, held: set(&torn) }];
+    let bytes = Request { held, ..Request::default() }.emit(HEADER, 1_200);
+    let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 10).unwrap();
+    assert_eq!(read.held[0].held, set(&torn[90..]));
+    assert_eq!(read.held[0].from, torn[89].1 + 1);
+}
+
+#[test]
+fn an_echoed_stamp_is_completed_from_the_own_clock() {
+    for (sent, now) in [(0i64, 5), (-3, 4), (u32::MAX.into(), 1 << 32), (1 << 50, (1 << 50) + 4_000_000_000)]
+    {
+        let echo = Echo { robot: RobotId(1), epoch_low: 1, stamp_low: sent as u32, age_micros: 0 };
+        assert_eq!(echo.stamp(Stamp(now)), Stamp(sent));
+    }
+}
+
+#[test]
+fn every_truncation_and_every_flipped_bit_is_an_error() {
+    let mut writer = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX);
+    assert!(writer.push(&package(1)));
+    for bytes in [sample().emit(HEADER, DATAGRAM_BYTES_MAX), writer.finish()] {
+        for length in 0..bytes.len() {
+            assert!(Datagram::new_checked(&bytes[..length]).is_err());
+        }
+        for bit in 0..bytes.len() * 8 {
+            let mut flipped = bytes.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            assert!(Datagram::new_checked(&flipped).is_err(), "bit {bit}");
+        }
+    }
+    assert!(Datagram::new_checked(&[0; 1_201]).is_err());
+}
+
+proptest! {
+    #[test]
+    fn any_request_survives_the_wire(
+        intervals in prop::collection::vec((1..5_000u32, 0..50u32), 0..40),
+        from in 1..50u32, origin: u16, epoch: u32, stamp: i64, age_micros: u32, offset_micros: i64,
+    ) {
+        let all = IntervalSet::from_intervals(1_000, intervals.into_iter().map(|(l, n)| (l, l + n)).collect());
+        let held = all.within(from, u32::MAX);
+        let stream = Stream { origin: RobotId(origin), epoch };
+        let request = Request {
+            all_streams: true,
+            echoes: vec![Echo { robot: RobotId(origin), epoch_low: epoch as u16, stamp_low: stamp as u32, age_micros }],
+            held: vec![Held { stream, from, held: held.clone() }],
+            transfers: vec![TransferProgress { source: stream.origin, stream, upto: epoch, set: epoch, tiles: epoch, from, accepted: held }],
+            floors: vec![(stream.origin, epoch)],
+            clocks: vec![ClockReport { robot: stream.origin, epoch_low: 5, offset_micros }],
+            ..Request::default()
+        };
+        let bytes = request.emit(DatagramHeader { stamp: Stamp(stamp), ..HEADER }, 1_200);
+        let datagram = Datagram::new_checked(&bytes).unwrap();
+        prop_assert_eq!(datagram.header().stamp, Stamp(stamp));
+        prop_assert_eq!(Request::parse(&datagram, 1_000).unwrap(), request);
+    }
+
+    /// Behind the check, so that the readers of the records see the damage.
+    #[test]
+    fn damaged_records_never_panic(
+        changes in prop::collection::vec((0..200usize, any::<u8>()), 1..8), cut in 0..200usize, packages: bool,
+    ) {
+        let mut bytes = if packages {
+            let mut writer = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX);
+            writer.push(&package(1));
+            writer.push(&package(2));
+            writer.finish()
+        } else {
+            sample().emit(HEADER, DATAGRAM_BYTES_MAX)
+        };
+        bytes.truncate(bytes.len().saturating_sub(cut).max(HEADER_BYTES));
+        for (at, value) in changes {
+            let length = bytes.len();
+            bytes[(HEADER_BYTES + at).min(length - 1)] = value;
+        }
+        let bytes = resealed(bytes);
+        if let Ok(datagram) = Datagram::new_checked(&bytes) {
+            if let Ok(request) = Request::parse(&datagram, 64) {
+                for held in &request.held {
+                    prop_assert!(held.held.intervals().len() <= 64);
+                    prop_assert!(held.held.first().is_none_or(|first| first >= held.from));
+                }
+            }
+            let _ = parse_packages(&datagram);
+        }
+    }
+
+    #[test]
+    fn random_bytes_are_refused(bytes in prop::collection::vec(any::<u8>(), 0..1_300)) {
+        prop_assert!(Datagram::new_checked(&bytes).is_err());
+    }
+}

@@ -1,0 +1,477 @@
+//! What a session does for a swarm, told in virtual time.
+
+mod swarm;
+
+use flockmap_sync::{Cast, SessionConfig};
+use swarm::{MS, Radio, SECOND, Swarm};
+
+/// Two robots publish every half second for a while; then there is time to repair.
+fn two_robots(seed: u64, radio: Radio, config: &SessionConfig, cycles: usize) -> (Swarm, u64) {
+    let mut swarm = Swarm::of(2, seed, radio, config);
+    swarm.run(2 * SECOND);
+    let mut published = 0;
+    for _ in 0..cycles {
+        for id in [1, 2] {
+            published += swarm.publish(id, 600) as u64;
+        }
+        swarm.run(SECOND / 2);
+    }
+    swarm.run(8 * SECOND);
+    (swarm, published)
+}
+
+#[test]
+fn without_loss_every_package_is_sent_exactly_once() {
+    let (swarm, published) = two_robots(1, Radio::PERFECT, &SessionConfig::default(), 40);
+    swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2)]);
+    let sent: u64 = swarm.robots.values().map(|robot| robot.session.counters().sent).sum();
+    assert_eq!(sent, published);
+    for robot in swarm.robots.values() {
+        let counters = robot.session.counters();
+        assert_eq!(counters.duplicates + counters.lost + counters.gap_requests, 0, "{counters:#?}");
+        assert_eq!(counters.accepted, counters.received);
+    }
+}
+
+#[test]
+fn under_loss_reordering_and_duplication_all_arrives_with_few_bytes() {
+    println!("loss  packages sent/needed  limit   bytes/needed");
+    for (loss, seed) in [(0.0, 2), (0.1, 3), (0.2, 4), (0.35, 5), (0.5, 6)] {
+        let (swarm, published) = two_robots(seed, Radio::lossy(loss), &SessionConfig::default(), 80);
+        swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2)]);
+        let sum = |f: fn(&flockmap_sync::Counters) -> u64| -> u64 {
+            swarm.robots.values().map(|robot| f(robot.session.counters())).sum()
+        };
+        let overhead = sum(|c| c.sent) as f64 / published as f64;
+        let limit = 1.25 / (1.0 - loss);
+        let needed = sum(|c| c.packages_out.bytes) as f64 / overhead;
+        println!(
+            "{loss:4}  {overhead:20.3}  {limit:5.3}  {:6.3} (requests {:.3})",
+            swarm.bytes() as f64 / needed,
+            sum(|c| c.requests_out.bytes) as f64 / needed,
+        );
+        assert!(
+            overhead <= limit,
+            "at loss {loss} each package was sent {overhead:.3} times, {limit:.3} allowed"
+        );
+    }
+}
+
+#[test]
+fn the_middle_robot_of_a_line_forwards_at_once() {
+    let mut swarm = Swarm::new(7, Radio::PERFECT);
+    swarm.cut(1, 3);
+    for id in [1, 2, 3] {
+        swarm.start(id, 1, SessionConfig::default());
+    }
+    swarm.run(2 * SECOND);
+    for id in [1, 2, 3] {
+        swarm.publish(id, 300);
+    }
+    swarm.run(40 * MS);
+    swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2), swarm.stream(3)]);
+    for _ in 0..20 {
+        for id in [1, 2, 3] {
+            swarm.publish(id, 300);
+        }
+        swarm.run(SECOND / 2);
+    }
+    swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2), swarm.stream(3)]);
+    let duplicates: u64 = swarm.robots.values().map(|robot| robot.session.counters().duplicates).sum();
+    assert_eq!(duplicates, 0);
+    // The clock of the far end is known by way of the middle: 1000 s a robot apart.
+    let offset = swarm.robots[&1].session.clock_offset(swarm.stream(3)).unwrap();
+    assert!((offset - 2_000 * SECOND).abs() < 5 * MS, "{offset}");
+}
+
+#[test]
+fn a_line_with_loss_is_repaired_hop_by_hop() {
+    let mut swarm = Swarm::of(4, 8, Radio::lossy(0.3), &SessionConfig::default());
+    for (a, b) in [(1, 3), (1, 4), (2, 4)] {
+        swarm.cut(a, b);
+    }
+    for _ in 0..30 {
+        for id in 1..=4 {
+            swarm.publish(id, 300);
+        }
+        swarm.run(SECOND / 2);
+    }
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[1, 2, 3, 4].map(|id| swarm.stream(id)));
+}
+
+#[test]
+fn in_a_full_mesh_only_origins_answer() {
+    let mut swarm = Swarm::of(4, 9, Radio::PERFECT, &SessionConfig::default());
+    swarm.run(2 * SECOND);
+    for _ in 0..20 {
+        for id in 1..=4 {
+            swarm.publish(id, 300);
+        }
+        swarm.run(SECOND / 2);
+    }
+    swarm.assert_in_sync(&[1, 2, 3, 4].map(|id| swarm.stream(id)));
+    let relayed: u64 = swarm.robots.values().map(|robot| robot.session.counters().relayed).sum();
+    assert_eq!(relayed, 0);
+}
+
+#[test]
+fn on_a_shared_radio_one_datagram_serves_all() {
+    let config = SessionConfig { cast: Cast::Broadcast, ..SessionConfig::default() };
+    let mut swarm = Swarm::of(5, 10, Radio::PERFECT, &config);
+    swarm.run(2 * SECOND);
+    let mut published = 0;
+    for _ in 0..20 {
+        for id in 1..=5 {
+            published += swarm.publish(id, 300) as u64;
+        }
+        swarm.run(SECOND / 2);
+    }
+    swarm.assert_in_sync(&[1, 2, 3, 4, 5].map(|id| swarm.stream(id)));
+    let sent: u64 = swarm.robots.values().map(|robot| robot.session.counters().sent).sum();
+    assert_eq!(sent, published);
+}
+
+#[test]
+fn broadcast_under_loss_repairs_everyone() {
+    let config = SessionConfig { cast: Cast::Broadcast, ..SessionConfig::default() };
+    let mut swarm = Swarm::of(4, 11, Radio::lossy(0.3), &config);
+    swarm.cut(1, 4);
+    let mut published = 0;
+    for _ in 0..40 {
+        for id in 1..=4 {
+            published += swarm.publish(id, 300) as u64;
+        }
+        swarm.run(SECOND / 2);
+    }
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[1, 2, 3, 4].map(|id| swarm.stream(id)));
+    let sent: u64 = swarm.robots.values().map(|robot| robot.session.counters().sent).sum();
+    println!("broadcast, 4 robots, 30 % loss: each package sent {:.2} times", sent as f64 / published as f64);
+    assert!(sent < published * 4, "{sent} sent for {published} published");
+}
+
+#[test]
+fn a_late_joiner_gets_the_present_state() {
+    let config = SessionConfig { present_state_bytes_min: Some(20_000), ..SessionConfig::default() };
+    let mut swarm = Swarm::of(2, 12, Radio::lossy(0.2), &config);
+    let mut history = 0;
+    for _ in 0..200 {
+        history += swarm.publish(1, 900);
+        swarm.run(20 * MS);
+    }
+    swarm.run(3 * SECOND);
+    swarm.start(3, 1, config);
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+    let joiner = swarm.robots[&3].session.counters();
+    assert_eq!(joiner.caught_up, 1, "{joiner:#?}");
+    assert!(
+        joiner.tiles_accepted < history as u64 / 4,
+        "{} tiles for {history} packages",
+        joiner.tiles_accepted
+    );
+    assert!(joiner.accepted < history as u64 / 4, "{joiner:#?}");
+    // What was caught up as a state is held by the joiner, so that later packages go on from there.
+    for _ in 0..4 {
+        swarm.publish(1, 100);
+        swarm.run(SECOND / 2);
+    }
+    swarm.run(5 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+}
+
+#[test]
+fn packages_dropped_from_the_store_come_back_as_present_state() {
+    let small =
+        SessionConfig { store_bytes_max: 30_000, present_state_bytes_min: None, ..SessionConfig::default() };
+    let mut swarm = Swarm::of(1, 13, Radio::lossy(0.1), &small);
+    for _ in 0..100 {
+        swarm.publish(1, 500);
+        swarm.run(20 * MS);
+    }
+    assert!(swarm.robots[&1].session.store().bytes() <= 30_000);
+    assert!(swarm.robots[&1].session.store().dropped() > 0);
+    swarm.start(2, 1, small);
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+}
+
+#[test]
+fn a_driver_without_present_states_still_syncs_by_packages() {
+    let config = SessionConfig { present_state_bytes_min: Some(2_000), ..SessionConfig::default() };
+    let mut swarm = Swarm::of(1, 14, Radio::PERFECT, &config);
+    swarm.robots.get_mut(&1).unwrap().no_present_state = true;
+    for _ in 0..50 {
+        swarm.publish(1, 500);
+    }
+    swarm.start(2, 1, config);
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+}
+
+#[test]
+fn a_rebooted_robot_is_a_new_stream_and_takes_back_its_old_ones() {
+    let config = SessionConfig::default();
+    let mut swarm = Swarm::of(3, 15, Radio::lossy(0.2), &config);
+    swarm.run(2 * SECOND);
+    for _ in 0..10 {
+        swarm.publish(1, 300);
+        swarm.publish(2, 300);
+        swarm.run(SECOND / 2);
+    }
+    swarm.run(10 * SECOND);
+    let old = swarm.stream(1);
+    let digest = swarm.robots[&1].layer(old);
+    swarm.stop(1);
+    swarm.run(SECOND);
+    let new = swarm.start(1, 2, config);
+    for _ in 0..10 {
+        swarm.publish(1, 300);
+        swarm.run(SECOND / 2);
+    }
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[old, new, swarm.stream(2)]);
+    assert_eq!(swarm.robots[&1].layer(old), digest);
+}
+
+#[test]
+fn of_many_runs_the_oldest_are_forgotten_and_not_sent_for_ever() {
+    let config = SessionConfig { epochs_max: 2, ..SessionConfig::default() };
+    let mut swarm = Swarm::of(2, 16, Radio::PERFECT, &config);
+    // Robot 3 keeps more runs than the others.
+    swarm.start(3, 1, SessionConfig::default());
+    for epoch in 2..6 {
+        swarm.run(2 * SECOND);
+        swarm.publish(1, 200);
+        swarm.run(2 * SECOND);
+        swarm.start(1, epoch, config.clone());
+    }
+    swarm.publish(1, 200);
+    swarm.run(30 * SECOND);
+    assert!(swarm.robots[&2].session.streams().filter(|s| s.origin.0 == 1).count() <= 2);
+    let before = swarm.robots[&3].session.counters().sent;
+    swarm.run(60 * SECOND);
+    assert_eq!(
+        swarm.robots[&3].session.counters().sent,
+        before,
+        "robot 3 keeps sending runs that nobody wants"
+    );
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+}
+
+#[test]
+fn the_byte_budget_holds_in_every_second() {
+    for (cast, budget) in [(Cast::Unicast, 12_000), (Cast::Broadcast, 6_000)] {
+        let config = SessionConfig {
+            cast,
+            radio_bytes_per_s: Some(budget),
+            present_state_bytes_min: None,
+            ..SessionConfig::default()
+        };
+        let mut swarm = Swarm::of(3, 17, Radio::lossy(0.1), &config);
+        swarm.run(2 * SECOND);
+        for _ in 0..20 {
+            swarm.publish(1, 2_000);
+            swarm.publish(2, 1_000);
+            swarm.run(SECOND / 4);
+        }
+        swarm.run(60 * SECOND);
+        for (id, robot) in &swarm.robots {
+            for (i, &(at, ..)) in robot.sent.iter().enumerate() {
+                let second: usize =
+                    robot.sent[i..].iter().take_while(|s| s.0 < at + SECOND).map(|s| s.1 * s.2).sum();
+                assert!(
+                    second <= budget as usize,
+                    "robot {id} sent {second} B in the second from {at}, {budget} allowed"
+                );
+            }
+            // Counted as it was, but for the first requests, when nobody knew how many there are.
+            let (real, counted) =
+                (robot.bytes_between(0, i64::MAX) as u64, robot.session.counters().out().bytes);
+            assert!(real.abs_diff(counted) < 500, "{real} bytes sent, {counted} counted");
+        }
+        // The budget is used while there is something to send.
+        let busy = swarm.robots[&1].bytes_between(3 * SECOND, 7 * SECOND);
+        assert!(busy > budget as usize * 4 * 8 / 10, "{busy} B of {} used in 4 s", budget * 4);
+        assert!(swarm.robots[&1].session.counters().delayed_by_budget > 0);
+        swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2)]);
+    }
+}
+
+#[test]
+fn behind_a_thin_link_the_newest_cycle_comes_first() {
+    let config = SessionConfig { link_bytes_per_s: Some(5_000), ..SessionConfig::default() };
+    let mut swarm = Swarm::of(2, 18, Radio::PERFECT, &config);
+    swarm.run(2 * SECOND);
+    for _ in 0..20 {
+        swarm.publish(1, 2_000);
+        swarm.run(SECOND / 10);
+    }
+    let last = swarm.publish(1, 100) as u32;
+    swarm.run(SECOND);
+    let stream = swarm.stream(1);
+    let newest = swarm.robots[&1].session.store().newest_known(stream);
+    let held = swarm.robots[&2].session.held(stream).unwrap();
+    assert!(held.contains_range(newest + 1 - last, newest), "{held:?} of {newest}");
+    assert!(held.count() < u64::from(newest) / 2, "{held:?} of {newest}");
+}
+
+#[test]
+fn when_nothing_is_missing_there_are_only_requests_and_few() {
+    let config = SessionConfig::default();
+    let (mut swarm, _) = two_robots(19, Radio::lossy(0.2), &config, 10);
+    swarm.run(20 * SECOND);
+    let packages: u64 = swarm.robots.values().map(|r| r.session.counters().packages_out.datagrams).sum();
+    let from = swarm.now;
+    swarm.run(60 * SECOND);
+    let after: u64 = swarm.robots.values().map(|r| r.session.counters().packages_out.datagrams).sum();
+    assert_eq!(after, packages);
+    for robot in swarm.robots.values() {
+        let sent = robot.sent.iter().filter(|s| s.0 > from).count();
+        assert!((18..=23).contains(&sent), "{sent} requests in a minute, one in 3 s expected");
+        assert!(robot.bytes_between(from, i64::MAX) < 23 * 110);
+    }
+}
+
+#[test]
+fn the_papers_own_behaviour_is_a_setting() {
+    let config = SessionConfig::paper();
+    let mut swarm = Swarm::of(3, 20, Radio::PERFECT, &config);
+    swarm.run(2 * SECOND);
+    let stream = swarm.stream(1);
+    let before = swarm.robots[&1].session.counters().packages_out;
+    swarm.publish(1, 300);
+    // Nothing goes out until somebody asks.
+    assert_eq!(swarm.robots[&1].session.counters().packages_out, before);
+    swarm.run(2 * SECOND);
+    swarm.assert_in_sync(&[stream]);
+
+    // All holders answer, so a robot that was away gets copies.
+    swarm.cut(1, 3);
+    swarm.cut(2, 3);
+    swarm.run(SECOND);
+    for _ in 0..5 {
+        swarm.publish(1, 300);
+        swarm.run(SECOND);
+    }
+    swarm.join(1, 3);
+    swarm.join(2, 3);
+    swarm.run(3 * SECOND);
+    swarm.assert_in_sync(&[stream]);
+    assert!(swarm.robots[&3].session.counters().duplicates > 0);
+
+    // A range of missing indices over the threshold brings the map as it is.
+    let mut late = Swarm::of(2, 21, Radio::lossy(0.2), &config);
+    for _ in 0..150 {
+        late.publish(1, 100);
+    }
+    late.run(20 * SECOND);
+    late.start(3, 1, config);
+    late.run(30 * SECOND);
+    late.assert_in_sync(&[late.stream(1)]);
+    assert!(late.robots[&3].session.counters().caught_up > 0);
+}
+
+#[test]
+fn by_the_papers_comparison_a_package_is_sent_again_only_after_two_requests_without_it() {
+    let config = SessionConfig {
+        request_period_active_ms: 100,
+        request_period_idle_ms: 100,
+        ..SessionConfig::paper()
+    };
+    // The way there and back takes one and a half periods: every answer is still under way at the next request.
+    let radio = Radio { loss: 0.0, duplicate: 0.0, delay: 75 * MS, jitter: 0 };
+    let mut swarm = Swarm::of(2, 22, radio, &config);
+    swarm.run(SECOND);
+    for _ in 0..20 {
+        swarm.publish(1, 200);
+        swarm.run(SECOND / 4);
+    }
+    swarm.run(3 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+    assert_eq!(swarm.robots[&2].session.counters().duplicates, 0);
+}
+
+#[test]
+fn clocks_are_measured_from_the_echoes() {
+    let (swarm, _) = two_robots(23, Radio::lossy(0.1), &SessionConfig::default(), 20);
+    let robot = &swarm.robots[&1];
+    let offset = robot.session.clock_offset(swarm.stream(2)).unwrap();
+    assert!((offset - 1_000 * SECOND).abs() < 10 * MS, "off by {} µs", offset - 1_000 * SECOND);
+    let peer = robot.session.peers().next().unwrap();
+    assert!((20 * MS..60 * MS).contains(&peer.round_trip_micros.unwrap()), "{peer:?}");
+    assert!(peer.hears_us);
+}
+
+#[test]
+fn given_clock_offsets_are_used_in_place_of_measured_ones() {
+    let (mut swarm, _) = two_robots(24, Radio::PERFECT, &SessionConfig::default(), 4);
+    let stream = swarm.stream(2);
+    let session = &mut swarm.robots.get_mut(&1).unwrap().session;
+    session.set_clock_offset(stream.origin, Some(42));
+    assert_eq!(session.clock_offset(stream), Some(42));
+    session.set_clock_offset(stream.origin, None);
+    assert!(session.clock_offset(stream).unwrap() > 900 * SECOND);
+}
+
+#[test]
+fn a_long_silence_is_reported_and_healed() {
+    let config = SessionConfig::default();
+    let (mut swarm, _) = two_robots(25, Radio::lossy(0.1), &config, 4);
+    swarm.cut(1, 2);
+    for _ in 0..60 {
+        swarm.publish(1, 300);
+        swarm.publish(2, 300);
+        swarm.run(SECOND / 2);
+    }
+    assert!(swarm.robots[&1].events.iter().any(|e| e.contains("PeerLost")));
+    assert_eq!(swarm.robots[&1].session.peers().count(), 0);
+    swarm.join(1, 2);
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2)]);
+}
+
+#[test]
+fn two_robots_with_one_id_are_told() {
+    let mut swarm = Swarm::of(2, 26, Radio::PERFECT, &SessionConfig::default());
+    swarm.run(2 * SECOND);
+    let mut twin = Swarm::new(27, Radio::PERFECT);
+    twin.start(1, 9, SessionConfig::default());
+    twin.run(SECOND);
+    let bytes = {
+        let session = &mut twin.robots.get_mut(&1).unwrap().session;
+        let now = session.poll_timeout().unwrap();
+        session.poll_transmit(now).unwrap().bytes
+    };
+    let robot = swarm.robots.get_mut(&1).unwrap();
+    let now = flockmap_grid::Stamp(swarm.now + robot.clock);
+    assert!(robot.session.handle_datagram(now, &bytes).is_err());
+    swarm.drive(1);
+    assert!(swarm.robots[&1].events.iter().any(|e| e == "SameIdentity"));
+}
+
+#[test]
+fn a_store_from_disk_is_put_back() {
+    let config = SessionConfig::default();
+    let (mut swarm, _) = two_robots(28, Radio::PERFECT, &config, 10);
+    let (one, two) = (swarm.stream(1), swarm.stream(2));
+    let old = swarm.robots.remove(&1).unwrap();
+    let layers = old.layers.clone();
+    swarm.run(SECOND);
+    swarm.start(1, 1, config);
+    let robot = swarm.robots.get_mut(&1).unwrap();
+    robot.layers = layers;
+    let now = flockmap_grid::Stamp(swarm.now + robot.clock);
+    for stream in [one, two] {
+        for (_, stored) in old.session.store().range(stream, 1, u32::MAX) {
+            assert!(robot.session.restore(now, &stored.package));
+        }
+    }
+    swarm.run(3 * SECOND);
+    let counters = swarm.robots[&1].session.counters();
+    assert_eq!((counters.received, counters.sent), (0, 0), "everything was there already");
+    swarm.publish(1, 200);
+    swarm.run(3 * SECOND);
+    swarm.assert_in_sync(&[one, two]);
+}
