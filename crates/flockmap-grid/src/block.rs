@@ -93,6 +93,14 @@ impl StateBlock {
         }
     }
 
+    /// The voxels whose state is known here and is not the same in `other`.
+    pub fn minus(&self, other: &Self) -> Self {
+        Self {
+            free: core::array::from_fn(|z| self.free[z] & !other.free[z]),
+            occupied: core::array::from_fn(|z| self.occupied[z] & !other.occupied[z]),
+        }
+    }
+
     /// Takes over every voxel that is known in `newer`; the others stay.
     pub fn overlay(&mut self, newer: &Self) {
         for z in 0..8 {

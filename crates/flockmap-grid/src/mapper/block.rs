@@ -44,9 +44,7 @@ impl MapBlock {
     /// Voxels whose state differs from what was packed last, with the state now. A voxel that has become Unknown
     /// is none of them.
     pub(super) fn changes(&self) -> StateBlock {
-        let free = |z: usize| self.states.free()[z] & !self.packed.free()[z];
-        let occupied = |z: usize| self.states.occupied()[z] & !self.packed.occupied()[z];
-        StateBlock::new(core::array::from_fn(free), core::array::from_fn(occupied))
+        self.states.minus(&self.packed)
     }
 
     pub(super) fn mark_packed(&mut self, changes: &StateBlock) {

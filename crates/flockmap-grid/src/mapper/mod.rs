@@ -44,6 +44,8 @@ pub struct Sphere {
 pub struct ScanReport {
     /// Blocks with touched voxels, and which.
     pub touched: Vec<(BlockIndex, Plane)>,
+    /// Voxels that are Free or Occupied now and were not before this scan.
+    pub changed: Vec<(BlockIndex, StateBlock)>,
     /// Blocks that were forgotten under the byte cap.
     pub forgotten: Vec<BlockIndex>,
     /// Rays that ended with a hit.
@@ -120,6 +122,7 @@ impl Mapper {
             let before = *block.states();
             let touched = block.update(&self.rules, number, &mut counts);
             if *block.states() != before {
+                report.changed.push((counts.index, block.states().minus(&before)));
                 let changed = block.changes().known_count();
                 let known = self.pending_blocks.entry(counts.index).or_insert(0);
                 self.pending = self.pending + changed as usize - *known as usize;
