@@ -1,0 +1,85 @@
+//! What a robot may be told.
+
+use flockmap_codec::Codec;
+use flockmap_grid::{FusionConfig, MapperConfig, Preset, Resolution, RobotId};
+use flockmap_sync::SessionConfig;
+
+/// When a cycle of mapping is closed and sent (the paper's Alg. 1, line 13).
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct CycleConfig {
+    /// A cycle closes when this many voxels have changed: the paper's `d`. At least 1. Default 50,000.
+    pub changes_max: usize,
+    /// A cycle with changes closes after this time: the paper's `t_l`. Milliseconds, at least 1. Default 500.
+    pub t_l_ms: u32,
+    /// Obstacles go out after this time, ahead of free space, which waits for `t_l_ms`. Milliseconds, at least 1.
+    /// Default `None`: both together after `t_l_ms`.
+    pub t_l_occupied_ms: Option<u32>,
+}
+
+impl Default for CycleConfig {
+    fn default() -> Self {
+        Self { changes_max: 50_000, t_l_ms: 500, t_l_occupied_ms: None }
+    }
+}
+
+/// Everything that a [`Robot`](crate::Robot) may be told.
+#[derive(Clone, PartialEq, Debug)]
+pub struct RobotConfig {
+    /// Which robot of the swarm this is. No two may have the same.
+    pub id: RobotId,
+    /// Which run of this robot. Must be higher after each restart: seconds since 1970 will do. Default 1.
+    pub epoch: u32,
+    /// Its mapper.
+    pub mapper: MapperConfig,
+    /// When cycles close.
+    pub cycle: CycleConfig,
+    /// How its packages are coded. Packages of others are read in every codec. Default `paper`.
+    pub codec: Codec,
+    /// How it talks to others, and limits on what they can make it hold.
+    pub session: SessionConfig,
+    /// How the layers become one map.
+    pub fusion: FusionConfig,
+    /// Returns within this distance of a team-mate's position are taken for the team-mate. Metres, 0 or more.
+    /// Default 0.5.
+    pub teammate_radius_m: f64,
+    /// A team-mate's position counts for this long. Milliseconds; default 1,000.
+    pub teammate_timeout_ms: u32,
+    /// Moves requests of different robots apart in time. The id is mixed in, so the same seed for all will do.
+    pub seed: u64,
+}
+
+impl RobotConfig {
+    /// The defaults, with the `rog-map` preset at this resolution and range.
+    pub fn new(id: RobotId, resolution: Resolution, range_m: f64) -> Self {
+        Self {
+            id,
+            epoch: 1,
+            mapper: MapperConfig::preset(Preset::RogMap, resolution, range_m),
+            cycle: CycleConfig::default(),
+            codec: Codec::Paper,
+            session: SessionConfig::default(),
+            fusion: FusionConfig::default(),
+            teammate_radius_m: 0.5,
+            teammate_timeout_ms: 1_000,
+            seed: 0,
+        }
+    }
+}
+
+/// A configuration that cannot work.
+#[derive(Clone, PartialEq, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RobotError {
+    /// The mapper's part.
+    #[error(transparent)]
+    Mapper(#[from] flockmap_grid::ConfigError),
+    /// The session's part.
+    #[error(transparent)]
+    Session(#[from] flockmap_sync::ConfigError),
+    /// The cycle's part.
+    #[error("{option} is 0, expected at least 1")]
+    Cycle {
+        /// Name of the option.
+        option: &'static str,
+    },
+}

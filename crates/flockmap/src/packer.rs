@@ -1,0 +1,175 @@
+//! When a cycle of mapping ends, and what it holds (the paper's Alg. 1).
+
+use flockmap_codec::Cycle;
+use flockmap_grid::{Changes, Mapper, Resolution, Stamp, Stream, Which};
+
+use crate::CycleConfig;
+
+/// Closes cycles: takes the net changes from the mapper when enough have come up or enough time has passed.
+#[derive(Clone, Debug)]
+pub struct Packer {
+    config: CycleConfig,
+    stream: Stream,
+    resolution: Resolution,
+    /// When the last cycle of obstacles and of free space was closed, on the robot's clock.
+    closed_occupied: Stamp,
+    closed_free: Stamp,
+    /// Stamp of the newest scan.
+    newest_scan: Stamp,
+    /// End of the last cycle; ends strictly increase.
+    last_end: Option<Stamp>,
+    /// Ends of the last cycles that held obstacles and free space: where the next ones begin.
+    occupied_from: Option<Stamp>,
+    free_from: Option<Stamp>,
+}
+
+impl Packer {
+    /// The first cycle begins now.
+    pub const fn new(config: CycleConfig, stream: Stream, resolution: Resolution, now: Stamp) -> Self {
+        Self {
+            config,
+            stream,
+            resolution,
+            closed_occupied: now,
+            closed_free: now,
+            newest_scan: now,
+            last_end: None,
+            occupied_from: None,
+            free_from: None,
+        }
+    }
+
+    /// Notes a scan that the mapper has taken in: it is the time of what has changed.
+    pub fn note_scan(&mut self, stamp: Stamp) {
+        if self.newest_scan < stamp || self.last_end.is_none() {
+            self.newest_scan = stamp;
+        }
+        self.occupied_from.get_or_insert(stamp);
+        self.free_from.get_or_insert(stamp);
+    }
+
+    /// When the next cycle is due if nothing more changes; `None` if nothing has changed.
+    pub fn deadline(&self, mapper: &Mapper) -> Option<Stamp> {
+        if mapper.pending() == 0 {
+            return None;
+        }
+        if mapper.pending() >= self.config.changes_max {
+            return Some(Stamp(i64::MIN));
+        }
+        let free = self.closed_free.plus_micros(1_000 * i64::from(self.config.t_l_ms));
+        Some(match self.config.t_l_occupied_ms {
+            None => free,
+            Some(ms) => free.min(self.closed_occupied.plus_micros(1_000 * i64::from(ms))),
+        })
+    }
+
+    /// Closes the cycle that is due, if one is: with everything that has changed, or just the obstacles if only their
+    /// time has come. Call it again until `None`.
+    pub fn close_due(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+        if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
+            return None;
+        }
+        let free_due = now >= self.closed_free.plus_micros(1_000 * i64::from(self.config.t_l_ms));
+        if free_due || mapper.pending() >= self.config.changes_max || self.config.t_l_occupied_ms.is_none() {
+            return self.close(now, mapper);
+        }
+        self.closed_occupied = now;
+        let changes = mapper.take_changes(Which::Occupied);
+        if changes.is_empty() {
+            return None;
+        }
+        let (start, end) = (self.occupied_from, self.end());
+        self.occupied_from = Some(end);
+        Some((self.cycle(start, end), changes))
+    }
+
+    /// Closes the cycle now, with everything that has changed. `None` if nothing has.
+    pub fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+        self.closed_occupied = now;
+        self.closed_free = now;
+        let changes = mapper.take_changes(Which::All);
+        if changes.is_empty() {
+            return None;
+        }
+        let (start, end) = (self.free_from, self.end());
+        self.occupied_from = Some(end);
+        self.free_from = Some(end);
+        Some((self.cycle(start, end), changes))
+    }
+
+    /// The newest scan's stamp, or just after the last cycle's end if no newer scan came.
+    fn end(&mut self) -> Stamp {
+        let end = match self.last_end {
+            Some(last) => self.newest_scan.max(last.plus_micros(1)),
+            None => self.newest_scan,
+        };
+        self.last_end = Some(end);
+        end
+    }
+
+    fn cycle(&self, start: Option<Stamp>, end: Stamp) -> Cycle {
+        let start = start.unwrap_or(end).min(end);
+        Cycle { stream: self.stream, start, end, resolution: self.resolution }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_grid::{MapperConfig, Pose, Preset, RobotId, Scan, State};
+
+    const MS: i64 = 1_000;
+
+    fn setup(config: CycleConfig) -> (Packer, Mapper) {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let stream = Stream { origin: RobotId(1), epoch: 1 };
+        let mapper = Mapper::new(MapperConfig::preset(Preset::RogMap, resolution, 7.0)).unwrap();
+        (Packer::new(config, stream, resolution, Stamp(0)), mapper)
+    }
+
+    fn scan(packer: &mut Packer, mapper: &mut Mapper, ms: i64, point: [f32; 3]) {
+        let scan = Scan { stamp: Stamp(ms * MS), points: vec![point], no_returns: Vec::new() };
+        mapper.insert(&scan, &Pose::IDENTITY, &[]);
+        packer.note_scan(scan.stamp);
+    }
+
+    #[test]
+    fn a_cycle_closes_after_t_l_and_only_if_something_changed() {
+        let (mut packer, mut mapper) = setup(CycleConfig::default());
+        assert!(packer.deadline(&mapper).is_none());
+        scan(&mut packer, &mut mapper, 100, [2.0, 0.0, 0.0]);
+        assert_eq!(packer.deadline(&mapper), Some(Stamp(500 * MS)));
+        assert!(packer.close_due(Stamp(499 * MS), &mut mapper).is_none());
+        let (cycle, changes) = packer.close_due(Stamp(500 * MS), &mut mapper).unwrap();
+        assert_eq!((cycle.start, cycle.end), (Stamp(100 * MS), Stamp(100 * MS)));
+        assert_eq!(changes.len(), 21);
+        assert!(packer.close_due(Stamp(2_000 * MS), &mut mapper).is_none());
+        // After a quiet time the next change goes out at once, as in Alg. 1.
+        scan(&mut packer, &mut mapper, 2_000, [0.0, 2.0, 0.0]);
+        let (cycle, _) = packer.close_due(Stamp(2_000 * MS), &mut mapper).unwrap();
+        assert_eq!((cycle.start, cycle.end), (Stamp(100 * MS), Stamp(2_000 * MS)));
+    }
+
+    #[test]
+    fn a_cycle_closes_early_with_d_changes() {
+        let (mut packer, mut mapper) = setup(CycleConfig { changes_max: 15, ..CycleConfig::default() });
+        scan(&mut packer, &mut mapper, 10, [1.0, 0.0, 0.0]);
+        assert!(packer.close_due(Stamp(10 * MS), &mut mapper).is_none());
+        scan(&mut packer, &mut mapper, 20, [0.0, 1.0, 0.0]);
+        assert_eq!(packer.close_due(Stamp(20 * MS), &mut mapper).unwrap().1.len(), 21);
+    }
+
+    #[test]
+    fn obstacles_go_ahead_of_free_space() {
+        let (mut packer, mut mapper) =
+            setup(CycleConfig { t_l_ms: 2_000, t_l_occupied_ms: Some(100), ..CycleConfig::default() });
+        scan(&mut packer, &mut mapper, 100, [2.0, 0.0, 0.0]);
+        let (first, changes) = packer.close_due(Stamp(100 * MS), &mut mapper).unwrap();
+        assert!(changes.voxels().all(|(_, state)| state == State::Occupied));
+        assert_eq!(changes.len(), 1);
+        assert!(packer.close_due(Stamp(1_900 * MS), &mut mapper).is_none());
+        let (second, changes) = packer.close_due(Stamp(2_000 * MS), &mut mapper).unwrap();
+        assert_eq!(changes.len(), 20);
+        assert!(second.end > first.end, "a voxel's newest word must be told apart by its stamp");
+    }
+}
