@@ -93,7 +93,7 @@ pub struct SessionConfig {
 
     // How much to send.
     /// Bytes that go out in any second over all links, datagrams sent to each peer counted each. At least
-    /// 2,000. Default 2,000,000: unlimited sending overruns the socket buffers of receivers. `None`: no limit.
+    /// 2,000; it only holds if a request to every peer (some 100 bytes each) fits into it. Default 2,000,000: unlimited sending overruns the socket buffers of receivers. `None`: no limit.
     pub radio_bytes_per_s: Option<u32>,
     /// Bytes that go out to one peer in any second (unicast). At least 2,000. Default `None`: no limit.
     pub link_bytes_per_s: Option<u32>,

@@ -75,6 +75,12 @@ impl IntervalSet {
         Ok(true)
     }
 
+    /// Whether [`insert`](Self::insert) of this index would not be refused. O(log n).
+    pub fn has_room_for(&self, index: u32) -> bool {
+        let (low, high) = (index.saturating_sub(1), index.saturating_add(1));
+        self.intervals.len() < self.intervals_max || self.missing(low, high).ne([(low, high)])
+    }
+
     /// Whether the index is in the set. O(log n).
     pub fn contains(&self, index: u32) -> bool {
         self.contains_range(index, index)
@@ -261,6 +267,7 @@ mod tests {
             let mut set = IntervalSet::new(intervals_max);
             for (low, high) in ranges {
                 let before = set.clone();
+                prop_assert_eq!(set.has_room_for(low), set.clone().insert(low).is_ok());
                 if set.insert_range(low, high).is_err() {
                     prop_assert_eq!(&set, &before);
                 }
@@ -271,7 +278,7 @@ mod tests {
         #[test]
         fn keeps_the_newest(ranges in ranges(), count in 0..6usize) {
             let (set, model) = both(&ranges);
-            let mut cut = set.clone();
+            let mut cut = set;
             let from = cut.keep_newest(count);
             prop_assert!(cut.intervals().len() <= count);
             prop_assert_eq!(members(&cut), model.into_iter().filter(|&i| i >= from || from == 1).collect());

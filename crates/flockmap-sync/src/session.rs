@@ -277,7 +277,9 @@ impl Session {
         if let Some(peer) = self.peers.get_mut(&id) {
             peer.last_heard = now;
             peer.traffic_in.add(1, bytes + overhead);
-            if header.stamp > peer.newest_stamp {
+            if header.stamp > peer.newest_stamp
+                || now.micros_since(peer.newest_stamp_at) > answer::REORDERED_MAX
+            {
                 peer.newest_stamp = header.stamp;
                 peer.newest_stamp_at = now;
             }

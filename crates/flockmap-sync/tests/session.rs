@@ -58,6 +58,45 @@ fn under_loss_reordering_and_duplication_all_arrives_with_few_bytes() {
 }
 
 #[test]
+fn a_torn_backlog_is_repaired_in_a_bounded_number_of_sends() {
+    let config = SessionConfig { present_state_bytes_min: None, ..SessionConfig::default() };
+    let mut swarm = Swarm::of(2, 29, Radio::lossy(0.5), &config);
+    swarm.run(5 * SECOND);
+    let mut published = 0;
+    for _ in 0..800 {
+        published += swarm.publish(1, 5_000) as u64;
+    }
+    assert!(published > 1_500, "{published}");
+    swarm.run(60 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+    let sent = swarm.robots[&1].session.counters().sent;
+    assert!(sent < published * 3, "{sent} sent for {published}");
+}
+
+#[test]
+fn a_clock_that_was_set_back_mutes_a_robot_only_for_seconds() {
+    let (mut swarm, _) = two_robots(30, Radio::PERFECT, &SessionConfig::default(), 4);
+    let bytes = {
+        let robot = swarm.robots.get_mut(&2).unwrap();
+        let ahead = flockmap_grid::Stamp(swarm.now + robot.clock + 1_000 * SECOND);
+        // What robot 2 would send if its clock were ahead; the session itself stays as it is.
+        let header = flockmap_sync::wire::DatagramHeader {
+            kind: flockmap_sync::wire::Kind::Request,
+            swarm: 0,
+            sender: robot.session.own(),
+            stamp: ahead,
+        };
+        flockmap_sync::wire::Request::default().emit(header, 1_200)
+    };
+    let robot = swarm.robots.get_mut(&1).unwrap();
+    robot.session.handle_datagram(flockmap_grid::Stamp(swarm.now + robot.clock), &bytes).unwrap();
+    swarm.publish(1, 100);
+    swarm.publish(2, 100);
+    swarm.run(10 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2)]);
+}
+
+#[test]
 fn the_middle_robot_of_a_line_forwards_at_once() {
     let mut swarm = Swarm::new(7, Radio::PERFECT);
     swarm.cut(1, 3);

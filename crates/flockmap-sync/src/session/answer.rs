@@ -6,11 +6,17 @@ use crate::wire::{DatagramHeader, Request};
 use crate::{InFlight, IntervalSet, Relay};
 use flockmap_grid::{Stamp, Stream};
 
+/// A stamp below an earlier one means that the datagram was overtaken on the way, unless the earlier one is older
+/// than this: then the peer's clock was set back.
+pub(super) const REORDERED_MAX: i64 = 5_000_000;
+
 impl Session {
     pub(super) fn handle_request(&mut self, now: Stamp, header: &DatagramHeader, request: &Request) {
         let id = header.sender.origin;
         let Some(mut peer) = self.peers.remove(&id) else { return };
-        if peer.request.is_some_and(|(newest, _)| header.stamp <= newest) {
+        let overtaken =
+            |(newest, at): (Stamp, Stamp)| header.stamp <= newest && now.micros_since(at) < REORDERED_MAX;
+        if peer.request.is_some_and(overtaken) {
             self.counters.stale_requests += 1;
         } else {
             peer.request = Some((header.stamp, now));

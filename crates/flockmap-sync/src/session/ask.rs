@@ -109,6 +109,7 @@ impl Session {
     }
 
     pub(super) fn transmit_request(&mut self, now: Stamp) -> Option<Transmit> {
+        self.finish_transfers(now);
         let for_gap = self.schedule.gap.is_some_and(|at| at <= now);
         let periodic = self.schedule.periodic <= now || self.schedule.greeting.is_some_and(|at| at <= now);
         let to = if for_gap && !periodic { self.whom_to_ask(now) } else { Destination::Everyone };

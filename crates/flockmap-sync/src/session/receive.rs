@@ -78,7 +78,7 @@ impl Session {
                 // A newer set of the same robot takes the place of the older one.
                 self.incoming.retain(|incoming| incoming.stream != stream || incoming.source != from);
                 if self.incoming.len() >= self.config.transfers_max {
-                    self.incoming.retain(|incoming| !incoming.is_abandoned(now));
+                    self.finish_transfers(now);
                 }
                 if self.incoming.len() >= self.config.transfers_max {
                     self.counters.too_many_transfers += 1;
@@ -143,30 +143,39 @@ impl Session {
     fn accept_tile(&mut self, now: Stamp, from: RobotId, stream: Stream, set: u32, tile: u32) {
         let found = self.incoming.iter().position(|i| i.source == from && i.stream == stream && i.set == set);
         let Some(at) = found else { return };
-        let incoming = &mut self.incoming[at];
-        match incoming.accepted.insert(tile + 1) {
+        match self.incoming[at].accepted.insert(tile + 1) {
             Ok(is_new) => self.counters.tiles_accepted += u64::from(is_new),
             Err(_) => {
                 self.counters.too_fragmented += 1;
                 return;
             }
         }
-        if !incoming.accepted.contains_range(1, incoming.tiles) {
-            return;
-        }
-        let upto = incoming.upto;
-        // Melts the intervals from 1 to `upto` into one, so there is room unless 1 is new and all is torn.
-        match self.store.hold(stream, 1, upto) {
-            Ok(_) => {
-                self.incoming.retain(|incoming| incoming.stream != stream || incoming.upto > upto);
-                self.counters.caught_up += 1;
-                self.push_event(Event::CaughtUp { stream, upto });
-                self.mark_queues_stale();
-                // The sender should learn at once that it can stop, and what came after.
-                self.greet(now);
+        self.finish_transfers(now);
+    }
+
+    /// Counts as held what completely received present states contain; lets go of transfers that are done,
+    /// overtaken or abandoned.
+    pub(super) fn finish_transfers(&mut self, now: Stamp) {
+        let complete = |i: &&Incoming| i.accepted.contains_range(1, i.tiles);
+        let complete: Vec<_> = self.incoming.iter().filter(complete).map(|i| (i.stream, i.upto)).collect();
+        for (stream, upto) in complete {
+            match self.store.hold(stream, 1, upto) {
+                Ok(_) => {
+                    self.counters.caught_up += 1;
+                    self.push_event(Event::CaughtUp { stream, upto });
+                    self.mark_queues_stale();
+                    // The sender should learn soon that it can stop, and what came after.
+                    self.greet(now);
+                }
+                // Stays complete, and counts once some gaps above it are filled.
+                Err(_) => self.counters.too_fragmented += 1,
             }
-            Err(_) => self.counters.too_fragmented += 1,
         }
+        let store = &self.store;
+        self.incoming.retain(|incoming| {
+            let held = store.held(incoming.stream).is_some_and(|held| held.contains_range(1, incoming.upto));
+            !held && !incoming.is_abandoned(now)
+        });
     }
 
     /// The package of an [`Event::Received`] does not decode: it is dropped and asked for again after 10 s.

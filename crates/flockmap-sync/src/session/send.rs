@@ -27,8 +27,8 @@ enum Attempt {
 }
 
 impl View {
-    /// Notes that an item need not be sent now; whether that was news. A view that is too fragmented to note it
-    /// says no: then it is not sent either, until the next request.
+    /// Notes that an item need not be sent now; whether that was news. A view that is too torn to note it says no.
+    /// Such an item is not sent either: it would be sent again and again.
     pub(super) fn cover(&mut self, item: Item) -> bool {
         match item {
             Item::Package { index, .. } => self.covered.insert(index).unwrap_or(false),
@@ -53,15 +53,18 @@ impl Peer {
         covered
     }
 
-    /// Whether an item is still missing and not on its way.
+    /// Whether an item is still missing and not on its way, and can be noted as being on its way.
     fn lacks(&self, item: Item) -> bool {
-        let view = self.views.get(&item.stream());
-        match item {
-            Item::Package { index, .. } => view.is_some_and(|view| !view.covered.contains(index)),
-            Item::Tile { set, tile, .. } => view
-                .and_then(|view| view.sending.as_ref())
-                .is_some_and(|sending| sending.set == set && !sending.covered.contains(tile + 1)),
-        }
+        let (covered, number) = match (self.views.get(&item.stream()), item) {
+            (Some(view), Item::Package { index, .. }) => (&view.covered, index),
+            (Some(View { sending: Some(sending), .. }), Item::Tile { set, tile, .. })
+                if sending.set == set =>
+            {
+                (&sending.covered, tile + 1)
+            }
+            _ => return false,
+        };
+        !covered.contains(number) && covered.has_room_for(number)
     }
 }
 
