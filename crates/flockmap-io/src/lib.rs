@@ -1,1 +1,38 @@
-//! flockmap-io
+//! What Flockmap reads and writes of other people's formats: records of robots (MCAP, folders of scans), point clouds
+//! (PCD, PLY, LAS, LAZ), OctoMaps, and exports of a map.
+//!
+//! A damaged or foreign file is an error that names the file, the place in it, what was expected and what was found
+//! ([`ReadError`]). No file makes a reader panic or hold more than the limit that its documentation states.
+//!
+//! | what | read | written |
+//! |---|---|---|
+//! | record | [`open_record`]: `.mcap` with ROS 2 PointCloud2 + Odometry or tf; folder with `Scans/*.pcd`, poses, `times.txt` | [`RecordWriter`]: `.mcap` |
+//! | point cloud | [`read_cloud`]: `.pcd`, `.ply`, `.las`, `.laz` | [`write_cloud`]: `.pcd`, `.ply` |
+//! | occupancy map | [`OctoMap::read`]: `.bt` | [`export_map`]: `.ply`, `.pcd`, `.bt` |
+#![forbid(unsafe_code)]
+
+mod bytes;
+mod cdr;
+mod cloud;
+mod describe;
+mod error;
+mod export;
+mod las;
+mod mcap_file;
+mod octomap;
+mod pcd;
+mod ply;
+mod record;
+mod record_folder;
+mod record_mcap;
+mod record_writer;
+mod ros;
+mod track;
+
+pub use cloud::{CLOUD_BYTES_MAX, CLOUD_POINTS_MAX, PointCloud, read_cloud};
+pub use describe::{Content, Description, Topic, describe};
+pub use error::{Place, Problem, ReadError, WriteError};
+pub use export::{ExportOptions, export_map, write_cloud};
+pub use octomap::{Cube, OCTOMAP_BYTES_MAX, OctoMap};
+pub use record::{Frame, Frames, Record, RecordOptions, RecordSummary, open_record};
+pub use record_writer::RecordWriter;

@@ -1,0 +1,212 @@
+//! What went wrong with a file, where in it, and what was expected there.
+
+use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A file that cannot be read, or not to its end: which file, the place in it, and what was expected and found.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+#[error("{}: {place}{problem}", path.display())]
+pub struct ReadError {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// Where in the file.
+    pub place: Place,
+    /// What is wrong there.
+    pub problem: Problem,
+}
+
+/// A place in a file.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub enum Place {
+    /// The file as a whole.
+    #[default]
+    Whole,
+    /// Offset from the start of the file.
+    Byte(u64),
+    /// Line of a text file or text header, counted from 1.
+    Line(u64),
+    /// Message of a record.
+    Message {
+        /// Topic of the message.
+        topic: Box<str>,
+        /// Number of the message on its topic, counted from 1.
+        number: u64,
+        /// Offset from the start of the message, if one byte of it is meant.
+        byte: Option<u64>,
+    },
+}
+
+/// What is wrong with a file.
+#[derive(Clone, PartialEq, Eq, Debug)]
+#[non_exhaustive]
+pub enum Problem {
+    /// The operating system could not deliver the file.
+    Io {
+        /// Its kind of error.
+        kind: io::ErrorKind,
+        /// Its words.
+        message: String,
+    },
+    /// The file breaks the rules of its own format.
+    Damaged {
+        /// What the format asks for.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
+    /// The file ends before it is complete.
+    Truncated {
+        /// What should have followed.
+        expected: String,
+        /// What is left.
+        found: String,
+    },
+    /// The file may be in order, but it is not one that can be used here.
+    Foreign {
+        /// What can be used.
+        expected: String,
+        /// What the file has.
+        found: String,
+    },
+    /// The file asks for more than the limit. Raise the limit in the options where there is one.
+    TooLarge {
+        /// What is too large.
+        what: &'static str,
+        /// Its size.
+        found: u64,
+        /// The limit.
+        limit: u64,
+    },
+}
+
+/// A file that could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteError {
+    /// The operating system refused.
+    #[error("{}: cannot write: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        source: io::Error,
+    },
+    /// The writer of MCAP files refused.
+    #[error("{}: cannot write MCAP: {source}", path.display())]
+    Mcap {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        source: mcap::McapError,
+    },
+    /// The format cannot hold what it was given.
+    #[error("{}: {what} cannot be written: {why}", path.display())]
+    Unfit {
+        /// The file.
+        path: PathBuf,
+        /// What does not fit.
+        what: String,
+        /// Why, and what would fit.
+        why: String,
+    },
+}
+
+impl WriteError {
+    pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
+        move |source| Self::Io { path: path.to_owned(), source }
+    }
+}
+
+/// A [`ReadError`] before it is known in which file: parsers work on bytes.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(crate) struct Fault {
+    pub(crate) place: Place,
+    pub(crate) problem: Problem,
+}
+
+impl Fault {
+    pub(crate) fn damaged(place: Place, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { place, problem: Problem::Damaged { expected: expected.into(), found: found.into() } }
+    }
+
+    pub(crate) fn truncated(place: Place, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { place, problem: Problem::Truncated { expected: expected.into(), found: found.into() } }
+    }
+
+    pub(crate) fn foreign(place: Place, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { place, problem: Problem::Foreign { expected: expected.into(), found: found.into() } }
+    }
+
+    pub(crate) fn too_large(place: Place, what: &'static str, found: u64, limit: u64) -> Self {
+        Self { place, problem: Problem::TooLarge { what, found, limit } }
+    }
+
+    pub(crate) fn io(error: &io::Error) -> Self {
+        Self { place: Place::Whole, problem: Problem::Io { kind: error.kind(), message: error.to_string() } }
+    }
+
+    pub(crate) fn in_file(self, path: &Path) -> ReadError {
+        ReadError { path: path.to_owned(), place: self.place, problem: self.problem }
+    }
+
+    /// The same fault with a byte of a message told as such.
+    pub(crate) fn in_message(self, topic: &str, number: u64) -> Self {
+        let byte = match self.place {
+            Place::Byte(byte) => Some(byte),
+            _ => None,
+        };
+        Self { place: Place::Message { topic: topic.into(), number, byte }, problem: self.problem }
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Whole => Ok(()),
+            Self::Byte(byte) => write!(f, "byte {byte}: "),
+            Self::Line(line) => write!(f, "line {line}: "),
+            Self::Message { topic, number, byte: None } => write!(f, "message {number} of {topic}: "),
+            Self::Message { topic, number, byte: Some(byte) } => {
+                write!(f, "message {number} of {topic}, byte {byte}: ")
+            }
+        }
+    }
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io { message, .. } => write!(f, "cannot read: {message}"),
+            Self::Damaged { expected, found } => write!(f, "damaged: expected {expected}, found {found}"),
+            Self::Truncated { expected, found } => {
+                write!(f, "ends too early: expected {expected}, found {found}")
+            }
+            Self::Foreign { expected, found } => {
+                write!(f, "cannot be used: expected {expected}, found {found}")
+            }
+            Self::TooLarge { what, found, limit } => write!(f, "{what} is {found}, the limit is {limit}"),
+        }
+    }
+}
+
+/// Text out of a file, made fit for an error message: one line, at most 60 characters.
+pub(crate) fn excerpt(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(bytes.get(..200).unwrap_or(bytes)).trim().to_owned();
+    let mut short: String =
+        text.chars().map(|c| if c.is_control() { '\u{b7}' } else { c }).take(60).collect();
+    if short.len() < text.len() {
+        short.push('…');
+    }
+    format!("\"{short}\"")
+}
+
+/// Reads a whole file of at most `bytes_max` bytes.
+pub(crate) fn read_whole(path: &Path, bytes_max: u64) -> Result<Vec<u8>, ReadError> {
+    let io = |error: io::Error| Fault::io(&error).in_file(path);
+    let length = std::fs::metadata(path).map_err(io)?.len();
+    if length > bytes_max {
+        return Err(Fault::too_large(Place::Whole, "the file in bytes", length, bytes_max).in_file(path));
+    }
+    std::fs::read(path).map_err(io)
+}

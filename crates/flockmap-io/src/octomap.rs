@@ -1,0 +1,482 @@
+//! OctoMap's binary trees, `.bt`: each voxel free, occupied or unknown, two bits a child.
+//!
+//! The form (OctoMap's `OcTree::readBinaryData` and `AbstractOcTree::readHeader`): a text header, then the nodes depth
+//! first. A node is two bytes with two bits for each of its eight children in the order x fastest, z slowest:
+//! `00` unknown, `01` free, `10` occupied, `11` a node with children of its own, which follow in the same order.
+//! The root spans 2¹⁶ voxels a side; the voxel with OctoMap's key 32768 has index 0.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use flockmap_grid::{Resolution, State, Voxel};
+
+use crate::bytes::Bytes;
+use crate::error::{Fault, Place, ReadError, WriteError, excerpt, read_whole};
+
+/// Largest `.bt` file that is read.
+pub const OCTOMAP_BYTES_MAX: u64 = 1 << 30;
+
+/// Levels below the root: the root is at depth 0, single voxels are at depth 16.
+const DEPTH: u32 = 16;
+/// Indices run from −32,768 to 32,767 on each axis.
+const HALF: i32 = 1 << (DEPTH - 1);
+const FIRST_LINE: &str = "# Octomap OcTree binary file";
+/// Longest header: the lines before `data`.
+const HEADER_BYTES_MAX: usize = 64 * 1024;
+
+/// A cube of voxels that all have one state: a leaf of the tree.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Cube {
+    /// The voxel at the lowest corner.
+    pub corner: Voxel,
+    /// Voxels along each side: a power of two, 1 … 32,768.
+    pub side: u32,
+    /// Free or Occupied.
+    pub state: State,
+}
+
+impl Cube {
+    /// The voxels of the cube, x slowest and z fastest.
+    pub fn voxels(&self) -> impl Iterator<Item = Voxel> + use<> {
+        let (corner, side) = (self.corner, self.side as i32);
+        (0..side).flat_map(move |x| {
+            (0..side).flat_map(move |y| {
+                (0..side).map(move |z| Voxel::new(corner.x + x, corner.y + y, corner.z + z))
+            })
+        })
+    }
+
+    /// Number of voxels.
+    pub const fn volume(&self) -> u64 {
+        (self.side as u64).pow(3)
+    }
+}
+
+/// An OctoMap as read from a `.bt` file. Held as its leaves, 20 bytes each; large leaves are not taken apart.
+#[derive(Clone, PartialEq, Debug)]
+pub struct OctoMap {
+    resolution: Resolution,
+    cubes: Vec<Cube>,
+    nodes: u64,
+}
+
+impl OctoMap {
+    /// Reads a `.bt` file of at most [`OCTOMAP_BYTES_MAX`] bytes. Memory: the file and at most 80 bytes for each of
+    /// its bytes.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, ReadError> {
+        let path = path.as_ref();
+        Self::parse(&read_whole(path, OCTOMAP_BYTES_MAX)?).map_err(|fault| fault.in_file(path))
+    }
+
+    pub(crate) fn parse(bytes: &[u8]) -> Result<Self, Fault> {
+        let (header, data_at) = Header::parse(bytes)?;
+        let mut data = Bytes::new(bytes.get(data_at..).unwrap_or_default(), data_at as u64);
+        let mut cubes = Vec::new();
+        let mut nodes = 0;
+        if header.size > 0 {
+            nodes = 1;
+            read_node(&mut data, Voxel::new(-HALF, -HALF, -HALF), 0, &mut cubes, &mut nodes)?;
+        }
+        if nodes != header.size {
+            return Err(Fault::damaged(
+                data.place(),
+                format!("{} nodes, as the header says", header.size),
+                format!("{nodes} nodes"),
+            ));
+        }
+        Ok(Self { resolution: header.resolution, cubes, nodes })
+    }
+
+    /// Side of a voxel.
+    pub const fn resolution(&self) -> Resolution {
+        self.resolution
+    }
+
+    /// Nodes of the tree, inner ones included, as its header says.
+    pub const fn nodes(&self) -> u64 {
+        self.nodes
+    }
+
+    /// The leaves, depth first.
+    pub fn cubes(&self) -> &[Cube] {
+        &self.cubes
+    }
+
+    /// Every known voxel with its state. A large free leaf may be billions of voxels: look at [`Self::voxel_count`] first.
+    pub fn voxels(&self) -> impl Iterator<Item = (Voxel, State)> + '_ {
+        self.cubes.iter().flat_map(|cube| cube.voxels().map(|voxel| (voxel, cube.state)))
+    }
+
+    /// Number of known voxels with this state.
+    pub fn voxel_count(&self, state: State) -> u64 {
+        self.cubes.iter().filter(|cube| cube.state == state).map(Cube::volume).sum()
+    }
+
+    /// Corners of the smallest box that holds all known voxels, in metres. `None` if there is none.
+    pub fn bounds(&self) -> Option<[[f64; 3]; 2]> {
+        let side = self.resolution.metres();
+        let corners = |cube: &Cube| {
+            let low = [cube.corner.x, cube.corner.y, cube.corner.z].map(|v| f64::from(v) * side);
+            [low, low.map(|v| v + f64::from(cube.side) * side)]
+        };
+        self.cubes.iter().map(corners).reduce(|a, b| {
+            [
+                core::array::from_fn(|axis| a[0][axis].min(b[0][axis])),
+                core::array::from_fn(|axis| a[1][axis].max(b[1][axis])),
+            ]
+        })
+    }
+}
+
+struct Header {
+    size: u64,
+    resolution: Resolution,
+}
+
+impl Header {
+    /// The header and where the data begins.
+    fn parse(bytes: &[u8]) -> Result<(Self, usize), Fault> {
+        let (mut id, mut size, mut resolution) = (None, None, None);
+        let mut at = 0;
+        for number in 1.. {
+            let rest = bytes.get(at..).unwrap_or_default();
+            let window = rest.get(..HEADER_BYTES_MAX.saturating_sub(at)).unwrap_or(rest);
+            let Some(end) = window.iter().position(|&b| b == b'\n') else {
+                if number == 1 && !bytes.starts_with(FIRST_LINE.as_bytes()) {
+                    return Err(not_octomap(bytes));
+                }
+                return Err(Fault::truncated(
+                    Place::Line(number),
+                    "the header up to the line \"data\"",
+                    excerpt(window),
+                ));
+            };
+            let line = String::from_utf8_lossy(rest.get(..end).unwrap_or_default()).into_owned();
+            at += end + 1;
+            if number == 1 {
+                if !line.starts_with(FIRST_LINE) {
+                    return Err(not_octomap(bytes));
+                }
+                continue;
+            }
+            let mut words = line.split_ascii_whitespace();
+            let place = Place::Line(number);
+            match (words.next(), words.next()) {
+                (None, _) => {}
+                (Some(word), _) if word.starts_with('#') => {}
+                (Some("data"), None) => break,
+                (Some("id"), Some(word)) => {
+                    if word != "OcTree" {
+                        return Err(Fault::foreign(place, "a tree of type OcTree", excerpt(word.as_bytes())));
+                    }
+                    id = Some(());
+                }
+                (Some("size"), Some(word)) => {
+                    size =
+                        Some(word.parse::<u64>().map_err(|_| {
+                            Fault::damaged(place, "a number of nodes", excerpt(word.as_bytes()))
+                        })?);
+                }
+                (Some("res"), Some(word)) => {
+                    let metres = word.parse::<f64>().ok().and_then(Resolution::from_metres);
+                    resolution = Some(metres.ok_or_else(|| {
+                        Fault::damaged(place, "a resolution of 0.001 to 100 m", excerpt(word.as_bytes()))
+                    })?);
+                }
+                _ => {
+                    return Err(Fault::damaged(
+                        place,
+                        "a line \"id …\", \"size …\", \"res …\", \"data\" or a comment",
+                        excerpt(line.as_bytes()),
+                    ));
+                }
+            }
+        }
+        let missing = |what: &str| {
+            Fault::damaged(Place::Byte(at as u64), format!("a line \"{what} …\" before the data"), "none")
+        };
+        id.ok_or_else(|| missing("id"))?;
+        let size = size.ok_or_else(|| missing("size"))?;
+        let resolution = resolution.ok_or_else(|| missing("res"))?;
+        if size == 1 {
+            return Err(Fault::foreign(
+                Place::Byte(at as u64),
+                "a tree with leaves below its root",
+                "a single node, whose state the binary form does not tell",
+            ));
+        }
+        Ok((Self { size, resolution }, at))
+    }
+}
+
+fn not_octomap(bytes: &[u8]) -> Fault {
+    let line = bytes.split(|&b| b == b'\n').next().unwrap_or_default();
+    Fault::foreign(Place::Line(1), format!("\"{FIRST_LINE}\""), excerpt(line))
+}
+
+/// Reads the node at `depth` whose lowest voxel is `corner`, and all below it. At most 16 calls deep.
+fn read_node(
+    data: &mut Bytes<'_>,
+    corner: Voxel,
+    depth: u32,
+    cubes: &mut Vec<Cube>,
+    nodes: &mut u64,
+) -> Result<(), Fault> {
+    let place = data.place();
+    let children = data.u16("children of a node")?;
+    let side = 1i32 << (DEPTH - depth - 1);
+    for child in 0..8 {
+        let corner = Voxel::new(
+            corner.x + side * (child & 1),
+            corner.y + side * (child >> 1 & 1),
+            corner.z + side * (child >> 2 & 1),
+        );
+        match children >> (2 * child) & 3 {
+            0 => continue,
+            3 if depth + 1 == DEPTH => {
+                return Err(Fault::damaged(place, "no nodes below depth 16", "a node with children there"));
+            }
+            3 => {}
+            bits => {
+                let state = if bits == 1 { State::Free } else { State::Occupied };
+                cubes.push(Cube { corner, side: side as u32, state });
+            }
+        }
+        *nodes += 1;
+    }
+    // A node is written whole before the nodes below it.
+    for child in 0..8 {
+        if children >> (2 * child) & 3 == 3 {
+            let corner = Voxel::new(
+                corner.x + side * (child & 1),
+                corner.y + side * (child >> 1 & 1),
+                corner.z + side * (child >> 2 & 1),
+            );
+            read_node(data, corner, depth + 1, cubes, nodes)?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes a `.bt` tree that OctoMap's own tools read; eight equal leaves are joined to one. Of two entries for one voxel the
+/// later counts; Unknown entries are left out. Memory: 24 bytes a voxel. Fails if an index is outside −32,768 … 32,767.
+pub(crate) fn write_octomap(
+    out: &mut impl Write,
+    path: &Path,
+    resolution: Resolution,
+    voxels: impl IntoIterator<Item = (Voxel, State)>,
+) -> Result<(), WriteError> {
+    let mut leaves = Vec::new();
+    for (voxel, state) in voxels {
+        if state == State::Unknown {
+            continue;
+        }
+        let code = morton(voxel).ok_or_else(|| WriteError::Unfit {
+            path: path.to_owned(),
+            what: format!("voxel {voxel:?}"),
+            why: format!("an OctoMap reaches from index {} to {} on each axis", -HALF, HALF - 1),
+        })?;
+        leaves.push(Leaf { code, depth: DEPTH, state });
+    }
+    leaves.sort_by_key(|leaf| leaf.code);
+    leaves.dedup_by(|later, earlier| {
+        let same = later.code == earlier.code;
+        if same {
+            *earlier = *later;
+        }
+        same
+    });
+    let leaves = join(leaves);
+    let mut data = Vec::new();
+    let nodes = if leaves.is_empty() { 0 } else { 1 + write_node(&leaves, 0, &mut data) };
+    let result = (|| -> io::Result<()> {
+        writeln!(out, "{FIRST_LINE}")?;
+        writeln!(out, "# (feel free to add / change comments, but leave the first line as it is!)")?;
+        writeln!(out, "#")?;
+        writeln!(out, "id OcTree\nsize {nodes}\nres {}\ndata", resolution.metres())?;
+        out.write_all(&data)
+    })();
+    result.map_err(WriteError::io(path))
+}
+
+#[derive(Clone, Copy)]
+struct Leaf {
+    /// Three bits a level, the root's children in the highest of 48 bits.
+    code: u64,
+    depth: u32,
+    state: State,
+}
+
+/// The path to a voxel: three bits a level (x, y, z from bit 0), highest level first.
+fn morton(voxel: Voxel) -> Option<u64> {
+    let key = |index: i32| u16::try_from(index.checked_add(HALF)?).ok();
+    let (x, y, z) = (key(voxel.x)?, key(voxel.y)?, key(voxel.z)?);
+    let bits = |v: u16| (0..16).fold(0u64, |code, bit| code | u64::from(v >> bit & 1) << (3 * bit));
+    Some(bits(x) | bits(y) << 1 | bits(z) << 2)
+}
+
+/// Joins eight sibling leaves of one state to one, again and again; never up to the root itself.
+fn join(leaves: Vec<Leaf>) -> Vec<Leaf> {
+    let mut joined: Vec<Leaf> = Vec::with_capacity(leaves.len());
+    for leaf in leaves {
+        joined.push(leaf);
+        while let Some(&last) = joined.last() {
+            let span = 3 * (DEPTH - last.depth);
+            let is_last_child = last.code >> span & 7 == 7;
+            let Some(first) = joined.len().checked_sub(8) else { break };
+            let siblings = joined.get(first..).unwrap_or_default();
+            let parent = last.code >> (span + 3);
+            let same = siblings
+                .iter()
+                .all(|s| s.depth == last.depth && s.state == last.state && s.code >> (span + 3) == parent);
+            if last.depth == 1 || !is_last_child || !same {
+                break;
+            }
+            joined.truncate(first);
+            joined.push(Leaf { code: parent << (span + 3), depth: last.depth - 1, state: last.state });
+        }
+    }
+    joined
+}
+
+/// Writes the node at `depth` that holds just these leaves, and all below it. Returns the number of nodes below it.
+fn write_node(leaves: &[Leaf], depth: u32, data: &mut Vec<u8>) -> u64 {
+    let shift = 3 * (DEPTH - depth - 1);
+    let mut children = 0u16;
+    let mut nodes = 0;
+    let parts: [&[Leaf]; 8] = core::array::from_fn(|child| {
+        let start = leaves.partition_point(|leaf| ((leaf.code >> shift & 7) as usize) < child);
+        let end = leaves.partition_point(|leaf| (leaf.code >> shift & 7) as usize <= child);
+        leaves.get(start..end).unwrap_or_default()
+    });
+    for (child, part) in parts.iter().enumerate() {
+        let bits = match part {
+            [] => continue,
+            [leaf] if leaf.depth == depth + 1 => {
+                if leaf.state == State::Free {
+                    1
+                } else {
+                    2
+                }
+            }
+            _ => 3,
+        };
+        nodes += 1;
+        children |= bits << (2 * child);
+    }
+    data.extend_from_slice(&children.to_le_bytes());
+    for (child, part) in parts.iter().enumerate() {
+        if children >> (2 * child) & 3 == 3 {
+            nodes += write_node(part, depth + 1, data);
+        }
+    }
+    nodes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    fn write(voxels: &[(Voxel, State)]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let resolution = Resolution::from_metres(0.05).unwrap();
+        write_octomap(&mut bytes, Path::new("test.bt"), resolution, voxels.iter().copied()).unwrap();
+        bytes
+    }
+
+    fn some_voxels() -> impl Strategy<Value = Vec<(Voxel, State)>> {
+        let coordinate = prop_oneof![-4..4i32, -32768..32768i32];
+        let voxel =
+            (coordinate.clone(), coordinate.clone(), coordinate).prop_map(|(x, y, z)| Voxel::new(x, y, z));
+        prop::collection::vec((voxel, prop_oneof![Just(State::Free), Just(State::Occupied)]), 0..300)
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read_back(voxels in some_voxels()) {
+            let map = OctoMap::parse(&write(&voxels)).unwrap();
+            let model: BTreeMap<Voxel, State> = voxels.into_iter().collect();
+            let occupied = model.values().filter(|&&s| s == State::Occupied).count() as u64;
+            prop_assert_eq!(map.voxels().collect::<BTreeMap<_, _>>(), model);
+            prop_assert_eq!(map.voxel_count(State::Occupied), occupied);
+        }
+
+        #[test]
+        fn damage_is_an_error_or_another_map_but_never_a_panic(
+            voxels in some_voxels(), cut in 0.0..1.0f64, flip in any::<prop::sample::Index>(), bit in 0..8u8,
+        ) {
+            let bytes = write(&voxels);
+            let cut = (bytes.len() as f64 * cut) as usize;
+            prop_assert!(OctoMap::parse(&bytes[..cut]).is_err());
+            let mut flipped = bytes;
+            let at = flip.index(flipped.len());
+            flipped[at] ^= 1 << bit;
+            if let Ok(map) = OctoMap::parse(&flipped) {
+                prop_assert!(map.cubes().len() <= flipped.len() * 4);
+            }
+        }
+
+        #[test]
+        fn random_bytes_after_a_header_never_panic(data in prop::collection::vec(any::<u8>(), 0..2000), size in 0..1000u64) {
+            let mut bytes = format!("{FIRST_LINE}\nid OcTree\nsize {size}\nres 0.1\ndata\n").into_bytes();
+            bytes.extend(data);
+            let _ = OctoMap::parse(&bytes);
+        }
+    }
+
+    #[test]
+    fn eight_equal_voxels_become_one_leaf() {
+        let cube = Cube { corner: Voxel::new(-8, 0, 8), side: 4, state: State::Free };
+        let voxels: Vec<_> = cube.voxels().map(|v| (v, State::Free)).collect();
+        let map = OctoMap::parse(&write(&voxels)).unwrap();
+        assert_eq!(map.cubes(), &[cube]);
+        assert_eq!(map.nodes(), 15);
+        assert_eq!(map.bounds().unwrap()[0][0], -0.4);
+    }
+
+    #[test]
+    fn bytes_are_as_octomap_writes_them() {
+        // The voxel with key (32768, 32768, 32768): child 7 of the root, then child 0 of each node.
+        let bytes = write(&[(Voxel::new(0, 0, 0), State::Occupied)]);
+        let at = bytes.windows(5).position(|w| w == b"data\n").unwrap() + 5;
+        let mut expected = vec![0x00, 0xc0];
+        for _ in 0..14 {
+            expected.extend([0x03, 0x00]);
+        }
+        expected.extend([0x02, 0x00]);
+        assert_eq!(&bytes[at..], &expected);
+        let header = String::from_utf8_lossy(&bytes[..at]).into_owned();
+        assert!(header.contains("\nid OcTree\nsize 17\nres 0.05\ndata\n"), "{header}");
+    }
+
+    #[test]
+    fn an_empty_map_is_a_map() {
+        let map = OctoMap::parse(&write(&[])).unwrap();
+        assert!(map.cubes().is_empty() && map.bounds().is_none());
+    }
+
+    #[test]
+    fn errors_name_the_line_and_what_was_expected() {
+        let error =
+            |text: &str| OctoMap::parse(text.as_bytes()).unwrap_err().in_file(Path::new("a.bt")).to_string();
+        assert!(error("ply\n").starts_with("a.bt: line 1: cannot be used: expected \"# Octomap OcTree"));
+        let full = "# Octomap OcTree file\nid OcTree\n";
+        assert!(error(full).contains("found \"# Octomap OcTree file\""));
+        let head = "# Octomap OcTree binary file\n";
+        assert!(error(&format!("{head}id ColorOcTree\n")).contains("line 2: cannot be used"));
+        assert!(error(&format!("{head}id OcTree\nsize 3\nres 0\ndata\n")).contains("line 4"));
+        assert!(error(&format!("{head}id OcTree\nsize 3\ndata\n")).contains("a line \"res …\""));
+        assert!(error(&format!("{head}id OcTree\nsize 5\nres 0.1\ndata\n\0\0")).contains("5 nodes"));
+        assert!(error(&format!("{head}id OcTree\nsize 3\nres 0.1\ndata\n")).contains("ends too early"));
+    }
+
+    #[test]
+    fn a_voxel_beyond_octomaps_reach_is_refused() {
+        let voxel = [(Voxel::new(32768, 0, 0), State::Free)];
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let error = write_octomap(&mut Vec::new(), Path::new("a.bt"), resolution, voxel).unwrap_err();
+        assert!(error.to_string().contains("(32768, 0, 0)"), "{error}");
+    }
+}

@@ -1,0 +1,185 @@
+//! Recordings of a robot: scans with the pose of the sensor at each.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use flockmap_grid::{Pose, Scan, Stamp};
+
+use crate::error::{Fault, Place, ReadError};
+use crate::{record_folder, record_mcap};
+
+/// How to read a record. `RecordOptions::default()` fits most.
+#[derive(Clone, Debug)]
+pub struct RecordOptions {
+    /// Topic of the scans in an MCAP file. Default: the only one with `sensor_msgs/msg/PointCloud2`.
+    pub points_topic: Option<String>,
+    /// Topic of `nav_msgs/msg/Odometry` in an MCAP file. Default: the one that tells of the frame of the scans.
+    pub odometry_topic: Option<String>,
+    /// Frame in which poses are wanted, in an MCAP file. Default: the parent frame of the odometry, or else the root of tf.
+    pub map_frame: Option<String>,
+    /// Pose file of a folder, in KITTI's form. Default: `optimized_poses.txt`, `odom_poses.txt` or `poses.txt` in it.
+    pub poses: Option<PathBuf>,
+    /// Time between two scans of a folder without `times.txt`, in seconds. Default: `times.txt` is needed.
+    pub scan_period_s: Option<f64>,
+    /// Longest gap between two poses across which a pose is interpolated, in seconds. Default 0.5.
+    pub pose_gap_max_s: f64,
+    /// Most points in a scan; one with more is an error. Default 4,194,304 (48 MB as points).
+    pub scan_points_max: u64,
+    /// Largest chunk or message of an MCAP file, packed and unpacked, in bytes. Default 64 MiB. Reading holds up to twice as
+    /// much at a time.
+    pub chunk_bytes_max: u64,
+}
+
+impl Default for RecordOptions {
+    fn default() -> Self {
+        Self {
+            points_topic: None,
+            odometry_topic: None,
+            map_frame: None,
+            poses: None,
+            scan_period_s: None,
+            pose_gap_max_s: 0.5,
+            scan_points_max: 1 << 22,
+            chunk_bytes_max: 64 << 20,
+        }
+    }
+}
+
+/// A scan and where the sensor was.
+#[derive(Clone, PartialEq, Debug, Default)]
+pub struct Frame {
+    /// Points in the frame of the sensor, and when they were taken.
+    pub scan: Scan,
+    /// `T_map_sensor`, the pose of the sensor at that time.
+    pub t_map_sensor: Pose,
+    /// Points of the scan left out because a coordinate was not a finite number.
+    pub points_dropped: u64,
+}
+
+/// A recording of one robot.
+#[derive(Debug)]
+pub struct Record {
+    /// A name for the robot: the file or folder without its ending.
+    pub name: String,
+    /// What is known of the record before its scans are read.
+    pub summary: RecordSummary,
+    /// The scans, in the order of their stamps.
+    pub frames: Frames,
+}
+
+/// What is known of a record before its scans are read.
+#[derive(Clone, PartialEq, Debug, Default)]
+pub struct RecordSummary {
+    /// Scans found.
+    pub scans: u64,
+    /// Scans with a pose: so many frames there are, unless a scan turns out to be damaged.
+    pub frames: u64,
+    /// Scans left out because no pose was known for their time.
+    pub scans_without_pose: u64,
+    /// Points of all scans, where the record tells it without reading them.
+    pub points: Option<u64>,
+    /// Stamps of the first and of the last frame.
+    pub span: Option<(Stamp, Stamp)>,
+    /// Length of the way from frame to frame, in metres.
+    pub path_m: f64,
+    /// Where the poses come from, in words.
+    pub poses_from: String,
+    /// Damage found on the way through the file; what could be read is in the frames. At most 16 kept.
+    pub damages: Vec<ReadError>,
+}
+
+impl RecordSummary {
+    /// Time from the first to the last frame, in seconds.
+    pub fn duration_s(&self) -> f64 {
+        self.span.map_or(0.0, |(first, last)| last.micros_since(first) as f64 / 1e6)
+    }
+
+    pub(crate) fn from_poses<'a>(poses: impl Iterator<Item = (Stamp, &'a Pose)>) -> Self {
+        let mut summary = Self::default();
+        let mut previous: Option<[f64; 3]> = None;
+        for (stamp, pose) in poses {
+            let place = pose.translation();
+            if let Some(p) = previous {
+                summary.path_m += p.iter().zip(place).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+            }
+            previous = Some(place);
+            summary.span = Some((summary.span.map_or(stamp, |(first, _)| first), stamp));
+            summary.frames += 1;
+        }
+        summary
+    }
+}
+
+/// The frames of a record in the order of their stamps, read from the file as they are asked for.
+///
+/// An error is a part that could not be read; the next call goes on with what can still be read. The damage of an MCAP
+/// file (a truncated end, a broken chunk) comes after all its frames.
+pub struct Frames {
+    inner: Box<dyn Iterator<Item = Result<Frame, ReadError>> + Send>,
+}
+
+impl Frames {
+    /// Frames from any source, for example a simulation. They should come in the order of their stamps.
+    pub fn new(frames: impl Iterator<Item = Result<Frame, ReadError>> + Send + 'static) -> Self {
+        Self { inner: Box::new(frames) }
+    }
+}
+
+impl Iterator for Frames {
+    type Item = Result<Frame, ReadError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.inner.next()
+    }
+}
+
+impl fmt::Debug for Frames {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Frames")
+    }
+}
+
+/// Opens a record: an `.mcap` file (ROS 2 PointCloud2 with Odometry or tf), or a folder with `Scans/*.pcd`, a KITTI pose
+/// file and `times.txt`.
+///
+/// An MCAP file is read through once here for its poses and stamps, and once more by [`Record::frames`] for its scans. Memory:
+/// 64 bytes for each pose (at most 4,194,304), 88 for each scan (at most 4,194,304), one chunk, and as many scans as are out of order (at most 256).
+///
+/// ```no_run
+/// let record = flockmap_io::open_record("robot1.mcap", &Default::default())?;
+/// println!("{}: {} frames", record.name, record.summary.frames);
+/// for frame in record.frames {
+///     let frame = frame?;
+///     println!("{:?}: {} points", frame.scan.stamp, frame.scan.points.len());
+/// }
+/// # Ok::<(), flockmap_io::ReadError>(())
+/// ```
+pub fn open_record(path: impl AsRef<Path>, options: &RecordOptions) -> Result<Record, ReadError> {
+    let path = path.as_ref();
+    let metadata = std::fs::metadata(path).map_err(|e| Fault::io(&e).in_file(path))?;
+    if metadata.is_dir() {
+        return record_folder::open(path, options);
+    }
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    match extension.as_deref() {
+        Some("mcap") => record_mcap::open(path, options),
+        Some("db3" | "bag") => {
+            let expected =
+                "an .mcap file or a folder of scans (`ros2 bag convert`, or `rosbags-convert`, makes one)";
+            Err(Fault::foreign(Place::Whole, expected, "another kind of bag").in_file(path))
+        }
+        _ => Err(Fault::foreign(
+            Place::Whole,
+            "a record: an .mcap file, or a folder with Scans/*.pcd, poses and times.txt",
+            "a file with another ending",
+        )
+        .in_file(path)),
+    }
+}
+
+/// The name of a file or folder without its ending.
+pub(crate) fn name_of(path: &Path) -> String {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
+    name.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}

@@ -1,0 +1,191 @@
+//! Records as folders: `Scans/*.pcd`, poses in KITTI's form, `times.txt`.
+
+use std::path::{Path, PathBuf};
+
+use flockmap_grid::{Pose, Scan, Stamp};
+
+use crate::error::{Fault, Place, Problem, ReadError, excerpt, read_whole};
+use crate::pcd;
+use crate::record::{Frame, Frames, Record, RecordOptions, RecordSummary, name_of};
+
+/// Most scans in a folder, and most rows of poses.
+const ROWS_MAX: usize = 1 << 22;
+/// Largest text file and largest scan in bytes.
+const FILE_BYTES_MAX: u64 = 1 << 30;
+const POSE_FILES: [&str; 3] = ["optimized_poses.txt", "odom_poses.txt", "poses.txt"];
+
+pub(crate) fn open(folder: &Path, options: &RecordOptions) -> Result<Record, ReadError> {
+    let scans = scan_files(folder)?;
+    let poses_path = match &options.poses {
+        Some(path) => path.clone(),
+        None => {
+            POSE_FILES.iter().map(|name| folder.join(name)).find(|path| path.is_file()).ok_or_else(|| {
+                let expected = format!("a pose file: {}", POSE_FILES.join(", "));
+                Fault::foreign(Place::Whole, expected, "none of them").in_file(folder)
+            })?
+        }
+    };
+    let poses = read_rows(&poses_path, kitti_pose)?;
+    let times = times(folder, options)?;
+    let rows = rows(&scans, poses.len()).map_err(|fault| fault.in_file(folder))?;
+    let mut entries = Vec::with_capacity(scans.len());
+    for (path, row) in scans.into_iter().zip(rows) {
+        let stamp = match &times {
+            Times::Rows { path, stamps } => *stamps.get(row).ok_or_else(|| {
+                let expected = format!("a time for each scan, so at least {} rows", row + 1);
+                Fault::truncated(
+                    Place::Line(stamps.len() as u64 + 1),
+                    expected,
+                    format!("{} rows", stamps.len()),
+                )
+                .in_file(path)
+            })?,
+            Times::Period(seconds) => Stamp::from_seconds(row as f64 * seconds),
+        };
+        let pose = poses.get(row).copied().unwrap_or_default();
+        entries.push(Entry { stamp, pose, path });
+    }
+    entries.sort_by_key(|entry| entry.stamp);
+    let mut summary = RecordSummary::from_poses(entries.iter().map(|e| (e.stamp, &e.pose)));
+    summary.scans = summary.frames;
+    summary.poses_from = poses_path.display().to_string();
+    let points_max = options.scan_points_max;
+    let frames = entries.into_iter().map(move |entry| read_frame(&entry, points_max));
+    Ok(Record { name: name_of(folder), summary, frames: Frames::new(frames) })
+}
+
+struct Entry {
+    stamp: Stamp,
+    pose: Pose,
+    path: PathBuf,
+}
+
+fn read_frame(entry: &Entry, points_max: u64) -> Result<Frame, ReadError> {
+    let bytes = read_whole(&entry.path, FILE_BYTES_MAX)?;
+    let parsed = pcd::parse(&bytes, points_max).map_err(|fault| fault.in_file(&entry.path))?;
+    if parsed.viewpoint != Pose::IDENTITY {
+        let fault = Fault::foreign(
+            Place::Line(parsed.viewpoint_line),
+            "VIEWPOINT 0 0 0 1 0 0 0: the pose of a scan comes from the pose file",
+            "another pose",
+        );
+        return Err(fault.in_file(&entry.path));
+    }
+    let mut points = Vec::with_capacity(parsed.points.len());
+    points.extend(parsed.points.iter().map(|p| p.map(|v| v as f32)));
+    Ok(Frame {
+        scan: Scan { stamp: entry.stamp, points, no_returns: Vec::new() },
+        t_map_sensor: entry.pose,
+        points_dropped: parsed.dropped,
+    })
+}
+
+/// The scans of the folder in the order of their names, numbers taken as numbers.
+fn scan_files(folder: &Path) -> Result<Vec<PathBuf>, ReadError> {
+    let scans = ["Scans", "scans"].iter().map(|name| folder.join(name)).find(|path| path.is_dir());
+    let scans = scans.ok_or_else(|| {
+        Fault::foreign(Place::Whole, "a folder Scans with .pcd files in it", "no such folder").in_file(folder)
+    })?;
+    let io = |error: std::io::Error| Fault::io(&error).in_file(&scans);
+    let mut files = Vec::new();
+    for file in std::fs::read_dir(&scans).map_err(io)? {
+        let path = file.map_err(io)?.path();
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
+            if files.len() >= ROWS_MAX {
+                let what = "the number of scans";
+                return Err(Fault::too_large(Place::Whole, what, files.len() as u64 + 1, ROWS_MAX as u64)
+                    .in_file(&scans));
+            }
+            files.push(path);
+        }
+    }
+    if files.is_empty() {
+        return Err(Fault::foreign(Place::Whole, "files *.pcd", "none").in_file(&scans));
+    }
+    files.sort_by_cached_key(|path| (number(path).unwrap_or(u64::MAX), path.clone()));
+    Ok(files)
+}
+
+fn number(path: &Path) -> Option<u64> {
+    path.file_stem()?.to_str()?.parse().ok()
+}
+
+/// The row of each scan. A scan that is named by its number has the row of that number (from 0); where that does not fit,
+/// the first scan has the first row, if there are just as many rows as scans.
+fn rows(scans: &[PathBuf], rows: usize) -> Result<Vec<usize>, Fault> {
+    let numbers: Option<Vec<usize>> =
+        scans.iter().map(|path| number(path).and_then(|n| usize::try_from(n).ok())).collect();
+    match numbers {
+        Some(numbers) if numbers.iter().all(|&n| n < rows) => Ok(numbers),
+        _ if scans.len() == rows => Ok((0..rows).collect()),
+        _ => Err(Fault::foreign(
+            Place::Whole,
+            format!("as many poses as scans ({}), or scans named by their row from 0", scans.len()),
+            format!("{rows} poses"),
+        )),
+    }
+}
+
+enum Times {
+    Rows { path: PathBuf, stamps: Vec<Stamp> },
+    Period(f64),
+}
+
+fn times(folder: &Path, options: &RecordOptions) -> Result<Times, ReadError> {
+    let path = folder.join("times.txt");
+    if path.is_file() {
+        let stamps = read_rows(&path, |line| {
+            let seconds: f64 = line.trim().parse().ok()?;
+            (seconds.abs() < 1e12).then(|| Stamp::from_seconds(seconds))
+        })?;
+        return Ok(Times::Rows { path, stamps });
+    }
+    match options.scan_period_s {
+        Some(period) if period > 0.0 && period < 1e6 => Ok(Times::Period(period)),
+        _ => Err(ReadError {
+            path,
+            place: Place::Whole,
+            problem: Problem::Foreign {
+                expected: "a time in seconds in each row, or the time between two scans in the options"
+                    .into(),
+                found: "no such file".into(),
+            },
+        }),
+    }
+}
+
+/// Twelve numbers: a 3 × 4 matrix, row by row.
+fn kitti_pose(line: &str) -> Option<Pose> {
+    let mut numbers = [0.0; 12];
+    let mut words = line.split_ascii_whitespace();
+    for number in &mut numbers {
+        *number = words.next()?.parse().ok()?;
+    }
+    if words.next().is_some() {
+        return None;
+    }
+    Pose::from_rows(numbers)
+}
+
+/// One value for each line; empty lines at the end are left out.
+fn read_rows<T>(path: &Path, parse: impl Fn(&str) -> Option<T>) -> Result<Vec<T>, ReadError> {
+    let bytes = read_whole(path, FILE_BYTES_MAX)?;
+    let text = bytes.trim_ascii_end();
+    let mut rows = Vec::new();
+    if text.is_empty() {
+        return Ok(rows);
+    }
+    for (i, line) in text.split(|&b| b == b'\n').enumerate() {
+        if rows.len() >= ROWS_MAX {
+            return Err(Fault::too_large(Place::Whole, "the number of rows", i as u64 + 1, ROWS_MAX as u64)
+                .in_file(path));
+        }
+        let row = core::str::from_utf8(line).ok().and_then(&parse).ok_or_else(|| {
+            let expected =
+                "a pose (12 numbers: a rotation and a place, row by row) or a time (1 number, seconds)";
+            Fault::damaged(Place::Line(i as u64 + 1), expected, excerpt(line)).in_file(path)
+        })?;
+        rows.push(row);
+    }
+    Ok(rows)
+}
