@@ -112,11 +112,10 @@ fn place(region: &VoxelBox, voxel: Voxel) -> usize {
     (z * size[1] + y) * size[0] + x
 }
 
-/// The linear indices of the codes in nested order: x slowest, z fastest.
-pub(crate) fn nested_order(size: [usize; 3]) -> impl Iterator<Item = usize> {
-    (0..size[0]).flat_map(move |x| {
-        (0..size[1]).flat_map(move |y| (0..size[2]).map(move |z| (z * size[1] + y) * size[0] + x))
-    })
+/// The columns along z of a box in nested order (x slowest, z fastest): the first linear index of each.
+/// Within a column the indices are `size[0] * size[1]` apart.
+pub(crate) fn nested_columns(size: [usize; 3]) -> impl Iterator<Item = usize> {
+    (0..size[0]).flat_map(move |x| (0..size[1]).map(move |y| y * size[0] + x))
 }
 
 /// 1 in the lowest bit of each byte of `word` that is zero. Bytes must be below 4, as codes are.

@@ -2,7 +2,7 @@
 
 use flockmap_grid::{Changes, State, Voxel, VoxelBox};
 
-use crate::code_grid::{CodeGrid, nested_order};
+use crate::code_grid::{CodeGrid, nested_columns};
 use crate::deflate::{Deflater, EXPANSION_MAX, inflate_exact};
 use crate::hilbert::walk;
 use crate::pack::{UNCHANGED, UNKNOWN, pack, packed_len, unpack};
@@ -83,7 +83,10 @@ pub(crate) fn encode(
             });
         });
     } else {
-        sequence.extend(nested_order(size).filter_map(|index| codes.get(index)));
+        for start in nested_columns(size) {
+            let column = codes.get(start..).unwrap_or_default();
+            sequence.extend(column.iter().step_by(size[0] * size[1]));
+        }
     }
     pack(sequence, packed);
     if codec == Codec::Raw {
@@ -146,10 +149,9 @@ pub(crate) fn decode(
             });
         });
     } else {
-        for (index, code) in nested_order(size).zip(sequence.iter()) {
-            if let Some(to) = codes.get_mut(index) {
-                *to = *code;
-            }
+        for (start, column) in nested_columns(size).zip(sequence.chunks_exact(size[2])) {
+            let to = codes.get_mut(start..).unwrap_or_default();
+            to.iter_mut().step_by(size[0] * size[1]).zip(column).for_each(|(to, code)| *to = *code);
         }
     }
     grid.states(region, others.code()).ok_or(PackageError::Payload {

@@ -73,7 +73,7 @@ fn present(changes: &Changes, stamps: u64, seed: u64) -> PresentState {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(48) })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(24) })]
 
     #[test]
     fn every_codec_gives_back_what_was_encoded(changes in changes()) {
