@@ -41,7 +41,8 @@ pub struct Counters {
     pub confirmed: u64,
     /// Packages found lost by a request; they are sent again.
     pub lost: u64,
-    /// Packages not sent because somebody else's answer was heard.
+    /// By broadcast: packages heard from one robot and so noted as on their way to another, who need not get them
+    /// from here.
     pub suppressed: u64,
     /// Requests that went out because of a gap.
     pub gap_requests: u64,
@@ -77,7 +78,7 @@ pub struct Counters {
     pub malformed: u64,
     /// Own datagrams heard back.
     pub own_heard: u64,
-    /// Signs that another robot uses the own id.
+    /// Signs that another robot uses the own id, or that the own epoch was used before.
     pub same_identity: u64,
     /// Datagrams of a former run of a peer.
     pub stale_epoch: u64,

@@ -3,11 +3,13 @@
 
 mod answer;
 mod ask;
+mod event;
 mod peer;
 mod present;
 mod receive;
 mod send;
 
+pub use event::{Destination, Event, PublishError, Transmit};
 pub use peer::PeerInfo;
 
 use crate::pacer::Pacer;
@@ -22,93 +24,6 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// Events that wait for the driver; more are dropped, counted, and come again by a later request.
 const EVENTS_MAX: usize = 4_096;
-
-/// Something for the driver to do or to know.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub enum Event {
-    /// A package or tile that was not held before. Decode and merge it, then call [`Session::accept`], or
-    /// [`Session::reject`] if it does not decode, before any other input. Until then it is not held.
-    Received(Package),
-    /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
-    /// more. Encode the layer of the stream as tiles with index `upto` and call
-    /// [`Session::provide_present_state`] before any other input.
-    PresentStateWanted {
-        /// The stream whose layer is wanted.
-        stream: Stream,
-        /// All packages from 1 to this one are in the layer.
-        upto: u32,
-        /// The peer that misses it.
-        peer: RobotId,
-    },
-    /// All tiles of a present state are accepted: packages 1 to `upto` of the stream now count as held.
-    CaughtUp {
-        /// The stream.
-        stream: Stream,
-        /// The newest package that the state contains.
-        upto: u32,
-    },
-    /// A robot was heard for the first time, or again after it was lost, or in a new run.
-    PeerSeen(Stream),
-    /// A peer has not been heard for `peer_timeout_ms`.
-    PeerLost(Stream),
-    /// Something is known of a stream for the first time.
-    StreamSeen(Stream),
-    /// An old run of an origin was forgotten to make room for a newer one. What the map has of it may stay.
-    StreamForgotten(Stream),
-    /// Another robot uses the own id. Both will miss packages until one gets another id.
-    SameIdentity,
-}
-
-/// Whom a datagram goes to.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Destination {
-    /// This peer, at the address where it was last heard.
-    Peer(RobotId),
-    /// Everyone: the broadcast or multicast address, or each configured and each heard address in turn.
-    Everyone,
-}
-
-/// A datagram to send.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Transmit {
-    /// Whom to.
-    pub to: Destination,
-    /// The UDP payload, at most [`DATAGRAM_BYTES_MAX`](crate::wire::DATAGRAM_BYTES_MAX) bytes.
-    pub bytes: Vec<u8>,
-}
-
-/// An own package that cannot be published. The caller is at fault.
-#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
-pub enum PublishError {
-    /// Not the own stream.
-    #[error("package of {got:?} published by {own:?}")]
-    Stream {
-        /// The stream of the package.
-        got: Stream,
-        /// The own stream.
-        own: Stream,
-    },
-    /// Not the next index.
-    #[error("package {got} published, {expected} is next")]
-    Index {
-        /// The index of the package.
-        got: u32,
-        /// The one that is next.
-        expected: u32,
-    },
-    /// A tile of a present state.
-    #[error("a tile of a present state cannot be published; it is given to provide_present_state")]
-    Content,
-    /// Too long for one datagram.
-    #[error("package of {got} bytes, a datagram takes {expected} at most")]
-    Bytes {
-        /// Bytes of the package.
-        got: usize,
-        /// The most that fits.
-        expected: usize,
-    },
-}
 
 /// Keeps the packages of all robots of a swarm in sync.
 ///
@@ -169,6 +84,7 @@ pub struct Session {
     served: RobotId,
     /// When a budget that stopped sending allows it again.
     wake: Option<Stamp>,
+    same_identity_told: Option<Stamp>,
     counters: Counters,
 }
 
@@ -194,6 +110,7 @@ impl Session {
             radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),
             served: RobotId(0),
             wake: None,
+            same_identity_told: None,
             counters: Counters::default(),
             config,
         })
@@ -218,8 +135,9 @@ impl Session {
                     &mut self.counters.malformed
                 }
                 DatagramError::StaleEpoch { .. } => &mut self.counters.stale_epoch,
-                DatagramError::SameIdentity { .. } => &mut self.counters.same_identity,
                 DatagramError::TooManyPeers { .. } => &mut self.counters.too_many_peers,
+                // Counted where it is told.
+                DatagramError::SameIdentity { .. } => return result,
             };
             *counter += 1;
         }
@@ -237,7 +155,7 @@ impl Session {
             return Ok(());
         }
         if header.sender.origin == self.own.origin {
-            self.push_event(Event::SameIdentity);
+            self.tell_same_identity(now);
             return Err(DatagramError::SameIdentity { id: self.own.origin });
         }
         // All of it is read before any of it counts.
@@ -456,6 +374,14 @@ impl Session {
             self.push_event(Event::PeerLost(lost));
         }
         now
+    }
+
+    fn tell_same_identity(&mut self, now: Stamp) {
+        self.counters.same_identity += 1;
+        if self.same_identity_told.is_none_or(|told| now.micros_since(told) >= 10_000_000) {
+            self.same_identity_told = Some(now);
+            self.push_event(Event::SameIdentity);
+        }
     }
 
     fn push_event(&mut self, event: Event) {

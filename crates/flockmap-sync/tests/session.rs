@@ -185,6 +185,8 @@ fn broadcast_under_loss_repairs_everyone() {
     }
     swarm.run(20 * SECOND);
     swarm.assert_in_sync(&[1, 2, 3, 4].map(|id| swarm.stream(id)));
+    let suppressed: u64 = swarm.robots.values().map(|robot| robot.session.counters().suppressed).sum();
+    assert!(suppressed > 0);
     let sent: u64 = swarm.robots.values().map(|robot| robot.session.counters().sent).sum();
     println!("broadcast, 4 robots, 30 % loss: each package sent {:.2} times", sent as f64 / published as f64);
     assert!(sent < published * 4, "{sent} sent for {published} published");
@@ -488,6 +490,19 @@ fn two_robots_with_one_id_are_told() {
     assert!(robot.session.handle_datagram(now, &bytes).is_err());
     swarm.drive(1);
     assert!(swarm.robots[&1].events.iter().any(|e| e == "SameIdentity"));
+}
+
+#[test]
+fn a_robot_that_starts_again_with_an_old_epoch_and_no_store_is_told() {
+    let config = SessionConfig::default();
+    let (mut swarm, _) = two_robots(32, Radio::PERFECT, &config, 4);
+    swarm.stop(1);
+    swarm.run(SECOND);
+    swarm.start(1, 1, config);
+    swarm.run(5 * SECOND);
+    let told = swarm.robots[&1].events.iter().filter(|event| *event == "SameIdentity").count();
+    assert_eq!(told, 1);
+    assert!(swarm.robots[&1].session.counters().same_identity > 1);
 }
 
 #[test]

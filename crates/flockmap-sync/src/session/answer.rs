@@ -76,6 +76,9 @@ impl Session {
         for stated in &request.held {
             if stated.stream == self.own {
                 // Nobody but this robot can say which own packages there are.
+                if stated.held.last() > Some(self.store.newest_known(self.own)) {
+                    self.tell_same_identity(now);
+                }
             } else if !self.open_stream(stated.stream) {
                 continue;
             } else if let Some(newest) = stated.held.last()

@@ -20,8 +20,7 @@ impl Session {
             if stream == self.own {
                 self.counters.own_returned += 1;
                 if index > self.store.newest_known(stream) {
-                    self.counters.same_identity += 1;
-                    self.push_event(Event::SameIdentity);
+                    self.tell_same_identity(now);
                 }
             } else if self.open_stream(stream) {
                 match package.header().content {

@@ -1,0 +1,94 @@
+//! What a session tells its driver.
+
+use flockmap_codec::Package;
+use flockmap_grid::{RobotId, Stream};
+
+/// Something for the driver to do or to know.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Event {
+    /// A package or tile that was not held before. Decode and merge it, then call [`accept`](crate::Session::accept), or
+    /// [`reject`](crate::Session::reject) if it does not decode, before any other input. Until then it is not held.
+    Received(Package),
+    /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
+    /// more. Encode the layer of the stream as tiles with index `upto` and call
+    /// [`provide_present_state`](crate::Session::provide_present_state) before any other input.
+    PresentStateWanted {
+        /// The stream whose layer is wanted.
+        stream: Stream,
+        /// All packages from 1 to this one are in the layer.
+        upto: u32,
+        /// The peer that misses it.
+        peer: RobotId,
+    },
+    /// All tiles of a present state are accepted: packages 1 to `upto` of the stream now count as held.
+    CaughtUp {
+        /// The stream.
+        stream: Stream,
+        /// The newest package that the state contains.
+        upto: u32,
+    },
+    /// A robot was heard for the first time, or again after it was lost, or in a new run.
+    PeerSeen(Stream),
+    /// A peer has not been heard for `peer_timeout_ms`.
+    PeerLost(Stream),
+    /// Something is known of a stream for the first time.
+    StreamSeen(Stream),
+    /// An old run of an origin was forgotten to make room for a newer one. What the map has of it may stay.
+    StreamForgotten(Stream),
+    /// Somebody holds own packages that this robot never made: another robot uses the own id, or this robot started
+    /// again without its store and with an epoch that it had used before. New packages are then taken for the old
+    /// ones of the same index and do not arrive. Give every robot its own id and every run a higher epoch. Told at
+    /// most every 10 s.
+    SameIdentity,
+}
+
+/// Whom a datagram goes to.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Destination {
+    /// This peer, at the address where it was last heard.
+    Peer(RobotId),
+    /// Everyone: the broadcast or multicast address, or each configured and each heard address in turn.
+    Everyone,
+}
+
+/// A datagram to send.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Transmit {
+    /// Whom to.
+    pub to: Destination,
+    /// The UDP payload, at most [`DATAGRAM_BYTES_MAX`](crate::wire::DATAGRAM_BYTES_MAX) bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// An own package that cannot be published. The caller is at fault.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+pub enum PublishError {
+    /// Not the own stream.
+    #[error("package of {got:?} published by {own:?}")]
+    Stream {
+        /// The stream of the package.
+        got: Stream,
+        /// The own stream.
+        own: Stream,
+    },
+    /// Not the next index.
+    #[error("package {got} published, {expected} is next")]
+    Index {
+        /// The index of the package.
+        got: u32,
+        /// The one that is next.
+        expected: u32,
+    },
+    /// A tile of a present state.
+    #[error("a tile of a present state cannot be published; it is given to provide_present_state")]
+    Content,
+    /// Too long for one datagram.
+    #[error("package of {got} bytes, a datagram takes {expected} at most")]
+    Bytes {
+        /// Bytes of the package.
+        got: usize,
+        /// The most that fits.
+        expected: usize,
+    },
+}
