@@ -73,7 +73,7 @@ fn bench(c: &mut Criterion) {
         println!("{kind}: {} changed voxels in a box of {size:?}", changes.len());
         c.bench_function(&format!("t_pack, {kind}, one package"), |b| {
             b.iter_batched_ref(
-                mapper,
+                || mapper(on_the_move),
                 |mapper| {
                     let changes = mapper.take_changes(Which::All);
                     encoder.encode_whole(Codec::Paper, &cycle, 1, &changes).unwrap()
@@ -83,7 +83,7 @@ fn bench(c: &mut Criterion) {
         });
         c.bench_function(&format!("t_pack, {kind}, datagrams"), |b| {
             b.iter_batched_ref(
-                mapper,
+                || mapper(on_the_move),
                 |mapper| {
                     let changes = mapper.take_changes(Which::All);
                     encoder.encode_cycle(Codec::Paper, &cycle, 1, &changes, PACKAGE_BYTES_MAX).unwrap()
