@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# Everything that must hold before a change lands. Run it here as CI does: ./ci.sh
+# One step alone: ./ci.sh fmt | clippy | docs | test | readme
+set -euo pipefail
+cd "$(dirname "$0")"
+export CARGO_TERM_COLOR=never
+
+fmt() { cargo fmt --all --check; }
+clippy() { cargo clippy --workspace --all-targets --locked -- -D warnings; }
+docs() { RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked; }
+tests() { cargo test --workspace --locked; }
+
+# The README's two commands, as a newcomer runs them.
+readme() {
+    local out
+    out=$(mktemp -d)
+    cargo run --release --locked -- demo --out "$out"
+    test -s "$out/report.html" -a -s "$out/report.json"
+    cargo run --release --locked -- bench codecs forest --json "$out/codecs.json"
+    test -s "$out/codecs.json"
+    rm -r "$out"
+}
+
+step() {
+    local start=$SECONDS
+    echo "== $1"
+    "$1"
+    echo "== $1: $((SECONDS - start)) s"
+}
+
+case "${1:-all}" in
+    all) for name in fmt clippy docs readme tests; do step "$name"; done ;;
+    test) step tests ;;
+    fmt | clippy | docs | readme) step "$1" ;;
+    *) sed -n '2,3p' "$0" >&2; exit 2 ;;
+esac
