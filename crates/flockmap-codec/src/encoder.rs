@@ -4,7 +4,7 @@ use flockmap_grid::{Changes, PresentState, Resolution, Stamp, Stream, VoxelBox};
 
 use crate::check::{check_changes, check_present, set_check};
 use crate::deflate::Deflater;
-use crate::piece::Piece;
+use crate::piece::{Measure, Piece};
 use crate::states::{self, Others, Scratch};
 use crate::{
     BOX_VOXELS_MAX, Codec, ContentKind, EncodeError, Header, PACKAGE_BYTES_MIN, Package, stamps, varint,
@@ -130,7 +130,7 @@ impl Encoder {
             check_limit(bytes_max)?;
             let min = state.region.min();
             let region = VoxelBox::new(min, [1; 3]).ok_or(EncodeError::OutsideGrid)?;
-            let piece = Piece { states, parts: Vec::new(), region };
+            let piece = Piece { states, parts: Vec::new(), region, edges: 0 };
             self.encode_piece(codec, &piece, Others::Unknown);
             vec![(piece, self.payload.clone())]
         } else {
@@ -172,7 +172,7 @@ impl Encoder {
                 usize::MAX
             } else {
                 let expected = forecast.payload_bytes(&piece);
-                if expected > room + room / 4 {
+                if expected > room + room / 10 {
                     expected
                 } else {
                     self.encode_piece(codec, &piece, others);
@@ -184,13 +184,14 @@ impl Encoder {
                 done.push((piece, self.payload.clone()));
                 continue;
             }
-            // Pieces are meant to come out nine tenths full, since one that is just too large costs two.
+            // Aimed a little below full, since a piece that is just too large costs two half-full ones.
             let pieces = match needed {
                 usize::MAX => 2,
-                _ => needed.div_ceil((room * 9 / 10).max(1)).max(2),
+                _ => needed.div_ceil((room * 19 / 20).max(1)).max(2),
             };
-            let [head, tail] =
-                piece.cut(pieces / 2, pieces).ok_or(EncodeError::BytesMaxTooSmall { bytes_max })?;
+            let [head, tail] = piece
+                .cut(pieces / 2, pieces, forecast.measure())
+                .ok_or(EncodeError::BytesMaxTooSmall { bytes_max })?;
             waiting.push(tail);
             waiting.push(head);
         }
@@ -232,7 +233,7 @@ impl Encoder {
 struct Forecast {
     codec: Codec,
     others: Others,
-    /// For the codecs whose size depends on the pattern: bytes for 1,024 voxels.
+    /// For the codecs whose size depends on the pattern: bytes for 1,024 edges.
     bytes_per_1024: usize,
 }
 
@@ -241,22 +242,25 @@ impl Forecast {
     const OVERHEAD: usize = 10;
 
     fn new(codec: Codec, others: Others) -> Self {
-        let bytes_per_1024 = if others == Others::Unchanged { 384 } else { 512 };
-        Self { codec, others, bytes_per_1024 }
+        Self { codec, others, bytes_per_1024: 210 }
+    }
+
+    /// What the size goes with, so that pieces come out of even size.
+    fn measure(&self) -> Measure {
+        if self.codec == Codec::Racer { Measure::Voxels } else { Measure::Edges }
     }
 
     fn payload_bytes(&self, piece: &Piece) -> usize {
-        let voxels = piece.states.len();
         match (self.codec, self.others) {
             (Codec::Raw, Others::Unchanged) => piece.region.volume().div_ceil(4) as usize,
-            (Codec::Racer, Others::Unchanged) => voxels * 5,
-            _ => Self::OVERHEAD + voxels * self.bytes_per_1024 / 1024,
+            (Codec::Racer, Others::Unchanged) => piece.states.len() * 5,
+            _ => Self::OVERHEAD + piece.edges * self.bytes_per_1024 / 1024,
         }
     }
 
     fn learn(&mut self, piece: &Piece, payload_bytes: usize) {
-        let bytes_per_1024 = payload_bytes.saturating_sub(Self::OVERHEAD) * 1024 / piece.states.len().max(1);
-        self.bytes_per_1024 = (self.bytes_per_1024 + bytes_per_1024).div_ceil(2);
+        let bytes_per_1024 = payload_bytes.saturating_sub(Self::OVERHEAD) * 1024 / piece.edges.max(1);
+        self.bytes_per_1024 = (3 * self.bytes_per_1024 + bytes_per_1024).div_ceil(4);
     }
 }
 

@@ -61,6 +61,7 @@ pub const PACKAGE_BYTES_MAX: usize = 1150;
 /// Smallest size limit that [`Encoder`] takes: one voxel fits in it whatever the header holds.
 pub const PACKAGE_BYTES_MIN: usize = 192;
 
-/// Most voxels in the box of one package, 2²⁷. Anything larger is refused before memory is taken for it; a
-/// received package of [`PACKAGE_BYTES_MAX`] bytes cannot even claim 2²³, since its payload must be able to fill its box.
+/// Most voxels in the box of one package, 2²⁷. A larger box is refused before memory is taken for it, and so is one
+/// that the payload could not fill: under 2²³ voxels for a package of [`PACKAGE_BYTES_MAX`] bytes. ([`Codec::Racer`]
+/// takes memory for the voxels it lists, not for its box.)
 pub const BOX_VOXELS_MAX: u64 = 1 << 27;

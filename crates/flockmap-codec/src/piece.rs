@@ -1,6 +1,6 @@
 //! Cutting changes, or a present state, in two.
 
-use flockmap_grid::{Changes, Stamp, Voxel, VoxelBox};
+use flockmap_grid::{Changes, Plane, Stamp, StateBlock, Voxel, VoxelBox};
 
 /// What will be one package, or be cut further.
 pub(crate) struct Piece {
@@ -10,31 +10,34 @@ pub(crate) struct Piece {
     pub(crate) parts: Vec<(Stamp, Changes)>,
     /// The tight box around them.
     pub(crate) region: VoxelBox,
+    /// How uneven it is: what the size of a zlib payload goes with, better than with the number of voxels.
+    pub(crate) edges: usize,
 }
 
 impl Piece {
     /// `None` if there is nothing in it, or a voxel lies outside of the limits of the grid.
     pub(crate) fn new(states: Changes, parts: Vec<(Stamp, Changes)>) -> Option<Self> {
         let region = states.bounding_box()?;
-        Some(Self { states, parts, region })
+        let edges = states.blocks().iter().map(|(_, block)| edges(block)).sum();
+        Some(Self { states, parts, region, edges })
     }
 
-    /// Cuts across the longest side of the box, so that `head / of` of the voxels come first, or as near to that as
-    /// whole slices allow. `None` if there is but one voxel.
-    pub(crate) fn cut(&self, head: usize, of: usize) -> Option<[Self; 2]> {
+    /// Cuts across the longest side of the box, so that `head / of` of the voxels, or of the edges, come first, or as
+    /// near to that as whole slices allow. `None` if there is but one voxel.
+    pub(crate) fn cut(&self, head: usize, of: usize, measure: Measure) -> Option<[Self; 2]> {
         let size = self.region.size();
         let axis = (0..3).rev().max_by_key(|&axis| size[axis])?;
         let length = size[axis] as usize;
         if length < 2 {
             return None;
         }
-        let counts = slice_counts(&self.states, &self.region, axis);
-        let total: usize = counts.iter().map(|&count| count as usize).sum();
+        let counts = slice_counts(&self.states, &self.region, axis, measure);
+        let total: usize = counts.iter().sum();
         let wanted = total * head / of.max(1);
         // The number of slices that go first; the tight box makes sure that both sides have voxels.
         let mut sum = 0;
         let best = counts.iter().take(length - 1).enumerate().min_by_key(|(_, count)| {
-            sum += **count as usize;
+            sum += **count;
             sum.abs_diff(wanted)
         });
         let slices = best?.0 as i32 + 1;
@@ -56,6 +59,29 @@ impl Piece {
     }
 }
 
+/// What of a piece is to be divided evenly.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Measure {
+    Voxels,
+    Edges,
+}
+
+/// Counts the neighbours along x, y and z in the block of which one is known, or Occupied, and the other is not.
+fn edges(block: &StateBlock) -> usize {
+    let of_plane = |plane: &Plane| -> u32 {
+        let mut below = 0;
+        let mut count = 0;
+        for &slice in plane {
+            let along_x = slice ^ (slice << 1 & 0xfefe_fefe_fefe_fefe);
+            let along_y = slice ^ slice << 8;
+            count += along_x.count_ones() + along_y.count_ones() + (slice ^ below).count_ones();
+            below = slice;
+        }
+        count
+    };
+    (of_plane(&block.known()) + of_plane(block.occupied())) as usize
+}
+
 fn coordinate(voxel: &mut Voxel, axis: usize) -> &mut i32 {
     match axis {
         0 => &mut voxel.x,
@@ -64,13 +90,18 @@ fn coordinate(voxel: &mut Voxel, axis: usize) -> &mut i32 {
     }
 }
 
-/// How many voxels there are in each slice of the box across `axis`.
-fn slice_counts(states: &Changes, region: &VoxelBox, axis: usize) -> Vec<u32> {
+/// How many voxels or edges there are in each slice of the box across `axis`. The edges of a block are shared out among
+/// its slices by their voxels.
+fn slice_counts(states: &Changes, region: &VoxelBox, axis: usize, measure: Measure) -> Vec<usize> {
     let mut min = region.min();
-    let mut counts = vec![0u32; region.size()[axis] as usize];
+    let mut counts = vec![0; region.size()[axis] as usize];
     for (index, block) in states.blocks() {
         let first = *coordinate(&mut index.corner(), axis) - *coordinate(&mut min, axis);
         let known = block.known();
+        let (weight, voxels) = match measure {
+            Measure::Voxels => (1, 1),
+            Measure::Edges => (edges(block), block.known_count().max(1) as usize),
+        };
         for slice in 0..8 {
             let count: u32 = match axis {
                 0 => known.iter().map(|word| (word & (0x0101_0101_0101_0101 << slice)).count_ones()).sum(),
@@ -80,7 +111,7 @@ fn slice_counts(states: &Changes, region: &VoxelBox, axis: usize) -> Vec<u32> {
             if count > 0
                 && let Some(to) = counts.get_mut((first + slice) as usize)
             {
-                *to += count;
+                *to += count as usize * weight / voxels;
             }
         }
     }
