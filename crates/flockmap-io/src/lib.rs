@@ -19,6 +19,7 @@ mod error;
 mod export;
 mod las;
 mod mcap_file;
+mod mcap_frames;
 mod octomap;
 mod pcd;
 mod ply;

@@ -100,11 +100,11 @@ pub(crate) fn parse(bytes: &[u8], points_max: u64) -> Result<Parsed, Fault> {
         Data::Compressed => {
             let columns = decompress(data, &header)?;
             parsed.points.reserve(header.points as usize);
-            let steps = axes.map(|axis| header_step(&header, axis));
             for i in 0..header.points {
                 let mut point = [0.0; 3];
-                for ((v, axis), step) in point.iter_mut().zip(axes).zip(steps) {
-                    *v = number(&columns, axis.offset * header.points + i * step, axis);
+                for (v, axis) in point.iter_mut().zip(axes) {
+                    // A column holds this field of all points; those before it are as long for each point as its offset.
+                    *v = number(&columns, axis.offset * header.points + i * axis.size, axis);
                 }
                 parsed.push(point);
             }
@@ -121,11 +121,6 @@ impl Parsed {
             self.dropped += 1;
         }
     }
-}
-
-/// Bytes from one point to the next in the column of a field: coordinates have a count of 1.
-const fn header_step(_header: &Header, axis: Axis) -> u64 {
-    axis.size
 }
 
 fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {

@@ -1,13 +1,14 @@
-//! Records in MCAP files: once through for poses and stamps, once more for the scans.
+//! Records in MCAP files: once through for poses and stamps; the scans come from a second pass, when they are asked for.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use flockmap_grid::{Pose, Scan, Stamp};
+use flockmap_grid::{Pose, Stamp};
 
 use crate::error::{Fault, Place, ReadError};
 use crate::mcap_file::{Channel, McapReader, Message};
-use crate::record::{Frame, Frames, Record, RecordOptions, RecordSummary, name_of};
+use crate::mcap_frames::{Entry, McapFrames};
+use crate::record::{Frames, Record, RecordOptions, RecordSummary, name_of};
 use crate::ros;
 use crate::track::{FrameTree, Reach, Track};
 
@@ -18,7 +19,7 @@ const WAITING_MAX: usize = 256;
 /// Most frames that the scans of one topic may be in.
 const CLOUD_FRAMES_MAX: usize = 64;
 /// Most damages that are told apart.
-const DAMAGES_MAX: usize = 16;
+pub(crate) const DAMAGES_MAX: usize = 16;
 /// A pose this near in time is taken as it is, in microseconds.
 const NEAR_MICROS: i64 = 10_000;
 /// Ending of the topic of rays that came back with nothing, beside the topic of the points.
@@ -324,16 +325,6 @@ impl PoseSource<'_> {
     }
 }
 
-/// One message of the topic of scans.
-#[derive(Clone, Copy)]
-struct Entry {
-    stamp: Stamp,
-    /// Place in the order of stamps among the scans that have a pose; `None` for the others.
-    rank: Option<u32>,
-    pose: Pose,
-    registered: bool,
-}
-
 pub(crate) fn open(path: &Path, options: &RecordOptions) -> Result<Record, ReadError> {
     let index = index(path, options.chunk_bytes_max)?;
     plan(path, options, index).map_err(|fault| fault.in_file(path))
@@ -399,127 +390,10 @@ pub(crate) fn plan(path: &Path, options: &RecordOptions, index: McapIndex) -> Re
     summary.scans_without_pose = cloud.scans.iter().flatten().count() as u64 - summary.frames;
     summary.points = Some(cloud.points);
     summary.poses_from = described.into_iter().collect::<Vec<_>>().join("; ");
-    summary.damages = index.damages.clone();
+    summary.damages.clone_from(&index.damages);
     let no_returns =
         topic.rfind('/').map(|at| format!("{}{NO_RETURNS}", topic.get(..at).unwrap_or_default()));
-    let frames = McapFrames {
-        path: path.to_owned(),
-        options: options.clone(),
-        topic: topic.to_owned(),
-        no_returns: no_returns.filter(|t| t != topic && index.clouds.contains_key(t)),
-        rays: None,
-        reader: None,
-        entries,
-        number: 0,
-        waiting: BTreeMap::new(),
-        next_rank: 0,
-        damages: index.damages,
-        ended: false,
-    };
+    let no_returns = no_returns.filter(|t| t != topic && index.clouds.contains_key(t));
+    let frames = McapFrames::new(path, options, topic, no_returns, entries, index.damages.clone());
     Ok(Record { name: name_of(path), summary, frames: Frames::new(frames) })
-}
-
-/// The second pass: the scans, put in order.
-struct McapFrames {
-    path: PathBuf,
-    options: RecordOptions,
-    topic: String,
-    no_returns: Option<String>,
-    /// The rays without a return read last: they come before their scan.
-    rays: Option<(Stamp, Vec<[f32; 3]>)>,
-    reader: Option<McapReader>,
-    entries: Vec<Entry>,
-    /// Messages of the topic seen.
-    number: usize,
-    /// Scans that wait for an earlier one; `None` if the scan could not be read.
-    waiting: BTreeMap<u32, Option<Frame>>,
-    next_rank: u32,
-    damages: Vec<ReadError>,
-    ended: bool,
-}
-
-impl Iterator for McapFrames {
-    type Item = Result<Frame, ReadError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            while let Some(frame) = self.waiting.remove(&self.next_rank) {
-                self.next_rank += 1;
-                if let Some(frame) = frame {
-                    return Some(Ok(frame));
-                }
-            }
-            if self.ended {
-                // Scans are missing if the file changed in between; what is left still comes in order.
-                if let Some((_, frame)) = self.waiting.pop_first() {
-                    match frame {
-                        Some(frame) => return Some(Ok(frame)),
-                        None => continue,
-                    }
-                }
-                return (!self.damages.is_empty()).then(|| Err(self.damages.remove(0)));
-            }
-            self.read_one();
-        }
-    }
-}
-
-impl McapFrames {
-    fn read_one(&mut self) {
-        let reader = match &mut self.reader {
-            Some(reader) => reader,
-            None => match McapReader::open(&self.path, self.options.chunk_bytes_max) {
-                Ok(reader) => self.reader.insert(reader),
-                Err(fault) => {
-                    self.damages.push(fault.in_file(&self.path));
-                    self.ended = true;
-                    return;
-                }
-            },
-        };
-        let message = match reader.next_message() {
-            Some(Ok(message)) => message,
-            // Told by the first pass.
-            Some(Err(_)) => return,
-            None => {
-                self.ended = true;
-                return;
-            }
-        };
-        if message.channel.encoding != "cdr" || message.channel.schema != ros::POINT_CLOUD {
-            return;
-        }
-        let points_max = self.options.scan_points_max;
-        if self.no_returns.as_ref() == Some(&message.channel.topic) {
-            let stamp = ros::CloudHeader::decode(message.data).map(|cloud| cloud.header.stamp);
-            let rays = ros::decode_points(message.data, points_max, None);
-            self.rays = stamp.ok().zip(rays.ok().map(|cloud| cloud.points));
-            return;
-        }
-        if message.channel.topic != self.topic {
-            return;
-        }
-        let entry = self.entries.get(self.number).copied();
-        self.number += 1;
-        let Some((entry, rank)) = entry.and_then(|e| e.rank.map(|rank| (e, rank))) else { return };
-        let back = entry.registered.then(|| entry.pose.inverse());
-        let frame = match ros::decode_points(message.data, points_max, back.as_ref()) {
-            Ok(cloud) => {
-                let rays = self.rays.take().filter(|(stamp, _)| *stamp == entry.stamp);
-                let no_returns = rays.map(|(_, rays)| rays).unwrap_or_default();
-                Some(Frame {
-                    scan: Scan { stamp: entry.stamp, points: cloud.points, no_returns },
-                    t_map_sensor: entry.pose,
-                    points_dropped: cloud.dropped,
-                })
-            }
-            Err(fault) => {
-                if self.damages.len() < 2 * DAMAGES_MAX {
-                    self.damages.push(fault.in_message(&self.topic, self.number as u64).in_file(&self.path));
-                }
-                None
-            }
-        };
-        self.waiting.insert(rank, frame);
-    }
 }

@@ -286,3 +286,90 @@ fn other_files_are_refused_with_what_was_expected() {
     let mut writer = RecordWriter::create(folder.join("b.mcap"), "r").unwrap();
     assert!(writer.write(&scan, &Pose::IDENTITY).unwrap_err().to_string().contains("ROS 2 counts"));
 }
+
+/// Little-endian CDR of an odometry or (with `tf`) of a transform message: header, child frame, pose.
+fn pose_message(tf: bool, stamp: Stamp, parent: &str, child: &str, x: f64, yaw: f64) -> Vec<u8> {
+    let mut body: Vec<u8> = Vec::new();
+    let mut put = |align: usize, bytes: &[u8]| {
+        body.resize(body.len().next_multiple_of(align), 0);
+        body.extend_from_slice(bytes);
+    };
+    if tf {
+        put(4, &1u32.to_le_bytes());
+    }
+    put(4, &((stamp.0 / 1_000_000) as i32).to_le_bytes());
+    put(4, &((stamp.0 % 1_000_000) as u32 * 1_000).to_le_bytes());
+    for name in [parent, child] {
+        put(4, &(name.len() as u32 + 1).to_le_bytes());
+        put(1, name.as_bytes());
+        put(1, &[0]);
+    }
+    for v in [x, 0.0, 0.0, 0.0, 0.0, (yaw / 2.0).sin(), (yaw / 2.0).cos()] {
+        put(8, &v.to_le_bytes());
+    }
+    [&[0, 1, 0, 0], body.as_slice()].concat()
+}
+
+const ODOMETRY: &str = "nav_msgs/msg/Odometry";
+const TF: &str = "tf2_msgs/msg/TFMessage";
+
+/// The scans of our own file with other poses beside them.
+fn with_poses(frames: &[Frame], poses: Vec<(&str, &str, Vec<u8>)>) -> Vec<u8> {
+    let mut messages = Messages::of(&written(frames));
+    messages.0.retain(|(topic, ..)| topic.ends_with("/points"));
+    let poses = poses.into_iter().map(|(topic, schema, data)| (topic.to_owned(), schema.to_owned(), data));
+    messages.0.extend(poses);
+    messages.write(WriteOptions::new(), "cdr")
+}
+
+#[test]
+fn odometry_of_the_body_and_fixed_tf_of_the_sensor_are_chained_and_interpolated() {
+    let frames = frames(4);
+    let mut poses = vec![("/tf_static", TF, pose_message(true, Stamp(0), "body", "robot7/lidar", 0.5, 0.0))];
+    // Body poses half way between the scans, at 2 m/s.
+    for i in 0..5 {
+        let stamp = Stamp(4_950_000 + i * 100_000);
+        poses.push(("/odom", ODOMETRY, pose_message(false, stamp, "odom", "/body", i as f64 * 0.2, 0.0)));
+    }
+    let (back, errors) = read(&with_poses(&frames, poses), &RecordOptions::default()).unwrap();
+    assert_eq!((back.len(), errors), (4, vec![]));
+    for (i, frame) in back.iter().enumerate() {
+        let x = frame.t_map_sensor.translation()[0];
+        assert!((x - (0.1 + 0.2 * i as f64 + 0.5)).abs() < 1e-9, "{x}");
+    }
+}
+
+#[test]
+fn points_that_are_already_in_the_map_are_taken_back_to_the_sensor() {
+    let frames = frames(2);
+    let yaw = core::f64::consts::FRAC_PI_2;
+    // The frame of the points is the parent of the odometry.
+    let poses = frames
+        .iter()
+        .map(|f| ("/odom", ODOMETRY, pose_message(false, f.scan.stamp, "robot7/lidar", "body", 10.0, yaw)))
+        .collect();
+    let (back, errors) = read(&with_poses(&frames, poses), &RecordOptions::default()).unwrap();
+    assert_eq!(errors, []);
+    for (frame, original) in back.iter().zip(&frames) {
+        for (p, q) in frame.scan.points.iter().zip(&original.scan.points) {
+            let in_map = frame.t_map_sensor.transform(p.map(f64::from));
+            assert!(in_map.iter().zip(q).all(|(a, b)| (a - f64::from(*b)).abs() < 1e-4), "{in_map:?} {q:?}");
+        }
+    }
+}
+
+#[test]
+fn a_pose_that_is_none_costs_only_itself() {
+    let frames = frames(3);
+    let poses = frames
+        .iter()
+        .enumerate()
+        .map(|(i, f)| {
+            let x = if i == 1 { f64::NAN } else { 1.0 };
+            ("/odom", ODOMETRY, pose_message(false, f.scan.stamp, "odom", "robot7/lidar", x, 0.0))
+        })
+        .collect();
+    let (back, errors) = read(&with_poses(&frames, poses), &RecordOptions::default()).unwrap();
+    assert_eq!(back.len(), 3, "the pose in between is interpolated");
+    assert!(errors[0].to_string().contains("message 2 of /odom, byte "), "{}", errors[0]);
+}
