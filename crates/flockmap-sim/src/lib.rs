@@ -1,1 +1,32 @@
-//! flockmap-sim
+//! Simulator of Flockmap: worlds, LiDAR models, collision-free flights, and an emulated radio.
+//!
+//! Everything is deterministic: the same seed gives the same bytes on every machine. Only the basic operations and the
+//! square root of `f64`, which IEEE 754 fixes to the last bit, and the pure-Rust sines of `libm` are used.
+//!
+//! ```
+//! use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+//! use std::sync::Arc;
+//!
+//! let world = Arc::new(World::indoor(1));
+//! let options = PatrolOptions { duration_s: 1.0, ..PatrolOptions::default() };
+//! let scan = ScanOptions { range_m: 7.0, ..ScanOptions::default() };
+//! for patrol in Patrol::plan(&world, 2, 1, &options)? {
+//!     let mut flight = Flight::new(Arc::clone(&world), Lidar::Mid360, scan, patrol);
+//!     let first = flight.next().expect("ten scans a second");
+//!     assert!(!first.scan.points.is_empty());
+//! }
+//! # Ok::<(), flockmap_sim::PatrolError>(())
+//! ```
+#![forbid(unsafe_code)]
+
+mod cells;
+mod flight;
+mod lidar;
+mod patrol;
+mod random;
+mod world;
+
+pub use flight::{Flight, Frame};
+pub use lidar::{Lidar, SCAN_PERIOD_MICROS, ScanOptions, UnknownLidar};
+pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
+pub use world::{Hit, World, WorldError};

@@ -1,0 +1,562 @@
+//! A sparse set of cells with fast exact ray casts: what is solid in a world.
+
+use flockmap_grid::{Voxel, VoxelBox};
+
+/// Cells along one side of a chunk.
+const CHUNK: i32 = 16;
+
+/// Cells along one side of a brick.
+const BRICK: i32 = 4;
+
+/// Most chunks that a set may span: 2²⁴, for which its tables take 80 MiB (a cube 4,096 cells wide).
+const CHUNKS_SPANNED_MAX: i64 = 1 << 24;
+
+/// Most chunks that may hold cells: 2¹⁸, together 130 MiB.
+const CHUNKS_FILLED_MAX: usize = 1 << 18;
+
+/// 16³ cells as 4³ bricks of 4³ cells.
+#[derive(Clone, Debug)]
+struct Chunk {
+    /// Which bricks hold a cell.
+    filled: u64,
+    bricks: [u64; 64],
+}
+
+/// A sparse set of cells within a box. Empty space costs 5 bytes for each 16³ cells.
+#[derive(Clone, Debug)]
+pub(crate) struct CellSet {
+    region: VoxelBox,
+    /// Index of the lowest chunk of the region.
+    corner: [i32; 3],
+    chunks_along: [i32; 3],
+    /// For each chunk of the region 0, or one more than its place in `chunks`.
+    table: Vec<u32>,
+    chunks: Vec<Chunk>,
+    /// For each chunk the distance (largest of the three axes, in chunks) to the nearest chunk that holds a
+    /// cell. Made by [`CellSet::seal`]; until then all zero, which is right but slow.
+    gap: Vec<u8>,
+}
+
+/// Why a set could not be made or grow.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct TooLarge;
+
+impl CellSet {
+    /// An empty set for the cells of `region`.
+    pub(crate) fn new(region: VoxelBox) -> Result<Self, TooLarge> {
+        let (low, high) = (chunk_of(region.min()), chunk_of(region.max()));
+        let chunks_along: [i32; 3] = core::array::from_fn(|a| high[a] - low[a] + 1);
+        let count = chunks_along.iter().try_fold(1i64, |n, &c| n.checked_mul(i64::from(c)));
+        let count = count.filter(|&n| n <= CHUNKS_SPANNED_MAX).ok_or(TooLarge)? as usize;
+        Ok(Self {
+            region,
+            corner: low,
+            chunks_along,
+            table: vec![0; count],
+            chunks: Vec::new(),
+            gap: vec![0; count],
+        })
+    }
+
+    /// The box that all cells lie in.
+    pub(crate) const fn region(&self) -> VoxelBox {
+        self.region
+    }
+
+    /// Adds a cell. A cell outside of the region is left out.
+    pub(crate) fn insert(&mut self, cell: Voxel) -> Result<(), TooLarge> {
+        if !self.region.contains(cell) {
+            return Ok(());
+        }
+        let Some(at) = self.slot(chunk_of(cell)) else { return Ok(()) };
+        if self.table[at] == 0 {
+            if self.chunks.len() == CHUNKS_FILLED_MAX {
+                return Err(TooLarge);
+            }
+            self.chunks.push(Chunk { filled: 0, bricks: [0; 64] });
+            self.table[at] = self.chunks.len() as u32;
+        }
+        let chunk = &mut self.chunks[self.table[at] as usize - 1];
+        let brick = brick_bit(cell);
+        chunk.bricks[brick] |= 1 << cell_bit(cell);
+        chunk.filled |= 1 << brick;
+        Ok(())
+    }
+
+    /// Takes a cell out.
+    pub(crate) fn remove(&mut self, cell: Voxel) {
+        let Some(at) = self.slot(chunk_of(cell)) else { return };
+        if self.table[at] == 0 {
+            return;
+        }
+        let chunk = &mut self.chunks[self.table[at] as usize - 1];
+        let brick = brick_bit(cell);
+        chunk.bricks[brick] &= !(1 << cell_bit(cell));
+        if chunk.bricks[brick] == 0 {
+            chunk.filled &= !(1 << brick);
+        }
+    }
+
+    /// Whether the cell is in the set.
+    pub(crate) fn contains(&self, cell: Voxel) -> bool {
+        let Some(at) = self.slot(chunk_of(cell)) else { return false };
+        match self.table[at] {
+            0 => false,
+            n => self.chunks[n as usize - 1].bricks[brick_bit(cell)] >> cell_bit(cell) & 1 != 0,
+        }
+    }
+
+    /// Every cell, in an order that depends only on which cells there are.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = Voxel> + '_ {
+        self.bricks().flat_map(|(corner, brick)| {
+            Bits(brick).map(move |bit| {
+                Voxel::new(corner.x + (bit & 3), corner.y + (bit >> 2 & 3), corner.z + (bit >> 4))
+            })
+        })
+    }
+
+    /// Number of cells.
+    pub(crate) fn len(&self) -> usize {
+        self.bricks().map(|(_, brick)| brick.count_ones() as usize).sum()
+    }
+
+    /// Every brick of 4³ cells that is not empty, with its lowest cell; bit `z·16 + y·4 + x` is a cell.
+    pub(crate) fn bricks(&self) -> impl Iterator<Item = (Voxel, u64)> + '_ {
+        let [nx, ny, _] = self.chunks_along;
+        self.table.iter().enumerate().filter(|(_, n)| **n != 0).flat_map(move |(at, &n)| {
+            let at = at as i32;
+            let place = [at % nx, at / nx % ny, at / nx / ny];
+            let low: [i32; 3] = core::array::from_fn(|a| (self.corner[a] + place[a]) * CHUNK);
+            let chunk = &self.chunks[n as usize - 1];
+            Bits(chunk.filled).map(move |b| {
+                let cell = Voxel::new(low[0] + (b & 3) * 4, low[1] + (b >> 2 & 3) * 4, low[2] + (b >> 4) * 4);
+                (cell, chunk.bricks[b as usize])
+            })
+        })
+    }
+
+    /// Prepares for ray casts: finds for each chunk how far it is to the next one that holds a cell.
+    pub(crate) fn seal(&mut self) {
+        let occupied =
+            |set: &Self, at: usize| set.table[at] != 0 && set.chunks[set.table[at] as usize - 1].filled != 0;
+        for at in 0..self.table.len() {
+            self.gap[at] = if occupied(self, at) { 0 } else { u8::MAX };
+        }
+        // The largest-axis distance is separable: along each axis in turn, a forward and a backward sweep in
+        // which the distance along the axis and the distance found so far combine by their maximum.
+        let [nx, ny, nz] = self.chunks_along.map(|n| n as usize);
+        for (length, stride) in [(nx, 1), (ny, nx), (nz, nx * ny)] {
+            let mut line = vec![0u8; length];
+            for start in (0..self.gap.len()).filter(|at| at / stride % length == 0) {
+                for (i, slot) in line.iter_mut().enumerate() {
+                    *slot = self.gap[start + i * stride];
+                }
+                for i in 0..length {
+                    let mut best = line[i];
+                    for distance in 1..length {
+                        // Nothing at this distance or beyond can be nearer than the distance itself.
+                        if distance >= usize::from(best) {
+                            break;
+                        }
+                        let d = distance as u8;
+                        if i >= distance {
+                            best = best.min(line[i - distance].max(d));
+                        }
+                        if i + distance < length {
+                            best = best.min(line[i + distance].max(d));
+                        }
+                    }
+                    self.gap[start + i * stride] = best;
+                }
+            }
+        }
+    }
+
+    /// The first cell of the set that a ray enters, and where: `origin` and `direction` in cells,
+    /// `length_max` in multiples of `direction`. A ray that starts in a cell of the set enters it at 0.
+    ///
+    /// Gives exactly the cell and the number that a step-by-step Amanatides–Woo walk gives, whatever it skips:
+    /// a boundary at index k along an axis is always crossed at `(k − origin) · (1 / direction)`, and of
+    /// crossings at the same place the one of the lower axis comes first. Chunks, bricks and cells are walked by that
+    /// one rule, so a walk through chunks leaves each where the walk through its cells would.
+    pub(crate) fn cast(
+        &self,
+        origin: [f64; 3],
+        direction: [f64; 3],
+        length_max: f64,
+    ) -> Option<(Voxel, f64)> {
+        let ray = Ray::new(origin, direction)?;
+        let last: [i32; 3] = core::array::from_fn(|a| self.corner[a] + self.chunks_along[a] - 1);
+        let (mut at, mut index) = ray.enter(self.corner, last)?;
+        let mut next = ray.crossings::<CHUNK>(index);
+        while at.t <= length_max {
+            let slot = self.slot(index)?;
+            let n = self.table[slot];
+            let chunk =
+                if n == 0 { None } else { Some(&self.chunks[n as usize - 1]).filter(|c| c.filled != 0) };
+            if let Some(chunk) = chunk {
+                if let Some((cell, t)) = ray.cast_in_chunk(chunk, index, at) {
+                    return (t <= length_max).then_some((cell, t));
+                }
+            } else if self.gap[slot] > 2 {
+                // All chunks up to this far around are empty: leave them at once.
+                let reach = i32::from(self.gap[slot]) - 1;
+                let far = core::array::from_fn(|a| index[a] + ray.step[a] * reach);
+                at = Crossing::first(ray.crossings::<CHUNK>(far))?;
+                for a in 0..3 {
+                    index[a] = if a == at.axis {
+                        far[a] + ray.step[a]
+                    } else {
+                        ray.index::<CHUNK>(a, index[a], far[a], at)
+                    };
+                }
+                next = ray.crossings::<CHUNK>(index);
+                continue;
+            }
+            at = Crossing::first(next)?;
+            index[at.axis] += ray.step[at.axis];
+            next[at.axis] = ray.crossing::<CHUNK>(at.axis, index[at.axis]);
+        }
+        None
+    }
+
+    fn slot(&self, chunk: [i32; 3]) -> Option<usize> {
+        let mut place = [0usize; 3];
+        for a in 0..3 {
+            let p = chunk[a] - self.corner[a];
+            if p < 0 || p >= self.chunks_along[a] {
+                return None;
+            }
+            place[a] = p as usize;
+        }
+        let [nx, ny, _] = self.chunks_along.map(|n| n as usize);
+        Some((place[2] * ny + place[1]) * nx + place[0])
+    }
+}
+
+/// A ray in cells. Places along it are in multiples of its direction.
+struct Ray {
+    origin: [f64; 3],
+    direction: [f64; 3],
+    inverse: [f64; 3],
+    step: [i32; 3],
+    /// 1 on axes along which the ray goes up.
+    ahead: [i32; 3],
+    start: [i32; 3],
+}
+
+/// Where a ray crosses from one box into the next, and along which axis.
+#[derive(Clone, Copy)]
+struct Crossing {
+    t: f64,
+    axis: usize,
+}
+
+impl Crossing {
+    /// The first of three crossings, of equal ones that of the lowest axis. `None` if the ray crosses nothing more.
+    #[inline]
+    fn first(t: [f64; 3]) -> Option<Self> {
+        let flat = usize::from(t[1] < t[0]);
+        let axis = if t[2] < t[flat] { 2 } else { flat };
+        (t[axis] < f64::INFINITY).then_some(Self { t: t[axis], axis })
+    }
+}
+
+impl Ray {
+    /// `None` if a number is not finite, the origin is out of the range of indices, or nothing moves.
+    fn new(origin: [f64; 3], direction: [f64; 3]) -> Option<Self> {
+        let fits = |v: f64| v.is_finite() && v.abs() < f64::from(1 << 28);
+        let moves = direction.iter().any(|d| *d != 0.0);
+        if !origin.into_iter().chain(direction).all(fits) || !moves {
+            return None;
+        }
+        let step = direction.map(|d| i32::from(d > 0.0) - i32::from(d < 0.0));
+        let ahead = step.map(|s| i32::from(s > 0));
+        let start = origin.map(|o| o.floor() as i32);
+        Some(Self { origin, direction, inverse: direction.map(|d| 1.0 / d), step, ahead, start })
+    }
+
+    /// Where the ray leaves, along `axis`, boxes of `SIDE` cells with this index.
+    #[inline]
+    fn crossing<const SIDE: i32>(&self, axis: usize, index: i32) -> f64 {
+        if self.step[axis] == 0 {
+            f64::INFINITY
+        } else {
+            (f64::from((index + self.ahead[axis]) * SIDE) - self.origin[axis]) * self.inverse[axis]
+        }
+    }
+
+    #[inline]
+    fn crossings<const SIDE: i32>(&self, index: [i32; 3]) -> [f64; 3] {
+        core::array::from_fn(|a| self.crossing::<SIDE>(a, index[a]))
+    }
+
+    /// The index along `axis` of the box of `SIDE` cells that the ray is in at a crossing of another axis, given that it lies
+    /// between the index `near`, which the ray comes to first, and `far`.
+    #[inline]
+    fn index<const SIDE: i32>(&self, axis: usize, near: i32, far: i32, at: Crossing) -> i32 {
+        let step = self.step[axis];
+        if near == far || step == 0 {
+            return near;
+        }
+        let left = |index: i32| {
+            let t = self.crossing::<SIDE>(axis, index);
+            t < at.t || (t == at.t && axis < at.axis)
+        };
+        // A guess by rounding, put right by the exact rule.
+        let guess = nearly_floor((self.origin[axis] + self.direction[axis] * at.t) / f64::from(SIDE));
+        let mut index = guess.clamp(near.min(far), near.max(far));
+        while index != far && left(index) {
+            index += step;
+        }
+        while index != near && !left(index - step) {
+            index -= step;
+        }
+        index
+    }
+
+    /// The index, in boxes of `SIDE` cells, of where the ray is right after a crossing into the box of `4 · SIDE` cells or more with lowest
+    /// and highest index `low` and `high`.
+    #[inline]
+    fn descend<const SIDE: i32>(&self, low: [i32; 3], high: [i32; 3], at: Crossing) -> [i32; 3] {
+        core::array::from_fn(|a| {
+            let up = self.step[a] >= 0;
+            let start = self.start[a].div_euclid(SIDE).clamp(low[a], high[a]);
+            let starts_inside = self.start[a].div_euclid(SIDE) == start;
+            let near = match (starts_inside, up) {
+                (true, _) => start,
+                (false, true) => low[a],
+                (false, false) => high[a],
+            };
+            // Having just crossed along this axis, the ray is at the near side. At its start it has crossed nothing.
+            if a == at.axis {
+                near
+            } else {
+                self.index::<SIDE>(a, near, if up { high[a] } else { low[a] }, at)
+            }
+        })
+    }
+
+    /// The first crossing into the box of chunks with lowest and highest index `low` and `high`, and the chunk there. For a ray that
+    /// starts inside, the start.
+    fn enter(&self, low: [i32; 3], high: [i32; 3]) -> Option<(Crossing, [i32; 3])> {
+        let start = self.start.map(|c| c >> 4);
+        // The last of the crossings into the slabs that the ray is not yet in.
+        let mut last = Crossing { t: 0.0, axis: 0 };
+        let mut inside = true;
+        for a in 0..3 {
+            let before = match (start[a] < low[a], start[a] > high[a]) {
+                (true, _) if self.step[a] > 0 => low[a] - 1,
+                (_, true) if self.step[a] < 0 => high[a] + 1,
+                (false, false) => continue,
+                _ => return None,
+            };
+            let t = self.crossing::<CHUNK>(a, before);
+            if inside || t >= last.t {
+                last = Crossing { t, axis: a };
+            }
+            inside = false;
+        }
+        if inside {
+            return Some((last, start));
+        }
+        let mut index = start;
+        for a in 0..3 {
+            if a == last.axis {
+                index[a] = if self.step[a] > 0 { low[a] } else { high[a] };
+            } else if self.step[a] != 0 {
+                // One chunk past the box is enough to see that the ray misses it.
+                let far = if self.step[a] > 0 { high[a].max(start[a]) + 1 } else { low[a].min(start[a]) - 1 };
+                index[a] = self.index::<CHUNK>(a, start[a], far, last);
+            }
+        }
+        (0..3).all(|a| low[a] <= index[a] && index[a] <= high[a]).then_some((last, index))
+    }
+
+    /// The first cell of a chunk on the ray, which enters the chunk at `at`.
+    #[inline]
+    fn cast_in_chunk(&self, chunk: &Chunk, chunk_index: [i32; 3], mut at: Crossing) -> Option<(Voxel, f64)> {
+        let low = chunk_index.map(|c| c * 4);
+        let mut index = self.descend::<BRICK>(low, low.map(|c| c + 3), at);
+        let mut next = self.crossings::<BRICK>(index);
+        loop {
+            let bit = ((index[2] & 3) << 4 | (index[1] & 3) << 2 | (index[0] & 3)) as usize;
+            if chunk.filled >> bit & 1 != 0
+                && let Some(hit) = self.cast_in_brick(chunk.bricks[bit], index, at)
+            {
+                return Some(hit);
+            }
+            at = Crossing::first(next)?;
+            let before = index[at.axis];
+            index[at.axis] += self.step[at.axis];
+            if (before ^ index[at.axis]) & !3 != 0 {
+                return None;
+            }
+            next[at.axis] = self.crossing::<BRICK>(at.axis, index[at.axis]);
+        }
+    }
+
+    /// The first cell of a brick on the ray, which enters the brick at `at`.
+    #[inline]
+    fn cast_in_brick(&self, brick: u64, brick_index: [i32; 3], mut at: Crossing) -> Option<(Voxel, f64)> {
+        let low = brick_index.map(|c| c * 4);
+        let mut cell = self.descend::<1>(low, low.map(|c| c + 3), at);
+        let mut next = self.crossings::<1>(cell);
+        loop {
+            let voxel = Voxel::new(cell[0], cell[1], cell[2]);
+            if brick >> cell_bit(voxel) & 1 != 0 {
+                return Some((voxel, at.t));
+            }
+            at = Crossing::first(next)?;
+            let before = cell[at.axis];
+            cell[at.axis] += self.step[at.axis];
+            if (before ^ cell[at.axis]) & !3 != 0 {
+                return None;
+            }
+            next[at.axis] = self.crossing::<1>(at.axis, cell[at.axis]);
+        }
+    }
+}
+
+/// A number rounded down, or one off where it is within 2⁻²² of a whole one. Much faster than `floor`, which is a call where the CPU
+/// is not known to have the instruction.
+#[inline]
+const fn nearly_floor(v: f64) -> i32 {
+    const SHIFT: i64 = 1 << 30;
+    ((v + SHIFT as f64) as i64 - SHIFT) as i32
+}
+
+const fn chunk_of(cell: Voxel) -> [i32; 3] {
+    [cell.x >> 4, cell.y >> 4, cell.z >> 4]
+}
+
+const fn brick_bit(cell: Voxel) -> usize {
+    ((cell.z >> 2 & 3) << 4 | (cell.y >> 2 & 3) << 2 | (cell.x >> 2 & 3)) as usize
+}
+
+const fn cell_bit(cell: Voxel) -> u32 {
+    ((cell.z & 3) << 4 | (cell.y & 3) << 2 | (cell.x & 3)) as u32
+}
+
+/// The numbers of the set bits of a word, ascending.
+struct Bits(u64);
+
+impl Iterator for Bits {
+    type Item = i32;
+
+    fn next(&mut self) -> Option<i32> {
+        if self.0 == 0 {
+            return None;
+        }
+        let bit = self.0.trailing_zeros();
+        self.0 &= self.0 - 1;
+        Some(bit as i32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// One face at a time, by the same rule for where a face is crossed.
+    fn naive_cast(
+        set: &CellSet,
+        origin: [f64; 3],
+        direction: [f64; 3],
+        length_max: f64,
+    ) -> Option<(Voxel, f64)> {
+        let inverse = direction.map(|d| 1.0 / d);
+        let mut cell = origin.map(|o| o.floor() as i32);
+        let mut t = 0.0;
+        while t <= length_max {
+            let voxel = Voxel::new(cell[0], cell[1], cell[2]);
+            if set.contains(voxel) {
+                return Some((voxel, t));
+            }
+            let mut first = (f64::INFINITY, 0);
+            for a in 0..3 {
+                let face = cell[a] + i32::from(direction[a] > 0.0);
+                let crossed = (f64::from(face) - origin[a]) * inverse[a];
+                if direction[a] != 0.0 && crossed < first.0 {
+                    first = (crossed, a);
+                }
+            }
+            t = first.0;
+            cell[first.1] += if direction[first.1] > 0.0 { 1 } else { -1 };
+        }
+        None
+    }
+
+    fn cell() -> impl Strategy<Value = Voxel> {
+        (-40..90i32, -30..50i32, -20..40i32).prop_map(|(x, y, z)| Voxel::new(x, y, z))
+    }
+
+    fn coordinate(low: i32, high: i32) -> impl Strategy<Value = f64> {
+        // Quarters hit faces and edges exactly, the rest do not.
+        prop_oneof![(low * 4..high * 4).prop_map(|q| f64::from(q) / 4.0), f64::from(low)..f64::from(high)]
+    }
+
+    fn set_of(cells: &[Voxel]) -> CellSet {
+        let region = VoxelBox::spanning(Voxel::new(-40, -30, -20), Voxel::new(89, 49, 39)).unwrap();
+        let mut set = CellSet::new(region).unwrap();
+        for cell in cells {
+            set.insert(*cell).unwrap();
+        }
+        set.seal();
+        set
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+        #[test]
+        fn a_cast_ends_just_where_a_step_by_step_walk_ends(
+            cells in prop::collection::vec(cell(), 1..300),
+            aim in any::<prop::sample::Index>(),
+            origin in (coordinate(-60, 110), coordinate(-50, 70), coordinate(-40, 60)),
+            offset in (coordinate(-2, 3), coordinate(-2, 3), coordinate(-2, 3)),
+        ) {
+            let set = set_of(&cells);
+            let target = cells[aim.index(cells.len())];
+            let origin = [origin.0, origin.1, origin.2];
+            let direction = [
+                f64::from(target.x) + offset.0 - origin[0],
+                f64::from(target.y) + offset.1 - origin[1],
+                f64::from(target.z) + offset.2 - origin[2],
+            ];
+            prop_assume!(direction != [0.0; 3]);
+            let expected = naive_cast(&set, origin, direction, 3.0);
+            prop_assert_eq!(set.cast(origin, direction, 3.0), expected);
+        }
+
+        #[test]
+        fn the_set_holds_what_was_put_in(
+            cells in prop::collection::vec(cell(), 0..200), gone in prop::collection::vec(cell(), 0..50),
+        ) {
+            let mut set = set_of(&cells);
+            let mut model: std::collections::BTreeSet<Voxel> = cells.iter().copied().collect();
+            for cell in gone.iter().chain(cells.iter().take(3)) {
+                set.remove(*cell);
+                model.remove(cell);
+            }
+            prop_assert_eq!(set.len(), model.len());
+            prop_assert!(set.iter().all(|c| model.contains(&c)));
+            prop_assert!(model.iter().all(|c| set.contains(*c)));
+        }
+    }
+
+    #[test]
+    fn a_ray_of_nothing_or_nowhere_hits_nothing() {
+        let set = set_of(&[Voxel::new(0, 0, 0)]);
+        assert_eq!(set.cast([0.5; 3], [0.0; 3], 1.0), None);
+        assert_eq!(set.cast([f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], 1.0), None);
+        assert_eq!(set.cast([1e30, 0.0, 0.0], [-1.0, 0.0, 0.0], 1e40), None);
+        assert_eq!(set.cast([0.5; 3], [0.0, 0.0, 1.0], 1.0), Some((Voxel::new(0, 0, 0), 0.0)));
+    }
+
+    #[test]
+    fn a_set_beyond_its_limit_is_refused() {
+        let region = VoxelBox::new(Voxel::new(0, 0, 0), [1 << 20, 1 << 20, 1 << 10]).unwrap();
+        assert_eq!(CellSet::new(region).err(), Some(TooLarge));
+    }
+}

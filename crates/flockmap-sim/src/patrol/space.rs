@@ -1,0 +1,337 @@
+//! Where one can fly: a coarse grid with the distance of each cell to anything solid.
+
+use super::{PatrolError, PatrolOptions};
+use crate::World;
+use flockmap_grid::Voxel;
+
+/// Cells of the coarse grid for which a step of about 10 cm is taken; larger worlds are searched in larger steps.
+const CELLS_WANTED: i64 = 5_000_000;
+
+/// Clearances are told apart up to this many cells.
+const REACH: usize = 16;
+
+/// Not to be flown in.
+pub(super) const BLOCKED: u16 = 0;
+
+/// The free space in which robots fly: the largest connected set of cells that keep the clearance.
+pub(super) struct Space {
+    size: [usize; 3],
+    /// Metres of the lowest corner of the grid.
+    corner_m: [f64; 3],
+    step_m: f64,
+    clearance_m: f64,
+    /// For each cell of the space the square of the least distance from any point in it to anything solid, in cells, at least 1; [`BLOCKED`] elsewhere.
+    open: Vec<u16>,
+    /// The cells of the space, ascending.
+    cells: Vec<u32>,
+}
+
+impl Space {
+    pub(super) fn new(world: &World, options: &PatrolOptions) -> Result<Self, PatrolError> {
+        let side = world.resolution().metres();
+        let bounds = world.bounds();
+        let extent = bounds.size().map(|n| f64::from(n) * side);
+        let cells_at = |m: u32| -> i64 {
+            bounds.size().iter().map(|&n| i64::from(n.div_ceil(m))).fold(1, i64::saturating_mul)
+        };
+        let mut multiple = ((0.1 / side).round() as u32).max(1);
+        while cells_at(multiple) > CELLS_WANTED {
+            multiple += 1;
+        }
+        let step_m = f64::from(multiple) * side;
+        let low = bounds.min();
+        let size = bounds.size().map(|n| n.div_ceil(multiple) as usize);
+        let corner_m = [low.x, low.y, low.z].map(|v| f64::from(v) * side);
+        let mut grid = Self { size, corner_m, step_m, clearance_m: 0.0, open: Vec::new(), cells: Vec::new() };
+
+        let count = size.iter().product::<usize>();
+        let mut solid = vec![false; count];
+        for cell in world.solid_cells() {
+            let at = [cell.x - low.x, cell.y - low.y, cell.z - low.z].map(|v| v as usize / multiple as usize);
+            solid[grid.number(at)] = true;
+        }
+        let ground = grid.ground(&solid);
+        let distance = grid.distances(&solid, REACH);
+        drop(solid);
+        let middle = (multiple / 2) as i32;
+        let known_free = |at: [usize; 3]| {
+            let [x, y, z] = at.map(|v| v as i32 * multiple as i32 + middle);
+            world.is_known_free(Voxel::new(low.x + x, low.y + y, low.z + z)).unwrap_or(true)
+        };
+
+        // Heights as asked for, then with more freedom, since a ground is not always seen.
+        let [floor, top] = options.height_m;
+        let bands = [[floor, top], [floor / 2.0, top + 1.0], [0.0, f64::MAX]];
+        for band in bands {
+            let mut candidates = Vec::new();
+            for (number, &away) in distance.iter().enumerate() {
+                let at = grid.place(number);
+                let above = (at[2] as f64 + 0.5) * step_m - ground[at[1] * size[0] + at[0]];
+                if band[0] <= above && above <= band[1] && away > BLOCKED && known_free(at) {
+                    candidates.push(number as u32);
+                }
+            }
+            if let Some((clearance_m, cells)) = grid.widest(&candidates, &distance, options) {
+                grid.clearance_m = clearance_m;
+                grid.open = vec![BLOCKED; count];
+                for &cell in &cells {
+                    grid.open[cell as usize] = distance[cell as usize];
+                }
+                grid.cells = cells;
+                return Ok(grid);
+            }
+        }
+        Err(PatrolError::NoSpace {
+            size_m: extent,
+            step_m,
+            clearance_m: options.clearance_min_m,
+            heights: bands.to_vec(),
+        })
+    }
+
+    /// Metres from any point of the space to anything solid, at least.
+    pub(super) const fn clearance_m(&self) -> f64 {
+        self.clearance_m
+    }
+
+    pub(super) const fn step_m(&self) -> f64 {
+        self.step_m
+    }
+
+    /// The cells of the space, ascending.
+    pub(super) fn cells(&self) -> &[u32] {
+        &self.cells
+    }
+
+    /// Square of the distance of a cell to anything solid, in cells; [`BLOCKED`] outside of the space.
+    pub(super) fn openness(&self, number: usize) -> u16 {
+        self.open[number]
+    }
+
+    /// Number of all cells of the grid.
+    pub(super) const fn count(&self) -> usize {
+        self.open.len()
+    }
+
+    pub(super) const fn number(&self, at: [usize; 3]) -> usize {
+        (at[2] * self.size[1] + at[1]) * self.size[0] + at[0]
+    }
+
+    pub(super) const fn place(&self, number: usize) -> [usize; 3] {
+        let [nx, ny, _] = self.size;
+        [number % nx, number / nx % ny, number / nx / ny]
+    }
+
+    /// The centre of a cell in metres.
+    pub(super) fn centre(&self, number: usize) -> [f64; 3] {
+        let at = self.place(number);
+        core::array::from_fn(|a| self.corner_m[a] + (at[a] as f64 + 0.5) * self.step_m)
+    }
+
+    /// The cell at a point in metres, if it lies in the grid.
+    pub(super) fn cell_at(&self, point: [f64; 3]) -> Option<usize> {
+        let mut at = [0; 3];
+        for a in 0..3 {
+            let index = ((point[a] - self.corner_m[a]) / self.step_m).floor();
+            if !(index >= 0.0 && index < self.size[a] as f64) {
+                return None;
+            }
+            at[a] = index as usize;
+        }
+        Some(self.number(at))
+    }
+
+    /// The cells of the grid around a cell (up to 26), each with how many axes it differs in.
+    pub(super) fn neighbours(&self, number: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let (at, size) = (self.place(number), self.size);
+        (0..27usize).filter(|k| *k != 13).filter_map(move |k| {
+            let delta = [k % 3, k / 3 % 3, k / 9];
+            let mut next = [0; 3];
+            for a in 0..3 {
+                next[a] = (at[a] + delta[a]).checked_sub(1).filter(|v| *v < size[a])?;
+            }
+            let axes = delta.iter().filter(|d| **d != 1).count();
+            Some(((next[2] * size[1] + next[1]) * size[0] + next[0], axes))
+        })
+    }
+
+    /// The cells of the grid that share a face with a cell.
+    pub(super) fn beside(&self, number: usize) -> impl Iterator<Item = usize> + use<> {
+        let [nx, ny, nz] = self.size;
+        let [x, y, z] = self.place(number);
+        [
+            (x > 0, number.wrapping_sub(1)),
+            (x + 1 < nx, number + 1),
+            (y > 0, number.wrapping_sub(nx)),
+            (y + 1 < ny, number + nx),
+            (z > 0, number.wrapping_sub(nx * ny)),
+            (z + 1 < nz, number + nx * ny),
+        ]
+        .into_iter()
+        .filter_map(|(inside, next)| inside.then_some(next))
+    }
+
+    /// Area over which the cells lie, in m².
+    pub(super) fn area_m2(&self, cells: &[u32]) -> f64 {
+        let mut columns = vec![false; self.size[0] * self.size[1]];
+        for &cell in cells {
+            columns[cell as usize % (self.size[0] * self.size[1])] = true;
+        }
+        columns.iter().filter(|c| **c).count() as f64 * self.step_m * self.step_m
+    }
+
+    /// Height of the ground in each column, in metres above the grid: the lowest thing within 1 m. Where nothing is seen at all, the
+    /// ground of the nearest column that has one.
+    fn ground(&self, solid: &[bool]) -> Vec<f64> {
+        let [nx, ny, nz] = self.size;
+        let none = u32::MAX;
+        let mut lowest = vec![none; nx * ny];
+        for z in (0..nz).rev() {
+            for column in 0..nx * ny {
+                if solid[z * nx * ny + column] {
+                    lowest[column] = z as u32;
+                }
+            }
+        }
+        let reach = (1.0 / self.step_m).ceil() as usize;
+        let along_x = window_min(&lowest, nx, ny, 1, nx, reach);
+        let mut ground = window_min(&along_x, ny, nx, nx, 1, reach);
+        // Columns without a ground take it from their neighbours, ring by ring.
+        let mut front: Vec<usize> = (0..nx * ny).filter(|c| ground[*c] != none).collect();
+        while !front.is_empty() {
+            let mut next = Vec::new();
+            for column in front {
+                let (x, y) = (column % nx, column / nx);
+                let around = [
+                    (x > 0).then(|| column - 1),
+                    (x + 1 < nx).then_some(column + 1),
+                    (y > 0).then(|| column - nx),
+                    (y + 1 < ny).then_some(column + nx),
+                ];
+                for other in around.into_iter().flatten() {
+                    if ground[other] == none {
+                        ground[other] = ground[column];
+                        next.push(other);
+                    }
+                }
+            }
+            front = next;
+        }
+        ground.iter().map(|z| f64::from(*z) * self.step_m).collect()
+    }
+
+    /// For each cell the square of the least distance between any point of it and any point of the marked cells, in cells, so 0 for the
+    /// marked and their neighbours; exact up to `reach` (at most 255), and `reach`² beyond.
+    pub(super) fn distances(&self, marked: &[bool], reach: usize) -> Vec<u16> {
+        let far = (reach * reach) as u16;
+        let [nx, ny, nz] = self.size;
+        let mut squares: Vec<u16> = marked.iter().map(|s| if *s { 0 } else { far }).collect();
+        for (length, stride) in [(nx, 1), (ny, nx), (nz, nx * ny)] {
+            let mut line = vec![0u16; length];
+            for start in (0..squares.len()).filter(|number| number / stride % length == 0) {
+                for (i, slot) in line.iter_mut().enumerate() {
+                    *slot = squares[start + i * stride];
+                }
+                for i in 0..length {
+                    let mut best = line[i];
+                    for d in 1..=reach {
+                        // Faces are one cell nearer than centres.
+                        let gap = ((d - 1) * (d - 1)) as u16;
+                        if gap >= best {
+                            break;
+                        }
+                        if i >= d {
+                            best = best.min(line[i - d].saturating_add(gap));
+                        }
+                        if i + d < length {
+                            best = best.min(line[i + d].saturating_add(gap));
+                        }
+                    }
+                    squares[start + i * stride] = best;
+                }
+            }
+        }
+        squares
+    }
+
+    /// The largest connected set at the largest clearance that does not cost more than a fifth of the area.
+    fn widest(
+        &self,
+        candidates: &[u32],
+        distance: &[u16],
+        options: &PatrolOptions,
+    ) -> Option<(f64, Vec<u32>)> {
+        let (most, least) = (options.clearance_m, options.clearance_min_m);
+        let tries = [least, least + (most - least) / 3.0, least + (most - least) * 2.0 / 3.0, most];
+        let mut found: Option<(f64, Vec<u32>)> = None;
+        let mut area_wanted = 0.0;
+        for (number, clearance) in tries.into_iter().enumerate() {
+            let cells = self.largest_component(candidates, |cell| {
+                f64::from(distance[cell]).sqrt() * self.step_m >= clearance - 1e-9
+            });
+            let area = self.area_m2(&cells);
+            if number == 0 {
+                // Less than one square metre is no place to fly.
+                if area < 1.0 {
+                    return None;
+                }
+                area_wanted = 0.8 * area;
+            }
+            if area >= area_wanted {
+                found = Some((clearance, cells));
+            }
+        }
+        found
+    }
+
+    /// The largest set of candidates that hang together by faces, ascending; of two of a size the one with the lowest cell.
+    pub(super) fn largest_component(&self, candidates: &[u32], fits: impl Fn(usize) -> bool) -> Vec<u32> {
+        let count = self.size.iter().product();
+        let mut open = vec![false; count];
+        for &cell in candidates {
+            open[cell as usize] = fits(cell as usize);
+        }
+        let mut best = Vec::new();
+        for &first in candidates {
+            if open[first as usize] {
+                open[first as usize] = false;
+                let mut component = vec![first];
+                let mut done = 0;
+                while done < component.len() {
+                    for next in self.beside(component[done] as usize) {
+                        if open[next] {
+                            open[next] = false;
+                            component.push(next as u32);
+                        }
+                    }
+                    done += 1;
+                }
+                if component.len() > best.len() {
+                    best = component;
+                }
+            }
+        }
+        best.sort_unstable();
+        best
+    }
+}
+
+/// The least value within `reach` places along one axis of a two-dimensional array.
+fn window_min(
+    values: &[u32],
+    length: usize,
+    lines: usize,
+    stride: usize,
+    line_stride: usize,
+    reach: usize,
+) -> Vec<u32> {
+    let mut result = values.to_vec();
+    for line in 0..lines {
+        for i in 0..length {
+            let window = i.saturating_sub(reach)..=(i + reach).min(length - 1);
+            let least = window.map(|j| values[line * line_stride + j * stride]).min();
+            result[line * line_stride + i * stride] = least.unwrap_or(u32::MAX);
+        }
+    }
+    result
+}

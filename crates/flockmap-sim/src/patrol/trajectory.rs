@@ -1,0 +1,181 @@
+//! How a robot flies along a path: rounded corners, limits of speed, acceleration and yaw rate.
+
+use super::PatrolOptions;
+use super::region::Region;
+use super::route::distance;
+use super::space::Space;
+use core::f64::consts::{PI, TAU};
+use flockmap_grid::Pose;
+use flockmap_grid::Stamp;
+use libm::{atan2, cos, sin};
+
+/// Metres between samples of a path.
+const SAMPLE_M: f64 = 0.05;
+
+/// Metres before a corner at which it is begun to be rounded.
+const CORNER_M: f64 = 1.2;
+
+/// No slower than this, in m/s, so that every path ends.
+const CREEP_M_S: f64 = 0.01;
+
+/// Poses every 0.1 s along the polyline `line`, which must lie in the region.
+pub(super) fn fly(
+    space: &Space,
+    region: &Region,
+    line: &[[f64; 3]],
+    options: &PatrolOptions,
+) -> Vec<(Stamp, Pose)> {
+    let points = rounded(space, region, line);
+    let lengths: Vec<f64> = points.windows(2).map(|pair| distance(pair[0], pair[1])).collect();
+    let yaws = headings(&points);
+    let speeds = speeds(&points, &lengths, &yaws, options);
+    let mut poses = Vec::new();
+    let (mut segment, mut started) = (0, 0.0);
+    let count = (options.duration_s * 10.0).round().max(1.0) as i64;
+    for number in 0..count {
+        let time = number as f64 * 0.1;
+        // The last segment before this time; on the path's end the robot hovers.
+        let mut fraction = 1.0;
+        while segment < lengths.len() {
+            let (v0, v1, length) = (speeds[segment], speeds[segment + 1], lengths[segment]);
+            let lasts = 2.0 * length / (v0 + v1);
+            let into = time - started;
+            if into < lasts {
+                fraction = (v0 * into + 0.5 * (v1 - v0) / lasts * into * into) / length;
+                break;
+            }
+            started += lasts;
+            segment += 1;
+        }
+        let (from, f) = if segment < lengths.len() { (segment, fraction) } else { (segment.max(1) - 1, 1.0) };
+        let to = (from + 1).min(points.len() - 1);
+        let position = core::array::from_fn(|a| points[from][a] + (points[to][a] - points[from][a]) * f);
+        let half = 0.5 * (yaws[from] + (yaws[to] - yaws[from]) * f);
+        let pose = Pose::new(position, [0.0, 0.0, sin(half), cos(half)]);
+        // Sine and cosine of one angle make a unit quaternion, and cells have finite places.
+        poses.push((options.start.plus_micros(number * 100_000), pose.unwrap_or_default()));
+    }
+    poses
+}
+
+/// Samples along the line with its corners rounded as far as the region allows.
+fn rounded(space: &Space, region: &Region, line: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let mut points = vec![line[0]];
+    for (i, &corner) in line.iter().enumerate().skip(1) {
+        let before = line[i - 1];
+        let Some(&after) = line.get(i + 1) else {
+            straight(&mut points, corner);
+            break;
+        };
+        let mut cut = CORNER_M.min(0.5 * distance(before, corner)).min(0.5 * distance(corner, after));
+        let mut arc = Vec::new();
+        while cut > SAMPLE_M {
+            arc = bend(towards(corner, before, cut), corner, towards(corner, after, cut));
+            if arc.iter().all(|point| space.cell_at(*point).is_some_and(|cell| region.contains(cell))) {
+                break;
+            }
+            arc.clear();
+            cut /= 2.0;
+        }
+        match arc.first() {
+            Some(&start) => straight(&mut points, start),
+            None => straight(&mut points, corner),
+        }
+        points.extend(arc.into_iter().skip(1));
+    }
+    points.dedup_by(|b, a| distance(*a, *b) < 1e-6);
+    points
+}
+
+/// A quadratic Bézier curve, sampled.
+fn bend(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> Vec<[f64; 3]> {
+    let steps = ((distance(a, b) + distance(b, c)) / SAMPLE_M).ceil() as u32;
+    let at =
+        |s: f64| core::array::from_fn(|i| (1.0 - s) * ((1.0 - s) * a[i] + 2.0 * s * b[i]) + s * s * c[i]);
+    (0..=steps).map(|step| at(f64::from(step) / f64::from(steps))).collect()
+}
+
+fn straight(points: &mut Vec<[f64; 3]>, to: [f64; 3]) {
+    let from = points[points.len() - 1];
+    let steps = (distance(from, to) / SAMPLE_M).ceil() as u32;
+    for step in 1..=steps {
+        let s = f64::from(step) / f64::from(steps);
+        points.push(core::array::from_fn(|i| from[i] + (to[i] - from[i]) * s));
+    }
+}
+
+/// The point `reach` metres from `from` in the direction of `to`.
+fn towards(from: [f64; 3], to: [f64; 3], reach: f64) -> [f64; 3] {
+    let s = reach / distance(from, to).max(1e-9);
+    core::array::from_fn(|i| from[i] + (to[i] - from[i]) * s)
+}
+
+/// For each point the direction of motion after it, in radians, without jumps of a full turn. Kept where the path is steep.
+fn headings(points: &[[f64; 3]]) -> Vec<f64> {
+    let heading = |pair: &[[f64; 3]]| {
+        let (dx, dy) = (pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]);
+        let flat = (dx * dx + dy * dy).sqrt();
+        (flat > 0.2 * distance(pair[0], pair[1])).then(|| atan2(dy, dx))
+    };
+    let mut last = points.windows(2).find_map(heading).unwrap_or(0.0);
+    let mut yaws = Vec::with_capacity(points.len());
+    for pair in points.windows(2) {
+        if let Some(next) = heading(pair) {
+            let mut turn = (next - last) % TAU;
+            if turn > PI {
+                turn -= TAU;
+            } else if turn < -PI {
+                turn += TAU;
+            }
+            last += turn;
+        }
+        yaws.push(last);
+    }
+    yaws.push(last);
+    yaws
+}
+
+/// For each point the highest speed at which all limits are kept, from rest to rest.
+fn speeds(points: &[[f64; 3]], lengths: &[f64], yaws: &[f64], options: &PatrolOptions) -> Vec<f64> {
+    let mut speeds = vec![options.speed_m_s; points.len()];
+    for i in 0..lengths.len() {
+        let turn = (yaws[i + 1] - yaws[i]).abs();
+        if turn > 0.0 {
+            let limit = lengths[i] * options.yaw_rate_rad_s / turn;
+            speeds[i] = speeds[i].min(limit);
+            speeds[i + 1] = speeds[i + 1].min(limit);
+        }
+        if i > 0 {
+            // How much the direction changes here, over the length it takes.
+            let bend = (0..3)
+                .map(|a| {
+                    let into = (points[i][a] - points[i - 1][a]) / lengths[i - 1];
+                    let out = (points[i + 1][a] - points[i][a]) / lengths[i];
+                    (out - into) * (out - into)
+                })
+                .sum::<f64>()
+                .sqrt();
+            if bend > 1e-9 {
+                let reach = 0.5 * (lengths[i - 1] + lengths[i]);
+                speeds[i] = speeds[i].min((options.acceleration_m_s2 * reach / bend).sqrt());
+            }
+        }
+    }
+    if let Some(first) = speeds.first_mut() {
+        *first = 0.0;
+    }
+    if let Some(last) = speeds.last_mut() {
+        *last = 0.0;
+    }
+    for speed in &mut speeds {
+        *speed = speed.max(CREEP_M_S);
+    }
+    let reachable = |from: f64, length: f64| (from * from + 2.0 * options.acceleration_m_s2 * length).sqrt();
+    for i in 1..speeds.len() {
+        speeds[i] = speeds[i].min(reachable(speeds[i - 1], lengths[i - 1]));
+    }
+    for i in (1..speeds.len()).rev() {
+        speeds[i - 1] = speeds[i - 1].min(reachable(speeds[i], lengths[i - 1]));
+    }
+    speeds
+}
