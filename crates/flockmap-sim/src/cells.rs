@@ -83,6 +83,38 @@ impl CellSet {
         Ok(())
     }
 
+    /// Adds all cells of a box that lie in the region.
+    pub(crate) fn insert_box(&mut self, cells: &VoxelBox) -> Result<(), TooLarge> {
+        let Some(part) = cells.intersection(&self.region) else { return Ok(()) };
+        let (low, high) = (chunk_of(part.min()), chunk_of(part.max()));
+        let chunks = (0..3).map(|a| i64::from(high[a] - low[a]) + 1).product::<i64>();
+        if chunks > CHUNKS_FILLED_MAX as i64 {
+            return Err(TooLarge);
+        }
+        // Brick by brick; one cell makes room for the brick that is then filled.
+        let ([x0, y0, z0], [x1, y1, z1]) = (brick_of(part.min()), brick_of(part.max()));
+        for z in z0..=z1 {
+            for y in y0..=y1 {
+                for x in x0..=x1 {
+                    let corner = Voxel::new(x * BRICK, y * BRICK, z * BRICK);
+                    let Some(inside) =
+                        VoxelBox::new(corner, [BRICK as u32; 3]).and_then(|brick| brick.intersection(&part))
+                    else {
+                        continue;
+                    };
+                    self.insert(inside.min())?;
+                    if inside.volume() > 1
+                        && let Some(slot) = self.slot(chunk_of(corner))
+                    {
+                        let mask = inside.voxels().fold(0u64, |mask, cell| mask | 1 << cell_bit(cell));
+                        self.chunks[self.table[slot] as usize - 1].bricks[brick_bit(corner)] |= mask;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Takes a cell out.
     pub(crate) fn remove(&mut self, cell: Voxel) {
         let Some(at) = self.slot(chunk_of(cell)) else { return };
@@ -430,6 +462,10 @@ const fn chunk_of(cell: Voxel) -> [i32; 3] {
     [cell.x >> 4, cell.y >> 4, cell.z >> 4]
 }
 
+const fn brick_of(cell: Voxel) -> [i32; 3] {
+    [cell.x >> 2, cell.y >> 2, cell.z >> 2]
+}
+
 const fn brick_bit(cell: Voxel) -> usize {
     ((cell.z >> 2 & 3) << 4 | (cell.y >> 2 & 3) << 2 | (cell.x >> 2 & 3)) as usize
 }
@@ -542,6 +578,19 @@ mod tests {
             prop_assert_eq!(set.len(), model.len());
             prop_assert!(set.iter().all(|c| model.contains(&c)));
             prop_assert!(model.iter().all(|c| set.contains(*c)));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_box_is_all_its_cells(a in cell(), b in cell()) {
+            let region = VoxelBox::spanning(Voxel::new(-30, -30, -10), Voxel::new(70, 40, 39)).unwrap();
+            let cells = VoxelBox::spanning(a, b).unwrap();
+            let mut set = CellSet::new(region).unwrap();
+            set.insert_box(&cells).unwrap();
+            let expected = cells.intersection(&region).map_or(0, |part| part.volume() as usize);
+            prop_assert_eq!(set.len(), expected);
+            prop_assert!(set.iter().all(|cell| cells.contains(cell) && region.contains(cell)));
         }
     }
 

@@ -1,20 +1,9 @@
 //! What a robot sees on its flight, scan by scan.
 
 use crate::{Lidar, Patrol, ScanOptions, World};
-use flockmap_grid::{Pose, Scan, Stamp};
+use flockmap_grid::{Pose, Stamp};
+use flockmap_io::{Frame, Frames};
 use std::sync::Arc;
-
-/// One scan and where it was taken.
-#[allow(non_snake_case)]
-#[derive(Clone, PartialEq, Debug)]
-pub struct Frame {
-    /// When.
-    pub stamp: Stamp,
-    /// The scan, in the frame of the sensor.
-    pub scan: Scan,
-    /// The pose of the sensor in the frame of the world.
-    pub T_map_sensor: Pose,
-}
 
 /// The scans of one robot along its patrol, made one at a time as they are asked for. Robots of a swarm share the world, each has a flight
 /// of its own (they may run on different threads).
@@ -31,6 +20,11 @@ impl Flight {
     pub fn new(world: Arc<World>, lidar: Lidar, options: ScanOptions, patrol: Patrol) -> Self {
         Self { world, lidar, options, poses: patrol.into_poses().into_iter() }
     }
+
+    /// The flight as a record, to be used like one that was read from a file.
+    pub fn into_frames(self) -> Frames {
+        Frames::new(self.map(Ok))
+    }
 }
 
 impl Iterator for Flight {
@@ -39,7 +33,7 @@ impl Iterator for Flight {
     fn next(&mut self) -> Option<Frame> {
         let (stamp, pose) = self.poses.next()?;
         let scan = self.lidar.scan(&self.world, &pose, stamp, &self.options);
-        Some(Frame { stamp, scan, T_map_sensor: pose })
+        Some(Frame { scan, t_map_sensor: pose, points_dropped: 0 })
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {

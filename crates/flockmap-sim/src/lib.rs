@@ -23,10 +23,12 @@ mod cells;
 mod flight;
 mod lidar;
 mod patrol;
+mod radio;
 mod random;
 mod world;
 
-pub use flight::{Flight, Frame};
+pub use flight::Flight;
 pub use lidar::{Lidar, SCAN_PERIOD_MICROS, ScanOptions, UnknownLidar};
 pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
-pub use world::{Hit, World, WorldError};
+pub use radio::{Delivery, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
+pub use world::{Hit, OpenError, World, WorldError};

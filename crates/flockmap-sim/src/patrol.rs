@@ -131,7 +131,7 @@ impl Patrol {
             let mut random = Random::new(seed, 0x9a7 + robot as u64);
             let path = route::patrol(&space, region, options, &mut random);
             let poses = trajectory::fly(&space, region, &path, options);
-            patrols.push(Self { poses, clearance_m: space.clearance_m() - space.step_m() / 4.0 });
+            patrols.push(Self { poses, clearance_m: space.clearance_m() });
         }
         Ok(patrols)
     }

@@ -3,10 +3,13 @@
 mod draw;
 mod forest;
 mod indoor;
+mod open;
 
 use crate::cells::{CellSet, TooLarge};
 use flockmap_grid::{Resolution, State, Voxel, VoxelBox};
 use thiserror::Error;
+
+pub use open::OpenError;
 
 /// Most points or boxes that a world is made from: 50 million (600 MB while it is built).
 const PARTS_MAX: usize = 50_000_000;
@@ -208,9 +211,7 @@ impl World {
         for (region, state) in boxes {
             let set = if state == State::Occupied { Some(&mut solid) } else { free.as_mut() };
             if let Some(set) = set {
-                for cell in region.voxels() {
-                    set.insert(cell).map_err(too_large)?;
-                }
+                set.insert_box(&region).map_err(too_large)?;
             }
         }
         Ok(Self::sealed(resolution, solid, free))

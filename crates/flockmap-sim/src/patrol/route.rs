@@ -179,14 +179,9 @@ fn shorten(space: &Space, region: &Region, path: &[usize]) -> Vec<usize> {
     short
 }
 
-/// Whether a line stays in the region and in cells at least this open, seen every quarter of a cell.
+/// Whether a line stays in the region and in cells at least this open.
 fn line_is_free(space: &Space, region: &Region, a: [f64; 3], b: [f64; 3], openness: u16) -> bool {
-    let steps = (distance(a, b) / (space.step_m() / 4.0)).ceil().max(1.0) as u32;
-    (0..=steps).all(|step| {
-        let s = f64::from(step) / f64::from(steps);
-        let point = core::array::from_fn(|i| a[i] + (b[i] - a[i]) * s);
-        space.cell_at(point).is_some_and(|cell| region.contains(cell) && space.openness(cell) >= openness)
-    })
+    space.line_fits(a, b, |cell| region.contains(cell) && space.openness(cell) >= openness)
 }
 
 pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {

@@ -2,7 +2,7 @@
 
 use super::{PatrolError, PatrolOptions};
 use crate::World;
-use flockmap_grid::Voxel;
+use flockmap_grid::{Voxel, VoxelBox};
 
 /// Cells of the coarse grid for which a step of about 10 cm is taken; larger worlds are searched in larger steps.
 const CELLS_WANTED: i64 = 5_000_000;
@@ -53,10 +53,16 @@ impl Space {
         let ground = grid.ground(&solid);
         let distance = grid.distances(&solid, REACH);
         drop(solid);
-        let middle = (multiple / 2) as i32;
         let known_free = |at: [usize; 3]| {
-            let [x, y, z] = at.map(|v| v as i32 * multiple as i32 + middle);
-            world.is_known_free(Voxel::new(low.x + x, low.y + y, low.z + z)).unwrap_or(true)
+            let [x, y, z] = at.map(|v| v as i32 * multiple as i32);
+            let cells = VoxelBox::new(Voxel::new(low.x + x, low.y + y, low.z + z), [multiple; 3]);
+            cells.is_none_or(|mut cells| {
+                // Unknown cells at the far edge of the world do not count against the rest of theirs.
+                if let Some(inside) = cells.intersection(&bounds) {
+                    cells = inside;
+                }
+                cells.voxels().all(|cell| world.is_known_free(cell).unwrap_or(true))
+            })
         };
 
         // Heights as asked for, then with more freedom, since a ground is not always seen.
@@ -139,6 +145,31 @@ impl Space {
             at[a] = index as usize;
         }
         Some(self.number(at))
+    }
+
+    /// Whether every cell that the line from `a` to `b` touches is in the grid and `fits`.
+    pub(super) fn line_fits(&self, a: [f64; 3], b: [f64; 3], fits: impl Fn(usize) -> bool) -> bool {
+        let (Some(from), Some(to)) = (self.cell_at(a), self.cell_at(b)) else { return false };
+        let (mut at, goal) = (self.place(from), self.place(to));
+        // Share of the line at which it crosses the next face along an axis; nothing is left to cross once the index is the goal's.
+        let crossing = |axis: usize, at: [usize; 3]| {
+            let face = at[axis] + usize::from(goal[axis] > at[axis]);
+            let metres = self.corner_m[axis] + face as f64 * self.step_m;
+            if goal[axis] == at[axis] { f64::INFINITY } else { (metres - a[axis]) / (b[axis] - a[axis]) }
+        };
+        let mut next: [f64; 3] = core::array::from_fn(|axis| crossing(axis, at));
+        loop {
+            if !fits(self.number(at)) {
+                return false;
+            }
+            let flat = usize::from(next[1] < next[0]);
+            let axis = if next[2] < next[flat] { 2 } else { flat };
+            if next[axis] == f64::INFINITY {
+                return true;
+            }
+            at[axis] = if goal[axis] > at[axis] { at[axis] + 1 } else { at[axis] - 1 };
+            next[axis] = crossing(axis, at);
+        }
     }
 
     /// The cells of the grid around a cell (up to 26), each with how many axes it differs in.

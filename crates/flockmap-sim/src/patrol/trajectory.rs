@@ -5,8 +5,7 @@ use super::region::Region;
 use super::route::distance;
 use super::space::Space;
 use core::f64::consts::{PI, TAU};
-use flockmap_grid::Pose;
-use flockmap_grid::Stamp;
+use flockmap_grid::{Pose, Stamp};
 use libm::{atan2, cos, sin};
 
 /// Metres between samples of a path.
@@ -15,7 +14,7 @@ const SAMPLE_M: f64 = 0.05;
 /// Metres before a corner at which it is begun to be rounded.
 const CORNER_M: f64 = 1.2;
 
-/// No slower than this, in m/s, so that every path ends.
+/// Speed at the start and end of a path, in m/s: next to nothing, but not nothing, so that it ends.
 const CREEP_M_S: f64 = 0.01;
 
 /// Poses every 0.1 s along the polyline `line`, which must lie in the region.
@@ -71,7 +70,7 @@ fn rounded(space: &Space, region: &Region, line: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let mut arc = Vec::new();
         while cut > SAMPLE_M {
             arc = bend(towards(corner, before, cut), corner, towards(corner, after, cut));
-            if arc.iter().all(|point| space.cell_at(*point).is_some_and(|cell| region.contains(cell))) {
+            if arc.windows(2).all(|pair| space.line_fits(pair[0], pair[1], |cell| region.contains(cell))) {
                 break;
             }
             arc.clear();
@@ -162,13 +161,10 @@ fn speeds(points: &[[f64; 3]], lengths: &[f64], yaws: &[f64], options: &PatrolOp
         }
     }
     if let Some(first) = speeds.first_mut() {
-        *first = 0.0;
+        *first = first.min(CREEP_M_S);
     }
     if let Some(last) = speeds.last_mut() {
-        *last = 0.0;
-    }
-    for speed in &mut speeds {
-        *speed = speed.max(CREEP_M_S);
+        *last = last.min(CREEP_M_S);
     }
     let reachable = |from: f64, length: f64| (from * from + 2.0 * options.acceleration_m_s2 * length).sqrt();
     for i in 1..speeds.len() {

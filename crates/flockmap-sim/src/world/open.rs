@@ -1,0 +1,62 @@
+//! Worlds from files.
+
+use super::{World, WorldError};
+use flockmap_grid::{Resolution, VoxelBox};
+use flockmap_io::{OctoMap, ReadError, read_cloud};
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// Why a file gives no world.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// The name does not end in a known way.
+    #[error("{}: a world is an OctoMap (.bt) or a point cloud (.pcd, .ply, .las, .laz)", path.display())]
+    Unknown {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// What the file holds makes no world.
+    #[error("{}: {reason}", path.display())]
+    World {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: WorldError,
+    },
+}
+
+impl World {
+    /// A world from an OctoMap (`.bt`: Occupied leaves are solid, Free leaves are where one may fly) or a point cloud (`.pcd`, `.ply`,
+    /// `.las`, `.laz`: every cell with a point is solid).
+    ///
+    /// `resolution` is the side of the cells made from a cloud; by default 0.1 m, and 0.2 m for LAS and LAZ, which come from surveys. An OctoMap keeps
+    /// its own cells. A cloud in coordinates of a map projection is moved to its lowest corner ([`flockmap_io::PointCloud::origin`]).
+    pub fn open(path: impl AsRef<Path>, resolution: Option<Resolution>) -> Result<Self, OpenError> {
+        let path = path.as_ref();
+        let failed = |reason| OpenError::World { path: path.to_owned(), reason };
+        let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+        let default_micrometres = match ending.as_str() {
+            "bt" => {
+                let map = OctoMap::read(path)?;
+                let boxes = map.cubes().iter().filter_map(|cube| {
+                    let region = VoxelBox::new(cube.corner, [cube.side; 3])?;
+                    Some((region, cube.state))
+                });
+                return Self::from_states(boxes, map.resolution()).map_err(failed);
+            }
+            "pcd" | "ply" => 100_000,
+            "las" | "laz" => 200_000,
+            _ => return Err(OpenError::Unknown { path: path.to_owned() }),
+        };
+        let Some(resolution) = resolution.or_else(|| Resolution::from_micrometres(default_micrometres))
+        else {
+            return Err(OpenError::Unknown { path: path.to_owned() });
+        };
+        let cloud = read_cloud(path)?;
+        Self::from_points(cloud.points.iter().map(|p| p.map(f64::from)), resolution).map_err(failed)
+    }
+}
