@@ -1,0 +1,127 @@
+//! What is measured of one robot while it runs, in virtual time or in real time.
+
+use std::time::Duration;
+
+use flockmap::codec::{Codec, Encoder};
+use flockmap::grid::Layer;
+use flockmap::{Changes, Event, RobotConfig, ScanReport, Stamp};
+
+use crate::measure::{AgesByState, Sent, Times};
+use crate::sources::Frame;
+
+/// Bytes that IPv4 and UDP put before each datagram.
+pub const IP_UDP_BYTES: u64 = 28;
+/// RACER sends an address of 4 bytes and a state byte for each voxel …
+const RACER_VOXEL_BYTES: u64 = 5;
+/// … in messages of 200 voxels …
+const RACER_MESSAGE_VOXELS: u64 = 200;
+/// … each with 52 bytes of fields of its own.
+const RACER_MESSAGE_BYTES: u64 = 52;
+
+/// All that is measured of one robot.
+pub struct Measures {
+    /// UDP payload that went out; a copy to each of several robots counts each.
+    pub sent: Sent,
+    pub datagrams: u64,
+    /// What RACER would have sent for the same changes, once.
+    pub racer: Sent,
+    pub racer_messages: u64,
+    /// What the paper's method would have sent for the same cycles, each as one whole package, once.
+    pub paper: Sent,
+    pub paper_packages: u64,
+    pub cycles: u64,
+    pub changes: u64,
+    /// Own changes closed into packages.
+    pub pack: Times,
+    /// A datagram of others decoded, merged and fused.
+    pub insert: Times,
+    /// A scan mapped.
+    pub map: Times,
+    /// Ages of what was merged from others.
+    pub ages: AgesByState,
+    /// State and stamp of the scan that set it, of every voxel of the own map.
+    pub onset: Layer,
+    encoder: Encoder,
+    /// Time of the input whose events come next, and what it was.
+    input: Option<(Input, Duration)>,
+    first_index: u32,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Input {
+    Own,
+    Datagram,
+}
+
+impl Measures {
+    pub fn new(_config: &RobotConfig) -> Self {
+        Self {
+            sent: Sent::default(),
+            datagrams: 0,
+            racer: Sent::default(),
+            racer_messages: 0,
+            paper: Sent::default(),
+            paper_packages: 0,
+            cycles: 0,
+            changes: 0,
+            pack: Times::default(),
+            insert: Times::default(),
+            map: Times::default(),
+            ages: AgesByState::default(),
+            onset: Layer::default(),
+            encoder: Encoder::new(),
+            input: None,
+            first_index: 1,
+        }
+    }
+
+    /// A scan was mapped.
+    pub fn scan(&mut self, took: Duration, report: &ScanReport, frame: &Frame) {
+        self.map.add(took);
+        self.onset.apply(&Changes::from_blocks(report.changed.clone()), frame.scan.stamp);
+    }
+
+    /// The robot was told the time, or to flush. Events follow.
+    pub fn own_input(&mut self, took: Duration) {
+        self.input = Some((Input::Own, took));
+    }
+
+    /// The robot was given a datagram. Events follow.
+    pub fn datagram_input(&mut self, took: Duration) {
+        self.input = Some((Input::Datagram, took));
+    }
+
+    /// The robot put a datagram on the air, in so many copies.
+    pub fn datagram_sent(&mut self, now: Stamp, bytes: usize, copies: u64) {
+        self.sent.add(now, bytes as u64 * copies);
+        self.datagrams += copies;
+    }
+
+    /// Something came of the last input. Time is counted once for each input.
+    pub fn event(&mut self, now: Stamp, event: &Event) {
+        match event {
+            Event::CycleClosed { cycle, changes, .. } => {
+                if let Some((_, took)) = self.input.take_if(|(input, _)| *input == Input::Own) {
+                    self.pack.add(took);
+                }
+                let voxels = changes.len() as u64;
+                self.cycles += 1;
+                self.changes += voxels;
+                let messages = voxels.div_ceil(RACER_MESSAGE_VOXELS);
+                self.racer_messages += messages;
+                self.racer.add(now, voxels * RACER_VOXEL_BYTES + messages * RACER_MESSAGE_BYTES);
+                if let Ok(whole) = self.encoder.encode_whole(Codec::Paper, cycle, self.first_index, changes) {
+                    self.first_index += 1;
+                    self.paper_packages += 1;
+                    self.paper.add(now, whole.bytes().len() as u64);
+                }
+            }
+            Event::Merged { .. } => {
+                if let Some((_, took)) = self.input.take_if(|(input, _)| *input == Input::Datagram) {
+                    self.insert.add(took);
+                }
+            }
+            _ => {}
+        }
+    }
+}

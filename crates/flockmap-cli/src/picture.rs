@@ -1,0 +1,174 @@
+//! Maps seen from above, as pictures.
+
+use std::collections::{BTreeMap, HashMap};
+
+use base64::Engine;
+use flockmap::grid::BLOCK_SIDE;
+use flockmap::{MapView, Robot, Stamp};
+
+/// A robot's fused map at one moment, and which part of it the robot has seen itself.
+pub struct Snapshot {
+    pub at: Stamp,
+    view: MapView,
+    /// For each block column, the columns (bit 8 y + x) in which the own sensor has seen something.
+    own: HashMap<(i32, i32), u64>,
+}
+
+/// Obstacles are drawn from this height above the ground: lower ones are ground …
+const HEIGHT_FROM_M: f64 = 0.4;
+/// … to this one: what hangs above is no obstacle to a robot that flies below 2.5 m.
+const HEIGHT_TO_M: f64 = 2.5;
+/// A picture is at most this wide and high; a pixel is as many voxels as that needs.
+const PIXELS_MAX: i32 = 900;
+/// Shades of an obstacle by height.
+const SHADES: usize = 6;
+
+impl Snapshot {
+    /// The robot's map as it is now.
+    pub fn take(robot: &Robot, at: Stamp) -> Self {
+        let mut own = HashMap::new();
+        for (index, block) in robot.mapper().blocks() {
+            let seen = block.known().iter().fold(0, |all, plane| all | plane);
+            *own.entry((index.x, index.y)).or_default() |= seen;
+        }
+        Self { at, view: robot.view(), own }
+    }
+
+    /// Columns, as voxel indices, that the picture would span: lowest and highest x, y.
+    fn span(&self) -> Option<[i32; 4]> {
+        let mut span: Option<[i32; 4]> = None;
+        for (index, _) in self.view.blocks() {
+            let (x, y) = (index.x * BLOCK_SIDE, index.y * BLOCK_SIDE);
+            let s = span.get_or_insert([x, y, x, y]);
+            *s = [s[0].min(x), s[1].min(y), s[2].max(x + BLOCK_SIDE - 1), s[3].max(y + BLOCK_SIDE - 1)];
+        }
+        span
+    }
+}
+
+/// A picture as PNG, and how large a pixel is.
+pub struct Picture {
+    pub png: Vec<u8>,
+    pub width: u32,
+    pub height: u32,
+    pub pixel_m: f64,
+}
+
+impl Picture {
+    /// As the source of an `img`.
+    pub fn data_url(&self) -> String {
+        format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(&self.png))
+    }
+}
+
+/// Draws snapshots of one robot, all over the same ground, which is that of the last one.
+pub fn draw(snapshots: &[Snapshot]) -> anyhow::Result<Vec<Picture>> {
+    let Some(last) = snapshots.last() else { return Ok(Vec::new()) };
+    let Some(span) = last.span() else { return Ok(Vec::new()) };
+    let ground = ground(&last.view);
+    snapshots.iter().map(|snapshot| draw_one(snapshot, span, &ground)).collect()
+}
+
+/// Lowest occupied voxel of each block column.
+fn ground(view: &MapView) -> HashMap<(i32, i32), i32> {
+    let mut lowest = HashMap::new();
+    for (index, block) in view.blocks() {
+        if let Some(z) = (0..8).find(|z| block.occupied()[*z] != 0) {
+            let z = index.z * BLOCK_SIDE + z as i32;
+            let known: &mut i32 = lowest.entry((index.x, index.y)).or_insert(z);
+            *known = z.min(*known);
+        }
+    }
+    lowest
+}
+
+/// What a pixel shows. Order of the palette: nothing, own free, received free, own obstacles, received obstacles.
+const PALETTE: [[u8; 3]; 3 + 2 * SHADES] = [
+    [0, 0, 0],
+    [0xcf, 0xcb, 0xf2],
+    [0xbf, 0xe6, 0xc2],
+    [0x86, 0x7a, 0xdb],
+    [0x70, 0x62, 0xcc],
+    [0x5b, 0x4c, 0xba],
+    [0x48, 0x39, 0xa3],
+    [0x36, 0x28, 0x86],
+    [0x24, 0x18, 0x66],
+    [0x6d, 0xbb, 0x7a],
+    [0x54, 0xa6, 0x66],
+    [0x3e, 0x8f, 0x52],
+    [0x2b, 0x77, 0x40],
+    [0x1a, 0x5e, 0x2f],
+    [0x0b, 0x44, 0x1f],
+];
+
+fn draw_one(
+    snapshot: &Snapshot,
+    span: [i32; 4],
+    ground: &HashMap<(i32, i32), i32>,
+) -> anyhow::Result<Picture> {
+    let side = snapshot.view.resolution().metres();
+    let [columns, rows] = [span[2] - span[0] + 1, span[3] - span[1] + 1];
+    let scale = columns.max(rows).div_ceil(PIXELS_MAX).max(1);
+    let (width, height) = ((columns + scale - 1) / scale, (rows + scale - 1) / scale);
+    let mut pixels = vec![0u8; width as usize * height as usize];
+    let (from, to) = ((HEIGHT_FROM_M / side).round() as i32, (HEIGHT_TO_M / side).round() as i32);
+
+    // Highest obstacle in the band of heights above the ground, by column; −1: only free.
+    let mut block_columns: BTreeMap<(i32, i32), [i32; 64]> = BTreeMap::new();
+    for (index, block) in snapshot.view.blocks() {
+        let near = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (index.x + dx, index.y + dy)));
+        let ground = near.filter_map(|at| ground.get(&at)).min().copied();
+        let column = block_columns.entry((index.x, index.y)).or_insert([-2; 64]);
+        for z in 0..8 {
+            let above = ground.map_or(from, |ground| index.z * BLOCK_SIDE + z as i32 - ground);
+            let (known, occupied) = (block.known()[z], block.occupied()[z]);
+            for (bit, height) in column.iter_mut().enumerate() {
+                if known >> bit & 1 == 1 {
+                    *height = (*height).max(-1);
+                }
+                if occupied >> bit & 1 == 1 && (from..=to).contains(&above) {
+                    *height = (*height).max(above);
+                }
+            }
+        }
+    }
+    for ((x, y), heights) in block_columns {
+        let own = snapshot.own.get(&(x, y)).copied().unwrap_or(0);
+        for (bit, height) in heights.into_iter().enumerate().filter(|(_, height)| *height >= -1) {
+            let (column, row) = (x * BLOCK_SIDE + bit as i32 % 8 - span[0], y * BLOCK_SIDE + bit as i32 / 8 - span[1]);
+            if column < 0 || row < 0 || column >= columns || row >= rows {
+                continue;
+            }
+            let received = own >> bit & 1 == 0;
+            let colour = if height < 0 {
+                1 + u8::from(received)
+            } else {
+                let shade = (height - from) as usize * SHADES / ((to - from) as usize + 1);
+                (3 + shade.min(SHADES - 1) + if received { SHADES } else { 0 }) as u8
+            };
+            // North up: y grows upwards.
+            let pixel = &mut pixels[((height_of(row, scale, height_px(rows, scale))) * width + column / scale) as usize];
+            // Where a pixel is several columns, an obstacle hides free space.
+            if *pixel < 3 || colour >= 3 {
+                *pixel = colour;
+            }
+        }
+    }
+    let mut png = Vec::new();
+    let mut encoder = png::Encoder::new(&mut png, width as u32, height as u32);
+    encoder.set_color(png::ColorType::Indexed);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_palette(PALETTE.concat());
+    encoder.set_trns(vec![0]);
+    encoder.set_compression(png::Compression::High);
+    encoder.write_header()?.write_image_data(&pixels)?;
+    Ok(Picture { png, width: width as u32, height: height as u32, pixel_m: side * f64::from(scale) })
+}
+
+const fn height_px(rows: i32, scale: i32) -> i32 {
+    (rows + scale - 1) / scale
+}
+
+const fn height_of(row: i32, scale: i32, height: i32) -> i32 {
+    height - 1 - row / scale
+}

@@ -1,0 +1,238 @@
+//! Where scans come from: records of robots, or simulated robots that fly through a world.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
+
+use anyhow::{Context, bail, ensure};
+use flockmap::{Pose, Resolution, Scan, Stamp, VoxelBox};
+use flockmap_io::{OctoMap, RecordOptions, open_record, read_cloud};
+use flockmap_sim::{Flight, Patrol, PatrolOptions, ScanOptions, World};
+
+use crate::args::{MapArgs, SourceArgs};
+
+/// A scan and `T_map_sensor`, the pose that it was taken at.
+pub struct Frame {
+    pub scan: Scan,
+    pub pose: Pose,
+}
+
+/// What one robot sees.
+pub struct Source {
+    pub name: String,
+    /// Number of frames as far as it is known beforehand.
+    pub frames_expected: u64,
+    /// From the first to the last frame as far as it is known beforehand, in seconds.
+    pub seconds_expected: f64,
+    pub frames: Frames,
+}
+
+/// The frames of a source, prepared ahead of use by a thread of its own.
+pub struct Frames {
+    receiver: Receiver<anyhow::Result<Frame>>,
+    ready: VecDeque<Frame>,
+    /// Scans that could not be read. They are left out.
+    pub damaged: u64,
+}
+
+/// Frames that a thread may prepare ahead of use; so many scans are held at most.
+const FRAMES_AHEAD: usize = 4;
+
+impl Frames {
+    fn new(frames: impl Iterator<Item = anyhow::Result<Frame>> + Send + 'static) -> Self {
+        let (sender, receiver) = sync_channel(FRAMES_AHEAD);
+        std::thread::spawn(move || {
+            for frame in frames {
+                if sender.send(frame).is_err() {
+                    break;
+                }
+            }
+        });
+        Self { receiver, ready: VecDeque::new(), damaged: 0 }
+    }
+
+    /// Stamp of the next frame, `None` at the end.
+    pub fn next_stamp(&mut self) -> Option<Stamp> {
+        if self.ready.is_empty() {
+            let frame = self.receive()?;
+            self.ready.push_back(frame);
+        }
+        self.ready.front().map(|frame| frame.scan.stamp)
+    }
+
+    fn receive(&mut self) -> Option<Frame> {
+        loop {
+            match self.receiver.recv().ok()? {
+                Ok(frame) => return Some(frame),
+                Err(error) => {
+                    self.damaged += 1;
+                    if self.damaged <= 3 {
+                        eprintln!("warning: a scan is left out: {error:#}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl Iterator for Frames {
+    type Item = Frame;
+
+    fn next(&mut self) -> Option<Frame> {
+        match self.ready.pop_front() {
+            Some(frame) => Some(frame),
+            None => self.receive(),
+        }
+    }
+}
+
+/// All robots of a run.
+pub struct Sources {
+    pub robots: Vec<Source>,
+    /// What this is, for titles: names of the records, or the world that is flown through.
+    pub title: String,
+    /// Whether the scans are simulated.
+    pub simulated: bool,
+}
+
+/// How long simulated flights last, if nothing else is said.
+const FLIGHT_SECONDS: f64 = 60.0;
+
+/// Opens the records, or the one world, that the command line names. Stamps begin at 0 for each record; with `real_stamps`, at 0 for
+/// the earliest.
+pub fn open(paths: &[PathBuf], source: &SourceArgs, map: &MapArgs, real_stamps: bool) -> anyhow::Result<Sources> {
+    ensure!(
+        source.seconds.is_none_or(|s| s > 0.0 && s <= 86_400.0),
+        "--seconds must be more than 0 and at most 86,400"
+    );
+    match paths {
+        [path] if is_world(path) => fly(path, source, map),
+        _ => {
+            if let Some(world) = paths.iter().find(|path| is_world(path)) {
+                bail!(
+                    "{} is a world, not a record: name one world alone (with --robots N), or records only",
+                    world.display()
+                );
+            }
+            open_records(paths, source, real_stamps)
+        }
+    }
+}
+
+/// Whether this names a world to fly through.
+pub fn is_world(path: &Path) -> bool {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    path == Path::new("forest")
+        || path == Path::new("indoor")
+        || matches!(extension.as_deref(), Some("bt" | "pcd" | "ply" | "las" | "laz"))
+}
+
+/// How records are to be read.
+pub fn record_options(source: &SourceArgs) -> RecordOptions {
+    RecordOptions {
+        points_topic: source.points_topic.clone(),
+        odometry_topic: source.odometry_topic.clone(),
+        map_frame: source.map_frame.clone(),
+        poses: source.poses.clone(),
+        scan_period_s: source.scan_period,
+        ..RecordOptions::default()
+    }
+}
+
+fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> anyhow::Result<Sources> {
+    let options = record_options(source);
+    let mut records = Vec::new();
+    for path in paths {
+        let record = open_record(path, &options)?;
+        let Some(span) = record.summary.span else { bail!("{}: no scan with a pose", path.display()) };
+        for damage in &record.summary.damages {
+            eprintln!("warning: {damage}");
+        }
+        records.push((record, span));
+    }
+    let earliest = records.iter().map(|(_, span)| span.0).min().unwrap_or_default();
+    let title = records.iter().map(|(record, _)| record.name.as_str()).collect::<Vec<_>>().join(" + ");
+    let robots = records.into_iter().map(|(record, (first, last))| {
+        let zero = if real_stamps { earliest } else { first };
+        let until = source.seconds.map_or(Stamp(i64::MAX), |s| first.plus_micros((s * 1e6) as i64));
+        let seconds = last.micros_since(first) as f64 / 1e6;
+        let cut = source.seconds.map_or(1.0, |s| (s / seconds.max(1e-3)).min(1.0));
+        let frames = record.frames.take_while(move |frame| frame.as_ref().is_ok_and(|f| f.scan.stamp <= until) || frame.is_err());
+        let frames = frames.map(move |frame| {
+            let mut frame = frame?;
+            frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(zero));
+            Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor })
+        });
+        Source {
+            name: record.name,
+            frames_expected: (record.summary.frames as f64 * cut).ceil() as u64,
+            seconds_expected: seconds * cut,
+            frames: Frames::new(frames),
+        }
+    });
+    Ok(Sources { robots: robots.collect(), title, simulated: false })
+}
+
+fn fly(path: &Path, source: &SourceArgs, map: &MapArgs) -> anyhow::Result<Sources> {
+    let world = Arc::new(open_world(path, source, map.resolution)?);
+    let seconds = source.seconds.unwrap_or(FLIGHT_SECONDS);
+    let options = PatrolOptions { duration_s: seconds, speed_m_s: source.speed, ..PatrolOptions::default() };
+    let patrols = Patrol::plan(&world, source.robots, source.seed, &options)
+        .with_context(|| format!("no flight for {} robots through {}", source.robots, path.display()))?;
+    ensure!(
+        source.lidar_range > 0.0 && source.lidar_range <= 1_000.0,
+        "--lidar-range is {}, expected more than 0 and at most 1,000 m",
+        source.lidar_range
+    );
+    let scan =
+        ScanOptions { range_m: source.lidar_range, no_returns: source.no_returns, ..ScanOptions::default() };
+    let robots = patrols.into_iter().enumerate().map(|(number, patrol)| {
+        let flight = Flight::new(Arc::clone(&world), source.lidar, scan, patrol);
+        let frames_expected = flight.len() as u64;
+        let frames = flight.map(|frame| Ok(Frame { scan: frame.scan, pose: frame.T_map_sensor }));
+        Source {
+            name: format!("robot{}", number + 1),
+            frames_expected,
+            seconds_expected: seconds,
+            frames: Frames::new(frames),
+        }
+    });
+    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+    Ok(Sources {
+        robots: robots.collect(),
+        title: format!("{name}, {} simulated robots with {}", source.robots, source.lidar),
+        simulated: true,
+    })
+}
+
+/// The world that a name or file stands for.
+pub fn open_world(path: &Path, source: &SourceArgs, voxel_m: f64) -> anyhow::Result<World> {
+    if path == Path::new("forest") {
+        return Ok(World::forest(source.seed));
+    }
+    if path == Path::new("indoor") {
+        return Ok(World::indoor(source.seed));
+    }
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    match extension.as_deref() {
+        Some("bt") => {
+            let map = OctoMap::read(path)?;
+            let cubes = map.cubes().iter().filter_map(|cube| Some((VoxelBox::new(cube.corner, [cube.side; 3])?, cube.state)));
+            World::from_states(cubes, map.resolution()).with_context(|| path.display().to_string())
+        }
+        Some("pcd" | "ply" | "las" | "laz") => {
+            let side = source.world_resolution.unwrap_or_else(|| voxel_m.min(0.2));
+            let resolution = Resolution::from_metres(side)
+                .with_context(|| format!("--world-resolution is {side}, expected 0.001 to 100 m"))?;
+            let cloud = read_cloud(path)?;
+            // What is far out is surveyed; the flight happens about its own origin.
+            let points = cloud.points.iter().map(|p| p.map(f64::from));
+            World::from_points(points, resolution).with_context(|| path.display().to_string())
+        }
+        _ => bail!(
+            "{} is no world: expected forest, indoor, or a .bt, .pcd, .ply, .las or .laz file",
+            path.display()
+        ),
+    }
+}
