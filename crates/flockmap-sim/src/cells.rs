@@ -207,10 +207,10 @@ impl CellSet {
     /// The first cell of the set that a ray enters, and where: `origin` and `direction` in cells,
     /// `length_max` in multiples of `direction`. A ray that starts in a cell of the set enters it at 0.
     ///
-    /// Gives exactly the cell and the number that a step-by-step Amanatides–Woo walk gives, whatever it skips:
-    /// a boundary at index k along an axis is always crossed at `(k − origin) · (1 / direction)`, and of
-    /// crossings at the same place the one of the lower axis comes first. Chunks, bricks and cells are walked by that
-    /// one rule, so a walk through chunks leaves each where the walk through its cells would.
+    /// Gives exactly the cell and the number that a step-by-step Amanatides–Woo walk gives, whatever it
+    /// skips: a boundary at index k along an axis is always crossed at `(k − origin) · (1 / direction)`, and
+    /// of crossings at the same place the one of the lower axis comes first. Chunks, bricks and cells are
+    /// walked by that one rule, so a walk through chunks leaves each where the walk through its cells would.
     pub(crate) fn cast(
         &self,
         origin: [f64; 3],
@@ -245,9 +245,7 @@ impl CellSet {
                 next = ray.crossings::<CHUNK>(index);
                 continue;
             }
-            at = Crossing::first(next)?;
-            index[at.axis] += ray.step[at.axis];
-            next[at.axis] = ray.crossing::<CHUNK>(at.axis, index[at.axis]);
+            (at, _) = ray.advance::<CHUNK>(&mut index, &mut next)?;
         }
         None
     }
@@ -285,7 +283,8 @@ struct Crossing {
 }
 
 impl Crossing {
-    /// The first of three crossings, of equal ones that of the lowest axis. `None` if the ray crosses nothing more.
+    /// The first of three crossings, of equal ones that of the lowest axis. `None` if the ray crosses nothing
+    /// more.
     #[inline]
     fn first(t: [f64; 3]) -> Option<Self> {
         let flat = usize::from(t[1] < t[0]);
@@ -302,10 +301,18 @@ impl Ray {
         if !origin.into_iter().chain(direction).all(fits) || !moves {
             return None;
         }
-        let step = direction.map(|d| i32::from(d > 0.0) - i32::from(d < 0.0));
-        let ahead = step.map(|s| i32::from(s > 0));
+        let inverse = direction.map(|d| 1.0 / d);
+        // Along an axis on which it takes longer than any number to get anywhere the ray stands still.
+        let step = core::array::from_fn(|a| {
+            if inverse[a].is_infinite() {
+                0
+            } else {
+                i32::from(direction[a] > 0.0) - i32::from(direction[a] < 0.0)
+            }
+        });
+        let ahead = step.map(|s: i32| i32::from(s > 0));
         let start = origin.map(|o| o.floor() as i32);
-        Some(Self { origin, direction, inverse: direction.map(|d| 1.0 / d), step, ahead, start })
+        Some(Self { origin, direction, inverse, step, ahead, start })
     }
 
     /// Where the ray leaves, along `axis`, boxes of `SIDE` cells with this index.
@@ -323,8 +330,48 @@ impl Ray {
         core::array::from_fn(|a| self.crossing::<SIDE>(a, index[a]))
     }
 
-    /// The index along `axis` of the box of `SIDE` cells that the ray is in at a crossing of another axis, given that it lies
-    /// between the index `near`, which the ray comes to first, and `far`.
+    /// Takes the first of the crossings `next` out of the box of `SIDE` cells at `index`, and tells whether
+    /// it also leads out of the box of 4³ such boxes. `None` if the ray crosses nothing more.
+    #[inline(always)]
+    fn advance<const SIDE: i32>(
+        &self,
+        index: &mut [i32; 3],
+        next: &mut [f64; 3],
+    ) -> Option<(Crossing, bool)> {
+        // Three branches with a fixed axis each: places in registers, where an index would be a place in
+        // memory.
+        if next[1] < next[0] {
+            if next[2] < next[1] {
+                self.advance_along::<SIDE, 2>(index, next)
+            } else {
+                self.advance_along::<SIDE, 1>(index, next)
+            }
+        } else if next[2] < next[0] {
+            self.advance_along::<SIDE, 2>(index, next)
+        } else {
+            self.advance_along::<SIDE, 0>(index, next)
+        }
+    }
+
+    #[inline(always)]
+    fn advance_along<const SIDE: i32, const AXIS: usize>(
+        &self,
+        index: &mut [i32; 3],
+        next: &mut [f64; 3],
+    ) -> Option<(Crossing, bool)> {
+        let t = next[AXIS];
+        if t == f64::INFINITY {
+            return None;
+        }
+        let before = index[AXIS];
+        let after = before + self.step[AXIS];
+        index[AXIS] = after;
+        next[AXIS] = (f64::from((after + self.ahead[AXIS]) * SIDE) - self.origin[AXIS]) * self.inverse[AXIS];
+        Some((Crossing { t, axis: AXIS }, (before ^ after) & !3 != 0))
+    }
+
+    /// The index along `axis` of the box of `SIDE` cells that the ray is in at a crossing of another axis,
+    /// given that it lies between the index `near`, which the ray comes to first, and `far`.
     #[inline]
     fn index<const SIDE: i32>(&self, axis: usize, near: i32, far: i32, at: Crossing) -> i32 {
         let step = self.step[axis];
@@ -347,8 +394,8 @@ impl Ray {
         index
     }
 
-    /// The index, in boxes of `SIDE` cells, of where the ray is right after a crossing into the box of `4 · SIDE` cells or more with lowest
-    /// and highest index `low` and `high`.
+    /// The index, in boxes of `SIDE` cells, of where the ray is right after a crossing into the box of `4 ·
+    /// SIDE` cells or more with lowest and highest index `low` and `high`.
     #[inline]
     fn descend<const SIDE: i32>(&self, low: [i32; 3], high: [i32; 3], at: Crossing) -> [i32; 3] {
         core::array::from_fn(|a| {
@@ -360,7 +407,8 @@ impl Ray {
                 (false, true) => low[a],
                 (false, false) => high[a],
             };
-            // Having just crossed along this axis, the ray is at the near side. At its start it has crossed nothing.
+            // Having just crossed along this axis, the ray is at the near side. At its start it has crossed
+            // nothing.
             if a == at.axis {
                 near
             } else {
@@ -369,8 +417,8 @@ impl Ray {
         })
     }
 
-    /// The first crossing into the box of chunks with lowest and highest index `low` and `high`, and the chunk there. For a ray that
-    /// starts inside, the start.
+    /// The first crossing into the box of chunks with lowest and highest index `low` and `high`, and the
+    /// chunk there. For a ray that starts inside, the start.
     fn enter(&self, low: [i32; 3], high: [i32; 3]) -> Option<(Crossing, [i32; 3])> {
         let start = self.start.map(|c| c >> 4);
         // The last of the crossings into the slabs that the ray is not yet in.
@@ -418,13 +466,11 @@ impl Ray {
             {
                 return Some(hit);
             }
-            at = Crossing::first(next)?;
-            let before = index[at.axis];
-            index[at.axis] += self.step[at.axis];
-            if (before ^ index[at.axis]) & !3 != 0 {
+            let left;
+            (at, left) = self.advance::<BRICK>(&mut index, &mut next)?;
+            if left {
                 return None;
             }
-            next[at.axis] = self.crossing::<BRICK>(at.axis, index[at.axis]);
         }
     }
 
@@ -439,19 +485,17 @@ impl Ray {
             if brick >> cell_bit(voxel) & 1 != 0 {
                 return Some((voxel, at.t));
             }
-            at = Crossing::first(next)?;
-            let before = cell[at.axis];
-            cell[at.axis] += self.step[at.axis];
-            if (before ^ cell[at.axis]) & !3 != 0 {
+            let left;
+            (at, left) = self.advance::<1>(&mut cell, &mut next)?;
+            if left {
                 return None;
             }
-            next[at.axis] = self.crossing::<1>(at.axis, cell[at.axis]);
         }
     }
 }
 
-/// A number rounded down, or one off where it is within 2⁻²² of a whole one. Much faster than `floor`, which is a call where the CPU
-/// is not known to have the instruction.
+/// A number rounded down, or one off where it is within 2⁻²² of a whole one. Much faster than `floor`, which
+/// is a call where the CPU is not known to have the instruction.
 #[inline]
 const fn nearly_floor(v: f64) -> i32 {
     const SHIFT: i64 = 1 << 30;
@@ -599,6 +643,8 @@ mod tests {
         let set = set_of(&[Voxel::new(0, 0, 0)]);
         assert_eq!(set.cast([0.5; 3], [0.0; 3], 1.0), None);
         assert_eq!(set.cast([f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], 1.0), None);
+        assert_eq!(set.cast([3.0; 3], [1e-310, 0.0, -0.0], 1e300), None);
+        assert_eq!(set.cast([0.5, 0.0, 9.0], [0.0, 1e-310, -1.0], 9.0), Some((Voxel::new(0, 0, 0), 8.0)));
         assert_eq!(set.cast([1e30, 0.0, 0.0], [-1.0, 0.0, 0.0], 1e40), None);
         assert_eq!(set.cast([0.5; 3], [0.0, 0.0, 1.0], 1.0), Some((Voxel::new(0, 0, 0), 0.0)));
     }

@@ -5,8 +5,8 @@ use flockmap_grid::{Pose, Stamp};
 use flockmap_io::{Frame, Frames};
 use std::sync::Arc;
 
-/// The scans of one robot along its patrol, made one at a time as they are asked for. Robots of a swarm share the world, each has a flight
-/// of its own (they may run on different threads).
+/// The scans of one robot along its patrol, made one at a time as they are asked for. Robots of a swarm share
+/// the world, each has a flight of its own (they may run on different threads).
 #[derive(Clone, Debug)]
 pub struct Flight {
     world: Arc<World>,

@@ -1,7 +1,8 @@
 //! Simulator of Flockmap: worlds, LiDAR models, collision-free flights, and an emulated radio.
 //!
-//! Everything is deterministic: the same seed gives the same bytes on every machine. Only the basic operations and the
-//! square root of `f64`, which IEEE 754 fixes to the last bit, and the pure-Rust sines of `libm` are used.
+//! Everything is deterministic: the same seed gives the same bytes on every machine. Only the basic
+//! operations and the square root of `f64`, which IEEE 754 fixes to the last bit, and the pure-Rust sines of
+//! `libm` are used.
 //!
 //! ```
 //! use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};

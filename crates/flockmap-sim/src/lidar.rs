@@ -15,12 +15,13 @@ pub const SCAN_PERIOD_MICROS: i64 = 100_000;
 /// Patterns run on with time and hardly ever repeat; which beams a scan has depends on its stamp alone.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub enum Lidar {
-    /// Livox Avia: looks forward, 70.4° × 77.2°, 24,000 beams a scan. The rosette of the MARSIM simulator: two rotations of 7,294
-    /// and −4,664 rpm added up, one base point each 25 µs, on 6 rows 1.4° apart.
+    /// Livox Avia: looks forward, 70.4° × 77.2°, 24,000 beams a scan. The rosette of the MARSIM simulator:
+    /// two rotations of 7,294 and −4,664 rpm added up, one base point each 25 µs, on 6 rows 1.4° apart.
     Avia,
-    /// Livox Mid-360: looks all around, −7° … +52°, 20,000 beams a scan, 5 µs apart. Rate of azimuth (62,050.63 °/s) and shape of the
-    /// elevation (22.5° + 25.5° · cos 10 Hz + 4° · wobble) are MARSIM's; azimuth is not rounded to whole degrees as there, and the wobble
-    /// is a product of cosines of 1,137.1 and 87.3 Hz, so that scan lines fall elsewhere in each scan as they do on the real device.
+    /// Livox Mid-360: looks all around, −7° … +52°, 20,000 beams a scan, 5 µs apart. Rate of azimuth
+    /// (62,050.63 °/s) and shape of the elevation (22.5° + 25.5° · cos 10 Hz + 4° · wobble) are MARSIM's;
+    /// azimuth is not rounded to whole degrees as there, and the wobble is a product of cosines of 1,137.1
+    /// and 87.3 Hz, so that scan lines fall elsewhere in each scan as they do on the real device.
     #[default]
     Mid360,
 }
@@ -32,10 +33,11 @@ pub struct ScanOptions {
     pub range_m: f64,
     /// Metres below which returns are dropped. Default 0.3.
     pub min_range_m: f64,
-    /// Whether beams that hit nothing are delivered in [`Scan::no_returns`], as points at `range_m`. Most real drivers deliver none.
-    /// Default false.
+    /// Whether beams that hit nothing are delivered in [`Scan::no_returns`], as points at `range_m`. Most
+    /// real drivers deliver none. Default false.
     pub no_returns: bool,
-    /// Standard deviation of the noise on the range of a return, in metres; about 0.02 for the real devices. Default 0.
+    /// Standard deviation of the noise on the range of a return, in metres; about 0.02 for the real devices.
+    /// Default 0.
     pub range_noise_m: f64,
     /// Seed of that noise.
     pub seed: u64,
@@ -90,7 +92,8 @@ impl Lidar {
         }
     }
 
-    /// The beams of the scan that starts at `stamp`: unit vectors in the frame of the sensor, in the order they are fired.
+    /// The beams of the scan that starts at `stamp`: unit vectors in the frame of the sensor, in the order
+    /// they are fired.
     pub fn directions(self, stamp: Stamp) -> Vec<[f64; 3]> {
         match self {
             Self::Avia => avia(stamp),
@@ -98,10 +101,12 @@ impl Lidar {
         }
     }
 
-    /// The scan taken in `world` from a sensor at `T_map_sensor`, all beams at once (no distortion by motion).
+    /// The scan taken in `world` from a sensor at `T_map_sensor`, all beams at once (no distortion by
+    /// motion).
     ///
-    /// A point lies where its beam enters a solid cell, moved inside of the cell by at most 1 % of its side on each axis; so without noise
-    /// the cell at a point is always solid. Cost: 20,000 beams in the generated forest take a few milliseconds on one core.
+    /// A point lies where its beam enters a solid cell, moved inside of the cell by at most 1 % of its side
+    /// on each axis; so without noise the cell at a point is always solid. Cost: 20,000 beams in the
+    /// generated forest take a few milliseconds on one core.
     #[allow(non_snake_case)]
     pub fn scan(self, world: &World, T_map_sensor: &Pose, stamp: Stamp, options: &ScanOptions) -> Scan {
         let rows = T_map_sensor.rotation_rows();
@@ -131,8 +136,8 @@ impl Lidar {
     }
 }
 
-/// Phase in radians at a time of something that turns `millionths` · 10⁻⁶ times a second. Whole numbers, so that it is as exact after
-/// a year as after a second.
+/// Phase in radians at a time of something that turns `millionths` · 10⁻⁶ times a second. Whole numbers, so
+/// that it is as exact after a year as after a second.
 fn phase(micros: i64, millionths: i64) -> f64 {
     let turns = i128::from(micros) * i128::from(millionths) % 1_000_000_000_000;
     turns as f64 / 1e12 * TAU

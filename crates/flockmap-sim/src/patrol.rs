@@ -25,10 +25,11 @@ pub struct PatrolOptions {
     pub acceleration_m_s2: f64,
     /// Highest yaw rate in rad/s, 0.1 … 10. Default 1.5.
     pub yaw_rate_rad_s: f64,
-    /// Least distance to anything solid, in metres, 0.05 … 1, where space allows; see `clearance_min_m`. Default 0.5.
+    /// Least distance to anything solid, in metres, 0.05 … 1, where space allows; see `clearance_min_m`.
+    /// Default 0.5.
     pub clearance_m: f64,
-    /// Least distance to anything solid in any case. Taken where more clearance would shut the robots out of more than a fifth of the
-    /// space, such as by closing doors. Default 0.2.
+    /// Least distance to anything solid in any case. Taken where more clearance would shut the robots out of
+    /// more than a fifth of the space, such as by closing doors. Default 0.2.
     pub clearance_min_m: f64,
     /// Lowest and highest flight, in metres above the ground. Default 0.8 to 2.5.
     pub height_m: [f64; 2],
@@ -113,10 +114,12 @@ impl Patrol {
     /// Flights for `robots` robots that never touch anything and never come closer to each other than
     /// [`PatrolOptions::separation_m`].
     ///
-    /// The space is divided into as many connected parts of about the same size; each robot patrols its own part, so that no flight depends
-    /// on another's timing (their sensors see across the borders). It starts near the common middle and visits places spread over its part,
-    /// nearest first, again and again, at changing heights. Robots fly level, nose first. The same arguments give the same flights on
-    /// every machine. Cost: about 10 bytes and 50 ns for each cell of 10 to 20 cm of the world, and some milliseconds a leg.
+    /// The space is divided into as many connected parts of about the same size; each robot patrols its own
+    /// part, so that no flight depends on another's timing (their sensors see across the borders). It starts
+    /// near the common middle and visits places spread over its part, nearest first, again and again, at
+    /// changing heights. Robots fly level, nose first. The same arguments give the same flights on every
+    /// machine. Cost: about 10 bytes and 50 ns for each cell of 10 to 20 cm of the world, and some
+    /// milliseconds a leg.
     pub fn plan(
         world: &World,
         robots: usize,

@@ -9,16 +9,16 @@ use std::sync::Arc;
 /// Bytes that IPv4 and UDP put before each datagram.
 pub const IP_UDP_BYTES: usize = 28;
 
-/// What happens to datagrams on the way from one node to another. All draws are seeded; each link has random numbers of its own, so what
-/// happens on one does not depend on the traffic of another.
+/// What happens to datagrams on the way from one node to another. All draws are seeded; each link has random
+/// numbers of its own, so what happens on one does not depend on the traffic of another.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Link {
     /// Share of datagrams that are lost, 0 … 1. Default 0.
     pub loss: f64,
     /// Time on the way, in microseconds. Default 0. Negative times count as 0.
     pub delay_micros: i64,
-    /// Further time on the way, uniform between 0 and this, in microseconds, drawn for each datagram: more than the time between two
-    /// datagrams puts them out of order. Default 0.
+    /// Further time on the way, uniform between 0 and this, in microseconds, drawn for each datagram: more
+    /// than the time between two datagrams puts them out of order. Default 0.
     pub jitter_micros: i64,
     /// Share of the datagrams that arrive twice, each copy with its own jitter, 0 … 1. Default 0.
     pub duplication: f64,
@@ -40,9 +40,11 @@ pub struct RadioConfig {
     pub link: Link,
     /// Bytes a second that each node can send; `None`: as many as it likes. What comes faster waits its turn.
     pub rate_bytes_per_s: Option<u32>,
-    /// Most bytes that wait for their turn at a node; what comes on top is dropped. Default 256 KiB. Only with a rate.
+    /// Most bytes that wait for their turn at a node; what comes on top is dropped. Default 256 KiB. Only
+    /// with a rate.
     pub queue_bytes_max: usize,
-    /// Most bytes on the way in the whole radio, counted once for each receiver; what comes on top is dropped. Default 64 MiB.
+    /// Most bytes on the way in the whole radio, counted once for each receiver; what comes on top is
+    /// dropped. Default 64 MiB.
     pub in_flight_bytes_max: usize,
     /// Bytes counted for each datagram besides its payload, such as [`IP_UDP_BYTES`]. Default 0.
     pub overhead_bytes: usize,
@@ -100,8 +102,8 @@ pub struct Traffic {
     pub dropped: u64,
 }
 
-/// A radio between nodes that exists in virtual time only: stamps come in as arguments, nothing waits. The same seed and the same calls
-/// give the same deliveries on every machine.
+/// A radio between nodes that exists in virtual time only: stamps come in as arguments, nothing waits. The
+/// same seed and the same calls give the same deliveries on every machine.
 ///
 /// ```
 /// use flockmap_grid::{RobotId, Stamp};
@@ -172,7 +174,8 @@ impl RadioEmulator {
         }
     }
 
-    /// Lets nothing pass between two nodes, in both directions, until [`Self::repair`]. What is on the way arrives.
+    /// Lets nothing pass between two nodes, in both directions, until [`Self::repair`]. What is on the way
+    /// arrives.
     pub fn partition(&mut self, a: RobotId, b: RobotId) {
         self.set_cut(a, b, true);
     }

@@ -38,7 +38,8 @@ impl Random {
         self.unit() < probability
     }
 
-    /// About normally distributed, mean 0, deviation 1, never beyond ± 6: the sum of twelve uniforms. Needs no logarithm.
+    /// About normally distributed, mean 0, deviation 1, never beyond ± 6: the sum of twelve uniforms. Needs
+    /// no logarithm.
     pub(crate) fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.unit()).sum::<f64>() - 6.0
     }

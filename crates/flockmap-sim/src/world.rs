@@ -16,8 +16,8 @@ const PARTS_MAX: usize = 50_000_000;
 
 /// A world that does not move: a set of solid cells (cubes) in a box, right-handed, z up, in metres.
 ///
-/// Memory: 520 bytes for each 16³ cells that hold something and 5 bytes for each 16³ cells of the box, at most
-/// 2²⁴ of the latter and 2¹⁸ of the former (together 210 MiB; twice that with known free cells).
+/// Memory: 520 bytes for each 16³ cells that hold something and 5 bytes for each 16³ cells of the box, at
+/// most 2²⁴ of the latter and 2¹⁸ of the former (together 210 MiB; twice that with known free cells).
 #[derive(Clone, Debug)]
 pub struct World {
     resolution: Resolution,
@@ -33,8 +33,8 @@ pub struct Hit {
     pub cell: Voxel,
     /// Metres from the origin of the ray to where it enters the cell; 0 if the origin lies in it.
     pub distance_m: f64,
-    /// The point of entry, moved inside of the cell by at most 1 % of its side on each axis, so that rounding can
-    /// never put it into the (empty) neighbour.
+    /// The point of entry, moved inside of the cell by at most 1 % of its side on each axis, so that rounding
+    /// can never put it into the (empty) neighbour.
     pub point: [f64; 3],
 }
 
@@ -72,21 +72,22 @@ pub enum WorldError {
 }
 
 impl World {
-    /// A generated forest, 60 × 25 × 10 m about the origin with z from 0, cells of 5 cm: gentle relief, conifers and
-    /// broad-leaved trees that lean and branch, undergrowth, rocks, stumps and fallen logs. The same seed gives the same
-    /// world on every machine. Takes about a third of a second in a release build.
+    /// A generated forest, 60 × 25 × 10 m about the origin with z from 0, cells of 5 cm: gentle relief,
+    /// conifers and broad-leaved trees that lean and branch, undergrowth, rocks, stumps and fallen logs. The
+    /// same seed gives the same world on every machine. Takes about half a second in a release build.
     pub fn forest(seed: u64) -> Self {
         forest::forest(seed)
     }
 
-    /// A generated office floor, 35 × 30 × 4 m about the origin with z from 0, cells of 5 cm: corridors, rooms with doors
-    /// and furniture, a hall with pillars. The same seed gives the same world on every machine.
+    /// A generated office floor, 35 × 30 × 4 m about the origin with z from 0, cells of 5 cm: corridors,
+    /// rooms with doors and furniture, a hall with pillars. The same seed gives the same world on every
+    /// machine.
     pub fn indoor(seed: u64) -> Self {
         indoor::indoor(seed)
     }
 
-    /// A world from a point cloud: every cell that holds a point is solid. Coordinates in metres; of large ones (UTM) subtract
-    /// an offset first, so that they stay within 2²⁸ cells of 0.
+    /// A world from a point cloud: every cell that holds a point is solid. Coordinates in metres; of large
+    /// ones (UTM) subtract an offset first, so that they stay within 2²⁸ cells of 0.
     pub fn from_points(
         points: impl IntoIterator<Item = [f64; 3]>,
         resolution: Resolution,
@@ -99,8 +100,9 @@ impl World {
         Self::from_parts(boxes, resolution, false)
     }
 
-    /// A world from boxes with a state, such as the leaves of an OctoMap: Occupied boxes are solid, Free boxes are
-    /// where one may fly, and of all else nothing is known (it is not solid, but nobody flies there).
+    /// A world from boxes with a state, such as the leaves of an OctoMap: Occupied boxes are solid, Free
+    /// boxes are where one may fly, and of all else nothing is known (it is not solid, but nobody flies
+    /// there).
     pub fn from_states(
         boxes: impl IntoIterator<Item = (VoxelBox, State)>,
         resolution: Resolution,
@@ -138,11 +140,11 @@ impl World {
         self.solid.len()
     }
 
-    /// The first solid cell on a ray of at most `range_m` metres. `direction` need not have length 1. `None` if there is none,
-    /// or if a number is not finite.
+    /// The first solid cell on a ray of at most `range_m` metres. `direction` need not have length 1. `None`
+    /// if there is none, or if a number is not finite.
     ///
-    /// Exact: the same cell as a walk from cell to cell would find, and the same on every machine. Empty space is skipped
-    /// in blocks of 4 and of 16 cells and more; about 0.2 µs for a ray in the forest.
+    /// Exact: the same cell as a walk from cell to cell would find, and the same on every machine. Empty
+    /// space is skipped in blocks of 4 and of 16 cells and more; about 0.3 µs for a ray in the forest.
     pub fn cast_ray(&self, origin: [f64; 3], direction: [f64; 3], range_m: f64) -> Option<Hit> {
         let length = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
         if !(length > 0.0 && length.is_finite() && range_m >= 0.0) {

@@ -7,7 +7,8 @@ use std::sync::LazyLock;
 static FOREST: LazyLock<World> = LazyLock::new(|| World::forest(1));
 static INDOOR: LazyLock<World> = LazyLock::new(|| World::indoor(1));
 
-/// Golden: a change of a generator or of a scan pattern must be on purpose, since recordings and benchmarks depend on it.
+/// Golden: a change of a generator or of a scan pattern must be on purpose, since recordings and benchmarks
+/// depend on it.
 #[test]
 fn the_same_seed_gives_the_same_world_on_every_machine() {
     assert_eq!(FOREST.digest(), FOREST_DIGEST);
@@ -61,7 +62,8 @@ fn the_forest_floor_and_the_office_walls_have_no_holes() {
     assert_eq!(scan.no_returns.len(), 0);
 }
 
-/// Every point lies in a solid cell, in range, in the field of view; beams are points, no-returns, or too near.
+/// Every point lies in a solid cell, in range, in the field of view; beams are points, no-returns, or too
+/// near.
 fn check_scan(world: &World, lidar: Lidar, pose: &Pose, scan: &Scan, options: &ScanOptions) {
     let ([left, right], [low, high]) = lidar.field_of_view_deg();
     assert!(scan.points.len() + scan.no_returns.len() <= lidar.beams());

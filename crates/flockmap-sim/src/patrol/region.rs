@@ -26,7 +26,8 @@ impl Region {
     }
 }
 
-/// Divides the space into connected parts of about the same size, at least the wanted separation apart from each other.
+/// Divides the space into connected parts of about the same size, at least the wanted separation apart from
+/// each other.
 pub(super) fn divide(
     space: &Space,
     robots: usize,
@@ -66,7 +67,8 @@ fn spread(space: &Space, robots: usize) -> Vec<usize> {
     seeds
 }
 
-/// Cells of the space in the order in which they are reached from the seeds, each with the seed that reached it first.
+/// Cells of the space in the order in which they are reached from the seeds, each with the seed that reached
+/// it first.
 fn flood(space: &Space, seeds: &[usize]) -> Vec<(u32, u8)> {
     let mut reached = vec![false; space.count()];
     let mut order = Vec::with_capacity(space.cells().len());
@@ -108,7 +110,8 @@ fn centres(space: &Space, owner: &[u8], robots: usize) -> Vec<usize> {
         .collect()
 }
 
-/// The parts without the cells that lie too close to a part before, each reduced to its largest connected piece.
+/// The parts without the cells that lie too close to a part before, each reduced to its largest connected
+/// piece.
 fn separate(
     space: &Space,
     owner: &[u8],

@@ -146,7 +146,8 @@ impl<'a> Search<'a> {
         4 * (17 * d[0] + 14 * (d[1] - d[0]) + 10 * (d[2] - d[1])) as u32
     }
 
-    /// Whether all cells of the box between two diagonal neighbours belong to the region, so that no corner is cut.
+    /// Whether all cells of the box between two diagonal neighbours belong to the region, so that no corner
+    /// is cut.
     fn free_between(&self, cell: usize, next: usize) -> bool {
         let (a, b) = (self.space.place(cell), self.space.place(next));
         (1..7).all(|mask| {
@@ -156,8 +157,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Leaves out cells of a path where a straight line between others is as good: it stays in the region and comes no closer to anything solid
-/// than the path did.
+/// Leaves out cells of a path where a straight line between others is as good: it stays in the region and
+/// comes no closer to anything solid than the path did.
 fn shorten(space: &Space, region: &Region, path: &[usize]) -> Vec<usize> {
     let mut short = vec![path[0]];
     let mut from = 0;

@@ -4,7 +4,8 @@ use super::{PatrolError, PatrolOptions};
 use crate::World;
 use flockmap_grid::{Voxel, VoxelBox};
 
-/// Cells of the coarse grid for which a step of about 10 cm is taken; larger worlds are searched in larger steps.
+/// Cells of the coarse grid for which a step of about 10 cm is taken; larger worlds are searched in larger
+/// steps.
 const CELLS_WANTED: i64 = 5_000_000;
 
 /// Clearances are told apart up to this many cells.
@@ -20,7 +21,8 @@ pub(super) struct Space {
     corner_m: [f64; 3],
     step_m: f64,
     clearance_m: f64,
-    /// For each cell of the space the square of the least distance from any point in it to anything solid, in cells, at least 1; [`BLOCKED`] elsewhere.
+    /// For each cell of the space the square of the least distance from any point in it to anything solid, in
+    /// cells, at least 1; [`BLOCKED`] elsewhere.
     open: Vec<u16>,
     /// The cells of the space, ascending.
     cells: Vec<u32>,
@@ -151,7 +153,8 @@ impl Space {
     pub(super) fn line_fits(&self, a: [f64; 3], b: [f64; 3], fits: impl Fn(usize) -> bool) -> bool {
         let (Some(from), Some(to)) = (self.cell_at(a), self.cell_at(b)) else { return false };
         let (mut at, goal) = (self.place(from), self.place(to));
-        // Share of the line at which it crosses the next face along an axis; nothing is left to cross once the index is the goal's.
+        // Share of the line at which it crosses the next face along an axis; nothing is left to cross once
+        // the index is the goal's.
         let crossing = |axis: usize, at: [usize; 3]| {
             let face = at[axis] + usize::from(goal[axis] > at[axis]);
             let metres = self.corner_m[axis] + face as f64 * self.step_m;
@@ -211,8 +214,8 @@ impl Space {
         columns.iter().filter(|c| **c).count() as f64 * self.step_m * self.step_m
     }
 
-    /// Height of the ground in each column, in metres above the grid: the lowest thing within 1 m. Where nothing is seen at all, the
-    /// ground of the nearest column that has one.
+    /// Height of the ground in each column, in metres above the grid: the lowest thing within 1 m. Where
+    /// nothing is seen at all, the ground of the nearest column that has one.
     fn ground(&self, solid: &[bool]) -> Vec<f64> {
         let [nx, ny, nz] = self.size;
         let none = u32::MAX;
@@ -251,8 +254,9 @@ impl Space {
         ground.iter().map(|z| f64::from(*z) * self.step_m).collect()
     }
 
-    /// For each cell the square of the least distance between any point of it and any point of the marked cells, in cells, so 0 for the
-    /// marked and their neighbours; exact up to `reach` (at most 255), and `reach`² beyond.
+    /// For each cell the square of the least distance between any point of it and any point of the marked
+    /// cells, in cells, so 0 for the marked and their neighbours; exact up to `reach` (at most 255), and
+    /// `reach`² beyond.
     pub(super) fn distances(&self, marked: &[bool], reach: usize) -> Vec<u16> {
         let far = (reach * reach) as u16;
         let [nx, ny, nz] = self.size;
@@ -262,6 +266,9 @@ impl Space {
             for start in (0..squares.len()).filter(|number| number / stride % length == 0) {
                 for (i, slot) in line.iter_mut().enumerate() {
                     *slot = squares[start + i * stride];
+                }
+                if line.iter().all(|square| *square == far) {
+                    continue;
                 }
                 for i in 0..length {
                     let mut best = line[i];
@@ -315,7 +322,8 @@ impl Space {
         found
     }
 
-    /// The largest set of candidates that hang together by faces, ascending; of two of a size the one with the lowest cell.
+    /// The largest set of candidates that hang together by faces, ascending; of two of a size the one with
+    /// the lowest cell.
     pub(super) fn largest_component(&self, candidates: &[u32], fits: impl Fn(usize) -> bool) -> Vec<u32> {
         let count = self.size.iter().product();
         let mut open = vec![false; count];

@@ -109,7 +109,8 @@ fn towards(from: [f64; 3], to: [f64; 3], reach: f64) -> [f64; 3] {
     core::array::from_fn(|i| from[i] + (to[i] - from[i]) * s)
 }
 
-/// For each point the direction of motion after it, in radians, without jumps of a full turn. Kept where the path is steep.
+/// For each point the direction of motion after it, in radians, without jumps of a full turn. Kept where the
+/// path is steep.
 fn headings(points: &[[f64; 3]]) -> Vec<f64> {
     let heading = |pair: &[[f64; 3]]| {
         let (dx, dy) = (pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]);

@@ -50,7 +50,8 @@ impl Canvas {
         });
     }
 
-    /// Leaves: an ellipsoid of which a share `density` of the cells is filled at random, thinning out to its rim.
+    /// Leaves: an ellipsoid of which a share `density` of the cells is filled at random, thinning out to its
+    /// rim.
     pub(super) fn foliage(&mut self, centre: [f64; 3], radii: [f64; 3], density: f64, seed: u64) {
         let (min, max) = around(centre, radii);
         self.each_in(min, max, |canvas, cell, point| {
@@ -62,8 +63,8 @@ impl Canvas {
         });
     }
 
-    /// A straight piece of stem or branch from `a` to `b`, `radius_a` and `radius_b` thick at its ends; never thinner
-    /// than one cell.
+    /// A straight piece of stem or branch from `a` to `b`, `radius_a` and `radius_b` thick at its ends; never
+    /// thinner than one cell.
     pub(super) fn limb(&mut self, a: [f64; 3], b: [f64; 3], radius_a: f64, radius_b: f64) {
         let along: [f64; 3] = core::array::from_fn(|i| b[i] - a[i]);
         let length = along.iter().map(|v| v * v).sum::<f64>().sqrt();

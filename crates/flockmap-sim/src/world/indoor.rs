@@ -74,7 +74,8 @@ struct Room {
     kind: Use,
 }
 
-/// An opening in the wall that lies at `place` of axis `axis` (0: a wall of constant x), centred at `along` on the other axis.
+/// An opening in the wall that lies at `place` of axis `axis` (0: a wall of constant x), centred at `along`
+/// on the other axis.
 #[derive(Clone, Copy, Debug)]
 struct Door {
     axis: usize,

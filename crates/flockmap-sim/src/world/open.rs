@@ -30,11 +30,12 @@ pub enum OpenError {
 }
 
 impl World {
-    /// A world from an OctoMap (`.bt`: Occupied leaves are solid, Free leaves are where one may fly) or a point cloud (`.pcd`, `.ply`,
-    /// `.las`, `.laz`: every cell with a point is solid).
+    /// A world from an OctoMap (`.bt`: Occupied leaves are solid, Free leaves are where one may fly) or a
+    /// point cloud (`.pcd`, `.ply`, `.las`, `.laz`: every cell with a point is solid).
     ///
-    /// `resolution` is the side of the cells made from a cloud; by default 0.1 m, and 0.2 m for LAS and LAZ, which come from surveys. An OctoMap keeps
-    /// its own cells. A cloud in coordinates of a map projection is moved to its lowest corner ([`flockmap_io::PointCloud::origin`]).
+    /// `resolution` is the side of the cells made from a cloud; by default 0.1 m, and 0.2 m for LAS and LAZ,
+    /// which come from surveys. An OctoMap keeps its own cells. A cloud in coordinates of a map projection is
+    /// moved to its lowest corner ([`flockmap_io::PointCloud::origin`]).
     pub fn open(path: impl AsRef<Path>, resolution: Option<Resolution>) -> Result<Self, OpenError> {
         let path = path.as_ref();
         let failed = |reason| OpenError::World { path: path.to_owned(), reason };

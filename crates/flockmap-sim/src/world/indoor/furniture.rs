@@ -84,7 +84,8 @@ struct Site<'a> {
 }
 
 impl Site<'_> {
-    /// Places something of this size along a wall and deep into the room, turned to fit, if there is room for it.
+    /// Places something of this size along a wall and deep into the room, turned to fit, if there is room for
+    /// it.
     fn against_wall(&mut self, size: [f64; 2], draw: impl Fn(&mut Self, Rect)) {
         for _ in 0..12 {
             let axis = self.random.below(2) as usize;
