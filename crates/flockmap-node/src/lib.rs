@@ -1,1 +1,56 @@
-//! flockmap-node
+//! A Flockmap robot for real: a [`flockmap::Robot`] driven by sockets, a clock and a sensor.
+//!
+//! [`run`] is what `flockmap node --config robot.toml` does. [`Node::start`] is the same as a library: each node has a
+//! thread of its own, and a process may have many.
+//!
+//! ```
+//! use flockmap::{Resolution, RobotConfig, RobotId};
+//! use flockmap_node::{Node, NodeOptions, UdpOptions, UdpSockets};
+//!
+//! let sockets = UdpSockets::bind(&UdpOptions::new("127.0.0.1:0".parse()?))?;
+//! let config = RobotConfig::new(RobotId(1), Resolution::from_metres(0.1).unwrap(), 7.0);
+//! let node = Node::start(NodeOptions::new(config), move || sockets.into_transport())?;
+//! let voxels = node.with_robot(|robot, _now| robot.map().count());
+//! assert_eq!(voxels, Some((0, 0)));
+//! node.stop();
+//! assert_eq!(node.join()?.summary.streams.len(), 1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! | part | what |
+//! |---|---|
+//! | [`NodeConfig`] | the configuration file; [`EXAMPLE`] shows every key |
+//! | [`Transport`], [`UdpTransport`] | how datagrams travel; others can stand beside UDP |
+//! | [`Sensor`] | a recording or simulation in real time, a channel, or a socket that any program feeds |
+//! | [`Node`], [`NodeHandle`] | the robot at work, and the hand on it |
+//! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; what is left at the end |
+#![forbid(unsafe_code)]
+
+mod clock;
+mod config;
+mod driver;
+mod histogram;
+mod log;
+mod metrics;
+mod node;
+mod run;
+mod sensor;
+mod status;
+mod summary;
+mod transport;
+
+pub use clock::Clock;
+pub use config::{
+    AlignmentSection, CodecSection, ConfigError, CycleSection, EXAMPLE, FusionSection, MapSection,
+    MetricsSection, NetworkSection, NodeConfig, OutputSection, SensorSection, SessionSection,
+    TeammatesSection,
+};
+pub use flockmap_io::{Frame, Frames};
+pub use histogram::Histogram;
+pub use log::{Level, Log};
+pub use node::{EndOptions, Ended, Node, NodeHandle, NodeOptions, Observation, Observer, StartError};
+pub use run::run;
+pub use sensor::{MESSAGE_VERSION, MessageError, MessageLimits, Sensor, SensorMessage};
+pub use status::{NodeCounters, NodeStatus, StreamStatus, Timings};
+pub use summary::{StreamSummary, Summary, TimingSummary};
+pub use transport::{Sent, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};

@@ -1,0 +1,103 @@
+//! Reading a configuration: an error names the key, where it stands, and what was probably meant.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use super::NodeConfig;
+
+/// A configuration that cannot be used. The user is at fault, and the text says what to change.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// It is no TOML, or has a key or a value that cannot be there.
+    #[error("{text}{hint}")]
+    Parse {
+        /// What and where, with the line of the file.
+        text: String,
+        /// What was probably meant; may be empty.
+        hint: String,
+    },
+    /// A value that cannot work.
+    #[error("{key} is {got}, expected {expected}")]
+    Value {
+        /// The key, with its section.
+        key: String,
+        /// What it is.
+        got: String,
+        /// What would work.
+        expected: String,
+    },
+    /// A part of the robot refuses its options.
+    #[error(transparent)]
+    Robot(#[from] flockmap::RobotError),
+}
+
+impl NodeConfig {
+    /// Reads a configuration file of at most 1 MiB. Relative paths in it are taken from its folder.
+    ///
+    /// # Errors
+    /// An unknown key is an error that names the key, its line, and the nearest known one.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
+        let path = path.as_ref();
+        let fail = |source| ConfigError::Read { path: path.to_owned(), source };
+        if std::fs::metadata(path).map_err(fail)?.len() > 1 << 20 {
+            let text = format!("{}: longer than 1 MiB, so no configuration", path.display());
+            return Err(ConfigError::Parse { text, hint: String::new() });
+        }
+        let text = std::fs::read_to_string(path).map_err(fail)?;
+        let mut config: Self = text.parse().map_err(|error| match error {
+            ConfigError::Parse { text, hint } => {
+                ConfigError::Parse { text: format!("{}: {text}", path.display()), hint }
+            }
+            other => other,
+        })?;
+        let folder = path.parent().unwrap_or_else(|| Path::new(""));
+        let sensor = &mut config.sensor;
+        let output = &mut config.output;
+        for file in [
+            &mut sensor.record,
+            &mut sensor.poses,
+            &mut sensor.listen_unix,
+            &mut output.save_map_at_end,
+            &mut output.report_json,
+        ] {
+            *file = file.take().map(|file| folder.join(file));
+        }
+        Ok(config)
+    }
+}
+
+impl FromStr for NodeConfig {
+    type Err = ConfigError;
+
+    fn from_str(text: &str) -> Result<Self, ConfigError> {
+        toml::from_str(text).map_err(|error| ConfigError::Parse {
+            hint: hint(error.message()),
+            text: error.to_string().trim_end().to_owned(),
+        })
+    }
+}
+
+/// The nearest known key, for an error about an unknown one.
+fn hint(message: &str) -> String {
+    // serde's fixed words: unknown field `a`, expected one of `b`, `c`
+    let Some(rest) = message.strip_prefix("unknown field ") else { return String::new() };
+    let mut words = rest.split('`').skip(1).step_by(2);
+    let Some(unknown) = words.next() else { return String::new() };
+    nearest(unknown, words).map_or_else(String::new, |known| format!("\ndid you mean `{known}`?"))
+}
+
+/// The known word that is most like `word`, if one is at all.
+pub(super) fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let scored = known.into_iter().map(|known| (strsim::jaro_winkler(word, known), known));
+    let best = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (best.0 >= 0.7).then_some(best.1)
+}

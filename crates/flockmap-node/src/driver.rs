@@ -1,0 +1,354 @@
+//! The loop of a node: what comes in goes to the robot, what the robot has to send goes out.
+
+use std::time::{Duration, Instant};
+
+use flockmap::sync::wire::Datagram;
+use flockmap::{Event, Robot, Stamp};
+use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
+
+use crate::node::{NodeOptions, Observation};
+use crate::sensor::Input;
+use crate::status::StatusLine;
+use crate::transport::is_unreachable;
+use crate::{Histogram, Level, NodeCounters, NodeStatus, Timings, Transport};
+
+/// Something to do with the robot at a time.
+pub(crate) type RobotCall = Box<dyn FnOnce(&mut Robot, Stamp) + Send>;
+
+/// What the hand on a node can ask.
+pub(crate) enum Command {
+    Robot(RobotCall),
+    Status(Box<dyn FnOnce(NodeStatus) + Send>),
+    Stop,
+}
+
+/// Room for a datagram; a longer one is cut and then refused by its length.
+const BUFFER_BYTES: usize = 2_048;
+
+/// A timer that is due again at once still leaves room for others.
+const PAUSE_MIN: Duration = Duration::from_millis(1);
+
+/// A frame that is played later than this counts as late.
+const LATE_MICROS: i64 = 100_000;
+
+/// Warnings of one period of this length are said once.
+const WARNING_PERIOD: Duration = Duration::from_secs(1);
+
+pub(crate) struct Driver<T> {
+    options: NodeOptions,
+    robot: Robot,
+    transport: T,
+    inputs: Receiver<Input>,
+    commands: UnboundedReceiver<Command>,
+    /// No input will come any more. Never so with a sensor socket.
+    inputs_ended: bool,
+    stopped: bool,
+    began: Instant,
+    /// When something new came or went last.
+    active: Instant,
+    status_due: Instant,
+    line: StatusLine,
+    warned: Option<Instant>,
+    warnings_left_out: u64,
+    counters: NodeCounters,
+    timings: Timings,
+    recent_age: Histogram,
+}
+
+impl<T: Transport> Driver<T> {
+    pub(crate) fn new(
+        options: NodeOptions,
+        mut robot: Robot,
+        transport: T,
+        inputs: Receiver<Input>,
+        commands: UnboundedReceiver<Command>,
+    ) -> Self {
+        for (origin, pose) in &options.alignments {
+            robot.set_alignment(*origin, pose);
+        }
+        for (origin, micros) in &options.clock_offsets {
+            robot.set_clock_offset(*origin, Some(*micros));
+        }
+        for origin in &options.muted {
+            robot.set_muted(*origin, true);
+        }
+        let now = Instant::now();
+        Self {
+            options,
+            robot,
+            transport,
+            inputs,
+            commands,
+            inputs_ended: false,
+            stopped: false,
+            began: now,
+            active: now,
+            status_due: now,
+            line: StatusLine::default(),
+            warned: None,
+            warnings_left_out: 0,
+            counters: NodeCounters::default(),
+            timings: Timings::default(),
+            recent_age: Histogram::default(),
+        }
+    }
+
+    /// Runs until the end; returns the robot and the last counters.
+    pub(crate) async fn drive(mut self) -> (Robot, NodeStatus) {
+        let mut buffer = vec![0; BUFFER_BYTES];
+        while !self.is_over() {
+            self.step(&mut buffer, None).await;
+        }
+        // The last changes go out, and what is lost of them is repaired, for a moment.
+        self.inputs.close();
+        self.flush();
+        self.stopped = false;
+        let until = Instant::now() + self.options.end.linger;
+        self.pump().await;
+        while Instant::now() < until && !self.stopped && !self.is_confirmed() {
+            self.step(&mut buffer, Some(until)).await;
+        }
+        self.pump().await;
+        self.say_status();
+        let status = self.status();
+        (self.robot, status)
+    }
+
+    /// Sends what is to be sent, then waits for one thing to happen and does it.
+    async fn step(&mut self, buffer: &mut [u8], until: Option<Instant>) {
+        self.pump().await;
+        let wake = self.wake(until);
+        let Self { transport, inputs, commands, inputs_ended, .. } = self;
+        tokio::select! {
+            received = transport.receive(buffer) => match received {
+                Ok(length) => self.take_datagram(&buffer[..length]),
+                Err(error) => self.take_receive_error(&error).await,
+            },
+            input = inputs.recv(), if !*inputs_ended => match input {
+                Some(input) => self.take_input(input),
+                None => self.end_inputs(),
+            },
+            command = commands.recv() => match command {
+                Some(Command::Robot(function)) => function(&mut self.robot, self.options.clock.now()),
+                Some(Command::Status(answer)) => answer(self.status()),
+                Some(Command::Stop) | None => self.stopped = true,
+            },
+            () = tokio::time::sleep_until(wake.into()) => {}
+        }
+    }
+
+    /// Lets time pass for the robot, tells its events, and sends all it has to send.
+    async fn pump(&mut self) {
+        let clock = self.options.clock;
+        let now = clock.now();
+        if self.robot.poll_timeout().is_some_and(|due| due <= now) {
+            self.close_cycles(now, Robot::handle_timeout);
+        }
+        loop {
+            let now = clock.now();
+            let Some(transmit) = self.robot.poll_transmit(now) else { break };
+            let sent = self.transport.send(transmit.to, &transmit.bytes).await;
+            self.counters.datagrams_out += u64::from(sent.copies);
+            self.counters.bytes_out += u64::from(sent.copies) * transmit.bytes.len() as u64;
+            self.counters.send_failed += u64::from(sent.failed);
+        }
+        self.take_events(clock.now(), |_, _| {});
+        if let Some(period) = self.options.status_period
+            && Instant::now() >= self.status_due
+        {
+            self.status_due = Instant::now() + period;
+            self.say_status();
+        }
+    }
+
+    /// Closes the cycle with what has changed.
+    fn flush(&mut self) {
+        self.close_cycles(self.options.clock.now(), Robot::flush);
+    }
+
+    fn close_cycles(&mut self, now: Stamp, close: impl FnOnce(&mut Robot, Stamp)) {
+        let began = Instant::now();
+        close(&mut self.robot, now);
+        let took = micros(began.elapsed());
+        self.take_events(now, |timings, event| {
+            if let Event::CycleClosed { .. } = event {
+                timings.pack.add(took);
+            }
+        });
+    }
+
+    fn take_datagram(&mut self, bytes: &[u8]) {
+        self.counters.datagrams_in += 1;
+        self.counters.bytes_in += bytes.len() as u64;
+        let now = self.options.clock.now();
+        let began = Instant::now();
+        let result = self.robot.handle_datagram(now, bytes);
+        let took = micros(began.elapsed());
+        self.take_events(now, |timings, event| {
+            if let Event::Merged { .. } = event {
+                timings.receive_to_insert.add(took);
+            }
+        });
+        match result {
+            Ok(()) => {
+                // Sound and of this swarm, or it would be an error.
+                if let Ok(datagram) = Datagram::new_checked(bytes) {
+                    self.transport.note_sender(datagram.header().sender.origin);
+                }
+            }
+            Err(error) => {
+                self.counters.datagrams_refused += 1;
+                self.warn(|| error.to_string());
+            }
+        }
+    }
+
+    async fn take_receive_error(&mut self, error: &std::io::Error) {
+        if is_unreachable(error) {
+            self.counters.unreachable += 1;
+        } else {
+            self.counters.receive_errors += 1;
+            self.warn(|| format!("cannot receive: {error}"));
+            // A socket that keeps failing must not keep the machine busy.
+            tokio::time::sleep(PAUSE_MIN).await;
+        }
+    }
+
+    fn take_input(&mut self, input: Input) {
+        let now = self.options.clock.now();
+        match input {
+            Input::Frame(frame) => {
+                self.active = Instant::now();
+                self.counters.frames += 1;
+                self.counters.points_dropped += frame.points_dropped;
+                self.counters.frames_late += u64::from(now.micros_since(frame.scan.stamp) > LATE_MICROS);
+                let began = Instant::now();
+                let report = self.robot.insert_scan(now, &frame.scan, &frame.t_map_sensor);
+                self.timings.insert_scan.add(micros(began.elapsed()));
+                if let Some(observer) = &mut self.options.observer {
+                    observer(now, &self.robot, Observation::Scan { scan: &frame.scan, report: &report });
+                }
+            }
+            Input::Alignment(robot, pose) => self.robot.set_alignment(robot, &pose),
+            Input::Teammate(robot, position) => self.robot.set_teammate(robot, position, now),
+            Input::Fault(text) => {
+                self.counters.sensor_faults += 1;
+                self.warn(|| text);
+            }
+            Input::Note(text) if text.is_empty() => {}
+            Input::Note(text) => self.options.log.info(text),
+        }
+    }
+
+    fn end_inputs(&mut self) {
+        self.inputs_ended = true;
+        if self.counters.frames > 0 {
+            self.flush();
+            self.options.log.info(format!("sensor ended after {} scans", self.counters.frames));
+        }
+    }
+
+    /// Tells the events of the robot to whom they concern.
+    fn take_events(&mut self, now: Stamp, mut time: impl FnMut(&mut Timings, &Event)) {
+        while let Some(event) = self.robot.poll_event() {
+            time(&mut self.timings, &event);
+            if let Some(observer) = &mut self.options.observer {
+                observer(now, &self.robot, Observation::Event(&event));
+            }
+            match event {
+                Event::CycleClosed { .. } => self.active = Instant::now(),
+                Event::Merged { stream, cycle_end, changes, .. } => {
+                    self.active = Instant::now();
+                    // A tile of a present state tells of many times.
+                    if let Some(offset) = self.robot.session().clock_offset(stream)
+                        && !changes.is_empty()
+                    {
+                        let age = now.micros_since(cycle_end).saturating_add(offset).max(0).unsigned_abs();
+                        self.timings.age.add(age);
+                        self.recent_age.add(age);
+                    }
+                }
+                Event::Refused { stream, index, reason } => {
+                    self.warn(|| format!("package {index} of {stream:?} refused: {reason}"));
+                }
+                Event::CaughtUp { stream, upto } => {
+                    self.active = Instant::now();
+                    self.options.log.info(format!("caught up with {stream:?} up to package {upto}"));
+                }
+                Event::PeerSeen(stream) => self.options.log.info(format!("hears {stream:?}")),
+                Event::PeerLost(stream) => self.options.log.info(format!("hears {stream:?} no more")),
+                Event::SameIdentity => {
+                    self.warn(|| "another robot uses the id of this one; give one of them another".into());
+                }
+                Event::EncodeFailed(error) => {
+                    self.options
+                        .log
+                        .say(Level::Error, format!("own changes are lost to the others: {error}"));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Says a warning, unless one was said a moment ago.
+    fn warn(&mut self, text: impl FnOnce() -> String) {
+        if self.warned.is_some_and(|at| at.elapsed() < WARNING_PERIOD) {
+            self.warnings_left_out += 1;
+            return;
+        }
+        self.warned = Some(Instant::now());
+        let left_out = match std::mem::take(&mut self.warnings_left_out) {
+            0 => String::new(),
+            count => format!(" ({count} warnings left out before)"),
+        };
+        self.options.log.warn(text() + &left_out);
+    }
+
+    fn wake(&self, until: Option<Instant>) -> Instant {
+        let now = Instant::now();
+        let robot =
+            self.robot.poll_timeout().map(|due| self.options.clock.instant_of(due).max(now + PAUSE_MIN));
+        let status = self.options.status_period.map(|_| self.status_due);
+        let after = self.options.end.after.map(|after| self.began + after);
+        let quiet =
+            self.options.end.when_quiet.filter(|_| self.inputs_ended).map(|quiet| self.active + quiet);
+        let idle = now + Duration::from_secs(60);
+        [robot, status, after, quiet, until].into_iter().flatten().fold(idle, Instant::min)
+    }
+
+    fn is_over(&self) -> bool {
+        let end = &self.options.end;
+        self.stopped
+            || end.after.is_some_and(|after| self.began.elapsed() >= after)
+            || end.when_quiet.is_some_and(|quiet| self.inputs_ended && self.active.elapsed() >= quiet)
+    }
+
+    /// Whether every peer has confirmed all that was sent.
+    fn is_confirmed(&self) -> bool {
+        self.robot.session().peers().all(|peer| peer.in_flight == 0)
+    }
+
+    fn say_status(&mut self) {
+        if self.options.status_period.is_some() {
+            let age = std::mem::take(&mut self.recent_age);
+            let line = self.line.next(&self.status(), &age);
+            self.options.log.say(Level::Status, line);
+        }
+    }
+
+    fn status(&self) -> NodeStatus {
+        NodeStatus::new(
+            &self.options.name,
+            &self.robot,
+            self.began.elapsed(),
+            self.active.elapsed(),
+            self.inputs_ended,
+            self.counters,
+            &self.timings,
+        )
+    }
+}
+
+fn micros(duration: Duration) -> u64 {
+    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,379 @@
+//! One robot on a thread of its own, and the hand on it.
+
+use std::fmt;
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::mpsc as std_mpsc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use flockmap::{Event, Pose, Robot, RobotConfig, RobotId, Scan, ScanReport, Stamp};
+use tokio::sync::{mpsc, oneshot};
+
+use crate::driver::{Command, Driver};
+use crate::sensor::{INPUTS_WAITING_MAX, Input, Sensor, SensorSocket, play};
+use crate::{Clock, Log, NodeStatus, Summary, Transport};
+
+/// When a node ends by itself.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct EndOptions {
+    /// After so long. Default: never.
+    pub after: Option<Duration>,
+    /// When the sensor has ended and nothing new has come or gone for so long. Default: never.
+    pub when_quiet: Option<Duration>,
+    /// At the end, however it comes, the last packages are sent and repaired for up to so long. Default 500 ms.
+    pub linger: Duration,
+}
+
+impl Default for EndOptions {
+    fn default() -> Self {
+        Self { after: None, when_quiet: None, linger: Duration::from_millis(500) }
+    }
+}
+
+/// Something that has just happened in a node.
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub enum Observation<'a> {
+    /// A scan was inserted.
+    Scan {
+        /// The scan, with its stamp on the node's clock.
+        scan: &'a Scan,
+        /// What it changed.
+        report: &'a ScanReport,
+    },
+    /// The robot told an event.
+    Event(&'a Event),
+}
+
+/// Called in the thread of the node with the time, the robot, and what has just happened. The node waits for it.
+pub type Observer = Box<dyn FnMut(Stamp, &Robot, Observation<'_>) + Send>;
+
+/// Everything a node may be told.
+pub struct NodeOptions {
+    /// The robot.
+    pub robot: RobotConfig,
+    /// Name for logs and metrics.
+    pub name: String,
+    /// The clock. Nodes of one process may share one.
+    pub clock: Clock,
+    /// Where scans come from.
+    pub sensor: Sensor,
+    /// `T_own_origin` of other robots.
+    pub alignments: Vec<(RobotId, Pose)>,
+    /// Clocks of other robots minus the own one, in microseconds; others are measured.
+    pub clock_offsets: Vec<(RobotId, i64)>,
+    /// Robots whose layers are left out of the fused map.
+    pub muted: Vec<RobotId>,
+    /// Serve counters as Prometheus text here.
+    pub prometheus: Option<SocketAddr>,
+    /// Say a line of counters each such time.
+    pub status_period: Option<Duration>,
+    /// When the node ends by itself.
+    pub end: EndOptions,
+    /// Told of every scan and event.
+    pub observer: Option<Observer>,
+    /// Where lines go.
+    pub log: Log,
+}
+
+impl NodeOptions {
+    /// A robot without a sensor that says nothing and never ends by itself.
+    pub fn new(robot: RobotConfig) -> Self {
+        Self {
+            name: format!("robot{}", robot.id),
+            robot,
+            clock: Clock::new(),
+            sensor: Sensor::None,
+            alignments: Vec::new(),
+            clock_offsets: Vec::new(),
+            muted: Vec::new(),
+            prometheus: None,
+            status_period: None,
+            end: EndOptions::default(),
+            observer: None,
+            log: Log::silent(),
+        }
+    }
+}
+
+impl fmt::Debug for NodeOptions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { name, robot, sensor, end, .. } = self;
+        f.debug_struct("NodeOptions")
+            .field("name", name)
+            .field("robot", robot)
+            .field("sensor", sensor)
+            .field("end", end)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Why a node could not start.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StartError {
+    /// The robot's options cannot work.
+    #[error(transparent)]
+    Robot(#[from] flockmap::RobotError),
+    /// An option of the node cannot work.
+    #[error("{option} is {got}, expected {expected}")]
+    Option {
+        /// Name of the option.
+        option: &'static str,
+        /// Its value.
+        got: String,
+        /// What would work.
+        expected: &'static str,
+    },
+    /// The system refused something.
+    #[error("cannot {what}: {source}")]
+    System {
+        /// What was asked of it.
+        what: String,
+        /// Its answer.
+        source: io::Error,
+    },
+}
+
+/// A robot at work.
+#[derive(Debug)]
+pub struct Node;
+
+/// The addresses that the system chose.
+#[derive(Clone, Debug, Default)]
+struct Addresses {
+    sensor: Option<String>,
+    prometheus: Option<SocketAddr>,
+}
+
+impl Node {
+    /// Starts a robot on a thread of its own. `make_transport` is called there, within a tokio runtime. Returns when
+    /// all sockets are open.
+    ///
+    /// # Errors
+    /// An option that cannot work, or a socket that cannot be opened; nothing is left running.
+    pub fn start<T: Transport>(
+        options: NodeOptions,
+        make_transport: impl FnOnce() -> io::Result<T> + Send + 'static,
+    ) -> Result<NodeHandle, StartError> {
+        let (name, clock) = (options.name.clone(), options.clock);
+        let (commands, commands_in) = mpsc::unbounded_channel();
+        let commands_weak = commands.downgrade();
+        let (started, start) = std_mpsc::channel();
+        let (ended, end) = oneshot::channel();
+        let work = move || {
+            let result = Self::work(options, make_transport, (commands_weak, commands_in), &started);
+            // Nobody may be waiting.
+            let _ = ended.send(());
+            result
+        };
+        let thread = std::thread::Builder::new()
+            .name(format!("node {name}"))
+            .spawn(work)
+            .map_err(|source| StartError::System { what: "start a thread".into(), source })?;
+        match start.recv() {
+            Ok(addresses) => Ok(NodeHandle { name, clock, commands, thread, end: Some(end), addresses }),
+            Err(std_mpsc::RecvError) => match thread.join() {
+                Ok(Err(error)) => Err(error),
+                Ok(Ok(_)) => Err(died("ended before it had started")),
+                Err(_) => Err(died("panicked")),
+            },
+        }
+    }
+
+    fn work<T: Transport>(
+        mut options: NodeOptions,
+        make_transport: impl FnOnce() -> io::Result<T>,
+        (commands, commands_in): (mpsc::WeakUnboundedSender<Command>, mpsc::UnboundedReceiver<Command>),
+        started: &std_mpsc::Sender<Addresses>,
+    ) -> Result<Ended, StartError> {
+        let system = |what: &str| {
+            let what = what.to_owned();
+            move |source| StartError::System { what, source }
+        };
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(system("start the runtime"))?;
+        runtime.block_on(async move {
+            let robot = Robot::new(options.robot.clone(), options.clock.now())?;
+            let transport = make_transport().map_err(system("start the transport"))?;
+            let sensor_socket = SensorSocket::open(&options.sensor)
+                .await
+                .map_err(system(&format!("open the sensor socket {:?}", options.sensor)))?;
+            let prometheus = match options.prometheus {
+                Some(address) => Some(
+                    crate::metrics::listen(address)
+                        .await
+                        .map_err(system(&format!("serve metrics at {address}")))?,
+                ),
+                None => None,
+            };
+            let addresses = Addresses {
+                sensor: sensor_socket.as_ref().map(SensorSocket::address),
+                prometheus: prometheus.as_ref().and_then(|listener| listener.local_addr().ok()),
+            };
+
+            let (inputs, inputs_in) = mpsc::channel(INPUTS_WAITING_MAX);
+            let sensor = std::mem::replace(&mut options.sensor, Sensor::None);
+            start_sensor(sensor, sensor_socket, options.clock, inputs)?;
+            if let Some(listener) = prometheus {
+                tokio::spawn(crate::metrics::serve(listener, commands));
+            }
+            let driver = Driver::new(options, robot, transport, inputs_in, commands_in);
+            // The caller waits for this.
+            let _ = started.send(addresses);
+            let (robot, status) = driver.drive().await;
+            Ok(Ended { summary: Summary::new(&robot, &status), robot, status })
+        })
+    }
+}
+
+fn start_sensor(
+    sensor: Sensor,
+    socket: Option<SensorSocket>,
+    clock: Clock,
+    inputs: mpsc::Sender<Input>,
+) -> Result<(), StartError> {
+    if let Some(socket) = socket {
+        tokio::spawn(socket.serve(clock, inputs));
+        return Ok(());
+    }
+    match sensor {
+        Sensor::Play { frames, speed, skip, begin } => {
+            if !(speed > 0.0 && speed <= 1e6) {
+                return Err(StartError::Option {
+                    option: "speed",
+                    got: speed.to_string(),
+                    expected: "more than 0 and at most 1,000,000",
+                });
+            }
+            std::thread::Builder::new()
+                .name("sensor".into())
+                .spawn(move || play(frames, speed, skip, begin, &clock, &inputs))
+                .map_err(|source| StartError::System { what: "start a thread".into(), source })?;
+        }
+        Sensor::Channel(mut frames) => {
+            tokio::spawn(async move {
+                while let Some(frame) = frames.recv().await {
+                    if inputs.send(Input::Frame(frame)).await.is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        Sensor::None | Sensor::Tcp(..) | Sensor::Unix(..) => {}
+    }
+    Ok(())
+}
+
+fn died(how: &str) -> StartError {
+    StartError::System { what: "run the node".into(), source: io::Error::other(format!("its thread {how}")) }
+}
+
+/// What is left of a node that has ended.
+pub struct Ended {
+    /// The robot, with its maps, as it was at the end.
+    pub robot: Robot,
+    /// The last counters.
+    pub status: NodeStatus,
+    /// The same as a plain summary, for reports.
+    pub summary: Summary,
+}
+
+impl fmt::Debug for Ended {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Ended").field("summary", &self.summary).finish_non_exhaustive()
+    }
+}
+
+/// The hand on a running node. Dropping it stops the node.
+#[derive(Debug)]
+pub struct NodeHandle {
+    name: String,
+    clock: Clock,
+    commands: mpsc::UnboundedSender<Command>,
+    thread: JoinHandle<Result<Ended, StartError>>,
+    end: Option<oneshot::Receiver<()>>,
+    addresses: Addresses,
+}
+
+impl NodeHandle {
+    /// The name of the robot.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The clock of the node.
+    pub const fn clock(&self) -> Clock {
+        self.clock
+    }
+
+    /// Where sensor programs connect, if the node has such a socket.
+    pub fn sensor_address(&self) -> Option<&str> {
+        self.addresses.sensor.as_deref()
+    }
+
+    /// Where counters are served, if they are.
+    pub const fn prometheus_address(&self) -> Option<SocketAddr> {
+        self.addresses.prometheus
+    }
+
+    /// Runs a function on the robot, between two steps of the node, and waits for the result: read maps, set alignments,
+    /// close a cycle. What it causes to be sent goes out after it. `None` if the node has ended.
+    pub fn with_robot<R: Send + 'static>(
+        &self,
+        function: impl FnOnce(&mut Robot, Stamp) -> R + Send + 'static,
+    ) -> Option<R> {
+        let (answer, result) = std_mpsc::channel();
+        let run = Box::new(move |robot: &mut Robot, now: Stamp| {
+            // Nobody waits any more if this fails.
+            let _ = answer.send(function(robot, now));
+        });
+        self.commands.send(Command::Robot(run)).ok()?;
+        result.recv().ok()
+    }
+
+    /// The counters now. `None` if the node has ended.
+    pub fn status(&self) -> Option<NodeStatus> {
+        let (answer, result) = std_mpsc::channel();
+        let send = Box::new(move |status| drop(answer.send(status)));
+        self.commands.send(Command::Status(send)).ok()?;
+        result.recv().ok()
+    }
+
+    /// Asks the node to end: it closes its cycle, sends what is left, and lingers a moment. Asked again, it ends at once.
+    pub fn stop(&self) {
+        // Ended already is as good.
+        let _ = self.commands.send(Command::Stop);
+    }
+
+    /// Whether the node has ended.
+    pub fn has_ended(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Waits until the node has ended, without stopping it.
+    pub fn ended(&mut self) -> impl Future<Output = ()> + use<> {
+        let end = self.end.take();
+        async move {
+            if let Some(end) = end {
+                // An error means the same: the thread is gone.
+                let _ = end.await;
+            }
+        }
+    }
+
+    /// Waits until the node has ended, without stopping it, and returns what is left of it.
+    ///
+    /// # Errors
+    /// If the thread of the node panicked.
+    pub fn join(self) -> Result<Ended, StartError> {
+        let Self { commands, thread, .. } = self;
+        let result = thread.join();
+        drop(commands);
+        result.unwrap_or_else(|_| Err(died("panicked")))
+    }
+}

@@ -1,0 +1,187 @@
+//! One robot from a configuration file, until it is told to end.
+
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, Result, bail};
+use flockmap::RobotId;
+use flockmap_io::{ExportOptions, RecordOptions, export_map, open_record};
+
+use crate::config::{seconds, value};
+use crate::{
+    EndOptions, Ended, Level, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions, Sensor,
+    UdpSockets,
+};
+
+/// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
+/// configured; then saves the map if asked, and writes a summary as JSON to the configured file, or to stdout.
+///
+/// # Errors
+/// A configuration that cannot work, named by its key; a socket or file that cannot be opened.
+pub fn run(config_path: &Path) -> Result<()> {
+    let config = NodeConfig::read(config_path)?;
+    let log = Log::to_stderr(&config.robot_name());
+    let options = options(&config, &log)?;
+    let sockets = UdpSockets::bind(&config.udp()?)?;
+    let address = sockets.local_addr()?;
+    let own = (options.robot.id, options.robot.epoch);
+
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    // Signals count from here on, also while the node starts.
+    let signals = {
+        let _context = runtime.enter();
+        Signals::new().context("cannot listen to signals")?
+    };
+    let mut node = Node::start(options, move || sockets.into_transport())?;
+    log.info(format!("robot {} epoch {} listens on {address}", own.0, own.1));
+    if let Some(sensor) = node.sensor_address() {
+        log.info(format!("takes scans at {sensor}"));
+    }
+    if let Some(address) = node.prometheus_address() {
+        log.info(format!("serves counters at http://{address}/metrics"));
+    }
+    runtime.block_on(until_ended(&mut node, signals, &log));
+    finish(&config, &node.join()?, &log)
+}
+
+fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let mut options =
+        NodeOptions::new(config.robot(u32::try_from(since_1970.as_secs()).unwrap_or(u32::MAX))?);
+    options.name = config.robot_name();
+    options.sensor = sensor(config, log)?;
+    options.alignments = config.alignments()?;
+    options.clock_offsets = config.clock_offsets()?;
+    options.muted = config.fusion.muted.iter().copied().map(RobotId).collect();
+    options.prometheus = config.metrics.prometheus;
+    let period = seconds("[metrics] status_period_s", config.metrics.status_period_s)?;
+    options.status_period = (!period.is_zero()).then_some(period);
+    let output = &config.output;
+    options.end = EndOptions {
+        after: output.end_after_s.map(|s| seconds("[output] end_after_s", s)).transpose()?,
+        when_quiet: output.end_when_quiet_s.map(|s| seconds("[output] end_when_quiet_s", s)).transpose()?,
+        linger: std::time::Duration::from_millis(output.linger_ms.into()),
+    };
+    // Better now than after the flight.
+    if let Some(path) = &output.save_map_at_end
+        && !path.extension().is_some_and(|end| ["ply", "pcd", "bt"].iter().any(|known| end == *known))
+    {
+        bail!(value("[output] save_map_at_end", path.display(), "a file that ends in .ply, .pcd or .bt"));
+    }
+    options.log = log.clone();
+    Ok(options)
+}
+
+fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
+    let section = &config.sensor;
+    let error = seconds("[sensor] stamp_error_max_s", section.stamp_error_max_s)?;
+    if section.scan_points_max == 0 || section.scan_points_max > 1 << 26 {
+        bail!(value("[sensor] scan_points_max", section.scan_points_max, "1 to 67,108,864"));
+    }
+    let limits = MessageLimits {
+        scan_points_max: section.scan_points_max,
+        stamp_error_max_micros: i64::try_from(error.as_micros()).unwrap_or(i64::MAX),
+    };
+    match (&section.record, section.listen_tcp, &section.listen_unix) {
+        (None, None, None) => {
+            log.warn("no sensor is configured: this robot only listens and passes on what it hears");
+            Ok(Sensor::None)
+        }
+        (Some(path), None, None) => {
+            if !(section.speed > 0.0 && section.speed <= 1e6) {
+                bail!(value("[sensor] speed", section.speed, "more than 0 and at most 1,000,000"));
+            }
+            let skip = seconds("[sensor] start_s", section.start_s)?;
+            let options = RecordOptions {
+                points_topic: section.points_topic.clone(),
+                odometry_topic: section.odometry_topic.clone(),
+                map_frame: section.map_frame.clone(),
+                poses: section.poses.clone(),
+                scan_points_max: u64::from(section.scan_points_max),
+                ..RecordOptions::default()
+            };
+            let record = open_record(path, &options)?;
+            let summary = &record.summary;
+            let (scans, length) = (summary.frames, summary.duration_s());
+            log.info(format!("plays {}: {scans} scans, {length:.1} s", path.display()));
+            Ok(Sensor::Play { frames: record.frames, speed: section.speed, skip, begin: None })
+        }
+        (None, Some(address), None) => Ok(Sensor::Tcp(address, limits)),
+        (None, None, Some(path)) => Ok(Sensor::Unix(path.clone(), limits)),
+        _ => bail!("[sensor] has more than one of record, listen_tcp and listen_unix, expected one of them"),
+    }
+}
+
+/// Waits for the node, and stops it on a signal; a second one stops it at once.
+async fn until_ended(node: &mut NodeHandle, mut signals: Signals, log: &Log) {
+    let ended = node.ended();
+    tokio::pin!(ended);
+    loop {
+        tokio::select! {
+            () = &mut ended => return,
+            name = signals.next() => {
+                log.info(format!("{name}: ending; once more ends at once"));
+                node.stop();
+            }
+        }
+    }
+}
+
+#[cfg(unix)]
+struct Signals {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Signals {
+    fn new() -> std::io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
+    }
+
+    async fn next(&mut self) -> &'static str {
+        tokio::select! {
+            _ = self.interrupt.recv() => "Ctrl-C",
+            _ = self.terminate.recv() => "SIGTERM",
+        }
+    }
+}
+
+#[cfg(not(unix))]
+struct Signals;
+
+#[cfg(not(unix))]
+impl Signals {
+    fn new() -> std::io::Result<Self> {
+        Ok(Self)
+    }
+
+    async fn next(&mut self) -> &'static str {
+        // Without signals there is nothing to wait for.
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+        "Ctrl-C"
+    }
+}
+
+/// Saves what was asked for.
+fn finish(config: &NodeConfig, ended: &Ended, log: &Log) -> Result<()> {
+    let output = &config.output;
+    let json = serde_json::to_string_pretty(&ended.summary)?;
+    match &output.report_json {
+        Some(path) => {
+            std::fs::write(path, json + "\n").with_context(|| format!("cannot write {}", path.display()))?;
+            log.info(format!("summary in {}", path.display()));
+        }
+        None => println!("{json}"),
+    }
+    if let Some(path) = &output.save_map_at_end {
+        let map = ended.robot.map();
+        let options = ExportOptions { free: output.save_free };
+        let count = export_map(path, map.resolution(), map.voxels(), &options)?;
+        log.say(Level::Info, format!("{count} voxels in {}", path.display()));
+    }
+    Ok(())
+}

@@ -1,0 +1,331 @@
+//! One message of a sensor program, byte by byte as in `docs/sensor-input.md`.
+
+use flockmap::{Pose, RobotId, Scan, Stamp};
+use flockmap_io::Frame;
+
+/// The version of the layout.
+pub const MESSAGE_VERSION: u8 = 1;
+
+const MAGIC: [u8; 4] = *b"FLKS";
+/// Magic, version, kind, robot.
+const HEADER_BYTES: usize = 8;
+/// Header, stamp, pose, two counts.
+const SCAN_HEADER_BYTES: usize = HEADER_BYTES + 8 + 56 + 8;
+const POINT_BYTES: usize = 12;
+
+/// What a message may be.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct MessageLimits {
+    /// Most points and rays without a return, together, in one scan. Worst case held: 24 bytes each.
+    pub scan_points_max: u32,
+    /// A scan whose stamp is off the node's clock by more than this many microseconds is refused.
+    pub stamp_error_max_micros: i64,
+}
+
+impl Default for MessageLimits {
+    fn default() -> Self {
+        Self { scan_points_max: 1 << 20, stamp_error_max_micros: 10_000_000 }
+    }
+}
+
+impl MessageLimits {
+    /// The longest message.
+    pub const fn bytes_max(&self) -> usize {
+        SCAN_HEADER_BYTES + POINT_BYTES * self.scan_points_max as usize
+    }
+}
+
+/// What a sensor program may say.
+#[derive(Clone, PartialEq, Debug)]
+pub enum SensorMessage {
+    /// Kind 1: a scan and the pose of the sensor. Stamp 0 means now.
+    Scan(Frame),
+    /// Kind 2: `T_own_origin`, how the frame of another robot lies in the own one.
+    Alignment(RobotId, Pose),
+    /// Kind 3: where a team-mate is now, in metres in the own map.
+    Teammate(RobotId, [f64; 3]),
+}
+
+/// A message that cannot be used. The program that sent it is at fault; the connection is closed.
+#[derive(Clone, PartialEq, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MessageError {
+    /// The length says more than is allowed, or less than a message has.
+    #[error("length {got}, expected {HEADER_BYTES} to {max}")]
+    Length {
+        /// As sent.
+        got: u64,
+        /// The longest that is allowed.
+        max: usize,
+    },
+    /// Not a message at all.
+    #[error("starts with {got:02x?}, expected `FLKS`")]
+    Magic {
+        /// The first four bytes.
+        got: [u8; 4],
+    },
+    /// Of another version.
+    #[error("version {got}, expected {MESSAGE_VERSION}")]
+    Version {
+        /// As sent.
+        got: u8,
+    },
+    /// Of no known kind.
+    #[error("kind {got}, expected 1 (scan), 2 (alignment) or 3 (team-mate)")]
+    Kind {
+        /// As sent.
+        got: u8,
+    },
+    /// The length does not fit what is in it.
+    #[error("{got} bytes, expected {expected} by its kind and counts")]
+    Size {
+        /// As sent.
+        got: usize,
+        /// What the kind and the counts call for.
+        expected: u64,
+    },
+    /// The pose is none.
+    #[error("the pose {got:?} is none, expected finite x y z and a quaternion x y z w that is not 0")]
+    Pose {
+        /// The seven numbers.
+        got: [f64; 7],
+    },
+    /// The connection ended within a message.
+    #[error("ended after {got} of {expected} bytes")]
+    Truncated {
+        /// Bytes received.
+        got: usize,
+        /// Bytes announced.
+        expected: usize,
+    },
+}
+
+impl SensorMessage {
+    /// Reads what follows the length. Allocates only what the bytes at hand fill.
+    pub fn parse(bytes: &[u8], limits: &MessageLimits) -> Result<Self, MessageError> {
+        let size = |expected: u64| MessageError::Size { got: bytes.len(), expected };
+        if bytes.len() < HEADER_BYTES || bytes.len() > limits.bytes_max() {
+            return Err(MessageError::Length { got: bytes.len() as u64, max: limits.bytes_max() });
+        }
+        let mut rest = Rest(bytes);
+        let too_short = || size(HEADER_BYTES as u64);
+        let magic = rest.take().ok_or_else(too_short)?;
+        if magic != MAGIC {
+            return Err(MessageError::Magic { got: magic });
+        }
+        let [version, kind] = rest.take().ok_or_else(too_short)?;
+        if version != MESSAGE_VERSION {
+            return Err(MessageError::Version { got: version });
+        }
+        let robot = RobotId(u16::from_le_bytes(rest.take().ok_or_else(too_short)?));
+        match kind {
+            1 => Self::parse_scan(rest, limits).ok_or_else(|| size(SCAN_HEADER_BYTES as u64))?.map_err(|e| {
+                match e {
+                    Fault::Size(expected) => size(expected),
+                    Fault::Pose(got) => MessageError::Pose { got },
+                    Fault::Count => MessageError::Length { got: bytes.len() as u64, max: limits.bytes_max() },
+                }
+            }),
+            2 => {
+                let numbers = rest.numbers().filter(|_| rest.0.is_empty());
+                let got = numbers.ok_or_else(|| size(HEADER_BYTES as u64 + 56))?;
+                Ok(Self::Alignment(robot, pose(got).ok_or(MessageError::Pose { got })?))
+            }
+            3 => {
+                let numbers = rest.numbers().filter(|_| rest.0.is_empty());
+                let [x, y, z] = numbers.ok_or_else(|| size(HEADER_BYTES as u64 + 24))?;
+                let got = [x, y, z, 0.0, 0.0, 0.0, 1.0];
+                pose(got).ok_or(MessageError::Pose { got })?;
+                Ok(Self::Teammate(robot, [x, y, z]))
+            }
+            got => Err(MessageError::Kind { got }),
+        }
+    }
+
+    /// `None` if the bytes end before the points.
+    fn parse_scan(mut rest: Rest<'_>, limits: &MessageLimits) -> Option<Result<Self, Fault>> {
+        let stamp = Stamp(i64::from_le_bytes(rest.take()?));
+        let numbers = rest.numbers()?;
+        let points = u32::from_le_bytes(rest.take()?);
+        let no_returns = u32::from_le_bytes(rest.take()?);
+        let count = u64::from(points) + u64::from(no_returns);
+        let expected = SCAN_HEADER_BYTES as u64 + count * POINT_BYTES as u64;
+        if count > u64::from(limits.scan_points_max) {
+            return Some(Err(Fault::Count));
+        }
+        if rest.0.len() as u64 != count * POINT_BYTES as u64 {
+            return Some(Err(Fault::Size(expected)));
+        }
+        let Some(t_map_sensor) = pose(numbers) else { return Some(Err(Fault::Pose(numbers))) };
+        let (first, second) = rest.0.split_at_checked(points as usize * POINT_BYTES)?;
+        let read = |bytes: &[u8]| -> Vec<[f32; 3]> {
+            let (points, _) = bytes.as_chunks::<POINT_BYTES>();
+            points
+                .iter()
+                .map(|&[a, b, c, d, e, f, g, h, i, j, k, l]| {
+                    [[a, b, c, d], [e, f, g, h], [i, j, k, l]].map(f32::from_le_bytes)
+                })
+                .collect()
+        };
+        let scan = Scan { stamp, points: read(first), no_returns: read(second) };
+        Some(Ok(Self::Scan(Frame { scan, t_map_sensor, points_dropped: 0 })))
+    }
+
+    /// The message with its length, as it goes over the connection.
+    pub fn emit(&self) -> Vec<u8> {
+        let mut out = vec![0; 4];
+        out.extend(MAGIC);
+        out.push(MESSAGE_VERSION);
+        let mut begin = |kind: u8, robot: RobotId| {
+            out.push(kind);
+            out.extend(robot.0.to_le_bytes());
+        };
+        match self {
+            Self::Scan(frame) => {
+                begin(1, RobotId(0));
+                out.extend(frame.scan.stamp.0.to_le_bytes());
+                put_pose(&mut out, &frame.t_map_sensor);
+                out.extend((frame.scan.points.len() as u32).to_le_bytes());
+                out.extend((frame.scan.no_returns.len() as u32).to_le_bytes());
+                for point in frame.scan.points.iter().chain(&frame.scan.no_returns) {
+                    out.extend(point.iter().flat_map(|v| v.to_le_bytes()));
+                }
+            }
+            Self::Alignment(robot, pose) => {
+                begin(2, *robot);
+                put_pose(&mut out, pose);
+            }
+            Self::Teammate(robot, position) => {
+                begin(3, *robot);
+                out.extend(position.iter().flat_map(|v| v.to_le_bytes()));
+            }
+        }
+        let length = (out.len() as u32 - 4).to_le_bytes();
+        out[..4].copy_from_slice(&length);
+        out
+    }
+}
+
+enum Fault {
+    Size(u64),
+    Count,
+    Pose([f64; 7]),
+}
+
+fn pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Option<Pose> {
+    Pose::new([x, y, z], [qx, qy, qz, qw])
+}
+
+fn put_pose(out: &mut Vec<u8>, pose: &Pose) {
+    let numbers = pose.translation().into_iter().chain(pose.quaternion_xyzw());
+    out.extend(numbers.flat_map(f64::to_le_bytes));
+}
+
+/// The bytes not read yet.
+struct Rest<'a>(&'a [u8]);
+
+impl Rest<'_> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (taken, rest) = self.0.split_first_chunk::<N>()?;
+        self.0 = rest;
+        Some(*taken)
+    }
+
+    fn numbers<const N: usize>(&mut self) -> Option<[f64; N]> {
+        let mut numbers = [0.0; N];
+        for number in &mut numbers {
+            *number = f64::from_le_bytes(self.take()?);
+        }
+        Some(numbers)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const LIMITS: MessageLimits = MessageLimits { scan_points_max: 8, stamp_error_max_micros: 1 };
+
+    fn scan(points: usize, no_returns: usize) -> SensorMessage {
+        let point = |k: usize| [k as f32, 0.5, -1.0];
+        SensorMessage::Scan(Frame {
+            scan: Scan {
+                stamp: Stamp(12_345_678),
+                points: (0..points).map(point).collect(),
+                no_returns: (0..no_returns).map(point).collect(),
+            },
+            t_map_sensor: Pose::from_translation([1.0, -2.0, 3.0]),
+            points_dropped: 0,
+        })
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let teammate = SensorMessage::Teammate(RobotId(513), [1.0, 2.0, -0.5]);
+        let alignment = SensorMessage::Alignment(RobotId(2), Pose::from_translation([4.0, 0.0, 0.0]));
+        for message in [scan(0, 0), scan(5, 3), teammate, alignment] {
+            let bytes = message.emit();
+            assert_eq!(u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize, bytes.len() - 4);
+            assert_eq!(SensorMessage::parse(&bytes[4..], &LIMITS), Ok(message));
+        }
+    }
+
+    #[test]
+    fn the_layout_is_the_documented_one() {
+        let bytes = scan(1, 0).emit();
+        assert_eq!(&bytes[..12], b"\x5c\0\0\0FLKS\x01\x01\0\0");
+        assert_eq!(&bytes[12..20], &12_345_678i64.to_le_bytes());
+        assert_eq!(&bytes[20..28], &1.0f64.to_le_bytes());
+        assert_eq!(&bytes[68..76], &1.0f64.to_le_bytes(), "w comes last");
+        assert_eq!(&bytes[76..84], b"\x01\0\0\0\0\0\0\0");
+        assert_eq!(bytes.len(), 84 + 12);
+    }
+
+    #[test]
+    fn each_fault_is_named() {
+        let good = scan(2, 0).emit()[4..].to_vec();
+        let parse = |change: &dyn Fn(&mut Vec<u8>)| {
+            let mut bytes = good.clone();
+            change(&mut bytes);
+            SensorMessage::parse(&bytes, &LIMITS).unwrap_err()
+        };
+        assert!(matches!(parse(&|b| b[0] = b'X'), MessageError::Magic { .. }));
+        assert_eq!(parse(&|b| b[4] = 9), MessageError::Version { got: 9 });
+        assert_eq!(parse(&|b| b[5] = 4), MessageError::Kind { got: 4 });
+        assert!(matches!(parse(&|b| b[72] = 3), MessageError::Size { got: 104, expected: 116 }));
+        assert!(matches!(parse(&|b| b[72] = 9), MessageError::Length { .. }), "more points than allowed");
+        assert!(matches!(parse(&|b| b[16..72].fill(0)), MessageError::Pose { .. }));
+        assert!(matches!(parse(&|b| b.truncate(3)), MessageError::Length { got: 3, .. }));
+        assert!(matches!(parse(&|b| b.truncate(40)), MessageError::Size { got: 40, .. }));
+        assert!(matches!(parse(&|b| b.extend([0; 200])), MessageError::Length { .. }));
+    }
+
+    proptest! {
+        #[test]
+        fn random_bytes_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+            let _ = SensorMessage::parse(&bytes, &LIMITS);
+        }
+
+        #[test]
+        fn damaged_messages_do_no_harm(
+            kind in 0usize..3, cut in 0usize..200, flips in prop::collection::vec((0usize..200, any::<u8>()), 0..4),
+        ) {
+            let message = match kind {
+                0 => scan(4, 2),
+                1 => SensorMessage::Teammate(RobotId(1), [0.0; 3]),
+                _ => SensorMessage::Alignment(RobotId(1), Pose::IDENTITY),
+            };
+            let mut bytes = message.emit().split_off(4);
+            bytes.truncate(cut);
+            for (at, value) in flips {
+                if let Some(byte) = bytes.get_mut(at) {
+                    *byte ^= value;
+                }
+            }
+            if let Ok(SensorMessage::Scan(frame)) = SensorMessage::parse(&bytes, &LIMITS) {
+                prop_assert!(frame.scan.points.len() + frame.scan.no_returns.len() <= 8);
+            }
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! Where the scans of a node come from.
+
+mod message;
+mod play;
+mod socket;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use flockmap::{Pose, RobotId, Stamp};
+use flockmap_io::{Frame, Frames};
+
+pub use message::{MESSAGE_VERSION, MessageError, MessageLimits, SensorMessage};
+pub(crate) use play::play;
+pub(crate) use socket::SensorSocket;
+
+/// Where the scans of a node come from.
+pub enum Sensor {
+    /// The node has no sensor: it only listens, and passes on what it hears.
+    None,
+    /// A recording or a simulation. It is played in real time: the first frame comes at once, the others as far apart as
+    /// their stamps, and each gets the time at which it is played as its stamp. Read on a thread of its own.
+    Play {
+        /// The frames.
+        frames: Frames,
+        /// How fast they are played: 2.0 is twice as fast as recorded.
+        speed: f64,
+        /// Frames of the first so many seconds of the recording are left out.
+        skip: Duration,
+        /// When the first frame is played, on the node's clock; default: as soon as the node runs. The robots of a
+        /// swarm begin together this way.
+        begin: Option<Stamp>,
+    },
+    /// Frames as they come, with stamps on the node's clock. A frame that finds more than four waiting makes the
+    /// sender wait.
+    Channel(tokio::sync::mpsc::Receiver<Frame>),
+    /// Any program sends messages over TCP, see `docs/sensor-input.md`.
+    Tcp(SocketAddr, MessageLimits),
+    /// The same over a Unix socket. A file that is there is replaced if it is a socket.
+    Unix(PathBuf, MessageLimits),
+}
+
+impl core::fmt::Debug for Sensor {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::None => f.write_str("None"),
+            Self::Play { speed, .. } => f.debug_struct("Play").field("speed", speed).finish_non_exhaustive(),
+            Self::Channel(_) => f.write_str("Channel"),
+            Self::Tcp(address, _) => f.debug_tuple("Tcp").field(address).finish(),
+            Self::Unix(path, _) => f.debug_tuple("Unix").field(path).finish(),
+        }
+    }
+}
+
+/// What reaches the node from its sensor.
+#[derive(Debug)]
+pub(crate) enum Input {
+    /// A scan to insert now.
+    Frame(Frame),
+    /// How another robot's frame lies in the own one.
+    Alignment(RobotId, Pose),
+    /// Where a team-mate is.
+    Teammate(RobotId, [f64; 3]),
+    /// Something was wrong: one line. It is counted.
+    Fault(String),
+    /// Something worth telling.
+    Note(String),
+}
+
+/// Inputs that may wait for the node.
+pub(crate) const INPUTS_WAITING_MAX: usize = 4;

@@ -1,0 +1,357 @@
+//! The counters of a node: as values, as one line, and as Prometheus text.
+
+use std::fmt::Write;
+use std::time::Duration;
+
+use flockmap::sync::{Counters, PeerInfo};
+use flockmap::{Robot, RobotCounters, Stream};
+
+use crate::Histogram;
+
+/// What a node counted, beside its robot and its session. Bytes are those of UDP payloads.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[non_exhaustive]
+pub struct NodeCounters {
+    /// Datagrams received.
+    pub datagrams_in: u64,
+    /// Bytes of these.
+    pub bytes_in: u64,
+    /// Datagrams handed to the system, each copy counted.
+    pub datagrams_out: u64,
+    /// Bytes of these.
+    pub bytes_out: u64,
+    /// Copies that could not be sent.
+    pub send_failed: u64,
+    /// Times that receiving failed.
+    pub receive_errors: u64,
+    /// Times that a robot was told to be off (ICMP).
+    pub unreachable: u64,
+    /// Datagrams that the session refused; its own counters say why.
+    pub datagrams_refused: u64,
+    /// Scans that came from the sensor.
+    pub frames: u64,
+    /// Of these: inserted more than 100 ms after their stamp.
+    pub frames_late: u64,
+    /// Points that the reader of the record left out, since they are not finite.
+    pub points_dropped: u64,
+    /// Faults of the sensor: damaged messages, frames that could not be read, stamps from another clock.
+    pub sensor_faults: u64,
+}
+
+/// How long things took, in microseconds.
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub struct Timings {
+    /// Inserting a scan.
+    pub insert_scan: Histogram,
+    /// The paper's `t_pack`: from the start of closing a cycle until its packages are ready.
+    pub pack: Histogram,
+    /// The paper's `t_recv2insert`: from a datagram until what it brings is in the fused map.
+    pub receive_to_insert: Histogram,
+    /// From the newest scan in a package of another robot until it is in the fused map, by the measured clock offset.
+    pub age: Histogram,
+}
+
+/// What a node holds of one stream.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct StreamStatus {
+    /// The stream.
+    pub stream: Stream,
+    /// Packages held.
+    pub held: u64,
+    /// Packages that are known to exist and not held.
+    pub missing: u64,
+    /// The highest index that is known to exist.
+    pub newest: u32,
+    /// Voxels in its layer.
+    pub voxels: usize,
+}
+
+/// A node at one moment.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct NodeStatus {
+    /// Name of the robot.
+    pub name: String,
+    /// Its stream.
+    pub own: Stream,
+    /// Since the node began.
+    pub uptime: Duration,
+    /// Since something new came or went: a scan, an own cycle, a package of another robot.
+    pub quiet_for: Duration,
+    /// Whether no scan will come any more.
+    pub sensor_ended: bool,
+    /// Free and occupied voxels of the fused map.
+    pub map_voxels: (usize, usize),
+    /// Robots heard.
+    pub peers: Vec<PeerInfo>,
+    /// Streams known, the own one among them.
+    pub streams: Vec<StreamStatus>,
+    /// Counters of the node.
+    pub node: NodeCounters,
+    /// Counters of the robot.
+    pub robot: RobotCounters,
+    /// Counters of the session.
+    pub session: Counters,
+    /// How long things took.
+    pub timings: Timings,
+}
+
+impl NodeStatus {
+    pub(crate) fn new(
+        name: &str,
+        robot: &Robot,
+        uptime: Duration,
+        quiet_for: Duration,
+        sensor_ended: bool,
+        node: NodeCounters,
+        timings: &Timings,
+    ) -> Self {
+        let (session, fusion) = (robot.session(), robot.fusion());
+        let of_stream = |stream| {
+            let missing = session.store().missing(stream);
+            StreamStatus {
+                stream,
+                held: session.held(stream).map_or(0, |held| held.count()),
+                missing: missing.map(|(low, high)| u64::from(high - low) + 1).sum(),
+                newest: session.store().newest_known(stream),
+                voxels: fusion.layer(stream).map_or(0, flockmap::grid::Layer::len),
+            }
+        };
+        Self {
+            name: name.to_owned(),
+            own: robot.own_stream(),
+            uptime,
+            quiet_for,
+            sensor_ended,
+            map_voxels: robot.map().count(),
+            peers: session.peers().collect(),
+            streams: session.streams().map(of_stream).collect(),
+            node,
+            robot: *robot.counters(),
+            session: *session.counters(),
+            timings: timings.clone(),
+        }
+    }
+
+    /// Packages held and missing, over all streams.
+    pub fn packages(&self) -> (u64, u64) {
+        self.streams.iter().fold((0, 0), |(held, missing), s| (held + s.held, missing + s.missing))
+    }
+
+    /// Everything as Prometheus text (format 0.0.4), each line labelled with the name of the robot.
+    pub fn prometheus(&self) -> String {
+        let robot = escape(&self.name);
+        let mut out = String::with_capacity(8_192);
+        let mut metric = |kind: &str, name: &str, samples: Vec<(String, f64)>| {
+            // Writing to a string cannot fail.
+            let _ = writeln!(out, "# TYPE flockmap_{name} {kind}");
+            for (labels, value) in samples {
+                let _ = writeln!(out, "flockmap_{name}{{robot=\"{robot}\"{labels}}} {value}");
+            }
+        };
+        let one = |value: f64| vec![(String::new(), value)];
+        for (prefix, counters) in [
+            ("node", node_counters(&self.node)),
+            ("robot", robot_counters(&self.robot)),
+            ("session", session_counters(&self.session)),
+        ] {
+            for (name, count) in counters {
+                metric("counter", &format!("{prefix}_{name}_total"), one(count as f64));
+            }
+        }
+        metric("gauge", "uptime_seconds", one(self.uptime.as_secs_f64()));
+        metric("gauge", "peers", one(self.peers.len() as f64));
+        let (free, occupied) = self.map_voxels;
+        let states = [("free", free), ("occupied", occupied)];
+        let labelled = states.map(|(state, n)| (format!(",state=\"{state}\""), n as f64));
+        metric("gauge", "map_voxels", labelled.to_vec());
+
+        let by_stream = |value: &dyn Fn(&StreamStatus) -> f64| {
+            let label =
+                |s: &StreamStatus| format!(",origin=\"{}\",epoch=\"{}\"", s.stream.origin, s.stream.epoch);
+            self.streams.iter().map(|s| (label(s), value(s))).collect()
+        };
+        metric("gauge", "packages_held", by_stream(&|s| s.held as f64));
+        metric("gauge", "packages_missing", by_stream(&|s| s.missing as f64));
+        metric("gauge", "layer_voxels", by_stream(&|s| s.voxels as f64));
+
+        let by_peer = |value: &dyn Fn(&PeerInfo) -> Option<f64>| {
+            let label = |p: &PeerInfo| format!(",peer=\"{}\"", p.stream.origin);
+            self.peers.iter().filter_map(|p| Some((label(p), value(p)?))).collect()
+        };
+        metric("gauge", "peer_round_trip_seconds", by_peer(&|p| Some(p.round_trip_micros? as f64 / 1e6)));
+        metric("gauge", "peer_clock_offset_seconds", by_peer(&|p| Some(p.clock_offset_micros? as f64 / 1e6)));
+        metric("counter", "peer_bytes_in_total", by_peer(&|p| Some(p.traffic_in.bytes as f64)));
+
+        for (name, histogram) in self.timings.all() {
+            let name = format!("{name}_seconds");
+            // The samples of a summary have names of their own, so this is written by hand.
+            let _ = writeln!(out, "# TYPE flockmap_{name} summary");
+            for quantile in [0.5, 0.9, 0.99] {
+                let value = histogram.quantile(quantile) as f64 / 1e6;
+                let _ = writeln!(out, "flockmap_{name}{{robot=\"{robot}\",quantile=\"{quantile}\"}} {value}");
+            }
+            let (sum, count) = (histogram.mean() * histogram.count() as f64 / 1e6, histogram.count());
+            let _ = writeln!(out, "flockmap_{name}_sum{{robot=\"{robot}\"}} {sum}");
+            let _ = writeln!(out, "flockmap_{name}_count{{robot=\"{robot}\"}} {count}");
+        }
+        out
+    }
+}
+
+impl Timings {
+    pub(crate) const fn all(&self) -> [(&'static str, &Histogram); 4] {
+        [
+            ("insert_scan", &self.insert_scan),
+            ("t_pack", &self.pack),
+            ("t_recv2insert", &self.receive_to_insert),
+            ("age", &self.age),
+        ]
+    }
+}
+
+/// The line of counters; rates are over the time since the line before.
+#[derive(Debug, Default)]
+pub(crate) struct StatusLine {
+    before: Option<(Duration, u64, u64)>,
+}
+
+impl StatusLine {
+    pub(crate) fn next(&mut self, status: &NodeStatus, age: &Histogram) -> String {
+        let NodeStatus { node, .. } = status;
+        let (at, bytes_in, bytes_out) = self.before.unwrap_or_default();
+        let seconds = (status.uptime.saturating_sub(at)).as_secs_f64().max(1e-3);
+        let rate = |now: u64, then: u64| now.saturating_sub(then) as f64 / 1_024.0 / seconds;
+        let (rate_in, rate_out) = (rate(node.bytes_in, bytes_in), rate(node.bytes_out, bytes_out));
+        self.before = Some((status.uptime, node.bytes_in, node.bytes_out));
+        let (held, missing) = status.packages();
+        let (free, occupied) = status.map_voxels;
+        let age = match age.count() {
+            0 => "–".to_owned(),
+            _ => format!("{:.2} s", age.quantile(0.5) as f64 / 1e6),
+        };
+        format!(
+            "{} peers | in {rate_in:.1} out {rate_out:.1} KB/s | {} cycles | packages {held} held {missing} missing | \
+             map {} voxels, {occupied} occupied | age {age}",
+            status.peers.len(),
+            status.robot.cycles,
+            free + occupied,
+        )
+    }
+}
+
+/// A label of Prometheus.
+fn escape(label: &str) -> String {
+    label.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
+}
+
+/// Names and values of the given fields.
+macro_rules! fields {
+    ($from:expr; $($field:ident)*) => { vec![$((stringify!($field), $from.$field)),*] };
+}
+
+pub(crate) type Named = Vec<(&'static str, u64)>;
+
+pub(crate) fn node_counters(c: &NodeCounters) -> Named {
+    fields!(c; datagrams_in bytes_in datagrams_out bytes_out send_failed receive_errors unreachable
+        datagrams_refused frames frames_late points_dropped sensor_faults)
+}
+
+pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
+    fields!(c; scans points_ignored points_masked blocks_forgotten cycles changes packages package_bytes merged
+        damaged no_room foreign_resolution present_states events_dropped)
+}
+
+pub(crate) fn session_counters(c: &Counters) -> Named {
+    let mut named = vec![
+        ("requests_out", c.requests_out.datagrams),
+        ("requests_out_bytes", c.requests_out.bytes),
+        ("packages_out", c.packages_out.datagrams),
+        ("packages_out_bytes", c.packages_out.bytes),
+        ("requests_in", c.requests_in.datagrams),
+        ("requests_in_bytes", c.requests_in.bytes),
+        ("packages_in", c.packages_in.datagrams),
+        ("packages_in_bytes", c.packages_in.bytes),
+    ];
+    named.extend(fields!(c; published sent relayed tiles_sent confirmed lost suppressed gap_requests
+        delayed_by_budget delayed_by_window received accepted repaired tiles_accepted caught_up duplicates rejected
+        own_returned damaged foreign_version foreign_swarm malformed own_heard same_identity stale_epoch
+        stale_requests too_many_peers too_many_streams too_fragmented events_overflowed too_many_transfers
+        present_states_wanted present_states_unusable));
+    named
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::{Resolution, RobotConfig, RobotId, Stamp};
+
+    fn status(name: &str) -> NodeStatus {
+        let config = RobotConfig::new(RobotId(3), Resolution::from_metres(0.1).unwrap(), 7.0);
+        let robot = Robot::new(config, Stamp(0)).unwrap();
+        let node = NodeCounters { bytes_in: 2_048, bytes_out: 10_240, ..NodeCounters::default() };
+        let mut timings = Timings::default();
+        timings.pack.add(1_500);
+        let second = Duration::from_secs(2);
+        NodeStatus::new(name, &robot, second, second, false, node, &timings)
+    }
+
+    #[test]
+    fn no_counter_is_left_out() {
+        let names_of = |debug: String| -> Vec<String> {
+            let fields = debug.split(['{', ',']).filter_map(|part| part.trim().split_once(':'));
+            fields.map(|(name, _)| name.to_owned()).collect()
+        };
+        let check = |debug: String, named: Named| {
+            for name in names_of(debug).iter().filter(|n| !["datagrams", "bytes"].contains(&n.as_str())) {
+                assert!(named.iter().any(|(known, _)| known == name), "{name} is left out");
+            }
+        };
+        let s = status("r");
+        check(format!("{:?}", s.node), node_counters(&s.node));
+        check(format!("{:?}", s.robot), robot_counters(&s.robot));
+        check(format!("{:?}", s.session), session_counters(&s.session));
+    }
+
+    #[test]
+    fn the_line_tells_rates_since_the_line_before() {
+        let mut line = StatusLine::default();
+        let mut now = status("r");
+        let first = line.next(&now, &Histogram::default());
+        assert!(first.contains("0 peers | in 1.0 out 5.0 KB/s | 0 cycles"), "{first}");
+        assert!(first.ends_with("age –"), "{first}");
+        now.uptime = Duration::from_secs(3);
+        now.node.bytes_in += 4_096;
+        let mut age = Histogram::default();
+        age.add(250_000);
+        let second = line.next(&now, &age);
+        assert!(second.contains("in 4.0 out 0.0 KB/s"), "{second}");
+        assert!(second.ends_with("age 0.25 s"), "{second}");
+    }
+
+    #[test]
+    fn prometheus_text_is_well_formed() {
+        let text = status("a \"b\"\\c").prometheus();
+        let mut typed = std::collections::BTreeSet::new();
+        for line in text.lines() {
+            if let Some(rest) = line.strip_prefix("# TYPE ") {
+                let (name, kind) = rest.split_once(' ').unwrap();
+                assert!(["counter", "gauge", "summary"].contains(&kind), "{line}");
+                assert!(typed.insert(name.to_owned()), "{name} twice");
+                continue;
+            }
+            let (name, rest) = line.split_once('{').unwrap();
+            let (labels, value) = rest.rsplit_once("} ").unwrap();
+            let family = name.trim_end_matches("_sum").trim_end_matches("_count");
+            assert!(typed.contains(name) || typed.contains(family), "{line}");
+            assert!(labels.starts_with(r#"robot="a \"b\"\\c""#), "{line}");
+            assert!(value.parse::<f64>().is_ok(), "{line}");
+        }
+        assert!(text.contains("flockmap_node_bytes_in_total{"));
+        assert!(
+            text.contains("flockmap_t_pack_seconds_sum{robot=\"a \\\"b\\\"\\\\c\"} 0.0015"),
+            "t_pack in seconds"
+        );
+    }
+}

@@ -1,0 +1,346 @@
+//! Datagrams over UDP: to each robot at its address, by broadcast, or by multicast.
+
+use std::collections::BTreeMap;
+use std::future::poll_fn;
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::task::Poll;
+use std::time::Duration;
+
+use flockmap::{Destination, RobotId};
+use socket2::{Domain, Protocol, Socket, Type};
+use tokio::io::ReadBuf;
+
+use super::{Sent, Transport};
+
+/// Robots whose address is kept; of more, those heard last.
+const ADDRESSES_MAX: usize = 256;
+
+/// A radio whose queue stays full for so long loses the datagram, which is repaired later; the node must go on.
+const SEND_WAIT_MAX: Duration = Duration::from_millis(20);
+
+/// Where to listen and whom to send to.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct UdpOptions {
+    /// Own address and port. Port 0: the system chooses. `[::]` serves IPv4 too.
+    pub bind: SocketAddr,
+    /// Robots that are sent to before they were heard. What is heard from elsewhere is answered there.
+    pub peers: Vec<SocketAddr>,
+    /// What is for everyone goes here in one datagram. IPv4.
+    pub broadcast: Option<SocketAddr>,
+    /// What is for everyone goes to this group in one datagram. IPv4 or IPv6.
+    pub multicast: Option<SocketAddr>,
+    /// Address of the interface for an IPv4 group; default: the system chooses.
+    pub multicast_interface_v4: Option<Ipv4Addr>,
+    /// Index of the interface for an IPv6 group; default 0: the system chooses.
+    pub multicast_interface_v6: u32,
+    /// How many networks a datagram to the group may cross. Default 1: the own one.
+    pub multicast_ttl: u32,
+    /// Room for datagrams that were not read yet, in bytes, if the system grants it. Default 4 MiB.
+    pub receive_buffer_bytes: usize,
+    /// Room for datagrams that were not sent yet, in bytes, if the system grants it. Default 1 MiB.
+    pub send_buffer_bytes: usize,
+}
+
+impl UdpOptions {
+    /// The defaults, listening at this address.
+    pub const fn new(bind: SocketAddr) -> Self {
+        Self {
+            bind,
+            peers: Vec::new(),
+            broadcast: None,
+            multicast: None,
+            multicast_interface_v4: None,
+            multicast_interface_v6: 0,
+            multicast_ttl: 1,
+            receive_buffer_bytes: 4 << 20,
+            send_buffer_bytes: 1 << 20,
+        }
+    }
+}
+
+/// Why the sockets could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum UdpError {
+    /// The options do not fit together.
+    #[error("network: {0}")]
+    Options(String),
+    /// The system refused.
+    #[error("network: cannot {what} {address}: {source}")]
+    System {
+        /// What was asked of it.
+        what: &'static str,
+        /// The address in question.
+        address: SocketAddr,
+        /// Its answer.
+        source: io::Error,
+    },
+}
+
+/// Sockets that are open. Datagrams wait in them until [`into_transport`](Self::into_transport).
+#[derive(Debug)]
+pub struct UdpSockets {
+    main: UdpSocket,
+    /// Receives what is sent to everyone, where the main socket does not.
+    group: Option<UdpSocket>,
+    peers: Vec<SocketAddr>,
+    everyone: Option<SocketAddr>,
+}
+
+impl UdpSockets {
+    /// Opens the sockets.
+    ///
+    /// # Errors
+    /// The options contradict each other, or the system refuses (port in use, no such address, not allowed).
+    pub fn bind(options: &UdpOptions) -> Result<Self, UdpError> {
+        check(options)?;
+        let everyone = options.multicast.or(options.broadcast);
+        let shares_port = everyone
+            .is_some_and(|all| all.port() == options.bind.port() && options.bind.ip().is_unspecified());
+        let main = open(options, options.bind, shares_port)?;
+        if let Some(group) = options.multicast {
+            send_to_group(&main, options, group)?;
+        }
+        if options.broadcast.is_some() {
+            main.set_broadcast(true).map_err(system("allow broadcast on", options.bind))?;
+        }
+        let group = match everyone {
+            Some(all) if shares_port => {
+                if options.multicast.is_some() {
+                    join(&main, options, all)?;
+                }
+                None
+            }
+            Some(all) => {
+                let socket = open(options, all, true)?;
+                if options.multicast.is_some() {
+                    join(&socket, options, all)?;
+                }
+                Some(socket.into())
+            }
+            None => None,
+        };
+        let main: UdpSocket = main.into();
+        let is_v6 = options.bind.is_ipv6();
+        let peers = options.peers.iter().map(|&peer| in_family(peer, is_v6)).collect();
+        Ok(Self { main, group, peers, everyone })
+    }
+
+    /// The address that was bound, with the port that the system chose.
+    pub fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.main.local_addr()
+    }
+
+    /// Adds a robot that is sent to before it was heard.
+    pub fn add_peer(&mut self, peer: SocketAddr) {
+        let is_v6 = self.local_addr().is_ok_and(|own| own.is_ipv6());
+        self.peers.push(in_family(peer, is_v6));
+    }
+
+    /// Puts the sockets to work. Call it within a tokio runtime.
+    pub fn into_transport(self) -> io::Result<UdpTransport> {
+        Ok(UdpTransport {
+            main: tokio::net::UdpSocket::from_std(self.main)?,
+            group: self.group.map(tokio::net::UdpSocket::from_std).transpose()?,
+            peers: self.peers,
+            everyone: self.everyone,
+            heard: BTreeMap::new(),
+            count: 0,
+            last_from: None,
+        })
+    }
+}
+
+/// UDP sockets at work.
+#[derive(Debug)]
+pub struct UdpTransport {
+    main: tokio::net::UdpSocket,
+    group: Option<tokio::net::UdpSocket>,
+    peers: Vec<SocketAddr>,
+    everyone: Option<SocketAddr>,
+    /// Where each robot was heard last, and how many datagrams had been received until then.
+    heard: BTreeMap<RobotId, (SocketAddr, u64)>,
+    count: u64,
+    last_from: Option<SocketAddr>,
+}
+
+impl Transport for UdpTransport {
+    async fn receive(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let (main, group, count) = (&self.main, self.group.as_ref(), self.count);
+        let received = poll_fn(|context| {
+            // In turn, so that neither starves the other.
+            let order = if count.is_multiple_of(2) { [Some(main), group] } else { [group, Some(main)] };
+            for socket in order.into_iter().flatten() {
+                let mut buffer = ReadBuf::new(buffer);
+                if let Poll::Ready(result) = socket.poll_recv_from(context, &mut buffer) {
+                    return Poll::Ready(result.map(|from| (buffer.filled().len(), from)));
+                }
+            }
+            Poll::Pending
+        })
+        .await;
+        self.count += 1;
+        self.last_from = received.as_ref().ok().map(|&(_, from)| from);
+        received.map(|(length, _)| length)
+    }
+
+    fn note_sender(&mut self, robot: RobotId) {
+        let Some(from) = self.last_from else { return };
+        self.heard.insert(robot, (from, self.count));
+        if self.heard.len() > ADDRESSES_MAX {
+            let oldest = self.heard.iter().min_by_key(|(_, (_, count))| *count).map(|(robot, _)| *robot);
+            oldest.and_then(|robot| self.heard.remove(&robot));
+        }
+    }
+
+    async fn send(&mut self, to: Destination, bytes: &[u8]) -> Sent {
+        let mut sent = Sent::default();
+        match to {
+            Destination::Peer(robot) => {
+                let address = self.heard.get(&robot).map(|&(address, _)| address);
+                send_one(&self.main, address, bytes, &mut sent).await;
+            }
+            Destination::Everyone => {
+                if self.everyone.is_some() {
+                    send_one(&self.main, self.everyone, bytes, &mut sent).await;
+                }
+                // Configured peers are reached even where the group does not reach. Those that were heard are in the
+                // group, or heard us by being configured.
+                let heard = self.heard.values().map(|&(address, _)| address);
+                let heard = heard.filter(|a| self.everyone.is_none() && !self.peers.contains(a));
+                for address in self.peers.iter().copied().chain(heard) {
+                    send_one(&self.main, Some(address), bytes, &mut sent).await;
+                }
+            }
+        }
+        sent
+    }
+}
+
+async fn send_one(
+    socket: &tokio::net::UdpSocket,
+    address: Option<SocketAddr>,
+    bytes: &[u8],
+    sent: &mut Sent,
+) {
+    let Some(address) = address else {
+        sent.failed += 1;
+        return;
+    };
+    for _ in 0..2 {
+        match tokio::time::timeout(SEND_WAIT_MAX, socket.send_to(bytes, address)).await {
+            Ok(Ok(_)) => return sent.copies += 1,
+            // The error tells of an earlier datagram and is used up now.
+            Ok(Err(error)) if is_unreachable(&error) => {}
+            _ => break,
+        }
+    }
+    sent.failed += 1;
+}
+
+/// What ICMP told of an earlier datagram: the robot there is off, which is no fault of this one.
+pub(crate) fn is_unreachable(error: &io::Error) -> bool {
+    use io::ErrorKind::{ConnectionRefused, ConnectionReset, HostUnreachable};
+    matches!(error.kind(), ConnectionRefused | ConnectionReset | HostUnreachable)
+}
+
+fn check(options: &UdpOptions) -> Result<(), UdpError> {
+    let fail = |text: String| Err(UdpError::Options(text));
+    let UdpOptions { bind, broadcast, multicast, .. } = options;
+    if let Some(peer) = options.peers.iter().find(|peer| peer.is_ipv6() && bind.is_ipv4()) {
+        return fail(format!("peer {peer} is IPv6 and bind = {bind} is IPv4; bind [::]:PORT to reach both"));
+    }
+    if broadcast.is_some() && multicast.is_some() {
+        return fail("broadcast and multicast are both set, expected one of them".into());
+    }
+    if let Some(group) = multicast {
+        if !group.ip().is_multicast() {
+            return fail(format!(
+                "multicast = {group} is no group; IPv4 groups are 224.0.0.0 to 239.255.255.255, IPv6 groups start with ff"
+            ));
+        }
+        if group.is_ipv4() != bind.is_ipv4() {
+            return fail(format!("multicast = {group} and bind = {bind} are of different IP versions"));
+        }
+    }
+    if let Some(address) = broadcast
+        && (address.is_ipv6() || bind.is_ipv6())
+    {
+        return fail(format!(
+            "broadcast = {address} with bind = {bind}: IPv6 has no broadcast, use multicast"
+        ));
+    }
+    for address in options.peers.iter().chain(broadcast).chain(multicast) {
+        if address.port() == 0 {
+            return fail(format!("{address} has port 0, expected the port where the others listen"));
+        }
+    }
+    Ok(())
+}
+
+fn open(options: &UdpOptions, address: SocketAddr, shared: bool) -> Result<Socket, UdpError> {
+    let fail = system("open a UDP socket for", address);
+    let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP)).map_err(fail)?;
+    if address.is_ipv6() {
+        socket.set_only_v6(false).map_err(system("serve IPv4 too on", address))?;
+    }
+    if shared {
+        // Several robots on one machine listen to the same group.
+        socket.set_reuse_address(true).map_err(system("share", address))?;
+        #[cfg(unix)]
+        socket.set_reuse_port(true).map_err(system("share", address))?;
+    }
+    // The system may grant less; bursts are then lost and repaired.
+    let _ = socket.set_recv_buffer_size(options.receive_buffer_bytes);
+    let _ = socket.set_send_buffer_size(options.send_buffer_bytes);
+    socket.set_nonblocking(true).map_err(system("set non-blocking", address))?;
+    socket.bind(&address.into()).map_err(system("listen on", address))?;
+    Ok(socket)
+}
+
+fn send_to_group(socket: &Socket, options: &UdpOptions, group: SocketAddr) -> Result<(), UdpError> {
+    let fail = system("send to the group", group);
+    match group.ip() {
+        IpAddr::V4(_) => {
+            if let Some(interface) = options.multicast_interface_v4 {
+                socket.set_multicast_if_v4(&interface).map_err(system("send to the group", group))?;
+            }
+            socket.set_multicast_ttl_v4(options.multicast_ttl).map_err(fail)
+        }
+        IpAddr::V6(_) => {
+            socket
+                .set_multicast_if_v6(options.multicast_interface_v6)
+                .map_err(system("send to the group", group))?;
+            socket.set_multicast_hops_v6(options.multicast_ttl).map_err(fail)
+        }
+    }
+}
+
+fn join(socket: &Socket, options: &UdpOptions, group: SocketAddr) -> Result<(), UdpError> {
+    match group.ip() {
+        IpAddr::V4(ip) => {
+            let interface = options.multicast_interface_v4.unwrap_or(Ipv4Addr::UNSPECIFIED);
+            socket.join_multicast_v4(&ip, &interface)
+        }
+        IpAddr::V6(ip) => socket.join_multicast_v6(&ip, options.multicast_interface_v6),
+    }
+    .map_err(system("join the group", group))
+}
+
+fn system(what: &'static str, address: SocketAddr) -> impl Fn(io::Error) -> UdpError {
+    move |source| UdpError::System { what, address, source }
+}
+
+/// An IPv6 socket reaches IPv4 robots at mapped addresses, and hears them from there.
+fn in_family(address: SocketAddr, is_v6: bool) -> SocketAddr {
+    match address.ip() {
+        IpAddr::V4(ip) if is_v6 => {
+            let mapped: Ipv6Addr = ip.to_ipv6_mapped();
+            SocketAddr::new(mapped.into(), address.port())
+        }
+        _ => address,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,318 @@
+//! Nodes in one process over real sockets on loopback.
+
+mod common;
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use common::{config, corridor, frames, loopback, swarm, wait_until};
+use flockmap::{Destination, Event, RobotId, Stream};
+use flockmap_node::{
+    Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, Sensor,
+    SensorMessage, Sent, Transport, UdpOptions, UdpSockets, UdpTransport,
+};
+
+fn play(robot: u16, scans: usize) -> Sensor {
+    let speed = 4.0;
+    Sensor::Play { frames: frames(corridor(robot, scans)), speed, skip: Duration::ZERO, begin: None }
+}
+
+/// The digests of all layers that a node holds.
+fn digests(node: &NodeHandle) -> Vec<(Stream, u64)> {
+    let read = |robot: &mut flockmap::Robot| {
+        let mut digests: Vec<_> = robot.fusion().layers().map(|(s, layer)| (s, layer.digest())).collect();
+        digests.sort_unstable();
+        digests
+    };
+    node.with_robot(move |robot, _| read(robot)).unwrap_or_default()
+}
+
+/// Waits until every sensor has ended and all nodes hold equal layers of `streams` streams.
+fn wait_until_equal(nodes: &[NodeHandle], streams: usize) {
+    wait_until("every sensor has ended", || {
+        nodes.iter().all(|node| node.status().is_some_and(|status| status.sensor_ended))
+    });
+    wait_until("all nodes hold equal layers", || {
+        let first = digests(&nodes[0]);
+        first.len() == streams && nodes.iter().all(|node| digests(node) == first)
+    });
+}
+
+#[test]
+fn three_nodes_end_with_equal_layers() {
+    let clock = Clock::new();
+    let start = |(k, sockets): (usize, UdpSockets)| {
+        let id = k as u16 + 1;
+        let options = NodeOptions { clock, sensor: play(id, 20), ..NodeOptions::new(config(id)) };
+        Node::start(options, move || sockets.into_transport()).unwrap()
+    };
+    let nodes: Vec<NodeHandle> = swarm(3).into_iter().enumerate().map(start).collect();
+    wait_until_equal(&nodes, 3);
+    let status = nodes[0].status().unwrap();
+    assert_eq!((status.peers.len(), status.node.frames, status.robot.scans), (2, 20, 20));
+    assert!(status.timings.pack.count() > 0 && status.timings.receive_to_insert.count() > 0);
+    assert!(status.node.bytes_out > 0 && status.packages().1 == 0, "{status:?}");
+    for node in &nodes {
+        node.stop();
+    }
+    for node in nodes {
+        let ended = node.join().unwrap();
+        assert_eq!(ended.summary.streams.len(), 3);
+        assert!(ended.summary.streams.iter().all(|s| s.missing == 0 && s.voxels > 1_000), "{ended:?}");
+        // The own layer is what the mapper knows.
+        let own = ended.robot.fusion().layer(ended.robot.own_stream()).unwrap();
+        assert!(own.voxels().all(|(voxel, state)| ended.robot.mapper().state(voxel) == state));
+        let json = serde_json::to_value(&ended.summary).unwrap();
+        assert_eq!(json["streams"][0]["digest"].as_str().unwrap().len(), 16);
+    }
+}
+
+/// Loses every third datagram that it should send.
+struct Lossy(UdpTransport, u32);
+
+impl Transport for Lossy {
+    async fn receive(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        self.0.receive(buffer).await
+    }
+
+    fn note_sender(&mut self, robot: RobotId) {
+        self.0.note_sender(robot);
+    }
+
+    async fn send(&mut self, to: Destination, bytes: &[u8]) -> Sent {
+        self.1 += 1;
+        if self.1.is_multiple_of(3) {
+            return Sent { copies: 1, failed: 0 };
+        }
+        self.0.send(to, bytes).await
+    }
+}
+
+#[test]
+fn nodes_on_a_lossy_transport_end_with_equal_layers() {
+    let start = |(k, sockets): (usize, UdpSockets)| {
+        let id = k as u16 + 1;
+        let options = NodeOptions { sensor: play(id, 15), ..NodeOptions::new(config(id)) };
+        Node::start(options, move || Ok(Lossy(sockets.into_transport()?, id.into()))).unwrap()
+    };
+    let nodes: Vec<NodeHandle> = swarm(2).into_iter().enumerate().map(start).collect();
+    wait_until_equal(&nodes, 2);
+}
+
+#[test]
+fn an_observer_sees_scans_and_what_others_sent() {
+    let seen: common::Shared<(usize, usize, usize)> = Arc::default();
+    let mut sockets = swarm(2).into_iter();
+    let (first, second) = (sockets.next().unwrap(), sockets.next().unwrap());
+    let in_node = Arc::clone(&seen);
+    let mut options = NodeOptions { sensor: play(1, 10), ..NodeOptions::new(config(1)) };
+    options.observer = Some(Box::new(move |now, robot, observation| {
+        let mut seen = in_node.lock().unwrap();
+        match observation {
+            Observation::Scan { scan, report } => {
+                assert!(!scan.points.is_empty() && scan.stamp <= now);
+                assert!(report.hits > 0);
+                seen.0 += 1;
+            }
+            Observation::Event(Event::CycleClosed { .. }) => seen.1 += 1,
+            Observation::Event(Event::Merged { stream, .. }) => {
+                assert!(robot.fusion().layer(*stream).is_some());
+                seen.2 += 1;
+            }
+            _ => {}
+        }
+    }));
+    let one = Node::start(options, move || first.into_transport()).unwrap();
+    let options = NodeOptions { sensor: play(2, 10), ..NodeOptions::new(config(2)) };
+    let two = Node::start(options, move || second.into_transport()).unwrap();
+    wait_until_equal(&[one, two], 2);
+    let (scans, cycles, merged) = *seen.lock().unwrap();
+    assert!(scans == 10 && cycles > 0 && merged > 0, "{scans} {cycles} {merged}");
+}
+
+#[test]
+fn a_quiet_node_ends_by_itself_and_says_so_far() {
+    let lines: common::Shared<Vec<(Level, String)>> = Arc::default();
+    let in_log = Arc::clone(&lines);
+    let mut options = NodeOptions { sensor: play(1, 5), ..NodeOptions::new(config(1)) };
+    options.end.when_quiet = Some(Duration::from_millis(100));
+    options.status_period = Some(Duration::from_millis(50));
+    options.log = Log::new(move |level, text| in_log.lock().unwrap().push((level, text.to_owned())));
+    let sockets = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap();
+    let ended = Node::start(options, move || sockets.into_transport()).unwrap().join().unwrap();
+    assert_eq!(ended.summary.counters["robot"]["scans"], 5);
+    let lines = lines.lock().unwrap();
+    assert!(lines.iter().any(|(_, text)| text == "sensor ended after 5 scans"), "{lines:?}");
+    assert!(
+        lines.iter().any(|(level, text)| *level == Level::Status && text.contains("voxels")),
+        "{lines:?}"
+    );
+}
+
+#[test]
+fn a_dropped_handle_stops_its_node() {
+    let sockets = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap();
+    let address = sockets.local_addr().unwrap();
+    let options = NodeOptions { prometheus: Some(loopback()), ..NodeOptions::new(config(1)) };
+    drop(Node::start(options, move || sockets.into_transport()).unwrap());
+    wait_until("the port is free", || std::net::UdpSocket::bind(address).is_ok());
+}
+
+#[test]
+fn a_node_that_cannot_start_says_why() {
+    let start = |options: NodeOptions| {
+        let sockets = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap();
+        Node::start(options, move || sockets.into_transport()).unwrap_err().to_string()
+    };
+    let mut robot = config(1);
+    robot.cycle.t_l_ms = 0;
+    assert!(start(NodeOptions::new(robot)).contains("t_l_ms is 0"));
+
+    let sensor =
+        Sensor::Play { frames: frames(corridor(1, 1)), speed: 0.0, skip: Duration::ZERO, begin: None };
+    assert!(start(NodeOptions { sensor, ..NodeOptions::new(config(1)) }).contains("speed is 0"));
+
+    let taken = std::net::TcpListener::bind(loopback()).unwrap();
+    let address = taken.local_addr().unwrap();
+    let sensor = Sensor::Tcp(address, MessageLimits::default());
+    let text = start(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    assert!(text.contains("sensor socket") && text.contains(&address.port().to_string()), "{text}");
+    let options = NodeOptions { prometheus: Some(address), ..NodeOptions::new(config(1)) };
+    assert!(start(options).contains("metrics"));
+}
+
+fn start_alone(options: NodeOptions) -> NodeHandle {
+    let sockets = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap();
+    Node::start(options, move || sockets.into_transport()).unwrap()
+}
+
+#[test]
+fn counters_are_served_to_prometheus() {
+    let node = start_alone(NodeOptions { prometheus: Some(loopback()), ..NodeOptions::new(config(1)) });
+    let address = node.prometheus_address().unwrap();
+    let ask = |request: &str| {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(common::PATIENCE)).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    };
+    let answer = ask("GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n");
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    assert!(head.starts_with("HTTP/1.1 200 OK\r\n"), "{head}");
+    assert!(head.contains("Content-Type: text/plain; version=0.0.4; charset=utf-8"), "{head}");
+    assert!(head.contains(&format!("Content-Length: {}", body.len())), "{head}");
+    assert!(body.contains("flockmap_peers{robot=\"robot1\"} 0\n"), "{body}");
+    assert!(ask("GET / HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 404"));
+    assert!(ask("POST /metrics HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 405"));
+    assert!(ask("hello\r\n\r\n").starts_with("HTTP/1.1 400"));
+    assert!(
+        ask(&format!("GET /metrics HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(9_000)))
+            .starts_with("HTTP/1.1 400")
+    );
+    let head_only = ask("HEAD /metrics HTTP/1.1\r\n\r\n");
+    assert!(head_only.starts_with("HTTP/1.1 200") && head_only.ends_with("\r\n\r\n"));
+}
+
+#[test]
+fn any_program_can_feed_scans_over_tcp() {
+    let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
+    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let address: SocketAddr = node.sensor_address().unwrap().parse().unwrap();
+    let mut stream = TcpStream::connect(address).unwrap();
+    for mut frame in corridor(0, 5) {
+        frame.scan.stamp = flockmap::Stamp(0);
+        stream.write_all(&SensorMessage::Scan(frame).emit()).unwrap();
+    }
+    wait_until("the scans are mapped", || {
+        node.with_robot(|robot, _| robot.map().state_at([0.1, 2.1, 1.1])) == Some(flockmap::State::Occupied)
+            && node.status().unwrap().robot.scans == 5
+    });
+    stream.write_all(b"this is not a scan").unwrap();
+    wait_until("the fault is counted", || node.status().unwrap().node.sensor_faults == 1);
+    assert_eq!(stream.read(&mut [0]).unwrap_or(0), 0, "the connection is closed");
+}
+
+#[cfg(unix)]
+#[test]
+fn any_program_can_feed_scans_over_a_unix_socket() {
+    let path = std::env::temp_dir().join(format!("flockmap-test-{}.sock", std::process::id()));
+    // As a killed node leaves it.
+    drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+    let sensor = Sensor::Unix(path.clone(), MessageLimits::default());
+    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let mut stream = std::os::unix::net::UnixStream::connect(&path).unwrap();
+    let mut frame = corridor(0, 1).next().unwrap();
+    frame.scan.stamp = flockmap::Stamp(0);
+    stream.write_all(&SensorMessage::Scan(frame).emit()).unwrap();
+    wait_until("the scan is mapped", || node.status().unwrap().robot.scans == 1);
+    node.stop();
+    node.join().unwrap();
+    assert!(!path.exists(), "the socket is removed at the end");
+}
+
+#[test]
+fn the_python_example_feeds_a_node() {
+    let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
+    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let address: SocketAddr = node.sensor_address().unwrap().parse().unwrap();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/feed_sensor.py");
+    let port = address.port().to_string();
+    let result = std::process::Command::new("python3").args([script, "127.0.0.1", &port, "3"]).status();
+    let Ok(status) = result else { return println!("skipped: no python3 here") };
+    assert!(status.success());
+    wait_until("the scans are mapped", || node.status().unwrap().robot.scans == 3);
+    let state = |point| node.with_robot(move |robot, _| robot.map().state_at(point)).unwrap();
+    assert_eq!(state([3.1, 0.1, 0.1]), flockmap::State::Occupied);
+    assert_eq!(state([1.1, 0.1, 0.1]), flockmap::State::Free);
+    assert_eq!(node.status().unwrap().node.sensor_faults, 0);
+}
+
+#[test]
+fn frames_from_a_channel_are_mapped_and_the_end_of_it_ends_the_sensor() {
+    let (send, receive) = tokio::sync::mpsc::channel(1);
+    let options = NodeOptions {
+        sensor: Sensor::Channel(receive),
+        end: EndOptions { when_quiet: Some(Duration::ZERO), ..EndOptions::default() },
+        ..NodeOptions::new(config(1))
+    };
+    let node = start_alone(options);
+    for mut frame in corridor(1, 8) {
+        frame.scan.stamp = node.clock().now();
+        send.blocking_send(frame).unwrap();
+    }
+    drop(send);
+    let ended = node.join().unwrap();
+    assert_eq!(ended.summary.counters["robot"]["scans"], 8);
+    // What was pending at the end is packed.
+    assert!(ended.summary.streams[0].voxels > 1_000);
+}
+
+#[test]
+fn hostile_datagrams_are_counted_and_do_no_harm() {
+    let sockets = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap();
+    let address = sockets.local_addr().unwrap();
+    let node = Node::start(NodeOptions::new(config(1)), move || sockets.into_transport()).unwrap();
+    let attacker = std::net::UdpSocket::bind(loopback()).unwrap();
+    for length in [0, 1, 24, 100, 1_200, 1_201, 5_000] {
+        attacker.send_to(&vec![0x46; length], address).unwrap();
+    }
+    wait_until("all are counted", || node.status().unwrap().node.datagrams_refused == 7);
+    assert!(node.status().unwrap().peers.is_empty());
+}
+
+#[test]
+fn log_lines_tell_of_peers() {
+    let lines: Arc<Mutex<Vec<String>>> = Arc::default();
+    let in_log = Arc::clone(&lines);
+    let mut sockets = swarm(2).into_iter();
+    let (first, second) = (sockets.next().unwrap(), sockets.next().unwrap());
+    let log = Log::new(move |_, text| in_log.lock().unwrap().push(text.to_owned()));
+    let options = NodeOptions { log, ..NodeOptions::new(config(1)) };
+    let _one = Node::start(options, move || first.into_transport()).unwrap();
+    let _two = Node::start(NodeOptions::new(config(2)), move || second.into_transport()).unwrap();
+    wait_until("the peer is told", || lines.lock().unwrap().iter().any(|l| l == "hears robot 2 epoch 1"));
+}
