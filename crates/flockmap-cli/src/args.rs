@@ -19,8 +19,7 @@ pub struct Cli {
 
 const START_HERE: &str = "\
 Start here:
-  flockmap demo                                 two robots, a forest, real sockets, one minute
-  flockmap replay forest --loss 0.2             the same in virtual time, every fifth datagram lost
+  flockmap replay forest --loss 0.2             two simulated robots, every fifth datagram lost
   flockmap replay robot1.mcap robot2.mcap       your own records
   flockmap bench codecs forest                  what each codec costs on the same cycles
 
@@ -28,22 +27,6 @@ Start here:
 
 #[derive(Subcommand, Debug)]
 pub enum Command {
-    /// Fly a swarm over real UDP sockets on this machine and report what it cost
-    #[command(after_help = "\
-Examples:
-  flockmap demo
-  flockmap demo --scene indoor --robots 5 --seconds 30 --out /tmp/indoor
-
-Each robot is a node of its own with its own socket. At the end there are a table here, and report.html and report.json
-in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.")]
-    Demo(DemoArgs),
-    /// Run one robot, for real
-    #[command(after_help = "\
-Example:
-  flockmap node --config robot.toml
-
-The file `robot.example.toml` of the crate flockmap-node holds every option with its meaning and default.")]
-    Node(NodeArgs),
     /// Put records through the whole stack in virtual time: map, pack, send, lose, repair, merge
     #[command(after_help = "\
 Examples:
@@ -58,7 +41,7 @@ each record is one robot. In place of records one world can be named: forest, in
 then --robots simulated robots fly through it. The same command gives the same bytes every time.
 Exit code 1 if any two robots disagree on a voxel, or packages are missing at the end.")]
     Replay(ReplayArgs),
-    /// Measure codecs, or the mapper
+    /// Measure codecs
     #[command(subcommand)]
     Bench(BenchCommand),
     /// Look into a record, a map, a point cloud, or a map package
@@ -96,13 +79,6 @@ A method is a codec (raw, nested-zlib, paper, racer), which codes each cycle as 
 `-datagrams`, which cuts each cycle into packages of at most 1,150 bytes, each useful on its own.
 Exit code 1 if any method gets a voxel wrong.")]
     Codecs(BenchCodecsArgs),
-    /// The mapper beside OctoMap, on the same scans
-    #[command(after_help = "\
-Example:
-  flockmap bench mapping --scans 40
-
-Needs a C++ compiler and Debian's liboctomap-dev for the OctoMap half; without them that half is skipped with a word.")]
-    Mapping(BenchMappingArgs),
 }
 
 /// How robots map and pack.
@@ -154,7 +130,7 @@ pub struct SourceArgs {
     /// Speed of simulated robots in m/s
     #[arg(long, value_name = "M_S", default_value_t = 1.5)]
     pub speed: f64,
-    /// Side of the solid cells of a world made from a point cloud, in metres [default: the voxel side, at most 0.2]
+    /// Side of the solid cells of a world made from a point cloud, in metres [default: 0.1, and 0.2 for .las and .laz]
     #[arg(long, value_name = "M")]
     pub world_resolution: Option<f64>,
     /// Pose file of a folder of scans, in KITTI's form [default: optimized_poses.txt, odom_poses.txt or poses.txt in it]
@@ -228,30 +204,6 @@ pub struct ReplayArgs {
 }
 
 #[derive(Args, Debug)]
-pub struct DemoArgs {
-    /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
-    #[arg(long, value_name = "SCENE", default_value = "forest")]
-    pub scene: PathBuf,
-    /// Codec of the packages: raw, nested-zlib, paper or racer
-    #[arg(long, value_name = "NAME", default_value_t = Codec::Paper)]
-    pub codec: Codec,
-    /// Folder for report.html and report.json
-    #[arg(long, value_name = "DIR", default_value = "flockmap-demo")]
-    pub out: PathBuf,
-    #[command(flatten)]
-    pub map: MapArgs,
-    #[command(flatten)]
-    pub source: SourceArgs,
-}
-
-#[derive(Args, Debug)]
-pub struct NodeArgs {
-    /// The robot's configuration
-    #[arg(long, value_name = "FILE")]
-    pub config: PathBuf,
-}
-
-#[derive(Args, Debug)]
 pub struct BenchCodecsArgs {
     /// Records, or one world: forest, indoor, or a .bt .pcd .ply .las .laz file
     #[arg(value_name = "RECORD", required = true)]
@@ -266,31 +218,6 @@ pub struct BenchCodecsArgs {
     pub map: MapArgs,
     #[command(flatten)]
     pub source: SourceArgs,
-}
-
-#[derive(Args, Debug)]
-pub struct BenchMappingArgs {
-    /// World to fly through: forest, indoor, or a world file
-    #[arg(long, value_name = "SCENE", default_value = "forest")]
-    pub scene: PathBuf,
-    /// Scans to map
-    #[arg(long, value_name = "N", default_value_t = 40)]
-    pub scans: usize,
-    /// Side of a voxel in metres
-    #[arg(long, value_name = "M", default_value_t = 0.1)]
-    pub resolution: f64,
-    /// Rays longer than this many metres are cut there
-    #[arg(long, value_name = "M", default_value_t = 7.0)]
-    pub range: f64,
-    /// LiDAR: mid360 or avia
-    #[arg(long, value_name = "NAME", default_value_t = Lidar::Mid360)]
-    pub lidar: Lidar,
-    /// Seed of the world and of the flight
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
-    /// Write the table as JSON
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
 }
 
 #[derive(Args, Debug)]
@@ -350,7 +277,8 @@ mod tests {
 
     #[test]
     fn replay_takes_records_and_the_radio() {
-        let cli = parse("flockmap replay a.mcap b.mcap --loss 0.2 --delay-ms 50 --cast broadcast --d 100").unwrap();
+        let cli =
+            parse("flockmap replay a.mcap b.mcap --loss 0.2 --delay-ms 50 --cast broadcast --d 100").unwrap();
         let Command::Replay(args) = cli.command else { panic!("{cli:?}") };
         assert_eq!(args.records.len(), 2);
         assert_eq!((args.loss, args.delay_ms, args.map.d), (0.2, 50.0, 100));

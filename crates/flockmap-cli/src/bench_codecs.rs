@@ -172,7 +172,7 @@ impl Bench {
 pub fn run(args: &BenchCodecsArgs) -> anyhow::Result<bool> {
     let (resolution, cycle_config, mapper_config) =
         (args.map.resolution()?, args.map.cycle()?, args.map.mapper()?);
-    let sources = sources::open(&args.records, &args.source, &args.map, false)?;
+    let sources = sources::open(&args.records, &args.source, false)?;
     let methods = if args.codec.is_empty() { default_methods() } else { args.codec.clone() };
     let mut benches: Vec<Bench> = methods.into_iter().map(Bench::new).collect();
     let expected = sources.robots.iter().map(|source| source.frames_expected).sum();
@@ -235,7 +235,9 @@ pub fn run(args: &BenchCodecsArgs) -> anyhow::Result<bool> {
     }
     let lossless = benches.iter().all(|bench| bench.compared.share() == 1.0 && bench.stamps_agree);
     if !lossless {
-        eprintln!("error: a method does not give back what went in: this is a fault of flockmap, please report it");
+        eprintln!(
+            "error: a method does not give back what went in: this is a fault of flockmap, please report it"
+        );
     }
     Ok(lossless)
 }
@@ -252,11 +254,20 @@ fn print(output: &Output, title: &str, seconds: f64, cycles: u64) {
     );
     let reference = methods.iter().find(|row| row.name == "paper").map(|row| row.total_bytes);
     let mut table = Table::new([
-        "method", "total bytes", "vs paper", "bits/voxel", "avg KB/s", "max KB/s", "packages", "encode ms", "99 %", "decode ms",
+        "method",
+        "total bytes",
+        "vs paper",
+        "bits/voxel",
+        "avg KB/s",
+        "max KB/s",
+        "packages",
+        "encode ms",
+        "99 %",
+        "decode ms",
         "agreement",
     ]);
     for row in methods {
-        let ratio = reference.map_or("".to_owned(), |paper| {
+        let ratio = reference.map_or_else(String::new, |paper| {
             format!("×{:.2}", row.total_bytes as f64 / paper.max(1) as f64)
         });
         table.row([

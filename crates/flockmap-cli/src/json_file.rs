@@ -9,6 +9,7 @@ use serde::Serialize;
 pub fn write(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
     let mut text = serde_json::to_string_pretty(value)?;
     text.push('\n');
-    std::fs::write(path, text)
-        .with_context(|| format!("cannot write {}: does its folder exist, and may you write there?", path.display()))
+    std::fs::write(path, text).with_context(|| {
+        format!("cannot write {}: does its folder exist, and may you write there?", path.display())
+    })
 }

@@ -4,12 +4,21 @@
 
 mod args;
 mod bench_codecs;
+mod chart;
+mod export;
+mod html;
+mod info;
 mod json_file;
 mod measure;
+mod member;
 mod options;
+mod picture;
 mod progress;
+mod replay;
+mod report;
 mod sources;
 mod stop;
+mod swarm;
 mod table;
 
 use std::process::ExitCode;
@@ -25,12 +34,12 @@ const EXIT_FAILED: u8 = 2;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    if !matches!(cli.command, Command::Node(_)) {
-        stop::listen();
-    }
+    stop::listen();
     let result = match &cli.command {
         Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
-        _ => Ok(true),
+        Command::Replay(args) => replay::run(args),
+        Command::Info(args) => info::run(args),
+        Command::Export(args) => export::run(args),
     };
     match result {
         Err(error) => {
@@ -41,4 +50,17 @@ fn main() -> ExitCode {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::from(EXIT_DISAGREEMENT),
     }
+}
+
+/// The command as it was given, for reports: the same words make the same run again.
+fn command_line() -> String {
+    let quoted = |word: String| {
+        if word.contains(|c: char| c.is_whitespace() || "'\"$`\\&;|<>()".contains(c)) {
+            format!("'{}'", word.replace('\'', "'\\''"))
+        } else {
+            word
+        }
+    };
+    let words = std::env::args_os().skip(1).map(|word| quoted(word.to_string_lossy().into_owned()));
+    std::iter::once("flockmap".to_owned()).chain(words).collect::<Vec<_>>().join(" ")
 }

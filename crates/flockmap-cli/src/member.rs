@@ -4,10 +4,9 @@ use std::time::Duration;
 
 use flockmap::codec::{Codec, Encoder};
 use flockmap::grid::Layer;
-use flockmap::{Changes, Event, RobotConfig, ScanReport, Stamp};
+use flockmap::{Changes, Event, ScanReport, Stamp};
 
 use crate::measure::{AgesByState, Sent, Times};
-use crate::sources::Frame;
 
 /// Bytes that IPv4 and UDP put before each datagram.
 pub const IP_UDP_BYTES: u64 = 28;
@@ -54,7 +53,7 @@ enum Input {
 }
 
 impl Measures {
-    pub fn new(_config: &RobotConfig) -> Self {
+    pub fn new() -> Self {
         Self {
             sent: Sent::default(),
             datagrams: 0,
@@ -76,9 +75,9 @@ impl Measures {
     }
 
     /// A scan was mapped.
-    pub fn scan(&mut self, took: Duration, report: &ScanReport, frame: &Frame) {
+    pub fn scan(&mut self, took: Duration, report: &ScanReport, stamp: Stamp) {
         self.map.add(took);
-        self.onset.apply(&Changes::from_blocks(report.changed.clone()), frame.scan.stamp);
+        self.onset.apply(&Changes::from_blocks(report.changed.clone()), stamp);
     }
 
     /// The robot was told the time, or to flush. Events follow.

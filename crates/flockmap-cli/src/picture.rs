@@ -108,7 +108,7 @@ fn draw_one(
 ) -> anyhow::Result<Picture> {
     let side = snapshot.view.resolution().metres();
     let [columns, rows] = [span[2] - span[0] + 1, span[3] - span[1] + 1];
-    let scale = columns.max(rows).div_ceil(PIXELS_MAX).max(1);
+    let scale = ((columns.max(rows) + PIXELS_MAX - 1) / PIXELS_MAX).max(1);
     let (width, height) = ((columns + scale - 1) / scale, (rows + scale - 1) / scale);
     let mut pixels = vec![0u8; width as usize * height as usize];
     let (from, to) = ((HEIGHT_FROM_M / side).round() as i32, (HEIGHT_TO_M / side).round() as i32);
@@ -135,7 +135,8 @@ fn draw_one(
     for ((x, y), heights) in block_columns {
         let own = snapshot.own.get(&(x, y)).copied().unwrap_or(0);
         for (bit, height) in heights.into_iter().enumerate().filter(|(_, height)| *height >= -1) {
-            let (column, row) = (x * BLOCK_SIDE + bit as i32 % 8 - span[0], y * BLOCK_SIDE + bit as i32 / 8 - span[1]);
+            let (column, row) =
+                (x * BLOCK_SIDE + bit as i32 % 8 - span[0], y * BLOCK_SIDE + bit as i32 / 8 - span[1]);
             if column < 0 || row < 0 || column >= columns || row >= rows {
                 continue;
             }
@@ -147,7 +148,8 @@ fn draw_one(
                 (3 + shade.min(SHADES - 1) + if received { SHADES } else { 0 }) as u8
             };
             // North up: y grows upwards.
-            let pixel = &mut pixels[((height_of(row, scale, height_px(rows, scale))) * width + column / scale) as usize];
+            let pixel = &mut pixels
+                [((height_of(row, scale, height_px(rows, scale))) * width + column / scale) as usize];
             // Where a pixel is several columns, an obstacle hides free space.
             if *pixel < 3 || colour >= 3 {
                 *pixel = colour;

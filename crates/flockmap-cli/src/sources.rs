@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::{Context, bail, ensure};
-use flockmap::{Pose, Resolution, Scan, Stamp, VoxelBox};
-use flockmap_io::{OctoMap, RecordOptions, open_record, read_cloud};
+use flockmap::{Pose, Resolution, Scan, Stamp};
+use flockmap_io::{RecordOptions, open_record};
 use flockmap_sim::{Flight, Patrol, PatrolOptions, ScanOptions, World};
 
-use crate::args::{MapArgs, SourceArgs};
+use crate::args::SourceArgs;
 
 /// A scan and `T_map_sensor`, the pose that it was taken at.
 pub struct Frame {
@@ -92,8 +92,6 @@ pub struct Sources {
     pub robots: Vec<Source>,
     /// What this is, for titles: names of the records, or the world that is flown through.
     pub title: String,
-    /// Whether the scans are simulated.
-    pub simulated: bool,
 }
 
 /// How long simulated flights last, if nothing else is said.
@@ -101,13 +99,13 @@ const FLIGHT_SECONDS: f64 = 60.0;
 
 /// Opens the records, or the one world, that the command line names. Stamps begin at 0 for each record; with `real_stamps`, at 0 for
 /// the earliest.
-pub fn open(paths: &[PathBuf], source: &SourceArgs, map: &MapArgs, real_stamps: bool) -> anyhow::Result<Sources> {
+pub fn open(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> anyhow::Result<Sources> {
     ensure!(
         source.seconds.is_none_or(|s| s > 0.0 && s <= 86_400.0),
         "--seconds must be more than 0 and at most 86,400"
     );
     match paths {
-        [path] if is_world(path) => fly(path, source, map),
+        [path] if is_world(path) => fly(path, source),
         _ => {
             if let Some(world) = paths.iter().find(|path| is_world(path)) {
                 bail!(
@@ -158,7 +156,9 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
         let until = source.seconds.map_or(Stamp(i64::MAX), |s| first.plus_micros((s * 1e6) as i64));
         let seconds = last.micros_since(first) as f64 / 1e6;
         let cut = source.seconds.map_or(1.0, |s| (s / seconds.max(1e-3)).min(1.0));
-        let frames = record.frames.take_while(move |frame| frame.as_ref().is_ok_and(|f| f.scan.stamp <= until) || frame.is_err());
+        let frames = record
+            .frames
+            .take_while(move |frame| frame.as_ref().is_ok_and(|f| f.scan.stamp <= until) || frame.is_err());
         let frames = frames.map(move |frame| {
             let mut frame = frame?;
             frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(zero));
@@ -171,11 +171,11 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
             frames: Frames::new(frames),
         }
     });
-    Ok(Sources { robots: robots.collect(), title, simulated: false })
+    Ok(Sources { robots: robots.collect(), title })
 }
 
-fn fly(path: &Path, source: &SourceArgs, map: &MapArgs) -> anyhow::Result<Sources> {
-    let world = Arc::new(open_world(path, source, map.resolution)?);
+fn fly(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
+    let world = Arc::new(open_world(path, source)?);
     let seconds = source.seconds.unwrap_or(FLIGHT_SECONDS);
     let options = PatrolOptions { duration_s: seconds, speed_m_s: source.speed, ..PatrolOptions::default() };
     let patrols = Patrol::plan(&world, source.robots, source.seed, &options)
@@ -190,7 +190,7 @@ fn fly(path: &Path, source: &SourceArgs, map: &MapArgs) -> anyhow::Result<Source
     let robots = patrols.into_iter().enumerate().map(|(number, patrol)| {
         let flight = Flight::new(Arc::clone(&world), source.lidar, scan, patrol);
         let frames_expected = flight.len() as u64;
-        let frames = flight.map(|frame| Ok(Frame { scan: frame.scan, pose: frame.T_map_sensor }));
+        let frames = flight.map(|frame| Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor }));
         Source {
             name: format!("robot{}", number + 1),
             frames_expected,
@@ -202,37 +202,23 @@ fn fly(path: &Path, source: &SourceArgs, map: &MapArgs) -> anyhow::Result<Source
     Ok(Sources {
         robots: robots.collect(),
         title: format!("{name}, {} simulated robots with {}", source.robots, source.lidar),
-        simulated: true,
     })
 }
 
 /// The world that a name or file stands for.
-pub fn open_world(path: &Path, source: &SourceArgs, voxel_m: f64) -> anyhow::Result<World> {
+pub fn open_world(path: &Path, source: &SourceArgs) -> anyhow::Result<World> {
     if path == Path::new("forest") {
         return Ok(World::forest(source.seed));
     }
     if path == Path::new("indoor") {
         return Ok(World::indoor(source.seed));
     }
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    match extension.as_deref() {
-        Some("bt") => {
-            let map = OctoMap::read(path)?;
-            let cubes = map.cubes().iter().filter_map(|cube| Some((VoxelBox::new(cube.corner, [cube.side; 3])?, cube.state)));
-            World::from_states(cubes, map.resolution()).with_context(|| path.display().to_string())
-        }
-        Some("pcd" | "ply" | "las" | "laz") => {
-            let side = source.world_resolution.unwrap_or_else(|| voxel_m.min(0.2));
-            let resolution = Resolution::from_metres(side)
-                .with_context(|| format!("--world-resolution is {side}, expected 0.001 to 100 m"))?;
-            let cloud = read_cloud(path)?;
-            // What is far out is surveyed; the flight happens about its own origin.
-            let points = cloud.points.iter().map(|p| p.map(f64::from));
-            World::from_points(points, resolution).with_context(|| path.display().to_string())
-        }
-        _ => bail!(
-            "{} is no world: expected forest, indoor, or a .bt, .pcd, .ply, .las or .laz file",
-            path.display()
+    let resolution = match source.world_resolution {
+        None => None,
+        Some(side) => Some(
+            Resolution::from_metres(side)
+                .with_context(|| format!("--world-resolution is {side}, expected 0.001 to 100 m"))?,
         ),
-    }
+    };
+    Ok(World::open(path, resolution)?)
 }

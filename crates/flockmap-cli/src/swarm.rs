@@ -47,12 +47,11 @@ pub fn run(
     let mut members = Vec::new();
     for (number, source) in sources.into_iter().enumerate() {
         let config = config(RobotId(number as u16 + 1));
-        let measures = Measures::new(&config);
         let mut frames = source.frames;
         members.push(Member {
             name: source.name,
             robot: Robot::new(config, Stamp(0))?,
-            measures,
+            measures: Measures::new(),
             snapshots: Vec::new(),
             frames_damaged: 0,
             next_scan: frames.next_stamp(),
@@ -160,7 +159,7 @@ impl Swarm {
         if let Some(frame) = member.frames.next() {
             let started = Instant::now();
             let report = member.robot.insert_scan(self.now, &frame.scan, &frame.pose);
-            member.measures.scan(started.elapsed(), &report, &frame);
+            member.measures.scan(started.elapsed(), &report, frame.scan.stamp);
         }
         member.next_scan = member.frames.next_stamp();
     }

@@ -1,0 +1,217 @@
+//! The program as a user runs it, on small generated flights.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn flockmap(words: &str) -> Output {
+    let words: Vec<&str> = words.split_whitespace().collect();
+    Command::new(env!("CARGO_BIN_EXE_flockmap")).args(words).output().expect("the program starts")
+}
+
+fn good(words: &str) -> String {
+    let output = flockmap(words);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{words}\n{text}\n{}", String::from_utf8_lossy(&output.stderr));
+    text
+}
+
+fn fails(words: &str) -> String {
+    let output = flockmap(words);
+    assert_eq!(output.status.code(), Some(2), "{words}");
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).expect("the file is there")).expect("it is JSON")
+}
+
+const SMALL: &str = "--resolution 0.25 --range 6 --seconds 2";
+
+#[test]
+fn a_replay_with_loss_and_reordering_agrees_on_every_voxel() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().display();
+    let text = good(&format!(
+        "replay indoor {SMALL} --robots 3 --loss 0.2 --delay-ms 50 --jitter-ms 20 --out {out}"
+    ));
+    assert!(text.contains("agreement 100 %"), "{text}");
+    let report = json(&folder.path().join("report.json"));
+    assert_eq!(report["agreement_all"], 1.0);
+    assert_eq!(report["complete"], true);
+    assert_eq!(report["agreement"].as_array().unwrap().len(), 9);
+    for robot in report["robots"].as_array().unwrap() {
+        assert_eq!(robot["layers"].as_array().unwrap().len(), 3);
+        assert!(robot["total_bytes"].as_u64().unwrap() > 1_000, "{robot}");
+    }
+    assert!(
+        report["robots"].as_array().unwrap().iter().any(|r| r["resent"].as_u64().unwrap() > 0),
+        "nothing was repaired"
+    );
+    assert!(report["age_occupied"]["voxels"].as_u64().unwrap() > 100);
+    assert!(report["racer"]["total_bytes"].as_u64() > report["sum"]["total_bytes"].as_u64());
+
+    let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(
+        !page.contains("http:") && !page.contains("https:") && !page.contains("src=\"/"),
+        "the page needs no other file"
+    );
+    assert_eq!(page.matches("data:image/png;base64,").count(), 9, "three robots at three moments");
+    assert!(page.contains("viewport") && page.contains("<svg"));
+    assert!(page.contains("flockmap replay indoor"), "the command that made it");
+}
+
+#[test]
+fn the_same_replay_sends_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str| {
+        let path = folder.path().join(name);
+        good(&format!("replay forest {SMALL} --loss 0.3 --seed 5 --json {}", path.display()));
+        let report = json(&path);
+        (report["sum"].clone(), report["kb_per_second"].clone(), report["robots"][0]["layers"].clone())
+    };
+    assert_eq!(run("a.json"), run("b.json"));
+}
+
+#[test]
+fn broadcast_costs_less_than_unicast_among_three() {
+    let folder = tempfile::tempdir().unwrap();
+    let total = |cast: &str| {
+        let path = folder.path().join(cast);
+        good(&format!("replay forest {SMALL} --robots 3 --cast {cast} --json {}", path.display()));
+        json(&path)["sum"]["total_bytes"].as_f64().unwrap()
+    };
+    assert!(total("broadcast") < 0.7 * total("unicast"));
+}
+
+#[test]
+fn bench_codecs_puts_the_methods_in_their_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("codecs.json");
+    good(&format!(
+        "bench codecs forest --robots 1 --resolution 0.2 --range 7 --seconds 2 --json {}",
+        path.display()
+    ));
+    let output = json(&path);
+    let mut keys: Vec<&String> = output.as_object().unwrap().keys().collect();
+    keys.sort();
+    assert_eq!(keys, ["changed_voxels", "d", "methods", "range_m", "records", "resolution_m", "t_l_s"]);
+    let methods = output["methods"].as_array().unwrap();
+    let mut keys: Vec<&String> = methods[0].as_object().unwrap().keys().collect();
+    keys.sort();
+    assert_eq!(
+        keys,
+        [
+            "agreement",
+            "avg_kb_s",
+            "decode_ms_mean",
+            "encode_ms_mean",
+            "encode_ms_p99",
+            "max_kb_s",
+            "name",
+            "packages",
+            "total_bytes"
+        ]
+    );
+    assert!(methods.iter().all(|m| m["agreement"] == 1.0), "{methods:?}");
+    let bytes =
+        |name: &str| methods.iter().find(|m| m["name"] == name).expect(name)["total_bytes"].as_u64().unwrap();
+    assert!(bytes("paper") < bytes("nested-zlib"));
+    assert!(bytes("nested-zlib") < bytes("racer") && bytes("nested-zlib") < bytes("raw"));
+    assert!(bytes("paper") < bytes("paper-datagrams"));
+}
+
+#[test]
+fn a_record_can_be_looked_into_mapped_exported_and_converted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let record = path("robot1.mcap");
+    let mut writer = flockmap_io::RecordWriter::create(&record, "robot1").unwrap();
+    for number in 0..5i64 {
+        let points = (-20..20).map(|y| [3.05, y as f32 * 0.1 + 0.05, 0.05]).collect();
+        let scan =
+            flockmap::Scan { stamp: flockmap::Stamp(number * 100_000), points, no_returns: Vec::new() };
+        writer.write(&scan, &flockmap::Pose::IDENTITY).unwrap();
+    }
+    writer.finish().unwrap();
+
+    assert!(good(&format!("info {record}")).contains("5 frames"));
+    good(&format!("export {record} --to {} --resolution 0.1 --range 7", path("map.bt")));
+    let facts = path("facts.json");
+    good(&format!("info {} --json {facts}", path("map.bt")));
+    let facts = json(Path::new(&facts));
+    assert_eq!(facts["content"]["occupied"], 40);
+    let free = facts["content"]["free"].as_u64().unwrap();
+    assert!(free > 500, "{facts}");
+    let written = good(&format!("export {} --to {}", path("map.bt"), path("map.pcd")));
+    assert!(written.contains(": 40 voxels"), "{written}");
+    let written = good(&format!("export {} --to {} --free", path("map.bt"), path("all.ply")));
+    assert!(
+        written.contains(": ")
+            && good(&format!("info {}", path("all.ply"))).contains(&(free + 40).to_string())
+    );
+    good(&format!("export {} --to {} --resolution 0.1", path("map.pcd"), path("again.bt")));
+    let again = good(&format!("info {}", path("again.bt")));
+    assert!(again.contains("40 occupied and 0 free"), "{again}");
+    // Records can be replayed, too.
+    assert!(good(&format!("replay {record} {record}")).contains("agreement 100 %"));
+}
+
+#[test]
+fn the_bytes_of_a_package_can_be_looked_into() {
+    use flockmap::codec::{Codec, Cycle, Encoder};
+    use flockmap::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("package.bin");
+    let cycle = Cycle {
+        stream: Stream { origin: RobotId(7), epoch: 3 },
+        start: Stamp(0),
+        end: Stamp(500_000),
+        resolution: Resolution::from_metres(0.1).unwrap(),
+    };
+    let changes = Changes::from_voxels((0..9).map(|x| (Voxel::new(x, 0, 0), State::Free)));
+    let package = Encoder::new().encode_whole(Codec::Paper, &cycle, 4, &changes).unwrap();
+    std::fs::write(&path, package.bytes()).unwrap();
+    let text = good(&format!("info {}", path.display()));
+    assert!(text.contains("robot 7, epoch 3, index 4") && text.contains("9 free and 0 occupied"), "{text}");
+
+    let mut damaged = package.bytes().to_vec();
+    *damaged.last_mut().unwrap() ^= 1;
+    std::fs::write(&path, &damaged).unwrap();
+    assert!(fails(&format!("info {}", path.display())).contains("package.bin"));
+}
+
+#[test]
+fn what_cannot_work_is_said() {
+    for (words, expected) in [
+        ("replay no-such.mcap", "no-such.mcap"),
+        ("replay forest --loss 1.5", "--loss is 1.5"),
+        ("replay forest --resolution 0", "--resolution is 0"),
+        ("replay forest --range=-1", "range_m"),
+        ("replay forest other.mcap", "forest is a world"),
+        ("replay forest --robots 999", "999"),
+        ("replay forest --t-l 0", "--t-l is 0"),
+        ("replay forest --budget-kb-s 1", "--budget-kb-s is 1"),
+        ("export forest --to map.stl", "map.stl"),
+        ("info no-such.bt", "no-such.bt"),
+    ] {
+        let error = fails(words);
+        assert!(error.contains(expected), "`{words}` says: {error}");
+    }
+}
+
+#[test]
+fn recorded_robots_agree() {
+    let data = std::env::var("FLOCKMAP_DATA")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data").to_owned());
+    let record = |n: u32| format!("{data}/hku_mb/robot{n}.mcap");
+    if !Path::new(&record(1)).exists() {
+        eprintln!("skipped: no data in {data}");
+        return;
+    }
+    let (a, b) = (record(1), record(2));
+    let text =
+        good(&format!("replay {a} {b} --resolution 0.2 --range 30 --seconds 6 --loss 0.2 --delay-ms 50"));
+    assert!(text.contains("agreement 100 %"), "{text}");
+}
