@@ -1,7 +1,7 @@
 //! One robot from a configuration file, until it is told to end.
 
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
 use flockmap::RobotId;
@@ -12,6 +12,9 @@ use crate::{
     EndOptions, Ended, Level, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions, Sensor,
     UdpSockets,
 };
+
+/// 2026-01-01: a machine that shows an earlier time has lost it.
+const EARLIEST_TIME: Duration = Duration::from_secs(1_767_225_600);
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
 /// configured; then saves the map if asked, and writes a summary as JSON to the configured file, or to stdout.
@@ -45,9 +48,9 @@ pub fn run(config_path: &Path) -> Result<()> {
 }
 
 fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let mut options =
-        NodeOptions::new(config.robot(u32::try_from(since_1970.as_secs()).unwrap_or(u32::MAX))?);
+    // Looked at before the epoch is waited for.
+    config.robot(1)?;
+    let mut options = NodeOptions::new(config.robot(config.epoch.unwrap_or_else(|| epoch_of_now(log)))?);
     options.name = config.robot_name();
     options.sensor = sensor(config, log)?;
     options.alignments = config.alignments()?;
@@ -60,7 +63,7 @@ fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
     options.end = EndOptions {
         after: output.end_after_s.map(|s| seconds("[output] end_after_s", s)).transpose()?,
         when_quiet: output.end_when_quiet_s.map(|s| seconds("[output] end_when_quiet_s", s)).transpose()?,
-        linger: std::time::Duration::from_millis(output.linger_ms.into()),
+        linger: Duration::from_millis(output.linger_ms.into()),
     };
     // Better now than after the flight.
     if let Some(path) = &output.save_map_at_end
@@ -70,6 +73,18 @@ fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
     }
     options.log = log.clone();
     Ok(options)
+}
+
+/// The second since 1970 that begins next. By waiting for it, no two runs one after the other get the same, however soon
+/// a robot is started again: packages of one run must never be taken for those of another.
+fn epoch_of_now(log: &Log) -> u32 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    if since_1970 < EARLIEST_TIME {
+        log.warn("the clock of this machine is years behind; if it may show the same time again at the next start, give `epoch`");
+    }
+    let next = since_1970.as_secs() + 1;
+    std::thread::sleep(Duration::from_secs(next).saturating_sub(since_1970));
+    u32::try_from(next).unwrap_or(u32::MAX)
 }
 
 fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {

@@ -23,7 +23,8 @@ pub struct NodeConfig {
     pub id: u16,
     /// Name in logs. Default `robotID`.
     pub name: Option<String>,
-    /// Which run of the robot this is; must be higher after each restart. Default: seconds since 1970.
+    /// Which run of the robot this is; must be higher after each restart. Default: the second since 1970 that begins next; the node
+    /// waits for it.
     pub epoch: Option<u32>,
     /// The mapper.
     pub map: MapSection,
