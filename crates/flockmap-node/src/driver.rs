@@ -73,6 +73,8 @@ impl<T: Transport> Driver<T> {
             robot.set_muted(*origin, true);
         }
         let now = Instant::now();
+        // A rate needs some time to be one.
+        let status_due = later(now, options.status_period.unwrap_or_default());
         Self {
             options,
             robot,
@@ -83,7 +85,7 @@ impl<T: Transport> Driver<T> {
             stopped: false,
             began: now,
             active: now,
-            status_due: now,
+            status_due,
             line: StatusLine::default(),
             warned: None,
             warnings_left_out: 0,
@@ -103,7 +105,7 @@ impl<T: Transport> Driver<T> {
         self.inputs.close();
         self.flush();
         self.stopped = false;
-        let until = Instant::now() + self.options.end.linger;
+        let until = later(Instant::now(), self.options.end.linger);
         self.pump().await;
         while Instant::now() < until && !self.stopped && !self.is_confirmed() {
             self.step(&mut buffer, Some(until)).await;
@@ -156,7 +158,7 @@ impl<T: Transport> Driver<T> {
         if let Some(period) = self.options.status_period
             && Instant::now() >= self.status_due
         {
-            self.status_due = Instant::now() + period;
+            self.status_due = later(Instant::now(), period);
             self.say_status();
         }
     }
@@ -309,9 +311,9 @@ impl<T: Transport> Driver<T> {
         let robot =
             self.robot.poll_timeout().map(|due| self.options.clock.instant_of(due).max(now + PAUSE_MIN));
         let status = self.options.status_period.map(|_| self.status_due);
-        let after = self.options.end.after.map(|after| self.began + after);
+        let after = self.options.end.after.map(|after| later(self.began, after));
         let quiet =
-            self.options.end.when_quiet.filter(|_| self.inputs_ended).map(|quiet| self.active + quiet);
+            self.options.end.when_quiet.filter(|_| self.inputs_ended).map(|quiet| later(self.active, quiet));
         let idle = now + Duration::from_secs(60);
         [robot, status, after, quiet, until].into_iter().flatten().fold(idle, Instant::min)
     }
@@ -347,6 +349,11 @@ impl<T: Transport> Driver<T> {
             &self.timings,
         )
     }
+}
+
+/// What is farther than years counts as that.
+fn later(instant: Instant, by: Duration) -> Instant {
+    instant + by.min(Duration::from_secs(1 << 30))
 }
 
 fn micros(duration: Duration) -> u64 {

@@ -50,9 +50,10 @@ pub fn run(config_path: &Path) -> Result<()> {
 fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
     // Looked at before the epoch is waited for.
     config.robot(1)?;
+    let sensor = sensor(config, log)?;
     let mut options = NodeOptions::new(config.robot(config.epoch.unwrap_or_else(|| epoch_of_now(log)))?);
     options.name = config.robot_name();
-    options.sensor = sensor(config, log)?;
+    options.sensor = sensor;
     options.alignments = config.alignments()?;
     options.clock_offsets = config.clock_offsets()?;
     options.muted = config.fusion.muted.iter().copied().map(RobotId).collect();

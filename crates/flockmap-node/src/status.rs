@@ -232,7 +232,7 @@ impl StatusLine {
             _ => format!("{:.2} s", age.quantile(0.5) as f64 / 1e6),
         };
         format!(
-            "{} peers | in {rate_in:.1} out {rate_out:.1} KB/s | {} cycles | packages {held} held {missing} missing | \
+            "peers {} | in {rate_in:.1} out {rate_out:.1} KB/s | {} cycles | packages {held} held {missing} missing | \
              map {} voxels, {occupied} occupied | age {age}",
             status.peers.len(),
             status.robot.cycles,
@@ -319,7 +319,7 @@ mod tests {
         let mut line = StatusLine::default();
         let mut now = status("r");
         let first = line.next(&now, &Histogram::default());
-        assert!(first.contains("0 peers | in 1.0 out 5.0 KB/s | 0 cycles"), "{first}");
+        assert!(first.contains("peers 0 | in 1.0 out 5.0 KB/s | 0 cycles"), "{first}");
         assert!(first.ends_with("age –"), "{first}");
         now.uptime = Duration::from_secs(3);
         now.node.bytes_in += 4_096;

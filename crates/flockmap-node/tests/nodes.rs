@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use common::{config, corridor, frames, loopback, swarm, wait_until};
-use flockmap::{Destination, Event, RobotId, Stream};
+use flockmap::{Cast, Destination, Event, RobotId, Stream};
 use flockmap_node::{
     Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, Sensor,
     SensorMessage, Sent, Transport, UdpOptions, UdpSockets, UdpTransport,
@@ -315,4 +315,53 @@ fn log_lines_tell_of_peers() {
     let _one = Node::start(options, move || first.into_transport()).unwrap();
     let _two = Node::start(NodeOptions::new(config(2)), move || second.into_transport()).unwrap();
     wait_until("the peer is told", || lines.lock().unwrap().iter().any(|l| l == "hears robot 2 epoch 1"));
+}
+
+/// Starts a robot that plays its corridor.
+fn start_playing(
+    id: u16,
+    epoch: u32,
+    sockets: UdpSockets,
+    change: impl FnOnce(&mut NodeOptions),
+) -> NodeHandle {
+    let mut options = NodeOptions { sensor: play(id, 20), ..NodeOptions::new(config(id)) };
+    options.robot.epoch = epoch;
+    change(&mut options);
+    Node::start(options, move || sockets.into_transport()).unwrap()
+}
+
+#[test]
+fn a_robot_that_starts_again_gets_everything_back() {
+    let mut sockets = swarm(3).into_iter();
+    let mut next = || sockets.next().unwrap();
+    let (one, two, three) = (next(), next(), next());
+    let address = two.local_addr().unwrap();
+    let peers = vec![one.local_addr().unwrap(), three.local_addr().unwrap()];
+    let one = start_playing(1, 1, one, |_| {});
+    let three = start_playing(3, 1, three, |_| {});
+    let two = start_playing(2, 1, two, |options| options.end.linger = Duration::ZERO);
+    wait_until("the robot has sent something", || {
+        one.status().unwrap().streams.iter().any(|s| s.stream.origin == RobotId(2) && s.held > 0)
+    });
+    drop(two);
+    wait_until("its port is free", || std::net::UdpSocket::bind(address).is_ok());
+    let again = UdpSockets::bind(&UdpOptions { peers, ..UdpOptions::new(address) }).unwrap();
+    let again = start_playing(2, 2, again, |_| {});
+    wait_until_equal(&[one, again, three], 4);
+}
+
+#[test]
+fn one_broadcast_serves_all() {
+    let free = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap().local_addr().unwrap().port();
+    let broadcast = Some(SocketAddr::from(([127, 255, 255, 255], free)));
+    let start = |id: u16| {
+        let sockets = UdpSockets::bind(&UdpOptions { broadcast, ..UdpOptions::new(loopback()) }).unwrap();
+        start_playing(id, 1, sockets, |options| options.robot.session.cast = Cast::Broadcast)
+    };
+    let nodes: Vec<NodeHandle> = (1..=3).map(start).collect();
+    wait_until_equal(&nodes, 3);
+    let status = nodes[0].status().unwrap();
+    // One copy of each package for two others, and what is lost on the way again.
+    assert!(status.session.sent < 2 * status.robot.packages, "{status:?}");
+    assert!(status.session.own_heard > 0, "a broadcast comes back");
 }
