@@ -19,6 +19,7 @@ pub struct Cli {
 
 const START_HERE: &str = "\
 Start here:
+  flockmap demo                                 two robots, a forest, real sockets, one minute
   flockmap replay forest --loss 0.2             two simulated robots, every fifth datagram lost
   flockmap replay robot1.mcap robot2.mcap       your own records
   flockmap bench codecs forest                  what each codec costs on the same cycles
@@ -27,6 +28,22 @@ Start here:
 
 #[derive(Subcommand, Debug)]
 pub enum Command {
+    /// Fly a swarm over real UDP sockets on this machine and report what it cost
+    #[command(after_help = "\
+Examples:
+  flockmap demo
+  flockmap demo --scene indoor --robots 5 --seconds 30 --out /tmp/indoor
+
+Each robot is a node of its own with its own socket. At the end there are a table here, and report.html and report.json
+in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.")]
+    Demo(DemoArgs),
+    /// Run one robot, for real
+    #[command(after_help = "\
+Example:
+  flockmap node --config robot.toml
+
+The file `robot.example.toml` of the crate flockmap-node holds every option with its meaning and default.")]
+    Node(NodeArgs),
     /// Put records through the whole stack in virtual time: map, pack, send, lose, repair, merge
     #[command(after_help = "\
 Examples:
@@ -201,6 +218,30 @@ pub struct ReplayArgs {
     pub map: MapArgs,
     #[command(flatten)]
     pub source: SourceArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct DemoArgs {
+    /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
+    #[arg(long, value_name = "SCENE", default_value = "forest")]
+    pub scene: PathBuf,
+    /// Codec of the packages: raw, nested-zlib, paper or racer
+    #[arg(long, value_name = "NAME", default_value_t = Codec::Paper)]
+    pub codec: Codec,
+    /// Folder for report.html and report.json
+    #[arg(long, value_name = "DIR", default_value = "flockmap-demo")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub map: MapArgs,
+    #[command(flatten)]
+    pub source: SourceArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct NodeArgs {
+    /// The robot's configuration
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
 }
 
 #[derive(Args, Debug)]

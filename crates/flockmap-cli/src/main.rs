@@ -5,6 +5,7 @@
 mod args;
 mod bench_codecs;
 mod chart;
+mod demo;
 mod export;
 mod html;
 mod info;
@@ -34,10 +35,14 @@ const EXIT_FAILED: u8 = 2;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    stop::listen();
+    if !matches!(cli.command, Command::Node(_)) {
+        stop::listen();
+    }
     let result = match &cli.command {
         Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
         Command::Replay(args) => replay::run(args),
+        Command::Demo(args) => demo::run(args),
+        Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
     };

@@ -2,6 +2,7 @@
 
 use flockmap::grid::{Changes, Layer, StateBlock};
 use flockmap::{Stamp, State};
+use flockmap_node::Histogram;
 use serde::Serialize;
 
 /// KB are 1,024 bytes.
@@ -83,7 +84,26 @@ pub struct TimeSummary {
     pub p99_ms: f64,
 }
 
+impl TimeSummary {
+    /// Of all that these hold together; they count microseconds.
+    pub fn of_histograms<'a>(histograms: impl IntoIterator<Item = &'a Histogram>) -> Self {
+        let mut all = Histogram::default();
+        histograms.into_iter().for_each(|histogram| all.merge(histogram));
+        Self {
+            count: all.count() as usize,
+            mean_ms: all.mean() / 1e3,
+            median_ms: all.quantile(0.5) as f64 / 1e3,
+            p99_ms: all.quantile(0.99) as f64 / 1e3,
+        }
+    }
+}
+
 impl Times {
+    /// Those of several robots.
+    pub fn together<'a>(times: impl IntoIterator<Item = &'a Self>) -> Self {
+        Self(times.into_iter().flat_map(|times| times.0.iter().copied()).collect())
+    }
+
     pub fn add(&mut self, duration: std::time::Duration) {
         self.0.push(duration.as_secs_f64() * 1e3);
     }

@@ -74,9 +74,11 @@ impl Measures {
         }
     }
 
-    /// A scan was mapped.
-    pub fn scan(&mut self, took: Duration, report: &ScanReport, stamp: Stamp) {
-        self.map.add(took);
+    /// A scan was mapped; `took` if it was measured here.
+    pub fn scan(&mut self, took: Option<Duration>, report: &ScanReport, stamp: Stamp) {
+        if let Some(took) = took {
+            self.map.add(took);
+        }
         self.onset.apply(&Changes::from_blocks(report.changed.clone()), stamp);
     }
 

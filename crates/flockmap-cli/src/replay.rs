@@ -5,6 +5,8 @@ use flockmap::{RobotConfig, RobotId, SessionConfig};
 use flockmap_sim::{Link, RadioConfig};
 
 use crate::args::ReplayArgs;
+use crate::measure::Times;
+use crate::member::Measures;
 use crate::report::{Course, Finished, Report, Settings};
 use crate::{command_line, html, json_file, sources, stop, swarm};
 
@@ -38,24 +40,19 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     let radio = RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() };
     let title = format!("replay of {}", sources.title);
     let run = swarm::run(sources.robots, |id| RobotConfig { id, ..base.clone() }, radio)?;
-    let settings = Settings {
-        resolution_m: args.map.resolution,
-        range_m: args.map.range,
-        t_l_s: args.map.t_l,
-        t_l_occupied_s: args.map.t_l_occupied,
-        d: args.map.d,
-        mapper: args.map.mapper.to_string(),
-        codec: args.codec.to_string(),
-        cast: args.cast.name(),
-        radio: radio_in_words(args),
-        seed: args.source.seed,
-    };
+    let settings =
+        Settings::new(&args.map, args.codec, args.cast.name(), radio_in_words(args), args.source.seed);
+    let times =
+        |of: fn(&Measures) -> &Times| Times::together(run.members.iter().map(|m| of(&m.measures))).summary();
     let course = Course {
         command: command_line(),
         title,
         record_s: run.last_scan.seconds(),
         settle_s: run.arrived.map(|at| at.micros_since(run.last_scan).max(0) as f64 / 1e6),
         interrupted: stop::requested(),
+        t_map: times(|m| &m.map),
+        t_pack: times(|m| &m.pack),
+        t_recv2insert: times(|m| &m.insert),
     };
     let finished: Vec<Finished<'_>> = run
         .members

@@ -1,9 +1,10 @@
 //! What a run of a swarm comes to: the same figures as table, JSON and page.
 
-use flockmap::{Robot, Stream};
+use flockmap::{Codec, Robot, Stream};
 use serde::Serialize;
 
-use crate::measure::{AgeSummary, AgesByState, Comparison, KB, Sent, TimeSummary, Times};
+use crate::args::MapArgs;
+use crate::measure::{AgeSummary, AgesByState, Comparison, KB, Sent, TimeSummary};
 use crate::member::{IP_UDP_BYTES, Measures};
 use crate::picture::{Picture, Snapshot};
 use crate::table::{Table, kb, percent, thousands};
@@ -67,6 +68,24 @@ pub struct Settings {
     /// The radio in words.
     pub radio: String,
     pub seed: u64,
+}
+
+impl Settings {
+    /// What the command line says, and what the radio is.
+    pub fn new(map: &MapArgs, codec: Codec, cast: &'static str, radio: String, seed: u64) -> Self {
+        Self {
+            resolution_m: map.resolution,
+            range_m: map.range,
+            t_l_s: map.t_l,
+            t_l_occupied_s: map.t_l_occupied,
+            d: map.d,
+            mapper: map.mapper.to_string(),
+            codec: codec.to_string(),
+            cast,
+            radio,
+            seed,
+        }
+    }
 }
 
 /// Bytes on the wire. KB are 1,024 bytes.
@@ -172,6 +191,9 @@ pub struct Course {
     pub record_s: f64,
     pub settle_s: Option<f64>,
     pub interrupted: bool,
+    pub t_map: TimeSummary,
+    pub t_pack: TimeSummary,
+    pub t_recv2insert: TimeSummary,
 }
 
 /// Robots whose maps are drawn.
@@ -180,7 +202,7 @@ const PICTURED_MAX: usize = 6;
 impl Report {
     /// Puts everything together.
     pub fn new(course: Course, settings: Settings, robots: &[Finished<'_>]) -> anyhow::Result<Self> {
-        let Course { command, title, record_s, settle_s, interrupted } = course;
+        let Course { command, title, record_s, settle_s, interrupted, t_map, t_pack, t_recv2insert } = course;
         let seconds = record_s.max(1e-3);
         // Copies of each datagram that RACER, and the paper, would have to send.
         let copies = if settings.cast == "broadcast" { 1 } else { robots.len().saturating_sub(1) as u64 };
@@ -203,9 +225,6 @@ impl Report {
         });
         let mut ages = AgesByState::default();
         robots.iter().for_each(|r| ages.merge(&r.measures.ages));
-        let times = |of: &dyn Fn(&Measures) -> &Times| {
-            Times(robots.iter().flat_map(|r| of(r.measures).0.iter().copied()).collect()).summary()
-        };
         let mut pictures = Vec::new();
         for robot in robots.iter().take(PICTURED_MAX) {
             let drawn = crate::picture::draw(robot.snapshots)?;
@@ -228,9 +247,9 @@ impl Report {
             agreement,
             age_occupied: ages.occupied.summary(),
             age_free: ages.free.summary(),
-            t_map: times(&|m| &m.map),
-            t_pack: times(&|m| &m.pack),
-            t_recv2insert: times(&|m| &m.insert),
+            t_map,
+            t_pack,
+            t_recv2insert,
             paper_t_pack_ms: PAPER_T_PACK_MS,
             paper_t_recv2insert_ms: PAPER_T_INSERT_MS,
             kb_per_second: kb_series(&sum, 1),

@@ -159,7 +159,7 @@ impl Swarm {
         if let Some(frame) = member.frames.next() {
             let started = Instant::now();
             let report = member.robot.insert_scan(self.now, &frame.scan, &frame.pose);
-            member.measures.scan(started.elapsed(), &report, frame.scan.stamp);
+            member.measures.scan(Some(started.elapsed()), &report, frame.scan.stamp);
         }
         member.next_scan = member.frames.next_stamp();
     }

@@ -86,6 +86,24 @@ fn broadcast_costs_less_than_unicast_among_three() {
 }
 
 #[test]
+fn the_demo_flies_over_sockets_and_writes_its_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().display();
+    let text = good(&format!("demo --scene indoor --robots 3 {SMALL} --out {out}"));
+    assert!(text.contains("agreement 100 %"), "{text}");
+    let report = json(&folder.path().join("report.json"));
+    assert_eq!((&report["agreement_all"], &report["complete"]), (&Value::from(1.0), &Value::from(true)));
+    for what in ["t_map", "t_pack", "t_recv2insert"] {
+        assert!(report[what]["count"].as_u64().unwrap() > 0, "{what}");
+    }
+    for robot in report["robots"].as_array().unwrap() {
+        assert_eq!(robot["layers"].as_array().unwrap().len(), 3);
+        assert!(robot["total_bytes"].as_u64().unwrap() > 1_000, "{robot}");
+    }
+    assert!(folder.path().join("report.html").exists());
+}
+
+#[test]
 fn bench_codecs_puts_the_methods_in_their_order() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("codecs.json");
@@ -195,6 +213,8 @@ fn what_cannot_work_is_said() {
         ("replay forest --budget-kb-s 1", "--budget-kb-s is 1"),
         ("export forest --to map.stl", "map.stl"),
         ("info no-such.bt", "no-such.bt"),
+        ("demo --scene nowhere", "nowhere"),
+        ("node --config no-such.toml", "no-such.toml"),
     ] {
         let error = fails(words);
         assert!(error.contains(expected), "`{words}` says: {error}");

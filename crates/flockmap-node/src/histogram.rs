@@ -33,6 +33,19 @@ impl Histogram {
         self.max = self.max.max(micros);
     }
 
+    /// Takes in all that another histogram holds.
+    pub fn merge(&mut self, other: &Self) {
+        if self.counts.len() < other.counts.len() {
+            self.counts.resize(other.counts.len(), 0);
+        }
+        for (sum, count) in self.counts.iter_mut().zip(&other.counts) {
+            *sum += count;
+        }
+        self.count += other.count;
+        self.sum += other.sum;
+        self.max = self.max.max(other.max);
+    }
+
     /// How many were added.
     pub const fn count(&self) -> u64 {
         self.count

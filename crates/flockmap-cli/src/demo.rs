@@ -1,0 +1,304 @@
+//! `flockmap demo`: a swarm over real UDP sockets on this machine, each robot a node of its own.
+
+use std::io;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use flockmap::{Destination, Event, RobotConfig, RobotId, ScanReport, Stamp, Stream};
+use flockmap_node::{
+    Clock, Node, NodeHandle, NodeOptions, Observation, Sensor, Sent, Transport, UdpOptions, UdpSockets,
+};
+
+use crate::args::DemoArgs;
+use crate::measure::TimeSummary;
+use crate::member::Measures;
+use crate::picture::Snapshot;
+use crate::progress::Progress;
+use crate::report::{Course, Finished, Report, Settings};
+use crate::{command_line, html, sources, stop};
+
+/// Time for all nodes to start before the first scan.
+const BEGIN: Stamp = Stamp(500_000);
+/// After the last scan, repairs may take at most this long.
+const SETTLE_MAX: Duration = Duration::from_secs(20);
+/// How often nodes are asked how they do.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+
+/// What a node tells of itself while it runs. It is counted on the thread of the demo, so that counting costs the nodes nothing.
+enum Told {
+    Scan { stamp: Stamp, report: ScanReport },
+    Event { now: Stamp, event: Event },
+    Sent { now: Stamp, bytes: usize, copies: u32 },
+}
+
+/// A robot of the demo.
+struct Member {
+    name: String,
+    stream: Stream,
+    measures: Measures,
+    snapshots: Vec<Snapshot>,
+    last_scan: Option<Stamp>,
+}
+
+/// Runs the command. Whether everything arrived and every voxel is equal.
+pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
+    let base = RobotConfig {
+        mapper: args.map.mapper()?,
+        cycle: args.map.cycle()?,
+        codec: args.codec,
+        seed: args.source.seed,
+        ..RobotConfig::new(RobotId(1), args.map.resolution()?, args.map.range)
+    };
+    if !sources::is_world(&args.scene) {
+        bail!(
+            "--scene {}: expected forest, indoor, or a .bt, .pcd, .ply, .las or .laz file",
+            args.scene.display()
+        );
+    }
+    eprintln!("making the world and planning the flights ...");
+    let sources = sources::open(std::slice::from_ref(&args.scene), &args.source, false)?;
+    let title = format!("demo: {}, over UDP sockets", sources.title);
+    let seconds = sources.robots.iter().map(|s| s.seconds_expected).fold(0.0, f64::max);
+
+    let clock = Clock::at(Stamp(0));
+    let (tell, told) = channel();
+    let (mut members, nodes) = start(sources.robots, &base, clock, &tell)?;
+    drop(tell);
+    let interrupted = fly(&mut members, &nodes, clock, &told, seconds);
+    let settle_s = settle(&mut members, &nodes, &told)?;
+    for (member, node) in members.iter_mut().zip(&nodes) {
+        let snapshot = node.with_robot(|robot, now| Snapshot::take(robot, since_begin(now)));
+        member.snapshots.extend(snapshot);
+        node.stop();
+    }
+    let mut ended = Vec::new();
+    for node in nodes {
+        ended.push(node.join().context("a node ended with an error")?);
+    }
+    told.try_iter().for_each(|news| take_in(&mut members, news));
+
+    let times = |of: fn(&flockmap_node::Timings) -> &flockmap_node::Histogram| {
+        TimeSummary::of_histograms(ended.iter().map(|e| of(&e.status.timings)))
+    };
+    let course = Course {
+        command: command_line(),
+        title,
+        record_s: last_scan(&members).micros_since(BEGIN) as f64 / 1e6,
+        settle_s,
+        interrupted,
+        t_map: times(|t| &t.insert_scan),
+        t_pack: times(|t| &t.pack),
+        t_recv2insert: times(|t| &t.receive_to_insert),
+    };
+    let settings = Settings::new(
+        &args.map,
+        args.codec,
+        "unicast",
+        "UDP sockets on the loopback of this machine, in real time".to_owned(),
+        args.source.seed,
+    );
+    let finished: Vec<Finished<'_>> = members
+        .iter()
+        .zip(&ended)
+        .map(|(member, ended)| Finished {
+            name: &member.name,
+            robot: &ended.robot,
+            measures: &member.measures,
+            snapshots: &member.snapshots,
+            scans_damaged: 0,
+        })
+        .collect();
+    let report = Report::new(course, settings, &finished)?;
+    report.print();
+    html::write(&args.out, &report)?;
+    Ok(report.is_good())
+}
+
+type Tell = Sender<(usize, Told)>;
+
+fn start(
+    robots: Vec<sources::Source>,
+    base: &RobotConfig,
+    clock: Clock,
+    tell: &Tell,
+) -> anyhow::Result<(Vec<Member>, Vec<NodeHandle>)> {
+    let options = UdpOptions::new("127.0.0.1:0".parse()?);
+    let mut sockets = Vec::new();
+    for _ in &robots {
+        sockets.push(UdpSockets::bind(&options)?);
+    }
+    let addresses = sockets.iter().map(UdpSockets::local_addr).collect::<io::Result<Vec<_>>>()?;
+    let (mut members, mut nodes) = (Vec::new(), Vec::new());
+    for (number, (source, mut sockets)) in robots.into_iter().zip(sockets).enumerate() {
+        for (_, address) in addresses.iter().enumerate().filter(|(other, _)| *other != number) {
+            sockets.add_peer(*address);
+        }
+        let config = RobotConfig { id: RobotId(number as u16 + 1), ..base.clone() };
+        let stream = Stream { origin: config.id, epoch: config.epoch };
+        let mut options = NodeOptions::new(config);
+        options.name.clone_from(&source.name);
+        options.clock = clock;
+        let frames = source.frames.map(|frame| {
+            Ok(flockmap_node::Frame { scan: frame.scan, t_map_sensor: frame.pose, points_dropped: 0 })
+        });
+        options.sensor = Sensor::Play {
+            frames: flockmap_node::Frames::new(frames),
+            speed: 1.0,
+            skip: Duration::ZERO,
+            begin: Some(BEGIN),
+        };
+        let observe = tell.clone();
+        options.observer = Some(Box::new(move |now, _robot, observation| {
+            let told = match observation {
+                Observation::Scan { scan, report } => {
+                    Told::Scan { stamp: scan.stamp, report: report.clone() }
+                }
+                Observation::Event(event) => Told::Event { now, event: event.clone() },
+                _ => return,
+            };
+            // The demo is over if nobody listens.
+            let _ = observe.send((number, told));
+        }));
+        let meter = tell.clone();
+        let make = move || Ok(Metered { inner: sockets.into_transport()?, clock, number, tell: meter });
+        nodes.push(Node::start(options, make)?);
+        members.push(Member {
+            name: source.name,
+            stream,
+            measures: Measures::new(),
+            snapshots: Vec::new(),
+            last_scan: None,
+        });
+    }
+    Ok((members, nodes))
+}
+
+/// Waits until the last robot has played its last scan. Whether Ctrl-C ended it early.
+fn fly(
+    members: &mut [Member],
+    nodes: &[NodeHandle],
+    clock: Clock,
+    told: &Receiver<(usize, Told)>,
+    seconds: f64,
+) -> bool {
+    let mut progress = Progress::new("flying", seconds.ceil() as u64);
+    let mut moments = [seconds / 3.0, seconds * 2.0 / 3.0].into_iter().peekable();
+    loop {
+        let look_at = Instant::now() + LOOK_EVERY;
+        while let Ok(news) = told.recv_timeout(look_at.saturating_duration_since(Instant::now())) {
+            take_in(members, news);
+        }
+        let flown = clock.now().micros_since(BEGIN) as f64 / 1e6;
+        if moments.next_if(|moment| *moment <= flown).is_some() {
+            for (member, node) in members.iter_mut().zip(nodes) {
+                let take = |robot: &mut flockmap::Robot, now: Stamp| Snapshot::take(robot, since_begin(now));
+                member.snapshots.extend(node.with_robot(take));
+            }
+        }
+        let statuses: Vec<_> = nodes.iter().filter_map(NodeHandle::status).collect();
+        let bytes: u64 = members.iter().map(|m| m.measures.sent.total()).sum();
+        let voxels: usize = statuses.iter().map(|s| s.map_voxels.0 + s.map_voxels.1).max().unwrap_or(0);
+        progress.say(format!(
+            "flying ({:.1} KB/s, {:.2} million voxels known)",
+            bytes as f64 / 1024.0 / flown.max(1.0),
+            voxels as f64 / 1e6
+        ));
+        progress.set(flown.clamp(0.0, seconds) as u64);
+        if stop::requested() {
+            return true;
+        }
+        if statuses.iter().all(|status| status.sensor_ended) {
+            return false;
+        }
+    }
+}
+
+/// Closes the last cycles and waits until everything has arrived everywhere. How long that took; `None` if it did not happen.
+fn settle(
+    members: &mut [Member],
+    nodes: &[NodeHandle],
+    told: &Receiver<(usize, Told)>,
+) -> anyhow::Result<Option<f64>> {
+    let began = Instant::now();
+    for node in nodes {
+        node.with_robot(|robot, now| robot.flush(now)).context("a node has ended too early")?;
+    }
+    let streams: Vec<Stream> = members.iter().map(|m| m.stream).collect();
+    while began.elapsed() < SETTLE_MAX {
+        let mut packages = Vec::new();
+        let mut held = Vec::new();
+        for node in nodes {
+            let streams = streams.clone();
+            let state = node.with_robot(move |robot, _| {
+                let held = |s: &Stream| robot.session().held(*s).map_or(0, |held| u64::from(held.prefix()));
+                (robot.counters().packages, streams.iter().map(held).collect::<Vec<_>>())
+            });
+            let (own, of_each) = state.context("a node has ended too early")?;
+            packages.push(own);
+            held.push(of_each);
+        }
+        told.try_iter().for_each(|news| take_in(members, news));
+        if held.iter().all(|of_each| of_each.iter().zip(&packages).all(|(held, packages)| held >= packages)) {
+            return Ok(Some(began.elapsed().as_secs_f64()));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Ok(None)
+}
+
+/// Counts what a node told. A node tells of a scan before it sends what came of it, so the scan is always counted first.
+fn take_in(members: &mut [Member], (number, news): (usize, Told)) {
+    // The age counts from the scan that the sender made the voxel of.
+    if let Told::Event { now, event: Event::Merged { stream, changes, .. } } = &news
+        && let Some(sender) = members.iter().position(|m| m.stream == *stream)
+        && let Ok([receiver, sender]) = members.get_disjoint_mut([number, sender])
+    {
+        receiver.measures.ages.add(*now, changes, &sender.measures.onset);
+    }
+    let Some(member) = members.get_mut(number) else { return };
+    match news {
+        Told::Scan { stamp, report } => {
+            member.measures.scan(None, &report, stamp);
+            member.last_scan = member.last_scan.max(Some(stamp));
+        }
+        Told::Event { now, event } => member.measures.event(since_begin(now), &event),
+        Told::Sent { now, bytes, copies } => {
+            member.measures.datagram_sent(since_begin(now), bytes, u64::from(copies));
+        }
+    }
+}
+
+fn since_begin(now: Stamp) -> Stamp {
+    Stamp(now.micros_since(BEGIN))
+}
+
+fn last_scan(members: &[Member]) -> Stamp {
+    members.iter().filter_map(|m| m.last_scan).max().unwrap_or(BEGIN)
+}
+
+/// UDP sockets that tell of every datagram sent.
+struct Metered<T> {
+    inner: T,
+    clock: Clock,
+    number: usize,
+    tell: Tell,
+}
+
+impl<T: Transport> Transport for Metered<T> {
+    async fn receive(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.inner.receive(buffer).await
+    }
+
+    fn note_sender(&mut self, robot: RobotId) {
+        self.inner.note_sender(robot);
+    }
+
+    async fn send(&mut self, to: Destination, bytes: &[u8]) -> Sent {
+        let sent = self.inner.send(to, bytes).await;
+        let told = Told::Sent { now: self.clock.now(), bytes: bytes.len(), copies: sent.copies };
+        // The demo is over if nobody listens.
+        let _ = self.tell.send((self.number, told));
+        sent
+    }
+}
