@@ -47,7 +47,8 @@ pub enum Observation<'a> {
     Event(&'a Event),
 }
 
-/// Called in the thread of the node with the time, the robot, and what has just happened. The node waits for it.
+/// Called in the thread of the node with the time, the robot, and what has just happened. The node waits for it, so
+/// it must not wait for the node: use the robot that is given, not the [`NodeHandle`].
 pub type Observer = Box<dyn FnMut(Stamp, &Robot, Observation<'_>) + Send>;
 
 /// Everything a node may be told.

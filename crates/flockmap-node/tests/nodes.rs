@@ -272,6 +272,14 @@ fn the_python_example_feeds_a_node() {
 }
 
 #[test]
+fn the_python_in_the_documentation_is_the_one_that_is_tested() {
+    let document = include_str!("../../../docs/sensor-input.md");
+    let (_, code) = document.split_once("```python\n").unwrap();
+    let (code, _) = code.split_once("```").unwrap();
+    assert!(include_str!("../examples/feed_sensor.py").contains(code));
+}
+
+#[test]
 fn frames_from_a_channel_are_mapped_and_the_end_of_it_ends_the_sensor() {
     let (send, receive) = tokio::sync::mpsc::channel(1);
     let options = NodeOptions {
