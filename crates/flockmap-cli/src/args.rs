@@ -126,8 +126,8 @@ pub struct MapArgs {
 #[derive(Args, Debug, Clone)]
 #[command(next_help_heading = "Simulated flights and records")]
 pub struct SourceArgs {
-    /// LiDAR of simulated robots: mid360 or avia
-    #[arg(long, value_name = "NAME", default_value_t = Lidar::Mid360)]
+    /// LiDAR of simulated robots: avia (as on the paper's robots) or mid360
+    #[arg(long, value_name = "NAME", default_value_t = Lidar::Avia)]
     pub lidar: Lidar,
     /// How far the simulated LiDAR sees, in metres; the map takes in --range of it
     #[arg(long, value_name = "M", default_value_t = 30.0)]
@@ -138,7 +138,7 @@ pub struct SourceArgs {
     /// Seed of generated worlds, flights, and of the radio
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Simulated robots
+    /// Simulated robots; `replay` of a single record cuts it by time into as many
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub robots: usize,
     /// Length of simulated flights, and where records are cut, in seconds [default: flights 60, records whole]

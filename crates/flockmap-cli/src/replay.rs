@@ -30,7 +30,13 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
         ..RobotConfig::new(RobotId(1), args.map.resolution()?, args.map.range)
     };
     base.session.validate()?;
-    let sources = sources::open(&args.records, &args.source, args.real_stamps)?;
+    let sources = match args.records.as_slice() {
+        // One robot alone has nobody to sync with.
+        [record] if !sources::is_world(record) && args.source.robots > 1 => {
+            sources::open_parts(record, &args.source)?
+        }
+        records => sources::open(records, &args.source, args.real_stamps)?,
+    };
     let link = Link {
         loss: args.loss,
         delay_micros: (args.delay_ms * 1e3) as i64,

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::{Context, bail, ensure};
 use flockmap::{Pose, Resolution, Scan, Stamp};
-use flockmap_io::{RecordOptions, open_record};
+use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_sim::{Flight, Patrol, PatrolOptions, ScanOptions, World};
 
 use crate::args::SourceArgs;
@@ -152,26 +152,60 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
     let earliest = records.iter().map(|(_, span)| span.0).min().unwrap_or_default();
     let title = records.iter().map(|(record, _)| record.name.as_str()).collect::<Vec<_>>().join(" + ");
     let robots = records.into_iter().map(|(record, (first, last))| {
-        let zero = if real_stamps { earliest } else { first };
-        let until = source.seconds.map_or(Stamp(i64::MAX), |s| first.plus_micros((s * 1e6) as i64));
-        let seconds = last.micros_since(first) as f64 / 1e6;
-        let cut = source.seconds.map_or(1.0, |s| (s / seconds.max(1e-3)).min(1.0));
-        let frames = record
-            .frames
-            .take_while(move |frame| frame.as_ref().is_ok_and(|f| f.scan.stamp <= until) || frame.is_err());
-        let frames = frames.map(move |frame| {
-            let mut frame = frame?;
-            frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(zero));
-            Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor })
-        });
-        Source {
-            name: record.name,
-            frames_expected: (record.summary.frames as f64 * cut).ceil() as u64,
-            seconds_expected: seconds * cut,
-            frames: Frames::new(frames),
-        }
+        let until = source.seconds.map_or(last, |s| last.min(first.plus_micros((s * 1e6) as i64)));
+        part(record, first, until, if real_stamps { earliest } else { first })
     });
     Ok(Sources { robots: robots.collect(), title })
+}
+
+/// One record as `--robots` robots: cut into as many parts of equal time, which all begin at 0. A swarm on a single recording.
+pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
+    let parts = source.robots as i64;
+    ensure!((1..=100).contains(&parts), "--robots is {parts}, expected 1 to 100");
+    let mut robots = Vec::new();
+    for number in 0..parts {
+        // Each part reads the file for itself: only what is flown is held.
+        let mut sources = open_records(&[path.to_path_buf()], source, false)?;
+        let Some(whole) = sources.robots.pop() else { continue };
+        let at = |number: i64| Stamp((whole.seconds_expected * 1e6) as i64 * number / parts);
+        let (from, until) = (at(number), if number + 1 == parts { Stamp(i64::MAX) } else { at(number + 1) });
+        let frames = whole
+            .frames
+            .skip_while(move |frame| frame.scan.stamp < from)
+            .take_while(move |frame| frame.scan.stamp < until)
+            .map(move |mut frame| {
+                frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(from));
+                Ok(frame)
+            });
+        robots.push(Source {
+            name: format!("{}, part {}", whole.name, number + 1),
+            frames_expected: whole.frames_expected / parts as u64,
+            seconds_expected: whole.seconds_expected / parts as f64,
+            frames: Frames::new(frames),
+        });
+    }
+    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+    Ok(Sources { robots, title: format!("{name}, cut by time into {parts} robots") })
+}
+
+/// The frames of a record up to a time, with stamps that count from `zero`.
+fn part(record: Record, first: Stamp, until: Stamp, zero: Stamp) -> Source {
+    let whole = record.summary.span.map_or(0, |(first, last)| last.micros_since(first)).max(1);
+    let micros = until.micros_since(first);
+    let frames = record
+        .frames
+        .take_while(move |frame| frame.as_ref().is_ok_and(|f| f.scan.stamp <= until) || frame.is_err());
+    let frames = frames.map(move |frame| {
+        let mut frame = frame?;
+        frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(zero));
+        Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor })
+    });
+    Source {
+        name: record.name,
+        frames_expected: (record.summary.frames as f64 * micros as f64 / whole as f64).ceil() as u64,
+        seconds_expected: micros as f64 / 1e6,
+        frames: Frames::new(frames),
+    }
 }
 
 fn fly(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
