@@ -58,7 +58,7 @@ each record is one robot. In place of records one world can be named: forest, in
 then --robots simulated robots fly through it. The same command gives the same bytes every time.
 Exit code 1 if any two robots disagree on a voxel, or packages are missing at the end.")]
     Replay(ReplayArgs),
-    /// Measure codecs
+    /// Measure codecs, or the mapper
     #[command(subcommand)]
     Bench(BenchCommand),
     /// Look into a record, a map, a point cloud, or a map package
@@ -95,7 +95,14 @@ Examples:
 A method is a codec (raw, nested-zlib, paper, racer), which codes each cycle as one package, or a codec with
 `-datagrams`, which cuts each cycle into packages of at most 1,150 bytes, each useful on its own.
 Exit code 1 if any method gets a voxel wrong.")]
-    Codecs(BenchCodecsArgs),
+    Codecs(Box<BenchCodecsArgs>),
+    /// The mapper beside OctoMap, on the same scans
+    #[command(after_help = "\
+Example:
+  flockmap bench mapping --scans 40
+
+Needs a C++ compiler and Debian's liboctomap-dev for the OctoMap half; without them that half is skipped with a word.")]
+    Mapping(BenchMappingArgs),
 }
 
 /// How robots map and pack.
@@ -259,6 +266,31 @@ pub struct BenchCodecsArgs {
     pub map: MapArgs,
     #[command(flatten)]
     pub source: SourceArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct BenchMappingArgs {
+    /// World to fly through: forest, indoor, or a world file
+    #[arg(long, value_name = "SCENE", default_value = "forest")]
+    pub scene: PathBuf,
+    /// Scans to map
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    pub scans: usize,
+    /// Side of a voxel in metres
+    #[arg(long, value_name = "M", default_value_t = 0.1)]
+    pub resolution: f64,
+    /// Rays longer than this many metres are cut there
+    #[arg(long, value_name = "M", default_value_t = 7.0)]
+    pub range: f64,
+    /// LiDAR: mid360 or avia
+    #[arg(long, value_name = "NAME", default_value_t = Lidar::Mid360)]
+    pub lidar: Lidar,
+    /// Seed of the world and of the flight
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Write the table as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
 }
 
 #[derive(Args, Debug)]

@@ -4,6 +4,7 @@
 
 mod args;
 mod bench_codecs;
+mod bench_mapping;
 mod chart;
 mod demo;
 mod export;
@@ -40,6 +41,7 @@ fn main() -> ExitCode {
     }
     let result = match &cli.command {
         Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
+        Command::Bench(BenchCommand::Mapping(args)) => bench_mapping::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),

@@ -141,6 +141,28 @@ fn bench_codecs_puts_the_methods_in_their_order() {
 }
 
 #[test]
+fn the_mapper_makes_the_same_map_as_octomap() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mapping.json");
+    let text = good(&format!(
+        "bench mapping --scene indoor --scans 2 --resolution 0.2 --range 5 --json {}",
+        path.display()
+    ));
+    let output = json(&path);
+    assert_eq!(output["scans"], 2);
+    if let Some(reason) = output["octomap_skipped"].as_str() {
+        assert!(text.contains("OctoMap skipped"), "{text}");
+        eprintln!("skipped: {reason}");
+        return;
+    }
+    let differences = &output["differences"];
+    let (known, equal) = (differences["known"].as_f64().unwrap(), differences["equal"].as_f64().unwrap());
+    // Rounding may put a ray on the other side of an edge.
+    assert!(known > 10_000.0 && equal / known > 0.999, "{differences}");
+    assert_eq!(output["mappers"].as_array().unwrap().len(), 4);
+}
+
+#[test]
 fn a_record_can_be_looked_into_mapped_exported_and_converted() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
