@@ -108,7 +108,7 @@ fn bench_codecs_puts_the_methods_in_their_order() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("codecs.json");
     good(&format!(
-        "bench codecs forest --robots 1 --resolution 0.2 --range 7 --seconds 2 --json {}",
+        "bench codecs forest --lidar mid360 --robots 1 --resolution 0.2 --range 7 --seconds 2 --json {}",
         path.display()
     ));
     let output = json(&path);
