@@ -54,7 +54,7 @@ Examples:
   flockmap replay forest --loss 0.3 --budget-kb-s 40
 
 A RECORD is an .mcap (PointCloud2 with odometry or tf), or a folder with Scans/*.pcd, a KITTI pose file and times.txt;
-each record is one robot. In place of records one world can be named: forest, indoor, or a .bt, .pcd, .ply, .las or .laz file;
+each record is one robot; a single record is cut by time into --robots robots. In place of records one world can be named: forest, indoor, or a .bt, .pcd, .ply, .las or .laz file;
 then --robots simulated robots fly through it. The same command gives the same bytes every time.
 Exit code 1 if any two robots disagree on a voxel, or packages are missing at the end.")]
     Replay(ReplayArgs),

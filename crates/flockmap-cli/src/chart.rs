@@ -15,7 +15,7 @@ const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 300.0;
 const LEFT: f64 = 64.0;
 const RIGHT: f64 = 12.0;
-const TOP: f64 = 12.0;
+const TOP: f64 = 20.0;
 const BOTTOM: f64 = 48.0;
 
 /// KB in each second on a logarithmic axis, so that lines a factor of ten apart can both be read. A second with nothing lies on the
@@ -36,8 +36,8 @@ pub fn kb_per_second(lines: &[Line<'_>]) -> String {
         "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"KB sent in each second\">"
     );
     for decade in floor as i32..=top as i32 {
-        let value = 10f64.powi(decade);
-        let at = y(value);
+        let at = y(10f64.powi(decade));
+        let value = label(decade);
         let _ = write!(
             svg,
             "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text class=\"axis end\" x=\"{}\" y=\"{:.1}\">{value}</text>",
@@ -78,6 +78,11 @@ pub fn kb_per_second(lines: &[Line<'_>]) -> String {
     svg
 }
 
+/// A power of ten in few characters: 0.1, 100, 10k.
+fn label(decade: i32) -> String {
+    if decade < 3 { 10f64.powi(decade).to_string() } else { format!("{}k", 10f64.powi(decade - 3)) }
+}
+
 /// 1, 2 or 5 times a power of ten, not below the width.
 fn step_of(width: f64) -> f64 {
     let power = 10f64.powf(width.max(1.0).log10().floor());
@@ -91,6 +96,11 @@ mod tests {
     #[test]
     fn ticks_are_round() {
         assert_eq!([0.3, 1.0, 1.5, 7.0, 43.0, 51.0].map(step_of), [1.0, 1.0, 2.0, 10.0, 50.0, 100.0]);
+    }
+
+    #[test]
+    fn labels_are_short() {
+        assert_eq!([-1, 0, 2, 3, 4, 6].map(label), ["0.1", "1", "100", "1k", "10k", "1000k"]);
     }
 
     #[test]

@@ -66,7 +66,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     let (mut members, nodes) = start(sources.robots, &base, clock, &tell)?;
     drop(tell);
     let interrupted = fly(&mut members, &nodes, clock, &told, seconds);
-    let settle_s = settle(&mut members, &nodes, &told)?;
+    let arrived = settle(&mut members, &nodes, clock, &told)?;
     for (member, node) in members.iter_mut().zip(&nodes) {
         let snapshot = node.with_robot(|robot, now| Snapshot::take(robot, since_begin(now)));
         member.snapshots.extend(snapshot);
@@ -85,7 +85,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
         command: command_line(),
         title,
         record_s: last_scan(&members).micros_since(BEGIN) as f64 / 1e6,
-        settle_s,
+        settle_s: arrived.map(|at| at.micros_since(last_scan(&members)).max(0) as f64 / 1e6),
         interrupted,
         t_map: times(|t| &t.insert_scan),
         t_pack: times(|t| &t.pack),
@@ -214,12 +214,14 @@ fn fly(
     }
 }
 
-/// Closes the last cycles and waits until everything has arrived everywhere. How long that took; `None` if it did not happen.
+/// Closes the last cycles and waits until everything has arrived everywhere. When it had; `None` if it did not
+/// happen.
 fn settle(
     members: &mut [Member],
     nodes: &[NodeHandle],
+    clock: Clock,
     told: &Receiver<(usize, Told)>,
-) -> anyhow::Result<Option<f64>> {
+) -> anyhow::Result<Option<Stamp>> {
     let began = Instant::now();
     for node in nodes {
         node.with_robot(|robot, now| robot.flush(now)).context("a node has ended too early")?;
@@ -240,7 +242,7 @@ fn settle(
         }
         told.try_iter().for_each(|news| take_in(members, news));
         if held.iter().all(|of_each| of_each.iter().zip(&packages).all(|(held, packages)| held >= packages)) {
-            return Ok(Some(began.elapsed().as_secs_f64()));
+            return Ok(Some(clock.now()));
         }
         std::thread::sleep(Duration::from_millis(20));
     }

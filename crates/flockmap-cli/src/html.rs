@@ -37,9 +37,12 @@ fn page(report: &Report) -> String {
     }
     page += &headline(report);
     page += "<section><h2>Bytes over time</h2><p class=\"note\">KB that all robots together sent in each second; the axis is logarithmic.</p>";
+    // The last second is a part of one: it would look like a drop.
+    let whole =
+        |values: &'_ [f64]| values[..values.len().min((report.record_s.floor() as usize).max(2))].to_vec();
     page += &chart::kb_per_second(&[
-        Line { name: "Flockmap, all robots", class: "ours", values: &report.kb_per_second },
-        Line { name: "RACER, the same changes", class: "racer", values: &report.racer_kb_per_second },
+        Line { name: "Flockmap, all robots", class: "ours", values: &whole(&report.kb_per_second) },
+        Line { name: "RACER, the same changes", class: "racer", values: &whole(&report.racer_kb_per_second) },
     ]);
     page += "</section>";
     page += &maps(report);
