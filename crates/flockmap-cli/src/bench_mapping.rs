@@ -30,7 +30,7 @@ struct Output {
     resolution_m: f64,
     range_m: f64,
     scans: usize,
-    points_per_scan: f64,
+    rays_per_scan: f64,
     mappers: Vec<Row>,
     /// Why OctoMap did not take part.
     octomap_skipped: Option<String>,
@@ -77,7 +77,7 @@ pub fn run(args: &BenchMappingArgs) -> anyhow::Result<bool> {
         .with_context(|| format!("--resolution is {}, expected 0.001 to 100 m", args.resolution))?;
     ensure!((1..=100_000).contains(&args.scans), "--scans is {}, expected 1 to 100,000", args.scans);
     let frames = fly(args)?;
-    let points: usize = frames.iter().map(|frame| frame.scan.points.len()).sum();
+    let rays: usize = frames.iter().map(|frame| frame.scan.points.len() + frame.scan.no_returns.len()).sum();
     let presets = [Preset::RogMap, Preset::Racer, Preset::OctoMap];
     let mut results = Vec::new();
     for preset in presets {
@@ -100,7 +100,7 @@ pub fn run(args: &BenchMappingArgs) -> anyhow::Result<bool> {
         resolution_m: args.resolution,
         range_m: args.range,
         scans: frames.len(),
-        points_per_scan: points as f64 / frames.len().max(1) as f64,
+        rays_per_scan: rays as f64 / frames.len().max(1) as f64,
         mappers,
         octomap_skipped,
         differences,
@@ -122,7 +122,8 @@ fn fly(args: &BenchMappingArgs) -> anyhow::Result<Vec<Frame>> {
     let duration_s = (args.scans as f64 / 10.0).max(0.1);
     let options = PatrolOptions { duration_s, ..PatrolOptions::default() };
     let patrol = Patrol::plan(&world, 1, args.seed, &options)?.into_iter().next().context("no flight")?;
-    let scan = ScanOptions { range_m: LIDAR_RANGE_M, ..ScanOptions::default() };
+    // Every beam counts, also one that meets nothing: a scan is then as large as the LiDAR makes it.
+    let scan = ScanOptions { range_m: LIDAR_RANGE_M, no_returns: true, ..ScanOptions::default() };
     let frames: Vec<Frame> = Flight::new(world, args.lidar, scan, patrol).take(args.scans).collect();
     ensure!(!frames.is_empty(), "the flight has no scan");
     Ok(frames)
@@ -228,8 +229,9 @@ fn write_scans(path: &Path, frames: &[Frame]) -> anyhow::Result<()> {
             point.iter().try_for_each(|v| out.write_all(&(*v as f32).to_le_bytes()))
         };
         write(frame.t_map_sensor.translation())?;
-        out.write_all(&(frame.scan.points.len() as u32).to_le_bytes())?;
-        for point in &frame.scan.points {
+        out.write_all(&((frame.scan.points.len() + frame.scan.no_returns.len()) as u32).to_le_bytes())?;
+        // OctoMap cuts what lies beyond the range by itself.
+        for point in frame.scan.points.iter().chain(&frame.scan.no_returns) {
             let point = frame.t_map_sensor.transform(point.map(f64::from));
             point.iter().try_for_each(|v| out.write_all(&(*v as f32).to_le_bytes()))?;
         }
@@ -269,8 +271,8 @@ fn compare(ours: &Changes, theirs: &Changes) -> Differences {
 
 fn print(output: &Output) {
     println!(
-        "{}: {} scans of {} ({:.0} points each), {} m voxels, {} m range\n",
-        output.scene, output.scans, output.lidar, output.points_per_scan, output.resolution_m, output.range_m
+        "{}: {} scans of {} ({:.0} rays each), {} m voxels, {} m range\n",
+        output.scene, output.scans, output.lidar, output.rays_per_scan, output.resolution_m, output.range_m
     );
     let mut table = Table::new([
         "mapper",

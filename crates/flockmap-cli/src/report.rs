@@ -392,6 +392,9 @@ impl Report {
     pub fn verdict(&self) -> String {
         let settled = match self.settle_s {
             Some(seconds) => format!("everything had arrived {seconds:.2} s after the last scan"),
+            None if self.interrupted => {
+                return "ended early by Ctrl-C; not everything had arrived by then".to_owned();
+            }
             None => "not everything had arrived when the run ended".to_owned(),
         };
         if self.is_good() {
