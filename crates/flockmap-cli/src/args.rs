@@ -136,9 +136,10 @@ pub struct SourceArgs {
     /// LiDAR of simulated robots: avia (as on the paper's robots) or mid360
     #[arg(long, value_name = "NAME", default_value_t = Lidar::Avia)]
     pub lidar: Lidar,
-    /// How far the simulated LiDAR sees, in metres; the map takes in --range of it
-    #[arg(long, value_name = "M", default_value_t = 30.0)]
-    pub lidar_range: f64,
+    /// How far the simulated LiDAR sees, in metres. Returns from beyond --range carve free space up to there
+    /// [default: --range, as in the paper's simulation: what is farther gives no return]
+    #[arg(long, value_name = "M")]
+    pub lidar_range: Option<f64>,
     /// Rays of the simulated LiDAR that hit nothing carve free space too
     #[arg(long)]
     pub no_returns: bool,

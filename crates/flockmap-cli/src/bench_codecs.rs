@@ -172,7 +172,7 @@ impl Bench {
 pub fn run(args: &BenchCodecsArgs) -> anyhow::Result<bool> {
     let (resolution, cycle_config, mapper_config) =
         (args.map.resolution()?, args.map.cycle()?, args.map.mapper()?);
-    let sources = sources::open(&args.records, &args.source, false)?;
+    let sources = sources::open(&args.records, &args.source, args.map.range, false)?;
     let methods = if args.codec.is_empty() { default_methods() } else { args.codec.clone() };
     let mut benches: Vec<Bench> = methods.into_iter().map(Bench::new).collect();
     let expected = sources.robots.iter().map(|source| source.frames_expected).sum();

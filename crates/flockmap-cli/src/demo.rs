@@ -57,7 +57,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
         );
     }
     eprintln!("making the world and planning the flights ...");
-    let sources = sources::open(std::slice::from_ref(&args.scene), &args.source, false)?;
+    let sources = sources::open(std::slice::from_ref(&args.scene), &args.source, args.map.range, false)?;
     let title = format!("demo: {}, over UDP sockets", sources.title);
     let seconds = sources.robots.iter().map(|s| s.seconds_expected).fold(0.0, f64::max);
 

@@ -46,7 +46,7 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<bool> {
 /// The map that a record, or a simulated flight, makes.
 fn map_sources(args: &ExportArgs) -> anyhow::Result<Changes> {
     let mut mapper = Mapper::new(args.map.mapper()?)?;
-    let sources = sources::open(std::slice::from_ref(&args.file), &args.source, false)?;
+    let sources = sources::open(std::slice::from_ref(&args.file), &args.source, args.map.range, false)?;
     let mut progress =
         Progress::new("scans", sources.robots.iter().map(|source| source.frames_expected).sum());
     // Several simulated robots share one frame, so one map holds what all have seen.

@@ -35,7 +35,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
         [record] if !sources::is_world(record) && args.source.robots > 1 => {
             sources::open_parts(record, &args.source)?
         }
-        records => sources::open(records, &args.source, args.real_stamps)?,
+        records => sources::open(records, &args.source, args.map.range, args.real_stamps)?,
     };
     let link = Link {
         loss: args.loss,

@@ -98,14 +98,19 @@ pub struct Sources {
 const FLIGHT_SECONDS: f64 = 60.0;
 
 /// Opens the records, or the one world, that the command line names. Stamps begin at 0 for each record; with `real_stamps`, at 0 for
-/// the earliest.
-pub fn open(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> anyhow::Result<Sources> {
+/// the earliest. A simulated LiDAR sees `range_m` far, if nothing else is said.
+pub fn open(
+    paths: &[PathBuf],
+    source: &SourceArgs,
+    range_m: f64,
+    real_stamps: bool,
+) -> anyhow::Result<Sources> {
     ensure!(
         source.seconds.is_none_or(|s| s > 0.0 && s <= 86_400.0),
         "--seconds must be more than 0 and at most 86,400"
     );
     match paths {
-        [path] if is_world(path) => fly(path, source),
+        [path] if is_world(path) => fly(path, source, range_m),
         _ => {
             if let Some(world) = paths.iter().find(|path| is_world(path)) {
                 bail!(
@@ -208,19 +213,19 @@ fn part(record: Record, first: Stamp, until: Stamp, zero: Stamp) -> Source {
     }
 }
 
-fn fly(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
+fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources> {
     let world = Arc::new(open_world(path, source)?);
     let seconds = source.seconds.unwrap_or(FLIGHT_SECONDS);
     let options = PatrolOptions { duration_s: seconds, speed_m_s: source.speed, ..PatrolOptions::default() };
     let patrols = Patrol::plan(&world, source.robots, source.seed, &options)
         .with_context(|| format!("no flight for {} robots through {}", source.robots, path.display()))?;
+    let lidar_range_m = source.lidar_range.unwrap_or(range_m);
     ensure!(
-        source.lidar_range > 0.0 && source.lidar_range <= 1_000.0,
-        "--lidar-range is {}, expected more than 0 and at most 1,000 m",
-        source.lidar_range
+        lidar_range_m > 0.0 && lidar_range_m <= 1_000.0,
+        "the LiDAR sees {lidar_range_m} m far, expected more than 0 and at most 1,000 m (--lidar-range, else --range)"
     );
     let scan =
-        ScanOptions { range_m: source.lidar_range, no_returns: source.no_returns, ..ScanOptions::default() };
+        ScanOptions { range_m: lidar_range_m, no_returns: source.no_returns, ..ScanOptions::default() };
     let robots = patrols.into_iter().enumerate().map(|(number, patrol)| {
         let flight = Flight::new(Arc::clone(&world), source.lidar, scan, patrol);
         let frames_expected = flight.len() as u64;

@@ -228,7 +228,7 @@ fn what_cannot_work_is_said() {
         ("replay no-such.mcap", "no-such.mcap"),
         ("replay forest --loss 1.5", "--loss is 1.5"),
         ("replay forest --resolution 0", "--resolution is 0"),
-        ("replay forest --range=-1", "range_m"),
+        ("replay forest --range=-1", "--range"),
         ("replay forest other.mcap", "forest is a world"),
         ("replay forest --robots 999", "999"),
         ("replay forest --t-l 0", "--t-l is 0"),
