@@ -144,21 +144,13 @@ pub fn record_options(source: &SourceArgs) -> RecordOptions {
 }
 
 fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> anyhow::Result<Sources> {
-    let options = record_options(source);
-    let mut records = Vec::new();
-    for path in paths {
-        let record = open_record(path, &options)?;
-        let Some(span) = record.summary.span else { bail!("{}: no scan with a pose", path.display()) };
-        for damage in &record.summary.damages {
-            eprintln!("warning: {damage}");
-        }
-        records.push((record, span));
-    }
-    let earliest = records.iter().map(|(_, span)| span.0).min().unwrap_or_default();
+    let records: Vec<(Record, [Stamp; 2])> =
+        paths.iter().map(|path| open_spanned(path, source)).collect::<anyhow::Result<_>>()?;
+    let earliest = records.iter().map(|(_, [first, _])| *first).min().unwrap_or_default();
     let title = records.iter().map(|(record, _)| record.name.as_str()).collect::<Vec<_>>().join(" + ");
-    let robots = records.into_iter().map(|(record, (first, last))| {
-        let until = source.seconds.map_or(last, |s| last.min(first.plus_micros((s * 1e6) as i64)));
-        part(record, first, until, if real_stamps { earliest } else { first })
+    let robots = records.into_iter().map(|(record, [first, last])| {
+        let name = record.name.clone();
+        part(record, name, first, last, if real_stamps { earliest } else { first })
     });
     Ok(Sources { robots: robots.collect(), title })
 }
@@ -170,45 +162,46 @@ pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
     let mut robots = Vec::new();
     for number in 0..parts {
         // Each part reads the file for itself: only what is flown is held.
-        let mut sources = open_records(&[path.to_path_buf()], source, false)?;
-        let Some(whole) = sources.robots.pop() else { continue };
-        let at = |number: i64| Stamp((whole.seconds_expected * 1e6) as i64 * number / parts);
-        let (from, until) = (at(number), if number + 1 == parts { Stamp(i64::MAX) } else { at(number + 1) });
-        let frames = whole
-            .frames
-            .skip_while(move |frame| frame.scan.stamp < from)
-            .take_while(move |frame| frame.scan.stamp < until)
-            .map(move |mut frame| {
-                frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(from));
-                Ok(frame)
-            });
-        robots.push(Source {
-            name: format!("{}, part {}", whole.name, number + 1),
-            frames_expected: whole.frames_expected / parts as u64,
-            seconds_expected: whole.seconds_expected / parts as f64,
-            frames: Frames::new(frames),
-        });
+        let (record, [first, last]) = open_spanned(path, source)?;
+        let micros = last.micros_since(first) + 1;
+        let from = first.plus_micros(micros * number / parts);
+        let until = first.plus_micros(micros * (number + 1) / parts - 1);
+        let name = format!("{}, part {}", record.name, number + 1);
+        robots.push(part(record, name, from, until, from));
     }
     let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
     Ok(Sources { robots, title: format!("{name}, cut by time into {parts} robots") })
 }
 
-/// The frames of a record up to a time, with stamps that count from `zero`.
-fn part(record: Record, first: Stamp, until: Stamp, zero: Stamp) -> Source {
-    let whole = record.summary.span.map_or(0, |(first, last)| last.micros_since(first)).max(1);
-    let micros = until.micros_since(first);
+/// A record, and the stamps of its first scan and of the last one that is wanted.
+fn open_spanned(path: &Path, source: &SourceArgs) -> anyhow::Result<(Record, [Stamp; 2])> {
+    let record = open_record(path, &record_options(source))?;
+    let Some((first, last)) = record.summary.span else { bail!("{}: no scan with a pose", path.display()) };
+    for damage in &record.summary.damages {
+        eprintln!("warning: {damage}");
+    }
+    let last = source.seconds.map_or(last, |s| last.min(first.plus_micros((s * 1e6) as i64)));
+    Ok((record, [first, last]))
+}
+
+/// The frames of a record from one time to another, both included, with stamps that count from `zero`.
+fn part(record: Record, name: String, from: Stamp, until: Stamp, zero: Stamp) -> Source {
+    let (first, last) = record.summary.span.unwrap_or((from, until));
+    let share = until.micros_since(from) as f64 / last.micros_since(first).max(1) as f64;
     let frames = record
         .frames
-        .take_while(move |frame| frame.as_ref().is_ok_and(|f| f.scan.stamp <= until) || frame.is_err());
-    let frames = frames.map(move |frame| {
-        let mut frame = frame?;
-        frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(zero));
-        Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor })
-    });
+        // A damaged scan belongs to the part that is being read, so it is counted once.
+        .skip_while(move |frame| frame.as_ref().map_or(from > first, |f| f.scan.stamp < from))
+        .take_while(move |frame| frame.as_ref().map_or(true, |f| f.scan.stamp <= until))
+        .map(move |frame| {
+            let mut frame = frame?;
+            frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(zero));
+            Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor })
+        });
     Source {
-        name: record.name,
-        frames_expected: (record.summary.frames as f64 * micros as f64 / whole as f64).ceil() as u64,
-        seconds_expected: micros as f64 / 1e6,
+        name,
+        frames_expected: (record.summary.frames as f64 * share).ceil() as u64,
+        seconds_expected: until.micros_since(from) as f64 / 1e6,
         frames: Frames::new(frames),
     }
 }
