@@ -41,34 +41,12 @@ pub(crate) struct Leaf<'t> {
     steps: &'t [u8],
     /// Index difference of each step number. Two of the eight are not used; so no step can be out of range.
     strides: [usize; 8],
-    /// The sides of the piece.
-    sides: [Axis; 3],
 }
 
 impl Leaf<'_> {
     /// Number of voxels.
     pub(crate) fn len(&self) -> usize {
         self.steps.len() + 1
-    }
-
-    /// Whether every voxel of the piece has this code in `codes`. Reads row by row, not along the walk, so it
-    /// costs a fraction of the walk.
-    pub(crate) fn is_all(&self, codes: &[u8], code: u8) -> bool {
-        let mut sides = self.sides.map(|side| (side.stride.unsigned_abs(), side.len));
-        let low = self.sides.iter().fold(self.first as isize, |low, side| low + side.end().min(0));
-        // The side with the least stride is the row; one of a single voxel has no stride.
-        sides.sort_by_key(|&(stride, len)| (len == 1, stride));
-        let [(stride, len), (stride_b, len_b), (stride_c, len_c)] = sides;
-        let wanted = u64::from_le_bytes([code; 8]);
-        (0..len_c).all(|c| {
-            (0..len_b).all(|b| {
-                let row = codes.get(low as usize + c * stride_c + b * stride_b..).unwrap_or_default();
-                match row.first_chunk::<8>() {
-                    Some(row) if (stride, len) == (1, 8) => u64::from_le_bytes(*row) == wanted,
-                    _ => row.iter().step_by(stride.max(1)).take(len).all(|found| *found == code),
-                }
-            })
-        })
     }
 
     /// Calls `visit` with the linear index of each voxel in turn.
@@ -179,7 +157,7 @@ impl<V: FnMut(Leaf<'_>)> Walker<'_, '_, V> {
     fn leaf(&mut self, from: isize, steps: &[u8], a: Axis, b: Axis, c: Axis) {
         let strides =
             [a.stride, -a.stride, b.stride, -b.stride, c.stride, -c.stride, 0, 0].map(|s| s as usize);
-        (self.visit)(Leaf { first: from as usize, steps, strides, sides: [a, b, c] });
+        (self.visit)(Leaf { first: from as usize, steps, strides });
     }
 
     fn divide(&mut self, from: isize, a: Axis, b: Axis, c: Axis) {

@@ -68,17 +68,13 @@ pub(crate) fn encode(
     let size = region.size().map(|side| side as usize);
     sequence.clear();
     if codec == Codec::Paper {
-        sequence.resize(codes.len(), others.code());
+        sequence.resize(codes.len(), 0);
         let mut rest = sequence.as_mut_slice();
         walk(size, |leaf| {
             let Some((part, after)) = core::mem::take(&mut rest).split_at_mut_checked(leaf.len()) else {
                 return;
             };
             rest = after;
-            // Most pieces hold no change.
-            if leaf.is_all(codes, others.code()) {
-                return;
-            }
             let mut part = part.iter_mut();
             leaf.for_each(|index| {
                 if let (Some(to), Some(code)) = (part.next(), codes.get(index)) {
@@ -145,9 +141,6 @@ pub(crate) fn decode(
         walk(size, |leaf| {
             let Some((part, after)) = rest.split_at_checked(leaf.len()) else { return };
             rest = after;
-            if part.iter().all(|code| *code == others.code()) {
-                return;
-            }
             let mut part = part.iter();
             leaf.for_each(|index| {
                 if let (Some(code), Some(to)) = (part.next(), codes.get_mut(index)) {
