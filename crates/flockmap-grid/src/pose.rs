@@ -20,14 +20,16 @@ impl Pose {
     /// The transform that changes nothing.
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
-    /// From a translation in metres and a rotation as a quaternion `[x, y, z, w]`, which is normalised.
+    /// From a translation in metres and a rotation as a quaternion `[x, y, z, w]`, which is normalised unless its length
+    /// is 1 within rounding: so a pose that was taken apart comes back bit for bit.
     /// `None` if a number is not finite or the quaternion is (nearly) zero.
     pub fn new(translation: [f64; 3], quaternion_xyzw: [f64; 4]) -> Option<Self> {
         let rotation = DQuat::from_array(quaternion_xyzw);
         let translation = DVec3::from_array(translation);
         let length = rotation.length();
+        let is_unit = (rotation.length_squared() - 1.0).abs() <= 8.0 * f64::EPSILON;
         (translation.is_finite() && length.is_finite() && length > 1e-6)
-            .then(|| Self { rotation: rotation.normalize(), translation })
+            .then(|| Self { rotation: if is_unit { rotation } else { rotation.normalize() }, translation })
     }
 
     /// A translation in metres alone.
@@ -118,6 +120,16 @@ mod tests {
         let b = Pose::from_rows([x[0], x[1], x[2], t[0], y[0], y[1], y[2], t[1], z[0], z[1], z[2], t[2]])
             .unwrap();
         assert!(near(a.transform([1.0, 2.0, 3.0]), b.transform([1.0, 2.0, 3.0])));
+    }
+
+    #[test]
+    fn a_pose_taken_apart_comes_back_bit_for_bit() {
+        let mut pose = Pose::new([1.0, -2.0, 3.0], [0.1, 0.2, -0.3, 0.9]).unwrap();
+        for step in 0..1_000 {
+            let turn = Pose::from_yaw([0.1, 0.0, 0.01], f64::from(step) * 0.37 - 1.0);
+            pose = pose.compose(&turn).inverse();
+            assert_eq!(Pose::new(pose.translation(), pose.quaternion_xyzw()), Some(pose));
+        }
     }
 
     #[test]

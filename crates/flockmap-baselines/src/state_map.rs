@@ -1,0 +1,55 @@
+//! A map of states alone: what a receiver makes of messages without stamps.
+
+use flockmap_grid::{BlockIndex, Changes, State, StateBlock, Voxel, voxel_bit};
+use rustc_hash::FxHashMap;
+
+use crate::ReceiveError;
+
+/// Most blocks that a map of states holds, 2²¹: about 340 MB, room for a million cubic metres at 0.1 m voxels.
+pub const BLOCKS_MAX: usize = 1 << 21;
+
+/// States by block; what is told last holds. At most [`BLOCKS_MAX`] blocks.
+#[derive(Clone, Debug, Default)]
+pub struct StateMap {
+    blocks: FxHashMap<BlockIndex, StateBlock>,
+}
+
+impl StateMap {
+    /// Takes over what is known in `newer`; the other voxels of the block stay.
+    ///
+    /// # Errors
+    /// [`ReceiveError::MapTooLarge`] if there is no room for one more block.
+    pub fn overlay(&mut self, index: BlockIndex, newer: &StateBlock) -> Result<(), ReceiveError> {
+        if newer.is_empty() {
+            return Ok(());
+        }
+        if self.blocks.len() >= BLOCKS_MAX && !self.blocks.contains_key(&index) {
+            return Err(ReceiveError::MapTooLarge { blocks_max: BLOCKS_MAX });
+        }
+        self.blocks.entry(index).or_default().overlay(newer);
+        Ok(())
+    }
+
+    /// Takes over all changes.
+    ///
+    /// # Errors
+    /// As for [`Self::overlay`].
+    pub fn apply(&mut self, changes: &Changes) -> Result<(), ReceiveError> {
+        changes.blocks().iter().try_for_each(|(index, block)| self.overlay(*index, block))
+    }
+
+    /// State of a voxel.
+    pub fn state(&self, voxel: Voxel) -> State {
+        self.blocks.get(&voxel.block()).map_or(State::Unknown, |block| block.get(voxel_bit(voxel)))
+    }
+
+    /// The states of a block; nothing known, if there is none.
+    pub fn block(&self, index: BlockIndex) -> StateBlock {
+        self.blocks.get(&index).copied().unwrap_or_default()
+    }
+
+    /// All blocks, in no order.
+    pub fn blocks(&self) -> impl Iterator<Item = (BlockIndex, StateBlock)> + '_ {
+        self.blocks.iter().map(|(index, block)| (*index, *block))
+    }
+}
