@@ -8,6 +8,7 @@ use flockmap::grid::Preset;
 use flockmap_sim::Lidar;
 
 use crate::bench_codecs::Method;
+use crate::bench_random::BenchRandomArgs;
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
 #[derive(Parser, Debug)]
@@ -103,6 +104,15 @@ Example:
 
 Needs a C++ compiler and Debian's liboctomap-dev for the OctoMap half; without them that half is skipped with a word.")]
     Mapping(BenchMappingArgs),
+    /// Changes drawn at random, beside the entropy limit: the paper's Fig. 5
+    #[command(after_help = "\
+Examples:
+  flockmap bench random --quick
+  flockmap bench random --out fig5/ --csv fig5.csv
+
+Four maps whose voxels need addresses of 2, 3, 3 and 4 bytes, shares of 0.0001 to 1, ten draws each.
+Exit code 1 if any codec gets a voxel wrong.")]
+    Random(BenchRandomArgs),
 }
 
 /// How robots map and pack.

@@ -25,11 +25,7 @@ pub fn write(folder: &Path, report: &Report) -> anyhow::Result<()> {
 /// The page.
 fn page(report: &Report) -> String {
     let title = escape(&report.title);
-    let mut page = format!(
-        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
-         <meta name=\"color-scheme\" content=\"light dark\"><title>Flockmap: {title}</title><style>{STYLE}</style></head><body><main>\
-         <header><h1>Flockmap</h1><p class=\"title\">{title}</p></header>"
-    );
+    let mut page = head(&title);
     let verdict_class = if report.is_good() { "good" } else { "bad" };
     page += &format!("<p class=\"verdict {verdict_class}\">{}</p>", escape(&report.verdict()));
     if report.interrupted {
@@ -41,19 +37,33 @@ fn page(report: &Report) -> String {
     let whole =
         |values: &'_ [f64]| values[..values.len().min((report.record_s.floor() as usize).max(2))].to_vec();
     page += &chart::kb_per_second(&[
-        Line { name: "Flockmap, all robots", class: "ours", values: &whole(&report.kb_per_second) },
-        Line { name: "RACER, the same changes", class: "racer", values: &whole(&report.racer_kb_per_second) },
+        Line::per_second("Flockmap, all robots", "ours", &whole(&report.kb_per_second)),
+        Line::per_second("RACER, the same changes", "racer", &whole(&report.racer_kb_per_second)),
     ]);
     page += "</section>";
     page += &maps(report);
     page += &bytes_section(report);
     page += &other_sections(report);
-    page += &format!(
-        "<footer><p>Made by <code>{}</code></p><p>flockmap {}</p></footer></main></body></html>\n",
-        escape(&report.command),
-        report.version
-    );
+    page += &foot(&report.command);
     page
+}
+
+/// All of a page before its first section. The title must be fit for HTML.
+pub fn head(title: &str) -> String {
+    format!(
+        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
+         <meta name=\"color-scheme\" content=\"light dark\"><title>Flockmap: {title}</title><style>{STYLE}</style></head><body><main>\
+         <header><h1>Flockmap</h1><p class=\"title\">{title}</p></header>"
+    )
+}
+
+/// All of a page after its last section.
+pub fn foot(command: &str) -> String {
+    format!(
+        "<footer><p>Made by <code>{}</code></p><p>flockmap {}</p></footer></main></body></html>\n",
+        escape(command),
+        env!("CARGO_PKG_VERSION")
+    )
 }
 
 fn headline(report: &Report) -> String {
@@ -207,7 +217,8 @@ fn other_sections(report: &Report) -> String {
     html + &format!("<section><h2>Settings</h2>{}</section>", table(&["option", "value"], &rows))
 }
 
-fn table(heads: &[&str], rows: &str) -> String {
+/// A table that scrolls inside its own box.
+pub fn table(heads: &[&str], rows: &str) -> String {
     let heads: String = heads.iter().map(|head| format!("<th>{head}</th>")).collect();
     format!("<div class=\"scroll\"><table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>")
 }
@@ -218,7 +229,7 @@ fn row(name: &str, cells: impl IntoIterator<Item = String>, class: &str) -> Stri
 }
 
 /// Text as it may stand in HTML.
-fn escape(text: &str) -> String {
+pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

@@ -5,8 +5,10 @@
 mod args;
 mod bench_codecs;
 mod bench_mapping;
+mod bench_random;
 mod chart;
 mod demo;
+mod document;
 mod export;
 mod html;
 mod info;
@@ -42,6 +44,7 @@ fn main() -> ExitCode {
     let result = match &cli.command {
         Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
         Command::Bench(BenchCommand::Mapping(args)) => bench_mapping::run(args),
+        Command::Bench(BenchCommand::Random(args)) => bench_random::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),

@@ -32,4 +32,5 @@ pub use flight::Flight;
 pub use lidar::{Lidar, SCAN_PERIOD_MICROS, ScanOptions, UnknownLidar};
 pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
 pub use radio::{Delivery, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
+pub use random::Random;
 pub use world::{Hit, OpenError, World, WorldError};
