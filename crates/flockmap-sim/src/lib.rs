@@ -21,8 +21,10 @@
 #![forbid(unsafe_code)]
 
 mod cells;
+mod curve;
 mod flight;
 mod lidar;
+mod navigation;
 mod patrol;
 mod radio;
 mod random;
@@ -30,6 +32,10 @@ mod world;
 
 pub use flight::Flight;
 pub use lidar::{Lidar, SCAN_PERIOD_MICROS, ScanOptions, UnknownLidar};
+pub use navigation::{
+    CellState, Motion, MotionLimits, NavigationConfig, NavigationError, NavigationGrid, NoRoute, RouteQuery,
+    Router,
+};
 pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
 pub use radio::{Delivery, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
 pub use random::Random;

@@ -3,6 +3,7 @@
 use super::PatrolOptions;
 use super::region::Region;
 use super::space::Space;
+use crate::curve::distance;
 use crate::random::Random;
 use core::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -183,8 +184,4 @@ fn shorten(space: &Space, region: &Region, path: &[usize]) -> Vec<usize> {
 /// Whether a line stays in the region and in cells at least this open.
 fn line_is_free(space: &Space, region: &Region, a: [f64; 3], b: [f64; 3], openness: u16) -> bool {
     space.line_fits(a, b, |cell| region.contains(cell) && space.openness(cell) >= openness)
-}
-
-pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum::<f64>().sqrt()
 }

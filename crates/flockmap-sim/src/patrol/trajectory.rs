@@ -2,20 +2,14 @@
 
 use super::PatrolOptions;
 use super::region::Region;
-use super::route::distance;
 use super::space::Space;
+use crate::curve::{CREEP_M_S, SAMPLE_M, bend, distance, slow_in_bends, slow_to_reach, straight, towards};
 use core::f64::consts::{PI, TAU};
 use flockmap_grid::{Pose, Stamp};
 use libm::{atan2, cos, sin};
 
-/// Metres between samples of a path.
-const SAMPLE_M: f64 = 0.05;
-
 /// Metres before a corner at which it is begun to be rounded.
 const CORNER_M: f64 = 1.2;
-
-/// Speed at the start and end of a path, in m/s: next to nothing, but not nothing, so that it ends.
-const CREEP_M_S: f64 = 0.01;
 
 /// Poses every 0.1 s along the polyline `line`, which must lie in the region.
 pub(super) fn fly(
@@ -86,29 +80,6 @@ fn rounded(space: &Space, region: &Region, line: &[[f64; 3]]) -> Vec<[f64; 3]> {
     points
 }
 
-/// A quadratic Bézier curve, sampled.
-fn bend(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> Vec<[f64; 3]> {
-    let steps = ((distance(a, b) + distance(b, c)) / SAMPLE_M).ceil() as u32;
-    let at =
-        |s: f64| core::array::from_fn(|i| (1.0 - s) * ((1.0 - s) * a[i] + 2.0 * s * b[i]) + s * s * c[i]);
-    (0..=steps).map(|step| at(f64::from(step) / f64::from(steps))).collect()
-}
-
-fn straight(points: &mut Vec<[f64; 3]>, to: [f64; 3]) {
-    let from = points[points.len() - 1];
-    let steps = (distance(from, to) / SAMPLE_M).ceil() as u32;
-    for step in 1..=steps {
-        let s = f64::from(step) / f64::from(steps);
-        points.push(core::array::from_fn(|i| from[i] + (to[i] - from[i]) * s));
-    }
-}
-
-/// The point `reach` metres from `from` in the direction of `to`.
-fn towards(from: [f64; 3], to: [f64; 3], reach: f64) -> [f64; 3] {
-    let s = reach / distance(from, to).max(1e-9);
-    core::array::from_fn(|i| from[i] + (to[i] - from[i]) * s)
-}
-
 /// For each point the direction of motion after it, in radians, without jumps of a full turn. Kept where the
 /// path is steep.
 fn headings(points: &[[f64; 3]]) -> Vec<f64> {
@@ -145,34 +116,14 @@ fn speeds(points: &[[f64; 3]], lengths: &[f64], yaws: &[f64], options: &PatrolOp
             speeds[i] = speeds[i].min(limit);
             speeds[i + 1] = speeds[i + 1].min(limit);
         }
-        if i > 0 {
-            // How much the direction changes here, over the length it takes.
-            let bend = (0..3)
-                .map(|a| {
-                    let into = (points[i][a] - points[i - 1][a]) / lengths[i - 1];
-                    let out = (points[i + 1][a] - points[i][a]) / lengths[i];
-                    (out - into) * (out - into)
-                })
-                .sum::<f64>()
-                .sqrt();
-            if bend > 1e-9 {
-                let reach = 0.5 * (lengths[i - 1] + lengths[i]);
-                speeds[i] = speeds[i].min((options.acceleration_m_s2 * reach / bend).sqrt());
-            }
-        }
     }
+    slow_in_bends(&mut speeds, points, lengths, options.acceleration_m_s2);
     if let Some(first) = speeds.first_mut() {
         *first = first.min(CREEP_M_S);
     }
     if let Some(last) = speeds.last_mut() {
         *last = last.min(CREEP_M_S);
     }
-    let reachable = |from: f64, length: f64| (from * from + 2.0 * options.acceleration_m_s2 * length).sqrt();
-    for i in 1..speeds.len() {
-        speeds[i] = speeds[i].min(reachable(speeds[i - 1], lengths[i - 1]));
-    }
-    for i in (1..speeds.len()).rev() {
-        speeds[i - 1] = speeds[i - 1].min(reachable(speeds[i], lengths[i - 1]));
-    }
+    slow_to_reach(&mut speeds, lengths, options.acceleration_m_s2);
     speeds
 }
