@@ -92,10 +92,18 @@ pub struct SessionConfig {
     pub present_state_range_max: Option<u32>,
 
     // How much to send.
-    /// Bytes that go out in any second over all links, datagrams sent to each peer counted each. At least
-    /// 2,000; it only holds if a request to every peer (some 100 bytes each) fits into it. Default 2,000,000: unlimited sending overruns the socket buffers of receivers. `None`: no limit.
+    /// Bytes that go out in any second over all links, datagrams sent to each peer counted each. At least 500.
+    /// Default 2,000,000: unlimited sending overruns the socket buffers of receivers. `None`: no limit.
+    ///
+    /// Of 2,000 and more it holds in every single second. Below that a full datagram takes more than half a second's worth, and
+    /// the limit is: in any T seconds at most 1,300 bytes (one full datagram) and the budget times T. Either only
+    /// holds if one request to every peer, at most 308 bytes each, fits into the budget, or into 1,300 bytes.
+    ///
+    /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (an eighth of
+    /// the budget over time, but three within `peer_timeout_ms`), so that control leaves room for the map.
     pub radio_bytes_per_s: Option<u32>,
-    /// Bytes that go out to one peer in any second (unicast). At least 2,000. Default `None`: no limit.
+    /// Bytes that go out to one peer in any second (unicast), requests included. As `radio_bytes_per_s`, for each
+    /// link. Default `None`: no limit.
     pub link_bytes_per_s: Option<u32>,
     /// How much of a second's budget may go out at once; the rest is spread. 10 to 1,000. Default 50.
     pub burst_ms: u32,
@@ -173,8 +181,9 @@ pub struct ConfigError {
     pub expected: &'static str,
 }
 
-/// A budget holds at least one full datagram, with some to spare for requests.
-const BYTES_PER_S_MIN: u32 = 2_000;
+/// Least budget: a full datagram takes two and a half seconds of it, so that three of them and the requests go out
+/// within the time after which a peer counts as gone.
+const BYTES_PER_S_MIN: u32 = 500;
 
 impl SessionConfig {
     /// The paper's own behaviour (Sec. IV-B): requests on a fixed period, packages only as answers to them, all
@@ -204,7 +213,7 @@ impl SessionConfig {
             [("radio_bytes_per_s", self.radio_bytes_per_s), ("link_bytes_per_s", self.link_bytes_per_s)]
         {
             let rate = rate.unwrap_or(BYTES_PER_S_MIN);
-            check(option, rate >= BYTES_PER_S_MIN, rate.into(), "at least 2,000, or no limit,")?;
+            check(option, rate >= BYTES_PER_S_MIN, rate.into(), "at least 500, or no limit,")?;
         }
         for (option, ms) in [
             ("request_period_active_ms", self.request_period_active_ms),

@@ -1,4 +1,8 @@
 //! A byte budget: a token bucket that spreads, and a sliding second that is never exceeded.
+//!
+//! Of a budget below [`THIN_BYTES_PER_S`] a full datagram takes more than half a second, so that a limit on every
+//! single second would waste up to half of it. There the bucket alone rules: it holds one full datagram, so that
+//! in any T seconds at most one full datagram and the budget times T go out.
 
 use flockmap_grid::Stamp;
 use std::collections::VecDeque;
@@ -6,6 +10,8 @@ use std::collections::VecDeque;
 const SECOND: i64 = 1_000_000;
 /// Bytes sent within one such slot are counted as sent at its end, so the second is kept to the safe side.
 const SLOT: i64 = 10_000;
+/// Budgets of at least so much hold in every second.
+const THIN_BYTES_PER_S: i64 = 2_000;
 
 /// Says when so many bytes may be sent. Memory: at most 102 slots of 16 bytes.
 #[derive(Clone, Debug)]
@@ -21,9 +27,11 @@ pub(crate) struct Pacer {
 }
 
 impl Pacer {
-    /// At most `bytes_per_s` in any second, and at most `burst_bytes` at once. Both are at least one datagram.
+    /// At most `bytes_per_s` in any second, and at most `burst_bytes` at once; a burst is at least one datagram.
+    /// Of less than 2,000 bytes a second: at most `burst_bytes` + `bytes_per_s` · T in any T seconds.
     pub(crate) fn new(bytes_per_s: u32, burst_bytes: u32) -> Self {
-        let burst = i64::from(burst_bytes.min(bytes_per_s)) * SECOND;
+        let is_thin = i64::from(bytes_per_s) < THIN_BYTES_PER_S;
+        let burst = i64::from(if is_thin { burst_bytes } else { burst_bytes.min(bytes_per_s) }) * SECOND;
         Self {
             bytes_per_s: i64::from(bytes_per_s),
             burst,
@@ -37,10 +45,13 @@ impl Pacer {
     /// `None` if `bytes` may be sent now, else the earliest time at which they may.
     pub(crate) fn wait(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
         self.advance(now);
-        let bytes = (bytes as i64).min(self.bytes_per_s);
         // A debt is allowed for one datagram longer than the burst: it is paid before the next.
-        let lacking = (bytes * SECOND).min(self.burst) - self.tokens;
+        let lacking = (bytes as i64 * SECOND).min(self.burst) - self.tokens;
         let bucket = (lacking > 0).then(|| now.plus_micros(ceil_div(lacking, self.bytes_per_s)));
+        if self.bytes_per_s < THIN_BYTES_PER_S {
+            return bucket;
+        }
+        let bytes = (bytes as i64).min(self.bytes_per_s);
         let mut over = self.sent_sum + bytes - self.bytes_per_s;
         let window = (over > 0).then(|| {
             let mut ready = now.plus_micros(1);
@@ -60,6 +71,9 @@ impl Pacer {
     pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
         self.advance(now);
         self.tokens -= bytes as i64 * SECOND;
+        if self.bytes_per_s < THIN_BYTES_PER_S {
+            return;
+        }
         self.sent_sum += bytes as i64;
         let slot = now.0.div_euclid(SLOT);
         match self.sent.back_mut() {
@@ -93,7 +107,7 @@ mod tests {
     proptest! {
         #[test]
         fn never_more_than_the_budget_in_any_second(
-            bytes_per_s in 1_300..200_000u32, burst in 1_300..50_000u32, start in -5_000_000_000i64..5_000_000_000,
+            bytes_per_s in 2_000..200_000u32, burst in 1_300..50_000u32, start in -5_000_000_000i64..5_000_000_000,
             steps in prop::collection::vec((0..300_000i64, 40..1_228usize), 1..400),
         ) {
             let mut pacer = Pacer::new(bytes_per_s, burst);
@@ -113,6 +127,52 @@ mod tests {
                 let second: usize = sent.iter().filter(|s| s.0 > now.0 - SECOND).map(|s| s.1).sum();
                 prop_assert!(second <= bytes_per_s as usize, "{second} bytes in a second");
             }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_thin_budget_holds_over_any_time_but_for_one_datagram(
+            bytes_per_s in 500..2_000u32, start in -5_000_000_000i64..5_000_000_000,
+            steps in prop::collection::vec((0..3_000_000i64, 40..1_228usize), 1..200),
+        ) {
+            let mut pacer = Pacer::new(bytes_per_s, 1_300);
+            let mut now = Stamp(start);
+            let mut sent: Vec<(i64, i64)> = Vec::new();
+            for (pause, bytes) in steps {
+                now = now.plus_micros(if pause < 2_000_000 { 0 } else { pause });
+                if let Some(ready) = pacer.wait(now, bytes) {
+                    prop_assert!(ready > now, "a wait that does not wait");
+                    now = ready;
+                    prop_assert_eq!(pacer.wait(now, bytes), None, "the wait was too short");
+                }
+                pacer.spend(now, bytes);
+                sent.push((now.0, bytes as i64));
+                let mut sum = 0;
+                for &(at, bytes) in sent.iter().rev() {
+                    sum += bytes;
+                    let allowed = 1_300 * SECOND + i64::from(bytes_per_s) * (now.0 - at);
+                    prop_assert!(sum * SECOND <= allowed, "{sum} bytes in {} µs", now.0 - at);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_thin_budget_is_used_in_full() {
+        for bytes_per_s in [500, 1_024, 1_999] {
+            let mut pacer = Pacer::new(bytes_per_s, 1_300);
+            let (mut now, mut sent) = (Stamp(0), 0);
+            while now < Stamp(100 * SECOND) {
+                match pacer.wait(now, 1_228) {
+                    Some(ready) => now = ready,
+                    None => {
+                        pacer.spend(now, 1_228);
+                        sent += 1_228;
+                    }
+                }
+            }
+            assert!(sent > bytes_per_s * 98, "{sent} of {} bytes used", bytes_per_s * 100);
         }
     }
 

@@ -244,7 +244,7 @@ fn budget(key: &str, kb_s: f64) -> Result<Option<u32>, ConfigError> {
     let bytes = kb_s * 1_024.0;
     match bytes {
         0.0 => Ok(None),
-        2_000.0..=4e9 => Ok(Some(bytes as u32)),
-        _ => Err(value(key, kb_s, "0 for no limit, or at least 2 (KiB in a second)")),
+        500.0..=4e9 => Ok(Some(bytes as u32)),
+        _ => Err(value(key, kb_s, "0 for no limit, or at least 0.49 (KiB in a second; 500 bytes)")),
     }
 }

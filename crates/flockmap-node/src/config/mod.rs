@@ -134,7 +134,7 @@ pub struct SessionSection {
     pub swarm: Option<u16>,
     /// `unicast` or `broadcast`.
     pub cast: Option<String>,
-    /// KiB that may go out in a second over all links; 0: no limit.
+    /// KiB that may go out in a second over all links, at least 0.49; 0: no limit.
     pub budget_kb_s: Option<f64>,
     /// KiB that may go out to one robot in a second; 0: no limit.
     pub link_budget_kb_s: Option<f64>,

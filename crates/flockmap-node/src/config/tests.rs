@@ -90,8 +90,8 @@ fn a_value_that_cannot_work_is_named_with_what_would() {
     let robot = |text: &str| parse(text).unwrap().robot(1).unwrap_err().to_string();
     let error = robot(&format!("{MINIMAL}mapper = \"octmap\"\n"));
     assert!(error.contains("[map] mapper") && error.contains("did you mean \"octomap\"?"), "{error}");
-    let error = robot(&format!("{MINIMAL}[session]\nbudget_kb_s = 0.5\n"));
-    assert!(error.contains("budget_kb_s is 0.5") && error.contains("at least 2"), "{error}");
+    let error = robot(&format!("{MINIMAL}[session]\nbudget_kb_s = 0.4\n"));
+    assert!(error.contains("budget_kb_s is 0.4") && error.contains("at least 0.49"), "{error}");
     let error = robot(&MINIMAL.replace("0.1", "-0.1"));
     assert!(error.contains("resolution_m is -0.1"), "{error}");
     let error = parse(&MINIMAL.replace("0.1", "\"fine\"")).unwrap_err();

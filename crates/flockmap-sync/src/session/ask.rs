@@ -18,6 +18,8 @@ pub(super) struct Schedule {
     /// Pause after the next request for a gap; 0 stands for the shortest.
     gap_pause: i64,
     last: Stamp,
+    /// Least pause after the last request, so that requests leave most of a small budget to packages.
+    budget_pause: i64,
     last_activity: Stamp,
     /// Requests made: lists that do not fit begin at another place each time.
     count: usize,
@@ -32,6 +34,7 @@ impl Default for Schedule {
             gap: None,
             gap_pause: 0,
             last: never,
+            budget_pause: 0,
             last_activity: never,
             count: 0,
         }
@@ -42,18 +45,28 @@ impl Default for Schedule {
 const GREETING_JITTER: u64 = 20_000;
 /// Least pause before a greeting, so that ever new runs of a faulty peer do not make us talk without end.
 const GREETING_PAUSE: i64 = 50_000;
+/// Longest pause between requests for gaps that stay; periodic ones go on beside them.
+const GAP_PAUSE_MAX: i64 = 60_000_000;
+/// Requests take at most one part in so many of a budget over time …
+const BUDGET_SHARE_OVER_TIME: i64 = 8;
+/// … and one request to all at most one part in so many of a second's worth …
+const BUDGET_SHARE_AT_ONCE: usize = 2;
+/// … but a request is never cut below so many bytes: it has to say something of each transfer and stream in turn.
+const REQUEST_BYTES_MIN: usize = 280;
 
 impl Session {
     /// Packages flow: the next periodic request is due sooner.
     pub(super) fn note_activity(&mut self, now: Stamp) {
-        let soon = now.plus_micros(i64::from(self.config.request_period_active_ms) * 1_000);
+        let period = i64::from(self.config.request_period_active_ms) * 1_000;
+        let soon = now.plus_micros(period).max(self.schedule.last.plus_micros(self.schedule.budget_pause));
         self.schedule.last_activity = now;
         self.schedule.periodic = self.schedule.periodic.min(soon);
     }
 
     /// A new peer: it should learn soon that it is heard.
     pub(super) fn greet(&mut self, now: Stamp) {
-        let at = now.max(self.schedule.last.plus_micros(GREETING_PAUSE));
+        let pause = GREETING_PAUSE.max(self.schedule.budget_pause);
+        let at = now.max(self.schedule.last.plus_micros(pause));
         let at = at.plus_micros(self.random(GREETING_JITTER) as i64);
         self.schedule.greeting = Some(self.schedule.greeting.map_or(at, |earlier| earlier.min(at)));
     }
@@ -76,7 +89,7 @@ impl Session {
     fn gap_pause(&self) -> i64 {
         let round_trip = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
         let shortest = (i64::from(self.config.gap_request_pause_ms) * 1_000).max(round_trip);
-        shortest.max(self.schedule.gap_pause)
+        shortest.max(self.schedule.gap_pause).max(self.schedule.budget_pause)
     }
 
     /// When the next request is due.
@@ -113,17 +126,24 @@ impl Session {
         let for_gap = self.schedule.gap.is_some_and(|at| at <= now);
         let periodic = self.schedule.periodic <= now || self.schedule.greeting.is_some_and(|at| at <= now);
         let to = if for_gap && !periodic { self.whom_to_ask(now) } else { Destination::Everyone };
-        let bytes = self.request(now).emit(self.header(now, Kind::Request), self.config.datagram_bytes_max);
-        let (each, copies) = (bytes.len() + self.overhead(), self.copies(to));
+        let copies = self.copies(to);
+        let header = self.header(now, Kind::Request);
+        let bytes = self.request(now).emit(header, self.request_bytes_max(copies as usize));
+        let each = bytes.len() + self.overhead();
         let total = each * copies as usize;
-        if let Some(ready) = self.radio.as_mut().and_then(|radio| radio.wait(now, total)) {
+        let radio = self.radio.iter_mut().map(|radio| (radio, total));
+        let links = self.peers.iter_mut().filter(|(id, _)| to.includes(**id));
+        let links = links.filter_map(|(_, peer)| Some((peer.pacer.as_mut()?, each)));
+        let mut pacers: Vec<_> = radio.chain(links).collect();
+        if let Some(ready) = pacers.iter_mut().filter_map(|(pacer, bytes)| pacer.wait(now, *bytes)).max() {
             self.wake = Some(ready);
             self.counters.delayed_by_budget += 1;
             return None;
         }
-        if let Some(radio) = &mut self.radio {
-            radio.spend(now, total);
+        for (pacer, bytes) in pacers {
+            pacer.spend(now, bytes);
         }
+        self.schedule.budget_pause = self.budget_pause(each, copies as usize);
         self.counters.requests_out.add(copies, each);
         if let Destination::Peer(id) = to
             && let Some(peer) = self.peers.get_mut(&id)
@@ -132,6 +152,27 @@ impl Session {
         }
         self.schedule_next(now, for_gap, to);
         Some(Transmit { to, bytes })
+    }
+
+    /// Longest request that leaves most of a second's worth of a small budget to packages.
+    fn request_bytes_max(&self, copies: usize) -> usize {
+        let link = self.config.link_bytes_per_s.map(|rate| rate as usize);
+        let radio = self.config.radio_bytes_per_s.map(|rate| rate as usize / copies.max(1));
+        let rate = link.into_iter().chain(radio).min().unwrap_or(usize::MAX);
+        (rate / BUDGET_SHARE_AT_ONCE)
+            .saturating_sub(self.overhead())
+            .clamp(REQUEST_BYTES_MIN, self.config.datagram_bytes_max)
+    }
+
+    /// Pause after a request of so many bytes, so that requests take no more than their share of the budget; short
+    /// enough that the peers do not lose sight of this robot.
+    fn budget_pause(&self, each: usize, copies: usize) -> i64 {
+        let pause = |bytes: usize, rate: Option<u32>| {
+            rate.map_or(0, |rate| bytes as i64 * BUDGET_SHARE_OVER_TIME * 1_000_000 / i64::from(rate.max(1)))
+        };
+        pause(each * copies, self.config.radio_bytes_per_s)
+            .max(pause(each, self.config.link_bytes_per_s))
+            .min(self.peer_timeout() / 3)
     }
 
     fn schedule_next(&mut self, now: Stamp, for_gap: bool, to: Destination) {
@@ -143,6 +184,7 @@ impl Session {
                 false => self.config.request_period_idle_ms,
             };
             let period = u64::from(period) * 1_000;
+            let period = period.max(self.schedule.budget_pause as u64);
             let jittered = period - period / 10 + self.random(period / 5);
             self.schedule.periodic = now.plus_micros(jittered as i64);
             self.schedule.greeting = None;
@@ -155,8 +197,9 @@ impl Session {
         if self.schedule.gap.is_some() {
             // The request has just said all that is missing; say it again after a pause that grows.
             let pause = self.gap_pause();
-            self.schedule.gap_pause = pause * 2;
+            self.schedule.gap_pause = (pause * 2).min(GAP_PAUSE_MAX);
             let periodic = i64::from(self.config.request_period_active_ms) * 1_000;
+            let periodic = periodic.max(self.schedule.budget_pause);
             self.schedule.gap = (pause < periodic).then(|| now.plus_micros(pause));
         }
     }
@@ -221,13 +264,18 @@ impl Session {
                 accepted: union_with(&incoming.accepted, refused.collect()),
             }
         });
+        let mut transfers: Vec<TransferProgress> = transfers.collect();
+        if !transfers.is_empty() {
+            let start = count % transfers.len();
+            transfers.rotate_left(start);
+        }
         Request {
             all_streams: true,
             all_echoes: true,
             no_new_streams: self.store.is_full_of_streams(),
             echoes,
             held,
-            transfers: transfers.collect(),
+            transfers,
             floors: self.store.floors().iter().map(|(&robot, &epoch)| (robot, epoch)).collect(),
             clocks: self.clock_reports(),
         }

@@ -52,6 +52,15 @@ pub enum Destination {
     Everyone,
 }
 
+impl Destination {
+    pub(super) fn includes(self, robot: RobotId) -> bool {
+        match self {
+            Self::Peer(peer) => peer == robot,
+            Self::Everyone => true,
+        }
+    }
+}
+
 /// A datagram to send.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Transmit {

@@ -74,10 +74,17 @@ impl Session {
         let at = match self.incoming.iter().position(|incoming| incoming.is_same(&tile_of)) {
             Some(at) => at,
             None => {
-                // A newer set of the same robot takes the place of the older one.
-                self.incoming.retain(|incoming| incoming.stream != stream || incoming.source != from);
+                // Sets of one robot are kept side by side: by broadcast, one that it sends to somebody else is
+                // heard among the tiles of the one for us. Only for want of room does the newer one take over.
                 if self.incoming.len() >= self.config.transfers_max {
                     self.finish_transfers(now);
+                }
+                if self.incoming.len() >= self.config.transfers_max {
+                    let same = self.incoming.iter().enumerate();
+                    let same = same.filter(|(_, other)| other.stream == stream && other.source == from);
+                    if let Some((oldest, _)) = same.min_by_key(|(_, other)| other.touched) {
+                        self.incoming.remove(oldest);
+                    }
                 }
                 if self.incoming.len() >= self.config.transfers_max {
                     self.counters.too_many_transfers += 1;

@@ -177,7 +177,7 @@ impl Request {
 
     /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]). What does not fit is
     /// cut: echoes, floors and clocks get at most a quarter of the room, held lists lose their oldest part, then
-    /// whole streams are left out; the request says so. `all_streams` and `all_echoes` of `self` are what they
+    /// whole streams are left out, of transfers what is more than half of the room; the request says so. `all_streams` and `all_echoes` of `self` are what they
     /// are to be if nothing is cut. Put what matters most first in each list.
     pub fn emit(&self, header: DatagramHeader, bytes_max: usize) -> Vec<u8> {
         let bytes_max = bytes_max.clamp(200, DATAGRAM_BYTES_MAX);
@@ -217,10 +217,18 @@ impl Request {
         }
         put_unless_empty(&mut out, CLOCKS, &mut content);
 
+        // Lists of held indices leave half of the room to transfers that need it: a transfer that is not named
+        // would be sent for ever.
+        let mut trial = out.clone();
+        self.put_transfers(&mut trial, out.len() + (bytes_max - out.len()) / 2);
+        // Each `from` is reckoned with the 5 bytes that it may take.
+        let transfer_bytes = trial.len() - out.len() + 5 * self.transfers.len();
+        let held_end_max = bytes_max.saturating_sub(transfer_bytes);
+
         let mut all_fit = true;
         for held in &self.held {
             put_stream(&mut content, held.stream);
-            let room = (bytes_max - out.len()).saturating_sub(record_len(content.len()) + 2);
+            let room = held_end_max.saturating_sub(out.len() + record_len(content.len()) + 2);
             if put_intervals(&mut content, held.from, &held.held, room) {
                 put_unless_empty(&mut out, HELD, &mut content);
             } else {
@@ -232,20 +240,26 @@ impl Request {
             flags |= ALL_STREAMS;
         }
 
+        self.put_transfers(&mut out, bytes_max);
+        out[flags_at] = flags;
+        seal(out)
+    }
+
+    /// Appends the transfers that fit before `end_max`.
+    fn put_transfers(&self, out: &mut Vec<u8>, end_max: usize) {
+        let mut content = Vec::new();
         for transfer in &self.transfers {
             put_varint(&mut content, u64::from(transfer.source.0));
             put_stream(&mut content, transfer.stream);
             put_varint(&mut content, u64::from(transfer.upto));
             content.extend(transfer.set.to_le_bytes());
             put_varint(&mut content, u64::from(transfer.tiles));
-            let room = (bytes_max - out.len()).saturating_sub(record_len(content.len()) + 2);
+            let room = end_max.saturating_sub(out.len() + record_len(content.len()) + 2);
             if put_intervals(&mut content, transfer.from, &transfer.accepted, room) {
-                put_unless_empty(&mut out, TRANSFER, &mut content);
+                put_unless_empty(out, TRANSFER, &mut content);
             }
             content.clear();
         }
-        out[flags_at] = flags;
-        seal(out)
     }
 }
 

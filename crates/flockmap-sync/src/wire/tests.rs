@@ -152,6 +152,33 @@ fn a_request_that_does_not_fit_says_so_and_keeps_the_newest() {
 }
 
 #[test]
+fn a_transfer_is_named_however_long_the_lists_of_held_indices_are() {
+    let torn: Vec<(u32, u32)> = (0..800).map(|i| (10_000 + 3 * i, 10_000 + 3 * i)).collect();
+    let stream = |origin| Stream { origin: RobotId(origin), epoch: 1 };
+    let transfer = TransferProgress {
+        source: RobotId(9),
+        stream: stream(1),
+        upto: 12_000,
+        set: 5,
+        tiles: 900,
+        from: 1,
+        accepted: set(&[(1, 3), (7, 7)]),
+    };
+    let request = Request {
+        held: (0..4).map(|origin| Held { stream: stream(origin), from: 1, held: set(&torn) }).collect(),
+        transfers: vec![transfer],
+        ..Request::default()
+    };
+    for bytes_max in [200, 280, 1_200] {
+        let bytes = request.emit(HEADER, bytes_max);
+        assert!(bytes.len() <= bytes_max, "{} of {bytes_max} bytes", bytes.len());
+        let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
+        assert_eq!(read.transfers, request.transfers);
+        assert_eq!(read.held[0].held.last(), Some(10_000 + 3 * 799));
+    }
+}
+
+#[test]
 fn long_lists_keep_their_newest_intervals_when_read() {
     let torn: Vec<(u32, u32)> = (0..100).map(|i| (3 * i + 1, 3 * i + 1)).collect();
     let stream = Stream { origin: RobotId(1), epoch: 1 };
