@@ -98,6 +98,7 @@ impl Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     fn near(a: [f64; 3], b: [f64; 3]) -> bool {
         a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9)
@@ -122,13 +123,22 @@ mod tests {
         assert!(near(a.transform([1.0, 2.0, 3.0]), b.transform([1.0, 2.0, 3.0])));
     }
 
-    #[test]
-    fn a_pose_taken_apart_comes_back_bit_for_bit() {
-        let mut pose = Pose::new([1.0, -2.0, 3.0], [0.1, 0.2, -0.3, 0.9]).unwrap();
-        for step in 0..1_000 {
-            let turn = Pose::from_yaw([0.1, 0.0, 0.01], f64::from(step) * 0.37 - 1.0);
-            pose = pose.compose(&turn).inverse();
-            assert_eq!(Pose::new(pose.translation(), pose.quaternion_xyzw()), Some(pose));
+    proptest! {
+        #[test]
+        fn a_pose_taken_apart_comes_back_bit_for_bit(
+            at in prop::array::uniform3(-1e6..1e6f64), turn in prop::array::uniform4(-10.0..10.0f64), yaw in -7.0..7.0f64,
+        ) {
+            let Some(pose) = Pose::new(at, turn) else { return Ok(()) };
+            let mut chain = pose;
+            for step in 0..20 {
+                let turn = Pose::from_yaw(at, yaw + f64::from(step));
+                chain = chain.compose(&turn).inverse();
+                for pose in [pose, turn, chain] {
+                    let bits = |p: &Pose| (p.translation().map(f64::to_bits), p.quaternion_xyzw().map(f64::to_bits));
+                    let back = Pose::new(pose.translation(), pose.quaternion_xyzw()).unwrap();
+                    prop_assert_eq!(bits(&back), bits(&pose));
+                }
+            }
         }
     }
 

@@ -26,6 +26,7 @@ mod ply;
 mod record;
 mod record_folder;
 mod record_mcap;
+mod record_view;
 mod record_writer;
 mod ros;
 mod track;

@@ -11,7 +11,8 @@ use crate::{record_folder, record_mcap};
 /// How to read a record. `RecordOptions::default()` fits most.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
-    /// Topic of the scans in an MCAP file. Default: the only one with `sensor_msgs/msg/PointCloud2`.
+    /// Topic of the scans in an MCAP file. Default: the only one with `sensor_msgs/msg/PointCloud2`, or of several the only one
+    /// in a frame that odometry or tf leads to (maps and pictures for viewers lie in the frame of the map).
     pub points_topic: Option<String>,
     /// Topic of `nav_msgs/msg/Odometry` in an MCAP file. Default: the one that tells of the frame of the scans.
     pub odometry_topic: Option<String>,

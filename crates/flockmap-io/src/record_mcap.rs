@@ -157,6 +157,18 @@ impl McapIndex {
         topics.join(", ")
     }
 
+    /// Of several topics, those in a frame that moves: what lies in the frame of the map is a map, or a picture for viewers.
+    /// A single one may be in the map: scans that were taken there beforehand.
+    fn only_scans<'a>(&self, clouds: Vec<(&'a String, &'a CloudTopic)>) -> Vec<(&'a String, &'a CloudTopic)> {
+        let moves = |frame: &String| {
+            !self.transforms.ancestors(frame).is_empty()
+                || self.odometries.values().any(|o| o.child == *frame)
+        };
+        let in_sensor: Vec<_> =
+            clouds.iter().filter(|(_, cloud)| cloud.frames.iter().any(moves)).copied().collect();
+        if clouds.len() > 1 && !in_sensor.is_empty() { in_sensor } else { clouds }
+    }
+
     fn choose_cloud(&self, options: &RecordOptions) -> Result<(&str, &CloudTopic), Fault> {
         let is_no_returns = |topic: &str| {
             topic.strip_suffix(NO_RETURNS).is_some_and(|base| {
@@ -165,7 +177,7 @@ impl McapIndex {
         };
         let chosen: Vec<(&String, &CloudTopic)> = match &options.points_topic {
             Some(topic) => self.clouds.get_key_value(topic).into_iter().collect(),
-            None => self.clouds.iter().filter(|(topic, _)| !is_no_returns(topic)).collect(),
+            None => self.only_scans(self.clouds.iter().filter(|(topic, _)| !is_no_returns(topic)).collect()),
         };
         match chosen.as_slice() {
             [(topic, cloud)] => Ok((topic, cloud)),

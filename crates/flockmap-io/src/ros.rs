@@ -171,32 +171,54 @@ fn coordinate(point: &[u8], (offset, number): (u32, Number), big_endian: bool) -
 
 /// A point cloud of x, y, z as `f32`, unorganised.
 pub(crate) fn encode_points(header: &Header, points: &[[f32; 3]]) -> Vec<u8> {
+    let data = points.iter().map(|p| {
+        let mut bytes = [0; 12];
+        put_point(&mut bytes, p);
+        bytes
+    });
+    encode_cloud(header, &["x", "y", "z"], data)
+}
+
+/// The same with a colour at each point, as viewers of ROS know it: `rgb`, the bytes blue, green, red, 0 in the place of an `f32`.
+pub(crate) fn encode_coloured_points(header: &Header, points: &[([f32; 3], [u8; 3])]) -> Vec<u8> {
+    let data = points.iter().map(|(p, [red, green, blue])| {
+        let mut bytes = [0; 16];
+        put_point(&mut bytes, p);
+        bytes[12..].copy_from_slice(&[*blue, *green, *red, 0]);
+        bytes
+    });
+    encode_cloud(header, &["x", "y", "z", "rgb"], data)
+}
+
+fn put_point(bytes: &mut [u8], point: &[f32; 3]) {
+    for (place, v) in bytes.chunks_exact_mut(4).zip(point) {
+        place.copy_from_slice(&v.to_le_bytes());
+    }
+}
+
+/// Points of `N` bytes with fields of four bytes each.
+fn encode_cloud<const N: usize>(
+    header: &Header,
+    fields: &[&str],
+    points: impl ExactSizeIterator<Item = [u8; N]>,
+) -> Vec<u8> {
     let mut cdr = CdrWriter::new();
     header.write(&mut cdr);
-    let count = points.len() as u32;
+    let count = points.len();
     cdr.u32(1);
-    cdr.u32(count);
-    cdr.u32(3);
-    for (name, offset) in [("x", 0), ("y", 4), ("z", 8)] {
+    cdr.u32(count as u32);
+    cdr.u32(fields.len() as u32);
+    for (name, offset) in fields.iter().zip((0..).step_by(4)) {
         cdr.string(name);
         cdr.u32(offset);
         cdr.u8(7);
         cdr.u32(1);
     }
     cdr.u8(0);
-    cdr.u32(12);
-    cdr.u32(12 * count);
-    let data: Vec<[u8; 12]> = points
-        .iter()
-        .map(|p| {
-            let mut bytes = [0; 12];
-            for (place, v) in bytes.chunks_exact_mut(4).zip(p) {
-                place.copy_from_slice(&v.to_le_bytes());
-            }
-            bytes
-        })
-        .collect();
-    cdr.bytes(12 * points.len(), data.iter().map(<[u8; 12]>::as_slice));
+    cdr.u32(N as u32);
+    cdr.u32((N * count) as u32);
+    let data: Vec<[u8; N]> = points.collect();
+    cdr.bytes(N * count, data.iter().map(<[u8; N]>::as_slice));
     cdr.u8(1);
     cdr.finish()
 }
@@ -402,14 +424,20 @@ mod tests {
         assert_eq!(cloud, CloudPoints { points: vec![points[0], points[2]], dropped: 1 });
         let head = CloudHeader::decode(&message).unwrap();
         assert_eq!((head.header, head.points), (header(), 3));
-        // A quaternion of length 1 in every bit, so that it is read back as it is.
-        let pose = Pose::new([1.0, -2.0, 3.0], [0.5, 0.5, -0.5, 0.5]).unwrap();
+        let pose = Pose::new([1.0, -2.0, 3.0], [0.1, 0.5, -0.7, 0.3]).unwrap();
         let transform = Transform { header: header(), child: "robot1/lidar".into(), pose };
         assert_eq!(decode_odometry(&encode_odometry(&transform)).unwrap(), transform);
         assert_eq!(
             decode_transforms(&encode_transforms(core::slice::from_ref(&transform))).unwrap(),
             [transform]
         );
+    }
+
+    #[test]
+    fn coloured_points_are_points() {
+        let message = encode_coloured_points(&header(), &[([1.0, 2.0, 3.0], [255, 120, 7])]);
+        assert_eq!(decode_points(&message, 1, None).unwrap().points, [[1.0, 2.0, 3.0]]);
+        assert!(message.windows(4).any(|w| w == 0x00ff_7807u32.to_le_bytes()));
     }
 
     #[test]

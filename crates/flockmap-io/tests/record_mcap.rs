@@ -7,9 +7,10 @@ use std::io::Cursor;
 use std::path::Path;
 
 use common::Folder;
-use flockmap_grid::{Pose, Scan, Stamp};
-use flockmap_io::{Frame, Problem, ReadError, RecordOptions, RecordWriter, open_record};
+use flockmap_grid::{Pose, Resolution, Scan, Stamp, Voxel};
+use flockmap_io::{Frame, Problem, ReadError, RecordOptions, RecordWriter, describe, open_record};
 use mcap::{Compression, WriteOptions};
+use proptest::prelude::*;
 
 fn frames(count: i64) -> Vec<Frame> {
     (0..count)
@@ -90,6 +91,82 @@ fn what_is_written_is_read_back() {
     assert_eq!(errors, []);
     assert_eq!(back, frames);
     assert_eq!(bytes, written(&frames), "the same input gives the same bytes");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn any_flight_is_read_back_bit_for_bit(
+        flight in prop::collection::vec(
+            (1..400_000i64, prop::array::uniform3(-1e5..1e5f64), prop::array::uniform4(-1.0..1.0f64),
+             prop::collection::vec(prop::array::uniform3(-200.0..200.0f32), 0..20)), 1..12),
+    ) {
+        let mut stamp = Stamp(0);
+        let mut frames = Vec::new();
+        for (step, place, turn, points) in flight {
+            let Some(pose) = Pose::new(place, turn) else { continue };
+            stamp = stamp.plus_micros(step);
+            let no_returns = points.iter().skip(10).copied().collect();
+            // As robots make them: turned on and on.
+            let t_map_sensor = frames.last().map_or(pose, |f: &Frame| f.t_map_sensor.compose(&pose));
+            frames.push(Frame { scan: Scan { stamp, points, no_returns }, t_map_sensor, points_dropped: 0 });
+        }
+        prop_assume!(!frames.is_empty());
+        let (back, errors) = read(&written(&frames), &RecordOptions::default()).unwrap();
+        prop_assert_eq!(errors, vec![]);
+        prop_assert_eq!(back, frames);
+    }
+}
+
+/// Our own file with pictures for viewers.
+fn written_with_views(frames: &[Frame]) -> Vec<u8> {
+    let mut out = Cursor::new(Vec::new());
+    let mut writer = RecordWriter::new(&mut out, "robot7.mcap", "robot7").unwrap();
+    let resolution = Resolution::from_metres(0.1).unwrap();
+    for frame in frames {
+        writer.write(&frame.scan, &frame.t_map_sensor).unwrap();
+        if writer.is_view_due(frame.scan.stamp) {
+            writer.write_view(frame.scan.stamp, resolution, (0..50).map(|x| Voxel::new(x, 3, -1))).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    out.into_inner()
+}
+
+#[test]
+fn pictures_for_viewers_are_shown_and_passed_over_by_readers() {
+    let frames = frames(45);
+    let bytes = written_with_views(&frames);
+    assert_eq!(read(&bytes, &RecordOptions::default()).unwrap(), (frames.clone(), vec![]));
+    assert_eq!(bytes, written_with_views(&frames), "the same input gives the same bytes");
+    // Without tf, and without odometry, the scans are still told from the pictures.
+    let all = Messages::of(&bytes);
+    for dropped in ["/tf", "/robot7/odometry"] {
+        let messages = Messages(all.0.iter().filter(|(topic, ..)| topic != dropped).cloned().collect());
+        let bytes = messages.write(WriteOptions::new(), "cdr");
+        assert_eq!(read(&bytes, &RecordOptions::default()).unwrap().0, frames);
+    }
+    let folder = Folder::new();
+    let path = folder.join("r.mcap");
+    std::fs::write(&path, &bytes).unwrap();
+    let text = describe(&path).unwrap().to_string();
+    assert!(text.contains("/robot7/viewer/map: 3 × sensor_msgs/msg/PointCloud2"), "{text}");
+    assert!(text.contains("/robot7/viewer/way: 3 × ") && text.contains("45 frames of 45 scans"), "{text}");
+    // The picture itself can be asked for, too: points of the map, taken back to the sensor.
+    let options = RecordOptions { points_topic: Some("/robot7/viewer/map".into()), ..Default::default() };
+    let (pictures, errors) = read(&bytes, &options).unwrap();
+    assert_eq!((pictures.len(), errors), (3, vec![]));
+    assert_eq!(pictures[0].scan.points.len(), 50);
+}
+
+#[test]
+fn two_topics_of_scans_are_still_a_question() {
+    let mut messages = Messages::of(&written(&frames(3)));
+    let more: Vec<_> = messages.0.iter().filter(|(topic, ..)| topic.ends_with("/points")).cloned().collect();
+    messages.0.extend(more.into_iter().map(|(_, schema, data)| ("/other".to_owned(), schema, data)));
+    let bytes = messages.write(WriteOptions::new(), "cdr");
+    let error = read(&bytes, &RecordOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("/other, /robot7/points"), "{error}");
 }
 
 #[test]
