@@ -7,6 +7,7 @@ use flockmap::codec::Codec;
 use flockmap::grid::Preset;
 use flockmap_sim::Lidar;
 
+use crate::args_sim::SimCommand;
 use crate::bench_codecs::Method;
 use crate::bench_random::BenchRandomArgs;
 
@@ -59,6 +60,9 @@ each record is one robot; a single record is cut by time into --robots robots. I
 then --robots simulated robots fly through it. The same command gives the same bytes every time.
 Exit code 1 if any two robots disagree on a voxel, or packages are missing at the end.")]
     Replay(ReplayArgs),
+    /// Fly a simulated swarm and write it as records
+    #[command(subcommand)]
+    Sim(SimCommand),
     /// Measure codecs, or the mapper
     #[command(subcommand)]
     Bench(BenchCommand),

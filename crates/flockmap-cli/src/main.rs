@@ -3,6 +3,7 @@
 #![allow(unreachable_pub, reason = "a program has no outside")]
 
 mod args;
+mod args_sim;
 mod bench_codecs;
 mod bench_mapping;
 mod bench_random;
@@ -20,6 +21,7 @@ mod picture;
 mod progress;
 mod replay;
 mod report;
+mod sim;
 mod sources;
 mod stop;
 mod swarm;
@@ -46,6 +48,7 @@ fn main() -> ExitCode {
         Command::Bench(BenchCommand::Mapping(args)) => bench_mapping::run(args),
         Command::Bench(BenchCommand::Random(args)) => bench_random::run(args),
         Command::Replay(args) => replay::run(args),
+        Command::Sim(command) => sim::run(command),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),
         Command::Info(args) => info::run(args),

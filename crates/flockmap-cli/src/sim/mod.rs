@@ -1,0 +1,13 @@
+//! `flockmap sim`: simulated swarms, written as records.
+
+mod fly;
+mod robot_record;
+
+use crate::args_sim::SimCommand;
+
+/// Runs the command.
+pub fn run(command: &SimCommand) -> anyhow::Result<bool> {
+    match command {
+        SimCommand::Fly(args) => fly::run(args),
+    }
+}
