@@ -1,31 +1,11 @@
 //! The program as a user runs it, on small generated flights.
 
+mod common;
+
 use std::path::Path;
-use std::process::{Command, Output};
 
+use common::{fails, good, json};
 use serde_json::Value;
-
-fn flockmap(words: &str) -> Output {
-    let words: Vec<&str> = words.split_whitespace().collect();
-    Command::new(env!("CARGO_BIN_EXE_flockmap")).args(words).output().expect("the program starts")
-}
-
-fn good(words: &str) -> String {
-    let output = flockmap(words);
-    let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{words}\n{text}\n{}", String::from_utf8_lossy(&output.stderr));
-    text
-}
-
-fn fails(words: &str) -> String {
-    let output = flockmap(words);
-    assert_eq!(output.status.code(), Some(2), "{words}");
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn json(path: &Path) -> Value {
-    serde_json::from_str(&std::fs::read_to_string(path).expect("the file is there")).expect("it is JSON")
-}
 
 const SMALL: &str = "--resolution 0.25 --range 6 --seconds 2";
 

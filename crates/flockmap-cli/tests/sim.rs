@@ -1,0 +1,82 @@
+//! Simulated swarms written as records, as a user runs them.
+
+mod common;
+
+use std::path::Path;
+
+use common::{fails, good, json};
+
+const SMALL: &str = "--scene indoor --robots 2 --resolution 0.25 --range 6 --seconds 3";
+
+fn bytes(folder: &Path, robot: u32) -> Vec<u8> {
+    std::fs::read(folder.join(format!("robot{robot}.mcap"))).expect("the record is there")
+}
+
+#[test]
+fn the_same_flight_gives_the_same_files_with_one_thread_and_with_two() {
+    let folder = tempfile::tempdir().unwrap();
+    let fly = |name: &str, more: &str| {
+        let out = folder.path().join(name);
+        good(&format!("sim fly {SMALL} {more} --out {}", out.display()));
+        [1, 2].map(|robot| bytes(&out, robot))
+    };
+    let first = fly("a", "--threads 1");
+    assert!(first == fly("b", "--threads 2"), "the number of threads shows in the files");
+    assert!(first != fly("d", "--seed 2"), "the seed does not show in the files");
+}
+
+#[test]
+fn a_replay_of_the_files_is_the_replay_of_the_flight() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().display();
+    let flight = "--resolution 0.25 --range 6 --seconds 3 --lidar mid360 --no-returns --seed 4";
+    good(&format!("sim fly --scene forest --robots 2 {flight} --out {out}"));
+    let radio = "--resolution 0.25 --range 6 --loss 0.2 --delay-ms 20 --seed 4";
+    good(&format!("replay {out}/robot1.mcap {out}/robot2.mcap {radio} --json {out}/files.json"));
+    good(&format!("replay forest {flight} --loss 0.2 --delay-ms 20 --json {out}/flight.json"));
+    let (files, flight) = (json(&folder.path().join("files.json")), json(&folder.path().join("flight.json")));
+    assert!(files["sum"]["total_bytes"].as_u64().unwrap() > 10_000);
+    for what in ["sum", "kb_per_second", "agreement"] {
+        assert_eq!(files[what], flight[what], "{what}");
+    }
+    for robot in [0, 1] {
+        assert_eq!(files["robots"][robot]["layers"], flight["robots"][robot]["layers"]);
+    }
+}
+
+#[test]
+fn a_flight_tells_what_it_wrote_and_shows_its_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().display();
+    std::fs::write(folder.path().join("robot3.mcap"), b"of an earlier flight").unwrap();
+    let text = good(&format!("sim fly {SMALL} --out {out} --json {out}/flight.json"));
+    assert!(text.contains("robot2") && text.contains("metres"), "{text}");
+    let facts = json(&folder.path().join("flight.json"));
+    for robot in facts["robots"].as_array().unwrap() {
+        assert_eq!(robot["scans"], 30);
+        assert!(robot["points"].as_u64().unwrap() > 10_000, "{robot}");
+        assert_eq!(
+            robot["file_bytes"],
+            bytes(folder.path(), if robot["robot"] == "robot1" { 1 } else { 2 }).len()
+        );
+    }
+    let text = good(&format!("info {out}/robot1.mcap"));
+    assert!(text.contains("30 frames of 30 scans (0 without a pose)"), "{text}");
+    // At 0 s, at 2 s, and at the end.
+    assert!(text.contains("/robot1/viewer/map: 3 ×") && text.contains("/robot1/viewer/way: 3 ×"), "{text}");
+    good(&format!("sim fly {SMALL} --no-view --out {out}"));
+    assert!(!good(&format!("info {out}/robot1.mcap")).contains("viewer"));
+}
+
+#[test]
+fn what_cannot_be_flown_is_said() {
+    for (words, expected) in [
+        ("sim fly --scene nowhere", "nowhere"),
+        ("sim fly --threads 0", "--threads"),
+        ("sim fly --robots 999", "999"),
+        ("sim fly --resolution 0", "--resolution is 0"),
+    ] {
+        let error = fails(words);
+        assert!(error.contains(expected), "`{words}` says: {error}");
+    }
+}
