@@ -10,6 +10,9 @@ pub enum SendError {
     /// The package codecs refused.
     #[error(transparent)]
     Encode(#[from] EncodeError),
+    /// The sender's note of what it has told is full.
+    #[error(transparent)]
+    Map(#[from] MapTooLarge),
     /// The form of the method ends before this.
     #[error("{method} cannot send this: {limit}")]
     Limit {
@@ -36,9 +39,11 @@ pub enum ReceiveError {
         rule: &'static str,
     },
     /// The map would grow beyond what a receiver holds.
-    #[error("the map would grow beyond {blocks_max} blocks of 8³ voxels")]
-    MapTooLarge {
-        /// The limit.
-        blocks_max: usize,
-    },
+    #[error(transparent)]
+    Map(#[from] MapTooLarge),
 }
+
+/// A map of states has no room for one more block.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Error)]
+#[error("the map would grow beyond {} blocks of 8³ voxels", crate::BLOCKS_MAX)]
+pub struct MapTooLarge;

@@ -28,13 +28,19 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod address_delta;
+mod bytes;
+mod colag;
 mod error;
+mod gvp;
+mod map_receiver;
 mod method;
+mod octomap_diff;
 mod package;
 mod state_map;
 mod traits;
 
-pub use error::{ReceiveError, SendError};
+pub use error::{MapTooLarge, ReceiveError, SendError};
 pub use method::{Method, UnknownMethod};
 pub use state_map::{BLOCKS_MAX, StateMap};
 pub use traits::{Observation, Receiver, Sender};

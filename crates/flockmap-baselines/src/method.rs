@@ -6,8 +6,13 @@ use core::str::FromStr;
 use flockmap_codec::Codec;
 use flockmap_grid::{ConfigError, MapperConfig};
 
+use crate::address_delta::AddressDeltaSender;
+use crate::colag::{ColagSender, Region};
+use crate::gvp::GvpSender;
+use crate::map_receiver::MapReceiver;
+use crate::octomap_diff::OctomapDiffSender;
 use crate::package::{PackageReceiver, PackageSender};
-use crate::{Receiver, Sender};
+use crate::{Receiver, Sender, address_delta, colag, gvp, octomap_diff};
 
 /// A way of telling others what a robot maps. Every one is given the same cycles of the same map.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
@@ -17,13 +22,25 @@ pub enum Method {
     Whole(Codec),
     /// A codec of map packages, each cycle cut into packages of at most 1,150 bytes, each useful on its own.
     Datagrams(Codec),
+    /// ColAG: addresses of occupied and unknown voxels in the box of the changes, all else free.
+    Colag,
+    /// The same with the smallest region that it could have: the boxes of the changes in each block of 8³ voxels.
+    ColagBlocks,
+    /// GVP-MREP's block bitmap with its rule of when a block goes out.
+    Gvp,
+    /// MARBLE's pruned binary OctoMap of the changed voxels, at the end of each cycle.
+    OctomapDiff,
+    /// The same as MARBLE sends it: every 10 s, if it has more than 1,000 nodes.
+    OctomapDiff10s,
+    /// A sorted list of addresses, packed as well as zstd can.
+    AddressDeltaZstd,
 }
 
 const DATAGRAMS: &str = "-datagrams";
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 14] = [
         Self::Whole(Codec::Raw),
         Self::Whole(Codec::NestedZlib),
         Self::Whole(Codec::Paper),
@@ -32,6 +49,12 @@ impl Method {
         Self::Datagrams(Codec::NestedZlib),
         Self::Datagrams(Codec::Paper),
         Self::Datagrams(Codec::Racer),
+        Self::Colag,
+        Self::ColagBlocks,
+        Self::Gvp,
+        Self::OctomapDiff,
+        Self::OctomapDiff10s,
+        Self::AddressDeltaZstd,
     ];
 
     /// The half that tells, with nothing told yet. `config` is that of the mapper whose cycles it will be given.
@@ -39,6 +62,12 @@ impl Method {
         match self {
             Self::Whole(codec) => Box::new(PackageSender::new(codec, false)),
             Self::Datagrams(codec) => Box::new(PackageSender::new(codec, true)),
+            Self::Colag => Box::new(ColagSender::new(Region::Box)),
+            Self::ColagBlocks => Box::new(ColagSender::new(Region::Blocks)),
+            Self::Gvp => Box::new(GvpSender::default()),
+            Self::OctomapDiff => Box::new(OctomapDiffSender::every_cycle()),
+            Self::OctomapDiff10s => Box::new(OctomapDiffSender::as_marble()),
+            Self::AddressDeltaZstd => Box::new(AddressDeltaSender::new()),
         }
     }
 
@@ -49,6 +78,10 @@ impl Method {
     pub fn receiver(self, _config: &MapperConfig) -> Result<Box<dyn Receiver>, ConfigError> {
         Ok(match self {
             Self::Whole(_) | Self::Datagrams(_) => Box::new(PackageReceiver::default()),
+            Self::Colag | Self::ColagBlocks => Box::new(MapReceiver::new(colag::apply)),
+            Self::Gvp => Box::new(MapReceiver::new(gvp::apply)),
+            Self::OctomapDiff | Self::OctomapDiff10s => Box::new(MapReceiver::new(octomap_diff::apply)),
+            Self::AddressDeltaZstd => Box::new(MapReceiver::new(address_delta::apply)),
         })
     }
 
@@ -56,6 +89,8 @@ impl Method {
     pub const fn is_lossless(self) -> bool {
         match self {
             Self::Whole(_) | Self::Datagrams(_) => true,
+            Self::Colag | Self::ColagBlocks | Self::OctomapDiff | Self::AddressDeltaZstd => true,
+            Self::Gvp | Self::OctomapDiff10s => false,
         }
     }
 
@@ -76,6 +111,24 @@ impl Method {
             Self::Datagrams(_) => {
                 "The same codec, cut into packages of at most 1,150 bytes, each useful on its own."
             }
+            Self::Colag => {
+                "ColAG (the paper's [6]): 4-byte addresses of the occupied and the unknown voxels in a region round the robot, all else free. The region is no larger than the box of the cycle's changes, told once a cycle; what is said to be unknown erases nothing, so every change arrives."
+            }
+            Self::ColagBlocks => {
+                "ColAG with the least region it could have, which it has not: the boxes of the changes in each block of 8³ voxels, once a cycle."
+            }
+            Self::Gvp => {
+                "GVP-MREP's MapC: blocks of 8³ voxels, 8 bytes if all one state, else 8 + 128 with 2 bits a voxel. A block goes out when first more than 97.5 % known, or 2 s after the last time with at least 15 % of it new; what never comes to that stays unsent."
+            }
+            Self::OctomapDiff => {
+                "MARBLE's difference: the changed voxels as a pruned binary OctoMap, 2 bits for each child of an inner node, once a cycle in place of every 10 s."
+            }
+            Self::OctomapDiff10s => {
+                "MARBLE's difference as MARBLE sends it: every 10 s, if it has more than 1,000 nodes; what is left at the end stays unsent. Its republishing of old differences is left out."
+            }
+            Self::AddressDeltaZstd => {
+                "Sorted addresses, differences or runs as varints, states as bits or runs, zstd 19; the smallest of three layouts, once a cycle. What one would try first; from nobody in particular."
+            }
         }
     }
 }
@@ -85,6 +138,12 @@ impl fmt::Display for Method {
         match self {
             Self::Whole(codec) => f.pad(codec.name()),
             Self::Datagrams(codec) => f.pad(&format!("{}{DATAGRAMS}", codec.name())),
+            Self::Colag => f.pad("colag"),
+            Self::ColagBlocks => f.pad("colag-blocks"),
+            Self::Gvp => f.pad("gvp"),
+            Self::OctomapDiff => f.pad("octomap-diff"),
+            Self::OctomapDiff10s => f.pad("octomap-diff-10s"),
+            Self::AddressDeltaZstd => f.pad("address-delta-zstd"),
         }
     }
 }

@@ -3,7 +3,7 @@
 use flockmap_codec::{Codec, Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, Package};
 use flockmap_grid::{BlockIndex, Changes, Layer, Mapper, Stamp, State, StateBlock, Voxel};
 
-use crate::{ReceiveError, Receiver, SendError, Sender};
+use crate::{MapTooLarge, ReceiveError, Receiver, SendError, Sender};
 
 pub(crate) struct PackageSender {
     codec: Codec,
@@ -49,7 +49,7 @@ impl Receiver for PackageReceiver {
     fn receive(&mut self, message: &[u8]) -> Result<(), ReceiveError> {
         let package = Package::parse(message)?;
         if self.layer.block_count() >= crate::BLOCKS_MAX {
-            return Err(ReceiveError::MapTooLarge { blocks_max: crate::BLOCKS_MAX });
+            return Err(MapTooLarge.into());
         }
         match self.decoder.decode(&package)? {
             Content::Changes(changes) => {

@@ -3,7 +3,7 @@
 use flockmap_grid::{BlockIndex, Changes, State, StateBlock, Voxel, voxel_bit};
 use rustc_hash::FxHashMap;
 
-use crate::ReceiveError;
+use crate::MapTooLarge;
 
 /// Most blocks that a map of states holds, 2²¹: about 340 MB, room for a million cubic metres at 0.1 m voxels.
 pub const BLOCKS_MAX: usize = 1 << 21;
@@ -18,13 +18,13 @@ impl StateMap {
     /// Takes over what is known in `newer`; the other voxels of the block stay.
     ///
     /// # Errors
-    /// [`ReceiveError::MapTooLarge`] if there is no room for one more block.
-    pub fn overlay(&mut self, index: BlockIndex, newer: &StateBlock) -> Result<(), ReceiveError> {
+    /// [`MapTooLarge`] if there is no room for one more block.
+    pub fn overlay(&mut self, index: BlockIndex, newer: &StateBlock) -> Result<(), MapTooLarge> {
         if newer.is_empty() {
             return Ok(());
         }
         if self.blocks.len() >= BLOCKS_MAX && !self.blocks.contains_key(&index) {
-            return Err(ReceiveError::MapTooLarge { blocks_max: BLOCKS_MAX });
+            return Err(MapTooLarge);
         }
         self.blocks.entry(index).or_default().overlay(newer);
         Ok(())
@@ -34,8 +34,15 @@ impl StateMap {
     ///
     /// # Errors
     /// As for [`Self::overlay`].
-    pub fn apply(&mut self, changes: &Changes) -> Result<(), ReceiveError> {
+    pub fn apply(&mut self, changes: &Changes) -> Result<(), MapTooLarge> {
         changes.blocks().iter().try_for_each(|(index, block)| self.overlay(*index, block))
+    }
+
+    /// Sets one voxel of a block that is in the map already; without that block nothing is done.
+    pub(crate) fn set(&mut self, index: BlockIndex, bit: usize, state: State) {
+        if let Some(block) = self.blocks.get_mut(&index) {
+            block.set(bit, state);
+        }
     }
 
     /// State of a voxel.

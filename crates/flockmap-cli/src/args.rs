@@ -8,7 +8,7 @@ use flockmap::grid::Preset;
 use flockmap_sim::Lidar;
 
 use crate::args_sim::SimCommand;
-use crate::bench_codecs::Method;
+use crate::bench_codecs::MethodName;
 use crate::bench_random::BenchRandomArgs;
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
@@ -96,10 +96,12 @@ Examples:
   flockmap bench codecs forest --lidar avia
   flockmap bench codecs robot1.mcap robot2.mcap --resolution 0.2 --range 30 --json codecs.json
   flockmap bench codecs forest --codec paper,racer
+  flockmap bench codecs forest --codec all
 
 A method is a codec (raw, nested-zlib, paper, racer), which codes each cycle as one package, or a codec with
-`-datagrams`, which cuts each cycle into packages of at most 1,150 bytes, each useful on its own.
-Exit code 1 if any method gets a voxel wrong.")]
+`-datagrams`, which cuts each cycle into packages of at most 1,150 bytes, each useful on its own; or a rival. Some rivals are
+lossy or stale: they are marked, and their agreement is what they reach.
+Exit code 1 if a lossless method gets a voxel wrong.")]
     Codecs(Box<BenchCodecsArgs>),
     /// The mapper beside OctoMap, on the same scans
     #[command(after_help = "\
@@ -272,9 +274,9 @@ pub struct BenchCodecsArgs {
     /// Records, or one world: forest, indoor, or a .bt .pcd .ply .las .laz file
     #[arg(value_name = "RECORD", required = true)]
     pub records: Vec<PathBuf>,
-    /// Methods, separated by commas [default: raw,nested-zlib,paper,racer,paper-datagrams]
+    /// Methods, separated by commas, or all [default: raw,nested-zlib,paper,racer,paper-datagrams]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    pub codec: Vec<Method>,
+    pub codec: Vec<MethodName>,
     /// Write the table as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

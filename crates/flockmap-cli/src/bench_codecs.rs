@@ -1,49 +1,62 @@
-//! `flockmap bench codecs`: all codecs on the same cycles.
+//! `flockmap bench codecs`: all methods on the same cycles.
 
 use core::fmt;
 use core::str::FromStr;
-use std::time::{Duration, Instant};
 
-use flockmap::codec::{Codec, Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, Package};
-use flockmap::grid::{Layer, Mapper};
-use flockmap::{Changes, Packer, RobotId, Stamp, Stream};
+use flockmap::codec::Codec;
+use flockmap_baselines::{Method, UnknownMethod};
 use serde::Serialize;
 
 use crate::args::BenchCodecsArgs;
-use crate::measure::{Comparison, KB, Sent, Times};
+use crate::codec_run::{self, CodecRun, Outcome};
+use crate::measure::KB;
 use crate::progress::Progress;
 use crate::table::{Table, kb, percent, thousands};
 use crate::{json_file, sources, stop};
 
-/// A codec, and whether it codes a cycle whole or cut into datagrams.
+/// What `--codec` takes: a method, or all of them.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Method {
-    codec: Codec,
-    datagrams: bool,
+pub enum MethodName {
+    One(Method),
+    All,
 }
 
-const DATAGRAMS: &str = "-datagrams";
+impl FromStr for MethodName {
+    type Err = UnknownMethod;
 
-impl FromStr for Method {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        let (codec, datagrams) = name.strip_suffix(DATAGRAMS).map_or((name, false), |codec| (codec, true));
-        let codec = codec.parse().map_err(|error| format!("{error}, each also with {DATAGRAMS}"))?;
-        Ok(Self { codec, datagrams })
+    fn from_str(name: &str) -> Result<Self, UnknownMethod> {
+        if name == "all" { Ok(Self::All) } else { name.parse().map(Self::One) }
     }
 }
 
-impl fmt::Display for Method {
+impl fmt::Display for MethodName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", self.codec.name(), if self.datagrams { DATAGRAMS } else { "" })
+        match self {
+            Self::One(method) => method.fmt(f),
+            Self::All => f.pad("all"),
+        }
     }
 }
 
-fn default_methods() -> Vec<Method> {
-    let mut methods: Vec<Method> =
-        Codec::ALL.into_iter().map(|codec| Method { codec, datagrams: false }).collect();
-    methods.push(Method { codec: Codec::Paper, datagrams: true });
+/// The methods that are named, each once. Named none: the short list.
+fn methods(names: &[MethodName]) -> Vec<Method> {
+    if names.is_empty() {
+        let mut methods: Vec<Method> = Codec::ALL.into_iter().map(Method::Whole).collect();
+        methods.push(Method::Datagrams(Codec::Paper));
+        return methods;
+    }
+    let mut methods: Vec<Method> = Vec::new();
+    for name in names {
+        let named = match name {
+            MethodName::One(method) => core::slice::from_ref(method),
+            MethodName::All => Method::ALL.as_slice(),
+        };
+        for method in named {
+            if !methods.contains(method) {
+                methods.push(*method);
+            }
+        }
+    }
     methods
 }
 
@@ -73,182 +86,73 @@ struct Row {
     encode_ms_mean: f64,
     encode_ms_p99: f64,
     decode_ms_mean: f64,
-    /// Share of voxels that come out as they went in; anything but 1 is a fault.
+    /// Share of voxels that the receiver has as they were packed; less than 1 is a fault of a lossless method.
     agreement: f64,
 }
 
-/// One method at work.
-struct Bench {
-    method: Method,
-    encoder: Encoder,
-    decoder: Decoder,
-    next_index: u32,
-    layer: Layer,
-    sent: Sent,
-    total: u64,
-    largest_second: u64,
-    packages: u64,
-    encode: Times,
-    decode: Times,
-    compared: Comparison,
-    stamps_agree: bool,
-}
-
-impl Bench {
-    fn new(method: Method) -> Self {
+impl From<&codec_run::Row> for Row {
+    fn from(row: &codec_run::Row) -> Self {
         Self {
-            method,
-            encoder: Encoder::new(),
-            decoder: Decoder::new(),
-            next_index: 1,
-            layer: Layer::default(),
-            sent: Sent::default(),
-            total: 0,
-            largest_second: 0,
-            packages: 0,
-            encode: Times::default(),
-            decode: Times::default(),
-            compared: Comparison::default(),
-            stamps_agree: true,
-        }
-    }
-
-    fn cycle(&mut self, now: Stamp, cycle: &Cycle, changes: &Changes) -> anyhow::Result<()> {
-        let Method { codec, datagrams } = self.method;
-        let started = Instant::now();
-        let packages = if datagrams {
-            self.encoder.encode_cycle(codec, cycle, self.next_index, changes, PACKAGE_BYTES_MAX)?
-        } else {
-            vec![self.encoder.encode_whole(codec, cycle, self.next_index, changes)?]
-        };
-        self.encode.add(started.elapsed());
-        self.next_index += packages.len() as u32;
-        self.packages += packages.len() as u64;
-        let mut took = Duration::ZERO;
-        for package in &packages {
-            self.sent.add(now, package.bytes().len() as u64);
-            let started = Instant::now();
-            let received = Package::parse(package.bytes())?;
-            let content = self.decoder.decode(&received)?;
-            took += started.elapsed();
-            if let Content::Changes(decoded) = content {
-                self.layer.apply(&decoded, received.header().cycle_end);
-            }
-        }
-        self.decode.add(took);
-        Ok(())
-    }
-
-    /// The record is over: compares with what the cycles said.
-    fn end_record(&mut self, truth: &Layer) {
-        let compared = Comparison::of_layers(&self.layer, truth);
-        self.compared.known += compared.known;
-        self.compared.equal += compared.equal;
-        self.stamps_agree &= self.layer.digest() == truth.digest();
-        self.total += self.sent.total();
-        self.largest_second = self.largest_second.max(self.sent.largest_second());
-        self.layer = Layer::default();
-        self.sent = Sent::default();
-        self.next_index = 1;
-    }
-
-    fn row(&self, seconds: f64) -> Row {
-        let (encode, decode) = (self.encode.summary(), self.decode.summary());
-        Row {
-            name: self.method.to_string(),
-            total_bytes: self.total,
-            avg_kb_s: self.total as f64 / KB / seconds.max(1e-3),
-            max_kb_s: self.largest_second as f64 / KB,
-            packages: self.packages,
-            encode_ms_mean: encode.mean_ms,
-            encode_ms_p99: encode.p99_ms,
-            decode_ms_mean: decode.mean_ms,
-            agreement: self.compared.share(),
+            name: row.method.to_string(),
+            total_bytes: row.total_bytes,
+            avg_kb_s: row.avg_kb_s,
+            max_kb_s: row.max_kb_s,
+            packages: row.packages,
+            encode_ms_mean: row.encode.mean_ms,
+            encode_ms_p99: row.encode.p99_ms,
+            decode_ms_mean: row.decode.mean_ms,
+            agreement: row.compared.share(),
         }
     }
 }
 
-/// Runs the command. Whether every method is lossless.
+/// Runs the command. Whether every lossless method is lossless.
 pub fn run(args: &BenchCodecsArgs) -> anyhow::Result<bool> {
-    let (resolution, cycle_config, mapper_config) =
-        (args.map.resolution()?, args.map.cycle()?, args.map.mapper()?);
+    let (mapper, cycle) = (args.map.mapper()?, args.map.cycle()?);
     let sources = sources::open(&args.records, &args.source, args.map.range, false)?;
-    let methods = if args.codec.is_empty() { default_methods() } else { args.codec.clone() };
-    let mut benches: Vec<Bench> = methods.into_iter().map(Bench::new).collect();
+    let mut run = CodecRun::new(mapper, cycle, &methods(&args.codec), 1);
     let expected = sources.robots.iter().map(|source| source.frames_expected).sum();
     let mut progress = Progress::new("scans", expected);
-    let (mut seconds, mut changed_voxels, mut cycles) = (0.0, 0u64, 0u64);
     let mut names = Vec::new();
-    for (number, source) in sources.robots.into_iter().enumerate() {
+    for source in sources.robots {
         progress.say(format!("{}: scans", source.name));
         names.push(source.name);
-        let stream = Stream { origin: RobotId(number as u16 + 1), epoch: 1 };
-        let mut mapper = Mapper::new(mapper_config.clone())?;
-        let mut packer = Packer::new(cycle_config, stream, resolution, Stamp(0));
-        let mut truth = Layer::default();
-        let mut last = Stamp(0);
-        let mut each = |now, (cycle, changes): (Cycle, Changes)| -> anyhow::Result<()> {
-            changed_voxels += changes.len() as u64;
-            cycles += 1;
-            truth.apply(&changes, cycle.end);
-            benches.iter_mut().try_for_each(|bench| bench.cycle(now, &cycle, &changes))
-        };
-        for frame in source.frames {
-            if stop::requested() {
-                break;
-            }
-            // The deadline of a cycle may pass between two scans.
-            while let Some(deadline) = packer.deadline(&mapper).filter(|at| *at < frame.scan.stamp) {
-                let now = deadline.max(last);
-                match packer.close_due(now, &mut mapper) {
-                    Some(cycle) => each(now, cycle)?,
-                    None => break,
-                }
-            }
-            last = frame.scan.stamp;
-            mapper.insert(&frame.scan, &frame.pose, &[]);
-            packer.note_scan(last);
-            while let Some(cycle) = packer.close_due(last, &mut mapper) {
-                each(last, cycle)?;
-            }
-            progress.step();
-        }
-        if let Some(cycle) = packer.close(last, &mut mapper) {
-            each(last, cycle)?;
-        }
-        seconds += last.seconds();
-        benches.iter_mut().for_each(|bench| bench.end_record(&truth));
+        run.record(source.frames, || progress.step())?;
     }
     drop(progress);
+    let outcome = run.finish();
     let output = Output {
         records: names,
         resolution_m: args.map.resolution,
         range_m: args.map.range,
         t_l_s: args.map.t_l,
         d: args.map.d,
-        changed_voxels,
-        methods: benches.iter().map(|bench| bench.row(seconds)).collect(),
+        changed_voxels: outcome.changed_voxels,
+        methods: outcome.rows.iter().map(Row::from).collect(),
     };
-    print(&output, &sources.title, seconds, cycles);
+    print(&output, &sources.title, &outcome);
     if let Some(path) = &args.json {
         json_file::write(path, &output)?;
     }
-    let lossless = benches.iter().all(|bench| bench.compared.share() == 1.0 && bench.stamps_agree);
-    if !lossless {
+    let broken: Vec<String> =
+        outcome.rows.iter().filter(|row| !row.is_as_promised()).map(|row| row.method.to_string()).collect();
+    if !broken.is_empty() {
         eprintln!(
-            "error: a method does not give back what went in: this is a fault of flockmap, please report it"
+            "error: {} should give back what went in and does not: this is a fault of flockmap, please report it",
+            broken.join(", ")
         );
     }
-    Ok(lossless)
+    Ok(broken.is_empty())
 }
 
-fn print(output: &Output, title: &str, seconds: f64, cycles: u64) {
+fn print(output: &Output, title: &str, outcome: &Outcome) {
     let Output { resolution_m, range_m, t_l_s, d, changed_voxels, methods, .. } = output;
+    let Outcome { seconds, cycles, rows, .. } = outcome;
     println!("{title}");
     println!(
         "  {resolution_m} m voxels, {range_m} m range, t_l {t_l_s} s, d {}; {seconds:.1} s in all, {} cycles, {} changed voxels{}\n",
         thousands(*d as u64),
-        thousands(cycles),
+        thousands(*cycles),
         thousands(*changed_voxels),
         if stop::requested() { " (partial: ended by Ctrl-C)" } else { "" }
     );
@@ -266,7 +170,8 @@ fn print(output: &Output, title: &str, seconds: f64, cycles: u64) {
         "decode ms",
         "agreement",
     ]);
-    for row in methods {
+    let mut lossy = Vec::new();
+    for (row, run) in methods.iter().zip(rows) {
         let ratio = reference.map_or_else(String::new, |paper| {
             format!("×{:.2}", row.total_bytes as f64 / paper.max(1) as f64)
         });
@@ -281,7 +186,12 @@ fn print(output: &Output, title: &str, seconds: f64, cycles: u64) {
             format!("{:.2}", row.encode_ms_mean),
             format!("{:.2}", row.encode_ms_p99),
             format!("{:.2}", row.decode_ms_mean),
-            percent(row.agreement),
+            if run.method.is_lossless() {
+                percent(row.agreement)
+            } else {
+                lossy.push(run.method);
+                format!("{} *", percent(row.agreement))
+            },
         ]);
     }
     print!("{table}");
@@ -289,8 +199,12 @@ fn print(output: &Output, title: &str, seconds: f64, cycles: u64) {
         "
   Bytes of packages with their headers; IP and UDP add 28 bytes to each datagram. KB = 1,024 bytes. Average: a robot's, over the
   whole record; max: largest second of any robot. Times: all packages of a cycle, one core. `racer` is its 4 + 1 bytes a
-  voxel in one package a cycle; its own messages of 200 voxels add 52 bytes each."
+  voxel in one package a cycle; its own messages of 200 voxels add 52 bytes each. Agreement: voxels equal to those packed, of
+  all that either side knows, when everything has arrived."
     );
+    for method in lossy {
+        println!("  * {method}: {}", method.about());
+    }
 }
 
 #[cfg(test)]
@@ -298,10 +212,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn methods_have_names() {
-        for name in ["raw", "nested-zlib", "paper", "racer", "paper-datagrams", "racer-datagrams"] {
-            assert_eq!(name.parse::<Method>().unwrap().to_string(), name);
-        }
-        assert!("datagrams".parse::<Method>().is_err());
+    fn methods_are_named_once_each() {
+        let named = |list: &str| {
+            methods(&list.split(',').map(|name| name.parse().unwrap()).collect::<Vec<MethodName>>())
+        };
+        assert_eq!(methods(&[]).len(), 5);
+        assert_eq!(named("paper,racer,paper"), [Method::Whole(Codec::Paper), Method::Whole(Codec::Racer)]);
+        assert_eq!(named("racer,all").len(), Method::ALL.len());
+        assert!("datagrams".parse::<MethodName>().is_err());
     }
 }

@@ -8,6 +8,7 @@ mod bench_codecs;
 mod bench_mapping;
 mod bench_random;
 mod chart;
+mod codec_run;
 mod demo;
 mod document;
 mod export;

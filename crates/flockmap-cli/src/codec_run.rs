@@ -1,0 +1,312 @@
+//! Methods of telling a map, side by side on the same cycles of the same records.
+
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use flockmap::codec::Cycle;
+use flockmap::grid::{Layer, Mapper, MapperConfig, ScanReport};
+use flockmap::{Changes, CycleConfig, Packer, Pose, RobotId, Scan, Sphere, Stamp, Stream};
+use flockmap_baselines::{Method, Observation, Receiver, Sender};
+
+use crate::measure::{Comparison, KB, Sent, TimeSummary, Times};
+use crate::{sources, stop};
+
+/// A scan, `T_map_sensor`, and where team-mates were.
+pub struct Frame {
+    pub scan: Scan,
+    pub pose: Pose,
+    pub masks: Vec<Sphere>,
+}
+
+impl From<sources::Frame> for Frame {
+    fn from(frame: sources::Frame) -> Self {
+        Self { scan: frame.scan, pose: frame.pose, masks: Vec::new() }
+    }
+}
+
+/// All methods at work. One record after another; each is a robot that all the others listen to.
+pub struct CodecRun {
+    mapper: MapperConfig,
+    cycle: CycleConfig,
+    receivers: u64,
+    benches: Vec<Bench>,
+    seconds: f64,
+    cycles: u64,
+    changed_voxels: u64,
+}
+
+/// What came out.
+pub struct Outcome {
+    /// Of all records together.
+    pub seconds: f64,
+    /// Of all records together.
+    pub cycles: u64,
+    /// Voxels in all cycles together.
+    pub changed_voxels: u64,
+    /// One for each method, in the order asked for.
+    pub rows: Vec<Row>,
+}
+
+/// What a method cost and how far it is right.
+#[allow(dead_code, reason = "for reports that show more than the table")]
+pub struct Row {
+    pub method: Method,
+    /// Of all robots together, each message once for each receiver, without IP and UDP.
+    pub total_bytes: u64,
+    /// Total by the length of all records together, so the mean of the robots.
+    pub avg_kb_s: f64,
+    /// Largest window of one second of any robot.
+    pub max_kb_s: f64,
+    /// Messages, each once for each receiver.
+    pub packages: u64,
+    /// Datagrams of at most 1,472 bytes that carry them: 28 bytes of IP and UDP each come on top.
+    pub datagrams: u64,
+    /// Time for a cycle with its scans, on the sender.
+    pub encode: TimeSummary,
+    /// Time for a cycle, on one receiver.
+    pub decode: TimeSummary,
+    /// Voxels known to the sender, as packed, or to a receiver, when all has arrived; and how many are equal.
+    pub compared: Comparison,
+    /// By robot, in the order of the records.
+    pub robots: Vec<RobotRow>,
+    stamps_agree: bool,
+}
+
+/// What one robot sent.
+#[allow(dead_code, reason = "for reports that show more than the table")]
+pub struct RobotRow {
+    pub total_bytes: u64,
+    /// Length of its record.
+    pub seconds: f64,
+    /// Largest window of one second.
+    pub max_kb_s: f64,
+    /// Bytes in each second from 0 on.
+    pub per_second: Vec<u64>,
+}
+
+impl Row {
+    /// Whether the method does what it says: a lossless one has every voxel, and every stamp that it sends, right.
+    pub fn is_as_promised(&self) -> bool {
+        !self.method.is_lossless() || (self.compared.known == self.compared.equal && self.stamps_agree)
+    }
+}
+
+impl CodecRun {
+    /// Nothing measured yet. Each robot's messages go to so many `receivers`, one by one (unicast: N − 1).
+    pub fn new(mapper: MapperConfig, cycle: CycleConfig, methods: &[Method], receivers: usize) -> Self {
+        let benches = methods.iter().map(|method| Bench::new(*method)).collect();
+        let receivers = receivers.max(1) as u64;
+        Self { mapper, cycle, receivers, benches, seconds: 0.0, cycles: 0, changed_voxels: 0 }
+    }
+
+    /// The record of one robot: maps it, closes cycles, and gives each cycle to every method. Stamps must begin near 0.
+    /// Calls `progress` after each scan. Ends early if the user asks for it.
+    pub fn record(
+        &mut self,
+        frames: impl IntoIterator<Item = impl Into<Frame>>,
+        mut progress: impl FnMut(),
+    ) -> anyhow::Result<()> {
+        let number = self.benches.first().map_or(0, |bench| bench.robots.len());
+        let stream = Stream { origin: RobotId(number as u16 + 1), epoch: 1 };
+        let mut mapper = Mapper::new(self.mapper.clone())?;
+        let mut packer = Packer::new(self.cycle, stream, self.mapper.resolution, Stamp(0));
+        let mut truth = Layer::default();
+        let mut lanes = self
+            .benches
+            .iter_mut()
+            .map(|bench| bench.lane(&self.mapper, self.receivers))
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let (cycles, changed_voxels) = (&mut self.cycles, &mut self.changed_voxels);
+        let mut close = |now, mapper: &Mapper, lanes: &mut [Lane<'_>], (cycle, changes): (Cycle, Changes)| {
+            *cycles += 1;
+            *changed_voxels += changes.len() as u64;
+            truth.apply(&changes, cycle.end);
+            lanes.iter_mut().try_for_each(|lane| lane.cycle(now, &cycle, &changes, mapper))
+        };
+        let mut last = Stamp(0);
+        for frame in frames {
+            if stop::requested() {
+                break;
+            }
+            let Frame { scan, pose, masks } = frame.into();
+            // The deadline of a cycle may pass between two scans.
+            while let Some(deadline) = packer.deadline(&mapper).filter(|at| *at < scan.stamp) {
+                let now = deadline.max(last);
+                match packer.close_due(now, &mut mapper) {
+                    Some(cycle) => close(now, &mapper, &mut lanes, cycle)?,
+                    None => break,
+                }
+            }
+            last = scan.stamp;
+            let report = mapper.insert(&scan, &pose, &masks);
+            packer.note_scan(last);
+            for lane in &mut lanes {
+                lane.scan(last, &scan, &pose, &masks, &mapper, &report)?;
+            }
+            while let Some(cycle) = packer.close_due(last, &mut mapper) {
+                close(last, &mapper, &mut lanes, cycle)?;
+            }
+            progress();
+        }
+        if let Some(cycle) = packer.close(last, &mut mapper) {
+            close(last, &mapper, &mut lanes, cycle)?;
+        }
+        for lane in lanes {
+            lane.end(last, &mapper, &truth)?;
+        }
+        self.seconds += last.seconds();
+        Ok(())
+    }
+
+    /// What came out of all records so far.
+    pub fn finish(self) -> Outcome {
+        let Self { seconds, cycles, changed_voxels, .. } = self;
+        let rows = self.benches.into_iter().map(|bench| bench.row(seconds)).collect();
+        Outcome { seconds, cycles, changed_voxels, rows }
+    }
+}
+
+/// One method over all records.
+struct Bench {
+    method: Method,
+    packages: u64,
+    datagrams: u64,
+    encode: Times,
+    decode: Times,
+    compared: Comparison,
+    stamps_agree: bool,
+    robots: Vec<RobotRow>,
+}
+
+/// One method on one record.
+struct Lane<'a> {
+    bench: &'a mut Bench,
+    sender: Box<dyn Sender>,
+    receiver: Box<dyn Receiver>,
+    receivers: u64,
+    sent: Sent,
+    /// Time that the sender took since the last cycle.
+    took: Duration,
+    messages: Vec<Vec<u8>>,
+}
+
+/// Most bytes of UDP payload in an Ethernet frame.
+const DATAGRAM_BYTES: usize = 1_472;
+
+impl Bench {
+    fn new(method: Method) -> Self {
+        Self {
+            method,
+            packages: 0,
+            datagrams: 0,
+            encode: Times::default(),
+            decode: Times::default(),
+            compared: Comparison::default(),
+            stamps_agree: true,
+            robots: Vec::new(),
+        }
+    }
+
+    fn lane(&mut self, mapper: &MapperConfig, receivers: u64) -> anyhow::Result<Lane<'_>> {
+        Ok(Lane {
+            sender: self.method.sender(mapper),
+            receiver: self.method.receiver(mapper)?,
+            bench: self,
+            receivers,
+            sent: Sent::default(),
+            took: Duration::ZERO,
+            messages: Vec::new(),
+        })
+    }
+
+    fn row(self, seconds: f64) -> Row {
+        let total_bytes = self.robots.iter().map(|robot| robot.total_bytes).sum();
+        Row {
+            method: self.method,
+            total_bytes,
+            avg_kb_s: total_bytes as f64 / KB / seconds.max(1e-3),
+            max_kb_s: self.robots.iter().map(|robot| robot.max_kb_s).fold(0.0, f64::max),
+            packages: self.packages,
+            datagrams: self.datagrams,
+            encode: self.encode.summary(),
+            decode: self.decode.summary(),
+            compared: self.compared,
+            robots: self.robots,
+            stamps_agree: self.stamps_agree,
+        }
+    }
+}
+
+impl Lane<'_> {
+    fn scan(
+        &mut self,
+        now: Stamp,
+        scan: &Scan,
+        pose: &Pose,
+        masks: &[Sphere],
+        mapper: &Mapper,
+        report: &ScanReport,
+    ) -> anyhow::Result<()> {
+        let seen = Observation { now, scan, pose, masks, mapper, report };
+        let started = Instant::now();
+        self.sender.scan(&seen, &mut self.messages).with_context(|| self.bench.method.to_string())?;
+        self.took += started.elapsed();
+        if self.messages.is_empty() { Ok(()) } else { self.deliver(now).map(|_| ()) }
+    }
+
+    fn cycle(&mut self, now: Stamp, cycle: &Cycle, changes: &Changes, mapper: &Mapper) -> anyhow::Result<()> {
+        let started = Instant::now();
+        self.sender
+            .cycle(now, cycle, changes, mapper, &mut self.messages)
+            .with_context(|| self.bench.method.to_string())?;
+        self.bench.encode.add(core::mem::take(&mut self.took) + started.elapsed());
+        let took = self.deliver(now)?;
+        self.bench.decode.add(took);
+        Ok(())
+    }
+
+    /// Counts the messages and gives them to the receiver. Returns the time that it took.
+    fn deliver(&mut self, now: Stamp) -> anyhow::Result<Duration> {
+        let mut took = Duration::ZERO;
+        for message in self.messages.drain(..) {
+            self.sent.add(now, message.len() as u64 * self.receivers);
+            self.bench.packages += self.receivers;
+            self.bench.datagrams += message.len().div_ceil(DATAGRAM_BYTES) as u64 * self.receivers;
+            let started = Instant::now();
+            self.receiver.receive(&message).with_context(|| self.bench.method.to_string())?;
+            took += started.elapsed();
+        }
+        Ok(took)
+    }
+
+    /// The record is over: compares with what the cycles said.
+    fn end(mut self, now: Stamp, mapper: &Mapper, truth: &Layer) -> anyhow::Result<()> {
+        self.sender.end(now, mapper, &mut self.messages).with_context(|| self.bench.method.to_string())?;
+        self.deliver(now)?;
+        let compared = compare(&*self.receiver, truth);
+        let bench = self.bench;
+        bench.compared.known += compared.known;
+        bench.compared.equal += compared.equal;
+        bench.stamps_agree &= self.receiver.layer().is_none_or(|layer| layer.digest() == truth.digest());
+        bench.robots.push(RobotRow {
+            total_bytes: self.sent.total(),
+            seconds: now.seconds(),
+            max_kb_s: self.sent.largest_second() as f64 / KB,
+            per_second: self.sent.per_second(),
+        });
+        Ok(())
+    }
+}
+
+fn compare(receiver: &dyn Receiver, truth: &Layer) -> Comparison {
+    let received: HashMap<_, _> = receiver.states().collect();
+    let mut compared = Comparison::default();
+    for (index, block) in &received {
+        compared.add(Some(block), truth.block(*index));
+    }
+    for (_, block) in truth.blocks().filter(|(index, _)| !received.contains_key(index)) {
+        compared.add(None, Some(block));
+    }
+    compared
+}
