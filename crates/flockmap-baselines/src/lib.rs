@@ -37,6 +37,7 @@ mod map_receiver;
 mod method;
 mod octomap_diff;
 mod package;
+pub mod racer_code;
 mod state_map;
 mod traits;
 
