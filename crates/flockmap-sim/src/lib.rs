@@ -20,6 +20,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod application;
 mod cells;
 mod curve;
 mod flight;

@@ -4,6 +4,7 @@ mod draw;
 mod forest;
 mod indoor;
 mod open;
+mod thicket;
 
 use crate::cells::{CellSet, TooLarge};
 use flockmap_grid::{Resolution, State, Voxel, VoxelBox};
@@ -84,6 +85,13 @@ impl World {
     /// machine.
     pub fn indoor(seed: u64) -> Self {
         indoor::indoor(seed)
+    }
+
+    /// A generated thicket, 36 × 12 × 4 m with x from 0, y about 0 and z from 0, cells of 5 cm: level ground, stems of
+    /// 0.2 to 0.5 m and bushes, with gaps of at least 1.2 m between any two and nothing within 6.5 m of the low and 4 m
+    /// of the high end of x, where a flight begins and ends. The same seed gives the same world on every machine.
+    pub fn thicket(seed: u64) -> Self {
+        thicket::thicket(seed)
     }
 
     /// A world from a point cloud: every cell that holds a point is solid. Coordinates in metres; of large

@@ -1,0 +1,142 @@
+//! The same flight over many seeds and radios.
+
+use super::{ApplicationOptions, ApplicationOutcome, Course, Ending, MapSync, fly};
+use flockmap::RobotError;
+use std::sync::Mutex;
+
+/// Which flights.
+#[derive(Clone, PartialEq, Debug)]
+pub struct SeriesOptions {
+    /// Number of seeds: courses 1 … this, each the same in all series. Default 20.
+    pub seeds: u64,
+    /// Budgets in bytes a second; `None`: no limit. Default 1, 5, 25 and 100 KB/s (of 1,024 bytes).
+    pub rates_bytes_per_s: Vec<u32>,
+    /// Losses for each of these budgets. Default 0, 0.2 and 0.4.
+    pub losses: Vec<f64>,
+    /// Time on the way of all radios, in milliseconds. Default 20.
+    pub delay_ms: u32,
+    /// Threads that fly at once; no outcome depends on it. Default 2.
+    pub threads: usize,
+    /// Everything else. Its `seed` and `sync` are set anew for each flight.
+    pub application: ApplicationOptions,
+}
+
+impl Default for SeriesOptions {
+    fn default() -> Self {
+        Self {
+            seeds: 20,
+            rates_bytes_per_s: [1, 5, 25, 100].map(|kb| kb * 1024).to_vec(),
+            losses: vec![0.0, 0.2, 0.4],
+            delay_ms: 20,
+            threads: 2,
+            application: ApplicationOptions::default(),
+        }
+    }
+}
+
+impl SeriesOptions {
+    /// The radios, one for each series: none, without limit, then each budget with each loss.
+    pub fn syncs(&self) -> Vec<MapSync> {
+        let delay_ms = self.delay_ms;
+        let limited = self.rates_bytes_per_s.iter().flat_map(|rate| {
+            self.losses.iter().map(move |loss| MapSync::Radio {
+                rate_bytes_per_s: Some(*rate),
+                loss: *loss,
+                delay_ms,
+            })
+        });
+        let unlimited = MapSync::Radio { rate_bytes_per_s: None, loss: 0.0, delay_ms };
+        [MapSync::None, unlimited].into_iter().chain(limited).collect()
+    }
+
+    /// Number of flights that [`series`] will make.
+    pub fn flights(&self) -> u64 {
+        self.seeds * self.syncs().len() as u64
+    }
+}
+
+/// The flights with one radio, in order of their seeds.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Series {
+    /// The radio.
+    pub sync: MapSync,
+    /// What became of each seed, from 1 on.
+    pub outcomes: Vec<ApplicationOutcome>,
+}
+
+impl Series {
+    /// How many flights ended so.
+    pub fn count(&self, ending: Ending) -> usize {
+        self.outcomes.iter().filter(|outcome| outcome.ending == ending).count()
+    }
+
+    /// Mean over the flights that reached the goal, 0 if none did.
+    pub fn mean_of_successes(&self, value: impl Fn(&ApplicationOutcome) -> f64) -> f64 {
+        mean(self.outcomes.iter().filter(|outcome| outcome.is_success()).map(value))
+    }
+
+    /// Mean over all flights, 0 if there are none.
+    pub fn mean(&self, value: impl Fn(&ApplicationOutcome) -> f64) -> f64 {
+        mean(self.outcomes.iter().map(value))
+    }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (count, sum) = values.fold((0.0, 0.0), |(count, sum), value| (count + 1.0, sum + value));
+    if count == 0.0 { 0.0 } else { sum / count }
+}
+
+/// Flies every seed with every radio. `flown` is called after each flight, from any of the threads, and says whether to go on; a series
+/// that was not finished holds the outcomes up to the first seed that is missing.
+///
+/// # Errors
+/// [`RobotError`] names an option that cannot work.
+pub fn series(options: &SeriesOptions, flown: impl Fn() -> bool + Sync) -> Result<Vec<Series>, RobotError> {
+    let syncs = options.syncs();
+    let slots: Vec<Mutex<Vec<Option<ApplicationOutcome>>>> =
+        (0..options.seeds).map(|_| Mutex::new(vec![None; syncs.len()])).collect();
+    let next = Mutex::new((0, None::<RobotError>));
+    std::thread::scope(|scope| {
+        for _ in 0..options.threads.max(1) {
+            scope.spawn(|| {
+                loop {
+                    let slot = {
+                        let Ok(mut next) = next.lock() else { return };
+                        let Some(slot) = slots.get(next.0) else { return };
+                        next.0 += 1;
+                        (next.0 as u64, slot)
+                    };
+                    let (seed, slot) = slot;
+                    let course = Course::thicket(seed);
+                    for (number, sync) in syncs.iter().enumerate() {
+                        let flight = ApplicationOptions { seed, sync: *sync, ..options.application.clone() };
+                        let result = fly(&course, &flight);
+                        match (result, slot.lock()) {
+                            (Ok(outcome), Ok(mut slot)) => slot[number] = Some(outcome),
+                            (Err(error), _) => {
+                                if let Ok(mut next) = next.lock() {
+                                    *next = (slots.len(), Some(error));
+                                }
+                                return;
+                            }
+                            (_, Err(_)) => return,
+                        }
+                        if !flown() {
+                            if let Ok(mut next) = next.lock() {
+                                next.0 = slots.len();
+                            }
+                            return;
+                        }
+                    }
+                }
+            });
+        }
+    });
+    if let Ok((_, Some(error))) = next.into_inner() {
+        return Err(error);
+    }
+    let seeds: Vec<Vec<Option<ApplicationOutcome>>> =
+        slots.into_iter().map(|slot| slot.into_inner().unwrap_or_default()).collect();
+    let of = |number: usize| seeds.iter().map_while(move |seed| seed.get(number)?.clone()).collect();
+    Ok(syncs.iter().enumerate().map(|(number, sync)| Series { sync: *sync, outcomes: of(number) }).collect())
+}
