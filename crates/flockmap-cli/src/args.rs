@@ -159,6 +159,10 @@ pub struct SourceArgs {
     /// Rays of the simulated LiDAR that hit nothing carve free space too
     #[arg(long)]
     pub no_returns: bool,
+    /// Robots are seen in each other's scans, and leave each other out of their maps. With records: they were seen, so leave
+    /// them out (poses in one common frame)
+    #[arg(long)]
+    pub see_team_mates: bool,
     /// Seed of generated worlds, flights, and of the radio
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,

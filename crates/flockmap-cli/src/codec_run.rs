@@ -21,7 +21,7 @@ pub struct Frame {
 
 impl From<sources::Frame> for Frame {
     fn from(frame: sources::Frame) -> Self {
-        Self { scan: frame.scan, pose: frame.pose, masks: Vec::new() }
+        Self { masks: frame.masks(), scan: frame.scan, pose: frame.pose }
     }
 }
 

@@ -16,7 +16,7 @@ use crate::member::Measures;
 use crate::picture::Snapshot;
 use crate::progress::Progress;
 use crate::report::{Course, Finished, Report, Settings};
-use crate::{command_line, html, sources, stop};
+use crate::{command_line, html, sources, stop, team};
 
 /// Time for all nodes to start before the first scan.
 const BEGIN: Stamp = Stamp(500_000);
@@ -139,7 +139,10 @@ fn start(
         let mut options = NodeOptions::new(config);
         options.name.clone_from(&source.name);
         options.clock = clock;
-        let frames = source.frames.map(|frame| {
+        let frames = source.frames.map(|mut frame| {
+            // A node is told of team-mates over its socket; here the scans come without them.
+            let masks = frame.masks();
+            team::cut_out(&mut frame.scan, &frame.pose, &masks);
             Ok(flockmap_node::Frame { scan: frame.scan, t_map_sensor: frame.pose, points_dropped: 0 })
         });
         options.sensor = Sensor::Play {

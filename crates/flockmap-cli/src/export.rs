@@ -55,7 +55,7 @@ fn map_sources(args: &ExportArgs) -> anyhow::Result<Changes> {
             eprintln!("warning: ended by Ctrl-C: the map holds what was seen so far");
             break;
         }
-        mapper.insert(&frame.scan, &frame.pose, &[]);
+        mapper.insert(&frame.scan, &frame.pose, &frame.masks());
         progress.step();
     }
     let blocks = mapper.blocks().map(|(index, block)| (index, *block)).collect();

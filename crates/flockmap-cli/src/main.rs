@@ -27,6 +27,7 @@ mod sources;
 mod stop;
 mod swarm;
 mod table;
+mod team;
 
 use std::process::ExitCode;
 

@@ -6,16 +6,26 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::{Context, bail, ensure};
-use flockmap::{Pose, Resolution, Scan, Stamp};
+use flockmap::{Pose, Resolution, Scan, Sphere, Stamp};
 use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_sim::{Flight, Patrol, PatrolOptions, ScanOptions, World};
 
 use crate::args::SourceArgs;
+use crate::team::{Team, TeamMate};
 
 /// A scan and `T_map_sensor`, the pose that it was taken at.
 pub struct Frame {
     pub scan: Scan,
     pub pose: Pose,
+    /// Team-mates that may be seen in the scan and do not belong into the map. None if they are not to be seen.
+    pub team_mates: Vec<TeamMate>,
+}
+
+impl Frame {
+    /// The spheres around team-mates in which returns are no obstacles.
+    pub fn masks(&self) -> Vec<Sphere> {
+        self.team_mates.iter().map(TeamMate::mask).collect()
+    }
 }
 
 /// What one robot sees.
@@ -148,9 +158,15 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
         paths.iter().map(|path| open_spanned(path, source)).collect::<anyhow::Result<_>>()?;
     let earliest = records.iter().map(|(_, [first, _])| *first).min().unwrap_or_default();
     let title = records.iter().map(|(record, _)| record.name.as_str()).collect::<Vec<_>>().join(" + ");
-    let robots = records.into_iter().map(|(record, [first, last])| {
+    let zero = |first: Stamp| if real_stamps { earliest } else { first };
+    let team = if source.see_team_mates {
+        Team::new(records.iter().map(|(record, [first, _])| (record.poses.as_slice(), zero(*first))))
+    } else {
+        Team::default()
+    };
+    let robots = records.into_iter().enumerate().map(|(number, (record, [first, last]))| {
         let name = record.name.clone();
-        part(record, name, first, last, if real_stamps { earliest } else { first })
+        part(record, name, [first, last], zero(first), (team.clone(), number))
     });
     Ok(Sources { robots: robots.collect(), title })
 }
@@ -159,6 +175,10 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
 pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
     let parts = source.robots as i64;
     ensure!((1..=100).contains(&parts), "--robots is {parts}, expected 1 to 100");
+    ensure!(
+        !source.see_team_mates,
+        "--see-team-mates: one record cut into robots shows none of them; name one record for each robot"
+    );
     let mut robots = Vec::new();
     for number in 0..parts {
         // Each part reads the file for itself: only what is flown is held.
@@ -167,7 +187,7 @@ pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
         let from = first.plus_micros(micros * number / parts);
         let until = first.plus_micros(micros * (number + 1) / parts - 1);
         let name = format!("{}, part {}", record.name, number + 1);
-        robots.push(part(record, name, from, until, from));
+        robots.push(part(record, name, [from, until], from, (Team::default(), 0)));
     }
     let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
     Ok(Sources { robots, title: format!("{name}, cut by time into {parts} robots") })
@@ -184,8 +204,14 @@ fn open_spanned(path: &Path, source: &SourceArgs) -> anyhow::Result<(Record, [St
     Ok((record, [first, last]))
 }
 
-/// The frames of a record from one time to another, both included, with stamps that count from `zero`.
-fn part(record: Record, name: String, from: Stamp, until: Stamp, zero: Stamp) -> Source {
+/// The frames of a record from one time to another, both included, with stamps that count from `zero`. The robot is one of a team.
+fn part(
+    record: Record,
+    name: String,
+    [from, until]: [Stamp; 2],
+    zero: Stamp,
+    (team, number): (Team, usize),
+) -> Source {
     let (first, last) = record.summary.span.unwrap_or((from, until));
     let share = until.micros_since(from) as f64 / last.micros_since(first).max(1) as f64;
     let frames = record
@@ -196,7 +222,8 @@ fn part(record: Record, name: String, from: Stamp, until: Stamp, zero: Stamp) ->
         .map(move |frame| {
             let mut frame = frame?;
             frame.scan.stamp = Stamp(frame.scan.stamp.micros_since(zero));
-            Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor })
+            let team_mates = team.mates(number, frame.scan.stamp);
+            Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor, team_mates })
         });
     Source {
         name,
@@ -219,10 +246,19 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     );
     let scan =
         ScanOptions { range_m: lidar_range_m, no_returns: source.no_returns, ..ScanOptions::default() };
+    let team = if source.see_team_mates {
+        Team::new(patrols.iter().map(|patrol| (patrol.poses(), Stamp(0))))
+    } else {
+        Team::default()
+    };
     let robots = patrols.into_iter().enumerate().map(|(number, patrol)| {
+        let team = team.clone();
         let flight = Flight::new(Arc::clone(&world), source.lidar, scan, patrol);
         let frames_expected = flight.len() as u64;
-        let frames = flight.map(|frame| Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor }));
+        let frames = flight.map(move |frame| {
+            let team_mates = team.mates(number, frame.scan.stamp);
+            Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor, team_mates })
+        });
         Source {
             name: format!("robot{}", number + 1),
             frames_expected,

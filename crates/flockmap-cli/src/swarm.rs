@@ -155,8 +155,14 @@ impl Swarm {
     }
 
     fn insert_scan(&mut self, number: usize) {
+        let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
         let member = &mut self.members[number];
         if let Some(frame) = member.frames.next() {
+            for mate in &frame.team_mates {
+                if let Some(id) = ids.get(mate.number) {
+                    member.robot.set_teammate(*id, mate.position, self.now);
+                }
+            }
             let started = Instant::now();
             let report = member.robot.insert_scan(self.now, &frame.scan, &frame.pose);
             member.measures.scan(Some(started.elapsed()), &report, frame.scan.stamp);

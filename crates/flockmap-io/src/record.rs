@@ -64,6 +64,8 @@ pub struct Record {
     pub name: String,
     /// What is known of the record before its scans are read.
     pub summary: RecordSummary,
+    /// Stamp and `T_map_sensor` of each frame, in order: where the robot was, known before the scans are read. 64 bytes each.
+    pub poses: Vec<(Stamp, Pose)>,
     /// The scans, in the order of their stamps.
     pub frames: Frames,
 }
@@ -95,10 +97,10 @@ impl RecordSummary {
         self.span.map_or(0.0, |(first, last)| last.micros_since(first) as f64 / 1e6)
     }
 
-    pub(crate) fn from_poses<'a>(poses: impl Iterator<Item = (Stamp, &'a Pose)>) -> Self {
+    pub(crate) fn from_poses(poses: &[(Stamp, Pose)]) -> Self {
         let mut summary = Self::default();
         let mut previous: Option<[f64; 3]> = None;
-        for (stamp, pose) in poses {
+        for &(stamp, pose) in poses {
             let place = pose.translation();
             if let Some(p) = previous {
                 summary.path_m += p.iter().zip(place).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
@@ -144,7 +146,7 @@ impl fmt::Debug for Frames {
 /// file and `times.txt`.
 ///
 /// An MCAP file is read through once here for its poses and stamps, and once more by [`Record::frames`] for its scans. Memory:
-/// 64 bytes for each pose (at most 4,194,304), 88 for each scan (at most 4,194,304), one chunk, and as many scans as are out of order (at most 256).
+/// 64 bytes for each pose (at most 4,194,304), 152 for each scan (at most 4,194,304), one chunk, and as many scans as are out of order (at most 256).
 ///
 /// ```no_run
 /// let record = flockmap_io::open_record("robot1.mcap", &Default::default())?;

@@ -46,12 +46,13 @@ pub(crate) fn open(folder: &Path, options: &RecordOptions) -> Result<Record, Rea
         entries.push(Entry { stamp, pose, path });
     }
     entries.sort_by_key(|entry| entry.stamp);
-    let mut summary = RecordSummary::from_poses(entries.iter().map(|e| (e.stamp, &e.pose)));
+    let poses: Vec<(Stamp, Pose)> = entries.iter().map(|e| (e.stamp, e.pose)).collect();
+    let mut summary = RecordSummary::from_poses(&poses);
     summary.scans = summary.frames;
     summary.poses_from = poses_path.display().to_string();
     let points_max = options.scan_points_max;
     let frames = entries.into_iter().map(move |entry| read_frame(&entry, points_max));
-    Ok(Record { name: name_of(folder), summary, frames: Frames::new(frames) })
+    Ok(Record { name: name_of(folder), summary, poses, frames: Frames::new(frames) })
 }
 
 struct Entry {

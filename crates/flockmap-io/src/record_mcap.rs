@@ -377,8 +377,9 @@ pub(crate) fn plan(path: &Path, options: &RecordOptions, index: McapIndex) -> Re
     }
     let in_file: Vec<u32> = order.clone();
     order.sort_by_key(|&i| entries.get(i as usize).map(|e| e.stamp));
-    let in_order = order.iter().filter_map(|&i| entries.get(i as usize)).map(|e| (e.stamp, &e.pose));
-    let mut summary = RecordSummary::from_poses(in_order);
+    let in_order = order.iter().filter_map(|&i| entries.get(i as usize));
+    let poses: Vec<(Stamp, Pose)> = in_order.map(|e| (e.stamp, e.pose)).collect();
+    let mut summary = RecordSummary::from_poses(&poses);
     for (rank, &i) in order.iter().enumerate() {
         if let Some(entry) = entries.get_mut(i as usize) {
             entry.rank = Some(rank as u32);
@@ -407,5 +408,5 @@ pub(crate) fn plan(path: &Path, options: &RecordOptions, index: McapIndex) -> Re
         topic.rfind('/').map(|at| format!("{}{NO_RETURNS}", topic.get(..at).unwrap_or_default()));
     let no_returns = no_returns.filter(|t| t != topic && index.clouds.contains_key(t));
     let frames = McapFrames::new(path, options, topic, no_returns, entries, index.damages.clone());
-    Ok(Record { name: name_of(path), summary, frames: Frames::new(frames) })
+    Ok(Record { name: name_of(path), summary, poses, frames: Frames::new(frames) })
 }

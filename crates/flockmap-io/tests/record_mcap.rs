@@ -235,6 +235,8 @@ fn a_scan_without_a_pose_in_reach_is_left_out_and_counted() {
     std::fs::write(&path, messages.write(WriteOptions::new(), "cdr")).unwrap();
     let record = open_record(&path, &RecordOptions::default()).unwrap();
     let summary = record.summary;
+    let poses: Vec<_> = frames[..3].iter().map(|f| (f.scan.stamp, f.t_map_sensor)).collect();
+    assert_eq!(record.poses, poses);
     assert_eq!((summary.scans, summary.frames, summary.scans_without_pose), (9, 3, 6));
     let back: Vec<Frame> = record.frames.map(Result::unwrap).collect();
     assert_eq!(back, frames[..3]);

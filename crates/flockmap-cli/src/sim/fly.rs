@@ -98,7 +98,7 @@ fn write_one(
     while let Some(frame) = frames.next() {
         record.scan(&frame.scan, &frame.pose)?;
         if let Some(mapper) = &mut mapper {
-            mapper.insert(&frame.scan, &frame.pose, &[]);
+            mapper.insert(&frame.scan, &frame.pose, &frame.masks());
             // The last picture shows all.
             if record.is_view_due() || frames.next_stamp().is_none() {
                 record.view(resolution, robot_record::occupied(mapper.blocks()))?;
