@@ -67,7 +67,8 @@ pub fn cut_out(scan: &mut Scan, pose: &Pose, masks: &[Sphere]) {
         return;
     }
     let is_inside = |place: [f64; 3], mask: &Sphere| {
-        place.iter().zip(mask.centre).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() <= mask.radius * mask.radius
+        place.iter().zip(mask.centre).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()
+            <= mask.radius * mask.radius
     };
     scan.points.retain(|point| {
         let place = pose.transform(point.map(f64::from));
