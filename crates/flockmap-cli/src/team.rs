@@ -23,10 +23,13 @@ impl TeamMate {
     }
 }
 
+/// Where a robot was, in the order of the stamps.
+type Way = Vec<(Stamp, [f64; 3])>;
+
 /// The ways of all robots of a run, known beforehand.
 #[derive(Clone, Debug, Default)]
 pub struct Team {
-    ways: Arc<Vec<Vec<(Stamp, [f64; 3])>>>,
+    ways: Arc<Vec<Way>>,
 }
 
 impl Team {
