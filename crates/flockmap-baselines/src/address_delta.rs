@@ -10,6 +10,7 @@ use flockmap_codec::Cycle;
 use flockmap_grid::{Changes, Mapper, Stamp, State, Voxel, VoxelBox};
 
 use crate::bytes::{MESSAGE_VOXELS_MAX, Packer, Reader, unpack, write_varint};
+use crate::morton::{interleave, separate};
 use crate::{ReceiveError, SendError, Sender, StateMap};
 
 const METHOD: &str = "address-delta-zstd";
@@ -94,7 +95,7 @@ impl Order {
             }
             Self::Morton => {
                 let fits = size.iter().all(|side| *side <= 1 << MORTON_BITS);
-                fits.then(|| spread(x) << 2 | spread(y) << 1 | spread(z))
+                fits.then(|| interleave([x, y, z]))
             }
         }
     }
@@ -107,41 +108,11 @@ impl Order {
                 let (xy, z) = (address / size[2], address % size[2]);
                 [xy / size[1], xy % size[1], z]
             }
-            Self::Morton => [address >> 2, address >> 1, address].map(gather),
+            Self::Morton => separate(address),
         };
         let inside = x < size[0] && y < size[1] && z < size[2];
         inside.then(|| Voxel::new(min.x + x as i32, min.y + y as i32, min.z + z as i32))
     }
-}
-
-/// Two zero bits before each of the lowest 21 bits.
-fn spread(v: u64) -> u64 {
-    let mut v = v & 0x1f_ffff;
-    for (shift, mask) in [
-        (32, 0x001f_0000_0000_ffff),
-        (16, 0x001f_0000_ff00_00ff),
-        (8, 0x100f_00f0_0f00_f00f),
-        (4, 0x10c3_0c30_c30c_30c3),
-        (2, 0x1249_2492_4924_9249),
-    ] {
-        v = (v | v << shift) & mask;
-    }
-    v
-}
-
-/// Every third bit: the inverse of [`spread`].
-fn gather(v: u64) -> u64 {
-    let mut v = v & 0x1249_2492_4924_9249;
-    for (shift, mask) in [
-        (2, 0x10c3_0c30_c30c_30c3),
-        (4, 0x100f_00f0_0f00_f00f),
-        (8, 0x001f_0000_ff00_00ff),
-        (16, 0x001f_0000_0000_ffff),
-        (32, 0x1f_ffff),
-    ] {
-        v = (v | v >> shift) & mask;
-    }
-    v
 }
 
 fn singles(list: &[(u64, State)]) -> Vec<u8> {
@@ -299,13 +270,6 @@ mod tests {
                 prop_assert_eq!(&Changes::from_voxels(read.unwrap()), &changes);
                 prop_assert!(reader.is_empty());
             }
-        }
-
-        #[test]
-        fn bits_spread_and_gather(v in 0..1u64 << 21) {
-            prop_assert_eq!(gather(spread(v)), v);
-            let slow = (0..21).fold(0, |out, bit| out | (v >> bit & 1) << (3 * bit));
-            prop_assert_eq!(spread(v), slow);
         }
     }
 }

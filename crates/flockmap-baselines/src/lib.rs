@@ -35,9 +35,12 @@ mod error;
 mod gvp;
 mod map_receiver;
 mod method;
+mod morton;
 mod octomap_diff;
 mod package;
 pub mod racer_code;
+mod relay_points;
+mod scan_relay;
 mod state_map;
 mod traits;
 

@@ -12,6 +12,8 @@ use crate::gvp::GvpSender;
 use crate::map_receiver::MapReceiver;
 use crate::octomap_diff::OctomapDiffSender;
 use crate::package::{PackageReceiver, PackageSender};
+use crate::relay_points::Points;
+use crate::scan_relay::{RelayReceiver, RelaySender};
 use crate::{Receiver, Sender, address_delta, colag, gvp, octomap_diff};
 
 /// A way of telling others what a robot maps. Every one is given the same cycles of the same map.
@@ -34,13 +36,17 @@ pub enum Method {
     OctomapDiff10s,
     /// A sorted list of addresses, packed as well as zstd can.
     AddressDeltaZstd,
+    /// The scans themselves, cast again at the receiver.
+    ScanRelay,
+    /// The same with points rounded to a centimetre.
+    ScanRelay1cm,
 }
 
 const DATAGRAMS: &str = "-datagrams";
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::Whole(Codec::Raw),
         Self::Whole(Codec::NestedZlib),
         Self::Whole(Codec::Paper),
@@ -55,10 +61,12 @@ impl Method {
         Self::OctomapDiff,
         Self::OctomapDiff10s,
         Self::AddressDeltaZstd,
+        Self::ScanRelay,
+        Self::ScanRelay1cm,
     ];
 
     /// The half that tells, with nothing told yet. `config` is that of the mapper whose cycles it will be given.
-    pub fn sender(self, _config: &MapperConfig) -> Box<dyn Sender> {
+    pub fn sender(self, config: &MapperConfig) -> Box<dyn Sender> {
         match self {
             Self::Whole(codec) => Box::new(PackageSender::new(codec, false)),
             Self::Datagrams(codec) => Box::new(PackageSender::new(codec, true)),
@@ -68,6 +76,8 @@ impl Method {
             Self::OctomapDiff => Box::new(OctomapDiffSender::every_cycle()),
             Self::OctomapDiff10s => Box::new(OctomapDiffSender::as_marble()),
             Self::AddressDeltaZstd => Box::new(AddressDeltaSender::new()),
+            Self::ScanRelay => Box::new(RelaySender::new(Points::Exact, config)),
+            Self::ScanRelay1cm => Box::new(RelaySender::new(Points::Centimetre, config)),
         }
     }
 
@@ -75,13 +85,15 @@ impl Method {
     ///
     /// # Errors
     /// [`ConfigError`] if no mapper can be made of `config`.
-    pub fn receiver(self, _config: &MapperConfig) -> Result<Box<dyn Receiver>, ConfigError> {
+    pub fn receiver(self, config: &MapperConfig) -> Result<Box<dyn Receiver>, ConfigError> {
         Ok(match self {
             Self::Whole(_) | Self::Datagrams(_) => Box::new(PackageReceiver::default()),
             Self::Colag | Self::ColagBlocks => Box::new(MapReceiver::new(colag::apply)),
             Self::Gvp => Box::new(MapReceiver::new(gvp::apply)),
             Self::OctomapDiff | Self::OctomapDiff10s => Box::new(MapReceiver::new(octomap_diff::apply)),
             Self::AddressDeltaZstd => Box::new(MapReceiver::new(address_delta::apply)),
+            Self::ScanRelay => Box::new(RelayReceiver::new(Points::Exact, config)?),
+            Self::ScanRelay1cm => Box::new(RelayReceiver::new(Points::Centimetre, config)?),
         })
     }
 
@@ -90,7 +102,8 @@ impl Method {
         match self {
             Self::Whole(_) | Self::Datagrams(_) => true,
             Self::Colag | Self::ColagBlocks | Self::OctomapDiff | Self::AddressDeltaZstd => true,
-            Self::Gvp | Self::OctomapDiff10s => false,
+            Self::ScanRelay => true,
+            Self::Gvp | Self::OctomapDiff10s | Self::ScanRelay1cm => false,
         }
     }
 
@@ -129,6 +142,12 @@ impl Method {
             Self::AddressDeltaZstd => {
                 "Sorted addresses, differences or runs as varints, states as bits or runs, zstd 19; the smallest of three layouts, once a cycle. What one would try first; from nobody in particular."
             }
+            Self::ScanRelay => {
+                "The scans of a cycle, every bit of their points (byte planes, zstd 19), cast again at the receiver with an equal mapper."
+            }
+            Self::ScanRelay1cm => {
+                "The scans of a cycle with points cut at the range and rounded to a centimetre (Morton order or octree, zstd 19), cast again at the receiver with an equal mapper: rounding moves rays into other voxels, so some differ."
+            }
         }
     }
 }
@@ -144,6 +163,8 @@ impl fmt::Display for Method {
             Self::OctomapDiff => f.pad("octomap-diff"),
             Self::OctomapDiff10s => f.pad("octomap-diff-10s"),
             Self::AddressDeltaZstd => f.pad("address-delta-zstd"),
+            Self::ScanRelay => f.pad("scan-relay"),
+            Self::ScanRelay1cm => f.pad("scan-relay-1cm"),
         }
     }
 }

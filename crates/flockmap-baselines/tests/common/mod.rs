@@ -11,7 +11,7 @@ use flockmap_grid::{
 };
 
 pub fn config() -> MapperConfig {
-    MapperConfig::preset(Preset::RogMap, Resolution::from_metres(0.1).unwrap(), 3.0)
+    MapperConfig::preset(Preset::RogMap, Resolution::from_metres(0.1).unwrap(), 1.5)
 }
 
 /// Numbers from a seed, the same everywhere.
@@ -38,12 +38,12 @@ impl Random {
 /// A scan of points all around, some beyond the range, some on a team-mate.
 pub fn scan(random: &mut Random, number: i64) -> (Scan, Pose, Vec<Sphere>) {
     let mut point = |range: f64| core::array::from_fn(|_| ((random.share() - 0.5) * 2.0 * range) as f32);
-    let mut points: Vec<[f32; 3]> = (0..150).map(|_| point(2.0)).collect();
-    points.extend((0..20).map(|_| point(6.0)));
-    let no_returns = (0..20).map(|_| point(9.0).map(|v| v + 3.0)).collect();
+    let mut points: Vec<[f32; 3]> = (0..80).map(|_| point(1.2)).collect();
+    points.extend((0..20).map(|_| point(3.0)));
+    let no_returns = (0..20).map(|_| point(4.0).map(|v| v + 2.0)).collect();
     let at = number as f64 * 0.05;
     let pose = Pose::new([at, 1.0 - at, 0.3], [0.1, -0.2, 0.3 + at, 0.8]).unwrap();
-    let mask = Sphere { centre: [at + 0.6, 1.0 - at, 0.3], radius: 0.5 };
+    let mask = Sphere { centre: [at + 0.4, 1.0 - at, 0.3], radius: 0.5 };
     (Scan { stamp: Stamp(number * 100_000), points, no_returns }, pose, vec![mask])
 }
 
