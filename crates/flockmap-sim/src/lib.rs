@@ -23,6 +23,7 @@
 pub mod application;
 mod cells;
 mod curve;
+mod exploration;
 mod flight;
 mod lidar;
 mod navigation;
@@ -31,6 +32,7 @@ mod radio;
 mod random;
 mod world;
 
+pub use exploration::{Ended, ExploreError, ExploreOptions, Explorer, Outcome, Progress, RobotProgress};
 pub use flight::Flight;
 pub use lidar::{Lidar, SCAN_PERIOD_MICROS, ScanOptions, UnknownLidar};
 pub use navigation::{

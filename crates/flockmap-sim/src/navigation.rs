@@ -6,6 +6,7 @@ mod motion;
 mod route;
 
 pub use grid::{CellState, NavigationConfig, NavigationError, NavigationGrid};
+pub(crate) use motion::wrapped;
 pub use motion::{Motion, MotionLimits};
 pub use route::{NoRoute, RouteQuery, Router};
 

@@ -334,7 +334,7 @@ impl NavigationGrid {
     }
 
     /// Puts the states of a block in the place of those taken in before.
-    fn take_in(&mut self, index: BlockIndex, new: StateBlock) {
+    pub(crate) fn take_in(&mut self, index: BlockIndex, new: StateBlock) {
         if index.voxel_box().intersection(&self.reached).is_none() {
             return;
         }

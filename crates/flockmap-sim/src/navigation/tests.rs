@@ -247,7 +247,7 @@ proptest! {
                 let moved = crate::curve::distance(p, motion.position());
                 prop_assert!(moved <= 0.15 + 1e-6, "{moved} m in 0.1 s");
                 prop_assert!((motion.speed() - v).abs() <= 0.1 + 0.011, "{v} to {} m/s", motion.speed());
-                prop_assert!(motion::wrapped(motion.yaw() - y).abs() <= 0.14 + 1e-9);
+                prop_assert!(wrapped(motion.yaw() - y).abs() <= 0.14 + 1e-9);
             }
         }
         for _ in 0..1_000 {

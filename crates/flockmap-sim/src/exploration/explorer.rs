@@ -1,0 +1,535 @@
+//! The exploration itself, in virtual time.
+
+use super::mates::{Mate, are_apart};
+use super::pilot::{Pilot, PilotConfig};
+use super::regions::{self, Regions};
+use super::seeable::Seeable;
+use super::sight::Sight;
+use super::{ExploreError, ExploreOptions, start};
+use crate::curve::distance;
+use crate::patrol::ROBOTS_MAX;
+use crate::random::mix;
+use crate::{
+    Motion, NavigationConfig, NavigationError, NavigationGrid, RadioConfig, RadioEmulator,
+    SCAN_PERIOD_MICROS, ScanOptions, To, World,
+};
+use flockmap::{Cast, Destination, Robot, RobotConfig};
+use flockmap_grid::{RobotId, Stamp};
+use flockmap_io::Frame;
+use std::sync::Arc;
+
+/// Robots look for a partner to divide regions with this often, in scans.
+const MEETING_SCANS: u64 = 5;
+
+/// When all have been idle for so long, and all maps agree, it is over.
+const IDLE_MICROS: i64 = 3_000_000;
+
+/// When all have been idle for so long it is over in any case.
+const IDLE_MAX_MICROS: i64 = 20_000_000;
+
+/// A robot that was not heard for so long takes all regions for its own.
+const ALONE_MICROS: i64 = 8_000_000;
+
+/// Cells of the navigation grids up to which they stay 20 cm wide.
+const CELLS_WANTED: f64 = 4e6;
+
+/// How an exploration ended.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Ended {
+    /// Nobody has anything left to look at.
+    Done,
+    /// The time was over.
+    TimeOut,
+}
+
+/// What came of an exploration.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Outcome {
+    /// How long it took, in seconds.
+    pub seconds: f64,
+    /// Share of the voxels that can be seen in the region that at least one robot mapped itself, 0 … 1. What can be
+    /// seen is worked out from the world: every voxel whose centre a ray from one of many places, one for each 1.2 × 1.2 × 0.6 m
+    /// in which a robot can be, reaches within the mapper's range and the LiDAR's elevations.
+    pub seen_share: f64,
+    /// Number of those voxels.
+    pub seeable_voxels: u64,
+    /// Metres flown by each robot.
+    pub path_m: Vec<f64>,
+    /// Voxels that each robot mapped itself, divided by those that at least one of them did, added up: 1 if no voxel was mapped twice,
+    /// the number of robots if all mapped everything.
+    pub overlap: f64,
+    /// How it ended.
+    pub ended: Ended,
+}
+
+/// How far an exploration has come.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Progress {
+    /// Virtual time in seconds.
+    pub seconds: f64,
+    /// As in [`Outcome::seen_share`].
+    pub seen_share: f64,
+    /// The robots.
+    pub robots: Vec<RobotProgress>,
+}
+
+/// How one robot is doing.
+#[derive(Clone, PartialEq, Debug)]
+pub struct RobotProgress {
+    /// Where it is, in metres.
+    pub position: [f64; 3],
+    /// Metres flown.
+    pub path_m: f64,
+    /// Regions that are its own and in which it knows of something to do.
+    pub regions: usize,
+    /// Frontiers that it could look at.
+    pub frontiers: usize,
+    /// Whether it has nothing to do.
+    pub is_idle: bool,
+}
+
+/// An exploration, step by step. The same world and options give the same frames on every machine, with any number
+/// of threads.
+///
+/// ```no_run
+/// use flockmap_sim::{ExploreOptions, Explorer, World};
+/// use std::sync::Arc;
+///
+/// let mut explorer = Explorer::new(Arc::new(World::forest(1)), ExploreOptions::default())?;
+/// while let Some(frames) = explorer.step() {
+///     assert_eq!(frames.len(), 2);
+/// }
+/// println!("{:?}", explorer.outcome());
+/// # Ok::<(), flockmap_sim::ExploreError>(())
+/// ```
+pub struct Explorer {
+    world: Arc<World>,
+    options: ExploreOptions,
+    members: Vec<Member>,
+    radio: RadioEmulator,
+    seeable: Seeable,
+    /// When two robots last divided their regions.
+    met: Vec<Vec<Option<Stamp>>>,
+    steps: u64,
+    now: Stamp,
+    ended: Option<Ended>,
+}
+
+struct Member {
+    robot: Robot,
+    pilot: Pilot,
+    scan: ScanOptions,
+    frame: Option<Frame>,
+}
+
+impl Explorer {
+    /// Robots on their spots, nothing seen yet. Takes some seconds for a large world: what can be seen of it is worked
+    /// out first.
+    ///
+    /// Memory: some 30 bytes for each navigation cell (20 cm, larger in worlds beyond 4 million of them) and
+    /// robot, the robots' maps, and a byte for each voxel of the region while it is made.
+    ///
+    /// # Errors
+    /// [`ExploreError`] says which option cannot work, or why there is no place to start.
+    pub fn new(world: Arc<World>, options: ExploreOptions) -> Result<Self, ExploreError> {
+        check(&options)?;
+        let region_m = options.region_m.unwrap_or_else(|| default_region(&world));
+        let navigation = navigation(region_m, &options)?;
+        let truth = start::truth(&world, &navigation)?;
+        let heights_m = heights(region_m, &options);
+        let may_fly = |cell: usize| {
+            let z = truth.centre(cell)[2];
+            heights_m[0] <= z && z <= heights_m[1]
+        };
+        let places = start::places(&truth, options.robots, options.separation_m, may_fly);
+        if places.len() < options.robots {
+            return Err(ExploreError::NoStart {
+                robot: places.len() + 1,
+                robots: options.robots,
+                clearance_m: options.clearance_m,
+                heights_m,
+                separation_m: options.separation_m,
+            });
+        }
+        let sight = Sight::new(options.lidar, options.range_m);
+        let seeable = Seeable::new(
+            &world,
+            &truth,
+            places[0],
+            may_fly,
+            &sight,
+            &options.scan,
+            options.resolution,
+            options.threads,
+        );
+        let mut members = Vec::new();
+        for (number, &place) in places.iter().enumerate() {
+            let mut config =
+                RobotConfig::new(RobotId(number as u16 + 1), options.resolution, options.range_m);
+            config.seed = options.seed;
+            config.cycle = options.cycle;
+            config.codec = options.codec;
+            config.mapper.range_min_m = options.scan.min_range_m;
+            let mut grid = NavigationGrid::new(&navigation)?;
+            grid.assume_free(place, start::ROOM_M);
+            let pilot = Pilot::new(PilotConfig {
+                number,
+                start: place,
+                grid,
+                sight,
+                regions: Regions::new(region_m),
+                limits: options.limits,
+                heights_m,
+                separation_m: options.separation_m,
+            });
+            let scan = ScanOptions { seed: mix(options.scan.seed ^ mix(number as u64 + 1)), ..options.scan };
+            members.push(Member { robot: Robot::new(config, Stamp(0))?, pilot, scan, frame: None });
+        }
+        let ids = members.iter().map(|member| member.robot.own_stream().origin);
+        let radio = RadioConfig { seed: mix(options.seed) ^ options.radio.seed, ..options.radio };
+        let radio = RadioEmulator::new(ids, radio);
+        let met = vec![vec![None; options.robots]; options.robots];
+        Ok(Self { world, options, members, radio, seeable, met, steps: 0, now: Stamp(0), ended: None })
+    }
+
+    /// Lets a tenth of a second pass: plans, flies, scans, maps, and carries what robots send. Gives the frame of each
+    /// robot, all with the same stamp; `None` once it has ended.
+    pub fn step(&mut self) -> Option<Vec<Frame>> {
+        if self.ended.is_some() {
+            return None;
+        }
+        let mates: Vec<Mate> = self.members.iter().map(|member| member.pilot.mate()).collect();
+        if self.steps.is_multiple_of(MEETING_SCANS) {
+            self.meet();
+        }
+        let now = self.now;
+        spread(self.options.threads, &mut self.members, |number, member| {
+            let others: Vec<Mate> = mates.iter().filter(|mate| mate.number != number).cloned().collect();
+            member.pilot.plan(now, member.robot.map(), &others);
+        });
+        if let Some(ended) = self.has_ended() {
+            self.ended = Some(ended);
+            return None;
+        }
+        if self.steps > 0 {
+            self.fly();
+        }
+        let places: Vec<[f64; 3]> = self.members.iter().map(|m| m.pilot.motion.position()).collect();
+        let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
+        let (world, lidar) = (&self.world, self.options.lidar);
+        spread(self.options.threads, &mut self.members, |number, member| {
+            let pose = member.pilot.motion.pose();
+            let scan = lidar.scan(world, &pose, now, &member.scan);
+            for (other, place) in places.iter().enumerate().filter(|(other, _)| *other != number) {
+                member.robot.set_teammate(ids[other], *place, now);
+            }
+            member.robot.insert_scan(now, &scan, &pose);
+            member.frame = Some(Frame { scan, t_map_sensor: pose, points_dropped: 0 });
+        });
+        let next = now.plus_micros(SCAN_PERIOD_MICROS);
+        self.carry_until(next);
+        self.steps += 1;
+        self.now = next;
+        Some(self.members.iter_mut().filter_map(|member| member.frame.take()).collect())
+    }
+
+    /// How far it has come. Costs a walk over what can be seen, about a millisecond for a forest.
+    pub fn progress(&self) -> Progress {
+        let robots = self.members.iter().map(|member| {
+            let pilot = &member.pilot;
+            RobotProgress {
+                position: pilot.motion.position(),
+                path_m: pilot.path_m,
+                regions: (0..pilot.own.len()).filter(|r| pilot.own[*r] && pilot.work[*r] > 0.0).count(),
+                frontiers: pilot.frontier_count(),
+                is_idle: pilot.idle_since.is_some(),
+            }
+        });
+        Progress { seconds: self.now.seconds(), seen_share: self.seen_share(), robots: robots.collect() }
+    }
+
+    /// What came of it so far.
+    pub fn outcome(&self) -> Outcome {
+        let mut each = 0u64;
+        let mut union = std::collections::BTreeMap::new();
+        for member in &self.members {
+            for (index, block) in member.robot.mapper().blocks() {
+                let known = block.known();
+                each += u64::from(block.known_count());
+                let all = union.entry(index).or_insert([0u64; 8]);
+                *all = core::array::from_fn(|z| all[z] | known[z]);
+            }
+        }
+        let once: u64 = union.values().flatten().map(|word| u64::from(word.count_ones())).sum();
+        Outcome {
+            seconds: self.now.seconds(),
+            seen_share: self.seen_share(),
+            seeable_voxels: self.seeable.count(),
+            path_m: self.members.iter().map(|member| member.pilot.path_m).collect(),
+            overlap: each as f64 / once.max(1) as f64,
+            ended: self.ended.unwrap_or(Ended::TimeOut),
+        }
+    }
+
+    /// The robots, in the order of the frames.
+    pub fn robots(&self) -> impl Iterator<Item = &Robot> {
+        self.members.iter().map(|member| &member.robot)
+    }
+
+    /// The radio, with what it has carried.
+    pub const fn radio(&self) -> &RadioEmulator {
+        &self.radio
+    }
+
+    /// What it was told.
+    pub const fn options(&self) -> &ExploreOptions {
+        &self.options
+    }
+
+    fn seen_share(&self) -> f64 {
+        self.seeable.share(self.members.iter().map(|member| member.robot.mapper()))
+    }
+
+    /// Moves all robots on, one after the other. A robot stops where the path on which it could still come to rest would
+    /// come too near to that of another, so all can always stop without coming near each other.
+    fn fly(&mut self) {
+        let limits = self.options.limits;
+        let dt = SCAN_PERIOD_MICROS as f64 * 1e-6;
+        for number in 0..self.members.len() {
+            let pilot = &self.members[number].pilot;
+            let yaw = pilot.yaw_target();
+            let mut next: Motion = pilot.motion.clone();
+            next.step(dt, yaw, &limits);
+            let path = next.stopping_path(&limits);
+            let free = self.members.iter().all(|other| {
+                other.pilot.number == number
+                    || are_apart(&path, &other.pilot.motion.stopping_path(&limits), self.options.separation_m)
+            });
+            let pilot = &mut self.members[number].pilot;
+            if !free {
+                pilot.motion.brake(&limits);
+                next = pilot.motion.clone();
+                next.step(dt, yaw, &limits);
+            }
+            pilot.path_m += distance(pilot.motion.position(), next.position());
+            pilot.motion = next;
+        }
+    }
+
+    /// Robots that hear each other divide the regions that they have between them.
+    fn meet(&mut self) {
+        for first in 0..self.members.len() {
+            if !self.hears_anybody(first) {
+                self.members[first].pilot.own.fill(true);
+            }
+            for second in first + 1..self.members.len() {
+                let rested = self.met[first][second].is_none_or(|at| self.now.micros_since(at) >= 1_000_000);
+                if !(rested && self.hears(first, second) && self.hears(second, first)) {
+                    continue;
+                }
+                self.met[first][second] = Some(self.now);
+                let Ok([a, b]) = self.members.get_disjoint_mut([first, second]) else { continue };
+                divide(&mut a.pilot, &mut b.pilot);
+            }
+        }
+    }
+
+    fn hears(&self, robot: usize, other: usize) -> bool {
+        let id = self.members[other].robot.own_stream().origin;
+        self.members[robot]
+            .robot
+            .session()
+            .peers()
+            .any(|peer| peer.stream.origin == id && self.now.micros_since(peer.last_heard) < ALONE_MICROS)
+    }
+
+    fn hears_anybody(&self, robot: usize) -> bool {
+        (0..self.members.len()).any(|other| other != robot && self.hears(robot, other))
+    }
+
+    fn has_ended(&self) -> Option<Ended> {
+        if self.now.seconds() >= self.options.seconds_max {
+            return Some(Ended::TimeOut);
+        }
+        let idle = self.members.iter().map(|m| m.pilot.idle_since.map(|since| self.now.micros_since(since)));
+        let idle = idle.min().flatten()?;
+        (idle >= IDLE_MAX_MICROS || (idle >= IDLE_MICROS && self.maps_agree())).then_some(Ended::Done)
+    }
+
+    /// Whether every robot has all packages of all robots that it hears.
+    fn maps_agree(&self) -> bool {
+        let count = self.members.len();
+        (0..count).all(|receiver| {
+            (0..count).filter(|sender| *sender != receiver && self.hears(receiver, *sender)).all(|sender| {
+                let sender = &self.members[sender].robot;
+                let packages = sender.counters().packages;
+                let held = self.members[receiver].robot.session().held(sender.own_stream());
+                packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
+            })
+        })
+    }
+
+    /// Lets robots and radio do what is due before `until`.
+    fn carry_until(&mut self, until: Stamp) {
+        let mut now = self.now;
+        let mut stuck = 0;
+        loop {
+            while let Some(delivery) = self.radio.deliver_due(now) {
+                let to = usize::from(delivery.to.0).wrapping_sub(1);
+                if let Some(member) = self.members.get_mut(to) {
+                    // Errors are counted by the session.
+                    let _ = member.robot.handle_datagram(now, &delivery.bytes);
+                }
+            }
+            for member in &mut self.members {
+                if member.robot.poll_timeout().is_some_and(|at| at <= now) {
+                    member.robot.handle_timeout(now);
+                }
+                while member.robot.poll_event().is_some() {}
+            }
+            self.transmit(now);
+            let timeouts = self.members.iter().filter_map(|member| member.robot.poll_timeout());
+            let Some(next) = timeouts.chain(self.radio.next_due()).min() else { return };
+            if next >= until {
+                return;
+            }
+            if next > now {
+                now = next;
+                stuck = 0;
+            } else {
+                // Due now again and again: let a millisecond pass, as a real clock would.
+                stuck += 1;
+                if stuck > 100 {
+                    now = now.plus_micros(1_000);
+                    if now >= until {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    fn transmit(&mut self, now: Stamp) {
+        let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
+        for member in &mut self.members {
+            let own = member.robot.own_stream().origin;
+            while let Some(transmit) = member.robot.poll_transmit(now) {
+                match transmit.to {
+                    Destination::Peer(peer) => self.radio.send(now, own, To::Node(peer), &transmit.bytes),
+                    Destination::Everyone if member.robot.config().session.cast == Cast::Broadcast => {
+                        self.radio.send(now, own, To::All, &transmit.bytes);
+                    }
+                    Destination::Everyone => {
+                        for peer in ids.iter().filter(|id| **id != own) {
+                            self.radio.send(now, own, To::Node(*peer), &transmit.bytes);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Divides the regions of two robots between them, by what the first knows of the work in them.
+fn divide(a: &mut Pilot, b: &mut Pilot) {
+    let pool: Vec<usize> = (0..a.own.len()).filter(|region| a.own[*region] || b.own[*region]).collect();
+    let places = [a.motion.position(), b.motion.position()];
+    let work: Vec<f64> = a.work.iter().zip(&b.work).map(|(a, b)| a.max(*b)).collect();
+    let away = |place: [f64; 3], region: usize| {
+        let centre = a.regions().centre(region);
+        distance([place[0], place[1], 0.0], centre)
+    };
+    let was_second: Vec<bool> = pool
+        .iter()
+        .map(|&region| match (a.own[region], b.own[region]) {
+            (true, false) => false,
+            (false, true) => true,
+            _ => away(places[1], region) < away(places[0], region),
+        })
+        .collect();
+    let second = regions::divide(a.regions(), &pool, &work, places, &was_second);
+    for (&region, is_second) in pool.iter().zip(second) {
+        a.own[region] = !is_second;
+        b.own[region] = is_second;
+    }
+}
+
+/// Does something with each member, on as many threads.
+fn spread(threads: usize, members: &mut [Member], work: impl Fn(usize, &mut Member) + Sync) {
+    if threads <= 1 || members.len() <= 1 {
+        for (number, member) in members.iter_mut().enumerate() {
+            work(number, member);
+        }
+        return;
+    }
+    let mut parts: Vec<Vec<(usize, &mut Member)>> = (0..threads).map(|_| Vec::new()).collect();
+    for (number, member) in members.iter_mut().enumerate() {
+        parts[number % threads].push((number, member));
+    }
+    std::thread::scope(|scope| {
+        for part in parts.into_iter().filter(|part| !part.is_empty()) {
+            scope.spawn(|| {
+                for (number, member) in part {
+                    work(number, member);
+                }
+            });
+        }
+    });
+}
+
+fn default_region(world: &World) -> [[f64; 3]; 2] {
+    let side = world.resolution().metres();
+    let (min, max) = (world.bounds().min(), world.bounds().max());
+    let low = [min.x, min.y, min.z].map(|v| f64::from(v) * side);
+    let high = [max.x, max.y, max.z].map(|v| f64::from(v + 1) * side);
+    [low, [high[0], high[1], high[2].min(low[2] + 3.0)]]
+}
+
+/// Lowest and highest flight (z).
+fn heights(region_m: [[f64; 3]; 2], options: &ExploreOptions) -> [f64; 2] {
+    let (floor, top) = (region_m[0][2], region_m[1][2]);
+    [floor + options.height_m[0], (floor + options.height_m[1]).min(top - 0.3)]
+}
+
+fn navigation(
+    region_m: [[f64; 3]; 2],
+    options: &ExploreOptions,
+) -> Result<NavigationConfig, NavigationError> {
+    let volume = (0..3).map(|a| region_m[1][a] - region_m[0][a]).product::<f64>();
+    let mut config = NavigationConfig::new(options.resolution, region_m);
+    config.cell_m = config.cell_m.max(options.resolution.metres());
+    while volume / (config.cell_m * config.cell_m * config.cell_m) > CELLS_WANTED {
+        config.cell_m += options.resolution.metres();
+        if config.cell_m > 8.0 * options.resolution.metres() {
+            return Err(NavigationError::TooLarge {
+                cells: core::array::from_fn(|a| ((region_m[1][a] - region_m[0][a]) / config.cell_m) as u32),
+                cell_m: config.cell_m,
+            });
+        }
+    }
+    config.clearance_m = options.clearance_m;
+    config.comfort_m = options.clearance_m + 0.2;
+    Ok(config)
+}
+
+fn check(options: &ExploreOptions) -> Result<(), ExploreError> {
+    let ranges = [
+        ("robots", options.robots as f64, 1.0, ROBOTS_MAX as f64, "1 to 64"),
+        ("threads", options.threads as f64, 1.0, 64.0, "1 to 64"),
+        ("range_m", options.range_m, 1.0, 100.0, "1 to 100"),
+        ("seconds_max", options.seconds_max, 0.1, 14_400.0, "0.1 to 14,400"),
+        ("speed_m_s", options.limits.speed_m_s, 0.1, 20.0, "0.1 to 20"),
+        ("acceleration_m_s2", options.limits.acceleration_m_s2, 0.1, 20.0, "0.1 to 20"),
+        ("yaw_rate_rad_s", options.limits.yaw_rate_rad_s, 0.1, 10.0, "0.1 to 10"),
+        ("clearance_m", options.clearance_m, 0.1, 1.0, "0.1 to 1"),
+        ("separation_m", options.separation_m, 0.5, 5.0, "0.5 to 5"),
+        ("height_m[0]", options.height_m[0], 0.0, 1_000.0, "0 to 1,000"),
+        ("height_m[1]", options.height_m[1], options.height_m[0], 1_000.0, "height_m[0] to 1,000"),
+    ];
+    for (name, value, low, high, expected) in ranges {
+        if !(low <= value && value <= high) {
+            return Err(ExploreError::Option { name, value, expected });
+        }
+    }
+    Ok(())
+}

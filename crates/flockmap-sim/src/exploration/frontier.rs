@@ -1,0 +1,236 @@
+//! Where the known meets the unknown, and from where to look at it.
+
+use super::sight::Sight;
+use crate::curve::distance;
+use crate::{CellState, NavigationGrid};
+use libm::atan2;
+
+/// A frontier reaches no further than this from its first cell, in metres.
+const REACH_M: f64 = 1.5;
+
+/// Fewer cells are no frontier.
+const CELLS_MIN: usize = 6;
+
+/// A cell that was in view so often and stays a frontier is one no more: nothing comes back from behind it.
+const LOOKS_MAX: u8 = 6;
+
+/// What a look from a viewpoint counts for the cells that it was meant for.
+const LOOKS_AIMED: u8 = 3;
+
+/// Share of the range within which a look counts: far out, rays are few.
+const LOOK_RANGE: f64 = 0.85;
+
+/// Cells of a frontier that viewpoints are judged by.
+const SAMPLES_MAX: usize = 24;
+
+/// Viewpoints kept of each frontier.
+const VIEWPOINTS_MAX: usize = 4;
+
+/// Plans after which a frontier without a viewpoint is looked at again.
+const PATIENCE: u32 = 6;
+
+/// A place to look at a frontier from.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub(super) struct Viewpoint {
+    pub(super) place: [f64; 3],
+    pub(super) yaw: f64,
+    /// Share of the frontier seen from there.
+    pub(super) share: f64,
+}
+
+/// Free cells beside Unknown ones, near each other.
+#[derive(Clone, Debug)]
+pub(super) struct Frontier {
+    pub(super) cells: Vec<u32>,
+    /// Number of cells when it was found.
+    found: usize,
+    pub(super) centre: [f64; 3],
+    /// Best first. Empty: there is no place to see it from.
+    pub(super) viewpoints: Vec<Viewpoint>,
+    /// Plans until viewpoints are searched again.
+    patience: u32,
+}
+
+/// All frontiers of a robot's grid.
+#[derive(Clone, Debug)]
+pub(super) struct Frontiers {
+    pub(super) list: Vec<Frontier>,
+    /// How often each cell was looked at in vain.
+    looks: Vec<u8>,
+    /// The cells of the list.
+    claimed: Vec<bool>,
+}
+
+impl Frontiers {
+    pub(super) fn new(grid: &NavigationGrid) -> Self {
+        Self { list: Vec::new(), looks: vec![0; grid.count()], claimed: vec![false; grid.count()] }
+    }
+
+    /// Whether a cell is Free, has an Unknown one beside it, and was not looked at in vain.
+    pub(super) fn is_frontier(&self, grid: &NavigationGrid, cell: usize) -> bool {
+        self.looks[cell] < LOOKS_MAX
+            && grid.cell_state(cell) == CellState::Free
+            && grid.beside(cell).any(|next| grid.cell_state(next) == CellState::Unknown)
+    }
+
+    /// Drops what has been seen, finds what is new, and viewpoints for it. `is_open` says where one can fly.
+    pub(super) fn update(&mut self, grid: &NavigationGrid, sight: &Sight, is_open: impl Fn(usize) -> bool) {
+        let mut list = core::mem::take(&mut self.list);
+        list.retain_mut(|frontier| {
+            for &cell in &frontier.cells {
+                self.claimed[cell as usize] = false;
+            }
+            frontier.cells.retain(|cell| self.is_frontier(grid, *cell as usize));
+            let stays = frontier.cells.len() >= CELLS_MIN && frontier.cells.len() * 4 >= frontier.found * 3;
+            if stays {
+                for &cell in &frontier.cells {
+                    self.claimed[cell as usize] = true;
+                }
+            }
+            stays
+        });
+        for frontier in &mut list {
+            frontier.viewpoints.retain(|v| grid.cell_at(v.place).is_some_and(&is_open));
+            if frontier.viewpoints.is_empty() {
+                frontier.patience = frontier.patience.saturating_sub(1);
+                if frontier.patience == 0 {
+                    frontier.look_for_viewpoints(grid, sight, &is_open);
+                }
+            }
+        }
+        for seed in 0..grid.count() {
+            if !self.claimed[seed] && self.is_frontier(grid, seed) {
+                let cells = self.grow(grid, seed);
+                if cells.len() >= CELLS_MIN {
+                    let mut frontier = Frontier::new(grid, cells);
+                    frontier.look_for_viewpoints(grid, sight, &is_open);
+                    list.push(frontier);
+                } else {
+                    for cell in cells {
+                        self.claimed[cell as usize] = false;
+                    }
+                }
+            }
+        }
+        self.list = list;
+    }
+
+    /// Counts a look from a place at all cells that can be seen from there; call it some times a second.
+    pub(super) fn look(&mut self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) {
+        for frontier in &self.list {
+            if distance(frontier.centre, place) > LOOK_RANGE * sight.range_m() {
+                continue;
+            }
+            for &cell in &frontier.cells {
+                let looks = &mut self.looks[cell as usize];
+                if *looks < LOOKS_MAX && sight.sees_beyond(grid, place, Some(yaw), cell as usize) {
+                    *looks += 1;
+                }
+            }
+        }
+    }
+
+    /// Counts a look from the best place that was found for these cells.
+    pub(super) fn aimed_look(&mut self, cells: &[u32]) {
+        for &cell in cells {
+            self.looks[cell as usize] = self.looks[cell as usize].saturating_add(LOOKS_AIMED);
+        }
+    }
+
+    /// Share of these cells that are still frontiers.
+    pub(super) fn share_left(&self, grid: &NavigationGrid, cells: &[u32]) -> f64 {
+        let left = cells.iter().filter(|cell| self.is_frontier(grid, **cell as usize)).count();
+        left as f64 / cells.len().max(1) as f64
+    }
+
+    /// The frontier cells that hang together with a seed and are near it.
+    fn grow(&mut self, grid: &NavigationGrid, seed: usize) -> Vec<u32> {
+        let origin = grid.centre(seed);
+        let mut cells = vec![seed as u32];
+        self.claimed[seed] = true;
+        let mut done = 0;
+        while let Some(&cell) = cells.get(done) {
+            done += 1;
+            for next in around(grid, cell as usize) {
+                if !self.claimed[next]
+                    && distance(grid.centre(next), origin) <= REACH_M
+                    && self.is_frontier(grid, next)
+                {
+                    self.claimed[next] = true;
+                    cells.push(next as u32);
+                }
+            }
+        }
+        cells
+    }
+}
+
+impl Frontier {
+    fn new(grid: &NavigationGrid, cells: Vec<u32>) -> Self {
+        let mut sum = [0.0; 3];
+        for &cell in &cells {
+            let centre = grid.centre(cell as usize);
+            for a in 0..3 {
+                sum[a] += centre[a];
+            }
+        }
+        let centre = sum.map(|v| v / cells.len() as f64);
+        Self { found: cells.len(), cells, centre, viewpoints: Vec::new(), patience: 0 }
+    }
+
+    /// Judges places on rings round the centre by how much of the frontier they see.
+    fn look_for_viewpoints(
+        &mut self,
+        grid: &NavigationGrid,
+        sight: &Sight,
+        is_open: &impl Fn(usize) -> bool,
+    ) {
+        self.patience = PATIENCE;
+        let stride = self.cells.len().div_ceil(SAMPLES_MAX);
+        let samples: Vec<usize> = self.cells.iter().step_by(stride).map(|cell| *cell as usize).collect();
+        let wanted = (samples.len() as f64 * 0.3).max(2.0);
+        let mut found: Vec<Viewpoint> = Vec::new();
+        for ring in [0.12, 0.25, 0.45, 0.7, 0.85] {
+            let radius = ring * sight.range_m();
+            for step in 0..16 {
+                let angle = f64::from(step) * core::f64::consts::PI / 8.0;
+                for height in [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5] {
+                    let place = [
+                        self.centre[0] + radius * libm::cos(angle),
+                        self.centre[1] + radius * libm::sin(angle),
+                        self.centre[2] + height,
+                    ];
+                    let Some(cell) = grid.cell_at(place).filter(|cell| is_open(*cell)) else { continue };
+                    let place = grid.centre(cell);
+                    let yaw = atan2(self.centre[1] - place[1], self.centre[0] - place[0]);
+                    let seen =
+                        samples.iter().filter(|c| sight.sees_beyond(grid, place, Some(yaw), **c)).count();
+                    if seen as f64 >= wanted {
+                        found.push(Viewpoint { place, yaw, share: seen as f64 / samples.len() as f64 });
+                    }
+                }
+            }
+        }
+        // A stable sort: of equals the nearer ring comes first.
+        found.sort_by(|a, b| b.share.total_cmp(&a.share));
+        for viewpoint in found {
+            let apart = |other: &Viewpoint| distance(other.place, viewpoint.place) > 0.8;
+            if self.viewpoints.len() < VIEWPOINTS_MAX && self.viewpoints.iter().all(apart) {
+                self.viewpoints.push(viewpoint);
+            }
+        }
+    }
+}
+
+/// The cells around a cell (up to 26).
+fn around(grid: &NavigationGrid, cell: usize) -> impl Iterator<Item = usize> + use<> {
+    let (at, size) = (grid.place(cell), grid.size());
+    (0..27usize).filter(|k| *k != 13).filter_map(move |k| {
+        let delta = [k % 3, k / 3 % 3, k / 9];
+        let mut next = [0; 3];
+        for a in 0..3 {
+            next[a] = (at[a] + delta[a]).checked_sub(1).filter(|v| *v < size[a])?;
+        }
+        Some((next[2] * size[1] + next[1]) * size[0] + next[0])
+    })
+}

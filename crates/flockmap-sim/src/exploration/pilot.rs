@@ -1,0 +1,434 @@
+//! One robot's planner: what to look at next, and how to get there.
+
+use super::frontier::Frontiers;
+use super::mates::{Mate, metres_to_path};
+use super::regions::{Regions, tour, work};
+use super::sight::Sight;
+use crate::curve::distance;
+use crate::{Motion, MotionLimits, NavigationGrid, RouteQuery, Router};
+use flockmap_grid::{MapView, Stamp};
+use libm::atan2;
+
+/// Time between two plans, at least.
+const PLAN_PAUSE_MICROS: i64 = 300_000;
+
+/// Time after which the goal is thought over even if nothing has happened.
+const PLAN_PERIOD_MICROS: i64 = 1_500_000;
+
+/// Time between two looks round that count.
+const LOOK_PERIOD_MICROS: i64 = 300_000;
+
+/// Time at a viewpoint: five scans.
+const STAY_MICROS: i64 = 500_000;
+
+/// A goal is given up as seen when this share of its cells is left.
+const SEEN_SHARE: f64 = 0.3;
+
+/// Metres around the robot within which ways are searched first.
+const NEAR_M: f64 = 14.0;
+
+/// Metres that other goals have to be nearer by than the present one.
+const LOYALTY_M: f64 = 3.0;
+
+/// Metres ahead within which the path is watched.
+const WATCH_M: f64 = 8.0;
+
+/// Frontiers of one region that are put into an order.
+const ORDERED_MAX: usize = 14;
+
+/// Distance beyond the separation at which ways lead past others, in metres.
+const DETOUR_M: f64 = 0.3;
+
+/// Cells looked at by a search for one way.
+const EXPANSIONS_MAX: usize = 2_000_000;
+
+/// What a robot flies to.
+#[derive(Clone, Debug)]
+struct Goal {
+    place: [f64; 3],
+    yaw: f64,
+    /// The frontier that is to be seen; empty: it only makes way.
+    cells: Vec<u32>,
+    region: usize,
+}
+
+/// Plans and flies one robot.
+pub(super) struct Pilot {
+    pub(super) number: usize,
+    pub(super) motion: Motion,
+    grid: NavigationGrid,
+    router: Router,
+    frontiers: Frontiers,
+    sight: Sight,
+    regions: Regions,
+    /// The regions that this robot takes for its own.
+    pub(super) own: Vec<bool>,
+    /// Seconds of work in each region, as far as it knows.
+    pub(super) work: Vec<f64>,
+    limits: MotionLimits,
+    heights_m: [f64; 2],
+    separation_m: f64,
+    goal: Option<Goal>,
+    wish: Option<Vec<[f64; 3]>>,
+    planned: Option<Stamp>,
+    looked: Option<Stamp>,
+    arrived: Option<Stamp>,
+    /// Since when it has found nothing to do.
+    pub(super) idle_since: Option<Stamp>,
+    pub(super) path_m: f64,
+}
+
+/// What a pilot is made with.
+pub(super) struct PilotConfig {
+    pub(super) number: usize,
+    pub(super) start: [f64; 3],
+    pub(super) grid: NavigationGrid,
+    pub(super) sight: Sight,
+    pub(super) regions: Regions,
+    pub(super) limits: MotionLimits,
+    pub(super) heights_m: [f64; 2],
+    pub(super) separation_m: f64,
+}
+
+impl Pilot {
+    pub(super) fn new(config: PilotConfig) -> Self {
+        let count = config.regions.count();
+        Self {
+            number: config.number,
+            motion: Motion::new(config.start, 0.0),
+            router: Router::new(&config.grid),
+            frontiers: Frontiers::new(&config.grid),
+            grid: config.grid,
+            sight: config.sight,
+            regions: config.regions,
+            own: vec![true; count],
+            work: vec![0.0; count],
+            limits: config.limits,
+            heights_m: config.heights_m,
+            separation_m: config.separation_m,
+            goal: None,
+            wish: None,
+            planned: None,
+            looked: None,
+            arrived: None,
+            idle_since: None,
+            path_m: 0.0,
+        }
+    }
+
+    pub(super) fn mate(&self) -> Mate {
+        Mate {
+            number: self.number,
+            stopping_path: self.motion.stopping_path(&self.limits),
+            wish: self.wish.clone(),
+        }
+    }
+
+    pub(super) const fn regions(&self) -> &Regions {
+        &self.regions
+    }
+
+    /// Number of frontiers that it can look at from somewhere.
+    pub(super) fn frontier_count(&self) -> usize {
+        self.frontiers.list.iter().filter(|f| !f.viewpoints.is_empty()).count()
+    }
+
+    /// Takes in the map, and plans if it is time to.
+    pub(super) fn plan(&mut self, now: Stamp, map: &MapView, mates: &[Mate]) {
+        self.grid.update(map);
+        if self.looked.is_none_or(|at| now.micros_since(at) >= LOOK_PERIOD_MICROS) {
+            self.looked = Some(now);
+            self.frontiers.look(&self.grid, &self.sight, self.motion.position(), self.motion.yaw());
+        }
+        let mut due = self.planned.is_none_or(|at| now.micros_since(at) >= PLAN_PERIOD_MICROS);
+        if !self.path_is_clear() {
+            self.motion.brake(&self.limits);
+            self.goal = None;
+            due = true;
+        }
+        if let Some(goal) = &self.goal {
+            let there = self.motion.is_at_end();
+            let reached = there && distance(self.motion.position(), goal.place) < 0.3;
+            if goal.cells.is_empty() {
+                due |= reached;
+            } else if self.frontiers.share_left(&self.grid, &goal.cells) <= SEEN_SHARE {
+                self.goal = None;
+                due = true;
+            } else if reached {
+                let since = *self.arrived.get_or_insert(now);
+                // Nothing better to do than to stay until it has been looked at.
+                due = false;
+                if now.micros_since(since) >= STAY_MICROS {
+                    self.frontiers.aimed_look(&goal.cells);
+                    self.goal = None;
+                    due = true;
+                }
+            } else {
+                due |= there;
+            }
+        } else {
+            due = true;
+        }
+        let rested = self.planned.is_none_or(|at| now.micros_since(at) >= PLAN_PAUSE_MICROS);
+        if due && rested {
+            self.planned = Some(now);
+            self.arrived = None;
+            self.choose(now, mates);
+        }
+    }
+
+    /// Where it looks while it flies: ahead, and near its goal to where there is something to see.
+    pub(super) fn yaw_target(&self) -> f64 {
+        let v = self.motion.velocity();
+        let flies = (v[0] * v[0] + v[1] * v[1]).sqrt() > 0.2;
+        match &self.goal {
+            Some(goal) if self.motion.remaining_m() < 1.5 => goal.yaw,
+            _ if flies => atan2(v[1], v[0]),
+            _ => self.motion.yaw(),
+        }
+    }
+
+    /// Whether the path ahead leads through passable cells, once it has come to the first of them.
+    fn path_is_clear(&self) -> bool {
+        let mut entered = false;
+        let mut ahead = 0.0;
+        let path = self.motion.path();
+        for (i, &point) in path.iter().enumerate() {
+            if i > 0 {
+                ahead += distance(path[i - 1], point);
+            }
+            if ahead > WATCH_M {
+                break;
+            }
+            let open = self.grid.cell_at(point).is_some_and(|cell| self.grid.is_passable(cell, false));
+            if entered && !open {
+                return false;
+            }
+            entered |= open;
+        }
+        true
+    }
+
+    /// Chooses the next goal and sets out for it.
+    fn choose(&mut self, now: Stamp, mates: &[Mate]) {
+        let heights = self.heights_m;
+        let grid = &self.grid;
+        let in_band = |cell: usize| {
+            let z = grid.centre(cell)[2];
+            heights[0] <= z && z <= heights[1]
+        };
+        self.frontiers.update(grid, &self.sight, |cell| grid.is_passable(cell, false) && in_band(cell));
+        let mut cells = vec![0; self.regions.count()];
+        for frontier in self.frontiers.list.iter().filter(|f| !f.viewpoints.is_empty()) {
+            cells[self.regions.at(frontier.centre)] += frontier.cells.len();
+        }
+        self.work = work(&self.regions.unknown_shares(grid), &cells);
+
+        let from = self.motion.stopping_point(&self.limits);
+        let near_mates = self.cells_near_mates(mates);
+        let avoid = |cell: usize| !in_band(cell) || near_mates.binary_search(&(cell as u32)).is_ok();
+        self.wish = None;
+        self.router.flood(&self.grid, from, NEAR_M, false, avoid);
+        let mut goal = self.best_goal(from);
+        if goal.is_none() {
+            self.router.flood(&self.grid, from, f64::INFINITY, false, avoid);
+            goal = self.best_goal(from);
+        }
+        if let Some(goal) = goal {
+            self.idle_since = None;
+            self.go(from, goal, &near_mates);
+            return;
+        }
+        // Perhaps somebody is in the way.
+        if !near_mates.is_empty() {
+            self.router.flood(&self.grid, from, f64::INFINITY, false, |cell| !in_band(cell));
+            if let Some(goal) = self.best_goal(from) {
+                self.idle_since = None;
+                let query = self.query(from, goal.place);
+                self.wish = self.router.route(&self.grid, &query, |cell| !in_band(cell)).ok();
+            }
+        }
+        if self.wish.is_none() {
+            self.idle_since.get_or_insert(now);
+        }
+        self.goal = None;
+        self.make_way(from, mates, &near_mates);
+    }
+
+    /// The first stop of a tour through the own regions, and in the first of those through its frontiers. Only
+    /// what the last flood reached.
+    fn best_goal(&self, from: [f64; 3]) -> Option<Goal> {
+        struct Candidate {
+            goal: Goal,
+            metres: f64,
+        }
+        let present = self.goal.as_ref().filter(|goal| !goal.cells.is_empty());
+        let mut candidates: Vec<Candidate> = Vec::new();
+        for frontier in &self.frontiers.list {
+            let region = self.regions.at(frontier.centre);
+            if !self.own[region] {
+                continue;
+            }
+            let is_present = present.is_some_and(|goal| goal.cells.first() == frontier.cells.first());
+            let best = frontier
+                .viewpoints
+                .iter()
+                .filter_map(|viewpoint| {
+                    let metres = self.router.metres_to(&self.grid, self.grid.cell_at(viewpoint.place)?)?;
+                    let loyalty = if is_present { LOYALTY_M } else { 0.0 };
+                    // What is not seen from there costs another way.
+                    let rest = 3.0 * (1.0 - viewpoint.share);
+                    Some(((metres + rest - loyalty).max(0.0), viewpoint))
+                })
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((metres, viewpoint)) = best {
+                let cells = frontier.cells.clone();
+                let goal = Goal { place: viewpoint.place, yaw: viewpoint.yaw, cells, region };
+                candidates.push(Candidate { goal, metres });
+            }
+        }
+        // Regions in the order in which they are to be visited.
+        let mut nearest: Vec<(usize, f64)> = Vec::new();
+        for candidate in &candidates {
+            let region = candidate.goal.region;
+            match nearest.iter_mut().find(|(known, _)| *known == region) {
+                Some((_, metres)) => *metres = metres.min(candidate.metres),
+                None => nearest.push((region, candidate.metres)),
+            }
+        }
+        let loyal = |(region, metres): &(usize, f64)| {
+            if present.is_some_and(|goal| goal.region == *region) { metres - LOYALTY_M } else { *metres }
+        };
+        let first: Vec<f64> = nearest.iter().map(loyal).collect();
+        let centre = |i: usize| self.regions.centre(nearest[i].0);
+        let order = tour(&first, |a, b| 1.2 * distance(centre(a), centre(b)));
+        let region = nearest.get(*order.first()?)?.0;
+        candidates.retain(|candidate| candidate.goal.region == region);
+        candidates.sort_by(|a, b| a.metres.total_cmp(&b.metres));
+        candidates.truncate(ORDERED_MAX);
+        let first: Vec<f64> = candidates.iter().map(|candidate| candidate.metres).collect();
+        let place = |i: usize| candidates[i].goal.place;
+        let order = tour(&first, |a, b| 1.2 * distance(place(a), place(b)));
+        let _ = from;
+        Some(candidates.swap_remove(*order.first()?).goal)
+    }
+
+    fn go(&mut self, from: [f64; 3], goal: Goal, near_mates: &[u32]) {
+        let unchanged = self.goal.as_ref().is_some_and(|old| old.place == goal.place);
+        if unchanged && !self.motion.is_at_end() && !self.path_meets(near_mates) {
+            self.goal = Some(goal);
+            return;
+        }
+        let query = self.query(from, goal.place);
+        let (grid, heights) = (&self.grid, self.heights_m);
+        let is_closed = |cell: usize| {
+            let z = grid.centre(cell)[2];
+            z < heights[0] || z > heights[1] || near_mates.binary_search(&(cell as u32)).is_ok()
+        };
+        match self.router.route(grid, &query, is_closed) {
+            Ok(line) => {
+                self.motion.follow(&line, &self.limits, |a, b| {
+                    grid.line_fits(a, b, |cell| grid.is_passable(cell, false) && !is_closed(cell))
+                });
+                self.goal = Some(goal);
+            }
+            Err(_) => {
+                self.motion.brake(&self.limits);
+                self.goal = None;
+            }
+        }
+    }
+
+    /// Flies out of the way of a robot that wants to pass and comes before this one, or finds this one idle.
+    fn make_way(&mut self, from: [f64; 3], mates: &[Mate], near_mates: &[u32]) {
+        let wide = self.separation_m + DETOUR_M;
+        let before = |mate: &&Mate| self.idle_since.is_some() || mate.number < self.number;
+        let wishes: Vec<&Vec<[f64; 3]>> =
+            mates.iter().filter(before).filter_map(|mate| mate.wish.as_ref()).collect();
+        let in_way =
+            |place: [f64; 3]| wishes.iter().any(|wish| metres_to_path(place, &dense(wish)) < wide + 0.2);
+        if !in_way(from) {
+            return;
+        }
+        let heights = self.heights_m;
+        let grid = &self.grid;
+        let closed = |cell: usize| {
+            let z = grid.centre(cell)[2];
+            z < heights[0] || z > heights[1] || near_mates.binary_search(&(cell as u32)).is_ok()
+        };
+        self.router.flood(grid, from, NEAR_M, false, closed);
+        let mut best: Option<(f64, usize)> = None;
+        for cell in 0..grid.count() {
+            let Some(metres) = self.router.metres_to(grid, cell) else { continue };
+            if grid.is_passable(cell, false)
+                && best.is_none_or(|(least, _)| metres < least)
+                && !in_way(grid.centre(cell))
+            {
+                best = Some((metres, cell));
+            }
+        }
+        if let Some((_, cell)) = best {
+            let place = grid.centre(cell);
+            let goal = Goal { place, yaw: self.motion.yaw(), cells: Vec::new(), region: 0 };
+            self.go(from, goal, near_mates);
+        }
+    }
+
+    const fn query(&self, from: [f64; 3], to: [f64; 3]) -> RouteQuery {
+        RouteQuery { from, to, unknown_ok: false, expansions_max: EXPANSIONS_MAX }
+    }
+
+    /// Cells too near to where others are and will be until they could stop, ascending.
+    fn cells_near_mates(&self, mates: &[Mate]) -> Vec<u32> {
+        let wide = self.separation_m + DETOUR_M;
+        let reach = (wide / self.grid.cell_m()).ceil() as i32;
+        let mut cells = Vec::new();
+        for mate in mates {
+            let mut last: Option<[f64; 3]> = None;
+            for &point in &mate.stopping_path {
+                // Every 20 cm and the ends will do.
+                let is_end = mate.stopping_path.last() == Some(&point);
+                if !is_end && last.is_some_and(|last| distance(last, point) < 0.2) {
+                    continue;
+                }
+                last = Some(point);
+                for z in -reach..=reach {
+                    for y in -reach..=reach {
+                        for x in -reach..=reach {
+                            let d = [x, y, z].map(|i| f64::from(i) * self.grid.cell_m());
+                            let place = core::array::from_fn(|a| point[a] + d[a]);
+                            if let Some(cell) = self.grid.cell_at(place)
+                                && distance(self.grid.centre(cell), point) < wide
+                            {
+                                cells.push(cell as u32);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        cells.sort_unstable();
+        cells.dedup();
+        cells
+    }
+
+    /// Whether the path ahead leads through these cells.
+    fn path_meets(&self, cells: &[u32]) -> bool {
+        self.motion.path().iter().any(|point| {
+            self.grid.cell_at(*point).is_some_and(|cell| cells.binary_search(&(cell as u32)).is_ok())
+        })
+    }
+}
+
+/// A polyline with points at most 10 cm apart.
+fn dense(line: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let mut points: Vec<[f64; 3]> = line.first().copied().into_iter().collect();
+    for pair in line.windows(2) {
+        let steps = (distance(pair[0], pair[1]) / 0.1).ceil().max(1.0);
+        for step in 1..=steps as u32 {
+            let s = f64::from(step) / steps;
+            points.push(core::array::from_fn(|a| pair[0][a] + (pair[1][a] - pair[0][a]) * s));
+        }
+    }
+    points
+}
