@@ -3,7 +3,7 @@
 use super::mates::{Mate, are_apart};
 use super::pilot::{Pilot, PilotConfig};
 use super::regions::{self, Regions};
-use super::seeable::Seeable;
+use super::seeable::{Eyes, Seeable};
 use super::sight::Sight;
 use super::{ExploreError, ExploreOptions, start};
 use crate::curve::distance;
@@ -152,16 +152,8 @@ impl Explorer {
             });
         }
         let sight = Sight::new(options.lidar, options.range_m);
-        let seeable = Seeable::new(
-            &world,
-            &truth,
-            places[0],
-            may_fly,
-            &sight,
-            &options.scan,
-            options.resolution,
-            options.threads,
-        );
+        let eyes = Eyes { world: &world, sight, scan: options.scan, resolution: options.resolution };
+        let seeable = Seeable::new(&eyes, &truth, places[0], may_fly, options.threads);
         let mut members = Vec::new();
         for (number, &place) in places.iter().enumerate() {
             let mut config =

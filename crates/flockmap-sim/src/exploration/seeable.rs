@@ -24,32 +24,40 @@ pub(super) struct Seeable {
     count: u64,
 }
 
+/// What decides whether a voxel is seen from a place.
+pub(super) struct Eyes<'a> {
+    pub(super) world: &'a World,
+    pub(super) sight: Sight,
+    pub(super) scan: ScanOptions,
+    pub(super) resolution: Resolution,
+}
+
 impl Seeable {
     /// For robots that can start at `start` and fly where `may_fly` says, in the world as it is (`truth`).
     pub(super) fn new(
-        world: &World,
+        eyes: &Eyes<'_>,
         truth: &NavigationGrid,
         start: [f64; 3],
         may_fly: impl Fn(usize) -> bool,
-        sight: &Sight,
-        scan: &ScanOptions,
-        resolution: Resolution,
         threads: usize,
     ) -> Self {
         let places = places(truth, start, may_fly);
-        let candidates = candidates(world, truth, start, resolution);
-        let candidates: Vec<(BlockIndex, Plane)> = candidates.into_iter().collect();
+        let candidates: Vec<(BlockIndex, Plane)> =
+            candidates(eyes.world, truth, start, eyes.resolution).into_iter().collect();
         let part = candidates.len().div_ceil(threads.max(1)).max(1);
-        let seen_of = |part: &[(BlockIndex, Plane)]| -> Vec<(BlockIndex, Plane)> {
-            part.iter()
-                .map(|(index, plane)| (*index, look(world, &places, sight, scan, resolution, *index, plane)))
-                .collect()
-        };
-        let blocks: BTreeMap<BlockIndex, Plane> = std::thread::scope(|scope| {
-            let parts: Vec<_> = candidates.chunks(part).map(|part| scope.spawn(|| seen_of(part))).collect();
-            parts.into_iter().flat_map(|part| part.join().unwrap_or_default()).collect()
+        let mut blocks = BTreeMap::new();
+        std::thread::scope(|scope| {
+            let mut threads = Vec::new();
+            for part in candidates.chunks(part) {
+                let places = &places;
+                let seen = |(index, plane): &(BlockIndex, Plane)| (*index, look(eyes, places, *index, plane));
+                threads.push(scope.spawn(move || part.iter().map(seen).collect::<Vec<_>>()));
+            }
+            for thread in threads {
+                blocks.extend(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+            }
         });
-        let count = blocks.values().flatten().map(|word| u64::from(word.count_ones())).sum();
+        let count = blocks.values().flatten().map(|word: &u64| u64::from(word.count_ones())).sum();
         Self { blocks, count }
     }
 
@@ -155,15 +163,8 @@ fn candidates(
 }
 
 /// The voxels of a block that can be seen from one of the places.
-fn look(
-    world: &World,
-    places: &[[f64; 3]],
-    sight: &Sight,
-    scan: &ScanOptions,
-    resolution: Resolution,
-    index: BlockIndex,
-    candidates: &Plane,
-) -> Plane {
+fn look(eyes: &Eyes<'_>, places: &[[f64; 3]], index: BlockIndex, candidates: &Plane) -> Plane {
+    let Eyes { world, sight, scan, resolution } = eyes;
     let side = resolution.metres();
     let corner = index.corner();
     let middle = [corner.x, corner.y, corner.z].map(|v| (f64::from(v) + 4.0) * side);

@@ -80,11 +80,11 @@ fn two_robots_see_two_rooms_and_stop_by_themselves_without_touching_anything() {
 #[test]
 fn the_same_seed_gives_the_same_frames_with_one_and_two_threads() {
     let world = Arc::new(two_rooms());
-    let run = |threads| explore(&world, ExploreOptions { threads, seconds_max: 8.0, ..options(3) });
+    let run = |threads| explore(&world, ExploreOptions { threads, seconds_max: 3.0, ..options(3) });
     let (one, two) = (run(1), run(2));
     assert_eq!(one.0, two.0);
     assert!(one.1 == two.1, "the frames differ");
-    assert_eq!(one.1.len(), 80);
+    assert_eq!(one.1.len(), 30);
     assert_eq!(one.0.ended, Ended::TimeOut);
 }
 
