@@ -9,6 +9,7 @@ use flockmap_sim::Lidar;
 
 use crate::args_sim::SimCommand;
 use crate::bench_codecs::MethodName;
+use crate::bench_paper::args::BenchPaperArgs;
 use crate::bench_random::BenchRandomArgs;
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
@@ -119,6 +120,17 @@ Examples:
 Four maps whose voxels need addresses of 2, 3, 3 and 4 bytes, shares of 0.0001 to 1, ten draws each.
 Exit code 1 if any codec gets a voxel wrong.")]
     Random(BenchRandomArgs),
+    /// The paper's whole evaluation: every table and figure of its Section V, with the rivals, in one report
+    #[command(after_help = "\
+Examples:
+  flockmap bench paper --quick
+  flockmap bench paper --out paper/
+  flockmap bench paper --only table1,table2 --keep-records
+  flockmap bench paper robot1.mcap robot2.mcap --only beyond --beyond-resolution 0.2 --beyond-range 30
+
+Flies two explorations, records them, and measures every method on the same records. Half an hour at most on two cores, three minutes with
+--quick. Writes report.html, report.json and a CSV file for each table. Exit code 1 if a lossless method gets a voxel wrong.")]
+    Paper(BenchPaperArgs),
 }
 
 /// How robots map and pack.

@@ -128,7 +128,7 @@ pub fn run(args: &BenchRandomArgs) -> anyhow::Result<bool> {
         sections: vec![section(&figure, &plan)],
         facts: facts(&figure, &plan),
     };
-    document.print();
+    document.print(true);
     if let Some(path) = &args.json {
         json_file::write(path, &document.json())?;
     }
@@ -349,6 +349,7 @@ pub fn section(figure: &Figure, plan: &Plan) -> Section {
     ))];
     let charts: String = figure.maps.iter().map(chart).collect();
     parts.push(Part::Html(format!("<div class=\"charts\">{charts}</div>")));
+    parts.push(Part::Table(crossings(figure)));
     parts.push(Part::Table(table(figure)));
     parts.push(Part::Points(vec![
         format!(
@@ -362,7 +363,6 @@ pub fn section(figure: &Figure, plan: &Plan) -> Section {
          RACER's addresses only below a share of 0.01 (2 bytes), 0.001 (3 bytes) and 0.0005 (3 and 4 bytes)."
             .to_owned(),
     ]));
-    parts.push(Part::Table(crossings(figure)));
     Section { id: "fig5", title: "Fig. 5: changes drawn at random".to_owned(), parts }
 }
 
@@ -400,6 +400,7 @@ fn table(figure: &Figure) -> DataTable {
             table.row(row);
         }
     }
+    table.is_folded = true;
     table.note = "Mean bytes of a package. Smallest and largest of the draws are in the JSON.".to_owned();
     table
 }

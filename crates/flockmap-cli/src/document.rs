@@ -43,6 +43,8 @@ pub struct DataTable {
     pub columns: Vec<Column>,
     pub rows: Vec<Vec<Cell>>,
     pub note: String,
+    /// Long: the page shows it when asked to.
+    pub is_folded: bool,
 }
 
 /// A column: its name in CSV and JSON, with unit, and its heading for people.
@@ -59,7 +61,6 @@ pub enum Cell {
     /// A number, and digits after the point for people.
     Number(f64, usize),
     /// A share of 1, shown as per cent.
-    #[allow(dead_code, reason = "for bench paper")]
     Share(f64),
     /// Not known, or not said.
     Missing,
@@ -68,7 +69,7 @@ pub enum Cell {
 impl DataTable {
     pub fn new(id: impl Into<String>, columns: &[(&'static str, &'static str)]) -> Self {
         let columns = columns.iter().map(|&(key, heading)| Column { key, heading }).collect();
-        Self { id: id.into(), columns, rows: Vec::new(), note: String::new() }
+        Self { id: id.into(), columns, rows: Vec::new(), note: String::new(), is_folded: false }
     }
 
     pub fn row(&mut self, cells: impl IntoIterator<Item = Cell>) {
@@ -115,7 +116,7 @@ impl DataTable {
         let note = if self.note.is_empty() {
             String::new()
         } else {
-            format!("<p class=\"note\">{}</p>", escape(&self.note))
+            format!("<p class=\"note\">{}</p>", inline(&self.note))
         };
         format!(
             "<div class=\"scroll\"><table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>{note}"
@@ -166,6 +167,16 @@ impl Cell {
     }
 }
 
+/// Words as HTML; what stands between backticks is code.
+fn inline(words: &str) -> String {
+    let mut html = String::new();
+    for (number, piece) in words.split('`').enumerate() {
+        let piece = escape(piece);
+        html += &if number % 2 == 1 { format!("<code>{piece}</code>") } else { piece };
+    }
+    html
+}
+
 /// A field of a CSV file (RFC 4180).
 fn quoted(field: &str) -> String {
     if field.contains([',', '"', '\n', '\r']) {
@@ -176,8 +187,8 @@ fn quoted(field: &str) -> String {
 }
 
 impl Document {
-    /// Everything but what only the page can show.
-    pub fn print(&self) {
+    /// Everything but what only the page can show; folded tables only if `all`.
+    pub fn print(&self, all: bool) {
         println!("{}", self.title);
         for section in &self.sections {
             println!("\n{}\n", section.title);
@@ -187,6 +198,7 @@ impl Document {
                     Part::Points(points) => {
                         points.iter().for_each(|point| println!("{}", wrapped(point, "  - ", "    ")));
                     }
+                    Part::Table(table) if table.is_folded && !all => {}
                     Part::Table(table) => {
                         print!("{}", table.text());
                         println!("{}", wrapped(&table.note, "  ", "  "));
@@ -204,7 +216,7 @@ impl Document {
         let mut page = head(&escape(&self.title));
         for (good, verdict) in &self.verdicts {
             let class = if *good { "good" } else { "bad" };
-            page += &format!("<p class=\"verdict {class}\">{}</p>", escape(verdict));
+            page += &format!("<p class=\"verdict {class}\">{}</p>", inline(verdict));
         }
         if self.sections.len() > 2 {
             let links =
@@ -215,10 +227,10 @@ impl Document {
             page += &format!("<section id=\"{}\"><h2>{}</h2>", section.id, escape(&section.title));
             for part in &section.parts {
                 page += &match part {
-                    Part::Words(words) => format!("<p>{}</p>", escape(words)),
+                    Part::Words(words) => format!("<p>{}</p>", inline(words)),
                     Part::Points(points) => {
                         let points: String =
-                            points.iter().map(|point| format!("<li>{}</li>", escape(point))).collect();
+                            points.iter().map(|point| format!("<li>{}</li>", inline(point))).collect();
                         format!("<ul>{points}</ul>")
                     }
                     Part::Table(table) => table.html(),
@@ -329,6 +341,11 @@ mod tests {
                 && page.contains("2.35")
         );
         assert!(table.text().to_string().contains("1,234,567"));
+    }
+
+    #[test]
+    fn backticks_are_code_and_nothing_else_is_markup() {
+        assert_eq!(inline("a `b<` & `c`"), "a <code>b&lt;</code> &amp; <code>c</code>");
     }
 
     #[test]

@@ -87,12 +87,9 @@ fn headline(report: &Report) -> String {
     format!("<div class=\"cards\">{}</div>", cards.concat())
 }
 
-fn maps(report: &Report) -> String {
-    let mut html = String::from(
-        "<section><h2>Maps from above</h2><p class=\"legend\"><span class=\"key own\"></span>seen by the robot itself \
-         <span class=\"key received\"></span>received from the others · dark: obstacles 0.4 to 2.5 m above the ground, darker is higher · \
-         pale: free</p>",
-    );
+/// A report's maps, robot by robot.
+pub fn map_pictures(report: &Report) -> String {
+    let mut html = String::new();
     for pictures in &report.pictures {
         html += &format!("<h3>{}</h3><div class=\"maps\">", escape(&pictures.robot));
         for (seconds, picture) in &pictures.moments {
@@ -118,6 +115,15 @@ fn maps(report: &Report) -> String {
             report.robots.len()
         );
     }
+    html
+}
+fn maps(report: &Report) -> String {
+    let mut html = String::from(
+        "<section><h2>Maps from above</h2><p class=\"legend\"><span class=\"key own\"></span>seen by the robot itself \
+         <span class=\"key received\"></span>received from the others · dark: obstacles 0.4 to 2.5 m above the ground, darker is higher · \
+         pale: free</p>",
+    );
+    html += &map_pictures(report);
     html + "</section>"
 }
 

@@ -6,6 +6,7 @@ mod args;
 mod args_sim;
 mod bench_codecs;
 mod bench_mapping;
+mod bench_paper;
 mod bench_random;
 mod chart;
 mod codec_run;
@@ -48,6 +49,7 @@ fn main() -> ExitCode {
     let result = match &cli.command {
         Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
         Command::Bench(BenchCommand::Mapping(args)) => bench_mapping::run(args),
+        Command::Bench(BenchCommand::Paper(args)) => bench_paper::run(args),
         Command::Bench(BenchCommand::Random(args)) => bench_random::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Sim(command) => sim::run(command),

@@ -22,6 +22,8 @@ pub struct Measures {
     /// UDP payload that went out; a copy to each of several robots counts each.
     pub sent: Sent,
     pub datagrams: u64,
+    /// UDP payload that came in.
+    pub received: Sent,
     /// What RACER would have sent for the same changes, once.
     pub racer: Sent,
     pub racer_messages: u64,
@@ -57,6 +59,7 @@ impl Measures {
         Self {
             sent: Sent::default(),
             datagrams: 0,
+            received: Sent::default(),
             racer: Sent::default(),
             racer_messages: 0,
             paper: Sent::default(),
@@ -90,6 +93,11 @@ impl Measures {
     /// The robot was given a datagram. Events follow.
     pub fn datagram_input(&mut self, took: Duration) {
         self.input = Some((Input::Datagram, took));
+    }
+
+    /// A datagram came in.
+    pub fn datagram_received(&mut self, now: Stamp, bytes: usize) {
+        self.received.add(now, bytes as u64);
     }
 
     /// The robot put a datagram on the air, in so many copies.

@@ -50,7 +50,8 @@ pub struct Frames {
 const FRAMES_AHEAD: usize = 4;
 
 impl Frames {
-    fn new(frames: impl Iterator<Item = anyhow::Result<Frame>> + Send + 'static) -> Self {
+    /// Frames in the order of time.
+    pub fn new(frames: impl Iterator<Item = anyhow::Result<Frame>> + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(FRAMES_AHEAD);
         std::thread::spawn(move || {
             for frame in frames {

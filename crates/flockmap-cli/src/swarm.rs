@@ -136,6 +136,7 @@ impl Swarm {
         while let Some(delivery) = self.radio.deliver_due(self.now) {
             let to = delivery.to;
             if let Some(member) = self.members.iter_mut().find(|m| m.robot.own_stream().origin == to) {
+                member.measures.datagram_received(self.now, delivery.bytes.len());
                 let started = Instant::now();
                 // Errors are counted by the session.
                 let _ = member.robot.handle_datagram(self.now, &delivery.bytes);

@@ -1,0 +1,202 @@
+//! Methods side by side: one row each, whatever was measured of it.
+
+use flockmap::codec::Codec;
+use flockmap_baselines::Method;
+
+use crate::chart::{self, Bar};
+use crate::codec_run::Outcome;
+use crate::document::{Cell, DataTable};
+use crate::html::escape;
+use crate::measure::KB;
+use crate::member::IP_UDP_BYTES;
+use crate::table::{percent, thousands};
+
+/// What a method cost on one record, all robots together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MethodRow {
+    pub name: String,
+    /// In a sentence, what it is.
+    pub about: String,
+    /// Each message once for each receiver.
+    pub total_bytes: u64,
+    /// 28 bytes for each datagram, on top.
+    pub ip_udp_bytes: u64,
+    /// Mean of the robots.
+    pub avg_kb_s: f64,
+    /// Largest window of one second of any robot.
+    pub max_kb_s: f64,
+    /// Share of voxels that are right at the receivers at the end.
+    pub agreement: f64,
+    /// Whether every voxel must be right.
+    pub is_lossless: bool,
+    /// Whether it keeps that word.
+    pub is_as_promised: bool,
+    /// Mean time for a cycle at the sender and at a receiver, where it was measured.
+    pub encode_ms: Option<f64>,
+    pub decode_ms: Option<f64>,
+}
+
+/// Rows of one record, and what they are measured by.
+#[derive(Clone, Debug)]
+pub struct MethodRows {
+    pub rows: Vec<MethodRow>,
+    /// Voxels in all cycles of all robots.
+    pub changed_voxels: u64,
+    /// Robots that listen to each.
+    pub receivers: u64,
+    /// Lengths of all robots' records together.
+    pub seconds: f64,
+}
+
+impl MethodRows {
+    /// From the outcomes of the robots, each measured on its own with the same methods.
+    pub fn of_robots(outcomes: &[Outcome], receivers: usize) -> Self {
+        let seconds: f64 = outcomes.iter().map(|outcome| outcome.seconds).sum();
+        let methods = outcomes.first().map_or(0, |outcome| outcome.rows.len());
+        let rows = (0..methods).map(|number| {
+            let of_robots = || outcomes.iter().map(move |outcome| &outcome.rows[number]);
+            let total_bytes = of_robots().map(|row| row.total_bytes).sum();
+            let (known, equal) =
+                of_robots().fold((0, 0), |(k, e), row| (k + row.compared.known, e + row.compared.equal));
+            let mean_ms = |of: &dyn Fn(&crate::codec_run::Row) -> crate::measure::TimeSummary| {
+                let (sum, count) = of_robots()
+                    .map(of)
+                    .fold((0.0, 0), |(s, n), time| (s + time.mean_ms * time.count as f64, n + time.count));
+                (count > 0).then(|| sum / count as f64)
+            };
+            let method = outcomes[0].rows[number].method;
+            MethodRow {
+                name: method.to_string(),
+                about: method.about().to_owned(),
+                total_bytes,
+                ip_udp_bytes: of_robots().map(|row| row.datagrams).sum::<u64>() * IP_UDP_BYTES,
+                avg_kb_s: total_bytes as f64 / KB / seconds.max(1e-3),
+                max_kb_s: of_robots().map(|row| row.max_kb_s).fold(0.0, f64::max),
+                agreement: if known == 0 { 1.0 } else { equal as f64 / known as f64 },
+                is_lossless: method.is_lossless(),
+                is_as_promised: of_robots().all(crate::codec_run::Row::is_as_promised),
+                encode_ms: mean_ms(&|row| row.encode),
+                decode_ms: mean_ms(&|row| row.decode),
+            }
+        });
+        Self {
+            rows: rows.collect(),
+            changed_voxels: outcomes.iter().map(|outcome| outcome.changed_voxels).sum(),
+            receivers: receivers.max(1) as u64,
+            seconds,
+        }
+    }
+
+    /// The row of this name.
+    pub fn get(&self, name: &str) -> Option<&MethodRow> {
+        self.rows.iter().find(|row| row.name == name)
+    }
+
+    /// How many times the bytes of the second method the first one's are.
+    pub fn ratio(&self, of: &str, to: &str) -> Option<f64> {
+        let (of, to) = (self.get(of)?, self.get(to)?);
+        (to.total_bytes > 0).then(|| of.total_bytes as f64 / to.total_bytes as f64)
+    }
+
+    /// Bits for each changed voxel and receiver.
+    pub fn bits(&self, row: &MethodRow) -> f64 {
+        row.total_bytes as f64 * 8.0 / (self.changed_voxels.max(1) * self.receivers) as f64
+    }
+
+    /// All of it as a table.
+    pub fn table(&self, id: impl Into<String>) -> DataTable {
+        let mut table = DataTable::new(
+            id,
+            &[
+                ("method", "method"),
+                ("total_bytes", "total bytes"),
+                ("times_paper", "× paper"),
+                ("bits_per_changed_voxel", "bits a change"),
+                ("avg_kb_s", "avg KB/s"),
+                ("max_kb_s", "max KB/s"),
+                ("ip_udp_bytes", "+ IP/UDP"),
+                ("agreement", "agreement"),
+                ("lossless", "lossless"),
+                ("encode_ms", "encode ms"),
+                ("decode_ms", "decode ms"),
+            ],
+        );
+        let paper = self.get("paper").map(|row| row.total_bytes).filter(|bytes| *bytes > 0);
+        for row in &self.rows {
+            let number = |value: Option<f64>| value.map_or(Cell::Missing, |value| Cell::Number(value, 2));
+            table.row([
+                Cell::text(&row.name),
+                Cell::Whole(row.total_bytes),
+                number(paper.map(|paper| row.total_bytes as f64 / paper as f64)),
+                Cell::Number(self.bits(row), 2),
+                Cell::Number(row.avg_kb_s, 2),
+                Cell::Number(row.max_kb_s, 2),
+                Cell::Whole(row.ip_udp_bytes),
+                Cell::Share(row.agreement),
+                Cell::text(if row.is_lossless { "yes" } else { "no" }),
+                number(row.encode_ms),
+                number(row.decode_ms),
+            ]);
+        }
+        table
+    }
+
+    /// Total bytes as bars.
+    pub fn bars(&self) -> String {
+        let bars: Vec<Bar> = self
+            .rows
+            .iter()
+            .map(|row| Bar {
+                name: escape(&row.name),
+                class: if row.agreement >= 1.0 { "c1".to_owned() } else { "c2".to_owned() },
+                value: row.total_bytes as f64,
+                text: if row.agreement >= 1.0 {
+                    format!("{} B", thousands(row.total_bytes))
+                } else {
+                    format!("{} B, {} right", thousands(row.total_bytes), percent(row.agreement))
+                },
+            })
+            .collect();
+        format!(
+            "{}<p class=\"legend\"><span class=\"entry\"><span class=\"key c1\"></span>every voxel right</span> \
+             <span class=\"entry\"><span class=\"key c2\"></span>voxels wrong or missing at the end</span></p>",
+            chart::bars(&bars)
+        )
+    }
+}
+
+/// All methods that code a cycle or a scan. Of the codecs cut to datagrams only those that Flockmap would send.
+pub fn all() -> Vec<Method> {
+    let beside = [Codec::Raw, Codec::NestedZlib, Codec::Racer].map(Method::Datagrams);
+    Method::ALL.into_iter().filter(|method| !beside.contains(method)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_counts_against_the_paper() {
+        let row = |name: &str, total_bytes, agreement| MethodRow {
+            name: name.to_owned(),
+            about: String::new(),
+            total_bytes,
+            ip_udp_bytes: 28,
+            avg_kb_s: 1.0,
+            max_kb_s: 2.0,
+            agreement,
+            is_lossless: agreement == 1.0,
+            is_as_promised: true,
+            encode_ms: None,
+            decode_ms: Some(1.0),
+        };
+        let rows = vec![row("paper", 1_000, 1.0), row("racer", 9_600, 1.0), row("gvp", 500, 0.9)];
+        let rows = MethodRows { rows, changed_voxels: 2_000, receivers: 1, seconds: 10.0 };
+        assert_eq!(rows.ratio("racer", "paper"), Some(9.6));
+        assert_eq!(rows.ratio("racer", "none"), None);
+        let table = rows.table("t");
+        assert_eq!(table.rows[1][2], Cell::Number(9.6, 2));
+        assert_eq!(table.rows[0][3], Cell::Number(4.0, 2));
+        assert!(rows.bars().contains("90.0000 % right"));
+    }
+}
