@@ -49,7 +49,6 @@ pub struct FlightPlan {
     pub lidar: Lidar,
     /// The flight is ended after so long.
     pub seconds_max: f64,
-    pub threads: usize,
 }
 
 impl Scene {

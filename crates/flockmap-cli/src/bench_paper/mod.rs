@@ -214,7 +214,6 @@ impl Bench<'_> {
                 seed: self.args.seed,
                 lidar: self.args.lidar,
                 seconds_max: self.args.seconds.unwrap_or(if self.args.quick { 10.0 } else { 400.0 }),
-                threads: self.threads,
             };
             let flown = self.stage(None, name, |_| progress::within(name, || flown::fly(&plan, records)))?;
             flights.0.extend(flown);
