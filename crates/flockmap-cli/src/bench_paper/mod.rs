@@ -22,6 +22,7 @@ use serde_json::{Map, json};
 
 use crate::bench_random;
 use crate::document::{Cell, DataTable, Document, Part, Section};
+use crate::sim::robot_record::RecordFacts;
 use crate::{progress, stop};
 use args::{BenchPaperArgs, Stage};
 use figures::Scene;
@@ -57,11 +58,6 @@ pub fn mapper(resolution_m: f64, range_m: f64) -> anyhow::Result<MapperConfig> {
 /// Cycles that close after so many seconds, or so many changed voxels.
 pub fn cycle(t_l_s: f64, changes_max: usize) -> CycleConfig {
     CycleConfig { t_l_ms: (t_l_s * 1e3).round() as u32, changes_max, ..CycleConfig::default() }
-}
-
-/// Returns this near to a team-mate's position are the team-mate: its box of 0.4 × 0.4 × 0.3 m, and a voxel.
-pub fn mask_radius_m(resolution: Resolution) -> f64 {
-    0.35 + 1.5 * resolution.metres()
 }
 
 /// A report in the making.
@@ -336,15 +332,16 @@ fn flights_section(flights: &Flights) -> Section {
         ],
     );
     for flown in &flights.0 {
+        let sum = |of: fn(&RecordFacts) -> u64| flown.records.iter().map(of).sum::<u64>();
         table.row([
             Cell::text(flown.scene.name()),
-            Cell::Whole(flown.files.len() as u64),
+            Cell::Whole(flown.records.len() as u64),
             Cell::Number(flown.seconds, 1),
             flown.seen_share.map_or(Cell::Missing, Cell::Share),
-            Cell::Number(flown.path_m.iter().sum(), 1),
-            Cell::Whole(flown.scans),
-            Cell::Whole(flown.points),
-            Cell::Number(flown.file_bytes as f64 / 1024.0 / 1024.0, 1),
+            Cell::Number(flown.records.iter().map(|record| record.path_m).sum(), 1),
+            Cell::Whole(sum(|record| record.scans)),
+            Cell::Whole(sum(|record| record.points)),
+            Cell::Number(sum(|record| record.file_bytes) as f64 / 1024.0 / 1024.0, 1),
             Cell::text(&flown.ended),
         ]);
     }

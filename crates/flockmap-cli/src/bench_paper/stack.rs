@@ -41,7 +41,6 @@ pub fn run(plan: &StackPlan, sources: Vec<Source>) -> anyhow::Result<Stack> {
         cycle: *cycle,
         session: session.clone(),
         seed: *seed,
-        teammate_radius_m: super::mask_radius_m(mapper.resolution),
         ..RobotConfig::new(RobotId(1), mapper.resolution, mapper.range_m)
     };
     let radio = RadioConfig { seed: *seed, link: *link, ..RadioConfig::default() };

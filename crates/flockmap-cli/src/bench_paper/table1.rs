@@ -8,8 +8,8 @@ use super::flown::Flown;
 use super::jobs::{self, Job};
 use super::methods::{self, MethodRow, MethodRows};
 use super::stack::{self, Stack, StackPlan};
-use super::{Flights, cycle, mapper, mask_radius_m};
-use crate::codec_run::{CodecRun, Frame, Outcome};
+use super::{Flights, cycle, mapper};
+use crate::codec_run::{CodecRun, Outcome};
 use crate::document::{Cell, DataTable, Part, Section};
 use crate::html::escape;
 use crate::measure::KB;
@@ -89,17 +89,11 @@ pub fn codecs(
     methods: &[flockmap_baselines::Method],
 ) -> anyhow::Result<Outcome> {
     let mapper = mapper(resolution_m, range_m)?;
-    let radius = mask_radius_m(mapper.resolution);
     let receivers = flown.scene.robots() - 1;
     let mut run = CodecRun::new(mapper, cycle(t_l_s, CHANGES_MAX), methods, receivers);
     let source = flown.sources(range_m)?.swap_remove(robot);
     let mut progress = Progress::new("scans", source.frames_expected);
-    let frames = source.frames.map(|frame| Frame {
-        masks: flown.masks(robot, frame.scan.stamp, radius),
-        scan: frame.scan,
-        pose: frame.pose,
-    });
-    run.record(frames, || progress.step())?;
+    run.record(source.frames, || progress.step())?;
     Ok(run.finish())
 }
 

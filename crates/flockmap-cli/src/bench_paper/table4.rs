@@ -7,7 +7,7 @@ use flockmap::{Changes, Cycle, Fusion, FusionConfig, Mapper, Packer, RobotId, Se
 
 use super::figures::{T_PACK_MS, T_RECV2INSERT_MS};
 use super::flown::{Flown, LIDAR_RANGE_M};
-use super::{mask_radius_m, table3};
+use super::table3;
 use crate::document::{Cell, DataTable, Part, Section};
 use crate::measure::{TimeSummary, Times};
 use crate::progress::Progress;
@@ -60,7 +60,6 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     let mut progress =
         Progress::new("scans", (flown.seconds.min(SECONDS_MAX) * 10.0) as u64 * sources.len() as u64);
-    let radius = mask_radius_m(resolution);
     let mut index = 1;
     'flight: while !stop::requested() {
         for number in 0..nodes.len() {
@@ -70,7 +69,7 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
                 break 'flight;
             }
             let node = &mut nodes[number];
-            let report = node.mapper.insert(&frame.scan, &frame.pose, &flown.masks(number, now, radius));
+            let report = node.mapper.insert(&frame.scan, &frame.pose, &frame.masks());
             node.packer.note_scan(now);
             node.fusions.iter_mut().for_each(|fusion| fusion.own_scan(&node.mapper, &report));
             loop {

@@ -1,7 +1,7 @@
 //! `flockmap sim`: simulated swarms, written as records.
 
 mod fly;
-mod robot_record;
+pub mod robot_record;
 
 use crate::args_sim::SimCommand;
 
