@@ -167,6 +167,16 @@ impl CellSet {
         })
     }
 
+    /// The cells of the brick with this lowest cell, whose indices must be multiples of 4; bits as in
+    /// [`Self::bricks`].
+    pub(crate) fn brick(&self, corner: Voxel) -> u64 {
+        let Some(at) = self.slot(chunk_of(corner)) else { return 0 };
+        match self.table[at] {
+            0 => 0,
+            n => self.chunks[n as usize - 1].bricks[brick_bit(corner)],
+        }
+    }
+
     /// Prepares for ray casts: finds for each chunk how far it is to the next one that holds a cell.
     pub(crate) fn seal(&mut self) {
         let occupied =

@@ -1,6 +1,6 @@
 //! What a robot sees on its flight, scan by scan.
 
-use crate::{Lidar, Patrol, ScanOptions, World};
+use crate::{Lidar, Patrol, ScanOptions, Scanner, World};
 use flockmap_grid::{Pose, Stamp};
 use flockmap_io::{Frame, Frames};
 use std::sync::Arc;
@@ -9,16 +9,14 @@ use std::sync::Arc;
 /// the world, each has a flight of its own (they may run on different threads).
 #[derive(Clone, Debug)]
 pub struct Flight {
-    world: Arc<World>,
-    lidar: Lidar,
-    options: ScanOptions,
+    scanner: Scanner,
     poses: std::vec::IntoIter<(Stamp, Pose)>,
 }
 
 impl Flight {
     /// The flight along `patrol` with this LiDAR, which sits at the centre of the robot.
     pub fn new(world: Arc<World>, lidar: Lidar, options: ScanOptions, patrol: Patrol) -> Self {
-        Self { world, lidar, options, poses: patrol.into_poses().into_iter() }
+        Self { scanner: Scanner::new(world, lidar, options), poses: patrol.into_poses().into_iter() }
     }
 
     /// The flight as a record, to be used like one that was read from a file.
@@ -32,7 +30,8 @@ impl Iterator for Flight {
 
     fn next(&mut self) -> Option<Frame> {
         let (stamp, pose) = self.poses.next()?;
-        let scan = self.lidar.scan(&self.world, &pose, stamp, &self.options);
+        let end = self.poses.as_slice().first().map(|(_, end)| *end);
+        let scan = self.scanner.scan(stamp, &pose, end.as_ref(), &[]);
         Some(Frame { scan, t_map_sensor: pose, points_dropped: 0 })
     }
 

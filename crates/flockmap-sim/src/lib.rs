@@ -34,7 +34,10 @@ mod world;
 
 pub use exploration::{Ended, ExploreError, ExploreOptions, Explorer, Outcome, Progress, RobotProgress};
 pub use flight::Flight;
-pub use lidar::{Lidar, SCAN_PERIOD_MICROS, ScanOptions, UnknownLidar};
+pub use lidar::{
+    Body, Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions, ScanOptionsError, Scanner, Shape, UnknownLidar,
+    UnknownRendering,
+};
 pub use navigation::{
     CellState, Motion, MotionLimits, NavigationConfig, NavigationError, NavigationGrid, NoRoute, RouteQuery,
     Router,

@@ -1,7 +1,8 @@
 //! Patrols and scans in recorded and published worlds.
 
-use flockmap_sim::{Lidar, OpenError, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_sim::{Lidar, OpenError, Patrol, PatrolOptions, ScanOptions, Scanner, World};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Opens a world of the test data; `None`, with a word, where there is none.
 fn open(name: &str) -> Option<World> {
@@ -52,7 +53,12 @@ fn patrol(name: &str, robots: usize, span_m: f64) {
             assert!(world.is_known_free(cell) != Some(false), "{name}: {place:?} is not known to be free");
         }
         let (stamp, pose) = patrol.poses()[300];
-        let scan = Lidar::Mid360.scan(&world, &pose, stamp, &ScanOptions::default());
+        let scan = Scanner::new(Arc::new(world.clone()), Lidar::Mid360, ScanOptions::default()).scan(
+            stamp,
+            &pose,
+            None,
+            &[],
+        );
         assert!(scan.points.len() > 1_000, "{name}: {} points", scan.points.len());
     }
     for (p, q) in patrols[0].poses().iter().zip(patrols[robots - 1].poses()) {
