@@ -23,6 +23,8 @@ mod picture;
 mod progress;
 mod replay;
 mod report;
+#[allow(dead_code, reason = "made for the comparison with the paper; its tests run it")]
+mod rival_swarm;
 mod sim;
 mod sources;
 mod stop;

@@ -235,3 +235,49 @@ impl Member {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sources::Frame;
+    use crate::team::TeamMate;
+    use flockmap::{Pose, Resolution, Scan, State, Voxel};
+
+    /// Two robots that hover 3 m apart and have each other in every scan, half a metre above the ground.
+    fn hovering(masked: bool) -> Vec<Source> {
+        let robot = |number: i64| {
+            let (x, other) = (3.0 * number as f64, if number == 0 { 2.95 } else { -2.85 });
+            let frames = (1..=5).map(move |scan| {
+                let points = vec![[other, 0.05, 0.0], [0.05, 0.05, -0.55]];
+                let scan = Scan { stamp: Stamp(scan * 100_000), points, no_returns: Vec::new() };
+                let mate = TeamMate { number: 1 - number as usize, position: [3.0 - x, 0.0, 0.5] };
+                let team_mates = if masked { vec![mate] } else { Vec::new() };
+                Ok(Frame { scan, pose: Pose::from_yaw([x, 0.0, 0.5], 0.0), team_mates })
+            });
+            Source {
+                name: format!("robot{}", number + 1),
+                frames_expected: 5,
+                seconds_expected: 0.5,
+                frames: Frames::new(frames),
+            }
+        };
+        (0..2).map(robot).collect()
+    }
+
+    #[test]
+    fn robots_that_are_told_of_each_other_do_not_map_each_other() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let config = |id| RobotConfig::new(id, resolution, 7.0);
+        for (masked, seen) in [(true, State::Unknown), (false, State::Occupied)] {
+            let run = run(hovering(masked), config, RadioConfig::default()).unwrap();
+            assert!(run.arrived.is_some());
+            for (member, other) in run.members.iter().zip([29, 1]) {
+                let own = member.robot.mapper();
+                assert_eq!(own.state(Voxel::new(other, 0, 5)), seen, "{}", member.name);
+                let ground = member.robot.map().state_at([0.05, 0.05, -0.05]);
+                assert_eq!(ground, State::Occupied, "the ground is there for everyone");
+                assert_eq!(member.robot.counters().points_masked, if masked { 5 } else { 0 });
+            }
+        }
+    }
+}
