@@ -10,8 +10,8 @@ use crate::curve::distance;
 use crate::patrol::ROBOTS_MAX;
 use crate::random::mix;
 use crate::{
-    Motion, NavigationConfig, NavigationError, NavigationGrid, RadioConfig, RadioEmulator,
-    SCAN_PERIOD_MICROS, ScanOptions, To, World,
+    Body, Motion, NavigationConfig, NavigationError, NavigationGrid, RadioConfig, RadioEmulator,
+    SCAN_PERIOD_MICROS, ScanOptions, Scanner, To, World,
 };
 use flockmap::{Cast, Destination, Robot, RobotConfig};
 use flockmap_grid::{RobotId, Stamp};
@@ -103,7 +103,6 @@ pub struct RobotProgress {
 /// # Ok::<(), flockmap_sim::ExploreError>(())
 /// ```
 pub struct Explorer {
-    world: Arc<World>,
     options: ExploreOptions,
     members: Vec<Member>,
     radio: RadioEmulator,
@@ -118,7 +117,7 @@ pub struct Explorer {
 struct Member {
     robot: Robot,
     pilot: Pilot,
-    scan: ScanOptions,
+    scanner: Scanner,
     frame: Option<Frame>,
 }
 
@@ -175,13 +174,14 @@ impl Explorer {
                 separation_m: options.separation_m,
             });
             let scan = ScanOptions { seed: mix(options.scan.seed ^ mix(number as u64 + 1)), ..options.scan };
-            members.push(Member { robot: Robot::new(config, Stamp(0))?, pilot, scan, frame: None });
+            let scanner = Scanner::new(Arc::clone(&world), options.lidar, scan);
+            members.push(Member { robot: Robot::new(config, Stamp(0))?, pilot, scanner, frame: None });
         }
         let ids = members.iter().map(|member| member.robot.own_stream().origin);
         let radio = RadioConfig { seed: mix(options.seed) ^ options.radio.seed, ..options.radio };
         let radio = RadioEmulator::new(ids, radio);
         let met = vec![vec![None; options.robots]; options.robots];
-        Ok(Self { world, options, members, radio, seeable, met, steps: 0, now: Stamp(0), ended: None })
+        Ok(Self { options, members, radio, seeable, met, steps: 0, now: Stamp(0), ended: None })
     }
 
     /// Lets a tenth of a second pass: plans, flies, scans, maps, and carries what robots send. Gives the frame of each
@@ -208,11 +208,12 @@ impl Explorer {
         }
         let places: Vec<[f64; 3]> = self.members.iter().map(|m| m.pilot.motion.position()).collect();
         let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
-        let (world, lidar) = (&self.world, self.options.lidar);
         spread(self.options.threads, &mut self.members, |number, member| {
             let pose = member.pilot.motion.pose();
-            let scan = lidar.scan(world, &pose, now, &member.scan);
-            for (other, place) in places.iter().enumerate().filter(|(other, _)| *other != number) {
+            let others = || places.iter().enumerate().filter(|(other, _)| *other != number);
+            let bodies: Vec<Body> = others().map(|(_, place)| Body::robot(*place)).collect();
+            let scan = member.scanner.scan(now, &pose, None, &bodies);
+            for (other, place) in others() {
                 member.robot.set_teammate(ids[other], *place, now);
             }
             member.robot.insert_scan(now, &scan, &pose);
