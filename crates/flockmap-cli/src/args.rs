@@ -8,6 +8,7 @@ use flockmap::grid::Preset;
 use flockmap_sim::Lidar;
 
 use crate::args_sim::SimCommand;
+use crate::bench_application::BenchApplicationArgs;
 use crate::bench_codecs::MethodName;
 use crate::bench_paper::args::BenchPaperArgs;
 use crate::bench_random::BenchRandomArgs;
@@ -131,6 +132,16 @@ Examples:
 Flies two explorations, records them, and measures every method on the same records. Half an hour at most on two cores, three minutes with
 --quick. Writes report.html, report.json and a CSV file for each table. Exit code 1 if a lossless method gets a voxel wrong.")]
     Paper(BenchPaperArgs),
+    /// A leader that looks backwards crosses a thicket on its follower's map: the paper's Sec. V-B
+    #[command(after_help = "\
+Examples:
+  flockmap bench application --quick
+  flockmap bench application --seeds 20 --json application.json
+  flockmap bench application --rates 5 --losses 0 --t-l-occupied 0.2 --t-l 2
+
+Every seed is a thicket of its own, flown without sync, with sync over a radio without limit, and with each budget and loss. Who
+touches what is judged in the world as it is. The same command gives the same flights every time.")]
+    Application(BenchApplicationArgs),
 }
 
 /// How robots map and pack.

@@ -4,6 +4,7 @@
 
 mod args;
 mod args_sim;
+mod bench_application;
 mod bench_codecs;
 mod bench_mapping;
 mod bench_paper;
@@ -52,6 +53,7 @@ fn main() -> ExitCode {
         Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
         Command::Bench(BenchCommand::Mapping(args)) => bench_mapping::run(args),
         Command::Bench(BenchCommand::Paper(args)) => bench_paper::run(args),
+        Command::Bench(BenchCommand::Application(args)) => bench_application::run(args),
         Command::Bench(BenchCommand::Random(args)) => bench_random::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Sim(command) => sim::run(command),

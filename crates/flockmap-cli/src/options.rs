@@ -27,7 +27,8 @@ impl MapArgs {
     }
 }
 
-fn milliseconds(option: &str, seconds: f64) -> anyhow::Result<u32> {
+/// Seconds from the command line as whole milliseconds.
+pub fn milliseconds(option: &str, seconds: f64) -> anyhow::Result<u32> {
     ensure!((0.001..=3_600.0).contains(&seconds), "{option} is {seconds}, expected 0.001 to 3,600 s");
     Ok((seconds * 1e3).round() as u32)
 }
