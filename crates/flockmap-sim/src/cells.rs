@@ -138,6 +138,29 @@ impl CellSet {
         }
     }
 
+    /// Whether any cell of a box is in the set. Goes by bricks of 4³ cells.
+    pub(crate) fn contains_any(&self, cells: &VoxelBox) -> bool {
+        let Some(part) = cells.intersection(&self.region) else { return false };
+        let ([x0, y0, z0], [x1, y1, z1]) = (brick_of(part.min()), brick_of(part.max()));
+        (z0..=z1).any(|z| {
+            (y0..=y1).any(|y| {
+                (x0..=x1).any(|x| {
+                    let corner = Voxel::new(x * BRICK, y * BRICK, z * BRICK);
+                    let brick = self.brick(corner);
+                    let is_inside = |bit: i32| {
+                        let cell = Voxel::new(
+                            corner.x + (bit & 3),
+                            corner.y + (bit >> 2 & 3),
+                            corner.z + (bit >> 4),
+                        );
+                        part.contains(cell)
+                    };
+                    brick != 0 && Bits(brick).any(is_inside)
+                })
+            })
+        })
+    }
+
     /// Every cell, in an order that depends only on which cells there are.
     pub(crate) fn iter(&self) -> impl Iterator<Item = Voxel> + '_ {
         self.bricks().flat_map(|(corner, brick)| {

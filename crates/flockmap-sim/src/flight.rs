@@ -1,22 +1,35 @@
 //! What a robot sees on its flight, scan by scan.
 
-use crate::{Lidar, Patrol, ScanOptions, Scanner, World};
+use crate::{Lidar, Patrol, ScanOptions, Scanner, Tracks, World};
 use flockmap_grid::{Pose, Stamp};
 use flockmap_io::{Frame, Frames};
 use std::sync::Arc;
 
 /// The scans of one robot along its patrol, made one at a time as they are asked for. Robots of a swarm share
 /// the world, each has a flight of its own (they may run on different threads).
+///
+/// With [`ScanOptions::motion`] a scan is taken between the pose of its frame and the next; the last of a
+/// flight is taken standing.
 #[derive(Clone, Debug)]
 pub struct Flight {
     scanner: Scanner,
+    tracks: Option<(Arc<Tracks>, Option<usize>)>,
     poses: std::vec::IntoIter<(Stamp, Pose)>,
 }
 
 impl Flight {
     /// The flight along `patrol` with this LiDAR, which sits at the centre of the robot.
     pub fn new(world: Arc<World>, lidar: Lidar, options: ScanOptions, patrol: Patrol) -> Self {
-        Self { scanner: Scanner::new(world, lidar, options), poses: patrol.into_poses().into_iter() }
+        let scanner = Scanner::new(world, lidar, options);
+        Self { scanner, tracks: None, poses: patrol.into_poses().into_iter() }
+    }
+
+    /// The same flight among things that move. `own` is the track of the robot itself, if it is one of them:
+    /// a robot does not see itself.
+    #[must_use]
+    pub fn among(mut self, tracks: Arc<Tracks>, own: Option<usize>) -> Self {
+        self.tracks = Some((tracks, own));
+        self
     }
 
     /// The flight as a record, to be used like one that was read from a file.
@@ -31,7 +44,8 @@ impl Iterator for Flight {
     fn next(&mut self) -> Option<Frame> {
         let (stamp, pose) = self.poses.next()?;
         let end = self.poses.as_slice().first().map(|(_, end)| *end);
-        let scan = self.scanner.scan(stamp, &pose, end.as_ref(), &[]);
+        let bodies = self.tracks.as_ref().map(|(tracks, own)| tracks.bodies_at(stamp, *own));
+        let scan = self.scanner.scan(stamp, &pose, end.as_ref(), &bodies.unwrap_or_default());
         Some(Frame { scan, t_map_sensor: pose, points_dropped: 0 })
     }
 

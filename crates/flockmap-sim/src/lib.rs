@@ -30,6 +30,7 @@ mod navigation;
 mod patrol;
 mod radio;
 mod random;
+mod tracks;
 mod world;
 
 pub use exploration::{Ended, ExploreError, ExploreOptions, Explorer, Outcome, Progress, RobotProgress};
@@ -45,4 +46,5 @@ pub use navigation::{
 pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
 pub use radio::{Delivery, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
 pub use random::Random;
+pub use tracks::{ObstacleOptions, Tracks, TracksError};
 pub use world::{Hit, OpenError, World, WorldError};

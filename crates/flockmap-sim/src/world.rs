@@ -21,8 +21,9 @@ const PARTS_MAX: usize = 50_000_000;
 /// A world that does not move: a set of solid cells (cubes) in a box, right-handed, z up, in metres.
 ///
 /// Memory: 520 bytes for each 16³ cells that hold something and 5 bytes for each 16³ cells of the box, at
-/// most 2²⁴ of the latter and 2¹⁸ of the former (together 210 MiB; twice that with known free cells). Polar scans add its surface: 28 bytes a point, at most 8
-/// million points, and for a moment up to 700 MB while it is taken.
+/// most 2²⁴ of the latter and 2¹⁸ of the former (together 210 MiB; twice that with known free cells). Polar
+/// scans add its surface: 28 bytes a point, at most 8 million points, and for a moment up to 700 MB while it
+/// is taken.
 #[derive(Clone, Debug)]
 pub struct World {
     resolution: Resolution,
@@ -137,6 +138,11 @@ impl World {
     /// Whether the cell is solid.
     pub fn is_solid(&self, cell: Voxel) -> bool {
         self.solid.contains(cell)
+    }
+
+    /// Whether any cell of a box is solid.
+    pub fn is_any_solid(&self, cells: &VoxelBox) -> bool {
+        self.solid.contains_any(cells)
     }
 
     /// Whether it is known that the cell is free; `None` if the source of the world does not tell.
