@@ -81,7 +81,8 @@ impl Method {
         }
     }
 
-    /// The half that listens, with an empty map. `config` is that of the sender's mapper.
+    /// The half that listens, with an empty map. `config` is that of the sender's mapper; a relay of scans holds such a
+    /// mapper itself, within its own limit of memory, beside its map.
     ///
     /// # Errors
     /// [`ConfigError`] if no mapper can be made of `config`.
@@ -143,7 +144,7 @@ impl Method {
                 "Sorted addresses, differences or runs as varints, states as bits or runs, zstd 19; the smallest of three layouts, once a cycle. What one would try first; from nobody in particular."
             }
             Self::ScanRelay => {
-                "The scans of a cycle, every bit of their points (byte planes, zstd 19), cast again at the receiver with an equal mapper."
+                "The scans of a cycle, every bit of their points (differences as byte planes, zstd 19), cast again at the receiver with an equal mapper."
             }
             Self::ScanRelay1cm => {
                 "The scans of a cycle with points cut at the range and rounded to a centimetre (Morton order or octree, zstd 19), cast again at the receiver with an equal mapper: rounding moves rays into other voxels, so some differ."

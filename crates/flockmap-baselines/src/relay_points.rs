@@ -1,8 +1,9 @@
 //! How the points of scans are put into a relay's message.
 //!
 //! For each scan there are two lists, the returns and the rays without one; a point is three numbers.
-//! Exact: the bits of the coordinates as `f32`, in the order of the scan. Layout 0: for each axis and each byte of the numbers, from
-//! the lowest, the bytes of all points. Layout 1: the same of the difference to the point before, wrapping.
+//! Exact: the bits of the coordinates as `f32`, in the order of the scan. Of each the difference to the point before (layout 0), or to the
+//! sixth before (layout 1: LiDARs of six lines), wrapping and in zigzag form; then for each axis and each byte of the differences,
+//! from the lowest, the bytes of all points.
 //! Centimetres: whole numbers in the frame of the sensor plus 2¹⁹, in Morton order. Layout 2: differences of the codes as
 //! varints. Layout 3: octrees, level by level from the root: for each node a byte with a bit for each child that holds points;
 //! after 20 levels, for each leaf the number of its points less 1, as varints. Empty lists have no tree.
@@ -57,10 +58,6 @@ impl Points {
         }
     }
 
-    pub(crate) const fn zstd_level(self) -> i32 {
-        19
-    }
-
     /// What is sent of a scan. `range_m`: nearest and farthest that the mapper takes in.
     pub(crate) fn of_scan(self, seen: &Observation<'_>, range_m: [f64; 2]) -> ScanPoints {
         let scan = seen.scan;
@@ -110,20 +107,7 @@ fn is_masked(seen: &Observation<'_>, point: [f64; 3]) -> bool {
 pub(crate) fn write(layout: u8, scans: &[ScanPoints], out: &mut Vec<u8>) {
     let lists = || scans.iter().flat_map(|scan| &scan.lists);
     match layout {
-        0 | 1 => {
-            let points = || lists().flatten();
-            for axis in 0..3 {
-                for byte in 0..4 {
-                    let mut before = 0;
-                    out.extend(points().map(|point| {
-                        let difference =
-                            if layout == 1 { point[axis].wrapping_sub(before) } else { point[axis] };
-                        before = point[axis];
-                        (difference >> (8 * byte)) as u8
-                    }));
-                }
-            }
-        }
+        0 | 1 => write_planes(&lists().flatten().copied().collect::<Vec<_>>(), step(layout), out),
         2 => {
             for list in lists() {
                 let mut before = 0;
@@ -134,6 +118,25 @@ pub(crate) fn write(layout: u8, scans: &[ScanPoints], out: &mut Vec<u8>) {
             }
         }
         _ => write_octrees(lists().map(|list| list.iter().map(code).collect()).collect(), out),
+    }
+}
+
+/// How far back the point is that a difference is taken to.
+const fn step(layout: u8) -> usize {
+    if layout == 0 { 1 } else { 6 }
+}
+
+fn write_planes(points: &[[u32; 3]], step: usize, out: &mut Vec<u8>) {
+    for axis in 0..3 {
+        for byte in 0..4 {
+            out.extend(points.iter().enumerate().map(|(at, point)| {
+                let before =
+                    at.checked_sub(step).and_then(|at| points.get(at)).map_or(0, |before| before[axis]);
+                let difference = point[axis].wrapping_sub(before) as i32;
+                let zigzag = (difference << 1 ^ difference >> 31) as u32;
+                (zigzag >> (8 * byte)) as u8
+            }));
+        }
     }
 }
 
@@ -162,7 +165,7 @@ pub(crate) fn read(
     let total = counts.iter().flatten().try_fold(0usize, |sum, count| sum.checked_add(*count));
     let total = total.filter(|total| *total <= POINTS_MAX).ok_or_else(|| reader.wrong(rule))?;
     let mut points = match layout {
-        0 | 1 => read_planes(layout == 1, total, reader)?,
+        0 | 1 => read_planes(step(layout), total, reader)?,
         2 | 3 => {
             let codes = if layout == 2 { read_codes(counts, reader)? } else { read_octrees(counts, reader)? };
             let metres = |code| separate(code).map(|v| ((v as i64 - HALF) as f64 / CENTIMETRES) as f32);
@@ -175,11 +178,7 @@ pub(crate) fn read(
     Ok(counts.iter().map(|[returns, no_returns]| [list(*returns), list(*no_returns)]).collect())
 }
 
-fn read_planes(
-    differences: bool,
-    total: usize,
-    reader: &mut Reader<'_>,
-) -> Result<Vec<[f32; 3]>, ReceiveError> {
+fn read_planes(step: usize, total: usize, reader: &mut Reader<'_>) -> Result<Vec<[f32; 3]>, ReceiveError> {
     let bytes = reader.take(12 * total, "12 bytes for each point")?;
     let mut numbers = vec![[0u32; 3]; total];
     for (plane, bytes) in bytes.chunks(total.max(1)).enumerate() {
@@ -188,11 +187,11 @@ fn read_planes(
             number[axis] |= u32::from(*byte) << shift;
         }
     }
-    if differences {
-        let mut sum = [0u32; 3];
-        for number in &mut numbers {
-            sum = core::array::from_fn(|axis| sum[axis].wrapping_add(number[axis]));
-            *number = sum;
+    for at in 0..numbers.len() {
+        let before = at.checked_sub(step).and_then(|at| numbers.get(at)).copied().unwrap_or_default();
+        if let Some(number) = numbers.get_mut(at) {
+            let difference = |zigzag: u32| zigzag >> 1 ^ (zigzag & 1).wrapping_neg();
+            *number = core::array::from_fn(|axis| before[axis].wrapping_add(difference(number[axis])));
         }
     }
     Ok(numbers.into_iter().map(|point| point.map(f32::from_bits)).collect())
@@ -249,7 +248,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn some_scans(bits: u32) -> impl Strategy<Value = Vec<ScanPoints>> {
-        let list = || prop::collection::vec(prop::array::uniform3(0..1u32 << bits), 0..60);
+        let list = || prop::collection::vec(prop::array::uniform3(0..=u32::MAX >> (32 - bits)), 0..60);
         let scan = (list(), list()).prop_map(|(mut returns, mut no_returns)| {
             returns.sort_unstable_by_key(code);
             no_returns.sort_unstable_by_key(code);
@@ -270,7 +269,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn exact_points_come_back(scans in some_scans(20)) {
+        fn exact_points_come_back(scans in prop_oneof![some_scans(31), some_scans(5)]) {
             for layout in [0, 1] {
                 for (scan, read) in scans.iter().zip(there_and_back(layout, &scans)) {
                     let bits = |list: Vec<[f32; 3]>| list.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>();

@@ -3,7 +3,7 @@
 //! At the end of each cycle all its scans go out in one message, since a mapper gives an equal map only if it takes the same
 //! changes at the same times. The order of the points of a scan makes no difference to a mapper, so a relay may choose it.
 //!
-//! A message: 1 if the cycle took occupied voxels alone, else 0; layout (u8); then length and zstd frame of the scans. For each scan: a 1;
+//! A message: what the cycle took, 0 all changes, 1 occupied voxels alone, 2 nothing since it goes on; layout (u8); then length and zstd frame of the scans. For each scan: a 1;
 //! stamp (i64); pose (translation and quaternion, 7 × f64); number of masks; their centres and radii (4 × f64); number of
 //! points; number of rays without a return. A 0 ends the scans; then come the points of all scans, as the module `relay_points` says.
 
@@ -20,6 +20,13 @@ use crate::{Observation, ReceiveError, Receiver, SendError, Sender, StateMap};
 /// Most masks of a scan.
 const MASKS_MAX: u64 = 4_096;
 
+/// Most bytes of stamps, poses and masks that wait for the end of a cycle.
+const HEADS_BYTES_MAX: usize = 1 << 20;
+
+const TOOK_ALL: u8 = 0;
+const TOOK_OCCUPIED: u8 = 1;
+const GOES_ON: u8 = 2;
+
 /// Keeps the scans of a cycle and sends them at its end.
 pub(crate) struct RelaySender {
     points: Points,
@@ -27,6 +34,11 @@ pub(crate) struct RelaySender {
     range_m: [f64; 2],
     heads: Vec<u8>,
     scans: Vec<relay_points::ScanPoints>,
+    /// Points in `scans`, and most that may wait for the end of a cycle: of a still scene there is no end.
+    waiting: usize,
+    waiting_max: usize,
+    /// Quick, to choose the layout by.
+    trial: Packer,
     packer: Packer,
 }
 
@@ -37,13 +49,16 @@ impl RelaySender {
             range_m: [config.range_min_m, config.range_m],
             heads: Vec::new(),
             scans: Vec::new(),
-            packer: Packer::new(points.method(), points.zstd_level()),
+            waiting: 0,
+            waiting_max: relay_points::POINTS_MAX,
+            trial: Packer::new(points.method(), 3),
+            packer: Packer::new(points.method(), 19),
         }
     }
 }
 
 impl Sender for RelaySender {
-    fn scan(&mut self, seen: &Observation<'_>, _out: &mut Vec<Vec<u8>>) -> Result<(), SendError> {
+    fn scan(&mut self, seen: &Observation<'_>, out: &mut Vec<Vec<u8>>) -> Result<(), SendError> {
         let points = self.points.of_scan(seen, self.range_m);
         // A relay that cuts points has applied the masks itself.
         let masks = if self.points == Points::Exact { seen.masks } else { &[] };
@@ -53,6 +68,11 @@ impl Sender for RelaySender {
                 limit: "a scan has at most 4,096 masks",
             });
         }
+        let count: usize = points.counts().iter().sum();
+        if self.waiting + count > self.waiting_max || self.heads.len() > HEADS_BYTES_MAX {
+            self.flush(GOES_ON, out)?;
+        }
+        self.waiting += count;
         self.heads.push(1);
         self.heads.extend_from_slice(&seen.scan.stamp.0.to_le_bytes());
         let numbers = seen.pose.translation().into_iter().chain(seen.pose.quaternion_xyzw());
@@ -79,24 +99,32 @@ impl Sender for RelaySender {
     ) -> Result<(), SendError> {
         // With no free voxel among the changes, taking all or just the occupied ones is the same.
         let any_free = changes.blocks().iter().any(|(_, block)| *block.free() != [0; 8]);
+        self.flush(if any_free { TOOK_ALL } else { TOOK_OCCUPIED }, out)
+    }
+}
+
+impl RelaySender {
+    /// Sends the scans that wait.
+    fn flush(&mut self, took: u8, out: &mut Vec<Vec<u8>>) -> Result<(), SendError> {
         let mut plain = core::mem::take(&mut self.heads);
+        let scans = core::mem::take(&mut self.scans);
+        self.waiting = 0;
         plain.push(0);
-        let mut best: Option<(u8, Vec<u8>)> = None;
+        let head = plain.len();
+        let mut best = None;
         for layout in self.points.layouts() {
-            let head = plain.len();
-            relay_points::write(*layout, &self.scans, &mut plain);
-            let packed = self.packer.pack(&plain)?;
+            relay_points::write(*layout, &scans, &mut plain);
+            let length = self.trial.pack(&plain)?.len();
             plain.truncate(head);
-            if best.as_ref().is_none_or(|(_, smallest)| packed.len() < smallest.len()) {
-                best = Some((*layout, packed));
+            if best.is_none_or(|(smallest, _)| length < smallest) {
+                best = Some((length, *layout));
             }
         }
-        self.scans.clear();
-        if let Some((layout, packed)) = best {
-            let mut message = vec![u8::from(!any_free), layout];
-            message.extend_from_slice(&packed);
-            out.push(message);
-        }
+        let Some((_, layout)) = best else { return Ok(()) };
+        relay_points::write(layout, &scans, &mut plain);
+        let mut message = vec![took, layout];
+        message.extend_from_slice(&self.packer.pack(&plain)?);
+        out.push(message);
         Ok(())
     }
 }
@@ -123,10 +151,11 @@ struct Head {
 impl Receiver for RelayReceiver {
     fn receive(&mut self, message: &[u8]) -> Result<(), ReceiveError> {
         let mut reader = Reader::new(self.method, message);
-        let which = match reader.u8("which changes the cycle took")? {
-            0 => Which::All,
-            1 => Which::Occupied,
-            _ => return Err(reader.wrong("0 for all changes or 1 for occupied ones")),
+        let which = match reader.u8("what the cycle took")? {
+            TOOK_ALL => Some(Which::All),
+            TOOK_OCCUPIED => Some(Which::Occupied),
+            GOES_ON => None,
+            _ => return Err(reader.wrong("0, 1 or 2 for what the cycle took")),
         };
         let layout = reader.u8("a layout")?;
         let plain = unpack(&mut reader)?;
@@ -150,7 +179,9 @@ impl Receiver for RelayReceiver {
         for head in &heads {
             self.mapper.insert(&head.scan, &head.pose, &head.masks);
         }
-        self.map.apply(&self.mapper.take_changes(which))?;
+        if let Some(which) = which {
+            self.map.apply(&self.mapper.take_changes(which))?;
+        }
         Ok(())
     }
 
@@ -183,4 +214,35 @@ fn read_head(plain: &mut Reader<'_>) -> Result<(Head, [usize; 2]), ReceiveError>
     let max = relay_points::POINTS_MAX as u64;
     let counts = [plain.varint(max, rule)? as usize, plain.varint(max, rule)? as usize];
     Ok((Head { scan: Scan { stamp, ..Scan::default() }, pose, masks }, counts))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_grid::{Preset, Resolution, RobotId, Stream};
+
+    #[test]
+    fn a_cycle_without_an_end_goes_out_in_parts() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let config = MapperConfig::preset(Preset::RogMap, resolution, 5.0);
+        let mut mapper = Mapper::new(config.clone()).unwrap();
+        let mut sender = RelaySender { waiting_max: 100, ..RelaySender::new(Points::Exact, &config) };
+        let mut receiver = RelayReceiver::new(Points::Exact, &config).unwrap();
+        let mut out = Vec::new();
+        for number in 0..10u8 {
+            let point = |n: u8| [2.0, f32::from(n) * 0.1 - 1.0, f32::from(number) * 0.1];
+            let scan = Scan { points: (0..30).map(point).collect(), ..Scan::default() };
+            let report = mapper.insert(&scan, &Pose::IDENTITY, &[]);
+            let (pose, mapper) = (&Pose::IDENTITY, &mapper);
+            let seen = Observation { now: Stamp(0), scan: &scan, pose, masks: &[], mapper, report: &report };
+            sender.scan(&seen, &mut out).unwrap();
+        }
+        assert_eq!(out.len(), 3, "three scans fit into 100 points");
+        let stream = Stream { origin: RobotId(1), epoch: 1 };
+        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(0), resolution };
+        let changes = mapper.take_changes(Which::All);
+        sender.cycle(Stamp(0), &cycle, &changes, &mapper, &mut out).unwrap();
+        out.iter().for_each(|message| receiver.receive(message).unwrap());
+        assert_eq!(Changes::from_blocks(receiver.states().collect()), changes);
+    }
 }

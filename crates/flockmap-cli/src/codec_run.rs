@@ -310,3 +310,57 @@ fn compare(receiver: &dyn Receiver, truth: &Layer) -> Comparison {
     }
     compared
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::{Preset, Resolution};
+
+    fn frames() -> impl Iterator<Item = Frame> {
+        (1..30i64).map(|number| {
+            let wall = |y: i32| [2.0 + number as f32 * 0.03, y as f32 * 0.05, 0.02 * y as f32];
+            let scan = Scan {
+                stamp: Stamp(number * 100_000),
+                points: (-30..30).map(wall).collect(),
+                ..Scan::default()
+            };
+            Frame { scan, pose: Pose::IDENTITY, masks: Vec::new() }
+        })
+    }
+
+    fn run(receivers: usize) -> Outcome {
+        let mapper = MapperConfig::preset(Preset::RogMap, Resolution::from_metres(0.1).unwrap(), 7.0);
+        let methods = ["paper", "scan-relay", "gvp", "octomap-diff-10s"].map(|name| name.parse().unwrap());
+        let mut run = CodecRun::new(mapper, CycleConfig::default(), &methods, receivers);
+        for _ in 0..2 {
+            run.record(frames(), || ()).unwrap();
+        }
+        run.finish()
+    }
+
+    #[test]
+    fn every_receiver_costs_the_same_again() {
+        let (one, three) = (run(1), run(3));
+        for (one, three) in one.rows.iter().zip(&three.rows) {
+            assert_eq!(3 * one.total_bytes, three.total_bytes, "{}", one.method);
+            assert_eq!(3 * one.packages, three.packages);
+            assert_eq!(one.compared, three.compared, "one receiver is decoded for all");
+            assert_eq!(one.robots.len(), 2);
+            assert_eq!(one.robots.iter().map(|r| r.total_bytes).sum::<u64>(), one.total_bytes);
+            assert_eq!(one.robots[0].per_second.iter().sum::<u64>(), one.robots[0].total_bytes);
+        }
+    }
+
+    #[test]
+    fn what_a_method_leaves_unsent_counts_against_it() {
+        let outcome = run(1);
+        let agreement = |name: &str| {
+            let row = outcome.rows.iter().find(|row| row.method.to_string() == name).unwrap();
+            assert!(row.is_as_promised(), "{name}");
+            row.compared.share()
+        };
+        assert_eq!((agreement("paper"), agreement("scan-relay")), (1.0, 1.0));
+        assert_eq!(agreement("octomap-diff-10s"), 0.0, "the record is shorter than its period");
+        assert!(agreement("gvp") < 1.0);
+    }
+}

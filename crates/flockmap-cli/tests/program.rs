@@ -121,6 +121,25 @@ fn bench_codecs_puts_the_methods_in_their_order() {
 }
 
 #[test]
+fn bench_codecs_runs_every_method_and_says_which_are_lossy() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("all.json");
+    let text = good(&format!(
+        "bench codecs indoor --lidar mid360 --robots 1 --resolution 0.25 --range 4 --seconds 4 --codec all --json {}",
+        path.display()
+    ));
+    let output = json(&path);
+    let methods = output["methods"].as_array().unwrap();
+    assert!(methods.len() >= 16);
+    for method in methods {
+        let name = method["name"].as_str().unwrap();
+        let lossy = ["gvp", "octomap-diff-10s", "scan-relay-1cm"].contains(&name);
+        assert_eq!(method["agreement"] != 1.0, lossy, "{method}");
+        assert_eq!(text.contains(&format!("* {name}: ")), lossy, "{text}");
+    }
+}
+
+#[test]
 fn the_mapper_makes_the_same_map_as_octomap() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mapping.json");
