@@ -240,13 +240,7 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     let options = PatrolOptions { duration_s: seconds, speed_m_s: source.speed, ..PatrolOptions::default() };
     let patrols = Patrol::plan(&world, source.robots, source.seed, &options)
         .with_context(|| format!("no flight for {} robots through {}", source.robots, path.display()))?;
-    let lidar_range_m = source.lidar_range.unwrap_or(range_m);
-    ensure!(
-        lidar_range_m > 0.0 && lidar_range_m <= 1_000.0,
-        "the LiDAR sees {lidar_range_m} m far, expected more than 0 and at most 1,000 m (--lidar-range, else --range)"
-    );
-    let scan =
-        ScanOptions { range_m: lidar_range_m, no_returns: source.no_returns, ..ScanOptions::default() };
+    let scan = scan_options(source, range_m)?;
     let team = if source.see_team_mates {
         Team::new(patrols.iter().map(|patrol| (patrol.poses(), Stamp(0))))
     } else {
@@ -272,6 +266,16 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
         robots: robots.collect(),
         title: format!("{name}, {} simulated robots with {}", source.robots, source.lidar),
     })
+}
+
+/// How simulated robots scan.
+pub fn scan_options(source: &SourceArgs, range_m: f64) -> anyhow::Result<ScanOptions> {
+    let lidar_range_m = source.lidar_range.unwrap_or(range_m);
+    ensure!(
+        lidar_range_m > 0.0 && lidar_range_m <= 1_000.0,
+        "the LiDAR sees {lidar_range_m} m far, expected more than 0 and at most 1,000 m (--lidar-range, else --range)"
+    );
+    Ok(ScanOptions { range_m: lidar_range_m, no_returns: source.no_returns, ..ScanOptions::default() })
 }
 
 /// The world that a name or file stands for.

@@ -3,6 +3,8 @@
 mod common;
 
 use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use common::{fails, good, json};
 
@@ -66,6 +68,32 @@ fn a_flight_tells_what_it_wrote_and_shows_its_map() {
     assert!(text.contains("/robot1/viewer/map: 3 ×") && text.contains("/robot1/viewer/way: 3 ×"), "{text}");
     good(&format!("sim fly {SMALL} --no-view --out {out}"));
     assert!(!good(&format!("info {out}/robot1.mcap")).contains("viewer"));
+}
+
+#[test]
+fn a_flight_that_is_interrupted_leaves_whole_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("records");
+    let mut flight = Command::new(env!("CARGO_BIN_EXE_flockmap"))
+        .args("sim fly --scene indoor --robots 1 --resolution 0.25 --seconds 3600 --out".split_whitespace())
+        .arg(&out)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let record = out.join("robot1.mcap");
+    // The first chunk is on disk: it flies.
+    while std::fs::metadata(&record).map_or(0, |m| m.len()) < 100_000 {
+        assert!(flight.try_wait().unwrap().is_none(), "the flight is over");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let kill = Command::new("kill").args(["-INT", &flight.id().to_string()]).status().unwrap();
+    assert!(kill.success());
+    assert_eq!(flight.wait().unwrap().code(), Some(130));
+    let text = good(&format!("info {}", record.display()));
+    assert!(text.contains("(0 without a pose)") && !text.contains("damage"), "{text}");
+    // The index, with which viewers open a file, is written as well.
+    assert!(std::fs::read(&record).unwrap().ends_with(b"\x89MCAP0\r\n"));
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! `flockmap sim`: simulated swarms, written as records.
 
+mod explore;
 mod fly;
 pub mod robot_record;
 
@@ -9,5 +10,6 @@ use crate::args_sim::SimCommand;
 pub fn run(command: &SimCommand) -> anyhow::Result<bool> {
     match command {
         SimCommand::Fly(args) => fly::run(args),
+        SimCommand::Explore(args) => explore::run(args),
     }
 }
