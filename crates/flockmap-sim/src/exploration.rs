@@ -15,7 +15,7 @@ mod sight;
 mod start;
 
 use crate::{Lidar, MotionLimits, NavigationError, RadioConfig, ScanOptions};
-use flockmap::{Codec, CycleConfig, RobotError};
+use flockmap::{Codec, CycleConfig, RobotError, SessionConfig};
 use flockmap_grid::Resolution;
 use thiserror::Error;
 
@@ -56,6 +56,8 @@ pub struct ExploreOptions {
     pub cycle: CycleConfig,
     /// How they code their packages.
     pub codec: Codec,
+    /// How their sessions run, with the byte budget.
+    pub session: SessionConfig,
     /// Threads on which robots scan, map and plan, 1 … 64. What happens never depends on it. Default 1.
     pub threads: usize,
 }
@@ -78,6 +80,7 @@ impl Default for ExploreOptions {
             radio: RadioConfig::default(),
             cycle: CycleConfig::default(),
             codec: Codec::Paper,
+            session: SessionConfig::default(),
             threads: 1,
         }
     }

@@ -160,6 +160,7 @@ impl Explorer {
             config.seed = options.seed;
             config.cycle = options.cycle;
             config.codec = options.codec;
+            config.session = options.session.clone();
             config.mapper.range_min_m = options.scan.min_range_m;
             let mut grid = NavigationGrid::new(&navigation)?;
             grid.assume_free(place, start::ROOM_M);
