@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockmap::codec::Codec;
 use flockmap::grid::Preset;
-use flockmap_sim::Lidar;
+use flockmap_sim::{Lidar, Rendering};
 
 use crate::args_sim::SimCommand;
 use crate::bench_application::BenchApplicationArgs;
@@ -182,6 +182,18 @@ pub struct SourceArgs {
     /// Rays of the simulated LiDAR that hit nothing carve free space too
     #[arg(long)]
     pub no_returns: bool,
+    /// How beams meet the world: cast (exact) or polar (an image of ranges from points, as the MARSIM simulator does)
+    #[arg(long, value_name = "NAME", default_value_t = Rendering::Cast)]
+    pub rendering: Rendering,
+    /// Standard deviation of the noise on the range of a return, in metres (0.02 is that of real devices)
+    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    pub range_noise: f64,
+    /// Share of the returns that are lost, 0 to 1
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    pub drop_out: f64,
+    /// The simulated robot moves during a scan, and its points are not corrected for it
+    #[arg(long)]
+    pub scan_motion: bool,
     /// Robots are seen in each other's scans, and leave each other out of their maps. With records: they were seen, so leave
     /// them out (poses in one common frame)
     #[arg(long)]

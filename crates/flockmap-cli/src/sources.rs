@@ -235,12 +235,12 @@ fn part(
 }
 
 fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources> {
+    let scan = scan_options(source, range_m)?;
     let world = Arc::new(open_world(path, source)?);
     let seconds = source.seconds.unwrap_or(FLIGHT_SECONDS);
     let options = PatrolOptions { duration_s: seconds, speed_m_s: source.speed, ..PatrolOptions::default() };
     let patrols = Patrol::plan(&world, source.robots, source.seed, &options)
         .with_context(|| format!("no flight for {} robots through {}", source.robots, path.display()))?;
-    let scan = scan_options(source, range_m)?;
     let team = if source.see_team_mates {
         Team::new(patrols.iter().map(|patrol| (patrol.poses(), Stamp(0))))
     } else {
@@ -248,7 +248,7 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     };
     let robots = patrols.into_iter().enumerate().map(|(number, patrol)| {
         let team = team.clone();
-        let flight = Flight::new(Arc::clone(&world), source.lidar, scan, patrol);
+        let flight = Flight::new(Arc::clone(&world), source.lidar, scan_options_of(number, scan), patrol);
         let frames_expected = flight.len() as u64;
         let frames = flight.map(move |frame| {
             let team_mates = team.mates(number, frame.scan.stamp);
@@ -268,14 +268,31 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     })
 }
 
-/// How simulated robots scan.
+/// How simulated robots scan. Each needs a seed of its own: see [`scan_options_of`].
 pub fn scan_options(source: &SourceArgs, range_m: f64) -> anyhow::Result<ScanOptions> {
     let lidar_range_m = source.lidar_range.unwrap_or(range_m);
     ensure!(
         lidar_range_m > 0.0 && lidar_range_m <= 1_000.0,
         "the LiDAR sees {lidar_range_m} m far, expected more than 0 and at most 1,000 m (--lidar-range, else --range)"
     );
-    Ok(ScanOptions { range_m: lidar_range_m, no_returns: source.no_returns, ..ScanOptions::default() })
+    let options = ScanOptions {
+        range_m: lidar_range_m,
+        no_returns: source.no_returns,
+        range_noise_m: source.range_noise,
+        drop_out: source.drop_out,
+        motion: source.scan_motion,
+        rendering: source.rendering,
+        seed: source.seed,
+        ..ScanOptions::default()
+    };
+    options.check().context("--lidar-range, --range-noise or --drop-out")?;
+    Ok(options)
+}
+
+/// The same for one robot of a swarm: noise and drop-out of its own.
+const fn scan_options_of(robot: usize, options: ScanOptions) -> ScanOptions {
+    let seed = options.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(robot as u64);
+    ScanOptions { seed, ..options }
 }
 
 /// The world that a name or file stands for.

@@ -71,11 +71,55 @@ fn a_flight_tells_what_it_wrote_and_shows_its_map() {
 }
 
 #[test]
+fn an_exploration_is_recorded_and_its_files_do_not_depend_on_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let explore = |name: &str, more: &str| {
+        let out = folder.path().join(name);
+        let words = "--scene indoor --robots 2 --resolution 0.25 --range 6 --lidar mid360 --seconds-max 3";
+        let text = good(&format!("sim explore {words} {more} --out {0} --json {0}.json", out.display()));
+        (text, json(&out.with_extension("json")), [1, 2].map(|robot| bytes(&out, robot)))
+    };
+    let (text, facts, records) = explore("a", "--threads 1 --loss 0.1 --delay-ms 20 --budget-kb-s 50");
+    assert!(text.contains("the time was over") && text.contains("voxels that can be seen"), "{text}");
+    assert_eq!(facts["ended"], "time-out");
+    assert_eq!((&facts["seconds"], &facts["robots"][1]["scans"]), (&3.0.into(), &30.into()));
+    assert!(facts["seen_share"].as_f64().unwrap() > 0.005, "{facts}");
+    assert!(facts["total_bytes"].as_u64().unwrap() > 1_000, "{facts}");
+    let info = good(&format!("info {}/robot2.mcap", folder.path().join("a").display()));
+    assert!(
+        info.contains("30 frames of 30 scans (0 without a pose)") && info.contains("/robot2/viewer/map: 3"),
+        "{info}"
+    );
+    let again = explore("b", "--threads 2 --loss 0.1 --delay-ms 20 --budget-kb-s 50").2;
+    assert!(records == again, "the number of threads shows in the files");
+    let (_, alone, _) = explore("c", "--no-sync");
+    assert_eq!((&alone["total_bytes"], &alone["sync"]), (&0.into(), &false.into()));
+}
+
+#[test]
+fn scans_are_as_the_options_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let fly = |name: &str, more: &str| {
+        let out = folder.path().join(name);
+        let words = "--scene indoor --robots 1 --resolution 0.25 --range 6 --seconds 0.5 --no-view";
+        good(&format!("sim fly {words} {more} --out {0} --json {0}.json", out.display()));
+        let points = json(&out.with_extension("json"))["robots"][0]["points"].as_f64().unwrap();
+        (points, bytes(&out, 1))
+    };
+    let plain = fly("plain", "");
+    let dropped = fly("dropped", "--drop-out 0.25");
+    assert!((dropped.0 / plain.0 - 0.75).abs() < 0.02, "{} of {}", dropped.0, plain.0);
+    let other = fly("other", "--range-noise 0.02 --scan-motion --rendering polar");
+    assert!((other.0 / plain.0 - 1.0).abs() < 0.2 && other.1 != plain.1, "{} of {}", other.0, plain.0);
+    assert!(other == fly("again", "--range-noise 0.02 --scan-motion --rendering polar"), "not the same twice");
+}
+
+#[test]
 fn a_flight_that_is_interrupted_leaves_whole_files() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("records");
     let mut flight = Command::new(env!("CARGO_BIN_EXE_flockmap"))
-        .args("sim fly --scene indoor --robots 1 --resolution 0.25 --seconds 3600 --out".split_whitespace())
+        .args("sim fly --scene indoor --robots 1 --resolution 0.25 --seconds 300 --out".split_whitespace())
         .arg(&out)
         .stdout(Stdio::null())
         .stderr(Stdio::null())
@@ -101,6 +145,11 @@ fn what_cannot_be_flown_is_said() {
     for (words, expected) in [
         ("sim fly --scene nowhere", "nowhere"),
         ("sim fly --threads 0", "--threads"),
+        ("sim fly --drop-out 2", "drop_out is 2"),
+        ("sim explore --threads 0", "--threads must be 1"),
+        ("sim explore --loss 2", "--loss is 2"),
+        ("sim explore --no-sync --loss 0.1", "--no-sync"),
+        ("sim explore --scene nowhere", "nowhere"),
         ("sim fly --robots 999", "999"),
         ("sim fly --resolution 0", "--resolution is 0"),
     ] {

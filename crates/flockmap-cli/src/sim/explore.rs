@@ -70,6 +70,7 @@ pub fn run(args: &SimExploreArgs) -> anyhow::Result<bool> {
 
 fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
     let SimExploreArgs { map, source, .. } = args;
+    ensure!(args.threads.is_none_or(|n| (1..=64).contains(&n)), "--threads must be 1 to 64");
     ensure!((0.0..=1.0).contains(&args.loss), "--loss is {}, expected 0 to 1", args.loss);
     ensure!(
         (0.0..=60_000.0).contains(&args.delay_ms),
@@ -90,7 +91,7 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
         delay_micros: (args.delay_ms * 1e3) as i64,
         ..Link::default()
     };
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(64);
     Ok(ExploreOptions {
         robots: source.robots,
         seed: source.seed,
