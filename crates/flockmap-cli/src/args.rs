@@ -194,6 +194,9 @@ pub struct SourceArgs {
     /// The simulated robot moves during a scan, and its points are not corrected for it
     #[arg(long)]
     pub scan_motion: bool,
+    /// Spheres and boxes of 0.6 to 0.8 m that move about at 1 to 3 m/s and are seen by simulated robots
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub moving_obstacles: usize,
     /// Robots are seen in each other's scans, and leave each other out of their maps. With records: they were seen, so leave
     /// them out (poses in one common frame)
     #[arg(long)]

@@ -14,12 +14,13 @@ pub enum SimCommand {
         after_help = "\
 Examples:
   flockmap sim fly --scene forest --robots 2 --seconds 60 --out flight
-  flockmap replay flight/robot1.mcap flight/robot2.mcap --loss 0.2
+  flockmap replay flight/robot1.mcap flight/robot2.mcap --see-team-mates --loss 0.2
   flockmap sim fly --scene fr_079.bt --robots 3 --lidar mid360 --no-returns --out office
 
 Each file holds the scans (PointCloud2), the pose of the sensor at each (Odometry and tf), and every 2 s a picture of the map that the robot has
 made and of its way; ROS 2, Foxglove and Rerun open it as it is. The same command gives the same bytes, whatever --threads is.
-A replay of the files is the replay of the flight itself.",
+A replay of the files is the replay of the flight itself: `replay forest --see-team-mates` gives the same bytes. Robots are in each other's scans;
+--see-team-mates leaves them out of the maps again.",
         // What says how to read records, or when to send, says nothing here.
         mut_args(hide_foreign)
     )]
@@ -42,8 +43,17 @@ Each robot looks for frontiers in its own fused map, which holds what came over 
 
 /// Options that the shared groups hold for other commands.
 fn hide_foreign(arg: clap::Arg) -> clap::Arg {
-    let foreign =
-        ["poses", "scan_period", "points_topic", "odometry_topic", "map_frame", "t_l", "t_l_occupied", "d"];
+    let foreign = [
+        "see_team_mates",
+        "poses",
+        "scan_period",
+        "points_topic",
+        "odometry_topic",
+        "map_frame",
+        "t_l",
+        "t_l_occupied",
+        "d",
+    ];
     if foreign.contains(&arg.get_id().as_str()) { arg.hide(true) } else { arg }
 }
 
@@ -51,7 +61,7 @@ fn hide_foreign(arg: clap::Arg) -> clap::Arg {
 fn hide_foreign_to_exploration(arg: clap::Arg) -> clap::Arg {
     match arg.get_id().as_str() {
         "t_l" | "t_l_occupied" | "d" => arg,
-        "seconds" => arg.hide(true),
+        "seconds" | "moving_obstacles" => arg.hide(true),
         _ => hide_foreign(arg),
     }
 }
@@ -67,6 +77,9 @@ pub struct SimFlyArgs {
     /// Leave out the pictures of map and way
     #[arg(long)]
     pub no_view: bool,
+    /// Robots are not seen in each other's scans
+    #[arg(long)]
+    pub hide_team_mates: bool,
     /// Robots that are recorded at the same time [default: as many as there are cores]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,

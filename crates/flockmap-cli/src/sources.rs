@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use anyhow::{Context, bail, ensure};
 use flockmap::{Pose, Resolution, Scan, Sphere, Stamp};
 use flockmap_io::{Record, RecordOptions, open_record};
-use flockmap_sim::{Flight, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_sim::{Flight, ObstacleOptions, Patrol, PatrolOptions, ScanOptions, Shape, Tracks, World};
 
 use crate::args::SourceArgs;
 use crate::team::{Team, TeamMate};
@@ -246,9 +246,20 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     } else {
         Team::default()
     };
-    let robots = patrols.into_iter().enumerate().map(|(number, patrol)| {
+    let obstacles =
+        ObstacleOptions { count: source.moving_obstacles, duration_s: seconds, ..ObstacleOptions::default() };
+    let mut tracks = Tracks::obstacles(&world, source.seed, &obstacles).context("--moving-obstacles")?;
+    let mut own = vec![None; patrols.len()];
+    if source.see_team_mates {
+        for (own, patrol) in own.iter_mut().zip(&patrols) {
+            *own = Some(tracks.push(Shape::ROBOT, patrol.poses())?);
+        }
+    }
+    let tracks = Arc::new(tracks);
+    let robots = patrols.into_iter().zip(own).enumerate().map(|(number, (patrol, own))| {
         let team = team.clone();
-        let flight = Flight::new(Arc::clone(&world), source.lidar, scan_options_of(number, scan), patrol);
+        let flight = Flight::new(Arc::clone(&world), source.lidar, scan_options_of(number, scan), patrol)
+            .among(Arc::clone(&tracks), own);
         let frames_expected = flight.len() as u64;
         let frames = flight.map(move |frame| {
             let team_mates = team.mates(number, frame.scan.stamp);

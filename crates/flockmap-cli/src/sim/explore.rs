@@ -77,6 +77,7 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
         "--delay-ms is {}, expected 0 to 60,000",
         args.delay_ms
     );
+    ensure!(source.moving_obstacles == 0, "--moving-obstacles: explorers do not evade them; use `sim fly`");
     let mut session = SessionConfig::default();
     if let Some(kb) = args.budget_kb_s {
         let bytes = kb * 1024.0;

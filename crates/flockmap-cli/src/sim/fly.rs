@@ -9,6 +9,7 @@ use flockmap::grid::Mapper;
 use serde_json::json;
 
 use super::robot_record::{self, RecordFacts, RobotRecord};
+use crate::args::SourceArgs;
 use crate::args_sim::SimFlyArgs;
 use crate::progress::Progress;
 use crate::sources::{self, Source};
@@ -29,7 +30,8 @@ pub fn run(args: &SimFlyArgs) -> anyhow::Result<bool> {
     // Wrong options are told before anything is made.
     args.map.mapper()?;
     eprintln!("making the world and planning the flights ...");
-    let sources = sources::open(std::slice::from_ref(&args.scene), &args.source, args.map.range, false)?;
+    let source = SourceArgs { see_team_mates: !args.hide_team_mates, ..args.source.clone() };
+    let sources = sources::open(std::slice::from_ref(&args.scene), &source, args.map.range, false)?;
     robot_record::prepare_folder(&args.out, sources.robots.len())?;
     let records = write_all(sources.robots, args)?;
     robot_record::print_table(&records);
