@@ -12,15 +12,16 @@
 //! visible; here each pixel is judged by itself: the plane wins if the inflated range is one that the same
 //! surface, seen at the same angle, would give, and otherwise the inflated range stays.
 //!
-//! Only pixels that a beam points to are painted, 4 % of the image for a Mid-360. The result is the same.
+//! Only pixels that a beam points to are painted, 4 % of the image for a Mid-360, and from near to far, so that
+//! what is hidden need not be. The result is the same.
+
+mod nearby;
 
 use crate::world::{Surface, SurfacePoint};
 use core::f32::consts::{FRAC_PI_2, PI};
 use flockmap_grid::Pose;
 use libm::{cos, sin};
-
-/// Pixels in a full turn.
-const WIDTH: usize = 1_800;
+use nearby::{Nearby, WIDTH, WORDS};
 
 /// Degrees of a pixel.
 const PIXEL_DEG: f64 = 0.2;
@@ -28,8 +29,11 @@ const PIXEL_DEG: f64 = 0.2;
 /// Radians of a pixel.
 const PIXEL_RAD: f32 = PI / 900.0;
 
-/// Bit words in a row.
-const WORDS: usize = WIDTH.div_ceil(64);
+/// Distances in metres at which it is seen which pixels nothing further away can change.
+const SHELLS_M: [f32; 6] = [2.0, 3.5, 6.0, 9.0, 14.0, 21.0];
+
+/// A plane shows through what is nearer than it by less than this share of its range, at most.
+const THROUGH: f32 = 0.4;
 
 /// Nearest that a point is taken to be, in metres, so that no patch is wider than half of the sky.
 const NEAR_M: f32 = 0.05;
@@ -42,7 +46,8 @@ pub(super) struct Pixel {
     pub(super) range_m: Option<f64>,
 }
 
-/// The image, as far as beams point into it. About 100 KB and 40 bytes a beam.
+/// The image, as far as beams point into it. About 1 MB, 40 bytes a beam, and 16 bytes a patch of the surface in
+/// range.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PolarImage {
     /// Elevation of the lowest row, in degrees.
@@ -60,6 +65,11 @@ pub(super) struct PolarImage {
     /// Lowest and highest row and column that is wanted.
     window: [i32; 4],
     slots: Slots,
+    /// Wanted pixels that can still change, and where there are any.
+    open: Vec<u64>,
+    nearby: Nearby,
+    /// Patches of the surface by shell: which, and where from the sensor, along the axes of the map.
+    shells: [Vec<(u32, [f32; 3])>; SHELLS_M.len() + 1],
 }
 
 /// What is known of each wanted pixel, in the order of pixels. A list for each number, so that a row of a
@@ -133,29 +143,101 @@ impl PolarImage {
 
     /// Paints the surface as seen from `pose`, for returns up to `range_m`.
     pub(super) fn paint(&mut self, surface: &Surface, pose: &Pose, range_m: f64) {
+        self.paint_all(surface, pose, range_m, true);
+    }
+
+    /// `leaves_out`: whether points are left out of which it is known that they change nothing.
+    fn paint_all(&mut self, surface: &Surface, pose: &Pose, range_m: f64, leaves_out: bool) {
         let (rows, sensor) = (pose.rotation_rows().map(|row| row.map(|v| v as f32)), pose.translation());
         let spacing = surface.spacing_m() as f32;
         let brush = Brush {
             rows,
             lowest: self.lowest(),
             spacing,
+            patch_reach: surface.patch_reach_m() as f32,
             cover: 0.55 * 3f32.sqrt() * spacing,
             plane_reach_squared: 0.75 * spacing * spacing,
             range_max: range_m as f32,
         };
-        for (corner, points) in surface.near(sensor, range_m + surface.spacing_m()) {
-            let corner = core::array::from_fn(|a| (corner[a] - sensor[a]) as f32);
-            for point in points {
-                self.paint_point(&brush, corner, point);
+        self.sort(surface, sensor, &brush);
+        self.open.clone_from(&self.wanted);
+        let shells = core::mem::take(&mut self.shells);
+        let patches = surface.patches();
+        for (number, shell) in shells.iter().enumerate().filter(|(_, shell)| !shell.is_empty()) {
+            let from = number.checked_sub(1).and_then(|last| SHELLS_M.get(last));
+            if let Some(from) = from.filter(|_| leaves_out) {
+                self.close(*from, spacing);
+            }
+            self.nearby.take(&self.open);
+            for &(patch, centre) in shell {
+                if !leaves_out || self.may_see(&brush, centre) {
+                    for point in surface.points(&patches[patch as usize]) {
+                        self.paint_point(&brush, centre, point);
+                    }
+                }
+            }
+        }
+        self.shells = shells;
+    }
+
+    /// Sorts the patches in range into shells by their nearest point.
+    fn sort(&mut self, surface: &Surface, sensor: [f64; 3], brush: &Brush) {
+        self.shells.iter_mut().for_each(Vec::clear);
+        let reach = brush.range_max + brush.spacing + brush.patch_reach;
+        for (number, patch) in surface.patches().iter().enumerate() {
+            let centre = patch.centre_from(sensor);
+            let square = dot(centre, centre);
+            if square <= reach * reach && patch.faces(centre, brush.spacing) {
+                let nearest = square.sqrt() - brush.patch_reach;
+                let shell = SHELLS_M.iter().filter(|from| nearest >= **from).count();
+                self.shells[shell].push((number as u32, centre));
             }
         }
     }
 
-    /// `corner` is where offsets of points are counted from, as seen from the sensor, along the axes of the
+    /// Closes the pixels that no point at `from` metres or beyond can change.
+    fn close(&mut self, from: f32, spacing: f32) {
+        // Planes are met up to 0.866 spacings before their point.
+        let from = from - spacing;
+        let mut slot = 0;
+        for (open, &wanted) in self.open.iter_mut().zip(&self.wanted) {
+            let mut left = wanted;
+            while left != 0 {
+                let (inflated, plane) = (self.slots.inflated[slot], self.slots.plane[slot]);
+                // Further planes do not count if there is a nearer one, or if none of them would show through (see
+                // `range`; the angle of a patch at range r is at most 1.13 spacings / r and 1.5 pixels).
+                let through = from * (1.0 - THROUGH - 2.25 * PIXEL_RAD) - 1.7 * spacing;
+                let is_settled = inflated < from && (plane < from || inflated < through);
+                if is_settled {
+                    *open &= !(left & left.wrapping_neg());
+                }
+                left &= left - 1;
+                slot += 1;
+            }
+        }
+    }
+
+    /// Whether anything of a patch with this centre can fall on an open pixel.
+    #[inline]
+    fn may_see(&self, brush: &Brush, centre: [f32; 3]) -> bool {
+        let [x, y, z] = brush.to_sensor(centre);
+        let flat = (x * x + y * y).sqrt();
+        let range = (flat * flat + z * z).sqrt();
+        if flat < 2.0 * brush.patch_reach {
+            return true;
+        }
+        let (u, v) = pixel_at(x, y, z, flat, brush.lowest);
+        // The patch is widest in azimuth, where a turn is the shorter the higher it is; its points cover more.
+        let half =
+            half_width(brush.patch_reach / flat) + half_width(brush.cover / (range - brush.patch_reach));
+        self.nearby.any(v, u, half + 1)
+    }
+
+    /// `centre` is where offsets of points are counted from, as seen from the sensor, along the axes of the
     /// map.
     #[inline]
-    fn paint_point(&mut self, brush: &Brush, corner: [f32; 3], point: &SurfacePoint) {
-        let place: [f32; 3] = core::array::from_fn(|a| corner[a] + point.offset[a]);
+    fn paint_point(&mut self, brush: &Brush, centre: [f32; 3], point: &SurfacePoint) {
+        let place: [f32; 3] = core::array::from_fn(|a| centre[a] + point.offset[a]);
         if !point.faces(place, brush.spacing) {
             return;
         }
@@ -170,6 +252,9 @@ impl PolarImage {
         let (u, v) = pixel_at(x, y, z, flat, brush.lowest);
         let range = square.sqrt();
         let half = half_width(brush.cover / range.max(NEAR_M));
+        if !self.nearby.any(v, u, half) {
+            return;
+        }
         let [v_low, v_high, u_low, u_high] = self.window;
         let (top, bottom) = ((v + half).min(v_high), (v - half).max(v_low));
         if top < bottom {
@@ -194,8 +279,8 @@ impl PolarImage {
             }
             let (left, right) = (left as usize, right as usize);
             for row in bottom as usize..=top as usize {
-                let (first, last) = (self.rank(row, left), self.rank(row, right + 1));
-                if first < last {
+                if self.any_open(row, left, right) {
+                    let (first, last) = (self.rank(row, left), self.rank(row, right + 1));
                     self.slots.paint(first, last, &plane);
                 }
             }
@@ -219,6 +304,19 @@ impl PolarImage {
 
     fn lowest(&self) -> f32 {
         (self.lowest_deg / PIXEL_DEG) as f32
+    }
+
+    /// Whether a row has open pixels from `left` to `right`.
+    #[inline]
+    fn any_open(&self, row: usize, left: usize, right: usize) -> bool {
+        let (first, last) = (row * WORDS + left / 64, row * WORDS + right / 64);
+        let (from, to) = (u64::MAX << (left % 64), u64::MAX >> (63 - right % 64));
+        if first == last {
+            return self.open[first] & from & to != 0;
+        }
+        self.open[first] & from != 0
+            || self.open[last] & to != 0
+            || self.open[first + 1..last].iter().any(|word| *word != 0)
     }
 
     /// Number of wanted pixels before this one.
@@ -289,9 +387,8 @@ impl Slots {
             // The nearest place of the same plane whose patch reaches this pixel: further down the slope by
             // the angle of a patch, and nearer by another half for points that lie off the plane.
             let (g, angle) = (self.grazing[slot].min(1.0), 1.5 * self.half_angle[slot]);
-            let nearest = plane * g / (g + angle * (1.0 - g * g).sqrt());
-            let rough = plane * angle;
-            if inflated >= nearest - rough {
+            let slope = g / (g + angle * (1.0 - g * g).sqrt());
+            if inflated >= plane * (slope.max(1.0 - THROUGH) - angle) {
                 return Some(f64::from(plane));
             }
         }
@@ -304,6 +401,7 @@ struct Brush {
     rows: [[f32; 3]; 3],
     lowest: f32,
     spacing: f32,
+    patch_reach: f32,
     cover: f32,
     plane_reach_squared: f32,
     range_max: f32,
@@ -379,4 +477,46 @@ fn arc(y: f32, x: f32) -> f32 {
         angle = PI - angle;
     }
     if y < 0.0 { -angle } else { angle }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Lidar, World};
+    use flockmap_grid::Stamp;
+
+    #[test]
+    fn what_is_left_out_would_change_nothing() {
+        for (world, place) in
+            [(World::indoor(1), [-1.0, 1.2, 1.7]), (World::forest(1), [0.375, 0.025, 2.325])]
+        {
+            for lidar in [Lidar::Mid360, Lidar::Os128] {
+                let pose = Pose::new(place, [0.05, -0.03, 0.4, 1.0]).unwrap();
+                let beams = lidar.directions(Stamp(700_000));
+                let ranges = [true, false].map(|leaves_out| {
+                    let mut image = PolarImage::new(lidar.field_of_view_deg().1);
+                    image.aim(&beams);
+                    image.paint_all(world.surface(), &pose, 30.0, leaves_out);
+                    image.pixels().map(|(_, pixel)| pixel.range_m).collect::<Vec<_>>()
+                });
+                assert!(ranges[0].len() > 10_000);
+                assert!(ranges[0] == ranges[1], "{lidar}");
+            }
+        }
+    }
+
+    #[test]
+    fn angles_are_right_to_a_hundredth_of_a_pixel() {
+        for step in 0..3_600 {
+            let angle = (f64::from(step) * 0.1 - 179.95).to_radians();
+            let (x, y) = (3.7 * angle.cos(), 3.7 * angle.sin());
+            assert!((f64::from(arc(y as f32, x as f32)) - angle).abs() < 0.01 * f64::from(PIXEL_RAD));
+        }
+        assert_eq!(arc(0.0, 0.0), 0.0);
+        for step in 1..1_000 {
+            let ratio = f64::from(step) / 1_000.0;
+            let exact = ratio.asin() / f64::from(PIXEL_RAD);
+            assert!((f64::from(half_width(ratio as f32)) - exact.ceil()).abs() <= 1.0, "{ratio}");
+        }
+    }
 }

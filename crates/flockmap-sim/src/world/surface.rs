@@ -11,9 +11,6 @@ const SPACING_M: f64 = 0.1;
 /// Points from this far around make a normal, in spacings.
 const NORMAL_REACH: i32 = 3;
 
-/// About the side of the cubes in which points are looked up, in metres. (MARSIM's `hash_cubesize`.)
-const CUBE_M: f64 = 5.0;
-
 /// Most cubes with points in them, one or two each. Where a world has more, they are taken further apart.
 const POINTS_MAX: usize = 1 << 22;
 
@@ -25,14 +22,14 @@ const BRICKS_MAX: usize = 1 << 20;
 #[derive(Clone, Debug)]
 pub(crate) struct Surface {
     spacing_m: f64,
-    cubes: Vec<Cube>,
+    patches: Vec<Patch>,
     points: Vec<SurfacePoint>,
 }
 
 /// A place on the surface of a world.
 #[derive(Clone, Debug)]
 pub(crate) struct SurfacePoint {
-    /// Metres from the corner of its cube.
+    /// Metres from the centre of its patch.
     pub(crate) offset: [f32; 3],
     /// Unit normal of the surface, with any sign; all zero where the points around make no plane.
     pub(crate) normal: [f32; 3],
@@ -40,13 +37,28 @@ pub(crate) struct SurfacePoint {
     open: u8,
 }
 
-/// A cube of space with points.
+/// A piece of surface: the points of a cube of 4³ spacings.
 #[derive(Clone, Debug)]
-struct Cube {
-    /// Its lowest corner and, for culling, its side, in metres.
-    corner: [f64; 3],
-    side_m: f64,
+pub(crate) struct Patch {
+    /// Centre of the cube in metres.
+    centre: [f64; 3],
+    /// Which ways any of its points is open.
+    open: u8,
     points: Range<u32>,
+}
+
+impl Patch {
+    /// Where the centre is seen from a place, along the axes of the map, in metres.
+    #[inline]
+    pub(crate) fn centre_from(&self, place: [f64; 3]) -> [f32; 3] {
+        core::array::from_fn(|a| (self.centre[a] - place[a]) as f32)
+    }
+
+    /// Whether any open side of a point looks to a sensor from which the centre is seen at `centre`.
+    #[inline]
+    pub(crate) fn faces(&self, centre: [f32; 3], spacing: f32) -> bool {
+        self.open & sides(centre, 3.0 * spacing) != 0
+    }
 }
 
 impl SurfacePoint {
@@ -54,12 +66,18 @@ impl SurfacePoint {
     /// of the map). Faces lie within `spacing` of the point.
     #[inline]
     pub(crate) fn faces(&self, place: [f32; 3], spacing: f32) -> bool {
-        let mut sides = 0u8;
-        for (a, p) in place.into_iter().enumerate() {
-            sides |= u8::from(p > -spacing) << (2 * a) | u8::from(p < spacing) << (2 * a + 1);
-        }
-        self.open & sides != 0
+        self.open & sides(place, spacing) != 0
     }
+}
+
+/// Which sides of something at `place` look to the sensor, if they lie within `reach` of it.
+#[inline]
+fn sides(place: [f32; 3], reach: f32) -> u8 {
+    let mut sides = 0;
+    for (a, p) in place.into_iter().enumerate() {
+        sides |= u8::from(p > -reach) << (2 * a) | u8::from(p < reach) << (2 * a + 1);
+    }
+    sides
 }
 
 impl Surface {
@@ -85,23 +103,19 @@ impl Surface {
         self.spacing_m
     }
 
-    /// The points of every cube within `range_m` of a place, with the corner from which their offsets count.
-    pub(crate) fn near(
-        &self,
-        place: [f64; 3],
-        range_m: f64,
-    ) -> impl Iterator<Item = ([f64; 3], &[SurfacePoint])> {
-        self.cubes.iter().filter_map(move |cube| {
-            let gap: f64 = (0..3)
-                .map(|a| {
-                    let low = cube.corner[a] - place[a];
-                    let gap = low.max(-(low + cube.side_m)).max(0.0);
-                    gap * gap
-                })
-                .sum();
-            let points = cube.points.start as usize..cube.points.end as usize;
-            (gap <= range_m * range_m).then(|| (cube.corner, &self.points[points]))
-        })
+    /// All its patches.
+    pub(crate) fn patches(&self) -> &[Patch] {
+        &self.patches
+    }
+
+    /// The points of a patch.
+    pub(crate) fn points(&self, patch: &Patch) -> &[SurfacePoint] {
+        self.points.get(patch.points.start as usize..patch.points.end as usize).unwrap_or_default()
+    }
+
+    /// Metres from the centre of a patch within which all its points are.
+    pub(crate) fn patch_reach_m(&self) -> f64 {
+        2.0 * 3f64.sqrt() * self.spacing_m
     }
 }
 
@@ -193,32 +207,22 @@ impl Bricks {
     }
 
     fn into_surface(self, spacing_m: f64) -> Surface {
-        // Cubes are made of whole bricks.
-        let cube_bricks = ((CUBE_M / (4.0 * spacing_m)) as i32).max(1);
-        let mut order: Vec<([i32; 3], [i32; 3], u32)> = self
-            .of
-            .iter()
-            .map(|(&brick, &index)| (brick.map(|b| b.div_euclid(cube_bricks)), brick, index))
-            .collect();
+        let mut order: Vec<([i32; 3], u32)> = self.of.iter().map(|(&brick, &index)| (brick, index)).collect();
         order.sort_unstable();
-        let side_m = f64::from(cube_bricks * 4) * spacing_m;
-        let mut surface =
-            Surface { spacing_m, cubes: Vec::new(), points: Vec::with_capacity(self.points.len()) };
-        let mut last = None;
+        let mut surface = Surface {
+            spacing_m,
+            patches: Vec::with_capacity(order.len()),
+            points: Vec::with_capacity(self.points.len()),
+        };
         let mut around = Vec::new();
-        for (cube, brick, index) in order {
-            if last != Some(cube) {
-                let here = surface.points.len() as u32;
-                let corner = cube.map(|c| f64::from(c) * side_m);
-                surface.cubes.push(Cube { corner, side_m, points: here..here });
-                last = Some(cube);
-            }
-            // Places counted from the corner of the cube, in spacings.
-            let low = cube.map(|c| c * cube_bricks * 4);
-            self.points_around(brick, low, &mut around);
+        for (brick, index) in order {
+            // Places are counted from the centre of the brick, in spacings.
+            let middle = brick.map(|b| b * 4 + 2);
+            let first = surface.points.len() as u32;
+            self.points_around(brick, middle, &mut around);
             for &slot in self.bricks[index as usize].iter().filter(|slot| **slot != 0) {
                 let point = &self.points[slot as usize - 1];
-                let at = self.centre(point, low);
+                let at = self.centre(point, middle);
                 let normal = normal(at, &around).map(|v| v as f32);
                 let mut push = |at: [f64; 3], open| {
                     let offset = at.map(|v| (v * spacing_m) as f32);
@@ -229,7 +233,7 @@ impl Bricks {
                     for side in [2 * axis, 2 * axis + 1] {
                         let (count, sum) = point.sides[side];
                         let mut face = at;
-                        face[axis] = f64::from(point.place[axis] - low[axis])
+                        face[axis] = f64::from(point.place[axis] - middle[axis])
                             + f64::from(sum) / f64::from(2 * self.cells * count);
                         push(face, 1 << side);
                     }
@@ -237,21 +241,24 @@ impl Bricks {
                     push(at, point.open());
                 }
             }
-            if let Some(cube) = surface.cubes.last_mut() {
-                cube.points.end = surface.points.len() as u32;
-            }
+            let last = surface.points.len() as u32;
+            surface.patches.push(Patch {
+                centre: middle.map(|p| f64::from(p) * spacing_m),
+                open: surface.points[first as usize..].iter().fold(0, |open, point| open | point.open),
+                points: first..last,
+            });
         }
         surface
     }
 
-    /// A point in spacings from the corner of place `low`.
-    fn centre(&self, point: &Gathered, low: [i32; 3]) -> [f64; 3] {
+    /// A point in spacings from the corner of place `middle`.
+    fn centre(&self, point: &Gathered, middle: [i32; 3]) -> [f64; 3] {
         let half_cells = f64::from(2 * self.cells * point.count);
-        core::array::from_fn(|a| f64::from(point.place[a] - low[a]) + f64::from(point.sum[a]) / half_cells)
+        core::array::from_fn(|a| f64::from(point.place[a] - middle[a]) + f64::from(point.sum[a]) / half_cells)
     }
 
     /// All points that are near enough to one of the brick to make its normal.
-    fn points_around(&self, brick: [i32; 3], low: [i32; 3], around: &mut Vec<[f64; 3]>) {
+    fn points_around(&self, brick: [i32; 3], middle: [i32; 3], around: &mut Vec<[f64; 3]>) {
         around.clear();
         let first = brick.map(|b| b * 4 - NORMAL_REACH);
         let last = brick.map(|b| b * 4 + 3 + NORMAL_REACH);
@@ -264,7 +271,7 @@ impl Bricks {
                     for &slot in self.bricks[index as usize].iter().filter(|slot| **slot != 0) {
                         let point = &self.points[slot as usize - 1];
                         if (0..3).all(|a| first[a] <= point.place[a] && point.place[a] <= last[a]) {
-                            around.push(self.centre(point, low));
+                            around.push(self.centre(point, middle));
                         }
                     }
                 }
@@ -433,9 +440,10 @@ mod tests {
         // 0.1 m thick, as wide as the cubes in which points are gathered.
         let cells = (-40..40).flat_map(|a| (-40..40).flat_map(move |b| (0..2).map(move |z| [a, b, z])));
         let surface = Surface::new(&set(cells), Resolution::from_metres(0.05).unwrap());
-        for (corner, points) in surface.near([0.0; 3], 1.0) {
-            for point in points {
-                let [x, y, z]: [f64; 3] = core::array::from_fn(|a| corner[a] + f64::from(point.offset[a]));
+        for patch in &surface.patches {
+            for point in surface.points(patch) {
+                let [x, y, z]: [f64; 3] =
+                    core::array::from_fn(|a| patch.centre[a] + f64::from(point.offset[a]));
                 if x.abs().max(y.abs()) > 1.85 {
                     continue;
                 }
@@ -458,9 +466,9 @@ mod tests {
         // A block of 2 × 2 × 1 m: its points lie on its skin, and none inside.
         let cells = (0..40).flat_map(|x| (0..40).flat_map(move |y| (0..20).map(move |z| [x, y, z])));
         let surface = Surface::new(&set(cells), Resolution::from_metres(0.05).unwrap());
-        for (corner, points) in surface.near([0.0; 3], 100.0) {
-            for point in points {
-                let at: [f64; 3] = core::array::from_fn(|a| corner[a] + f64::from(point.offset[a]));
+        for patch in &surface.patches {
+            for point in surface.points(patch) {
+                let at: [f64; 3] = core::array::from_fn(|a| patch.centre[a] + f64::from(point.offset[a]));
                 let depth =
                     (0..3).map(|a| at[a].min([2.0, 2.0, 1.0][a] - at[a])).fold(f64::INFINITY, f64::min);
                 assert!((-1e-6..0.051).contains(&depth), "{at:?}");
