@@ -137,7 +137,7 @@ Flies two explorations, records them, and measures every method on the same reco
 Examples:
   flockmap bench application --quick
   flockmap bench application --seeds 20 --json application.json
-  flockmap bench application --rates 5 --losses 0 --t-l-occupied 0.2 --t-l 2
+  flockmap bench application --rates 2,10 --losses 0 --obstacles-first 2
 
 Every seed is a thicket of its own, flown without sync, with sync over a radio without limit, and with each budget and loss. Who
 touches what is judged in the world as it is. The same command gives the same flights every time.")]

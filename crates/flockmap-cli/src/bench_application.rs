@@ -34,6 +34,10 @@ pub struct BenchApplicationArgs {
     /// Shares of datagrams that the radio loses, separated by commas [default: 0,0.2,0.4]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub losses: Vec<f64>,
+    /// Budgets in KB/s of further series in which obstacles go out after --t-l and free space after 2 s, separated by commas; 0 for
+    /// none [default: 1,5; with --quick 5]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub obstacles_first: Vec<f64>,
     /// Delay of the radio in milliseconds
     #[arg(long, value_name = "D", default_value_t = 20)]
     pub delay_ms: u32,
@@ -43,9 +47,6 @@ pub struct BenchApplicationArgs {
     /// A cycle of mapping is sent after so many seconds
     #[arg(long, value_name = "S", default_value_t = 0.2)]
     pub t_l: f64,
-    /// Obstacles are sent after so many seconds, ahead of free space [default: with everything else]
-    #[arg(long, value_name = "S")]
-    pub t_l_occupied: Option<f64>,
     /// Codec of the packages
     #[arg(long, value_name = "NAME", default_value_t = Codec::Paper)]
     pub codec: Codec,
@@ -69,6 +70,8 @@ pub struct Row {
     pub rate_kb_s: Option<f64>,
     /// `None`: no sync.
     pub loss: Option<f64>,
+    /// Obstacles go out after t_l, free space after 2 s.
+    pub obstacles_first: bool,
     pub flights: usize,
     pub successes: usize,
     pub leader_hits: usize,
@@ -114,7 +117,6 @@ struct Output<'a> {
     seeds: u64,
     resolution_m: f64,
     t_l_s: f64,
-    t_l_occupied_s: Option<f64>,
     codec: String,
     speed_m_s: f64,
     delay_ms: u32,
@@ -139,7 +141,6 @@ pub fn run(args: &BenchApplicationArgs) -> anyhow::Result<bool> {
             seeds: options.seeds,
             resolution_m: args.resolution,
             t_l_s: args.t_l,
-            t_l_occupied_s: args.t_l_occupied,
             codec: args.codec.to_string(),
             speed_m_s: args.speed,
             delay_ms: args.delay_ms,
@@ -154,7 +155,7 @@ pub fn run(args: &BenchApplicationArgs) -> anyhow::Result<bool> {
 pub const NOTES: &str = "  \
   Success: the leader is at the goal and neither robot came within 0.2 m of anything solid, or within 0.4 m of the other, in the world
   as it is. KB of 1,024 bytes of UDP payload, mean over flights; max is the largest second of any flight. Age: from the scan that saw
-  an obstacle to its presence in the leader's map. Poses and the leader's next 2 m of way are taken as shared; their bytes are not counted.";
+  an obstacle to its presence in the leader's map. Obstacles first: free space waits for 2 s. Poses and the leader's next 2 m of way are taken as shared; their bytes are not counted.";
 
 /// The paper's flight in numbers: Table III, KB/s of drone 1.
 pub const PAPER_TABLE_III: [(&str, f64); 4] =
@@ -181,8 +182,17 @@ fn options(args: &BenchApplicationArgs) -> anyhow::Result<SeriesOptions> {
         ([], false) => &[0.0, 0.2, 0.4][..],
         (losses, _) => losses,
     };
-    for rate in rates {
-        ensure!((0.5..=100_000.0).contains(rate), "--rates has {rate}, expected 0.5 to 100,000 KB/s");
+    let obstacles_first = match (args.obstacles_first.as_slice(), args.quick) {
+        ([], true) => &[5.0],
+        ([], false) => &[1.0, 5.0][..],
+        ([none], _) if *none == 0.0 => &[],
+        (rates, _) => rates,
+    };
+    for rate in rates.iter().chain(obstacles_first) {
+        ensure!(
+            (0.5..=100_000.0).contains(rate),
+            "--rates or --obstacles-first has {rate}, expected 0.5 to 100,000 KB/s"
+        );
     }
     for loss in losses {
         ensure!((0.0..=1.0).contains(loss), "--losses has {loss}, expected 0 to 1");
@@ -190,16 +200,17 @@ fn options(args: &BenchApplicationArgs) -> anyhow::Result<SeriesOptions> {
     let resolution = Resolution::from_metres(args.resolution)
         .filter(|_| (0.05..=0.2).contains(&args.resolution))
         .with_context(|| format!("--resolution is {}, expected 0.05 to 0.2 m", args.resolution))?;
+    let bytes = |rates: &[f64]| rates.iter().map(|rate| (rate * KB).round() as u32).collect();
     Ok(SeriesOptions {
         seeds,
-        rates_bytes_per_s: rates.iter().map(|rate| (rate * KB).round() as u32).collect(),
+        rates_bytes_per_s: bytes(rates),
         losses: losses.to_vec(),
+        obstacles_first_rates_bytes_per_s: bytes(obstacles_first),
         delay_ms: args.delay_ms,
         threads: args.threads,
         application: ApplicationOptions {
             resolution,
             t_l_ms: milliseconds("--t-l", args.t_l)?,
-            t_l_occupied_ms: args.t_l_occupied.map(|s| milliseconds("--t-l-occupied", s)).transpose()?,
             codec: args.codec,
             speed_m_s: args.speed,
             ..ApplicationOptions::default()
@@ -224,7 +235,7 @@ pub fn measure(options: &SeriesOptions) -> anyhow::Result<Vec<Row>> {
 
 impl Row {
     fn new(series: &Series) -> Self {
-        let (name, rate_kb_s, loss) = match series.sync {
+        let (mut name, rate_kb_s, loss) = match series.sync {
             MapSync::None => ("no sync".to_owned(), None, None),
             MapSync::Radio { rate_bytes_per_s: None, loss, .. } => {
                 (format!("no limit, loss {:.0} %", loss * 100.0), None, Some(loss))
@@ -234,6 +245,9 @@ impl Row {
                 (format!("{rate} KB/s, loss {:.0} %", loss * 100.0), Some(rate), Some(loss))
             }
         };
+        if series.obstacles_first {
+            name += ", obstacles first";
+        }
         let kb_s = |bytes: fn(&ApplicationOutcome) -> u64| {
             series.mean(|outcome| bytes(outcome) as f64 / KB / outcome.seconds.max(0.1))
         };
@@ -246,6 +260,7 @@ impl Row {
             name,
             rate_kb_s,
             loss,
+            obstacles_first: series.obstacles_first,
             flights: series.outcomes.len(),
             successes,
             leader_hits: series.count(Ending::LeaderHit),
@@ -340,12 +355,16 @@ mod tests {
             seeds: 1,
             rates_bytes_per_s: vec![5 * 1024],
             losses: vec![0.2],
+            obstacles_first_rates_bytes_per_s: vec![5 * 1024],
             application: ApplicationOptions { seconds_max: 0.3, ..ApplicationOptions::default() },
             ..SeriesOptions::default()
         };
         let rows = measure(&quick).unwrap();
         let names: Vec<&str> = rows.iter().map(|row| row.name.as_str()).collect();
-        assert_eq!(names, ["no sync", "no limit, loss 0 %", "5 KB/s, loss 20 %"]);
+        assert_eq!(
+            names,
+            ["no sync", "no limit, loss 0 %", "5 KB/s, loss 20 %", "5 KB/s, loss 20 %, obstacles first",]
+        );
         for row in &rows {
             let all =
                 row.successes + row.leader_hits + row.follower_hits + row.robots_touched + row.time_outs;

@@ -84,13 +84,14 @@ fn a_series_does_not_depend_on_threads_and_ends_when_it_is_told_to() {
         seeds: 2,
         rates_bytes_per_s: vec![5 * 1024],
         losses: vec![0.2],
+        obstacles_first_rates_bytes_per_s: vec![5 * 1024],
         threads,
         application: application.clone(),
         ..SeriesOptions::default()
     };
     let one = series(&options(1), || true).unwrap();
     assert_eq!(one, series(&options(2), || true).unwrap());
-    assert_eq!(one.len(), 3);
+    assert_eq!(one.iter().map(|s| s.obstacles_first).collect::<Vec<_>>(), [false, false, false, true]);
     assert!(one.iter().all(|series| series.outcomes.len() == 2));
     assert_eq!(one[0].sync, MapSync::None);
     let stopped = series(&options(1), || false).unwrap();

@@ -130,6 +130,10 @@ fn straighten(slab: &Slab, points: &[[f64; 2]], keep: &Keep) -> Vec<[f64; 2]> {
         let mut needed = keep.comfort_m;
         for end in at + 1..points.len().min(at + 40) {
             needed = needed.min(slab.distance_at(points[end]));
+            if needed < keep.clearance_m {
+                // Out of a narrow place it goes cell by cell.
+                break;
+            }
             if end > at + 1 && line(points[at], points[end]).all(|p| slab.distance_at(p) >= needed) {
                 to = end;
             }
@@ -147,4 +151,63 @@ pub(super) fn line(a: [f64; 2], b: [f64; 2]) -> impl Iterator<Item = [f64; 2]> {
         let s = f64::from(step) / f64::from(steps);
         [a[0] + (b[0] - a[0]) * s, a[1] + (b[1] - a[1]) * s]
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const KEEP: Keep = Keep { clearance_m: 0.3, comfort_m: 0.6 };
+
+    proptest! {
+        #[test]
+        fn a_way_never_comes_nearer_than_it_may(
+            blocked in prop::collection::vec((-28..28i32, -28..28i32), 0..60),
+            to in (-50..50i32, -50..50i32),
+        ) {
+            let slab = Slab::of_cells(3.0, blocked.iter().map(|(x, y)| [*x, *y]));
+            let (from, to) = ([0.05; 2], [f64::from(to.0) * 0.1 + 0.05, f64::from(to.1) * 0.1 + 0.05]);
+            let way = find(&slab, from, to, &[], &KEEP).unwrap();
+            prop_assert_eq!(way[0], from);
+            for pair in way.windows(2) {
+                prop_assert!(apart(pair[0], pair[1]) < POINT_EVERY_M * 1.5);
+            }
+            for point in &way[1..] {
+                let escapes = apart(*point, from) <= ESCAPE_M + 0.1;
+                prop_assert!(slab.distance_at(*point) >= KEEP.clearance_m || escapes, "{:?}", point);
+            }
+            // Nothing near: it gets there, or to the rim.
+            let end = way[way.len() - 1];
+            if blocked.is_empty() {
+                let rim = end.iter().any(|v| v.abs() > 2.9);
+                prop_assert!(apart(end, to) < 0.01 || rim, "{:?}", end);
+            }
+        }
+    }
+
+    #[test]
+    fn the_way_round_a_wall_is_short_and_a_way_taken_is_kept() {
+        // A wall across the way, from y = -1 to 1: as far round the one end as round the other.
+        let slab = Slab::of_cells(4.0, (-10..10).map(|y| [10, y]));
+        let (from, to) = ([0.05, -0.05], [2.55, -0.05]);
+        let way = find(&slab, from, to, &[], &KEEP).unwrap();
+        assert!(apart(way[way.len() - 1], to) < 0.01);
+        let length: f64 = way.windows(2).map(|pair| apart(pair[0], pair[1])).sum();
+        assert!((3.3..5.0).contains(&length), "{length} m");
+        let mirrored: Vec<[f64; 2]> = way.iter().map(|[x, y]| [*x, -0.1 - *y]).collect();
+        let side = |way: &[[f64; 2]]| way.iter().map(|point| point[1]).sum::<f64>() > 0.0;
+        let kept = find(&slab, from, to, &mirrored, &KEEP).unwrap();
+        assert_eq!(side(&kept), side(&mirrored));
+        assert_ne!(side(&kept), side(&way));
+    }
+
+    #[test]
+    fn where_there_is_no_way_it_leads_as_near_as_it_can() {
+        let closed = (-10..=10).flat_map(|v| [[10, v], [-10, v], [v, 10], [v, -10]]);
+        let slab = Slab::of_cells(3.0, closed);
+        let way = find(&slab, [0.05, 0.05], [2.05, 0.05], &[], &KEEP).unwrap();
+        let end = way[way.len() - 1];
+        assert!((0.6..0.8).contains(&end[0]) && end[1].abs() < 0.2, "{end:?}");
+    }
 }

@@ -13,6 +13,9 @@ pub struct SeriesOptions {
     pub rates_bytes_per_s: Vec<u32>,
     /// Losses for each of these budgets. Default 0, 0.2 and 0.4.
     pub losses: Vec<f64>,
+    /// Budgets of further series, with the same losses, in which obstacles go out after `application.t_l_ms` and free space after
+    /// 2 s. Default 1 and 5 KB/s, where everything together is too much.
+    pub obstacles_first_rates_bytes_per_s: Vec<u32>,
     /// Time on the way of all radios, in milliseconds. Default 20.
     pub delay_ms: u32,
     /// Threads that fly at once; no outcome depends on it. Default 2.
@@ -27,6 +30,7 @@ impl Default for SeriesOptions {
             seeds: 20,
             rates_bytes_per_s: [1, 5, 25, 100].map(|kb| kb * 1024).to_vec(),
             losses: vec![0.0, 0.2, 0.4],
+            obstacles_first_rates_bytes_per_s: [1, 5].map(|kb| kb * 1024).to_vec(),
             delay_ms: 20,
             threads: 2,
             application: ApplicationOptions::default(),
@@ -34,24 +38,33 @@ impl Default for SeriesOptions {
     }
 }
 
+/// Milliseconds that free space waits where obstacles go first.
+const FREE_SPACE_LATER_MS: u32 = 2_000;
+
 impl SeriesOptions {
-    /// The radios, one for each series: none, without limit, then each budget with each loss.
-    pub fn syncs(&self) -> Vec<MapSync> {
-        let delay_ms = self.delay_ms;
-        let limited = self.rates_bytes_per_s.iter().flat_map(|rate| {
-            self.losses.iter().map(move |loss| MapSync::Radio {
-                rate_bytes_per_s: Some(*rate),
-                loss: *loss,
-                delay_ms,
-            })
-        });
-        let unlimited = MapSync::Radio { rate_bytes_per_s: None, loss: 0.0, delay_ms };
-        [MapSync::None, unlimited].into_iter().chain(limited).collect()
+    /// The options of each series, with the seed of none: no sync, a radio without limit, each budget with each loss, and
+    /// the budgets with obstacles first.
+    fn plan(&self) -> Vec<ApplicationOptions> {
+        let radio =
+            |rate_bytes_per_s, loss| MapSync::Radio { rate_bytes_per_s, loss, delay_ms: self.delay_ms };
+        let with = |sync| ApplicationOptions { sync, ..self.application.clone() };
+        let mut plan = vec![with(MapSync::None), with(radio(None, 0.0))];
+        for rate in &self.rates_bytes_per_s {
+            plan.extend(self.losses.iter().map(|loss| with(radio(Some(*rate), *loss))));
+        }
+        for rate in &self.obstacles_first_rates_bytes_per_s {
+            plan.extend(self.losses.iter().map(|loss| ApplicationOptions {
+                t_l_ms: FREE_SPACE_LATER_MS,
+                t_l_occupied_ms: Some(self.application.t_l_ms),
+                ..with(radio(Some(*rate), *loss))
+            }));
+        }
+        plan
     }
 
     /// Number of flights that [`series`] will make.
     pub fn flights(&self) -> u64 {
-        self.seeds * self.syncs().len() as u64
+        self.seeds * self.plan().len() as u64
     }
 }
 
@@ -60,6 +73,8 @@ impl SeriesOptions {
 pub struct Series {
     /// The radio.
     pub sync: MapSync,
+    /// Whether obstacles went out ahead of free space.
+    pub obstacles_first: bool,
     /// What became of each seed, from 1 on.
     pub outcomes: Vec<ApplicationOutcome>,
 }
@@ -92,9 +107,9 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 /// # Errors
 /// [`RobotError`] names an option that cannot work.
 pub fn series(options: &SeriesOptions, flown: impl Fn() -> bool + Sync) -> Result<Vec<Series>, RobotError> {
-    let syncs = options.syncs();
+    let plan = options.plan();
     let slots: Vec<Mutex<Vec<Option<ApplicationOutcome>>>> =
-        (0..options.seeds).map(|_| Mutex::new(vec![None; syncs.len()])).collect();
+        (0..options.seeds).map(|_| Mutex::new(vec![None; plan.len()])).collect();
     let next = Mutex::new((0, None::<RobotError>));
     std::thread::scope(|scope| {
         for _ in 0..options.threads.max(1) {
@@ -108,8 +123,8 @@ pub fn series(options: &SeriesOptions, flown: impl Fn() -> bool + Sync) -> Resul
                     };
                     let (seed, slot) = slot;
                     let course = Course::thicket(seed);
-                    for (number, sync) in syncs.iter().enumerate() {
-                        let flight = ApplicationOptions { seed, sync: *sync, ..options.application.clone() };
+                    for (number, flight) in plan.iter().enumerate() {
+                        let flight = ApplicationOptions { seed, ..flight.clone() };
                         let result = fly(&course, &flight);
                         match (result, slot.lock()) {
                             (Ok(outcome), Ok(mut slot)) => slot[number] = Some(outcome),
@@ -138,5 +153,13 @@ pub fn series(options: &SeriesOptions, flown: impl Fn() -> bool + Sync) -> Resul
     let seeds: Vec<Vec<Option<ApplicationOutcome>>> =
         slots.into_iter().map(|slot| slot.into_inner().unwrap_or_default()).collect();
     let of = |number: usize| seeds.iter().map_while(move |seed| seed.get(number)?.clone()).collect();
-    Ok(syncs.iter().enumerate().map(|(number, sync)| Series { sync: *sync, outcomes: of(number) }).collect())
+    Ok(plan
+        .iter()
+        .enumerate()
+        .map(|(number, flight)| Series {
+            sync: flight.sync,
+            obstacles_first: flight.t_l_occupied_ms.is_some(),
+            outcomes: of(number),
+        })
+        .collect())
 }

@@ -204,3 +204,67 @@ impl Slab {
 pub(super) fn apart(a: [f64; 2], b: [f64; 2]) -> f64 {
     ((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1])).sqrt()
 }
+
+#[cfg(test)]
+impl Slab {
+    /// A window of 0.1 m cells about 0 with nothing in it but these blocked cells; all of it is known.
+    pub(super) fn of_cells(half_m: f64, blocked: impl IntoIterator<Item = [i32; 2]>) -> Self {
+        let mut slab = Self::empty(0.1, &Window { centre: [0.0; 2], half_m, heights: [0.0; 3] });
+        slab.known.fill(true);
+        for place in blocked {
+            if let Some(cell) = slab.cell(place) {
+                slab.blocked[cell] = true;
+            }
+        }
+        slab.measure();
+        slab
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_grid::{Changes, Fusion, FusionConfig, Mapper, MapperConfig, Preset, Resolution};
+    use flockmap_grid::{RobotId, Stamp, State, Stream};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_distance_is_that_to_the_nearest_blocked_cell(
+            blocked in prop::collection::vec((-18..18i32, -18..18i32), 1..20),
+        ) {
+            let slab = Slab::of_cells(1.5, blocked.iter().map(|(x, y)| [*x, *y]));
+            for cell in 0..slab.len() {
+                let [x, y] = slab.place(cell);
+                let squares = blocked
+                    .iter()
+                    .filter(|(bx, by)| slab.cell([*bx, *by]).is_some())
+                    .map(|(bx, by)| (bx - x).pow(2) + (by - y).pow(2));
+                let nearest = squares.min().unwrap_or(i32::MAX).min(DISTANCE_CELLS_MAX.pow(2));
+                prop_assert!((slab.distance(cell) - 0.1 * f64::from(nearest).sqrt()).abs() < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn obstacles_count_in_the_slab_only_and_free_space_at_its_middle() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let stream = |id| Stream { origin: RobotId(id), epoch: 1 };
+        let mut fusion = Fusion::new(stream(1), resolution, FusionConfig::default());
+        let mapper = Mapper::new(MapperConfig::preset(Preset::RogMap, resolution, 5.0)).unwrap();
+        let voxels = [
+            (Voxel::new(5, -3, 10), State::Occupied),
+            (Voxel::new(6, -3, 16), State::Occupied),
+            (Voxel::new(7, -3, 17), State::Occupied),
+            (Voxel::new(8, -3, 13), State::Free),
+            (Voxel::new(9, -3, 12), State::Free),
+        ];
+        fusion.apply(&mapper, stream(2), &Changes::from_voxels(voxels), Stamp(1)).unwrap();
+        let window = Window { centre: [0.0; 2], half_m: 1.0, heights: [1.05, 1.35, 1.65] };
+        let slab = Slab::of_map(fusion.map(), &window);
+        let at = |x| slab.cell([x, -3]).unwrap();
+        assert_eq!([5, 6, 7, 8].map(|x| slab.blocked[at(x)]), [true, true, false, false]);
+        assert_eq!([5, 7, 8, 9].map(|x| slab.is_known(at(x))), [false, false, true, false]);
+        assert_eq!(slab.blocked.iter().filter(|blocked| **blocked).count(), 2);
+    }
+}
