@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use flockmap::Stamp;
 use flockmap_io::{Record, RecordOptions, open_record};
-use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_sim::{Ended, ExploreOptions, Explorer, Lidar, ScanOptions, World};
 
-use super::figures::Scene;
+use super::figures::{CHANGES_MAX, Scene, T_L_S};
 use crate::progress::Progress;
 use crate::sim::robot_record::{self, RecordFacts, RobotRecord};
 use crate::sources::{Frame, Frames, Source};
@@ -17,6 +17,9 @@ use crate::team::Team;
 /// The LiDAR sees as far as the longest range of the paper's rows needs.
 pub const LIDAR_RANGE_M: f64 = 20.0;
 
+/// Steps between two looks at the share that is seen.
+const LOOK_EVERY_STEPS: u64 = 20;
+
 /// A recorded exploration.
 pub struct Flown {
     pub scene: Scene,
@@ -24,10 +27,14 @@ pub struct Flown {
     pub records: Vec<RecordFacts>,
     /// From the first to the last scan.
     pub seconds: f64,
-    /// Share of what can be seen that was seen, if the flight was an exploration.
-    pub seen_share: Option<f64>,
-    /// How it ended.
-    pub ended: String,
+    /// Share of what can be seen from where robots can be that was seen.
+    pub seen_share: f64,
+    /// How many robots mapped a voxel, on average.
+    pub overlap: f64,
+    /// What the robots sent each other meanwhile.
+    pub sent_bytes: u64,
+    /// Whether they ended because nothing was left to see.
+    pub is_complete: bool,
 }
 
 /// What is flown.
@@ -37,6 +44,8 @@ pub struct FlightPlan {
     pub lidar: Lidar,
     /// The flight is ended after so long.
     pub seconds_max: f64,
+    /// Robots that scan, map and plan at the same time; nothing depends on it.
+    pub threads: usize,
 }
 
 impl Scene {
@@ -54,29 +63,54 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
     let folder: PathBuf = folder.join(scene.name());
     robot_record::prepare_folder(&folder, scene.robots())?;
     let world = Arc::new(scene.world(plan.seed));
-    let options = PatrolOptions { duration_s: plan.seconds_max.min(60.0), ..PatrolOptions::default() };
-    let scan = ScanOptions { range_m: LIDAR_RANGE_M, ..ScanOptions::default() };
-    let patrols = Patrol::plan(&world, scene.robots(), plan.seed, &options)?;
-    let mut flights: Vec<Flight> =
-        patrols.into_iter().map(|patrol| Flight::new(Arc::clone(&world), plan.lidar, scan, patrol)).collect();
+    let row = super::figures::TABLE_ONE.iter().find(|row| row.scene == scene);
+    let options = ExploreOptions {
+        robots: scene.robots(),
+        seed: plan.seed,
+        range_m: row.map_or(7.0, |row| row.range_m),
+        lidar: plan.lidar,
+        scan: ScanOptions { range_m: LIDAR_RANGE_M, seed: plan.seed, ..ScanOptions::default() },
+        seconds_max: plan.seconds_max,
+        cycle: super::cycle(T_L_S, CHANGES_MAX),
+        threads: plan.threads.min(scene.robots()),
+        ..ExploreOptions::default()
+    };
+    let resolution = options.resolution;
+    let mut explorer = Explorer::new(world, options)?;
     let mut records = (1..=scene.robots())
         .map(|number| RobotRecord::create(&folder, &format!("robot{number}")))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let mut progress = Progress::new("seconds", plan.seconds_max.min(60.0).ceil() as u64);
-    'flight: while !stop::requested() {
-        for (flight, record) in flights.iter_mut().zip(&mut records) {
-            let Some(frame) = flight.next() else { break 'flight };
+    let mut progress = Progress::new("seconds flown", plan.seconds_max.ceil() as u64);
+    let mut steps = 0u64;
+    while !stop::requested()
+        && let Some(frames) = explorer.step()
+    {
+        for ((record, frame), robot) in records.iter_mut().zip(&frames).zip(explorer.robots()) {
             record.scan(&frame.scan, &frame.t_map_sensor)?;
-            progress.set(frame.scan.stamp.seconds() as u64);
+            if record.is_view_due() {
+                record.view(resolution, robot_record::occupied(robot.map().blocks()))?;
+            }
         }
+        if steps.is_multiple_of(LOOK_EVERY_STEPS) {
+            let seen = explorer.progress();
+            progress.say(format!("{:.1} % seen, seconds flown", seen.seen_share * 100.0));
+            progress.set(seen.seconds as u64);
+        }
+        steps += 1;
     }
+    drop(progress);
     let records = records.into_iter().map(RobotRecord::finish).collect::<anyhow::Result<Vec<_>>>()?;
+    let outcome = explorer.outcome();
+    let traffic =
+        explorer.robots().map(|robot| explorer.radio().traffic(robot.own_stream().origin).sent_bytes);
     Ok(Flown {
         scene,
         seconds: records.iter().map(|record| record.seconds).fold(0.0, f64::max),
         records,
-        seen_share: None,
-        ended: "the time was over".to_owned(),
+        seen_share: outcome.seen_share,
+        overlap: outcome.overlap,
+        sent_bytes: traffic.sum(),
+        is_complete: outcome.ended == Ended::Done,
     })
 }
 

@@ -210,6 +210,7 @@ impl Bench<'_> {
                 seed: self.args.seed,
                 lidar: self.args.lidar,
                 seconds_max: self.args.seconds.unwrap_or(if self.args.quick { 10.0 } else { 400.0 }),
+                threads: self.threads,
             };
             let flown = self.stage(None, name, |_| progress::within(name, || flown::fly(&plan, records)))?;
             flights.0.extend(flown);
@@ -324,10 +325,12 @@ fn flights_section(flights: &Flights) -> Section {
             ("robots", "robots"),
             ("seconds", "seconds"),
             ("seen_share", "seen of what can be"),
+            ("overlap", "robots a voxel"),
             ("path_m", "metres flown, all"),
             ("scans", "scans"),
             ("points", "points"),
             ("file_mb", "MB on disk"),
+            ("sent_bytes", "sent meanwhile, bytes"),
             ("ended", "ended because"),
         ],
     );
@@ -337,12 +340,14 @@ fn flights_section(flights: &Flights) -> Section {
             Cell::text(flown.scene.name()),
             Cell::Whole(flown.records.len() as u64),
             Cell::Number(flown.seconds, 1),
-            flown.seen_share.map_or(Cell::Missing, Cell::Share),
+            Cell::Share(flown.seen_share),
+            Cell::Number(flown.overlap, 2),
             Cell::Number(flown.records.iter().map(|record| record.path_m).sum(), 1),
             Cell::Whole(sum(|record| record.scans)),
             Cell::Whole(sum(|record| record.points)),
             Cell::Number(sum(|record| record.file_bytes) as f64 / 1024.0 / 1024.0, 1),
-            Cell::text(&flown.ended),
+            Cell::Whole(flown.sent_bytes),
+            Cell::text(if flown.is_complete { "nothing was left to see" } else { "the time was over" }),
         ]);
     }
     Section { id: "flights", title: "The explorations".to_owned(), parts: vec![Part::Table(table)] }
