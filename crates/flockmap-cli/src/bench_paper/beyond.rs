@@ -9,9 +9,9 @@ use flockmap_sim::Link;
 use super::args::BenchPaperArgs;
 use super::figures::{CHANGES_MAX, T_L_S};
 use super::jobs::{self, Job};
-use super::methods::{self, MethodRows};
+use super::methods::{self, MethodRow, MethodRows};
 use super::stack::{self, Stack, StackPlan};
-use super::table1::STACK;
+use super::table1::{self, STACK};
 use super::{cycle, mapper};
 use crate::args::SourceArgs;
 use crate::codec_run::{CodecRun, Outcome};
@@ -35,6 +35,7 @@ pub struct Measured {
 enum Piece {
     Codec(Outcome),
     Stack(Box<Stack>),
+    Rival(MethodRow),
 }
 
 /// The records that the command line names, or those in the data folder.
@@ -77,6 +78,9 @@ pub fn measure(
         };
         stack::run(&plan, open()?.robots).map(|stack| Piece::Stack(Box::new(stack)))
     })];
+    jobs.push(Job::new("recordings, racer-code", || {
+        table1::rival_run(&mapper, open()?.robots, args.seed).map(Piece::Rival)
+    }));
     jobs.extend((0..count).map(|number| {
         let (mapper, open) = (&mapper, &open);
         Job::new(format!("recordings, robot {}", number + 1), move || {
@@ -87,15 +91,17 @@ pub fn measure(
             Ok(Piece::Codec(run.finish()))
         })
     }));
-    let (mut robots, mut stack) = (Vec::new(), None);
+    let (mut robots, mut rival, mut stack) = (Vec::new(), None, None);
     for piece in jobs::run(threads, jobs)?.into_iter().flatten() {
         match piece {
             Piece::Codec(outcome) => robots.push(outcome),
             Piece::Stack(done) => stack = Some(done),
+            Piece::Rival(row) => rival = Some(row),
         }
     }
     let Some(stack) = stack.filter(|_| robots.len() == count) else { return Ok(None) };
     let mut methods = MethodRows::of_robots(&robots, count - 1);
+    methods.rows.extend(rival);
     methods.rows.push(stack.row(STACK, "As in Table I."));
     Ok(Some(Measured { title, methods }))
 }

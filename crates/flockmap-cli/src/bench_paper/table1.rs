@@ -1,7 +1,9 @@
 //! Table I: bandwidth on four explorations, all methods; and Fig. 6, the map over time.
 
 use flockmap::SessionConfig;
-use flockmap_sim::Link;
+use flockmap::grid::MapperConfig;
+use flockmap_baselines::racer_code::{RacerCast, RacerConfig};
+use flockmap_sim::{Link, RadioConfig};
 
 use super::figures::{CHANGES_MAX, T_L_S, TABLE_ONE, TableOneRow};
 use super::flown::Flown;
@@ -13,11 +15,17 @@ use crate::codec_run::{CodecRun, Outcome};
 use crate::document::{Cell, DataTable, Part, Section};
 use crate::html::escape;
 use crate::measure::KB;
+use crate::member::IP_UDP_BYTES;
 use crate::progress::Progress;
 use crate::report::Report;
+use crate::rival_swarm;
+use crate::sources::Source;
+use crate::table::percent;
 
 /// The name of our own stack's row.
 pub const STACK: &str = "flockmap, whole stack";
+/// The name of RACER's own session's row.
+const RACER_CODE: &str = "racer-code";
 const ABOUT_STACK: &str = "What Flockmap really puts on the wire with the codec `paper`: datagrams of at most 1,200 bytes with all headers, requests and \
      repairs, over a perfect radio.";
 
@@ -35,6 +43,16 @@ pub struct Measured {
 enum Piece {
     Codec(Outcome),
     Stack(Box<Stack>),
+    Rival(MethodRow),
+}
+
+/// What one job measures.
+#[derive(Clone, Copy)]
+enum Part1 {
+    Stack,
+    Rival,
+    /// All methods on the record of this robot.
+    Robot(usize),
 }
 
 /// Measures all rows. What Ctrl-C kept from being measured is left out.
@@ -42,41 +60,53 @@ pub fn measure(flights: &Flights, seed: u64, threads: usize) -> anyhow::Result<V
     let rows: Vec<(TableOneRow, &Flown)> =
         TABLE_ONE.into_iter().filter_map(|row| Some((row, flights.get(row.scene)?))).collect();
     // The longest first, so that no core is left with one at the end.
-    let mut order: Vec<(usize, Option<usize>)> = Vec::new();
-    for number in 0..rows.len() {
-        order.push((number, None));
-    }
+    let mut order: Vec<(usize, Part1)> = (0..rows.len()).map(|number| (number, Part1::Stack)).collect();
+    order.extend((0..rows.len()).map(|number| (number, Part1::Rival)));
     for (number, (row, _)) in rows.iter().enumerate() {
-        order.extend((0..row.robots).map(|robot| (number, Some(robot))));
+        order.extend((0..row.robots).map(|robot| (number, Part1::Robot(robot))));
     }
-    let pieces = order.iter().map(|&(number, robot)| {
+    let pieces = order.iter().map(|&(number, part)| {
         let (row, flown) = rows[number];
-        match robot {
-            None => Job::new(format!("Table I row {}, whole stack", row.number), move || {
+        let name = |part: &str| format!("Table I row {}, {part}", row.number);
+        match part {
+            Part1::Stack => Job::new(name("whole stack"), move || {
                 stack_of(&row, flown, seed).map(|stack| Piece::Stack(Box::new(stack)))
             }),
-            Some(robot) => Job::new(format!("Table I row {}, robot {}", row.number, robot + 1), move || {
+            Part1::Rival => {
+                Job::new(name("racer-code"), move || rival_of(&row, flown, seed).map(Piece::Rival))
+            }
+            Part1::Robot(robot) => Job::new(name(&format!("robot {}", robot + 1)), move || {
                 codecs(flown, robot, row.resolution_m, row.range_m, T_L_S, &methods::all()).map(Piece::Codec)
             }),
         }
     });
     let pieces = jobs::run(threads, pieces.collect())?;
-    let mut done: Vec<(Vec<Outcome>, Option<Stack>)> = rows.iter().map(|_| (Vec::new(), None)).collect();
+    let mut done: Vec<Done> = rows.iter().map(|_| Done::default()).collect();
     for ((number, _), piece) in order.iter().zip(pieces) {
         match piece {
-            Some(Piece::Codec(outcome)) => done[*number].0.push(outcome),
-            Some(Piece::Stack(stack)) => done[*number].1 = Some(*stack),
+            Some(Piece::Codec(outcome)) => done[*number].robots.push(outcome),
+            Some(Piece::Stack(stack)) => done[*number].stack = Some(*stack),
+            Some(Piece::Rival(row)) => done[*number].rival = Some(row),
             None => {}
         }
     }
-    let measured = rows.iter().zip(done).filter(|((row, _), (robots, _))| robots.len() == row.robots);
+    let measured = rows.iter().zip(done).filter(|((row, _), done)| done.robots.len() == row.robots);
     Ok(measured
-        .map(|((row, _), (robots, stack))| {
-            let mut methods = MethodRows::of_robots(&robots, row.robots - 1);
-            methods.rows.extend(stack.as_ref().map(|stack| stack.row(STACK, ABOUT_STACK)));
-            Measured { paper: *row, methods, stack: stack.map(|stack| stack.report) }
+        .map(|((row, _), done)| {
+            let mut methods = MethodRows::of_robots(&done.robots, row.robots - 1);
+            methods.rows.extend(done.rival);
+            methods.rows.extend(done.stack.as_ref().map(|stack| stack.row(STACK, ABOUT_STACK)));
+            Measured { paper: *row, methods, stack: done.stack.map(|stack| stack.report) }
         })
         .collect())
+}
+
+/// What is measured of a row so far.
+#[derive(Default)]
+struct Done {
+    robots: Vec<Outcome>,
+    rival: Option<MethodRow>,
+    stack: Option<Stack>,
 }
 
 /// All methods on the record of one robot.
@@ -107,6 +137,41 @@ fn stack_of(row: &TableOneRow, flown: &Flown, seed: u64) -> anyhow::Result<Stack
         seed,
     };
     stack::run(&plan, flown.sources(row.range_m)?)
+}
+
+/// RACER's own session on the same frames.
+pub fn rival_run(mapper: &MapperConfig, sources: Vec<Source>, seed: u64) -> anyhow::Result<MethodRow> {
+    let robots = sources.len() as u16;
+    let config =
+        |id| RacerConfig { cast: RacerCast::Unicast, ..RacerConfig::new(id, robots, mapper.clone()) };
+    let run = rival_swarm::run(sources, config, RadioConfig { seed, ..RadioConfig::default() })?;
+    let agreement = run.agreement();
+    let total_bytes: u64 = run.members.iter().map(|member| member.sent.total()).sum();
+    let seconds = run.last_scan.seconds().max(1e-3);
+    let percent = |voxels: u64| voxels as f64 * 100.0 / agreement.compared.known.max(1) as f64;
+    Ok(MethodRow {
+        name: RACER_CODE.to_owned(),
+        about: format!(
+            "RACER as its code does it, over a perfect radio: chunks of 200 voxels with 52 bytes of fields each, announcements every 0.1 s, a voxel told \
+             once and never again, states frozen when first sent. At the end {:.2} % of the voxels are stale and {:.2} % were never sent.",
+            percent(agreement.stale),
+            percent(agreement.missing)
+        ),
+        total_bytes,
+        ip_udp_bytes: run.members.iter().map(|member| member.datagrams).sum::<u64>() * IP_UDP_BYTES,
+        avg_kb_s: total_bytes as f64 / KB / seconds / f64::from(robots.max(1)),
+        max_kb_s: run.members.iter().map(|member| member.sent.largest_second()).max().unwrap_or(0) as f64
+            / KB,
+        agreement: agreement.compared.share(),
+        is_lossless: false,
+        is_as_promised: true,
+        encode_ms: None,
+        decode_ms: None,
+    })
+}
+
+fn rival_of(row: &TableOneRow, flown: &Flown, seed: u64) -> anyhow::Result<MethodRow> {
+    rival_run(&mapper(row.resolution_m, row.range_m)?, flown.sources(row.range_m)?, seed)
 }
 
 /// The table beside the paper's, each row with all methods, and why figures differ.
@@ -247,6 +312,20 @@ pub fn verdicts(measured: &[Measured]) -> Vec<(bool, String)> {
             format!(
                 "Table I row 1: `racer` needs {ratio:.1} times the bytes of `paper`; {wanted:.1} in the paper ({}within 30 %).",
                 if near { "" } else { "not " }
+            ),
+        ));
+    }
+    let stale: Vec<String> = measured
+        .iter()
+        .filter_map(|row| Some((row.paper.number, row.methods.get(RACER_CODE)?.agreement)))
+        .map(|(number, share)| format!("{} in row {number}", percent(share)))
+        .collect();
+    if !stale.is_empty() {
+        verdicts.push((
+            true,
+            format!(
+                "`racer-code` ends with voxels that are stale or were never sent. Right at the end: {}.",
+                stale.join(", ")
             ),
         ));
     }
