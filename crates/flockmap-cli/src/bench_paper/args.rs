@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use flockmap_sim::Lidar;
+use flockmap_sim::{Lidar, Rendering};
 
 #[derive(Args, Debug)]
 pub struct BenchPaperArgs {
@@ -29,6 +29,9 @@ pub struct BenchPaperArgs {
     /// LiDAR of the simulated robots
     #[arg(long, value_name = "NAME", default_value_t = Lidar::Avia)]
     pub lidar: Lidar,
+    /// How its beams meet the world: polar (an image of ranges from points, as in the MARSIM simulator of the paper) or cast (exact)
+    #[arg(long, value_name = "NAME", default_value_t = Rendering::Polar)]
+    pub rendering: Rendering,
     /// Explorations are ended after so many seconds of flight, complete or not [default: 400; with --quick 10]
     #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,

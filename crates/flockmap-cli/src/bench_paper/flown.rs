@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use flockmap::Stamp;
 use flockmap_io::{Record, RecordOptions, open_record};
-use flockmap_sim::{Ended, ExploreOptions, Explorer, Lidar, ScanOptions, World};
+use flockmap_sim::{Ended, ExploreOptions, Explorer, Lidar, Rendering, ScanOptions, World};
 
 use super::figures::{CHANGES_MAX, Scene, T_L_S};
 use crate::progress::Progress;
@@ -33,8 +33,8 @@ pub struct Flown {
     pub overlap: f64,
     /// What the robots sent each other meanwhile.
     pub sent_bytes: u64,
-    /// Whether they ended because nothing was left to see.
-    pub is_complete: bool,
+    /// Why it ended.
+    pub ended: &'static str,
 }
 
 /// What is flown.
@@ -42,6 +42,7 @@ pub struct FlightPlan {
     pub scene: Scene,
     pub seed: u64,
     pub lidar: Lidar,
+    pub rendering: Rendering,
     /// The flight is ended after so long.
     pub seconds_max: f64,
     /// Robots that scan, map and plan at the same time; nothing depends on it.
@@ -69,7 +70,7 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
         seed: plan.seed,
         range_m: row.map_or(7.0, |row| row.range_m),
         lidar: plan.lidar,
-        scan: ScanOptions { range_m: LIDAR_RANGE_M, seed: plan.seed, ..ScanOptions::default() },
+        scan: ScanOptions { range_m: LIDAR_RANGE_M, seed: plan.seed, rendering: plan.rendering, ..ScanOptions::default() },
         seconds_max: plan.seconds_max,
         cycle: super::cycle(T_L_S, CHANGES_MAX),
         threads: plan.threads.min(scene.robots()),
@@ -110,7 +111,11 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
         seen_share: outcome.seen_share,
         overlap: outcome.overlap,
         sent_bytes: traffic.sum(),
-        is_complete: outcome.ended == Ended::Done,
+        ended: match outcome.ended {
+            _ if stop::requested() => "ended by Ctrl-C",
+            Ended::Done => "nothing was left to see",
+            Ended::TimeOut => "the time was over",
+        },
     })
 }
 

@@ -1,5 +1,6 @@
 //! `flockmap bench paper`: the paper's Section V, from its explorations to its application, in one report.
 
+mod application;
 pub mod args;
 mod beyond;
 mod figures;
@@ -23,10 +24,14 @@ use serde_json::{Map, json};
 use crate::bench_random;
 use crate::document::{Cell, DataTable, Document, Part, Section};
 use crate::sim::robot_record::RecordFacts;
+use crate::table::percent;
 use crate::{progress, stop};
 use args::{BenchPaperArgs, Stage};
 use figures::Scene;
 use flown::{FlightPlan, Flown};
+
+/// Of what can be seen an exploration must see this share.
+const SEEN_SHARE: f64 = 0.95;
 
 /// The order in which stages are done, and in which they stand in the report.
 const ORDER: [Stage; 7] = [
@@ -209,6 +214,7 @@ impl Bench<'_> {
                 scene,
                 seed: self.args.seed,
                 lidar: self.args.lidar,
+                rendering: self.args.rendering,
                 seconds_max: self.args.seconds.unwrap_or(if self.args.quick { 10.0 } else { 400.0 }),
                 threads: self.threads,
             };
@@ -216,6 +222,7 @@ impl Bench<'_> {
             flights.0.extend(flown);
         }
         if !flights.0.is_empty() {
+            self.verdicts.extend(flights.0.iter().map(seen_verdict));
             self.sections.push(flights_section(&flights));
         }
         self.tables(&flights)?;
@@ -225,6 +232,14 @@ impl Bench<'_> {
         {
             self.is_good &= figure.lossless;
             self.sections.push(bench_random::section(&figure, &plan));
+        }
+        let (args, threads) = (self.args, self.threads);
+        let seeds = u64::from(args.seeds.unwrap_or(if args.quick { 2 } else { 20 }));
+        if let Some(rows) = self.stage(Some(Stage::Application), "the application, flying on a team-mate's map", |_| {
+            application::measure(seeds, args.quick, threads)
+        })? {
+            self.verdicts.extend(application::verdicts(&rows));
+            self.sections.push(application::section(&rows));
         }
         let records: Vec<PathBuf> = beyond::records(self.args);
         if let Some(measured) = self.stage(Some(Stage::Beyond), "recordings", |bench| {
@@ -347,23 +362,42 @@ fn flights_section(flights: &Flights) -> Section {
             Cell::Whole(sum(|record| record.points)),
             Cell::Number(sum(|record| record.file_bytes) as f64 / 1024.0 / 1024.0, 1),
             Cell::Whole(flown.sent_bytes),
-            Cell::text(if flown.is_complete { "nothing was left to see" } else { "the time was over" }),
+            Cell::text(flown.ended),
         ]);
     }
     Section { id: "flights", title: "The explorations".to_owned(), parts: vec![Part::Table(table)] }
 }
 
+/// Whether an exploration has seen what there is.
+fn seen_verdict(flown: &Flown) -> (bool, String) {
+    let seen = flown.seen_share >= SEEN_SHARE;
+    let words = format!(
+        "{} robots have seen {} of what can be seen of the {} in {:.0} s ({}).",
+        flown.records.len(),
+        percent(flown.seen_share),
+        flown.scene.name(),
+        flown.seconds,
+        flown.ended
+    );
+    (seen, words)
+}
+
 /// What is not as in the paper.
 fn deviations(args: &BenchPaperArgs) -> Section {
     let points = vec![
-        "Scenes: the paper's forest and office are not published. Ours are generated, of the same size (60 × 25 × 10 m and 35 × 30 × 4 m), from --seed.".to_owned(),
+        "Scenes: the paper's forest and office are not published. Ours are generated, of the same size (60 × 25 × 10 m and 35 × 30 × 4 m), from --seed."
+            .to_owned(),
         format!(
-            "LiDAR: the paper does not say which one its simulation had. Ours is the {}, 10 scans a second, without noise, seeing {} m far; for each row \
-             returns from beyond the row's sensing range are left out, as if there was no return.",
+            "LiDAR: the paper does not say which one its simulation had; its real robots carry an Avia. Ours is the {}, 10 scans a second, without noise, seeing \
+             {} m far, rendered as `{}`. For each row returns from beyond the row's sensing range are left out, as if there was no return.",
             args.lidar,
-            flown::LIDAR_RANGE_M
+            flown::LIDAR_RANGE_M,
+            args.rendering
         ),
-        "One flight for each scene serves both rows and Table II, as the paper's one record does.".to_owned(),
+        "Exploration: a small relative of RACER's planner (frontiers, viewpoints, regions divided pairwise), in which each robot plans on its own fused map, over \
+         a perfect radio. One flight for each scene serves both of its rows and Table II, as the paper's one record does; it is flown with the maps of the first of them."
+            .to_owned(),
+        "Team-mates are seen in the scans and left out of the maps. The paper does not say what it does with them.".to_owned(),
         "Mapper: ROG-Map's rules and published values. The paper uses it on its robots and does not say what its simulation used.".to_owned(),
         "Averages: ours all divide by the length of the record. The paper's are over different times for its two methods (127 and 101 s in row 1, from \
          its totals); by its totals the saving in row 1 is 9.6 times, not the 12 times of the averages."
