@@ -40,7 +40,8 @@ pub fn section(rows: &[Row]) -> Section {
         ],
     );
     for row in rows {
-        let number = |value: Option<f64>, digits| value.map_or(Cell::Missing, |value| Cell::Number(value, digits));
+        let number =
+            |value: Option<f64>, digits| value.map_or(Cell::Missing, |value| Cell::Number(value, digits));
         let count = |number: usize| Cell::Whole(number as u64);
         table.row([
             Cell::text(&row.name),

@@ -70,7 +70,12 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
         seed: plan.seed,
         range_m: row.map_or(7.0, |row| row.range_m),
         lidar: plan.lidar,
-        scan: ScanOptions { range_m: LIDAR_RANGE_M, seed: plan.seed, rendering: plan.rendering, ..ScanOptions::default() },
+        scan: ScanOptions {
+            range_m: LIDAR_RANGE_M,
+            seed: plan.seed,
+            rendering: plan.rendering,
+            ..ScanOptions::default()
+        },
         seconds_max: plan.seconds_max,
         cycle: super::cycle(T_L_S, CHANGES_MAX),
         threads: plan.threads.min(scene.robots()),

@@ -235,9 +235,11 @@ impl Bench<'_> {
         }
         let (args, threads) = (self.args, self.threads);
         let seeds = u64::from(args.seeds.unwrap_or(if args.quick { 2 } else { 20 }));
-        if let Some(rows) = self.stage(Some(Stage::Application), "the application, flying on a team-mate's map", |_| {
-            application::measure(seeds, args.quick, threads)
-        })? {
+        if let Some(rows) =
+            self.stage(Some(Stage::Application), "the application, flying on a team-mate's map", |_| {
+                application::measure(seeds, args.quick, threads)
+            })?
+        {
             self.verdicts.extend(application::verdicts(&rows));
             self.sections.push(application::section(&rows));
         }
