@@ -20,6 +20,9 @@ pub struct BenchPaperArgs {
     /// Keep the flights: DIR/records/forest/robot1.mcap and so on
     #[arg(long)]
     pub keep_records: bool,
+    /// Take flights that were kept before in place of exploring: DIR/forest/robot1.mcap and robot2.mcap, DIR/indoor/robot1.mcap to robot5.mcap
+    #[arg(long, value_name = "DIR", conflicts_with = "keep_records")]
+    pub flights: Option<PathBuf>,
     /// Only these parts
     #[arg(long, value_name = "PARTS", value_delimiter = ',', value_enum)]
     pub only: Vec<Stage>,

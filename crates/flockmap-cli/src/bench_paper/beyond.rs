@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
+use flockmap_baselines::Method;
 use flockmap::SessionConfig;
 use flockmap_sim::Link;
 
@@ -36,6 +37,7 @@ enum Piece {
     Codec(Outcome),
     Stack(Box<Stack>),
     Rival(MethodRow),
+    Relay(Outcome),
 }
 
 /// The records that the command line names, or those in the data folder.
@@ -81,28 +83,41 @@ pub fn measure(
     jobs.push(Job::new("recordings, racer-code", || {
         table1::rival_run(&mapper, open()?.robots, args.seed).map(Piece::Rival)
     }));
-    jobs.extend((0..count).map(|number| {
-        let (mapper, open) = (&mapper, &open);
-        Job::new(format!("recordings, robot {}", number + 1), move || {
-            let source = open()?.robots.swap_remove(number);
-            let mut run = CodecRun::new(mapper.clone(), cycle, &methods::all(), count - 1);
-            let mut progress = Progress::new("scans", source.frames_expected);
-            run.record(source.frames, || progress.step())?;
-            Ok(Piece::Codec(run.finish()))
-        })
-    }));
-    let (mut robots, mut rival, mut stack) = (Vec::new(), None, None);
+    // A scan of these recordings is a quarter of a simulated one: there is time for more of them.
+    let relayed_s = 3.0 * methods::relayed_s(args.quick);
+    let (mapper, open) = (&mapper, &open);
+    let run = move |number: usize, seconds: f64, methods: &[Method]| -> anyhow::Result<Outcome> {
+        let source = open()?.robots.swap_remove(number);
+        let mut run = CodecRun::new(mapper.clone(), cycle, methods, count - 1);
+        let mut progress = Progress::new("scans", source.frames_expected);
+        let frames = source.frames.take_while(|frame| frame.scan.stamp.seconds() < seconds);
+        run.record(frames, || progress.step())?;
+        Ok(run.finish())
+    };
+    for number in 0..count {
+        jobs.push(Job::new(format!("recordings, robot {}", number + 1), move || {
+            run(number, f64::INFINITY, &methods::all()).map(Piece::Codec)
+        }));
+        jobs.push(Job::new(format!("recordings, scans relayed, robot {}", number + 1), move || {
+            run(number, relayed_s, &methods::relays()).map(Piece::Relay)
+        }));
+    }
+    let (mut robots, mut relays, mut rival, mut stack) = (Vec::new(), Vec::new(), None, None);
     for piece in jobs::run(threads, jobs)?.into_iter().flatten() {
         match piece {
             Piece::Codec(outcome) => robots.push(outcome),
             Piece::Stack(done) => stack = Some(done),
+            Piece::Relay(outcome) => relays.push(outcome),
             Piece::Rival(row) => rival = Some(row),
         }
     }
     let Some(stack) = stack.filter(|_| robots.len() == count) else { return Ok(None) };
     let mut methods = MethodRows::of_robots(&robots, count - 1);
-    methods.rows.extend(rival);
-    methods.rows.push(stack.row(STACK, "As in Table I."));
+    if relays.len() == count {
+        methods.add_relays(MethodRows::of_robots(&relays, count - 1), relayed_s);
+    }
+    methods.add(rival);
+    methods.add([stack.row(STACK, "As in Table I.")]);
     Ok(Some(Measured { title, methods }))
 }
 

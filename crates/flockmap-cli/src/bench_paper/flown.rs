@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use anyhow::Context;
 use flockmap::Stamp;
 use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_sim::{Ended, ExploreOptions, Explorer, Lidar, Rendering, ScanOptions, World};
@@ -27,19 +28,27 @@ pub struct Flown {
     pub records: Vec<RecordFacts>,
     /// From the first to the last scan.
     pub seconds: f64,
+    /// What is known of a flight that was just flown.
+    pub explored: Option<Explored>,
+    /// Why it ended.
+    pub ended: &'static str,
+}
+
+/// How an exploration went.
+#[derive(Clone, Copy)]
+pub struct Explored {
     /// Share of what can be seen from where robots can be that was seen.
     pub seen_share: f64,
     /// How many robots mapped a voxel, on average.
     pub overlap: f64,
     /// What the robots sent each other meanwhile.
     pub sent_bytes: u64,
-    /// Why it ended.
-    pub ended: &'static str,
 }
 
 /// What is flown.
 pub struct FlightPlan {
     pub scene: Scene,
+    pub world: Arc<World>,
     pub seed: u64,
     pub lidar: Lidar,
     pub rendering: Rendering,
@@ -63,7 +72,6 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
     let scene = plan.scene;
     let folder: PathBuf = folder.join(scene.name());
     robot_record::prepare_folder(&folder, scene.robots())?;
-    let world = Arc::new(scene.world(plan.seed));
     let row = super::figures::TABLE_ONE.iter().find(|row| row.scene == scene);
     let options = ExploreOptions {
         robots: scene.robots(),
@@ -82,7 +90,7 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
         ..ExploreOptions::default()
     };
     let resolution = options.resolution;
-    let mut explorer = Explorer::new(world, options)?;
+    let mut explorer = Explorer::new(Arc::clone(&plan.world), options)?;
     let mut records = (1..=scene.robots())
         .map(|number| RobotRecord::create(&folder, &format!("robot{number}")))
         .collect::<anyhow::Result<Vec<_>>>()?;
@@ -113,14 +121,45 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
         scene,
         seconds: records.iter().map(|record| record.seconds).fold(0.0, f64::max),
         records,
-        seen_share: outcome.seen_share,
-        overlap: outcome.overlap,
-        sent_bytes: traffic.sum(),
+        explored: Some(Explored {
+            seen_share: outcome.seen_share,
+            overlap: outcome.overlap,
+            sent_bytes: traffic.sum(),
+        }),
         ended: match outcome.ended {
             _ if stop::requested() => "ended by Ctrl-C",
             Ended::Done => "nothing was left to see",
             Ended::TimeOut => "the time was over",
         },
+    })
+}
+
+/// A flight that was recorded before: `FOLDER/forest/robot1.mcap` and so on.
+pub fn open(scene: Scene, folder: &Path) -> anyhow::Result<Flown> {
+    let mut records = Vec::new();
+    for number in 1..=scene.robots() {
+        let robot = format!("robot{number}");
+        let file = folder.join(scene.name()).join(format!("{robot}.mcap"));
+        let summary = open_record(&file, &RecordOptions::default())?.summary;
+        records.push(RecordFacts {
+            robot,
+            scans: summary.frames,
+            points: summary.points.unwrap_or(0),
+            seconds: summary.duration_s(),
+            path_m: summary.path_m,
+            file_bytes: std::fs::metadata(&file)
+                .with_context(|| format!("cannot read {}", file.display()))?
+                .len(),
+            file,
+            ..RecordFacts::default()
+        });
+    }
+    Ok(Flown {
+        scene,
+        seconds: records.iter().map(|record| record.seconds).fold(0.0, f64::max),
+        records,
+        explored: None,
+        ended: "recorded before",
     })
 }
 
@@ -150,5 +189,52 @@ impl Flown {
             }
         });
         Ok(robots.collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::{Resolution, Voxel};
+    use flockmap_sim::WorldError;
+
+    /// A hall of 12 × 12 × 3 m with walls, floor and ceiling.
+    fn hall() -> Result<World, WorldError> {
+        let resolution = Resolution::from_metres(0.2).unwrap();
+        let [x, y, z] = [60, 60, 15];
+        let is_wall =
+            |v: &Voxel| v.x == 0 || v.y == 0 || v.z == 0 || v.x == x - 1 || v.y == y - 1 || v.z == z - 1;
+        let voxels = (0..x).flat_map(|x| (0..y).flat_map(move |y| (0..z).map(move |z| Voxel::new(x, y, z))));
+        World::from_points(voxels.filter(is_wall).map(|voxel| resolution.centre(voxel)), resolution)
+    }
+
+    #[test]
+    fn a_flight_is_recorded_and_opened_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let plan = FlightPlan {
+            scene: Scene::Forest,
+            world: Arc::new(hall().unwrap()),
+            seed: 1,
+            lidar: Lidar::Avia,
+            rendering: Rendering::Cast,
+            seconds_max: 1.0,
+            threads: 2,
+        };
+        let flown = fly(&plan, folder.path()).unwrap();
+        assert_eq!((flown.records.len(), flown.ended), (2, "the time was over"));
+        assert!(flown.explored.unwrap().seen_share > 0.0);
+        let again = open(Scene::Forest, folder.path()).unwrap();
+        let facts =
+            |of: &Flown| of.records.iter().map(|r| (r.scans, r.points, r.file_bytes)).collect::<Vec<_>>();
+        assert_eq!(facts(&flown), facts(&again));
+        assert!((flown.seconds - again.seconds).abs() < 1e-6);
+
+        let near = |range: f64| {
+            let scans = again.sources(range).unwrap().remove(0).frames;
+            scans.map(|frame| (frame.scan.points.len(), frame.team_mates.len())).collect::<Vec<_>>()
+        };
+        let (all, some) = (near(50.0), near(3.0));
+        assert_eq!(all.len(), some.len());
+        assert!(all.iter().zip(&some).all(|(a, b)| a.0 > b.0 && a.1 == 1 && b.1 == 1), "{all:?} {some:?}");
     }
 }

@@ -19,6 +19,9 @@ pub struct MethodRow {
     pub about: String,
     /// Each message once for each receiver.
     pub total_bytes: u64,
+    /// What `paper` needs for the same scans, and the voxels that change in them.
+    pub paper_bytes: u64,
+    pub changed_voxels: u64,
     /// 28 bytes for each datagram, on top.
     pub ip_udp_bytes: u64,
     /// Mean of the robots.
@@ -53,6 +56,10 @@ impl MethodRows {
     pub fn of_robots(outcomes: &[Outcome], receivers: usize) -> Self {
         let seconds: f64 = outcomes.iter().map(|outcome| outcome.seconds).sum();
         let methods = outcomes.first().map_or(0, |outcome| outcome.rows.len());
+        let changed_voxels = outcomes.iter().map(|outcome| outcome.changed_voxels).sum();
+        let paper = Method::Whole(Codec::Paper);
+        let paper_rows = outcomes.iter().flat_map(|outcome| &outcome.rows).filter(|row| row.method == paper);
+        let paper_bytes = paper_rows.map(|row| row.total_bytes).sum();
         let rows = (0..methods).map(|number| {
             let of_robots = || outcomes.iter().map(move |outcome| &outcome.rows[number]);
             let total_bytes = of_robots().map(|row| row.total_bytes).sum();
@@ -69,6 +76,8 @@ impl MethodRows {
                 name: method.to_string(),
                 about: method.about().to_owned(),
                 total_bytes,
+                paper_bytes,
+                changed_voxels,
                 ip_udp_bytes: of_robots().map(|row| row.datagrams).sum::<u64>() * IP_UDP_BYTES,
                 avg_kb_s: total_bytes as f64 / KB / seconds.max(1e-3),
                 max_kb_s: of_robots().map(|row| row.max_kb_s).fold(0.0, f64::max),
@@ -81,7 +90,7 @@ impl MethodRows {
         });
         Self {
             rows: rows.collect(),
-            changed_voxels: outcomes.iter().map(|outcome| outcome.changed_voxels).sum(),
+            changed_voxels,
             receivers: receivers.max(1) as u64,
             seconds,
         }
@@ -100,7 +109,7 @@ impl MethodRows {
 
     /// Bits for each changed voxel and receiver.
     pub fn bits(&self, row: &MethodRow) -> f64 {
-        row.total_bytes as f64 * 8.0 / (self.changed_voxels.max(1) * self.receivers) as f64
+        row.total_bytes as f64 * 8.0 / (row.changed_voxels.max(1) * self.receivers) as f64
     }
 
     /// All of it as a table.
@@ -121,13 +130,12 @@ impl MethodRows {
                 ("decode_ms", "decode ms"),
             ],
         );
-        let paper = self.get("paper").map(|row| row.total_bytes).filter(|bytes| *bytes > 0);
         for row in &self.rows {
             let number = |value: Option<f64>| value.map_or(Cell::Missing, |value| Cell::Number(value, 2));
             table.row([
                 Cell::text(&row.name),
                 Cell::Whole(row.total_bytes),
-                number(paper.map(|paper| row.total_bytes as f64 / paper as f64)),
+                number(row.times_paper()),
                 Cell::Number(self.bits(row), 2),
                 Cell::Number(row.avg_kb_s, 2),
                 Cell::Number(row.max_kb_s, 2),
@@ -141,34 +149,79 @@ impl MethodRows {
         table
     }
 
-    /// Total bytes as bars.
+    /// Bytes in those of `paper` as bars, the fewest first. What is far beyond `racer` is cut off.
     pub fn bars(&self) -> String {
-        let bars: Vec<Bar> = self
-            .rows
+        let mut rows: Vec<(&MethodRow, f64)> =
+            self.rows.iter().filter_map(|row| Some((row, row.times_paper()?))).collect();
+        rows.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let end = self.get("racer").and_then(MethodRow::times_paper).unwrap_or(10.0) * 1.6;
+        let bars: Vec<Bar> = rows
             .iter()
-            .map(|row| Bar {
-                name: escape(&row.name),
-                class: if row.agreement >= 1.0 { "c1".to_owned() } else { "c2".to_owned() },
-                value: row.total_bytes as f64,
-                text: if row.agreement >= 1.0 {
-                    format!("{} B", thousands(row.total_bytes))
-                } else {
-                    format!("{} B, {} right", thousands(row.total_bytes), percent(row.agreement))
-                },
+            .map(|(row, times)| {
+                let right = if row.agreement >= 1.0 { String::new() } else { format!(", {} right", percent(row.agreement)) };
+                let cut = if *times > end { "▸ " } else { "" };
+                Bar {
+                    name: escape(&row.name),
+                    class: if row.agreement >= 1.0 { "c1".to_owned() } else { "c2".to_owned() },
+                    value: times.min(end),
+                    text: format!("{cut}× {times:.2}{right}"),
+                }
             })
             .collect();
         format!(
-            "{}<p class=\"legend\"><span class=\"entry\"><span class=\"key c1\"></span>every voxel right</span> \
-             <span class=\"entry\"><span class=\"key c2\"></span>voxels wrong or missing at the end</span></p>",
+            "{}<p class=\"legend\">Bytes in those of <code>paper</code>. <span class=\"entry\"><span class=\"key c1\"></span>every voxel right</span> \
+             <span class=\"entry\"><span class=\"key c2\"></span>voxels wrong or missing at the end</span> ▸ longer than drawn</p>",
             chart::bars(&bars)
         )
     }
 }
 
-/// All methods that code a cycle or a scan. Of the codecs cut to datagrams only those that Flockmap would send.
+impl MethodRow {
+    /// Bytes in those of `paper` for the same scans.
+    pub fn times_paper(&self) -> Option<f64> {
+        (self.paper_bytes > 0).then(|| self.total_bytes as f64 / self.paper_bytes as f64)
+    }
+}
+
+/// So much of each record goes to the methods that relay scans: they take seconds a second of flight.
+pub const fn relayed_s(quick: bool) -> f64 {
+    if quick { 3.0 } else { 20.0 }
+}
+
+/// The methods that relay scans, and the one that they are measured against.
+pub fn relays() -> Vec<Method> {
+    let mut methods = vec![Method::Whole(Codec::Paper)];
+    methods.extend(Method::ALL.into_iter().filter(|method| is_relay(*method)));
+    methods
+}
+
+fn is_relay(method: Method) -> bool {
+    method.to_string().starts_with("scan-relay")
+}
+
+impl MethodRows {
+    /// Takes in the relays, measured on the first so many seconds of the same records.
+    pub fn add_relays(&mut self, relays: Self, seconds: f64) {
+        let rows = relays.rows.into_iter().filter(|row| row.name != "paper").map(|mut row| {
+            row.about = format!("{} Measured on the first {seconds} s of each record, and against `paper` on the same.", row.about);
+            row.name = format!("{}, first {seconds} s", row.name);
+            row
+        });
+        self.rows.extend(rows);
+    }
+
+    /// Takes in rows that were measured on the whole records by other means.
+    pub fn add(&mut self, rows: impl IntoIterator<Item = MethodRow>) {
+        let paper_bytes = self.get("paper").map_or(0, |paper| paper.total_bytes);
+        let changed_voxels = self.changed_voxels;
+        self.rows.extend(rows.into_iter().map(|row| MethodRow { paper_bytes, changed_voxels, ..row }));
+    }
+}
+
+/// All methods that code cycles. Of the codecs cut to datagrams only those that Flockmap would send.
 pub fn all() -> Vec<Method> {
     let beside = [Codec::Raw, Codec::NestedZlib, Codec::Racer].map(Method::Datagrams);
-    Method::ALL.into_iter().filter(|method| !beside.contains(method)).collect()
+    Method::ALL.into_iter().filter(|method| !beside.contains(method) && !is_relay(*method)).collect()
 }
 
 #[cfg(test)]
@@ -181,6 +234,8 @@ mod tests {
             name: name.to_owned(),
             about: String::new(),
             total_bytes,
+            paper_bytes: 1_000,
+            changed_voxels: 2_000,
             ip_udp_bytes: 28,
             avg_kb_s: 1.0,
             max_kb_s: 2.0,
@@ -197,6 +252,6 @@ mod tests {
         let table = rows.table("t");
         assert_eq!(table.rows[1][2], Cell::Number(9.6, 2));
         assert_eq!(table.rows[0][3], Cell::Number(4.0, 2));
-        assert!(rows.bars().contains("90.0000 % right"));
+        assert!(rows.bars().contains("× 0.50, 90.0000 % right") && !rows.bars().contains("▸ ×"));
     }
 }

@@ -14,6 +14,7 @@ mod table3;
 mod table4;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
@@ -28,7 +29,7 @@ use crate::table::percent;
 use crate::{progress, stop};
 use args::{BenchPaperArgs, Stage};
 use figures::Scene;
-use flown::{FlightPlan, Flown};
+use flown::{Explored, FlightPlan, Flown};
 
 /// Of what can be seen an exploration must see this share.
 const SEEN_SHARE: f64 = 0.95;
@@ -210,8 +211,17 @@ impl Bench<'_> {
                 Scene::Forest => "exploring the forest with 2 robots",
                 Scene::Indoor => "exploring the office with 5 robots",
             };
+            if let Some(folder) = &self.args.flights {
+                let name = match scene {
+                    Scene::Forest => "opening the flight through the forest",
+                    Scene::Indoor => "opening the flight through the office",
+                };
+                flights.0.extend(self.stage(None, name, |_| flown::open(scene, folder))?);
+                continue;
+            }
             let plan = FlightPlan {
                 scene,
+                world: Arc::new(scene.world(self.args.seed)),
                 seed: self.args.seed,
                 lidar: self.args.lidar,
                 rendering: self.args.rendering,
@@ -222,7 +232,7 @@ impl Bench<'_> {
             flights.0.extend(flown);
         }
         if !flights.0.is_empty() {
-            self.verdicts.extend(flights.0.iter().map(seen_verdict));
+            self.verdicts.extend(flights.0.iter().filter_map(seen_verdict));
             self.sections.push(flights_section(&flights));
         }
         self.tables(&flights)?;
@@ -258,7 +268,7 @@ impl Bench<'_> {
         let forest = flights.get(Scene::Forest);
         if let Some(measured) =
             self.stage(Some(Stage::Table1), "Table I, all methods on four explorations", |bench| {
-                table1::measure(flights, seed, bench.threads)
+                table1::measure(flights, seed, bench.args.quick, bench.threads)
             })?
         {
             self.is_good &= measured.iter().flat_map(|row| &row.methods.rows).all(|row| row.is_as_promised);
@@ -352,18 +362,19 @@ fn flights_section(flights: &Flights) -> Section {
         ],
     );
     for flown in &flights.0 {
+        let explored = |of: &dyn Fn(&Explored) -> Cell| flown.explored.as_ref().map_or(Cell::Missing, of);
         let sum = |of: fn(&RecordFacts) -> u64| flown.records.iter().map(of).sum::<u64>();
         table.row([
             Cell::text(flown.scene.name()),
             Cell::Whole(flown.records.len() as u64),
             Cell::Number(flown.seconds, 1),
-            Cell::Share(flown.seen_share),
-            Cell::Number(flown.overlap, 2),
+            explored(&|e| Cell::Share(e.seen_share)),
+            explored(&|e| Cell::Number(e.overlap, 2)),
             Cell::Number(flown.records.iter().map(|record| record.path_m).sum(), 1),
             Cell::Whole(sum(|record| record.scans)),
             Cell::Whole(sum(|record| record.points)),
             Cell::Number(sum(|record| record.file_bytes) as f64 / 1024.0 / 1024.0, 1),
-            Cell::Whole(flown.sent_bytes),
+            explored(&|e| Cell::Whole(e.sent_bytes)),
             Cell::text(flown.ended),
         ]);
     }
@@ -371,17 +382,17 @@ fn flights_section(flights: &Flights) -> Section {
 }
 
 /// Whether an exploration has seen what there is.
-fn seen_verdict(flown: &Flown) -> (bool, String) {
-    let seen = flown.seen_share >= SEEN_SHARE;
+fn seen_verdict(flown: &Flown) -> Option<(bool, String)> {
+    let seen_share = flown.explored?.seen_share;
     let words = format!(
         "{} robots have seen {} of what can be seen of the {} in {:.0} s ({}).",
         flown.records.len(),
-        percent(flown.seen_share),
+        percent(seen_share),
         flown.scene.name(),
         flown.seconds,
         flown.ended
     );
-    (seen, words)
+    Some((seen_share >= SEEN_SHARE, words))
 }
 
 /// What is not as in the paper.

@@ -106,6 +106,8 @@ impl Stack {
             name: name.to_owned(),
             about: about.to_owned(),
             total_bytes: sum.total_bytes,
+            paper_bytes: 0,
+            changed_voxels: 0,
             ip_udp_bytes: sum.ip_udp_bytes,
             avg_kb_s: sum.avg_kb_s / robots.len().max(1) as f64,
             max_kb_s: robots.iter().map(|robot| robot.bytes.max_kb_s).fold(0.0, f64::max),

@@ -44,6 +44,7 @@ enum Piece {
     Codec(Outcome),
     Stack(Box<Stack>),
     Rival(MethodRow),
+    Relay(Outcome),
 }
 
 /// What one job measures.
@@ -51,12 +52,14 @@ enum Piece {
 enum Part1 {
     Stack,
     Rival,
-    /// All methods on the record of this robot.
+    /// All methods that code cycles on the record of this robot.
     Robot(usize),
+    /// Those that relay scans.
+    Relay(usize),
 }
 
 /// Measures all rows. What Ctrl-C kept from being measured is left out.
-pub fn measure(flights: &Flights, seed: u64, threads: usize) -> anyhow::Result<Vec<Measured>> {
+pub fn measure(flights: &Flights, seed: u64, quick: bool, threads: usize) -> anyhow::Result<Vec<Measured>> {
     let rows: Vec<(TableOneRow, &Flown)> =
         TABLE_ONE.into_iter().filter_map(|row| Some((row, flights.get(row.scene)?))).collect();
     // The longest first, so that no core is left with one at the end.
@@ -64,6 +67,7 @@ pub fn measure(flights: &Flights, seed: u64, threads: usize) -> anyhow::Result<V
     order.extend((0..rows.len()).map(|number| (number, Part1::Rival)));
     for (number, (row, _)) in rows.iter().enumerate() {
         order.extend((0..row.robots).map(|robot| (number, Part1::Robot(robot))));
+        order.extend((0..row.robots).map(|robot| (number, Part1::Relay(robot))));
     }
     let pieces = order.iter().map(|&(number, part)| {
         let (row, flown) = rows[number];
@@ -76,7 +80,11 @@ pub fn measure(flights: &Flights, seed: u64, threads: usize) -> anyhow::Result<V
                 Job::new(name("racer-code"), move || rival_of(&row, flown, seed).map(Piece::Rival))
             }
             Part1::Robot(robot) => Job::new(name(&format!("robot {}", robot + 1)), move || {
-                codecs(flown, robot, row.resolution_m, row.range_m, T_L_S, &methods::all()).map(Piece::Codec)
+                codecs(flown, robot, row.resolution_m, row.range_m, None, &methods::all()).map(Piece::Codec)
+            }),
+            Part1::Relay(robot) => Job::new(name(&format!("scans relayed, robot {}", robot + 1)), move || {
+                let seconds = Some(methods::relayed_s(quick));
+                codecs(flown, robot, row.resolution_m, row.range_m, seconds, &methods::relays()).map(Piece::Relay)
             }),
         }
     });
@@ -86,6 +94,7 @@ pub fn measure(flights: &Flights, seed: u64, threads: usize) -> anyhow::Result<V
         match piece {
             Some(Piece::Codec(outcome)) => done[*number].robots.push(outcome),
             Some(Piece::Stack(stack)) => done[*number].stack = Some(*stack),
+            Some(Piece::Relay(outcome)) => done[*number].relays.push(outcome),
             Some(Piece::Rival(row)) => done[*number].rival = Some(row),
             None => {}
         }
@@ -94,8 +103,12 @@ pub fn measure(flights: &Flights, seed: u64, threads: usize) -> anyhow::Result<V
     Ok(measured
         .map(|((row, _), done)| {
             let mut methods = MethodRows::of_robots(&done.robots, row.robots - 1);
-            methods.rows.extend(done.rival);
-            methods.rows.extend(done.stack.as_ref().map(|stack| stack.row(STACK, ABOUT_STACK)));
+            if done.relays.len() == row.robots {
+                let relays = MethodRows::of_robots(&done.relays, row.robots - 1);
+                methods.add_relays(relays, methods::relayed_s(quick));
+            }
+            methods.add(done.rival);
+            methods.add(done.stack.as_ref().map(|stack| stack.row(STACK, ABOUT_STACK)));
             Measured { paper: *row, methods, stack: done.stack.map(|stack| stack.report) }
         })
         .collect())
@@ -105,25 +118,27 @@ pub fn measure(flights: &Flights, seed: u64, threads: usize) -> anyhow::Result<V
 #[derive(Default)]
 struct Done {
     robots: Vec<Outcome>,
+    relays: Vec<Outcome>,
     rival: Option<MethodRow>,
     stack: Option<Stack>,
 }
 
-/// All methods on the record of one robot.
+/// These methods on the record of one robot, or on its first so many seconds.
 pub fn codecs(
     flown: &Flown,
     robot: usize,
     resolution_m: f64,
     range_m: f64,
-    t_l_s: f64,
+    seconds: Option<f64>,
     methods: &[flockmap_baselines::Method],
 ) -> anyhow::Result<Outcome> {
     let mapper = mapper(resolution_m, range_m)?;
     let receivers = flown.scene.robots() - 1;
-    let mut run = CodecRun::new(mapper, cycle(t_l_s, CHANGES_MAX), methods, receivers);
+    let mut run = CodecRun::new(mapper, cycle(T_L_S, CHANGES_MAX), methods, receivers);
     let source = flown.sources(range_m)?.swap_remove(robot);
-    let mut progress = Progress::new("scans", source.frames_expected);
-    run.record(source.frames, || progress.step())?;
+    let frames = seconds.map_or(source.frames_expected, |s| source.frames_expected.min((s * 10.0) as u64));
+    let mut progress = Progress::new("scans", frames);
+    run.record(source.frames.take(frames as usize), || progress.step())?;
     Ok(run.finish())
 }
 
@@ -158,6 +173,8 @@ pub fn rival_run(mapper: &MapperConfig, sources: Vec<Source>, seed: u64) -> anyh
             percent(agreement.missing)
         ),
         total_bytes,
+        paper_bytes: 0,
+        changed_voxels: 0,
         ip_udp_bytes: run.members.iter().map(|member| member.datagrams).sum::<u64>() * IP_UDP_BYTES,
         avg_kb_s: total_bytes as f64 / KB / seconds / f64::from(robots.max(1)),
         max_kb_s: run.members.iter().map(|member| member.sent.largest_second()).max().unwrap_or(0) as f64

@@ -3,7 +3,7 @@
 use flockmap::codec::Codec;
 use flockmap_baselines::Method;
 
-use super::figures::{Scene, T_L_S, TABLE_TWO, TABLE_TWO_RANGE_M};
+use super::figures::{Scene, TABLE_TWO, TABLE_TWO_RANGE_M};
 use super::flown::Flown;
 use super::jobs::{self, Job};
 use super::methods::MethodRows;
@@ -15,7 +15,7 @@ pub fn measure(flown: &Flown, threads: usize) -> anyhow::Result<Option<MethodRow
     let methods = [Method::Whole(Codec::Paper), Method::Whole(Codec::NestedZlib)];
     let robots = (0..flown.scene.robots()).map(|robot| {
         Job::new(format!("Table II, robot {}", robot + 1), move || {
-            table1::codecs(flown, robot, 0.1, TABLE_TWO_RANGE_M, T_L_S, &methods)
+            table1::codecs(flown, robot, 0.1, TABLE_TWO_RANGE_M, None, &methods)
         })
     });
     let outcomes: Option<Vec<_>> = jobs::run(threads, robots.collect())?.into_iter().collect();
