@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use flockmap_baselines::Method;
 use flockmap::SessionConfig;
+use flockmap_baselines::Method;
 use flockmap_sim::Link;
 
 use super::args::BenchPaperArgs;

@@ -9,7 +9,7 @@ use crate::document::{Cell, DataTable};
 use crate::html::escape;
 use crate::measure::KB;
 use crate::member::IP_UDP_BYTES;
-use crate::table::{percent, thousands};
+use crate::table::percent;
 
 /// What a method cost on one record, all robots together.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,12 +88,7 @@ impl MethodRows {
                 decode_ms: mean_ms(&|row| row.decode),
             }
         });
-        Self {
-            rows: rows.collect(),
-            changed_voxels,
-            receivers: receivers.max(1) as u64,
-            seconds,
-        }
+        Self { rows: rows.collect(), changed_voxels, receivers: receivers.max(1) as u64, seconds }
     }
 
     /// The row of this name.
@@ -158,7 +153,11 @@ impl MethodRows {
         let bars: Vec<Bar> = rows
             .iter()
             .map(|(row, times)| {
-                let right = if row.agreement >= 1.0 { String::new() } else { format!(", {} right", percent(row.agreement)) };
+                let right = if row.agreement >= 1.0 {
+                    String::new()
+                } else {
+                    format!(", {} right", percent(row.agreement))
+                };
                 let cut = if *times > end { "▸ " } else { "" };
                 Bar {
                     name: escape(&row.name),
@@ -203,7 +202,10 @@ impl MethodRows {
     /// Takes in the relays, measured on the first so many seconds of the same records.
     pub fn add_relays(&mut self, relays: Self, seconds: f64) {
         let rows = relays.rows.into_iter().filter(|row| row.name != "paper").map(|mut row| {
-            row.about = format!("{} Measured on the first {seconds} s of each record, and against `paper` on the same.", row.about);
+            row.about = format!(
+                "{} Measured on the first {seconds} s of each record, and against `paper` on the same.",
+                row.about
+            );
             row.name = format!("{}, first {seconds} s", row.name);
             row
         });

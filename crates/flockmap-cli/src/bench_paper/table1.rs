@@ -82,10 +82,13 @@ pub fn measure(flights: &Flights, seed: u64, quick: bool, threads: usize) -> any
             Part1::Robot(robot) => Job::new(name(&format!("robot {}", robot + 1)), move || {
                 codecs(flown, robot, row.resolution_m, row.range_m, None, &methods::all()).map(Piece::Codec)
             }),
-            Part1::Relay(robot) => Job::new(name(&format!("scans relayed, robot {}", robot + 1)), move || {
-                let seconds = Some(methods::relayed_s(quick));
-                codecs(flown, robot, row.resolution_m, row.range_m, seconds, &methods::relays()).map(Piece::Relay)
-            }),
+            Part1::Relay(robot) => {
+                Job::new(name(&format!("scans relayed, robot {}", robot + 1)), move || {
+                    let seconds = Some(methods::relayed_s(quick));
+                    codecs(flown, robot, row.resolution_m, row.range_m, seconds, &methods::relays())
+                        .map(Piece::Relay)
+                })
+            }
         }
     });
     let pieces = jobs::run(threads, pieces.collect())?;
