@@ -151,7 +151,7 @@ impl Explorer {
             });
         }
         let sight = Sight::new(options.lidar, options.range_m);
-        let eyes = Eyes { world: &world, sight, scan: options.scan, resolution: options.resolution };
+        let eyes = Eyes { world: &world, sight: &sight, scan: options.scan, resolution: options.resolution };
         let seeable = Seeable::new(&eyes, &truth, places[0], may_fly, options.threads);
         let mut members = Vec::new();
         for (number, &place) in places.iter().enumerate() {
@@ -168,7 +168,7 @@ impl Explorer {
                 number,
                 start: place,
                 grid,
-                sight,
+                sight: sight.clone(),
                 regions: Regions::new(region_m),
                 limits: options.limits,
                 heights_m,

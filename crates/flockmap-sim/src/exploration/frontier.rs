@@ -11,14 +11,14 @@ const REACH_M: f64 = 1.5;
 /// Fewer cells are no frontier.
 const CELLS_MIN: usize = 6;
 
-/// A cell that was in view so often and stays a frontier is one no more: nothing comes back from behind it.
-const LOOKS_MAX: u8 = 6;
+/// An Unknown cell that was in view so often stays unknown: nothing comes back from there.
+const LOOKS_MAX: u8 = 2;
 
 /// What a look from a viewpoint counts for the cells that it was meant for.
-const LOOKS_AIMED: u8 = 3;
+const LOOKS_AIMED: u8 = 2;
 
-/// Share of the range within which a look counts: far out, rays are few.
-const LOOK_RANGE: f64 = 0.85;
+/// A viewpoint from which fewer cells are to be seen is not worth the way.
+const GAIN_MIN: f64 = 20.0;
 
 /// Cells of a frontier that viewpoints are judged by.
 const SAMPLES_MAX: usize = 24;
@@ -34,8 +34,8 @@ const PATIENCE: u32 = 6;
 pub(super) struct Viewpoint {
     pub(super) place: [f64; 3],
     pub(super) yaw: f64,
-    /// Share of the frontier seen from there.
-    pub(super) share: f64,
+    /// About how many cells are to be seen from there.
+    pub(super) gain: f64,
 }
 
 /// Free cells beside Unknown ones, near each other.
@@ -55,7 +55,7 @@ pub(super) struct Frontier {
 #[derive(Clone, Debug)]
 pub(super) struct Frontiers {
     pub(super) list: Vec<Frontier>,
-    /// How often each cell was looked at in vain.
+    /// How often each cell was in view while Unknown.
     looks: Vec<u8>,
     /// The cells of the list.
     claimed: Vec<bool>,
@@ -66,11 +66,19 @@ impl Frontiers {
         Self { list: Vec::new(), looks: vec![0; grid.count()], claimed: vec![false; grid.count()] }
     }
 
-    /// Whether a cell is Free, has an Unknown one beside it, and was not looked at in vain.
+    /// Whether a cell is Unknown and was not looked at in vain.
+    pub(super) fn is_worth(&self, grid: &NavigationGrid, cell: usize) -> bool {
+        self.looks[cell] < LOOKS_MAX && grid.cell_state(cell) == CellState::Unknown
+    }
+
+    /// Whether a cell is Free and has an Unknown one beside it that is worth looking at.
     pub(super) fn is_frontier(&self, grid: &NavigationGrid, cell: usize) -> bool {
-        self.looks[cell] < LOOKS_MAX
-            && grid.cell_state(cell) == CellState::Free
-            && grid.beside(cell).any(|next| grid.cell_state(next) == CellState::Unknown)
+        grid.cell_state(cell) == CellState::Free && grid.beside(cell).any(|next| self.is_worth(grid, next))
+    }
+
+    /// How much is to be seen from a place now.
+    pub(super) fn gain(&self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) -> f64 {
+        sight.gain(grid, place, yaw, |cell| self.is_worth(grid, cell))
     }
 
     /// Drops what has been seen, finds what is new, and viewpoints for it. `is_open` says where one can fly.
@@ -94,7 +102,7 @@ impl Frontiers {
             if frontier.viewpoints.is_empty() {
                 frontier.patience = frontier.patience.saturating_sub(1);
                 if frontier.patience == 0 {
-                    frontier.look_for_viewpoints(grid, sight, &is_open);
+                    self.find_viewpoints(frontier, grid, sight, &is_open);
                 }
             }
         }
@@ -103,7 +111,7 @@ impl Frontiers {
                 let cells = self.grow(grid, seed);
                 if cells.len() >= CELLS_MIN {
                     let mut frontier = Frontier::new(grid, cells);
-                    frontier.look_for_viewpoints(grid, sight, &is_open);
+                    self.find_viewpoints(&mut frontier, grid, sight, &is_open);
                     list.push(frontier);
                 } else {
                     for cell in cells {
@@ -117,23 +125,17 @@ impl Frontiers {
 
     /// Counts a look from a place at all cells that can be seen from there; call it some times a second.
     pub(super) fn look(&mut self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) {
-        for frontier in &self.list {
-            if distance(frontier.centre, place) > LOOK_RANGE * sight.range_m() {
-                continue;
-            }
-            for &cell in &frontier.cells {
-                let looks = &mut self.looks[cell as usize];
-                if *looks < LOOKS_MAX && sight.sees_beyond(grid, place, Some(yaw), cell as usize) {
-                    *looks += 1;
-                }
-            }
+        for cell in sight.first_unknown(grid, place, yaw) {
+            self.looks[cell] = self.looks[cell].saturating_add(1);
         }
     }
 
-    /// Counts a look from the best place that was found for these cells.
-    pub(super) fn aimed_look(&mut self, cells: &[u32]) {
-        for &cell in cells {
-            self.looks[cell as usize] = self.looks[cell as usize].saturating_add(LOOKS_AIMED);
+    /// Counts a look from the best place that was found for a frontier with these cells.
+    pub(super) fn aimed_look(&mut self, grid: &NavigationGrid, cells: &[u32]) {
+        for next in cells.iter().flat_map(|cell| grid.beside(*cell as usize)) {
+            if grid.cell_state(next) == CellState::Unknown {
+                self.looks[next] = self.looks[next].saturating_add(LOOKS_AIMED);
+            }
         }
     }
 
@@ -163,6 +165,56 @@ impl Frontiers {
         }
         cells
     }
+
+    /// Judges places on rings round the centre of a frontier: those that see a good part of it, and of these the ones
+    /// from which most is to be seen.
+    fn find_viewpoints(
+        &self,
+        frontier: &mut Frontier,
+        grid: &NavigationGrid,
+        sight: &Sight,
+        is_open: &impl Fn(usize) -> bool,
+    ) {
+        frontier.patience = PATIENCE;
+        let stride = frontier.cells.len().div_ceil(SAMPLES_MAX);
+        let samples: Vec<usize> = frontier.cells.iter().step_by(stride).map(|cell| *cell as usize).collect();
+        let wanted = (samples.len() as f64 * 0.3).max(2.0);
+        let centre = frontier.centre;
+        let mut found: Vec<(usize, Viewpoint)> = Vec::new();
+        for ring in [0.15, 0.3, 0.5, 0.75] {
+            let radius = ring * sight.range_m();
+            for step in 0..12 {
+                let angle = f64::from(step) * core::f64::consts::PI / 6.0;
+                for height in [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5] {
+                    let place = [
+                        centre[0] + radius * libm::cos(angle),
+                        centre[1] + radius * libm::sin(angle),
+                        centre[2] + height,
+                    ];
+                    let Some(cell) = grid.cell_at(place).filter(|cell| is_open(*cell)) else { continue };
+                    let place = grid.centre(cell);
+                    let yaw = atan2(centre[1] - place[1], centre[0] - place[0]);
+                    let sees = |cell: &&usize| {
+                        sight.sees_beyond(grid, place, Some(yaw), **cell, |c| self.is_worth(grid, c))
+                    };
+                    let seen = samples.iter().filter(sees).count();
+                    if seen as f64 >= wanted {
+                        found.push((seen, Viewpoint { place, yaw, gain: 0.0 }));
+                    }
+                }
+            }
+        }
+        // A stable sort: of equals the nearer ring comes first.
+        found.sort_by_key(|(seen, _)| core::cmp::Reverse(*seen));
+        for (_, mut viewpoint) in found {
+            let apart = |other: &Viewpoint| distance(other.place, viewpoint.place) > 0.9;
+            if frontier.viewpoints.len() < VIEWPOINTS_MAX && frontier.viewpoints.iter().all(apart) {
+                viewpoint.gain = self.gain(grid, sight, viewpoint.place, viewpoint.yaw);
+                frontier.viewpoints.push(viewpoint);
+            }
+        }
+        frontier.viewpoints.retain(|viewpoint| viewpoint.gain >= GAIN_MIN);
+    }
 }
 
 impl Frontier {
@@ -176,49 +228,6 @@ impl Frontier {
         }
         let centre = sum.map(|v| v / cells.len() as f64);
         Self { found: cells.len(), cells, centre, viewpoints: Vec::new(), patience: 0 }
-    }
-
-    /// Judges places on rings round the centre by how much of the frontier they see.
-    fn look_for_viewpoints(
-        &mut self,
-        grid: &NavigationGrid,
-        sight: &Sight,
-        is_open: &impl Fn(usize) -> bool,
-    ) {
-        self.patience = PATIENCE;
-        let stride = self.cells.len().div_ceil(SAMPLES_MAX);
-        let samples: Vec<usize> = self.cells.iter().step_by(stride).map(|cell| *cell as usize).collect();
-        let wanted = (samples.len() as f64 * 0.3).max(2.0);
-        let mut found: Vec<Viewpoint> = Vec::new();
-        for ring in [0.12, 0.25, 0.45, 0.7, 0.85] {
-            let radius = ring * sight.range_m();
-            for step in 0..16 {
-                let angle = f64::from(step) * core::f64::consts::PI / 8.0;
-                for height in [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5] {
-                    let place = [
-                        self.centre[0] + radius * libm::cos(angle),
-                        self.centre[1] + radius * libm::sin(angle),
-                        self.centre[2] + height,
-                    ];
-                    let Some(cell) = grid.cell_at(place).filter(|cell| is_open(*cell)) else { continue };
-                    let place = grid.centre(cell);
-                    let yaw = atan2(self.centre[1] - place[1], self.centre[0] - place[0]);
-                    let seen =
-                        samples.iter().filter(|c| sight.sees_beyond(grid, place, Some(yaw), **c)).count();
-                    if seen as f64 >= wanted {
-                        found.push(Viewpoint { place, yaw, share: seen as f64 / samples.len() as f64 });
-                    }
-                }
-            }
-        }
-        // A stable sort: of equals the nearer ring comes first.
-        found.sort_by(|a, b| b.share.total_cmp(&a.share));
-        for viewpoint in found {
-            let apart = |other: &Viewpoint| distance(other.place, viewpoint.place) > 0.8;
-            if self.viewpoints.len() < VIEWPOINTS_MAX && self.viewpoints.iter().all(apart) {
-                self.viewpoints.push(viewpoint);
-            }
-        }
     }
 }
 

@@ -1,10 +1,11 @@
 //! One robot's planner: what to look at next, and how to get there.
 
-use super::frontier::Frontiers;
+use super::frontier::{Frontiers, Viewpoint};
 use super::mates::{Mate, metres_to_path};
 use super::regions::{Regions, tour, work};
 use super::sight::Sight;
 use crate::curve::distance;
+use crate::navigation::wrapped;
 use crate::{Motion, MotionLimits, NavigationGrid, RouteQuery, Router};
 use flockmap_grid::{MapView, Stamp};
 use libm::atan2;
@@ -21,20 +22,27 @@ const LOOK_PERIOD_MICROS: i64 = 300_000;
 /// Time at a viewpoint: five scans.
 const STAY_MICROS: i64 = 500_000;
 
-/// A goal is given up as seen when this share of its cells is left.
+/// A goal counts as seen when this share of its frontier is left, or this share of what was to be seen from there.
 const SEEN_SHARE: f64 = 0.3;
 
 /// Metres around the robot within which ways are searched first.
-const NEAR_M: f64 = 14.0;
+const NEAR_M: f64 = 12.0;
 
-/// Metres that other goals have to be nearer by than the present one.
-const LOYALTY_M: f64 = 3.0;
+/// The present goal counts for so much more than others, and so do those in the region that comes first.
+const LOYALTY: f64 = 1.5;
+const FIRST_REGION: f64 = 1.5;
+
+/// Seconds that every goal costs beside the way.
+const STOP_S: f64 = 1.5;
+
+/// Seconds to turn by one radian in flight.
+const TURN_S: f64 = 0.6;
+
+/// Goals whose gain is worked out anew before one is chosen.
+const SHORT_LIST: usize = 16;
 
 /// Metres ahead within which the path is watched.
 const WATCH_M: f64 = 8.0;
-
-/// Frontiers of one region that are put into an order.
-const ORDERED_MAX: usize = 14;
 
 /// Distance beyond the separation at which ways lead past others, in metres.
 const DETOUR_M: f64 = 0.3;
@@ -49,7 +57,8 @@ struct Goal {
     yaw: f64,
     /// The frontier that is to be seen; empty: it only makes way.
     cells: Vec<u32>,
-    region: usize,
+    /// What was to be seen from there when it was chosen.
+    gain: f64,
 }
 
 /// Plans and flies one robot.
@@ -136,7 +145,8 @@ impl Pilot {
     /// Takes in the map, and plans if it is time to.
     pub(super) fn plan(&mut self, now: Stamp, map: &MapView, mates: &[Mate]) {
         self.grid.update(map);
-        if self.looked.is_none_or(|at| now.micros_since(at) >= LOOK_PERIOD_MICROS) {
+        let looks = self.looked.is_none_or(|at| now.micros_since(at) >= LOOK_PERIOD_MICROS);
+        if looks {
             self.looked = Some(now);
             self.frontiers.look(&self.grid, &self.sight, self.motion.position(), self.motion.yaw());
         }
@@ -151,7 +161,7 @@ impl Pilot {
             let reached = there && distance(self.motion.position(), goal.place) < 0.3;
             if goal.cells.is_empty() {
                 due |= reached;
-            } else if self.frontiers.share_left(&self.grid, &goal.cells) <= SEEN_SHARE {
+            } else if looks && self.is_seen(goal) {
                 self.goal = None;
                 due = true;
             } else if reached {
@@ -159,7 +169,7 @@ impl Pilot {
                 // Nothing better to do than to stay until it has been looked at.
                 due = false;
                 if now.micros_since(since) >= STAY_MICROS {
-                    self.frontiers.aimed_look(&goal.cells);
+                    self.frontiers.aimed_look(&self.grid, &goal.cells);
                     self.goal = None;
                     due = true;
                 }
@@ -255,62 +265,68 @@ impl Pilot {
         self.make_way(from, mates, &near_mates);
     }
 
-    /// The first stop of a tour through the own regions, and in the first of those through its frontiers. Only
-    /// what the last flood reached.
+    fn is_seen(&self, goal: &Goal) -> bool {
+        self.frontiers.share_left(&self.grid, &goal.cells) <= SEEN_SHARE
+            || self.frontiers.gain(&self.grid, &self.sight, goal.place, goal.yaw) <= SEEN_SHARE * goal.gain
+    }
+
+    /// The goal in the own regions with the most to see for the time it takes; those in the first region of a tour
+    /// through all own regions count more. Only what the last flood reached.
     fn best_goal(&self, from: [f64; 3]) -> Option<Goal> {
         struct Candidate {
-            goal: Goal,
-            metres: f64,
+            place: [f64; 3],
+            yaw: f64,
+            gain: f64,
+            seconds: f64,
+            frontier: usize,
+            region: usize,
         }
-        let present = self.goal.as_ref().filter(|goal| !goal.cells.is_empty());
+        let velocity = self.motion.velocity();
+        let heading = (self.motion.speed() > 0.3).then(|| atan2(velocity[1], velocity[0]));
         let mut candidates: Vec<Candidate> = Vec::new();
-        for frontier in &self.frontiers.list {
+        for (number, frontier) in self.frontiers.list.iter().enumerate() {
             let region = self.regions.at(frontier.centre);
             if !self.own[region] {
                 continue;
             }
-            let is_present = present.is_some_and(|goal| goal.cells.first() == frontier.cells.first());
-            let best = frontier
-                .viewpoints
-                .iter()
-                .filter_map(|viewpoint| {
-                    let metres = self.router.metres_to(&self.grid, self.grid.cell_at(viewpoint.place)?)?;
-                    let loyalty = if is_present { LOYALTY_M } else { 0.0 };
-                    // What is not seen from there costs another way.
-                    let rest = 3.0 * (1.0 - viewpoint.share);
-                    Some(((metres + rest - loyalty).max(0.0), viewpoint))
-                })
-                .min_by(|a, b| a.0.total_cmp(&b.0));
-            if let Some((metres, viewpoint)) = best {
-                let cells = frontier.cells.clone();
-                let goal = Goal { place: viewpoint.place, yaw: viewpoint.yaw, cells, region };
-                candidates.push(Candidate { goal, metres });
+            for viewpoint in &frontier.viewpoints {
+                let cell = self.grid.cell_at(viewpoint.place);
+                let Some(metres) = cell.and_then(|cell| self.router.metres_to(&self.grid, cell)) else {
+                    continue;
+                };
+                let ahead = atan2(viewpoint.place[1] - from[1], viewpoint.place[0] - from[0]);
+                let turn = heading.map_or(0.0, |heading| wrapped(ahead - heading).abs());
+                let seconds = metres / self.limits.speed_m_s + TURN_S * turn + STOP_S;
+                let Viewpoint { place, yaw, gain } = *viewpoint;
+                candidates.push(Candidate { place, yaw, gain, seconds, frontier: number, region });
             }
         }
         // Regions in the order in which they are to be visited.
         let mut nearest: Vec<(usize, f64)> = Vec::new();
         for candidate in &candidates {
-            let region = candidate.goal.region;
-            match nearest.iter_mut().find(|(known, _)| *known == region) {
-                Some((_, metres)) => *metres = metres.min(candidate.metres),
-                None => nearest.push((region, candidate.metres)),
+            match nearest.iter_mut().find(|(known, _)| *known == candidate.region) {
+                Some((_, seconds)) => *seconds = seconds.min(candidate.seconds),
+                None => nearest.push((candidate.region, candidate.seconds)),
             }
         }
-        let loyal = |(region, metres): &(usize, f64)| {
-            if present.is_some_and(|goal| goal.region == *region) { metres - LOYALTY_M } else { *metres }
-        };
-        let first: Vec<f64> = nearest.iter().map(loyal).collect();
+        let first: Vec<f64> = nearest.iter().map(|(_, seconds)| seconds * self.limits.speed_m_s).collect();
         let centre = |i: usize| self.regions.centre(nearest[i].0);
         let order = tour(&first, |a, b| 1.2 * distance(centre(a), centre(b)));
-        let region = nearest.get(*order.first()?)?.0;
-        candidates.retain(|candidate| candidate.goal.region == region);
-        candidates.sort_by(|a, b| a.metres.total_cmp(&b.metres));
-        candidates.truncate(ORDERED_MAX);
-        let first: Vec<f64> = candidates.iter().map(|candidate| candidate.metres).collect();
-        let place = |i: usize| candidates[i].goal.place;
-        let order = tour(&first, |a, b| 1.2 * distance(place(a), place(b)));
-        let _ = from;
-        Some(candidates.swap_remove(*order.first()?).goal)
+        let first_region = nearest.get(*order.first()?)?.0;
+        let present = self.goal.as_ref().map(|goal| goal.place);
+        let worth = |candidate: &Candidate| {
+            let first = if candidate.region == first_region { FIRST_REGION } else { 1.0 };
+            let loyal = if present == Some(candidate.place) { LOYALTY } else { 1.0 };
+            candidate.gain * first * loyal / candidate.seconds
+        };
+        candidates.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
+        candidates.truncate(SHORT_LIST);
+        for candidate in &mut candidates {
+            candidate.gain = self.frontiers.gain(&self.grid, &self.sight, candidate.place, candidate.yaw);
+        }
+        let best = candidates.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
+        let cells = self.frontiers.list[best.frontier].cells.clone();
+        Some(Goal { place: best.place, yaw: best.yaw, cells, gain: best.gain })
     }
 
     fn go(&mut self, from: [f64; 3], goal: Goal, near_mates: &[u32]) {
@@ -369,7 +385,7 @@ impl Pilot {
         }
         if let Some((_, cell)) = best {
             let place = grid.centre(cell);
-            let goal = Goal { place, yaw: self.motion.yaw(), cells: Vec::new(), region: 0 };
+            let goal = Goal { place, yaw: self.motion.yaw(), cells: Vec::new(), gain: 0.0 };
             self.go(from, goal, near_mates);
         }
     }

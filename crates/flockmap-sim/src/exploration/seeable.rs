@@ -27,7 +27,7 @@ pub(super) struct Seeable {
 /// What decides whether a voxel is seen from a place.
 pub(super) struct Eyes<'a> {
     pub(super) world: &'a World,
-    pub(super) sight: Sight,
+    pub(super) sight: &'a Sight,
     pub(super) scan: ScanOptions,
     pub(super) resolution: Resolution,
 }

@@ -2,26 +2,45 @@
 
 use crate::navigation::wrapped;
 use crate::{CellState, Lidar, NavigationGrid};
-use libm::atan2;
+use libm::{atan2, cos, sin, tan};
+
+/// Rays of the fan around, and from its lowest to its highest elevation.
+const FAN_AROUND: usize = 60;
+const FAN_UP: usize = 12;
+
+/// Metres of Unknown space behind which nothing is expected to be seen.
+const DEPTH_M: f64 = 2.0;
 
 /// The reach of a LiDAR on a robot that flies level.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Sight {
     /// Half of the angle seen left and right, radians; π or more: all around.
     half_azimuth: f64,
     /// Tangents of the lowest and highest elevation.
     slopes: [f64; 2],
     range_m: f64,
+    /// Directions that stand for all, in the sensor's frame, each with its solid angle.
+    fan: Vec<([f64; 3], f64)>,
 }
 
 impl Sight {
     pub(super) fn new(lidar: Lidar, range_m: f64) -> Self {
         let (azimuth, elevation) = lidar.field_of_view_deg();
-        Self {
-            half_azimuth: (0.5 * (azimuth[1] - azimuth[0])).to_radians(),
-            slopes: elevation.map(|deg| libm::tan(deg.to_radians())),
-            range_m,
+        let [azimuth, elevation] = [azimuth, elevation].map(|range| range.map(f64::to_radians));
+        // Rings of equal solid angle lie at equal steps of the sine.
+        let [low, high] = elevation.map(sin);
+        let up = (high - low) / FAN_UP as f64;
+        let around = (azimuth[1] - azimuth[0]) / FAN_AROUND as f64;
+        let mut fan = Vec::with_capacity(FAN_UP * FAN_AROUND);
+        for ring in 0..FAN_UP {
+            let z = low + (ring as f64 + 0.5) * up;
+            let flat = (1.0 - z * z).sqrt();
+            for step in 0..FAN_AROUND {
+                let angle = azimuth[0] + (step as f64 + 0.5) * around;
+                fan.push(([flat * cos(angle), flat * sin(angle), z], up * around));
+            }
         }
+        Self { fan, half_azimuth: 0.5 * (azimuth[1] - azimuth[0]), slopes: elevation.map(tan), range_m }
     }
 
     pub(super) const fn range_m(&self) -> f64 {
@@ -50,19 +69,82 @@ impl Sight {
         }
     }
 
-    /// Whether an Unknown cell next to a frontier cell can be seen: in reach, and nothing but Free cells in between.
+    /// Whether an Unknown cell next to a frontier cell can be seen that is worth it: in reach, and nothing but Free
+    /// cells in between.
     pub(super) fn sees_beyond(
         &self,
         grid: &NavigationGrid,
         from: [f64; 3],
         yaw: Option<f64>,
         frontier: usize,
+        is_worth: impl Fn(usize) -> bool,
     ) -> bool {
         grid.beside(frontier).any(|next| {
             let to = grid.centre(next);
-            grid.cell_state(next) == CellState::Unknown
+            is_worth(next)
                 && self.covers(from, yaw, to)
                 && grid.line_fits(from, to, |cell| cell == next || grid.cell_state(cell) == CellState::Free)
         })
+    }
+
+    /// About how many Unknown cells that are worth it can be seen from a place. The Unknown is taken for clear,
+    /// for up to 2 m.
+    pub(super) fn gain(
+        &self,
+        grid: &NavigationGrid,
+        from: [f64; 3],
+        yaw: f64,
+        is_worth: impl Fn(usize) -> bool,
+    ) -> f64 {
+        let step = grid.cell_m();
+        let mut volume = 0.0;
+        for (direction, solid_angle) in self.turned_fan(yaw) {
+            let mut depth = 0.0;
+            let mut away = step;
+            while away <= self.range_m && depth < DEPTH_M {
+                let Some(cell) = grid.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away)) else {
+                    break;
+                };
+                match grid.cell_state(cell) {
+                    CellState::Occupied => break,
+                    CellState::Free => {}
+                    CellState::Unknown => {
+                        depth += step;
+                        if is_worth(cell) {
+                            volume += away * away * step * solid_angle;
+                        }
+                    }
+                }
+                away += step;
+            }
+        }
+        volume / (step * step * step)
+    }
+
+    /// The first Unknown cell in each direction of the fan, behind nothing but Free ones.
+    pub(super) fn first_unknown<'a>(
+        &'a self,
+        grid: &'a NavigationGrid,
+        from: [f64; 3],
+        yaw: f64,
+    ) -> impl Iterator<Item = usize> + 'a {
+        let step = grid.cell_m();
+        // Far out rays are few, and the map is a little behind.
+        let steps = (0.9 * self.range_m / step) as usize;
+        self.turned_fan(yaw).filter_map(move |(direction, _)| {
+            let cell = |i: usize| {
+                let away = (i + 1) as f64 * step;
+                grid.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away))
+            };
+            let first = (0..steps).map_while(cell).find(|cell| grid.cell_state(*cell) != CellState::Free)?;
+            (grid.cell_state(first) == CellState::Unknown).then_some(first)
+        })
+    }
+
+    fn turned_fan(&self, yaw: f64) -> impl Iterator<Item = ([f64; 3], f64)> + '_ {
+        let (c, s) = (cos(yaw), sin(yaw));
+        self.fan
+            .iter()
+            .map(move |([x, y, z], solid_angle)| ([c * x - s * y, s * x + c * y, *z], *solid_angle))
     }
 }
