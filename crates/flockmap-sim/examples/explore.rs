@@ -1,4 +1,5 @@
-//! Explores a world and tells how it goes: `explore forest|indoor|FILE [robots] [seed] [threads] [resolution range] [loss]`.
+//! Explores a world and tells how it goes: `explore forest|indoor|FILE [robots] [seed] [threads] [resolution range] [loss]
+//! [1: with no-returns] [seconds at most]`.
 
 use flockmap_grid::Resolution;
 use flockmap_sim::{ExploreOptions, Explorer, World};
@@ -26,6 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     options.radio.link.loss = number(6, 0.0)?;
     options.scan.no_returns = number(7, 0.0)? > 0.0;
+    options.seconds_max = number(8, 600.0)?;
     let started = Instant::now();
     let mut explorer = Explorer::new(Arc::new(world), options)?;
     println!("{:.1} s to begin", started.elapsed().as_secs_f64());

@@ -14,7 +14,7 @@ mod seeable;
 mod sight;
 mod start;
 
-use crate::{Lidar, MotionLimits, NavigationError, RadioConfig, ScanOptions};
+use crate::{Lidar, MotionLimits, NavigationError, RadioConfig, ScanOptions, ScanOptionsError};
 use flockmap::{Codec, CycleConfig, RobotError, SessionConfig};
 use flockmap_grid::Resolution;
 use thiserror::Error;
@@ -42,7 +42,7 @@ pub struct ExploreOptions {
     pub limits: MotionLimits,
     /// Least distance to anything Occupied in a robot's map, in metres. Default 0.3.
     pub clearance_m: f64,
-    /// Robots keep this far apart, centre to centre, in metres, 0.5 … 5. Default 1.
+    /// Robots keep this far apart, centre to centre, in metres, 0.8 … 5. Default 1.
     pub separation_m: f64,
     /// What is to be explored: lowest and highest corner in metres. Default: the world's box in x and y, and its
     /// lowest 3 metres.
@@ -100,6 +100,9 @@ pub enum ExploreError {
         /// What it may be.
         expected: &'static str,
     },
+    /// The scans cannot be taken so.
+    #[error(transparent)]
+    Scan(#[from] ScanOptionsError),
     /// The region cannot be divided into cells.
     #[error(transparent)]
     Region(#[from] NavigationError),

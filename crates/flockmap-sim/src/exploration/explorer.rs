@@ -33,6 +33,9 @@ const ALONE_MICROS: i64 = 8_000_000;
 /// Cells of the navigation grids up to which they stay 20 cm wide.
 const CELLS_WANTED: f64 = 4e6;
 
+/// Metres from a robot's centre to the corners of its body (0.4 × 0.4 × 0.3 m).
+const BODY_RADIUS_M: f64 = 0.33;
+
 /// How an exploration ended.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Ended {
@@ -132,6 +135,7 @@ impl Explorer {
     /// [`ExploreError`] says which option cannot work, or why there is no place to start.
     pub fn new(world: Arc<World>, options: ExploreOptions) -> Result<Self, ExploreError> {
         check(&options)?;
+        options.scan.check()?;
         let region_m = options.region_m.unwrap_or_else(|| default_region(&world));
         let navigation = navigation(region_m, &options)?;
         let truth = start::truth(&world, &navigation)?;
@@ -162,6 +166,7 @@ impl Explorer {
             config.codec = options.codec;
             config.session = options.session.clone();
             config.mapper.range_min_m = options.scan.min_range_m;
+            config.teammate_radius_m = BODY_RADIUS_M + 2.0 * options.resolution.metres();
             let mut grid = NavigationGrid::new(&navigation)?;
             grid.assume_free(place, start::ROOM_M);
             let pilot = Pilot::new(PilotConfig {
@@ -209,11 +214,15 @@ impl Explorer {
         }
         let places: Vec<[f64; 3]> = self.members.iter().map(|m| m.pilot.motion.position()).collect();
         let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
+        let limits = self.options.limits;
         spread(self.options.threads, &mut self.members, |number, member| {
             let pose = member.pilot.motion.pose();
+            // Where it will be when the scan ends, if nothing makes it brake meanwhile.
+            let mut end = member.pilot.motion.clone();
+            end.step(SCAN_PERIOD_MICROS as f64 * 1e-6, member.pilot.yaw_target(), &limits);
             let others = || places.iter().enumerate().filter(|(other, _)| *other != number);
             let bodies: Vec<Body> = others().map(|(_, place)| Body::robot(*place)).collect();
-            let scan = member.scanner.scan(now, &pose, None, &bodies);
+            let scan = member.scanner.scan(now, &pose, Some(&end.pose()), &bodies);
             for (other, place) in others() {
                 member.robot.set_teammate(ids[other], *place, now);
             }
@@ -516,7 +525,7 @@ fn check(options: &ExploreOptions) -> Result<(), ExploreError> {
         ("acceleration_m_s2", options.limits.acceleration_m_s2, 0.1, 20.0, "0.1 to 20"),
         ("yaw_rate_rad_s", options.limits.yaw_rate_rad_s, 0.1, 10.0, "0.1 to 10"),
         ("clearance_m", options.clearance_m, 0.1, 1.0, "0.1 to 1"),
-        ("separation_m", options.separation_m, 0.5, 5.0, "0.5 to 5"),
+        ("separation_m", options.separation_m, 0.8, 5.0, "0.8 to 5"),
         ("height_m[0]", options.height_m[0], 0.0, 1_000.0, "0 to 1,000"),
         ("height_m[1]", options.height_m[1], options.height_m[0], 1_000.0, "height_m[0] to 1,000"),
     ];

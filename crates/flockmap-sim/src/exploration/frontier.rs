@@ -11,11 +11,8 @@ const REACH_M: f64 = 1.5;
 /// Fewer cells are no frontier.
 const CELLS_MIN: usize = 6;
 
-/// An Unknown cell that was in view so often stays unknown: nothing comes back from there.
-const LOOKS_MAX: u8 = 2;
-
-/// What a look from a viewpoint counts for the cells that it was meant for.
-const LOOKS_AIMED: u8 = 2;
+/// An Unknown cell that was in view from so many directions (of eight) stays unknown: nothing comes back from there.
+const DIRECTIONS_MAX: u32 = 3;
 
 /// A viewpoint from which fewer cells are to be seen is not worth the way.
 const GAIN_MIN: f64 = 20.0;
@@ -55,7 +52,7 @@ pub(super) struct Frontier {
 #[derive(Clone, Debug)]
 pub(super) struct Frontiers {
     pub(super) list: Vec<Frontier>,
-    /// How often each cell was in view while Unknown.
+    /// The directions, an octant each, in which each cell was looked at while Unknown.
     looks: Vec<u8>,
     /// The cells of the list.
     claimed: Vec<bool>,
@@ -68,7 +65,12 @@ impl Frontiers {
 
     /// Whether a cell is Unknown and was not looked at in vain.
     pub(super) fn is_worth(&self, grid: &NavigationGrid, cell: usize) -> bool {
-        self.looks[cell] < LOOKS_MAX && grid.cell_state(cell) == CellState::Unknown
+        self.looks[cell].count_ones() < DIRECTIONS_MAX && grid.cell_state(cell) == CellState::Unknown
+    }
+
+    /// The same for a look in a direction in which it was not looked at yet.
+    fn is_worth_along(&self, grid: &NavigationGrid, cell: usize, octant: u8) -> bool {
+        self.looks[cell] >> octant & 1 == 0 && self.is_worth(grid, cell)
     }
 
     /// Whether a cell is Free and has an Unknown one beside it that is worth looking at.
@@ -78,7 +80,7 @@ impl Frontiers {
 
     /// How much is to be seen from a place now.
     pub(super) fn gain(&self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) -> f64 {
-        sight.gain(grid, place, yaw, |cell| self.is_worth(grid, cell))
+        sight.gain(grid, place, yaw, |cell, octant| self.is_worth_along(grid, cell, octant))
     }
 
     /// Drops what has been seen, finds what is new, and viewpoints for it. `is_open` says where one can fly.
@@ -125,16 +127,17 @@ impl Frontiers {
 
     /// Counts a look from a place at all cells that can be seen from there; call it some times a second.
     pub(super) fn look(&mut self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) {
-        for cell in sight.first_unknown(grid, place, yaw) {
-            self.looks[cell] = self.looks[cell].saturating_add(1);
+        for (cell, octant) in sight.first_unknown(grid, place, yaw) {
+            self.looks[cell] |= 1 << octant;
         }
     }
 
-    /// Counts a look from the best place that was found for a frontier with these cells.
+    /// Counts a look from the best place that was found for a frontier with these cells as one in a new direction,
+    /// whatever the map says: nobody goes to the same place for ever.
     pub(super) fn aimed_look(&mut self, grid: &NavigationGrid, cells: &[u32]) {
         for next in cells.iter().flat_map(|cell| grid.beside(*cell as usize)) {
             if grid.cell_state(next) == CellState::Unknown {
-                self.looks[next] = self.looks[next].saturating_add(LOOKS_AIMED);
+                self.looks[next] |= self.looks[next].wrapping_add(1);
             }
         }
     }
@@ -195,7 +198,9 @@ impl Frontiers {
                     let place = grid.centre(cell);
                     let yaw = atan2(centre[1] - place[1], centre[0] - place[0]);
                     let sees = |cell: &&usize| {
-                        sight.sees_beyond(grid, place, Some(yaw), **cell, |c| self.is_worth(grid, c))
+                        sight.sees_beyond(grid, place, Some(yaw), **cell, |c, octant| {
+                            self.is_worth_along(grid, c, octant)
+                        })
                     };
                     let seen = samples.iter().filter(sees).count();
                     if seen as f64 >= wanted {

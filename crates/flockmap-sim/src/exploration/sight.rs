@@ -77,28 +77,29 @@ impl Sight {
         from: [f64; 3],
         yaw: Option<f64>,
         frontier: usize,
-        is_worth: impl Fn(usize) -> bool,
+        is_worth: impl Fn(usize, u8) -> bool,
     ) -> bool {
         grid.beside(frontier).any(|next| {
             let to = grid.centre(next);
-            is_worth(next)
+            is_worth(next, octant([to[0] - from[0], to[1] - from[1]]))
                 && self.covers(from, yaw, to)
                 && grid.line_fits(from, to, |cell| cell == next || grid.cell_state(cell) == CellState::Free)
         })
     }
 
-    /// About how many Unknown cells that are worth it can be seen from a place. The Unknown is taken for clear,
-    /// for up to 2 m.
+    /// About how many Unknown cells that are worth it, looked at in a direction of this octant, can be seen from a place.
+    /// The Unknown is taken for clear, for up to 2 m.
     pub(super) fn gain(
         &self,
         grid: &NavigationGrid,
         from: [f64; 3],
         yaw: f64,
-        is_worth: impl Fn(usize) -> bool,
+        is_worth: impl Fn(usize, u8) -> bool,
     ) -> f64 {
         let step = grid.cell_m();
         let mut volume = 0.0;
         for (direction, solid_angle) in self.turned_fan(yaw) {
+            let octant = octant([direction[0], direction[1]]);
             let mut depth = 0.0;
             let mut away = step;
             while away <= self.range_m && depth < DEPTH_M {
@@ -108,11 +109,11 @@ impl Sight {
                 match grid.cell_state(cell) {
                     CellState::Occupied => break,
                     CellState::Free => {}
+                    // Nothing comes back from there, nor from behind it.
+                    CellState::Unknown if !is_worth(cell, octant) => break,
                     CellState::Unknown => {
                         depth += step;
-                        if is_worth(cell) {
-                            volume += away * away * step * solid_angle;
-                        }
+                        volume += away * away * step * solid_angle;
                     }
                 }
                 away += step;
@@ -121,13 +122,13 @@ impl Sight {
         volume / (step * step * step)
     }
 
-    /// The first Unknown cell in each direction of the fan, behind nothing but Free ones.
+    /// The first Unknown cell in each direction of the fan, behind nothing but Free ones, and the octant of the direction.
     pub(super) fn first_unknown<'a>(
         &'a self,
         grid: &'a NavigationGrid,
         from: [f64; 3],
         yaw: f64,
-    ) -> impl Iterator<Item = usize> + 'a {
+    ) -> impl Iterator<Item = (usize, u8)> + 'a {
         let step = grid.cell_m();
         // Far out rays are few, and the map is a little behind.
         let steps = (0.9 * self.range_m / step) as usize;
@@ -137,7 +138,8 @@ impl Sight {
                 grid.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away))
             };
             let first = (0..steps).map_while(cell).find(|cell| grid.cell_state(*cell) != CellState::Free)?;
-            (grid.cell_state(first) == CellState::Unknown).then_some(first)
+            (grid.cell_state(first) == CellState::Unknown)
+                .then(|| (first, octant([direction[0], direction[1]])))
         })
     }
 
@@ -147,4 +149,9 @@ impl Sight {
             .iter()
             .map(move |([x, y, z], solid_angle)| ([c * x - s * y, s * x + c * y, *z], *solid_angle))
     }
+}
+
+/// Which eighth of the compass a direction lies in: 0 … 7, in no particular order.
+fn octant([x, y]: [f64; 2]) -> u8 {
+    u8::from(x < 0.0) | u8::from(y < 0.0) << 1 | u8::from(x.abs() < y.abs()) << 2
 }

@@ -5,14 +5,14 @@ use flockmap_grid::Resolution;
 use flockmap_io::Frame;
 use std::sync::Arc;
 
-/// Two rooms of 5 × 5 m, 2.4 m high, with a door 1.2 m wide between them, walls all around, floor and ceiling.
+/// Two rooms of 4 × 4 m, 2.4 m high, with a door 1.2 m wide between them, walls all around, floor and ceiling.
 fn two_rooms() -> World {
     let mut points = Vec::new();
-    for x in 0..=100 {
-        for y in 0..=50 {
+    for x in 0..=80 {
+        for y in 0..=40 {
             for z in 0..=24 {
-                let wall = [0, 100].contains(&x) || [0, 50].contains(&y) || [0, 24].contains(&z);
-                let divides = x == 50 && !(19..31).contains(&y);
+                let wall = [0, 80].contains(&x) || [0, 40].contains(&y) || [0, 24].contains(&z);
+                let divides = x == 40 && !(14..26).contains(&y);
                 if wall || divides {
                     points.push([x, y, z].map(|v| f64::from(v) * 0.1 + 0.05));
                 }
