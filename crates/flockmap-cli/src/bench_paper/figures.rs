@@ -38,6 +38,14 @@ impl Scene {
         }
     }
 
+    /// In a sentence.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Forest => "forest",
+            Self::Indoor => "office",
+        }
+    }
+
     /// Robots that explore it in the paper.
     pub const fn robots(self) -> usize {
         match self {

@@ -9,7 +9,7 @@ use crate::document::{Cell, DataTable};
 use crate::html::escape;
 use crate::measure::KB;
 use crate::member::IP_UDP_BYTES;
-use crate::table::percent;
+use crate::table::percent_short;
 
 /// What a method cost on one record, all robots together.
 #[derive(Clone, Debug, PartialEq)]
@@ -156,7 +156,7 @@ impl MethodRows {
                 let right = if row.agreement >= 1.0 {
                     String::new()
                 } else {
-                    format!(", {} right", percent(row.agreement))
+                    format!(", {} right", percent_short(row.agreement))
                 };
                 let cut = if *times > end { "▸ " } else { "" };
                 Bar {
@@ -254,6 +254,6 @@ mod tests {
         let table = rows.table("t");
         assert_eq!(table.rows[1][2], Cell::Number(9.6, 2));
         assert_eq!(table.rows[0][3], Cell::Number(4.0, 2));
-        assert!(rows.bars().contains("× 0.50, 90.0000 % right") && !rows.bars().contains("▸ ×"));
+        assert!(rows.bars().contains("× 0.50, 90.0 % right") && !rows.bars().contains("▸ ×"));
     }
 }

@@ -25,7 +25,7 @@ use serde_json::{Map, json};
 use crate::bench_random;
 use crate::document::{Cell, DataTable, Document, Part, Section};
 use crate::sim::robot_record::RecordFacts;
-use crate::table::percent;
+use crate::table::percent_short;
 use crate::{progress, stop};
 use args::{BenchPaperArgs, Stage};
 use figures::Scene;
@@ -387,8 +387,8 @@ fn seen_verdict(flown: &Flown) -> Option<(bool, String)> {
     let words = format!(
         "{} robots have seen {} of what can be seen of the {} in {:.0} s ({}).",
         flown.records.len(),
-        percent(seen_share),
-        flown.scene.name(),
+        percent_short(seen_share),
+        flown.scene.words(),
         flown.seconds,
         flown.ended
     );

@@ -94,7 +94,9 @@ pub fn section(measured: &Measured) -> Section {
         Cell::Missing,
         Cell::Missing,
     ]);
-    table.note = "KB/s of UDP payload with requests, repairs and all headers. Ages are of both robots' voxels together.".to_owned();
+    table.note = "KB/s of UDP payload with requests, repairs and all headers. Ages are of both robots' voxels together. An exploration turns round and looks again, \
+                  where the paper's flight went straight through a forest not seen before: its like is the application below, whose table has its own traffic."
+        .to_owned();
     let parts = vec![
         Part::Words(format!(
             "The two robots of the forest over an emulated Wi-Fi: {:.0} % of all datagrams lost, {:.0} ms delay and up to {:.0} ms jitter. \
