@@ -137,16 +137,16 @@ impl Bench<'_> {
     fn expected(&self) -> Vec<f64> {
         let quick = self.args.quick;
         let scene = |scene: Scene| match scene {
-            Scene::Forest => [120.0, 6.0],
-            Scene::Indoor => [240.0, 9.0],
+            Scene::Forest => [130.0, 30.0],
+            Scene::Indoor => [240.0, 20.0],
         };
         let stage = |stage: Stage| match stage {
-            Stage::Table1 => [500.0, 40.0],
+            Stage::Table1 => [400.0, 45.0],
             Stage::Table2 => [20.0, 1.0],
             Stage::Table3 => [60.0, 4.0],
             Stage::Table4 => [15.0, 2.0],
-            Stage::Fig5 => [40.0, 10.0],
-            Stage::Application => [400.0, 30.0],
+            Stage::Fig5 => [40.0, 6.0],
+            Stage::Application => [500.0, 35.0],
             Stage::Beyond => [60.0, 10.0],
         };
         let stages = ORDER.into_iter().filter(|stage| self.stages.contains(stage)).map(stage);
