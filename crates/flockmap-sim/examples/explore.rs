@@ -1,5 +1,5 @@
 //! Explores a world and tells how it goes: `explore forest|indoor|FILE [robots] [seed] [threads] [resolution range] [loss]
-//! [1: with no-returns] [seconds at most]`.
+//! [0: without no-returns] [seconds at most]`.
 
 use flockmap_grid::Resolution;
 use flockmap_sim::{ExploreOptions, Explorer, World};
@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..ExploreOptions::default()
     };
     options.radio.link.loss = number(6, 0.0)?;
-    options.scan.no_returns = number(7, 0.0)? > 0.0;
+    options.scan.no_returns = number(7, 1.0)? > 0.0;
     options.seconds_max = number(8, 600.0)?;
     let started = Instant::now();
     let mut explorer = Explorer::new(Arc::new(world), options)?;

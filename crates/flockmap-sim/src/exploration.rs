@@ -11,6 +11,7 @@ mod mates;
 mod pilot;
 mod regions;
 mod seeable;
+mod setup;
 mod sight;
 mod start;
 
@@ -34,13 +35,14 @@ pub struct ExploreOptions {
     pub range_m: f64,
     /// LiDAR of every robot; it sits at the robot's centre. Default Mid-360.
     pub lidar: Lidar,
-    /// How it scans.
+    /// How it scans. Default: with rays that hit nothing, so that the open sky can be told from what was not looked at.
     pub scan: ScanOptions,
     /// The exploration ends after this time at the latest, in seconds. Default 600.
     pub seconds_max: f64,
     /// Speed, acceleration, yaw rate.
     pub limits: MotionLimits,
-    /// Least distance to anything Occupied in a robot's map, in metres. Default 0.3.
+    /// Least distance to anything Occupied in a robot's map, in metres. A robot that finds no way to what it
+    /// could look at makes do with 0.1 m less, down to 0.2. Default 0.3.
     pub clearance_m: f64,
     /// Robots keep this far apart, centre to centre, in metres, 0.8 … 5. Default 1.
     pub separation_m: f64,
@@ -70,7 +72,7 @@ impl Default for ExploreOptions {
             resolution: Resolution::from_micrometres(100_000).expect("10 cm is within the limits"),
             range_m: 7.0,
             lidar: Lidar::default(),
-            scan: ScanOptions::default(),
+            scan: ScanOptions { no_returns: true, ..ScanOptions::default() },
             seconds_max: 600.0,
             limits: MotionLimits::default(),
             clearance_m: 0.3,

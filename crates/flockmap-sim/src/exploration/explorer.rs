@@ -4,15 +4,12 @@ use super::mates::{Mate, are_apart};
 use super::pilot::{Pilot, PilotConfig};
 use super::regions::{self, Regions};
 use super::seeable::{Eyes, Seeable};
+use super::setup::{check, default_region, heights, navigation};
 use super::sight::Sight;
 use super::{ExploreError, ExploreOptions, start};
 use crate::curve::distance;
-use crate::patrol::ROBOTS_MAX;
 use crate::random::mix;
-use crate::{
-    Body, Motion, NavigationConfig, NavigationError, NavigationGrid, RadioConfig, RadioEmulator,
-    SCAN_PERIOD_MICROS, ScanOptions, Scanner, To, World,
-};
+use crate::{Body, Motion, RadioConfig, RadioEmulator, SCAN_PERIOD_MICROS, ScanOptions, Scanner, To, World};
 use flockmap::{Cast, Destination, Robot, RobotConfig};
 use flockmap_grid::{RobotId, Stamp};
 use flockmap_io::Frame;
@@ -29,9 +26,6 @@ const IDLE_MAX_MICROS: i64 = 20_000_000;
 
 /// A robot that was not heard for so long takes all regions for its own.
 const ALONE_MICROS: i64 = 8_000_000;
-
-/// Cells of the navigation grids up to which they stay 20 cm wide.
-const CELLS_WANTED: f64 = 4e6;
 
 /// Metres from a robot's centre to the corners of its body (0.4 × 0.4 × 0.3 m).
 const BODY_RADIUS_M: f64 = 0.33;
@@ -167,18 +161,16 @@ impl Explorer {
             config.session = options.session.clone();
             config.mapper.range_min_m = options.scan.min_range_m;
             config.teammate_radius_m = BODY_RADIUS_M + 2.0 * options.resolution.metres();
-            let mut grid = NavigationGrid::new(&navigation)?;
-            grid.assume_free(place, start::ROOM_M);
             let pilot = Pilot::new(PilotConfig {
                 number,
                 start: place,
-                grid,
+                navigation,
                 sight: sight.clone(),
                 regions: Regions::new(region_m),
                 limits: options.limits,
                 heights_m,
                 separation_m: options.separation_m,
-            });
+            })?;
             let scan = ScanOptions { seed: mix(options.scan.seed ^ mix(number as u64 + 1)), ..options.scan };
             let scanner = Scanner::new(Arc::clone(&world), options.lidar, scan);
             members.push(Member { robot: Robot::new(config, Stamp(0))?, pilot, scanner, frame: None });
@@ -478,61 +470,4 @@ fn spread(threads: usize, members: &mut [Member], work: impl Fn(usize, &mut Memb
             });
         }
     });
-}
-
-fn default_region(world: &World) -> [[f64; 3]; 2] {
-    let side = world.resolution().metres();
-    let (min, max) = (world.bounds().min(), world.bounds().max());
-    let low = [min.x, min.y, min.z].map(|v| f64::from(v) * side);
-    let high = [max.x, max.y, max.z].map(|v| f64::from(v + 1) * side);
-    [low, [high[0], high[1], high[2].min(low[2] + 3.0)]]
-}
-
-/// Lowest and highest flight (z).
-fn heights(region_m: [[f64; 3]; 2], options: &ExploreOptions) -> [f64; 2] {
-    let (floor, top) = (region_m[0][2], region_m[1][2]);
-    [floor + options.height_m[0], (floor + options.height_m[1]).min(top - 0.3)]
-}
-
-fn navigation(
-    region_m: [[f64; 3]; 2],
-    options: &ExploreOptions,
-) -> Result<NavigationConfig, NavigationError> {
-    let volume = (0..3).map(|a| region_m[1][a] - region_m[0][a]).product::<f64>();
-    let mut config = NavigationConfig::new(options.resolution, region_m);
-    config.cell_m = config.cell_m.max(options.resolution.metres());
-    while volume / (config.cell_m * config.cell_m * config.cell_m) > CELLS_WANTED {
-        config.cell_m += options.resolution.metres();
-        if config.cell_m > 8.0 * options.resolution.metres() {
-            return Err(NavigationError::TooLarge {
-                cells: core::array::from_fn(|a| ((region_m[1][a] - region_m[0][a]) / config.cell_m) as u32),
-                cell_m: config.cell_m,
-            });
-        }
-    }
-    config.clearance_m = options.clearance_m;
-    config.comfort_m = options.clearance_m + 0.2;
-    Ok(config)
-}
-
-fn check(options: &ExploreOptions) -> Result<(), ExploreError> {
-    let ranges = [
-        ("robots", options.robots as f64, 1.0, ROBOTS_MAX as f64, "1 to 64"),
-        ("threads", options.threads as f64, 1.0, 64.0, "1 to 64"),
-        ("range_m", options.range_m, 1.0, 100.0, "1 to 100"),
-        ("seconds_max", options.seconds_max, 0.1, 14_400.0, "0.1 to 14,400"),
-        ("speed_m_s", options.limits.speed_m_s, 0.1, 20.0, "0.1 to 20"),
-        ("acceleration_m_s2", options.limits.acceleration_m_s2, 0.1, 20.0, "0.1 to 20"),
-        ("yaw_rate_rad_s", options.limits.yaw_rate_rad_s, 0.1, 10.0, "0.1 to 10"),
-        ("clearance_m", options.clearance_m, 0.1, 1.0, "0.1 to 1"),
-        ("separation_m", options.separation_m, 0.8, 5.0, "0.8 to 5"),
-        ("height_m[0]", options.height_m[0], 0.0, 1_000.0, "0 to 1,000"),
-        ("height_m[1]", options.height_m[1], options.height_m[0], 1_000.0, "height_m[0] to 1,000"),
-    ];
-    for (name, value, low, high, expected) in ranges {
-        if !(low <= value && value <= high) {
-            return Err(ExploreError::Option { name, value, expected });
-        }
-    }
-    Ok(())
 }

@@ -4,9 +4,10 @@ use super::frontier::{Frontiers, Viewpoint};
 use super::mates::{Mate, metres_to_path};
 use super::regions::{Regions, tour, work};
 use super::sight::Sight;
+use super::start::ROOM_M;
 use crate::curve::distance;
 use crate::navigation::wrapped;
-use crate::{Motion, MotionLimits, NavigationGrid, RouteQuery, Router};
+use crate::{Motion, MotionLimits, NavigationConfig, NavigationError, NavigationGrid, RouteQuery, Router};
 use flockmap_grid::{MapView, Stamp};
 use libm::atan2;
 
@@ -15,6 +16,16 @@ const PLAN_PAUSE_MICROS: i64 = 300_000;
 
 /// Time after which the goal is thought over even if nothing has happened.
 const PLAN_PERIOD_MICROS: i64 = 1_500_000;
+
+/// The same for a robot that has nothing to do.
+const IDLE_PAUSE_MICROS: i64 = 1_000_000;
+
+/// A robot that knows of something to look at but of no way for so long makes do with less clearance.
+const SHUT_IN_MICROS: i64 = 2_000_000;
+
+/// Metres by which it does, and the least clearance: that of its body.
+const CLEARANCE_STEP_M: f64 = 0.1;
+const CLEARANCE_MIN_M: f64 = 0.2;
 
 /// Time between two looks round that count.
 const LOOK_PERIOD_MICROS: i64 = 300_000;
@@ -65,6 +76,8 @@ struct Goal {
 pub(super) struct Pilot {
     pub(super) number: usize,
     pub(super) motion: Motion,
+    start: [f64; 3],
+    navigation: NavigationConfig,
     grid: NavigationGrid,
     router: Router,
     frontiers: Frontiers,
@@ -91,7 +104,7 @@ pub(super) struct Pilot {
 pub(super) struct PilotConfig {
     pub(super) number: usize,
     pub(super) start: [f64; 3],
-    pub(super) grid: NavigationGrid,
+    pub(super) navigation: NavigationConfig,
     pub(super) sight: Sight,
     pub(super) regions: Regions,
     pub(super) limits: MotionLimits,
@@ -100,14 +113,18 @@ pub(super) struct PilotConfig {
 }
 
 impl Pilot {
-    pub(super) fn new(config: PilotConfig) -> Self {
+    pub(super) fn new(config: PilotConfig) -> Result<Self, NavigationError> {
         let count = config.regions.count();
-        Self {
+        let mut grid = NavigationGrid::new(&config.navigation)?;
+        grid.assume_free(config.start, ROOM_M);
+        Ok(Self {
             number: config.number,
             motion: Motion::new(config.start, 0.0),
-            router: Router::new(&config.grid),
-            frontiers: Frontiers::new(&config.grid),
-            grid: config.grid,
+            start: config.start,
+            navigation: config.navigation,
+            router: Router::new(&grid),
+            frontiers: Frontiers::new(&grid),
+            grid,
             sight: config.sight,
             regions: config.regions,
             own: vec![true; count],
@@ -122,7 +139,7 @@ impl Pilot {
             arrived: None,
             idle_since: None,
             path_m: 0.0,
-        }
+        })
     }
 
     pub(super) fn mate(&self) -> Mate {
@@ -144,6 +161,9 @@ impl Pilot {
 
     /// Takes in the map, and plans if it is time to.
     pub(super) fn plan(&mut self, now: Stamp, map: &MapView, mates: &[Mate]) {
+        if self.is_shut_in(now) {
+            self.squeeze();
+        }
         self.grid.update(map);
         let looks = self.looked.is_none_or(|at| now.micros_since(at) >= LOOK_PERIOD_MICROS);
         if looks {
@@ -179,7 +199,8 @@ impl Pilot {
         } else {
             due = true;
         }
-        let rested = self.planned.is_none_or(|at| now.micros_since(at) >= PLAN_PAUSE_MICROS);
+        let pause = if self.idle_since.is_some() { IDLE_PAUSE_MICROS } else { PLAN_PAUSE_MICROS };
+        let rested = self.planned.is_none_or(|at| now.micros_since(at) >= pause);
         if due && rested {
             self.planned = Some(now);
             self.arrived = None;
@@ -195,6 +216,30 @@ impl Pilot {
             Some(goal) if self.motion.remaining_m() < 1.5 => goal.yaw,
             _ if flies => atan2(v[1], v[0]),
             _ => self.motion.yaw(),
+        }
+    }
+
+    /// Whether it has had nothing to do for a while though there is something to look at in its regions.
+    fn is_shut_in(&self, now: Stamp) -> bool {
+        self.idle_since.is_some_and(|since| now.micros_since(since) >= SHUT_IN_MICROS)
+            && self.navigation.clearance_m - CLEARANCE_STEP_M >= CLEARANCE_MIN_M - 1e-9
+            && self
+                .frontiers
+                .list
+                .iter()
+                .any(|f| !f.viewpoints.is_empty() && self.own[self.regions.at(f.centre)])
+    }
+
+    /// Makes do with less clearance from now on: what was a way when less of it was known may have turned out too
+    /// narrow.
+    fn squeeze(&mut self) {
+        self.navigation.clearance_m -= CLEARANCE_STEP_M;
+        // The same region as before, so it works, and cells keep their numbers.
+        if let Ok(mut grid) = NavigationGrid::new(&self.navigation) {
+            grid.assume_free(self.start, ROOM_M);
+            self.grid = grid;
+            self.idle_since = None;
+            self.planned = None;
         }
     }
 

@@ -142,8 +142,11 @@ impl Motion {
         for &next in self.points.iter().skip(self.segment + 1) {
             let here = path[path.len() - 1];
             let length = distance(here, next);
-            if left <= 1e-9 {
+            if left <= 1e-6 {
                 break;
+            }
+            if length < 1e-9 {
+                continue;
             }
             if length > left {
                 path.push(towards(here, next, left));
@@ -235,6 +238,11 @@ impl Motion {
             if lasts > left {
                 self.along += now * left + 0.5 * self.acceleration() * left * left;
                 self.along = self.along.clamp(0.0, length);
+                // Never at a sample and short of it at once: paths cut off here would have pieces without length.
+                if self.along > length - 1e-9 {
+                    self.segment += 1;
+                    self.along = 0.0;
+                }
                 return;
             }
             left -= lasts;

@@ -218,7 +218,7 @@ fn what_is_to_be_avoided_is_gone_round() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 256, ..ProptestConfig::default() })]
 
     #[test]
     fn motion_keeps_its_limits_whatever_it_is_told(
@@ -246,6 +246,11 @@ proptest! {
                 motion.step(0.1, yaw, &limits);
                 let moved = crate::curve::distance(p, motion.position());
                 prop_assert!(moved <= 0.15 + 1e-6, "{moved} m in 0.1 s");
+                // Braking again and again changes nothing once it brakes.
+                if brake {
+                    motion.brake(&limits);
+                    prop_assert!(motion.position().iter().all(|v| v.is_finite()));
+                }
                 prop_assert!((motion.speed() - v).abs() <= 0.1 + 0.011, "{v} to {} m/s", motion.speed());
                 prop_assert!(wrapped(motion.yaw() - y).abs() <= 0.14 + 1e-9);
             }
