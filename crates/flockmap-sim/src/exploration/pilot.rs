@@ -219,6 +219,12 @@ impl Pilot {
         }
     }
 
+    /// Whether there is something to look at in its regions, be there a way or not.
+    fn has_targets(&self) -> bool {
+        let is_own = |centre| self.own[self.regions.at(centre)];
+        self.frontiers.list.iter().any(|frontier| !frontier.viewpoints.is_empty() && is_own(frontier.centre))
+    }
+
     /// Whether it has had nothing to do for a while though there is something to look at in its regions.
     fn is_shut_in(&self, now: Stamp) -> bool {
         self.idle_since.is_some_and(|since| now.micros_since(since) >= SHUT_IN_MICROS)
@@ -283,11 +289,14 @@ impl Pilot {
         let near_mates = self.cells_near_mates(mates);
         let avoid = |cell: usize| !in_band(cell) || near_mates.binary_search(&(cell as u32)).is_ok();
         self.wish = None;
-        self.router.flood(&self.grid, from, NEAR_M, false, avoid);
-        let mut goal = self.best_goal(from);
-        if goal.is_none() {
-            self.router.flood(&self.grid, from, f64::INFINITY, false, avoid);
-            goal = self.best_goal(from);
+        let mut goal = None;
+        let has_targets = self.has_targets();
+        // Near first: most of the time that is enough, and far cheaper.
+        for metres_max in [NEAR_M, f64::INFINITY] {
+            if goal.is_none() && has_targets {
+                self.router.flood(&self.grid, from, metres_max, false, avoid);
+                goal = self.best_goal(from);
+            }
         }
         if let Some(goal) = goal {
             self.idle_since = None;
@@ -295,7 +304,7 @@ impl Pilot {
             return;
         }
         // Perhaps somebody is in the way.
-        if !near_mates.is_empty() {
+        if has_targets && !near_mates.is_empty() {
             self.router.flood(&self.grid, from, f64::INFINITY, false, |cell| !in_band(cell));
             if let Some(goal) = self.best_goal(from) {
                 self.idle_since = None;
