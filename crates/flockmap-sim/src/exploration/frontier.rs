@@ -15,7 +15,7 @@ const CELLS_MIN: usize = 6;
 const DIRECTIONS_MAX: u32 = 3;
 
 /// A viewpoint from which fewer cells are to be seen is not worth the way.
-const GAIN_MIN: f64 = 60.0;
+pub(super) const GAIN_MIN: f64 = 60.0;
 
 /// Cells of a frontier that viewpoints are judged by.
 const SAMPLES_MAX: usize = 24;
@@ -81,6 +81,18 @@ impl Frontiers {
     /// How much is to be seen from a place now.
     pub(super) fn gain(&self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) -> f64 {
         sight.gain(grid, place, yaw, |cell, octant| self.is_worth_along(grid, cell, octant))
+    }
+
+    /// Takes down what is to be seen from a viewpoint now, and drops it if that is not worth the way any more.
+    pub(super) fn note_gain(&mut self, place: [f64; 3], gain: f64) {
+        for frontier in &mut self.list {
+            frontier.viewpoints.retain_mut(|viewpoint| {
+                if viewpoint.place == place {
+                    viewpoint.gain = gain;
+                }
+                viewpoint.gain >= GAIN_MIN
+            });
+        }
     }
 
     /// Drops what has been seen, finds what is new, and viewpoints for it. `is_open` says where one can fly.

@@ -1,6 +1,6 @@
 //! One robot's planner: what to look at next, and how to get there.
 
-use super::frontier::{Frontiers, Viewpoint};
+use super::frontier::{Frontiers, GAIN_MIN, Viewpoint};
 use super::mates::{Mate, metres_to_path};
 use super::regions::{Regions, tour, work};
 use super::sight::Sight;
@@ -71,6 +71,9 @@ struct Goal {
     /// What was to be seen from there when it was chosen.
     gain: f64,
 }
+
+/// Viewpoints and what is to be seen from them.
+type Gains = Vec<([f64; 3], f64)>;
 
 /// Plans and flies one robot.
 pub(super) struct Pilot {
@@ -272,13 +275,10 @@ impl Pilot {
 
     /// Chooses the next goal and sets out for it.
     fn choose(&mut self, now: Stamp, mates: &[Mate]) {
-        let heights = self.heights_m;
-        let grid = &self.grid;
-        let in_band = |cell: usize| {
-            let z = grid.centre(cell)[2];
-            heights[0] <= z && z <= heights[1]
-        };
-        self.frontiers.update(grid, &self.sight, |cell| grid.is_passable(cell, false) && in_band(cell));
+        let (grid, heights) = (&self.grid, self.heights_m);
+        self.frontiers.update(grid, &self.sight, |cell| {
+            grid.is_passable(cell, false) && !is_closed(grid, heights, &[], cell)
+        });
         let mut cells = vec![0; self.regions.count()];
         for frontier in self.frontiers.list.iter().filter(|f| !f.viewpoints.is_empty()) {
             cells[self.regions.at(frontier.centre)] += frontier.cells.len();
@@ -287,14 +287,13 @@ impl Pilot {
 
         let from = self.motion.stopping_point(&self.limits);
         let near_mates = self.cells_near_mates(mates);
-        let avoid = |cell: usize| !in_band(cell) || near_mates.binary_search(&(cell as u32)).is_ok();
         self.wish = None;
         let mut goal = None;
         let has_targets = self.has_targets();
         // Near first: most of the time that is enough, and far cheaper.
         for metres_max in [NEAR_M, f64::INFINITY] {
             if goal.is_none() && has_targets {
-                self.router.flood(&self.grid, from, metres_max, false, avoid);
+                self.flood(from, metres_max, &near_mates);
                 goal = self.best_goal(from);
             }
         }
@@ -305,11 +304,13 @@ impl Pilot {
         }
         // Perhaps somebody is in the way.
         if has_targets && !near_mates.is_empty() {
-            self.router.flood(&self.grid, from, f64::INFINITY, false, |cell| !in_band(cell));
+            self.flood(from, f64::INFINITY, &[]);
             if let Some(goal) = self.best_goal(from) {
                 self.idle_since = None;
                 let query = self.query(from, goal.place);
-                self.wish = self.router.route(&self.grid, &query, |cell| !in_band(cell)).ok();
+                let (grid, heights) = (&self.grid, self.heights_m);
+                let wish = self.router.route(grid, &query, |cell| is_closed(grid, heights, &[], cell));
+                self.wish = wish.ok();
             }
         }
         if self.wish.is_none() {
@@ -319,14 +320,35 @@ impl Pilot {
         self.make_way(from, mates, &near_mates);
     }
 
+    /// Finds the ways to all places within a distance, clear of cells near others.
+    fn flood(&mut self, from: [f64; 3], metres_max: f64, near_mates: &[u32]) {
+        let (grid, heights) = (&self.grid, self.heights_m);
+        self.router.flood(grid, from, metres_max, false, |cell| is_closed(grid, heights, near_mates, cell));
+    }
+
     fn is_seen(&self, goal: &Goal) -> bool {
         self.frontiers.share_left(&self.grid, &goal.cells) <= SEEN_SHARE
             || self.frontiers.gain(&self.grid, &self.sight, goal.place, goal.yaw) <= SEEN_SHARE * goal.gain
     }
 
     /// The goal in the own regions with the most to see for the time it takes; those in the first region of a tour
-    /// through all own regions count more. Only what the last flood reached.
-    fn best_goal(&self, from: [f64; 3]) -> Option<Goal> {
+    /// through all own regions count more. Only what the last flood reached. What turns out to have been seen
+    /// meanwhile is dropped.
+    fn best_goal(&mut self, from: [f64; 3]) -> Option<Goal> {
+        loop {
+            let (places, goal) = self.short_list(from)?;
+            for (place, gain) in places {
+                self.frontiers.note_gain(place, gain);
+            }
+            if goal.is_some() {
+                return goal;
+            }
+        }
+    }
+
+    /// The best goals by what was known of them, each with what is to be seen from there now, and the best of those.
+    /// `None` if there are none.
+    fn short_list(&self, from: [f64; 3]) -> Option<(Gains, Option<Goal>)> {
         struct Candidate {
             place: [f64; 3],
             yaw: f64,
@@ -378,9 +400,14 @@ impl Pilot {
         for candidate in &mut candidates {
             candidate.gain = self.frontiers.gain(&self.grid, &self.sight, candidate.place, candidate.yaw);
         }
-        let best = candidates.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
-        let cells = self.frontiers.list[best.frontier].cells.clone();
-        Some(Goal { place: best.place, yaw: best.yaw, cells, gain: best.gain })
+        let gains = candidates.iter().map(|candidate| (candidate.place, candidate.gain)).collect();
+        candidates.retain(|candidate| candidate.gain >= GAIN_MIN);
+        let best = candidates.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)));
+        let goal = best.map(|best| {
+            let cells = self.frontiers.list[best.frontier].cells.clone();
+            Goal { place: best.place, yaw: best.yaw, cells, gain: best.gain }
+        });
+        Some((gains, goal))
     }
 
     fn go(&mut self, from: [f64; 3], goal: Goal, near_mates: &[u32]) {
@@ -391,10 +418,7 @@ impl Pilot {
         }
         let query = self.query(from, goal.place);
         let (grid, heights) = (&self.grid, self.heights_m);
-        let is_closed = |cell: usize| {
-            let z = grid.centre(cell)[2];
-            z < heights[0] || z > heights[1] || near_mates.binary_search(&(cell as u32)).is_ok()
-        };
+        let is_closed = |cell: usize| is_closed(grid, heights, near_mates, cell);
         match self.router.route(grid, &query, is_closed) {
             Ok(line) => {
                 self.motion.follow(&line, &self.limits, |a, b| {
@@ -420,13 +444,8 @@ impl Pilot {
         if !in_way(from) {
             return;
         }
-        let heights = self.heights_m;
+        self.flood(from, NEAR_M, near_mates);
         let grid = &self.grid;
-        let closed = |cell: usize| {
-            let z = grid.centre(cell)[2];
-            z < heights[0] || z > heights[1] || near_mates.binary_search(&(cell as u32)).is_ok()
-        };
-        self.router.flood(grid, from, NEAR_M, false, closed);
         let mut best: Option<(f64, usize)> = None;
         for cell in 0..grid.count() {
             let Some(metres) = self.router.metres_to(grid, cell) else { continue };
@@ -488,6 +507,12 @@ impl Pilot {
             self.grid.cell_at(*point).is_some_and(|cell| cells.binary_search(&(cell as u32)).is_ok())
         })
     }
+}
+
+/// Whether a cell is not to be flown in for other reasons than the map: its height, or others (cells in ascending order).
+fn is_closed(grid: &NavigationGrid, heights_m: [f64; 2], near_mates: &[u32], cell: usize) -> bool {
+    let z = grid.centre(cell)[2];
+    z < heights_m[0] || z > heights_m[1] || near_mates.binary_search(&(cell as u32)).is_ok()
 }
 
 /// A polyline with points at most 10 cm apart.
