@@ -15,7 +15,7 @@ const CELLS_MIN: usize = 6;
 const DIRECTIONS_MAX: u32 = 3;
 
 /// A viewpoint from which fewer cells are to be seen is not worth the way.
-pub(super) const GAIN_MIN: f64 = 60.0;
+pub(super) const GAIN_MIN: f64 = 100.0;
 
 /// Cells of a frontier that viewpoints are judged by.
 const SAMPLES_MAX: usize = 24;

@@ -1,7 +1,7 @@
 //! One robot's planner: what to look at next, and how to get there.
 
 use super::frontier::{Frontiers, GAIN_MIN, Viewpoint};
-use super::mates::{Mate, metres_to_path};
+use super::mates::{Mate, cells_near, dense, metres_to_path};
 use super::regions::{Regions, tour, work};
 use super::sight::Sight;
 use super::start::ROOM_M;
@@ -48,6 +48,9 @@ const STOP_S: f64 = 1.5;
 
 /// Seconds to turn by one radian in flight.
 const TURN_S: f64 = 0.6;
+
+/// Cells to be seen for each second of the way, at least: for less nobody sets out.
+const WORTH_MIN: f64 = 20.0;
 
 /// Goals whose gain is worked out anew before one is chosen.
 const SHORT_LIST: usize = 16;
@@ -101,6 +104,8 @@ pub(super) struct Pilot {
     /// Since when it has found nothing to do.
     pub(super) idle_since: Option<Stamp>,
     pub(super) path_m: f64,
+    /// Whether there is something to look at and no way to any of it.
+    is_cut_off: bool,
 }
 
 /// What a pilot is made with.
@@ -142,6 +147,7 @@ impl Pilot {
             arrived: None,
             idle_since: None,
             path_m: 0.0,
+            is_cut_off: false,
         })
     }
 
@@ -228,6 +234,14 @@ impl Pilot {
         self.frontiers.list.iter().any(|frontier| !frontier.viewpoints.is_empty() && is_own(frontier.centre))
     }
 
+    /// Whether the last flood came to one of these.
+    fn reaches_any(&self) -> bool {
+        let is_own = |centre| self.own[self.regions.at(centre)];
+        let own = self.frontiers.list.iter().filter(|frontier| is_own(frontier.centre));
+        let mut cells = own.flat_map(|f| &f.viewpoints).filter_map(|v| self.grid.cell_at(v.place));
+        cells.any(|cell| self.router.metres_to(&self.grid, cell).is_some())
+    }
+
     /// Whether it has had nothing to do for a while though there is something to look at in its regions.
     fn is_shut_in(&self, now: Stamp) -> bool {
         self.idle_since.is_some_and(|since| now.micros_since(since) >= SHUT_IN_MICROS)
@@ -286,7 +300,7 @@ impl Pilot {
         self.work = work(&self.regions.unknown_shares(grid), &cells);
 
         let from = self.motion.stopping_point(&self.limits);
-        let near_mates = self.cells_near_mates(mates);
+        let near_mates = cells_near(&self.grid, mates, self.separation_m + DETOUR_M);
         self.wish = None;
         let mut goal = None;
         let has_targets = self.has_targets();
@@ -297,6 +311,7 @@ impl Pilot {
                 goal = self.best_goal(from);
             }
         }
+        self.is_cut_off = goal.is_none() && has_targets && !self.reaches_any();
         if let Some(goal) = goal {
             self.idle_since = None;
             self.go(from, goal, &near_mates);
@@ -374,7 +389,9 @@ impl Pilot {
                 let turn = heading.map_or(0.0, |heading| wrapped(ahead - heading).abs());
                 let seconds = metres / self.limits.speed_m_s + TURN_S * turn + STOP_S;
                 let Viewpoint { place, yaw, gain } = *viewpoint;
-                candidates.push(Candidate { place, yaw, gain, seconds, frontier: number, region });
+                if gain >= WORTH_MIN * seconds {
+                    candidates.push(Candidate { place, yaw, gain, seconds, frontier: number, region });
+                }
             }
         }
         // Regions in the order in which they are to be visited.
@@ -401,7 +418,7 @@ impl Pilot {
             candidate.gain = self.frontiers.gain(&self.grid, &self.sight, candidate.place, candidate.yaw);
         }
         let gains = candidates.iter().map(|candidate| (candidate.place, candidate.gain)).collect();
-        candidates.retain(|candidate| candidate.gain >= GAIN_MIN);
+        candidates.retain(|c| c.gain >= GAIN_MIN && c.gain >= WORTH_MIN * c.seconds);
         let best = candidates.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)));
         let goal = best.map(|best| {
             let cells = self.frontiers.list[best.frontier].cells.clone();
@@ -467,40 +484,6 @@ impl Pilot {
         RouteQuery { from, to, unknown_ok: false, expansions_max: EXPANSIONS_MAX }
     }
 
-    /// Cells too near to where others are and will be until they could stop, ascending.
-    fn cells_near_mates(&self, mates: &[Mate]) -> Vec<u32> {
-        let wide = self.separation_m + DETOUR_M;
-        let reach = (wide / self.grid.cell_m()).ceil() as i32;
-        let mut cells = Vec::new();
-        for mate in mates {
-            let mut last: Option<[f64; 3]> = None;
-            for &point in &mate.stopping_path {
-                // Every 20 cm and the ends will do.
-                let is_end = mate.stopping_path.last() == Some(&point);
-                if !is_end && last.is_some_and(|last| distance(last, point) < 0.2) {
-                    continue;
-                }
-                last = Some(point);
-                for z in -reach..=reach {
-                    for y in -reach..=reach {
-                        for x in -reach..=reach {
-                            let d = [x, y, z].map(|i| f64::from(i) * self.grid.cell_m());
-                            let place = core::array::from_fn(|a| point[a] + d[a]);
-                            if let Some(cell) = self.grid.cell_at(place)
-                                && distance(self.grid.centre(cell), point) < wide
-                            {
-                                cells.push(cell as u32);
-                            }
-                        }
-                    }
-                }
-            }
-        }
-        cells.sort_unstable();
-        cells.dedup();
-        cells
-    }
-
     /// Whether the path ahead leads through these cells.
     fn path_meets(&self, cells: &[u32]) -> bool {
         self.motion.path().iter().any(|point| {
@@ -513,17 +496,4 @@ impl Pilot {
 fn is_closed(grid: &NavigationGrid, heights_m: [f64; 2], near_mates: &[u32], cell: usize) -> bool {
     let z = grid.centre(cell)[2];
     z < heights_m[0] || z > heights_m[1] || near_mates.binary_search(&(cell as u32)).is_ok()
-}
-
-/// A polyline with points at most 10 cm apart.
-fn dense(line: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    let mut points: Vec<[f64; 3]> = line.first().copied().into_iter().collect();
-    for pair in line.windows(2) {
-        let steps = (distance(pair[0], pair[1]) / 0.1).ceil().max(1.0);
-        for step in 1..=steps as u32 {
-            let s = f64::from(step) / steps;
-            points.push(core::array::from_fn(|a| pair[0][a] + (pair[1][a] - pair[0][a]) * s));
-        }
-    }
-    points
 }
