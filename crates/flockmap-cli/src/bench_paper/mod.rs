@@ -30,6 +30,7 @@ use crate::{progress, stop};
 use args::{BenchPaperArgs, Stage};
 use figures::Scene;
 use flown::{Explored, FlightPlan, Flown};
+use jobs::Job;
 
 /// Of what can be seen an exploration must see this share.
 const SEEN_SHARE: f64 = 0.95;
@@ -136,9 +137,10 @@ impl Bench<'_> {
     /// Seconds that each stage took on two cores, in the order of the stages. For the time left: only their proportions count.
     fn expected(&self) -> Vec<f64> {
         let quick = self.args.quick;
-        let scene = |scene: Scene| match scene {
-            Scene::Forest => [130.0, 30.0],
-            Scene::Indoor => [240.0, 20.0],
+        let flights = match self.scenes().len() {
+            0 => None,
+            1 => Some([130.0, 20.0]),
+            _ => Some([300.0, 40.0]),
         };
         let stage = |stage: Stage| match stage {
             Stage::Table1 => [400.0, 45.0],
@@ -150,12 +152,7 @@ impl Bench<'_> {
             Stage::Beyond => [60.0, 10.0],
         };
         let stages = ORDER.into_iter().filter(|stage| self.stages.contains(stage)).map(stage);
-        self.scenes()
-            .into_iter()
-            .map(scene)
-            .chain(stages)
-            .map(|seconds| seconds[usize::from(quick)])
-            .collect()
+        flights.into_iter().chain(stages).map(|seconds| seconds[usize::from(quick)]).collect()
     }
 
     /// About how many seconds are left before the stage that begins now, in words.
@@ -205,32 +202,7 @@ impl Bench<'_> {
     }
 
     fn all(&mut self, records: &Path) -> anyhow::Result<()> {
-        let mut flights = Flights(Vec::new());
-        for scene in self.scenes() {
-            let name = match scene {
-                Scene::Forest => "exploring the forest with 2 robots",
-                Scene::Indoor => "exploring the office with 5 robots",
-            };
-            if let Some(folder) = &self.args.flights {
-                let name = match scene {
-                    Scene::Forest => "opening the flight through the forest",
-                    Scene::Indoor => "opening the flight through the office",
-                };
-                flights.0.extend(self.stage(None, name, |_| flown::open(scene, folder))?);
-                continue;
-            }
-            let plan = FlightPlan {
-                scene,
-                world: Arc::new(scene.world(self.args.seed)),
-                seed: self.args.seed,
-                lidar: self.args.lidar,
-                rendering: self.args.rendering,
-                seconds_max: self.args.seconds.unwrap_or(if self.args.quick { 10.0 } else { 400.0 }),
-                threads: self.threads,
-            };
-            let flown = self.stage(None, name, |_| progress::within(name, || flown::fly(&plan, records)))?;
-            flights.0.extend(flown);
-        }
+        let flights = Flights(self.flights(records)?);
         if !flights.0.is_empty() {
             self.verdicts.extend(flights.0.iter().filter_map(seen_verdict));
             self.sections.push(flights_section(&flights));
@@ -261,6 +233,44 @@ impl Bench<'_> {
             self.sections.push(beyond::section(self.args, measured.as_ref()));
         }
         Ok(())
+    }
+
+    /// The flights that the wanted stages need: opened, or flown and recorded, several at the same time.
+    fn flights(&mut self, records: &Path) -> anyhow::Result<Vec<Flown>> {
+        let scenes = self.scenes();
+        if scenes.is_empty() {
+            return Ok(Vec::new());
+        }
+        if let Some(folder) = &self.args.flights {
+            let flown = self.stage(None, "opening the flights", |_| {
+                scenes.iter().map(|scene| flown::open(*scene, folder)).collect()
+            })?;
+            return Ok(flown.unwrap_or_default());
+        }
+        let flown = self.stage(None, "exploring", |bench| {
+            // What robots do between their scans is done one after the other: two flights side by side leave no core idle.
+            let threads = (bench.threads / scenes.len()).max(1);
+            let args = bench.args;
+            let job = |scene: Scene| {
+                Job::new(
+                    format!("exploring the {} with {} robots", scene.words(), scene.robots()),
+                    move || {
+                        let plan = FlightPlan {
+                            scene,
+                            world: Arc::new(scene.world(args.seed)),
+                            seed: args.seed,
+                            lidar: args.lidar,
+                            rendering: args.rendering,
+                            seconds_max: args.seconds.unwrap_or(if args.quick { 10.0 } else { 400.0 }),
+                            threads,
+                        };
+                        flown::fly(&plan, records)
+                    },
+                )
+            };
+            jobs::run(bench.threads, scenes.iter().map(|scene| job(*scene)).collect())
+        })?;
+        Ok(flown.into_iter().flatten().flatten().collect())
     }
 
     fn tables(&mut self, flights: &Flights) -> anyhow::Result<()> {
