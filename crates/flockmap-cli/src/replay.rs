@@ -5,10 +5,8 @@ use flockmap::{RobotConfig, RobotId, SessionConfig};
 use flockmap_sim::{Link, RadioConfig};
 
 use crate::args::ReplayArgs;
-use crate::measure::Times;
-use crate::member::Measures;
-use crate::report::{Course, Finished, Report, Settings};
-use crate::{command_line, html, json_file, sources, stop, swarm};
+use crate::report::Settings;
+use crate::{html, json_file, sources, swarm};
 
 /// Runs the command. Whether everything arrived and every voxel is equal.
 pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
@@ -48,30 +46,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     let run = swarm::run(sources.robots, |id| RobotConfig { id, ..base.clone() }, radio)?;
     let settings =
         Settings::new(&args.map, args.codec, args.cast.name(), radio_in_words(args), args.source.seed);
-    let times =
-        |of: fn(&Measures) -> &Times| Times::together(run.members.iter().map(|m| of(&m.measures))).summary();
-    let course = Course {
-        command: command_line(),
-        title,
-        record_s: run.last_scan.seconds(),
-        settle_s: run.arrived.map(|at| at.micros_since(run.last_scan).max(0) as f64 / 1e6),
-        interrupted: stop::requested(),
-        t_map: times(|m| &m.map),
-        t_pack: times(|m| &m.pack),
-        t_recv2insert: times(|m| &m.insert),
-    };
-    let finished: Vec<Finished<'_>> = run
-        .members
-        .iter()
-        .map(|m| Finished {
-            name: &m.name,
-            robot: &m.robot,
-            measures: &m.measures,
-            snapshots: &m.snapshots,
-            scans_damaged: m.frames_damaged,
-        })
-        .collect();
-    let report = Report::new(course, settings, &finished)?;
+    let report = run.report(title, settings)?;
     report.print();
     if let Some(path) = &args.json {
         json_file::write(path, &report)?;

@@ -5,11 +5,13 @@ use std::time::Instant;
 use flockmap::{Cast, Destination, Event, Robot, RobotConfig, RobotId, Stamp};
 use flockmap_sim::{RadioConfig, RadioEmulator, To};
 
+use crate::measure::Times;
 use crate::member::Measures;
 use crate::picture::Snapshot;
 use crate::progress::Progress;
+use crate::report::{Course, Finished, Report, Settings};
 use crate::sources::{Frames, Source};
-use crate::stop;
+use crate::{command_line, stop};
 
 /// After the last scan, virtual time runs on for at most this long until everything has arrived.
 const SETTLE_SECONDS_MAX: f64 = 600.0;
@@ -33,6 +35,37 @@ pub struct Run {
     pub last_scan: Stamp,
     /// When everything had arrived everywhere; `None` if it has not.
     pub arrived: Option<Stamp>,
+}
+
+impl Run {
+    /// What it comes to.
+    pub fn report(&self, title: String, settings: Settings) -> anyhow::Result<Report> {
+        let times = |of: fn(&Measures) -> &Times| {
+            Times::together(self.members.iter().map(|m| of(&m.measures))).summary()
+        };
+        let course = Course {
+            command: command_line(),
+            title,
+            record_s: self.last_scan.seconds(),
+            settle_s: self.arrived.map(|at| at.micros_since(self.last_scan).max(0) as f64 / 1e6),
+            interrupted: stop::requested(),
+            t_map: times(|m| &m.map),
+            t_pack: times(|m| &m.pack),
+            t_recv2insert: times(|m| &m.insert),
+        };
+        let finished: Vec<Finished<'_>> = self
+            .members
+            .iter()
+            .map(|m| Finished {
+                name: &m.name,
+                robot: &m.robot,
+                measures: &m.measures,
+                snapshots: &m.snapshots,
+                scans_damaged: m.frames_damaged,
+            })
+            .collect();
+        Report::new(course, settings, &finished)
+    }
 }
 
 /// Runs all robots through their scans, and on until everything has arrived everywhere.

@@ -25,6 +25,7 @@ mod cells;
 mod curve;
 mod exploration;
 mod flight;
+mod lattice;
 mod lidar;
 mod navigation;
 mod patrol;

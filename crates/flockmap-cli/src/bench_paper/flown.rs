@@ -9,17 +9,14 @@ use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_sim::{Ended, ExploreOptions, Explorer, Lidar, Rendering, ScanOptions, World};
 
 use super::figures::{CHANGES_MAX, Scene, T_L_S};
-use crate::progress::Progress;
-use crate::sim::robot_record::{self, RecordFacts, RobotRecord};
+use crate::sim::explore;
+use crate::sim::robot_record::RecordFacts;
 use crate::sources::{Frame, Frames, Source};
 use crate::stop;
 use crate::team::Team;
 
 /// The LiDAR sees as far as the longest range of the paper's rows needs.
 pub const LIDAR_RANGE_M: f64 = 20.0;
-
-/// Steps between two looks at the share that is seen.
-const LOOK_EVERY_STEPS: u64 = 20;
 
 /// A recorded exploration.
 pub struct Flown {
@@ -71,7 +68,6 @@ impl Scene {
 pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
     let scene = plan.scene;
     let folder: PathBuf = folder.join(scene.name());
-    robot_record::prepare_folder(&folder, scene.robots())?;
     let row = super::figures::TABLE_ONE.iter().find(|row| row.scene == scene);
     let options = ExploreOptions {
         robots: scene.robots(),
@@ -89,31 +85,8 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
         threads: plan.threads.min(scene.robots()),
         ..ExploreOptions::default()
     };
-    let resolution = options.resolution;
     let mut explorer = Explorer::new(Arc::clone(&plan.world), options)?;
-    let mut records = (1..=scene.robots())
-        .map(|number| RobotRecord::create(&folder, &format!("robot{number}")))
-        .collect::<anyhow::Result<Vec<_>>>()?;
-    let mut progress = Progress::new("seconds flown", plan.seconds_max.ceil() as u64);
-    let mut steps = 0u64;
-    while !stop::requested()
-        && let Some(frames) = explorer.step()
-    {
-        for ((record, frame), robot) in records.iter_mut().zip(&frames).zip(explorer.robots()) {
-            record.scan(&frame.scan, &frame.t_map_sensor)?;
-            if record.is_view_due() {
-                record.view(resolution, robot_record::occupied(robot.map().blocks()))?;
-            }
-        }
-        if steps.is_multiple_of(LOOK_EVERY_STEPS) {
-            let seen = explorer.progress();
-            progress.say(format!("{:.1} % seen, seconds flown", seen.seen_share * 100.0));
-            progress.set(seen.seconds as u64);
-        }
-        steps += 1;
-    }
-    drop(progress);
-    let records = records.into_iter().map(RobotRecord::finish).collect::<anyhow::Result<Vec<_>>>()?;
+    let records = explore::record(&mut explorer, &folder, true, "seconds flown")?;
     let outcome = explorer.outcome();
     let traffic =
         explorer.robots().map(|robot| explorer.radio().traffic(robot.own_stream().origin).sent_bytes);

@@ -5,10 +5,10 @@ use flockmap::{CycleConfig, RobotConfig, RobotId, SessionConfig};
 use flockmap_sim::{Link, RadioConfig};
 
 use super::methods::MethodRow;
-use crate::measure::{Sent, Times};
-use crate::report::{Course, Finished, Report, Settings};
+use crate::measure::Sent;
+use crate::report::{Report, Settings};
 use crate::sources::Source;
-use crate::{command_line, stop, swarm};
+use crate::swarm;
 
 /// What is run.
 pub struct StackPlan {
@@ -62,31 +62,7 @@ pub fn run(plan: &StackPlan, sources: Vec<Source>) -> anyhow::Result<Stack> {
         ),
         seed: *seed,
     };
-    let times = |of: fn(&crate::member::Measures) -> &Times| {
-        Times::together(run.members.iter().map(|member| of(&member.measures))).summary()
-    };
-    let course = Course {
-        command: command_line(),
-        title: title.clone(),
-        record_s: run.last_scan.seconds(),
-        settle_s: run.arrived.map(|at| at.micros_since(run.last_scan).max(0) as f64 / 1e6),
-        interrupted: stop::requested(),
-        t_map: times(|m| &m.map),
-        t_pack: times(|m| &m.pack),
-        t_recv2insert: times(|m| &m.insert),
-    };
-    let finished: Vec<Finished<'_>> = run
-        .members
-        .iter()
-        .map(|member| Finished {
-            name: &member.name,
-            robot: &member.robot,
-            measures: &member.measures,
-            snapshots: &member.snapshots,
-            scans_damaged: member.frames_damaged,
-        })
-        .collect();
-    let report = Report::new(course, settings, &finished)?;
+    let report = run.report(title.clone(), settings)?;
     let traffic = run
         .members
         .iter()

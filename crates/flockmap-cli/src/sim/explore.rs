@@ -1,5 +1,6 @@
 //! `flockmap sim explore`: a swarm that explores on its own, written as one record a robot.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{bail, ensure};
@@ -25,40 +26,10 @@ pub fn run(args: &SimExploreArgs) -> anyhow::Result<bool> {
         );
     }
     let options = options(args)?;
-    let resolution = options.resolution;
-    let seconds_max = options.seconds_max;
     eprintln!("making the world, and looking for what can be seen of it ...");
     let world = Arc::new(sources::open_world(&args.scene, &args.source)?);
     let mut explorer = Explorer::new(world, options)?;
-    let robots = explorer.robots().count();
-    robot_record::prepare_folder(&args.out, robots)?;
-    let mut records = (1..=robots)
-        .map(|number| RobotRecord::create(&args.out, &format!("robot{number}")))
-        .collect::<anyhow::Result<Vec<_>>>()?;
-
-    let mut progress = Progress::new("exploring: seconds", seconds_max.ceil() as u64);
-    let mut steps = 0u64;
-    while !stop::requested()
-        && let Some(frames) = explorer.step()
-    {
-        for (record, frame) in records.iter_mut().zip(&frames) {
-            record.scan(&frame.scan, &frame.t_map_sensor)?;
-        }
-        if !args.no_view {
-            view(&explorer, &mut records, resolution, false)?;
-        }
-        if steps.is_multiple_of(LOOK_EVERY_STEPS) {
-            let seen = explorer.progress();
-            progress.say(format!("exploring ({:.1} % seen): seconds", seen.seen_share * 100.0));
-            progress.set(seen.seconds as u64);
-        }
-        steps += 1;
-    }
-    drop(progress);
-    if !args.no_view {
-        view(&explorer, &mut records, resolution, true)?;
-    }
-    let records = records.into_iter().map(RobotRecord::finish).collect::<anyhow::Result<Vec<_>>>()?;
+    let records = record(&mut explorer, &args.out, !args.no_view, "exploring: seconds")?;
     let facts = facts(&explorer, args);
     robot_record::print_table(&records);
     print_outcome(&explorer, args);
@@ -66,6 +37,43 @@ pub fn run(args: &SimExploreArgs) -> anyhow::Result<bool> {
         json_file::write(path, &with_records(facts, &records)?)?;
     }
     Ok(true)
+}
+
+/// Explores to the end, or until Ctrl-C, and writes a record of each robot to a folder; with pictures of the fused maps, if wanted.
+pub fn record(
+    explorer: &mut Explorer,
+    folder: &Path,
+    with_views: bool,
+    what: &str,
+) -> anyhow::Result<Vec<RecordFacts>> {
+    let robots = explorer.robots().count();
+    robot_record::prepare_folder(folder, robots)?;
+    let mut records = (1..=robots)
+        .map(|number| RobotRecord::create(folder, &format!("robot{number}")))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let mut progress = Progress::new(what, explorer.options().seconds_max.ceil() as u64);
+    let mut steps = 0u64;
+    while !stop::requested()
+        && let Some(frames) = explorer.step()
+    {
+        for (record, frame) in records.iter_mut().zip(&frames) {
+            record.scan(&frame.scan, &frame.t_map_sensor)?;
+        }
+        if with_views {
+            view(explorer, &mut records, false)?;
+        }
+        if steps.is_multiple_of(LOOK_EVERY_STEPS) {
+            let seen = explorer.progress();
+            progress.say(format!("{:.1} % seen, {what}", seen.seen_share * 100.0));
+            progress.set(seen.seconds as u64);
+        }
+        steps += 1;
+    }
+    drop(progress);
+    if with_views {
+        view(explorer, &mut records, true)?;
+    }
+    records.into_iter().map(RobotRecord::finish).collect()
 }
 
 fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
@@ -112,12 +120,8 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
 }
 
 /// Writes pictures of the fused maps where they are due, or of all.
-fn view(
-    explorer: &Explorer,
-    records: &mut [RobotRecord],
-    resolution: flockmap::Resolution,
-    all: bool,
-) -> anyhow::Result<()> {
+fn view(explorer: &Explorer, records: &mut [RobotRecord], all: bool) -> anyhow::Result<()> {
+    let resolution = explorer.options().resolution;
     for (record, robot) in records.iter_mut().zip(explorer.robots()) {
         if all || record.is_view_due() {
             record.view(resolution, robot_record::occupied(robot.map().blocks()))?;

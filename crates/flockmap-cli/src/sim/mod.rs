@@ -1,6 +1,6 @@
 //! `flockmap sim`: simulated swarms, written as records.
 
-mod explore;
+pub mod explore;
 mod fly;
 pub mod robot_record;
 

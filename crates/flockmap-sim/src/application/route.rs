@@ -68,6 +68,12 @@ pub(super) fn find(
         for (dx, dy) in [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)] {
             let Some(next) = slab.cell([place[0] + dx, place[1] + dy]) else { continue };
             let Some(weight) = weight(slab, next, from, is_new[next], keep) else { continue };
+            // A diagonal step passes the corners of the two cells beside it: these have to be open as well.
+            let beside = [[place[0] + dx, place[1]], [place[0], place[1] + dy]];
+            let is_open = |beside| slab.cell(beside).is_some_and(|cell| may_enter(slab, cell, from, keep));
+            if dx != 0 && dy != 0 && !beside.into_iter().all(is_open) {
+                continue;
+            }
             let length = if dx != 0 && dy != 0 { 14 } else { 10 };
             let reached = cost[cell] + length * weight;
             if reached < cost[next] {
@@ -97,14 +103,20 @@ fn ahead(a: [i32; 2], b: [i32; 2]) -> u32 {
     COST_PLAIN * (10 * dx.max(dy) + 4 * dx.min(dy))
 }
 
+/// Whether a way may lead through a cell: far enough from every obstacle, or on the way out of where it is too narrow.
+fn may_enter(slab: &Slab, cell: usize, from: [f64; 2], keep: &Keep) -> bool {
+    let distance = slab.distance(cell);
+    distance >= keep.clearance_m || (distance > 0.0 && apart(slab.centre(cell), from) <= ESCAPE_M)
+}
+
 /// What a cell costs, `None` if it cannot be entered.
 fn weight(slab: &Slab, cell: usize, from: [f64; 2], is_new: bool, keep: &Keep) -> Option<u32> {
+    if !may_enter(slab, cell, from, keep) {
+        return None;
+    }
     let distance = slab.distance(cell);
     let mut weight = COST_PLAIN;
     if distance < keep.clearance_m {
-        if apart(slab.centre(cell), from) > ESCAPE_M || distance == 0.0 {
-            return None;
-        }
         weight += COST_ESCAPE;
     }
     if distance < keep.comfort_m {
@@ -159,6 +171,18 @@ mod tests {
     use proptest::prelude::*;
 
     const KEEP: Keep = Keep { clearance_m: 0.3, comfort_m: 0.6 };
+
+    #[test]
+    fn a_diagonal_step_does_not_cut_a_blocked_corner() {
+        let blocked = [(-3, 3), (-13, -1), (-4, 2), (0, -4), (2, 2), (1, -3), (-7, -6), (0, 2), (-6, 0)];
+        let slab = Slab::of_cells(3.0, blocked.map(|(x, y)| [x, y]));
+        let from = [0.05; 2];
+        let way = find(&slab, from, [-0.85, 0.05], &[], &KEEP).unwrap();
+        for point in &way[1..] {
+            let escapes = apart(*point, from) <= ESCAPE_M + 0.1;
+            assert!(slab.distance_at(*point) >= KEEP.clearance_m || escapes, "{point:?}");
+        }
+    }
 
     proptest! {
         #[test]

@@ -168,7 +168,7 @@ impl Frontiers {
         let mut done = 0;
         while let Some(&cell) = cells.get(done) {
             done += 1;
-            for next in around(grid, cell as usize) {
+            for (next, _) in grid.cells().around(cell as usize) {
                 if !self.claimed[next]
                     && distance(grid.centre(next), origin) <= REACH_M
                     && self.is_frontier(grid, next)
@@ -246,17 +246,4 @@ impl Frontier {
         let centre = sum.map(|v| v / cells.len() as f64);
         Self { found: cells.len(), cells, centre, viewpoints: Vec::new(), patience: 0 }
     }
-}
-
-/// The cells around a cell (up to 26).
-fn around(grid: &NavigationGrid, cell: usize) -> impl Iterator<Item = usize> + use<> {
-    let (at, size) = (grid.place(cell), grid.size());
-    (0..27usize).filter(|k| *k != 13).filter_map(move |k| {
-        let delta = [k % 3, k / 3 % 3, k / 9];
-        let mut next = [0; 3];
-        for a in 0..3 {
-            next[a] = (at[a] + delta[a]).checked_sub(1).filter(|v| *v < size[a])?;
-        }
-        Some((next[2] * size[1] + next[1]) * size[0] + next[0])
-    })
 }

@@ -1,6 +1,7 @@
 //! A planner's coarse picture of a fused map.
 
 use crate::curve::distance;
+use crate::lattice::Lattice;
 use flockmap_grid::{BlockIndex, MapView, Resolution, StateBlock, Voxel, VoxelBox, bit_of};
 use std::collections::BTreeMap;
 use thiserror::Error;
@@ -84,7 +85,7 @@ pub struct NavigationGrid {
     multiple: i32,
     /// The region in cells.
     low: [i32; 3],
-    size: [usize; 3],
+    cells: Lattice,
     /// The region in voxels.
     region: VoxelBox,
     /// Voxels that can block or crowd a cell of the region.
@@ -155,7 +156,7 @@ impl NavigationGrid {
             resolution: config.resolution,
             multiple,
             low,
-            size: cells.map(|c| c as usize),
+            cells: Lattice::new(cells.map(|c| c as usize)),
             region,
             reached: reached.ok_or_else(bad_region)?,
             free: vec![0; count],
@@ -212,7 +213,12 @@ impl NavigationGrid {
 
     /// Cells along x, y, z.
     pub const fn size(&self) -> [usize; 3] {
-        self.size
+        self.cells.size()
+    }
+
+    /// The cells without what is in them.
+    pub(crate) const fn cells(&self) -> &Lattice {
+        &self.cells
     }
 
     /// Side of a cell in metres.
@@ -255,13 +261,12 @@ impl NavigationGrid {
 
     /// The number of the cell at these indices, counted from the lowest corner of the region.
     pub const fn number(&self, at: [usize; 3]) -> usize {
-        (at[2] * self.size[1] + at[1]) * self.size[0] + at[0]
+        self.cells.number(at)
     }
 
     /// The indices of a cell, counted from the lowest corner of the region.
     pub const fn place(&self, number: usize) -> [usize; 3] {
-        let [nx, ny, _] = self.size;
-        [number % nx, number / nx % ny, number / nx / ny]
+        self.cells.place(number)
     }
 
     /// The centre of a cell in metres.
@@ -273,31 +278,12 @@ impl NavigationGrid {
     /// The cell at a point in metres; `None` outside of the region.
     pub fn cell_at(&self, point: [f64; 3]) -> Option<usize> {
         let side = self.cell_m();
-        let mut at = [0; 3];
-        for a in 0..3 {
-            let index = (point[a] / side).floor() - f64::from(self.low[a]);
-            if !(index >= 0.0 && index < self.size[a] as f64) {
-                return None;
-            }
-            at[a] = index as usize;
-        }
-        Some(self.number(at))
+        self.cells.number_at(core::array::from_fn(|a| (point[a] / side).floor() - f64::from(self.low[a])))
     }
 
     /// The cells that share a face with a cell.
     pub fn beside(&self, number: usize) -> impl Iterator<Item = usize> + use<> {
-        let [nx, ny, nz] = self.size;
-        let [x, y, z] = self.place(number);
-        [
-            (x > 0, number.wrapping_sub(1)),
-            (x + 1 < nx, number + 1),
-            (y > 0, number.wrapping_sub(nx)),
-            (y + 1 < ny, number + nx),
-            (z > 0, number.wrapping_sub(nx * ny)),
-            (z + 1 < nz, number + nx * ny),
-        ]
-        .into_iter()
-        .filter_map(|(inside, next)| inside.then_some(next))
+        self.cells.beside(number)
     }
 
     /// Whether the straight line between two points lies in the region and in cells that are passable.
@@ -307,30 +293,11 @@ impl NavigationGrid {
 
     /// Whether every cell that the line from `a` to `b` touches is in the region and `fits`; asked for one
     /// after the other from `a` on.
-    pub fn line_fits(&self, a: [f64; 3], b: [f64; 3], mut fits: impl FnMut(usize) -> bool) -> bool {
+    pub fn line_fits(&self, a: [f64; 3], b: [f64; 3], fits: impl FnMut(usize) -> bool) -> bool {
         let (Some(from), Some(to)) = (self.cell_at(a), self.cell_at(b)) else { return false };
-        let (mut at, goal) = (self.place(from), self.place(to));
         let side = self.cell_m();
-        // Share of the line at which it crosses the next face along an axis; nothing is left to cross once
-        // the index is the goal's.
-        let crossing = |axis: usize, at: [usize; 3]| {
-            let face = at[axis] + usize::from(goal[axis] > at[axis]);
-            let metres = (f64::from(self.low[axis]) + face as f64) * side;
-            if goal[axis] == at[axis] { f64::INFINITY } else { (metres - a[axis]) / (b[axis] - a[axis]) }
-        };
-        let mut next: [f64; 3] = core::array::from_fn(|axis| crossing(axis, at));
-        loop {
-            if !fits(self.number(at)) {
-                return false;
-            }
-            let flat = usize::from(next[1] < next[0]);
-            let axis = if next[2] < next[flat] { 2 } else { flat };
-            if next[axis] == f64::INFINITY {
-                return true;
-            }
-            at[axis] = if goal[axis] > at[axis] { at[axis] + 1 } else { at[axis] - 1 };
-            next[axis] = crossing(axis, at);
-        }
+        let face_m = |axis: usize, face: usize| (f64::from(self.low[axis]) + face as f64) * side;
+        self.cells.line_fits((a, from), (b, to), face_m, fits)
     }
 
     /// Puts the states of a block in the place of those taken in before.
@@ -393,7 +360,7 @@ impl NavigationGrid {
     }
 
     fn number_of(&self, at: [i32; 3]) -> Option<usize> {
-        let inside = (0..3).all(|a| at[a] >= 0 && (at[a] as usize) < self.size[a]);
+        let inside = (0..3).all(|a| at[a] >= 0 && (at[a] as usize) < self.size()[a]);
         inside.then(|| self.number(at.map(|v| v as usize)))
     }
 }

@@ -173,10 +173,10 @@ impl Router {
         estimate: impl Fn(usize) -> u32,
     ) {
         let inside = is_open(cell);
-        for (next, axes) in neighbours(grid, cell) {
+        for (next, axes) in grid.cells().around(cell) {
             let price = if is_open(next) {
                 // Out of a closed cell corners do not matter any more.
-                if axes > 1 && inside && !corners_are_open(grid, cell, next, is_open) {
+                if axes > 1 && inside && !grid.cells().corners_are_open(cell, next, is_open) {
                     continue;
                 }
                 if grid.is_crowded(next) { PRICE_CROWDED } else { PRICE_OPEN }
@@ -201,40 +201,9 @@ fn may_escape(grid: &NavigationGrid, start: usize, cell: usize) -> bool {
     grid.cell_state(cell) != super::CellState::Occupied && (0..3).all(|i| a[i].abs_diff(b[i]) <= ESCAPE_CELLS)
 }
 
-/// The cells around a cell (up to 26), each with how many axes it differs in.
-fn neighbours(grid: &NavigationGrid, number: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
-    let (at, size) = (grid.place(number), grid.size());
-    (0..27usize).filter(|k| *k != 13).filter_map(move |k| {
-        let delta = [k % 3, k / 3 % 3, k / 9];
-        let mut next = [0; 3];
-        for a in 0..3 {
-            next[a] = (at[a] + delta[a]).checked_sub(1).filter(|v| *v < size[a])?;
-        }
-        let axes = delta.iter().filter(|d| **d != 1).count();
-        Some(((next[2] * size[1] + next[1]) * size[0] + next[0], axes))
-    })
-}
-
-/// Whether all cells of the box between two diagonal neighbours are open, so that no corner is cut.
-fn corners_are_open(
-    grid: &NavigationGrid,
-    cell: usize,
-    next: usize,
-    is_open: &impl Fn(usize) -> bool,
-) -> bool {
-    let (a, b) = (grid.place(cell), grid.place(next));
-    (1..7).all(|mask| {
-        let between = core::array::from_fn(|i| if mask >> i & 1 == 0 { a[i] } else { b[i] });
-        is_open(grid.number(between))
-    })
-}
-
 /// No more than the true cost: a way of diagonals where there is room.
 fn estimate(grid: &NavigationGrid, cell: usize, goal: usize) -> u32 {
-    let (a, b) = (grid.place(cell), grid.place(goal));
-    let mut d: [usize; 3] = core::array::from_fn(|i| a[i].abs_diff(b[i]));
-    d.sort_unstable();
-    PRICE_OPEN * (17 * d[0] + 14 * (d[1] - d[0]) + 10 * (d[2] - d[1])) as u32
+    PRICE_OPEN * grid.cells().tenths_between(cell, goal)
 }
 
 /// Leaves out cells of a way where a straight line between others is as good.

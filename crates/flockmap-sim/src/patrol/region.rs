@@ -80,7 +80,7 @@ fn flood(space: &Space, seeds: &[usize]) -> Vec<(u32, u8)> {
     }
     let mut done = 0;
     while let Some(&(cell, seed)) = order.get(done) {
-        for next in space.beside(cell as usize) {
+        for next in space.lattice().beside(cell as usize) {
             if !reached[next] && space.openness(next) != super::space::BLOCKED {
                 reached[next] = true;
                 order.push((next as u32, seed));

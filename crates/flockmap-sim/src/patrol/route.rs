@@ -110,7 +110,7 @@ impl<'a> Search<'a> {
             if cost > self.reached[cell].1 {
                 continue;
             }
-            for (next, axes) in self.space.neighbours(cell) {
+            for (next, axes) in self.space.lattice().around(cell) {
                 if !self.region.contains(next) || (axes > 1 && !self.free_between(cell, next)) {
                     continue;
                 }
@@ -141,20 +141,13 @@ impl<'a> Search<'a> {
 
     /// No more than the true cost: a path of diagonals in the open.
     fn estimate(&self, cell: usize, goal: usize) -> u32 {
-        let (a, b) = (self.space.place(cell), self.space.place(goal));
-        let mut d: [usize; 3] = core::array::from_fn(|i| a[i].abs_diff(b[i]));
-        d.sort_unstable();
-        4 * (17 * d[0] + 14 * (d[1] - d[0]) + 10 * (d[2] - d[1])) as u32
+        4 * self.space.lattice().tenths_between(cell, goal)
     }
 
     /// Whether all cells of the box between two diagonal neighbours belong to the region, so that no corner
     /// is cut.
     fn free_between(&self, cell: usize, next: usize) -> bool {
-        let (a, b) = (self.space.place(cell), self.space.place(next));
-        (1..7).all(|mask| {
-            let between = core::array::from_fn(|i| if mask >> i & 1 == 0 { a[i] } else { b[i] });
-            self.region.contains(self.space.number(between))
-        })
+        self.space.lattice().corners_are_open(cell, next, |between| self.region.contains(between))
     }
 }
 

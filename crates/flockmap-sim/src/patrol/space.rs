@@ -2,6 +2,7 @@
 
 use super::{PatrolError, PatrolOptions};
 use crate::World;
+use crate::lattice::Lattice;
 use flockmap_grid::{Voxel, VoxelBox};
 
 /// Cells of the coarse grid for which a step of about 10 cm is taken; larger worlds are searched in larger
@@ -16,7 +17,7 @@ pub(super) const BLOCKED: u16 = 0;
 
 /// The free space in which robots fly: the largest connected set of cells that keep the clearance.
 pub(super) struct Space {
-    size: [usize; 3],
+    lattice: Lattice,
     /// Metres of the lowest corner of the grid.
     corner_m: [f64; 3],
     step_m: f64,
@@ -44,13 +45,15 @@ impl Space {
         let low = bounds.min();
         let size = bounds.size().map(|n| n.div_ceil(multiple) as usize);
         let corner_m = [low.x, low.y, low.z].map(|v| f64::from(v) * side);
-        let mut grid = Self { size, corner_m, step_m, clearance_m: 0.0, open: Vec::new(), cells: Vec::new() };
+        let lattice = Lattice::new(size);
+        let mut grid =
+            Self { lattice, corner_m, step_m, clearance_m: 0.0, open: Vec::new(), cells: Vec::new() };
 
-        let count = size.iter().product::<usize>();
+        let count = lattice.count();
         let mut solid = vec![false; count];
         for cell in world.solid_cells() {
             let at = [cell.x - low.x, cell.y - low.y, cell.z - low.z].map(|v| v as usize / multiple as usize);
-            solid[grid.number(at)] = true;
+            solid[lattice.number(at)] = true;
         }
         let ground = grid.ground(&solid);
         let distance = grid.distances(&solid, REACH);
@@ -73,7 +76,7 @@ impl Space {
         for band in bands {
             let mut candidates = Vec::new();
             for (number, &away) in distance.iter().enumerate() {
-                let at = grid.place(number);
+                let at = lattice.place(number);
                 let above = (at[2] as f64 + 0.5) * step_m - ground[at[1] * size[0] + at[0]];
                 if band[0] <= above && above <= band[1] && away > BLOCKED && known_free(at) {
                     candidates.push(number as u32);
@@ -121,95 +124,34 @@ impl Space {
         self.open.len()
     }
 
-    pub(super) const fn number(&self, at: [usize; 3]) -> usize {
-        (at[2] * self.size[1] + at[1]) * self.size[0] + at[0]
-    }
-
-    pub(super) const fn place(&self, number: usize) -> [usize; 3] {
-        let [nx, ny, _] = self.size;
-        [number % nx, number / nx % ny, number / nx / ny]
+    /// The cells without what is in them.
+    pub(super) const fn lattice(&self) -> &Lattice {
+        &self.lattice
     }
 
     /// The centre of a cell in metres.
     pub(super) fn centre(&self, number: usize) -> [f64; 3] {
-        let at = self.place(number);
+        let at = self.lattice.place(number);
         core::array::from_fn(|a| self.corner_m[a] + (at[a] as f64 + 0.5) * self.step_m)
     }
 
     /// The cell at a point in metres, if it lies in the grid.
     pub(super) fn cell_at(&self, point: [f64; 3]) -> Option<usize> {
-        let mut at = [0; 3];
-        for a in 0..3 {
-            let index = ((point[a] - self.corner_m[a]) / self.step_m).floor();
-            if !(index >= 0.0 && index < self.size[a] as f64) {
-                return None;
-            }
-            at[a] = index as usize;
-        }
-        Some(self.number(at))
+        self.lattice.number_at(core::array::from_fn(|a| (point[a] - self.corner_m[a]) / self.step_m))
     }
 
     /// Whether every cell that the line from `a` to `b` touches is in the grid and `fits`.
     pub(super) fn line_fits(&self, a: [f64; 3], b: [f64; 3], fits: impl Fn(usize) -> bool) -> bool {
         let (Some(from), Some(to)) = (self.cell_at(a), self.cell_at(b)) else { return false };
-        let (mut at, goal) = (self.place(from), self.place(to));
-        // Share of the line at which it crosses the next face along an axis; nothing is left to cross once
-        // the index is the goal's.
-        let crossing = |axis: usize, at: [usize; 3]| {
-            let face = at[axis] + usize::from(goal[axis] > at[axis]);
-            let metres = self.corner_m[axis] + face as f64 * self.step_m;
-            if goal[axis] == at[axis] { f64::INFINITY } else { (metres - a[axis]) / (b[axis] - a[axis]) }
-        };
-        let mut next: [f64; 3] = core::array::from_fn(|axis| crossing(axis, at));
-        loop {
-            if !fits(self.number(at)) {
-                return false;
-            }
-            let flat = usize::from(next[1] < next[0]);
-            let axis = if next[2] < next[flat] { 2 } else { flat };
-            if next[axis] == f64::INFINITY {
-                return true;
-            }
-            at[axis] = if goal[axis] > at[axis] { at[axis] + 1 } else { at[axis] - 1 };
-            next[axis] = crossing(axis, at);
-        }
-    }
-
-    /// The cells of the grid around a cell (up to 26), each with how many axes it differs in.
-    pub(super) fn neighbours(&self, number: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let (at, size) = (self.place(number), self.size);
-        (0..27usize).filter(|k| *k != 13).filter_map(move |k| {
-            let delta = [k % 3, k / 3 % 3, k / 9];
-            let mut next = [0; 3];
-            for a in 0..3 {
-                next[a] = (at[a] + delta[a]).checked_sub(1).filter(|v| *v < size[a])?;
-            }
-            let axes = delta.iter().filter(|d| **d != 1).count();
-            Some(((next[2] * size[1] + next[1]) * size[0] + next[0], axes))
-        })
-    }
-
-    /// The cells of the grid that share a face with a cell.
-    pub(super) fn beside(&self, number: usize) -> impl Iterator<Item = usize> + use<> {
-        let [nx, ny, nz] = self.size;
-        let [x, y, z] = self.place(number);
-        [
-            (x > 0, number.wrapping_sub(1)),
-            (x + 1 < nx, number + 1),
-            (y > 0, number.wrapping_sub(nx)),
-            (y + 1 < ny, number + nx),
-            (z > 0, number.wrapping_sub(nx * ny)),
-            (z + 1 < nz, number + nx * ny),
-        ]
-        .into_iter()
-        .filter_map(|(inside, next)| inside.then_some(next))
+        let face_m = |axis: usize, face: usize| self.corner_m[axis] + face as f64 * self.step_m;
+        self.lattice.line_fits((a, from), (b, to), face_m, fits)
     }
 
     /// Area over which the cells lie, in m².
     pub(super) fn area_m2(&self, cells: &[u32]) -> f64 {
-        let mut columns = vec![false; self.size[0] * self.size[1]];
+        let mut columns = vec![false; self.lattice.size()[0] * self.lattice.size()[1]];
         for &cell in cells {
-            columns[cell as usize % (self.size[0] * self.size[1])] = true;
+            columns[cell as usize % (self.lattice.size()[0] * self.lattice.size()[1])] = true;
         }
         columns.iter().filter(|c| **c).count() as f64 * self.step_m * self.step_m
     }
@@ -217,7 +159,7 @@ impl Space {
     /// Height of the ground in each column, in metres above the grid: the lowest thing within 1 m. Where
     /// nothing is seen at all, the ground of the nearest column that has one.
     fn ground(&self, solid: &[bool]) -> Vec<f64> {
-        let [nx, ny, nz] = self.size;
+        let [nx, ny, nz] = self.lattice.size();
         let none = u32::MAX;
         let mut lowest = vec![none; nx * ny];
         for z in (0..nz).rev() {
@@ -259,7 +201,7 @@ impl Space {
     /// `reach`² beyond.
     pub(super) fn distances(&self, marked: &[bool], reach: usize) -> Vec<u16> {
         let far = (reach * reach) as u16;
-        let [nx, ny, nz] = self.size;
+        let [nx, ny, nz] = self.lattice.size();
         let mut squares: Vec<u16> = marked.iter().map(|s| if *s { 0 } else { far }).collect();
         for (length, stride) in [(nx, 1), (ny, nx), (nz, nx * ny)] {
             let mut line = vec![0u16; length];
@@ -325,7 +267,7 @@ impl Space {
     /// The largest set of candidates that hang together by faces, ascending; of two of a size the one with
     /// the lowest cell.
     pub(super) fn largest_component(&self, candidates: &[u32], fits: impl Fn(usize) -> bool) -> Vec<u32> {
-        let count = self.size.iter().product();
+        let count = self.lattice.size().iter().product();
         let mut open = vec![false; count];
         for &cell in candidates {
             open[cell as usize] = fits(cell as usize);
@@ -337,7 +279,7 @@ impl Space {
                 let mut component = vec![first];
                 let mut done = 0;
                 while done < component.len() {
-                    for next in self.beside(component[done] as usize) {
+                    for next in self.lattice.beside(component[done] as usize) {
                         if open[next] {
                             open[next] = false;
                             component.push(next as u32);
