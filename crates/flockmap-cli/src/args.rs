@@ -210,9 +210,9 @@ pub struct SourceArgs {
     /// Length of simulated flights, and where records are cut, in seconds [default: flights 60, records whole]
     #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,
-    /// Speed of simulated robots in m/s
-    #[arg(long, value_name = "M_S", default_value_t = 1.5)]
-    pub speed: f64,
+    /// Highest speed of simulated robots in m/s [default: 1.5; robots that explore: 2]
+    #[arg(long, value_name = "M_S")]
+    pub speed: Option<f64>,
     /// Side of the solid cells of a world made from a point cloud, in metres [default: 0.1, and 0.2 for .las and .laz]
     #[arg(long, value_name = "M")]
     pub world_resolution: Option<f64>,

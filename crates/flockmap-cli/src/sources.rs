@@ -238,7 +238,8 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     let scan = scan_options(source, range_m)?;
     let world = Arc::new(open_world(path, source)?);
     let seconds = source.seconds.unwrap_or(FLIGHT_SECONDS);
-    let options = PatrolOptions { duration_s: seconds, speed_m_s: source.speed, ..PatrolOptions::default() };
+    let mut options = PatrolOptions { duration_s: seconds, ..PatrolOptions::default() };
+    options.speed_m_s = source.speed.unwrap_or(options.speed_m_s);
     let patrols = Patrol::plan(&world, source.robots, source.seed, &options)
         .with_context(|| format!("no flight for {} robots through {}", source.robots, path.display()))?;
     let team = if source.see_team_mates {

@@ -39,7 +39,7 @@ pub struct ExploreOptions {
     pub scan: ScanOptions,
     /// The exploration ends after this time at the latest, in seconds. Default 600.
     pub seconds_max: f64,
-    /// Speed, acceleration, yaw rate.
+    /// Speed, acceleration, yaw rate. Default 2 m/s, 2 m/s², 2 rad/s, as in MARSIM's launch files and RACER's planner.
     pub limits: MotionLimits,
     /// Least distance to anything Occupied in a robot's map, in metres. A robot that finds no way to what it
     /// could look at makes do with 0.1 m less, down to 0.2. Default 0.3.
@@ -74,7 +74,7 @@ impl Default for ExploreOptions {
             lidar: Lidar::default(),
             scan: ScanOptions { no_returns: true, ..ScanOptions::default() },
             seconds_max: 600.0,
-            limits: MotionLimits::default(),
+            limits: MotionLimits { speed_m_s: 2.0, acceleration_m_s2: 2.0, yaw_rate_rad_s: 2.0 },
             clearance_m: 0.3,
             separation_m: 1.0,
             region_m: None,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{bail, ensure};
 use flockmap::SessionConfig;
-use flockmap_sim::{Ended, ExploreOptions, Explorer, IP_UDP_BYTES, Link, MotionLimits, RadioConfig, Traffic};
+use flockmap_sim::{Ended, ExploreOptions, Explorer, IP_UDP_BYTES, Link, RadioConfig, Traffic};
 use serde_json::{Value, json};
 
 use super::robot_record::{self, RecordFacts, RobotRecord};
@@ -101,6 +101,8 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
         ..Link::default()
     };
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(64);
+    let mut limits = ExploreOptions::default().limits;
+    limits.speed_m_s = source.speed.unwrap_or(limits.speed_m_s);
     Ok(ExploreOptions {
         robots: source.robots,
         seed: source.seed,
@@ -109,7 +111,7 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
         lidar: source.lidar,
         scan: sources::scan_options(source, map.range)?,
         seconds_max: args.seconds_max,
-        limits: MotionLimits { speed_m_s: source.speed, ..MotionLimits::default() },
+        limits,
         radio: RadioConfig { link, ..RadioConfig::default() },
         cycle: map.cycle()?,
         codec: args.codec,

@@ -12,10 +12,13 @@ const REACH_M: f64 = 1.5;
 const CELLS_MIN: usize = 6;
 
 /// An Unknown cell that was in view from so many directions (of eight) stays unknown: nothing comes back from there.
-const DIRECTIONS_MAX: u32 = 3;
+pub(super) const DIRECTIONS_MAX: u32 = 3;
+
+/// How likely something comes back from an Unknown cell that was in view from none, one or two directions in vain.
+const CHANCES: [f64; DIRECTIONS_MAX as usize] = [1.0, 0.5, 0.25];
 
 /// A viewpoint from which fewer cells are to be seen is not worth the way.
-pub(super) const GAIN_MIN: f64 = 100.0;
+pub(super) const GAIN_MIN: f64 = 40.0;
 
 /// Cells of a frontier that viewpoints are judged by.
 const SAMPLES_MAX: usize = 24;
@@ -80,7 +83,11 @@ impl Frontiers {
 
     /// How much is to be seen from a place now.
     pub(super) fn gain(&self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) -> f64 {
-        sight.gain(grid, place, yaw, |cell, octant| self.is_worth_along(grid, cell, octant))
+        sight.gain(grid, place, yaw, |cell, octant| {
+            let looks = self.looks[cell];
+            let is_new = looks >> octant & 1 == 0;
+            CHANCES.get(looks.count_ones() as usize).copied().filter(|_| is_new).unwrap_or(0.0)
+        })
     }
 
     /// Takes down what is to be seen from a viewpoint now, and drops it if that is not worth the way any more.
@@ -144,12 +151,17 @@ impl Frontiers {
         }
     }
 
-    /// Counts a look from the best place that was found for a frontier with these cells as one in a new direction,
-    /// whatever the map says: nobody goes to the same place for ever.
-    pub(super) fn aimed_look(&mut self, grid: &NavigationGrid, cells: &[u32]) {
-        for next in cells.iter().flat_map(|cell| grid.beside(*cell as usize)) {
-            if grid.cell_state(next) == CellState::Unknown {
-                self.looks[next] |= self.looks[next].wrapping_add(1);
+    /// Counts a visit to a frontier with these cells as so many looks in new directions at what is still Unknown beside
+    /// them, whatever the map says: nobody goes to the same place for ever.
+    pub(super) fn count_visit(&mut self, grid: &NavigationGrid, cells: &[u32], looks: u32) {
+        let mut beside: Vec<usize> = cells.iter().flat_map(|cell| grid.beside(*cell as usize)).collect();
+        beside.sort_unstable();
+        beside.dedup();
+        for cell in beside {
+            if grid.cell_state(cell) == CellState::Unknown {
+                for _ in 0..looks {
+                    self.looks[cell] |= self.looks[cell].wrapping_add(1);
+                }
             }
         }
     }

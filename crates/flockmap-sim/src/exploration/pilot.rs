@@ -1,6 +1,6 @@
 //! One robot's planner: what to look at next, and how to get there.
 
-use super::frontier::{Frontiers, GAIN_MIN, Viewpoint};
+use super::frontier::{DIRECTIONS_MAX, Frontiers, GAIN_MIN, Viewpoint};
 use super::mates::{Mate, cells_near, dense, metres_to_path};
 use super::regions::{Regions, tour, work};
 use super::sight::Sight;
@@ -37,7 +37,7 @@ const STAY_MICROS: i64 = 500_000;
 const SEEN_SHARE: f64 = 0.3;
 
 /// Metres around the robot within which ways are searched first.
-const NEAR_M: f64 = 12.0;
+const NEAR_M: f64 = 30.0;
 
 /// The present goal counts for so much more than others, and so do those in the region that comes first.
 const LOYALTY: f64 = 1.5;
@@ -50,7 +50,7 @@ const STOP_S: f64 = 1.5;
 const TURN_S: f64 = 0.6;
 
 /// Cells to be seen for each second of the way, at least: for less nobody sets out.
-const WORTH_MIN: f64 = 20.0;
+const WORTH_MIN: f64 = 5.0;
 
 /// Goals whose gain is worked out anew before one is chosen.
 const SHORT_LIST: usize = 16;
@@ -191,6 +191,7 @@ impl Pilot {
             if goal.cells.is_empty() {
                 due |= reached;
             } else if looks && self.is_seen(goal) {
+                self.frontiers.count_visit(&self.grid, &goal.cells, 1);
                 self.goal = None;
                 due = true;
             } else if reached {
@@ -198,7 +199,7 @@ impl Pilot {
                 // Nothing better to do than to stay until it has been looked at.
                 due = false;
                 if now.micros_since(since) >= STAY_MICROS {
-                    self.frontiers.aimed_look(&self.grid, &goal.cells);
+                    self.frontiers.count_visit(&self.grid, &goal.cells, DIRECTIONS_MAX);
                     self.goal = None;
                     due = true;
                 }
@@ -410,7 +411,8 @@ impl Pilot {
         let worth = |candidate: &Candidate| {
             let first = if candidate.region == first_region { FIRST_REGION } else { 1.0 };
             let loyal = if present == Some(candidate.place) { LOYALTY } else { 1.0 };
-            candidate.gain * first * loyal / candidate.seconds
+            // Less than in proportion to the gain: what is left behind has to be come back for.
+            candidate.gain.sqrt() * first * loyal / candidate.seconds
         };
         candidates.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
         candidates.truncate(SHORT_LIST);

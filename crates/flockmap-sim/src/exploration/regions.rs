@@ -24,6 +24,9 @@ const WORK_SHARE_MAX: f64 = 0.75;
 /// A robot gets a worse share of the work only if it is worse by at least so many seconds: no flickering.
 const GAIN_MIN_S: f64 = 1.0;
 
+/// Directions of straight lines that are tried to part the regions of two robots.
+const CUTS: u32 = 8;
+
 /// Equal columns of the region to be explored, at most 5 m on a side and of full height.
 #[derive(Clone, Debug)]
 pub(super) struct Regions {
@@ -136,6 +139,29 @@ pub(super) fn divide(
         away[1] < away[0]
     };
     let fresh: Vec<bool> = (0..pool.len()).map(nearer).collect();
+    // Halves on the two sides of a straight line, whichever is best.
+    let halves = (0..2 * CUTS).map(|cut| {
+        let angle = f64::from(cut) * core::f64::consts::PI / f64::from(CUTS);
+        let (c, s) = (libm::cos(angle), libm::sin(angle));
+        let along = |i: &usize| {
+            let [x, y, _] = centre(*i);
+            x * c + y * s
+        };
+        let mut order = relevant.clone();
+        order.sort_by(|a, b| along(a).total_cmp(&along(b)));
+        let mut second = fresh.clone();
+        let mut before = 0.0;
+        for i in order {
+            second[i] = before + 0.5 * work[pool[i]] > 0.5 * total;
+            before += work[pool[i]];
+        }
+        second
+    });
+    let fresh = halves
+        .chain([fresh.clone()])
+        .map(|second| (cost(&second), second))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or_else(Vec::new, |(_, second)| second);
     let (kept_cost, kept) = improved(was_second.to_vec());
     let (fresh_cost, fresh) = improved(fresh);
     let (cost_new, new) =
@@ -198,4 +224,25 @@ pub(super) fn tour(first: &[f64], cost: impl Fn(usize, usize) -> f64) -> Vec<usi
         }
     }
     order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_robots_at_one_place_divide_a_long_hall_into_two_halves() {
+        let regions = Regions::new([[-30.0, -6.0, 0.0], [30.0, 6.0, 3.0]]);
+        assert_eq!(regions.count(), 12 * 3);
+        let pool: Vec<usize> = (0..regions.count()).collect();
+        let work = vec![5.0; regions.count()];
+        let second = divide(&regions, &pool, &work, [[0.0; 3], [1.0, 0.0, 0.0]], &vec![false; pool.len()]);
+        let ones = second.iter().filter(|is_second| **is_second).count();
+        assert!(ones * 2 == pool.len(), "{ones} of {}", pool.len());
+        // Each row of the hall is cut once.
+        for row in second.chunks(12) {
+            let cuts = row.windows(2).filter(|pair| pair[0] != pair[1]).count();
+            assert_eq!(cuts, 1, "{second:?}");
+        }
+    }
 }

@@ -2,14 +2,18 @@
 
 use crate::navigation::wrapped;
 use crate::{CellState, Lidar, NavigationGrid};
-use libm::{atan2, cos, sin, tan};
+use libm::{atan2, cos, exp, sin, tan};
 
-/// Rays of the fan around, and from its lowest to its highest elevation.
-const FAN_AROUND: usize = 60;
-const FAN_UP: usize = 12;
+/// Rays around and from the lowest to the highest elevation: those by which a place is judged, and those of a look,
+/// which has to come to every cell that a scan comes to.
+const FAN: [usize; 2] = [60, 12];
+const LOOK_FAN: [usize; 2] = [120, 36];
 
 /// Metres of Unknown space behind which nothing is expected to be seen.
 const DEPTH_M: f64 = 2.0;
+
+/// Metres of Unknown space that let one ray in e (2.7) through: what is unknown is mostly so because something is in the way.
+const FADE_M: f64 = 0.9;
 
 /// The reach of a LiDAR on a robot that flies level.
 #[derive(Clone, Debug)]
@@ -19,28 +23,24 @@ pub(super) struct Sight {
     /// Tangents of the lowest and highest elevation.
     slopes: [f64; 2],
     range_m: f64,
-    /// Directions that stand for all, in the sensor's frame, each with its solid angle.
-    fan: Vec<([f64; 3], f64)>,
+    fan: Fan,
+    look_fan: Fan,
 }
+
+/// Directions that stand for all, in the sensor's frame, each with its solid angle.
+type Fan = Vec<([f64; 3], f64)>;
 
 impl Sight {
     pub(super) fn new(lidar: Lidar, range_m: f64) -> Self {
         let (azimuth, elevation) = lidar.field_of_view_deg();
         let [azimuth, elevation] = [azimuth, elevation].map(|range| range.map(f64::to_radians));
-        // Rings of equal solid angle lie at equal steps of the sine.
-        let [low, high] = elevation.map(sin);
-        let up = (high - low) / FAN_UP as f64;
-        let around = (azimuth[1] - azimuth[0]) / FAN_AROUND as f64;
-        let mut fan = Vec::with_capacity(FAN_UP * FAN_AROUND);
-        for ring in 0..FAN_UP {
-            let z = low + (ring as f64 + 0.5) * up;
-            let flat = (1.0 - z * z).sqrt();
-            for step in 0..FAN_AROUND {
-                let angle = azimuth[0] + (step as f64 + 0.5) * around;
-                fan.push(([flat * cos(angle), flat * sin(angle), z], up * around));
-            }
+        Self {
+            half_azimuth: 0.5 * (azimuth[1] - azimuth[0]),
+            slopes: elevation.map(tan),
+            range_m,
+            fan: fan(azimuth, elevation, FAN),
+            look_fan: fan(azimuth, elevation, LOOK_FAN),
         }
-        Self { fan, half_azimuth: 0.5 * (azimuth[1] - azimuth[0]), slopes: elevation.map(tan), range_m }
     }
 
     pub(super) const fn range_m(&self) -> f64 {
@@ -87,20 +87,22 @@ impl Sight {
         })
     }
 
-    /// About how many Unknown cells that are worth it, looked at in a direction of this octant, can be seen from a place.
-    /// The Unknown is taken for clear, for up to 2 m.
+    /// About how many Unknown cells can be seen from a place. `chance` says for a cell and an octant how likely a ray comes
+    /// back from there: 1 for what was never looked at, 0 for what it makes no sense to look at from there.
     pub(super) fn gain(
         &self,
         grid: &NavigationGrid,
         from: [f64; 3],
         yaw: f64,
-        is_worth: impl Fn(usize, u8) -> bool,
+        chance: impl Fn(usize, u8) -> f64,
     ) -> f64 {
         let step = grid.cell_m();
+        let fade = exp(-step / FADE_M);
         let mut volume = 0.0;
-        for (direction, solid_angle) in self.turned_fan(yaw) {
+        for (direction, solid_angle) in turned(&self.fan, yaw) {
             let octant = octant([direction[0], direction[1]]);
             let mut depth = 0.0;
+            let mut likely = 1.0;
             let mut away = step;
             while away <= self.range_m && depth < DEPTH_M {
                 let Some(cell) = grid.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away)) else {
@@ -109,11 +111,14 @@ impl Sight {
                 match grid.cell_state(cell) {
                     CellState::Occupied => break,
                     CellState::Free => {}
-                    // Nothing comes back from there, nor from behind it.
-                    CellState::Unknown if !is_worth(cell, octant) => break,
                     CellState::Unknown => {
+                        likely *= chance(cell, octant) * fade;
+                        if likely == 0.0 {
+                            // Nothing comes back from there, nor from behind it.
+                            break;
+                        }
                         depth += step;
-                        volume += away * away * step * solid_angle;
+                        volume += likely * away * away * step * solid_angle;
                     }
                 }
                 away += step;
@@ -122,7 +127,7 @@ impl Sight {
         volume / (step * step * step)
     }
 
-    /// The first Unknown cell in each direction of the fan, behind nothing but Free ones, and the octant of the direction.
+    /// The first Unknown cell in each direction of a look, behind nothing but Free ones, and the octant of the direction.
     pub(super) fn first_unknown<'a>(
         &'a self,
         grid: &'a NavigationGrid,
@@ -132,7 +137,7 @@ impl Sight {
         let step = grid.cell_m();
         // Far out rays are few, and the map is a little behind.
         let steps = (0.9 * self.range_m / step) as usize;
-        self.turned_fan(yaw).filter_map(move |(direction, _)| {
+        turned(&self.look_fan, yaw).filter_map(move |(direction, _)| {
             let cell = |i: usize| {
                 let away = (i + 1) as f64 * step;
                 grid.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away))
@@ -142,13 +147,30 @@ impl Sight {
                 .then(|| (first, octant([direction[0], direction[1]])))
         })
     }
+}
 
-    fn turned_fan(&self, yaw: f64) -> impl Iterator<Item = ([f64; 3], f64)> + '_ {
-        let (c, s) = (cos(yaw), sin(yaw));
-        self.fan
-            .iter()
-            .map(move |([x, y, z], solid_angle)| ([c * x - s * y, s * x + c * y, *z], *solid_angle))
+/// Rays between two azimuths and two elevations: so many around, so many up.
+fn fan(azimuth: [f64; 2], elevation: [f64; 2], [around, up]: [usize; 2]) -> Fan {
+    // Rings of equal solid angle lie at equal steps of the sine.
+    let [low, high] = elevation.map(sin);
+    let rise = (high - low) / up as f64;
+    let turn = (azimuth[1] - azimuth[0]) / around as f64;
+    let mut fan = Vec::with_capacity(around * up);
+    for ring in 0..up {
+        let z = low + (ring as f64 + 0.5) * rise;
+        let flat = (1.0 - z * z).sqrt();
+        for step in 0..around {
+            let angle = azimuth[0] + (step as f64 + 0.5) * turn;
+            fan.push(([flat * cos(angle), flat * sin(angle), z], rise * turn));
+        }
     }
+    fan
+}
+
+/// A fan as it is on a robot with this yaw.
+fn turned(fan: &Fan, yaw: f64) -> impl Iterator<Item = ([f64; 3], f64)> + '_ {
+    let (c, s) = (cos(yaw), sin(yaw));
+    fan.iter().map(move |([x, y, z], solid_angle)| ([c * x - s * y, s * x + c * y, *z], *solid_angle))
 }
 
 /// Which eighth of the compass a direction lies in: 0 … 7, in no particular order.
