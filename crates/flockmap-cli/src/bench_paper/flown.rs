@@ -78,6 +78,8 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
             range_m: LIDAR_RANGE_M,
             seed: plan.seed,
             rendering: plan.rendering,
+            // Explorers have to tell the open sky from what they have not looked at.
+            no_returns: true,
             ..ScanOptions::default()
         },
         seconds_max: plan.seconds_max,
@@ -137,7 +139,8 @@ pub fn open(scene: Scene, folder: &Path) -> anyhow::Result<Flown> {
 }
 
 impl Flown {
-    /// The robots with what a LiDAR sees that reaches `range_m`: what is farther gives no return.
+    /// The robots with what the paper's simulated LiDAR delivers that reaches `range_m`: what is farther gives no
+    /// return, and nobody hears of rays without one.
     pub fn sources(&self, range_m: f64) -> anyhow::Result<Vec<Source>> {
         let records: Vec<Record> = self
             .records
@@ -151,6 +154,7 @@ impl Flown {
                 let mut frame = frame?;
                 let limit = (range_m * range_m) as f32;
                 frame.scan.points.retain(|p| p[0] * p[0] + p[1] * p[1] + p[2] * p[2] <= limit);
+                frame.scan.no_returns.clear();
                 let team_mates = team.mates(number, frame.scan.stamp);
                 Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor, team_mates })
             });
