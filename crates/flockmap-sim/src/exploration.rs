@@ -111,6 +111,9 @@ pub enum ExploreError {
     /// The options make no robot.
     #[error(transparent)]
     Robot(#[from] RobotError),
+    /// The caller wanted no more.
+    #[error("stopped before it began")]
+    Stopped,
     /// There is no place to start.
     #[error(
         "no place to start for robot {robot} of {robots}: none with {clearance_m} m to anything solid between {heights_m:?} m (z) and {separation_m} m \

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use flockmap::Stamp;
 use flockmap_io::{Record, RecordOptions, open_record};
-use flockmap_sim::{Ended, ExploreOptions, Explorer, Lidar, Rendering, ScanOptions, World};
+use flockmap_sim::{Ended, ExploreOptions, Lidar, Rendering, ScanOptions, World};
 
 use super::figures::{CHANGES_MAX, Scene, T_L_S};
 use crate::sim::explore;
@@ -64,8 +64,8 @@ impl Scene {
     }
 }
 
-/// Flies and records.
-pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
+/// Flies and records. `None` if Ctrl-C came before the first step.
+pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Option<Flown>> {
     let scene = plan.scene;
     let folder: PathBuf = folder.join(scene.name());
     let row = super::figures::TABLE_ONE.iter().find(|row| row.scene == scene);
@@ -87,12 +87,12 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
         threads: plan.threads.min(scene.robots()),
         ..ExploreOptions::default()
     };
-    let mut explorer = Explorer::new(Arc::clone(&plan.world), options)?;
+    let Some(mut explorer) = explore::prepare(Arc::clone(&plan.world), options)? else { return Ok(None) };
     let records = explore::record(&mut explorer, &folder, true, "seconds flown")?;
     let outcome = explorer.outcome();
     let traffic =
         explorer.robots().map(|robot| explorer.radio().traffic(robot.own_stream().origin).sent_bytes);
-    Ok(Flown {
+    Ok(Some(Flown {
         scene,
         seconds: records.iter().map(|record| record.seconds).fold(0.0, f64::max),
         records,
@@ -106,7 +106,7 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Flown> {
             Ended::Done => "nothing was left to see",
             Ended::TimeOut => "the time was over",
         },
-    })
+    }))
 }
 
 /// A flight that was recorded before: `FOLDER/forest/robot1.mcap` and so on.
@@ -197,7 +197,7 @@ mod tests {
             seconds_max: 1.0,
             threads: 2,
         };
-        let flown = fly(&plan, folder.path()).unwrap();
+        let flown = fly(&plan, folder.path()).unwrap().unwrap();
         assert_eq!((flown.records.len(), flown.ended), (2, "the time was over"));
         assert!(flown.explored.unwrap().seen_share > 0.0);
         let again = open(Scene::Forest, folder.path()).unwrap();

@@ -270,7 +270,7 @@ impl Bench<'_> {
             };
             jobs::run(bench.threads, scenes.iter().map(|scene| job(*scene)).collect())
         })?;
-        Ok(flown.into_iter().flatten().flatten().collect())
+        Ok(flown.into_iter().flatten().flatten().flatten().collect())
     }
 
     fn tables(&mut self, flights: &Flights) -> anyhow::Result<()> {

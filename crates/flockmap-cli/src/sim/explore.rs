@@ -1,11 +1,13 @@
 //! `flockmap sim explore`: a swarm that explores on its own, written as one record a robot.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{bail, ensure};
 use flockmap::SessionConfig;
-use flockmap_sim::{Ended, ExploreOptions, Explorer, IP_UDP_BYTES, Link, RadioConfig, Traffic};
+use flockmap_sim::{
+    Ended, ExploreError, ExploreOptions, Explorer, IP_UDP_BYTES, Link, RadioConfig, Traffic, World,
+};
 use serde_json::{Value, json};
 
 use super::robot_record::{self, RecordFacts, RobotRecord};
@@ -26,9 +28,9 @@ pub fn run(args: &SimExploreArgs) -> anyhow::Result<bool> {
         );
     }
     let options = options(args)?;
-    eprintln!("making the world, and looking for what can be seen of it ...");
+    eprintln!("making the world ...");
     let world = Arc::new(sources::open_world(&args.scene, &args.source)?);
-    let mut explorer = Explorer::new(world, options)?;
+    let Some(mut explorer) = prepare(world, options)? else { return Ok(true) };
     let records = record(&mut explorer, &args.out, !args.no_view, "exploring: seconds")?;
     let facts = facts(&explorer, args);
     robot_record::print_table(&records);
@@ -37,6 +39,20 @@ pub fn run(args: &SimExploreArgs) -> anyhow::Result<bool> {
         json_file::write(path, &with_records(facts, &records)?)?;
     }
     Ok(true)
+}
+
+/// Works out what can be seen, which takes some seconds. `None` after Ctrl-C.
+pub fn prepare(world: Arc<World>, options: ExploreOptions) -> anyhow::Result<Option<Explorer>> {
+    let progress = Mutex::new(Progress::new("looking for what can be seen: percent", 100));
+    let goes_on = |done: usize, of: usize| {
+        let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
+        progress.set(100 * done as u64 / of as u64);
+        !stop::requested()
+    };
+    match Explorer::new_watched(world, options, &goes_on) {
+        Err(ExploreError::Stopped) => Ok(None),
+        made => Ok(Some(made?)),
+    }
 }
 
 /// Explores to the end, or until Ctrl-C, and writes a record of each robot to a folder; with pictures of the fused maps, if wanted.

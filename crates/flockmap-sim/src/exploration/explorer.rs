@@ -128,6 +128,19 @@ impl Explorer {
     /// # Errors
     /// [`ExploreError`] says which option cannot work, or why there is no place to start.
     pub fn new(world: Arc<World>, options: ExploreOptions) -> Result<Self, ExploreError> {
+        Self::new_watched(world, options, &|_, _| true)
+    }
+
+    /// The same; while it works out what can be seen, `goes_on` is told how many of how many parts are done, and says
+    /// whether to go on. It is called from any of the threads.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and [`ExploreError::Stopped`] once `goes_on` has said no.
+    pub fn new_watched(
+        world: Arc<World>,
+        options: ExploreOptions,
+        goes_on: &(dyn Fn(usize, usize) -> bool + Sync),
+    ) -> Result<Self, ExploreError> {
         check(&options)?;
         options.scan.check()?;
         let region_m = options.region_m.unwrap_or_else(|| default_region(&world));
@@ -150,7 +163,8 @@ impl Explorer {
         }
         let sight = Sight::new(options.lidar, options.range_m);
         let eyes = Eyes { world: &world, sight: &sight, scan: options.scan, resolution: options.resolution };
-        let seeable = Seeable::new(&eyes, &truth, places[0], may_fly, options.threads);
+        let seeable = Seeable::new(&eyes, &truth, places[0], may_fly, options.threads, goes_on)
+            .ok_or(ExploreError::Stopped)?;
         let mut members = Vec::new();
         for (number, &place) in places.iter().enumerate() {
             let mut config =

@@ -6,6 +6,7 @@ use crate::random::hash_at;
 use crate::{NavigationGrid, Router, ScanOptions, World};
 use flockmap_grid::{BlockIndex, Mapper, Plane, Resolution, Voxel, voxel_bit};
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Metres between places to look from, along x and y, and along z.
 const SPACING_M: [f64; 3] = [1.2, 1.2, 0.6];
@@ -33,32 +34,42 @@ pub(super) struct Eyes<'a> {
 }
 
 impl Seeable {
-    /// For robots that can start at `start` and fly where `may_fly` says, in the world as it is (`truth`).
+    /// For robots that can start at `start` and fly where `may_fly` says, in the world as it is (`truth`). `goes_on` is told how
+    /// many of how many blocks are done; `None` once it has said no.
     pub(super) fn new(
         eyes: &Eyes<'_>,
         truth: &NavigationGrid,
         start: [f64; 3],
         may_fly: impl Fn(usize) -> bool,
         threads: usize,
-    ) -> Self {
+        goes_on: &(dyn Fn(usize, usize) -> bool + Sync),
+    ) -> Option<Self> {
         let places = places(truth, start, may_fly);
         let candidates: Vec<(BlockIndex, Plane)> =
             candidates(eyes.world, truth, start, eyes.resolution).into_iter().collect();
         let part = candidates.len().div_ceil(threads.max(1)).max(1);
-        let mut blocks = BTreeMap::new();
-        std::thread::scope(|scope| {
+        let done = AtomicUsize::new(0);
+        let parts: Vec<Option<Vec<(BlockIndex, Plane)>>> = std::thread::scope(|scope| {
             let mut threads = Vec::new();
             for part in candidates.chunks(part) {
-                let places = &places;
-                let seen = |(index, plane): &(BlockIndex, Plane)| (*index, look(eyes, places, *index, plane));
-                threads.push(scope.spawn(move || part.iter().map(seen).collect::<Vec<_>>()));
+                let (places, done, count) = (&places, &done, candidates.len());
+                let seen = move |(index, plane): &(BlockIndex, Plane)| {
+                    goes_on(done.fetch_add(1, Ordering::Relaxed), count)
+                        .then(|| (*index, look(eyes, places, *index, plane)))
+                };
+                threads.push(scope.spawn(move || part.iter().map(seen).collect()));
             }
-            for thread in threads {
-                blocks.extend(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-            }
+            let join = |thread: std::thread::ScopedJoinHandle<'_, _>| {
+                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            threads.into_iter().map(join).collect()
         });
+        let mut blocks = BTreeMap::new();
+        for part in parts {
+            blocks.extend(part?);
+        }
         let count = blocks.values().flatten().map(|word: &u64| u64::from(word.count_ones())).sum();
-        Self { blocks, count }
+        Some(Self { blocks, count })
     }
 
     /// Number of voxels, estimated from those drawn.
