@@ -270,6 +270,7 @@ impl Bench<'_> {
             };
             jobs::run(bench.threads, scenes.iter().map(|scene| job(*scene)).collect())
         })?;
+        // Whatever Ctrl-C kept from being flown, in part or at all, is left out.
         Ok(flown.into_iter().flatten().flatten().flatten().collect())
     }
 

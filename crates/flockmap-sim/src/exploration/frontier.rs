@@ -17,7 +17,7 @@ pub(super) const DIRECTIONS_MAX: u32 = 3;
 /// How likely something comes back from an Unknown cell that was in view from none, one or two directions in vain.
 const CHANCES: [f64; DIRECTIONS_MAX as usize] = [1.0, 0.5, 0.25];
 
-/// A viewpoint from which fewer cells are to be seen is not worth the way.
+/// A viewpoint from which fewer cells are expected to be seen is not worth the way.
 pub(super) const GAIN_MIN: f64 = 40.0;
 
 /// Cells of a frontier that viewpoints are judged by.
@@ -71,9 +71,12 @@ impl Frontiers {
         self.looks[cell].count_ones() < DIRECTIONS_MAX && grid.cell_state(cell) == CellState::Unknown
     }
 
-    /// The same for a look in a direction in which it was not looked at yet.
-    fn is_worth_along(&self, grid: &NavigationGrid, cell: usize, octant: u8) -> bool {
-        self.looks[cell] >> octant & 1 == 0 && self.is_worth(grid, cell)
+    /// How likely something comes back from an Unknown cell that is looked at in a direction of this octant: 0 if it was
+    /// looked at from there before, or from too many sides in vain.
+    fn chance(&self, cell: usize, octant: u8) -> f64 {
+        let looks = self.looks[cell];
+        let is_new = looks >> octant & 1 == 0;
+        CHANCES.get(looks.count_ones() as usize).copied().filter(|_| is_new).unwrap_or(0.0)
     }
 
     /// Whether a cell is Free and has an Unknown one beside it that is worth looking at.
@@ -83,11 +86,7 @@ impl Frontiers {
 
     /// How much is to be seen from a place now.
     pub(super) fn gain(&self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) -> f64 {
-        sight.gain(grid, place, yaw, |cell, octant| {
-            let looks = self.looks[cell];
-            let is_new = looks >> octant & 1 == 0;
-            CHANCES.get(looks.count_ones() as usize).copied().filter(|_| is_new).unwrap_or(0.0)
-        })
+        sight.gain(grid, place, yaw, |cell, octant| self.chance(cell, octant))
     }
 
     /// Takes down what is to be seen from a viewpoint now, and drops it if that is not worth the way any more.
@@ -223,7 +222,7 @@ impl Frontiers {
                     let yaw = atan2(centre[1] - place[1], centre[0] - place[0]);
                     let sees = |cell: &&usize| {
                         sight.sees_beyond(grid, place, Some(yaw), **cell, |c, octant| {
-                            self.is_worth_along(grid, c, octant)
+                            grid.cell_state(c) == CellState::Unknown && self.chance(c, octant) > 0.0
                         })
                     };
                     let seen = samples.iter().filter(sees).count();

@@ -247,11 +247,7 @@ impl Pilot {
     fn is_shut_in(&self, now: Stamp) -> bool {
         self.idle_since.is_some_and(|since| now.micros_since(since) >= SHUT_IN_MICROS)
             && self.navigation.clearance_m - CLEARANCE_STEP_M >= CLEARANCE_MIN_M - 1e-9
-            && self
-                .frontiers
-                .list
-                .iter()
-                .any(|f| !f.viewpoints.is_empty() && self.own[self.regions.at(f.centre)])
+            && self.has_targets()
     }
 
     /// Makes do with less clearance from now on: what was a way when less of it was known may have turned out too

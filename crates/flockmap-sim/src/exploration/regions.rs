@@ -138,7 +138,7 @@ pub(super) fn divide(
         let away = places.map(|p| distance([p[0], p[1], 0.0], to));
         away[1] < away[0]
     };
-    let fresh: Vec<bool> = (0..pool.len()).map(nearer).collect();
+    let nearest: Vec<bool> = (0..pool.len()).map(nearer).collect();
     // Halves on the two sides of a straight line, whichever is best.
     let halves = (0..2 * CUTS).map(|cut| {
         let angle = f64::from(cut) * core::f64::consts::PI / f64::from(CUTS);
@@ -149,7 +149,7 @@ pub(super) fn divide(
         };
         let mut order = relevant.clone();
         order.sort_by(|a, b| along(a).total_cmp(&along(b)));
-        let mut second = fresh.clone();
+        let mut second = nearest.clone();
         let mut before = 0.0;
         for i in order {
             second[i] = before + 0.5 * work[pool[i]] > 0.5 * total;
@@ -157,11 +157,11 @@ pub(super) fn divide(
         }
         second
     });
-    let fresh = halves
-        .chain([fresh.clone()])
-        .map(|second| (cost(&second), second))
-        .min_by(|a, b| a.0.total_cmp(&b.0))
-        .map_or_else(Vec::new, |(_, second)| second);
+    let best_half = halves.map(|second| (cost(&second), second)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let fresh = match best_half {
+        Some((half_cost, half)) if half_cost <= cost(&nearest) => half,
+        _ => nearest,
+    };
     let (kept_cost, kept) = improved(was_second.to_vec());
     let (fresh_cost, fresh) = improved(fresh);
     let (cost_new, new) =
