@@ -17,7 +17,8 @@
 //! let scan = Scan { stamp: Stamp(100_000), points: vec![[2.05, 0.05, 0.05]], no_returns: Vec::new() };
 //! mapper.insert(&scan, &Pose::IDENTITY, &[]);
 //! let stream = Stream { origin: RobotId(1), epoch: 1 };
-//! let cycle = Cycle { stream, start: Stamp(0), end: scan.stamp, resolution: config.resolution };
+//! let resolution = config.resolution;
+//! let cycle = Cycle { stream, start: Stamp(0), end: scan.stamp, resolution, sensor: [0; 3] };
 //! let mut messages = Vec::new();
 //! sender.cycle(scan.stamp, &cycle, &mapper.take_changes(Which::All), &mapper, &mut messages)?;
 //! for message in &messages {

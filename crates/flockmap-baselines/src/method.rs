@@ -46,7 +46,9 @@ const DATAGRAMS: &str = "-datagrams";
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
+        Self::Datagrams(Codec::Flock),
+        Self::Whole(Codec::Flock),
         Self::Whole(Codec::Raw),
         Self::Whole(Codec::NestedZlib),
         Self::Whole(Codec::Paper),
@@ -121,7 +123,13 @@ impl Method {
             Self::Whole(Codec::Racer) => {
                 "RACER as the paper describes it: a 4-byte address and a byte of state for every change of state, in one package a cycle."
             }
+            Self::Whole(Codec::Flock) => {
+                "Flockmap's own codec in one package a cycle, which stands for itself: told against nothing."
+            }
             Self::Whole(_) => "A codec of map packages, one package a cycle.",
+            Self::Datagrams(Codec::Flock) => {
+                "Flockmap's own codec: decisions of an arithmetic coder with trained contexts, told against what the receiver holds, in packages of at most 1,150 bytes."
+            }
             Self::Datagrams(_) => {
                 "The same codec, cut into packages of at most 1,150 bytes, each useful on its own."
             }
@@ -156,6 +164,8 @@ impl Method {
 impl fmt::Display for Method {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Datagrams(Codec::Flock) => f.pad(Codec::Flock.name()),
+            Self::Whole(Codec::Flock) => f.pad("flock-whole"),
             Self::Whole(codec) => f.pad(codec.name()),
             Self::Datagrams(codec) => f.pad(&format!("{}{DATAGRAMS}", codec.name())),
             Self::Colag => f.pad("colag"),

@@ -1,6 +1,6 @@
 //! The map packages of Flockmap as a method: the codecs of the paper and its comparisons.
 
-use flockmap_codec::{Codec, Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, Package};
+use flockmap_codec::{Codec, Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, Package, Reference};
 use flockmap_grid::{BlockIndex, Changes, Layer, Mapper, Stamp, State, StateBlock, Voxel};
 
 use crate::{MapTooLarge, ReceiveError, Receiver, SendError, Sender};
@@ -10,11 +10,21 @@ pub(crate) struct PackageSender {
     datagrams: bool,
     encoder: Encoder,
     next_index: u32,
+    /// What was told so far, and the last package of each cycle: what the next cycle is told against.
+    layer: Layer,
+    cycles: Vec<(Stamp, u32)>,
 }
 
 impl PackageSender {
     pub(crate) fn new(codec: Codec, datagrams: bool) -> Self {
-        Self { codec, datagrams, encoder: Encoder::new(), next_index: 1 }
+        Self {
+            codec,
+            datagrams,
+            encoder: Encoder::new(),
+            next_index: 1,
+            layer: Layer::default(),
+            cycles: Vec::new(),
+        }
     }
 }
 
@@ -27,15 +37,31 @@ impl Sender for PackageSender {
         _mapper: &Mapper,
         out: &mut Vec<Vec<u8>>,
     ) -> Result<(), SendError> {
-        let Self { codec, encoder, next_index, .. } = self;
+        let Self { codec, encoder, next_index, layer, cycles, .. } = self;
         let packages = if self.datagrams {
-            encoder.encode_cycle(*codec, cycle, *next_index, changes, PACKAGE_BYTES_MAX)?
+            // Nothing is lost here, so nobody has to be waited for.
+            let reference = Reference { layer: Some(layer), cycles, readers: &[] };
+            encoder.encode_cycle_against(
+                *codec,
+                cycle,
+                *next_index,
+                changes,
+                Some(&reference),
+                PACKAGE_BYTES_MAX,
+            )?
         } else {
             vec![encoder.encode_whole(*codec, cycle, *next_index, changes)?]
         };
         *next_index += packages.len() as u32;
         out.extend(packages.iter().map(|package| package.bytes().to_vec()));
         Ok(())
+    }
+
+    fn told(&mut self, cycle: &Cycle, changes: &Changes) {
+        if self.codec == Codec::Flock {
+            self.layer.apply(changes, cycle.end);
+            self.cycles.push((cycle.end, self.next_index - 1));
+        }
     }
 }
 
@@ -51,15 +77,13 @@ impl Receiver for PackageReceiver {
         if self.layer.block_count() >= crate::BLOCKS_MAX {
             return Err(MapTooLarge.into());
         }
-        match self.decoder.decode(&package)? {
+        match self.decoder.decode_against(&package, Some(&self.layer))? {
             Content::Changes(changes) => {
                 self.layer.apply(&changes, package.header().cycle_end);
             }
             // No sender here makes one; it says the same in another way.
             Content::Present(state) => {
-                for (stamp, part) in &state.parts {
-                    self.layer.apply(part, *stamp);
-                }
+                self.layer.apply_present(&state);
             }
         }
         Ok(())

@@ -239,7 +239,7 @@ mod tests {
         }
         assert_eq!(out.len(), 3, "three scans fit into 100 points");
         let stream = Stream { origin: RobotId(1), epoch: 1 };
-        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(0), resolution };
+        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(0), resolution, sensor: [0; 3] };
         let changes = mapper.take_changes(Which::All);
         sender.cycle(Stamp(0), &cycle, &changes, &mapper, &mut out).unwrap();
         out.iter().for_each(|message| receiver.receive(message).unwrap());

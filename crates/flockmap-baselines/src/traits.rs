@@ -48,6 +48,10 @@ pub trait Sender: Send {
         out: &mut Vec<Vec<u8>>,
     ) -> Result<(), SendError>;
 
+    /// The messages of a cycle are out. Here a sender does what a robot does anyhow to know its own map, and what is not
+    /// counted as time for the cycle.
+    fn told(&mut self, _cycle: &Cycle, _changes: &Changes) {}
+
     /// The record is over. Appends only what the method itself would still send: what its rules keep back stays unsent.
     ///
     /// # Errors

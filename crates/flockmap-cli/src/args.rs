@@ -97,11 +97,12 @@ pub enum BenchCommand {
 Examples:
   flockmap bench codecs forest --lidar avia
   flockmap bench codecs robot1.mcap robot2.mcap --resolution 0.2 --range 30 --json codecs.json
-  flockmap bench codecs forest --codec paper,racer
+  flockmap bench codecs forest --codec paper,flock
+  flockmap bench codecs forest --codec paper,flock --t-l-occupied 0.1 --t-l 2
   flockmap bench codecs forest --codec all
 
-A method is a codec (raw, nested-zlib, paper, racer), which codes each cycle as one package, or a codec with
-`-datagrams`, which cuts each cycle into packages of at most 1,150 bytes, each useful on its own; or a rival. Some rivals are
+A method is `flock`, Flockmap's own codec, in packages of at most 1,150 bytes; or another codec (raw, nested-zlib, paper,
+racer), which codes each cycle as one package, or with `-datagrams` in such packages as well; or a rival. Some rivals are
 lossy or stale: they are marked, and their agreement is what they reach.
 Exit code 1 if a lossless method gets a voxel wrong.")]
     Codecs(Box<BenchCodecsArgs>),
@@ -266,8 +267,8 @@ pub struct ReplayArgs {
     /// Unicast or broadcast
     #[arg(long, value_enum, default_value_t = CastName::Unicast)]
     pub cast: CastName,
-    /// Codec of the packages: raw, nested-zlib, paper or racer
-    #[arg(long, value_name = "NAME", default_value_t = Codec::Paper)]
+    /// Codec of the packages: flock, paper, nested-zlib, raw or racer
+    #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
     pub codec: Codec,
     /// The session behaves as in the paper: packages on request only, oldest first, everyone answers
     #[arg(long)]
@@ -292,8 +293,8 @@ pub struct DemoArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
     #[arg(long, value_name = "SCENE", default_value = "forest")]
     pub scene: PathBuf,
-    /// Codec of the packages: raw, nested-zlib, paper or racer
-    #[arg(long, value_name = "NAME", default_value_t = Codec::Paper)]
+    /// Codec of the packages: flock, paper, nested-zlib, raw or racer
+    #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
     pub codec: Codec,
     /// Folder for report.html and report.json
     #[arg(long, value_name = "DIR", default_value = "flockmap-demo")]
@@ -316,7 +317,7 @@ pub struct BenchCodecsArgs {
     /// Records, or one world: forest, indoor, or a .bt .pcd .ply .las .laz file
     #[arg(value_name = "RECORD", required = true)]
     pub records: Vec<PathBuf>,
-    /// Methods, separated by commas, or all [default: raw,nested-zlib,paper,racer,paper-datagrams]
+    /// Methods, separated by commas, or all [default: raw,nested-zlib,paper,racer,paper-datagrams,flock]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub codec: Vec<MethodName>,
     /// Write the table as JSON

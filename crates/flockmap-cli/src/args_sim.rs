@@ -115,8 +115,8 @@ pub struct SimExploreArgs {
     /// No radio: every robot has only what it sees itself
     #[arg(long, conflicts_with_all = ["loss", "delay_ms", "budget_kb_s"])]
     pub no_sync: bool,
-    /// Codec of the packages: raw, nested-zlib, paper or racer
-    #[arg(long, value_name = "NAME", default_value_t = Codec::Paper)]
+    /// Codec of the packages: flock, paper, nested-zlib, raw or racer
+    #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
     pub codec: Codec,
     /// Leave out the pictures of map and way
     #[arg(long)]

@@ -10,6 +10,7 @@ use serde::Serialize;
 use crate::args::BenchCodecsArgs;
 use crate::codec_run::{self, CodecRun, Outcome};
 use crate::measure::KB;
+use crate::present_run::{self, PresentRow};
 use crate::progress::Progress;
 use crate::table::{Table, kb, percent, thousands};
 use crate::{json_file, sources, stop};
@@ -41,8 +42,10 @@ impl fmt::Display for MethodName {
 /// The methods that are named, each once. Named none: the short list.
 fn methods(names: &[MethodName]) -> Vec<Method> {
     if names.is_empty() {
-        let mut methods: Vec<Method> = Codec::ALL.into_iter().map(Method::Whole).collect();
+        let others = Codec::ALL.into_iter().filter(|codec| *codec != Codec::Flock);
+        let mut methods: Vec<Method> = others.map(Method::Whole).collect();
         methods.push(Method::Datagrams(Codec::Paper));
+        methods.push(Method::Datagrams(Codec::Flock));
         return methods;
     }
     let mut methods: Vec<Method> = Vec::new();
@@ -70,6 +73,8 @@ struct Output {
     d: usize,
     changed_voxels: u64,
     methods: Vec<Row>,
+    /// The final maps, as a late joiner gets them. Only of methods that make map packages.
+    present_states: Vec<PresentRow>,
 }
 
 #[derive(Serialize, Debug)]
@@ -110,17 +115,21 @@ impl From<&codec_run::Row> for Row {
 pub fn run(args: &BenchCodecsArgs) -> anyhow::Result<bool> {
     let (mapper, cycle) = (args.map.mapper()?, args.map.cycle()?);
     let sources = sources::open(&args.records, &args.source, args.map.range, false)?;
-    let mut run = CodecRun::new(mapper, cycle, &methods(&args.codec), 1);
+    let methods = methods(&args.codec);
+    let resolution = mapper.resolution;
+    let mut run = CodecRun::new(mapper, cycle, &methods, 1);
+    let mut layers = Vec::new();
     let expected = sources.robots.iter().map(|source| source.frames_expected).sum();
     let mut progress = Progress::new("scans", expected);
     let mut names = Vec::new();
     for source in sources.robots {
         progress.say(format!("{}: scans", source.name));
         names.push(source.name);
-        run.record(source.frames, || progress.step())?;
+        layers.push(run.record(source.frames, || progress.step())?);
     }
     drop(progress);
     let outcome = run.finish();
+    let present_states = present_run::run(&layers, resolution, &methods)?;
     let output = Output {
         records: names,
         resolution_m: args.map.resolution,
@@ -129,6 +138,7 @@ pub fn run(args: &BenchCodecsArgs) -> anyhow::Result<bool> {
         d: args.map.d,
         changed_voxels: outcome.changed_voxels,
         methods: outcome.rows.iter().map(Row::from).collect(),
+        present_states,
     };
     print(&output, &sources.title, &outcome);
     if let Some(path) = &args.json {
@@ -207,6 +217,32 @@ fn print(output: &Output, title: &str, outcome: &Outcome) {
     for method in lossy {
         println!("  * {method}: {}", method.about());
     }
+    print_present_states(&output.present_states);
+}
+
+fn print_present_states(rows: &[PresentRow]) {
+    if rows.is_empty() {
+        return;
+    }
+    println!("\n  The final map as a present state, with all its stamps: what a late joiner gets.\n");
+    let reference = rows.iter().find(|row| row.name == "paper").map(|row| row.total_bytes);
+    let mut table = Table::new(["method", "total bytes", "vs paper", "tiles", "encode ms", "decode ms"]);
+    for row in rows {
+        table.row([
+            row.name.clone(),
+            thousands(row.total_bytes),
+            reference.map_or_else(String::new, |paper| {
+                format!("×{:.3}", row.total_bytes as f64 / paper.max(1) as f64)
+            }),
+            thousands(row.tiles),
+            format!("{:.1}", row.encode_ms),
+            format!("{:.1}", row.decode_ms),
+        ]);
+    }
+    print!("{table}");
+    println!(
+        "  Tiles of at most 1,150 bytes; where the changes are not cut, of at most 1 MiB. Decoding includes merging."
+    );
 }
 
 #[cfg(test)]
@@ -218,7 +254,7 @@ mod tests {
         let named = |list: &str| {
             methods(&list.split(',').map(|name| name.parse().unwrap()).collect::<Vec<MethodName>>())
         };
-        assert_eq!(methods(&[]).len(), 5);
+        assert_eq!(methods(&[]).len(), 6);
         assert_eq!(named("paper,racer,paper"), [Method::Whole(Codec::Paper), Method::Whole(Codec::Racer)]);
         assert_eq!(named("racer,all").len(), Method::ALL.len());
         assert!("datagrams".parse::<MethodName>().is_err());

@@ -294,6 +294,7 @@ impl Bench {
             end: Stamp(500_000),
             resolution: Resolution::from_micrometres(100_000)
                 .ok_or_else(|| anyhow::anyhow!("0.1 m is a resolution"))?,
+            sensor: [0; 3],
         };
         let mut costs: Vec<(String, Vec<u64>)> =
             Codec::ALL.into_iter().map(|codec| (codec.name().to_owned(), Vec::new())).collect();

@@ -101,12 +101,12 @@ impl CodecRun {
     }
 
     /// The record of one robot: maps it, closes cycles, and gives each cycle to every method. Stamps must begin near 0.
-    /// Calls `progress` after each scan. Ends early if the user asks for it.
+    /// Calls `progress` after each scan. Ends early if the user asks for it. Returns what was told in the end.
     pub fn record(
         &mut self,
         frames: impl IntoIterator<Item = impl Into<Frame>>,
         mut progress: impl FnMut(),
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Layer> {
         let number = self.benches.first().map_or(0, |bench| bench.robots.len());
         let stream = Stream { origin: RobotId(number as u16 + 1), epoch: 1 };
         let mut mapper = Mapper::new(self.mapper.clone())?;
@@ -122,6 +122,7 @@ impl CodecRun {
             *cycles += 1;
             *changed_voxels += changes.len() as u64;
             truth.apply(&changes, cycle.end);
+            truth.note_sensor(cycle.end, cycle.sensor);
             lanes.iter_mut().try_for_each(|lane| lane.cycle(now, &cycle, &changes, mapper))
         };
         let mut last = Stamp(0);
@@ -140,7 +141,7 @@ impl CodecRun {
             }
             last = scan.stamp;
             let report = mapper.insert(&scan, &pose, &masks);
-            packer.note_scan(last);
+            packer.note_scan(last, &pose);
             for lane in &mut lanes {
                 lane.scan(last, &scan, &pose, &masks, &mapper, &report)?;
             }
@@ -156,7 +157,7 @@ impl CodecRun {
             lane.end(last, &mapper, &truth)?;
         }
         self.seconds += last.seconds();
-        Ok(())
+        Ok(truth)
     }
 
     /// What came out of all records so far.
@@ -261,6 +262,7 @@ impl Lane<'_> {
             .cycle(now, cycle, changes, mapper, &mut self.messages)
             .with_context(|| self.bench.method.to_string())?;
         self.bench.encode.add(core::mem::take(&mut self.took) + started.elapsed());
+        self.sender.told(cycle, changes);
         let took = self.deliver(now)?;
         self.bench.decode.add(took);
         Ok(())

@@ -21,6 +21,7 @@ mod measure;
 mod member;
 mod options;
 mod picture;
+mod present_run;
 mod progress;
 mod replay;
 mod report;

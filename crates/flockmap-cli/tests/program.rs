@@ -94,7 +94,10 @@ fn bench_codecs_puts_the_methods_in_their_order() {
     let output = json(&path);
     let mut keys: Vec<&String> = output.as_object().unwrap().keys().collect();
     keys.sort();
-    assert_eq!(keys, ["changed_voxels", "d", "methods", "range_m", "records", "resolution_m", "t_l_s"]);
+    assert_eq!(
+        keys,
+        ["changed_voxels", "d", "methods", "present_states", "range_m", "records", "resolution_m", "t_l_s"]
+    );
     let methods = output["methods"].as_array().unwrap();
     let mut keys: Vec<&String> = methods[0].as_object().unwrap().keys().collect();
     keys.sort();
@@ -118,6 +121,11 @@ fn bench_codecs_puts_the_methods_in_their_order() {
     assert!(bytes("paper") < bytes("nested-zlib"));
     assert!(bytes("nested-zlib") < bytes("racer") && bytes("nested-zlib") < bytes("raw"));
     assert!(bytes("paper") < bytes("paper-datagrams"));
+    assert!(2 * bytes("flock") < bytes("paper"));
+    let states = output["present_states"].as_array().unwrap();
+    let state =
+        |name: &str| states.iter().find(|m| m["name"] == name).expect(name)["total_bytes"].as_u64().unwrap();
+    assert!(2 * state("flock") < state("paper"));
 }
 
 #[test]
@@ -208,6 +216,7 @@ fn the_bytes_of_a_package_can_be_looked_into() {
         start: Stamp(0),
         end: Stamp(500_000),
         resolution: Resolution::from_metres(0.1).unwrap(),
+        sensor: [0; 3],
     };
     let changes = Changes::from_voxels((0..9).map(|x| (Voxel::new(x, 0, 0), State::Free)));
     let package = Encoder::new().encode_whole(Codec::Paper, &cycle, 4, &changes).unwrap();

@@ -2,6 +2,8 @@
 
 use flockmap_grid::{Changes, PresentState};
 
+use crate::Codec;
+
 /// The check of a package of changes. `header` is its bytes up to the check field.
 pub(crate) fn check_changes(header: &[u8], changes: &Changes) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
@@ -15,14 +17,26 @@ pub(crate) fn check_present(header: &[u8], state: &PresentState) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(header);
     hash_parts(&mut hasher, state);
+    hash_sensors(&mut hasher, state);
     hasher.finalize()
 }
 
-/// Tells sets of tiles apart: the check of a whole present state.
-pub(crate) fn set_check(state: &PresentState) -> u32 {
+/// Tells sets of tiles apart: the check of a whole present state and of all that decides how it is cut and coded, since tiles may be
+/// told against each other.
+pub(crate) fn set_check(codec: Codec, bytes_max: usize, state: &PresentState) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&[codec.id()]);
+    hasher.update(&(bytes_max as u64).to_le_bytes());
+    hash_sensors(&mut hasher, state);
     hash_parts(&mut hasher, state);
     hasher.finalize()
+}
+
+fn hash_sensors(hasher: &mut crc32fast::Hasher, state: &PresentState) {
+    for (stamp, sensor) in &state.sensors {
+        hasher.update(&stamp.0.to_le_bytes());
+        sensor.iter().for_each(|at| hasher.update(&at.to_le_bytes()));
+    }
 }
 
 fn hash_parts(hasher: &mut crc32fast::Hasher, state: &PresentState) {

@@ -1,15 +1,21 @@
 //! From a package back to its content.
 
+use flockmap_grid::Layer;
+
 use crate::check::{check_changes, check_present};
+use crate::flock;
+use crate::reference::Known;
 use crate::states::{self, Others, Scratch};
 use crate::varint::Reader;
-use crate::{Content, ContentKind, Package, PackageError, stamps};
+use crate::{Codec, Content, ContentKind, Package, PackageError, TilesRead, stamps};
 
 /// Decodes packages and keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box
 /// so far. One for each thread.
 #[derive(Default)]
 pub struct Decoder {
     scratch: Scratch,
+    /// Made with the first package in that codec.
+    pub(crate) flock: Option<Box<flock::Workspace>>,
 }
 
 impl Decoder {
@@ -18,15 +24,42 @@ impl Decoder {
         Self::default()
     }
 
-    /// The content of a package, see [`Package::decode`].
+    /// The content of a package that needs nothing else, see [`Package::decode`].
     pub fn decode(&mut self, package: &Package) -> Result<Content, PackageError> {
+        self.decode_against(package, None)
+    }
+
+    /// The content of a package that was coded against what earlier ones said: `layer` is that of its stream and must hold all
+    /// packages up to `reference` of the header. Packages of the same cycle may have been applied to it already.
+    ///
+    /// # Errors
+    /// [`PackageError::Overtaken`] if a later cycle or a present state has been applied to a block that the package builds on:
+    /// what it was before is gone, and the package can only be replaced by a present state.
+    pub fn decode_against(
+        &mut self,
+        package: &Package,
+        layer: Option<&Layer>,
+    ) -> Result<Content, PackageError> {
         let (header, payload) = (package.header(), package.payload());
         let (codec, region) = (header.codec, header.region);
         let (content, found) = match header.content {
+            ContentKind::Changes if codec == Codec::Flock => {
+                let layer = if header.is_alone { None } else { layer };
+                if !header.is_alone && layer.is_none() {
+                    return Err(PackageError::ReferenceMissing { reference: header.reference });
+                }
+                let known = Known::new(layer, header.cycle_end);
+                let changes = flock::decode(&mut self.flock, &known, payload, &region)?;
+                let check = check_changes(&package.checked(), &changes);
+                (Content::Changes(changes), check)
+            }
             ContentKind::Changes => {
                 let states = states::decode(codec, payload, &region, Others::Unchanged, &mut self.scratch)?;
-                let check = check_changes(package.checked(), &states);
+                let check = check_changes(&package.checked(), &states);
                 (Content::Changes(states), check)
+            }
+            ContentKind::Present { .. } if codec == Codec::Flock => {
+                return self.decode_tile(package, &mut TilesRead::default()).map(Content::Present);
             }
             ContentKind::Present { .. } => {
                 let rule = "the length of the states, the states, the stamps";
@@ -38,7 +71,7 @@ impl Decoder {
                 let ends = [header.cycle_start, header.cycle_end];
                 let grid = &mut self.scratch.grid;
                 let state = stamps::decode(codec, stamps, states, region, ends, payload.len(), grid)?;
-                let check = check_present(package.checked(), &state);
+                let check = check_present(&package.checked(), &state);
                 (Content::Present(state), check)
             }
         };

@@ -1,4 +1,4 @@
-//! zlib streams (RFC 1950) at level 6, with exact limits on what they may become.
+//! zlib streams (RFC 1950), with exact limits on what they may become.
 
 use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, Status};
 
@@ -11,8 +11,14 @@ pub(crate) struct Deflater {
 }
 
 impl Deflater {
+    /// Level 6, for packages.
     pub(crate) fn new() -> Self {
-        Self { state: Compress::new(Compression::new(6), true) }
+        Self::with_level(6)
+    }
+
+    /// A level from 0, the fastest, to 9.
+    pub(crate) fn with_level(level: u32) -> Self {
+        Self { state: Compress::new(Compression::new(level), true) }
     }
 
     /// Appends `input` as one zlib stream.

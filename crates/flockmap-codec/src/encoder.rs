@@ -1,13 +1,16 @@
 //! From changes, or from the state of a layer, to packages.
 
-use flockmap_grid::{Changes, PresentState, Resolution, Stamp, Stream, VoxelBox};
+use flockmap_grid::{Changes, Layer, Plane, PresentState, Resolution, Stamp, Stream, VoxelBox};
 
 use crate::check::{check_changes, check_present, set_check};
 use crate::deflate::Deflater;
+use crate::flock;
 use crate::piece::{Measure, Piece};
+use crate::reference::Known;
 use crate::states::{self, Others, Scratch};
 use crate::{
-    BOX_VOXELS_MAX, Codec, ContentKind, EncodeError, Header, PACKAGE_BYTES_MIN, Package, stamps, varint,
+    BOX_VOXELS_MAX, Codec, ContentKind, EncodeError, Header, PACKAGE_BYTES_MIN, Package, Reference, stamps,
+    varint,
 };
 
 /// One cycle of mapping: all changes from `start` to `end`.
@@ -21,6 +24,9 @@ pub struct Cycle {
     pub end: Stamp,
     /// Side of a voxel.
     pub resolution: Resolution,
+    /// Where the sensor was in the middle of the cycle, in sixteenths of a voxel from the corner of voxel (0, 0, 0). Only
+    /// [`Codec::Flock`] makes use of it: whatever it is, the changes come out right, in fewer bytes the nearer it is.
+    pub sensor: [i32; 3],
 }
 
 /// Makes packages. Keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box so
@@ -29,6 +35,8 @@ pub struct Encoder {
     scratch: Scratch,
     deflater: Deflater,
     payload: Vec<u8>,
+    /// Made with the first package in that codec.
+    flock: Option<Box<flock::Workspace>>,
 }
 
 impl Default for Encoder {
@@ -40,7 +48,7 @@ impl Default for Encoder {
 impl Encoder {
     /// An encoder.
     pub fn new() -> Self {
-        Self { scratch: Scratch::default(), deflater: Deflater::new(), payload: Vec::new() }
+        Self { scratch: Scratch::default(), deflater: Deflater::new(), payload: Vec::new(), flock: None }
     }
 
     /// One package for all changes, whatever its size, as the paper sends it (Sec. III). For benchmarks: what goes
@@ -53,6 +61,15 @@ impl Encoder {
         changes: &Changes,
     ) -> Result<Package, EncodeError> {
         check_cycle(cycle, index, changes)?;
+        if codec == Codec::Flock {
+            let mut packages = self.flock_cycle(cycle, index, changes, None, WHOLE_BYTES_MAX)?;
+            return match packages.len() {
+                1 => packages.pop().ok_or(EncodeError::Empty),
+                _ => Err(EncodeError::BoxTooLarge {
+                    voxels: changes.bounding_box().map_or(0, |region| region.volume()),
+                }),
+            };
+        }
         let region = changes.bounding_box().ok_or(EncodeError::OutsideGrid)?;
         let voxels = region.volume();
         if voxels > u128::from(BOX_VOXELS_MAX) {
@@ -77,20 +94,34 @@ impl Encoder {
         changes: &Changes,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
+        self.encode_cycle_against(codec, cycle, first_index, changes, None, bytes_max)
+    }
+
+    /// As [`Self::encode_cycle`], told against what the receivers hold already. Their headers say in `reference` which packages a
+    /// receiver must have before it can decode them, with [`Decoder::decode_against`](crate::Decoder::decode_against).
+    pub fn encode_cycle_against(
+        &mut self,
+        codec: Codec,
+        cycle: &Cycle,
+        first_index: u32,
+        changes: &Changes,
+        reference: Option<&Reference<'_>>,
+        bytes_max: usize,
+    ) -> Result<Vec<Package>, EncodeError> {
         if changes.is_empty() {
             return Ok(Vec::new());
         }
         check_cycle(cycle, first_index, changes)?;
+        if codec == Codec::Flock {
+            return self.flock_cycle(cycle, first_index, changes, reference, bytes_max);
+        }
         let piece = Piece::new(changes.clone(), Vec::new()).ok_or(EncodeError::OutsideGrid)?;
         // There are no more packages than voxels, which bounds the index and with it the header.
         let last_index = first_index.saturating_add(u32::try_from(changes.len()).unwrap_or(u32::MAX));
         let last_index = changes_header(codec, cycle, last_index, piece.region);
         let pieces = self.fit(codec, piece, &last_index, bytes_max)?;
         let count = pieces.len();
-        let range = EncodeError::IndexOutOfRange { first: first_index, count };
-        if u64::from(first_index) + count as u64 - 1 > u64::from(u32::MAX) {
-            return Err(range);
-        }
+        check_indices(first_index, count)?;
         let packages = (first_index..=u32::MAX).zip(&pieces).map(|(index, (piece, payload))| {
             let header = changes_header(codec, cycle, index, piece.region);
             Package::seal(&header, payload, |header| check_changes(header, &piece.states))
@@ -101,6 +132,9 @@ impl Encoder {
     /// The state of a layer as tiles of at most `bytes_max` bytes each, codes `00 01 10` (Sec. IV-B of the paper), with
     /// the stamp of every voxel. `upto_index` is the newest package whose changes, with those of all before it, are in
     /// `state`. Always at least one tile: where nothing is known, one that says so of a single voxel.
+    ///
+    /// Tiles of [`Codec::Flock`] are told one against the other, see [`TilesRead`](crate::TilesRead). They are those of
+    /// [`Codec::Paper`] where that takes fewer bytes.
     pub fn encode_present(
         &mut self,
         codec: Codec,
@@ -114,18 +148,36 @@ impl Encoder {
             return Err(EncodeError::IndexOutOfRange { first: 0, count: 1 });
         }
         let states = union(state)?;
-        let set = set_check(state);
+        let set = set_check(codec, bytes_max, state);
         let header = |region: VoxelBox, parts: &[(Stamp, Changes)], tile, tiles| Header {
             stream,
             index: upto_index,
             cycle_start: parts.first().map_or(Stamp(0), |part| part.0),
             cycle_end: parts.last().map_or(Stamp(0), |part| part.0),
             reference: 0,
+            is_alone: true,
             resolution,
             region,
             codec,
             content: ContentKind::Present { set, tile, tiles },
         };
+        if codec == Codec::Flock {
+            let tiles = match self.flock_tiles(state, header, bytes_max) {
+                Ok(tiles) => tiles,
+                // Not even a block fits; the paper's tiles can be cut further.
+                Err(EncodeError::BytesMaxTooSmall { .. }) => Vec::new(),
+                Err(error) => return Err(error),
+            };
+            let bytes = |tiles: &[Package]| tiles.iter().map(|tile| tile.bytes().len()).sum::<usize>();
+            if !tiles.is_empty() && bytes(&tiles) * 8 <= FLOCK_TILE_BITS_MAX * states.len() {
+                return Ok(tiles);
+            }
+            // A history without a pattern: the paper's way may be shorter.
+            let paper =
+                self.encode_present(Codec::Paper, stream, upto_index, resolution, state, bytes_max)?;
+            let is_paper = tiles.is_empty() || bytes(&paper) < bytes(&tiles);
+            return Ok(if is_paper { paper } else { tiles });
+        }
         let pieces = if states.is_empty() {
             check_limit(bytes_max)?;
             let min = state.region.min();
@@ -143,10 +195,85 @@ impl Encoder {
         let tiles = u32::try_from(pieces.len()).unwrap_or(u32::MAX);
         let packages = (0..tiles).zip(pieces).map(|(tile, (piece, payload))| {
             let header = header(piece.region, &piece.parts, tile, tiles);
-            let content = PresentState { region: piece.region, parts: piece.parts };
+            let content = PresentState { region: piece.region, parts: piece.parts, sensors: Vec::new() };
             Package::seal(&header, &payload, |header| check_present(header, &content))
         });
         Ok(packages.collect())
+    }
+
+    /// A cycle in the codec `flock`: cut along its own order.
+    fn flock_cycle(
+        &mut self,
+        cycle: &Cycle,
+        first_index: u32,
+        changes: &Changes,
+        reference: Option<&Reference<'_>>,
+        bytes_max: usize,
+    ) -> Result<Vec<Package>, EncodeError> {
+        check_limit(bytes_max)?;
+        // Before the first package there is nothing to refer to.
+        let reference = reference.filter(|_| first_index > 1);
+        changes.bounding_box().ok_or(EncodeError::OutsideGrid)?;
+        let layer = reference.and_then(|reference| reference.layer);
+        // The codec has no words for a voxel that is told again what it is: such a cycle is told alone.
+        let layer = layer.filter(|layer| !repeats(changes, layer, cycle.end));
+        let known = Known::new(layer, cycle.end);
+        let header = |index, region| changes_header(Codec::Flock, cycle, index, region);
+        let room = |number: usize, region: &VoxelBox| {
+            let index = u32::try_from(number).map_or(u32::MAX, |number| first_index.saturating_add(number));
+            // The reference is not known yet: one to the first package takes most.
+            let longest = Header { reference: u32::from(first_index > 1), ..header(index, *region) };
+            bytes_max.saturating_sub(header_length(&longest))
+        };
+        let all = flock::encode(self.flock.get_or_insert_default(), &known, cycle.sensor, changes, room)?;
+        check_indices(first_index, all.len())?;
+        let mut packages = Vec::with_capacity(all.len());
+        for (index, flock::Told { piece, reference: newest }) in (first_index..=u32::MAX).zip(all) {
+            let written = newest.zip(reference);
+            let written = written.map_or(0, |(stamp, to)| to.newest_package(stamp, first_index));
+            let read = reference.map_or(0, |reference| reference.newest_reader(&piece.region));
+            let reference = written.max(read).min(first_index - 1);
+            let header = Header { reference, is_alone: written == 0, ..header(index, piece.region) };
+            let package =
+                Package::seal(&header, &piece.payload, |header| check_changes(header, &piece.changes));
+            if package.bytes().len() > bytes_max {
+                return Err(EncodeError::BytesMaxTooSmall { bytes_max });
+            }
+            packages.push(package);
+        }
+        Ok(packages)
+    }
+
+    /// A present state in the codec `flock`: cut along its history.
+    fn flock_tiles(
+        &mut self,
+        state: &PresentState,
+        header: impl Fn(VoxelBox, &[(Stamp, Changes)], u32, u32) -> Header,
+        bytes_max: usize,
+    ) -> Result<Vec<Package>, EncodeError> {
+        check_limit(bytes_max)?;
+        // There are no more tiles than blocks.
+        let blocks = state.parts.iter().map(|(_, part)| part.blocks().len()).sum::<usize>();
+        let tiles_max = u32::try_from(blocks).unwrap_or(u32::MAX);
+        let room = |region: &VoxelBox, [start, end]: [Stamp; 2]| {
+            let longest =
+                Header { cycle_start: start, cycle_end: end, ..header(*region, &[], tiles_max, tiles_max) };
+            bytes_max.saturating_sub(header_length(&longest))
+        };
+        let tiles = flock::present::encode(self.flock.get_or_insert_default(), state, room);
+        let count = u32::try_from(tiles.len()).unwrap_or(u32::MAX);
+        let packages = (0..count).zip(tiles).map(|(number, tile)| {
+            let region = tile.region.voxels().ok_or(EncodeError::OutsideGrid)?;
+            let header = header(region, &tile.parts, number, count);
+            let payload = tile.payload();
+            let content = PresentState { region, parts: tile.parts, sensors: tile.sensors };
+            let package = Package::seal(&header, &payload, |header| check_present(header, &content));
+            if package.bytes().len() > bytes_max {
+                return Err(EncodeError::BytesMaxTooSmall { bytes_max });
+            }
+            Ok(package)
+        });
+        packages.collect()
     }
 
     /// Cuts `whole` until each piece fits into `bytes_max` with a header like `longest`, whose box and stamps are
@@ -167,12 +294,13 @@ impl Encoder {
         let mut done = Vec::new();
         let mut waiting = vec![whole];
         while let Some(piece) = waiting.pop() {
-            let room = bytes_max.saturating_sub(header_bytes(longest, &piece, bytes_max));
+            let room = bytes_max.saturating_sub(header_bytes(longest, &piece));
             let needed = if piece.region.volume() > u128::from(BOX_VOXELS_MAX) {
                 usize::MAX
             } else {
                 let expected = forecast.payload_bytes(&piece);
-                if expected > room + room / 10 {
+                // What cannot be cut is tried in any case.
+                if expected > room + room / 10 && piece.states.len() > 1 {
                     expected
                 } else {
                     self.encode_piece(codec, &piece, others);
@@ -211,7 +339,7 @@ impl Encoder {
     }
 
     fn encode_states(&mut self, codec: Codec, states: &Changes, region: &VoxelBox, others: Others) {
-        let Self { scratch, deflater, payload } = self;
+        let Self { scratch, deflater, payload, .. } = self;
         states::encode(codec, states, region, others, scratch, deflater, payload);
     }
 
@@ -228,6 +356,12 @@ impl Encoder {
         fills && piece.parts.len() <= stamps::STAMPS_MAX && part_blocks <= stamps::part_blocks_max(length)
     }
 }
+
+/// Bits of a voxel from which on a present state in `flock` is compared with one of the paper. Maps of real flights take one or less.
+const FLOCK_TILE_BITS_MAX: usize = 3;
+
+/// No package comes near this: those of the largest box have some 50 MB.
+const WHOLE_BYTES_MAX: usize = 1 << 30;
 
 /// What the payload of a piece will take, judged by the pieces before it.
 struct Forecast {
@@ -252,7 +386,8 @@ impl Forecast {
 
     fn payload_bytes(&self, piece: &Piece) -> usize {
         match (self.codec, self.others) {
-            (Codec::Raw, Others::Unchanged) => piece.region.volume().div_ceil(4) as usize,
+            // At least; stamps come on top.
+            (Codec::Raw, _) => piece.region.volume().div_ceil(4) as usize,
             (Codec::Racer, Others::Unchanged) => piece.states.len() * 5,
             _ => Self::OVERHEAD + piece.edges * self.bytes_per_1024 / 1024,
         }
@@ -271,6 +406,7 @@ fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> 
         cycle_start: cycle.start,
         cycle_end: cycle.end,
         reference: 0,
+        is_alone: true,
         resolution: cycle.resolution,
         region,
         codec,
@@ -279,13 +415,18 @@ fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> 
 }
 
 /// Bytes of the header of `piece`, with the check, if it is otherwise like `longest`.
-fn header_bytes(longest: &Header, piece: &Piece, payload_bytes: usize) -> usize {
+fn header_bytes(longest: &Header, piece: &Piece) -> usize {
     let mut header = Header { region: piece.region, ..*longest };
     if let (Some((first, _)), Some((last, _))) = (piece.parts.first(), piece.parts.last()) {
         (header.cycle_start, header.cycle_end) = (*first, *last);
     }
+    header_length(&header)
+}
+
+/// Bytes of a header with the check.
+fn header_length(header: &Header) -> usize {
     let mut bytes = Vec::with_capacity(96);
-    header.write(payload_bytes, &mut bytes);
+    header.write(&mut bytes);
     bytes.len() + 4
 }
 
@@ -300,6 +441,22 @@ fn check_cycle(cycle: &Cycle, index: u32, changes: &Changes) -> Result<(), Encod
         return Err(EncodeError::IndexOutOfRange { first: 0, count: 1 });
     }
     Ok(())
+}
+
+/// Whether a voxel changes to what it was before the cycle that ended at `end`. Not so in net changes, if `layer` holds all before.
+fn repeats(changes: &Changes, layer: &Layer, end: Stamp) -> bool {
+    let share = |a: &Plane, b: &Plane| a.iter().zip(b).any(|(a, b)| a & b != 0);
+    changes.blocks().iter().any(|(index, block)| match layer.block_before(*index, end) {
+        Ok(Some(before)) => share(block.free(), before.free()) || share(block.occupied(), before.occupied()),
+        // Nothing was known; or it is gone, as the encoder will find.
+        _ => false,
+    })
+}
+
+/// Whether there are so many indices left.
+fn check_indices(first: u32, count: usize) -> Result<(), EncodeError> {
+    let last = u64::from(first) + count as u64 - 1;
+    if last > u64::from(u32::MAX) { Err(EncodeError::IndexOutOfRange { first, count }) } else { Ok(()) }
 }
 
 fn check_limit(bytes_max: usize) -> Result<(), EncodeError> {

@@ -1,5 +1,7 @@
 //! What can be wrong with a package, and with a wish to make one.
 
+use flockmap_grid::Overtaken;
+
 use crate::{BOX_VOXELS_MAX, Codec, PACKAGE_BYTES_MIN};
 
 /// Bytes that are no package, or a package that does not decode to what was encoded. Its sender or the way is at
@@ -24,14 +26,14 @@ pub enum PackageError {
     /// A codec that this version does not know.
     #[error("package codec {found} is not known; the sender may be newer")]
     Codec {
-        /// The codec byte.
+        /// The number of the codec.
         found: u8,
     },
     /// A kind of content, or a flag beside it, that this version does not know. It is refused and not skipped,
     /// since it may change what the rest means.
-    #[error("package content kind {found:#04x} is not known; the sender may be newer")]
+    #[error("package content kind {found:#x} is not known; the sender may be newer")]
     ContentKind {
-        /// The content byte.
+        /// The number of the kind, flags included.
         found: u8,
     },
     /// A number that is too large, or written longer than needed.
@@ -50,14 +52,6 @@ pub enum PackageError {
         /// The rule that is broken.
         rule: &'static str,
     },
-    /// The payload is shorter or longer than the header says.
-    #[error("package payload has {found} bytes, its header says {stated}")]
-    PayloadLength {
-        /// What the header says.
-        stated: u64,
-        /// What there is.
-        found: usize,
-    },
     /// A box too large for its payload or for any package.
     #[error(
         "package box has {voxels} voxels, its {payload} bytes of {codec} payload can hold {limit} at most"
@@ -72,6 +66,21 @@ pub enum PackageError {
         /// Most voxels for a payload of this length.
         limit: u64,
     },
+    /// The package was coded against what earlier packages said, and was to be decoded without that.
+    #[error("package was coded against the packages up to {reference}, which are needed to decode it")]
+    ReferenceMissing {
+        /// The newest package that is needed.
+        reference: u32,
+    },
+    /// A tile that is told against the tiles of its set before it, and is not the next of them.
+    #[error("tiles of this present state are told one against the other; tile {tile} of the set comes next")]
+    TileMissing {
+        /// The number of the tile that comes next.
+        tile: u32,
+    },
+    /// What the package was coded against is gone: something newer has been applied. Only a present state can bring what it says.
+    #[error(transparent)]
+    Overtaken(#[from] Overtaken),
     /// The payload breaks a rule of its codec.
     #[error("package payload ({codec}): {rule}")]
     Payload {
@@ -117,6 +126,9 @@ pub enum EncodeError {
     /// A cycle that ends before it starts.
     #[error("the cycle ends before it starts")]
     CycleEndsBeforeStart,
+    /// The layer to code against holds something as new as the cycle.
+    #[error(transparent)]
+    Overtaken(#[from] Overtaken),
     /// Index 0, or past the last index.
     #[error("package indices run from 1 to {}; {first} with {count} packages does not fit", u32::MAX)]
     IndexOutOfRange {

@@ -18,6 +18,7 @@
 //!     start: Stamp(0),
 //!     end: Stamp(500_000),
 //!     resolution: Resolution::from_metres(0.1).unwrap(),
+//!     sensor: [0, 0, 16],
 //! };
 //! let mut encoder = Encoder::new();
 //! let packages = encoder.encode_cycle(Codec::Paper, &cycle, 1, &changes, PACKAGE_BYTES_MAX)?;
@@ -37,14 +38,20 @@ mod decoder;
 mod deflate;
 mod encoder;
 mod error;
+mod flock;
 mod header;
 mod hilbert;
 mod pack;
 mod package;
 mod piece;
+mod reference;
 mod stamps;
 mod states;
+mod tiles;
 mod varint;
+
+#[cfg(feature = "training")]
+pub use flock::training;
 
 pub use codec::{Codec, UnknownCodec};
 pub use decoder::Decoder;
@@ -53,6 +60,8 @@ pub use error::{EncodeError, PackageError};
 pub use header::{ContentKind, FORMAT_VERSION, Header};
 pub use hilbert::hilbert_order;
 pub use package::{Content, Package};
+pub use reference::Reference;
+pub use tiles::TilesRead;
 
 /// Largest package that goes into one datagram: a datagram header and an authentication tag still fit beside it
 /// in 1,200 bytes of UDP payload, which no ordinary link fragments.

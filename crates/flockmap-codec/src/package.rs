@@ -6,7 +6,7 @@ use std::sync::Arc;
 use flockmap_grid::{Changes, PresentState};
 
 use crate::header::Tail;
-use crate::{Decoder, Header, PackageError};
+use crate::{Codec, ContentKind, Decoder, Header, PackageError, flock};
 
 /// An encoded package with its header. Cloning shares the bytes.
 #[derive(Clone)]
@@ -26,8 +26,9 @@ pub enum Content {
 }
 
 impl Package {
-    /// Takes the bytes of exactly one package and reads its header. The payload is not looked at: only
-    /// [`Self::decode`] tells whether the package is whole. Holds a copy of `bytes` and about 150 bytes more.
+    /// Takes the bytes of exactly one package, no more and no less: where it ends is told by what carries it. Reads its header; the
+    /// payload is not looked at, and only [`Self::decode`] tells whether the package is whole. Holds a copy of `bytes` and about 150
+    /// bytes more.
     pub fn parse(bytes: &[u8]) -> Result<Self, PackageError> {
         let (header, tail, _) = Header::read(bytes)?;
         Ok(Self { bytes: bytes.into(), header, tail })
@@ -36,8 +37,8 @@ impl Package {
     /// Header, tail and payload as the encoder made them.
     pub(crate) fn seal(header: &Header, payload: &[u8], check: impl FnOnce(&[u8]) -> u32) -> Self {
         let mut bytes = Vec::with_capacity(64 + payload.len());
-        header.write(payload.len(), &mut bytes);
-        let tail = Tail { checked: bytes.len(), check: check(&bytes) };
+        header.write(&mut bytes);
+        let tail = Tail { checked: bytes.len(), check: check(&with_length(&bytes, payload)) };
         bytes.extend_from_slice(&tail.check.to_le_bytes());
         bytes.extend_from_slice(payload);
         Self { bytes: bytes.into(), header: *header, tail }
@@ -62,9 +63,17 @@ impl Package {
         Decoder::new().decode(self)
     }
 
-    /// The bytes of the header that the check covers.
-    pub(crate) fn checked(&self) -> &[u8] {
-        self.bytes.get(..self.tail.checked).unwrap_or_default()
+    /// From where the changes were seen, in sixteenths of a voxel, if the package says so: packages of changes in
+    /// [`Codec::Flock`](crate::Codec::Flock) do. What [`flockmap_grid::Layer::note_sensor`] wants to know.
+    pub fn sensor(&self) -> Option<[i32; 3]> {
+        let is_told = self.header.codec == Codec::Flock && self.header.content == ContentKind::Changes;
+        if is_told { flock::sensor(self.payload(), &self.header.region) } else { None }
+    }
+
+    /// What the check covers beside the decoded content: the bytes of the header and the length of the payload, so that a package
+    /// that lost its end, or got another, is damaged for every codec.
+    pub(crate) fn checked(&self) -> Vec<u8> {
+        with_length(self.bytes.get(..self.tail.checked).unwrap_or_default(), self.payload())
     }
 
     /// The check that the package carries.
@@ -75,6 +84,11 @@ impl Package {
     pub(crate) fn payload(&self) -> &[u8] {
         self.bytes.get(self.tail.checked + 4..).unwrap_or_default()
     }
+}
+
+fn with_length(header: &[u8], payload: &[u8]) -> Vec<u8> {
+    // No payload comes near the end of a `u32`: the box of the largest is told in 2²⁷ times a few bytes.
+    [header, &(payload.len() as u32).to_le_bytes()].concat()
 }
 
 impl PartialEq for Package {

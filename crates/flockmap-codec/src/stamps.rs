@@ -82,7 +82,7 @@ pub(crate) fn decode(
             return Err(wrong("a tile without stamps of its own has one stamp"));
         }
         let parts = if states.is_empty() { Vec::new() } else { vec![(first, states)] };
-        return Ok(PresentState { region, parts });
+        return Ok(PresentState { region, parts, sensors: Vec::new() });
     }
     let known = states.len();
     let stamps_max = known.min(STAMPS_MAX);
@@ -149,7 +149,7 @@ pub(crate) fn decode(
         }
         parts.push((stamp, Changes::from_blocks(part)));
     }
-    Ok(PresentState { region, parts })
+    Ok(PresentState { region, parts, sensors: Vec::new() })
 }
 
 fn place(region: &VoxelBox, voxel: Voxel) -> usize {

@@ -44,7 +44,8 @@ pub(crate) fn voxels_max(codec: Codec, payload_bytes: usize, others: Others) -> 
         Codec::NestedZlib | Codec::Paper => payload.saturating_mul(4 * EXPANSION_MAX as u64),
         // An address list does not fill its box, but the stamps of a present state are laid out over it.
         Codec::Racer if others == Others::Unknown => (payload + 1).saturating_mul(4 * EXPANSION_MAX as u64),
-        Codec::Racer => BOX_VOXELS_MAX,
+        // An address list does not fill its box, nor do decisions.
+        Codec::Racer | Codec::Flock => BOX_VOXELS_MAX,
     };
     filled.min(BOX_VOXELS_MAX)
 }

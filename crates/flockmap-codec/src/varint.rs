@@ -11,6 +11,11 @@ pub(crate) fn write(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
+/// How many bytes a number takes.
+pub(crate) fn length(value: u64) -> usize {
+    (64 - value.leading_zeros()).div_ceil(7).max(1) as usize
+}
+
 /// Appends a signed value as 0, −1, 1, −2, … → 0, 1, 2, 3, …
 pub(crate) fn write_signed(out: &mut Vec<u8>, value: i64) {
     write(out, ((value << 1) ^ (value >> 63)) as u64);

@@ -2,19 +2,24 @@
 //! wherever no version of zlib has a say.
 //!
 //! After a change of layout, which is a change of [`FORMAT_VERSION`]: `FLOCKMAP_BLESS=1 cargo test -p flockmap-codec
-//! --test golden` writes new files; keep the old ones if the old version can still be read.
+//! --test golden` writes new files, and its failure tells the new [`LAYOUT`]; keep the old files if the old version can
+//! still be read. (Version 1, with a longer header and no references, cannot.)
 
 mod common;
 
 use common::{cycle, resolution, stream};
-use flockmap_codec::{Codec, Content, Encoder, FORMAT_VERSION, Package, hilbert_order};
-use flockmap_grid::{Changes, PresentState, Stamp, State, Voxel, VoxelBox};
+use flockmap_codec::{Codec, Content, Decoder, Encoder, FORMAT_VERSION, Package, Reference, hilbert_order};
+use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel};
 
 /// The layout that [`FORMAT_VERSION`] stands for: CRC-32 over the golden packages that zlib has no part in.
 /// If this changes, the version must change.
-const LAYOUT: (u8, u32) = (1, 3_136_959_016);
+const LAYOUT: (u8, u32) = (2, 71_786_770);
 
-fn golden_changes() -> Changes {
+/// Voxels without a pattern; for `flock`, which would take them for noise, a piece of a room in front of a wall.
+fn golden_changes(codec: Codec) -> Changes {
+    if codec == Codec::Flock {
+        return room(0..9);
+    }
     let voxels = (0..60).map(|i: i32| {
         let voxel = Voxel::new(i * 7 % 11 - 5, i * 5 % 9 - 200, i * 3 % 7 + 1_000);
         (voxel, if i % 5 == 0 { State::Occupied } else { State::Free })
@@ -22,41 +27,96 @@ fn golden_changes() -> Changes {
     Changes::from_voxels(voxels)
 }
 
-fn golden_state(stamps: i64) -> PresentState {
-    let changes = golden_changes();
-    let part = |n: i64| {
-        let of = |v: &Voxel| i64::from(v.x + v.y + v.z).rem_euclid(stamps) == n;
-        (Stamp(1_000_000 * n - 5), Changes::from_voxels(changes.voxels().filter(|(v, _)| of(v))))
-    };
-    let region = VoxelBox::new(Voxel::new(-8, -208, 996), [24, 24, 16]).unwrap();
-    PresentState { region, parts: (0..stamps).map(part).collect() }
+/// Free space in which nothing was seen here and there, and a wall that it ends at.
+fn room(ys: core::ops::Range<i32>) -> Changes {
+    let voxels = ys.flat_map(|y| (0..21).flat_map(move |x| (0..13).map(move |z| (x, y, z))));
+    let voxels = voxels.filter(|(x, y, z)| (3 * x + 5 * y + 7 * z) % 11 != 0);
+    Changes::from_voxels(voxels.map(|(x, y, z)| {
+        let state = if x == 20 { State::Occupied } else { State::Free };
+        (Voxel::new(x - 5, y - 200, z + 1_000), state)
+    }))
 }
 
-/// Name, package made now, content it must have, whether its bytes must be those of the file.
-fn golden() -> Vec<(String, Package, Content, bool)> {
+fn golden_state(codec: Codec, stamps: i64) -> PresentState {
+    let changes = golden_changes(codec);
+    let part = |n: i64| {
+        let of = |v: &Voxel| match codec {
+            Codec::Flock => i64::from(v.x + 5) * stamps / 21 == n,
+            _ => i64::from(v.x + v.y + v.z).rem_euclid(stamps) == n,
+        };
+        (Stamp(1_000_000 * n - 5), Changes::from_voxels(changes.voxels().filter(|(v, _)| of(v))))
+    };
+    let blocks = changes.bounding_box().unwrap().blocks().map(|block| block.voxel_box());
+    let region = blocks.reduce(|all, block| all.union(&block)).unwrap();
+    let sensors = (0..stamps).map(|n| (part(n).0, [16 * n as i32 - 100, -3_000, 16_500])).collect();
+    PresentState { region, parts: (0..stamps).map(part).collect(), sensors }
+}
+
+/// A package with what it has to say.
+struct Golden {
+    name: String,
+    package: Package,
+    content: Content,
+    /// What the package is told against.
+    layer: Option<Layer>,
+    /// Its bytes must be those of the file.
+    same_bytes: bool,
+}
+
+fn golden() -> Vec<Golden> {
     let mut encoder = Encoder::new();
     let mut all = Vec::new();
     for codec in Codec::ALL {
-        let no_zlib = matches!(codec, Codec::Raw | Codec::Racer);
-        let package = encoder.encode_whole(codec, &cycle(), 70_000, &golden_changes()).unwrap();
-        all.push((format!("changes-{codec}"), package, Content::Changes(golden_changes()), no_zlib));
+        let same_bytes = matches!(codec, Codec::Raw | Codec::Racer | Codec::Flock);
+        let changes = golden_changes(codec);
+        let package = encoder.encode_whole(codec, &cycle(), 70_000, &changes).unwrap();
+        let (name, content) = (format!("changes-{codec}"), Content::Changes(changes.clone()));
+        all.push(Golden { name, package, content, layer: None, same_bytes });
         for stamps in [1, 3] {
-            let state = golden_state(stamps);
+            let state = golden_state(codec, stamps);
             let tiles = encoder.encode_present(codec, stream(), 70_000, resolution(), &state, 1150).unwrap();
-            let [tile] = tiles.try_into().unwrap();
-            let content = PresentState { region: golden_changes().bounding_box().unwrap(), ..state };
-            let name = format!("present-{stamps}-{codec}");
-            all.push((name, tile, Content::Present(content), no_zlib && stamps == 1));
+            let [package] = tiles.try_into().unwrap();
+            assert_eq!(package.header().codec, codec);
+            let content = if codec == Codec::Flock {
+                state
+            } else {
+                PresentState { region: changes.bounding_box().unwrap(), sensors: Vec::new(), ..state }
+            };
+            let (name, content) = (format!("present-{stamps}-{codec}"), Content::Present(content));
+            let same_bytes = same_bytes && (stamps == 1 || codec == Codec::Flock);
+            all.push(Golden { name, package, content, layer: None, same_bytes });
         }
     }
+    let package = encoder.encode_whole(Codec::Flock, &cycle(), 70_000, &golden_changes(Codec::Raw)).unwrap();
+    let content = Content::Changes(golden_changes(Codec::Raw));
+    all.push(Golden { name: "noise-flock".into(), package, content, layer: None, same_bytes: true });
+    all.push(against());
     all
+}
+
+/// The next cycle: more of the room, and a part of the wall that is gone.
+fn against() -> Golden {
+    let before = Stamp(cycle().end.0 - 1);
+    let mut layer = Layer::default();
+    let known = room(0..6);
+    layer.apply(&known, before);
+    let gone = known.voxels().filter(|(v, _)| v.x == 15 && v.z > 1_005).map(|(v, _)| (v, State::Free));
+    let changes = Changes::from_voxels(room(6..12).voxels().chain(gone));
+    let reference = Reference { layer: Some(&layer), cycles: &[(before, 69_000)], readers: &[] };
+    let packages = Encoder::new()
+        .encode_cycle_against(Codec::Flock, &cycle(), 70_000, &changes, Some(&reference), 1150)
+        .unwrap();
+    let [package] = packages.try_into().unwrap();
+    assert_eq!((package.header().reference, package.header().is_alone), (69_000, false));
+    let content = Content::Changes(changes);
+    Golden { name: "changes-against-flock".into(), package, content, layer: Some(layer), same_bytes: true }
 }
 
 #[test]
 fn golden_packages_are_read_and_written_as_ever() {
     let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden"));
     let mut layout = Vec::new();
-    for (name, made, content, same_bytes) in golden() {
+    for Golden { name, package: made, content, layer, same_bytes } in golden() {
         let file = folder.join(format!("v{FORMAT_VERSION}-{name}.bin"));
         if std::env::var_os("FLOCKMAP_BLESS").is_some() {
             std::fs::create_dir_all(folder).unwrap();
@@ -64,7 +124,7 @@ fn golden_packages_are_read_and_written_as_ever() {
         }
         let bytes = std::fs::read(&file).unwrap();
         let read = Package::parse(&bytes).unwrap();
-        assert_eq!(read.decode().unwrap(), content, "{name}");
+        assert_eq!(Decoder::new().decode_against(&read, layer.as_ref()).unwrap(), content, "{name}");
         if same_bytes {
             assert_eq!(read.header(), made.header(), "{name}");
             assert!(made.bytes() == bytes, "{name}: other bytes than before; that is a new format version");

@@ -4,9 +4,10 @@ mod common;
 
 use common::{changes, cycle, forest_cycle, resolution, stream};
 use flockmap_codec::{
-    Codec, Content, ContentKind, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package,
+    Codec, Content, ContentKind, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN,
+    Package, PackageError, Reference, TilesRead,
 };
-use flockmap_grid::{Changes, PresentState, Stamp, State, Voxel, VoxelBox};
+use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, VOXEL_LIMIT, Voxel, VoxelBox};
 use proptest::prelude::*;
 
 fn decode_changes(decoder: &mut Decoder, package: &Package) -> Changes {
@@ -18,14 +19,29 @@ fn decode_changes(decoder: &mut Decoder, package: &Package) -> Changes {
     changes
 }
 
-/// Puts the pieces together again and checks that no two share a voxel and that boxes are tight.
+/// Puts the pieces together again and checks that no two share a voxel and that boxes fit.
 fn join(decoder: &mut Decoder, packages: &[Package], bytes_max: usize) -> Changes {
     let mut count = 0;
     let mut blocks = Vec::new();
     for package in packages {
         assert!(package.bytes().len() <= bytes_max, "{package:?}");
         let piece = decode_changes(decoder, package);
-        assert_eq!(piece.bounding_box(), Some(package.header().region));
+        let tight = piece.bounding_box().unwrap();
+        let region = package.header().region;
+        if package.header().codec == Codec::Flock {
+            // A box of whole blocks. The writer settles it before it knows how many of them go in.
+            let limit = VOXEL_LIMIT;
+            let grid =
+                VoxelBox::spanning(Voxel::new(-limit, -limit, -limit), Voxel::new(limit, limit, limit));
+            let blocks = tight.blocks().filter_map(|block| block.voxel_box().intersection(&grid?));
+            assert!(
+                blocks
+                    .reduce(|all, block| all.union(&block))
+                    .is_some_and(|tight| region.union(&tight) == region)
+            );
+        } else {
+            assert_eq!(tight, region);
+        }
         count += piece.len();
         blocks.extend_from_slice(piece.blocks());
     }
@@ -36,7 +52,7 @@ fn join(decoder: &mut Decoder, packages: &[Package], bytes_max: usize) -> Change
 
 /// The parts of all tiles, put together.
 fn join_tiles(packages: &[Package], bytes_max: usize) -> Vec<(Stamp, Changes)> {
-    let mut decoder = Decoder::new();
+    let (mut decoder, mut before) = (Decoder::new(), TilesRead::default());
     let mut parts = std::collections::BTreeMap::<Stamp, Vec<_>>::new();
     let mut voxels = 0;
     for (number, package) in (0..).zip(packages) {
@@ -46,7 +62,12 @@ fn join_tiles(packages: &[Package], bytes_max: usize) -> Vec<(Stamp, Changes)> {
             panic!("{received:?}")
         };
         assert_eq!((tile, tiles as usize), (number, packages.len()));
-        let Content::Present(state) = decoder.decode(&received).unwrap() else { panic!("{received:?}") };
+        let state = if received.header().codec == Codec::Flock {
+            decoder.decode_tile(&received, &mut before).unwrap()
+        } else {
+            let Content::Present(state) = decoder.decode(&received).unwrap() else { panic!("{received:?}") };
+            state
+        };
         assert_eq!(state.region, received.header().region);
         for (stamp, part) in state.parts {
             voxels += part.len();
@@ -69,7 +90,7 @@ fn present(changes: &Changes, stamps: u64, seed: u64) -> PresentState {
         parts.entry(Stamp(-7 + group as i64 * 500_000)).or_default().push(entry);
     }
     let parts = parts.into_iter().map(|(stamp, voxels)| (stamp, Changes::from_voxels(voxels)));
-    PresentState { region: changes.bounding_box().unwrap(), parts: parts.collect() }
+    PresentState { region: changes.bounding_box().unwrap(), parts: parts.collect(), sensors: Vec::new() }
 }
 
 proptest! {
@@ -135,6 +156,53 @@ fn two_voxels_at_opposite_ends_of_the_grid_go_in_two_packages() {
     }
 }
 
+/// The box of both can be encoded, and takes far more bytes than the voxels do apart.
+#[test]
+fn two_voxels_with_much_empty_space_between_them_go_in_two_packages() {
+    let apart = |far| {
+        Changes::from_voxels([
+            (Voxel::new(0, 0, 0), State::Free),
+            (Voxel::new(far, far, far), State::Occupied),
+        ])
+    };
+    let (mut encoder, changes) = (Encoder::new(), apart(420));
+    let packages = encoder.encode_cycle(Codec::Paper, &cycle(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
+    assert_eq!(packages.len(), 2);
+    assert_eq!(join(&mut Decoder::new(), &packages, PACKAGE_BYTES_MAX), changes);
+    let state = present(&apart(60), 1, 1);
+    let tiles = encoder.encode_present(Codec::Raw, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX);
+    assert_eq!(join_tiles(&tiles.unwrap(), PACKAGE_BYTES_MAX), state.parts);
+}
+
+/// Not so in net changes. But whoever lost a cycle, or starts again with the layer of before, may tell what was told.
+#[test]
+fn a_voxel_that_is_told_again_what_it_is_goes_in_a_package_told_alone() {
+    let wall = |ys: core::ops::Range<i32>, state| {
+        ys.flat_map(move |y| (0..20).map(move |z| (Voxel::new(20, y, z), state)))
+    };
+    let mut layer = Layer::default();
+    layer.apply(&Changes::from_voxels(wall(0..20, State::Free)), Stamp(1));
+    let cycles = [(Stamp(1), 1)];
+    let reference = Reference { layer: Some(&layer), cycles: &cycles, readers: &[] };
+    let tell = |changes: &Changes| {
+        let packages = Encoder::new().encode_cycle_against(
+            Codec::Flock,
+            &cycle(),
+            2,
+            changes,
+            Some(&reference),
+            PACKAGE_BYTES_MAX,
+        );
+        let [package] = packages.unwrap().try_into().unwrap();
+        let content = Decoder::new().decode_against(&package, Some(&layer));
+        assert_eq!(content, Ok(Content::Changes(changes.clone())));
+        package.header().is_alone
+    };
+    assert!(!tell(&Changes::from_voxels(wall(0..20, State::Occupied))));
+    assert!(tell(&Changes::from_voxels(wall(0..21, State::Free))));
+    assert!(tell(&Changes::from_voxels(wall(0..19, State::Occupied).chain(wall(19..20, State::Free)))));
+}
+
 #[test]
 fn voxels_outside_of_the_grid_and_wrong_wishes_are_refused() {
     let mut encoder = Encoder::new();
@@ -164,12 +232,14 @@ fn the_longest_header_and_stamps_still_fit_into_the_smallest_package() {
         start: Stamp(i64::MIN),
         end: Stamp(i64::MAX),
         resolution: flockmap_grid::Resolution::from_micrometres(100_000_000).unwrap(),
+        sensor: [i32::MIN; 3],
     };
     let voxels = [(Voxel::new(-far, -far, -far), State::Occupied), (Voxel::new(far, far, far), State::Free)];
     let part = |n: usize| Changes::from_voxels([voxels[n]]);
     let state = PresentState {
         region: VoxelBox::spanning(voxels[0].0, voxels[1].0).unwrap(),
         parts: vec![(cycle.start, part(0)), (cycle.end, part(1))],
+        sensors: Vec::new(),
     };
     let mut encoder = Encoder::new();
     for codec in Codec::ALL {
@@ -186,7 +256,7 @@ fn the_longest_header_and_stamps_still_fit_into_the_smallest_package() {
 #[test]
 fn a_present_state_of_nothing_is_one_tile_without_a_known_voxel() {
     let region = VoxelBox::new(Voxel::new(-9, 4, 5), [100, 200, 300]).unwrap();
-    let state = PresentState { region, parts: Vec::new() };
+    let state = PresentState { region, parts: Vec::new(), sensors: Vec::new() };
     for codec in Codec::ALL {
         let tiles = Encoder::new()
             .encode_present(codec, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX)
@@ -194,6 +264,64 @@ fn a_present_state_of_nothing_is_one_tile_without_a_known_voxel() {
         assert_eq!(tiles.len(), 1);
         assert_eq!(join_tiles(&tiles, PACKAGE_BYTES_MAX), Vec::new());
     }
+}
+
+#[test]
+fn tiles_of_flock_go_in_order_and_tell_where_the_sensor_was() {
+    let changes = forest_cycle();
+    let mut state = present(&changes, 5, 1);
+    state.sensors = state.parts.iter().map(|(stamp, _)| (*stamp, [stamp.0 as i32, -7, 1 << 20])).collect();
+    let encode = |state: &PresentState| {
+        Encoder::new()
+            .encode_present(Codec::Flock, stream(), 9, resolution(), state, PACKAGE_BYTES_MAX)
+            .unwrap()
+    };
+    let tiles = encode(&state);
+    assert!(tiles.len() > 3);
+    let (mut decoder, mut before) = (Decoder::new(), TilesRead::default());
+    let missing = |tile| Err(PackageError::TileMissing { tile });
+    assert_eq!(decoder.decode_tile(&tiles[1], &mut before), missing(0));
+    let mut sensors = Vec::new();
+    for (number, tile) in (0..).zip(&tiles) {
+        assert_eq!(before.next(), number);
+        sensors.extend(decoder.decode_tile(tile, &mut before).unwrap().sensors);
+        assert_eq!(decoder.decode_tile(tile, &mut before), missing(number + 1), "twice");
+    }
+    sensors.dedup();
+    assert_eq!(sensors, state.sensors);
+    assert_eq!(before.block_count(), changes.blocks().len());
+
+    // After other tiles than its own a tile says nothing.
+    state.sensors.clear();
+    assert_ne!(encode(&state)[0].header().content, tiles[0].header().content, "sets are told apart");
+    let others = encode(&present(&changes, 3, 2));
+    let mut before = TilesRead::default();
+    let last = tiles.len().min(others.len()) - 1;
+    others[..last].iter().for_each(|tile| drop(decoder.decode_tile(tile, &mut before).unwrap()));
+    assert!(decoder.decode_tile(&tiles[last], &mut before).is_err());
+    assert_eq!(before.next(), 0);
+}
+
+#[test]
+fn tiles_of_a_state_are_the_same_whatever_was_encoded_before() {
+    let state = present(&forest_cycle(), 7, 3);
+    let mut encoder = Encoder::new();
+    let tiles = |encoder: &mut Encoder| -> Vec<Vec<u8>> {
+        let tiles = encoder.encode_present(Codec::Flock, stream(), 9, resolution(), &state, 1150).unwrap();
+        tiles.iter().map(|tile| tile.bytes().to_vec()).collect()
+    };
+    let first = tiles(&mut encoder);
+    // Single rays, which suit the other tables.
+    let mut random = common::Random(1);
+    for _ in 0..5 {
+        let (to, far) = ([random.next(), random.next()].map(|at| (at % 200) as i32), 200);
+        let rays = (0..40).flat_map(|ray| {
+            (0..far)
+                .map(move |at| (Voxel::new(at, (to[0] + 7 * ray) * at / far, to[1] * at / far), State::Free))
+        });
+        encoder.encode_cycle(Codec::Flock, &cycle(), 1, &Changes::from_voxels(rays), 1150).unwrap();
+    }
+    assert_eq!(tiles(&mut encoder), first);
 }
 
 #[test]
@@ -208,7 +336,7 @@ fn a_present_state_that_breaks_its_rules_is_refused() {
         vec![(Stamp(1), Changes::default())],
     ];
     for parts in wrong {
-        let state = PresentState { region, parts };
+        let state = PresentState { region, parts, sensors: Vec::new() };
         let result = Encoder::new().encode_present(Codec::Paper, stream(), 1, resolution(), &state, 1150);
         assert!(matches!(result, Err(EncodeError::PresentState { .. })), "{state:?} gives {result:?}");
     }
@@ -221,11 +349,12 @@ fn a_cycle_in_the_forest_has_the_expected_sizes() {
     let changes = forest_cycle();
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     let voxels = changes.len();
+    let cycle = flockmap_codec::Cycle { sensor: [0; 3], ..cycle() };
     println!("{voxels} changes in {:?}", changes.bounding_box().unwrap());
     let bits = Codec::ALL.map(|codec| {
-        let whole = encoder.encode_whole(codec, &cycle(), 1, &changes).unwrap();
+        let whole = encoder.encode_whole(codec, &cycle, 1, &changes).unwrap();
         assert_eq!(decode_changes(&mut decoder, &whole), changes);
-        let packages = encoder.encode_cycle(codec, &cycle(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
+        let packages = encoder.encode_cycle(codec, &cycle, 1, &changes, PACKAGE_BYTES_MAX).unwrap();
         assert_eq!(join(&mut decoder, &packages, PACKAGE_BYTES_MAX), changes);
         let split: usize = packages.iter().map(|package| package.bytes().len()).sum();
         let bits = |bytes: usize| bytes as f64 * 8.0 / voxels as f64;
@@ -238,7 +367,7 @@ fn a_cycle_in_the_forest_has_the_expected_sizes() {
         );
         (bits(whole), bits(split), split as f64 / packages.len() as f64)
     });
-    let [raw, nested, paper, racer] = bits;
+    let [raw, nested, paper, racer, flock] = bits;
     assert!(paper.0 < nested.0, "the Hilbert walk gains over nested order");
     assert!(raw.1 < raw.0, "splitting leaves out empty space");
     for (found, expected) in [(raw.0, 54.25), (nested.0, 4.76), (paper.0, 4.49), (racer.0, 40.01)] {
@@ -247,4 +376,5 @@ fn a_cycle_in_the_forest_has_the_expected_sizes() {
     assert!(paper.1 / paper.0 < 1.09, "splitting costs no more than 9 %");
     assert!(paper.2 > 0.7 * PACKAGE_BYTES_MAX as f64, "packages are well filled");
     assert!(racer.1 / paper.1 > 8.0, "eight times fewer bytes than the list of addresses");
+    assert!(paper.0 / flock.1 > 1.5, "in datagrams, and told against nothing, still far below the paper");
 }

@@ -13,12 +13,31 @@ use crate::{BlockIndex, Changes, Plane, PresentState, Stamp, State, StateBlock, 
 pub struct Layer {
     blocks: FxHashMap<BlockIndex, LayerBlock>,
     newest: Option<Stamp>,
+    /// By end of cycle, where the sensor was. Codecs make use of it; it is no part of what is known.
+    sensors: std::collections::BTreeMap<Stamp, [i32; 3]>,
 }
+
+/// Most cycles whose sensor a layer remembers; the oldest are forgotten.
+const SENSORS_MAX: usize = 1 << 16;
 
 #[derive(Clone, Debug)]
 struct LayerBlock {
     states: StateBlock,
     stamps: BlockStamps,
+    /// The states before the newest stamp, if that is known.
+    before: Option<StateBlock>,
+}
+
+/// A block has been told of by a later cycle already, or by a present state: what it was before is not known any more.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
+#[error("block {block:?} holds words as new as {newest:?}: what was known before {stamp:?} is gone")]
+pub struct Overtaken {
+    /// The block.
+    pub block: BlockIndex,
+    /// Newest stamp in it.
+    pub newest: Stamp,
+    /// What was asked for: the states before this.
+    pub stamp: Stamp,
 }
 
 /// Most bytes that one block of a layer can take: 512 voxels that changed last in 512 different cycles.
@@ -28,12 +47,34 @@ impl Layer {
     /// Takes over each change that is newer than what is known of its voxel. At equal stamps the known one
     /// stays, unless the new one is Occupied. Returns the blocks and voxels that it took over. O(changes).
     pub fn apply(&mut self, changes: &Changes, stamp: Stamp) -> Vec<(BlockIndex, Plane)> {
+        self.take_over(changes, stamp, true)
+    }
+
+    /// The same for every voxel of a present state, each with its own stamp. Returns the blocks and voxels that it took over,
+    /// a block once for each stamp. O(voxels).
+    pub fn apply_present(&mut self, state: &PresentState) -> Vec<(BlockIndex, Plane)> {
+        state.sensors.iter().for_each(|(stamp, sensor)| self.note_sensor(*stamp, *sensor));
+        state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, false)).collect()
+    }
+
+    /// Notes where the sensor was in the cycle that ended at `stamp`, in sixteenths of a voxel. Of 2¹⁶ cycles, 24 bytes each.
+    pub fn note_sensor(&mut self, stamp: Stamp, sensor: [i32; 3]) {
+        self.sensors.insert(stamp, sensor);
+        if self.sensors.len() > SENSORS_MAX {
+            self.sensors.pop_first();
+        }
+    }
+
+    /// `is_cycle`: the changes are of one cycle, and what was there before remains known.
+    fn take_over(&mut self, changes: &Changes, stamp: Stamp, is_cycle: bool) -> Vec<(BlockIndex, Plane)> {
         let mut taken = Vec::with_capacity(changes.blocks().len());
         for (index, new) in changes.blocks() {
             let block = self.blocks.entry(*index).or_insert_with(|| LayerBlock {
                 states: StateBlock::default(),
                 stamps: BlockStamps::new(stamp),
+                before: Some(StateBlock::default()),
             });
+            block.keep_before(new, stamp, is_cycle);
             let mut mask = new.known();
             if block.stamps.newest() >= stamp {
                 block.keep_newer(&mut mask, new, stamp);
@@ -66,6 +107,33 @@ impl Layer {
     /// The states of a block, `None` if nothing in it is known.
     pub fn block(&self, index: BlockIndex) -> Option<&StateBlock> {
         self.blocks.get(&index).map(|block| &block.states)
+    }
+
+    /// The states of a block as they were before the cycle that ended at `stamp`, whether packages of that cycle have been
+    /// applied meanwhile or not; `None` if nothing was known. This is what packages of the cycle are coded against.
+    ///
+    /// # Errors
+    /// [`Overtaken`] if something newer has been applied to the block, or a present state that says more of it than was known.
+    pub fn block_before(&self, index: BlockIndex, stamp: Stamp) -> Result<Option<&StateBlock>, Overtaken> {
+        Ok(self.known_before(index, stamp)?.map(|(states, _)| states))
+    }
+
+    /// As [`Self::block_before`], with the newest stamp in the block as it is now: at most `stamp`.
+    ///
+    /// # Errors
+    /// [`Overtaken`], as there.
+    pub fn known_before(
+        &self,
+        index: BlockIndex,
+        stamp: Stamp,
+    ) -> Result<Option<(&StateBlock, Stamp)>, Overtaken> {
+        let Some(block) = self.blocks.get(&index) else { return Ok(None) };
+        let newest = block.stamps.newest();
+        if newest < stamp {
+            return Ok(Some((&block.states, newest)));
+        }
+        let before = block.before.as_ref().filter(|_| newest == stamp);
+        before.map(|before| Some((before, newest))).ok_or(Overtaken { block: index, newest, stamp })
     }
 
     /// All blocks, in no order.
@@ -101,7 +169,8 @@ impl Layer {
 
     /// Bytes that the layer holds. O(blocks).
     pub fn memory_bytes(&self) -> usize {
-        self.blocks.values().map(|b| size_of::<LayerBlock>() + 32 + b.stamps.memory_bytes()).sum()
+        let blocks = self.blocks.values().map(|b| size_of::<LayerBlock>() + 32 + b.stamps.memory_bytes());
+        blocks.sum::<usize>() + 32 * self.sensors.len()
     }
 
     /// The whole layer with its stamps, such that applying its parts to an empty layer gives this one.
@@ -124,6 +193,7 @@ impl Layer {
         let changes = |part: FxHashMap<_, _>| Changes::from_blocks(part.into_iter().collect());
         Some(PresentState {
             region: region?,
+            sensors: parts.keys().filter_map(|stamp| Some((*stamp, *self.sensors.get(stamp)?))).collect(),
             parts: parts.into_iter().map(|(stamp, part)| (stamp, changes(part))).collect(),
         })
     }
@@ -150,6 +220,29 @@ impl Layer {
 }
 
 impl LayerBlock {
+    /// Keeps what is known before something with this stamp is taken over.
+    fn keep_before(&mut self, new: &StateBlock, stamp: Stamp, is_cycle: bool) {
+        match stamp.cmp(&self.stamps.newest()) {
+            core::cmp::Ordering::Greater if is_cycle => self.before = Some(self.states),
+            // More of the same cycle.
+            core::cmp::Ordering::Equal if is_cycle => {}
+            // An older word that comes late is a part of what was before, unless another one stands there: which of them is
+            // newer is not known.
+            core::cmp::Ordering::Less => {
+                let is_certain = |before: &StateBlock| {
+                    let clash = |a: &Plane, b: &Plane| a.iter().zip(b).any(|(a, b)| a & b != 0);
+                    !clash(before.free(), new.occupied()) && !clash(before.occupied(), new.free())
+                };
+                self.before = self.before.filter(is_certain).map(|mut before| {
+                    before.overlay(new);
+                    before
+                });
+            }
+            // A present state names no voxel twice: something is missing before it.
+            _ => self.before = None,
+        }
+    }
+
     /// Takes the voxels out of `mask` whose known word stands against a new one of this stamp.
     fn keep_newer(&self, mask: &mut Plane, new: &StateBlock, stamp: Stamp) {
         let known = self.states.known();
@@ -230,6 +323,94 @@ mod tests {
             }
             prop_assert_eq!(again.digest(), layer.digest());
         }
+    }
+
+    proptest! {
+        #[test]
+        fn what_was_before_a_cycle_is_right_or_refused(
+            packages in prop::collection::vec((package(), prop::bool::weighted(0.2)), 0..30),
+        ) {
+            // Few stamps, so that cycles have several packages and some come late.
+            let mut layer = Layer::default();
+            let mut applied: Vec<(Stamp, Vec<(Voxel, State)>)> = Vec::new();
+            let has_present = packages.iter().any(|(_, is_present)| *is_present);
+            for ((stamp, voxels), is_present) in &packages {
+                let stamp = Stamp(stamp.0 / 100);
+                let changes = Changes::from_voxels(voxels.iter().copied());
+                match changes.bounding_box().filter(|_| *is_present) {
+                    Some(region) => {
+                        let parts = vec![(stamp, changes.clone())];
+                        layer.apply_present(&PresentState { region, parts, sensors: Vec::new() });
+                    }
+                    None => {
+                        layer.apply(&changes, stamp);
+                    }
+                }
+                applied.push((stamp, changes.voxels().collect()));
+                let in_order = applied.is_sorted_by_key(|(stamp, _)| *stamp);
+                let newest = applied.iter().map(|(stamp, _)| *stamp).max().unwrap_or_default();
+                for at in (0..9).map(Stamp) {
+                    let mut expected = Layer::default();
+                    for (stamp, voxels) in applied.iter().filter(|(stamp, _)| *stamp < at) {
+                        expected.apply(&Changes::from_voxels(voxels.iter().copied()), *stamp);
+                    }
+                    for (index, _) in layer.blocks() {
+                        match layer.block_before(index, at) {
+                            Ok(before) => {
+                                let expected = expected.block(index).copied().unwrap_or_default();
+                                prop_assert_eq!(before.copied().unwrap_or_default(), expected);
+                            }
+                            Err(_) => prop_assert!(newest > at || has_present || !in_order),
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_package_of_an_older_cycle_that_comes_late_joins_the_past_where_that_is_certain() {
+        let voxel = |x, state| Changes::from_voxels([(Voxel::new(x, 0, 0), state)]);
+        let mut layer = Layer::default();
+        let block = Voxel::new(0, 0, 0).block();
+        layer.apply(&voxel(0, State::Free), Stamp(10));
+        layer.apply(&voxel(1, State::Free), Stamp(20));
+        layer.apply(&voxel(2, State::Occupied), Stamp(20));
+        let before = *layer.block_before(block, Stamp(20)).unwrap().unwrap();
+        assert_eq!([0, 1, 2].map(|bit| before.get(bit)), [State::Free, State::Unknown, State::Unknown]);
+        assert!(layer.block_before(block, Stamp(10)).is_err());
+        // Between both, of a voxel that was not known before.
+        layer.apply(&voxel(3, State::Free), Stamp(15));
+        let before = *layer.block_before(block, Stamp(20)).unwrap().unwrap();
+        assert_eq!([0, 1, 3].map(|bit| before.get(bit)), [State::Free, State::Unknown, State::Free]);
+        layer.apply(&voxel(0, State::Occupied), Stamp(15));
+        assert!(layer.block_before(block, Stamp(20)).is_err());
+        assert_eq!(layer.block_before(block, Stamp(21)).unwrap(), layer.block(block));
+    }
+
+    #[test]
+    fn a_present_state_hides_what_was_before_its_newest_cycle_and_not_what_is_before_later_ones() {
+        let voxel = |x, state| Changes::from_voxels([(Voxel::new(x, 0, 0), state)]);
+        let block = Voxel::new(0, 0, 0).block();
+        let present = PresentState {
+            sensors: Vec::new(),
+            region: block.corner().block().voxel_box(),
+            parts: vec![(Stamp(10), voxel(0, State::Free)), (Stamp(20), voxel(1, State::Free))],
+        };
+        let mut layer = Layer::default();
+        layer.apply(&voxel(0, State::Free), Stamp(10));
+        layer.apply_present(&present);
+        for stamp in [10, 15, 20] {
+            assert!(layer.block_before(block, Stamp(stamp)).is_err());
+        }
+        // A later cycle, by one package or two, knows what was before it.
+        let expected = *layer.block(block).unwrap();
+        assert_eq!(layer.block_before(block, Stamp(21)), Ok(Some(&expected)));
+        layer.apply(&voxel(2, State::Occupied), Stamp(30));
+        assert_eq!(layer.block_before(block, Stamp(30)), Ok(Some(&expected)));
+        // Nor does a tile that says nothing new hide it.
+        layer.apply_present(&present);
+        assert_eq!(layer.block_before(block, Stamp(30)), Ok(Some(&expected)));
     }
 
     #[test]

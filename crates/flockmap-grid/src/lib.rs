@@ -20,7 +20,7 @@ mod voxel;
 pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, voxel_bit};
 pub use changes::Changes;
 pub use fusion::{Fusion, FusionConfig, FusionError, MapView, RayEnd};
-pub use layer::{LAYER_BLOCK_BYTES_MAX, Layer};
+pub use layer::{LAYER_BLOCK_BYTES_MAX, Layer, Overtaken};
 pub use mapper::{
     ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport,
     SensorModel, Sphere, Which,

@@ -12,4 +12,7 @@ pub struct PresentState {
     pub region: VoxelBox,
     /// The known voxels, grouped by stamp: stamps ascending, voxel sets disjoint and all inside `region`.
     pub parts: Vec<(Stamp, Changes)>,
+    /// From where parts were seen, in sixteenths of a voxel: those of which it is known, stamps ascending. A codec may make use of it;
+    /// it is no part of what the state says.
+    pub sensors: Vec<(Stamp, [i32; 3])>,
 }

@@ -260,7 +260,7 @@ pub(crate) fn node_counters(c: &NodeCounters) -> Named {
 
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
     fields!(c; scans points_ignored points_masked blocks_forgotten cycles changes packages package_bytes merged
-        damaged no_room foreign_resolution present_states events_dropped)
+        waited waiting_dropped overtaken damaged no_room foreign_resolution present_states cycles_without_reference events_dropped)
 }
 
 pub(crate) fn session_counters(c: &Counters) -> Named {
@@ -276,7 +276,7 @@ pub(crate) fn session_counters(c: &Counters) -> Named {
     ];
     named.extend(fields!(c; published sent relayed tiles_sent confirmed lost suppressed gap_requests
         delayed_by_budget delayed_by_window received accepted repaired tiles_accepted caught_up duplicates rejected
-        own_returned damaged foreign_version foreign_swarm malformed own_heard same_identity stale_epoch
+        given_up present_states_restarted own_returned damaged foreign_version foreign_swarm malformed own_heard same_identity stale_epoch
         stale_requests too_many_peers too_many_streams too_fragmented events_overflowed too_many_transfers
         present_states_wanted present_states_unusable));
     named

@@ -81,7 +81,7 @@ impl Default for ExploreOptions {
             height_m: [0.6, 2.5],
             radio: RadioConfig::default(),
             cycle: CycleConfig::default(),
-            codec: Codec::Paper,
+            codec: Codec::Flock,
             session: SessionConfig::default(),
             threads: 1,
         }

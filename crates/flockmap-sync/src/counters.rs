@@ -61,10 +61,14 @@ pub struct Counters {
     pub tiles_accepted: u64,
     /// Present states received completely.
     pub caught_up: u64,
+    /// Present states of which the driver needed all tiles again.
+    pub present_states_restarted: u64,
     /// Packages and tiles received again.
     pub duplicates: u64,
     /// Packages and tiles that the driver rejected.
     pub rejected: u64,
+    /// Packages that the driver gave up, since what they were coded against is gone: replaced by a present state.
+    pub given_up: u64,
     /// Packages of the own stream that came back.
     pub own_returned: u64,
 

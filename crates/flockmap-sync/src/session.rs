@@ -20,14 +20,14 @@ use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use peer::{Item, Peer, VIEW_INTERVALS_MAX};
 use present::{Incoming, Outgoing};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Events that wait for the driver; more are dropped, counted, and come again by a later request.
 const EVENTS_MAX: usize = 4_096;
 
 /// Keeps the packages of all robots of a swarm in sync.
 ///
-/// Methods are of four kinds: inputs (`handle_*`, `publish`, `accept`, `reject`, `provide_present_state`,
+/// Methods are of four kinds: inputs (`handle_*`, `publish`, `accept`, `reject`, `give_up`, `provide_present_state`,
 /// `set_clock_offset`, `restore*`), outputs (`poll_*`), and queries. After every input, drain
 /// [`poll_event`](Self::poll_event), giving each event its answer, then [`poll_transmit`](Self::poll_transmit);
 /// then wait for a datagram or for [`poll_timeout`](Self::poll_timeout), whichever is first.
@@ -70,10 +70,12 @@ pub struct Session {
     /// Last measured offsets of streams whose robot may be gone; only of streams in the store.
     measured_offsets: BTreeMap<Stream, i64>,
     events: VecDeque<Event>,
-    /// Delivered, and neither accepted nor rejected yet, with the peer each came from.
-    undecided: VecDeque<(Item, RobotId)>,
+    /// Delivered, and neither accepted, rejected nor given up yet, with the peer each came from.
+    undecided: BTreeSet<(Item, RobotId)>,
     /// Rejected, with the time until which they are not asked for again.
     refused: BTreeMap<Item, Stamp>,
+    /// Indices of packages that cannot be decoded any more: a present state has to bring what they say. Never empty sets.
+    given_up: BTreeMap<Stream, IntervalSet>,
     incoming: Vec<Incoming>,
     outgoing: Vec<Outgoing>,
     /// When the driver was last asked for a present state, and when to ask again.
@@ -101,8 +103,9 @@ impl Session {
             given_offsets: BTreeMap::new(),
             measured_offsets: BTreeMap::new(),
             events: VecDeque::new(),
-            undecided: VecDeque::new(),
+            undecided: BTreeSet::new(),
             refused: BTreeMap::new(),
+            given_up: BTreeMap::new(),
             incoming: Vec::new(),
             outgoing: Vec::new(),
             present_asked: BTreeMap::new(),
@@ -326,6 +329,23 @@ impl Session {
             in_flight: peer.in_flight.len(),
             traffic_in: peer.traffic_in,
             traffic_out: peer.traffic_out,
+        })
+    }
+
+    /// What each peer that hears this robot holds of the own stream, by its last request: the peer and its run, when the request
+    /// came, and the highest index up to which nothing is missing. What a peer keeps undecided counts as held.
+    pub fn own_held_by_peers(&self) -> impl Iterator<Item = (Stream, Stamp, u32)> + '_ {
+        self.peers.values().filter(|peer| peer.hears(self.own.origin)).filter_map(|peer| {
+            let (_, at) = peer.request?;
+            let prefix = match peer.views.get(&self.own) {
+                // What lies below the list that it states, it does not ask for either.
+                Some(view) => match view.held.first() {
+                    Some(first) if first <= view.from.max(1) => view.held.intervals().first()?.1,
+                    _ => view.from.saturating_sub(1),
+                },
+                None => 0,
+            };
+            Some((peer.stream, at, prefix))
         })
     }
 

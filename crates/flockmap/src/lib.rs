@@ -38,10 +38,18 @@
 #![forbid(unsafe_code)]
 
 mod config;
+mod counters;
+mod event;
 mod packer;
+mod repair;
 mod robot;
+mod sent;
+mod tiles;
+mod waiting;
 
 pub use config::{CycleConfig, RobotConfig, RobotError};
+pub use counters::RobotCounters;
+pub use event::{Event, Refusal};
 pub use flockmap_codec as codec;
 pub use flockmap_codec::{Codec, Cycle, Package};
 pub use flockmap_grid as grid;
@@ -52,4 +60,4 @@ pub use flockmap_grid::{
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Session, SessionConfig, Transmit};
 pub use packer::Packer;
-pub use robot::{Event, Refusal, Robot, RobotCounters};
+pub use robot::Robot;

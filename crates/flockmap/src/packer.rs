@@ -1,7 +1,7 @@
 //! When a cycle of mapping ends, and what it holds (the paper's Alg. 1).
 
 use flockmap_codec::Cycle;
-use flockmap_grid::{Changes, Mapper, Resolution, Stamp, Stream, Which};
+use flockmap_grid::{Changes, Mapper, Pose, Resolution, Stamp, Stream, Which};
 
 use crate::CycleConfig;
 
@@ -21,6 +21,10 @@ pub struct Packer {
     /// Ends of the last cycles that held obstacles and free space: where the next ones begin.
     occupied_from: Option<Stamp>,
     free_from: Option<Stamp>,
+    /// Where the sensor was at the first scan since the last cycle of everything, and where it was last, in
+    /// sixteenths of a voxel.
+    first_sensor: Option<[i32; 3]>,
+    newest_sensor: [i32; 3],
 }
 
 impl Packer {
@@ -36,11 +40,18 @@ impl Packer {
             last_end: None,
             occupied_from: None,
             free_from: None,
+            first_sensor: None,
+            newest_sensor: [0; 3],
         }
     }
 
-    /// Notes a scan that the mapper has taken in: it is the time of what has changed.
-    pub fn note_scan(&mut self, stamp: Stamp) {
+    /// Notes a scan that the mapper has taken in: it is the time of what has changed, and the place that it was seen from.
+    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
+    pub fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
+        // A cast to i32 clamps, and whatever comes of it is right: the codec codes better if it is near.
+        let sixteenths = 16.0 / self.resolution.metres();
+        self.newest_sensor = T_map_sensor.translation().map(|metres| (metres * sixteenths).round() as i32);
+        self.first_sensor.get_or_insert(self.newest_sensor);
         if self.newest_scan < stamp || self.last_end.is_none() {
             self.newest_scan = stamp;
         }
@@ -80,7 +91,7 @@ impl Packer {
         }
         let (start, end) = (self.occupied_from, self.end());
         self.occupied_from = Some(end);
-        Some((self.cycle(start, end), changes))
+        Some((self.cycle(start, end, self.newest_sensor), changes))
     }
 
     /// Closes the cycle now, with everything that has changed. `None` if nothing has.
@@ -94,7 +105,9 @@ impl Packer {
         let (start, end) = (self.free_from, self.end());
         self.occupied_from = Some(end);
         self.free_from = Some(end);
-        Some((self.cycle(start, end), changes))
+        let (first, last) = (self.first_sensor.take().unwrap_or(self.newest_sensor), self.newest_sensor);
+        let middle = core::array::from_fn(|axis| first[axis].midpoint(last[axis]));
+        Some((self.cycle(start, end, middle), changes))
     }
 
     /// The newest scan's stamp, or just after the last cycle's end if no newer scan came.
@@ -107,16 +120,16 @@ impl Packer {
         end
     }
 
-    fn cycle(&self, start: Option<Stamp>, end: Stamp) -> Cycle {
+    fn cycle(&self, start: Option<Stamp>, end: Stamp, sensor: [i32; 3]) -> Cycle {
         let start = start.unwrap_or(end).min(end);
-        Cycle { stream: self.stream, start, end, resolution: self.resolution }
+        Cycle { stream: self.stream, start, end, resolution: self.resolution, sensor }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockmap_grid::{MapperConfig, Pose, Preset, RobotId, Scan, State};
+    use flockmap_grid::{MapperConfig, Preset, RobotId, Scan, State};
 
     const MS: i64 = 1_000;
 
@@ -130,7 +143,7 @@ mod tests {
     fn scan(packer: &mut Packer, mapper: &mut Mapper, ms: i64, point: [f32; 3]) {
         let scan = Scan { stamp: Stamp(ms * MS), points: vec![point], no_returns: Vec::new() };
         mapper.insert(&scan, &Pose::IDENTITY, &[]);
-        packer.note_scan(scan.stamp);
+        packer.note_scan(scan.stamp, &Pose::IDENTITY);
     }
 
     #[test]

@@ -1,129 +1,27 @@
 //! One robot: mapper, packer, codec, session, layers and fusion joined. The way of the data, both directions.
 
-use std::collections::{BTreeMap, VecDeque};
+mod receive;
 
-use flockmap_codec::{Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, Package};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use flockmap_codec::{Codec, Cycle, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Reference};
 use flockmap_grid::{
-    Changes, Fusion, FusionError, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
+    Changes, Fusion, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
 };
 use flockmap_sync::wire::DatagramError;
 use flockmap_sync::{Session, Transmit};
 
-use crate::{Packer, RobotConfig, RobotError};
+use crate::repair::RepairDelay;
+use crate::sent::Sent;
+use crate::tiles::Tiles;
+use crate::waiting::Waiting;
+use crate::{Event, Packer, RobotConfig, RobotCounters, RobotError};
 
 /// Events that wait to be polled. The oldest is dropped, and counted, when one more comes.
 const EVENTS_MAX: usize = 1_024;
 
 /// Team-mates whose positions are kept.
 const TEAMMATES_MAX: usize = 1_024;
-
-/// Something worth knowing. Need not be polled: what is not read is dropped, oldest first, 1,024 are kept.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub enum Event {
-    /// An own cycle was closed and its packages are on their way.
-    CycleClosed {
-        /// Its time.
-        cycle: Cycle,
-        /// What changed.
-        changes: Changes,
-        /// The packages made of it.
-        packages: Vec<Package>,
-    },
-    /// A package of another robot, or of a former run of this one, is in its layer and in the fused map.
-    Merged {
-        /// Whose observations these are.
-        stream: Stream,
-        /// Number of the package.
-        index: u32,
-        /// Oldest time of what it says, on the origin's clock.
-        cycle_start: Stamp,
-        /// Newest time of what it says, on the origin's clock.
-        cycle_end: Stamp,
-        /// What it says. Empty for a tile of a present state.
-        changes: Changes,
-        /// Voxels of the layer that were taken over; the others were known to be newer.
-        taken: usize,
-    },
-    /// A package was not taken in. It is counted, and asked for again unless that is useless.
-    Refused {
-        /// Its stream.
-        stream: Stream,
-        /// Its index.
-        index: u32,
-        /// What was wrong.
-        reason: Refusal,
-    },
-    /// All packages up to this one are held now, by way of a present state.
-    CaughtUp {
-        /// The stream.
-        stream: Stream,
-        /// The newest package contained.
-        upto: u32,
-    },
-    /// A robot was heard for the first time, or again, or in a new run.
-    PeerSeen(Stream),
-    /// A robot has not been heard for a while.
-    PeerLost(Stream),
-    /// Another robot uses the own id. Give one of them another.
-    SameIdentity,
-    /// Own changes could not be coded, and are lost to the others. Please report it: this should not happen.
-    EncodeFailed(flockmap_codec::EncodeError),
-}
-
-/// Why a package was not taken in.
-#[derive(Clone, PartialEq, Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum Refusal {
-    /// It is damaged, or of a version that is not known.
-    #[error(transparent)]
-    Package(#[from] flockmap_codec::PackageError),
-    /// There is no room for it.
-    #[error(transparent)]
-    Fusion(#[from] FusionError),
-    /// Its voxels have another size. It is held and passed on, but not merged.
-    #[error("voxels of {got:?}, this robot has {own:?}: give all robots the same resolution")]
-    Resolution {
-        /// Of the package.
-        got: flockmap_grid::Resolution,
-        /// Of this robot.
-        own: flockmap_grid::Resolution,
-    },
-}
-
-/// What a robot counted, beside its session's counters.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-#[non_exhaustive]
-pub struct RobotCounters {
-    /// Scans taken in.
-    pub scans: u64,
-    /// Points that were ignored: not finite, too near or too far out.
-    pub points_ignored: u64,
-    /// Points that were taken for team-mates.
-    pub points_masked: u64,
-    /// Blocks of the own map that were forgotten under the byte cap.
-    pub blocks_forgotten: u64,
-    /// Cycles closed.
-    pub cycles: u64,
-    /// Own voxels that changed, added up over cycles.
-    pub changes: u64,
-    /// Own packages made.
-    pub packages: u64,
-    /// Bytes of these.
-    pub package_bytes: u64,
-    /// Packages of others merged, tiles of present states among them.
-    pub merged: u64,
-    /// Packages of others that were damaged: not taken in, and asked for again.
-    pub damaged: u64,
-    /// Packages of others for which there was no room.
-    pub no_room: u64,
-    /// Packages of others with voxels of another size.
-    pub foreign_resolution: u64,
-    /// Present states made for others.
-    pub present_states: u64,
-    /// Events dropped since nobody polled them.
-    pub events_dropped: u64,
-}
 
 /// A robot of the swarm: keeps its own map from its scans, sends what changed, repairs what was lost, and fuses
 /// what the others saw. Knows no sockets, threads or clocks; it can be driven by any runtime, or none.
@@ -142,6 +40,17 @@ pub struct Robot {
     fusion: Fusion,
     teammates: BTreeMap<RobotId, Teammate>,
     next_index: u32,
+    /// What cycles can refer to.
+    sent: Sent,
+    /// The own layer is what the others hold when all has arrived.
+    own_layer_is_whole: bool,
+    /// Packages that were damaged once already.
+    damaged: BTreeSet<(Stream, u32)>,
+    repair: RepairDelay,
+    waiting: Waiting,
+    tiles: Tiles,
+    /// Requests taken in when the repair delay was looked at last.
+    requests_seen: u64,
     events: VecDeque<Event>,
     counters: RobotCounters,
 }
@@ -178,6 +87,13 @@ impl Robot {
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
             teammates: BTreeMap::new(),
             next_index: 1,
+            sent: Sent::default(),
+            own_layer_is_whole: true,
+            damaged: BTreeSet::new(),
+            repair: RepairDelay::new(config.repair_delay_max_ms),
+            waiting: Waiting::default(),
+            tiles: Tiles::default(),
+            requests_seen: 0,
             events: VecDeque::new(),
             counters: RobotCounters::default(),
             config,
@@ -198,7 +114,7 @@ impl Robot {
             .map(|teammate| Sphere { centre: teammate.position, radius: self.config.teammate_radius_m })
             .collect();
         let report = self.mapper.insert(scan, T_map_sensor, &masks);
-        self.packer.note_scan(scan.stamp);
+        self.packer.note_scan(scan.stamp, T_map_sensor);
         self.fusion.own_scan(&self.mapper, &report);
         self.counters.scans += 1;
         self.counters.points_ignored += report.ignored as u64;
@@ -223,6 +139,11 @@ impl Robot {
     pub fn handle_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
         let result = self.session.handle_datagram(now, bytes);
         self.answer_session(now);
+        let requests = self.session.counters().requests_in.datagrams;
+        if requests != self.requests_seen {
+            self.requests_seen = requests;
+            self.repair.note_held(self.session.own_held_by_peers());
+        }
         result
     }
 
@@ -331,16 +252,13 @@ impl Robot {
 
     /// Codes a cycle, takes it into the own layer and gives it to the session.
     fn publish(&mut self, now: Stamp, cycle: Cycle, changes: Changes) {
-        let coded = self.encoder.encode_cycle(
-            self.config.codec,
-            &cycle,
-            self.next_index,
-            &changes,
-            PACKAGE_BYTES_MAX,
-        );
-        let packages = match coded {
+        let packages = match self.encode(&cycle, &changes) {
             Ok(packages) => packages,
-            Err(error) => return self.push_event(Event::EncodeFailed(error)),
+            Err(error) => {
+                // The map goes on without these changes, and what is told next counts on them.
+                self.own_layer_is_whole = false;
+                return self.push_event(Event::EncodeFailed(error));
+            }
         };
         self.counters.cycles += 1;
         self.counters.changes += changes.len() as u64;
@@ -352,87 +270,43 @@ impl Robot {
             let published = self.session.publish(now, package.clone());
             debug_assert_eq!(published, Ok(()));
         }
+        self.sent.note_cycle(&packages);
+        self.repair.note_cycle(now, self.next_index - 1);
         if let Err(error) = self.fusion.apply(&self.mapper, self.own, &changes, cycle.end) {
-            // The packages are out all the same; only a present state of this stream would lack them.
+            // The packages are out all the same; only a present state of this stream would lack them. And the others hold more from now
+            // on than the own layer, so that nothing can be told against it any more.
+            self.own_layer_is_whole = false;
             self.counters.no_room += 1;
             let reason = error.into();
             self.push_event(Event::Refused { stream: self.own, index: self.next_index - 1, reason });
         }
+        self.fusion.note_sensor(self.own, cycle.end, cycle.sensor);
         self.push_event(Event::CycleClosed { cycle, changes, packages });
         self.answer_session(now);
     }
 
-    /// Gives every event of the session its answer.
-    fn answer_session(&mut self, now: Stamp) {
-        use flockmap_sync::Event as SessionEvent;
-        while let Some(event) = self.session.poll_event() {
-            match event {
-                SessionEvent::Received(package) => self.receive(now, &package),
-                SessionEvent::PresentStateWanted { stream, upto, .. } => {
-                    self.provide_present_state(now, stream, upto);
-                }
-                SessionEvent::StreamForgotten(stream) => self.fusion.forget(&self.mapper, stream),
-                SessionEvent::CaughtUp { stream, upto } => self.push_event(Event::CaughtUp { stream, upto }),
-                SessionEvent::PeerSeen(stream) => self.push_event(Event::PeerSeen(stream)),
-                SessionEvent::PeerLost(stream) => self.push_event(Event::PeerLost(stream)),
-                SessionEvent::SameIdentity => self.push_event(Event::SameIdentity),
-                _ => {}
-            }
-        }
-    }
-
-    /// Decodes and merges a package, and gives the session the verdict.
-    fn receive(&mut self, now: Stamp, package: &Package) {
-        match self.merge(package) {
-            Ok(event) => {
-                self.counters.merged += 1;
-                self.session.accept(now, package);
-                self.push_event(event);
-            }
-            Err(reason) => {
-                match reason {
-                    Refusal::Package(_) => self.counters.damaged += 1,
-                    Refusal::Fusion(_) => self.counters.no_room += 1,
-                    Refusal::Resolution { .. } => self.counters.foreign_resolution += 1,
-                }
-                if matches!(reason, Refusal::Resolution { .. }) {
-                    // It will never fit here, but others may be able to use it.
-                    self.session.accept(now, package);
-                } else {
-                    self.session.reject(now, package);
-                }
-                let (stream, index) = (package.header().stream, package.header().index);
-                self.push_event(Event::Refused { stream, index, reason });
-            }
-        }
-    }
-
-    fn merge(&mut self, package: &Package) -> Result<Event, Refusal> {
-        let header = *package.header();
-        let stream = header.stream;
-        let own = self.config.mapper.resolution;
-        if header.resolution != own {
-            return Err(Refusal::Resolution { got: header.resolution, own });
-        }
-        let content = self.decoder.decode(package)?;
-        if let Some(offset) = self.session.clock_offset(stream) {
-            self.fusion.set_clock_offset(stream.origin, offset.saturating_neg());
-        }
-        let (changes, taken) = match content {
-            Content::Changes(changes) => {
-                let taken = self.fusion.apply(&self.mapper, stream, &changes, header.cycle_end)?;
-                (changes, taken)
-            }
-            Content::Present(state) => {
-                let mut taken = 0;
-                for (stamp, part) in &state.parts {
-                    taken += self.fusion.apply(&self.mapper, stream, part, *stamp)?;
-                }
-                (Changes::default(), taken)
-            }
+    /// The packages of a cycle, told against what the others will hold; without, if repair is slow.
+    fn encode(&mut self, cycle: &Cycle, changes: &Changes) -> Result<Vec<Package>, EncodeError> {
+        let Self { encoder, fusion, sent, counters, config, .. } = self;
+        let is_alone = !self.own_layer_is_whole || self.repair.is_slow();
+        counters.cycles_without_reference += u64::from(is_alone && config.codec == Codec::Flock);
+        let layer = fusion.layer(self.own).filter(|_| !is_alone);
+        let reference = Reference { layer, cycles: sent.cycles(), readers: sent.readers() };
+        let mut encode = |reference: Option<&Reference<'_>>| {
+            encoder.encode_cycle_against(
+                config.codec,
+                cycle,
+                self.next_index,
+                changes,
+                reference,
+                PACKAGE_BYTES_MAX,
+            )
         };
-        let (cycle_start, cycle_end) = (header.cycle_start, header.cycle_end);
-        Ok(Event::Merged { stream, index: header.index, cycle_start, cycle_end, changes, taken })
+        match encode(Some(&reference)) {
+            // The own layer holds something as new, which no cycle should meet: it can be told all the same.
+            Err(EncodeError::Overtaken(_)) => encode(Some(&Reference { layer: None, ..reference })),
+            coded => coded,
+        }
     }
 
     /// Codes the layer of a stream as it is, for a peer that misses too much of it.

@@ -21,8 +21,8 @@ fn fly(swarm: &mut Swarm, seconds: i64, seed: u64) {
 
 #[test]
 fn maps_agree_over_a_radio_that_loses_repeats_reorders_and_damages() {
-    for seed in 1..=6 {
-        let codec = [Codec::Raw, Codec::NestedZlib, Codec::Paper, Codec::Racer][seed as usize % 4];
+    for seed in 1..=10 {
+        let codec = Codec::ALL[seed as usize % Codec::ALL.len()];
         let configs = (1..=3).map(|id| RobotConfig { codec, ..config(id) }).collect();
         let mut swarm = Swarm::new(configs, BAD, seed);
         fly(&mut swarm, 3, seed);

@@ -131,5 +131,5 @@ impl Run {
 
 pub fn cycle(end: Stamp) -> Cycle {
     let stream = Stream { origin: RobotId(1), epoch: 1 };
-    Cycle { stream, start: Stamp(0), end, resolution: config().resolution }
+    Cycle { stream, start: Stamp(0), end, resolution: config().resolution, sensor: [0; 3] }
 }

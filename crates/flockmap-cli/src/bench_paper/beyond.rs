@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use flockmap::SessionConfig;
+use flockmap::{Codec, SessionConfig};
 use flockmap_baselines::Method;
 use flockmap_sim::Link;
 
@@ -74,6 +74,7 @@ pub fn measure(
             title: title.clone(),
             mapper: mapper.clone(),
             cycle,
+            codec: Codec::Flock,
             session: SessionConfig::default(),
             link: Link::default(),
             seed: args.seed,

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
-use flockmap::Stamp;
+use flockmap::{Codec, Stamp};
 use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_sim::{Ended, ExploreOptions, Lidar, Rendering, ScanOptions, World};
 
@@ -85,6 +85,8 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Option<Flown>> {
         seconds_max: plan.seconds_max,
         cycle: super::cycle(T_L_S, CHANGES_MAX),
         threads: plan.threads.min(scene.robots()),
+        // As the paper's robots, so that the flights are those of all earlier reports.
+        codec: Codec::Paper,
         ..ExploreOptions::default()
     };
     let Some(mut explorer) = explore::prepare(Arc::clone(&plan.world), options)? else { return Ok(None) };

@@ -1,7 +1,7 @@
 //! The whole stack in virtual time: robots, sessions, datagrams, everything on the wire counted.
 
 use flockmap::grid::MapperConfig;
-use flockmap::{CycleConfig, RobotConfig, RobotId, SessionConfig};
+use flockmap::{Codec, CycleConfig, RobotConfig, RobotId, SessionConfig};
 use flockmap_sim::{Link, RadioConfig};
 
 use super::methods::MethodRow;
@@ -15,6 +15,7 @@ pub struct StackPlan {
     pub title: String,
     pub mapper: MapperConfig,
     pub cycle: CycleConfig,
+    pub codec: Codec,
     pub session: SessionConfig,
     pub link: Link,
     pub seed: u64,
@@ -35,10 +36,11 @@ pub struct Traffic {
 
 /// Runs robots with unicast through their records.
 pub fn run(plan: &StackPlan, sources: Vec<Source>) -> anyhow::Result<Stack> {
-    let StackPlan { title, mapper, cycle, session, link, seed } = plan;
+    let StackPlan { title, mapper, cycle, codec, session, link, seed } = plan;
     let base = RobotConfig {
         mapper: mapper.clone(),
         cycle: *cycle,
+        codec: *codec,
         session: session.clone(),
         seed: *seed,
         ..RobotConfig::new(RobotId(1), mapper.resolution, mapper.range_m)

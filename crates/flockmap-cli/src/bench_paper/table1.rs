@@ -1,7 +1,7 @@
 //! Table I: bandwidth on four explorations, all methods; and Fig. 6, the map over time.
 
-use flockmap::SessionConfig;
 use flockmap::grid::MapperConfig;
+use flockmap::{Codec, SessionConfig};
 use flockmap_baselines::racer_code::{RacerCast, RacerConfig};
 use flockmap_sim::{Link, RadioConfig};
 
@@ -26,7 +26,7 @@ use crate::table::percent_short;
 pub const STACK: &str = "flockmap, whole stack";
 /// The name of RACER's own session's row.
 const RACER_CODE: &str = "racer-code";
-const ABOUT_STACK: &str = "What Flockmap really puts on the wire with the codec `paper`: datagrams of at most 1,200 bytes with all headers, requests and \
+const ABOUT_STACK: &str = "What Flockmap really puts on the wire with the codec `flock`: datagrams of at most 1,200 bytes with all headers, requests and \
      repairs, over a perfect radio.";
 
 /// Bits that RACER spends on a voxel: an address of 32 and a state of 8.
@@ -150,6 +150,7 @@ fn stack_of(row: &TableOneRow, flown: &Flown, seed: u64) -> anyhow::Result<Stack
         title: row.name(),
         mapper: mapper(row.resolution_m, row.range_m)?,
         cycle: cycle(T_L_S, CHANGES_MAX),
+        codec: Codec::Flock,
         session: SessionConfig::default(),
         link: Link::default(),
         seed,

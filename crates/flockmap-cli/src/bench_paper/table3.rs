@@ -1,6 +1,6 @@
 //! Table III and Fig. 9: two nodes over an emulated Wi-Fi, sent and received over time.
 
-use flockmap::SessionConfig;
+use flockmap::{Codec, SessionConfig};
 use flockmap_sim::Link;
 
 use super::figures::{CHANGES_MAX, FLIGHT_T_L_S, FLIGHT_UPDATE_BOX_M, TABLE_THREE};
@@ -22,13 +22,14 @@ pub struct Measured {
 }
 
 /// What is run: the paper's settings of its real flight.
-pub fn plan(session: SessionConfig, seed: u64) -> anyhow::Result<StackPlan> {
+pub fn plan(codec: Codec, session: SessionConfig, seed: u64) -> anyhow::Result<StackPlan> {
     let mut mapper = mapper(0.1, LIDAR_RANGE_M)?;
     mapper.update_box_m = Some(FLIGHT_UPDATE_BOX_M);
     Ok(StackPlan {
         title: "two nodes over an emulated Wi-Fi".to_owned(),
         mapper,
         cycle: cycle(FLIGHT_T_L_S, CHANGES_MAX),
+        codec,
         session,
         link: WIFI,
         seed,
@@ -37,11 +38,13 @@ pub fn plan(session: SessionConfig, seed: u64) -> anyhow::Result<StackPlan> {
 
 /// Runs both sessions on the forest.
 pub fn measure(flown: &Flown, seed: u64, threads: usize) -> anyhow::Result<Option<Measured>> {
-    let sessions =
-        [("our session", SessionConfig::default()), ("the paper's session", SessionConfig::paper())];
-    let jobs = sessions.into_iter().map(|(name, session)| {
+    let sessions = [
+        ("ours", Codec::Flock, SessionConfig::default()),
+        ("the paper's", Codec::Paper, SessionConfig::paper()),
+    ];
+    let jobs = sessions.into_iter().map(|(name, codec, session)| {
         Job::new(format!("Table III, {name}"), move || {
-            stack::run(&plan(session, seed)?, flown.sources(LIDAR_RANGE_M)?)
+            stack::run(&plan(codec, session, seed)?, flown.sources(LIDAR_RANGE_M)?)
         })
     });
     let mut stacks = jobs::run(threads, jobs.collect())?.into_iter();
@@ -64,7 +67,7 @@ pub fn section(measured: &Measured) -> Section {
             ("agreement", "agreement"),
         ],
     );
-    for (name, stack) in [("Flockmap's own", &measured.ours), ("as in the paper", &measured.paper)] {
+    for (name, stack) in [("Flockmap", &measured.ours), ("as in the paper", &measured.paper)] {
         let seconds = stack.report.record_s.max(1e-3);
         for (number, Traffic { sent, received }) in stack.traffic.iter().enumerate() {
             let avg = |bytes: u64| Cell::Number(bytes as f64 / KB / seconds, 2);
@@ -94,7 +97,7 @@ pub fn section(measured: &Measured) -> Section {
         Cell::Missing,
         Cell::Missing,
     ]);
-    table.note = "KB/s of UDP payload with requests, repairs and all headers. Ages are of both robots' voxels together. An exploration turns round and looks again, \
+    table.note = "Flockmap: codec `flock`, its own session; as in the paper: codec `paper`, the paper's session. KB/s of UDP payload with requests, repairs and all headers. Ages are of both robots' voxels together. An exploration turns round and looks again, \
                   where the paper's flight went straight through a forest not seen before: its like is the application below, whose table has its own traffic."
         .to_owned();
     let parts = vec![

@@ -42,7 +42,7 @@ struct Node {
 
 /// Measures both robots of the forest, one after the other, on this thread.
 pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
-    let plan = table3::plan(SessionConfig::default(), 0)?;
+    let plan = table3::plan(Codec::Paper, SessionConfig::default(), 0)?;
     let resolution = plan.mapper.resolution;
     let mut sources = flown.sources(LIDAR_RANGE_M)?;
     sources.truncate(2);
@@ -70,7 +70,7 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
             }
             let node = &mut nodes[number];
             let report = node.mapper.insert(&frame.scan, &frame.pose, &frame.masks());
-            node.packer.note_scan(now);
+            node.packer.note_scan(now, &frame.pose);
             node.fusions.iter_mut().for_each(|fusion| fusion.own_scan(&node.mapper, &report));
             loop {
                 let started = Instant::now();

@@ -1,6 +1,10 @@
 //! Content for tests and benchmarks: random changes, and the changes of a LiDAR's flight through a small forest.
 #![allow(dead_code, reason = "each test file and the benchmark use a part of it")]
 
+mod random;
+
+pub(crate) use random::Random;
+
 use flockmap_codec::Cycle;
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use proptest::prelude::*;
@@ -15,22 +19,12 @@ pub(crate) fn resolution() -> Resolution {
 
 pub(crate) fn cycle() -> Cycle {
     let start = Stamp(1_700_000_000_000_000);
-    Cycle { stream: stream(), start, end: start.plus_micros(500_000), resolution: resolution() }
-}
-
-/// SplitMix64.
-pub(crate) struct Random(pub(crate) u64);
-
-impl Random {
-    pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    pub(crate) fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    Cycle {
+        stream: stream(),
+        start,
+        end: start.plus_micros(500_000),
+        resolution: resolution(),
+        sensor: [-900, -2_300, 16_100],
     }
 }
 

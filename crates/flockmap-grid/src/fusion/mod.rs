@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 
 use crate::layer::LAYER_BLOCK_BYTES_MAX;
 use crate::{
-    BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, Resolution, RobotId, ScanReport, Stamp,
-    State, StateBlock, Stream, Voxel, bit_of,
+    BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, PresentState, Resolution, RobotId,
+    ScanReport, Stamp, State, StateBlock, Stream, Voxel, bit_of,
 };
 use align::Alignment;
 pub use view::{MapView, RayEnd};
@@ -130,6 +130,27 @@ impl Fusion {
         changes: &Changes,
         stamp: Stamp,
     ) -> Result<usize, FusionError> {
+        self.check_room(stream, changes)?;
+        Ok(self.take_over(mapper, stream, |layer| layer.apply(changes, stamp)))
+    }
+
+    /// The same for a present state, or a tile of one: every voxel has its own stamp.
+    ///
+    /// # Errors
+    /// [`FusionError`] if the layers would grow beyond their limits; nothing is changed then.
+    pub fn apply_present(
+        &mut self,
+        mapper: &Mapper,
+        stream: Stream,
+        state: &PresentState,
+    ) -> Result<usize, FusionError> {
+        let blocks = state.parts.iter().flat_map(|(_, part)| part.blocks().iter().copied()).collect();
+        self.check_room(stream, &Changes::from_blocks(blocks))?;
+        Ok(self.take_over(mapper, stream, |layer| layer.apply_present(state)))
+    }
+
+    /// Whether the layer of a stream may hold the blocks of these changes.
+    fn check_room(&self, stream: Stream, changes: &Changes) -> Result<(), FusionError> {
         if !self.layers.contains_key(&stream) && self.layers.len() >= self.config.streams_max {
             return Err(FusionError::StreamsFull(stream, self.config.streams_max));
         }
@@ -144,9 +165,19 @@ impl Fusion {
                 });
             }
         }
+        Ok(())
+    }
+
+    /// Lets a layer take something over, and brings what it took into the fused map. Returns the number of voxels.
+    fn take_over(
+        &mut self,
+        mapper: &Mapper,
+        stream: Stream,
+        apply: impl FnOnce(&mut Layer) -> Vec<(BlockIndex, Plane)>,
+    ) -> usize {
         let layer = self.layers.entry(stream).or_default();
         let before = layer.block_count();
-        let taken = layer.apply(changes, stamp);
+        let taken = apply(layer);
         self.layer_blocks += layer.block_count() - before;
         let origin = self.origin(stream.origin);
         if stream != self.own && !origin.is_muted {
@@ -154,7 +185,14 @@ impl Fusion {
                 self.refresh(mapper, *index, mask);
             }
         }
-        Ok(taken.iter().flat_map(|(_, mask)| mask).map(|word| word.count_ones() as usize).sum())
+        taken.iter().flat_map(|(_, mask)| mask).map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// Notes where the sensor was in a cycle of a stream, if there is a layer of it: [`Layer::note_sensor`].
+    pub fn note_sensor(&mut self, stream: Stream, stamp: Stamp, sensor: [i32; 3]) {
+        if let Some(layer) = self.layers.get_mut(&stream) {
+            layer.note_sensor(stamp, sensor);
+        }
     }
 
     /// Forgets the layer of a stream.

@@ -220,3 +220,27 @@ fn under_the_byte_cap_the_farthest_blocks_are_forgotten_and_that_is_no_change() 
     assert_eq!(mapper.state(Voxel::new(6, 0, 0)), State::Unknown, "far behind");
     assert_eq!(mapper.state(Voxel::new(2 * 39 * 4 + 6, 0, 0)), State::Occupied, "just seen");
 }
+
+#[test]
+fn a_present_state_fuses_as_its_parts_do_and_leaves_no_past() {
+    let mapper = mapper();
+    let [a, b] = [Voxel::new(0, 0, 0), Voxel::new(1, 0, 0)];
+    let parts = vec![(Stamp(1), told(&[(a, State::Free)])), (Stamp(2), told(&[(b, State::Occupied)]))];
+    let region = VoxelBox::spanning(a, b).unwrap();
+    let mut one_by_one = Fusion::new(OWN, resolution(), FusionConfig::default());
+    for (stamp, part) in &parts {
+        one_by_one.apply(&mapper, stream(2), part, *stamp).unwrap();
+    }
+    let mut at_once = Fusion::new(OWN, resolution(), FusionConfig::default());
+    assert_eq!(
+        at_once.apply_present(&mapper, stream(2), &PresentState { region, parts, sensors: Vec::new() }),
+        Ok(2)
+    );
+    for voxel in [a, b] {
+        assert_eq!(at_once.map().state(voxel), one_by_one.map().state(voxel));
+    }
+    let layers = [&at_once, &one_by_one].map(|fusion| fusion.layer(stream(2)).unwrap());
+    assert_eq!(layers[0].digest(), layers[1].digest());
+    assert!(layers[0].block_before(a.block(), Stamp(2)).is_err());
+    assert!(layers[1].block_before(a.block(), Stamp(2)).is_ok());
+}

@@ -59,6 +59,9 @@ impl NodeConfig {
             t_l_ms: self.cycle.t_l_ms.unwrap_or(cycle.t_l_ms),
             t_l_occupied_ms: self.cycle.t_l_occupied_ms,
         };
+        if let Some(delay) = self.codec.repair_delay_max_ms {
+            config.repair_delay_max_ms = delay;
+        }
         if let Some(name) = &self.codec.name {
             config.codec = choose("[codec] name", name, &Codec::ALL.map(|codec| (codec.name(), codec)))?;
         }

@@ -120,8 +120,11 @@ pub struct CycleSection {
 #[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CodecSection {
-    /// `paper`, `nested-zlib`, `raw` or `racer`.
+    /// `flock`, `paper`, `nested-zlib`, `raw` or `racer`.
     pub name: Option<String>,
+    /// `flock` tells changes against what the others hold, and for so long at most they may lack a part of it: where repair takes
+    /// longer, cycles are told alone. 0: they never are.
+    pub repair_delay_max_ms: Option<u32>,
 }
 
 /// `[session]`: what is not given is as in [`flockmap::SessionConfig`].

@@ -92,6 +92,11 @@ impl Session {
             view.held = if stated.from > 1 { below.union(&stated.held) } else { stated.held.clone() };
             view.from = view.from.min(stated.from).max(view.held.keep_newest(VIEW_INTERVALS_MAX));
         }
+        for (&stream, view) in &mut peer.views {
+            let wanted = request.states_wanted.iter().find(|(wanted, _)| *wanted == stream);
+            let since = view.state_wanted.map_or(now, |(_, since)| since);
+            view.state_wanted = wanted.map(|&(_, upto)| (upto, since));
+        }
         for progress in request.transfers.iter().filter(|progress| progress.source == self.own.origin) {
             let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
             if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {

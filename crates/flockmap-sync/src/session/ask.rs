@@ -109,15 +109,13 @@ impl Session {
         self.gaps(now).next().is_some()
     }
 
-    /// The streams with gaps that somebody may fill now.
+    /// The streams with gaps that somebody may fill now, by packages or by a present state.
     fn gaps(&self, now: Stamp) -> impl Iterator<Item = Stream> + '_ {
         self.store.streams().filter(move |&stream| {
+            let newest = self.store.newest_known(stream);
             stream != self.own
-                && self.store.missing(stream).any(|(low, high)| {
-                    // Rejected packages are not asked for until their pause is over.
-                    u64::from(high - low) >= self.refused.len() as u64
-                        || (low..=high).any(|index| !self.is_refused(Item::Package { stream, index }, now))
-                })
+                && (self.given_up.contains_key(&stream)
+                    || self.stated_as_held(stream, now).missing(1, newest).next().is_some())
         })
     }
 
@@ -246,14 +244,17 @@ impl Session {
             held.rotate_left(start);
         }
         let transfers = self.incoming.iter().map(|incoming| {
-            let refused = self.refused.iter().filter_map(|(&item, &until)| match item {
-                Item::Tile { stream, set, tile }
-                    if stream == incoming.stream && set == incoming.set && until > now =>
-                {
+            let number = |item: Item| match item {
+                Item::Tile { stream, set, tile } if stream == incoming.stream && set == incoming.set => {
                     Some((tile + 1, tile + 1))
                 }
                 _ => None,
-            });
+            };
+            let refused = self.refused.iter().filter(|(_, until)| **until > now);
+            let refused = refused.filter_map(|(item, _)| number(*item));
+            // The driver has it, and lets it wait.
+            let undecided = self.undecided.iter().filter(|(_, source)| *source == incoming.source);
+            let undecided = undecided.filter_map(|(item, _)| number(*item));
             TransferProgress {
                 source: incoming.source,
                 stream: incoming.stream,
@@ -261,7 +262,7 @@ impl Session {
                 set: incoming.set,
                 tiles: incoming.tiles,
                 from: 1,
-                accepted: union_with(&incoming.accepted, refused.collect()),
+                accepted: union_with(&incoming.accepted, refused.chain(undecided).collect()),
             }
         });
         let mut transfers: Vec<TransferProgress> = transfers.collect();
@@ -278,19 +279,29 @@ impl Session {
             transfers,
             floors: self.store.floors().iter().map(|(&robot, &epoch)| (robot, epoch)).collect(),
             clocks: self.clock_reports(),
+            states_wanted: self
+                .given_up
+                .iter()
+                .filter_map(|(&stream, given_up)| Some((stream, given_up.last()?)))
+                .collect(),
         }
     }
 
-    /// What is held, and what was rejected a moment ago: nobody shall send that just now.
+    /// What is held, and what nobody shall send just now: what waits for a verdict, what was rejected a moment ago, and what
+    /// only a present state can bring.
     fn stated_as_held(&self, stream: Stream, now: Stamp) -> IntervalSet {
         let Some(held) = self.store.held(stream) else { return IntervalSet::new(0) };
         let of_stream = |index| Item::Package { stream, index };
-        let refused =
-            self.refused.range(of_stream(0)..=of_stream(u32::MAX)).filter_map(|(&item, &until)| match item {
-                Item::Package { index, .. } if until > now => Some((index, index)),
-                _ => None,
-            });
-        union_with(held, refused.collect())
+        let index = |item: Item| match item {
+            Item::Package { index, .. } => Some((index, index)),
+            Item::Tile { .. } => None,
+        };
+        let refused = self.refused.range(of_stream(0)..=of_stream(u32::MAX));
+        let refused = refused.filter(|(_, until)| **until > now).filter_map(|(item, _)| index(*item));
+        let ends = (of_stream(0), RobotId(0))..=(of_stream(u32::MAX), RobotId(u16::MAX));
+        let undecided = self.undecided.range(ends).filter_map(|(item, _)| index(*item));
+        let given_up = self.given_up.get(&stream).map(IntervalSet::intervals).unwrap_or_default();
+        union_with(held, refused.chain(undecided).chain(given_up.iter().copied()).collect())
     }
 
     /// Clocks of peers that somebody else here cannot hear.
@@ -348,6 +359,8 @@ impl Session {
         }
         self.incoming.retain(|incoming| incoming.stream != stream);
         self.outgoing.retain(|outgoing| outgoing.stream != stream);
+        self.undecided.retain(|(item, _)| item.stream() != stream);
+        self.given_up.remove(&stream);
         self.present_asked.remove(&stream);
         self.measured_offsets.remove(&stream);
         self.push_event(Event::StreamForgotten(stream));

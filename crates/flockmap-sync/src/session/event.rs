@@ -8,7 +8,11 @@ use flockmap_grid::{RobotId, Stream};
 #[non_exhaustive]
 pub enum Event {
     /// A package or tile that was not held before. Decode and merge it, then call [`accept`](crate::Session::accept), or
-    /// [`reject`](crate::Session::reject) if it does not decode, before any other input. Until then it is not held.
+    /// [`reject`](crate::Session::reject) if it does not decode, or [`give_up`](crate::Session::give_up) if it never will.
+    ///
+    /// A package whose `reference` is not held yet may be kept undecided for as long as need be. Meanwhile nobody is asked for it, and it is
+    /// given to nobody; it is not delivered again either, so the driver keeps it, and rejects it if it has no room. If a
+    /// present state that contains it becomes complete, it needs no verdict any more: see [`Self::CaughtUp`].
     Received(Package),
     /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
     /// more. Encode the layer of the stream as tiles with index `upto` and call
@@ -21,7 +25,8 @@ pub enum Event {
         /// The peer that misses it.
         peer: RobotId,
     },
-    /// All tiles of a present state are accepted: packages 1 to `upto` of the stream now count as held.
+    /// All tiles of a present state are accepted: packages 1 to `upto` of the stream now count as held. Undecided ones among
+    /// them are to be dropped.
     CaughtUp {
         /// The stream.
         stream: Stream,

@@ -59,6 +59,8 @@ pub(super) struct View {
     /// What was missing at some earlier request, and when that was.
     pub(super) missing_then: (Stamp, IntervalSet),
     pub(super) sending: Option<Sending>,
+    /// The peer wants a present state that contains this package, and since when it has said so.
+    pub(super) state_wanted: Option<(u32, Stamp)>,
 }
 
 impl View {
@@ -70,6 +72,7 @@ impl View {
             overdue: IntervalSet::new(VIEW_INTERVALS_MAX),
             missing_then: (now, IntervalSet::new(VIEW_INTERVALS_MAX)),
             sending: None,
+            state_wanted: None,
         }
     }
 

@@ -110,9 +110,12 @@ impl Session {
         let Some(held) = self.store.held(stream) else { return };
         let prefix = held.prefix();
         let Some(view) = peer.view(stream, now) else { return };
+        let wanted = view.state_wanted;
         if let Some(sending) = &view.sending {
             let kept = self.outgoing.iter().any(|o| o.stream == stream && o.set == sending.set);
-            if kept && !view.held.contains_range(1, sending.upto) {
+            // What it cannot decode it states as held.
+            let lacks = wanted.is_some_and(|(index, _)| index <= sending.upto);
+            if kept && (lacks || !view.held.contains_range(1, sending.upto)) {
                 return;
             }
             view.sending = None;
@@ -121,21 +124,29 @@ impl Session {
         if turn > 0 {
             missing = missing.intersection(&view.overdue);
         }
-        if missing.is_empty() {
+        // Those further down the line wait whether others give it.
+        let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
+        let wanted = wanted.filter(|&(upto, since)| upto <= prefix && now.micros_since(since) >= delay);
+        let wanted = wanted.map(|(upto, _)| upto);
+        if missing.is_empty() && wanted.is_none() {
             return;
         }
         let all = self.weigh(stream, &missing, prefix);
         // The newest state at hand, if any, tells what one costs.
         let at_hand = self.outgoing.iter_mut().rev().find(|outgoing| outgoing.stream == stream);
         let cost = at_hand.as_ref().map_or(0, |outgoing| outgoing.bytes as u64);
-        if !self.config.present_state_is_worth(&all, cost) {
+        if wanted.is_none() && !self.config.present_state_is_worth(&all, cost) {
             return;
         }
         if let Some(upto) = at_hand.as_ref().map(|outgoing| outgoing.upto) {
             let covered = self.weigh(stream, &missing, upto);
             let rest = all.bytes - covered.bytes;
+            let is_enough = match wanted {
+                Some(wanted) => upto >= wanted,
+                None => self.config.present_state_is_worth(&covered, cost),
+            };
             if covered.unstored == all.unstored
-                && self.config.present_state_is_worth(&covered, cost)
+                && is_enough
                 && rest <= (cost / 2).max(u64::from(self.config.present_state_bytes_min.unwrap_or(0)))
             {
                 let Some(outgoing) = self.outgoing.iter_mut().rev().find(|o| o.stream == stream) else {

@@ -12,6 +12,8 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 const REFUSED_FOR: i64 = 10_000_000;
 /// Rejected packages remembered; of more, the one whose pause ends first is asked for again.
 const REFUSED_MAX: usize = 1_024;
+/// Intervals in the indices given up of one stream.
+const GIVEN_UP_INTERVALS_MAX: usize = 64;
 
 impl Session {
     pub(super) fn receive_packages(&mut self, now: Stamp, sender: Stream, packages: Vec<Package>) {
@@ -84,6 +86,7 @@ impl Session {
                     let same = same.filter(|(_, other)| other.stream == stream && other.source == from);
                     if let Some((oldest, _)) = same.min_by_key(|(_, other)| other.touched) {
                         self.incoming.remove(oldest);
+                        self.forget_tiles_of_nothing();
                     }
                 }
                 if self.incoming.len() >= self.config.transfers_max {
@@ -104,15 +107,21 @@ impl Session {
     }
 
     fn deliver(&mut self, now: Stamp, from: RobotId, item: Item, held: bool, package: Package) {
-        if held || self.undecided.iter().any(|&(other, source)| other == item && source == from) {
+        let is_undecided = match item {
+            // Whoever it came from, it is the same.
+            Item::Package { .. } => self.is_undecided(item),
+            // Tiles count for the robot that they came from.
+            Item::Tile { .. } => self.undecided.contains(&(item, from)),
+        };
+        if held || is_undecided {
             self.counters.duplicates += 1;
-        } else if self.is_refused(item, now) {
+        } else if self.is_refused(item, now) || self.is_given_up(item) {
             self.counters.rejected += 1;
         } else if self.undecided.len() >= EVENTS_MAX || self.events.len() >= EVENTS_MAX {
             self.counters.events_overflowed += 1;
         } else {
             self.counters.received += 1;
-            self.undecided.push_back((item, from));
+            self.undecided.insert((item, from));
             self.events.push_back(Event::Received(package));
         }
     }
@@ -121,13 +130,15 @@ impl Session {
     /// A package that is not waiting for a verdict is ignored.
     pub fn accept(&mut self, now: Stamp, package: &Package) {
         let now = self.advance(now);
-        let Some((item, from)) = self.take_undecided(package) else { return };
-        self.refused.remove(&item);
-        match item {
-            Item::Package { stream, index } => self.accept_changes(now, stream, index, package),
-            Item::Tile { stream, set, tile } => self.accept_tile(now, from, stream, set, tile),
+        // A tile may have come from several.
+        while let Some((item, from)) = self.take_undecided(package) {
+            self.refused.remove(&item);
+            match item {
+                Item::Package { stream, index } => self.accept_changes(now, stream, index, package),
+                Item::Tile { stream, set, tile } => self.accept_tile(now, from, stream, set, tile),
+            }
+            self.note_activity(now);
         }
-        self.note_activity(now);
     }
 
     fn accept_changes(&mut self, now: Stamp, stream: Stream, index: u32, package: &Package) {
@@ -159,6 +170,20 @@ impl Session {
         self.finish_transfers(now);
     }
 
+    /// The driver has let go of what the tiles of a present state said, and needs all of them again to go on: those accepted or
+    /// undecided count no more. Rejected ones stay so for their time.
+    pub fn restart_present_state(&mut self, now: Stamp, stream: Stream, set: u32) {
+        let now = self.advance(now);
+        for incoming in self.incoming.iter_mut().filter(|i| i.stream == stream && i.set == set) {
+            incoming.accepted = IntervalSet::new(HELD_INTERVALS_MAX);
+        }
+        let is_of_set =
+            |item: &Item| matches!(item, Item::Tile { stream: s, set: n, .. } if *s == stream && *n == set);
+        self.undecided.retain(|(item, _)| !is_of_set(item));
+        self.counters.present_states_restarted += 1;
+        self.note_gap(now, true);
+    }
+
     /// Counts as held what completely received present states contain; lets go of transfers that are done,
     /// overtaken or abandoned.
     pub(super) fn finish_transfers(&mut self, now: Stamp) {
@@ -167,6 +192,7 @@ impl Session {
         for (stream, upto) in complete {
             match self.store.hold(stream, 1, upto) {
                 Ok(_) => {
+                    self.settle_upto(stream, upto);
                     self.counters.caught_up += 1;
                     self.push_event(Event::CaughtUp { stream, upto });
                     self.mark_queues_stale();
@@ -178,16 +204,72 @@ impl Session {
             }
         }
         let store = &self.store;
+        let before = self.incoming.len();
         self.incoming.retain(|incoming| {
             let held = store.held(incoming.stream).is_some_and(|held| held.contains_range(1, incoming.upto));
             !held && !incoming.is_abandoned(now)
         });
+        if self.incoming.len() < before {
+            self.forget_tiles_of_nothing();
+        }
+    }
+
+    /// Tiles of transfers that are gone need no verdict any more.
+    fn forget_tiles_of_nothing(&mut self) {
+        let incoming = &self.incoming;
+        self.undecided.retain(|&(item, from)| match item {
+            Item::Package { .. } => true,
+            Item::Tile { stream, set, .. } => {
+                incoming.iter().any(|i| (i.source, i.stream, i.set) == (from, stream, set))
+            }
+        });
+    }
+
+    /// What the packages of a stream up to this one say is known: those that waited for a verdict, or for a present state, need none.
+    fn settle_upto(&mut self, stream: Stream, upto: u32) {
+        let of_stream = |index| (Item::Package { stream, index }, RobotId(0));
+        let settled: Vec<_> = self
+            .undecided
+            .range(of_stream(0)..=(Item::Package { stream, index: upto }, RobotId(u16::MAX)))
+            .copied()
+            .collect();
+        for entry in settled {
+            self.undecided.remove(&entry);
+        }
+        if let Some(given_up) = self.given_up.get_mut(&stream) {
+            *given_up = given_up.within(upto.saturating_add(1), u32::MAX);
+            if given_up.is_empty() {
+                self.given_up.remove(&stream);
+            }
+        }
+    }
+
+    /// The package of an [`Event::Received`] can never be decoded here, since what it was coded against is gone. It is not asked for
+    /// again: the others are asked for a present state that contains it. When that is complete, it counts as held. A
+    /// tile, or one package too many (the indices of a stream are kept as at most 64 intervals), is rejected.
+    pub fn give_up(&mut self, now: Stamp, package: &Package) {
+        let now = self.advance(now);
+        let Some((item, _)) = self.take_undecided(package) else { return };
+        if let Item::Package { stream, index } = item {
+            let nothing = || IntervalSet::new(GIVEN_UP_INTERVALS_MAX);
+            if self.given_up.entry(stream).or_insert_with(nothing).insert(index).is_ok() {
+                self.counters.given_up += 1;
+                self.note_gap(now, true);
+                return;
+            }
+        }
+        self.refuse(now, item);
     }
 
     /// The package of an [`Event::Received`] does not decode: it is dropped and asked for again after 10 s.
     pub fn reject(&mut self, now: Stamp, package: &Package) {
         let now = self.advance(now);
-        let Some((item, _)) = self.take_undecided(package) else { return };
+        while let Some((item, _)) = self.take_undecided(package) {
+            self.refuse(now, item);
+        }
+    }
+
+    fn refuse(&mut self, now: Stamp, item: Item) {
         self.counters.rejected += 1;
         self.refused.retain(|_, until| *until > now);
         if self.refused.len() >= REFUSED_MAX
@@ -204,8 +286,22 @@ impl Session {
             ContentKind::Changes => Item::Package { stream: header.stream, index: header.index },
             ContentKind::Present { set, tile, .. } => Item::Tile { stream: header.stream, set, tile },
         };
-        let at = self.undecided.iter().position(|(other, _)| *other == item)?;
-        self.undecided.remove(at)
+        let entry = *self.undecided.range((item, RobotId(0))..=(item, RobotId(u16::MAX))).next()?;
+        self.undecided.remove(&entry);
+        Some(entry)
+    }
+
+    pub(super) fn is_undecided(&self, item: Item) -> bool {
+        self.undecided.range((item, RobotId(0))..=(item, RobotId(u16::MAX))).next().is_some()
+    }
+
+    fn is_given_up(&self, item: Item) -> bool {
+        match item {
+            Item::Package { stream, index } => {
+                self.given_up.get(&stream).is_some_and(|given_up| given_up.contains(index))
+            }
+            Item::Tile { .. } => false,
+        }
     }
 }
 

@@ -12,6 +12,7 @@ const HELD: u8 = 2;
 const TRANSFER: u8 = 3;
 const FLOORS: u8 = 4;
 const CLOCKS: u8 = 5;
+const STATES_WANTED: u8 = 6;
 
 const ALL_STREAMS: u8 = 1;
 const ALL_ECHOES: u8 = 2;
@@ -102,6 +103,9 @@ pub struct Request {
     pub floors: Vec<(RobotId, u32)>,
     /// What it knows of others' clocks.
     pub clocks: Vec<ClockReport>,
+    /// Streams with packages that it cannot decode any more, and the newest such package: it wants a present state that contains
+    /// that one. It states these packages as held, so that nobody sends them.
+    pub states_wanted: Vec<(Stream, u32)>,
 }
 
 impl Request {
@@ -122,6 +126,7 @@ impl Request {
                 TRANSFER => (request.read_transfer(&mut reader, intervals_max), "transfer"),
                 FLOORS => (request.read_floors(&mut reader), "floor"),
                 CLOCKS => (request.read_clocks(&mut reader), "clock"),
+                STATES_WANTED => (request.read_states_wanted(&mut reader), "wish for a present state"),
                 _ => continue,
             };
             read.ok_or_else(|| datagram.malformed(what))?;
@@ -175,8 +180,15 @@ impl Request {
         Some(())
     }
 
+    fn read_states_wanted(&mut self, reader: &mut Reader<'_>) -> Option<()> {
+        while !reader.is_empty() {
+            self.states_wanted.push((read_stream(reader)?, reader.varint_u32()?));
+        }
+        Some(())
+    }
+
     /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]). What does not fit is
-    /// cut: echoes, floors and clocks get at most a quarter of the room, held lists lose their oldest part, then
+    /// cut: echoes, floors and clocks get at most a quarter of the room, wishes for present states an eighth, held lists lose their oldest part, then
     /// whole streams are left out, of transfers what is more than half of the room; the request says so. `all_streams` and `all_echoes` of `self` are what they
     /// are to be if nothing is cut. Put what matters most first in each list.
     pub fn emit(&self, header: DatagramHeader, bytes_max: usize) -> Vec<u8> {
@@ -216,6 +228,14 @@ impl Request {
             }
         }
         put_unless_empty(&mut out, CLOCKS, &mut content);
+
+        for (stream, upto) in &self.states_wanted {
+            if content.len() + 13 <= list_max / 2 {
+                put_stream(&mut content, *stream);
+                put_varint(&mut content, u64::from(*upto));
+            }
+        }
+        put_unless_empty(&mut out, STATES_WANTED, &mut content);
 
         // Lists of held indices leave half of the room to transfers that need it: a transfer that is not named
         // would be sent for ever.

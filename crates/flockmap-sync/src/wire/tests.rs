@@ -43,13 +43,14 @@ fn sample() -> Request {
         }],
         floors: vec![(RobotId(300), 1_600_000_000)],
         clocks: vec![ClockReport { robot: RobotId(9), epoch_low: 1, offset_micros: -1_500 }],
+        states_wanted: vec![(other, 777)],
     }
 }
 
 fn package(index: u32) -> Package {
     let stream = Stream { origin: RobotId(7), epoch: 3 };
     let resolution = Resolution::from_metres(0.1).unwrap();
-    let cycle = Cycle { stream, start: Stamp(1_000), end: Stamp(2_000), resolution };
+    let cycle = Cycle { stream, start: Stamp(1_000), end: Stamp(2_000), resolution, sensor: [0; 3] };
     let changes =
         Changes::from_voxels([(Voxel::new(1, 2, 3), State::Free), (Voxel::new(1, 2, 4), State::Occupied)]);
     Encoder::new().encode_whole(Codec::Raw, &cycle, index, &changes).unwrap()
@@ -86,9 +87,9 @@ fn golden_datagrams() {
     assert_eq!(head[check.end..], format!("10{:02x}", package.bytes().len()));
 }
 
-const GOLDEN_LAYOUT: u32 = 3_459_344_274;
-const GOLDEN_REQUEST: &str = "464d010102010700030000007766554433221100d0e81d39\
-    03010a2c01cdab78563412e8070407ac0280a0f8fa050505090100b717020607030100c7\
+const GOLDEN_LAYOUT: u32 = 922_483_010;
+const GOLDEN_REQUEST: &str = "464d01010201070003000000776655443322110036d842ce\
+    03010a2c01cdab78563412e8070407ac0280a0f8fa050505090100b7170609ac0280e2cfaa068906020607030100c7\
     010210ac0280e2cfaa0605000401009e02c801031407ac0280e2cfaa06e807efbeadde280100020300";
 const GOLDEN_PACKAGES_HEADER: &str = "464d010202010700030000007766554433221100";
 
@@ -231,6 +232,7 @@ proptest! {
             transfers: vec![TransferProgress { source: stream.origin, stream, upto: epoch, set: epoch, tiles: epoch, from, accepted: held }],
             floors: vec![(stream.origin, epoch)],
             clocks: vec![ClockReport { robot: stream.origin, epoch_low: 5, offset_micros }],
+            states_wanted: vec![(stream, epoch)],
             ..Request::default()
         };
         let bytes = request.emit(DatagramHeader { stamp: Stamp(stamp), ..HEADER }, 1_200);

@@ -2,7 +2,7 @@
 //! and duplicates. No wall time, no sockets: the same seed gives the same run.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
-use flockmap_codec::{Codec, Content, Cycle, Encoder, PACKAGE_BYTES_MAX};
+use flockmap_codec::{Codec, Content, ContentKind, Cycle, Encoder, PACKAGE_BYTES_MAX, Package};
 use flockmap_grid::{Changes, Layer, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_sync::{Cast, Destination, Event, Session, SessionConfig};
 use std::cmp::Reverse;
@@ -58,6 +58,11 @@ pub(crate) struct Robot {
     pub(crate) sent: Vec<(i64, usize, usize)>,
     /// Decline present states.
     pub(crate) no_present_state: bool,
+    /// Packages of this origin with these indices are kept undecided, or given up.
+    pub(crate) keeps: Vec<(RobotId, u32)>,
+    pub(crate) gives_up: Vec<(RobotId, u32)>,
+    /// What is kept undecided.
+    pub(crate) undecided: Vec<Package>,
     encoder: Encoder,
     cycle_end: Stamp,
 }
@@ -130,6 +135,9 @@ impl Swarm {
             events: Vec::new(),
             sent: Vec::new(),
             no_present_state: false,
+            keeps: Vec::new(),
+            gives_up: Vec::new(),
+            undecided: Vec::new(),
             encoder: Encoder::new(),
             cycle_end: Stamp(i64::MIN),
         };
@@ -170,7 +178,7 @@ impl Swarm {
             let voxel = Voxel::new(place + at(24), at(24), at(12));
             (voxel, if at(4) == 0 { State::Occupied } else { State::Free })
         }));
-        let cycle = Cycle { stream: own, start: end, end, resolution };
+        let cycle = Cycle { stream: own, start: end, end, resolution, sensor: [0; 3] };
         let first = robot.session.store().newest_known(own) + 1;
         let packages =
             robot.encoder.encode_cycle(Codec::Raw, &cycle, first, &changes, PACKAGE_BYTES_MAX).unwrap();
@@ -191,6 +199,15 @@ impl Swarm {
             match event {
                 Event::Received(package) => {
                     let header = *package.header();
+                    let named = (header.stream.origin, header.index);
+                    if header.content == ContentKind::Changes && robot.keeps.contains(&named) {
+                        robot.undecided.push(package);
+                        continue;
+                    }
+                    if header.content == ContentKind::Changes && robot.gives_up.contains(&named) {
+                        robot.session.give_up(now, &package);
+                        continue;
+                    }
                     match package.decode().unwrap() {
                         Content::Changes(changes) => {
                             let held = robot.session.held(header.stream).unwrap();

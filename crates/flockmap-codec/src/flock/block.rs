@@ -1,0 +1,423 @@
+//! The changes of one block as decisions.
+//!
+//! Rows of eight voxels go from the slice that is farthest from the sensor to the nearest, see `cells.rs`. What is known
+//! already is settled eight voxels at a time; each unknown voxel beside a change is a decision with two contexts: the cells
+//! around it, and the cells along the ray from the sensor through it. Where nothing has changed beyond a slice, one decision
+//! is for its 64 voxels.
+
+use flockmap_grid::StateBlock;
+
+use super::cells::{
+    Bits, Neighbourhood, Plane, ROW, Row, SLICE, STATES, Turn, free, middle, new, occupied, unknown,
+};
+use super::decide::{Decide, RowKind, UnknownRow};
+
+// Contexts of flags. The first 2,268 are for the flag of a block, see `block_flag`.
+const FREE_TO_OCCUPIED_IN_BLOCK: usize = 2_300;
+const OCCUPIED_TO_FREE_IN_BLOCK: usize = 2_400;
+const FREE_TO_OCCUPIED: usize = 2_500;
+const OCCUPIED_TO_FREE: usize = 2_550;
+
+const FREE_TO_OCCUPIED_IN_ROW: usize = 2_560;
+const OCCUPIED_TO_FREE_IN_ROW: usize = 2_570;
+const SURE_ROW: usize = 2_580;
+const COLD_ROW: usize = 2_600;
+const COLD_SLICE: usize = 2_640;
+
+/// The context of the flag that says whether a block has changes. `beyond` says of the neighbours beyond it along x, y and z, and along
+/// two or three axes, whether they have: 0 not told, 1 no, 2 yes.
+pub(crate) fn block_flag(beyond: [u8; 3], diagonal: [u8; 4], known: Known) -> usize {
+    let [x, y, z] = beyond.map(usize::from);
+    let is_changed = |state: u8| usize::from(state == 2);
+    let [xy, xz, yz, xyz] = diagonal.map(is_changed);
+    ((x + 3 * y + 9 * z) * 4 + (xy + xz + yz).min(2) + xyz) * 21 + known.free_class * 3 + known.occupied_class
+}
+
+/// How much of a block is known, in classes.
+#[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
+pub(crate) struct Known {
+    /// 0 … 6.
+    free_class: usize,
+    /// 0 … 2.
+    occupied_class: usize,
+    has_free: bool,
+    has_occupied: bool,
+}
+
+impl Known {
+    pub(crate) fn of(states: &StateBlock) -> Self {
+        let (free, occupied) = (states.free(), states.occupied());
+        let touched = free.iter().filter(|slice| **slice != 0).count();
+        let full = free.iter().zip(occupied).filter(|(f, o)| **f | **o == u64::MAX).count();
+        let free_class = match (touched, full) {
+            (0, _) => 0,
+            (1..=2, 0) => 1,
+            (3..=6, 0) => 2,
+            (_, 0) => 3,
+            (_, 1..=4) => 4,
+            (_, 5..=7) => 5,
+            (_, _) => 6,
+        };
+        let occupied_class = match occupied.iter().filter(|slice| **slice != 0).count() {
+            0 => 0,
+            1..=2 => 1,
+            _ => 2,
+        };
+        Self { free_class, occupied_class, has_free: touched != 0, has_occupied: occupied_class != 0 }
+    }
+
+    fn class(&self) -> usize {
+        self.free_class * 8 + self.occupied_class
+    }
+}
+
+/// New states of a block in turned planes.
+#[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
+pub(crate) struct TurnedChanges {
+    pub(crate) free: Plane,
+    pub(crate) occupied: Plane,
+}
+
+impl TurnedChanges {
+    pub(crate) fn of(changes: &StateBlock, turn: Turn) -> Self {
+        Self { free: turn.turned(changes.free()), occupied: turn.turned(changes.occupied()) }
+    }
+
+    #[inline]
+    fn row(&self, y: usize, z: usize) -> Bits {
+        let of = |plane: &Plane| (plane[z & 7] >> (8 * (y & 7))) as u8;
+        Bits { free: of(&self.free), occupied: of(&self.occupied) }
+    }
+}
+
+/// Where the sensor is, seen from the middle of a block: along the axes as turned, in sixteenths of a voxel, towards the side on
+/// which it is, so never negative.
+pub(crate) type Distance = [i32; 3];
+
+/// Makes the decisions of a block that has changes; `truth` is what a writer wants to tell, and `turns` whether any Free voxel becomes
+/// Occupied by it and any Occupied one Free. Returns what was told, and leaves it in `cells`.
+pub(crate) fn code<D: Decide>(
+    decide: &mut D,
+    cells: &mut Neighbourhood,
+    distance: Distance,
+    before: Known,
+    truth: &TurnedChanges,
+    turns: [bool; 2],
+) -> TurnedChanges {
+    let to_occupied = before.has_free && decide.flag(FREE_TO_OCCUPIED_IN_BLOCK + before.class(), turns[0]);
+    let to_free = before.has_occupied && decide.flag(OCCUPIED_TO_FREE_IN_BLOCK + before.class(), turns[1]);
+    let mut block = Block {
+        decide,
+        cells,
+        told: TurnedChanges::default(),
+        rays: Rays::of(distance),
+        is_surprised: false,
+        is_expected: false,
+    };
+    for z in 0..8 {
+        block.is_expected = false;
+        if !to_occupied && !to_free && block.is_quiet(z, truth) {
+            continue;
+        }
+        block.rays.enter(z);
+        for y in 0..8 {
+            let at = Neighbourhood::place(y, z);
+            let truth = if D::KNOWS { truth.row(y, z) } else { Bits { free: 0, occupied: 0 } };
+            let own = middle(block.cells.row(at));
+            if to_occupied && free(own) != 0 {
+                block.free_to_occupied(at, own, truth);
+            }
+            if to_free && occupied(own) != 0 {
+                block.occupied_to_free(at, own, truth);
+            }
+            if unknown(own) != 0 {
+                block.unknown(at, own, truth);
+            }
+        }
+    }
+    block.told
+}
+
+/// The rays from the sensor through the voxels of a block.
+struct Rays {
+    distance: Distance,
+    /// Whether the axis of a slice along which the sensor is farther away is the one from row to row.
+    is_by_rows: bool,
+    /// Of the slice under way.
+    reciprocal: u64,
+    slope_x: usize,
+}
+
+/// 65,536 / (8·n + 4): one divided by a distance of n half voxels.
+static RECIPROCAL: [u32; 1024] = {
+    let mut table = [0; 1024];
+    let mut n = 0;
+    while n < 1024 {
+        table[n] = 65_536 / (8 * n as u32 + 4);
+        n += 1;
+    }
+    table
+};
+
+impl Rays {
+    fn of(distance: Distance) -> Self {
+        Self { distance, is_by_rows: distance[1] >= distance[0], reciprocal: 0, slope_x: 0 }
+    }
+
+    #[inline]
+    fn enter(&mut self, z: usize) {
+        let along = (self.distance[2] + 56 - 16 * z as i32).max(0);
+        self.reciprocal = u64::from(RECIPROCAL[((along >> 3) as usize).min(1023)]);
+        self.slope_x = self.slope(self.distance[0]);
+    }
+
+    /// How far the rays through the middle of a row move along an axis with each slice, in sixteenths of a voxel: 0 … 16.
+    #[inline]
+    fn slope(&self, along: i32) -> usize {
+        ((along.max(0) as u64 * self.reciprocal) >> 12).min(16) as usize
+    }
+
+    #[inline]
+    fn slope_y(&self, y: usize) -> usize {
+        self.slope(self.distance[1] + 56 - 16 * y as i32)
+    }
+}
+
+struct Block<'a, D> {
+    decide: &'a mut D,
+    cells: &'a mut Neighbourhood,
+    told: TurnedChanges,
+    rays: Rays,
+    /// A row was told of although nothing beyond it had changed.
+    is_surprised: bool,
+    /// The slice has changes although nothing beyond it had, and none was found yet.
+    is_expected: bool,
+}
+
+impl<D: Decide> Block<'_, D> {
+    /// Whether a slice has no changes, if nothing beyond it has.
+    #[inline]
+    fn is_quiet(&mut self, z: usize, truth: &TurnedChanges) -> bool {
+        let at = Neighbourhood::place(0, z);
+        let row = |at: usize| self.cells.row(at);
+        let (mut own, mut over) = (0, row(at - SLICE - ROW));
+        for y in 0..8 {
+            own |= row(at + y * ROW);
+            over |= row(at + y * ROW - SLICE);
+        }
+        let behind = own | over | row(at - ROW);
+        if new(middle(behind | behind << 1)) != 0 {
+            return false;
+        }
+        let mut under = row(at + 8 * ROW);
+        let mut unknown_rows = 0;
+        for y in 0..8 {
+            unknown_rows += usize::from(unknown(middle(row(at + y * ROW))) != 0);
+            under |= row(at + y * ROW + SLICE);
+        }
+        if unknown_rows == 0 {
+            return true;
+        }
+        let before = under | own >> 1;
+        let class = if middle(own | behind | behind << 1 | before) & STATES == 0 {
+            0
+        } else {
+            1 + usize::from(occupied(middle(behind)) != 0)
+                + 2 * usize::from(occupied(middle(under)) != 0)
+                + 4 * usize::from(middle(before) & STATES != 0)
+                + 8 * usize::from(self.is_surprised)
+        };
+        let class = class * 3 + usize::from(unknown_rows > 2) + usize::from(unknown_rows > 5);
+        self.is_expected = self.decide.flag(COLD_SLICE + class, (truth.free[z] | truth.occupied[z]) != 0);
+        !self.is_expected
+    }
+
+    /// Free voxels in which an obstacle appeared.
+    fn free_to_occupied(&mut self, at: usize, own: Row, truth: Bits) {
+        let voxels = free(own);
+        let row = |at: usize| self.cells.row(at);
+        let around = middle(row(at - SLICE) | row(at + SLICE) | row(at - ROW) | row(at + ROW)) | own;
+        let class = usize::from(occupied(around) != 0)
+            + 2 * usize::from(occupied(own) != 0)
+            + 4 * usize::from(new(around) != 0);
+        if !self.decide.flag(FREE_TO_OCCUPIED_IN_ROW + class, truth.occupied & voxels != 0) {
+            return;
+        }
+        let mut left = voxels;
+        while left != 0 {
+            let bit = left & left.wrapping_neg();
+            left ^= bit;
+            let shifted = |at: usize, by: isize| self.cells.shifted(at, by);
+            let beyond = [shifted(at, -1), shifted(at - ROW, 0), shifted(at - SLICE, 0)];
+            let within = [shifted(at, 1), shifted(at + ROW, 0), shifted(at + SLICE, 0)];
+            let count =
+                |rows: &[Row; 3], of: fn(Row) -> u8| rows.iter().filter(|row| of(**row) & bit != 0).count();
+            let beside = count(&beyond, occupied) + count(&within, occupied);
+            let context = FREE_TO_OCCUPIED + beside.min(3) * 4 + count(&beyond, new);
+            if self.decide.flag(context, truth.occupied & bit != 0) {
+                self.tell(at, Bits { free: 0, occupied: bit });
+            }
+        }
+    }
+
+    /// Obstacles that are gone.
+    fn occupied_to_free(&mut self, at: usize, own: Row, truth: Bits) {
+        let voxels = occupied(own);
+        if self.decide.flag(OCCUPIED_TO_FREE_IN_ROW, truth.free & voxels != 0) {
+            let mut left = voxels;
+            while left != 0 {
+                let bit = left & left.wrapping_neg();
+                left ^= bit;
+                if self.decide.flag(OCCUPIED_TO_FREE, truth.free & bit != 0) {
+                    self.tell(at, Bits { free: bit, occupied: 0 });
+                }
+            }
+        }
+    }
+
+    /// Unknown voxels that were seen.
+    #[inline]
+    fn unknown(&mut self, at: usize, own: Row, truth: Bits) {
+        let voxels = unknown(own);
+        let kind = match self.row_class(at, own, voxels) {
+            RowClass::Cold(class) => {
+                if !self.decide.flag(COLD_ROW + class, (truth.free | truth.occupied) & voxels != 0) {
+                    return;
+                }
+                self.is_surprised = true;
+                self.is_expected = false;
+                RowKind::Surprise
+            }
+            RowClass::Sure(class) => {
+                if !self.decide.flag(SURE_ROW + class, truth.free & voxels != voxels) {
+                    self.tell(at, Bits { free: voxels, occupied: 0 });
+                    return;
+                }
+                RowKind::Ordinary
+            }
+            RowClass::Hot => RowKind::Ordinary,
+        };
+        let row = self.contexts(at, voxels, kind);
+        let told = self.decide.row(&row, truth);
+        self.tell(at, told);
+    }
+
+    #[inline]
+    fn row_class(&self, at: usize, own: Row, voxels: u8) -> RowClass {
+        let row = |at: usize| self.cells.row(at);
+        let fresh = row(at);
+        let [over, over_row, beside] = [row(at - SLICE), row(at - SLICE - ROW), row(at - ROW)];
+        let beyond = over | over_row | beside;
+        let behind = middle(beyond | beyond << 1 | fresh << 1);
+        let hot = new(behind) & voxels;
+        if hot == 0 {
+            let under = row(at + SLICE) | row(at + ROW);
+            let before = middle(under | fresh >> 1);
+            let expected = 17 * usize::from(self.is_expected);
+            if (own | behind | before) & STATES == 0 {
+                return RowClass::Cold(expected);
+            }
+            return RowClass::Cold(
+                1 + usize::from(occupied(own | middle(beyond)) != 0)
+                    + 2 * usize::from(occupied(middle(under)) != 0)
+                    + 4 * usize::from(before & STATES != 0)
+                    + 8 * usize::from(self.is_surprised)
+                    + expected,
+            );
+        }
+        if hot == voxels {
+            let is_free = |row: Row| row ^ row >> 16;
+            let all_free = is_free(over) & is_free(over_row) & is_free(beside);
+            if (middle(all_free & all_free << 1) as u8) & voxels == voxels {
+                let all_new = over & over_row & beside;
+                let is_new = new(middle(all_new & all_new << 1)) & voxels == voxels;
+                return RowClass::Sure(usize::from(is_new) + 2 * usize::from(occupied(own) != 0));
+            }
+        }
+        RowClass::Hot
+    }
+
+    /// The unknown voxels of a row with their contexts.
+    #[inline]
+    fn contexts(&self, at: usize, voxels: u8, kind: RowKind) -> UnknownRow {
+        let slope_y = self.rays.slope_y((at & 15).wrapping_sub(3));
+        let slope_x = self.rays.slope_x;
+        // Rows and voxels back along the axis on which the sensor is farther away, and along the other.
+        let (b, c) = if self.rays.is_by_rows { ((ROW, 0), (0, 1)) } else { ((0, 1), (ROW, 0)) };
+        let (slope_b, slope_c) = if self.rays.is_by_rows { (slope_y, slope_x) } else { (slope_x, slope_y) };
+
+        let behind = |rows: usize, x: isize| self.cells.shifted(at - rows, -x) & STATES;
+        let before = |rows: usize, x: isize| self.cells.shifted(at + rows, x);
+        // Where the ray through a voxel was some slices before, or will be some after.
+        let along = |slope: usize, slices: usize| (slices * slope + 8) >> 4;
+        let ray =
+            |slices: usize| (slices * SLICE + along(slope_y, slices) * ROW, along(slope_x, slices) as isize);
+        let [ray_1, ray_2, ray_3] = [ray(1), ray(2), ray(3)];
+        let is_known = |row: Row| (row | row >> 16) & 0xff;
+        let pair = |one: Row, other: Row| one | other << 8;
+        let next = before(ray_1.0, ray_1.1);
+
+        let near_low = pair(behind(SLICE, 0), behind(SLICE + b.0, b.1))
+            | pair(behind(SLICE + c.0, c.1), behind(SLICE + ROW, 1)) << 32;
+        let near_high = pair(behind(b.0, b.1), behind(c.0, c.1))
+            | u64::from(new(self.cells.shifted(at - ROW, -1))) << 32
+            | is_known(next) << 40;
+        let ray_low = pair(behind(ray_1.0, ray_1.1), behind(ray_2.0, ray_2.1))
+            | pair(behind(ray_3.0, ray_3.1), next & STATES) << 32;
+        let ray_high = is_known(before(ray_2.0, ray_2.1)) << 32
+            | is_known(before(b.0, b.1)) << 40
+            | is_known(before(c.0, c.1)) << 48;
+        let straight = u8::from(slope_b >= 8) | u8::from(slope_c >= 8) << 1;
+        let slope = (slope_b / 4).min(3) as u8 | ((slope_c / 4).min(3) as u8) << 2;
+        UnknownRow {
+            voxels,
+            kind,
+            near: by_voxel(near_low, near_high, straight << 6),
+            ray: by_voxel(ray_low, ray_high, slope),
+            // The two bits of a state stand two apart.
+            beside: if self.rays.is_by_rows { [1 << 1, 5 << 1] } else { [1, 5] },
+        }
+    }
+
+    #[inline]
+    fn tell(&mut self, at: usize, bits: Bits) {
+        self.cells.change(at, bits);
+        let (z, shift) = ((at >> 4).wrapping_sub(3) & 7, 8 * ((at & 15).wrapping_sub(3) & 7));
+        self.told.free[z] |= u64::from(bits.free) << shift;
+        self.told.occupied[z] |= u64::from(bits.occupied) << shift;
+    }
+}
+
+/// For each of eight voxels: its bits in eight bytes, and in eight others, those that are the same for all added.
+#[inline(always)]
+fn by_voxel(low: u64, high: u64, all: u8) -> [[u8; 8]; 2] {
+    let all = u64::from(all) * 0x0101_0101_0101_0101;
+    [transposed(low).to_le_bytes(), (transposed(high) | all).to_le_bytes()]
+}
+
+/// Swaps the bits of bytes with the bytes.
+#[inline]
+const fn transposed(word: u64) -> u64 {
+    let differ = (word ^ word >> 7) & 0x00aa_00aa_00aa_00aa;
+    let word = word ^ differ ^ differ << 7;
+    let differ = (word ^ word >> 14) & 0x0000_cccc_0000_cccc;
+    let word = word ^ differ ^ differ << 14;
+    let differ = (word ^ word >> 28) & 0x0000_0000_f0f0_f0f0;
+    word ^ differ ^ differ << 28
+}
+
+enum RowClass {
+    /// Nothing beyond the row has changed.
+    Cold(usize),
+    /// All that is beyond it is Free, and some of it has just been seen.
+    Sure(usize),
+    Hot,
+}
+
+/// Whether changes make any Free voxel Occupied, and any Occupied one Free.
+pub(crate) fn turns(before: Option<&StateBlock>, changes: &StateBlock) -> [bool; 2] {
+    let meet = |a: &[u64; 8], b: &[u64; 8]| a.iter().zip(b).any(|(a, b)| a & b != 0);
+    before.map_or([false; 2], |before| {
+        [meet(before.free(), changes.occupied()), meet(before.occupied(), changes.free())]
+    })
+}

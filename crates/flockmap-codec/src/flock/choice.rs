@@ -1,0 +1,126 @@
+//! Which tables suit the changes of a cycle: a few blocks are coded with each of them, for the costs alone.
+
+use flockmap_grid::{BlockIndex, Overtaken, StateBlock};
+
+use super::block::{self, TurnedChanges};
+use super::cells::{Bits, Neighbourhood};
+use super::coder::Chance;
+use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::field::Field;
+use super::order::BlockBox;
+use super::package::view;
+use super::tables::{TableSet, Tables, voxel_chance};
+use crate::reference::Known;
+
+/// Blocks that are looked at: so many from the front, and from the middle on.
+const SAMPLE_BLOCKS: usize = 8;
+
+/// The set with which some of `blocks` take the fewest bits.
+pub(crate) fn choose(
+    field: &mut Field,
+    cells: &mut Neighbourhood,
+    known: &Known<'_>,
+    sets: &[TableSet],
+    sensor: [i32; 3],
+    blocks: &[(BlockIndex, StateBlock)],
+) -> Result<TableSet, Overtaken> {
+    let (first, last) = blocks.split_at(blocks.len() / 2);
+    let sample = || first.iter().take(SAMPLE_BLOCKS).chain(last.iter().take(SAMPLE_BLOCKS));
+    let mut trial = Trial { sets: sets.iter().map(|set| (0, *set, set.tables())).collect() };
+    let region = sample().map(|(index, _)| BlockBox::of(*index)).reduce(|all, block| all.union(&block));
+    if let Some(region) = region.filter(|region| sets.len() > 1 && region.volume() <= REACH_MAX) {
+        field.clear(region);
+        for (index, states) in sample() {
+            let (turn, distance) = view(*index, sensor);
+            let slot = field.ask(known, *index, turn)?;
+            let slots = field.around(known, *index, turn)?;
+            cells.gather(turn, &slots, field.cells());
+            let turns = block::turns(known.block(*index)?, states);
+            let truth = TurnedChanges::of(states, turn);
+            block::code(&mut trial, cells, distance, field.counts(slot), &truth, turns);
+            field.tell(slot, *index, turn, &truth);
+        }
+    }
+    let best = trial.sets.iter().min_by_key(|(cost, _, _)| *cost);
+    Ok(best.map_or(TableSet::Dense, |(_, set, _)| *set))
+}
+
+/// Blocks in the box of a sample, at most.
+const REACH_MAX: u128 = 1 << 15;
+
+/// What decisions cost with the chances that packages begin with.
+struct Trial {
+    /// In 256ths of a bit.
+    sets: Vec<(u64, TableSet, &'static Tables)>,
+}
+
+impl Trial {
+    fn pay(&mut self, bit: bool, chance: impl Fn(&Tables) -> Chance) {
+        for (cost, _, tables) in &mut self.sets {
+            let chance = chance(tables);
+            *cost += u64::from(COST[usize::from(if bit { chance } else { !chance } >> 8)]);
+        }
+    }
+}
+
+impl Decide for Trial {
+    fn flag(&mut self, context: usize, truth: bool) -> bool {
+        self.pay(truth, |tables| tables.start.flag[context]);
+        truth
+    }
+
+    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+        voxels(self, row, truth)
+    }
+}
+
+impl DecideVoxel for Trial {
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
+        self.pay(truth, |tables| tables.start.voxel[voxel_chance(kind, tables.lookup().level(contexts))]);
+        truth
+    }
+
+    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
+        self.pay(truth, |tables| tables.start.kind[tables.lookup().kind(contexts)]);
+        truth
+    }
+}
+
+/// What a bit of this chance (in 256ths) costs, in 256ths of a bit.
+static COST: [u16; 256] = {
+    let mut table = [0; 256];
+    let mut n = 0;
+    while n < 256 {
+        table[n] = cost_of(2 * n as u32 + 1);
+        n += 1;
+    }
+    table
+};
+
+/// −log₂(n / 512) in 256ths, by squaring.
+const fn cost_of(n: u32) -> u16 {
+    let mut log = n.ilog2();
+    let mut number = (n as u64) << (31 - log);
+    let mut digit = 0;
+    while digit < 8 {
+        number = (number * number) >> 31;
+        let over = (number >> 32) as u32;
+        number >>= over;
+        log = 2 * log + over;
+        digit += 1;
+    }
+    (9 * 256 - log) as u16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn costs_are_logarithms() {
+        for n in [1u32, 3, 77, 255, 511] {
+            let exact = -(f64::from(n) / 512.0).log2() * 256.0;
+            assert!((f64::from(cost_of(n)) - exact).abs() < 1.01, "{n}: {} and {exact}", cost_of(n));
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! The decisions that a block is made of. Writing, reading and training each make them in their own way.
+
+use super::cells::Bits;
+
+/// Makes or follows decisions. `truth` is what the writer knows; a reader does not look at it.
+pub(crate) trait Decide {
+    /// Whether it looks at `truth`.
+    const KNOWS: bool = true;
+
+    /// A bit with a chance of its own.
+    fn flag(&mut self, context: usize, truth: bool) -> bool;
+    /// The unknown voxels of a row.
+    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits;
+}
+
+/// The unknown voxels of a row and what is around each.
+pub(crate) struct UnknownRow {
+    pub(crate) voxels: u8,
+    pub(crate) kind: RowKind,
+    /// By voxel: the cells around it, without those that are told of with this row; the lower and the higher byte.
+    pub(crate) near: [[u8; 8]; 2],
+    /// By voxel: the cells along the ray from the sensor through it; the lower and the higher byte.
+    pub(crate) ray: [[u8; 8]; 2],
+    /// What there is to add to the higher byte of `near` if the voxel before was told Free, and if Occupied.
+    pub(crate) beside: [u8; 2],
+}
+
+/// What is known of a row before its voxels are told.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum RowKind {
+    Ordinary = 0,
+    /// One of the voxels was seen, although nothing beyond them has changed.
+    Surprise = 1,
+    /// The same, and one that was seen was found.
+    Found = 2,
+}
+
+/// The decisions of voxels, one by one.
+pub(crate) trait DecideVoxel {
+    /// Whether an unknown voxel was seen.
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool;
+    /// Whether a newly seen voxel is Occupied.
+    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool;
+}
+
+/// Goes through the voxels of a row.
+#[inline(always)]
+pub(crate) fn voxels<D: DecideVoxel>(decide: &mut D, row: &UnknownRow, truth: Bits) -> Bits {
+    let mut told = Bits { free: 0, occupied: 0 };
+    let mut kind = row.kind;
+    let mut left = u32::from(row.voxels);
+    let seen = u32::from(truth.free | truth.occupied);
+    let ([near_low, near_high], [ray_low, ray_high]) = (row.near, row.ray);
+    let ray = |x: usize| u16::from_le_bytes([ray_low[x & 7], ray_high[x & 7]]);
+    // What is told of a voxel goes to the contexts of the next.
+    let mut near_high = near_high;
+    while left != 0 {
+        let x = left.trailing_zeros() as usize & 7;
+        left &= left - 1;
+        let contexts = [u16::from_le_bytes([near_low[x], near_high[x]]), ray(x)];
+        if decide.voxel(kind, contexts, seen >> x & 1 != 0) {
+            if kind == RowKind::Surprise {
+                kind = RowKind::Found;
+            }
+            let is_occupied = decide.kind(contexts, truth.occupied >> x & 1 != 0);
+            if is_occupied {
+                told.occupied |= 1 << x;
+            } else {
+                told.free |= 1 << x;
+            }
+            if let Some(next) = near_high.get_mut(x + 1) {
+                *next |= row.beside[usize::from(is_occupied)];
+            }
+        }
+    }
+    told
+}

@@ -1,0 +1,151 @@
+//! What both sides know of the blocks round a package: the states before its cycle, and what the package has told so far.
+
+use flockmap_grid::{BlockIndex, Overtaken, StateBlock};
+
+use super::block::{self, TurnedChanges};
+use super::cells::{BlockCells, Turn};
+use super::order::BlockBox;
+use crate::reference::Known;
+
+/// The blocks that a package has looked at. 520 bytes for each that is known or was told of, and four for each block in
+/// reach.
+#[derive(Default)]
+pub(crate) struct Field {
+    /// The box in reach, one block larger than that of the package on each side.
+    min: [i32; 3],
+    size: [usize; 3],
+    /// By place in the box: where the cells of a block are.
+    slots: Vec<u32>,
+    cells: Vec<BlockCells>,
+    /// How much was known of each before.
+    counts: Vec<block::Known>,
+}
+
+/// A block that was not looked at yet.
+const NOT_ASKED: u32 = 0;
+/// The cells of blocks of which nothing is known.
+pub(crate) const NOTHING: u32 = 1;
+
+impl Field {
+    /// Forgets everything, for a package whose blocks lie in `region`.
+    pub(crate) fn clear(&mut self, region: BlockBox) {
+        self.min = region.min.map(|min| min.saturating_sub(1));
+        self.size = region.size().map(|side| side as usize + 2);
+        self.slots.clear();
+        self.slots.resize(self.size.iter().product(), NOT_ASKED);
+        if self.cells.len() < 2 {
+            self.cells.resize(2, BlockCells::UNKNOWN);
+        }
+        self.counts.clear();
+        self.counts.resize(2, block::Known::default());
+    }
+
+    pub(crate) fn cells(&self) -> &[BlockCells] {
+        &self.cells
+    }
+
+    /// The place of the lowest neighbour of a block.
+    fn place(&self, block: BlockIndex) -> usize {
+        let at = [block.x, block.y, block.z];
+        let [x, y, z]: [usize; 3] =
+            core::array::from_fn(|a| at[a].wrapping_sub(1).wrapping_sub(self.min[a]) as u32 as usize);
+        (z * self.size[1] + y) * self.size[0] + x
+    }
+
+    /// The slot of a block: [`NOTHING`] if nothing is known of it.
+    pub(crate) fn ask(&mut self, known: &Known<'_>, block: BlockIndex, turn: Turn) -> Result<u32, Overtaken> {
+        match self.slots.get(self.place(block) + 1 + self.size[0] * (1 + self.size[1])) {
+            None => Ok(NOTHING),
+            Some(&NOT_ASKED) => self.look_up(known, block, turn),
+            Some(slot) => Ok(*slot),
+        }
+    }
+
+    #[inline(never)]
+    fn look_up(&mut self, known: &Known<'_>, block: BlockIndex, turn: Turn) -> Result<u32, Overtaken> {
+        let place = self.place(block) + 1 + self.size[0] * (1 + self.size[1]);
+        let mut slot = NOTHING;
+        if let Some(states) = known.block(block)? {
+            slot = self.counts.len() as u32;
+            self.counts.push(block::Known::of(states));
+            // Older packages leave theirs behind.
+            if self.cells.len() < self.counts.len() {
+                self.cells.push(BlockCells::UNKNOWN);
+            }
+            if let Some(cells) = self.cells.get_mut(slot as usize) {
+                cells.set(states, turn.is_up[0]);
+            }
+        }
+        if let Some(place) = self.slots.get_mut(place) {
+            *place = slot;
+        }
+        Ok(slot)
+    }
+
+    /// How much was known of a block before.
+    pub(crate) fn counts(&self, slot: u32) -> block::Known {
+        self.counts.get(slot as usize).copied().unwrap_or_default()
+    }
+
+    /// The slots of a block and its neighbours by x + 3·y + 9·z, each −1 … 1 plus one; mirrored as a turn says. Only of those that
+    /// contexts look at: the neighbours beyond it along one to three axes, and those before it along one to three.
+    pub(crate) fn around(
+        &mut self,
+        known: &Known<'_>,
+        block: BlockIndex,
+        turn: Turn,
+    ) -> Result<[u32; 27], Overtaken> {
+        let mut slots = [NOTHING; 27];
+        let place = self.place(block);
+        let [row, slice] = [self.size[0], self.size[0] * self.size[1]];
+        let side = turn.is_up.map(|is_up| if is_up { 1 } else { -1 });
+        for axes in 0..8 {
+            for side in [side, side.map(|side| -side)] {
+                let offset: [i32; 3] = core::array::from_fn(|a| side[a] * (axes >> a & 1));
+                let [x, y, z] = offset.map(|offset| (offset + 1) as usize);
+                let mut slot = self.slots.get(place + z * slice + y * row + x).copied().unwrap_or(NOTHING);
+                if slot == NOT_ASKED {
+                    let [dx, dy, dz] = offset;
+                    let neighbour = BlockIndex::new(block.x + dx, block.y + dy, block.z + dz);
+                    slot = self.look_up(known, neighbour, turn)?;
+                }
+                if slot != NOTHING
+                    && let Some(cells) = self.cells.get_mut(slot as usize)
+                {
+                    cells.mirror(turn.is_up[0]);
+                }
+                slots[(z * 9 + y * 3 + x) % 27] = slot;
+            }
+        }
+        Ok(slots)
+    }
+
+    /// Takes in what was told of a block in a slot. Returns it as it is, not turned.
+    pub(crate) fn tell(
+        &mut self,
+        slot: u32,
+        block: BlockIndex,
+        turn: Turn,
+        told: &TurnedChanges,
+    ) -> StateBlock {
+        let mut slot = slot;
+        if slot == NOTHING {
+            let place = self.place(block) + 1 + self.size[0] * (1 + self.size[1]);
+            slot = self.counts.len() as u32;
+            if let Some(own) = self.slots.get_mut(place) {
+                *own = slot;
+            }
+            self.counts.push(block::Known::default());
+            let unknown = BlockCells { is_mirrored: turn.is_up[0], ..BlockCells::UNKNOWN };
+            match self.cells.get_mut(slot as usize) {
+                Some(cells) => *cells = unknown,
+                None => self.cells.push(unknown),
+            }
+        }
+        let (free, occupied) = (turn.back_but_x(&told.free), turn.back_but_x(&told.occupied));
+        if let Some(cells) = self.cells.get_mut(slot as usize) {
+            cells.change(&free, &occupied);
+        }
+        StateBlock::new(turn.back_x(&free), turn.back_x(&occupied))
+    }
+}

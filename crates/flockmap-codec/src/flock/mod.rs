@@ -1,0 +1,21 @@
+//! The `flock` codec: map changes as decisions of an arithmetic coder that learns. Explained in `docs/codec.md`.
+
+mod block;
+mod cells;
+mod choice;
+mod coder;
+mod cycle;
+mod decide;
+mod field;
+mod noise;
+mod order;
+mod package;
+pub(crate) mod present;
+mod reader;
+mod tables;
+#[cfg(feature = "training")]
+pub mod training;
+mod writer;
+
+pub(crate) use cycle::{Told, decode, encode, sensor};
+pub(crate) use package::Workspace;

@@ -1,0 +1,144 @@
+//! Whether changes look like noise.
+
+use flockmap_grid::{BLOCK_SIDE, Changes, VoxelBox};
+
+use super::changes_max;
+use super::cut::estimate_of;
+
+/// Whether noise mode is worth trying: neither the places of the changes nor their states hang together. `region` is the tight
+/// box of `changes`. Compares neighbours along x, y and z with what changes thrown anywhere into the box would show.
+///
+/// Of a few dozen changes nothing certain can be said, and the answer is often yes, as it is for sparse obstacles: compare
+/// [`estimate`](super::estimate) with what another mode took, and code only the smaller. For what noise mode would say in less than
+/// half a bit a change (a full box of one state), the answer is no. O(blocks), two passes over their words at most.
+pub(crate) fn is_noise(changes: &Changes, region: &VoxelBox) -> bool {
+    let counts = Counts::of(changes);
+    let (voxels, changed) = (region.volume() as i128, i128::from(counts.changed));
+    // Of all pairs of neighbours in the box: how many would be changed both if it were by chance, and how many more are?
+    let pairs = i128::from(counts.pairs);
+    let by_chance = pairs_of(region) * changed / voxels * changed / voxels;
+    // All pairs of a pattern without noise.
+    let most = pairs_of(region) * changed / voxels;
+    if pairs - by_chance > (most - by_chance) / 20 + luck(by_chance) {
+        return false;
+    }
+    // The same for the states of the pairs.
+    let equal = i128::from(counts.equal(changes));
+    let [free, occupied] = [counts.changed - counts.occupied, counts.occupied].map(i128::from);
+    let by_chance = pairs * (free * free + occupied * occupied) / (changed * changed).max(1);
+    if equal - by_chance > (pairs - by_chance) / 10 + luck(pairs - by_chance) {
+        return false;
+    }
+    let payload = estimate_of(region, counts.changed as usize, counts.occupied as usize);
+    counts.changed as usize <= changes_max(payload.saturating_sub(8))
+}
+
+/// How far a count of independent things that is so large on average hardly ever strays.
+fn luck(average: i128) -> i128 {
+    4 * average.max(0).isqrt() + 4
+}
+
+/// Pairs of neighbours in a box that are in one block.
+fn pairs_of(region: &VoxelBox) -> i128 {
+    let (min, max) = (region.min().block(), region.max().block());
+    let blocks = [max.x - min.x, max.y - min.y, max.z - min.z].map(|steps| i128::from(steps) + 1);
+    let volume = region.volume() as i128;
+    let along = |(side, blocks): (u32, i128)| volume / i128::from(side) * (i128::from(side) - blocks);
+    region.size().into_iter().zip(blocks).map(along).sum()
+}
+
+/// Bits of a slice whose neighbour at x + 1 is in the block, and at y + 1.
+const HAS_NEXT_X: u64 = 0x7f7f_7f7f_7f7f_7f7f;
+const HAS_NEXT_Y: u64 = u64::MAX >> BLOCK_SIDE;
+
+struct Counts {
+    changed: u64,
+    occupied: u64,
+    /// Neighbours in a block that changed both.
+    pairs: u64,
+}
+
+impl Counts {
+    fn of(changes: &Changes) -> Self {
+        let mut counts = Self { changed: 0, occupied: 0, pairs: 0 };
+        for (_, block) in changes.blocks() {
+            let known = block.known();
+            counts.changed += ones(known.into_iter());
+            counts.occupied += ones(block.occupied().iter().copied());
+            counts.pairs += ones(known.into_iter().map(|word| word & word >> 1 & HAS_NEXT_X));
+            counts.pairs += ones(known.into_iter().map(|word| word & word >> 8 & HAS_NEXT_Y));
+            counts.pairs += ones(known.iter().zip(known.iter().skip(1)).map(|(word, next)| word & next));
+        }
+        counts
+    }
+
+    /// Pairs that have the same state.
+    fn equal(&self, changes: &Changes) -> u64 {
+        let of_plane = |plane: &[u64; 8]| {
+            ones(plane.iter().map(|word| word & word >> 1 & HAS_NEXT_X))
+                + ones(plane.iter().map(|word| word & word >> 8 & HAS_NEXT_Y))
+                + ones(plane.iter().zip(plane.iter().skip(1)).map(|(word, next)| word & next))
+        };
+        changes.blocks().iter().map(|(_, block)| of_plane(block.free()) + of_plane(block.occupied())).sum()
+    }
+}
+
+fn ones(words: impl Iterator<Item = u64>) -> u64 {
+    words.map(|word| u64::from(word.count_ones())).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{Draw, Random, ball, draw, rays};
+    use super::*;
+    use flockmap_grid::{State, Voxel};
+
+    fn judged(changes: &Changes) -> bool {
+        is_noise(changes, &changes.bounding_box().unwrap())
+    }
+
+    #[test]
+    fn random_draws_are_noise() {
+        for seed in 0..200u64 {
+            let mut random = Random(seed);
+            let size = core::array::from_fn(|_| 1 + random.below(70) as u32);
+            let mut d = Draw::of_ratio(size, 10f64.powf(-4.0 * random.below(1_001) as f64 / 1_000.0), seed);
+            d.occupied_of_four = 1 + random.below(3);
+            assert!(judged(&draw(&d)), "{d:?}");
+        }
+        for size in [[32; 3], [64; 3], [1, 300, 200], [500, 1, 2]] {
+            for ratio in [0.001, 0.01, 0.1, 0.5, 0.9, 1.0] {
+                assert!(judged(&draw(&Draw::of_ratio(size, ratio, 11))), "{size:?} {ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_sensor_sees_is_not() {
+        for seed in 0..10 {
+            for radius in [6, 12, 25] {
+                assert!(!judged(&ball(radius, seed)), "ball of {radius}");
+            }
+            for (count, length) in [(3, 60), (20, 40), (100, 70), (1_000, 40)] {
+                assert!(!judged(&rays(count, length, seed)), "{count} rays of {length}");
+            }
+        }
+        // Every voxel of the box changed, and what is a wall of obstacles is told by the states alone.
+        let wall = |v: Voxel| if v.x == 20 { State::Occupied } else { State::Free };
+        let full = VoxelBox::new(Voxel::new(0, 0, 0), [40, 33, 20]).unwrap();
+        assert!(!judged(&Changes::from_voxels(full.voxels().map(|v| (v, wall(v))))));
+        // One state in the whole box.
+        assert!(!judged(&Changes::from_voxels(full.voxels().map(|v| (v, State::Free)))));
+    }
+
+    #[test]
+    fn one_voxel_and_a_box_too_large_do_not_matter() {
+        let far = 1 << 28;
+        for voxels in [&[Voxel::new(1, 2, 3)][..], &[Voxel::new(-far, -far, -far), Voxel::new(far, far, far)]]
+        {
+            judged(&Changes::from_voxels(voxels.iter().map(|v| (*v, State::Free))));
+        }
+        let nothing = VoxelBox::new(Voxel::new(0, 0, 0), [1; 3]).unwrap();
+        is_noise(&Changes::default(), &nothing);
+    }
+}

@@ -1,0 +1,165 @@
+//! The order of blocks: octant by octant round the sensor, in each from far to near.
+//!
+//! What lies behind a voxel is told before it. If a far voxel was freed, then the ray that freed it went through the near ones,
+//! which tells more than the near ones tell of the far.
+
+use flockmap_grid::BlockIndex;
+
+/// Sixteenths of a voxel along a side of a block.
+pub(crate) const BLOCK_UNITS: i64 = 128;
+
+/// Blocks along the sides of a box of blocks, and its lowest block.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct BlockBox {
+    pub(crate) min: [i32; 3],
+    pub(crate) max: [i32; 3],
+}
+
+impl BlockBox {
+    pub(crate) fn of(block: BlockIndex) -> Self {
+        let at = [block.x, block.y, block.z];
+        Self { min: at, max: at }
+    }
+
+    /// The smallest box that holds this one and a block.
+    pub(crate) fn with(self, block: BlockIndex) -> Self {
+        let at = [block.x, block.y, block.z];
+        Self {
+            min: core::array::from_fn(|a| self.min[a].min(at[a])),
+            max: core::array::from_fn(|a| self.max[a].max(at[a])),
+        }
+    }
+
+    /// The smallest box that holds both.
+    pub(crate) fn union(&self, other: &Self) -> Self {
+        Self {
+            min: core::array::from_fn(|a| self.min[a].min(other.min[a])),
+            max: core::array::from_fn(|a| self.max[a].max(other.max[a])),
+        }
+    }
+
+    pub(crate) fn size(&self) -> [u64; 3] {
+        core::array::from_fn(|a| (i64::from(self.max[a]) - i64::from(self.min[a]) + 1) as u64)
+    }
+
+    pub(crate) fn volume(&self) -> u128 {
+        self.size().iter().map(|side| u128::from(*side)).product()
+    }
+}
+
+/// The block in which the sensor is.
+pub(crate) fn sensor_block(sensor: [i32; 3]) -> [i32; 3] {
+    sensor.map(|at| i64::from(at).div_euclid(BLOCK_UNITS) as i32)
+}
+
+/// Sorts blocks into the order.
+pub(crate) fn key(block: BlockIndex, sensor_block: [i32; 3]) -> (usize, [i64; 3]) {
+    let at = [block.x, block.y, block.z];
+    let is_above: [bool; 3] = core::array::from_fn(|a| at[a] > sensor_block[a]);
+    let octant = usize::from(is_above[0]) + 2 * usize::from(is_above[1]) + 4 * usize::from(is_above[2]);
+    let along = |a: usize| if is_above[a] { -i64::from(at[a]) } else { i64::from(at[a]) };
+    (octant, [along(2), along(1), along(0)])
+}
+
+/// All blocks of a box in order. O(1) for each.
+pub(crate) fn blocks(region: BlockBox, sensor_block: [i32; 3]) -> impl Iterator<Item = BlockIndex> {
+    (0..8usize).flat_map(move |octant| {
+        Octant::new(core::array::from_fn(|a| {
+            side(region.min[a], region.max[a], sensor_block[a], octant >> a & 1 == 1)
+        }))
+    })
+}
+
+/// The blocks of a box on one side of the sensor along each axis.
+struct Octant {
+    sides: [Side; 3],
+    /// How many have been passed along each axis.
+    at: [u32; 3],
+}
+
+/// Places along an axis, far to near.
+#[derive(Clone, Copy)]
+struct Side {
+    from: i32,
+    step: i32,
+    count: u32,
+}
+
+impl Octant {
+    fn new(sides: [Side; 3]) -> Self {
+        // Without blocks along one axis there are none at all.
+        let is_empty = sides.iter().any(|side| side.count == 0);
+        Self { sides, at: [0, 0, if is_empty { sides[2].count } else { 0 }] }
+    }
+}
+
+impl Iterator for Octant {
+    type Item = BlockIndex;
+
+    #[inline]
+    fn next(&mut self) -> Option<BlockIndex> {
+        let [x, y, z] = self.at;
+        if z >= self.sides[2].count {
+            return None;
+        }
+        let along = |axis: usize, n: u32| {
+            let Side { from, step, .. } = self.sides[axis];
+            from.wrapping_add(step.wrapping_mul(n as i32))
+        };
+        let block = BlockIndex::new(along(0, x), along(1, y), along(2, z));
+        self.at = if x + 1 < self.sides[0].count {
+            [x + 1, y, z]
+        } else if y + 1 < self.sides[1].count {
+            [0, y + 1, z]
+        } else {
+            [0, 0, z + 1]
+        };
+        Some(block)
+    }
+}
+
+/// The places along an axis on one side of the sensor.
+fn side(min: i32, max: i32, sensor: i32, is_above: bool) -> Side {
+    let (from, to) = if is_above {
+        (i64::from(max), i64::from(min).max(i64::from(sensor) + 1))
+    } else {
+        (i64::from(min), i64::from(max).min(i64::from(sensor)))
+    };
+    let count = if is_above { from - to + 1 } else { to - from + 1 };
+    // A box lies in the grid, so that sides have fewer than 2³² blocks.
+    Side {
+        from: from as i32,
+        step: if is_above { -1 } else { 1 },
+        count: count.clamp(0, u32::MAX.into()) as u32,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn blocks_come_in_the_order_of_their_keys_and_each_once(
+            min in prop::array::uniform3(-5i32..5),
+            size in prop::array::uniform3(0i32..6),
+            sensor in prop::array::uniform3(-1500i32..1500),
+        ) {
+            let region = BlockBox { min, max: core::array::from_fn(|a| min[a] + size[a]) };
+            let sensor = sensor_block(sensor);
+            let blocks: Vec<_> = blocks(region, sensor).collect();
+            prop_assert_eq!(blocks.len() as u128, region.volume());
+            prop_assert!(blocks.is_sorted_by(|a, b| key(*a, sensor) < key(*b, sensor)));
+            prop_assert!(blocks.iter().all(|block| region.with(*block) == region));
+        }
+    }
+
+    #[test]
+    fn in_an_octant_the_far_corner_comes_first() {
+        let region = BlockBox { min: [-2; 3], max: [2; 3] };
+        let order: Vec<_> = blocks(region, [0; 3]).collect();
+        assert_eq!(order[0], BlockIndex::new(-2, -2, -2));
+        assert_eq!(order.iter().find(|b| b.x > 0 && b.y > 0 && b.z > 0), Some(&BlockIndex::new(2, 2, 2)));
+    }
+}

@@ -1,0 +1,374 @@
+//! A package of changes: blocks in order, cut where the package is full.
+//!
+//! The payload: a byte for the set of tables; the sensor's position, three signed varints, in sixteenths of a voxel from the lowest
+//! corner of the box; the number of blocks of the box before the first that is told of, and the number from there to the last, two
+//! varints, both in the order of `order.rs`; the decisions.
+
+use flockmap_grid::{BLOCK_SIDE, BlockIndex, Changes, Overtaken, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox};
+
+use super::block::{self, Distance, TurnedChanges};
+use super::cells::{Neighbourhood, Turn};
+use super::choice;
+use super::decide::Decide;
+use super::field::Field;
+use super::order::{self, BLOCK_UNITS, BlockBox};
+use super::reader::Reader;
+use super::tables::{Chances, TableSet};
+use super::writer::Writer;
+use crate::reference::Known;
+use crate::{BOX_VOXELS_MAX, Codec, PackageError, varint};
+
+/// Most blocks in the box of a package.
+pub(crate) const BOX_BLOCKS_MAX: u128 = (BOX_VOXELS_MAX / 512) as u128;
+
+/// Most blocks with changes in a payload of so many bytes. A writer adds zeros if it has to.
+const fn blocks_max(payload_bytes: usize) -> usize {
+    payload_bytes.saturating_mul(4)
+}
+
+/// The inverse.
+const fn bytes_min(blocks: usize) -> usize {
+    blocks.div_ceil(4)
+}
+
+/// Memory that is used again from package to package: 550 bytes for each block of the largest package so far and for each known
+/// block next to it, and five bytes for each block of its box and round it.
+pub(crate) struct Workspace {
+    field: Field,
+    cells: Neighbourhood,
+    chances: Box<Chances>,
+    body: Vec<u8>,
+    /// By place in the box: 0 not told, 1 no changes, 2 changes.
+    told: Vec<u8>,
+}
+
+impl Default for Workspace {
+    fn default() -> Self {
+        Self {
+            field: Field::default(),
+            cells: Neighbourhood::new(),
+            chances: Chances::even(),
+            body: Vec::new(),
+            told: Vec::new(),
+        }
+    }
+}
+
+/// What became one package.
+pub(crate) struct Piece {
+    pub(crate) changes: Changes,
+    pub(crate) region: VoxelBox,
+    pub(crate) payload: Vec<u8>,
+}
+
+/// The blocks of a cycle in the order in which they are told.
+pub(crate) fn in_order(changes: &Changes, sensor: [i32; 3]) -> Vec<(BlockIndex, StateBlock)> {
+    let sensor = order::sensor_block(sensor);
+    let mut blocks = changes.blocks().to_vec();
+    blocks.sort_by_cached_key(|(index, _)| order::key(*index, sensor));
+    blocks
+}
+
+/// What the packages of a cycle so far have taught.
+pub(crate) struct Habits {
+    /// The sets of tables to choose from; one that was chosen.
+    sets: Vec<TableSet>,
+    /// Bytes for each 1,024 changes.
+    rate: usize,
+}
+
+impl Habits {
+    pub(crate) fn new(sets: &[TableSet]) -> Self {
+        Self { sets: sets.to_vec(), rate: 0 }
+    }
+
+    /// Chooses tables when it sees the first blocks of a cycle.
+    fn tables(
+        &mut self,
+        Workspace { field, cells, .. }: &mut Workspace,
+        known: &Known<'_>,
+        sensor: [i32; 3],
+        blocks: &[(BlockIndex, StateBlock)],
+    ) -> Result<TableSet, Overtaken> {
+        let set = match *self.sets {
+            [set] => set,
+            _ => choice::choose(field, cells, known, &self.sets, sensor, blocks)?,
+        };
+        if self.rate == 0 {
+            self.sets = vec![set];
+            self.rate = match set {
+                TableSet::Dense => 180,
+                TableSet::Sparse => 380,
+                TableSet::Obstacles => 900,
+            };
+        }
+        Ok(set)
+    }
+
+    /// How many blocks from the front are sure to fill so many bytes, if there are as many.
+    fn reach(&self, blocks: &[(BlockIndex, StateBlock)], room: usize) -> usize {
+        let changes = room.saturating_mul(1_024 + 1_024 / 4) / self.rate.max(1);
+        let mut left = u32::try_from(changes.max(1)).unwrap_or(u32::MAX);
+        let full = blocks.iter().position(|(_, states)| {
+            let changes = states.known_count();
+            let is_full = changes >= left;
+            left = left.saturating_sub(changes);
+            is_full
+        });
+        full.map_or(blocks.len(), |last| last + 1)
+    }
+}
+
+/// Codes as many blocks from the front of `blocks`, which are [`in_order`], as go into `room` bytes; `room` says how many there are for a
+/// payload of a certain box. Returns the number of blocks too. At least one, even if that takes more.
+pub(crate) fn encode(
+    workspace: &mut Workspace,
+    known: &Known<'_>,
+    habits: &mut Habits,
+    sensor: [i32; 3],
+    blocks: &[(BlockIndex, StateBlock)],
+    room: impl Fn(&VoxelBox) -> usize,
+) -> Result<(Piece, usize), Overtaken> {
+    let set = habits.tables(workspace, known, sensor, blocks)?;
+    let mut before = 0;
+    loop {
+        // The box is that of as many blocks as may go in, so that it is known from the start.
+        let nearly =
+            boxes(blocks).next().and_then(|region| region.voxels()).map_or(0, |region| room(&region));
+        let wanted = habits.reach(blocks, nearly).max(2 * before);
+        let Some((reach, region)) = boxes(blocks).take(wanted).enumerate().last() else {
+            unreachable!("a cycle has a block")
+        };
+        let Some(voxels) = region.voxels() else { unreachable!("blocks lie in the grid") };
+        let reach = reach + 1;
+        let room = room(&voxels);
+        let told = blocks.get(..reach).unwrap_or_default();
+        let (payload, count) = write(workspace, known, set, sensor, told, region, room)?;
+        let changes = Changes::from_blocks(blocks[..count].to_vec());
+        habits.rate = (payload.len() * 1_024 / changes.len().max(1)).max(1);
+        // All went in, and there is room for more: again, with a larger box.
+        if count == reach && reach < blocks.len() && reach > before && payload.len() < room - room / 8 {
+            before = reach;
+            continue;
+        }
+        return Ok((Piece { changes, region: voxels, payload }, count));
+    }
+}
+
+/// The boxes of one, two, … blocks from the front, as many as a package may span.
+fn boxes(blocks: &[(BlockIndex, StateBlock)]) -> impl Iterator<Item = BlockBox> {
+    let boxes = blocks.iter().scan(None, |region: &mut Option<BlockBox>, (index, _)| {
+        *region = Some(region.map_or(BlockBox::of(*index), |region| region.with(*index)));
+        *region
+    });
+    boxes.take_while(|region| region.volume() <= BOX_BLOCKS_MAX)
+}
+
+/// Writes as many blocks as there is room for, at least one; `region` is the box of all.
+fn write(
+    workspace: &mut Workspace,
+    known: &Known<'_>,
+    set: TableSet,
+    sensor: [i32; 3],
+    blocks: &[(BlockIndex, StateBlock)],
+    region: BlockBox,
+    room: usize,
+) -> Result<(Vec<u8>, usize), Overtaken> {
+    let Workspace { field, cells, chances, body, told, .. } = workspace;
+    let sensor_block = order::sensor_block(sensor);
+    let first = blocks.first().map(|(index, _)| *index);
+    let before = order::blocks(region, sensor_block).take_while(|index| Some(*index) != first).count();
+
+    let mut payload = vec![set.id()];
+    for (at, min) in sensor.into_iter().zip(region.min) {
+        varint::write_signed(&mut payload, i64::from(at) - i64::from(min) * BLOCK_UNITS);
+    }
+    varint::write(&mut payload, before as u64);
+    field.clear(region);
+    body.clear();
+    let mut writer = Writer::new(set.tables(), chances, body);
+    let mut flags = Flags::new(region, told);
+    let mut left = blocks.iter();
+    let mut next = left.next();
+    // Blocks told of, and those with changes.
+    let (mut length, mut count) = (0u64, 0);
+    let (mut seen, mut mark) = (0, writer.mark());
+    for index in order::blocks(region, sensor_block).skip(before) {
+        let Some((changed, states)) = next else { break };
+        seen += 1;
+        let is_changed = *changed == index;
+        let (turn, distance) = view(index, sensor);
+        let slot = field.ask(known, index, turn)?;
+        let counts = field.counts(slot);
+        writer.flag(flags.context(index, turn, counts), is_changed);
+        flags.tell(index, is_changed);
+        if !is_changed {
+            continue;
+        }
+        let slots = field.around(known, index, turn)?;
+        cells.gather(turn, &slots, field.cells());
+        let turns = block::turns(known.block(index)?, states);
+        let truth = TurnedChanges::of(states, turn);
+        block::code(&mut writer, cells, distance, counts, &truth, turns);
+        field.tell(slot, index, turn, &truth);
+        let bytes = payload.len() + varint::length(seen) + writer.finished_len();
+        if bytes.max(bytes_min(count + 1)) > room && count > 0 {
+            writer.back_to(&mark);
+            break;
+        }
+        (length, count, mark) = (seen, count + 1, writer.mark());
+        next = left.next();
+    }
+    writer.finish();
+    varint::write(&mut payload, length);
+    payload.extend_from_slice(body);
+    payload.resize(payload.len().max(bytes_min(count)), 0);
+    Ok((payload, count))
+}
+
+/// What a payload says; `region` has at most [`BOX_BLOCKS_MAX`] blocks.
+pub(crate) fn decode(
+    workspace: &mut Workspace,
+    known: &Known<'_>,
+    payload: &[u8],
+    region: BlockBox,
+) -> Result<Changes, PackageError> {
+    let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
+    let mut reader = varint::Reader::new(payload);
+    let set = TableSet::from_id(reader.byte("tables")?).ok_or_else(|| wrong("the tables are known"))?;
+    let mut sensor = [0; 3];
+    for (at, min) in sensor.iter_mut().zip(region.min) {
+        let corner = i64::from(min) * BLOCK_UNITS;
+        let place = reader.signed("sensor")?.checked_add(corner).and_then(|place| i32::try_from(place).ok());
+        *at = place.ok_or_else(|| wrong("the sensor is within 2³¹ sixteenths of a voxel"))?;
+    }
+    let volume = region.volume() as u64;
+    let before = reader.number("blocks before", volume)?;
+    let length = reader.number("blocks told of", volume - before)?;
+    let mut blocks_left = blocks_max(payload.len());
+
+    let Workspace { field, cells, chances, told, .. } = workspace;
+    field.clear(region);
+    let mut flags = Flags::new(region, told);
+    let mut decisions = Reader::new(set.tables(), chances, reader.rest());
+    let mut changed = Vec::new();
+    for index in
+        order::blocks(region, order::sensor_block(sensor)).skip(before as usize).take(length as usize)
+    {
+        let (turn, distance) = view(index, sensor);
+        let slot = field.ask(known, index, turn)?;
+        let counts = field.counts(slot);
+        let is_changed = decisions.flag(flags.context(index, turn, counts), false);
+        flags.tell(index, is_changed);
+        if !is_changed {
+            continue;
+        }
+        blocks_left = blocks_left.checked_sub(1).ok_or_else(|| wrong("at most four blocks for each byte"))?;
+        let slots = field.around(known, index, turn)?;
+        cells.gather(turn, &slots, field.cells());
+        let told =
+            block::code(&mut decisions, cells, distance, counts, &TurnedChanges::default(), [false; 2]);
+        changed.push((index, field.tell(slot, index, turn, &told)));
+    }
+    let changes = Changes::from_blocks(changed);
+    // At its end the grid cuts a block, and only there can a voxel lie outside.
+    let ends_grid = region.max.contains(&(VOXEL_LIMIT / BLOCK_SIDE));
+    if ends_grid && !changes.is_empty() && changes.bounding_box().is_none() {
+        return Err(wrong("no voxel lies outside of the grid"));
+    }
+    Ok(changes)
+}
+
+/// How a block is turned, and where the sensor is then.
+pub(crate) fn view(block: BlockIndex, sensor: [i32; 3]) -> (Turn, Distance) {
+    const FAR: i64 = 1 << 24;
+    let middle = [block.x, block.y, block.z].map(|at| i64::from(at) * BLOCK_UNITS + BLOCK_UNITS / 2);
+    let offset: [i32; 3] =
+        core::array::from_fn(|a| (middle[a] - i64::from(sensor[a])).clamp(-FAR, FAR) as i32);
+    let is_up = offset.map(|offset| offset > 0);
+    let mut distance = offset.map(i32::abs);
+    // The last of the largest, so that all agree.
+    let major = if distance[2] >= distance[0].max(distance[1]) {
+        2
+    } else if distance[1] >= distance[0] {
+        1
+    } else {
+        0
+    };
+    distance.swap(major, 2);
+    (Turn { major, is_up }, distance)
+}
+
+/// The flags of the blocks of a box as they are told.
+pub(crate) struct Flags<'a> {
+    /// The block before the lowest of the box.
+    min: [i32; 3],
+    /// From one place to the next along each axis; there is one more place than blocks on each side.
+    steps: [usize; 3],
+    told: &'a mut [u8],
+}
+
+impl<'a> Flags<'a> {
+    /// `region` has at most [`BOX_BLOCKS_MAX`] blocks.
+    pub(crate) fn new(region: BlockBox, told: &'a mut Vec<u8>) -> Self {
+        let size = region.size().map(|side| side as usize + 2);
+        told.clear();
+        told.resize(size.iter().product(), 0);
+        let min = region.min.map(|min| min.wrapping_sub(1));
+        Self { min, steps: [1, size[0], size[0] * size[1]], told }
+    }
+
+    /// Where a block of the box has its place.
+    fn place(&self, block: BlockIndex) -> usize {
+        let at = [block.x, block.y, block.z];
+        (0..3).map(|a| at[a].wrapping_sub(self.min[a]) as u32 as usize * self.steps[a]).sum()
+    }
+
+    /// The context of the flag of a block of the box.
+    pub(crate) fn context(&self, block: BlockIndex, turn: Turn, counts: block::Known) -> usize {
+        let place = self.place(block);
+        let [x, y, z]: [usize; 3] =
+            core::array::from_fn(
+                |a| {
+                    if turn.is_up[a] { self.steps[a] } else { self.steps[a].wrapping_neg() }
+                },
+            );
+        let beyond = |step: usize| self.told.get(place.wrapping_add(step)).copied().unwrap_or(0);
+        let [xy, xz, yz] = [x.wrapping_add(y), x.wrapping_add(z), y.wrapping_add(z)];
+        block::block_flag(
+            [beyond(x), beyond(y), beyond(z)],
+            [beyond(xy), beyond(xz), beyond(yz), beyond(xy.wrapping_add(z))],
+            counts,
+        )
+    }
+
+    pub(crate) fn tell(&mut self, block: BlockIndex, is_changed: bool) {
+        let place = self.place(block);
+        if let Some(told) = self.told.get_mut(place) {
+            *told = 1 + u8::from(is_changed);
+        }
+    }
+}
+
+impl BlockBox {
+    /// The same box in voxels, `None` beyond the limits of the grid.
+    pub(crate) fn voxels(&self) -> Option<VoxelBox> {
+        let corner = |at: [i32; 3]| BlockIndex::new(at[0], at[1], at[2]).corner();
+        // At its end the grid cuts a block.
+        let max = corner(self.max);
+        let [x, y, z] = [max.x, max.y, max.z].map(|last| last.saturating_add(7).min(VOXEL_LIMIT));
+        VoxelBox::spanning(corner(self.min), Voxel::new(x, y, z))
+    }
+
+    /// The blocks that a box touches.
+    pub(crate) fn around(region: &VoxelBox) -> Self {
+        let [low, high] = [region.min().block(), region.max().block()];
+        Self { min: [low.x, low.y, low.z], max: [high.x, high.y, high.z] }
+    }
+
+    /// The blocks that a box is made of, `None` if it cuts one.
+    pub(crate) fn of_voxels(region: &VoxelBox) -> Option<Self> {
+        let of = Self::around(region);
+        (of.voxels()? == *region).then_some(of)
+    }
+}

@@ -1,0 +1,226 @@
+//! A present state as its own history: part by part in the order of their stamps, each told as a cycle against the older ones.
+//!
+//! So the stamps cost next to nothing, and what a later cycle left of an earlier one is told where that cycle told it. A tile holds
+//! sections, each a part or a piece of one. Who has read the tiles before knows what the next one is told against. A tile without
+//! sections says that nothing is known.
+//!
+//! A section: the stamp, a varint, as the difference to the section before (the first: to the start in the header); the box in
+//! blocks, three varints for its lowest block as the difference to that of the tile, three for its size less one; the length of
+//! the rest, a varint; the rest, as in a package of changes.
+
+use flockmap_grid::{BlockIndex, Changes, Layer, PresentState, Stamp, StateBlock, VoxelBox};
+
+use super::order::BlockBox;
+use super::package::{self, Habits, Workspace};
+use super::tables::TableSet;
+use crate::reference::Known;
+use crate::varint::{self, Reader};
+use crate::{Codec, PackageError};
+
+/// A tile that is being filled or is full.
+pub(crate) struct Tile {
+    sections: Vec<Section>,
+    pub(crate) region: BlockBox,
+    pub(crate) parts: Vec<(Stamp, Changes)>,
+    /// Of each part, as the sections tell it.
+    pub(crate) sensors: Vec<(Stamp, [i32; 3])>,
+}
+
+struct Section {
+    stamp: Stamp,
+    region: BlockBox,
+    payload: Vec<u8>,
+}
+
+/// Room that is not worth beginning a section in.
+const SECTION_BYTES_MIN: usize = 100;
+
+/// Codes the parts of a present state. `room` says how many bytes the payload of a tile may have that spans a box and some stamps. A tile
+/// of a single block may be longer.
+pub(crate) fn encode(
+    workspace: &mut Workspace,
+    state: &PresentState,
+    room: impl Fn(&VoxelBox, [Stamp; 2]) -> usize,
+) -> Vec<Tile> {
+    let mut told = Layer::default();
+    let mut tiles: Vec<Tile> = Vec::new();
+    let mut habits = Habits::new(&[TableSet::Dense, TableSet::Sparse]);
+    // A tile can grow to this as sections are added, and its header with it.
+    let largest = BlockBox::around(&state.region);
+    let left_in = |tile: &Tile, stamp: Stamp| {
+        let first = tile.parts.first().map_or(stamp, |part| part.0);
+        let room = largest.voxels().map_or(0, |region| room(&region, [first, stamp]));
+        room.saturating_sub(tile.bytes() + SECTION_HEAD_MAX)
+    };
+    let empty = || Tile { sections: Vec::new(), region: largest, parts: Vec::new(), sensors: Vec::new() };
+    for (stamp, part) in &state.parts {
+        let at = state.sensors.binary_search_by_key(stamp, |(stamp, _)| *stamp).ok();
+        let sensor =
+            at.and_then(|at| state.sensors.get(at)).map_or_else(|| middle(part), |(_, sensor)| *sensor);
+        let known = Known::new(Some(&told), *stamp);
+        let blocks = package::in_order(part, sensor);
+        let mut rest = blocks.as_slice();
+        while !rest.is_empty() {
+            let last = tiles.last().map(|tile| (left_in(tile, *stamp), tile.sections.is_empty()));
+            let (left, is_empty) = match last.filter(|(left, _)| *left >= SECTION_BYTES_MIN) {
+                Some(last) => last,
+                None => {
+                    let tile = empty();
+                    let left = left_in(&tile, *stamp);
+                    tiles.push(tile);
+                    (left, true)
+                }
+            };
+            let coded = package::encode(workspace, &known, &mut habits, sensor, rest, |_| left);
+            // Nothing in `told` is as new as the part.
+            let Ok((piece, count)) = coded else { unreachable!("parts come in the order of their stamps") };
+            let of_section = BlockBox::around(&piece.region).volume();
+            let of_tile = tiles.last().map_or(0, Tile::blocks);
+            if !is_empty && (piece.payload.len() > left || of_tile + of_section > package::BOX_BLOCKS_MAX) {
+                // Not even one block goes in any more, or no box as large as this.
+                tiles.push(empty());
+                continue;
+            }
+            rest = rest.get(count..).unwrap_or_default();
+            if let Some(tile) = tiles.last_mut() {
+                tile.add(*stamp, sensor, piece);
+            }
+        }
+        told.apply(part, *stamp);
+    }
+    if tiles.is_empty() {
+        tiles.push(empty());
+    }
+    tiles
+}
+
+/// What the head of a section takes at most: stamp, corner, size, length.
+const SECTION_HEAD_MAX: usize = 10 + 3 * 5 + 3 * 5 + 3;
+
+/// The middle of some changes, in sixteenths of a voxel.
+fn middle(changes: &Changes) -> [i32; 3] {
+    let count = changes.blocks().len().max(1) as i64;
+    let sum = changes.blocks().iter().fold([0i64; 3], |sum, (block, _)| {
+        [sum[0] + i64::from(block.x), sum[1] + i64::from(block.y), sum[2] + i64::from(block.z)]
+    });
+    sum.map(|sum| (sum * 128 / count + 64).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32)
+}
+
+impl Tile {
+    /// Blocks in the boxes of its sections, counted together: what it takes to read it goes with them.
+    fn blocks(&self) -> u128 {
+        self.sections.iter().map(|section| section.region.volume()).sum()
+    }
+
+    fn bytes(&self) -> usize {
+        self.sections.iter().map(|section| section.payload.len() + SECTION_HEAD_MAX / 2).sum()
+    }
+
+    fn add(&mut self, stamp: Stamp, sensor: [i32; 3], piece: package::Piece) {
+        add_sensor(&mut self.sensors, stamp, sensor);
+        let region = BlockBox::around(&piece.region);
+        self.region = if self.sections.is_empty() { region } else { self.region.union(&region) };
+        self.sections.push(Section { stamp, region, payload: piece.payload });
+        add(&mut self.parts, stamp, piece.changes);
+    }
+
+    /// The payload of the tile.
+    pub(crate) fn payload(&self) -> Vec<u8> {
+        let mut payload = Vec::new();
+        let mut before = self.sections.first().map_or(Stamp(0), |section| section.stamp);
+        for Section { stamp, region, payload: rest } in &self.sections {
+            varint::write(&mut payload, stamp.0.wrapping_sub(before.0) as u64);
+            before = *stamp;
+            for (at, of_tile) in region.min.into_iter().zip(self.region.min) {
+                varint::write(&mut payload, i64::from(at).abs_diff(i64::from(of_tile)));
+            }
+            for side in region.size() {
+                varint::write(&mut payload, side - 1);
+            }
+            varint::write(&mut payload, rest.len() as u64);
+            payload.extend_from_slice(rest);
+        }
+        payload
+    }
+}
+
+/// What a tile says; `told` is what the tiles before it said, and holds this one too afterwards. After an error it is of no use.
+pub(crate) fn decode(
+    workspace: &mut Option<Box<Workspace>>,
+    told: &mut Layer,
+    payload: &[u8],
+    region: &VoxelBox,
+    [first, last]: [Stamp; 2],
+) -> Result<PresentState, PackageError> {
+    let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
+    let blocks = BlockBox::of_voxels(region).ok_or_else(|| wrong("the box is made of whole blocks"))?;
+    let mut state = PresentState { region: *region, parts: Vec::new(), sensors: Vec::new() };
+    let mut stamp = first;
+    let mut blocks_left = package::BOX_BLOCKS_MAX;
+    let mut rest = payload;
+    while !rest.is_empty() {
+        let mut reader = Reader::new(rest);
+        let later = reader.number("difference of stamps", u64::MAX)?;
+        let next = stamp.0.checked_add_unsigned(later).map(Stamp).filter(|stamp| *stamp <= last);
+        stamp = next.ok_or_else(|| wrong("stamps ascend to the newest in the header"))?;
+        let section = read_box(&mut reader, &blocks)?;
+        let length = reader.number("section length", u64::MAX)?;
+        let split = usize::try_from(length).ok().and_then(|length| reader.rest().split_at_checked(length));
+        let (body, after) = split.ok_or_else(|| wrong("a section ends within its tile"))?;
+        rest = after;
+        blocks_left = blocks_left
+            .checked_sub(section.volume())
+            .ok_or_else(|| wrong("the boxes of its sections have at most 2¹⁸ blocks together"))?;
+        let voxels = section.voxels().ok_or_else(|| wrong("a section lies in the grid"))?;
+        let known = Known::new(Some(told), stamp);
+        let changes = package::decode(workspace.get_or_insert_default(), &known, body, section)?;
+        let is_known = |block: &StateBlock, known: &StateBlock| {
+            block.known().iter().zip(known.known()).any(|(told, known)| told & known != 0)
+        };
+        let is_told = |(at, block): &(BlockIndex, StateBlock)| {
+            told.block(*at).is_some_and(|known| is_known(block, known))
+        };
+        if changes.blocks().iter().any(is_told) {
+            return Err(wrong("every voxel has one stamp"));
+        }
+        told.apply(&changes, stamp);
+        if let Some(sensor) = super::sensor(body, &voxels) {
+            add_sensor(&mut state.sensors, stamp, sensor);
+        }
+        add(&mut state.parts, stamp, changes);
+    }
+    Ok(state)
+}
+
+/// The box of a section in that of its tile.
+fn read_box(reader: &mut Reader<'_>, of_tile: &BlockBox) -> Result<BlockBox, PackageError> {
+    let mut section = *of_tile;
+    for (min, max) in section.min.iter_mut().zip(of_tile.max) {
+        let at = reader.number("section corner", max.abs_diff(*min).into())?;
+        *min = (i64::from(*min) + at as i64) as i32;
+    }
+    for (max, min) in section.max.iter_mut().zip(section.min) {
+        let side = reader.number("section size", max.abs_diff(min).into())?;
+        *max = (i64::from(min) + side as i64) as i32;
+    }
+    Ok(section)
+}
+
+/// Adds changes to the newest part, if they are of that, or as a new one.
+fn add(parts: &mut Vec<(Stamp, Changes)>, stamp: Stamp, changes: Changes) {
+    match parts.last_mut() {
+        Some((last, part)) if *last == stamp => {
+            *part = Changes::from_blocks([part.blocks(), changes.blocks()].concat());
+        }
+        // Bytes can be made that say nothing; a part is never empty.
+        _ if changes.is_empty() => {}
+        _ => parts.push((stamp, changes)),
+    }
+}
+
+/// Adds the sensor of a part, if it is not there yet.
+fn add_sensor(sensors: &mut Vec<(Stamp, [i32; 3])>, stamp: Stamp, sensor: [i32; 3]) {
+    if sensors.last().is_none_or(|(last, _)| *last != stamp) {
+        sensors.push((stamp, sensor));
+    }
+}

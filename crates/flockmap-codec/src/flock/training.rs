@@ -1,0 +1,317 @@
+//! Makes the tables of the `flock` codec from cycles of mapping. Integers only, so that the same cycles give the same tables on
+//! every machine.
+//!
+//! Two rounds over the same cycles: the first counts how often an unknown voxel in each context was seen, which gives the levels; the
+//! second counts by levels, which gives the chances that packages begin with.
+
+use flockmap_grid::{Changes, Layer};
+
+use super::block::{self, TurnedChanges};
+use super::cells::{Bits, Neighbourhood};
+use super::coder::Chance;
+use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::field::Field;
+use super::order::{self, BlockBox};
+use super::package::{Flags, in_order, view};
+use super::tables::{
+    self, Chances, ContextLevels, FLAG_CONTEXTS, LEVELS, NEAR_CONTEXTS, RAY_CONTEXTS, ROW_KINDS, SET_BYTES,
+    TableSet, Tables, voxel_chance,
+};
+use crate::Cycle;
+use crate::deflate::{Deflater, inflate_exact};
+use crate::reference::Known;
+
+/// Changed voxels in a package of usual size. The voxels at its rim have less beside them.
+const PACKAGE_VOXELS: usize = 1_500;
+
+/// How likely a bit of each level is, in 65,536ths.
+const LEVEL_CHANCES: [u32; LEVELS] = [
+    22, 28, 36, 47, 60, 77, 98, 126, 162, 208, 267, 342, 439, 562, 720, 922, 1179, 1506, 1921, 2446, 3108,
+    3938, 4971, 6249, 7812, 9702, 11955, 14595, 17625, 21025, 24743, 28693, 32768, 36843, 40793, 44511,
+    47911, 50941, 53581, 55834, 57724, 59287, 60565, 61598, 62428, 63090, 63615, 64030, 64357, 64614, 64816,
+    64974, 65097, 65194, 65269, 65328, 65374, 65410, 65438, 65459, 65476, 65489, 65500, 65508,
+];
+/// Where one level ends and the next begins.
+const LEVEL_BOUNDS: [u32; LEVELS - 1] = [
+    25, 32, 41, 53, 68, 87, 111, 143, 184, 236, 302, 387, 497, 636, 815, 1042, 1333, 1701, 2168, 2758, 3500,
+    4427, 5577, 6992, 8714, 10782, 13226, 16062, 19282, 22849, 26695, 30723, 34813, 38841, 42687, 46254,
+    49474, 52310, 54754, 56822, 58544, 59959, 61109, 62036, 62778, 63368, 63835, 64203, 64494, 64721, 64900,
+    65039, 65149, 65234, 65300, 65352, 65393, 65425, 65449, 65468, 65483, 65495, 65504,
+];
+
+/// What the sets of a file are for, in their order in it.
+pub const SETS: [&str; TableSet::ALL.len()] = ["dense", "sparse", "obstacles"];
+
+/// The tables are made once and read for years: the best level of zlib. A change of it changes the file.
+const ZLIB_LEVEL: u32 = 9;
+
+/// Bytes that are not a file of tables.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
+#[error("not a file of tables: expected one zlib stream of {} bytes", SET_BYTES * TableSet::ALL.len())]
+pub struct NotTables;
+
+/// The file that the codec ships, of the [`Trainer::tables`] of each of [`SETS`].
+pub fn file(sets: &[Vec<u8>]) -> Vec<u8> {
+    let mut file = Vec::new();
+    Deflater::with_level(ZLIB_LEVEL).deflate(&sets.concat(), &mut file);
+    file
+}
+
+/// The sets of a [`file()`].
+pub fn read(file: &[u8]) -> Result<Vec<Vec<u8>>, NotTables> {
+    let mut bytes = vec![0; SET_BYTES * TableSet::ALL.len()];
+    inflate_exact(file, &mut bytes).ok_or(NotTables)?;
+    Ok(bytes.chunks_exact(SET_BYTES).map(<[u8]>::to_vec).collect())
+}
+
+/// The file that this build of the codec ships.
+pub const fn shipped() -> &'static [u8] {
+    tables::FILE
+}
+
+/// How often a bit was not set, and was.
+type Counts = [u64; 2];
+
+/// Trains one set of tables.
+pub struct Trainer {
+    counting: Counting,
+    field: Field,
+    cells: Neighbourhood,
+    told: Vec<u8>,
+}
+
+impl Default for Trainer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Rounds that training takes.
+pub const ROUNDS: usize = 2;
+
+impl Trainer {
+    /// Before the first round.
+    pub fn new() -> Self {
+        Self {
+            counting: Counting::new(None),
+            field: Field::default(),
+            cells: Neighbourhood::new(),
+            told: Vec::new(),
+        }
+    }
+
+    /// Learns from a cycle; `layer` is what was known before it. Each round has to be given the same cycles.
+    pub fn learn(&mut self, layer: &Layer, cycle: &Cycle, changes: &Changes) {
+        let known = Known::new(Some(layer), cycle.end);
+        let sensor = cycle.sensor;
+        let blocks = in_order(changes, sensor);
+        let mut rest = blocks.as_slice();
+        while !rest.is_empty() {
+            let mut voxels = 0;
+            let full = rest.iter().position(|(_, states)| {
+                voxels += states.known_count() as usize;
+                voxels >= PACKAGE_VOXELS
+            });
+            let (package, after) = rest.split_at(full.map_or(rest.len(), |last| last + 1));
+            rest = after;
+            self.package(&known, sensor, package);
+        }
+    }
+
+    fn package(
+        &mut self,
+        known: &Known<'_>,
+        sensor: [i32; 3],
+        blocks: &[(flockmap_grid::BlockIndex, flockmap_grid::StateBlock)],
+    ) {
+        let Some((first, _)) = blocks.first() else { return };
+        let region = blocks.iter().fold(BlockBox::of(*first), |region, (index, _)| region.with(*index));
+        self.field.clear(region);
+        let mut flags = Flags::new(region, &mut self.told);
+        let mut left = blocks.iter().peekable();
+        for index in order::blocks(region, order::sensor_block(sensor)).skip_while(|index| index != first) {
+            let Some((next, states)) = left.peek() else { break };
+            let is_changed = *next == index;
+            // A layer of whole cycles, in order, has not been overtaken.
+            let (turn, distance) = view(index, sensor);
+            let Ok(slot) = self.field.ask(known, index, turn) else { return };
+            let counts = self.field.counts(slot);
+            let context = flags.context(index, turn, counts);
+            self.counting.flag(context, is_changed);
+            flags.tell(index, is_changed);
+            if !is_changed {
+                continue;
+            }
+            let Ok(slots) = self.field.around(known, index, turn) else { return };
+            self.cells.gather(turn, &slots, self.field.cells());
+            let before = known.block(index).ok().flatten();
+            let truth = TurnedChanges::of(states, turn);
+            block::code(
+                &mut self.counting,
+                &mut self.cells,
+                distance,
+                counts,
+                &truth,
+                block::turns(before, states),
+            );
+            self.field.tell(slot, index, turn, &truth);
+            left.next();
+        }
+    }
+
+    /// Ends a round. After the last of [`ROUNDS`], [`Self::tables`] are ready.
+    pub fn end_round(&mut self) {
+        let Counting { tables, .. } = &self.counting;
+        let tables = match tables {
+            None => self.counting.with_levels(),
+            Some(tables) => self.counting.with_chances(tables.clone()),
+        };
+        self.counting = Counting::new(Some(tables));
+    }
+
+    /// The tables as bytes, as they stand after the rounds so far.
+    pub fn tables(&self) -> Vec<u8> {
+        self.counting.tables.as_ref().map(Tables::to_bytes).unwrap_or_default()
+    }
+}
+
+struct Counting {
+    tables: Option<Tables>,
+    near: Vec<Counts>,
+    ray: Vec<Counts>,
+    kind_near: Vec<Counts>,
+    kind_ray: Vec<Counts>,
+    voxel_chance: Vec<Counts>,
+    kind_chance: Vec<Counts>,
+    flag: Vec<Counts>,
+}
+
+impl Counting {
+    fn new(tables: Option<Tables>) -> Self {
+        let none = |count| vec![[0; 2]; count];
+        Self {
+            tables,
+            near: none(NEAR_CONTEXTS),
+            ray: none(RAY_CONTEXTS),
+            kind_near: none(NEAR_CONTEXTS),
+            kind_ray: none(RAY_CONTEXTS),
+            voxel_chance: none(ROW_KINDS * LEVELS * LEVELS),
+            kind_chance: none(LEVELS * LEVELS),
+            flag: none(FLAG_CONTEXTS),
+        }
+    }
+
+    /// What contexts are worth. Contexts that were rarely met lean on groups of similar ones.
+    fn with_levels(&self) -> Tables {
+        let near_group = |context: usize| {
+            // The two bits of a state stand two apart: those of two voxels in each four bits.
+            let state = |cell: usize| {
+                let bits = context >> (cell / 2 * 4 + cell % 2);
+                bits & 1 | bits >> 1 & 2
+            };
+            let new = (0..6).filter(|cell| state(*cell) == 1).count();
+            new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
+        };
+        let near = levels(&self.near, near_group, EVEN_ODDS).into_iter().zip(levels(
+            &self.kind_near,
+            near_group,
+            THREE_IN_TEN,
+        ));
+        let ray_group = |context: usize| context & 255;
+        let ray = levels(&self.ray, ray_group, EVEN_ODDS).into_iter().zip(levels(
+            &self.kind_ray,
+            ray_group,
+            THREE_IN_TEN,
+        ));
+        let mut tables = Tables {
+            near: Box::new([ContextLevels::default(); NEAR_CONTEXTS]),
+            ray: Box::new([ContextLevels::default(); RAY_CONTEXTS]),
+            start: Chances::even(),
+        };
+        tables.near.iter_mut().zip(near).for_each(|(to, (voxel, kind))| *to = ContextLevels { voxel, kind });
+        tables.ray.iter_mut().zip(ray).for_each(|(to, (voxel, kind))| *to = ContextLevels { voxel, kind });
+        tables
+    }
+
+    fn with_chances(&self, mut tables: Tables) -> Tables {
+        let start = &mut tables.start;
+        for (chances, counts) in
+            [(&mut start.voxel[..], &self.voxel_chance), (&mut start.kind[..], &self.kind_chance)]
+        {
+            for (index, (chance, counts)) in chances.iter_mut().zip(counts).enumerate() {
+                let (near, ray) = (index / LEVELS % LEVELS, index % LEVELS);
+                // What the two levels say together where there is no experience: 0.6 of their sum.
+                let middle = LEVELS as i64 / 2;
+                let level = middle + (6 * (near as i64 + ray as i64 - 2 * middle)).div_euclid(10);
+                let prior = LEVEL_CHANCES[level.clamp(0, LEVELS as i64 - 1) as usize];
+                *chance = to_chance(share(*counts, prior, 4));
+            }
+        }
+        for (chance, counts) in start.flag.iter_mut().zip(&self.flag) {
+            *chance = to_chance(share(*counts, THREE_IN_TEN, 1));
+        }
+        tables
+    }
+}
+
+const EVEN_ODDS: u32 = 1 << 15;
+const THREE_IN_TEN: u32 = 19_661;
+
+/// How often a bit was set, in 65,536ths, as if a prior had been met `weight` times before.
+fn share(counts: Counts, prior: u32, weight: u64) -> u32 {
+    let [clear, set] = counts;
+    (((set << 16) + weight * u64::from(prior)) / (clear + set + weight)) as u32
+}
+
+/// Never so sure that a surprise costs more than 10 bits.
+fn to_chance(share: u32) -> Chance {
+    share.clamp(48, 65_536 - 48) as Chance
+}
+
+/// Levels of contexts; the prior of a context is what its group met.
+fn levels(counts: &[Counts], group: impl Fn(usize) -> usize, prior: u32) -> Vec<u8> {
+    let mut groups = vec![[1u64, 1]; 256];
+    for (context, counts) in counts.iter().enumerate() {
+        let sum = &mut groups[group(context)];
+        sum[0] += counts[0];
+        sum[1] += counts[1];
+    }
+    let level = |(context, counts): (usize, &Counts)| {
+        let prior = share(groups[group(context)], prior, 1);
+        let share = share(*counts, prior, 4);
+        LEVEL_BOUNDS.partition_point(|bound| *bound <= share) as u8
+    };
+    counts.iter().enumerate().map(level).collect()
+}
+
+impl Decide for Counting {
+    fn flag(&mut self, context: usize, truth: bool) -> bool {
+        self.flag[context][usize::from(truth)] += 1;
+        truth
+    }
+
+    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+        voxels(self, row, truth)
+    }
+}
+
+impl DecideVoxel for Counting {
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
+        let [near, ray] = contexts.map(usize::from);
+        let level = self.tables.as_ref().map_or(0, |tables| tables.lookup().level(contexts));
+        self.near[near][usize::from(truth)] += 1;
+        self.ray[ray][usize::from(truth)] += 1;
+        self.voxel_chance[voxel_chance(kind, level)][usize::from(truth)] += 1;
+        truth
+    }
+
+    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
+        let [near, ray] = contexts.map(usize::from);
+        self.kind_near[near][usize::from(truth)] += 1;
+        self.kind_ray[ray][usize::from(truth)] += 1;
+        if let Some(tables) = &self.tables {
+            self.kind_chance[tables.lookup().kind(contexts)][usize::from(truth)] += 1;
+        }
+        truth
+    }
+}

@@ -1,0 +1,51 @@
+//! What the fuzzer runs, shared with the test that replays its corpus: `fuzz/README.md` tells how to run it.
+
+mod choices;
+pub(crate) mod decode;
+mod digest;
+#[path = "../common/random.rs"]
+mod random;
+pub(crate) mod round_trip;
+pub(crate) mod tiles;
+
+pub(crate) use choices::Choices;
+pub(crate) use digest::Digest;
+pub(crate) use random::Random;
+
+use flockmap_codec::{Codec, Content, Decoder, Encoder, Package, TilesRead};
+use flockmap_grid::{PresentState, VOXEL_LIMIT, Voxel, VoxelBox};
+
+/// What one run leaves to the next: memory that is used again must not tell.
+#[derive(Default)]
+pub(crate) struct Fuzz {
+    encoder: Encoder,
+    decoder: Decoder,
+    /// Of all that was written and read: the same on every machine.
+    pub(crate) digest: Digest,
+}
+
+impl Fuzz {
+    /// Notes the bytes of a package just made. Those of zlib may be others on another machine.
+    fn note(&mut self, package: &Package) {
+        if matches!(package.header().codec, Codec::Raw | Codec::Racer | Codec::Flock) {
+            self.digest.add(package.bytes());
+        }
+    }
+
+    /// What an honest tile says that follows those before.
+    fn read_tile(&mut self, tile: &Package, before: &mut TilesRead) -> PresentState {
+        if tile.header().codec == Codec::Flock {
+            return self.decoder.decode_tile(tile, before).unwrap();
+        }
+        match self.decoder.decode(tile).unwrap() {
+            Content::Present(state) => state,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// All voxels that there can be.
+fn grid() -> VoxelBox {
+    let end = VOXEL_LIMIT;
+    VoxelBox::spanning(Voxel::new(-end, -end, -end), Voxel::new(end, end, end)).unwrap()
+}

@@ -1,0 +1,45 @@
+//! What a robot counts.
+
+/// What a robot counted, beside its session's counters.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[non_exhaustive]
+pub struct RobotCounters {
+    /// Scans taken in.
+    pub scans: u64,
+    /// Points that were ignored: not finite, too near or too far out.
+    pub points_ignored: u64,
+    /// Points that were taken for team-mates.
+    pub points_masked: u64,
+    /// Blocks of the own map that were forgotten under the byte cap.
+    pub blocks_forgotten: u64,
+    /// Cycles closed.
+    pub cycles: u64,
+    /// Own voxels that changed, added up over cycles.
+    pub changes: u64,
+    /// Own packages made.
+    pub packages: u64,
+    /// Bytes of these.
+    pub package_bytes: u64,
+    /// Packages of others merged, tiles of present states among them.
+    pub merged: u64,
+    /// Packages of others that had to wait for the packages that they build on.
+    pub waited: u64,
+    /// Of these: dropped for want of room, and asked for again.
+    pub waiting_dropped: u64,
+    /// Packages of others that could not be decoded any more, since a later cycle or a present state had come before: a present
+    /// state was asked for in their place.
+    pub overtaken: u64,
+    /// Packages of others that were damaged: not taken in, and asked for again; the second time, if they build on others, a present
+    /// state is asked for in their place.
+    pub damaged: u64,
+    /// Packages of others for which there was no room.
+    pub no_room: u64,
+    /// Packages of others with voxels of another size.
+    pub foreign_resolution: u64,
+    /// Present states made for others.
+    pub present_states: u64,
+    /// Own cycles that were told without what was before, since repair was slow.
+    pub cycles_without_reference: u64,
+    /// Events dropped since nobody polled them.
+    pub events_dropped: u64,
+}

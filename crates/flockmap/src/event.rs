@@ -1,0 +1,84 @@
+//! What a robot tells its driver.
+
+use flockmap_codec::{Cycle, Package};
+use flockmap_grid::{Changes, FusionError, Stamp, Stream};
+
+/// Something worth knowing. Need not be polled: what is not read is dropped, oldest first, 1,024 are kept.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Event {
+    /// An own cycle was closed and its packages are on their way.
+    CycleClosed {
+        /// Its time.
+        cycle: Cycle,
+        /// What changed.
+        changes: Changes,
+        /// The packages made of it.
+        packages: Vec<Package>,
+    },
+    /// A package of another robot, or of a former run of this one, is in its layer and in the fused map.
+    Merged {
+        /// Whose observations these are.
+        stream: Stream,
+        /// Number of the package.
+        index: u32,
+        /// Oldest time of what it says, on the origin's clock.
+        cycle_start: Stamp,
+        /// Newest time of what it says, on the origin's clock.
+        cycle_end: Stamp,
+        /// What it says. Empty for a tile of a present state.
+        changes: Changes,
+        /// Voxels of the layer that were taken over; the others were known to be newer.
+        taken: usize,
+    },
+    /// A package was not taken in. It is counted, and asked for again unless that is useless.
+    Refused {
+        /// Its stream.
+        stream: Stream,
+        /// Its index.
+        index: u32,
+        /// What was wrong.
+        reason: Refusal,
+    },
+    /// All packages up to this one are held now, by way of a present state.
+    CaughtUp {
+        /// The stream.
+        stream: Stream,
+        /// The newest package contained.
+        upto: u32,
+    },
+    /// A robot was heard for the first time, or again, or in a new run.
+    PeerSeen(Stream),
+    /// A robot has not been heard for a while.
+    PeerLost(Stream),
+    /// Another robot uses the own id. Give one of them another.
+    SameIdentity,
+    /// Own changes could not be coded, and are lost to the others. Please report it: this should not happen.
+    EncodeFailed(flockmap_codec::EncodeError),
+}
+
+/// Why a package was not taken in.
+#[derive(Clone, PartialEq, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// It is damaged, or of a version that is not known; or what it builds on is gone, then a present state is asked for.
+    #[error(transparent)]
+    Package(#[from] flockmap_codec::PackageError),
+    /// There is no room for it.
+    #[error(transparent)]
+    Fusion(#[from] FusionError),
+    /// It waited for the packages that it builds on, and there was no room for it any more. It is asked for again.
+    #[error("it waited for package {reference}, or one before that, and there is no room for more that wait")]
+    Waiting {
+        /// The newest package that it builds on.
+        reference: u32,
+    },
+    /// Its voxels have another size. It is held and passed on, but not merged.
+    #[error("voxels of {got:?}, this robot has {own:?}: give all robots the same resolution")]
+    Resolution {
+        /// Of the package.
+        got: flockmap_grid::Resolution,
+        /// Of this robot.
+        own: flockmap_grid::Resolution,
+    },
+}
