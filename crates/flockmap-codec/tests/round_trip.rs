@@ -270,7 +270,8 @@ fn a_present_state_of_nothing_is_one_tile_without_a_known_voxel() {
 fn tiles_of_flock_go_in_order_and_tell_where_the_sensor_was() {
     let changes = forest_cycle();
     let mut state = present(&changes, 5, 1);
-    state.sensors = state.parts.iter().map(|(stamp, _)| (*stamp, [stamp.0 as i32, -7, 1 << 20])).collect();
+    state.sensors =
+        state.parts.iter().map(|(stamp, _)| (*stamp, [4 * stamp.0 as i32, -8, 1 << 20])).collect();
     let encode = |state: &PresentState| {
         Encoder::new()
             .encode_present(Codec::Flock, stream(), 9, resolution(), state, PACKAGE_BYTES_MAX)

@@ -12,8 +12,9 @@ use super::package::view;
 use super::tables::{TableSet, Tables, voxel_chance};
 use crate::reference::Known;
 
-/// Blocks that are looked at: so many from the front, and from the middle on.
-const SAMPLE_BLOCKS: usize = 8;
+/// Blocks that are looked at: so many from the front and so many from the middle, at most one in `SAMPLE_PART`.
+const SAMPLE_BLOCKS: usize = 16;
+const SAMPLE_PART: usize = 6;
 
 /// The set with which some of `blocks` take the fewest bits.
 pub(crate) fn choose(
@@ -24,8 +25,9 @@ pub(crate) fn choose(
     sensor: [i32; 3],
     blocks: &[(BlockIndex, StateBlock)],
 ) -> Result<TableSet, Overtaken> {
+    let count = (blocks.len() / (2 * SAMPLE_PART)).clamp(2, SAMPLE_BLOCKS);
     let (first, last) = blocks.split_at(blocks.len() / 2);
-    let sample = || first.iter().take(SAMPLE_BLOCKS).chain(last.iter().take(SAMPLE_BLOCKS));
+    let sample = || first.iter().take(count).chain(last.iter().take(count));
     let mut trial = Trial { sets: sets.iter().map(|set| (0, *set, set.tables())).collect() };
     let region = sample().map(|(index, _)| BlockBox::of(*index)).reduce(|all, block| all.union(&block));
     if let Some(region) = region.filter(|region| sets.len() > 1 && region.volume() <= REACH_MAX) {
@@ -41,7 +43,7 @@ pub(crate) fn choose(
             field.tell(slot, *index, turn, &truth);
         }
     }
-    let best = trial.sets.iter().min_by_key(|(cost, _, _)| *cost);
+    let best = trial.sets.iter().min_by_key(|(cost, ..)| *cost);
     Ok(best.map_or(TableSet::Dense, |(_, set, _)| *set))
 }
 

@@ -3,14 +3,14 @@
 use flockmap_grid::{BlockIndex, Changes, Overtaken, Stamp, StateBlock, VoxelBox};
 
 use super::noise;
-use super::order::{BLOCK_UNITS, BlockBox};
+use super::order::BlockBox;
 use super::package::{self, Habits, Piece, Workspace};
 use super::tables::TableSet;
 use crate::reference::Known;
 use crate::varint::Reader;
 use crate::{BOX_VOXELS_MAX, Codec, PackageError};
 
-/// The first byte of a payload of noise. Others are numbers of table sets.
+/// The first byte of a payload of noise. Others tell a set of tables, of which there is none with this number.
 const NOISE: u8 = 3;
 
 /// Up to so many changes the model is tried even if they look like noise.
@@ -31,6 +31,7 @@ pub(crate) fn encode(
     changes: &Changes,
     room: impl Fn(usize, &VoxelBox) -> usize,
 ) -> Result<Vec<Told>, Overtaken> {
+    let sensor = package::whole(sensor);
     let tight = changes.bounding_box();
     let tight = tight.filter(|region| region.volume() <= u128::from(BOX_VOXELS_MAX));
     let is_noise = tight.is_some_and(|region| noise::is_noise(changes, &region));
@@ -119,15 +120,8 @@ pub(crate) fn decode(
 /// From where the changes in a payload were seen, in sixteenths of a voxel. `None` if they were told without that.
 pub(crate) fn sensor(payload: &[u8], region: &VoxelBox) -> Option<[i32; 3]> {
     let blocks = BlockBox::of_voxels(region)?;
-    let mut reader = Reader::new(payload);
-    if reader.byte("tables").ok()? == NOISE {
+    if payload.first() == Some(&NOISE) {
         return None;
     }
-    let mut sensor = [0; 3];
-    for (at, min) in sensor.iter_mut().zip(blocks.min) {
-        let corner = i64::from(min) * BLOCK_UNITS;
-        *at =
-            reader.signed("sensor").ok()?.checked_add(corner).and_then(|place| i32::try_from(place).ok())?;
-    }
-    Some(sensor)
+    package::Head::read(&blocks, &mut Reader::new(payload)).ok().map(|head| head.sensor)
 }

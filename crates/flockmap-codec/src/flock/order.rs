@@ -38,6 +38,11 @@ impl BlockBox {
         }
     }
 
+    /// Its middle, in sixteenths of a voxel.
+    pub(crate) fn middle(&self) -> [i64; 3] {
+        core::array::from_fn(|a| (i64::from(self.min[a]) + i64::from(self.max[a]) + 1) * BLOCK_UNITS / 2)
+    }
+
     pub(crate) fn size(&self) -> [u64; 3] {
         core::array::from_fn(|a| (i64::from(self.max[a]) - i64::from(self.min[a]) + 1) as u64)
     }

@@ -1,8 +1,8 @@
 //! A package of changes: blocks in order, cut where the package is full.
 //!
-//! The payload: a byte for the set of tables; the sensor's position, three signed varints, in sixteenths of a voxel from the lowest
-//! corner of the box; the number of blocks of the box before the first that is told of, and the number from there to the last, two
-//! varints, both in the order of `order.rs`; the decisions.
+//! The payload: a varint, the number of blocks of the box before the first that is told of times four, plus the set of tables; the
+//! sensor's position, three signed varints, in quarters of a voxel from the middle of the box; a varint, the number of blocks from the
+//! first to the last that is told of; the decisions. Blocks are counted in the order of `order.rs`.
 
 use flockmap_grid::{BLOCK_SIDE, BlockIndex, Changes, Overtaken, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox};
 
@@ -179,11 +179,8 @@ fn write(
     let first = blocks.first().map(|(index, _)| *index);
     let before = order::blocks(region, sensor_block).take_while(|index| Some(*index) != first).count();
 
-    let mut payload = vec![set.id()];
-    for (at, min) in sensor.into_iter().zip(region.min) {
-        varint::write_signed(&mut payload, i64::from(at) - i64::from(min) * BLOCK_UNITS);
-    }
-    varint::write(&mut payload, before as u64);
+    let mut payload = Vec::with_capacity(1_200);
+    Head { set, sensor, before: before as u64 }.write(&region, &mut payload);
     field.clear(region);
     body.clear();
     let mut writer = Writer::new(set.tables(), chances, body);
@@ -235,15 +232,8 @@ pub(crate) fn decode(
 ) -> Result<Changes, PackageError> {
     let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
     let mut reader = varint::Reader::new(payload);
-    let set = TableSet::from_id(reader.byte("tables")?).ok_or_else(|| wrong("the tables are known"))?;
-    let mut sensor = [0; 3];
-    for (at, min) in sensor.iter_mut().zip(region.min) {
-        let corner = i64::from(min) * BLOCK_UNITS;
-        let place = reader.signed("sensor")?.checked_add(corner).and_then(|place| i32::try_from(place).ok());
-        *at = place.ok_or_else(|| wrong("the sensor is within 2³¹ sixteenths of a voxel"))?;
-    }
+    let Head { set, sensor, before } = Head::read(&region, &mut reader)?;
     let volume = region.volume() as u64;
-    let before = reader.number("blocks before", volume)?;
     let length = reader.number("blocks told of", volume - before)?;
     let mut blocks_left = blocks_max(payload.len());
 
@@ -277,6 +267,48 @@ pub(crate) fn decode(
         return Err(wrong("no voxel lies outside of the grid"));
     }
     Ok(changes)
+}
+
+/// What a payload begins with.
+pub(crate) struct Head {
+    set: TableSet,
+    /// In sixteenths of a voxel, a [`whole`] number of units.
+    pub(crate) sensor: [i32; 3],
+    /// Blocks of the box before the first that is told of.
+    before: u64,
+}
+
+/// Sixteenths of a voxel to which the place of a sensor is told.
+const SENSOR_UNIT: i32 = 4;
+
+/// A sensor as it can be told.
+pub(crate) fn whole(sensor: [i32; 3]) -> [i32; 3] {
+    sensor.map(|at| at & -SENSOR_UNIT)
+}
+
+impl Head {
+    fn write(&self, region: &BlockBox, out: &mut Vec<u8>) {
+        varint::write(out, self.before << 2 | u64::from(self.set.id()));
+        for (at, middle) in self.sensor.into_iter().zip(region.middle()) {
+            varint::write_signed(out, (i64::from(at) - middle) / i64::from(SENSOR_UNIT));
+        }
+    }
+
+    /// `region` is the box of the payload.
+    pub(crate) fn read(region: &BlockBox, reader: &mut varint::Reader<'_>) -> Result<Self, PackageError> {
+        let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
+        let volume = region.volume().min(BOX_BLOCKS_MAX) as u64;
+        let number = reader.number("tables and blocks before", volume << 2 | 3)?;
+        let set = TableSet::from_id((number & 3) as u8).ok_or_else(|| wrong("the tables are known"))?;
+        let mut sensor = [0; 3];
+        for (at, middle) in sensor.iter_mut().zip(region.middle()) {
+            let place = reader.signed("sensor")?.checked_mul(SENSOR_UNIT.into());
+            let place =
+                place.and_then(|place| place.checked_add(middle)).and_then(|at| i32::try_from(at).ok());
+            *at = place.ok_or_else(|| wrong("the sensor is within 2³¹ sixteenths of a voxel"))?;
+        }
+        Ok(Self { set, sensor, before: number >> 2 })
+    }
 }
 
 /// How a block is turned, and where the sensor is then.

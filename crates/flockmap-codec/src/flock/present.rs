@@ -57,6 +57,7 @@ pub(crate) fn encode(
         let at = state.sensors.binary_search_by_key(stamp, |(stamp, _)| *stamp).ok();
         let sensor =
             at.and_then(|at| state.sensors.get(at)).map_or_else(|| middle(part), |(_, sensor)| *sensor);
+        let sensor = package::whole(sensor);
         let known = Known::new(Some(&told), *stamp);
         let blocks = package::in_order(part, sensor);
         let mut rest = blocks.as_slice();

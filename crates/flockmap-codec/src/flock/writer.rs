@@ -6,8 +6,8 @@ use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::tables::{Chances, KIND_CHANCES, Lookup, Tables, VOXEL_CHANCES, voxel_chance};
 
 /// How fast a chance follows what happens: a step of one in 2ⁿ.
-pub(crate) const VOXEL_RATE: u32 = 6;
-pub(crate) const KIND_RATE: u32 = 6;
+pub(crate) const VOXEL_RATE: u32 = 5;
+pub(crate) const KIND_RATE: u32 = 4;
 pub(crate) const FLAG_RATE: u32 = 6;
 
 /// Writes the decisions of one package, learning on the way.
