@@ -9,6 +9,7 @@ use crate::{BLOCK_VOXELS, Plane, Stamp};
 pub(crate) struct BlockStamps {
     palette: Vec<Stamp>,
     indices: Indices,
+    newest: Stamp,
 }
 
 #[derive(Clone, Debug)]
@@ -22,7 +23,7 @@ enum Indices {
 impl BlockStamps {
     /// One stamp for all voxels.
     pub(crate) fn new(stamp: Stamp) -> Self {
-        Self { palette: vec![stamp], indices: Indices::One }
+        Self { palette: vec![stamp], indices: Indices::One, newest: stamp }
     }
 
     /// Stamp of the voxel with this bit number.
@@ -31,12 +32,13 @@ impl BlockStamps {
     }
 
     /// The newest stamp that a voxel may have.
-    pub(crate) fn newest(&self) -> Stamp {
-        self.palette.iter().copied().max().unwrap_or_default()
+    pub(crate) const fn newest(&self) -> Stamp {
+        self.newest
     }
 
     /// Gives the voxels of `mask` this stamp. `in_use` are the voxels whose stamps matter.
     pub(crate) fn set(&mut self, mask: &Plane, stamp: Stamp, in_use: &Plane) {
+        self.newest = self.newest.max(stamp);
         let number = match self.palette.iter().rposition(|s| *s == stamp) {
             Some(number) => number,
             None => {

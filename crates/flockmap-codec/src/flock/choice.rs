@@ -15,8 +15,12 @@ use crate::reference::Known;
 /// Blocks that are looked at: so many from the front and so many from the middle, at most one in `SAMPLE_PART`.
 const SAMPLE_BLOCKS: usize = 16;
 const SAMPLE_PART: usize = 6;
+/// So many in a row, from one and from the other place in turns.
+const SAMPLE_RUN: usize = 4;
+/// Bits by which a set has to be ahead to be taken before all of them are looked at.
+const LEAD_BITS: u64 = 32;
 
-/// The set with which some of `blocks` take the fewest bits.
+/// The set with which some of `blocks` take the fewest bits; as few as are needed to tell.
 pub(crate) fn choose(
     field: &mut Field,
     cells: &mut Neighbourhood,
@@ -25,14 +29,15 @@ pub(crate) fn choose(
     sensor: [i32; 3],
     blocks: &[(BlockIndex, StateBlock)],
 ) -> Result<TableSet, Overtaken> {
-    let count = (blocks.len() / (2 * SAMPLE_PART)).clamp(2, SAMPLE_BLOCKS);
-    let (first, last) = blocks.split_at(blocks.len() / 2);
-    let sample = || first.iter().take(count).chain(last.iter().take(count));
     let mut trial = Trial { sets: sets.iter().map(|set| (0, *set, set.tables())).collect() };
-    let region = sample().map(|(index, _)| BlockBox::of(*index)).reduce(|all, block| all.union(&block));
-    if let Some(region) = region.filter(|region| sets.len() > 1 && region.volume() <= REACH_MAX) {
+    let sample = sample(blocks);
+    let region = sample.iter().map(|(index, _)| BlockBox::of(*index)).reduce(|all, block| all.union(&block));
+    if let Some(region) = region.filter(|region| region.volume() <= REACH_MAX) {
         field.clear(region);
-        for (index, states) in sample() {
+        for (index, states) in sample {
+            if trial.is_decided() {
+                break;
+            }
             let (turn, distance) = view(*index, sensor);
             let slot = field.ask(known, *index, turn)?;
             let slots = field.around(known, *index, turn)?;
@@ -47,6 +52,14 @@ pub(crate) fn choose(
     Ok(best.map_or(TableSet::Dense, |(_, set, _)| *set))
 }
 
+/// Some of the blocks of a cycle, to be looked at in this order.
+fn sample(blocks: &[(BlockIndex, StateBlock)]) -> Vec<&(BlockIndex, StateBlock)> {
+    let count = (blocks.len() / (2 * SAMPLE_PART)).clamp(2, SAMPLE_BLOCKS);
+    let (front, back) = blocks.split_at(blocks.len() / 2);
+    let [mut front, mut back] = [front, back].map(|part| part[..count.min(part.len())].chunks(SAMPLE_RUN));
+    (0..count.div_ceil(SAMPLE_RUN)).flat_map(|_| [front.next(), back.next()]).flatten().flatten().collect()
+}
+
 /// Blocks in the box of a sample, at most.
 const REACH_MAX: u128 = 1 << 15;
 
@@ -57,6 +70,12 @@ struct Trial {
 }
 
 impl Trial {
+    /// Whether one set is ahead by so much that more blocks would hardly change it; it is if there is but one.
+    fn is_decided(&self) -> bool {
+        let best = self.sets.iter().map(|(cost, ..)| *cost).min().unwrap_or(0);
+        self.sets.iter().filter(|(cost, ..)| *cost < best + LEAD_BITS * 256).count() == 1
+    }
+
     fn pay(&mut self, bit: bool, chance: impl Fn(&Tables) -> Chance) {
         for (cost, _, tables) in &mut self.sets {
             let chance = chance(tables);
