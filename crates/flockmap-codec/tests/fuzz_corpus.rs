@@ -16,8 +16,12 @@ fn folder(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(target)
 }
 
-/// Runs each file of a folder, by name. The line that it prints must be the same on all machines, in debug and release.
-fn replay(target: &str, run: impl Fn(&mut Fuzz, &[u8])) {
+/// Runs each file of a folder, by name; `made` are those that were not found by the fuzzer, for `FLOCKMAP_BLESS`. The line that it
+/// prints must be the same on all machines, in debug and release.
+fn replay(target: &str, made: impl FnOnce() -> Vec<(String, Vec<u8>)>, run: impl Fn(&mut Fuzz, &[u8])) {
+    if std::env::var_os("FLOCKMAP_BLESS").is_some() {
+        bless(target, made());
+    }
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(folder(target)).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.sort();
@@ -32,26 +36,17 @@ fn replay(target: &str, run: impl Fn(&mut Fuzz, &[u8])) {
 
 #[test]
 fn the_corpus_of_the_decoder_does_no_harm() {
-    if std::env::var_os("FLOCKMAP_BLESS").is_some() {
-        bless("decode", honest_packages());
-    }
-    replay("decode", decode::run);
+    replay("decode", honest_packages, decode::run);
 }
 
 #[test]
 fn the_corpus_of_tiles_does_no_harm() {
-    if std::env::var_os("FLOCKMAP_BLESS").is_some() {
-        bless("tiles", honest_tiles());
-    }
-    replay("tiles", tiles::run);
+    replay("tiles", honest_tiles, tiles::run);
 }
 
 #[test]
 fn the_corpus_of_flights_comes_back() {
-    if std::env::var_os("FLOCKMAP_BLESS").is_some() {
-        bless("round_trip", choices());
-    }
-    replay("round_trip", round_trip::run);
+    replay("round_trip", choices, round_trip::run);
 }
 
 /// What the fuzzer does, for a second: bytes changed here and there behind the header. That the check does not fit stops nothing.

@@ -5,7 +5,7 @@ use flockmap::grid::Layer;
 use flockmap_codec::training::{self, ROUNDS, Trainer};
 
 use crate::parallel::in_parallel;
-use crate::progress::{self, Steps};
+use crate::progress::Steps;
 use crate::recording::{Closing, Recording};
 use crate::scenes::Scans;
 
@@ -16,14 +16,14 @@ const CYCLES_TOGETHER: usize = 120;
 const CYCLES_OF_OBSTACLES: usize = 600;
 
 /// The file of the tables. The same bytes whatever the number of threads.
-pub fn tables(recordings: &[Recording], threads: usize) -> anyhow::Result<Vec<u8>> {
+pub fn tables(recordings: &[Recording], threads: usize) -> Vec<u8> {
     let steps = Steps::new("rounds of learning", 3 * ROUNDS);
     // In the order of the file.
     let kinds = [(Some(Scans::Dense), "dense"), (Some(Scans::Sparse), "sparse"), (None, "obstacles")];
     let sets = in_parallel(threads, &kinds, |(scans, name)| {
-        learn(Trainer::new(), &samples(recordings, *scans), name, &steps).map(|trainer| trainer.tables())
+        learn(Trainer::new(), &samples(recordings, *scans), name, &steps).tables()
     });
-    Ok(training::file(&sets.into_iter().collect::<anyhow::Result<Vec<_>>>()?))
+    training::file(&sets)
 }
 
 /// A recording, and which of its cycles to learn from.
@@ -61,14 +61,13 @@ fn is_of_obstacles(changes: &Changes) -> bool {
     changes.blocks().iter().all(|(_, states)| states.free().iter().all(|plane| *plane == 0))
 }
 
-fn learn(mut trainer: Trainer, samples: &[Sample<'_>], set: &str, steps: &Steps) -> anyhow::Result<Trainer> {
+fn learn(mut trainer: Trainer, samples: &[Sample<'_>], set: &str, steps: &Steps) -> Trainer {
     for round in 1..=ROUNDS {
         for Sample { recording, chosen } in samples {
             let mut chosen = chosen.iter().copied().peekable();
             // What those who receive the robot hold before each cycle. Nothing after the last chosen cycle matters.
             let mut layer = Layer::default();
             for (number, (cycle, changes)) in recording.cycles.iter().enumerate() {
-                progress::go_on()?;
                 if chosen.next_if_eq(&number).is_some() {
                     trainer.learn(&layer, cycle, changes);
                 }
@@ -81,7 +80,7 @@ fn learn(mut trainer: Trainer, samples: &[Sample<'_>], set: &str, steps: &Steps)
         trainer.end_round();
         steps.done(&format!("{set}, round {round}"));
     }
-    Ok(trainer)
+    trainer
 }
 
 #[cfg(test)]
@@ -101,8 +100,8 @@ mod tests {
         for recording in one.iter_mut().rev().take(2) {
             recording.scans = Scans::Sparse;
         }
-        let file = tables(&one, 1).expect("nobody stops it");
-        assert_eq!(file, tables(&one, 2).expect("nobody stops it"));
+        let file = tables(&one, 1);
+        assert_eq!(file, tables(&one, 2));
         let sets = training::read(&file).expect("a file of tables");
         assert_eq!(training::file(&sets), file);
         assert_eq!(sets.len(), training::SETS.len());

@@ -10,7 +10,7 @@ use flockmap::{
 use flockmap_sim::{Patrol, PatrolOptions, ScanOptions, Scanner, World};
 
 use crate::parallel::in_parallel;
-use crate::progress::{self, Steps};
+use crate::progress::Steps;
 use crate::scenes::{MapSize, Place, ROBOTS, Scans, Scene};
 
 /// When cycles close. Each flight is mapped in both ways, as robots can be told either.
@@ -56,7 +56,6 @@ struct Flight<'a> {
 pub fn record(scenes: &[Scene], threads: usize) -> anyhow::Result<Vec<Recording>> {
     let steps = Steps::new("worlds", scenes.len());
     let planned = in_parallel(threads, scenes, |scene| {
-        progress::go_on()?;
         let flights = plan(scene)?;
         steps.done(&scene.to_string());
         anyhow::Ok(flights)
@@ -105,7 +104,6 @@ fn fly(flight: &Flight<'_>) -> anyhow::Result<Vec<Recording>> {
         }
     }
     for (stamp, pose) in poses {
-        progress::go_on()?;
         let scan = scanner.scan(*stamp, pose, None, &[]);
         makers.iter_mut().for_each(|maker| maker.scan(&scan, pose));
     }

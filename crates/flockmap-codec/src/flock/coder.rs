@@ -19,6 +19,23 @@ fn learn(chance: &mut Chance, bit: bool, rate: u32) {
     debug_assert!(*chance > 0);
 }
 
+/// A way that bits go: to bytes or from bytes.
+pub(crate) trait CodeBit {
+    /// Whether it looks at `truth`: it writes.
+    const KNOWS: bool;
+
+    /// Passes a bit, which is set with this chance; the chance learns by one in 2ʳᵃᵗᵉ.
+    fn code(&mut self, chance: &mut Chance, truth: bool, rate: u32) -> bool;
+
+    /// The same way.
+    type Own<'b>: CodeBit
+    where
+        Self: 'b;
+
+    /// Lets many bits pass in a variable of their own, which can stay in registers.
+    fn in_registers<R>(&mut self, pass: impl FnOnce(&mut Self::Own<'_>) -> R) -> R;
+}
+
 /// Appends bits to some bytes.
 #[derive(Debug)]
 pub(crate) struct BitWriter<'a> {
@@ -37,19 +54,6 @@ impl<'a> BitWriter<'a> {
     #[cfg(test)]
     pub(crate) fn put(&mut self, chance: Chance, bit: bool) {
         self.take((self.range >> 16) * u64::from(chance), bit);
-    }
-
-    /// As [`Self::put`]; the chance learns by one in 2ʳᵃᵗᵉ.
-    #[inline(always)]
-    pub(crate) fn put_and_learn(&mut self, chance: &mut Chance, bit: bool, rate: u32) {
-        let share = (self.range >> 16) * u64::from(*chance);
-        if bit {
-            learn(chance, true, rate);
-            self.take(share, true);
-        } else {
-            learn(chance, false, rate);
-            self.take(share, false);
-        }
     }
 
     /// As [`Self::put`], the chance in 2⁻³²: 1 … 2³² − 1.
@@ -76,22 +80,6 @@ impl<'a> BitWriter<'a> {
             self.low <<= 32;
             self.range <<= 32;
         }
-    }
-
-    /// The same writer for a while; it takes over the [`Self::state`] of the other then.
-    #[inline(always)]
-    pub(crate) fn borrowed(&mut self) -> BitWriter<'_> {
-        BitWriter { low: self.low, range: self.range, out: self.out, start: self.start }
-    }
-
-    #[inline(always)]
-    pub(crate) fn state(&self) -> (u64, u64) {
-        (self.low, self.range)
-    }
-
-    #[inline(always)]
-    pub(crate) fn set_state(&mut self, (low, range): (u64, u64)) {
-        (self.low, self.range) = (low, range);
     }
 
     /// Where the writer stands.
@@ -144,6 +132,37 @@ impl<'a> BitWriter<'a> {
     }
 }
 
+impl CodeBit for BitWriter<'_> {
+    const KNOWS: bool = true;
+
+    #[inline(always)]
+    fn code(&mut self, chance: &mut Chance, truth: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(*chance);
+        // Two ways, as in reading.
+        if truth {
+            learn(chance, true, rate);
+            self.take(share, true);
+        } else {
+            learn(chance, false, rate);
+            self.take(share, false);
+        }
+        truth
+    }
+
+    type Own<'b>
+        = BitWriter<'b>
+    where
+        Self: 'b;
+
+    #[inline(always)]
+    fn in_registers<R>(&mut self, pass: impl FnOnce(&mut BitWriter<'_>) -> R) -> R {
+        let mut own = BitWriter { low: self.low, range: self.range, out: self.out, start: self.start };
+        let result = pass(&mut own);
+        (self.low, self.range) = (own.low, own.range);
+        result
+    }
+}
+
 /// Carries into the bytes that are out. They never overflow: the number that they tell is below 1.
 #[cold]
 #[inline(never)]
@@ -193,25 +212,6 @@ impl<'a> BitReader<'a> {
         self.take((self.range >> 16) * u64::from(chance))
     }
 
-    /// As [`Self::get`]; the chance learns by one in 2ʳᵃᵗᵉ. Two ways for the two bits, which leaves it to the processor to guess
-    /// the bit and go on; choosing values by the bit would have to wait for it.
-    #[inline(always)]
-    pub(crate) fn get_and_learn(&mut self, chance: &mut Chance, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*chance);
-        if self.code < share {
-            self.range = share;
-            learn(chance, true, rate);
-            self.refill();
-            true
-        } else {
-            self.code -= share;
-            self.range -= share;
-            learn(chance, false, rate);
-            self.refill();
-            false
-        }
-    }
-
     /// The next bit, which was written by [`BitWriter::put_fine`] with this chance.
     #[inline]
     pub(crate) fn get_fine(&mut self, chance: u32) -> bool {
@@ -239,6 +239,42 @@ impl<'a> BitReader<'a> {
             self.code = self.code << 32 | u64::from(four);
             self.bytes = rest;
         }
+    }
+}
+
+impl<'a> CodeBit for BitReader<'a> {
+    const KNOWS: bool = false;
+
+    /// Two ways for the two bits, which leaves it to the processor to guess the bit and go on; choosing values by the bit would have
+    /// to wait for it.
+    #[inline(always)]
+    fn code(&mut self, chance: &mut Chance, _: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(*chance);
+        if self.code < share {
+            self.range = share;
+            learn(chance, true, rate);
+            self.refill();
+            true
+        } else {
+            self.code -= share;
+            self.range -= share;
+            learn(chance, false, rate);
+            self.refill();
+            false
+        }
+    }
+
+    type Own<'b>
+        = Self
+    where
+        Self: 'b;
+
+    #[inline(always)]
+    fn in_registers<R>(&mut self, pass: impl FnOnce(&mut Self) -> R) -> R {
+        let mut own = self.clone();
+        let result = pass(&mut own);
+        *self = own;
+        result
     }
 }
 

@@ -4,6 +4,7 @@ mod block;
 mod cells;
 mod choice;
 mod coder;
+mod coding;
 mod cycle;
 mod decide;
 mod field;
@@ -11,11 +12,9 @@ mod noise;
 mod order;
 mod package;
 pub(crate) mod present;
-mod reader;
 mod tables;
 #[cfg(feature = "training")]
 pub mod training;
-mod writer;
 
 pub(crate) use cycle::{Told, decode, encode, sensor};
 pub(crate) use package::Workspace;

@@ -9,12 +9,12 @@ use flockmap_grid::{BLOCK_SIDE, BlockIndex, Changes, Overtaken, StateBlock, VOXE
 use super::block::{self, Distance, TurnedChanges};
 use super::cells::{Neighbourhood, Turn};
 use super::choice;
+use super::coder::{BitReader, BitWriter};
+use super::coding::Coding;
 use super::decide::Decide;
 use super::field::Field;
 use super::order::{self, BLOCK_UNITS, BlockBox};
-use super::reader::Reader;
 use super::tables::{Chances, TableSet};
-use super::writer::Writer;
 use crate::reference::Known;
 use crate::{BOX_VOXELS_MAX, Codec, PackageError, varint};
 
@@ -183,13 +183,13 @@ fn write(
     Head { set, sensor, before: before as u64 }.write(&region, &mut payload);
     field.clear(region);
     body.clear();
-    let mut writer = Writer::new(set.tables(), chances, body);
+    let mut decisions = Coding::new(set.tables(), chances, BitWriter::new(body));
     let mut flags = Flags::new(region, told);
     let mut left = blocks.iter();
     let mut next = left.next();
     // Blocks told of, and those with changes.
     let (mut length, mut count) = (0u64, 0);
-    let (mut seen, mut mark) = (0, writer.mark());
+    let (mut seen, mut mark) = (0, decisions.bits.mark());
     for index in order::blocks(region, sensor_block).skip(before) {
         let Some((changed, states)) = next else { break };
         seen += 1;
@@ -197,7 +197,7 @@ fn write(
         let (turn, distance) = view(index, sensor);
         let slot = field.ask(known, index, turn)?;
         let counts = field.counts(slot);
-        writer.flag(flags.context(index, turn, counts), is_changed);
+        decisions.flag(flags.context(index, turn, counts), is_changed);
         flags.tell(index, is_changed);
         if !is_changed {
             continue;
@@ -206,17 +206,17 @@ fn write(
         cells.gather(turn, &slots, field.cells());
         let turns = block::turns(known.block(index)?, states);
         let truth = TurnedChanges::of(states, turn);
-        block::code(&mut writer, cells, distance, counts, &truth, turns);
+        block::code(&mut decisions, cells, distance, counts, &truth, turns);
         field.tell(slot, index, turn, &truth);
-        let bytes = payload.len() + varint::length(seen) + writer.finished_len();
+        let bytes = payload.len() + varint::length(seen) + decisions.bits.finished_len();
         if bytes.max(bytes_min(count + 1)) > room && count > 0 {
-            writer.back_to(&mark);
+            decisions.bits.back_to(&mark);
             break;
         }
-        (length, count, mark) = (seen, count + 1, writer.mark());
+        (length, count, mark) = (seen, count + 1, decisions.bits.mark());
         next = left.next();
     }
-    writer.finish();
+    decisions.bits.finish();
     varint::write(&mut payload, length);
     payload.extend_from_slice(body);
     payload.resize(payload.len().max(bytes_min(count)), 0);
@@ -240,7 +240,7 @@ pub(crate) fn decode(
     let Workspace { field, cells, chances, told, .. } = workspace;
     field.clear(region);
     let mut flags = Flags::new(region, told);
-    let mut decisions = Reader::new(set.tables(), chances, reader.rest());
+    let mut decisions = Coding::new(set.tables(), chances, BitReader::new(reader.rest()));
     let mut changed = Vec::new();
     for index in
         order::blocks(region, order::sensor_block(sensor)).skip(before as usize).take(length as usize)

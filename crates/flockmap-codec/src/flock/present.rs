@@ -50,7 +50,8 @@ pub(crate) fn encode(
     let left_in = |tile: &Tile, stamp: Stamp| {
         let first = tile.parts.first().map_or(stamp, |part| part.0);
         let room = largest.voxels().map_or(0, |region| room(&region, [first, stamp]));
-        room.saturating_sub(tile.bytes() + SECTION_HEAD_MAX)
+        // Corners are the longer the larger the tile.
+        room.saturating_sub(tile.payload_in(&largest).len() + SECTION_HEAD_MAX)
     };
     let empty = || Tile { sections: Vec::new(), region: largest, parts: Vec::new(), sensors: Vec::new() };
     for (stamp, part) in &state.parts {
@@ -113,10 +114,6 @@ impl Tile {
         self.sections.iter().map(|section| section.region.volume()).sum()
     }
 
-    fn bytes(&self) -> usize {
-        self.sections.iter().map(|section| section.payload.len() + SECTION_HEAD_MAX / 2).sum()
-    }
-
     fn add(&mut self, stamp: Stamp, sensor: [i32; 3], piece: package::Piece) {
         add_sensor(&mut self.sensors, stamp, sensor);
         let region = BlockBox::around(&piece.region);
@@ -127,15 +124,20 @@ impl Tile {
 
     /// The payload of the tile.
     pub(crate) fn payload(&self) -> Vec<u8> {
+        self.payload_in(&self.region)
+    }
+
+    /// The same for a tile with this box.
+    fn payload_in(&self, region: &BlockBox) -> Vec<u8> {
         let mut payload = Vec::new();
         let mut before = self.sections.first().map_or(Stamp(0), |section| section.stamp);
-        for Section { stamp, region, payload: rest } in &self.sections {
+        for Section { stamp, region: section, payload: rest } in &self.sections {
             varint::write(&mut payload, stamp.0.wrapping_sub(before.0) as u64);
             before = *stamp;
-            for (at, of_tile) in region.min.into_iter().zip(self.region.min) {
+            for (at, of_tile) in section.min.into_iter().zip(region.min) {
                 varint::write(&mut payload, i64::from(at).abs_diff(i64::from(of_tile)));
             }
-            for side in region.size() {
+            for side in section.size() {
                 varint::write(&mut payload, side - 1);
             }
             varint::write(&mut payload, rest.len() as u64);

@@ -1,7 +1,7 @@
 //! What comes in: packages of others wait, are decoded and merged, and the session gets the verdict.
 
-use flockmap_codec::{Content, ContentKind, Package, PackageError};
-use flockmap_grid::{Changes, Stamp, Stream};
+use flockmap_codec::{Content, ContentKind, Header, Package, PackageError};
+use flockmap_grid::{Changes, PresentState, Stamp, Stream};
 
 use super::Robot;
 use crate::tiles::{SetId, Tiles, Turn};
@@ -113,7 +113,7 @@ impl Robot {
         let header = package.header();
         let (set, _) = self.tiles.open(id, header.index);
         let reason = match set.read(&mut self.decoder, package) {
-            Ok(state) => match self.take_in(package, Content::Present(state.clone())) {
+            Ok(state) => match self.merge_present(package, &state) {
                 Ok(event) => {
                     self.counters.merged += 1;
                     self.session.accept(now, package);
@@ -209,31 +209,34 @@ impl Robot {
         if header.resolution != own {
             return Err(Refusal::Resolution { got: header.resolution, own });
         }
-        let content = self.decoder.decode_against(package, self.fusion.layer(stream))?;
-        self.take_in(package, content)
+        let changes = match self.decoder.decode_against(package, self.fusion.layer(stream))? {
+            Content::Changes(changes) => changes,
+            Content::Present(state) => return self.merge_present(package, &state),
+        };
+        self.note_clock(stream);
+        let taken = self.fusion.apply(&self.mapper, stream, &changes, header.cycle_end)?;
+        if let Some(sensor) = package.sensor() {
+            self.fusion.note_sensor(stream, header.cycle_end, sensor);
+        }
+        Ok(merged(package, changes, taken))
     }
 
-    /// Merges what a package says.
-    fn take_in(&mut self, package: &Package, content: Content) -> Result<Event, Refusal> {
-        let header = *package.header();
-        let stream = header.stream;
+    fn merge_present(&mut self, package: &Package, state: &PresentState) -> Result<Event, Refusal> {
+        let stream = package.header().stream;
+        self.note_clock(stream);
+        let taken = self.fusion.apply_present(&self.mapper, stream, state)?;
+        Ok(merged(package, Changes::default(), taken))
+    }
+
+    /// Tells the fusion how far the clock of a stream is off.
+    fn note_clock(&mut self, stream: Stream) {
         if let Some(offset) = self.session.clock_offset(stream) {
             self.fusion.set_clock_offset(stream.origin, offset.saturating_neg());
         }
-        let (changes, taken) = match content {
-            Content::Changes(changes) => {
-                let taken = self.fusion.apply(&self.mapper, stream, &changes, header.cycle_end)?;
-                if let Some(sensor) = package.sensor() {
-                    self.fusion.note_sensor(stream, header.cycle_end, sensor);
-                }
-                (changes, taken)
-            }
-            Content::Present(state) => {
-                let taken = self.fusion.apply_present(&self.mapper, stream, &state)?;
-                (Changes::default(), taken)
-            }
-        };
-        let (cycle_start, cycle_end) = (header.cycle_start, header.cycle_end);
-        Ok(Event::Merged { stream, index: header.index, cycle_start, cycle_end, changes, taken })
     }
+}
+
+fn merged(package: &Package, changes: Changes, taken: usize) -> Event {
+    let &Header { stream, index, cycle_start, cycle_end, .. } = package.header();
+    Event::Merged { stream, index, cycle_start, cycle_end, changes, taken }
 }

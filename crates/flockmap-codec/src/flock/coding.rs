@@ -1,0 +1,62 @@
+//! Decisions to bytes, and bytes to decisions: one piece of code, so that both learn in the same way.
+
+use super::cells::Bits;
+use super::coder::{Chance, CodeBit};
+use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::tables::{Chances, KIND_CHANCES, Lookup, Tables, VOXEL_CHANCES, voxel_chance};
+
+/// How fast a chance follows what happens: a step of one in 2ⁿ.
+const VOXEL_RATE: u32 = 5;
+const KIND_RATE: u32 = 4;
+const FLAG_RATE: u32 = 6;
+
+/// The decisions of one package. With a [`BitWriter`](super::coder::BitWriter) they are written; with a
+/// [`BitReader`](super::coder::BitReader) they are read, and any bytes give some.
+pub(crate) struct Coding<'a, B> {
+    chances: &'a mut Chances,
+    tables: &'static Tables,
+    pub(crate) bits: B,
+}
+
+impl<'a, B> Coding<'a, B> {
+    pub(crate) fn new(tables: &'static Tables, chances: &'a mut Chances, bits: B) -> Self {
+        chances.clone_from(&tables.start);
+        Self { chances, tables, bits }
+    }
+}
+
+impl<B: CodeBit> Decide for Coding<'_, B> {
+    const KNOWS: bool = B::KNOWS;
+
+    #[inline]
+    fn flag(&mut self, context: usize, truth: bool) -> bool {
+        self.bits.code(&mut self.chances.flag[context], truth, FLAG_RATE)
+    }
+
+    #[inline]
+    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+        let Chances { voxel, kind, .. } = &mut *self.chances;
+        let lookup = self.tables.lookup();
+        self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, lookup, bits }, row, truth))
+    }
+}
+
+struct RowCoding<'a, B> {
+    voxel: &'a mut [Chance; VOXEL_CHANCES],
+    kind: &'a mut [Chance; KIND_CHANCES],
+    lookup: Lookup<'static>,
+    bits: &'a mut B,
+}
+
+impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
+    #[inline(always)]
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
+        let chance = &mut self.voxel[voxel_chance(kind, self.lookup.level(contexts))];
+        self.bits.code(chance, truth, VOXEL_RATE)
+    }
+
+    #[inline(always)]
+    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
+        self.bits.code(&mut self.kind[self.lookup.kind(contexts)], truth, KIND_RATE)
+    }
+}
