@@ -54,18 +54,19 @@ impl Field {
 
     /// The slot of a block: [`NOTHING`] if nothing is known of it.
     pub(crate) fn ask(&mut self, known: &Known<'_>, block: BlockIndex, turn: Turn) -> Result<u32, Overtaken> {
-        match self.slots.get(self.place(block) + 1 + self.size[0] * (1 + self.size[1])) {
+        let place = self.place(block) + 1 + self.size[0] * (1 + self.size[1]);
+        match self.slots.get(place) {
             None => Ok(NOTHING),
-            Some(&NOT_ASKED) => self.look_up(known, block, turn),
+            Some(&NOT_ASKED) => Ok(self.admit(place, known.block(block)?, turn)),
             Some(slot) => Ok(*slot),
         }
     }
 
+    /// Takes in what is known of a block that was asked for, which has its own place in the box. Returns its slot.
     #[inline(never)]
-    fn look_up(&mut self, known: &Known<'_>, block: BlockIndex, turn: Turn) -> Result<u32, Overtaken> {
-        let place = self.place(block) + 1 + self.size[0] * (1 + self.size[1]);
+    fn admit(&mut self, place: usize, known: Option<&StateBlock>, turn: Turn) -> u32 {
         let mut slot = NOTHING;
-        if let Some(states) = known.block(block)? {
+        if let Some(states) = known {
             slot = self.counts.len() as u32;
             self.counts.push(block::Known::of(states));
             // Older packages leave theirs behind.
@@ -79,7 +80,7 @@ impl Field {
         if let Some(place) = self.slots.get_mut(place) {
             *place = slot;
         }
-        Ok(slot)
+        slot
     }
 
     /// How much was known of a block before.
@@ -96,6 +97,9 @@ impl Field {
         turn: Turn,
     ) -> Result<[u32; 27], Overtaken> {
         let mut slots = [NOTHING; 27];
+        // All are looked up before any is taken in, so that the processor can wait for several at once.
+        let mut found = [(0, 0, None); 16];
+        let mut count = 0;
         let place = self.place(block);
         let [row, slice] = [self.size[0], self.size[0] * self.size[1]];
         let side = turn.is_up.map(|is_up| if is_up { 1 } else { -1 });
@@ -103,19 +107,23 @@ impl Field {
             for side in [side, side.map(|side| -side)] {
                 let offset: [i32; 3] = core::array::from_fn(|a| side[a] * (axes >> a & 1));
                 let [x, y, z] = offset.map(|offset| (offset + 1) as usize);
-                let mut slot = self.slots.get(place + z * slice + y * row + x).copied().unwrap_or(NOTHING);
+                let (number, place) = ((z * 9 + y * 3 + x) % 27, place + z * slice + y * row + x);
+                let slot = self.slots.get(place).copied().unwrap_or(NOTHING);
                 if slot == NOT_ASKED {
                     let [dx, dy, dz] = offset;
                     let neighbour = BlockIndex::new(block.x + dx, block.y + dy, block.z + dz);
-                    slot = self.look_up(known, neighbour, turn)?;
-                }
-                if slot != NOTHING
+                    found[count % 16] = (number, place, known.block(neighbour)?);
+                    count += 1;
+                } else if slot != NOTHING
                     && let Some(cells) = self.cells.get_mut(slot as usize)
                 {
                     cells.mirror(turn.is_up[0]);
                 }
-                slots[(z * 9 + y * 3 + x) % 27] = slot;
+                slots[number] = slot;
             }
+        }
+        for (number, place, states) in found.into_iter().take(count) {
+            slots[number % 27] = self.admit(place, states, turn);
         }
         Ok(slots)
     }
