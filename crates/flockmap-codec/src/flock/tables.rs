@@ -43,21 +43,34 @@ impl Chances {
     }
 }
 
-/// What a context is worth.
-#[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
-pub(crate) struct ContextLevels {
-    /// How likely an unknown voxel was seen.
-    pub(crate) voxel: u8,
-    /// How likely a voxel that was seen is Occupied.
-    pub(crate) kind: u8,
+/// What each context is worth for one sort of decision: levels below [`LEVELS`]. A byte each, so that much of it stays in the caches.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(crate) struct Levels {
+    pub(crate) near: [u8; NEAR_CONTEXTS],
+    pub(crate) ray: [u8; RAY_CONTEXTS],
+}
+
+impl Levels {
+    pub(crate) fn even() -> Box<Self> {
+        let even = LEVELS as u8 / 2;
+        Box::new(Self { near: [even; NEAR_CONTEXTS], ray: [even; RAY_CONTEXTS] })
+    }
+
+    /// The levels of both contexts as one number, below `LEVELS`².
+    #[inline(always)]
+    fn together(&self, [near, ray]: [u16; 2]) -> u16 {
+        let (near, ray) = (self.near[usize::from(near)], self.ray[usize::from(ray) % RAY_CONTEXTS]);
+        u16::from(near) * LEVELS as u16 + u16::from(ray)
+    }
 }
 
 /// One set of tables, 230 KB.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Tables {
-    /// Levels by context, all below [`LEVELS`].
-    pub(crate) near: Box<[ContextLevels; NEAR_CONTEXTS]>,
-    pub(crate) ray: Box<[ContextLevels; RAY_CONTEXTS]>,
+    /// How likely an unknown voxel was seen.
+    pub(crate) voxel: Box<Levels>,
+    /// How likely a voxel that was seen is Occupied.
+    pub(crate) kind: Box<Levels>,
     pub(crate) start: Box<Chances>,
 }
 
@@ -122,30 +135,28 @@ pub(crate) fn voxel_chance(kind: RowKind, level: u16) -> usize {
 /// From contexts to chances.
 #[derive(Clone, Copy)]
 pub(crate) struct Lookup<'a> {
-    near: &'a [ContextLevels; NEAR_CONTEXTS],
-    ray: &'a [ContextLevels; RAY_CONTEXTS],
+    voxel: &'a Levels,
+    kind: &'a Levels,
 }
 
 impl Lookup<'_> {
     /// What the contexts of an unknown voxel say of it.
     #[inline(always)]
-    pub(crate) fn level(&self, [near, ray]: [u16; 2]) -> u16 {
-        let (near, ray) = (self.near[usize::from(near)], self.ray[usize::from(ray) % RAY_CONTEXTS]);
-        u16::from(near.voxel) * LEVELS as u16 + u16::from(ray.voxel)
+    pub(crate) fn level(&self, contexts: [u16; 2]) -> u16 {
+        self.voxel.together(contexts)
     }
 
     /// Which chance a voxel has that was seen.
     #[inline(always)]
-    pub(crate) fn kind(&self, [near, ray]: [u16; 2]) -> usize {
-        let (near, ray) = (self.near[usize::from(near)], self.ray[usize::from(ray) % RAY_CONTEXTS]);
-        usize::from(near.kind) * LEVELS + usize::from(ray.kind)
+    pub(crate) fn kind(&self, contexts: [u16; 2]) -> usize {
+        usize::from(self.kind.together(contexts))
     }
 }
 
 impl Tables {
     #[inline(always)]
     pub(crate) fn lookup(&self) -> Lookup<'_> {
-        Lookup { near: &self.near, ray: &self.ray }
+        Lookup { voxel: &self.voxel, kind: &self.kind }
     }
 
     /// A set from its [`SET_BYTES`] bytes. What is out of range is brought into range.
@@ -156,38 +167,32 @@ impl Tables {
             rest = tail;
             head
         };
-        fn levels<const N: usize>(voxel: &[u8], kind: &[u8]) -> Box<[ContextLevels; N]> {
-            let in_range = |level: u8| level.min(LEVELS as u8 - 1);
-            let mut levels = Box::new([ContextLevels::default(); N]);
-            for ((to, voxel), kind) in levels.iter_mut().zip(voxel).zip(kind) {
-                *to = ContextLevels { voxel: in_range(*voxel), kind: in_range(*kind) };
-            }
-            levels
-        }
         fn chances<const N: usize>(bytes: &[u8]) -> [Chance; N] {
             let mut chances = [1 << 15; N];
             let pairs = bytes.as_chunks::<2>().0;
             chances.iter_mut().zip(pairs).for_each(|(to, pair)| *to = Chance::from_le_bytes(*pair).max(1));
             chances
         }
-        let near = levels(take(NEAR_CONTEXTS), take(NEAR_CONTEXTS));
-        let ray = levels(take(RAY_CONTEXTS), take(RAY_CONTEXTS));
+        let (mut voxel, mut kind) = (Levels::even(), Levels::even());
+        for levels in [&mut voxel.near[..], &mut kind.near, &mut voxel.ray, &mut kind.ray] {
+            let bytes = take(levels.len());
+            levels.iter_mut().zip(bytes).for_each(|(to, level)| *to = (*level).min(LEVELS as u8 - 1));
+        }
         let start = Box::new(Chances {
             voxel: chances(take(2 * ROW_KINDS * LEVELS * LEVELS)),
             kind: chances(take(2 * LEVELS * LEVELS)),
             flag: chances(take(2 * FLAG_CONTEXTS)),
         });
-        Self { near, ray, start }
+        Self { voxel, kind, start }
     }
 
     /// The inverse of [`Self::from_bytes`].
     #[cfg(any(test, feature = "training"))]
     pub(crate) fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(SET_BYTES);
-        bytes.extend(self.near.iter().map(|levels| levels.voxel));
-        bytes.extend(self.near.iter().map(|levels| levels.kind));
-        bytes.extend(self.ray.iter().map(|levels| levels.voxel));
-        bytes.extend(self.ray.iter().map(|levels| levels.kind));
+        for levels in [&self.voxel.near[..], &self.kind.near, &self.voxel.ray, &self.kind.ray] {
+            bytes.extend_from_slice(levels);
+        }
         let Chances { voxel, kind, flag } = &*self.start;
         for chance in voxel.iter().chain(kind).chain(flag) {
             bytes.extend_from_slice(&chance.to_le_bytes());

@@ -14,7 +14,7 @@ use super::field::Field;
 use super::order::{self, BlockBox};
 use super::package::{Flags, in_order, view};
 use super::tables::{
-    self, Chances, ContextLevels, FLAG_CONTEXTS, LEVELS, NEAR_CONTEXTS, RAY_CONTEXTS, ROW_KINDS, SET_BYTES,
+    self, Chances, FLAG_CONTEXTS, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, ROW_KINDS, SET_BYTES,
     TableSet, Tables, voxel_chance,
 };
 use crate::Cycle;
@@ -212,24 +212,15 @@ impl Counting {
             let new = (0..6).filter(|cell| state(*cell) == 1).count();
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
-        let near = levels(&self.near, near_group, EVEN_ODDS).into_iter().zip(levels(
-            &self.kind_near,
-            near_group,
-            THREE_IN_TEN,
-        ));
         let ray_group = |context: usize| context & 255;
-        let ray = levels(&self.ray, ray_group, EVEN_ODDS).into_iter().zip(levels(
-            &self.kind_ray,
-            ray_group,
-            THREE_IN_TEN,
-        ));
-        let mut tables = Tables {
-            near: Box::new([ContextLevels::default(); NEAR_CONTEXTS]),
-            ray: Box::new([ContextLevels::default(); RAY_CONTEXTS]),
-            start: Chances::even(),
-        };
-        tables.near.iter_mut().zip(near).for_each(|(to, (voxel, kind))| *to = ContextLevels { voxel, kind });
-        tables.ray.iter_mut().zip(ray).for_each(|(to, (voxel, kind))| *to = ContextLevels { voxel, kind });
+        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Chances::even() };
+        for (to, near, ray, prior) in [
+            (&mut tables.voxel, &self.near, &self.ray, EVEN_ODDS),
+            (&mut tables.kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
+        ] {
+            to.near.copy_from_slice(&levels(near, near_group, prior));
+            to.ray.copy_from_slice(&levels(ray, ray_group, prior));
+        }
         tables
     }
 
