@@ -5,9 +5,9 @@ mod common;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use common::{cycle, resolution, stream};
-use flockmap_codec::{Codec, Decoder, Encoder, PACKAGE_BYTES_MAX, Package, PackageError};
-use flockmap_grid::{Changes, PresentState, Stamp, State, Voxel};
+use common::{cycle, forest_cycle, resolution, stream};
+use flockmap_codec::{Codec, Content, Decoder, Encoder, PACKAGE_BYTES_MAX, Package, PackageError, Reference};
+use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel};
 
 /// Counts the bytes that are held, and the most that ever were.
 struct Counting;
@@ -134,4 +134,45 @@ fn memory_stays_within_the_stated_limits() {
         result.unwrap();
         assert!(peak < 24_000_000, "{peak}");
     }
+
+    flock_holds_what_it_says_and_no_more_the_second_time();
+}
+
+fn flock_holds_what_it_says_and_no_more_the_second_time() {
+    // A fifth of the voxels of a cycle was known before, so that every block was.
+    let (first, second): (Vec<_>, Vec<_>) =
+        forest_cycle().voxels().partition(|(voxel, _)| (voxel.x + 2 * voxel.y).rem_euclid(5) == 0);
+    let mut layer = Layer::default();
+    layer.apply(&Changes::from_voxels(first), cycle().start);
+    let changes = Changes::from_voxels(second);
+    let reference = Reference { layer: Some(&layer), cycles: &[], readers: &[] };
+    let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
+    let mut encode = || {
+        let against = Some(&reference);
+        encoder
+            .encode_cycle_against(Codec::Flock, &cycle(), 100, &changes, against, PACKAGE_BYTES_MAX)
+            .unwrap()
+    };
+    // The shipped tables are unpacked once in a process.
+    let packages = encode();
+    let mut decode = |package: &Package| match decoder.decode_against(package, Some(&layer)) {
+        Ok(Content::Changes(changes)) => changes.blocks().len(),
+        other => panic!("{other:?}"),
+    };
+    let held = HELD.load(Ordering::Relaxed);
+    let largest = packages.iter().map(&mut decode).max().unwrap();
+    let kept = HELD.load(Ordering::Relaxed) - held;
+    // No more blocks than are known can be beside one.
+    assert!(kept < 40_000 + 550 * layer.block_count(), "{kept}");
+    // From now on nothing but what is returned, and lists of it on the way.
+    let held = HELD.load(Ordering::Relaxed);
+    for package in &packages {
+        let (peak, _) = peak_of(|| decode(package));
+        assert!(peak < 600 * largest, "{peak} for at most {largest} blocks");
+    }
+    let (peak, again) = peak_of(&mut encode);
+    assert_eq!(again, packages);
+    assert!(peak < 500 * changes.blocks().len(), "{peak} for {} blocks", changes.blocks().len());
+    drop(again);
+    assert_eq!(HELD.load(Ordering::Relaxed), held);
 }
