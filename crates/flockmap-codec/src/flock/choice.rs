@@ -1,6 +1,6 @@
 //! Which tables suit the changes of a cycle: a few blocks are coded with each of them, for the costs alone.
 
-use flockmap_grid::{BlockIndex, Overtaken, StateBlock};
+use flockmap_grid::Overtaken;
 
 use super::block::{self, TurnedChanges};
 use super::cells::{Bits, Neighbourhood};
@@ -8,7 +8,7 @@ use super::coder::Chance;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::field::Field;
 use super::order::BlockBox;
-use super::package::view;
+use super::package::{Changed, view};
 use super::tables::{TableSet, Tables, voxel_chance};
 use crate::reference::Known;
 
@@ -27,7 +27,7 @@ pub(crate) fn choose(
     known: &Known<'_>,
     sets: &[TableSet],
     sensor: [i32; 3],
-    blocks: &[(BlockIndex, StateBlock)],
+    blocks: &[Changed<'_>],
 ) -> Result<TableSet, Overtaken> {
     let mut trial = Trial { sets: sets.iter().map(|set| (0, *set, set.tables())).collect() };
     let sample = sample(blocks);
@@ -53,11 +53,16 @@ pub(crate) fn choose(
 }
 
 /// Some of the blocks of a cycle, to be looked at in this order.
-fn sample(blocks: &[(BlockIndex, StateBlock)]) -> Vec<&(BlockIndex, StateBlock)> {
+fn sample<'a>(blocks: &[Changed<'a>]) -> Vec<Changed<'a>> {
     let count = (blocks.len() / (2 * SAMPLE_PART)).clamp(2, SAMPLE_BLOCKS);
     let (front, back) = blocks.split_at(blocks.len() / 2);
     let [mut front, mut back] = [front, back].map(|part| part[..count.min(part.len())].chunks(SAMPLE_RUN));
-    (0..count.div_ceil(SAMPLE_RUN)).flat_map(|_| [front.next(), back.next()]).flatten().flatten().collect()
+    (0..count.div_ceil(SAMPLE_RUN))
+        .flat_map(|_| [front.next(), back.next()])
+        .flatten()
+        .flatten()
+        .copied()
+        .collect()
 }
 
 /// Blocks in the box of a sample, at most.

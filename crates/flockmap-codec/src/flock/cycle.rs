@@ -1,6 +1,6 @@
 //! A cycle as payloads: with the model, or as noise where that is shorter.
 
-use flockmap_grid::{BlockIndex, Changes, Overtaken, Stamp, StateBlock, VoxelBox};
+use flockmap_grid::{Changes, Overtaken, Stamp, VoxelBox};
 
 use super::noise;
 use super::order::BlockBox;
@@ -63,7 +63,7 @@ fn with_model(
     let is_obstacles = changes.blocks().iter().all(|(_, block)| *block.free() == [0; 8]);
     let sets: &[_] = if is_obstacles { &[TableSet::Obstacles] } else { &[TableSet::Dense, TableSet::Sparse] };
     let mut habits = Habits::new(sets);
-    let blocks: Vec<(BlockIndex, StateBlock)> = package::in_order(changes, sensor);
+    let blocks = package::in_order(changes, sensor);
     let mut rest = blocks.as_slice();
     let mut all = Vec::new();
     while !rest.is_empty() {
@@ -77,7 +77,7 @@ fn with_model(
             all.push(Told { piece, reference: known.take_newest() });
         } else {
             // A single block that takes more than a package, against all that the model expects.
-            let block = Changes::from_blocks(told.to_vec());
+            let block = package::changes_of(told);
             all.extend(as_noise(&block, |_, region| room(number + block.len(), region)));
         }
     }

@@ -58,11 +58,12 @@ pub(crate) fn sensor_block(sensor: [i32; 3]) -> [i32; 3] {
 }
 
 /// Sorts blocks into the order.
-pub(crate) fn key(block: BlockIndex, sensor_block: [i32; 3]) -> (usize, [i64; 3]) {
+pub(crate) fn key(block: BlockIndex, sensor_block: [i32; 3]) -> (u8, [i32; 3]) {
     let at = [block.x, block.y, block.z];
     let is_above: [bool; 3] = core::array::from_fn(|a| at[a] > sensor_block[a]);
-    let octant = usize::from(is_above[0]) + 2 * usize::from(is_above[1]) + 4 * usize::from(is_above[2]);
-    let along = |a: usize| if is_above[a] { -i64::from(at[a]) } else { i64::from(at[a]) };
+    let octant = u8::from(is_above[0]) | u8::from(is_above[1]) << 1 | u8::from(is_above[2]) << 2;
+    // Blocks of the grid are far from the ends of 32 bits.
+    let along = |a: usize| if is_above[a] { at[a].wrapping_neg() } else { at[a] };
     (octant, [along(2), along(1), along(0)])
 }
 

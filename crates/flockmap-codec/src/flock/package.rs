@@ -61,12 +61,22 @@ pub(crate) struct Piece {
     pub(crate) payload: Vec<u8>,
 }
 
+/// A block with its changes.
+pub(crate) type Changed<'a> = &'a (BlockIndex, StateBlock);
+
 /// The blocks of a cycle in the order in which they are told.
-pub(crate) fn in_order(changes: &Changes, sensor: [i32; 3]) -> Vec<(BlockIndex, StateBlock)> {
+pub(crate) fn in_order(changes: &Changes, sensor: [i32; 3]) -> Vec<Changed<'_>> {
     let sensor = order::sensor_block(sensor);
-    let mut blocks = changes.blocks().to_vec();
+    let mut blocks: Vec<_> = changes.blocks().iter().collect();
     blocks.sort_by_cached_key(|(index, _)| order::key(*index, sensor));
     blocks
+}
+
+/// Some of these blocks as changes again.
+pub(crate) fn changes_of(blocks: &[Changed<'_>]) -> Changes {
+    let mut blocks = blocks.to_vec();
+    blocks.sort_unstable_by_key(|(index, _)| *index);
+    Changes::from_blocks(blocks.into_iter().copied().collect())
 }
 
 /// What the packages of a cycle so far have taught.
@@ -88,7 +98,7 @@ impl Habits {
         Workspace { field, cells, .. }: &mut Workspace,
         known: &Known<'_>,
         sensor: [i32; 3],
-        blocks: &[(BlockIndex, StateBlock)],
+        blocks: &[Changed<'_>],
     ) -> Result<TableSet, Overtaken> {
         let set = match *self.sets {
             [set] => set,
@@ -106,7 +116,7 @@ impl Habits {
     }
 
     /// How many blocks from the front are sure to fill so many bytes, if there are as many.
-    fn reach(&self, blocks: &[(BlockIndex, StateBlock)], room: usize) -> usize {
+    fn reach(&self, blocks: &[Changed<'_>], room: usize) -> usize {
         let changes = room.saturating_mul(1_024 + 1_024 / 4) / self.rate.max(1);
         let mut left = u32::try_from(changes.max(1)).unwrap_or(u32::MAX);
         let full = blocks.iter().position(|(_, states)| {
@@ -126,7 +136,7 @@ pub(crate) fn encode(
     known: &Known<'_>,
     habits: &mut Habits,
     sensor: [i32; 3],
-    blocks: &[(BlockIndex, StateBlock)],
+    blocks: &[Changed<'_>],
     room: impl Fn(&VoxelBox) -> usize,
 ) -> Result<(Piece, usize), Overtaken> {
     let set = habits.tables(workspace, known, sensor, blocks)?;
@@ -144,7 +154,7 @@ pub(crate) fn encode(
         let room = room(&voxels);
         let told = blocks.get(..reach).unwrap_or_default();
         let (payload, count) = write(workspace, known, set, sensor, told, region, room)?;
-        let changes = Changes::from_blocks(blocks[..count].to_vec());
+        let changes = changes_of(&blocks[..count]);
         habits.rate = (payload.len() * 1_024 / changes.len().max(1)).max(1);
         // All went in, and there is room for more: again, with a larger box.
         if count == reach && reach < blocks.len() && reach > before && payload.len() < room - room / 8 {
@@ -156,7 +166,7 @@ pub(crate) fn encode(
 }
 
 /// The boxes of one, two, … blocks from the front, as many as a package may span.
-fn boxes(blocks: &[(BlockIndex, StateBlock)]) -> impl Iterator<Item = BlockBox> {
+fn boxes(blocks: &[Changed<'_>]) -> impl Iterator<Item = BlockBox> {
     let boxes = blocks.iter().scan(None, |region: &mut Option<BlockBox>, (index, _)| {
         *region = Some(region.map_or(BlockBox::of(*index), |region| region.with(*index)));
         *region
@@ -170,7 +180,7 @@ fn write(
     known: &Known<'_>,
     set: TableSet,
     sensor: [i32; 3],
-    blocks: &[(BlockIndex, StateBlock)],
+    blocks: &[Changed<'_>],
     region: BlockBox,
     room: usize,
 ) -> Result<(Vec<u8>, usize), Overtaken> {

@@ -12,7 +12,7 @@ use super::coder::Chance;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::field::Field;
 use super::order::{self, BlockBox};
-use super::package::{Flags, in_order, view};
+use super::package::{Changed, Flags, in_order, view};
 use super::tables::{
     self, Chances, FLAG_CONTEXTS, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, ROW_KINDS, SET_BYTES,
     TableSet, Tables, voxel_chance,
@@ -118,12 +118,7 @@ impl Trainer {
         }
     }
 
-    fn package(
-        &mut self,
-        known: &Known<'_>,
-        sensor: [i32; 3],
-        blocks: &[(flockmap_grid::BlockIndex, flockmap_grid::StateBlock)],
-    ) {
+    fn package(&mut self, known: &Known<'_>, sensor: [i32; 3], blocks: &[Changed<'_>]) {
         let Some((first, _)) = blocks.first() else { return };
         let region = blocks.iter().fold(BlockBox::of(*first), |region, (index, _)| region.with(*index));
         self.field.clear(region);
