@@ -1,5 +1,7 @@
 //! Cutting changes, or a present state, in two.
 
+use std::collections::BTreeMap;
+
 use flockmap_grid::{Changes, Plane, Stamp, StateBlock, Voxel, VoxelBox};
 
 /// What will be one package, or be cut further.
@@ -27,25 +29,24 @@ impl Piece {
     pub(crate) fn cut(&self, head: usize, of: usize, measure: Measure) -> Option<[Self; 2]> {
         let size = self.region.size();
         let axis = (0..3).rev().max_by_key(|&axis| size[axis])?;
-        let length = size[axis] as usize;
-        if length < 2 {
+        if size[axis] < 2 {
             return None;
         }
-        let counts = slice_counts(&self.states, &self.region, axis, measure);
-        let total: usize = counts.iter().sum();
+        let counts = slice_counts(&self.states, axis, measure);
+        let total: usize = counts.values().sum();
         let wanted = total * head / of.max(1);
-        // The number of slices that go first; the tight box makes sure that both sides have voxels.
+        // The last slice that goes first; both sides have voxels.
         let mut sum = 0;
-        let best = counts.iter().take(length - 1).enumerate().min_by_key(|(_, count)| {
+        let best = counts.iter().take(counts.len().saturating_sub(1)).min_by_key(|(_, count)| {
             sum += **count;
             sum.abs_diff(wanted)
         });
-        let slices = best?.0 as i32 + 1;
+        let last = *best?.0;
 
         let (min, max) = (self.region.min(), self.region.max());
         let (mut head_max, mut tail_min) = (max, min);
-        *coordinate(&mut head_max, axis) = *coordinate(&mut min.clone(), axis) + slices - 1;
-        *coordinate(&mut tail_min, axis) += slices;
+        *coordinate(&mut head_max, axis) = last;
+        *coordinate(&mut tail_min, axis) = last + 1;
         Some([
             self.within(&VoxelBox::spanning(min, head_max)?)?,
             self.within(&VoxelBox::spanning(tail_min, max)?)?,
@@ -90,13 +91,12 @@ fn coordinate(voxel: &mut Voxel, axis: usize) -> &mut i32 {
     }
 }
 
-/// How many voxels or edges there are in each slice of the box across `axis`. The edges of a block are shared out among
-/// its slices by their voxels.
-fn slice_counts(states: &Changes, region: &VoxelBox, axis: usize, measure: Measure) -> Vec<usize> {
-    let mut min = region.min();
-    let mut counts = vec![0; region.size()[axis] as usize];
+/// How many voxels or edges there are in each slice across `axis` that has voxels, however far apart they are. The edges of a block are
+/// shared out among its slices by their voxels.
+fn slice_counts(states: &Changes, axis: usize, measure: Measure) -> BTreeMap<i32, usize> {
+    let mut counts = BTreeMap::new();
     for (index, block) in states.blocks() {
-        let first = *coordinate(&mut index.corner(), axis) - *coordinate(&mut min, axis);
+        let first = *coordinate(&mut index.corner(), axis);
         let known = block.known();
         let (weight, voxels) = match measure {
             Measure::Voxels => (1, 1),
@@ -108,10 +108,8 @@ fn slice_counts(states: &Changes, region: &VoxelBox, axis: usize, measure: Measu
                 1 => known.iter().map(|word| (word & (0xff << (8 * slice))).count_ones()).sum(),
                 _ => known[slice as usize].count_ones(),
             };
-            if count > 0
-                && let Some(to) = counts.get_mut((first + slice) as usize)
-            {
-                *to += count as usize * weight / voxels;
+            if count > 0 {
+                *counts.entry(first + slice).or_default() += count as usize * weight / voxels;
             }
         }
     }

@@ -135,7 +135,25 @@ fn memory_stays_within_the_stated_limits() {
         assert!(peak < 24_000_000, "{peak}");
     }
 
+    voxels_far_apart_take_no_memory_between_them();
     flock_holds_what_it_says_and_no_more_the_second_time();
+}
+
+fn voxels_far_apart_take_no_memory_between_them() {
+    let end = 1 << 28;
+    let voxels = [[-end; 3], [end, 0, 0], [0, end, end]].map(|[x, y, z]| (Voxel::new(x, y, z), State::Free));
+    let changes = Changes::from_voxels(voxels);
+    let region = changes.bounding_box().unwrap();
+    let state = PresentState { region, parts: vec![(Stamp(5), changes.clone())], sensors: Vec::new() };
+    for codec in Codec::ALL {
+        let mut encoder = Encoder::new();
+        let (peak, _) = peak_of(|| {
+            encoder.encode_cycle(codec, &cycle(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
+            encoder.encode_present(codec, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX).unwrap();
+        });
+        // The tables of `flock` are unpacked once in a process: 1.4 MB.
+        assert!(peak < 2_000_000, "{codec}: {peak}");
+    }
 }
 
 fn flock_holds_what_it_says_and_no_more_the_second_time() {

@@ -187,7 +187,7 @@ impl Tables {
     }
 
     /// The inverse of [`Self::from_bytes`].
-    #[cfg(any(test, feature = "training"))]
+    #[cfg(feature = "training")]
     pub(crate) fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(SET_BYTES);
         for levels in [&self.voxel.near[..], &self.kind.near, &self.voxel.ray, &self.kind.ray] {
