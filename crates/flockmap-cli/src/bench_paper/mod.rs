@@ -426,7 +426,7 @@ fn deviations(args: &BenchPaperArgs) -> Section {
         "Averages: ours all divide by the length of the record. The paper's are over different times for its two methods (127 and 101 s in row 1, from \
          its totals); by its totals the saving in row 1 is 9.6 times, not the 12 times of the averages."
             .to_owned(),
-        "`paper` carries our header of about 30 bytes a package (stream, index, times, box, check) in place of two 32-bit addresses, which cannot be decoded \
+        "`paper` carries our header of about 26 bytes a package (stream, index, times, box, check) in place of two 32-bit addresses, which cannot be decoded \
          without the sender's window."
             .to_owned(),
         "Wi-Fi: emulated, each datagram lost independently of the others.".to_owned(),
