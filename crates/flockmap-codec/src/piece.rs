@@ -33,15 +33,15 @@ impl Piece {
             return None;
         }
         let counts = slice_counts(&self.states, axis, measure);
-        let total: usize = counts.values().sum();
+        let total: usize = counts.iter().map(|(_, count)| count).sum();
         let wanted = total * head / of.max(1);
         // The last slice that goes first; both sides have voxels.
         let mut sum = 0;
         let best = counts.iter().take(counts.len().saturating_sub(1)).min_by_key(|(_, count)| {
-            sum += **count;
+            sum += count;
             sum.abs_diff(wanted)
         });
-        let last = *best?.0;
+        let (last, _) = *best?;
 
         let (min, max) = (self.region.min(), self.region.max());
         let (mut head_max, mut tail_min) = (max, min);
@@ -91,27 +91,29 @@ fn coordinate(voxel: &mut Voxel, axis: usize) -> &mut i32 {
     }
 }
 
-/// How many voxels or edges there are in each slice across `axis` that has voxels, however far apart they are. The edges of a block are
-/// shared out among its slices by their voxels.
-fn slice_counts(states: &Changes, axis: usize, measure: Measure) -> BTreeMap<i32, usize> {
-    let mut counts = BTreeMap::new();
+/// How many voxels or edges there are in each slice across `axis` that has voxels, however far apart they are; in ascending order. The
+/// edges of a block are shared out among its slices by their voxels.
+fn slice_counts(states: &Changes, axis: usize, measure: Measure) -> Vec<(i32, usize)> {
+    // By blocks, of which there are fewer than slices.
+    let mut counts = BTreeMap::<i32, [Option<usize>; 8]>::new();
     for (index, block) in states.blocks() {
-        let first = *coordinate(&mut index.corner(), axis);
+        let slices = counts.entry(*coordinate(&mut index.corner(), axis)).or_default();
         let known = block.known();
         let (weight, voxels) = match measure {
             Measure::Voxels => (1, 1),
             Measure::Edges => (edges(block), block.known_count().max(1) as usize),
         };
-        for slice in 0..8 {
+        for (slice, sum) in slices.iter_mut().enumerate() {
             let count: u32 = match axis {
                 0 => known.iter().map(|word| (word & (0x0101_0101_0101_0101 << slice)).count_ones()).sum(),
                 1 => known.iter().map(|word| (word & (0xff << (8 * slice))).count_ones()).sum(),
-                _ => known[slice as usize].count_ones(),
+                _ => known[slice].count_ones(),
             };
             if count > 0 {
-                *counts.entry(first + slice).or_default() += count as usize * weight / voxels;
+                *sum = Some(sum.unwrap_or(0) + count as usize * weight / voxels);
             }
         }
     }
-    counts
+    let slices = counts.into_iter().flat_map(|(first, slices)| (first..).zip(slices));
+    slices.filter_map(|(slice, count)| Some((slice, count?))).collect()
 }
