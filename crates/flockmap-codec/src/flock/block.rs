@@ -26,7 +26,7 @@ const COLD_SLICE: usize = 2_640;
 
 /// The context of the flag that says whether a block has changes. `beyond` says of the neighbours beyond it along x, y and z, and along
 /// two or three axes, whether they have: 0 not told, 1 no, 2 yes.
-pub(crate) fn block_flag(beyond: [u8; 3], diagonal: [u8; 4], known: Known) -> usize {
+pub(crate) fn block_flag(beyond: [u8; 3], diagonal: [u8; 4], known: KnownClasses) -> usize {
     let [x, y, z] = beyond.map(usize::from);
     let is_changed = |state: u8| usize::from(state == 2);
     let [xy, xz, yz, xyz] = diagonal.map(is_changed);
@@ -35,7 +35,7 @@ pub(crate) fn block_flag(beyond: [u8; 3], diagonal: [u8; 4], known: Known) -> us
 
 /// How much of a block is known, in classes.
 #[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
-pub(crate) struct Known {
+pub(crate) struct KnownClasses {
     /// 0 … 6.
     free_class: usize,
     /// 0 … 2.
@@ -44,7 +44,7 @@ pub(crate) struct Known {
     has_occupied: bool,
 }
 
-impl Known {
+impl KnownClasses {
     pub(crate) fn of(states: &StateBlock) -> Self {
         let (free, occupied) = (states.free(), states.occupied());
         let touched = free.iter().filter(|slice| **slice != 0).count();
@@ -100,7 +100,7 @@ pub(crate) fn code<D: Decide>(
     decide: &mut D,
     cells: &mut Neighbourhood,
     distance: Distance,
-    before: Known,
+    before: KnownClasses,
     truth: &TurnedChanges,
     turns: [bool; 2],
 ) -> TurnedChanges {

@@ -18,7 +18,7 @@ pub(crate) struct Field {
     slots: Vec<u32>,
     cells: Vec<BlockCells>,
     /// How much was known of each before.
-    counts: Vec<block::Known>,
+    counts: Vec<block::KnownClasses>,
 }
 
 /// A block that was not looked at yet.
@@ -37,7 +37,7 @@ impl Field {
             self.cells.resize(2, BlockCells::UNKNOWN);
         }
         self.counts.clear();
-        self.counts.resize(2, block::Known::default());
+        self.counts.resize(2, block::KnownClasses::default());
     }
 
     pub(crate) fn cells(&self) -> &[BlockCells] {
@@ -68,7 +68,7 @@ impl Field {
         let mut slot = NOTHING;
         if let Some(states) = known {
             slot = self.counts.len() as u32;
-            self.counts.push(block::Known::of(states));
+            self.counts.push(block::KnownClasses::of(states));
             // Older packages leave theirs behind.
             if self.cells.len() < self.counts.len() {
                 self.cells.push(BlockCells::UNKNOWN);
@@ -84,7 +84,7 @@ impl Field {
     }
 
     /// How much was known of a block before.
-    pub(crate) fn counts(&self, slot: u32) -> block::Known {
+    pub(crate) fn counts(&self, slot: u32) -> block::KnownClasses {
         self.counts.get(slot as usize).copied().unwrap_or_default()
     }
 
@@ -143,7 +143,7 @@ impl Field {
             if let Some(own) = self.slots.get_mut(place) {
                 *own = slot;
             }
-            self.counts.push(block::Known::default());
+            self.counts.push(block::KnownClasses::default());
             let unknown = BlockCells { is_mirrored: turn.is_up[0], ..BlockCells::UNKNOWN };
             match self.cells.get_mut(slot as usize) {
                 Some(cells) => *cells = unknown,

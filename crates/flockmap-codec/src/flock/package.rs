@@ -367,7 +367,7 @@ impl<'a> Flags<'a> {
     }
 
     /// The context of the flag of a block of the box.
-    pub(crate) fn context(&self, block: BlockIndex, turn: Turn, counts: block::Known) -> usize {
+    pub(crate) fn context(&self, block: BlockIndex, turn: Turn, counts: block::KnownClasses) -> usize {
         let place = self.place(block);
         let [x, y, z]: [usize; 3] =
             core::array::from_fn(
