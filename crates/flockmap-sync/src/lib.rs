@@ -19,5 +19,5 @@ pub mod wire;
 pub use config::{Cast, ConfigError, InFlight, Order, Relay, SessionConfig};
 pub use counters::{Counters, Traffic};
 pub use interval_set::{IntervalSet, TooFragmented};
-pub use session::{Destination, Event, PeerInfo, PublishError, Session, Transmit};
+pub use session::{Destination, Event, Load, PeerInfo, PublishError, Session, Transmit};
 pub use store::{HELD_INTERVALS_MAX, Store, StoreLimits, Stored};

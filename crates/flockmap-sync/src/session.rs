@@ -4,12 +4,14 @@
 mod answer;
 mod ask;
 mod event;
+mod load;
 mod peer;
 mod present;
 mod receive;
 mod send;
 
 pub use event::{Destination, Event, PublishError, Transmit};
+pub use load::Load;
 pub use peer::PeerInfo;
 
 use crate::pacer::Pacer;

@@ -235,6 +235,11 @@ impl Robot {
         &self.session
     }
 
+    /// Packages that wait for those that they build on, and their bytes with 200 bytes of bookkeeping each: at most 1,024, and 1 MiB.
+    pub fn waiting(&self) -> (usize, usize) {
+        self.waiting.load()
+    }
+
     /// What was counted.
     pub const fn counters(&self) -> &RobotCounters {
         &self.counters

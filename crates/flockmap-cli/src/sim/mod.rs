@@ -1,8 +1,9 @@
-//! `flockmap sim`: simulated swarms, written as records.
+//! `flockmap sim`: simulated swarms: written as records, or in virtual time for their protocol.
 
 pub mod explore;
 mod fly;
 pub mod robot_record;
+mod swarm;
 
 use crate::args_sim::SimCommand;
 
@@ -11,5 +12,6 @@ pub fn run(command: &SimCommand) -> anyhow::Result<bool> {
     match command {
         SimCommand::Fly(args) => fly::run(args),
         SimCommand::Explore(args) => explore::run(args),
+        SimCommand::Swarm(args) => swarm::run(args),
     }
 }
