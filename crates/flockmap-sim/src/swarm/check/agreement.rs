@@ -21,7 +21,7 @@ pub(in crate::swarm) fn bound(robots: &[&Robot], hops: usize, told_bytes: u64, t
     let period = configs().map(period_micros).max().unwrap_or(0);
     let relay = configs().map(|config| 1_000 * i64::from(config.relay_delay_ms)).max().unwrap_or(0);
     let budgets = configs().flat_map(|config| {
-        let copies = if config.cast == Cast::Unicast { robots.len() as u64 - 1 } else { 1 };
+        let copies = if config.cast == Cast::Unicast { (robots.len() as u64).saturating_sub(1).max(1) } else { 1 };
         [config.radio_bytes_per_s.map(|rate| u64::from(rate) / copies), config.link_bytes_per_s.map(u64::from)]
     });
     let budget = budgets.flatten().min().unwrap_or(2_000_000).max(1);

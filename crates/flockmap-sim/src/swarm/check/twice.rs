@@ -64,10 +64,10 @@ impl Twice {
         let datagram = Datagram::new_checked(bytes).ok()?;
         let packages = parse_packages(&datagram).ok()?;
         let ledger = robot.session().config().in_flight == InFlight::RoundTrip;
-        let peers: Vec<RobotId> = match to {
-            Some(peer) => vec![peer],
-            None => robot.session().peers().filter(|p| p.hears_us).map(|p| p.stream.origin).collect(),
-        };
+        let peers = robot.session().peers().map(|peer| (peer.stream, peer.hears_us));
+        let peers = peers.filter(|(stream, hears_us)| to.map_or(*hears_us, |to| to == stream.origin));
+        // As the robot knows them: a robot that began anew is sent its former run.
+        let peers: Vec<Stream> = peers.map(|(stream, _)| stream).collect();
         for package in &packages {
             let header = package.header();
             let tile = match header.content {
@@ -76,14 +76,15 @@ impl Twice {
             };
             let item = (header.stream, header.index, tile);
             let mut reasons = Vec::new();
-            for peer in &peers {
-                if *peer == header.stream.origin && tile.is_none() && to.is_none() {
+            for stream in &peers {
+                let peer = stream.origin;
+                if *stream == header.stream {
                     reasons.push(format!("it is {peer:?}'s own"));
                     continue;
                 }
-                let pair = self.peers.entry(*peer).or_default();
+                let pair = self.peers.entry(peer).or_default();
                 let before = pair.sent.insert(item, now);
-                let round_trip = round_trip(*peer);
+                let round_trip = round_trip(peer);
                 let says_held = tile.is_none()
                     && pair.request.as_ref().is_some_and(|(_, request)| {
                         request.held.iter().any(|held| held.stream == item.0 && held.held.contains(item.1))
