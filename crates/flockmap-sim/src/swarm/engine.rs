@@ -3,6 +3,7 @@
 use super::check::{self, Failure, Finding, names};
 use super::member::{Member, NEVER};
 use super::plan::Action;
+use super::preset::Topology;
 use super::report::Report;
 use super::settings::{Settings, purpose};
 use super::truth::Truth;
@@ -366,7 +367,7 @@ impl Engine {
             };
             // There and back, at the least.
             let round_trip = 2 * self.settings.radio.delay_micros.max(0);
-            found = found.or_else(|| member.twice.sent(robot, self.now, to, &transmit.bytes, |_| round_trip));
+            found = found.or_else(|| member.twice.sent(robot, self.now, to, &transmit.bytes, round_trip));
         }
         self.found(id, found);
         let at = flockmap::Stamp(self.now);
@@ -422,6 +423,15 @@ impl Engine {
             }
         }
         self.next_action = self.settings.plan.len();
+        // Who is gone stays gone only where nobody is heard by way of it.
+        if numbers.topology != Topology::Full {
+            for number in 0..self.members.len() {
+                if self.members[number].robot.is_none() {
+                    self.events.push((self.now as f64 / 1e6, format!("restart of {:?}", self.members[number].id())));
+                    self.start(number);
+                }
+            }
+        }
         let told: Vec<(u64, u64)> =
             self.truth.streams().map(|(stream, told)| (told.bytes, u64::from(self.truth.last(stream)))).collect();
         let bytes: u64 = told.iter().map(|(bytes, _)| bytes).sum();

@@ -1,7 +1,7 @@
 //! Nothing is sent twice to a peer within a round trip, and nothing that the peer has said it holds.
 //!
 //! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
-//! is one too many, lost or not. By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
+//! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
 //! send are allowed, and counted as relayed. Sessions that compare successive requests (the paper's) measure no round trip and are
 //! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
 
@@ -59,15 +59,26 @@ impl Twice {
         now: i64,
         to: Option<RobotId>,
         bytes: &[u8],
-        round_trip: impl Fn(RobotId) -> i64,
+        round_trip: i64,
     ) -> Option<Finding> {
         let datagram = Datagram::new_checked(bytes).ok()?;
         let packages = parse_packages(&datagram).ok()?;
-        let ledger = robot.session().config().in_flight == InFlight::RoundTrip;
-        let peers = robot.session().peers().map(|peer| (peer.stream, peer.hears_us));
-        let peers = peers.filter(|(stream, hears_us)| to.map_or(*hears_us, |to| to == stream.origin));
+        let config = robot.session().config();
+        let ledger = config.in_flight == InFlight::RoundTrip;
+        // Until a round trip is measured, the configured one is all that is known.
+        let initial = 1_000 * i64::from(config.round_trip_initial_ms);
+        let peers = robot.session().peers();
+        let peers = peers.filter(|peer| to.map_or(peer.hears_us, |to| to == peer.stream.origin));
         // As the robot knows them: a robot that began anew is sent its former run.
-        let peers: Vec<Stream> = peers.map(|(stream, _)| stream).collect();
+        let peers: Vec<(Stream, i64)> = peers
+            .map(|peer| {
+                let round_trip = match peer.round_trip_micros {
+                    Some(_) => round_trip,
+                    None => round_trip.min(initial),
+                };
+                (peer.stream, round_trip)
+            })
+            .collect();
         for package in &packages {
             let header = package.header();
             let tile = match header.content {
@@ -76,7 +87,7 @@ impl Twice {
             };
             let item = (header.stream, header.index, tile);
             let mut reasons = Vec::new();
-            for stream in &peers {
+            for (stream, round_trip) in &peers {
                 let peer = stream.origin;
                 if *stream == header.stream {
                     reasons.push(format!("it is {peer:?}'s own"));
@@ -84,15 +95,14 @@ impl Twice {
                 }
                 let pair = self.peers.entry(peer).or_default();
                 let before = pair.sent.insert(item, now);
-                let round_trip = round_trip(peer);
                 let says_held = tile.is_none()
                     && pair.request.as_ref().is_some_and(|(_, request)| {
                         request.held.iter().any(|held| held.stream == item.0 && held.held.contains(item.1))
                     });
                 if says_held {
                     reasons.push(format!("{peer:?} has said that it holds it"));
-                } else if let Some(before) = before.filter(|before| ledger && now - before < round_trip) {
-                    let (ago, least) = ((now - before) as f64 / 1e3, round_trip as f64 / 1e3);
+                } else if let Some(before) = before.filter(|before| ledger && now - before < *round_trip) {
+                    let (ago, least) = ((now - before) as f64 / 1e3, *round_trip as f64 / 1e3);
                     reasons.push(format!("sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"));
                 }
             }
