@@ -52,6 +52,28 @@ impl RoundTrip {
     }
 }
 
+/// All datagrams are lost.
+pub(crate) const LOSS_ONE: u32 = 1 << 16;
+
+/// Share of what is sent to a peer that gets lost, smoothed over some 64 packages, in parts of [`LOSS_ONE`].
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Loss(u32);
+
+impl Loss {
+    /// Takes in what a request said of packages sent.
+    pub(crate) fn sample(&mut self, confirmed: u64, lost: u64) {
+        for (count, is_lost) in [(confirmed, false), (lost, true)] {
+            for _ in 0..count.min(256) {
+                self.0 = self.0 - self.0 / 64 + if is_lost { LOSS_ONE / 64 } else { 0 };
+            }
+        }
+    }
+
+    pub(crate) const fn share(self) -> u32 {
+        self.0
+    }
+}
+
 /// Offset between a peer's clock and the own one, as NTP does it: of the recent exchanges the one with the
 /// shortest round trip is the least disturbed by queues.
 #[derive(Clone, Debug, Default)]

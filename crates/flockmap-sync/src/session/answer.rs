@@ -154,6 +154,7 @@ impl Session {
         });
         self.counters.confirmed += confirmed;
         self.counters.lost += lost;
+        peer.loss.sample(confirmed, lost);
 
         for view in views.values_mut() {
             view.covered = view.held.clone();

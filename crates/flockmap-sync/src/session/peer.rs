@@ -1,7 +1,7 @@
 //! What a session knows of one peer.
 
 use crate::counters::Traffic;
-use crate::link::{ClockFilter, RoundTrip};
+use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
 use crate::{IntervalSet, SessionConfig};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -107,6 +107,7 @@ pub(super) struct Peer {
     pub(super) queue_stale: bool,
     pub(super) round_trip: RoundTrip,
     pub(super) clock: ClockFilter,
+    pub(super) loss: Loss,
     pub(super) pacer: Option<Pacer>,
     pub(super) traffic_in: Traffic,
     pub(super) traffic_out: Traffic,
@@ -131,6 +132,7 @@ impl Peer {
             queue_stale: false,
             round_trip: RoundTrip::new(i64::from(config.round_trip_initial_ms) * 1_000),
             clock: ClockFilter::default(),
+            loss: Loss::default(),
             pacer: config
                 .link_bytes_per_s
                 .map(|rate| Pacer::new(rate, super::burst_bytes(rate, config.burst_ms))),

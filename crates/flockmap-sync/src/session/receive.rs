@@ -150,6 +150,9 @@ impl Session {
             Ok(is_new) => {
                 self.counters.accepted += u64::from(is_new);
                 self.counters.repaired += u64::from(is_new && fills_gap);
+                if is_new && fills_gap {
+                    self.note_gap_filled();
+                }
                 self.mark_queues_stale();
             }
             Err(NoRoom::Intervals) => self.counters.too_fragmented += 1,

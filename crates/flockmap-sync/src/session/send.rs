@@ -177,6 +177,7 @@ impl Session {
             }
         }
         self.note_activity(now);
+        self.note_sent(now);
         Transmit { to, bytes }
     }
 
