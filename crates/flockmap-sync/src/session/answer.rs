@@ -157,7 +157,7 @@ impl Session {
         peer.loss.sample(confirmed, lost);
 
         for view in views.values_mut() {
-            view.covered = view.held.clone();
+            view.covered = view.held.with_room(VIEW_INTERVALS_MAX + self.config.in_flight_max);
             if let Some(sending) = &mut view.sending {
                 sending.covered = sending.accepted.clone();
             }

@@ -135,7 +135,10 @@ impl Session {
     /// When the next request is due.
     pub(super) fn next_request(&self) -> Option<Stamp> {
         let probe = self.schedule.probe.map(|(at, _)| at);
-        [Some(self.schedule.periodic), self.schedule.greeting, self.schedule.gap, probe].into_iter().flatten().min()
+        [Some(self.schedule.periodic), self.schedule.greeting, self.schedule.gap, probe]
+            .into_iter()
+            .flatten()
+            .min()
     }
 
     pub(super) fn request_due(&mut self, now: Stamp) -> bool {

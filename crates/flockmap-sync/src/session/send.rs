@@ -239,8 +239,11 @@ impl Session {
         }
         backlog.sort_unstable();
         overdue.sort_unstable();
-        let packages =
-            due.into_iter().chain(backlog).chain(overdue).map(|(_, stream, index)| Item::Package { stream, index });
+        let packages = due
+            .into_iter()
+            .chain(backlog)
+            .chain(overdue)
+            .map(|(_, stream, index)| Item::Package { stream, index });
         peer.queue = packages.chain(tiles).take(QUEUE_MAX).collect::<VecDeque<_>>();
     }
 

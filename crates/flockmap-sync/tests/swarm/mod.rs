@@ -61,6 +61,8 @@ pub(crate) struct Robot {
     /// Packages of this origin with these indices are kept undecided, or given up.
     pub(crate) keeps: Vec<(RobotId, u32)>,
     pub(crate) gives_up: Vec<(RobotId, u32)>,
+    /// Packages that come more than so many indices ahead of all that is held are rejected: no room for them to wait.
+    pub(crate) ahead_max: Option<u32>,
     /// What is kept undecided.
     pub(crate) undecided: Vec<Package>,
     encoder: Encoder,
@@ -137,6 +139,7 @@ impl Swarm {
             no_present_state: false,
             keeps: Vec::new(),
             gives_up: Vec::new(),
+            ahead_max: None,
             undecided: Vec::new(),
             encoder: Encoder::new(),
             cycle_end: Stamp(i64::MIN),
@@ -202,6 +205,14 @@ impl Swarm {
                     let named = (header.stream.origin, header.index);
                     if header.content == ContentKind::Changes && robot.keeps.contains(&named) {
                         robot.undecided.push(package);
+                        continue;
+                    }
+                    let prefix =
+                        robot.session.held(header.stream).map_or(0, flockmap_sync::IntervalSet::prefix);
+                    if header.content == ContentKind::Changes
+                        && robot.ahead_max.is_some_and(|ahead| header.index > prefix.saturating_add(ahead))
+                    {
+                        robot.session.reject(now, &package);
                         continue;
                     }
                     if header.content == ContentKind::Changes && robot.gives_up.contains(&named) {
