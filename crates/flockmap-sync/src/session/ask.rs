@@ -258,6 +258,7 @@ impl Session {
             TransferProgress {
                 source: incoming.source,
                 stream: incoming.stream,
+                since: incoming.since,
                 upto: incoming.upto,
                 set: incoming.set,
                 tiles: incoming.tiles,
@@ -282,7 +283,7 @@ impl Session {
             states_wanted: self
                 .given_up
                 .iter()
-                .filter_map(|(&stream, given_up)| Some((stream, given_up.last()?)))
+                .filter_map(|(&stream, given_up)| Some((stream, given_up.first()? - 1, given_up.last()?)))
                 .collect(),
         }
     }
