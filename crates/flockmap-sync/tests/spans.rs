@@ -47,7 +47,7 @@ fn what_the_store_dropped_is_repaired_by_a_span_of_it_and_not_by_the_whole_map()
     let prefix = swarm.robots[&2].session.held(own).unwrap().prefix();
     assert_eq!(prefix, swarm.robots[&1].session.store().newest_known(own));
     swarm.cut(1, 2);
-    fly(&mut swarm, 30);
+    fly(&mut swarm, 50);
     assert!(swarm.robots[&1].session.store().get(own, prefix + 1).is_none(), "still stored");
     let (span, whole) = (coded_once(&swarm, prefix), coded_once(&swarm, 0));
     assert!(2 * span < whole, "{span} of {whole}");

@@ -105,7 +105,7 @@ pub struct Request {
     pub floors: Vec<(RobotId, u32)>,
     /// What it knows of others' clocks.
     pub clocks: Vec<ClockReport>,
-    /// Streams with packages that it cannot decode any more, the last package before the first of these and the newest of them: it wants
+    /// Streams with packages that it cannot decode any more, the last package before the first that it states and does not hold, and the newest of them: it wants
     /// a present state since the one, or an earlier one, that contains the other. It states these packages as held, so that nobody sends them.
     pub states_wanted: Vec<(Stream, u32, u32)>,
 }
