@@ -312,6 +312,7 @@ impl Session {
             TransferProgress {
                 source: incoming.source,
                 stream: incoming.stream,
+                since: incoming.since,
                 upto: incoming.upto,
                 set: incoming.set,
                 tiles: incoming.tiles,
@@ -336,7 +337,11 @@ impl Session {
             states_wanted: self
                 .given_up
                 .iter()
-                .filter_map(|(&stream, given_up)| Some((stream, given_up.last()?)))
+                .filter_map(|(&stream, given_up)| {
+                    // What waits for a verdict, or was rejected, may never be held either.
+                    let unheld = self.stated_as_held(stream, now).difference(self.store.held(stream)?);
+                    Some((stream, unheld.first()? - 1, given_up.last()?))
+                })
                 .collect(),
         }
     }

@@ -38,7 +38,10 @@ pub(super) struct Sent {
 #[derive(Clone, Debug)]
 pub(super) struct Sending {
     pub(super) set: u32,
+    pub(super) since: u32,
     pub(super) upto: u32,
+    /// When the peer last spoke of the set, or it was begun.
+    pub(super) named_at: Stamp,
     /// Number + 1 of the tiles that the peer accepted.
     pub(super) accepted: IntervalSet,
     /// Those and the ones in flight.
@@ -59,8 +62,8 @@ pub(super) struct View {
     /// What was missing at some earlier request, and when that was.
     pub(super) missing_then: (Stamp, IntervalSet),
     pub(super) sending: Option<Sending>,
-    /// The peer wants a present state that contains this package, and since when it has said so.
-    pub(super) state_wanted: Option<(u32, Stamp)>,
+    /// The peer wants a present state since the first package or an earlier one that contains the second; and how long it has said so.
+    pub(super) state_wanted: Option<([u32; 2], Stamp)>,
 }
 
 impl View {

@@ -199,12 +199,15 @@ impl Session {
             // Without push, a request is answered with what there was when it came.
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
             let Some(view) = peer.view(stream, now) else { continue };
-            let from = view
-                .sending
-                .as_ref()
-                .map_or(view.from, |sending| view.from.max(sending.upto.saturating_add(1)));
             let upto = self.store.newest_known(stream);
-            let mut missing: Vec<(u32, u32)> = view.covered.missing(from.max(1), upto).collect();
+            // What a present state brings that is under way is not sent beside it.
+            let (since, after) = match &view.sending {
+                Some(sending) => (sending.since, sending.upto.saturating_add(1)),
+                None => (0, 1),
+            };
+            let before = view.covered.missing(view.from.max(1), since);
+            let mut missing: Vec<(u32, u32)> =
+                before.chain(view.covered.missing(view.from.max(after), upto)).collect();
             if turn > 0 {
                 let overdue = crate::IntervalSet::from_intervals(0, missing).intersection(&view.overdue);
                 missing = overdue.intervals().to_vec();

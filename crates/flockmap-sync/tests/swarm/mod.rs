@@ -2,7 +2,7 @@
 //! and duplicates. No wall time, no sockets: the same seed gives the same run.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
-use flockmap_codec::{Codec, Content, ContentKind, Cycle, Encoder, PACKAGE_BYTES_MAX, Package};
+use flockmap_codec::{Codec, Content, ContentKind, Cycle, Encoder, PACKAGE_BYTES_MAX, Package, Span};
 use flockmap_grid::{Changes, Layer, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_sync::{Cast, Destination, Event, Session, SessionConfig};
 use std::cmp::Reverse;
@@ -233,14 +233,20 @@ impl Swarm {
                     }
                     robot.session.accept(now, &package);
                 }
-                Event::PresentStateWanted { stream, upto, .. } => {
-                    robot.events.push(format!("wanted {stream:?} upto {upto}"));
-                    let state = robot.layers.get(&stream).and_then(Layer::present_state);
+                Event::PresentStateWanted { stream, since, newer_than, upto, .. } => {
+                    robot.events.push(format!("wanted {stream:?} since {since} upto {upto}"));
+                    let state = robot.layers.get(&stream).and_then(|layer| layer.present_voxels(newer_than));
                     let tiles = state.filter(|_| !robot.no_present_state).map_or(Vec::new(), |state| {
                         let resolution = Resolution::from_metres(0.1).unwrap();
                         robot
                             .encoder
-                            .encode_present(Codec::Paper, stream, upto, resolution, &state, PACKAGE_BYTES_MAX)
+                            .encode_span(
+                                Codec::Paper,
+                                Span { stream, since, upto },
+                                resolution,
+                                &state,
+                                PACKAGE_BYTES_MAX,
+                            )
                             .unwrap()
                     });
                     robot.session.provide_present_state(now, stream, tiles);
