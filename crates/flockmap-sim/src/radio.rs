@@ -5,8 +5,8 @@ mod faults;
 pub use faults::{Burst, Faults};
 
 use crate::random::{Random, mix};
-use faults::Weather;
 use core::cmp::Reverse;
+use faults::Weather;
 use flockmap_grid::{RobotId, Stamp};
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 use std::sync::Arc;
@@ -188,7 +188,15 @@ impl RadioEmulator {
                 }
             }
         }
-        Self { config, nodes, links, queue: BinaryHeap::new(), in_flight_bytes: 0, sequence: 0, medium_busy_until: Stamp(i64::MIN) }
+        Self {
+            config,
+            nodes,
+            links,
+            queue: BinaryHeap::new(),
+            in_flight_bytes: 0,
+            sequence: 0,
+            medium_busy_until: Stamp(i64::MIN),
+        }
     }
 
     /// Changes the link in one direction. Does nothing if there is no such link.

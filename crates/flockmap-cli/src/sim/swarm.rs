@@ -135,8 +135,17 @@ fn account(report: &Report) -> String {
         text += &format!("  {at:>9.3} s  {what}\n");
     }
     let mut table = Table::new([
-        "robot", "runs", "packages", "their bytes", "sent bytes", "requests", "their bytes", "air s", "merged",
-        "age 50 % s", "99 % s",
+        "robot",
+        "runs",
+        "packages",
+        "their bytes",
+        "sent bytes",
+        "requests",
+        "their bytes",
+        "air s",
+        "merged",
+        "age 50 % s",
+        "99 % s",
     ]);
     for robot in &report.robots {
         table.row([
@@ -227,7 +236,8 @@ fn one_as_json(report: &Report) -> Value {
             })
         })
         .collect();
-    let events: Vec<Value> = report.events.iter().map(|(at, what)| json!({"at_s": at, "what": what})).collect();
+    let events: Vec<Value> =
+        report.events.iter().map(|(at, what)| json!({"at_s": at, "what": what})).collect();
     json!({
         "command": report.command, "settings": report.settings, "events": events, "robots": robots,
         "mapping_s": report.mapping_s, "agreement_s": report.agreement_s,

@@ -8,7 +8,7 @@ use super::report::Report;
 use super::settings::{Settings, purpose};
 use super::truth::Truth;
 use super::world::SmallWorld;
-use super::{SwarmOptions, seen};
+use super::{SwarmOptions, broken, seen};
 use crate::random::Random;
 use crate::{Faults, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
 use flockmap::sync::wire::{Datagram, Kind};
@@ -44,10 +44,16 @@ pub fn fly(options: &SwarmOptions) -> Report {
 enum Phase {
     Mapping,
     /// Links are healed; until then all have to agree.
-    Healing { until: i64 },
+    Healing {
+        until: i64,
+    },
     /// All agree; quiet from then, to the end.
-    Grace { until: i64 },
-    Quiet { until: i64 },
+    Grace {
+        until: i64,
+    },
+    Quiet {
+        until: i64,
+    },
     Over,
 }
 
@@ -67,6 +73,7 @@ struct Engine {
     phase: Phase,
     members: Vec<Member>,
     radio: RadioEmulator,
+    broken: Random,
     next_action: usize,
     /// How often each directed link is closed.
     closed: BTreeMap<(usize, usize), u32>,
@@ -126,6 +133,7 @@ impl Engine {
             phase: Phase::Mapping,
             members,
             radio,
+            broken: Random::new(seed, purpose::BROKEN),
             next_action: 0,
             closed,
             next_look: 0,
@@ -190,7 +198,9 @@ impl Engine {
             self.next_action += 1;
             *self.seen.entry(action.name()).or_default() += 1;
             let words = match action {
-                Action::Crash(n) | Action::Restart(n) => format!("{} of {:?}", action.name(), self.members[n].id()),
+                Action::Crash(n) | Action::Restart(n) => {
+                    format!("{} of {:?}", action.name(), self.members[n].id())
+                }
                 Action::Close { from, to } | Action::Open { from, to } => {
                     format!("{}: {:?} to {:?}", action.name(), self.members[from].id(), self.members[to].id())
                 }
@@ -320,7 +330,9 @@ impl Engine {
                     self.found(id, check::whole_voxels(&self.truth, robot, stream));
                     self.found(id, check::whole_layer(&self.truth, robot, stream));
                 }
-                Event::PeerSeen(peer) | Event::PeerLost(peer) => self.members[number].twice.forget(peer.origin),
+                Event::PeerSeen(peer) | Event::PeerLost(peer) => {
+                    self.members[number].twice.forget(peer.origin)
+                }
                 Event::EncodeFailed(error) => {
                     let expected = "changes that can be coded".to_owned();
                     let found = error.to_string();
@@ -342,8 +354,8 @@ impl Engine {
 
     fn transmit(&mut self, number: usize, robot: &Robot, transmit: &Transmit, now: flockmap::Stamp) {
         let id = self.members[number].id();
-        let is_request =
-            Datagram::new_checked(&transmit.bytes).is_ok_and(|datagram| datagram.header().kind == Kind::Request);
+        let is_request = Datagram::new_checked(&transmit.bytes)
+            .is_ok_and(|datagram| datagram.header().kind == Kind::Request);
         let config = robot.session().config();
         let is_broadcast = config.cast == Cast::Broadcast;
         let peers = || robot.session().peers().map(|peer| peer.stream.origin);
@@ -371,9 +383,21 @@ impl Engine {
         }
         self.found(id, found);
         let at = flockmap::Stamp(self.now);
+        let damaged = match self.settings.broken {
+            share
+                if !is_request
+                    && self.phase == Phase::Mapping
+                    && share > 0.0
+                    && self.broken.chance(share) =>
+            {
+                broken::damaged_inside(&transmit.bytes, &mut self.broken)
+            }
+            _ => None,
+        };
+        let bytes = damaged.as_ref().unwrap_or(&transmit.bytes);
         match transmit.to {
-            Destination::Peer(peer) => self.radio.send(at, id, To::Node(peer), &transmit.bytes),
-            Destination::Everyone if is_broadcast => self.radio.send(at, id, To::All, &transmit.bytes),
+            Destination::Peer(peer) => self.radio.send(at, id, To::Node(peer), bytes),
+            Destination::Everyone if is_broadcast => self.radio.send(at, id, To::All, bytes),
             Destination::Everyone => {
                 for other in self.members.iter().map(Member::id).filter(|other| *other != id) {
                     self.radio.send(at, id, To::Node(other), &transmit.bytes);
@@ -391,10 +415,13 @@ impl Engine {
         }
         match self.phase {
             Phase::Mapping if self.now >= self.settings.mapping => self.heal(),
-            Phase::Mapping | Phase::Over => self.next_look = self.next_look.min(self.settings.mapping.max(self.now + 1)),
+            Phase::Mapping | Phase::Over => {
+                self.next_look = self.next_look.min(self.settings.mapping.max(self.now + 1))
+            }
             Phase::Healing { until } => self.look_for_agreement(until),
             Phase::Grace { until } if self.now >= until => {
-                let longest = self.members.iter().map(|m| check::period_micros(&m.settings.config.session)).max();
+                let longest =
+                    self.members.iter().map(|m| check::period_micros(&m.settings.config.session)).max();
                 let until = self.now + QUIET_PERIODS * longest.unwrap_or(0);
                 self.members.iter_mut().for_each(|member| member.quiet.begin(self.now));
                 self.phase = Phase::Quiet { until };
@@ -412,8 +439,11 @@ impl Engine {
     /// Mapping ends, links heal.
     fn heal(&mut self) {
         let numbers = self.settings.radio;
-        let link =
-            Link { delay_micros: numbers.delay_micros, jitter_micros: numbers.jitter_micros, ..Link::default() };
+        let link = Link {
+            delay_micros: numbers.delay_micros,
+            jitter_micros: numbers.jitter_micros,
+            ..Link::default()
+        };
         for a in 0..self.members.len() {
             for b in (0..self.members.len()).filter(|b| a != *b) {
                 let (from, to) = (self.members[a].id(), self.members[b].id());
@@ -427,13 +457,17 @@ impl Engine {
         if numbers.topology != Topology::Full {
             for number in 0..self.members.len() {
                 if self.members[number].robot.is_none() {
-                    self.events.push((self.now as f64 / 1e6, format!("restart of {:?}", self.members[number].id())));
+                    self.events
+                        .push((self.now as f64 / 1e6, format!("restart of {:?}", self.members[number].id())));
                     self.start(number);
                 }
             }
         }
-        let told: Vec<(u64, u64)> =
-            self.truth.streams().map(|(stream, told)| (told.bytes, u64::from(self.truth.last(stream)))).collect();
+        let told: Vec<(u64, u64)> = self
+            .truth
+            .streams()
+            .map(|(stream, told)| (told.bytes, u64::from(self.truth.last(stream))))
+            .collect();
         let bytes: u64 = told.iter().map(|(bytes, _)| bytes).sum();
         let packages: u64 = told.iter().map(|(_, packages)| packages).sum();
         let robots: Vec<&Robot> = self.members.iter().filter_map(|member| member.robot.as_ref()).collect();
@@ -468,7 +502,8 @@ impl Engine {
         self.look_at_everything();
         let grace = self.members.iter().map(|m| check::Quiet::grace_micros(&m.settings.config.session)).max();
         // What waits at the radio is sent first.
-        let grace = grace.unwrap_or(0) + 4 * (self.settings.radio.delay_micros + self.settings.radio.jitter_micros);
+        let grace =
+            grace.unwrap_or(0) + 4 * (self.settings.radio.delay_micros + self.settings.radio.jitter_micros);
         self.phase = Phase::Grace { until: self.now + grace };
     }
 
@@ -527,9 +562,11 @@ impl Engine {
     fn report(mut self) -> Report {
         let mut seen = core::mem::take(&mut self.seen);
         let radio = self.radio.traffic_total();
-        for (name, count) in
-            [("lost on the way", radio.lost), ("damaged on the way", radio.damaged), ("radio queue full", radio.dropped)]
-        {
+        for (name, count) in [
+            ("lost on the way", radio.lost),
+            ("damaged on the way", radio.damaged),
+            ("radio queue full", radio.dropped),
+        ] {
             *seen.entry(name).or_default() += count;
         }
         let robots = self.members.iter_mut().map(|member| {

@@ -58,7 +58,11 @@ impl Member {
     }
 
     /// Begins a run with nothing in the store.
-    pub(super) fn start(&mut self, now: i64, others: &[(RobotId, super::clock::Clock)]) -> Result<(), RobotError> {
+    pub(super) fn start(
+        &mut self,
+        now: i64,
+        others: &[(RobotId, super::clock::Clock)],
+    ) -> Result<(), RobotError> {
         self.epoch += 1 + self.random.below(3) as u32;
         let mut config = self.settings.config.clone();
         config.epoch = self.epoch;
@@ -108,7 +112,11 @@ impl Member {
         self.figures.merged += robot.merged;
     }
 
-    pub(super) fn take_figures(&mut self, airtime_micros: u64, counts: &mut impl FnMut(&Robot)) -> RobotFigures {
+    pub(super) fn take_figures(
+        &mut self,
+        airtime_micros: u64,
+        counts: &mut impl FnMut(&Robot),
+    ) -> RobotFigures {
         self.figures.is_alive = self.robot.is_some();
         self.crash(counts);
         (self.figures.age_median_s, self.figures.age_99_s) = median_and_99(&mut self.ages);

@@ -9,6 +9,7 @@
 //! assert!(report.agreement_s.is_some());
 //! ```
 
+mod broken;
 mod check;
 mod clock;
 mod engine;

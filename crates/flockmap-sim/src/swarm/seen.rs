@@ -18,6 +18,7 @@ pub(super) fn add_counters(seen: &mut BTreeMap<&'static str, u64>, robot: &Robot
         ("arrived twice", s.duplicates),
         ("requests overtaken", s.stale_requests),
         ("damaged and noticed", s.damaged),
+        ("damaged by the sender and noticed", r.damaged),
         ("of a former run", s.stale_epoch),
         ("waited for a reference", r.waited),
         ("given up for a present state", s.given_up),
@@ -66,6 +67,12 @@ pub(super) fn settings(settings: &Settings) -> Vec<String> {
         line += &format!(", {rate} bytes/s {whose}, queue of {} KiB", radio.queue_bytes_max >> 10);
     }
     words.push(line);
+    if settings.broken > 0.0 {
+        words.push(format!(
+            "{:.1} % of the datagrams of packages damaged by their sender",
+            100.0 * settings.broken
+        ));
+    }
     words.push(match settings.clocks_given {
         true => "clocks known exactly".to_owned(),
         false => "clocks measured".to_owned(),

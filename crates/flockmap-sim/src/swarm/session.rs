@@ -20,7 +20,8 @@ pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig
     let mut words = Vec::new();
     let budget = swarm.radio.budget(swarm.robots);
     let budget_words = |budget: Option<u32>| budget.map_or("none".to_owned(), |b| format!("{b} bytes/s"));
-    let mut common = SessionConfig { cast: swarm.cast, radio_bytes_per_s: budget, ..SessionConfig::default() };
+    let mut common =
+        SessionConfig { cast: swarm.cast, radio_bytes_per_s: budget, ..SessionConfig::default() };
     common.peers_max = common.peers_max.max(swarm.robots);
     common.streams_max = common.streams_max.max(4 * swarm.robots);
     if swarm.is_calm {

@@ -17,6 +17,7 @@ pub(super) mod purpose {
     pub(in crate::swarm) const PLAN: u64 = 0x5357_0005;
     pub(in crate::swarm) const WORLD: u64 = 0x5357_0006;
     pub(in crate::swarm) const SCANS: u64 = 0x5357_0007;
+    pub(in crate::swarm) const BROKEN: u64 = 0x5357_0008;
 }
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
@@ -47,6 +48,8 @@ pub(super) struct Settings {
     pub(super) clocks_given: bool,
     /// What happens when, in microseconds, ascending.
     pub(super) plan: Vec<(i64, Action)>,
+    /// Share of the datagrams of packages that their sender damages before it makes their check, 0 … 1.
+    pub(super) broken: f64,
     /// What is special about the sessions, in words.
     pub(super) words: Vec<String>,
 }
@@ -67,17 +70,16 @@ impl Settings {
 
         let (radio_name, radio) = draw_radio(options, &mut Random::new(seed, purpose::RADIO));
         let mut plan_random = Random::new(seed, purpose::PLAN);
-        let plan = if options.is_calm {
-            Vec::new()
-        } else {
-            plan::draw(&mut plan_random, robots, mapping)
-        };
+        let plan = if options.is_calm { Vec::new() } else { plan::draw(&mut plan_random, robots, mapping) };
+        let is_broken = plan_random.chance(0.12) && !options.is_calm;
+        let broken = if is_broken { plan_random.range(0.005, 0.08) } else { 0.0 };
         let mut random = Random::new(seed, purpose::SESSION);
         let swarm = session::Drawn { robots, cast, radio: &radio, plan: &plan, is_calm: options.is_calm };
         let (sessions, words) = session::draw(&mut random, &swarm);
         let members = sessions.into_iter().enumerate().map(|(number, session)| {
             let mut random = Random::new(seed, purpose::ROBOT + ((number as u64) << 32));
-            let resolution = Resolution::from_metres(VOXEL_M).unwrap_or_else(|| unreachable!("0.5 m is allowed"));
+            let resolution =
+                Resolution::from_metres(VOXEL_M).unwrap_or_else(|| unreachable!("0.5 m is allowed"));
             let mut config = RobotConfig::new(RobotId(number as u16 + 1), resolution, RANGE_M);
             config.session = session;
             config.seed = seed;
@@ -103,6 +105,7 @@ impl Settings {
             cast,
             clocks_given,
             plan,
+            broken,
             words,
         }
     }

@@ -1,8 +1,8 @@
 //! What every origin told, taken down at the origin itself, to hold the others' layers against.
 
 use flockmap::codec::{Content, Decoder, Package};
-use flockmap_grid::{BlockIndex, Changes, Layer, Stamp, State, Stream, Voxel, bit_of, voxel_bit};
 use flockmap::sync::IntervalSet;
+use flockmap_grid::{BlockIndex, Changes, Layer, Stamp, State, Stream, Voxel, bit_of, voxel_bit};
 use rustc_hash::FxHashMap;
 use std::collections::BTreeMap;
 
@@ -111,7 +111,8 @@ impl Told {
     pub(super) fn find_untold(&self, changes: &Changes, stamp: Stamp) -> Option<Wrong> {
         let cycle = self.cycles.get(&stamp);
         for (block, states) in changes.blocks() {
-            let at = cycle.and_then(|cycle| cycle.blocks().binary_search_by_key(block, |(index, _)| *index).ok());
+            let at =
+                cycle.and_then(|cycle| cycle.blocks().binary_search_by_key(block, |(index, _)| *index).ok());
             let told = at.zip(cycle).map(|(at, cycle)| cycle.blocks()[at].1).unwrap_or_default();
             let more = states.minus(&told);
             if let Some(bit) = (0..512).find(|bit| more.get(*bit) != State::Unknown) {
@@ -147,8 +148,10 @@ impl Told {
                 let voxel = voxel_at(block, bit);
                 let Some((state, stamp)) = layer.get(voxel) else { continue };
                 if !self.words(block, bit).any(|word| (word.state, word.stamp) == (state, stamp)) {
-                    let all: Vec<String> =
-                        self.words(block, bit).map(|word| format!("{:?} at {:?}", word.state, word.stamp)).collect();
+                    let all: Vec<String> = self
+                        .words(block, bit)
+                        .map(|word| format!("{:?} at {:?}", word.state, word.stamp))
+                        .collect();
                     return Some(Wrong {
                         voxel,
                         expected: format!("one of [{}]", all.join(", ")),
@@ -161,7 +164,12 @@ impl Told {
     }
 
     /// The first of some voxels of a layer that is older than what the packages held say of it.
-    pub(super) fn find_older(&self, changes: &Changes, layer: Option<&Layer>, held: &IntervalSet) -> Option<Wrong> {
+    pub(super) fn find_older(
+        &self,
+        changes: &Changes,
+        layer: Option<&Layer>,
+        held: &IntervalSet,
+    ) -> Option<Wrong> {
         for (block, states) in changes.blocks() {
             let known = states.known();
             for bit in (0..512).filter(|bit| known[bit / 64] >> (bit % 64) & 1 == 1) {
@@ -185,16 +193,24 @@ impl Told {
         None
     }
 
-    fn older_at(&self, block: BlockIndex, bit: usize, layer: Option<&Layer>, held: &IntervalSet) -> Option<Wrong> {
+    fn older_at(
+        &self,
+        block: BlockIndex,
+        bit: usize,
+        layer: Option<&Layer>,
+        held: &IntervalSet,
+    ) -> Option<Wrong> {
         let word = self.words(block, bit).find(|word| held.contains(word.index))?;
         let voxel = voxel_at(block, bit);
         let found = layer.and_then(|layer| layer.get(voxel));
-        let is_right = found.is_some_and(|(state, stamp)| {
-            stamp > word.stamp || (stamp == word.stamp && state == word.state)
-        });
+        let is_right = found
+            .is_some_and(|(state, stamp)| stamp > word.stamp || (stamp == word.stamp && state == word.state));
         (!is_right).then(|| Wrong {
             voxel,
-            expected: format!("{:?} at {:?}, as package {} says, or newer", word.state, word.stamp, word.index),
+            expected: format!(
+                "{:?} at {:?}, as package {} says, or newer",
+                word.state, word.stamp, word.index
+            ),
             found: found.map_or("Unknown".to_owned(), |(state, stamp)| format!("{state:?} at {stamp:?}")),
         })
     }

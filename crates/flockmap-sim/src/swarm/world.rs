@@ -70,9 +70,8 @@ impl SmallWorld {
 
     /// Where the robot of a course is after some seconds.
     pub(super) fn place(&self, course: &Course, seconds: f64) -> [f64; 3] {
-        let along = |axis: usize| {
-            reflected(course.start[axis] + course.speed[axis] * seconds, self.half[axis] - 0.3)
-        };
+        let along =
+            |axis: usize| reflected(course.start[axis] + course.speed[axis] * seconds, self.half[axis] - 0.3);
         [along(0), along(1), course.start[2]]
     }
 

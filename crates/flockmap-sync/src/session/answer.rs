@@ -89,6 +89,9 @@ impl Session {
             let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));
             // Of what lies below the list, the last word still holds.
             let below = view.held.within(0, stated.from.saturating_sub(1));
+            if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::HoldingsIgnored) {
+                continue;
+            }
             view.held = if stated.from > 1 { below.union(&stated.held) } else { stated.held.clone() };
             view.from = view.from.min(stated.from).max(view.held.keep_newest(VIEW_INTERVALS_MAX));
         }

@@ -21,8 +21,12 @@ pub(in crate::swarm) fn bound(robots: &[&Robot], hops: usize, told_bytes: u64, t
     let period = configs().map(period_micros).max().unwrap_or(0);
     let relay = configs().map(|config| 1_000 * i64::from(config.relay_delay_ms)).max().unwrap_or(0);
     let budgets = configs().flat_map(|config| {
-        let copies = if config.cast == Cast::Unicast { (robots.len() as u64).saturating_sub(1).max(1) } else { 1 };
-        [config.radio_bytes_per_s.map(|rate| u64::from(rate) / copies), config.link_bytes_per_s.map(u64::from)]
+        let copies =
+            if config.cast == Cast::Unicast { (robots.len() as u64).saturating_sub(1).max(1) } else { 1 };
+        [
+            config.radio_bytes_per_s.map(|rate| u64::from(rate) / copies),
+            config.link_bytes_per_s.map(u64::from),
+        ]
     });
     let budget = budgets.flatten().min().unwrap_or(2_000_000).max(1);
     // Each package alone in its datagram.
@@ -59,10 +63,14 @@ pub(in crate::swarm) fn disagreement(truth: &Truth, robots: &[&Robot]) -> Option
             for other in robots {
                 let prefix = other.session().held(stream).map_or(0, flockmap::sync::IntervalSet::prefix);
                 let stored = || other.session().store().range(stream, prefix + 1, u32::MAX);
-                let gap = missing(1, prefix).or_else(|| stored().find_map(|(index, _)| missing(index, index)));
+                let gap =
+                    missing(1, prefix).or_else(|| stored().find_map(|(index, _)| missing(index, index)));
                 if let Some((low, high)) = gap {
                     let whose = other.own_stream();
-                    return Some((id, format!("packages {low} to {high} of {stream:?}, which {whose:?} has")));
+                    return Some((
+                        id,
+                        format!("packages {low} to {high} of {stream:?}, which {whose:?} has"),
+                    ));
                 }
             }
         }

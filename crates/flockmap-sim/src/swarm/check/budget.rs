@@ -71,7 +71,8 @@ impl Window {
             self.level = (self.level - since * i64::from(rate)).max(0) + bytes as i64 * 1_000_000;
             let over = self.level - FULL_DATAGRAM * 1_000_000;
             // A microsecond is the grain of the clock.
-            return (is_promised && over > i64::from(rate)).then(|| format!("{} bytes more", over / 1_000_000));
+            return (is_promised && over > i64::from(rate))
+                .then(|| format!("{} bytes more", over / 1_000_000));
         }
         while let Some(&(at, old)) = self.sent.front()
             && now.micros_since(at) >= 1_000_000

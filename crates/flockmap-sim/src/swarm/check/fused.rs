@@ -12,7 +12,10 @@ const NAME: &str = "fused";
 
 /// The first wrong voxel. `ahead`: microseconds that this robot's clock is ahead of another's, where it is known.
 /// O(voxels · layers).
-pub(in crate::swarm) fn wrong_fused(robot: &Robot, ahead: impl Fn(RobotId) -> Option<i64>) -> Option<Finding> {
+pub(in crate::swarm) fn wrong_fused(
+    robot: &Robot,
+    ahead: impl Fn(RobotId) -> Option<i64>,
+) -> Option<Finding> {
     let (own, mapper) = (robot.own_stream(), robot.mapper());
     let layers: Vec<_> = robot.fusion().layers().filter(|(stream, _)| *stream != own).collect();
     let priority = robot.config().fusion.own_priority_micros;
@@ -61,7 +64,11 @@ pub(in crate::swarm) fn wrong_fused(robot: &Robot, ahead: impl Fn(RobotId) -> Op
                     }
                     match newest {
                         Some((_, is_occupied)) if is_known => {
-                            if is_occupied { State::Occupied } else { State::Free }
+                            if is_occupied {
+                                State::Occupied
+                            } else {
+                                State::Free
+                            }
                         }
                         _ if found == State::Unknown => State::Free,
                         _ => found,

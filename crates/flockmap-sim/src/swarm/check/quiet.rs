@@ -24,7 +24,12 @@ impl Quiet {
     }
 
     /// A datagram to everyone counts once.
-    pub(in crate::swarm) fn sent(&mut self, config: &SessionConfig, now: i64, is_request: bool) -> Option<Finding> {
+    pub(in crate::swarm) fn sent(
+        &mut self,
+        config: &SessionConfig,
+        now: i64,
+        is_request: bool,
+    ) -> Option<Finding> {
         let since = now - self.from?;
         if !is_request {
             return Some(Finding {

@@ -103,7 +103,9 @@ impl Twice {
                     reasons.push(format!("{peer:?} has said that it holds it"));
                 } else if let Some(before) = before.filter(|before| ledger && now - before < *round_trip) {
                     let (ago, least) = ((now - before) as f64 / 1e3, *round_trip as f64 / 1e3);
-                    reasons.push(format!("sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"));
+                    reasons.push(format!(
+                        "sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"
+                    ));
                 }
             }
             if reasons.len() == peers.len() {
@@ -114,7 +116,11 @@ impl Twice {
                 return Some(Finding {
                     checker: NAME,
                     expected: format!("a reason to send {what}"),
-                    found: if reasons.is_empty() { "no peer that hears".to_owned() } else { reasons.join("; ") },
+                    found: if reasons.is_empty() {
+                        "no peer that hears".to_owned()
+                    } else {
+                        reasons.join("; ")
+                    },
                 });
             }
         }
