@@ -55,6 +55,16 @@ changed), fused (the fused map follows from the layers), memory, in_flight (stat
 budget (bytes of any second), quiet (nothing but requests when nothing is missing), agreement (equal maps in time), still (time goes on),
 crash (no panic). A failure names the checker, the robot, the time, and the one command that repeats it; the exit code is 1 then.")]
     Swarm(SimSwarmArgs),
+    /// What a swarm costs by its radio and the number of its robots: bytes, airtime, age, time to agreement
+    #[command(after_help = "\
+Examples:
+  flockmap sim table --robots-max 20
+  flockmap sim table --file tests/tables/swarms.txt
+  flockmap sim table --robots-max 20 --file tests/tables/swarms.txt --check
+
+Broadcast, without crashes and partitions; the same on every machine. With --check nothing is written: the rows are held against
+those of the file, and a row that differs is shown, with exit code 1. All checkers of `sim swarm` watch these flights too.")]
+    Table(SimTableArgs),
 }
 
 /// Options that the shared groups hold for other commands.
@@ -178,6 +188,19 @@ pub struct SimSwarmArgs {
     /// Write what the table shows as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+}
+
+#[derive(Args, Debug)]
+pub struct SimTableArgs {
+    /// Rows for up to so many robots, 2 to 100
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub robots_max: usize,
+    /// Write the table to this file
+    #[arg(long, value_name = "FILE")]
+    pub file: Option<PathBuf>,
+    /// Hold the rows against those of --file
+    #[arg(long, requires = "file")]
+    pub check: bool,
 }
 
 /// How datagrams go out.

@@ -4,6 +4,7 @@ pub mod explore;
 mod fly;
 pub mod robot_record;
 mod swarm;
+mod table;
 
 use crate::args_sim::SimCommand;
 
@@ -13,5 +14,6 @@ pub fn run(command: &SimCommand) -> anyhow::Result<bool> {
         SimCommand::Fly(args) => fly::run(args),
         SimCommand::Explore(args) => explore::run(args),
         SimCommand::Swarm(args) => swarm::run(args),
+        SimCommand::Table(args) => table::run(args),
     }
 }

@@ -474,6 +474,9 @@ impl Engine {
         let hops = numbers.hops(self.members.len());
         // What is not packed yet is as much again at the most.
         self.agreement_within = check::bound(&robots, hops, 2 * bytes + 10_000, 2 * packages + 10);
+        if let Some(seconds) = self.settings.options.until_agreement_s {
+            self.agreement_within = i64::from(seconds) * 1_000_000;
+        }
         self.phase = Phase::Healing { until: self.now + self.agreement_within };
         self.events.push((self.now as f64 / 1e6, "mapping ends, links heal".to_owned()));
     }
@@ -489,7 +492,9 @@ impl Engine {
         let pending = pending.map(|robot| (robot.own_stream().origin, "its own newest cycle".to_owned()));
         let lacks = pending.or_else(|| check::disagreement(&self.truth, &robots));
         if let Some((robot, lacks)) = lacks {
-            if self.now >= until {
+            if self.now >= until && self.settings.options.until_agreement_s.is_some() {
+                self.phase = Phase::Over;
+            } else if self.now >= until {
                 let within = self.agreement_within as f64 / 1e6;
                 let expected = format!("all packages everywhere {within:.1} s after links healed");
                 let found = format!("it lacks {lacks}");
@@ -500,6 +505,10 @@ impl Engine {
         self.agreement = Some(self.now - self.settings.mapping);
         self.events.push((self.now as f64 / 1e6, "all agree".to_owned()));
         self.look_at_everything();
+        if self.settings.options.until_agreement_s.is_some() {
+            self.phase = Phase::Over;
+            return;
+        }
         let grace = self.members.iter().map(|m| check::Quiet::grace_micros(&m.settings.config.session)).max();
         // What waits at the radio is sent first.
         let grace =

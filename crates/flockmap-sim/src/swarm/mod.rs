@@ -21,6 +21,7 @@ mod report;
 mod seen;
 mod session;
 mod settings;
+pub mod table;
 mod truth;
 mod world;
 

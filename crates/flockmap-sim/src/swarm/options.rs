@@ -19,12 +19,14 @@ pub struct SwarmOptions {
     pub cast: Option<Cast>,
     /// No crashes, partitions, half-open links, tight limits or mixed settings: the radio alone.
     pub is_calm: bool,
+    /// The flight is over when all agree, or so many seconds after links healed; then nobody asks whether they had to. For tables.
+    pub until_agreement_s: Option<u32>,
 }
 
 impl SwarmOptions {
     /// Everything drawn from the seed.
     pub const fn new(seed: u64) -> Self {
-        Self { seed, robots: None, radio: None, seconds: None, cast: None, is_calm: false }
+        Self { seed, robots: None, radio: None, seconds: None, cast: None, is_calm: false, until_agreement_s: None }
     }
 
     /// The command that flies it again.

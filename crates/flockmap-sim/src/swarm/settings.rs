@@ -85,7 +85,8 @@ impl Settings {
             config.seed = seed;
             config.cycle = draw_cycle(&mut random, options.is_calm);
             config.codec = draw_codec(&mut random, options.is_calm);
-            config.repair_delay_max_ms = [1_000, 1_000, 0, 200][random.below(4) as usize];
+            let drawn = [1_000, 1_000, 0, 200][random.below(4) as usize];
+            config.repair_delay_max_ms = if options.is_calm { 1_000 } else { drawn };
             let offset = random.range(-1e9, 1e9) as i64;
             let ppm = random.range(-100.0, 100.0) as i64;
             MemberSettings {
