@@ -26,7 +26,15 @@ pub struct SwarmOptions {
 impl SwarmOptions {
     /// Everything drawn from the seed.
     pub const fn new(seed: u64) -> Self {
-        Self { seed, robots: None, radio: None, seconds: None, cast: None, is_calm: false, until_agreement_s: None }
+        Self {
+            seed,
+            robots: None,
+            radio: None,
+            seconds: None,
+            cast: None,
+            is_calm: false,
+            until_agreement_s: None,
+        }
     }
 
     /// The command that flies it again.

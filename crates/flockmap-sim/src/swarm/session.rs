@@ -125,7 +125,8 @@ fn tighten(random: &mut Random, session: &mut SessionConfig, restarts: usize) {
     if random.chance(0.3) {
         session.epochs_max = 1 + random.below(restarts as u64 + 1) as usize;
     }
+    // A state that is larger cannot be given at all.
     if random.chance(0.3) {
-        session.present_state_bytes_max = 4_000 + random.below(20_000) as usize;
+        session.present_state_bytes_max = 50_000 + random.below(100_000) as usize;
     }
 }

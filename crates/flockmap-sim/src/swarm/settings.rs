@@ -23,6 +23,9 @@ pub(super) mod purpose {
 /// Side of a voxel in metres: coarse, so that a flight costs little.
 const VOXEL_M: f64 = 0.5;
 const RANGE_M: f64 = 5.0;
+/// A table of figures wants more of a map.
+const TABLE_VOXEL_M: f64 = 0.25;
+const TABLE_RAYS: usize = 100;
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -57,6 +60,7 @@ pub(super) struct Settings {
 impl Settings {
     pub(super) fn draw(options: &SwarmOptions) -> Self {
         let seed = options.seed;
+        let is_table = options.until_agreement_s.is_some();
         let mut random = Random::new(seed, purpose::SWARM);
         let drawn = [2, 2, 3, 3, 3, 4, 4, 5, 6][random.below(9) as usize];
         let robots = options.robots.unwrap_or(drawn).clamp(2, 200);
@@ -78,8 +82,8 @@ impl Settings {
         let (sessions, words) = session::draw(&mut random, &swarm);
         let members = sessions.into_iter().enumerate().map(|(number, session)| {
             let mut random = Random::new(seed, purpose::ROBOT + ((number as u64) << 32));
-            let resolution =
-                Resolution::from_metres(VOXEL_M).unwrap_or_else(|| unreachable!("0.5 m is allowed"));
+            let resolution = Resolution::from_metres(if is_table { TABLE_VOXEL_M } else { VOXEL_M })
+                .unwrap_or_else(|| unreachable!("these are allowed"));
             let mut config = RobotConfig::new(RobotId(number as u16 + 1), resolution, RANGE_M);
             config.session = session;
             config.seed = seed;
@@ -92,8 +96,8 @@ impl Settings {
             MemberSettings {
                 config,
                 clock: Clock { offset, ppm: if has_drift { ppm } else { 0 } },
-                rays: 8 + random.below(32) as usize,
-                scan_period: 1_000 * (100 + random.below(200) as i64),
+                rays: if is_table { TABLE_RAYS } else { 20 + random.below(60) as usize },
+                scan_period: if is_table { 100_000 } else { 1_000 * (100 + random.below(200) as i64) },
                 has_no_returns: random.chance(0.4),
             }
         });

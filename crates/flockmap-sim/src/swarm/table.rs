@@ -14,18 +14,27 @@ const SEED: u64 = 1;
 /// What stands above the rows.
 pub fn head() -> String {
     let text = "\
-What a swarm costs: flockmap sim table. Each robot maps a small hall for {MAPPING_S} s (voxels of 0.5 m, up to 40 rays a scan), broadcasts
+What a swarm costs: flockmap sim table. Each robot maps a small hall for {MAPPING_S} s (voxels of 0.25 m, ten scans of 100 rays a second), broadcasts
 what changed and asks for what it misses. Then links heal; agreement is the time from there until all layers are equal (-: not
 within {WAIT_S} s, and the figures count until then). Budget: what a robot may send in a second (its part of 70 % of a shared radio,
 but at least the 500 bytes/s that a session needs). Map: bytes of the packages that it made itself. Sent: all that it sent, with 28
 bytes of IP and UDP for each datagram; of it requests, in per cent. Air: time on the air, in per cent of the flight, of all robots
-together where they share it. Age: from the end of a cycle to its merge at another robot. All per robot on the mean.
+together where they share it (beyond 100 %: more than it carries, the rest waits). Age: from the end of a cycle to its merge at another robot. All per robot on the mean.
 
 ";
     let text = text.replace("{MAPPING_S}", &MAPPING_S.to_string()).replace("{WAIT_S}", &WAIT_S.to_string());
     let columns = format!(
         "{:<15}{:>7}{:>11}{:>8}{:>9}{:>10}{:>7}{:>9}{:>9}{:>11}",
-        "radio", "robots", "budget B/s", "map B", "sent B", "requests", "air", "age 50 %", "age 99 %", "agreement"
+        "radio",
+        "robots",
+        "budget B/s",
+        "map B",
+        "sent B",
+        "requests",
+        "air",
+        "age 50 %",
+        "age 99 %",
+        "agreement"
     );
     format!("{text}{columns}\n")
 }
