@@ -113,6 +113,16 @@ Example:
 
 Needs a C++ compiler and Debian's liboctomap-dev for the OctoMap half; without them that half is skipped with a word.")]
     Mapping(BenchMappingArgs),
+    /// What an outage and a late joiner cost, beside the map coded once
+    #[command(after_help = "\
+Examples:
+  flockmap bench catch-up forest --seconds 600 --outage 60
+  flockmap bench catch-up robot1.mcap robot2.mcap --resolution 0.2 --range 30 --seconds 100 --outage 20
+
+In the middle of the flight the first robot hears nobody and is heard by nobody. When the flight is over and everything has arrived, one
+robot more comes with an empty map. Everything on the wire is counted, requests and headers of IP and UDP too. Exit code 1 if layers differ
+at the end.")]
+    CatchUp(Box<BenchCatchUpArgs>),
     /// Changes drawn at random, beside the entropy limit: the paper's Fig. 5
     #[command(after_help = "\
 Examples:
@@ -282,6 +292,35 @@ pub struct ReplayArgs {
     /// Write report.html and report.json to this folder
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub map: MapArgs,
+    #[command(flatten)]
+    pub source: SourceArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct BenchCatchUpArgs {
+    /// Records, one for each robot; or one world: forest, indoor, or a .bt .pcd .ply .las .laz file
+    #[arg(value_name = "RECORD", required = true)]
+    pub records: Vec<PathBuf>,
+    /// Length of the outage in seconds; 0: none
+    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    pub outage: f64,
+    /// Most kilobytes (1,024 bytes) that a robot sends in a second, IP and UDP headers counted
+    #[arg(long, value_name = "B", default_value_t = 20.0)]
+    pub budget_kb_s: f64,
+    /// Share of datagrams that the radio loses, 0 to less than 1
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    pub loss: f64,
+    /// Delay of the radio in milliseconds
+    #[arg(long, value_name = "D", default_value_t = 20.0)]
+    pub delay_ms: f64,
+    /// Codec of the packages: flock, paper, nested-zlib, raw or racer
+    #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
+    pub codec: Codec,
+    /// Write what the table shows as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
     #[command(flatten)]
     pub map: MapArgs,
     #[command(flatten)]

@@ -5,6 +5,7 @@
 mod args;
 mod args_sim;
 mod bench_application;
+mod bench_catch_up;
 mod bench_codecs;
 mod bench_mapping;
 mod bench_paper;
@@ -52,6 +53,7 @@ fn main() -> ExitCode {
     }
     let result = match &cli.command {
         Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
+        Command::Bench(BenchCommand::CatchUp(args)) => bench_catch_up::run(args),
         Command::Bench(BenchCommand::Mapping(args)) => bench_mapping::run(args),
         Command::Bench(BenchCommand::Paper(args)) => bench_paper::run(args),
         Command::Bench(BenchCommand::Application(args)) => bench_application::run(args),
