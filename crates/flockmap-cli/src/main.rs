@@ -17,6 +17,7 @@ mod export;
 mod html;
 mod info;
 mod json_file;
+mod key;
 mod measure;
 mod member;
 mod options;
@@ -60,6 +61,7 @@ fn main() -> ExitCode {
         Command::Sim(command) => sim::run(command),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),
+        Command::Key(args) => key::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
     };

@@ -134,8 +134,7 @@ impl Session {
     /// Fills a datagram from the peer's queue; the places in the queue of what went in. Drops from the front of
     /// the queue what the peer does not miss any more.
     fn bundle(&self, now: Stamp, peer: &mut Peer) -> (PackagesWriter, Vec<usize>) {
-        let mut writer =
-            PackagesWriter::new(self.header(now, Kind::Packages), self.config.datagram_bytes_max);
+        let mut writer = PackagesWriter::new(self.header(now, Kind::Packages), self.plain_bytes_max());
         let mut positions = Vec::new();
         while let Some(&item) = peer.queue.front()
             && (!peer.lacks(item) || self.package(item).is_none())

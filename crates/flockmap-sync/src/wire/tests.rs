@@ -1,5 +1,5 @@
 use super::*;
-use crate::IntervalSet;
+use crate::{IntervalSet, SwarmKey};
 use flockmap_codec::{Codec, Cycle, Encoder, Package};
 use flockmap_grid::{Changes, Resolution, State, Voxel};
 use proptest::prelude::*;
@@ -68,7 +68,7 @@ fn resealed(bytes: Vec<u8>) -> Vec<u8> {
 #[test]
 fn a_change_of_the_layout_is_a_change_of_the_version() {
     // If this fails: raise WIRE_VERSION, describe the new layout in LAYOUT and WIRE.md, and put the new pair here.
-    assert_eq!((WIRE_VERSION, crc32fast::hash(LAYOUT.as_bytes())), (1, GOLDEN_LAYOUT));
+    assert_eq!((WIRE_VERSION, crc32fast::hash(LAYOUT.as_bytes())), (2, GOLDEN_LAYOUT));
 }
 
 #[test]
@@ -87,11 +87,69 @@ fn golden_datagrams() {
     assert_eq!(head[check.end..], format!("10{:02x}", package.bytes().len()));
 }
 
-const GOLDEN_LAYOUT: u32 = 922_483_010;
-const GOLDEN_REQUEST: &str = "464d01010201070003000000776655443322110036d842ce\
+#[test]
+fn golden_sealed_datagram() {
+    // Made by another implementation (Python's `cryptography`), as docs/key.md shows.
+    let key = SwarmKey::from_bytes(core::array::from_fn(|i| i as u8));
+    let plain = sample().emit(HEADER, DATAGRAM_BYTES_MAX);
+    let sealed = seal_datagram(&key, &plain, 0x0a0b_0c0d_0e0f).unwrap();
+    assert_eq!(hex(&sealed), GOLDEN_SEALED);
+    assert_eq!(sealed.len(), plain.len() + SEAL_BYTES);
+
+    let datagram = SealedDatagram::new_checked(&sealed).unwrap();
+    assert_eq!((datagram.swarm(), datagram.sender()), (HEADER.swarm, HEADER.sender));
+    assert_eq!(datagram.counter(), 0x0a0b_0c0d_0e0f);
+    assert!(is_sealed(&sealed) && !is_sealed(&plain));
+    assert_eq!((stated_sender(&sealed), stated_sender(&plain)), (Some(RobotId(7)), Some(RobotId(7))));
+    let opened = datagram.open(&key).unwrap();
+    let datagram = opened.datagram().unwrap();
+    assert_eq!(*datagram.header(), HEADER);
+    assert_eq!(Request::parse(&datagram, 1_000).unwrap(), sample());
+}
+
+#[test]
+fn the_longest_package_fits_into_a_sealed_datagram() {
+    let record = record_len(flockmap_codec::PACKAGE_BYTES_MAX);
+    assert_eq!(HEADER_BYTES + record + SEAL_BYTES, 1_196);
+    let mut plain = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX - SEAL_BYTES).finish();
+    put_record(&mut plain, 16, &[0xa5; flockmap_codec::PACKAGE_BYTES_MAX]);
+    let sealed = seal_datagram(&SwarmKey::from_bytes([7; 32]), &plain, COUNTER_MAX).unwrap();
+    assert_eq!(sealed.len(), 1_196);
+    assert_eq!(seal_datagram(&SwarmKey::from_bytes([7; 32]), &plain, COUNTER_MAX + 1), None);
+}
+
+#[test]
+fn what_cannot_be_a_sealed_datagram_is_refused() {
+    let key = SwarmKey::from_bytes([7; 32]);
+    let sealed = seal_datagram(&key, &sample().emit(HEADER, DATAGRAM_BYTES_MAX), 5).unwrap();
+    for length in 0..sealed.len() {
+        let opened = SealedDatagram::new_checked(&sealed[..length]).and_then(|datagram| datagram.open(&key));
+        assert!(opened.is_err(), "cut to {length} bytes");
+    }
+    let long = [&sealed[..], &[0; DATAGRAM_BYTES_MAX]].concat();
+    assert!(matches!(SealedDatagram::new_checked(&long), Err(DatagramError::Length { .. })));
+    let mut other = sealed;
+    other[2] = WIRE_VERSION + 1;
+    assert!(matches!(SealedDatagram::new_checked(&other), Err(DatagramError::Version { .. })));
+    // A holder of the key that seals nonsense is faulty, and no more.
+    for kind in [0, 3, SEALED_KIND] {
+        let mut plain = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX).finish();
+        plain[3] = kind;
+        let sealed = seal_datagram(&key, &plain, 6).unwrap();
+        let opened = SealedDatagram::new_checked(&sealed).unwrap().open(&key).unwrap();
+        assert_eq!(opened.datagram().unwrap_err(), DatagramError::Kind { got: kind });
+    }
+}
+
+const SEALED_KIND: u8 = 0x80;
+const GOLDEN_SEALED: &str = "464d028002010700030000000f0e0d0c0b0a1413f5411f27fb0f9c4d222a315226c51aad4f4b63caa90f026287\
+    d13951ec97951bf69e5d98a2126e71e91b2ae7dac9976bc9b290a66694d20c540fedb9122b1b607f03ccf30fb662eee007f1bc04\
+    4f082e3cf36b7e8df485818f5ba06705fcf00395eb5ec9489cc525395a2db0bd800d";
+const GOLDEN_LAYOUT: u32 = 1_547_077_377;
+const GOLDEN_REQUEST: &str = "464d020102010700030000007766554433221100c71c9e5f\
     03010a2c01cdab78563412e8070407ac0280a0f8fa050505090100b7170609ac0280e2cfaa068906020607030100c7\
     010210ac0280e2cfaa0605000401009e02c801031407ac0280e2cfaa06e807efbeadde280100020300";
-const GOLDEN_PACKAGES_HEADER: &str = "464d010202010700030000007766554433221100";
+const GOLDEN_PACKAGES_HEADER: &str = "464d020202010700030000007766554433221100";
 
 #[test]
 fn a_request_survives_the_wire() {
