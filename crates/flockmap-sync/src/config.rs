@@ -57,6 +57,7 @@ pub struct SessionConfig {
     /// The secret of the swarm: all that is sent is sealed with it, and only what it opens is believed. Default `None`: anybody
     /// in reach of the radio can read and change the map. With a key the epoch of each run **must** be higher than that of
     /// the runs before, since a nonce is made of robot id, epoch and a counter, and none may come twice.
+    /// Holds, against replays, 60 bytes for each robot id that a holder of the key used (4 MiB for all 65,536), 256 more for each peer.
     pub swarm_key: Option<SwarmKey>,
     /// How often this run was started before, if it goes on with what it stored ([`Session::restore`](crate::Session::restore))
     /// under the same epoch: each such start has counters of its own. 0 to 4,095. Default 0. Only used with a key.
