@@ -48,6 +48,18 @@ Example:
 
 The file `robot.example.toml` of the crate flockmap-node holds every option with its meaning and default.")]
     Node(NodeArgs),
+    /// Make a new swarm key: with it, robots believe only each other, and nobody else can read what they send
+    #[command(after_help = "\
+Examples:
+  flockmap key --out swarm.key      a new file that only its owner can read
+  flockmap key                      to the terminal
+
+The key is 32 random bytes as 64 hex digits. Copy the file to every robot and name it in its configuration:
+  [session]
+  swarm_key_file = \"swarm.key\"
+Or put the digits there as swarm_key, or into the environment variable FLOCKMAP_SWARM_KEY. docs/key.md says what a key
+covers and what it does not.")]
+    Key(KeyArgs),
     /// Put records through the whole stack in virtual time: map, pack, send, lose, repair, merge
     #[command(after_help = "\
 Examples:
@@ -342,6 +354,13 @@ pub struct DemoArgs {
     pub map: MapArgs,
     #[command(flatten)]
     pub source: SourceArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct KeyArgs {
+    /// New file for the key [default: the terminal]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
 }
 
 #[derive(Args, Debug)]

@@ -18,6 +18,7 @@ mod export;
 mod html;
 mod info;
 mod json_file;
+mod key;
 mod measure;
 mod member;
 mod options;
@@ -62,6 +63,7 @@ fn main() -> ExitCode {
         Command::Sim(command) => sim::run(command),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),
+        Command::Key(args) => key::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
     };

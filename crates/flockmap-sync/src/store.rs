@@ -164,6 +164,8 @@ impl Store {
         let oldest = runs.clone().find(|&run| run != self.own);
         let forgotten = if runs.by_ref().filter(|&run| run != self.own).count() >= self.limits.epochs_max {
             let Some(oldest) = oldest.filter(|oldest| oldest.epoch < stream.epoch) else {
+                // Said to all, so that nobody offers it for ever.
+                self.floors.extend(oldest.map(|oldest| (stream.origin, oldest.epoch)));
                 return Err(NoRoom::OldEpoch);
             };
             self.forget(oldest);

@@ -53,6 +53,8 @@ pub enum Event {
     PeerLost(Stream),
     /// Another robot uses the own id. Give one of them another.
     SameIdentity,
+    /// With a swarm key: this run has sealed all the datagrams that it can (2³⁶) and sends no more. Start again with a higher epoch.
+    CountersSpent,
     /// Own changes could not be coded, and are lost to the others. Please report it: this should not happen.
     EncodeFailed(flockmap_codec::EncodeError),
 }
