@@ -12,6 +12,7 @@ use crate::bench_application::BenchApplicationArgs;
 use crate::bench_codecs::MethodName;
 use crate::bench_paper::args::BenchPaperArgs;
 use crate::bench_random::BenchRandomArgs;
+use crate::radio::args::RadioArgs;
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
 #[derive(Parser, Debug)]
@@ -48,6 +49,9 @@ Example:
 
 The file `robot.example.toml` of the crate flockmap-node holds every option with its meaning and default.")]
     Node(NodeArgs),
+    /// A bad radio on a desk: robots talk through it, and it loses, delays, doubles and damages what they say
+    #[command(after_help = crate::radio::args::HELP)]
+    Radio(RadioArgs),
     /// Put records through the whole stack in virtual time: map, pack, send, lose, repair, merge
     #[command(after_help = "\
 Examples:

@@ -23,6 +23,7 @@ mod options;
 mod picture;
 mod present_run;
 mod progress;
+mod radio;
 mod replay;
 mod report;
 #[allow(dead_code, reason = "made for the comparison with the paper; its tests run it")]
@@ -60,6 +61,7 @@ fn main() -> ExitCode {
         Command::Sim(command) => sim::run(command),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),
+        Command::Radio(args) => radio::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
     };
