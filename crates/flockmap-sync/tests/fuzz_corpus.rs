@@ -8,6 +8,7 @@ mod fuzz;
 use std::path::Path;
 
 use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_sync::Counters;
 use fuzz::made::{self, Maker};
 use fuzz::{Choices, datagram, package, request, session};
 use random::Random;
@@ -97,5 +98,30 @@ fn packages_travel_as_they_are() {
 #[test]
 fn sessions_hold_their_limits() {
     let inputs = (0..150).map(|seed| bytes(seed, 200 + 20 * seed as usize));
-    replay("session", inputs, session::run);
+    let reached = std::cell::RefCell::new(Vec::new());
+    replay("session", inputs, |input| reached.borrow_mut().push(session::run(input)));
+    // The inputs come to all that matters, or the limits would hold for nothing.
+    for (what, count) in [
+        ("accepted", (|c| c.accepted) as fn(&Counters) -> u64),
+        ("rejected", |c| c.rejected),
+        ("given up", |c| c.given_up),
+        ("sent", |c| c.sent),
+        ("confirmed", |c| c.confirmed),
+        ("lost", |c| c.lost),
+        ("delayed by the window", |c| c.delayed_by_window),
+        ("delayed by the budget", |c| c.delayed_by_budget),
+        ("tiles accepted", |c| c.tiles_accepted),
+        ("tiles sent", |c| c.tiles_sent),
+        ("caught up", |c| c.caught_up),
+        ("too many transfers", |c| c.too_many_transfers),
+        ("too many peers", |c| c.too_many_peers),
+        ("too many streams", |c| c.too_many_streams),
+        ("malformed", |c| c.malformed),
+        ("present states asked for", |c| c.present_states_wanted),
+        ("present states refused", |c| c.present_states_unusable),
+    ] {
+        let sum: u64 = reached.borrow().iter().map(count).sum();
+        println!("{what}: {sum}");
+        assert!(sum > 0, "no input comes to: {what}");
+    }
 }

@@ -7,8 +7,8 @@ use super::{mended, with_check};
 const INTERVALS_MAX: usize = 256;
 
 pub(crate) fn run(input: &[u8]) {
-    read(input);
-    read(&with_check(input.to_vec()));
+    let _ = read(input);
+    let _ = read(&with_check(input.to_vec()));
     for kind in 1..=2 {
         let bytes = mended(input.to_vec(), kind);
         let result = read(&bytes);

@@ -174,3 +174,15 @@ pub(crate) fn packages(choices: &mut Choices<'_>, maker: &mut Maker, now: Stamp)
     }
     writer.finish()
 }
+
+/// One of three robots that mean well; its run is new enough to be heard.
+pub(crate) fn honest_peer(choices: &mut Choices<'_>) -> Stream {
+    Stream { origin: RobotId(20 + choices.below(3) as u16), epoch: 4 }
+}
+
+/// A whole request of somebody who has heard this robot at `stamp`.
+pub(crate) fn honest_request(stamp: Stamp) -> Request {
+    let echo =
+        Echo { robot: OWN.origin, epoch_low: OWN.epoch as u16, stamp_low: stamp.0 as u32, age_micros: 200 };
+    Request { all_streams: true, all_echoes: true, echoes: vec![echo], ..Request::default() }
+}

@@ -1,8 +1,9 @@
 //! A session among hostile peers: any sequence of datagrams, time, verdicts and own packages.
 
-use flockmap_codec::Package;
-use flockmap_grid::{RobotId, Stamp};
-use flockmap_sync::{Cast, Event, InFlight, Order, Relay, Session, SessionConfig};
+use flockmap_codec::{ContentKind, Package};
+use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_sync::wire::{DatagramHeader, Held, Kind, PackagesWriter, TransferProgress};
+use flockmap_sync::{Cast, Counters, Event, InFlight, IntervalSet, Order, Relay, Session, SessionConfig};
 
 use super::made::{self, Maker, OWN};
 use super::session_checks::{Sent, limits};
@@ -13,8 +14,8 @@ const TRANSMITS_MAX: usize = 4_000;
 /// Packages that the driver keeps undecided.
 const KEPT_MAX: usize = 5_000;
 
-/// Input: choices of options, then of events.
-pub(crate) fn run(input: &[u8]) {
+/// Input: choices of options, then of events. Returns what the session counted.
+pub(crate) fn run(input: &[u8]) -> Counters {
     let mut choices = Choices::new(input);
     let config = config(&mut choices);
     let mut session = Session::new(OWN, config, 7).unwrap();
@@ -25,6 +26,7 @@ pub(crate) fn run(input: &[u8]) {
         sent: Sent::default(),
         kept: Vec::new(),
         wanted: Vec::new(),
+        given: None,
     };
     while !choices.is_empty() {
         run.step(&mut choices);
@@ -36,6 +38,7 @@ pub(crate) fn run(input: &[u8]) {
     assert_eq!(run.session.peers().count(), 0);
     run.take_events();
     run.transmit();
+    *session.counters()
 }
 
 struct Run<'a> {
@@ -46,12 +49,14 @@ struct Run<'a> {
     /// Delivered, and without a verdict.
     kept: Vec<Package>,
     /// Present states that were asked for.
-    wanted: Vec<(flockmap_grid::Stream, u32)>,
+    wanted: Vec<(Stream, u32)>,
+    /// Set of tiles given last: stream, newest package, set, number of tiles.
+    given: Option<(Stream, u32, u32, u32)>,
 }
 
 impl Run<'_> {
     fn step(&mut self, choices: &mut Choices<'_>) {
-        match choices.below(16) {
+        match choices.below(20) {
             0 => self.now = self.now.plus_micros(1_000 * i64::from(choices.byte())),
             1 => {
                 // To when it wants to be woken.
@@ -83,6 +88,8 @@ impl Run<'_> {
             }
             13 => self.transmit(),
             14 => self.verdicts_for_all(choices.byte()),
+            15 | 16 => self.hear_honest_request(choices),
+            17 => self.hear_present_state(choices),
             _ => self.seldom(choices),
         }
     }
@@ -122,7 +129,48 @@ impl Run<'_> {
             3 => tiles = self.maker.tiles(made::stream(choices), made::index(choices), 2, 0),
             _ => {}
         }
+        if let Some(first) = tiles.first().map(Package::header)
+            && let ContentKind::Present { set, tiles, .. } = first.content
+        {
+            self.given = Some((stream, first.index, set, tiles));
+        }
         self.session.provide_present_state(self.now, stream, tiles);
+    }
+
+    /// A peer that hears this robot says what it holds: all of each stream up to somewhere, and some tiles.
+    fn hear_honest_request(&mut self, choices: &mut Choices<'_>) {
+        let peer = made::honest_peer(choices);
+        let mut request = made::honest_request(self.now.plus_micros(-i64::from(choices.byte()) * 1_000));
+        for stream in self.session.streams() {
+            let newest = self.session.store().newest_known(stream);
+            let upto = newest.saturating_sub(choices.below(6));
+            if stream != peer && upto > 0 {
+                let held = IntervalSet::from_intervals(1, vec![(1, upto)]);
+                request.held.push(Held { stream, from: 1, held });
+            }
+        }
+        if let Some((stream, upto, set, tiles)) = self.given {
+            let accepted =
+                IntervalSet::from_intervals(1, vec![(1, choices.below(tiles.saturating_add(1).max(1)))]);
+            let source = OWN.origin;
+            request.transfers.push(TransferProgress { source, stream, upto, set, tiles, from: 1, accepted });
+        }
+        let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender: peer, stamp: self.now };
+        let bytes = request.emit(header, 1_200);
+        self.datagram(choices, bytes);
+    }
+
+    /// A peer sends all tiles of a state, and each is accepted.
+    fn hear_present_state(&mut self, choices: &mut Choices<'_>) {
+        let peer = made::honest_peer(choices);
+        let tiles = self.maker.tiles(made::stream(choices), made::index(choices), 1 + choices.below(9), 3);
+        let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender: peer, stamp: self.now };
+        for tile in tiles {
+            let mut writer = PackagesWriter::new(header, 1_200);
+            writer.push(&tile);
+            let _ = self.session.handle_datagram(self.now, &writer.finish());
+        }
+        self.verdicts_for_all(7);
     }
 
     fn take_events(&mut self) {
