@@ -11,6 +11,7 @@ mod config;
 mod counters;
 mod interval_set;
 mod link;
+mod memory;
 mod pacer;
 mod session;
 mod store;
