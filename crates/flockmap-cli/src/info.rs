@@ -114,8 +114,12 @@ fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {
         bytes.len() as f64 * 8.0 / (free + occupied).max(1) as f64,
     );
     let mut tile_of = None;
-    if let ContentKind::Present { tile, tiles, .. } = h.content {
-        text += &format!("  tile {tile} of {tiles}\n");
+    let mut since = None;
+    if let ContentKind::Present { since: after, tile, tiles, .. } = h.content {
+        text += &format!("  tile {tile} of {tiles}");
+        text +=
+            &if after == 0 { String::from("\n") } else { format!(", of what packages after {after} made\n") };
+        since = Some(after);
         tile_of = Some([tile, tiles]);
     }
     let facts = json!({
@@ -123,7 +127,7 @@ fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {
             "kind": "package", "says": kind, "codec": h.codec.name(), "origin": h.stream.origin.0, "epoch": h.stream.epoch,
             "index": h.index, "reference": h.reference, "cycle_start_s": h.cycle_start.seconds(), "cycle_end_s": h.cycle_end.seconds(),
             "resolution_m": h.resolution.metres(), "box_min": [min.x, min.y, min.z], "box_size": size, "free": free,
-            "occupied": occupied, "tile_of": tile_of,
+            "occupied": occupied, "tile_of": tile_of, "since": since, "priority": format!("{:?}", h.priority),
         }
     });
     Ok((text, facts))

@@ -1,12 +1,13 @@
 //! The check of a package: CRC-32 (the one of zlib) over its header and its decoded content in one fixed form.
 
-use flockmap_grid::{Changes, PresentState};
+use crc32fast::Hasher;
+use flockmap_grid::{Changes, PresentState, PresentVoxels, Stamp};
 
 use crate::Codec;
 
 /// The check of a package of changes. `header` is its bytes up to the check field.
 pub(crate) fn check_changes(header: &[u8], changes: &Changes) -> u32 {
-    let mut hasher = crc32fast::Hasher::new();
+    let mut hasher = Hasher::new();
     hasher.update(header);
     hash_changes(&mut hasher, changes);
     hasher.finalize()
@@ -14,41 +15,58 @@ pub(crate) fn check_changes(header: &[u8], changes: &Changes) -> u32 {
 
 /// The check of a tile of a present state.
 pub(crate) fn check_present(header: &[u8], state: &PresentState) -> u32 {
-    let mut hasher = crc32fast::Hasher::new();
+    check_hashed(header, &hash_present(&state.parts, &state.sensors))
+}
+
+/// The check of a package whose content was hashed before its header was known.
+pub(crate) fn check_hashed(header: &[u8], content: &Hasher) -> u32 {
+    let mut hasher = Hasher::new();
     hasher.update(header);
-    hash_parts(&mut hasher, state);
-    hash_sensors(&mut hasher, state);
+    hasher.combine(content);
     hasher.finalize()
 }
 
-/// Tells sets of tiles apart: the check of a whole present state and of all that decides how it is cut and coded, since tiles may be
-/// told against each other.
-pub(crate) fn set_check(codec: Codec, bytes_max: usize, state: &PresentState) -> u32 {
-    let mut hasher = crc32fast::Hasher::new();
+/// The content of a tile of a present state.
+pub(crate) fn hash_present(parts: &[(Stamp, Changes)], sensors: &[(Stamp, [i32; 3])]) -> Hasher {
+    let mut hasher = Hasher::new();
+    parts.iter().for_each(|(stamp, changes)| hash_part(&mut hasher, *stamp, changes));
+    hash_sensors(&mut hasher, sensors);
+    hasher
+}
+
+/// Tells sets of tiles apart: the check of a whole present state, of the packages that it contains, and of all that decides how it is
+/// cut and coded, since tiles may be told against each other.
+pub(crate) fn set_check(
+    codec: Codec,
+    bytes_max: usize,
+    [since, upto]: [u32; 2],
+    state: &PresentVoxels,
+) -> u32 {
+    let mut hasher = Hasher::new();
     hasher.update(&[codec.id()]);
     hasher.update(&(bytes_max as u64).to_le_bytes());
-    hash_sensors(&mut hasher, state);
-    hash_parts(&mut hasher, state);
+    hasher.update(&since.to_le_bytes());
+    hasher.update(&upto.to_le_bytes());
+    hash_sensors(&mut hasher, state.sensors());
+    state.parts().for_each(|(stamp, changes)| hash_part(&mut hasher, stamp, &changes));
     hasher.finalize()
 }
 
-fn hash_sensors(hasher: &mut crc32fast::Hasher, state: &PresentState) {
-    for (stamp, sensor) in &state.sensors {
+fn hash_sensors(hasher: &mut Hasher, sensors: &[(Stamp, [i32; 3])]) {
+    for (stamp, sensor) in sensors {
         hasher.update(&stamp.0.to_le_bytes());
         sensor.iter().for_each(|at| hasher.update(&at.to_le_bytes()));
     }
 }
 
-fn hash_parts(hasher: &mut crc32fast::Hasher, state: &PresentState) {
-    for (stamp, changes) in &state.parts {
-        hasher.update(&stamp.0.to_le_bytes());
-        hash_changes(hasher, changes);
-    }
+fn hash_part(hasher: &mut Hasher, stamp: Stamp, changes: &Changes) {
+    hasher.update(&stamp.0.to_le_bytes());
+    hash_changes(hasher, changes);
 }
 
 /// Each block with a change, ascending by x, then y, then z: its index as three `i32`, then eight `u64` of
 /// Free voxels and eight of Occupied ones, all little-endian.
-fn hash_changes(hasher: &mut crc32fast::Hasher, changes: &Changes) {
+fn hash_changes(hasher: &mut Hasher, changes: &Changes) {
     for (index, block) in changes.blocks() {
         let mut bytes = [0u8; 12 + 128];
         let (corner, planes) = bytes.split_at_mut(12);

@@ -7,7 +7,7 @@ use crate::flock;
 use crate::reference::Known;
 use crate::states::{self, Others, Scratch};
 use crate::varint::Reader;
-use crate::{Codec, Content, ContentKind, Package, PackageError, TilesRead, stamps};
+use crate::{Codec, Content, ContentKind, Package, PackageError, Priority, TilesRead, stamps};
 
 /// Decodes packages and keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box
 /// so far. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package and each known one in its box or beside
@@ -77,6 +77,13 @@ impl Decoder {
                 (Content::Present(state), check)
             }
         };
+        if let Content::Changes(changes) = &content
+            && changes.has_occupied() != (header.priority == Priority::Obstacles)
+        {
+            return Err(PackageError::Header {
+                rule: "the priority of obstacles is that of changes to Occupied",
+            });
+        }
         if found != package.check() {
             return Err(PackageError::Check { stated: package.check(), found });
         }

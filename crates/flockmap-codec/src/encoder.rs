@@ -1,16 +1,20 @@
 //! From changes, or from the state of a layer, to packages.
 
-use flockmap_grid::{Changes, Layer, Plane, PresentState, Resolution, Stamp, Stream, VoxelBox};
+mod present;
 
-use crate::check::{check_changes, check_present, set_check};
+pub use present::Span;
+
+use flockmap_grid::{Changes, Layer, Plane, Resolution, Stamp, Stream, VoxelBox};
+
+use crate::check::check_changes;
 use crate::deflate::Deflater;
 use crate::flock;
 use crate::piece::{Measure, Piece};
 use crate::reference::Known;
 use crate::states::{self, Others, Scratch};
 use crate::{
-    BOX_VOXELS_MAX, Codec, ContentKind, EncodeError, Header, PACKAGE_BYTES_MIN, Package, Reference, stamps,
-    varint,
+    BOX_VOXELS_MAX, Codec, ContentKind, EncodeError, Header, PACKAGE_BYTES_MIN, Package, Priority, Reference,
+    stamps, varint,
 };
 
 /// One cycle of mapping: all changes from `start` to `end`.
@@ -79,7 +83,7 @@ impl Encoder {
         }
         self.payload.clear();
         self.encode_states(codec, changes, &region, Others::Unchanged);
-        let header = changes_header(codec, cycle, index, region);
+        let header = changes_header(codec, cycle, index, region).with_priority(cycle, changes);
         Ok(Package::seal(&header, &self.payload, |header| check_changes(header, changes)))
     }
 
@@ -125,80 +129,9 @@ impl Encoder {
         let count = pieces.len();
         check_indices(first_index, count)?;
         let packages = (first_index..=u32::MAX).zip(&pieces).map(|(index, (piece, payload))| {
-            let header = changes_header(codec, cycle, index, piece.region);
+            let header =
+                changes_header(codec, cycle, index, piece.region).with_priority(cycle, &piece.states);
             Package::seal(&header, payload, |header| check_changes(header, &piece.states))
-        });
-        Ok(packages.collect())
-    }
-
-    /// The state of a layer as tiles of at most `bytes_max` bytes each, codes `00 01 10` (Sec. IV-B of the paper), with
-    /// the stamp of every voxel. `upto_index` is the newest package whose changes, with those of all before it, are in
-    /// `state`. Always at least one tile: where nothing is known, one that says so of a single voxel.
-    ///
-    /// Tiles of [`Codec::Flock`] are told one against the other, see [`TilesRead`](crate::TilesRead). They are those of
-    /// [`Codec::Paper`] where that takes fewer bytes.
-    pub fn encode_present(
-        &mut self,
-        codec: Codec,
-        stream: Stream,
-        upto_index: u32,
-        resolution: Resolution,
-        state: &PresentState,
-        bytes_max: usize,
-    ) -> Result<Vec<Package>, EncodeError> {
-        if upto_index == 0 {
-            return Err(EncodeError::IndexOutOfRange { first: 0, count: 1 });
-        }
-        let states = union(state)?;
-        let set = set_check(codec, bytes_max, state);
-        let header = |region: VoxelBox, parts: &[(Stamp, Changes)], tile, tiles| Header {
-            stream,
-            index: upto_index,
-            cycle_start: parts.first().map_or(Stamp(0), |part| part.0),
-            cycle_end: parts.last().map_or(Stamp(0), |part| part.0),
-            reference: 0,
-            is_alone: true,
-            resolution,
-            region,
-            codec,
-            content: ContentKind::Present { set, tile, tiles },
-        };
-        if codec == Codec::Flock {
-            let tiles = match self.flock_tiles(state, header, bytes_max) {
-                Ok(tiles) => tiles,
-                // Not even a block fits; the paper's tiles can be cut further.
-                Err(EncodeError::BytesMaxTooSmall { .. }) => Vec::new(),
-                Err(error) => return Err(error),
-            };
-            let bytes = |tiles: &[Package]| tiles.iter().map(|tile| tile.bytes().len()).sum::<usize>();
-            if !tiles.is_empty() && bytes(&tiles) * 8 <= FLOCK_TILE_BITS_MAX * states.len() {
-                return Ok(tiles);
-            }
-            // A history without a pattern: the paper's way may be shorter.
-            let paper =
-                self.encode_present(Codec::Paper, stream, upto_index, resolution, state, bytes_max)?;
-            let is_paper = tiles.is_empty() || bytes(&paper) < bytes(&tiles);
-            return Ok(if is_paper { paper } else { tiles });
-        }
-        let pieces = if states.is_empty() {
-            check_limit(bytes_max)?;
-            let min = state.region.min();
-            let region = VoxelBox::new(min, [1; 3]).ok_or(EncodeError::OutsideGrid)?;
-            let piece = Piece { states, parts: Vec::new(), region, edges: 0 };
-            self.encode_piece(codec, &piece, Others::Unknown);
-            vec![(piece, self.payload.clone())]
-        } else {
-            let piece = Piece::new(states, state.parts.clone()).ok_or(EncodeError::OutsideGrid)?;
-            // There are no more tiles than voxels.
-            let tiles_max = u32::try_from(piece.states.len()).unwrap_or(u32::MAX);
-            let longest = header(piece.region, &piece.parts, tiles_max, tiles_max);
-            self.fit(codec, piece, &longest, bytes_max)?
-        };
-        let tiles = u32::try_from(pieces.len()).unwrap_or(u32::MAX);
-        let packages = (0..tiles).zip(pieces).map(|(tile, (piece, payload))| {
-            let header = header(piece.region, &piece.parts, tile, tiles);
-            let content = PresentState { region: piece.region, parts: piece.parts, sensors: Vec::new() };
-            Package::seal(&header, &payload, |header| check_present(header, &content))
         });
         Ok(packages.collect())
     }
@@ -235,7 +168,8 @@ impl Encoder {
             let written = written.map_or(0, |(stamp, to)| to.newest_package(stamp, first_index));
             let read = reference.map_or(0, |reference| reference.newest_reader(&piece.region));
             let reference = written.max(read).min(first_index - 1);
-            let header = Header { reference, is_alone: written == 0, ..header(index, piece.region) };
+            let header = header(index, piece.region).with_priority(cycle, &piece.changes);
+            let header = Header { reference, is_alone: written == 0, ..header };
             let package =
                 Package::seal(&header, &piece.payload, |header| check_changes(header, &piece.changes));
             if package.bytes().len() > bytes_max {
@@ -244,38 +178,6 @@ impl Encoder {
             packages.push(package);
         }
         Ok(packages)
-    }
-
-    /// A present state in the codec `flock`: cut along its history.
-    fn flock_tiles(
-        &mut self,
-        state: &PresentState,
-        header: impl Fn(VoxelBox, &[(Stamp, Changes)], u32, u32) -> Header,
-        bytes_max: usize,
-    ) -> Result<Vec<Package>, EncodeError> {
-        check_limit(bytes_max)?;
-        // There are no more tiles than blocks.
-        let blocks = state.parts.iter().map(|(_, part)| part.blocks().len()).sum::<usize>();
-        let tiles_max = u32::try_from(blocks).unwrap_or(u32::MAX);
-        let room = |region: &VoxelBox, [start, end]: [Stamp; 2]| {
-            let longest =
-                Header { cycle_start: start, cycle_end: end, ..header(*region, &[], tiles_max, tiles_max) };
-            bytes_max.saturating_sub(header_length(&longest))
-        };
-        let tiles = flock::present::encode(self.flock.get_or_insert_default(), state, room);
-        let count = u32::try_from(tiles.len()).unwrap_or(u32::MAX);
-        let packages = (0..count).zip(tiles).map(|(number, tile)| {
-            let region = tile.region.voxels().ok_or(EncodeError::OutsideGrid)?;
-            let header = header(region, &tile.parts, number, count);
-            let payload = tile.payload();
-            let content = PresentState { region, parts: tile.parts, sensors: tile.sensors };
-            let package = Package::seal(&header, &payload, |header| check_present(header, &content));
-            if package.bytes().len() > bytes_max {
-                return Err(EncodeError::BytesMaxTooSmall { bytes_max });
-            }
-            Ok(package)
-        });
-        packages.collect()
     }
 
     /// Cuts `whole` until each piece fits into `bytes_max` with a header like `longest`, whose box and stamps are
@@ -359,9 +261,6 @@ impl Encoder {
     }
 }
 
-/// Bits of a voxel from which on a present state in `flock` is compared with one of the paper. Maps of real flights take one or less.
-const FLOCK_TILE_BITS_MAX: usize = 3;
-
 /// No package comes near this: those of the largest box have some 50 MB.
 const WHOLE_BYTES_MAX: usize = 1 << 30;
 
@@ -413,6 +312,13 @@ fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> 
         region,
         codec,
         content: ContentKind::Changes,
+        priority: Priority::Obstacles,
+    }
+}
+
+impl Header {
+    fn with_priority(self, cycle: &Cycle, changes: &Changes) -> Self {
+        Self { priority: Priority::of(changes, &self.region, cycle.sensor, cycle.resolution), ..self }
     }
 }
 
@@ -463,26 +369,4 @@ fn check_indices(first: u32, count: usize) -> Result<(), EncodeError> {
 
 fn check_limit(bytes_max: usize) -> Result<(), EncodeError> {
     if bytes_max < PACKAGE_BYTES_MIN { Err(EncodeError::BytesMaxTooSmall { bytes_max }) } else { Ok(()) }
-}
-
-/// All known voxels of a present state, which is checked on the way.
-fn union(state: &PresentState) -> Result<Changes, EncodeError> {
-    let wrong = |rule| Err(EncodeError::PresentState { rule });
-    if !state.parts.is_sorted_by(|a, b| a.0 < b.0) {
-        return wrong("the stamps of the parts ascend");
-    }
-    let parts = || state.parts.iter().map(|(_, part)| part);
-    if parts().any(Changes::is_empty) {
-        return wrong("no part is empty");
-    }
-    let inside = |part: &Changes| part.bounding_box().is_some_and(|b| b.union(&state.region) == state.region);
-    if !parts().all(inside) {
-        return wrong("all voxels lie in the region");
-    }
-    let blocks = parts().flat_map(|part| part.blocks().iter().copied()).collect();
-    let all = Changes::from_blocks(blocks);
-    if all.len() != parts().map(Changes::len).sum::<usize>() {
-        return wrong("no voxel is in two parts");
-    }
-    Ok(all)
 }

@@ -1,12 +1,12 @@
 //! The header of a package.
 
-use flockmap_grid::{Resolution, RobotId, Stamp, Stream, Voxel, VoxelBox};
+use flockmap_grid::{Changes, Resolution, RobotId, Stamp, Stream, Voxel, VoxelBox};
 
 use crate::varint::{self, Reader};
 use crate::{Codec, PackageError};
 
 /// The version of the package format, the first byte of every package.
-pub const FORMAT_VERSION: u8 = 2;
+pub const FORMAT_VERSION: u8 = 3;
 
 /// What a package says about itself: 25 to 35 bytes on the wire as a rule, with the check.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -35,6 +35,60 @@ pub struct Header {
     pub codec: Codec,
     /// Changes or present state.
     pub content: ContentKind,
+    /// What to send first where there is not room for all. Of a present state always `Obstacles`.
+    pub priority: Priority,
+}
+
+/// How urgent the changes of a package are: a radio with little room sends the urgent ones first.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Priority {
+    /// At least one voxel became Occupied.
+    Obstacles,
+    /// Free space of which some may be within [`FAR_METRES`] of the sensor.
+    NearFree,
+    /// Free space in a box farther than [`FAR_METRES`] from the sensor.
+    FarFree,
+}
+
+/// Free space farther than this from the sensor is the least urgent. In metres.
+pub const FAR_METRES: u32 = 4;
+
+impl Priority {
+    /// All priorities, the most urgent first.
+    pub const ALL: [Self; 3] = [Self::Obstacles, Self::NearFree, Self::FarFree];
+
+    const fn id(self) -> u8 {
+        match self {
+            Self::Obstacles => 0,
+            Self::NearFree => 1,
+            Self::FarFree => 2,
+        }
+    }
+
+    /// The priority of changes in a box, seen from `sensor`, in sixteenths of a voxel from the corner of voxel (0, 0, 0).
+    pub(crate) fn of(changes: &Changes, region: &VoxelBox, sensor: [i32; 3], resolution: Resolution) -> Self {
+        if changes.has_occupied() {
+            Self::Obstacles
+        } else if is_far(region, sensor, resolution) {
+            Self::FarFree
+        } else {
+            Self::NearFree
+        }
+    }
+}
+
+/// Whether all of a box is farther than [`FAR_METRES`] from the sensor.
+fn is_far(region: &VoxelBox, sensor: [i32; 3], resolution: Resolution) -> bool {
+    let (min, max) = (region.min(), region.max());
+    let sides = [(min.x, max.x), (min.y, max.y), (min.z, max.z)];
+    // Gaps are below 2³³ sixteenths, a voxel below 2²⁷ micrometres: the sum of squares is below 2¹²².
+    let gaps = sides.into_iter().zip(sensor).map(|((min, max), sensor)| {
+        let (low, high) = (i64::from(min) * 16, (i64::from(max) + 1) * 16);
+        let gap = (low - i64::from(sensor)).max(i64::from(sensor) - high).max(0);
+        u128::from(gap.unsigned_abs()).pow(2)
+    });
+    let far = u128::from(FAR_METRES) * 1_000_000 * 16;
+    gaps.sum::<u128>() * u128::from(resolution.micrometres()).pow(2) > far * far
 }
 
 /// What kind of content a package has.
@@ -42,9 +96,12 @@ pub struct Header {
 pub enum ContentKind {
     /// What changed in one cycle; voxels of the box that are not named stay as they are.
     Changes,
-    /// One tile of the state of the stream after packages 1 to `index`. Who has all tiles of a set knows
-    /// all that these packages said.
+    /// One tile of the state of the stream after packages 1 to `index`, or of the part of it that packages after `since` made. Who has
+    /// packages 1 to `since` and all tiles of the set knows all that packages 1 to `index` said.
     Present {
+        /// 0: the whole state. Else the tiles hold every voxel whose newest change is in the packages from `since` + 1 to
+        /// `index`, and may hold others. Below `index`.
+        since: u32,
         /// Tells sets apart: a check of the whole state that was cut into tiles. Tiles of different sets must
         /// not be counted together.
         set: u32,
@@ -68,8 +125,11 @@ const KIND_CHANGES: u8 = 0;
 const KIND_PRESENT: u8 = 1;
 /// Changes that are told without what was before, and are to be merged after their reference.
 const KIND_ALONE: u8 = 2;
-/// Beside the kind: the box is made of whole blocks, and counted in these.
-const BOX_IN_BLOCKS: u8 = 8;
+/// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority; bit 7: the box is made of whole
+/// blocks, and counted in these.
+const BOX_IN_BLOCKS: u8 = 1 << 7;
+const KIND_SHIFT: u32 = 3;
+const PRIORITY_SHIFT: u32 = 5;
 /// Voxels along the side of a block.
 const BLOCK_SIDE: u32 = 8;
 
@@ -84,7 +144,7 @@ impl Header {
         };
         out.push(FORMAT_VERSION);
         let (unit, flag) = if is_in_blocks(&self.region) { (BLOCK_SIDE, BOX_IN_BLOCKS) } else { (1, 0) };
-        out.push((kind | flag) << 4 | self.codec.id());
+        out.push(self.codec.id() | kind << KIND_SHIFT | self.priority.id() << PRIORITY_SHIFT | flag);
         varint::write(out, u64::from(self.stream.origin.0));
         varint::write(out, u64::from(self.stream.epoch));
         varint::write(out, u64::from(self.index));
@@ -93,11 +153,9 @@ impl Header {
         varint::write(out, resolution_code(self.resolution));
         write_box(&self.region, unit, out);
         match self.content {
-            ContentKind::Changes => {
-                let back = if self.reference == 0 { 0 } else { self.index.saturating_sub(self.reference) };
-                varint::write(out, u64::from(back));
-            }
-            ContentKind::Present { set, tile, tiles } => {
+            ContentKind::Changes => write_back(self.index, self.reference, out),
+            ContentKind::Present { since, set, tile, tiles } => {
+                write_back(self.index, since, out);
                 out.extend_from_slice(&set.to_le_bytes());
                 varint::write(out, u64::from(tile));
                 varint::write(out, u64::from(tiles));
@@ -112,12 +170,17 @@ impl Header {
         if version != FORMAT_VERSION {
             return Err(PackageError::Version { found: version });
         }
-        let kind_and_codec = reader.byte("content kind and codec")?;
-        let (kind, codec) = (kind_and_codec >> 4, kind_and_codec & 0x0f);
+        let all = reader.byte("codec and kind")?;
+        let (codec, kind, priority) = (all & 7, all >> KIND_SHIFT & 3, all >> PRIORITY_SHIFT & 3);
         let codec = Codec::from_id(codec).ok_or(PackageError::Codec { found: codec })?;
-        let (kind, unit) = (kind & !BOX_IN_BLOCKS, if kind & BOX_IN_BLOCKS == 0 { 1 } else { BLOCK_SIDE });
+        let unit = if all & BOX_IN_BLOCKS == 0 { 1 } else { BLOCK_SIDE };
         if ![KIND_CHANGES, KIND_PRESENT, KIND_ALONE].contains(&kind) {
             return Err(PackageError::ContentKind { found: kind });
+        }
+        let priority = Priority::ALL.into_iter().find(|known| known.id() == priority);
+        let priority = priority.ok_or(PackageError::Header { rule: "priorities are 0 to 2" })?;
+        if kind == KIND_PRESENT && priority != Priority::Obstacles {
+            return Err(PackageError::Header { rule: "a present state has priority 0" });
         }
         let u32_max = u64::from(u32::MAX);
         let origin = RobotId(reader.number("origin", u64::from(u16::MAX))? as u16);
@@ -137,22 +200,19 @@ impl Header {
             return Err(PackageError::Header { rule: "a box of whole blocks is counted in blocks" });
         }
         let (content, reference) = if kind == KIND_PRESENT {
+            let since = read_back(&mut reader, index, "since", "a span begins after an earlier package")?;
             let set = reader.u32_le("set")?;
             let tile = reader.number("tile", u32_max)? as u32;
             let tiles = reader.number("tiles", u32_max)? as u32;
             if tile >= tiles {
                 return Err(PackageError::Header { rule: "a tile number is below the number of tiles" });
             }
-            (ContentKind::Present { set, tile, tiles }, 0)
+            (ContentKind::Present { since, set, tile, tiles }, 0)
         } else {
-            let reference = match reader.number("reference", u32_max)? as u32 {
-                0 if kind == KIND_ALONE => {
-                    return Err(PackageError::Header { rule: "who is to be merged after another names it" });
-                }
-                0 => 0,
-                back if back < index => index - back,
-                _ => return Err(PackageError::Header { rule: "a reference is an earlier package" }),
-            };
+            let reference = read_back(&mut reader, index, "reference", "a reference is an earlier package")?;
+            if reference == 0 && kind == KIND_ALONE {
+                return Err(PackageError::Header { rule: "who is to be merged after another names it" });
+            }
             (ContentKind::Changes, reference)
         };
         let checked = reader.offset();
@@ -170,8 +230,28 @@ impl Header {
             region,
             codec,
             content,
+            priority,
         };
         Ok((header, Tail { checked, check }, reader.rest()))
+    }
+}
+
+/// An earlier package as the number of steps back from `index`; 0 for none.
+fn write_back(index: u32, earlier: u32, out: &mut Vec<u8>) {
+    let back = if earlier == 0 { 0 } else { index.saturating_sub(earlier) };
+    varint::write(out, u64::from(back));
+}
+
+fn read_back(
+    reader: &mut Reader<'_>,
+    index: u32,
+    field: &'static str,
+    rule: &'static str,
+) -> Result<u32, PackageError> {
+    match reader.number(field, u64::from(u32::MAX))? as u32 {
+        0 => Ok(0),
+        back if back < index => Ok(index - back),
+        _ => Err(PackageError::Header { rule }),
     }
 }
 
@@ -252,16 +332,25 @@ mod tests {
         });
         let content = prop_oneof![
             Just(ContentKind::Changes),
-            (any::<u32>(), 0..9u32, 9..2_000u32).prop_map(|(set, tile, tiles)| ContentKind::Present {
-                set,
-                tile,
-                tiles
-            }),
+            (any::<u32>(), any::<u32>(), 0..9u32, 9..2_000u32)
+                .prop_map(|(since, set, tile, tiles)| ContentKind::Present { since, set, tile, tiles }),
         ];
+        let content = (content, 0..Priority::ALL.len());
         let codec = (0..Codec::ALL.len()).prop_map(|at| Codec::ALL[at]);
         (numbers, [stamp.clone(), stamp], region, codec, content).prop_map(
-            |((origin, epoch, index, reference, resolution), stamps, (corner, size), codec, content)| {
+            |(
+                (origin, epoch, index, reference, resolution),
+                stamps,
+                (corner, size),
+                codec,
+                (mut content, priority),
+            )| {
+                if let ContentKind::Present { since, .. } = &mut content {
+                    *since %= index;
+                }
+                let priority = if content == ContentKind::Changes { priority } else { 0 };
                 Header {
+                    priority: Priority::ALL[priority],
                     stream: Stream { origin: RobotId(origin), epoch },
                     index,
                     cycle_start: Stamp(stamps[0].min(stamps[1])),
@@ -303,9 +392,9 @@ mod tests {
         }
 
         #[test]
-        fn whatever_is_read_is_written_the_same(mut bytes in prop::collection::vec(any::<u8>(), 20..80), codec in 0..5u8, kind in 0..16u8) {
+        fn whatever_is_read_is_written_the_same(mut bytes in prop::collection::vec(any::<u8>(), 20..80), codec in 0..5u8, kind in 0..32u8) {
             bytes[0] = FORMAT_VERSION;
-            bytes[1] = kind << 4 | codec;
+            bytes[1] = kind << KIND_SHIFT | codec;
             // Low bytes end numbers: more of the fields are in range.
             bytes[2..].iter_mut().filter(|byte| **byte % 3 > 0).for_each(|byte| *byte &= 0x7f);
             if let Ok((header, tail, _)) = Header::read(&bytes) {
@@ -338,6 +427,7 @@ mod tests {
             region: VoxelBox::new(Voxel::new(-200, 310, -8), [60, 40, 24]).unwrap(),
             codec: Codec::Paper,
             content: ContentKind::Changes,
+            priority: Priority::NearFree,
         };
         assert_eq!(written(&header).len(), 33);
     }
@@ -346,7 +436,7 @@ mod tests {
     fn numbers_out_of_range_are_refused() {
         let refused = |edit: &dyn Fn(&mut Vec<u8>)| {
             // Version, kind and codec, origin, epoch, index 5, cycle end, duration, resolution 0.1 m, box, reference.
-            let mut bytes = vec![2, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
+            let mut bytes = vec![3, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
             assert!(Header::read(&bytes).is_ok());
             edit(&mut bytes);
             Header::read(&bytes).unwrap_err().to_string()
@@ -356,6 +446,19 @@ mod tests {
         let blocks = refused(&|b| b[12..15].copy_from_slice(&[7; 3]));
         assert_eq!(blocks, "package header: a box of whole blocks is counted in blocks");
         assert_eq!(refused(&|b| b[15] = 5), "package header: a reference is an earlier package");
+        assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
+        let urgent_state = refused(&|b| b[1] |= KIND_PRESENT << KIND_SHIFT | 1 << 5);
+        assert_eq!(urgent_state, "package header: a present state has priority 0");
+        assert_eq!(
+            refused(&|b| b[1] |= 3 << 3),
+            "package content kind 0x3 is not known; the sender may be newer"
+        );
+        assert_eq!(refused(&|b| b[1] = 7), "package codec 7 is not known; the sender may be newer");
+        let late = refused(&|b| {
+            b[1] |= KIND_PRESENT << KIND_SHIFT;
+            b[15] = 5;
+        });
+        assert_eq!(late, "package header: a span begins after an earlier package");
         let resolution =
             "package header: the resolution is 1,000 to 100,000,000 micrometres in its shorter form";
         // 100 mm as micrometres; 0 mm; 100,001 mm.
@@ -369,5 +472,28 @@ mod tests {
         let mut wide = vec![0; 3];
         varint::write(&mut wide, u64::from(u32::MAX) - 1);
         assert!(read_box(&mut Reader::new(&[&wide[..], &[0; 2]].concat()), 8).is_err());
+    }
+
+    #[test]
+    fn free_space_is_far_where_all_of_its_box_is_farther_than_four_metres() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let region = VoxelBox::new(Voxel::new(40, -5, -5), [8, 10, 10]).unwrap();
+        // The near side lies at 4 m.
+        assert!(!is_far(&region, [0; 3], resolution));
+        assert!(is_far(&region, [-1, 0, 0], resolution));
+        assert!(!is_far(&region, [44 * 16, 0, 0], resolution));
+        // Beyond the far side, and across a corner.
+        assert!(is_far(&region, [(48 + 41) * 16, 0, 0], resolution));
+        assert!(!is_far(&region, [(40 - 28) * 16, (5 + 28) * 16, 0], resolution));
+        assert!(is_far(&region, [(40 - 29) * 16, (5 + 29) * 16, 0], resolution));
+        let changes = |state| Changes::from_voxels([(Voxel::new(41, 0, 0), state)]);
+        let of = |state, sensor| Priority::of(&changes(state), &region, sensor, resolution);
+        use flockmap_grid::State::{Free, Occupied};
+        assert_eq!(of(Free, [0; 3]), Priority::NearFree);
+        assert_eq!(of(Free, [-1, 0, 0]), Priority::FarFree);
+        assert_eq!(of(Occupied, [-1, 0, 0]), Priority::Obstacles);
+        // The ends of the grid and the largest voxels do not overflow.
+        let whole = VoxelBox::new(Voxel::new((1 << 28) - 1, 0, 0), [1; 3]).unwrap();
+        assert!(is_far(&whole, [i32::MIN; 3], Resolution::from_micrometres(100_000_000).unwrap()));
     }
 }

@@ -55,9 +55,9 @@ pub use flock::training;
 
 pub use codec::{Codec, UnknownCodec};
 pub use decoder::Decoder;
-pub use encoder::{Cycle, Encoder};
+pub use encoder::{Cycle, Encoder, Span};
 pub use error::{EncodeError, PackageError};
-pub use header::{ContentKind, FORMAT_VERSION, Header};
+pub use header::{ContentKind, FAR_METRES, FORMAT_VERSION, Header, Priority};
 pub use hilbert::hilbert_order;
 pub use package::{Content, Package};
 pub use reference::Reference;

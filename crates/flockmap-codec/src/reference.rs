@@ -5,6 +5,7 @@ use core::cell::Cell;
 use flockmap_grid::{
     BLOCK_SIDE, BlockIndex, Layer, Overtaken, Stamp, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox,
 };
+use rustc_hash::FxHashMap;
 
 /// What every receiver of a cycle will hold of its stream: all packages before it. [`Codec::Flock`](crate::Codec::Flock)
 /// tells a cycle against that in fewer bytes; the other codecs do not look at it.
@@ -46,23 +47,42 @@ impl Reference<'_> {
     }
 }
 
-/// The states before a cycle, block by block. Nothing is known without a layer.
+/// The states before a cycle, block by block.
 #[derive(Clone, Debug)]
 pub(crate) struct Known<'a> {
-    layer: Option<&'a Layer>,
-    cycle_end: Stamp,
+    before: Before<'a>,
     newest: Cell<Option<Stamp>>,
 }
 
+#[derive(Clone, Copy, Debug)]
+enum Before<'a> {
+    Nothing,
+    /// What a layer knew before the cycle with this end.
+    Cycle(&'a Layer, Stamp),
+    /// These states, whose stamps do not matter.
+    States(&'a FxHashMap<BlockIndex, StateBlock>),
+}
+
 impl<'a> Known<'a> {
+    /// Nothing is known without a layer.
     pub(crate) fn new(layer: Option<&'a Layer>, cycle_end: Stamp) -> Self {
-        Self { layer, cycle_end, newest: Cell::new(None) }
+        let before = layer.map_or(Before::Nothing, |layer| Before::Cycle(layer, cycle_end));
+        Self { before, newest: Cell::new(None) }
+    }
+
+    /// Exactly these states are known.
+    pub(crate) const fn of_states(states: &'a FxHashMap<BlockIndex, StateBlock>) -> Self {
+        Self { before: Before::States(states), newest: Cell::new(None) }
     }
 
     /// What was known of a block before the cycle.
     pub(crate) fn block(&self, index: BlockIndex) -> Result<Option<&'a StateBlock>, Overtaken> {
-        let Some(layer) = self.layer else { return Ok(None) };
-        Ok(layer.known_before(index, self.cycle_end)?.map(|(states, newest)| {
+        let (layer, cycle_end) = match self.before {
+            Before::Nothing => return Ok(None),
+            Before::States(states) => return Ok(states.get(&index)),
+            Before::Cycle(layer, cycle_end) => (layer, cycle_end),
+        };
+        Ok(layer.known_before(index, cycle_end)?.map(|(states, newest)| {
             self.newest.set(self.newest.get().max(Some(newest)));
             states
         }))

@@ -6,7 +6,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::{cycle, forest_cycle, resolution, stream};
-use flockmap_codec::{Codec, Content, Decoder, Encoder, PACKAGE_BYTES_MAX, Package, PackageError, Reference};
+use flockmap_codec::{
+    Codec, Content, Decoder, Encoder, PACKAGE_BYTES_MAX, Package, PackageError, Reference, Span,
+};
 use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel};
 
 /// Counts the bytes that are held, and the most that ever were.
@@ -53,8 +55,8 @@ fn with_box(package: &Package, size: [u32; 3]) -> Vec<u8> {
     }
     let header = package.header();
     // Boxes of `flock` are made of blocks, and counted in these.
-    let (unit, flag) = if header.codec == Codec::Flock { (8, 8 << 4) } else { (1, 0) };
-    let mut bytes = vec![2, flag | header.codec.id()];
+    let (unit, flag) = if header.codec == Codec::Flock { (8, 1 << 7) } else { (1, 0) };
+    let mut bytes = vec![3, flag | header.codec.id()];
     varint(header.stream.origin.0.into(), &mut bytes);
     varint(header.stream.epoch.into(), &mut bytes);
     varint(header.index.into(), &mut bytes);
@@ -137,6 +139,48 @@ fn memory_stays_within_the_stated_limits() {
 
     voxels_far_apart_take_no_memory_between_them();
     flock_holds_what_it_says_and_no_more_the_second_time();
+    a_present_state_takes_few_bytes_for_each_known_voxel();
+}
+
+/// A layer of some 300,000 voxels whose blocks were each told of by a hundred cycles or more: a wall of noise that thickens.
+fn layer_of_many_stamps() -> Layer {
+    let mut layer = Layer::default();
+    let mut random = common::Random(7);
+    for cycle in 0..200i64 {
+        let near = (cycle / 4) as i32;
+        let voxels = (0..5_000).map(|_| {
+            let mut place = |side: i32| (random.next() % side as u64) as i32;
+            let at = Voxel::new(near + place(60), place(64), place(64));
+            (at, if place(30) == 0 { State::Occupied } else { State::Free })
+        });
+        layer.apply(&Changes::from_voxels(voxels), Stamp(cycle * 500_000));
+    }
+    layer
+}
+
+fn a_present_state_takes_few_bytes_for_each_known_voxel() {
+    let layer = layer_of_many_stamps();
+    let voxels = layer.len();
+    assert!(voxels > 200_000, "{voxels}");
+    for codec in [Codec::Flock, Codec::Paper] {
+        let mut encoder = Encoder::new();
+        for newer_than in [None, Some(Stamp(60_000_000))] {
+            let (peak, tiles) = peak_of(|| {
+                let state = layer.present_voxels(newer_than).unwrap();
+                let span = Span { stream: stream(), since: u32::from(newer_than.is_some()), upto: 9 };
+                encoder.encode_span(codec, span, resolution(), &state, PACKAGE_BYTES_MAX).unwrap()
+            });
+            let bytes: usize = tiles.iter().map(|tile| tile.bytes().len()).sum();
+            println!(
+                "{codec} {newer_than:?}: {peak} bytes for {voxels} voxels in {} blocks, {} tiles of {bytes} bytes",
+                layer.block_count(),
+                tiles.len()
+            );
+            // The encoder's own memory comes on top: 15 MB for the cut in space.
+            let own = if codec == Codec::Flock { 1_000_000 } else { 15_000_000 };
+            assert!(peak < own + 60 * voxels, "{codec}: {peak} bytes for {voxels} voxels");
+        }
+    }
 }
 
 fn voxels_far_apart_take_no_memory_between_them() {

@@ -100,9 +100,10 @@ fn unknown_versions_codecs_and_kinds_are_named() {
         bytes[at] = value;
         Package::parse(&bytes).unwrap_err().to_string()
     };
-    assert_eq!(with(0, 1), "package format version 1, this program reads version 2");
-    assert_eq!(with(1, 0x0f), "package codec 15 is not known; the sender may be newer");
-    assert_eq!(with(1, 0x52), "package content kind 0x5 is not known; the sender may be newer");
+    assert_eq!(with(0, 1), "package format version 1, this program reads version 3");
+    assert_eq!(with(1, 0x07), "package codec 7 is not known; the sender may be newer");
+    assert_eq!(with(1, 0x1a), "package content kind 0x3 is not known; the sender may be newer");
+    assert_eq!(with(1, 0x62), "package header: priorities are 0 to 2");
 }
 
 proptest! {
@@ -112,7 +113,7 @@ proptest! {
     fn random_bytes_do_no_harm(mut bytes in prop::collection::vec(any::<u8>(), 0..300), codec in 0..5u8, kind in 0..3u8) {
         let _ = Package::parse(&bytes);
         // Past the first fields.
-        for (to, from) in bytes.iter_mut().zip([FORMAT_VERSION, kind << 4 | codec]) {
+        for (to, from) in bytes.iter_mut().zip([FORMAT_VERSION, kind << 3 | codec]) {
             *to = from;
         }
         if let Ok(package) = Package::parse(&bytes) {

@@ -51,6 +51,11 @@ impl Changes {
         self.blocks.is_empty()
     }
 
+    /// Whether a voxel became Occupied. O(blocks).
+    pub fn has_occupied(&self) -> bool {
+        self.blocks.iter().any(|(_, block)| block.occupied().iter().any(|word| *word != 0))
+    }
+
     /// Number of changed voxels.
     pub fn len(&self) -> usize {
         self.blocks.iter().map(|(_, block)| block.known_count() as usize).sum()

@@ -2,6 +2,7 @@
 
 use rustc_hash::FxHashMap;
 
+use crate::present::{PresentVoxels, places};
 use crate::stamps::BlockStamps;
 use crate::{BlockIndex, Changes, Plane, PresentState, Stamp, State, StateBlock, Voxel, VoxelBox, voxel_bit};
 
@@ -174,28 +175,74 @@ impl Layer {
     }
 
     /// The whole layer with its stamps, such that applying its parts to an empty layer gives this one.
-    /// `None` if nothing is known. O(voxels).
+    /// `None` if nothing is known. O(voxels). Takes 144 bytes for each block of each stamp; see [`Self::present_voxels`].
     pub fn present_state(&self) -> Option<PresentState> {
-        let mut parts = std::collections::BTreeMap::<Stamp, FxHashMap<BlockIndex, StateBlock>>::new();
-        let mut region: Option<VoxelBox> = None;
-        for (index, block) in &self.blocks {
-            let whole = Changes::from_blocks(vec![(*index, block.states)]);
-            region = match (region, whole.bounding_box()) {
+        self.present_voxels(None).map(|voxels| voxels.to_state())
+    }
+
+    /// The voxels with a stamp newer than this one, such that applying its parts to a layer that knows all up to `stamp` gives
+    /// this one. `None` if there are none. O(voxels).
+    pub fn present_state_since(&self, stamp: Stamp) -> Option<PresentState> {
+        self.present_voxels(Some(stamp)).map(|voxels| voxels.to_state())
+    }
+
+    /// The same in 8 bytes for each voxel: of the whole layer, or what is newer than a stamp. Takes no more while it works, beside 16
+    /// bytes for each block and each stamp. `None` if that is nothing, or more than 2²⁷ blocks or stamps. O(n log n) in voxels.
+    pub fn present_voxels(&self, newer_than: Option<Stamp>) -> Option<PresentVoxels> {
+        let is_wanted = |stamp: Stamp| newer_than.is_none_or(|limit| stamp > limit);
+        let mut blocks: Vec<BlockIndex> = Vec::with_capacity(self.blocks.len());
+        blocks.extend(
+            self.blocks.iter().filter(|(_, b)| is_wanted(b.stamps.newest())).map(|(index, _)| *index),
+        );
+        blocks.sort_unstable();
+        let wanted = |index: &BlockIndex| {
+            let block = self.blocks.get(index);
+            block.into_iter().flat_map(move |block| {
+                let voxels = places(&block.states).map(|bit| (bit, block.stamps.get(bit)));
+                voxels
+                    .filter(move |(_, stamp)| is_wanted(*stamp))
+                    .map(move |(bit, stamp)| (block, bit, stamp))
+            })
+        };
+        let mut number_of = FxHashMap::<Stamp, u32>::default();
+        let (mut region, mut count, mut last) = (None::<VoxelBox>, 0, None);
+        for index in &blocks {
+            let mut known = [0; 8];
+            for (_, bit, stamp) in wanted(index) {
+                if last != Some(stamp) {
+                    number_of.insert(stamp, 0);
+                    last = Some(stamp);
+                }
+                known[bit / 64] |= 1 << (bit % 64);
+                count += 1;
+            }
+            let part = Changes::from_blocks(vec![(*index, StateBlock::new(known, [0; 8]))]).bounding_box();
+            region = match (region, part) {
                 (Some(a), Some(b)) => Some(a.union(&b)),
                 (a, b) => a.or(b),
             };
-            for (voxel, state) in whole.voxels() {
-                let bit = voxel_bit(voxel);
-                let part = parts.entry(block.stamps.get(bit)).or_default();
-                part.entry(*index).or_default().set(bit, state);
-            }
         }
-        let changes = |part: FxHashMap<_, _>| Changes::from_blocks(part.into_iter().collect());
-        Some(PresentState {
-            region: region?,
-            sensors: parts.keys().filter_map(|stamp| Some((*stamp, *self.sensors.get(stamp)?))).collect(),
-            parts: parts.into_iter().map(|(stamp, part)| (stamp, changes(part))).collect(),
-        })
+        let mut stamps: Vec<Stamp> = number_of.keys().copied().collect();
+        stamps.sort_unstable();
+        for (number, stamp) in (0..).zip(&stamps) {
+            number_of.insert(*stamp, number);
+        }
+        let sensors = stamps.iter().filter_map(|stamp| Some((*stamp, *self.sensors.get(stamp)?))).collect();
+        let region = region?;
+        let numbered = (0..).zip(blocks.clone());
+        let mut last = (Stamp(0), None);
+        let voxels = numbered.flat_map(|(number, index)| {
+            let number_of = &number_of;
+            wanted(&index).map(move |(block, bit, stamp)| {
+                let of_stamp = match last {
+                    (same, Some(of_stamp)) if same == stamp => of_stamp,
+                    _ => number_of.get(&stamp).copied().unwrap_or(0),
+                };
+                last = (stamp, Some(of_stamp));
+                (of_stamp, number, bit, block.states.get(bit))
+            })
+        });
+        PresentVoxels::new(region, stamps, blocks, count, voxels, sensors)
     }
 
     /// A number that is equal for layers with equal states and stamps, on every machine, and (very likely)
@@ -322,6 +369,50 @@ mod tests {
                 }
             }
             prop_assert_eq!(again.digest(), layer.digest());
+        }
+
+        #[test]
+        fn what_is_newer_than_a_stamp_completes_a_layer_that_knows_the_rest(
+            packages in prop::collection::vec(package(), 0..40).prop_shuffle(), limit in 0..700i64,
+        ) {
+            let (mut layer, mut older) = (Layer::default(), Layer::default());
+            for (stamp, voxels) in &packages {
+                let changes = Changes::from_voxels(voxels.iter().copied());
+                layer.apply(&changes, *stamp);
+                if stamp.0 <= limit {
+                    older.apply(&changes, *stamp);
+                }
+            }
+            layer.note_sensor(Stamp(3), [1, 2, 3]);
+            let since = layer.present_state_since(Stamp(limit));
+            prop_assert_eq!(since.is_none(), packages.iter().all(|(stamp, _)| stamp.0 <= limit));
+            if let Some(since) = &since {
+                prop_assert!(since.parts.iter().all(|(stamp, part)| stamp.0 > limit && !part.is_empty()));
+                prop_assert!(since.parts.is_sorted_by(|a, b| a.0 < b.0));
+                let boxes = since.parts.iter().filter_map(|(_, part)| part.bounding_box());
+                prop_assert_eq!(boxes.reduce(|a, b| a.union(&b)), Some(since.region));
+                older.apply_present(since);
+                let voxels = PresentVoxels::from_state(since).unwrap();
+                prop_assert_eq!(&voxels.to_state(), since);
+                for voxels_max in [1, 30, 10_000] {
+                    let mut again = Layer::default();
+                    for run in voxels.runs(voxels_max) {
+                        let count: usize = run.iter().map(|(_, part)| part.len()).sum();
+                        let blocks: std::collections::BTreeSet<_> =
+                            run.iter().flat_map(|(_, part)| part.blocks()).map(|(index, _)| *index).collect();
+                        prop_assert!(count > 0 && (count <= voxels_max || blocks.len() == 1));
+                        prop_assert!(run.is_sorted_by(|a, b| a.0 < b.0));
+                        prop_assert!(blocks.iter().all(|index| again.block(*index).is_none()));
+                        run.iter().for_each(|(stamp, part)| drop(again.apply(part, *stamp)));
+                    }
+                    let mut whole = Layer::default();
+                    whole.apply_present(since);
+                    prop_assert_eq!(again.digest(), whole.digest());
+                }
+            }
+            prop_assert_eq!(older.digest(), layer.digest());
+            let newest = layer.present_state_since(Stamp(i64::MIN));
+            prop_assert_eq!(newest, layer.present_state());
         }
     }
 

@@ -27,6 +27,6 @@ pub use mapper::{
 };
 pub use origin::{RobotId, Stamp, Stream};
 pub use pose::Pose;
-pub use present::PresentState;
+pub use present::{PresentState, PresentVoxels};
 pub use scan::Scan;
 pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};

@@ -63,6 +63,8 @@ pub struct Counters {
     pub caught_up: u64,
     /// Present states of which the driver needed all tiles again.
     pub present_states_restarted: u64,
+    /// Present states of which some tiles had come, dropped: nothing more came of them for long, or there was no room. They begin anew.
+    pub transfers_dropped: u64,
     /// Packages and tiles received again.
     pub duplicates: u64,
     /// Packages and tiles that the driver rejected.

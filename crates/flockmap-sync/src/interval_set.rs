@@ -51,6 +51,11 @@ impl IntervalSet {
         Self { intervals: merged, intervals_max }
     }
 
+    /// The same set with another bound. More intervals than that it keeps, and takes no further ones.
+    pub fn with_room(&self, intervals_max: usize) -> Self {
+        Self { intervals: self.intervals.clone(), intervals_max }
+    }
+
     /// Adds one index; whether it was new. O(log n) to find the place, O(n) to make room for an interval.
     pub fn insert(&mut self, index: u32) -> Result<bool, TooFragmented> {
         self.insert_range(index, index)

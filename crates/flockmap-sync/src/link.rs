@@ -13,7 +13,8 @@ pub(crate) struct RoundTrip {
 /// Variation counts at least this much: timers of operating systems are no finer.
 const GRANULARITY: i64 = 5_000;
 const TIMEOUT_MIN: i64 = 20_000;
-const TIMEOUT_MAX: i64 = 3_000_000;
+/// A slow radio with a long queue is not a lossy one.
+const TIMEOUT_MAX: i64 = 30_000_000;
 
 impl RoundTrip {
     pub(crate) const fn new(initial_micros: i64) -> Self {
@@ -49,6 +50,28 @@ impl RoundTrip {
         self.smoothed.map_or(self.initial, |(mean, variation)| {
             (mean + (4 * variation).max(GRANULARITY)).clamp(TIMEOUT_MIN, TIMEOUT_MAX)
         })
+    }
+}
+
+/// All datagrams are lost.
+pub(crate) const LOSS_ONE: u32 = 1 << 16;
+
+/// Share of what is sent to a peer that gets lost, smoothed over some 64 packages, in parts of [`LOSS_ONE`].
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Loss(u32);
+
+impl Loss {
+    /// Takes in what a request said of packages sent.
+    pub(crate) fn sample(&mut self, confirmed: u64, lost: u64) {
+        for (count, is_lost) in [(confirmed, false), (lost, true)] {
+            for _ in 0..count.min(256) {
+                self.0 = self.0 - self.0 / 64 + if is_lost { LOSS_ONE / 64 } else { 0 };
+            }
+        }
+    }
+
+    pub(crate) const fn share(self) -> u32 {
+        self.0
     }
 }
 

@@ -66,6 +66,8 @@ pub struct Session {
     random: u64,
     store: Store,
     peers: BTreeMap<RobotId, Peer>,
+    /// Budgets of the links to peers that fell silent. At most `peers_max`, 2 KiB each.
+    silent_links: BTreeMap<RobotId, Pacer>,
     given_offsets: BTreeMap<RobotId, i64>,
     /// Last measured offsets of streams whose robot may be gone; only of streams in the store.
     measured_offsets: BTreeMap<Stream, i64>,
@@ -100,6 +102,7 @@ impl Session {
             random: seed ^ (u64::from(own.origin.0) << 32) ^ u64::from(own.epoch),
             store: Store::new(own, config.store_limits()),
             peers: BTreeMap::new(),
+            silent_links: BTreeMap::new(),
             given_offsets: BTreeMap::new(),
             measured_offsets: BTreeMap::new(),
             events: VecDeque::new(),
@@ -190,7 +193,11 @@ impl Session {
             return Err(DatagramError::TooManyPeers { sender: id, peers_max: self.config.peers_max });
         }
         if known != Some(stream.epoch) {
-            self.peers.insert(id, Peer::new(stream, now, &self.config));
+            let mut peer = Peer::new(stream, now, &self.config);
+            // A budget is the link's: it does not begin anew with a new run.
+            let before = self.peers.remove(&id).and_then(|before| before.pacer);
+            peer.pacer = before.or_else(|| self.silent_links.remove(&id)).or(peer.pacer);
+            self.peers.insert(id, peer);
             self.push_event(Event::PeerSeen(stream));
             self.greet(now);
         }
@@ -390,10 +397,19 @@ impl Session {
             .find(|peer| now.micros_since(peer.last_heard) >= timeout)
             .map(|peer| peer.stream)
         {
-            self.peers.remove(&lost.origin);
+            self.silence(lost.origin);
             self.push_event(Event::PeerLost(lost));
         }
         now
+    }
+
+    /// Forgets a peer, but not what its link's budget has seen.
+    fn silence(&mut self, id: RobotId) {
+        let pacer = self.peers.remove(&id).and_then(|peer| peer.pacer);
+        if self.silent_links.len() >= self.config.peers_max {
+            self.silent_links.pop_first();
+        }
+        self.silent_links.extend(pacer.map(|pacer| (id, pacer)));
     }
 
     fn tell_same_identity(&mut self, now: Stamp) {

@@ -1,6 +1,7 @@
 //! All packages that a robot holds: the paper's containers H, one per stream.
 
 use crate::IntervalSet;
+use crate::milestones::Milestones;
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::{BTreeMap, BTreeSet};
@@ -15,7 +16,7 @@ const PACKAGE_OVERHEAD_BYTES: usize = 400;
 /// What a [`Store`] may hold.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct StoreLimits {
-    /// Streams besides the own one. Worst case 8 KiB each, beside the packages.
+    /// Streams besides the own one. Worst case 24 KiB each, beside the packages.
     pub streams_max: usize,
     /// Runs of one origin; of more, the oldest is forgotten.
     pub epochs_max: usize,
@@ -42,6 +43,8 @@ struct Shelf {
     /// Highest index known to exist, from packages and from what others state.
     newest_known: u32,
     stored: BTreeMap<u32, Stored>,
+    /// Outlives the packages.
+    milestones: Milestones,
     bytes: usize,
 }
 
@@ -114,6 +117,14 @@ impl Store {
             .filter(|_| low <= high)
             .into_iter()
             .flat_map(move |shelf| shelf.stored.range(low..=high).map(|(&index, stored)| (index, stored)))
+    }
+
+    /// A stamp of the stream's robot that no package from `index` on is older than, as late as is known; for packages that
+    /// are not stored any more it may be that of an earlier one. `None` if nothing is known of any up to `index`.
+    pub fn stamp_not_after(&self, stream: Stream, index: u32) -> Option<Stamp> {
+        let shelf = self.shelves.get(&stream)?;
+        let stored = shelf.stored.range(..=index).next_back();
+        shelf.milestones.not_after(index).max(stored.map(|(_, stored)| stored.package.header().cycle_end))
     }
 
     /// Bytes of all stored packages, with their bookkeeping.
@@ -201,6 +212,7 @@ impl Store {
         if !is_new {
             return Ok(false);
         }
+        shelf.milestones.note(index, package.header().cycle_end);
         let fresh_at = fresh_at.min(now);
         let bytes = package.bytes().len() + PACKAGE_OVERHEAD_BYTES;
         shelf.stored.insert(index, Stored { package: package.clone(), stored_at: now, fresh_at });
@@ -241,6 +253,7 @@ impl Shelf {
             held: IntervalSet::new(HELD_INTERVALS_MAX),
             newest_known: 0,
             stored: BTreeMap::new(),
+            milestones: Milestones::new(),
             bytes: 0,
         }
     }

@@ -18,7 +18,7 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 pub const DATAGRAM_BYTES_MAX: usize = 1_200;
 
 /// The version of the layout. Any change of the layout of what stands in `WIRE.md` is a change of this.
-pub const WIRE_VERSION: u8 = 1;
+pub const WIRE_VERSION: u8 = 2;
 
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 24;
@@ -36,10 +36,10 @@ kind 2 packages: records
 record: type u8, length varint, content
 type 1 echoes: (robot u16, epoch low u16, stamp low u32, age varint)*
 type 2 held: origin varint, epoch varint, intervals
-type 3 transfer: source varint, origin varint, epoch varint, upto varint, set u32, tiles varint, intervals of accepted tile + 1
+type 3 transfer: source varint, origin varint, epoch varint, since varint, upto varint, set u32, tiles varint, intervals of accepted tile + 1
 type 4 floors: (origin varint, epoch varint)*
 type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
-type 6 states wanted: (origin varint, epoch varint, upto varint)*
+type 6 states wanted: (origin varint, epoch varint, since varint, upto varint)*
 type 16 package: map package
 intervals: from varint, (gap - to from, then to end + 2 - varint, length - 1 varint)*
 integers little-endian, varints shortest LEB128";

@@ -110,6 +110,7 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
             .map(|_| TransferProgress {
                 source: own,
                 stream: Stream { origin: own, epoch: 1 },
+                since: any_index(random),
                 upto: any_index(random),
                 set: random.next() as u32,
                 tiles: any_index(random),
@@ -120,8 +121,8 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
         floors: vec![(RobotId(random.next() as u16), random.next() as u32)],
         clocks: Vec::new(),
         states_wanted: vec![
-            (Stream { origin: own, epoch: 1 }, any_index(random)),
-            (any_stream(random), any_index(random)),
+            (Stream { origin: own, epoch: 1 }, any_index(random), any_index(random)),
+            (any_stream(random), any_index(random), any_index(random)),
         ],
     }
     .emit(header, 1_200)

@@ -240,7 +240,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
                         echoes: echoes.to_vec(),
                         all_echoes: true,
                         held: lists.collect(),
-                        states_wanted: vec![(stream(first), 50)],
+                        states_wanted: vec![(stream(first), 0, 50)],
                         ..Request::default()
                     };
                     victim.take_request(peer(n), &request);

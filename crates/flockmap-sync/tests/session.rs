@@ -223,6 +223,30 @@ fn a_late_joiner_gets_the_present_state() {
 }
 
 #[test]
+fn a_late_joiner_of_a_long_flight_gets_every_package_once() {
+    let seed = 23;
+    let config = SessionConfig { present_state_bytes_min: None, ..SessionConfig::default() };
+    let mut swarm = Swarm::of(2, seed, Radio::lossy(0.1), &config);
+    for _ in 0..1_200 {
+        swarm.publish(1, 300);
+        swarm.run(SECOND / 50);
+    }
+    swarm.run(10 * SECOND);
+    swarm.start(3, 1, config);
+    swarm.robots.get_mut(&3).unwrap().ahead_max = Some(1_024);
+    let sent_before = swarm.robots[&1].session.counters().sent;
+    swarm.run(60 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+    let joiner = swarm.robots[&3].session.counters();
+    let packages = u64::from(swarm.robots[&1].session.store().newest_known(swarm.stream(1)));
+    let sent = swarm.robots[&1].session.counters().sent - sent_before;
+    assert!(packages > 2_000, "{packages}");
+    assert_eq!(joiner.accepted, packages, "{joiner:#?}");
+    assert!(joiner.rejected <= packages / 50, "{} refused for want of room", joiner.rejected);
+    assert!(sent as f64 <= packages as f64 * 1.2, "{sent} sent of {packages}");
+}
+
+#[test]
 fn packages_dropped_from_the_store_come_back_as_present_state() {
     let small =
         SessionConfig { store_bytes_max: 30_000, present_state_bytes_min: None, ..SessionConfig::default() };

@@ -37,7 +37,7 @@ pub struct RobotConfig {
     pub codec: Codec,
     /// Cycles are told against what the others hold already, where the codec can: it takes fewer bytes, and what was lost is waited
     /// for. Where it takes longer than this until nine of ten cycles are whole at the slowest peer, they are told without,
-    /// until it takes less than half of this. Milliseconds; 0: always against what the others hold. Default 1,000.
+    /// until it takes less than half of this. Milliseconds; 0: always against what the others hold. Default 2,000.
     pub repair_delay_max_ms: u32,
     /// How it talks to others, and limits on what they can make it hold.
     pub session: SessionConfig,
@@ -61,7 +61,7 @@ impl RobotConfig {
             mapper: MapperConfig::preset(Preset::RogMap, resolution, range_m),
             cycle: CycleConfig::default(),
             codec: Codec::Flock,
-            repair_delay_max_ms: 1_000,
+            repair_delay_max_ms: 2_000,
             session: SessionConfig::default(),
             fusion: FusionConfig::default(),
             teammate_radius_m: 0.5,

@@ -4,7 +4,9 @@ mod receive;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockmap_codec::{Codec, Cycle, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Reference};
+use flockmap_codec::{
+    Codec, Cycle, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Reference, Span,
+};
 use flockmap_grid::{
     Changes, Fusion, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
 };
@@ -42,6 +44,8 @@ pub struct Robot {
     sent: Sent,
     /// The own layer is what the others hold when all has arrived.
     own_layer_is_whole: bool,
+    /// The own layer holds all that was published: a present state of it lacks nothing.
+    own_layer_has_all: bool,
     /// Packages that were damaged once already.
     damaged: BTreeSet<(Stream, u32)>,
     repair: RepairDelay,
@@ -87,6 +91,7 @@ impl Robot {
             next_index: 1,
             sent: Sent::default(),
             own_layer_is_whole: true,
+            own_layer_has_all: true,
             damaged: BTreeSet::new(),
             repair: RepairDelay::new(config.repair_delay_max_ms),
             waiting: Waiting::default(),
@@ -274,6 +279,7 @@ impl Robot {
             // The packages are out all the same; only a present state of this stream would lack them. And the others hold more from now
             // on than the own layer, so that nothing can be told against it any more.
             self.own_layer_is_whole = false;
+            self.own_layer_has_all = false;
             self.counters.no_room += 1;
             let reason = error.into();
             self.push_event(Event::Refused { stream: self.own, index: self.next_index - 1, reason });
@@ -307,20 +313,16 @@ impl Robot {
         }
     }
 
-    /// Codes the layer of a stream as it is, for a peer that misses too much of it.
-    fn provide_present_state(&mut self, now: Stamp, stream: Stream, upto: u32) {
-        let Some(state) = self.fusion.layer(stream).and_then(|layer| layer.present_state()) else {
-            return;
+    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too much of it.
+    fn provide_present_state(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>) {
+        let stream = span.stream;
+        let is_whole = stream != self.own || self.own_layer_has_all;
+        let state = self.fusion.layer(stream).filter(|_| is_whole);
+        let Some(state) = state.and_then(|layer| layer.present_voxels(newer_than)) else {
+            return self.session.provide_present_state(now, stream, Vec::new());
         };
         let resolution = self.config.mapper.resolution;
-        let coded = self.encoder.encode_present(
-            self.config.codec,
-            stream,
-            upto,
-            resolution,
-            &state,
-            PACKAGE_BYTES_MAX,
-        );
+        let coded = self.encoder.encode_span(self.config.codec, span, resolution, &state, PACKAGE_BYTES_MAX);
         match coded {
             Ok(tiles) => {
                 self.counters.present_states += 1;

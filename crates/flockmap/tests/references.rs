@@ -256,7 +256,7 @@ fn maps_agree_under_loss_whether_told_against_each_other_or_alone_or_in_turns() 
     for seed in 1..=6 {
         for codec in [Codec::Flock, Codec::Paper] {
             // Always against; as it comes; nearly always alone.
-            let repair_delay_max_ms = [0, 150, 1][seed as usize % 3];
+            let repair_delay_max_ms = [0, 50, 1][seed as usize % 3];
             let configs = (1..=3).map(|id| RobotConfig { codec, repair_delay_max_ms, ..config(id) });
             let mut swarm = Swarm::new(configs.collect(), LOSSY, seed);
             let mut random = Random(seed ^ 0x5eed);

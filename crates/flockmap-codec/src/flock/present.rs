@@ -8,11 +8,14 @@
 //! blocks, three varints for its lowest block as the difference to that of the tile, three for its size less one; the length of
 //! the rest, a varint; the rest, as in a package of changes.
 
-use flockmap_grid::{BlockIndex, Changes, Layer, PresentState, Stamp, StateBlock, VoxelBox};
+use crc32fast::Hasher;
+use flockmap_grid::{BlockIndex, Changes, Layer, PresentState, PresentVoxels, Stamp, StateBlock, VoxelBox};
+use rustc_hash::FxHashMap;
 
 use super::order::BlockBox;
 use super::package::{self, Habits, Workspace};
 use super::tables::TableSet;
+use crate::check::hash_present;
 use crate::reference::Known;
 use crate::varint::{self, Reader};
 use crate::{Codec, PackageError};
@@ -21,9 +24,14 @@ use crate::{Codec, PackageError};
 pub(crate) struct Tile {
     sections: Vec<Section>,
     pub(crate) region: BlockBox,
-    pub(crate) parts: Vec<(Stamp, Changes)>,
+    /// Oldest and newest stamp. Zero without sections.
+    pub(crate) ends: [Stamp; 2],
+    /// What the sections say, until the tile is full.
+    parts: Vec<(Stamp, Changes)>,
     /// Of each part, as the sections tell it.
-    pub(crate) sensors: Vec<(Stamp, [i32; 3])>,
+    sensors: Vec<(Stamp, [i32; 3])>,
+    /// For the check, once the tile is full.
+    pub(crate) content: Hasher,
 }
 
 struct Section {
@@ -39,59 +47,73 @@ const SECTION_BYTES_MIN: usize = 100;
 /// of a single block may be longer.
 pub(crate) fn encode(
     workspace: &mut Workspace,
-    state: &PresentState,
+    state: &PresentVoxels,
     room: impl Fn(&VoxelBox, [Stamp; 2]) -> usize,
 ) -> Vec<Tile> {
-    let mut told = Layer::default();
+    let mut told = FxHashMap::<BlockIndex, StateBlock>::default();
+    told.reserve(state.block_count());
     let mut tiles: Vec<Tile> = Vec::new();
     let mut habits = Habits::new(&[TableSet::Dense, TableSet::Sparse]);
     // A tile can grow to this as sections are added, and its header with it.
-    let largest = BlockBox::around(&state.region);
+    let largest = BlockBox::around(&state.region());
     let left_in = |tile: &Tile, stamp: Stamp| {
-        let first = tile.parts.first().map_or(stamp, |part| part.0);
+        let first = if tile.sections.is_empty() { stamp } else { tile.ends[0] };
         let room = largest.voxels().map_or(0, |region| room(&region, [first, stamp]));
         // Corners are the longer the larger the tile.
         room.saturating_sub(tile.payload_in(&largest).len() + SECTION_HEAD_MAX)
     };
-    let empty = || Tile { sections: Vec::new(), region: largest, parts: Vec::new(), sensors: Vec::new() };
-    for (stamp, part) in &state.parts {
-        let at = state.sensors.binary_search_by_key(stamp, |(stamp, _)| *stamp).ok();
-        let sensor =
-            at.and_then(|at| state.sensors.get(at)).map_or_else(|| middle(part), |(_, sensor)| *sensor);
+    let begin = |tiles: &mut Vec<Tile>| {
+        if let Some(full) = tiles.last_mut() {
+            full.close();
+        }
+        tiles.push(Tile {
+            sections: Vec::new(),
+            region: largest,
+            ends: [Stamp(0); 2],
+            parts: Vec::new(),
+            sensors: Vec::new(),
+            content: Hasher::new(),
+        });
+    };
+    for (stamp, part) in state.parts() {
+        let sensors = state.sensors();
+        let at = sensors.binary_search_by_key(&stamp, |(stamp, _)| *stamp).ok();
+        let sensor = at.and_then(|at| sensors.get(at)).map_or_else(|| middle(&part), |(_, sensor)| *sensor);
         let sensor = package::whole(sensor);
-        let known = Known::new(Some(&told), *stamp);
-        let blocks = package::in_order(part, sensor);
+        let known = Known::of_states(&told);
+        let blocks = package::in_order(&part, sensor);
         let mut rest = blocks.as_slice();
         while !rest.is_empty() {
-            let last = tiles.last().map(|tile| (left_in(tile, *stamp), tile.sections.is_empty()));
+            let last = tiles.last().map(|tile| (left_in(tile, stamp), tile.sections.is_empty()));
             let (left, is_empty) = match last.filter(|(left, _)| *left >= SECTION_BYTES_MIN) {
                 Some(last) => last,
                 None => {
-                    let tile = empty();
-                    let left = left_in(&tile, *stamp);
-                    tiles.push(tile);
-                    (left, true)
+                    begin(&mut tiles);
+                    (tiles.last().map_or(0, |tile| left_in(tile, stamp)), true)
                 }
             };
             let coded = package::encode(workspace, &known, &mut habits, sensor, rest, |_| left);
-            // Nothing in `told` is as new as the part.
-            let Ok((piece, count)) = coded else { unreachable!("parts come in the order of their stamps") };
+            // Parts come in the order of their stamps, so that nothing in `told` is as new.
+            let Ok((piece, count)) = coded else { unreachable!("what is known before a part is never gone") };
             let of_section = BlockBox::around(&piece.region).volume();
             let of_tile = tiles.last().map_or(0, Tile::blocks);
             if !is_empty && (piece.payload.len() > left || of_tile + of_section > package::BOX_BLOCKS_MAX) {
                 // Not even one block goes in any more, or no box as large as this.
-                tiles.push(empty());
+                begin(&mut tiles);
                 continue;
             }
             rest = rest.get(count..).unwrap_or_default();
             if let Some(tile) = tiles.last_mut() {
-                tile.add(*stamp, sensor, piece);
+                tile.add(stamp, sensor, piece);
             }
         }
-        told.apply(part, *stamp);
+        part.blocks().iter().for_each(|(index, block)| told.entry(*index).or_default().overlay(block));
     }
     if tiles.is_empty() {
-        tiles.push(empty());
+        begin(&mut tiles);
+    }
+    if let Some(last) = tiles.last_mut() {
+        last.close();
     }
     tiles
 }
@@ -117,9 +139,17 @@ impl Tile {
     fn add(&mut self, stamp: Stamp, sensor: [i32; 3], piece: package::Piece) {
         add_sensor(&mut self.sensors, stamp, sensor);
         let region = BlockBox::around(&piece.region);
-        self.region = if self.sections.is_empty() { region } else { self.region.union(&region) };
+        let is_first = self.sections.is_empty();
+        self.region = if is_first { region } else { self.region.union(&region) };
+        self.ends = [if is_first { stamp } else { self.ends[0] }, stamp];
         self.sections.push(Section { stamp, region, payload: piece.payload });
         add(&mut self.parts, stamp, piece.changes);
+    }
+
+    /// Lets go of what the tile says beside its sections: that takes a hundred times as much.
+    fn close(&mut self) {
+        self.content = hash_present(&self.parts, &self.sensors);
+        (self.parts, self.sensors) = (Vec::new(), Vec::new());
     }
 
     /// The payload of the tile.

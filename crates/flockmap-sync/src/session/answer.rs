@@ -93,13 +93,14 @@ impl Session {
             view.from = view.from.min(stated.from).max(view.held.keep_newest(VIEW_INTERVALS_MAX));
         }
         for (&stream, view) in &mut peer.views {
-            let wanted = request.states_wanted.iter().find(|(wanted, _)| *wanted == stream);
-            let since = view.state_wanted.map_or(now, |(_, since)| since);
-            view.state_wanted = wanted.map(|&(_, upto)| (upto, since));
+            let wanted = request.states_wanted.iter().find(|(wanted, ..)| *wanted == stream);
+            let at = view.state_wanted.map_or(now, |(_, at)| at);
+            view.state_wanted = wanted.map(|&(_, since, upto)| ([since, upto], at));
         }
         for progress in request.transfers.iter().filter(|progress| progress.source == self.own.origin) {
             let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
             if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
+                sending.named_at = now;
                 sending.accepted = progress.accepted.clone();
                 if progress.from > 1 {
                     // What the cut list does not name, it does not ask for either.
@@ -154,9 +155,10 @@ impl Session {
         });
         self.counters.confirmed += confirmed;
         self.counters.lost += lost;
+        peer.loss.sample(confirmed, lost);
 
         for view in views.values_mut() {
-            view.covered = view.held.clone();
+            view.covered = view.held.with_room(VIEW_INTERVALS_MAX + self.config.in_flight_max);
             if let Some(sending) = &mut view.sending {
                 sending.covered = sending.accepted.clone();
             }

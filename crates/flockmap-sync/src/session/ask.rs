@@ -1,7 +1,7 @@
 //! Requests: when they go out and what they say.
 
 use super::{Destination, Event, Session, Transmit};
-use crate::session::peer::Item;
+use crate::session::peer::{Item, Peer};
 use crate::wire::{ClockReport, Echo, Held, Kind, Request, TransferProgress};
 use crate::{Cast, IntervalSet};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -15,8 +15,10 @@ pub(super) struct Schedule {
     greeting: Option<Stamp>,
     /// One because of a gap.
     gap: Option<Stamp>,
-    /// Pause after the next request for a gap; 0 stands for the shortest.
-    gap_pause: i64,
+    /// Requests for gaps since one was filled last, or a new one was seen.
+    gap_tries: u32,
+    /// Whether what was sent last has arrived, where the radio loses much: when to make the peers look, and how often still.
+    probe: Option<(Stamp, u8)>,
     last: Stamp,
     /// Least pause after the last request, so that requests leave most of a small budget to packages.
     budget_pause: i64,
@@ -32,7 +34,8 @@ impl Default for Schedule {
             periodic: never,
             greeting: None,
             gap: None,
-            gap_pause: 0,
+            gap_tries: 0,
+            probe: None,
             last: never,
             budget_pause: 0,
             last_activity: never,
@@ -45,8 +48,23 @@ impl Default for Schedule {
 const GREETING_JITTER: u64 = 20_000;
 /// Least pause before a greeting, so that ever new runs of a faulty peer do not make us talk without end.
 const GREETING_PAUSE: i64 = 50_000;
+/// So many requests for gaps go out at the shortest pause; after that the pause doubles each time. Over a radio that loses every
+/// second datagram, one round of request and answer in four succeeds.
+const GAP_TRIES: u32 = 10;
+/// In a swarm larger than [`SMALL_SWARM`], whose requests add up on the radio.
+const GAP_TRIES_OF_MANY: u32 = 3;
+/// Peers of a small swarm.
+const SMALL_SWARM: usize = 8;
+/// After so many requests that brought nothing, a gap does not count as something that flows.
+const ACTIVE_TRIES: u32 = 64;
 /// Longest pause between requests for gaps that stay; periodic ones go on beside them.
 const GAP_PAUSE_MAX: i64 = 60_000_000;
+/// Requests in which the peers are made to look whether the end of a burst is lost.
+const PROBES: u8 = 2;
+/// Packages that follow this soon make a probe needless.
+const PROBE_AFTER: i64 = 120_000;
+/// Share of losses above which that is worth a datagram; below, the next packages tell soon enough.
+const PROBE_LOSS_MIN: u32 = crate::link::LOSS_ONE / 6;
 /// Requests take at most one part in so many of a budget over time …
 const BUDGET_SHARE_OVER_TIME: i64 = 8;
 /// … and one request to all at most one part in so many of a second's worth …
@@ -77,7 +95,7 @@ impl Session {
             return;
         }
         if certain {
-            self.schedule.gap_pause = 0;
+            self.schedule.gap_tries = 0;
         }
         let patience = self.peers.values().map(|peer| 2 * peer.round_trip.variation()).max().unwrap_or(0);
         let patience = patience.clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
@@ -89,18 +107,47 @@ impl Session {
     fn gap_pause(&self) -> i64 {
         let round_trip = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
         let shortest = (i64::from(self.config.gap_request_pause_ms) * 1_000).max(round_trip);
-        shortest.max(self.schedule.gap_pause).max(self.schedule.budget_pause)
+        let tries = if self.peers.len() > SMALL_SWARM { GAP_TRIES_OF_MANY } else { GAP_TRIES };
+        let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
+        (shortest << doublings).min(GAP_PAUSE_MAX).max(self.schedule.budget_pause)
+    }
+
+    /// A gap was filled: answers come, so what is still missing is worth asking for soon.
+    pub(super) const fn note_gap_filled(&mut self) {
+        self.schedule.gap_tries = 0;
+    }
+
+    /// Packages went out. If their end gets lost, nothing that follows tells the peers: make them look.
+    pub(super) fn note_sent(&mut self, now: Stamp) {
+        let is_lossy = |peer: &&Peer| peer.loss.share() > PROBE_LOSS_MIN;
+        let timeout = self.peers.values().filter(is_lossy).map(|peer| peer.round_trip.timeout()).max();
+        self.schedule.probe = timeout.map(|timeout| (now.plus_micros(timeout.max(PROBE_AFTER)), PROBES));
+    }
+
+    /// Whether something sent before is neither confirmed nor known to be lost.
+    fn is_waiting_for_word(&self, now: Stamp) -> bool {
+        self.peers.values().any(|peer| {
+            let timeout = peer.round_trip.timeout();
+            peer.in_flight.back().is_some_and(|sent| now.micros_since(sent.at) >= timeout / 2)
+        })
     }
 
     /// When the next request is due.
     pub(super) fn next_request(&self) -> Option<Stamp> {
-        [Some(self.schedule.periodic), self.schedule.greeting, self.schedule.gap].into_iter().flatten().min()
+        let probe = self.schedule.probe.map(|(at, _)| at);
+        [Some(self.schedule.periodic), self.schedule.greeting, self.schedule.gap, probe]
+            .into_iter()
+            .flatten()
+            .min()
     }
 
     pub(super) fn request_due(&mut self, now: Stamp) -> bool {
         if self.schedule.gap.is_some_and(|at| at <= now) && !self.has_gap(now) {
             self.schedule.gap = None;
-            self.schedule.gap_pause = 0;
+            self.schedule.gap_tries = 0;
+        }
+        if self.schedule.probe.is_some_and(|(at, _)| at <= now) && !self.is_waiting_for_word(now) {
+            self.schedule.probe = None;
         }
         self.next_request().is_some_and(|at| at <= now)
     }
@@ -122,7 +169,8 @@ impl Session {
     pub(super) fn transmit_request(&mut self, now: Stamp) -> Option<Transmit> {
         self.finish_transfers(now);
         let for_gap = self.schedule.gap.is_some_and(|at| at <= now);
-        let periodic = self.schedule.periodic <= now || self.schedule.greeting.is_some_and(|at| at <= now);
+        let for_all = [self.schedule.greeting, self.schedule.probe.map(|(at, _)| at)];
+        let periodic = self.schedule.periodic <= now || for_all.into_iter().flatten().any(|at| at <= now);
         let to = if for_gap && !periodic { self.whom_to_ask(now) } else { Destination::Everyone };
         let copies = self.copies(to);
         let header = self.header(now, Kind::Request);
@@ -175,8 +223,9 @@ impl Session {
 
     fn schedule_next(&mut self, now: Stamp, for_gap: bool, to: Destination) {
         if to == Destination::Everyone {
-            let active =
+            let flows =
                 now.micros_since(self.schedule.last_activity) < i64::from(self.config.active_for_ms) * 1_000;
+            let active = flows || (self.schedule.gap_tries < ACTIVE_TRIES && self.has_gap(now));
             let period = match active {
                 true => self.config.request_period_active_ms,
                 false => self.config.request_period_idle_ms,
@@ -186,16 +235,21 @@ impl Session {
             let jittered = period - period / 10 + self.random(period / 5);
             self.schedule.periodic = now.plus_micros(jittered as i64);
             self.schedule.greeting = None;
+            let timeout = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
+            self.schedule.probe = self.schedule.probe.and_then(|(_, left)| {
+                (left > 1).then(|| (now.plus_micros(timeout.max(self.schedule.budget_pause)), left - 1))
+            });
         }
         self.schedule.last = now;
         self.schedule.count = self.schedule.count.wrapping_add(1);
         if for_gap {
             self.counters.gap_requests += 1;
         }
+        self.schedule.gap_tries =
+            if self.has_gap(now) { self.schedule.gap_tries.saturating_add(1) } else { 0 };
         if self.schedule.gap.is_some() {
             // The request has just said all that is missing; say it again after a pause that grows.
             let pause = self.gap_pause();
-            self.schedule.gap_pause = (pause * 2).min(GAP_PAUSE_MAX);
             let periodic = i64::from(self.config.request_period_active_ms) * 1_000;
             let periodic = periodic.max(self.schedule.budget_pause);
             self.schedule.gap = (pause < periodic).then(|| now.plus_micros(pause));
@@ -204,7 +258,7 @@ impl Session {
 
     /// By unicast the first request for a gap goes to the origin alone if it is heard; later ones go to everyone.
     fn whom_to_ask(&self, now: Stamp) -> Destination {
-        if self.config.cast == Cast::Unicast && self.schedule.gap_pause == 0 {
+        if self.config.cast == Cast::Unicast && self.schedule.gap_tries == 0 {
             let mut streams = self.gaps(now);
             if let (Some(stream), None) = (streams.next(), streams.next())
                 && self.peers.get(&stream.origin).is_some_and(|peer| peer.stream == stream)
@@ -258,6 +312,7 @@ impl Session {
             TransferProgress {
                 source: incoming.source,
                 stream: incoming.stream,
+                since: incoming.since,
                 upto: incoming.upto,
                 set: incoming.set,
                 tiles: incoming.tiles,
@@ -282,7 +337,11 @@ impl Session {
             states_wanted: self
                 .given_up
                 .iter()
-                .filter_map(|(&stream, given_up)| Some((stream, given_up.last()?)))
+                .filter_map(|(&stream, given_up)| {
+                    // What waits for a verdict, or was rejected, may never be held either.
+                    let unheld = self.stated_as_held(stream, now).difference(self.store.held(stream)?);
+                    Some((stream, unheld.first()? - 1, given_up.last()?))
+                })
                 .collect(),
         }
     }

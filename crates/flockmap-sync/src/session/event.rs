@@ -1,7 +1,7 @@
 //! What a session tells its driver.
 
 use flockmap_codec::Package;
-use flockmap_grid::{RobotId, Stream};
+use flockmap_grid::{RobotId, Stamp, Stream};
 
 /// Something for the driver to do or to know.
 #[derive(Clone, Debug)]
@@ -15,17 +15,22 @@ pub enum Event {
     /// present state that contains it becomes complete, it needs no verdict any more: see [`Self::CaughtUp`].
     Received(Package),
     /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
-    /// more. Encode the layer of the stream as tiles with index `upto` and call
+    /// more. Encode the layer of the stream, or what of it is newer than a stamp, as tiles with `since` and index `upto` and call
     /// [`provide_present_state`](crate::Session::provide_present_state) before any other input.
     PresentStateWanted {
         /// The stream whose layer is wanted.
         stream: Stream,
+        /// What packages after this one made is wanted; 0: the whole layer.
+        since: u32,
+        /// Every voxel whose newest change is in a package after `since` has a newer stamp than this, on the clock of the stream's robot.
+        /// `None`: the whole layer is wanted.
+        newer_than: Option<Stamp>,
         /// All packages from 1 to this one are in the layer.
         upto: u32,
         /// The peer that misses it.
         peer: RobotId,
     },
-    /// All tiles of a present state are accepted: packages 1 to `upto` of the stream now count as held. Undecided ones among
+    /// All tiles of a present state are accepted, and the packages before those that it contains: packages 1 to `upto` of the stream now count as held. Undecided ones among
     /// them are to be dropped.
     CaughtUp {
         /// The stream.

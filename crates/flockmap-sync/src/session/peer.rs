@@ -1,7 +1,7 @@
 //! What a session knows of one peer.
 
 use crate::counters::Traffic;
-use crate::link::{ClockFilter, RoundTrip};
+use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
 use crate::{IntervalSet, SessionConfig};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -38,7 +38,10 @@ pub(super) struct Sent {
 #[derive(Clone, Debug)]
 pub(super) struct Sending {
     pub(super) set: u32,
+    pub(super) since: u32,
     pub(super) upto: u32,
+    /// When the peer last spoke of the set, or it was begun.
+    pub(super) named_at: Stamp,
     /// Number + 1 of the tiles that the peer accepted.
     pub(super) accepted: IntervalSet,
     /// Those and the ones in flight.
@@ -52,15 +55,15 @@ pub(super) struct View {
     pub(super) from: u32,
     /// What the peer stated to hold, or sent itself.
     pub(super) held: IntervalSet,
-    /// Those and the ones in flight: what need not be sent now.
+    /// Those and the ones in flight: what need not be sent now. It has room for both.
     pub(super) covered: IntervalSet,
     /// For a relay that is not first in line: what stayed missing for the whole relay delay.
     pub(super) overdue: IntervalSet,
     /// What was missing at some earlier request, and when that was.
     pub(super) missing_then: (Stamp, IntervalSet),
     pub(super) sending: Option<Sending>,
-    /// The peer wants a present state that contains this package, and since when it has said so.
-    pub(super) state_wanted: Option<(u32, Stamp)>,
+    /// The peer wants a present state since the first package or an earlier one that contains the second; and how long it has said so.
+    pub(super) state_wanted: Option<([u32; 2], Stamp)>,
 }
 
 impl View {
@@ -107,6 +110,7 @@ pub(super) struct Peer {
     pub(super) queue_stale: bool,
     pub(super) round_trip: RoundTrip,
     pub(super) clock: ClockFilter,
+    pub(super) loss: Loss,
     pub(super) pacer: Option<Pacer>,
     pub(super) traffic_in: Traffic,
     pub(super) traffic_out: Traffic,
@@ -131,6 +135,7 @@ impl Peer {
             queue_stale: false,
             round_trip: RoundTrip::new(i64::from(config.round_trip_initial_ms) * 1_000),
             clock: ClockFilter::default(),
+            loss: Loss::default(),
             pacer: config
                 .link_bytes_per_s
                 .map(|rate| Pacer::new(rate, super::burst_bytes(rate, config.burst_ms))),

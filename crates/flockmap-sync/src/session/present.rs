@@ -2,7 +2,7 @@
 
 use super::peer::{Item, Peer, Sending, VIEW_INTERVALS_MAX};
 use super::{Event, Session};
-use crate::IntervalSet;
+use crate::{Cast, IntervalSet};
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
@@ -11,6 +11,8 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 pub(super) struct Incoming {
     pub(super) source: RobotId,
     pub(super) stream: Stream,
+    /// 0: the whole state. Else what packages 1 to this one say is needed beside it.
+    pub(super) since: u32,
     pub(super) upto: u32,
     pub(super) set: u32,
     pub(super) tiles: u32,
@@ -22,20 +24,29 @@ pub(super) struct Incoming {
 impl Incoming {
     /// Whether tiles of both belong together: cut by the same robot from the same state.
     pub(super) fn is_same(&self, other: &Self) -> bool {
-        (self.source, self.stream, self.upto, self.set, self.tiles)
-            == (other.source, other.stream, other.upto, other.set, other.tiles)
+        (self.source, self.stream, self.since, self.upto, self.set, self.tiles)
+            == (other.source, other.stream, other.since, other.upto, other.set, other.tiles)
     }
 
-    pub(super) const fn is_abandoned(&self, now: Stamp) -> bool {
-        now.micros_since(self.touched) > 30_000_000
+    pub(super) fn is_complete(&self) -> bool {
+        self.accepted.contains_range(1, self.tiles)
+    }
+
+    /// Nothing has come of it for long. A complete one waits longer, for the packages before it.
+    pub(super) fn is_abandoned(&self, now: Stamp) -> bool {
+        now.micros_since(self.touched) > if self.is_complete() { 10 * ABANDONED } else { ABANDONED }
     }
 }
+
+/// Silence after which a transfer is given up.
+const ABANDONED: i64 = 30_000_000;
 
 /// A present state that can be sent, to several peers if they need it.
 #[derive(Debug)]
 pub(super) struct Outgoing {
     pub(super) stream: Stream,
     pub(super) set: u32,
+    pub(super) since: u32,
     pub(super) upto: u32,
     pub(super) tiles: Vec<Package>,
     bytes: usize,
@@ -46,6 +57,19 @@ pub(super) struct Outgoing {
 const ASK_AGAIN: i64 = 2_000_000;
 const ASK_AGAIN_DECLINED: i64 = 30_000_000;
 
+impl Outgoing {
+    /// About what the part of it since a package would cost now, when `upto` is the newest one.
+    fn cost(&self, since: u32, upto: u32) -> u64 {
+        let part = u64::from(upto.saturating_sub(since.max(self.since)));
+        self.bytes as u64 * part / u64::from(self.upto - self.since).max(1)
+    }
+
+    /// Whether at most an eighth of it says what who knows packages 1 to `since` knows already.
+    const fn is_near(&self, since: u32) -> bool {
+        since.saturating_sub(self.since) <= (self.upto - self.since) / 8
+    }
+}
+
 /// What a peer misses of a stream up to some index.
 struct Missing {
     bytes: u64,
@@ -55,8 +79,8 @@ struct Missing {
 }
 
 impl Session {
-    /// The answer to [`Event::PresentStateWanted`]: the layer of the stream as tiles, all of one set, all with
-    /// the index `upto` of the event. No tiles: there is none to give now; it is asked for again later.
+    /// The answer to [`Event::PresentStateWanted`]: the layer of the stream, or what of it is newer, as tiles, all of one set, all with
+    /// `since` and the index `upto` of the event. No tiles: there is none to give now; it is asked for again later.
     /// Tiles that cannot be used are counted and dropped.
     pub fn provide_present_state(&mut self, now: Stamp, stream: Stream, tiles: Vec<Package>) {
         let now = self.advance(now);
@@ -83,7 +107,7 @@ impl Session {
     fn check_tiles(&mut self, now: Stamp, stream: Stream, tiles: Vec<Package>) -> Option<Outgoing> {
         let first = tiles.first()?.header();
         let (upto, count) = (first.index, tiles.len() as u32);
-        let ContentKind::Present { set, .. } = first.content else {
+        let ContentKind::Present { since, set, .. } = first.content else {
             self.counters.present_states_unusable += 1;
             return None;
         };
@@ -95,50 +119,71 @@ impl Session {
                 tile.header().stream == stream
                     && tile.header().index == upto
                     && tile.bytes().len() <= longest
-                    && tile.header().content == ContentKind::Present { set, tile: number, tiles: count }
+                    && tile.header().content
+                        == ContentKind::Present { since, set, tile: number, tiles: count }
             });
         if !usable {
             self.counters.present_states_unusable += 1;
             return None;
         }
-        Some(Outgoing { stream, set, upto, tiles, bytes, used_at: now })
+        Some(Outgoing { stream, set, since, upto, tiles, bytes, used_at: now })
     }
 
-    /// Decides whether a peer gets the present state of a stream instead of packages.
+    /// Decides whether a peer gets the present state of a stream, or of a part of its history, instead of packages.
     pub(super) fn review_present_state(&mut self, now: Stamp, peer: &mut Peer, stream: Stream) {
         let Some(turn) = self.turn(peer, stream) else { return };
         let Some(held) = self.store.held(stream) else { return };
         let prefix = held.prefix();
+        let id = peer.stream.origin;
         let Some(view) = peer.view(stream, now) else { return };
         let wanted = view.state_wanted;
-        if let Some(sending) = &view.sending {
+        let lacks = held.within(view.from.max(1), prefix).difference(&view.held);
+        // All packages up to this one it has, or can get as they are.
+        let mut since_max = self.first_unstored(stream, &lacks).map_or(u32::MAX, |first| first - 1);
+        if let Some(([since, _], _)) = wanted {
+            since_max = since_max.min(since);
+        }
+        if let Some(sending) = &mut view.sending {
             let kept = self.outgoing.iter().any(|o| o.stream == stream && o.set == sending.set);
             // What it cannot decode it states as held.
-            let lacks = wanted.is_some_and(|(index, _)| index <= sending.upto);
-            if kept && (lacks || !view.held.contains_range(1, sending.upto)) {
+            let is_wanted = wanted.is_some_and(|([_, upto], _)| upto <= sending.upto);
+            // Of what lies above it the next one may be short.
+            let is_sound = sending.since <= since_max;
+            if kept && is_sound && (is_wanted || !view.held.contains_range(1, sending.upto)) {
+                if now.micros_since(sending.named_at) > ABANDONED {
+                    // It has forgotten the set, or has not heard of it yet.
+                    sending.named_at = now;
+                    sending.accepted = IntervalSet::new(VIEW_INTERVALS_MAX);
+                }
                 return;
             }
             view.sending = None;
         }
-        let mut missing = held.within(view.from.max(1), prefix).difference(&view.held);
+        let mut missing = lacks;
         if turn > 0 {
             missing = missing.intersection(&view.overdue);
         }
         // Those further down the line wait whether others give it.
         let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
-        let wanted = wanted.filter(|&(upto, since)| upto <= prefix && now.micros_since(since) >= delay);
-        let wanted = wanted.map(|(upto, _)| upto);
-        if missing.is_empty() && wanted.is_none() {
-            return;
-        }
+        let wanted = wanted.filter(|&([_, upto], at)| upto <= prefix && now.micros_since(at) >= delay);
+        let wanted = wanted.map(|([_, upto], _)| upto);
+        let Some(first) = missing.first().into_iter().chain(wanted).min() else { return };
+        // Where packages are stored and cost less than the state, it is the part that they cannot bring that is wanted.
+        since_max = if since_max == u32::MAX { first.saturating_sub(1) } else { since_max };
+        let newer_than = self.newer_than(stream, since_max);
+        let since = if newer_than.is_some() { since_max } else { 0 };
         let all = self.weigh(stream, &missing, prefix);
-        // The newest state at hand, if any, tells what one costs.
-        let at_hand = self.outgoing.iter_mut().rev().find(|outgoing| outgoing.stream == stream);
-        let cost = at_hand.as_ref().map_or(0, |outgoing| outgoing.bytes as u64);
-        if wanted.is_none() && !self.config.present_state_is_worth(&all, cost) {
+        // The newest state at hand that will do, if any, tells what one costs.
+        let estimate = self.at_hand(stream, since_max).map_or(0, |at| self.outgoing[at].cost(since, prefix));
+        if wanted.is_none() && !self.config.present_state_is_worth(&all, estimate) {
             return;
         }
-        if let Some(upto) = at_hand.as_ref().map(|outgoing| outgoing.upto) {
+        let at_hand = self.at_hand(stream, since_max).filter(|&at| {
+            // One that is on the air already costs nothing more; any other should not say much that is known.
+            self.outgoing[at].is_near(since) || self.is_on_air(stream, self.outgoing[at].set, id)
+        });
+        if let Some(at) = at_hand {
+            let (upto, cost) = (self.outgoing[at].upto, self.outgoing[at].bytes as u64);
             let covered = self.weigh(stream, &missing, upto);
             let rest = all.bytes - covered.bytes;
             let is_enough = match wanted {
@@ -149,13 +194,12 @@ impl Session {
                 && is_enough
                 && rest <= (cost / 2).max(u64::from(self.config.present_state_bytes_min.unwrap_or(0)))
             {
-                let Some(outgoing) = self.outgoing.iter_mut().rev().find(|o| o.stream == stream) else {
-                    return;
-                };
+                let Some(outgoing) = self.outgoing.get_mut(at) else { return };
                 outgoing.used_at = now;
                 let nothing = IntervalSet::new(VIEW_INTERVALS_MAX);
-                let (set, upto) = (outgoing.set, outgoing.upto);
-                view.sending = Some(Sending { set, upto, accepted: nothing.clone(), covered: nothing });
+                let (set, since) = (outgoing.set, outgoing.since);
+                let (accepted, covered) = (nothing.clone(), nothing);
+                view.sending = Some(Sending { set, since, upto, named_at: now, accepted, covered });
                 peer.queue_stale = true;
                 return;
             }
@@ -163,8 +207,36 @@ impl Session {
         if self.present_asked.get(&stream).is_none_or(|&again| again <= now) {
             self.present_asked.insert(stream, now.plus_micros(ASK_AGAIN));
             self.counters.present_states_wanted += 1;
-            self.push_event(Event::PresentStateWanted { stream, upto: prefix, peer: peer.stream.origin });
+            self.push_event(Event::PresentStateWanted { stream, since, newer_than, upto: prefix, peer: id });
         }
+    }
+
+    /// Below every stamp of the packages after `since`. `None` if that is not known: then only the whole state will do.
+    fn newer_than(&self, stream: Stream, since: u32) -> Option<Stamp> {
+        let next = since.checked_add(1).filter(|_| since > 0)?;
+        Some(Stamp(self.store.stamp_not_after(stream, next)?.0.checked_sub(1)?))
+    }
+
+    /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.
+    fn at_hand(&self, stream: Stream, since_max: u32) -> Option<usize> {
+        self.outgoing.iter().rposition(|outgoing| outgoing.stream == stream && outgoing.since <= since_max)
+    }
+
+    /// By broadcast: whether a set is on its way to somebody else, so that everyone hears it.
+    fn is_on_air(&self, stream: Stream, set: u32, except: RobotId) -> bool {
+        let gets_it = |peer: &Peer| {
+            let sending = peer.views.get(&stream).and_then(|view| view.sending.as_ref());
+            peer.stream.origin != except && sending.is_some_and(|sending| sending.set == set)
+        };
+        self.config.cast == Cast::Broadcast && self.peers.values().any(gets_it)
+    }
+
+    /// The first of these packages that is not stored.
+    fn first_unstored(&self, stream: Stream, missing: &IntervalSet) -> Option<u32> {
+        missing.intervals().iter().find_map(|&(low, high)| {
+            let mut stored = self.store.range(stream, low, high).map(|(index, _)| index);
+            (low..=high).find(|index| stored.next() != Some(*index))
+        })
     }
 
     fn weigh(&self, stream: Stream, missing: &IntervalSet, upto: u32) -> Missing {

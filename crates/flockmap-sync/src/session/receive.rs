@@ -27,8 +27,8 @@ impl Session {
             } else if self.open_stream(stream) {
                 match package.header().content {
                     ContentKind::Changes => self.receive_changes(now, sender.origin, package),
-                    ContentKind::Present { set, tile, tiles } => {
-                        let incoming = Incoming::new(sender.origin, stream, index, set, tiles, now);
+                    ContentKind::Present { since, set, tile, tiles } => {
+                        let incoming = Incoming::new(sender.origin, stream, [since, index], set, tiles, now);
                         self.receive_tile(now, incoming, tile, package);
                     }
                 }
@@ -86,6 +86,7 @@ impl Session {
                     let same = same.filter(|(_, other)| other.stream == stream && other.source == from);
                     if let Some((oldest, _)) = same.min_by_key(|(_, other)| other.touched) {
                         self.incoming.remove(oldest);
+                        self.counters.transfers_dropped += 1;
                         self.forget_tiles_of_nothing();
                     }
                 }
@@ -148,8 +149,15 @@ impl Session {
         let fills_gap = self.store.held(stream).and_then(IntervalSet::last).is_some_and(|last| last > index);
         match self.store.insert(package, now, fresh_at) {
             Ok(is_new) => {
+                // A span may have waited for this one.
+                if self.incoming.iter().any(|incoming| incoming.stream == stream && incoming.is_complete()) {
+                    self.finish_transfers(now);
+                }
                 self.counters.accepted += u64::from(is_new);
                 self.counters.repaired += u64::from(is_new && fills_gap);
+                if is_new && fills_gap {
+                    self.note_gap_filled();
+                }
                 self.mark_queues_stale();
             }
             Err(NoRoom::Intervals) => self.counters.too_fragmented += 1,
@@ -187,10 +195,21 @@ impl Session {
     /// Counts as held what completely received present states contain; lets go of transfers that are done,
     /// overtaken or abandoned.
     pub(super) fn finish_transfers(&mut self, now: Stamp) {
-        let complete = |i: &&Incoming| i.accepted.contains_range(1, i.tiles);
-        let complete: Vec<_> = self.incoming.iter().filter(complete).map(|i| (i.stream, i.upto)).collect();
-        for (stream, upto) in complete {
-            match self.store.hold(stream, 1, upto) {
+        let mut complete: Vec<_> = self
+            .incoming
+            .iter()
+            .filter(|incoming| incoming.is_complete())
+            .map(|incoming| (incoming.stream, incoming.since, incoming.upto))
+            .collect();
+        // One may be what the next one waits for.
+        complete.sort_unstable();
+        for (stream, since, upto) in complete {
+            // What is wanting before it comes as packages, or by another present state.
+            let prefix = self.store.held(stream).map_or(0, IntervalSet::prefix);
+            if prefix < since || prefix >= upto {
+                continue;
+            }
+            match self.store.hold(stream, since + 1, upto) {
                 Ok(_) => {
                     self.settle_upto(stream, upto);
                     self.counters.caught_up += 1;
@@ -205,10 +224,14 @@ impl Session {
         }
         let store = &self.store;
         let before = self.incoming.len();
+        let mut dropped = 0;
         self.incoming.retain(|incoming| {
             let held = store.held(incoming.stream).is_some_and(|held| held.contains_range(1, incoming.upto));
-            !held && !incoming.is_abandoned(now)
+            let is_abandoned = !held && incoming.is_abandoned(now);
+            dropped += u64::from(is_abandoned);
+            !held && !is_abandoned
         });
+        self.counters.transfers_dropped += dropped;
         if self.incoming.len() < before {
             self.forget_tiles_of_nothing();
         }
@@ -309,7 +332,7 @@ impl Incoming {
     pub(super) const fn new(
         source: RobotId,
         stream: Stream,
-        upto: u32,
+        [since, upto]: [u32; 2],
         set: u32,
         tiles: u32,
         now: Stamp,
@@ -317,6 +340,7 @@ impl Incoming {
         Self {
             source,
             stream,
+            since,
             upto,
             set,
             tiles,

@@ -11,6 +11,9 @@ use std::collections::VecDeque;
 
 /// Items planned ahead for a peer, and looked at per stream for it.
 const QUEUE_MAX: usize = 256;
+/// A peer that misses more packages of a stream than this gets the oldest first: what builds on them could only wait, and of
+/// what may wait there is not enough room for a long flight.
+const BACKLOG_MIN: u32 = 64;
 /// Items looked at to fill up a datagram.
 const BUNDLE_LOOKAHEAD: usize = 16;
 
@@ -41,16 +44,20 @@ impl View {
 }
 
 impl Peer {
-    /// Notes that an item is on its way to the peer; whether it is now in the ledger.
+    /// Notes that an item is on its way to the peer; whether it is now in the ledger, and was not before. One that is on its way
+    /// again, since somebody else missed it too, counts from now.
     pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
-        if self.in_flight.len() >= in_flight_max || !self.wants(item.stream()) {
+        if !self.wants(item.stream()) {
             return false;
         }
-        let covered = self.view(item.stream(), now).is_some_and(|view| view.cover(item));
-        if covered {
+        let is_new = self.in_flight.len() < in_flight_max
+            && self.view(item.stream(), now).is_some_and(|view| view.cover(item));
+        if is_new {
             self.in_flight.push_back(Sent { item, at: now, requests: 0 });
+        } else if let Some(sent) = self.in_flight.iter_mut().rev().find(|sent| sent.item == item) {
+            *sent = Sent { item, at: now, requests: 0 };
         }
-        covered
+        is_new
     }
 
     /// Whether an item is still missing and not on its way, and can be noted as being on its way.
@@ -177,6 +184,7 @@ impl Session {
             }
         }
         self.note_activity(now);
+        self.note_sent(now);
         Transmit { to, bytes }
     }
 
@@ -184,19 +192,22 @@ impl Session {
     fn plan(&self, now: Stamp, peer: &mut Peer) {
         peer.queue_stale = false;
         let mut due: Vec<(Stamp, Stream, u32)> = Vec::new();
-        let mut overdue = Vec::new();
+        let (mut backlog, mut overdue) = (Vec::new(), Vec::new());
         let mut tiles = Vec::new();
         for stream in self.store.streams() {
             let Some(turn) = self.turn(peer, stream) else { continue };
             // Without push, a request is answered with what there was when it came.
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
             let Some(view) = peer.view(stream, now) else { continue };
-            let from = view
-                .sending
-                .as_ref()
-                .map_or(view.from, |sending| view.from.max(sending.upto.saturating_add(1)));
             let upto = self.store.newest_known(stream);
-            let mut missing: Vec<(u32, u32)> = view.covered.missing(from.max(1), upto).collect();
+            // What a present state brings that is under way is not sent beside it.
+            let (since, after) = match &view.sending {
+                Some(sending) => (sending.since, sending.upto.saturating_add(1)),
+                None => (0, 1),
+            };
+            let before = view.covered.missing(view.from.max(1), since);
+            let mut missing: Vec<(u32, u32)> =
+                before.chain(view.covered.missing(view.from.max(after), upto)).collect();
             if turn > 0 {
                 let overdue = crate::IntervalSet::from_intervals(0, missing).intersection(&view.overdue);
                 missing = overdue.intervals().to_vec();
@@ -204,7 +215,10 @@ impl Session {
             let packages = missing.iter().flat_map(|&(low, high)| self.store.range(stream, low, high));
             let packages = packages.filter(|(_, stored)| self.config.push || stored.stored_at <= asked_at);
             let keyed = packages.map(|(index, stored)| (stored.fresh_at, stream, index));
-            if turn > 0 {
+            let count = missing.iter().map(|&(low, high)| high - low + 1).fold(0, u32::saturating_add);
+            if turn == 0 && count > BACKLOG_MIN {
+                backlog.extend(keyed.take(QUEUE_MAX));
+            } else if turn > 0 {
                 // The origin sends its newest first. From the other end a relay meets it in the middle.
                 overdue.extend(keyed.take(QUEUE_MAX));
             } else if self.config.order == Order::OldestFirst {
@@ -226,9 +240,13 @@ impl Session {
             }
             Order::OldestFirst => due.sort_unstable(),
         }
+        backlog.sort_unstable();
         overdue.sort_unstable();
-        let packages =
-            due.into_iter().chain(overdue).map(|(_, stream, index)| Item::Package { stream, index });
+        let packages = due
+            .into_iter()
+            .chain(backlog)
+            .chain(overdue)
+            .map(|(_, stream, index)| Item::Package { stream, index });
         peer.queue = packages.chain(tiles).take(QUEUE_MAX).collect::<VecDeque<_>>();
     }
 

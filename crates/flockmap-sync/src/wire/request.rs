@@ -60,6 +60,8 @@ pub struct TransferProgress {
     pub source: RobotId,
     /// The stream whose state is transferred.
     pub stream: Stream,
+    /// The state is what packages after this one made; 0: the whole.
+    pub since: u32,
     /// The state is the one after packages 1 to this one.
     pub upto: u32,
     /// Which set of tiles.
@@ -103,9 +105,9 @@ pub struct Request {
     pub floors: Vec<(RobotId, u32)>,
     /// What it knows of others' clocks.
     pub clocks: Vec<ClockReport>,
-    /// Streams with packages that it cannot decode any more, and the newest such package: it wants a present state that contains
-    /// that one. It states these packages as held, so that nobody sends them.
-    pub states_wanted: Vec<(Stream, u32)>,
+    /// Streams with packages that it cannot decode any more, the last package before the first that it states and does not hold, and the newest of them: it wants
+    /// a present state since the one, or an earlier one, that contains the other. It states these packages as held, so that nobody sends them.
+    pub states_wanted: Vec<(Stream, u32, u32)>,
 }
 
 impl Request {
@@ -156,9 +158,10 @@ impl Request {
     fn read_transfer(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
         let source = RobotId(reader.varint_u16()?);
         let stream = read_stream(reader)?;
-        let (upto, set, tiles) = (reader.varint_u32()?, reader.u32()?, reader.varint_u32()?);
+        let (since, upto) = (reader.varint_u32()?, reader.varint_u32()?);
+        let (set, tiles) = (reader.u32()?, reader.varint_u32()?);
         let (from, accepted) = read_intervals(reader, intervals_max)?;
-        self.transfers.push(TransferProgress { source, stream, upto, set, tiles, from, accepted });
+        self.transfers.push(TransferProgress { source, stream, since, upto, set, tiles, from, accepted });
         Some(())
     }
 
@@ -182,7 +185,8 @@ impl Request {
 
     fn read_states_wanted(&mut self, reader: &mut Reader<'_>) -> Option<()> {
         while !reader.is_empty() {
-            self.states_wanted.push((read_stream(reader)?, reader.varint_u32()?));
+            let stream = read_stream(reader)?;
+            self.states_wanted.push((stream, reader.varint_u32()?, reader.varint_u32()?));
         }
         Some(())
     }
@@ -229,9 +233,10 @@ impl Request {
         }
         put_unless_empty(&mut out, CLOCKS, &mut content);
 
-        for (stream, upto) in &self.states_wanted {
-            if content.len() + 13 <= list_max / 2 {
+        for (stream, since, upto) in &self.states_wanted {
+            if content.len() + 18 <= list_max / 2 {
                 put_stream(&mut content, *stream);
+                put_varint(&mut content, u64::from(*since));
                 put_varint(&mut content, u64::from(*upto));
             }
         }
@@ -271,6 +276,7 @@ impl Request {
         for transfer in &self.transfers {
             put_varint(&mut content, u64::from(transfer.source.0));
             put_stream(&mut content, transfer.stream);
+            put_varint(&mut content, u64::from(transfer.since));
             put_varint(&mut content, u64::from(transfer.upto));
             content.extend(transfer.set.to_le_bytes());
             put_varint(&mut content, u64::from(transfer.tiles));

@@ -35,6 +35,7 @@ fn sample() -> Request {
         transfers: vec![TransferProgress {
             source: RobotId(7),
             stream: other,
+            since: 200,
             upto: 1_000,
             set: 0xdead_beef,
             tiles: 40,
@@ -43,7 +44,7 @@ fn sample() -> Request {
         }],
         floors: vec![(RobotId(300), 1_600_000_000)],
         clocks: vec![ClockReport { robot: RobotId(9), epoch_low: 1, offset_micros: -1_500 }],
-        states_wanted: vec![(other, 777)],
+        states_wanted: vec![(other, 300, 777)],
     }
 }
 
@@ -68,7 +69,7 @@ fn resealed(bytes: Vec<u8>) -> Vec<u8> {
 #[test]
 fn a_change_of_the_layout_is_a_change_of_the_version() {
     // If this fails: raise WIRE_VERSION, describe the new layout in LAYOUT and WIRE.md, and put the new pair here.
-    assert_eq!((WIRE_VERSION, crc32fast::hash(LAYOUT.as_bytes())), (1, GOLDEN_LAYOUT));
+    assert_eq!((WIRE_VERSION, crc32fast::hash(LAYOUT.as_bytes())), (2, GOLDEN_LAYOUT));
 }
 
 #[test]
@@ -87,11 +88,11 @@ fn golden_datagrams() {
     assert_eq!(head[check.end..], format!("10{:02x}", package.bytes().len()));
 }
 
-const GOLDEN_LAYOUT: u32 = 922_483_010;
-const GOLDEN_REQUEST: &str = "464d01010201070003000000776655443322110036d842ce\
-    03010a2c01cdab78563412e8070407ac0280a0f8fa050505090100b7170609ac0280e2cfaa068906020607030100c7\
-    010210ac0280e2cfaa0605000401009e02c801031407ac0280e2cfaa06e807efbeadde280100020300";
-const GOLDEN_PACKAGES_HEADER: &str = "464d010202010700030000007766554433221100";
+const GOLDEN_LAYOUT: u32 = 599_341_701;
+const GOLDEN_REQUEST: &str = "464d0201020107000300000077665544332211005ae8170f\
+    03010a2c01cdab78563412e8070407ac0280a0f8fa050505090100b717060bac0280e2cfaa06ac028906020607030100c7\
+    010210ac0280e2cfaa0605000401009e02c801031607ac0280e2cfaa06c801e807efbeadde280100020300";
+const GOLDEN_PACKAGES_HEADER: &str = "464d020202010700030000007766554433221100";
 
 #[test]
 fn a_request_survives_the_wire() {
@@ -159,6 +160,7 @@ fn a_transfer_is_named_however_long_the_lists_of_held_indices_are() {
     let transfer = TransferProgress {
         source: RobotId(9),
         stream: stream(1),
+        since: 9_000,
         upto: 12_000,
         set: 5,
         tiles: 900,
@@ -229,10 +231,10 @@ proptest! {
             all_streams: true,
             echoes: vec![Echo { robot: RobotId(origin), epoch_low: epoch as u16, stamp_low: stamp as u32, age_micros }],
             held: vec![Held { stream, from, held: held.clone() }],
-            transfers: vec![TransferProgress { source: stream.origin, stream, upto: epoch, set: epoch, tiles: epoch, from, accepted: held }],
+            transfers: vec![TransferProgress { source: stream.origin, stream, since: epoch, upto: epoch, set: epoch, tiles: epoch, from, accepted: held }],
             floors: vec![(stream.origin, epoch)],
             clocks: vec![ClockReport { robot: stream.origin, epoch_low: 5, offset_micros }],
-            states_wanted: vec![(stream, epoch)],
+            states_wanted: vec![(stream, epoch, epoch)],
             ..Request::default()
         };
         let bytes = request.emit(DatagramHeader { stamp: Stamp(stamp), ..HEADER }, 1_200);

@@ -118,6 +118,7 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
         request.transfers.push(TransferProgress {
             source: if mine { OWN.origin } else { RobotId(choices.byte().into()) },
             stream: stream(choices),
+            since: if choices.below(2) == 0 { 0 } else { index(choices) },
             upto: index(choices),
             set: choices.word(),
             tiles: index(choices),
@@ -126,7 +127,9 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
         });
     }
     for _ in 0..choices.below(3) {
-        request.states_wanted.push((stream(choices), index(choices)));
+        let (since, upto) =
+            if choices.below(2) == 0 { (0, index(choices)) } else { (index(choices), index(choices)) };
+        request.states_wanted.push((stream(choices), since, upto));
     }
     if flags & 16 != 0 {
         request.floors.push((stream(choices).origin, choices.below(9)));

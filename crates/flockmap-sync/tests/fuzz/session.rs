@@ -153,7 +153,16 @@ impl Run<'_> {
             let accepted =
                 IntervalSet::from_intervals(1, vec![(1, choices.below(tiles.saturating_add(1).max(1)))]);
             let source = OWN.origin;
-            request.transfers.push(TransferProgress { source, stream, upto, set, tiles, from: 1, accepted });
+            request.transfers.push(TransferProgress {
+                source,
+                stream,
+                since: 0,
+                upto,
+                set,
+                tiles,
+                from: 1,
+                accepted,
+            });
         }
         let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender: peer, stamp: self.now };
         let bytes = request.emit(header, 1_200);

@@ -2,7 +2,7 @@
 //! and duplicates. No wall time, no sockets: the same seed gives the same run.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
-use flockmap_codec::{Codec, Content, ContentKind, Cycle, Encoder, PACKAGE_BYTES_MAX, Package};
+use flockmap_codec::{Codec, Content, ContentKind, Cycle, Encoder, PACKAGE_BYTES_MAX, Package, Span};
 use flockmap_grid::{Changes, Layer, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_sync::{Cast, Destination, Event, Session, SessionConfig};
 use std::cmp::Reverse;
@@ -61,6 +61,8 @@ pub(crate) struct Robot {
     /// Packages of this origin with these indices are kept undecided, or given up.
     pub(crate) keeps: Vec<(RobotId, u32)>,
     pub(crate) gives_up: Vec<(RobotId, u32)>,
+    /// Packages that come more than so many indices ahead of all that is held are rejected: no room for them to wait.
+    pub(crate) ahead_max: Option<u32>,
     /// What is kept undecided.
     pub(crate) undecided: Vec<Package>,
     encoder: Encoder,
@@ -137,6 +139,7 @@ impl Swarm {
             no_present_state: false,
             keeps: Vec::new(),
             gives_up: Vec::new(),
+            ahead_max: None,
             undecided: Vec::new(),
             encoder: Encoder::new(),
             cycle_end: Stamp(i64::MIN),
@@ -204,6 +207,14 @@ impl Swarm {
                         robot.undecided.push(package);
                         continue;
                     }
+                    let prefix =
+                        robot.session.held(header.stream).map_or(0, flockmap_sync::IntervalSet::prefix);
+                    if header.content == ContentKind::Changes
+                        && robot.ahead_max.is_some_and(|ahead| header.index > prefix.saturating_add(ahead))
+                    {
+                        robot.session.reject(now, &package);
+                        continue;
+                    }
                     if header.content == ContentKind::Changes && robot.gives_up.contains(&named) {
                         robot.session.give_up(now, &package);
                         continue;
@@ -222,14 +233,20 @@ impl Swarm {
                     }
                     robot.session.accept(now, &package);
                 }
-                Event::PresentStateWanted { stream, upto, .. } => {
-                    robot.events.push(format!("wanted {stream:?} upto {upto}"));
-                    let state = robot.layers.get(&stream).and_then(Layer::present_state);
+                Event::PresentStateWanted { stream, since, newer_than, upto, .. } => {
+                    robot.events.push(format!("wanted {stream:?} since {since} upto {upto}"));
+                    let state = robot.layers.get(&stream).and_then(|layer| layer.present_voxels(newer_than));
                     let tiles = state.filter(|_| !robot.no_present_state).map_or(Vec::new(), |state| {
                         let resolution = Resolution::from_metres(0.1).unwrap();
                         robot
                             .encoder
-                            .encode_present(Codec::Paper, stream, upto, resolution, &state, PACKAGE_BYTES_MAX)
+                            .encode_span(
+                                Codec::Paper,
+                                Span { stream, since, upto },
+                                resolution,
+                                &state,
+                                PACKAGE_BYTES_MAX,
+                            )
                             .unwrap()
                     });
                     robot.session.provide_present_state(now, stream, tiles);

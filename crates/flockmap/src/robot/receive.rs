@@ -1,6 +1,6 @@
 //! What comes in: packages of others wait, are decoded and merged, and the session gets the verdict.
 
-use flockmap_codec::{Content, ContentKind, Header, Package, PackageError};
+use flockmap_codec::{Content, ContentKind, Header, Package, PackageError, Span};
 use flockmap_grid::{Changes, PresentState, Stamp, Stream};
 
 use super::Robot;
@@ -17,8 +17,8 @@ impl Robot {
         while let Some(event) = self.session.poll_event() {
             match event {
                 SessionEvent::Received(package) => self.receive(now, package),
-                SessionEvent::PresentStateWanted { stream, upto, .. } => {
-                    self.provide_present_state(now, stream, upto);
+                SessionEvent::PresentStateWanted { stream, since, newer_than, upto, .. } => {
+                    self.provide_present_state(now, Span { stream, since, upto }, newer_than);
                 }
                 SessionEvent::StreamForgotten(stream) => {
                     self.waiting.forget(stream);

@@ -1,0 +1,70 @@
+//! When packages of a stream were made, for as long as it lasts and in little memory.
+
+use flockmap_grid::Stamp;
+use std::collections::BTreeMap;
+
+/// Packages of one stream whose stamps are remembered; when there are more, every second one is forgotten. Worst case 16 KiB.
+const MILESTONES_MAX: usize = 512;
+
+/// Stamps of some packages of a stream. Stamps do not descend from one package to the next, so the one of an earlier package is a lower
+/// bound.
+#[derive(Debug, Default)]
+pub(crate) struct Milestones(BTreeMap<u32, Stamp>);
+
+impl Milestones {
+    pub(crate) const fn new() -> Self {
+        Self(BTreeMap::new())
+    }
+
+    /// Notes the stamp of a package.
+    pub(crate) fn note(&mut self, index: u32, stamp: Stamp) {
+        // Of one cycle the first package is enough.
+        if self.0.range(..=index).next_back().is_some_and(|(_, known)| *known == stamp) {
+            return;
+        }
+        if let Some((&later, &known)) = self.0.range(index..).next()
+            && known == stamp
+        {
+            self.0.remove(&later);
+        }
+        self.0.insert(index, stamp);
+        if self.0.len() > MILESTONES_MAX {
+            let mut is_kept = false;
+            self.0.retain(|_, _| {
+                is_kept = !is_kept;
+                is_kept
+            });
+        }
+    }
+
+    /// A stamp that no package from `index` on is older than, as late as is known. `None` if nothing is known of any up to that one.
+    pub(crate) fn not_after(&self, index: u32) -> Option<Stamp> {
+        self.0.range(..=index).next_back().map(|(_, stamp)| *stamp)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_stamp_is_never_after_that_of_the_package_and_the_first_ones_stay() {
+        // Three packages a cycle, every fifth package never seen, in an order of its own.
+        let stamp = |index: u32| Stamp(i64::from(index / 3) * 500_000);
+        let mut milestones = Milestones::new();
+        for step in 0..10_007u32 {
+            let index = step * 4_001 % 10_007 + 1;
+            if index % 5 != 0 {
+                milestones.note(index, stamp(index));
+            }
+            assert!(milestones.0.len() <= MILESTONES_MAX);
+        }
+        for index in 1..20_000 {
+            let found = milestones.not_after(index).unwrap();
+            assert!(found <= stamp(index), "{index}");
+            // Even after thinning it is near.
+            assert!(index > 10_007 || found.0 + 500_000 * 40 > stamp(index).0, "{index}: {found:?}");
+        }
+        assert_eq!(milestones.not_after(0), None);
+    }
+}

@@ -1,0 +1,141 @@
+//! Present states of a part of the history: what somebody misses and nobody has stored any more.
+
+mod swarm;
+
+use flockmap_codec::{Codec, Encoder, PACKAGE_BYTES_MAX, Span};
+use flockmap_grid::Resolution;
+use flockmap_sync::{Cast, SessionConfig};
+use swarm::{MS, Radio, SECOND, Swarm};
+
+/// A store that keeps some 60 packages.
+fn small() -> SessionConfig {
+    SessionConfig { store_bytes_max: 80_000, present_state_bytes_min: None, ..SessionConfig::default() }
+}
+
+fn fly(swarm: &mut Swarm, cycles: usize) {
+    for _ in 0..cycles {
+        swarm.publish(1, 900);
+        swarm.run(50 * MS);
+    }
+}
+
+/// Bytes of the state of robot 1's layer since a package, coded once.
+fn coded_once(swarm: &Swarm, since: u32) -> usize {
+    let robot = &swarm.robots[&1];
+    let stream = robot.session.own();
+    let upto = robot.session.held(stream).unwrap().prefix();
+    let next = robot.session.store().stamp_not_after(stream, since + 1).unwrap();
+    let newer_than = (since > 0).then(|| next.plus_micros(-1));
+    let state = robot.layers[&stream].present_voxels(newer_than).unwrap();
+    let resolution = Resolution::from_metres(0.1).unwrap();
+    let span = Span { stream, since, upto };
+    let tiles = Encoder::new().encode_span(Codec::Paper, span, resolution, &state, PACKAGE_BYTES_MAX);
+    tiles.unwrap().iter().map(|tile| tile.bytes().len()).sum()
+}
+
+fn wanted(swarm: &Swarm, id: u16) -> Vec<&String> {
+    swarm.robots[&id].events.iter().filter(|event| event.starts_with("wanted")).collect()
+}
+
+#[test]
+fn what_the_store_dropped_is_repaired_by_a_span_of_it_and_not_by_the_whole_map() {
+    let mut swarm = Swarm::of(2, 31, Radio::PERFECT, &small());
+    swarm.run(SECOND);
+    fly(&mut swarm, 150);
+    swarm.run(2 * SECOND);
+    let own = swarm.stream(1);
+    let prefix = swarm.robots[&2].session.held(own).unwrap().prefix();
+    assert_eq!(prefix, swarm.robots[&1].session.store().newest_known(own));
+    swarm.cut(1, 2);
+    fly(&mut swarm, 50);
+    assert!(swarm.robots[&1].session.store().get(own, prefix + 1).is_none(), "still stored");
+    let (span, whole) = (coded_once(&swarm, prefix), coded_once(&swarm, 0));
+    assert!(2 * span < whole, "{span} of {whole}");
+    let before = swarm.robots[&1].session.counters().packages_out.bytes as usize;
+    swarm.join(1, 2);
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[own]);
+    let spent = swarm.robots[&1].session.counters().packages_out.bytes as usize - before;
+    println!("span {span} bytes, whole {whole}, on the wire {spent}");
+    assert!(5 * spent <= 6 * span, "{spent} bytes for a span of {span}");
+    assert_eq!(swarm.robots[&2].session.counters().caught_up, 1);
+    // Later packages go on from there.
+    fly(&mut swarm, 3);
+    swarm.run(3 * SECOND);
+    swarm.assert_in_sync(&[own]);
+}
+
+#[test]
+fn peers_that_miss_different_parts_get_each_its_own_by_every_cast_and_loss() {
+    for (seed, cast, loss) in [
+        (40, Cast::Unicast, 0.0),
+        (41, Cast::Unicast, 0.3),
+        (42, Cast::Broadcast, 0.0),
+        (43, Cast::Broadcast, 0.3),
+    ] {
+        let config = SessionConfig { cast, ..small() };
+        let mut swarm = Swarm::of(3, seed, Radio::lossy(loss), &config);
+        swarm.run(SECOND);
+        fly(&mut swarm, 40);
+        swarm.run(4 * SECOND);
+        for other in [1, 3] {
+            swarm.cut(2, other);
+        }
+        fly(&mut swarm, 40);
+        swarm.run(4 * SECOND);
+        swarm.cut(1, 3);
+        fly(&mut swarm, 60);
+        swarm.run(SECOND);
+        for (a, b) in [(1, 2), (1, 3), (2, 3)] {
+            swarm.join(a, b);
+        }
+        swarm.run(60 * SECOND);
+        swarm.assert_in_sync(&[swarm.stream(1)]);
+        assert!(swarm.robots[&2].session.counters().caught_up > 0, "seed {seed}");
+        assert!(swarm.robots[&3].session.counters().caught_up > 0, "seed {seed}");
+        assert!(wanted(&swarm, 1).iter().all(|event| !event.contains("since 0")), "{:?}", wanted(&swarm, 1));
+    }
+}
+
+#[test]
+fn a_package_given_up_is_healed_by_a_span_from_there_on() {
+    let mut swarm = Swarm::of(2, 51, Radio::lossy(0.1), &SessionConfig::default());
+    swarm.run(SECOND);
+    let own = swarm.stream(1);
+    fly(&mut swarm, 20);
+    let next = swarm.robots[&1].session.store().newest_known(own) + 1;
+    swarm.robots.get_mut(&2).unwrap().gives_up = vec![(own.origin, next), (own.origin, next + 2)];
+    fly(&mut swarm, 5);
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[own]);
+    assert!(swarm.robots[&2].session.counters().given_up >= 1);
+    let since = format!("since {} ", next - 1);
+    assert!(wanted(&swarm, 1).iter().any(|event| event.contains(&since)), "{:?}", wanted(&swarm, 1));
+}
+
+#[test]
+fn who_joins_with_nothing_gets_the_whole_state_though_the_store_has_dropped_its_packages() {
+    let mut swarm = Swarm::of(1, 52, Radio::lossy(0.2), &small());
+    fly(&mut swarm, 150);
+    swarm.start(2, 1, small());
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+    assert_eq!(swarm.robots[&2].session.counters().caught_up, 1);
+}
+
+#[test]
+fn a_rebooted_robot_gets_its_former_run_back_from_those_who_hold_it_and_do_not_store_it() {
+    let mut swarm = Swarm::of(3, 53, Radio::lossy(0.2), &small());
+    swarm.run(2 * SECOND);
+    fly(&mut swarm, 120);
+    swarm.run(10 * SECOND);
+    let old = swarm.stream(1);
+    let digest = swarm.robots[&1].layer(old);
+    swarm.stop(1);
+    swarm.run(SECOND);
+    let new = swarm.start(1, 2, small());
+    fly(&mut swarm, 20);
+    swarm.run(60 * SECOND);
+    swarm.assert_in_sync(&[old, new]);
+    assert_eq!(swarm.robots[&1].layer(old), digest);
+}
