@@ -203,7 +203,7 @@ fn five_nodes_on_a_bad_radio_end_with_equal_maps_after_a_split_and_a_kill() {
             ("KILL_AT_S", "3"),
             ("DOWN_S", "2"),
         ])
-        .env("QUIET_S", "6")
+        .env("QUIET_S", "12")
         .output()
         .unwrap();
     println!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));

@@ -1,7 +1,9 @@
 //! Packages and requests that are well formed and say what the input chooses.
 
-use flockmap_codec::{Codec, Cycle, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package};
-use flockmap_grid::{Changes, PresentState, Resolution, RobotId, Stamp, State, Stream, Voxel, VoxelBox};
+use flockmap_codec::{Codec, Cycle, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package, Span};
+use flockmap_grid::{
+    Changes, PresentState, PresentVoxels, Resolution, RobotId, Stamp, State, Stream, Voxel, VoxelBox,
+};
 use flockmap_sync::IntervalSet;
 use flockmap_sync::wire::{
     ClockReport, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, TransferProgress,
@@ -33,18 +35,25 @@ impl Maker {
         self.encoder.encode_whole(Codec::Raw, &cycle, index, &changes).unwrap()
     }
 
-    /// A present state in so many small tiles, or a few more or less.
-    pub(crate) fn tiles(&mut self, stream: Stream, upto: u32, tiles: u32, content: u8) -> Vec<Package> {
+    /// A present state, whole or of what came after a package, in so many small tiles, or a few more or less.
+    pub(crate) fn tiles(
+        &mut self,
+        stream: Stream,
+        (since, upto): (u32, u32),
+        tiles: u32,
+        content: u8,
+    ) -> Vec<Package> {
         let end = 40 * tiles as i32;
         let state_of = |x| if (x + i32::from(content)) % 3 == 0 { State::Occupied } else { State::Free };
         let voxels = (0..end).map(|x| (Voxel::new(x * 9, 0, 0), state_of(x)));
         let part = Changes::from_voxels(voxels.collect::<Vec<_>>());
         let region = VoxelBox::spanning(Voxel::new(0, 0, 0), Voxel::new(end * 9, 0, 0)).unwrap();
         let state = PresentState { region, parts: vec![(Stamp(1), part)], sensors: Vec::new() };
+        let voxels = PresentVoxels::from_state(&state).unwrap();
         let bytes_max = if tiles > 1 { PACKAGE_BYTES_MIN } else { PACKAGE_BYTES_MAX };
-        self.encoder
-            .encode_present(Codec::Raw, stream, upto, resolution(), &state, bytes_max)
-            .unwrap_or_default()
+        let span = Span { stream, since, upto };
+        // A span that ends before it begins cannot be told.
+        self.encoder.encode_span(Codec::Raw, span, resolution(), &voxels, bytes_max).unwrap_or_default()
     }
 }
 
@@ -155,7 +164,8 @@ pub(crate) fn packages(choices: &mut Choices<'_>, maker: &mut Maker, now: Stamp)
         let index = index(choices);
         let mut package = match choices.below(4) {
             0 => {
-                let tiles = maker.tiles(stream, index, 1 + choices.below(6), choices.byte());
+                let since = if choices.below(2) == 0 { 0 } else { choices.below(index.min(256)) };
+                let tiles = maker.tiles(stream, (since, index), 1 + choices.below(6), choices.byte());
                 match tiles.get(choices.below(8) as usize % tiles.len().max(1)) {
                     Some(tile) => tile.clone(),
                     None => continue,

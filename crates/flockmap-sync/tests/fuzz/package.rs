@@ -15,8 +15,8 @@ pub(crate) fn run(input: &[u8]) {
     assert!(header.index >= 1 && header.reference < header.index);
     assert!(header.cycle_start <= header.cycle_end);
     assert!(header.is_alone || header.reference > 0);
-    if let ContentKind::Present { tile, tiles, .. } = header.content {
-        assert!(tile < tiles && header.reference == 0);
+    if let ContentKind::Present { since, tile, tiles, .. } = header.content {
+        assert!(since < header.index && tile < tiles && header.reference == 0);
     }
     assert_eq!(package.bytes(), input);
 

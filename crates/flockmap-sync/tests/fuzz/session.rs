@@ -49,9 +49,9 @@ struct Run<'a> {
     /// Delivered, and without a verdict.
     kept: Vec<Package>,
     /// Present states that were asked for.
-    wanted: Vec<(Stream, u32)>,
-    /// Set of tiles given last: stream, newest package, set, number of tiles.
-    given: Option<(Stream, u32, u32, u32)>,
+    wanted: Vec<(Stream, (u32, u32))>,
+    /// Set of tiles given last: stream, span, set, number of tiles.
+    given: Option<(Stream, (u32, u32), u32, u32)>,
 }
 
 impl Run<'_> {
@@ -120,19 +120,19 @@ impl Run<'_> {
 
     /// What was asked for as it was asked for, or something else.
     fn provide(&mut self, choices: &mut Choices<'_>) {
-        let Some((stream, upto)) = self.wanted.pop() else { return };
-        let mut tiles = self.maker.tiles(stream, upto, 1 + choices.below(12), choices.byte());
+        let Some((stream, span)) = self.wanted.pop() else { return };
+        let mut tiles = self.maker.tiles(stream, span, 1 + choices.below(12), choices.byte());
         match choices.below(8) {
             0 => tiles.clear(),
             1 => tiles.reverse(),
             2 => drop(tiles.pop()),
-            3 => tiles = self.maker.tiles(made::stream(choices), made::index(choices), 2, 0),
+            3 => tiles = self.maker.tiles(made::stream(choices), (span.0, made::index(choices)), 2, 0),
             _ => {}
         }
         if let Some(first) = tiles.first().map(Package::header)
-            && let ContentKind::Present { set, tiles, .. } = first.content
+            && let ContentKind::Present { since, set, tiles, .. } = first.content
         {
-            self.given = Some((stream, first.index, set, tiles));
+            self.given = Some((stream, (since, first.index), set, tiles));
         }
         self.session.provide_present_state(self.now, stream, tiles);
     }
@@ -149,7 +149,7 @@ impl Run<'_> {
                 request.held.push(Held { stream, from: 1, held });
             }
         }
-        if let Some((stream, upto, set, tiles)) = self.given {
+        if let Some((stream, (since, upto), set, tiles)) = self.given {
             let accepted =
                 IntervalSet::from_intervals(1, vec![(1, choices.below(tiles.saturating_add(1).max(1)))]);
             let source = OWN.origin;
@@ -172,7 +172,9 @@ impl Run<'_> {
     /// A peer sends all tiles of a state, and each is accepted.
     fn hear_present_state(&mut self, choices: &mut Choices<'_>) {
         let peer = made::honest_peer(choices);
-        let tiles = self.maker.tiles(made::stream(choices), made::index(choices), 1 + choices.below(9), 3);
+        let (stream, upto) = (made::stream(choices), made::index(choices));
+        let since = if choices.below(2) == 0 { 0 } else { choices.below(upto.min(256)) };
+        let tiles = self.maker.tiles(stream, (since, upto), 1 + choices.below(9), 3);
         let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender: peer, stamp: self.now };
         for tile in tiles {
             let mut writer = PackagesWriter::new(header, 1_200);
@@ -191,9 +193,9 @@ impl Run<'_> {
                     self.kept.push(package);
                     assert!(self.kept.len() <= KEPT_MAX);
                 }
-                Some(Event::PresentStateWanted { stream, upto, .. }) => {
-                    assert!(upto > 0, "the state of {stream:?} before its first package");
-                    self.wanted.push((stream, upto));
+                Some(Event::PresentStateWanted { stream, since, upto, .. }) => {
+                    assert!(since < upto, "the state of {stream:?} before its first package");
+                    self.wanted.push((stream, (since, upto)));
                 }
                 Some(Event::CaughtUp { stream, upto }) => {
                     let is_of = |p: &Package| p.header().stream == stream && p.header().index <= upto;
