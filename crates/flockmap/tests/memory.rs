@@ -110,7 +110,7 @@ fn case(name: &str, config: RobotConfig, least: usize, fill: impl FnOnce(&mut Ro
 fn cube(side: i32) -> Changes {
     let all =
         (0..side).flat_map(|x| (0..side).flat_map(move |y| (0..side).map(move |z| Voxel::new(x, y, z))));
-    Changes::from_voxels(all.map(|voxel| (voxel, State::Free)).collect::<Vec<_>>())
+    Changes::from_voxels(all.map(|voxel| (voxel, State::Free)))
 }
 
 /// One test, since the counter is one for the whole process.

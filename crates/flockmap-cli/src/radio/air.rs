@@ -140,7 +140,7 @@ mod tests {
     #[test]
     fn a_split_ends_with_heal_and_the_figures_stay() {
         let mut air = Air::new(4, 1, None, LinkChange::default());
-        let mut say = |air: &mut Air, line: &str| air.command(&line.parse().unwrap());
+        let say = |air: &mut Air, line: &str| air.command(&line.parse().unwrap());
         assert_eq!(reached(&mut air, 1), [2, 3, 4]);
         say(&mut air, "link 1>3 loss=1");
         say(&mut air, "split 1,2,3/4");

@@ -99,7 +99,7 @@ impl FromStr for RadioCommand {
     fn from_str(line: &str) -> Result<Self, String> {
         let mut words = line.split_whitespace();
         let command = words.next().unwrap_or_default();
-        let mut links = || words.next().ok_or("which links? all, 1, 1-2 or 1>2".to_owned())?.parse::<Links>();
+        let mut links = || words.next().ok_or("which links? all, 1, 1-2 or 1>2")?.parse::<Links>();
         let parsed = match command {
             "split" => Self::Split(groups(words.next().unwrap_or_default())?),
             "cut" => Self::Cut(links()?),

@@ -46,7 +46,7 @@ impl Maker {
         let end = 40 * tiles as i32;
         let state_of = |x| if (x + i32::from(content)) % 3 == 0 { State::Occupied } else { State::Free };
         let voxels = (0..end).map(|x| (Voxel::new(x * 9, 0, 0), state_of(x)));
-        let part = Changes::from_voxels(voxels.collect::<Vec<_>>());
+        let part = Changes::from_voxels(voxels);
         let region = VoxelBox::spanning(Voxel::new(0, 0, 0), Voxel::new(end * 9, 0, 0)).unwrap();
         let state = PresentState { region, parts: vec![(Stamp(1), part)], sensors: Vec::new() };
         let voxels = PresentVoxels::from_state(&state).unwrap();

@@ -156,7 +156,7 @@ impl Run<'_> {
             request.transfers.push(TransferProgress {
                 source,
                 stream,
-                since: 0,
+                since,
                 upto,
                 set,
                 tiles,
