@@ -4,4 +4,6 @@
 #[allow(dead_code, reason = "each target uses a part of it")]
 mod fuzz;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| { fuzz::session::run(input); });
+libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+    fuzz::session::run(input);
+});
