@@ -38,8 +38,12 @@ pub(crate) fn run(input: &[u8]) {
         assert!(request.all_streams || !read.all_streams);
         assert!(request.all_echoes || !read.all_echoes);
         assert!(!read.all_streams || read.held.len() == request.held.len());
-        // What fitted once fits again, and has one form.
-        let again = read.emit(header, bytes_max);
-        assert_eq!(again, written, "{request:?}\n{read:?}");
+        // What fitted with room to spare fits again, and has one form. The writer reckons each list with five bytes more than it may
+        // take, so one that was cut to the last byte may not.
+        let spare = 5 * (read.held.len() + read.transfers.len());
+        if written.len() + spare <= bytes_max {
+            let again = read.emit(header, bytes_max);
+            assert_eq!(again, written, "{request:?}\n{read:?}");
+        }
     }
 }
