@@ -12,6 +12,7 @@ use crate::bench_application::BenchApplicationArgs;
 use crate::bench_codecs::MethodName;
 use crate::bench_paper::args::BenchPaperArgs;
 use crate::bench_random::BenchRandomArgs;
+use crate::radio::args::RadioArgs;
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
 #[derive(Parser, Debug)]
@@ -60,6 +61,9 @@ The key is 32 random bytes as 64 hex digits. Copy the file to every robot and na
 Or put the digits there as swarm_key, or into the environment variable FLOCKMAP_SWARM_KEY. docs/key.md says what a key
 covers and what it does not.")]
     Key(KeyArgs),
+    /// A bad radio on a desk: robots talk through it, and it loses, delays, doubles and damages what they say
+    #[command(after_help = crate::radio::args::HELP)]
+    Radio(RadioArgs),
     /// Put records through the whole stack in virtual time: map, pack, send, lose, repair, merge
     #[command(after_help = "\
 Examples:

@@ -25,6 +25,7 @@ mod options;
 mod picture;
 mod present_run;
 mod progress;
+mod radio;
 mod replay;
 mod report;
 #[allow(dead_code, reason = "made for the comparison with the paper; its tests run it")]
@@ -64,6 +65,7 @@ fn main() -> ExitCode {
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),
         Command::Key(args) => key::run(args),
+        Command::Radio(args) => radio::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
     };

@@ -10,6 +10,7 @@ use flockmap::sync::SwarmKey;
 use flockmap_io::{ExportOptions, RecordOptions, export_map, open_record};
 
 use crate::config::{seconds, value};
+use crate::sensor::repeated;
 use crate::{
     EndOptions, Ended, KEY_VARIABLE, Level, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions,
     Sensor, UdpSockets,
@@ -144,11 +145,19 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
                 scan_points_max: u64::from(section.scan_points_max),
                 ..RecordOptions::default()
             };
+            if section.repeat == 0 {
+                bail!(value("[sensor] repeat", section.repeat, "1 or more"));
+            }
             let record = open_record(path, &options)?;
             let summary = &record.summary;
             let (scans, length) = (summary.frames, summary.duration_s());
-            log.info(format!("plays {}: {scans} scans, {length:.1} s", path.display()));
-            Ok(Sensor::Play { frames: record.frames, speed: section.speed, skip, begin: None })
+            let rounds =
+                if section.repeat == 1 { String::new() } else { format!(", {} times", section.repeat) };
+            log.info(format!("plays {}: {scans} scans, {length:.1} s{rounds}", path.display()));
+            let again = path.clone();
+            let open = move || open_record(&again, &options).map(|record| record.frames);
+            let frames = repeated(record.frames, section.repeat, open);
+            Ok(Sensor::Play { frames, speed: section.speed, skip, begin: None })
         }
         (None, Some(address), None) => Ok(Sensor::Tcp(address, limits)),
         (None, None, Some(path)) => Ok(Sensor::Unix(path.clone(), limits)),

@@ -12,6 +12,7 @@ mod counters;
 mod interval_set;
 mod key;
 mod link;
+mod memory;
 mod milestones;
 mod pacer;
 mod replay;

@@ -3,7 +3,8 @@
 use flockmap_codec::{Cycle, Package};
 use flockmap_grid::{Changes, FusionError, Stamp, Stream};
 
-/// Something worth knowing. Need not be polled: what is not read is dropped, oldest first, 1,024 are kept.
+/// Something worth knowing. Need not be polled: what is not read is dropped, oldest first; 1,024 are kept, and of them so many that
+/// they hold at most 16 MiB.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {

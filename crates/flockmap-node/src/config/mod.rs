@@ -252,6 +252,8 @@ pub struct SensorSection {
     pub speed: f64,
     /// How far into the record to begin, in seconds.
     pub start_s: f64,
+    /// How many times it is played, one after the other, with stamps that go on rising.
+    pub repeat: u32,
     /// Topic of the scans in the record.
     pub points_topic: Option<String>,
     /// Topic of the odometry in the record.
@@ -276,6 +278,7 @@ impl Default for SensorSection {
             record: None,
             speed: 1.0,
             start_s: 0.0,
+            repeat: 1,
             points_topic: None,
             odometry_topic: None,
             map_frame: None,
