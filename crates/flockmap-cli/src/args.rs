@@ -12,6 +12,7 @@ use crate::bench_application::BenchApplicationArgs;
 use crate::bench_codecs::MethodName;
 use crate::bench_paper::args::BenchPaperArgs;
 use crate::bench_random::BenchRandomArgs;
+use crate::radio::args::RadioArgs;
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
 #[derive(Parser, Debug)]
@@ -48,6 +49,21 @@ Example:
 
 The file `robot.example.toml` of the crate flockmap-node holds every option with its meaning and default.")]
     Node(NodeArgs),
+    /// Make a new swarm key: with it, robots believe only each other, and nobody else can read what they send
+    #[command(after_help = "\
+Examples:
+  flockmap key --out swarm.key      a new file that only its owner can read
+  flockmap key                      to the terminal
+
+The key is 32 random bytes as 64 hex digits. Copy the file to every robot and name it in its configuration:
+  [session]
+  swarm_key_file = \"swarm.key\"
+Or put the digits there as swarm_key, or into the environment variable FLOCKMAP_SWARM_KEY. docs/key.md says what a key
+covers and what it does not.")]
+    Key(KeyArgs),
+    /// A bad radio on a desk: robots talk through it, and it loses, delays, doubles and damages what they say
+    #[command(after_help = crate::radio::args::HELP)]
+    Radio(RadioArgs),
     /// Put records through the whole stack in virtual time: map, pack, send, lose, repair, merge
     #[command(after_help = "\
 Examples:
@@ -113,6 +129,16 @@ Example:
 
 Needs a C++ compiler and Debian's liboctomap-dev for the OctoMap half; without them that half is skipped with a word.")]
     Mapping(BenchMappingArgs),
+    /// What an outage and a late joiner cost, beside the map coded once
+    #[command(after_help = "\
+Examples:
+  flockmap bench catch-up forest --seconds 600 --outage 60
+  flockmap bench catch-up robot1.mcap robot2.mcap --resolution 0.2 --range 30 --seconds 100 --outage 20
+
+In the middle of the flight the first robot hears nobody and is heard by nobody. When the flight is over and everything has arrived, one
+robot more comes with an empty map. Everything on the wire is counted, requests and headers of IP and UDP too. Exit code 1 if layers differ
+at the end.")]
+    CatchUp(Box<BenchCatchUpArgs>),
     /// Changes drawn at random, beside the entropy limit: the paper's Fig. 5
     #[command(after_help = "\
 Examples:
@@ -289,6 +315,35 @@ pub struct ReplayArgs {
 }
 
 #[derive(Args, Debug)]
+pub struct BenchCatchUpArgs {
+    /// Records, one for each robot; or one world: forest, indoor, or a .bt .pcd .ply .las .laz file
+    #[arg(value_name = "RECORD", required = true)]
+    pub records: Vec<PathBuf>,
+    /// Length of the outage in seconds; 0: none
+    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    pub outage: f64,
+    /// Most kilobytes (1,024 bytes) that a robot sends in a second, IP and UDP headers counted
+    #[arg(long, value_name = "B", default_value_t = 20.0)]
+    pub budget_kb_s: f64,
+    /// Share of datagrams that the radio loses, 0 to less than 1
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    pub loss: f64,
+    /// Delay of the radio in milliseconds
+    #[arg(long, value_name = "D", default_value_t = 20.0)]
+    pub delay_ms: f64,
+    /// Codec of the packages: flock, paper, nested-zlib, raw or racer
+    #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
+    pub codec: Codec,
+    /// Write what the table shows as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub map: MapArgs,
+    #[command(flatten)]
+    pub source: SourceArgs,
+}
+
+#[derive(Args, Debug)]
 pub struct DemoArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
     #[arg(long, value_name = "SCENE", default_value = "forest")]
@@ -303,6 +358,13 @@ pub struct DemoArgs {
     pub map: MapArgs,
     #[command(flatten)]
     pub source: SourceArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct KeyArgs {
+    /// New file for the key [default: the terminal]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
 }
 
 #[derive(Args, Debug)]

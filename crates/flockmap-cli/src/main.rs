@@ -5,6 +5,7 @@
 mod args;
 mod args_sim;
 mod bench_application;
+mod bench_catch_up;
 mod bench_codecs;
 mod bench_mapping;
 mod bench_paper;
@@ -17,12 +18,14 @@ mod export;
 mod html;
 mod info;
 mod json_file;
+mod key;
 mod measure;
 mod member;
 mod options;
 mod picture;
 mod present_run;
 mod progress;
+mod radio;
 mod replay;
 mod report;
 #[allow(dead_code, reason = "made for the comparison with the paper; its tests run it")]
@@ -52,6 +55,7 @@ fn main() -> ExitCode {
     }
     let result = match &cli.command {
         Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
+        Command::Bench(BenchCommand::CatchUp(args)) => bench_catch_up::run(args),
         Command::Bench(BenchCommand::Mapping(args)) => bench_mapping::run(args),
         Command::Bench(BenchCommand::Paper(args)) => bench_paper::run(args),
         Command::Bench(BenchCommand::Application(args)) => bench_application::run(args),
@@ -60,6 +64,8 @@ fn main() -> ExitCode {
         Command::Sim(command) => sim::run(command),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),
+        Command::Key(args) => key::run(args),
+        Command::Radio(args) => radio::run(args),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
     };

@@ -231,6 +231,23 @@ fn the_bytes_of_a_package_can_be_looked_into() {
 }
 
 #[test]
+fn keys_are_random_and_no_file_is_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("swarm.key");
+    good(&format!("key --out {}", path.display()));
+    let text = std::fs::read_to_string(&path).unwrap();
+    assert!(text.parse::<flockmap::sync::SwarmKey>().is_ok());
+    assert_ne!(text, good("key"));
+    assert!(fails(&format!("key --out {}", path.display())).contains("is there already"));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+    }
+}
+
+#[test]
 fn what_cannot_work_is_said() {
     for (words, expected) in [
         ("replay no-such.mcap", "no-such.mcap"),

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use flockmap::sync::wire::Datagram;
+use flockmap::sync::wire::stated_sender;
 use flockmap::{Event, Robot, Stamp};
 use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 
@@ -193,9 +193,9 @@ impl<T: Transport> Driver<T> {
         });
         match result {
             Ok(()) => {
-                // Sound and of this swarm, or it would be an error.
-                if let Ok(datagram) = Datagram::new_checked(bytes) {
-                    self.transport.note_sender(datagram.header().sender.origin);
+                // Sound, of this swarm and, with a key, genuine and fresh, or it would be an error.
+                if let Some(sender) = stated_sender(bytes) {
+                    self.transport.note_sender(sender);
                 }
             }
             Err(error) => {
@@ -281,6 +281,10 @@ impl<T: Transport> Driver<T> {
                 Event::PeerLost(stream) => self.options.log.info(format!("hears {stream:?} no more")),
                 Event::SameIdentity => {
                     self.warn(|| "another robot uses the id of this one; give one of them another".into());
+                }
+                Event::CountersSpent => {
+                    let text = "this run has sent all that can be sealed: nothing more goes out; start again";
+                    self.options.log.say(Level::Error, text);
                 }
                 Event::EncodeFailed(error) => {
                     self.options

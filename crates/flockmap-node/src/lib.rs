@@ -41,9 +41,9 @@ mod transport;
 
 pub use clock::Clock;
 pub use config::{
-    AlignmentSection, CodecSection, ConfigError, CycleSection, EXAMPLE, FusionSection, MapSection,
-    MetricsSection, NetworkSection, NodeConfig, OutputSection, SensorSection, SessionSection,
-    TeammatesSection,
+    AlignmentSection, CodecSection, ConfigError, CycleSection, EXAMPLE, FoundKey, FusionSection,
+    KEY_VARIABLE, MapSection, MetricsSection, NetworkSection, NodeConfig, OutputSection, Secret,
+    SensorSection, SessionSection, TeammatesSection,
 };
 pub use flockmap_io::{Frame, Frames};
 pub use histogram::Histogram;

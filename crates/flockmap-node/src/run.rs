@@ -1,16 +1,19 @@
 //! One robot from a configuration file, until it is told to end.
 
+use std::env::VarError;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
 use flockmap::RobotId;
+use flockmap::sync::SwarmKey;
 use flockmap_io::{ExportOptions, RecordOptions, export_map, open_record};
 
 use crate::config::{seconds, value};
+use crate::sensor::repeated;
 use crate::{
-    EndOptions, Ended, Level, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions, Sensor,
-    UdpSockets,
+    EndOptions, Ended, KEY_VARIABLE, Level, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions,
+    Sensor, UdpSockets,
 };
 
 /// 2026-01-01: a machine that shows an earlier time has lost it.
@@ -24,7 +27,8 @@ const EARLIEST_TIME: Duration = Duration::from_secs(1_767_225_600);
 pub fn run(config_path: &Path) -> Result<()> {
     let config = NodeConfig::read(config_path)?;
     let log = Log::to_stderr(&config.robot_name());
-    let options = options(&config, &log)?;
+    let mut options = options(&config, &log)?;
+    options.robot.session.swarm_key = swarm_key(&config, config_path, &log)?;
     let sockets = UdpSockets::bind(&config.udp()?)?;
     let address = sockets.local_addr()?;
     let own = (options.robot.id, options.robot.epoch);
@@ -76,6 +80,31 @@ fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
     Ok(options)
 }
 
+/// The key of the swarm; says where it comes from, or what it means that there is none.
+fn swarm_key(config: &NodeConfig, config_path: &Path, log: &Log) -> Result<Option<SwarmKey>> {
+    let variable = match std::env::var(KEY_VARIABLE) {
+        Ok(text) => Some(text),
+        Err(VarError::NotPresent) => None,
+        Err(VarError::NotUnicode(_)) => bail!("{KEY_VARIABLE} is no text, expected 64 hex digits"),
+    };
+    let Some(found) = config.swarm_key(config_path, variable.as_deref())? else {
+        log.warn(
+            "no swarm key: anybody in reach of the radio can read and change the map; `flockmap key --help` says how to have one",
+        );
+        return Ok(None);
+    };
+    log.info(format!("all that is sent is sealed with the swarm key from {}", found.place));
+    if let Some(warning) = found.warning {
+        log.warn(warning);
+    }
+    if let Some(epoch) = config.epoch {
+        log.warn(format!(
+            "the configuration gives epoch {epoch}: with a swarm key it must be a higher one at every start, or what is sent can be read"
+        ));
+    }
+    Ok(Some(found.key))
+}
+
 /// The second since 1970 that begins next. By waiting for it, no two runs one after the other get the same, however soon
 /// a robot is started again: packages of one run must never be taken for those of another.
 fn epoch_of_now(log: &Log) -> u32 {
@@ -116,11 +145,19 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
                 scan_points_max: u64::from(section.scan_points_max),
                 ..RecordOptions::default()
             };
+            if section.repeat == 0 {
+                bail!(value("[sensor] repeat", section.repeat, "1 or more"));
+            }
             let record = open_record(path, &options)?;
             let summary = &record.summary;
             let (scans, length) = (summary.frames, summary.duration_s());
-            log.info(format!("plays {}: {scans} scans, {length:.1} s", path.display()));
-            Ok(Sensor::Play { frames: record.frames, speed: section.speed, skip, begin: None })
+            let rounds =
+                if section.repeat == 1 { String::new() } else { format!(", {} times", section.repeat) };
+            log.info(format!("plays {}: {scans} scans, {length:.1} s{rounds}", path.display()));
+            let again = path.clone();
+            let open = move || open_record(&again, &options).map(|record| record.frames);
+            let frames = repeated(record.frames, section.repeat, open);
+            Ok(Sensor::Play { frames, speed: section.speed, skip, begin: None })
         }
         (None, Some(address), None) => Ok(Sensor::Tcp(address, limits)),
         (None, None, Some(path)) => Ok(Sensor::Unix(path.clone(), limits)),

@@ -359,6 +359,31 @@ fn a_robot_that_starts_again_gets_everything_back() {
 }
 
 #[test]
+fn robots_with_a_key_sync_and_believe_nobody_without_it() {
+    let key: flockmap::sync::SwarmKey =
+        "5f0c6b1e5d0b7c3a9e8f41d2c3b4a59687f0e1d2c3b4a5968778695a4b3c2d1e".parse().unwrap();
+    let mut sockets = swarm(3).into_iter();
+    let stranger = start_playing(3, 1, sockets.next().unwrap(), |_| {});
+    let nodes: Vec<NodeHandle> = (1..=2)
+        .zip(sockets)
+        .map(|(id, sockets)| {
+            start_playing(id, 1, sockets, |options| options.robot.session.swarm_key = Some(key.clone()))
+        })
+        .collect();
+    wait_until_equal(&nodes, 2);
+    wait_until("all have heard each other", || {
+        stranger.status().unwrap().session.sealed_without_key > 0
+            && nodes.iter().all(|node| node.status().unwrap().session.unsealed > 0)
+    });
+    assert!(stranger.status().unwrap().peers.is_empty());
+    for node in &nodes {
+        let status = node.status().unwrap();
+        assert_eq!((status.peers.len(), status.session.forged), (1, 0));
+        assert!(status.prometheus().contains("flockmap_session_unsealed_total{"));
+    }
+}
+
+#[test]
 fn one_broadcast_serves_all() {
     let free = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap().local_addr().unwrap().port();
     let broadcast = Some(SocketAddr::from(([127, 255, 255, 255], free)));

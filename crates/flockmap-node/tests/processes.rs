@@ -70,11 +70,13 @@ fn a_terminated_node_ends_cleanly() {
     let mut node = Command::new(std::env::current_exe().unwrap())
         .args(["--ignored", "--exact", "one_node", "--nocapture"])
         .env("FLOCKMAP_NODE_CONFIG", &path)
+        .env_remove(flockmap_node::KEY_VARIABLE)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(node.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.contains("no swarm key")), "it says what that means");
     assert!(lines.any(|line| line.contains("takes scans at 127.0.0.1:")), "the node runs");
     let killed = Command::new("kill").args(["-TERM", &node.id().to_string()]).status().unwrap();
     assert!(killed.success());
@@ -102,6 +104,10 @@ fn a_node_that_cannot_run_says_why() {
     assert!(error.contains("more than one"), "{error}");
     let error = run("[output]\nsave_map_at_end = \"map.obj\"\n");
     assert!(error.contains(".ply, .pcd or .bt"), "{error}");
+    let error = run("[session]\nswarm_key_file = \"no.key\"\n");
+    assert!(error.contains(&format!("{}", dir.join("no.key").display())), "{error}");
+    let error = run("[session]\nswarm_key = \"too short\"\n");
+    assert!(error.contains("[session] swarm_key") && error.contains("9 characters"), "{error}");
     let error = run("[network]\nbind = \"192.0.2.1:7700\"\n");
     assert!(error.contains("192.0.2.1:7700"), "{error}");
     std::fs::remove_dir_all(&dir).unwrap();

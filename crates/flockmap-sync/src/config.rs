@@ -1,5 +1,7 @@
 //! All options of a session.
 
+use crate::SwarmKey;
+use crate::session::RESTARTS_MAX;
 use crate::store::StoreLimits;
 use crate::wire::DATAGRAM_BYTES_MAX;
 
@@ -52,6 +54,14 @@ pub enum InFlight {
 pub struct SessionConfig {
     /// Robots of other swarms are ignored. Default 0.
     pub swarm: u16,
+    /// The secret of the swarm: all that is sent is sealed with it, and only what it opens is believed. Default `None`: anybody
+    /// in reach of the radio can read and change the map. With a key the epoch of each run **must** be higher than that of
+    /// the runs before, since a nonce is made of robot id, epoch and a counter, and none may come twice.
+    /// Holds, against replays, 60 bytes for each robot id that a holder of the key used (4 MiB for all 65,536), 256 more for each peer.
+    pub swarm_key: Option<SwarmKey>,
+    /// How often this run was started before, if it goes on with what it stored ([`Session::restore`](crate::Session::restore))
+    /// under the same epoch: each such start has counters of its own. 0 to 4,095. Default 0. Only used with a key.
+    pub restarts: u16,
     /// Unicast or broadcast. Default unicast.
     pub cast: Cast,
 
@@ -97,7 +107,7 @@ pub struct SessionConfig {
     ///
     /// Of 2,000 and more it holds in every single second. Below that a full datagram takes more than half a second's worth, and
     /// the limit is: in any T seconds at most 1,300 bytes (one full datagram) and the budget times T. Either only
-    /// holds if one request to every peer, at most 308 bytes each, fits into the budget, or into 1,300 bytes.
+    /// holds if one request to every peer, at most 308 bytes each (327 with a key), fits into the budget, or into 1,300 bytes.
     ///
     /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (an eighth of
     /// the budget over time, but three within `peer_timeout_ms`), so that control leaves room for the map.
@@ -109,21 +119,20 @@ pub struct SessionConfig {
     pub burst_ms: u32,
     /// Bytes counted for each datagram beside its payload. Default 28: IPv4 and UDP headers.
     pub datagram_overhead_bytes: u32,
-    /// Longest datagram made, in bytes of UDP payload; 1,180 to 1,200. Default 1,200. Less leaves room for the tag of an
-    /// encrypting transport.
+    /// Longest datagram made, in bytes of UDP payload; 1,180 to 1,200, with a key 1,196 to 1,200. Default 1,200.
     pub datagram_bytes_max: usize,
 
     // Limits on what others can make this robot hold.
     /// A peer not heard for so long is forgotten. Default 10,000.
     pub peer_timeout_ms: u32,
-    /// Peers known at once. Default 32. Worst case per peer: 16 KiB for each of `streams_max` streams, 64 bytes
-    /// for each of `in_flight_max` packages.
+    /// Peers known at once. Default 32. Worst case per peer: 25 KiB for each of `streams_max` streams, 80 bytes
+    /// for each of `in_flight_max` packages, and 26 KiB. All worst cases together: [`memory_max`](Self::memory_max).
     pub peers_max: usize,
-    /// Streams of others known at once. Default 64. Worst case 8 KiB each.
+    /// Streams of others known at once. Default 64. Worst case 10 KiB each, beside what peers state of them.
     pub streams_max: usize,
     /// Runs kept of one origin. Default 4.
     pub epochs_max: usize,
-    /// Bytes of stored packages. Default 64 MiB.
+    /// Bytes of stored packages, with 400 bytes of bookkeeping for each. Default 64 MiB.
     pub store_bytes_max: usize,
     /// Packages sent to one peer and not yet confirmed; more wait. Default 4,096.
     pub in_flight_max: usize,
@@ -137,6 +146,8 @@ impl Default for SessionConfig {
     fn default() -> Self {
         Self {
             swarm: 0,
+            swarm_key: None,
+            restarts: 0,
             cast: Cast::Unicast,
             request_period_active_ms: 1_000,
             request_period_idle_ms: 3_000,
@@ -233,13 +244,13 @@ impl SessionConfig {
         ] {
             check(option, (1..=1 << 20).contains(&count), count as u64, "1 to 1,048,576")?;
         }
+        check("restarts", self.restarts <= RESTARTS_MAX, self.restarts.into(), "0 to 4,095")?;
         let bytes = self.datagram_bytes_max;
-        check(
-            "datagram_bytes_max",
-            (1_180..=DATAGRAM_BYTES_MAX).contains(&bytes),
-            bytes as u64,
-            "1,180 to 1,200",
-        )
+        let (least, expected) = match self.swarm_key {
+            None => (1_180, "1,180 to 1,200"),
+            Some(_) => (1_196, "with a key 1,196 to 1,200"),
+        };
+        check("datagram_bytes_max", (least..=DATAGRAM_BYTES_MAX).contains(&bytes), bytes as u64, expected)
     }
 
     pub(crate) const fn store_limits(&self) -> StoreLimits {

@@ -80,6 +80,14 @@ pub struct Counters {
     pub foreign_version: u64,
     /// Datagrams of another swarm.
     pub foreign_swarm: u64,
+    /// Sealed datagrams that the own key does not open: damaged, forged, or of a robot with another key.
+    pub forged: u64,
+    /// Genuine datagrams that were there already, or so late that this cannot be told.
+    pub replayed: u64,
+    /// Datagrams that are not sealed, where this robot has a key.
+    pub unsealed: u64,
+    /// Sealed datagrams, where this robot has no key.
+    pub sealed_without_key: u64,
     /// Datagrams with a right check and a wrong content: the sender is faulty.
     pub malformed: u64,
     /// Own datagrams heard back.

@@ -8,14 +8,17 @@ mod load;
 mod peer;
 mod present;
 mod receive;
+mod sealing;
 mod send;
 
 pub use event::{Destination, Event, PublishError, Transmit};
 pub use load::Load;
 pub use peer::PeerInfo;
+pub(crate) use sealing::RESTARTS_MAX;
 
 use crate::pacer::Pacer;
-use crate::wire::{Datagram, DatagramError, DatagramHeader, Kind, Request, parse_packages};
+use crate::replay::Replays;
+use crate::wire::{Datagram, DatagramError, DatagramHeader, Kind, Request, is_sealed, parse_packages};
 use crate::{Cast, ConfigError, Counters, IntervalSet, SessionConfig, Store};
 use ask::Schedule;
 use flockmap_codec::{ContentKind, Package};
@@ -91,6 +94,10 @@ pub struct Session {
     /// When a budget that stopped sending allows it again.
     wake: Option<Stamp>,
     same_identity_told: Option<Stamp>,
+    /// The counter of the last datagram that was sealed; nothing else with a key may use one up to it.
+    sealed: u64,
+    spent_told: bool,
+    replays: Replays,
     counters: Counters,
 }
 
@@ -119,6 +126,9 @@ impl Session {
             served: RobotId(0),
             wake: None,
             same_identity_told: None,
+            sealed: sealing::counter_before(config.restarts),
+            spent_told: false,
+            replays: Replays::default(),
             counters: Counters::default(),
             config,
         })
@@ -144,6 +154,10 @@ impl Session {
                 }
                 DatagramError::StaleEpoch { .. } => &mut self.counters.stale_epoch,
                 DatagramError::TooManyPeers { .. } => &mut self.counters.too_many_peers,
+                DatagramError::Forged { .. } => &mut self.counters.forged,
+                DatagramError::Replayed { .. } => &mut self.counters.replayed,
+                DatagramError::Unsealed { .. } => &mut self.counters.unsealed,
+                DatagramError::SealedWithoutKey { .. } => &mut self.counters.sealed_without_key,
                 // Counted where it is told.
                 DatagramError::SameIdentity { .. } => return result,
             };
@@ -153,11 +167,21 @@ impl Session {
     }
 
     fn take_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
-        let datagram = Datagram::new_checked(bytes)?;
+        let opened;
+        let datagram = if is_sealed(bytes) {
+            opened = self.open(now, bytes)?;
+            opened.datagram()?
+        } else {
+            let datagram = Datagram::new_checked(bytes)?;
+            self.check_swarm(datagram.header().swarm)?;
+            if self.config.swarm_key.is_some() {
+                return Err(DatagramError::Unsealed { sender: datagram.header().sender.origin });
+            }
+            datagram
+        };
         let header = *datagram.header();
-        if header.swarm != self.config.swarm {
-            return Err(DatagramError::Swarm { got: header.swarm, expected: self.config.swarm });
-        }
+        // The seal counts as overhead, both ways.
+        let length = bytes.len() - self.seal_bytes();
         if header.sender == self.own {
             self.counters.own_heard += 1;
             return Ok(());
@@ -170,14 +194,14 @@ impl Session {
         match header.kind {
             Kind::Request => {
                 let request = Request::parse(&datagram, VIEW_INTERVALS_MAX)?;
-                self.hear(now, &header, bytes.len())?;
-                self.counters.requests_in.add(1, bytes.len() + self.overhead());
+                self.hear(now, &header, length)?;
+                self.counters.requests_in.add(1, length + self.overhead());
                 self.handle_request(now, &header, &request);
             }
             Kind::Packages => {
                 let packages = parse_packages(&datagram)?;
-                self.hear(now, &header, bytes.len())?;
-                self.counters.packages_in.add(1, bytes.len() + self.overhead());
+                self.hear(now, &header, length)?;
+                self.counters.packages_in.add(1, length + self.overhead());
                 self.receive_packages(now, header.sender, packages);
             }
         }
@@ -205,7 +229,7 @@ impl Session {
         }
         let overhead = self.overhead();
         if let Some(peer) = self.peers.get_mut(&id) {
-            peer.last_heard = now;
+            peer.note_heard(now);
             peer.traffic_in.add(1, bytes + overhead);
             if header.stamp > peer.newest_stamp
                 || now.micros_since(peer.newest_stamp_at) > answer::REORDERED_MAX
@@ -249,7 +273,8 @@ impl Session {
     }
 
     /// Puts back a package of an earlier time of this run, from a store on disk: it is held and can be sent on,
-    /// and is not delivered again. Own packages continue at the index after the highest restored one.
+    /// and is not delivered again. Own packages continue at the index after the highest restored one. With a swarm key, who
+    /// restores own packages has to count the starts of this run: [`SessionConfig::restarts`].
     /// Whether it was taken.
     pub fn restore(&mut self, now: Stamp, package: &Package) -> bool {
         let now = self.advance(now);
@@ -285,10 +310,12 @@ impl Session {
     pub fn poll_transmit(&mut self, now: Stamp) -> Option<Transmit> {
         let now = self.advance(now);
         self.wake = None;
-        if self.request_due(now) {
-            return self.transmit_request(now);
+        if self.check_spent() {
+            return None;
         }
-        self.transmit_packages(now)
+        let transmit =
+            if self.request_due(now) { self.transmit_request(now) } else { self.transmit_packages(now) };
+        transmit.and_then(|transmit| self.seal(transmit))
     }
 
     /// When to call [`handle_timeout`](Self::handle_timeout) and poll again, if no datagram comes before.
@@ -300,6 +327,7 @@ impl Session {
         let lost = self.peers.values().map(|peer| peer.last_heard.plus_micros(self.peer_timeout())).min();
         // A request that is due already waits for the budget, like everything else: `wake` says until when.
         let request = self.next_request().filter(|&at| at > self.now || self.wake.is_none());
+        let request = request.filter(|_| !self.is_spent());
         [lost, self.wake, request].into_iter().flatten().min().map(|at| at.max(self.now))
     }
 
@@ -403,6 +431,7 @@ impl Session {
             .map(|peer| peer.stream)
         {
             self.silence(lost.origin);
+            self.replays.forget_window(lost.origin);
             self.push_event(Event::PeerLost(lost));
         }
         now
@@ -448,13 +477,14 @@ impl Session {
         }
     }
 
+    /// Bytes counted for each datagram beside what it has before it is sealed.
     const fn overhead(&self) -> usize {
-        self.config.datagram_overhead_bytes as usize
+        self.config.datagram_overhead_bytes as usize + self.seal_bytes()
     }
 
     /// Longest package that fits into a datagram: header, record type and length go off.
     const fn package_bytes_max(&self) -> usize {
-        self.config.datagram_bytes_max - crate::wire::HEADER_BYTES - 3
+        self.plain_bytes_max() - crate::wire::HEADER_BYTES - 3
     }
 
     fn peer_timeout(&self) -> i64 {

@@ -10,8 +10,8 @@ use std::collections::{BTreeMap, BTreeSet};
 /// some are filled. Worst case 8 KiB a stream.
 pub const HELD_INTERVALS_MAX: usize = 1_024;
 
-/// Bookkeeping counted for each stored package beside its bytes.
-const PACKAGE_OVERHEAD_BYTES: usize = 200;
+/// Bookkeeping counted for each stored package beside its bytes: what it takes in memory, places in half-full maps counted in.
+const PACKAGE_OVERHEAD_BYTES: usize = 400;
 
 /// What a [`Store`] may hold.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -20,7 +20,7 @@ pub struct StoreLimits {
     pub streams_max: usize,
     /// Runs of one origin; of more, the oldest is forgotten.
     pub epochs_max: usize,
-    /// Bytes of all packages, with 200 bytes of bookkeeping for each. Past it the oldest packages are dropped,
+    /// Bytes of all packages, with 400 bytes of bookkeeping for each. Past it the oldest packages are dropped,
     /// the own stream's last. A dropped package stays *held*; it just cannot be sent again as it was.
     pub bytes_max: usize,
 }
@@ -164,6 +164,8 @@ impl Store {
         let oldest = runs.clone().find(|&run| run != self.own);
         let forgotten = if runs.by_ref().filter(|&run| run != self.own).count() >= self.limits.epochs_max {
             let Some(oldest) = oldest.filter(|oldest| oldest.epoch < stream.epoch) else {
+                // Said to all, so that nobody offers it for ever.
+                self.floors.extend(oldest.map(|oldest| (stream.origin, oldest.epoch)));
                 return Err(NoRoom::OldEpoch);
             };
             self.forget(oldest);

@@ -2,13 +2,18 @@
 //! section "Datagrams".
 //!
 //! Two levels: [`Datagram`] is a checked view of received bytes; [`Request`] and [`parse_packages`] give what the
-//! records of the two kinds of datagram say. A reader skips records of types that it does not know.
+//! records of the two kinds of datagram say. A reader skips records of types that it does not know. Where the swarm has
+//! a key, datagrams travel sealed: [`seal_datagram`] on the one side, [`SealedDatagram`] on the other.
 
 mod packages;
 mod request;
+mod sealed;
 
 pub use packages::{PackagesWriter, parse_packages};
 pub use request::{ClockReport, Echo, Held, Request, TransferProgress};
+pub use sealed::{
+    COUNTER_MAX, OpenedDatagram, SEAL_BYTES, SealedDatagram, is_sealed, seal_datagram, stated_sender,
+};
 
 use crate::bytes::{Reader, put_varint, varint_len};
 use flockmap_codec::PackageError;
@@ -20,7 +25,7 @@ pub const DATAGRAM_BYTES_MAX: usize = 1_200;
 /// The version of the layout. Any change of the layout of what stands in `WIRE.md` is a change of this.
 pub const WIRE_VERSION: u8 = 2;
 
-/// Bytes of the header.
+/// Bytes of the header of a datagram that is not sealed.
 pub const HEADER_BYTES: usize = 24;
 
 const MAGIC: [u8; 2] = *b"FM";
@@ -31,6 +36,9 @@ const CHECK: core::ops::Range<usize> = 20..24;
 /// change the version too. (A new type of record, which older readers skip, is no change of a line.)
 pub const LAYOUT: &str = "\
 header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u32, stamp i64, crc32 u32 of all else
+kind 128 sealed: magic, version, kind, swarm, sender, epoch as above, counter u48; sealed with the swarm key: \
+kind u8, stamp i64, what follows the header; tag 16. \
+ChaCha20-Poly1305, nonce: sender, epoch, counter; associated data: all before what is sealed
 kind 1 request: flags u8 (1 all streams, 2 all echoes, 4 no new streams), records
 kind 2 packages: records
 record: type u8, length varint, content
@@ -121,8 +129,43 @@ pub enum DatagramError {
         /// The check of its bytes.
         expected: u32,
     },
+    /// Sealed with another key than the own one, or damaged, or made up: nothing of it can be believed.
+    #[error(
+        "sealed datagram of {sender:?} that the own key does not open: damaged, forged, or of a robot with another key; \
+         give all robots of the swarm the same swarm_key"
+    )]
+    Forged {
+        /// Who sent it, as it states.
+        sender: RobotId,
+    },
+    /// A genuine datagram that was there already, or one that so many later ones overtook that this cannot be told.
+    #[error(
+        "datagram {counter} of {sender:?} came again, or thousands late: the radio doubles, or somebody replays it"
+    )]
+    Replayed {
+        /// Who sent it.
+        sender: RobotId,
+        /// Its number.
+        counter: u64,
+    },
+    /// Not sealed, and this robot has a key.
+    #[error(
+        "datagram that is not sealed, stating to be of {sender:?}: this robot has a swarm_key; give it to that robot too, or to none"
+    )]
+    Unsealed {
+        /// Who sent it, as it states.
+        sender: RobotId,
+    },
+    /// Sealed, and this robot has no key.
+    #[error(
+        "sealed datagram of {sender:?}: that robot has a swarm_key; give it to this robot too, or to none"
+    )]
+    SealedWithoutKey {
+        /// Who sent it, as it states.
+        sender: RobotId,
+    },
     /// Of a kind that this version does not know.
-    #[error("unknown kind of datagram {got}, 1 or 2 expected")]
+    #[error("unknown kind of datagram {got}, 1, 2, or sealed 128 expected")]
     Kind {
         /// The kind it states.
         got: u8,
@@ -192,34 +235,36 @@ impl<'a> Datagram<'a> {
             return Err(DatagramError::Length { got: bytes.len() });
         }
         let too_short = DatagramError::Length { got: bytes.len() };
-        let mut reader = Reader::new(bytes);
-        let (magic, version, kind) =
-            (|| Some((reader.u16()?, reader.u8()?, reader.u8()?)))().ok_or_else(|| too_short.clone())?;
-        if magic.to_le_bytes() != MAGIC {
-            return Err(DatagramError::Magic { got: magic.to_le_bytes() });
-        }
-        if version != WIRE_VERSION {
-            return Err(DatagramError::Version { got: version });
-        }
-        let (swarm, origin, epoch, stamp, got) =
-            (|| Some((reader.u16()?, reader.u16()?, reader.u32()?, reader.i64()?, reader.u32()?)))()
-                .ok_or(too_short)?;
+        let kind = check_version(bytes)?;
+        let mut reader = Reader::new(&bytes[4..]);
+        let ((swarm, sender), stamp, got) =
+            (|| Some((head(&mut reader)?, reader.i64()?, reader.u32()?)))().ok_or(too_short)?;
         let expected = check_of(bytes);
         if got != expected {
             return Err(DatagramError::Check { got, expected });
         }
+        Self::with_body(kind, swarm, sender, stamp, &bytes[HEADER_BYTES..])
+    }
+
+    /// A datagram of which everything but the kind and what follows the header is checked.
+    fn with_body(
+        kind: u8,
+        swarm: u16,
+        sender: Stream,
+        stamp: i64,
+        body: &'a [u8],
+    ) -> Result<Self, DatagramError> {
         let kind = match kind {
             1 => Kind::Request,
             2 => Kind::Packages,
             got => return Err(DatagramError::Kind { got }),
         };
-        let sender = Stream { origin: RobotId(origin), epoch };
         let malformed = |what| DatagramError::Malformed { sender: sender.origin, what };
         let flags = match kind {
-            Kind::Request => reader.u8().ok_or_else(|| malformed("flags"))?,
+            Kind::Request => *body.first().ok_or_else(|| malformed("flags"))?,
             Kind::Packages => 0,
         };
-        let records = &bytes[HEADER_BYTES + usize::from(kind == Kind::Request)..];
+        let records = &body[usize::from(kind == Kind::Request)..];
         let mut rest = Reader::new(records);
         while !rest.is_empty() {
             next_record(&mut rest).ok_or_else(|| malformed("record"))?;
@@ -241,6 +286,25 @@ impl<'a> Datagram<'a> {
     fn malformed(&self, what: &'static str) -> DatagramError {
         DatagramError::Malformed { sender: self.header.sender.origin, what }
     }
+}
+
+/// Checks magic and version of a datagram; its kind.
+fn check_version(bytes: &[u8]) -> Result<u8, DatagramError> {
+    let [m, n, version, kind, ..] = *bytes else {
+        return Err(DatagramError::Length { got: bytes.len() });
+    };
+    if [m, n] != MAGIC {
+        return Err(DatagramError::Magic { got: [m, n] });
+    }
+    if version != WIRE_VERSION {
+        return Err(DatagramError::Version { got: version });
+    }
+    Ok(kind)
+}
+
+/// Swarm and sender, which follow the kind.
+fn head(reader: &mut Reader<'_>) -> Option<(u16, Stream)> {
+    Some((reader.u16()?, Stream { origin: RobotId(reader.u16()?), epoch: reader.u32()? }))
 }
 
 fn next_record<'a>(reader: &mut Reader<'a>) -> Option<(u8, &'a [u8])> {

@@ -5,8 +5,10 @@ mod swarm;
 
 use flockmap_codec::{Codec, Cycle, Encoder, Package};
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
-use flockmap_sync::wire::{DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, TransferProgress};
-use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig};
+use flockmap_sync::wire::{
+    DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, TransferProgress, seal_datagram,
+};
+use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use swarm::{Radio, Random, SECOND, Swarm};
@@ -131,9 +133,13 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
 // One test, so that nothing else allocates while it counts.
 #[test]
 fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
-    for cast in [Cast::Unicast, Cast::Broadcast] {
+    // The third time there is a key, and a holder of it is wild.
+    for (cast, swarm_key) in
+        [(Cast::Unicast, None), (Cast::Broadcast, None), (Cast::Unicast, Some(SwarmKey::from_bytes([5; 32])))]
+    {
         let config = SessionConfig {
             cast,
+            swarm_key: swarm_key.clone(),
             peers_max: 4,
             streams_max: 8,
             store_bytes_max: 200_000,
@@ -149,6 +155,15 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
         for round in 0..6_000u32 {
             now = now.plus_micros(random.below(20_000) as i64);
             let mut bytes = wild(&mut random, now, 12, RobotId(1));
+            if let Some(key) = &swarm_key
+                && bytes.len() <= 1_181
+                && random.chance(0.95)
+            {
+                // Most are fresh.
+                let late_max = if random.chance(0.2) { 4_000 } else { 3 };
+                let late = random.below(late_max);
+                bytes = seal_datagram(key, &bytes, u64::from(round + 4_000) - late).unwrap();
+            }
             match random.below(8) {
                 0 => bytes.truncate(random.below(bytes.len() as u64) as usize),
                 1 => {
@@ -191,6 +206,9 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
             (counters.own_returned, "own"),
         ] {
             assert!(count > 0, "no {what} among {counters:#?}");
+        }
+        if swarm_key.is_some() {
+            assert!(counters.forged > 0 && counters.replayed > 0 && counters.unsealed > 0, "{counters:#?}");
         }
         println!("{cast:?}: at most {most} bytes in use");
         // 200 kB store, 9 held lists of 8 KiB, 4 peers × 9 views of 16 KiB and what they cost while they grow.

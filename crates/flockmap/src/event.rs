@@ -3,7 +3,8 @@
 use flockmap_codec::{Cycle, Package};
 use flockmap_grid::{Changes, FusionError, Stamp, Stream};
 
-/// Something worth knowing. Need not be polled: what is not read is dropped, oldest first, 1,024 are kept.
+/// Something worth knowing. Need not be polled: what is not read is dropped, oldest first; 1,024 are kept, and of them so many that
+/// they hold at most 16 MiB.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {
@@ -53,6 +54,8 @@ pub enum Event {
     PeerLost(Stream),
     /// Another robot uses the own id. Give one of them another.
     SameIdentity,
+    /// With a swarm key: this run has sealed all the datagrams that it can (2³⁶) and sends no more. Start again with a higher epoch.
+    CountersSpent,
     /// Own changes could not be coded, and are lost to the others. Please report it: this should not happen.
     EncodeFailed(flockmap_codec::EncodeError),
 }

@@ -40,6 +40,8 @@
 mod config;
 mod counters;
 mod event;
+mod events;
+mod memory;
 mod packer;
 mod repair;
 mod robot;

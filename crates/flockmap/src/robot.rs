@@ -2,7 +2,7 @@
 
 mod receive;
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 
 use flockmap_codec::{
     Codec, Cycle, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Reference, Span,
@@ -13,14 +13,12 @@ use flockmap_grid::{
 use flockmap_sync::wire::DatagramError;
 use flockmap_sync::{Session, Transmit};
 
+use crate::events::Events;
 use crate::repair::RepairDelay;
 use crate::sent::Sent;
 use crate::tiles::Tiles;
 use crate::waiting::Waiting;
 use crate::{Event, Packer, RobotConfig, RobotCounters, RobotError};
-
-/// Events that wait to be polled. The oldest is dropped, and counted, when one more comes.
-const EVENTS_MAX: usize = 1_024;
 
 /// Team-mates whose positions are kept.
 const TEAMMATES_MAX: usize = 1_024;
@@ -55,7 +53,7 @@ pub struct Robot {
     tiles: Tiles,
     /// Requests taken in when the repair delay was looked at last.
     requests_seen: u64,
-    events: VecDeque<Event>,
+    events: Events,
     counters: RobotCounters,
 }
 
@@ -99,7 +97,7 @@ impl Robot {
             waiting: Waiting::default(),
             tiles: Tiles::default(),
             requests_seen: 0,
-            events: VecDeque::new(),
+            events: Events::default(),
             counters: RobotCounters::default(),
             config,
         })
@@ -210,7 +208,7 @@ impl Robot {
 
     /// The next event.
     pub fn poll_event(&mut self) -> Option<Event> {
-        self.events.pop_front()
+        self.events.pop()
     }
 
     // Queries.
@@ -346,10 +344,6 @@ impl Robot {
     }
 
     fn push_event(&mut self, event: Event) {
-        if self.events.len() >= EVENTS_MAX {
-            self.events.pop_front();
-            self.counters.events_dropped += 1;
-        }
-        self.events.push_back(event);
+        self.counters.events_dropped += self.events.push(event);
     }
 }

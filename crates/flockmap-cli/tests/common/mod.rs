@@ -1,4 +1,5 @@
 //! The program as a user runs it.
+#![allow(dead_code, reason = "each test file uses its own part")]
 
 use std::path::Path;
 use std::process::{Command, Output};

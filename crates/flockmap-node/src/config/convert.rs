@@ -18,7 +18,8 @@ impl NodeConfig {
         self.name.clone().unwrap_or_else(|| format!("robot{}", self.id))
     }
 
-    /// The options of the robot. `epoch` is used if the configuration has none.
+    /// The options of the robot. `epoch` is used if the configuration has none. The swarm key is not among them:
+    /// [`swarm_key`](Self::swarm_key) finds it.
     ///
     /// # Errors
     /// Names the key, its value and what was expected.

@@ -1,6 +1,7 @@
 //! The configuration of a node: a TOML file, as [`EXAMPLE`] shows it in full.
 
 mod convert;
+mod key;
 mod parse;
 
 use std::collections::BTreeMap;
@@ -10,6 +11,7 @@ use std::path::PathBuf;
 use serde::Deserialize;
 
 pub(crate) use convert::{seconds, value};
+pub use key::{FoundKey, KEY_VARIABLE, Secret};
 pub use parse::ConfigError;
 
 /// A configuration with every key, its meaning and its default: `robot.example.toml`.
@@ -135,6 +137,10 @@ pub struct SessionSection {
     pub behaviour: Option<String>,
     /// Robots of other swarms are ignored.
     pub swarm: Option<u16>,
+    /// The secret of the swarm: 64 hex digits, or base64. Here, in a file, or in the environment variable [`KEY_VARIABLE`].
+    pub swarm_key: Option<Secret>,
+    /// A file with nothing but the key.
+    pub swarm_key_file: Option<PathBuf>,
     /// `unicast` or `broadcast`.
     pub cast: Option<String>,
     /// KiB that may go out in a second over all links, at least 0.49; 0: no limit.
@@ -246,6 +252,8 @@ pub struct SensorSection {
     pub speed: f64,
     /// How far into the record to begin, in seconds.
     pub start_s: f64,
+    /// How many times it is played, one after the other, with stamps that go on rising.
+    pub repeat: u32,
     /// Topic of the scans in the record.
     pub points_topic: Option<String>,
     /// Topic of the odometry in the record.
@@ -270,6 +278,7 @@ impl Default for SensorSection {
             record: None,
             speed: 1.0,
             start_s: 0.0,
+            repeat: 1,
             points_topic: None,
             odometry_topic: None,
             map_frame: None,

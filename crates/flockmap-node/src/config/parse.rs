@@ -35,6 +35,16 @@ pub enum ConfigError {
         /// What would work.
         expected: String,
     },
+    /// What should be the swarm key is none. Does not tell what it is.
+    #[error("{key} (from {place}): {error}")]
+    Key {
+        /// The key of the configuration, or the environment variable.
+        key: String,
+        /// Where it was found.
+        place: String,
+        /// What is wrong with it.
+        error: flockmap::sync::KeyError,
+    },
     /// A part of the robot refuses its options.
     #[error(transparent)]
     Robot(#[from] flockmap::RobotError),
@@ -63,6 +73,7 @@ impl NodeConfig {
         let sensor = &mut config.sensor;
         let output = &mut config.output;
         for file in [
+            &mut config.session.swarm_key_file,
             &mut sensor.record,
             &mut sensor.poses,
             &mut sensor.listen_unix,

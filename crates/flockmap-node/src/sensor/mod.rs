@@ -2,6 +2,7 @@
 
 mod message;
 mod play;
+mod repeat;
 mod socket;
 
 use std::net::SocketAddr;
@@ -13,6 +14,7 @@ use flockmap_io::{Frame, Frames};
 
 pub use message::{MESSAGE_VERSION, MessageError, MessageLimits, SensorMessage};
 pub(crate) use play::play;
+pub(crate) use repeat::repeated;
 pub(crate) use socket::SensorSocket;
 
 /// Where the scans of a node come from.

@@ -1,7 +1,9 @@
 //! The queue of events of a flight, and what each does to a robot.
 
 use super::check::{self, Failure, Finding, names};
+use super::datagram::{self, Content};
 use super::member::{Member, NEVER};
+use super::outsider::Outsider;
 use super::plan::Action;
 use super::preset::Topology;
 use super::report::Report;
@@ -11,7 +13,6 @@ use super::world::SmallWorld;
 use super::{SwarmOptions, broken, seen};
 use crate::random::Random;
 use crate::{Faults, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
-use flockmap::sync::wire::{Datagram, Kind};
 use flockmap::{Cast, Destination, Event, Robot, RobotId, Stream, Transmit};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -61,6 +62,8 @@ enum Phase {
 #[derive(Clone, Copy)]
 enum Input<'a> {
     Datagram(&'a [u8]),
+    /// One that no robot sent.
+    Forged(&'a [u8]),
     Time,
     /// It has taken a scan in already.
     Scan,
@@ -74,6 +77,8 @@ struct Engine {
     members: Vec<Member>,
     radio: RadioEmulator,
     broken: Random,
+    outsider: Option<Outsider>,
+    sealed: check::Sealed,
     next_action: usize,
     /// How often each directed link is closed.
     closed: BTreeMap<(usize, usize), u32>,
@@ -94,7 +99,10 @@ struct Engine {
 impl Engine {
     fn new(settings: Settings) -> Self {
         let seed = settings.options.seed;
-        let world = SmallWorld::draw(&mut Random::new(seed, purpose::WORLD));
+        // Where figures are asked for, more robots have more to see.
+        let is_table = settings.options.until_agreement_s.is_some();
+        let scale = if is_table { (settings.members.len() as f64 / 2.0).sqrt() } else { 1.0 };
+        let world = SmallWorld::draw(&mut Random::new(seed, purpose::WORLD), scale);
         let members: Vec<Member> =
             (0..settings.members.len()).map(|number| Member::new(number, &settings, &world)).collect();
         let numbers = settings.radio;
@@ -126,6 +134,7 @@ impl Engine {
                 }
             }
         }
+        let outsider = settings.key.is_some().then(|| Outsider::new(Random::new(seed, purpose::OUTSIDER)));
         Self {
             settings,
             world,
@@ -134,6 +143,8 @@ impl Engine {
             members,
             radio,
             broken: Random::new(seed, purpose::BROKEN),
+            outsider,
+            sealed: check::Sealed::default(),
             next_action: 0,
             closed,
             next_look: 0,
@@ -162,6 +173,7 @@ impl Engine {
             {
                 self.deliver(delivery.to, &delivery.bytes);
             }
+            self.attack();
             for number in 0..self.members.len() {
                 if self.phase == Phase::Mapping && self.members[number].next_scan <= self.now {
                     self.members[number].scan(&self.world, self.now);
@@ -180,7 +192,8 @@ impl Engine {
     fn next_time(&self) -> i64 {
         let radio = self.radio.next_due().map_or(NEVER, |at| at.0);
         let action = self.settings.plan.get(self.next_action).map_or(NEVER, |(at, _)| *at);
-        let mut next = radio.min(action).min(self.next_look);
+        let outsider = self.outsider.as_ref().map_or(NEVER, |outsider| outsider.next);
+        let mut next = radio.min(action).min(self.next_look).min(outsider);
         for member in &self.members {
             next = next.min(member.wake);
             if self.phase == Phase::Mapping {
@@ -261,6 +274,18 @@ impl Engine {
         }
     }
 
+    /// Lets the outsider send what is due.
+    fn attack(&mut self) {
+        let Some(outsider) = self.outsider.as_mut().filter(|outsider| outsider.next <= self.now) else {
+            return;
+        };
+        if let Some((number, attack)) = outsider.attack(self.now, self.members.len()) {
+            let input =
+                if attack.is_genuine { Input::Datagram(&attack.bytes) } else { Input::Forged(&attack.bytes) };
+            self.work(number, input);
+        }
+    }
+
     /// Gives a robot an input, then takes what it says and sends, under the eyes of the checkers.
     fn work(&mut self, number: usize, input: Input<'_>) {
         let Some(mut robot) = self.members[number].robot.take() else { return };
@@ -271,7 +296,7 @@ impl Engine {
         let found = self.members[number].still.called(self.now);
         self.found(id, found);
         let is_taken = match input {
-            Input::Datagram(bytes) => robot.handle_datagram(now, bytes).is_ok(),
+            Input::Datagram(bytes) | Input::Forged(bytes) => robot.handle_datagram(now, bytes).is_ok(),
             Input::Time => {
                 robot.handle_timeout(now);
                 false
@@ -279,10 +304,18 @@ impl Engine {
             Input::Scan => false,
         };
         self.drain(number, &mut robot, now);
-        if let Input::Datagram(bytes) = input
+        if let Input::Datagram(bytes) | Input::Forged(bytes) = input
             && is_taken
         {
-            self.members[number].twice.arrived(bytes);
+            if self.settings.key.is_some() {
+                let is_genuine = matches!(input, Input::Datagram(_));
+                let found = self.sealed.taken(robot.own_stream(), bytes, is_genuine);
+                self.found(id, found);
+            }
+            let read = datagram::read(bytes, self.settings.key.as_ref());
+            if let Some((header, Content::Request(request))) = read {
+                self.members[number].twice.arrived(&header, *request);
+            }
         }
         while self.failure.is_none()
             && let Some(transmit) = robot.poll_transmit(now)
@@ -354,8 +387,19 @@ impl Engine {
 
     fn transmit(&mut self, number: usize, robot: &Robot, transmit: &Transmit, now: flockmap::Stamp) {
         let id = self.members[number].id();
-        let is_request = Datagram::new_checked(&transmit.bytes)
-            .is_ok_and(|datagram| datagram.header().kind == Kind::Request);
+        let read = datagram::read(&transmit.bytes, self.settings.key.as_ref());
+        let packages = match read {
+            Some((_, Content::Packages(packages))) => Some(packages),
+            _ => None,
+        };
+        let is_request = packages.is_none();
+        if self.settings.key.is_some() {
+            let found = self.sealed.sent(&transmit.bytes);
+            self.found(id, found);
+        }
+        if let Some(outsider) = &mut self.outsider {
+            outsider.hear(&transmit.bytes);
+        }
         let config = robot.session().config();
         let is_broadcast = config.cast == Cast::Broadcast;
         let peers = || robot.session().peers().map(|peer| peer.stream.origin);
@@ -372,14 +416,14 @@ impl Engine {
             member.budget.sent(config, now, counted.len(), bytes, &counted)
         };
         found = found.or_else(|| member.quiet.sent(config, self.now, is_request));
-        if !is_request {
+        if let Some(packages) = &packages {
             let to = match transmit.to {
                 Destination::Peer(peer) => Some(peer),
                 Destination::Everyone => None,
             };
             // There and back, at the least.
             let round_trip = 2 * self.settings.radio.delay_micros.max(0);
-            found = found.or_else(|| member.twice.sent(robot, self.now, to, &transmit.bytes, round_trip));
+            found = found.or_else(|| member.twice.sent(robot, self.now, to, packages, round_trip));
         }
         self.found(id, found);
         let at = flockmap::Stamp(self.now);

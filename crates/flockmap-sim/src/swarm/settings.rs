@@ -6,6 +6,7 @@ use super::preset::{RadioNumbers, RadioPreset, Topology};
 use super::{SwarmOptions, session};
 use crate::Burst;
 use crate::random::Random;
+use flockmap::sync::SwarmKey;
 use flockmap::{Cast, Codec, CycleConfig, Resolution, RobotConfig, RobotId};
 
 /// Each part of the settings has random numbers of its own, so that an option given does not shift the others.
@@ -18,6 +19,7 @@ pub(super) mod purpose {
     pub(in crate::swarm) const WORLD: u64 = 0x5357_0006;
     pub(in crate::swarm) const SCANS: u64 = 0x5357_0007;
     pub(in crate::swarm) const BROKEN: u64 = 0x5357_0008;
+    pub(in crate::swarm) const OUTSIDER: u64 = 0x5357_0009;
 }
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
@@ -53,6 +55,8 @@ pub(super) struct Settings {
     pub(super) plan: Vec<(i64, Action)>,
     /// Share of the datagrams of packages that their sender damages before it makes their check, 0 … 1.
     pub(super) broken: f64,
+    /// The swarm has a key, and somebody without it is in reach.
+    pub(super) key: Option<SwarmKey>,
     /// What is special about the sessions, in words.
     pub(super) words: Vec<String>,
 }
@@ -76,9 +80,12 @@ impl Settings {
         let mut plan_random = Random::new(seed, purpose::PLAN);
         let plan = if options.is_calm { Vec::new() } else { plan::draw(&mut plan_random, robots, mapping) };
         let is_broken = plan_random.chance(0.12) && !options.is_calm;
-        let broken = if is_broken { plan_random.range(0.005, 0.08) } else { 0.0 };
+        let has_key = plan_random.chance(0.2) && !options.is_calm;
+        let broken = if is_broken && !has_key { plan_random.range(0.005, 0.08) } else { 0.0 };
         let mut random = Random::new(seed, purpose::SESSION);
         let swarm = session::Drawn { robots, cast, radio: &radio, plan: &plan, is_calm: options.is_calm };
+        let key = has_key
+            .then(|| SwarmKey::from_bytes(core::array::from_fn(|at| (seed >> (at % 8)) as u8 ^ at as u8)));
         let (sessions, words) = session::draw(&mut random, &swarm);
         let members = sessions.into_iter().enumerate().map(|(number, session)| {
             let mut random = Random::new(seed, purpose::ROBOT + ((number as u64) << 32));
@@ -86,6 +93,7 @@ impl Settings {
                 .unwrap_or_else(|| unreachable!("these are allowed"));
             let mut config = RobotConfig::new(RobotId(number as u16 + 1), resolution, RANGE_M);
             config.session = session;
+            config.session.swarm_key.clone_from(&key);
             config.seed = seed;
             config.cycle = draw_cycle(&mut random, options.is_calm);
             config.codec = draw_codec(&mut random, options.is_calm);
@@ -111,6 +119,7 @@ impl Settings {
             clocks_given,
             plan,
             broken,
+            key,
             words,
         }
     }

@@ -10,6 +10,9 @@ use flockmap_grid::{Stamp, Stream};
 /// than this: then the peer's clock was set back.
 pub(super) const REORDERED_MAX: i64 = 5_000_000;
 
+/// A peer that got one package in so many of those that it missed one relay delay ago is being served.
+const SERVED_SHARE: u64 = 16;
+
 impl Session {
     pub(super) fn handle_request(&mut self, now: Stamp, header: &DatagramHeader, request: &Request) {
         let id = header.sender.origin;
@@ -21,11 +24,11 @@ impl Session {
         } else {
             peer.request = Some((header.stamp, now));
             let echo = self.take_echoes(now, &mut peer, header, request);
-            self.take_holdings(now, &mut peer, request);
+            self.take_holdings(now, &mut peer, header, request);
             self.settle_in_flight(now, &mut peer, request, echo);
             let streams: Vec<Stream> = self.store.streams().collect();
             for stream in streams {
-                self.note_overdue(now, &mut peer, stream);
+                self.note_overdue(now, &mut peer, stream, request);
                 self.review_present_state(now, &mut peer, stream);
             }
             peer.queue_stale = true;
@@ -60,7 +63,8 @@ impl Session {
     }
 
     /// Takes in what the peer holds of each stream.
-    fn take_holdings(&mut self, now: Stamp, peer: &mut Peer, request: &Request) {
+    fn take_holdings(&mut self, now: Stamp, peer: &mut Peer, header: &DatagramHeader, request: &Request) {
+        let is_overtaken = header.stamp < peer.newest_stamp;
         peer.takes_unnamed = request.all_streams && !request.no_new_streams;
         peer.floors.clone_from(&request.floors);
         if request.all_streams {
@@ -92,7 +96,14 @@ impl Session {
             if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::HoldingsIgnored) {
                 continue;
             }
-            view.held = if stated.from > 1 { below.union(&stated.held) } else { stated.held.clone() };
+            view.held = if is_overtaken {
+                // What came in later datagrams of the peer it did not hold yet when it made this request.
+                view.held.union(&stated.held)
+            } else if stated.from > 1 {
+                below.union(&stated.held)
+            } else {
+                stated.held.clone()
+            };
             view.from = view.from.min(stated.from).max(view.held.keep_newest(VIEW_INTERVALS_MAX));
         }
         for (&stream, view) in &mut peer.views {
@@ -161,7 +172,7 @@ impl Session {
         peer.loss.sample(confirmed, lost);
 
         for view in views.values_mut() {
-            view.covered = view.held.with_room(VIEW_INTERVALS_MAX + self.config.in_flight_max);
+            view.covered = view.held.with_room(VIEW_INTERVALS_MAX + 2 * self.config.in_flight_max);
             if let Some(sending) = &mut view.sending {
                 sending.covered = sending.accepted.clone();
             }
@@ -174,7 +185,7 @@ impl Session {
     }
 
     /// For a relay that is not first in line: what was missing at a request one relay delay ago, and still is.
-    fn note_overdue(&mut self, now: Stamp, peer: &mut Peer, stream: Stream) {
+    fn note_overdue(&mut self, now: Stamp, peer: &mut Peer, stream: Stream, request: &Request) {
         let Some(turn) = self.turn(peer, stream) else { return };
         let Some(held) = self.store.held(stream) else { return };
         let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
@@ -185,7 +196,13 @@ impl Session {
         let mut missing = held.within(view.from.max(1), u32::MAX).difference(&view.held);
         missing.keep_newest(VIEW_INTERVALS_MAX);
         if now.micros_since(view.missing_then.0) >= delay {
-            view.overdue = view.missing_then.1.intersection(&missing);
+            let then = &view.missing_then.1;
+            let still = then.intersection(&missing);
+            // Where much of it has come meanwhile, or is coming as a present state, somebody is at it.
+            let own = self.own.origin;
+            let is_told = request.transfers.iter().any(|t| t.stream == stream && t.source != own);
+            let is_served = is_told || (then.count() - still.count()) * SERVED_SHARE > then.count();
+            view.overdue = if is_served { IntervalSet::new(VIEW_INTERVALS_MAX) } else { still };
             view.missing_then = (now, missing);
         } else {
             view.overdue = view.overdue.intersection(&missing);
@@ -205,7 +222,10 @@ impl Session {
             Relay::Never => None,
             Relay::Always => Some(0),
             Relay::Ranked => {
-                let hears_origin = stream.origin != peer.stream.origin && peer.hears(stream.origin);
+                // A new peer has not said yet whom it hears: probably the same robots as this one.
+                let hears =
+                    |robot| peer.hears(robot) || (peer.is_new(self.now) && self.peers.contains_key(&robot));
+                let hears_origin = stream.origin != peer.stream.origin && hears(stream.origin);
                 let before = |robot| robot < self.own.origin && robot != stream.origin;
                 let others = peer.hears.iter().filter(|&&robot| before(robot)).count() as u32;
                 Some(u32::from(hears_origin) + others)

@@ -207,7 +207,7 @@ impl Session {
         let rate = link.into_iter().chain(radio).min().unwrap_or(usize::MAX);
         (rate / BUDGET_SHARE_AT_ONCE)
             .saturating_sub(self.overhead())
-            .clamp(REQUEST_BYTES_MIN, self.config.datagram_bytes_max)
+            .clamp(REQUEST_BYTES_MIN, self.plain_bytes_max())
     }
 
     /// Pause after a request of so many bytes, so that requests take no more than their share of the budget; short

@@ -51,6 +51,9 @@ pub enum Event {
     /// ones of the same index and do not arrive. Give every robot its own id and every run a higher epoch. Told at
     /// most every 10 s.
     SameIdentity,
+    /// So many datagrams were sealed (2³⁶ in one start) that one more would repeat a nonce: this session sends nothing more.
+    /// Start the robot again with a higher epoch. Told once.
+    CountersSpent,
 }
 
 /// Whom a datagram goes to.

@@ -10,6 +10,16 @@ use std::collections::{BTreeMap, VecDeque};
 /// Intervals kept of what a peer states to hold of one stream; of more, the newest.
 pub(super) const VIEW_INTERVALS_MAX: usize = 256;
 
+/// Datagrams that follow each other within this time are one burst.
+const BURST: i64 = 100_000;
+/// A peer is silent after so many of its usual pauses. Of a radio that loses every second datagram, one pause in thousands is that long.
+const SILENT_PAUSES: i64 = 8;
+/// And not before this time.
+const SILENT_MIN: i64 = 1_500_000;
+
+/// A robot has heard those in reach, and said so, after this time.
+const ACQUAINTANCE: i64 = 1_000_000;
+
 /// One package, or one tile of a present state.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(super) enum Item {
@@ -90,6 +100,9 @@ impl View {
 pub(super) struct Peer {
     pub(super) stream: Stream,
     pub(super) last_heard: Stamp,
+    first_heard: Stamp,
+    /// Smoothed pause between its datagrams in microseconds, each burst taken as one.
+    pause: i64,
     /// Newest send stamp of any of its datagrams, and when that one was received.
     pub(super) newest_stamp: Stamp,
     pub(super) newest_stamp_at: Stamp,
@@ -121,6 +134,8 @@ impl Peer {
         Self {
             stream,
             last_heard: now,
+            first_heard: now,
+            pause: 1_000_000,
             newest_stamp: Stamp(i64::MIN),
             newest_stamp_at: now,
             request: None,
@@ -142,6 +157,25 @@ impl Peer {
             traffic_in: Traffic::default(),
             traffic_out: Traffic::default(),
         }
+    }
+
+    /// Notes that something of it was heard.
+    pub(super) fn note_heard(&mut self, now: Stamp) {
+        let pause = now.micros_since(self.last_heard);
+        if pause >= BURST {
+            self.pause += (pause - self.pause) / 8;
+        }
+        self.last_heard = now;
+    }
+
+    /// Whether it may not have said yet whom it hears.
+    pub(super) const fn is_new(&self, now: Stamp) -> bool {
+        now.micros_since(self.first_heard) < ACQUAINTANCE
+    }
+
+    /// Whether it has said nothing for far longer than usual: then most of what is sent to it is sent in vain.
+    pub(super) fn is_silent(&self, now: Stamp) -> bool {
+        now.micros_since(self.last_heard) > (SILENT_PAUSES * self.pause).max(SILENT_MIN)
     }
 
     /// Whether the peer hears this robot; assumed if its list was cut.

@@ -106,7 +106,7 @@ impl Session {
     }
 
     fn attempt(&mut self, now: Stamp, peer: &mut Peer) -> Attempt {
-        if !peer.hears(self.own.origin) {
+        if !peer.hears(self.own.origin) || peer.is_silent(now) {
             return Attempt::Nothing;
         }
         if peer.queue_stale {
@@ -146,16 +146,17 @@ impl Session {
     /// Fills a datagram from the peer's queue; the places in the queue of what went in. Drops from the front of
     /// the queue what the peer does not miss any more.
     fn bundle(&self, now: Stamp, peer: &mut Peer) -> (PackagesWriter, Vec<usize>) {
-        let mut writer =
-            PackagesWriter::new(self.header(now, Kind::Packages), self.config.datagram_bytes_max);
+        let mut writer = PackagesWriter::new(self.header(now, Kind::Packages), self.plain_bytes_max());
         let mut positions = Vec::new();
         while let Some(&item) = peer.queue.front()
             && (!peer.lacks(item) || self.package(item).is_none())
         {
             peer.queue.pop_front();
         }
+        let room = self.config.in_flight_max.saturating_sub(peer.in_flight.len()).max(1);
         for (position, &item) in peer.queue.iter().enumerate().take(BUNDLE_LOOKAHEAD) {
-            if peer.lacks(item)
+            if positions.len() < room
+                && peer.lacks(item)
                 && let Some(package) = self.package(item)
                 && writer.push(package)
             {
@@ -180,8 +181,9 @@ impl Session {
         let own = self.own.origin;
         for (&other, peer) in &mut self.peers {
             if other == id || (to == Destination::Everyone && peer.hears(own)) {
+                // What everyone hears is noted for everyone, as far as twice the limit goes.
                 for &item in items {
-                    peer.cover(item, now, self.config.in_flight_max);
+                    peer.cover(item, now, 2 * self.config.in_flight_max);
                 }
             }
             if other == id && to != Destination::Everyone {

@@ -1,5 +1,5 @@
 use super::*;
-use crate::IntervalSet;
+use crate::{IntervalSet, SwarmKey};
 use flockmap_codec::{Codec, Cycle, Encoder, Package};
 use flockmap_grid::{Changes, Resolution, State, Voxel};
 use proptest::prelude::*;
@@ -88,7 +88,65 @@ fn golden_datagrams() {
     assert_eq!(head[check.end..], format!("10{:02x}", package.bytes().len()));
 }
 
-const GOLDEN_LAYOUT: u32 = 599_341_701;
+#[test]
+fn golden_sealed_datagram() {
+    // Made by another implementation (Python's `cryptography`), as docs/key.md shows.
+    let key = SwarmKey::from_bytes(core::array::from_fn(|i| i as u8));
+    let plain = sample().emit(HEADER, DATAGRAM_BYTES_MAX);
+    let sealed = seal_datagram(&key, &plain, 0x0a0b_0c0d_0e0f).unwrap();
+    assert_eq!(hex(&sealed), GOLDEN_SEALED);
+    assert_eq!(sealed.len(), plain.len() + SEAL_BYTES);
+
+    let datagram = SealedDatagram::new_checked(&sealed).unwrap();
+    assert_eq!((datagram.swarm(), datagram.sender()), (HEADER.swarm, HEADER.sender));
+    assert_eq!(datagram.counter(), 0x0a0b_0c0d_0e0f);
+    assert!(is_sealed(&sealed) && !is_sealed(&plain));
+    assert_eq!((stated_sender(&sealed), stated_sender(&plain)), (Some(RobotId(7)), Some(RobotId(7))));
+    let opened = datagram.open(&key).unwrap();
+    let datagram = opened.datagram().unwrap();
+    assert_eq!(*datagram.header(), HEADER);
+    assert_eq!(Request::parse(&datagram, 1_000).unwrap(), sample());
+}
+
+#[test]
+fn the_longest_package_fits_into_a_sealed_datagram() {
+    let record = record_len(flockmap_codec::PACKAGE_BYTES_MAX);
+    assert_eq!(HEADER_BYTES + record + SEAL_BYTES, 1_196);
+    let mut plain = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX - SEAL_BYTES).finish();
+    put_record(&mut plain, 16, &[0xa5; flockmap_codec::PACKAGE_BYTES_MAX]);
+    let sealed = seal_datagram(&SwarmKey::from_bytes([7; 32]), &plain, COUNTER_MAX).unwrap();
+    assert_eq!(sealed.len(), 1_196);
+    assert_eq!(seal_datagram(&SwarmKey::from_bytes([7; 32]), &plain, COUNTER_MAX + 1), None);
+}
+
+#[test]
+fn what_cannot_be_a_sealed_datagram_is_refused() {
+    let key = SwarmKey::from_bytes([7; 32]);
+    let sealed = seal_datagram(&key, &sample().emit(HEADER, DATAGRAM_BYTES_MAX), 5).unwrap();
+    for length in 0..sealed.len() {
+        let opened = SealedDatagram::new_checked(&sealed[..length]).and_then(|datagram| datagram.open(&key));
+        assert!(opened.is_err(), "cut to {length} bytes");
+    }
+    let long = [&sealed[..], &[0; DATAGRAM_BYTES_MAX]].concat();
+    assert!(matches!(SealedDatagram::new_checked(&long), Err(DatagramError::Length { .. })));
+    let mut other = sealed;
+    other[2] = WIRE_VERSION + 1;
+    assert!(matches!(SealedDatagram::new_checked(&other), Err(DatagramError::Version { .. })));
+    // A holder of the key that seals nonsense is faulty, and no more.
+    for kind in [0, 3, SEALED_KIND] {
+        let mut plain = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX).finish();
+        plain[3] = kind;
+        let sealed = seal_datagram(&key, &plain, 6).unwrap();
+        let opened = SealedDatagram::new_checked(&sealed).unwrap().open(&key).unwrap();
+        assert_eq!(opened.datagram().unwrap_err(), DatagramError::Kind { got: kind });
+    }
+}
+
+const SEALED_KIND: u8 = 0x80;
+const GOLDEN_SEALED: &str = "464d028002010700030000000f0e0d0c0b0a1413f5411f27fb0f9c4d222a315226c51aad4f4b63caa90f026287d13951ec97\
+    951bf69e5d98a2106e71e91b2ae7daec93e0c9b795a06552d3c945a1ff95f26453a9d005cdf20b2960b8e3cce4b8be4a24ce\
+    73bba23c8cd33ac4569c1fcad9d7f1e54a7250f026af943415151572c0a1d925bd4de5";
+const GOLDEN_LAYOUT: u32 = 3_408_688_475;
 const GOLDEN_REQUEST: &str = "464d0201020107000300000077665544332211005ae8170f\
     03010a2c01cdab78563412e8070407ac0280a0f8fa050505090100b717060bac0280e2cfaa06ac028906020607030100c7\
     010210ac0280e2cfaa0605000401009e02c801031607ac0280e2cfaa06c801e807efbeadde280100020300";

@@ -90,6 +90,9 @@ pub(crate) struct Swarm {
     pub(crate) robots: BTreeMap<u16, Robot>,
     /// Pairs that cannot hear each other.
     pub(crate) cut: BTreeSet<(u16, u16)>,
+    /// Every datagram that was sent, and every one that a robot heard, until they are taken.
+    sent_bytes: Vec<Vec<u8>>,
+    heard_bytes: Vec<(u16, Vec<u8>)>,
     flying: BinaryHeap<Reverse<Flying>>,
     sequence: u64,
 }
@@ -111,6 +114,8 @@ impl Swarm {
             radio,
             robots: BTreeMap::new(),
             cut: BTreeSet::new(),
+            sent_bytes: Vec::new(),
+            heard_bytes: Vec::new(),
             flying: BinaryHeap::new(),
             sequence: 0,
         }
@@ -269,6 +274,7 @@ impl Swarm {
         let broadcast = robot.session.config().cast == Cast::Broadcast;
         let copies = if broadcast { 1 } else { receivers.len() };
         robot.sent.push((self.now, bytes.len() + 28, copies));
+        self.sent_bytes.push(bytes.to_vec());
         for to in receivers {
             let copies = 1 + u32::from(self.random.chance(self.radio.duplicate));
             for _ in 0..copies {
@@ -281,6 +287,17 @@ impl Swarm {
                 self.flying.push(Reverse((at, self.sequence, to, bytes.to_vec())));
             }
         }
+    }
+
+    /// The datagrams that were sent since this was asked last.
+    pub(crate) fn take_sent(&mut self) -> Vec<Vec<u8>> {
+        std::mem::take(&mut self.sent_bytes)
+    }
+
+    /// The datagrams that a robot heard since this was asked last of any robot.
+    pub(crate) fn take_heard(&mut self, id: u16) -> Vec<Vec<u8>> {
+        let heard = std::mem::take(&mut self.heard_bytes);
+        heard.into_iter().filter(|(to, _)| *to == id).map(|(_, bytes)| bytes).collect()
     }
 
     /// Lets virtual time pass.
@@ -307,6 +324,7 @@ impl Swarm {
                 if let Some(robot) = self.robots.get_mut(&to) {
                     let now = Stamp(self.now + robot.clock);
                     let _ = robot.session.handle_datagram(now, &bytes);
+                    self.heard_bytes.push((to, bytes));
                     self.drive(to);
                 }
             } else if let Some((_, id)) = timeout {

@@ -34,6 +34,7 @@ impl Robot {
                 SessionEvent::PeerSeen(stream) => self.push_event(Event::PeerSeen(stream)),
                 SessionEvent::PeerLost(stream) => self.push_event(Event::PeerLost(stream)),
                 SessionEvent::SameIdentity => self.push_event(Event::SameIdentity),
+                SessionEvent::CountersSpent => self.push_event(Event::CountersSpent),
                 _ => {}
             }
         }

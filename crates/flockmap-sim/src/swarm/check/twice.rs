@@ -8,8 +8,8 @@
 use super::Finding;
 use flockmap::codec::ContentKind;
 use flockmap::sync::InFlight;
-use flockmap::sync::wire::{Datagram, Kind, Request, parse_packages};
-use flockmap::{Robot, RobotId, Stamp, Stream};
+use flockmap::sync::wire::{DatagramHeader, Request};
+use flockmap::{Package, Robot, RobotId, Stamp, Stream};
 use rustc_hash::FxHashMap;
 
 const NAME: &str = "twice";
@@ -38,14 +38,8 @@ impl Twice {
         self.peers.remove(&peer);
     }
 
-    /// A datagram has arrived at the robot and was accepted.
-    pub(in crate::swarm) fn arrived(&mut self, bytes: &[u8]) {
-        let Ok(datagram) = Datagram::new_checked(bytes) else { return };
-        let header = *datagram.header();
-        if header.kind != Kind::Request {
-            return;
-        }
-        let Ok(request) = Request::parse(&datagram, 256) else { return };
+    /// A request has arrived at the robot and was accepted.
+    pub(in crate::swarm) fn arrived(&mut self, header: &DatagramHeader, request: Request) {
         let pair = self.peers.entry(header.sender.origin).or_default();
         if pair.request.as_ref().is_none_or(|(stamp, _)| *stamp < header.stamp) {
             pair.request = Some((header.stamp, request));
@@ -58,11 +52,9 @@ impl Twice {
         robot: &Robot,
         now: i64,
         to: Option<RobotId>,
-        bytes: &[u8],
+        packages: &[Package],
         round_trip: i64,
     ) -> Option<Finding> {
-        let datagram = Datagram::new_checked(bytes).ok()?;
-        let packages = parse_packages(&datagram).ok()?;
         let config = robot.session().config();
         let ledger = config.in_flight == InFlight::RoundTrip;
         // Until a round trip is measured, the configured one is all that is known.
@@ -79,7 +71,7 @@ impl Twice {
                 (peer.stream, round_trip)
             })
             .collect();
-        for package in &packages {
+        for package in packages {
             let header = package.header();
             let tile = match header.content {
                 ContentKind::Present { set, tile, .. } => Some((set, tile)),

@@ -1,0 +1,50 @@
+//! The most that a session can be made to hold, reckoned from its options.
+
+use crate::SessionConfig;
+use crate::store::HELD_INTERVALS_MAX;
+use crate::wire::DATAGRAM_BYTES_MAX;
+
+/// Bytes of an interval of indices.
+const INTERVAL: usize = 8;
+/// A list that was joined from two has room for both, and a queue may have room for twice what it holds.
+const GROWTH: usize = 2;
+/// What is known of a stream beside the list of held indices: indices given up (64 intervals), places in maps.
+const STREAM: usize = 2_048;
+/// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the queue (256 items), its pacer,
+/// its clock.
+const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 16_384;
+/// What a peer states of one stream: six lists of at most 256 intervals.
+const VIEW: usize = 6 * GROWTH * 256 * INTERVAL + 512;
+/// A package that was sent and not yet confirmed.
+const IN_FLIGHT: usize = 40 * GROWTH;
+/// Events that nobody took, and packages that wait for a verdict: so many.
+const EVENTS: usize = 4_096;
+/// A package in memory, beside its bytes.
+const PACKAGE: usize = 200;
+/// Rejected packages that are remembered: so many, in a map.
+const REFUSED: usize = 1_024 * 100;
+/// What one input makes and lets go again: a request with all its lists, a plan of what to send.
+const WORK: usize = 512 << 10;
+
+impl SessionConfig {
+    /// The most bytes that a [`Session`](crate::Session) with these options holds on the heap, whatever it receives and however late
+    /// its events are taken: the sum of the worst cases that the limits state. As asked of the allocator, which may add some. What
+    /// the driver keeps (packages without a verdict, layers) is not in it. The default: 175 MB, of which 64 MiB are
+    /// the store, 100 MB what 32 peers may state of 64 streams; honest peers state a hundredth of that.
+    pub const fn memory_max(&self) -> usize {
+        let streams = self.streams_max + 1;
+        let held = HELD_INTERVALS_MAX * INTERVAL;
+        let peer = PEER + streams * VIEW + self.in_flight_max * IN_FLIGHT;
+        // Of every stream the plan for a peer takes up the best 256 packages, and a request its list of held indices.
+        let work = WORK + streams * (256 * 32 + 2 * held);
+        self.store_bytes_max
+            + streams * (held + STREAM)
+            + self.peers_max * peer
+            + self.transfers_max * (held + 256)
+            // Tiles are about as long as a datagram, and so are packages.
+            + self.present_state_bytes_max / DATAGRAM_BYTES_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
+            + EVENTS * (DATAGRAM_BYTES_MAX + PACKAGE + 64)
+            + REFUSED
+            + work
+    }
+}

@@ -1,0 +1,321 @@
+//! Hostile peers fill every limit of a session, one at a time: it holds no more than `SessionConfig::memory_max` states.
+#![allow(unsafe_code, reason = "a counting allocator cannot be had without")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+use flockmap_codec::{Codec, Cycle, Encoder, PACKAGE_BYTES_MIN, Package};
+use flockmap_grid::{Changes, PresentState, Resolution, RobotId, Stamp, State, Stream, Voxel, VoxelBox};
+use flockmap_sync::wire::{
+    Datagram, DatagramError, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request,
+};
+use flockmap_sync::{Event, IntervalSet, Session, SessionConfig};
+
+/// Counts the bytes that are held, and the most that ever were.
+struct Counting;
+
+static HELD: AtomicUsize = AtomicUsize::new(0);
+static PEAK: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: hands everything to the system's allocator and only counts.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let held = HELD.fetch_add(layout.size(), Relaxed) + layout.size();
+        PEAK.fetch_max(held, Relaxed);
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        HELD.fetch_sub(layout.size(), Relaxed);
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const OWN: Stream = Stream { origin: RobotId(500), epoch: 1 };
+const SECOND: i64 = 1_000_000;
+
+/// A session, its time, and what it held before it began.
+struct Victim {
+    session: Session,
+    now: Stamp,
+    encoder: Encoder,
+    /// The driver takes no events.
+    takes_no_events: bool,
+    /// Bytes held before the limit in question is filled.
+    base: usize,
+}
+
+fn config() -> SessionConfig {
+    SessionConfig {
+        store_bytes_max: 100_000,
+        streams_max: 4,
+        epochs_max: 64,
+        peers_max: 4,
+        in_flight_max: 64,
+        transfers_max: 1,
+        present_state_bytes_max: 100_000,
+        radio_bytes_per_s: None,
+        ..SessionConfig::default()
+    }
+}
+
+fn peer(number: u16) -> Stream {
+    Stream { origin: RobotId(1 + number), epoch: 1 }
+}
+
+fn stream(number: u32) -> Stream {
+    Stream { origin: RobotId(1_000 + number as u16), epoch: 1 }
+}
+
+/// Every third index from `first`.
+fn torn(first: u32, count: u32) -> IntervalSet {
+    IntervalSet::from_intervals(1 << 20, (0..count).map(|n| (first + 3 * n, first + 3 * n)).collect())
+}
+
+impl Victim {
+    fn new(config: SessionConfig) -> Self {
+        let session = Session::new(OWN, config, 1).unwrap();
+        Self { session, now: Stamp(SECOND), encoder: Encoder::new(), takes_no_events: false, base: 0 }
+    }
+
+    fn package(&mut self, stream: Stream, index: u32, bytes: usize) -> Package {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(1), resolution, sensor: [0; 3] };
+        // Two bits for each voxel of the box.
+        let far = Voxel::new((bytes.saturating_sub(50) * 4) as i32, 0, 0);
+        let changes = Changes::from_voxels([(Voxel::new(0, 0, 0), State::Free), (far, State::Occupied)]);
+        self.encoder.encode_whole(Codec::Raw, &cycle, index, &changes).unwrap()
+    }
+
+    fn tiles(&mut self, stream: Stream, upto: u32, tiles: usize) -> Vec<Package> {
+        let end = (tiles * 500) as i32;
+        let changes = Changes::from_voxels((0..end).step_by(7).map(|x| (Voxel::new(x, 0, 0), State::Free)));
+        let region = VoxelBox::spanning(Voxel::new(0, 0, 0), Voxel::new(end, 0, 0)).unwrap();
+        let state = PresentState { region, parts: vec![(Stamp(1), changes)], sensors: Vec::new() };
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let bytes_max = PACKAGE_BYTES_MIN;
+        self.encoder.encode_present(Codec::Raw, stream, upto, resolution, &state, bytes_max).unwrap()
+    }
+
+    fn take(&mut self, bytes: &[u8]) {
+        self.now = self.now.plus_micros(10);
+        // A refusal is as good: this is about what is held.
+        let _ = self.session.handle_datagram(self.now, bytes);
+        if !self.takes_no_events {
+            self.answer();
+        }
+    }
+
+    fn take_packages(&mut self, from: Stream, packages: impl IntoIterator<Item = Package>) {
+        let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender: from, stamp: self.now };
+        let mut writer = PackagesWriter::new(header, 1_200);
+        for package in packages {
+            if !writer.push(&package) {
+                self.take(&std::mem::replace(&mut writer, PackagesWriter::new(header, 1_200)).finish());
+                assert!(writer.push(&package));
+            }
+        }
+        self.take(&writer.finish());
+    }
+
+    fn take_request(&mut self, from: Stream, request: &Request) {
+        self.now = self.now.plus_micros(1_000);
+        let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender: from, stamp: self.now };
+        self.take(&request.emit(header, 1_200));
+    }
+
+    /// Takes all events and accepts all packages.
+    fn answer(&mut self) {
+        while let Some(event) = self.session.poll_event() {
+            match event {
+                Event::Received(package) => self.session.accept(self.now, &package),
+                Event::PresentStateWanted { stream, upto, .. } => {
+                    let tiles = self.tiles(stream, upto, 1);
+                    self.session.provide_present_state(self.now, stream, tiles);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// What follows fills the limit; what the test itself took on the way counts no more.
+    fn is_prepared(&mut self) {
+        self.base = HELD.load(Relaxed);
+        PEAK.store(self.base, Relaxed);
+    }
+
+    fn transmit_all(&mut self) {
+        while self.session.poll_transmit(self.now).is_some() {}
+    }
+}
+
+/// Runs a case with a large limit. The most that it held must be within what is stated, and what filled the limit must be at least
+/// `least` of the share that the large limit has in that (stated with it, less stated with the small one), or the case is no case.
+fn case(name: &str, large: SessionConfig, small: &SessionConfig, least: f64, fill: impl FnOnce(&mut Victim)) {
+    let (stated, share) = (large.memory_max(), large.memory_max() - small.memory_max());
+    let mut victim = Victim::new(large);
+    // The encoder is not the session's.
+    victim.package(OWN, 1, 1_000);
+    let before = HELD.load(Relaxed);
+    victim.is_prepared();
+    fill(&mut victim);
+    let peak = PEAK.load(Relaxed);
+    let (measured, filled) = (peak - before, peak - victim.base);
+    let percent = 100.0 * filled as f64 / share as f64;
+    println!(
+        "{name}: {measured} of {stated} bytes stated; {filled}, {percent:.0} %, of the {share} of this limit"
+    );
+    assert!(measured <= stated, "{name}: {measured} bytes held, {stated} stated");
+    assert!(percent >= 100.0 * least, "{name}: the limit was not filled: {filled} bytes of {share}");
+}
+
+/// One test, since the counter is one for the whole process.
+#[test]
+fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
+    let small = config();
+    println!("by default {} bytes are stated", SessionConfig::default().memory_max());
+
+    let large = SessionConfig { store_bytes_max: 8 << 20, ..config() };
+    case("store of small packages", large, &small, 0.7, |victim| {
+        for first in (1..60_000).step_by(20) {
+            let packages: Vec<_> =
+                (first..first + 20).map(|n| victim.package(stream(n % 4), n / 4 + 1, 0)).collect();
+            victim.take_packages(peer(0), packages);
+        }
+        assert!(victim.session.store().dropped() > 0, "the store is full");
+    });
+
+    let large = SessionConfig { store_bytes_max: 8 << 20, ..config() };
+    case("store of long packages", large, &small, 0.7, |victim| {
+        for n in 1..9_000 {
+            let package = victim.package(stream(n % 4), n / 4 + 1, 1_100);
+            victim.take_packages(peer(0), [package]);
+        }
+        assert!(victim.session.store().dropped() > 0, "the store is full");
+    });
+
+    let large = SessionConfig { streams_max: 100, peers_max: 1, ..config() };
+    case("torn streams", large, &SessionConfig { peers_max: 1, ..config() }, 0.2, |victim| {
+        for n in 0..100 {
+            for first in (0..1_200).step_by(20) {
+                let packages: Vec<_> =
+                    (first..first + 20).map(|k| victim.package(stream(n), 3 * k + 2, 0)).collect();
+                victim.take_packages(peer(0), packages);
+            }
+        }
+        assert!(victim.session.counters().too_fragmented > 0, "the lists are full");
+        victim.transmit_all();
+    });
+
+    let large = SessionConfig { peers_max: 32, streams_max: 64, ..config() };
+    let base = SessionConfig { streams_max: 64, peers_max: 1, ..config() };
+    case("views of peers", large, &base, 0.3, |victim| {
+        for n in 0..64 {
+            victim.session.restore_held(stream(n), 1, 100_000);
+        }
+        // The echoes put this robot down the line of those who answer, so that it keeps what stays missing.
+        let echoes = [2, 3, OWN.origin.0].map(|robot| Echo {
+            robot: RobotId(robot),
+            epoch_low: 1,
+            stamp_low: 0,
+            age_micros: 0,
+        });
+        for round in 0..3u32 {
+            for n in 0..32 {
+                for first in (0..64).step_by(2) {
+                    let lists = (first..first + 2).map(|k| {
+                        let held = torn(10 + 1_000 * round, 255);
+                        Held {
+                            stream: stream(k),
+                            from: if round == 0 { 1 } else { 10 + 1_000 * round },
+                            held,
+                        }
+                    });
+                    let request = Request {
+                        echoes: echoes.to_vec(),
+                        all_echoes: true,
+                        held: lists.collect(),
+                        states_wanted: vec![(stream(first), 0, 50)],
+                        ..Request::default()
+                    };
+                    victim.take_request(peer(n), &request);
+                }
+            }
+            victim.transmit_all();
+            victim.now = victim.now.plus_micros(5 * SECOND);
+        }
+        assert_eq!(victim.session.peers().count(), 32);
+    });
+
+    let large = SessionConfig {
+        in_flight_max: 20_000,
+        peers_max: 2,
+        store_bytes_max: 16 << 20,
+        present_state_bytes_min: None,
+        ..config()
+    };
+    let base = SessionConfig { in_flight_max: 1, ..large };
+    case("packages in flight", large, &base, 0.5, |victim| {
+        for index in 1..=20_000 {
+            let package = victim.package(OWN, index, 0);
+            victim.session.publish(victim.now, package).unwrap();
+        }
+        victim.is_prepared();
+        let echo = Echo { robot: OWN.origin, epoch_low: 1, stamp_low: victim.now.0 as u32, age_micros: 0 };
+        let request =
+            Request { all_streams: true, all_echoes: true, echoes: vec![echo], ..Request::default() };
+        for n in 0..2 {
+            victim.take_request(peer(n), &request);
+        }
+        victim.transmit_all();
+        let in_flight: usize = victim.session.peers().map(|peer| peer.in_flight).sum();
+        assert!(in_flight > 30_000, "{in_flight}");
+    });
+
+    let large = SessionConfig { transfers_max: 4, ..config() };
+    case("torn transfers", large, &small, 0.9, |victim| {
+        let tiles = victim.tiles(stream(1), 1_000_000, 3_000);
+        assert!(tiles.len() > 2_100, "{} tiles", tiles.len());
+        victim.is_prepared();
+        for source in 0..4 {
+            for tile in tiles.iter().step_by(2).take(1_060) {
+                victim.take_packages(peer(source), [tile.clone()]);
+            }
+        }
+    });
+
+    // A fixed limit: 4,096 events. All else is as small as can be.
+    let large = SessionConfig { peers_max: 1, streams_max: 1, in_flight_max: 1, ..config() };
+    let base = SessionConfig { store_bytes_max: 0, ..large };
+    case("events that nobody takes", large, &base, 1.0, |victim| {
+        victim.takes_no_events = true;
+        for n in 1..5_000 {
+            let package = victim.package(stream(0), n, 1_150);
+            victim.take_packages(peer(0), [package]);
+        }
+        assert!(victim.session.counters().events_overflowed > 0);
+    });
+
+    let large = SessionConfig { peers_max: 64, streams_max: 1, in_flight_max: 1, ..config() };
+    let base = SessionConfig { peers_max: 1, ..large };
+    case("requests full of small records", large, &base, 0.03, |victim| {
+        for n in 0..64 {
+            // What takes the most memory for its bytes: floors, of two bytes each.
+            let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender: peer(n), stamp: victim.now };
+            let mut bytes = Request::default().emit(header, 1_200);
+            let content = (1_200 - bytes.len() - 3) / 2 * 2;
+            bytes.extend([4, content as u8 | 0x80, (content >> 7) as u8]);
+            bytes.extend((0..content).map(|n| (n % 120) as u8));
+            if let Err(DatagramError::Check { expected, .. }) = Datagram::new_checked(&bytes) {
+                bytes[20..24].copy_from_slice(&expected.to_le_bytes());
+            }
+            victim.take(&bytes);
+        }
+        assert_eq!(victim.session.counters().requests_in.datagrams, 64);
+    });
+}

@@ -1,0 +1,187 @@
+//! Hostile packages fill every limit of a robot: it holds no more than `RobotConfig::memory_of_others_max` states.
+#![allow(unsafe_code, reason = "a counting allocator cannot be had without")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX, Reference};
+use flockmap::sync::wire::{DatagramHeader, Kind, PackagesWriter};
+use flockmap::{
+    Changes, Codec, Cycle, Package, Resolution, Robot, RobotConfig, RobotId, Stamp, State, Stream, Voxel,
+};
+
+/// Counts the bytes that are held, and the most that ever were.
+struct Counting;
+
+static HELD: AtomicUsize = AtomicUsize::new(0);
+static PEAK: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: hands everything to the system's allocator and only counts.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let held = HELD.fetch_add(layout.size(), Relaxed) + layout.size();
+        PEAK.fetch_max(held, Relaxed);
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        HELD.fetch_sub(layout.size(), Relaxed);
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn resolution() -> Resolution {
+    Resolution::from_metres(0.1).unwrap()
+}
+
+fn config(layer_blocks_max: usize) -> RobotConfig {
+    let mut config = RobotConfig::new(RobotId(1), resolution(), 7.0);
+    config.session.peers_max = 2;
+    config.session.streams_max = 2;
+    config.session.store_bytes_max = 1 << 20;
+    config.session.present_state_bytes_max = 1 << 20;
+    config.fusion.layer_blocks_max = layer_blocks_max;
+    config
+}
+
+/// A hostile robot.
+struct Teller {
+    stream: Stream,
+    encoder: Encoder,
+    next: u32,
+}
+
+impl Teller {
+    fn new(id: u16) -> Self {
+        Self { stream: Stream { origin: RobotId(id), epoch: 1 }, encoder: Encoder::new(), next: 1 }
+    }
+
+    fn tell(&mut self, codec: Codec, changes: &Changes, reference: Option<&Reference<'_>>) -> Vec<Package> {
+        let stamp = Stamp(i64::from(self.next));
+        let cycle =
+            Cycle { stream: self.stream, start: stamp, end: stamp, resolution: resolution(), sensor: [0; 3] };
+        let packages = self
+            .encoder
+            .encode_cycle_against(codec, &cycle, self.next, changes, reference, PACKAGE_BYTES_MAX)
+            .unwrap();
+        self.next += packages.len() as u32;
+        packages
+    }
+
+    /// The same in one package, however long.
+    fn tell_whole(&mut self, changes: &Changes) -> Package {
+        let stamp = Stamp(i64::from(self.next));
+        let cycle =
+            Cycle { stream: self.stream, start: stamp, end: stamp, resolution: resolution(), sensor: [0; 3] };
+        self.next += 1;
+        self.encoder.encode_whole(Codec::Paper, &cycle, self.next - 1, changes).unwrap()
+    }
+
+    fn send(&self, robot: &mut Robot, package: &Package) {
+        let now = Stamp(i64::from(self.next) * 1_000);
+        let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender: self.stream, stamp: now };
+        let mut writer = PackagesWriter::new(header, 1_200);
+        assert!(writer.push(package));
+        robot.handle_datagram(now, &writer.finish()).unwrap();
+    }
+}
+
+/// Runs a case; the most that the robot held must be within what is stated, and at least `least`, or the case is no case.
+fn case(name: &str, config: RobotConfig, least: usize, fill: impl FnOnce(&mut Robot)) {
+    let stated = config.memory_of_others_max();
+    let before = HELD.load(Relaxed);
+    let mut robot = Robot::new(config, Stamp(0)).unwrap();
+    PEAK.store(HELD.load(Relaxed), Relaxed);
+    fill(&mut robot);
+    let measured = PEAK.load(Relaxed) - before;
+    println!("{name}: {measured} of {stated} bytes stated");
+    assert!(measured <= stated, "{name}: {measured} bytes held, {stated} stated");
+    assert!(
+        measured >= least,
+        "{name}: {measured} bytes held, at least {least} expected: nothing was filled"
+    );
+}
+
+fn cube(side: i32) -> Changes {
+    let all =
+        (0..side).flat_map(|x| (0..side).flat_map(move |y| (0..side).map(move |z| Voxel::new(x, y, z))));
+    Changes::from_voxels(all.map(|voxel| (voxel, State::Free)))
+}
+
+/// One test, since the counter is one for the whole process.
+#[test]
+fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
+    println!("by default {} bytes are stated", config(400_000).memory_of_others_max());
+
+    // 512 blocks, each voxel of which changed last in another cycle.
+    let mut teller = Teller::new(2);
+    let packages: Vec<Package> = (0..512)
+        .flat_map(|bit| {
+            let voxel = |block: i32| {
+                let [bx, by, bz] = [block & 7, block >> 3 & 7, block >> 6].map(|at| at * 8);
+                (Voxel::new(bx + (bit & 7), by + (bit >> 3 & 7), bz + (bit >> 6)), State::Free)
+            };
+            teller.tell(Codec::Paper, &Changes::from_voxels((0..512).map(voxel)), None)
+        })
+        .collect();
+    case("layers of many stamps", config(512), 512 * 5_000, |robot| {
+        for package in &packages {
+            teller.send(robot, package);
+            while robot.poll_event().is_some() {}
+        }
+        let layer = robot.fusion().layer(teller.stream).unwrap();
+        assert_eq!((layer.block_count(), layer.len()), (512, 512 * 512));
+    });
+
+    // Four million voxels in a datagram, again and again, and nobody takes the events.
+    let mut teller = Teller::new(2);
+    let cube = cube(160);
+    let packages: Vec<Package> = (0..25).map(|_| teller.tell_whole(&cube)).collect();
+    assert!(packages.iter().all(|package| package.bytes().len() <= PACKAGE_BYTES_MAX));
+    case("events that nobody takes", config(8_000), 15 << 20, |robot| {
+        for package in &packages {
+            teller.send(robot, package);
+        }
+        assert_eq!(robot.counters().merged, 25);
+        assert!(robot.counters().events_dropped > 0);
+    });
+
+    // Blocks far apart, more than there may be.
+    let mut teller = Teller::new(2);
+    let apart = (0..3_000).map(|n| Changes::from_voxels([(Voxel::new(n * 700, 0, 0), State::Occupied)]));
+    let packages: Vec<Package> = apart.flat_map(|changes| teller.tell(Codec::Raw, &changes, None)).collect();
+    case("blocks far apart", config(2_000), 2_000 * 400, |robot| {
+        for package in &packages {
+            teller.send(robot, package);
+        }
+        assert!(robot.counters().no_room > 0);
+        let layers: usize = robot.fusion().layers().map(|(_, layer)| layer.block_count()).sum();
+        assert_eq!(layers, 2_000);
+    });
+
+    // Packages that wait for one that never comes.
+    let mut teller = Teller::new(2);
+    let mut layer = flockmap::grid::Layer::default();
+    let far = |n: i32| {
+        Changes::from_voxels((0..200).map(|k| (Voxel::new((k * 37 + n) % 90, k % 9, n % 7), State::Free)))
+    };
+    layer.apply(&far(0), Stamp(1));
+    teller.tell(Codec::Flock, &far(0), None);
+    let packages: Vec<Package> = (0..1_500)
+        .flat_map(|n| {
+            let reference = Reference { layer: Some(&layer), cycles: &[(Stamp(1), 1)], readers: &[] };
+            teller.tell(Codec::Flock, &far(n), Some(&reference))
+        })
+        .collect();
+    case("packages that wait", config(100), 300_000, |robot| {
+        for package in &packages {
+            teller.send(robot, package);
+        }
+        assert!(robot.counters().waiting_dropped > 0, "{:?}", robot.counters());
+    });
+}
