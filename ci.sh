@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Everything that must hold before a change lands. Run it here as CI does: ./ci.sh
-# One step alone: ./ci.sh fmt | clippy | docs | test | readme
+# One step alone: ./ci.sh fmt | clippy | docs | test | readme | tables
 set -euo pipefail
 cd "$(dirname "$0")"
 export CARGO_TERM_COLOR=never
@@ -25,6 +25,9 @@ readme() {
     rm -r "$out"
 }
 
+# What a protocol change costs shows as a difference of a table.
+tables() { cargo run --release --locked -- sim table --robots-max 20 --file tests/tables/swarms.txt --check; }
+
 step() {
     local start=$SECONDS
     echo "== $1"
@@ -33,8 +36,8 @@ step() {
 }
 
 case "${1:-all}" in
-    all) for name in fmt clippy docs readme tests; do step "$name"; done ;;
+    all) for name in fmt clippy docs readme tables tests; do step "$name"; done ;;
     test) step tests ;;
-    fmt | clippy | docs | readme) step "$1" ;;
+    fmt | clippy | docs | readme | tables) step "$1" ;;
     *) sed -n '2,3p' "$0" >&2; exit 2 ;;
 esac

@@ -39,6 +39,32 @@ Each robot looks for frontiers in its own fused map, which holds what came over 
         mut_args(hide_foreign_to_exploration)
     )]
     Explore(Box<SimExploreArgs>),
+    /// Fly the sync protocol of a whole swarm in virtual time, under everything that a seed can do, with checkers at every event
+    #[command(after_help = "\
+Examples:
+  flockmap sim swarm --seed 7
+  flockmap sim swarm --seed 1 --seeds 10000
+  flockmap sim swarm --seed 3 --robots 5 --radio wifi_lossy --seconds 20 --cast broadcast
+
+One seed decides everything: number of robots, who hears whom, loss, bursts, delay, reordering, duplication, flipped bits, rates and queues,
+partitions, half-open links, clocks, crashes, restarts, budgets, limits. An option takes the place of what would be drawn.
+Each robot is a real one, with a mapper, codec, session and fused map, in a small world. Mapping ends, links heal, and then all must agree.
+
+Checkers: voxel (a layer holds only what its origin told), layer (nothing older than what is held), packed (packages say what a cycle
+changed), fused (the fused map follows from the layers), memory, in_flight (stated limits), twice (nothing twice within a round trip),
+budget (bytes of any second), quiet (nothing but requests when nothing is missing), agreement (equal maps in time), still (time goes on),
+crash (no panic). A failure names the checker, the robot, the time, and the one command that repeats it; the exit code is 1 then.")]
+    Swarm(SimSwarmArgs),
+    /// What a swarm costs by its radio and the number of its robots: bytes, airtime, age, time to agreement
+    #[command(after_help = "\
+Examples:
+  flockmap sim table --robots-max 20
+  flockmap sim table --file tests/tables/swarms.txt
+  flockmap sim table --robots-max 20 --file tests/tables/swarms.txt --check
+
+Broadcast, without crashes and partitions; the same on every machine. With --check nothing is written: the rows are held against
+those of the file, and a row that differs is shown, with exit code 1. All checkers of `sim swarm` watch these flights too.")]
+    Table(SimTableArgs),
 }
 
 /// Options that the shared groups hold for other commands.
@@ -131,4 +157,66 @@ pub struct SimExploreArgs {
     pub map: MapArgs,
     #[command(flatten)]
     pub source: SourceArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct SimSwarmArgs {
+    /// Decides everything that is left to chance
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// Fly so many seeds, from --seed on, and sum up
+    #[arg(long, value_name = "N")]
+    pub seeds: Option<u64>,
+    /// Robots, 2 to 200 [default: drawn, 2 to 6]
+    #[arg(long, value_name = "N")]
+    pub robots: Option<usize>,
+    /// lan, wifi, wifi_lossy, wifi_congested, mesh_line, intermittent or lora [default: drawn]
+    #[arg(long, value_name = "PRESET")]
+    pub radio: Option<flockmap_sim::swarm::RadioPreset>,
+    /// Seconds of mapping before links heal [default: drawn, 2 to 8]
+    #[arg(long, value_name = "T")]
+    pub seconds: Option<f64>,
+    /// To each peer on its own, or to all at once [default: drawn]
+    #[arg(long, value_name = "CAST")]
+    pub cast: Option<CastArg>,
+    /// No crashes, partitions, half-open links, tight limits or mixed settings: the radio alone
+    #[arg(long)]
+    pub calm: bool,
+    /// Threads that fly several seeds; what happens never depends on it [default: as many as there are cores]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Write what the table shows as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+#[derive(Args, Debug)]
+pub struct SimTableArgs {
+    /// Rows for up to so many robots, 2 to 100
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub robots_max: usize,
+    /// Write the table to this file
+    #[arg(long, value_name = "FILE")]
+    pub file: Option<PathBuf>,
+    /// Hold the rows against those of --file
+    #[arg(long, requires = "file")]
+    pub check: bool,
+}
+
+/// How datagrams go out.
+#[derive(clap::ValueEnum, Clone, Copy, Debug)]
+pub enum CastArg {
+    /// To each peer on its own.
+    Unicast,
+    /// To all at once.
+    Broadcast,
+}
+
+impl From<CastArg> for flockmap::Cast {
+    fn from(cast: CastArg) -> Self {
+        match cast {
+            CastArg::Unicast => Self::Unicast,
+            CastArg::Broadcast => Self::Broadcast,
+        }
+    }
 }

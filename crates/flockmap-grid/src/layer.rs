@@ -77,7 +77,9 @@ impl Layer {
             });
             block.keep_before(new, stamp, is_cycle);
             let mut mask = new.known();
-            if block.stamps.newest() >= stamp {
+            if block.stamps.newest() >= stamp
+                && !crate::mutation::is(crate::mutation::Mutation::StampCompareDropped)
+            {
                 block.keep_newer(&mut mask, new, stamp);
             }
             if mask != [0; 8] {

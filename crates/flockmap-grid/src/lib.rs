@@ -10,6 +10,8 @@ mod changes;
 mod fusion;
 mod layer;
 mod mapper;
+#[doc(hidden)]
+pub mod mutation;
 mod origin;
 mod pose;
 mod present;

@@ -1,4 +1,5 @@
-//! Simulator of Flockmap: worlds, LiDAR models, collision-free flights, and an emulated radio.
+//! Simulator of Flockmap: worlds, LiDAR models, collision-free flights, an emulated radio, and whole
+//! swarms in virtual time ([`swarm`]).
 //!
 //! Everything is deterministic: the same seed gives the same bytes on every machine. Only the basic
 //! operations and the square root of `f64`, which IEEE 754 fixes to the last bit, and the pure-Rust sines of
@@ -31,6 +32,7 @@ mod navigation;
 mod patrol;
 mod radio;
 mod random;
+pub mod swarm;
 mod tracks;
 mod world;
 
@@ -45,7 +47,7 @@ pub use navigation::{
     Router,
 };
 pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
-pub use radio::{Delivery, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
+pub use radio::{Burst, Delivery, Faults, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
 pub use random::Random;
 pub use tracks::{ObstacleOptions, Tracks, TracksError};
 pub use world::{Hit, OpenError, World, WorldError};

@@ -1,9 +1,14 @@
 //! An emulated radio in virtual time.
 
+mod faults;
+
+pub use faults::{Burst, Faults};
+
 use crate::random::{Random, mix};
 use core::cmp::Reverse;
+use faults::Weather;
 use flockmap_grid::{RobotId, Stamp};
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 use std::sync::Arc;
 
 /// Bytes that IPv4 and UDP put before each datagram.
@@ -48,6 +53,12 @@ pub struct RadioConfig {
     pub in_flight_bytes_max: usize,
     /// Bytes counted for each datagram besides its payload, such as [`IP_UDP_BYTES`]. Default 0.
     pub overhead_bytes: usize,
+    /// All nodes share one medium: while one sends, the others wait, each with its own queue, and who came first sends first.
+    /// Default: each node sends on its own. Only with a rate.
+    pub is_shared: bool,
+    /// Time that each datagram takes on the air beside its bytes: preamble, access to the medium, acknowledgement. Microseconds,
+    /// default 0. Only with a rate.
+    pub airtime_overhead_micros: i64,
 }
 
 impl Default for RadioConfig {
@@ -59,6 +70,8 @@ impl Default for RadioConfig {
             queue_bytes_max: 256 << 10,
             in_flight_bytes_max: 64 << 20,
             overhead_bytes: 0,
+            is_shared: false,
+            airtime_overhead_micros: 0,
         }
     }
 }
@@ -100,6 +113,10 @@ pub struct Traffic {
     pub lost: u64,
     /// Datagrams of this node that found its queue full, or the whole radio.
     pub dropped: u64,
+    /// Datagrams that arrived at this node with flipped bits.
+    pub damaged: u64,
+    /// Time that the datagrams of this node were on the air, in microseconds. Only with a rate.
+    pub airtime_micros: u64,
 }
 
 /// A radio between nodes that exists in virtual time only: stamps come in as arguments, nothing waits. The
@@ -125,6 +142,8 @@ pub struct RadioEmulator {
     queue: BinaryHeap<Reverse<InFlight>>,
     in_flight_bytes: usize,
     sequence: u64,
+    /// When a medium that all share is free.
+    medium_busy_until: Stamp,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -132,6 +151,9 @@ struct Node {
     traffic: Traffic,
     /// When all that waits at this node will have been sent.
     busy_until: Stamp,
+    /// On a shared medium: what waits or is being sent, with the time at which it will have been sent.
+    waiting: VecDeque<(Stamp, usize)>,
+    waiting_bytes: usize,
 }
 
 #[derive(Clone, Debug)]
@@ -139,6 +161,7 @@ struct Line {
     link: Link,
     cut: bool,
     random: Random,
+    weather: Weather,
 }
 
 /// Ordered by its first two members, which no two share.
@@ -160,17 +183,40 @@ impl RadioEmulator {
             for &to in nodes.keys() {
                 if from != to {
                     let random = Random::new(config.seed, mix(u64::from(from.0) << 16 | u64::from(to.0)));
-                    links.insert((from, to), Line { link: config.link, cut: false, random });
+                    let weather = Weather::new(config.seed, from, to);
+                    links.insert((from, to), Line { link: config.link, cut: false, random, weather });
                 }
             }
         }
-        Self { config, nodes, links, queue: BinaryHeap::new(), in_flight_bytes: 0, sequence: 0 }
+        Self {
+            config,
+            nodes,
+            links,
+            queue: BinaryHeap::new(),
+            in_flight_bytes: 0,
+            sequence: 0,
+            medium_busy_until: Stamp(i64::MIN),
+        }
     }
 
     /// Changes the link in one direction. Does nothing if there is no such link.
     pub fn set_link(&mut self, from: RobotId, to: RobotId, link: Link) {
         if let Some(line) = self.links.get_mut(&(from, to)) {
             line.link = link;
+        }
+    }
+
+    /// Sets what else a link does to datagrams, in one direction. Does nothing if there is no such link.
+    pub fn set_faults(&mut self, from: RobotId, to: RobotId, faults: Faults) {
+        if let Some(line) = self.links.get_mut(&(from, to)) {
+            line.weather.faults = faults;
+        }
+    }
+
+    /// Opens a link, or lets nothing pass on it, in one direction. What is on the way arrives.
+    pub fn set_open(&mut self, from: RobotId, to: RobotId, is_open: bool) {
+        if let Some(line) = self.links.get_mut(&(from, to)) {
+            line.cut = !is_open;
         }
     }
 
@@ -191,17 +237,36 @@ impl RadioEmulator {
         let Some(node) = self.nodes.get_mut(&from) else { return };
         let mut on_air = now;
         if let Some(rate) = self.config.rate_bytes_per_s {
-            // Bytes that wait = time until the node is free × rate.
             let rate = i128::from(rate.max(1));
-            let begins = node.busy_until.max(now);
-            let waiting = i128::from(begins.micros_since(now)) * rate / 1_000_000;
-            if waiting + size as i128 > self.config.queue_bytes_max as i128 {
-                node.traffic.dropped += 1;
-                return;
-            }
             let takes = (size as i128 * 1_000_000 + rate - 1) / rate;
-            on_air = begins.plus_micros(i64::try_from(takes).unwrap_or(i64::MAX));
-            node.busy_until = on_air;
+            let takes = i64::try_from(takes).unwrap_or(i64::MAX);
+            let takes = takes.saturating_add(self.config.airtime_overhead_micros.max(0));
+            let begins = if self.config.is_shared {
+                node.let_go(now);
+                if node.waiting_bytes + size > self.config.queue_bytes_max {
+                    node.traffic.dropped += 1;
+                    return;
+                }
+                self.medium_busy_until.max(now)
+            } else {
+                // Bytes that wait = time until the node is free × rate.
+                let begins = node.busy_until.max(now);
+                let waiting = i128::from(begins.micros_since(now)) * rate / 1_000_000;
+                if waiting + size as i128 > self.config.queue_bytes_max as i128 {
+                    node.traffic.dropped += 1;
+                    return;
+                }
+                begins
+            };
+            on_air = begins.plus_micros(takes);
+            node.traffic.airtime_micros += takes as u64;
+            if self.config.is_shared {
+                self.medium_busy_until = on_air;
+                node.waiting.push_back((on_air, size));
+                node.waiting_bytes += size;
+            } else {
+                node.busy_until = on_air;
+            }
         }
         node.traffic.sent += 1;
         node.traffic.sent_bytes += size as u64;
@@ -253,6 +318,8 @@ impl RadioEmulator {
                 received_bytes: sum.received_bytes + t.received_bytes,
                 lost: sum.lost + t.lost,
                 dropped: sum.dropped + t.dropped,
+                damaged: sum.damaged + t.damaged,
+                airtime_micros: sum.airtime_micros + t.airtime_micros,
             }
         })
     }
@@ -273,12 +340,20 @@ impl RadioEmulator {
         let jitter_max = line.link.jitter_micros.max(0) as u64;
         let jitters = [(); 2].map(|()| line.random.below(jitter_max.saturating_add(1)) as i64);
         let delay = line.link.delay_micros.max(0);
-        if lost || line.cut {
+        let (faded, flips) = line.weather.draw(on_air);
+        if lost || faded || line.cut {
             if let Some(node) = self.nodes.get_mut(&to) {
                 node.traffic.lost += 1;
             }
             return;
         }
+        let damaged = flips.map(|flips| flips.applied_to(bytes));
+        if damaged.is_some()
+            && let Some(node) = self.nodes.get_mut(&to)
+        {
+            node.traffic.damaged += 1;
+        }
+        let bytes = damaged.as_ref().unwrap_or(bytes);
         let size = bytes.len() + self.config.overhead_bytes;
         for jitter in jitters.into_iter().take(1 + usize::from(twice)) {
             if self.in_flight_bytes + size > self.config.in_flight_bytes_max {
@@ -292,6 +367,18 @@ impl RadioEmulator {
             let bytes = Arc::clone(bytes);
             self.queue.push(Reverse(InFlight { due, sequence: self.sequence, from, to, bytes }));
             self.sequence += 1;
+        }
+    }
+}
+
+impl Node {
+    /// Forgets what has been sent by now.
+    fn let_go(&mut self, now: Stamp) {
+        while let Some(&(done, size)) = self.waiting.front()
+            && done <= now
+        {
+            self.waiting.pop_front();
+            self.waiting_bytes -= size;
         }
     }
 }

@@ -4,6 +4,7 @@
 mod answer;
 mod ask;
 mod event;
+mod load;
 mod peer;
 mod present;
 mod receive;
@@ -11,6 +12,7 @@ mod sealing;
 mod send;
 
 pub use event::{Destination, Event, PublishError, Transmit};
+pub use load::Load;
 pub use peer::PeerInfo;
 pub(crate) use sealing::RESTARTS_MAX;
 
@@ -319,6 +321,9 @@ impl Session {
     /// When to call [`handle_timeout`](Self::handle_timeout) and poll again, if no datagram comes before.
     /// Correct after `poll_transmit` returned `None`.
     pub fn poll_timeout(&self) -> Option<Stamp> {
+        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::TimeStandsStill) {
+            return Some(self.now);
+        }
         let lost = self.peers.values().map(|peer| peer.last_heard.plus_micros(self.peer_timeout())).min();
         // A request that is due already waits for the budget, like everything else: `wake` says until when.
         let request = self.next_request().filter(|&at| at > self.now || self.wake.is_none());

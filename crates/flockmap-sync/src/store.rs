@@ -223,7 +223,10 @@ impl Store {
         if stream != self.own {
             self.by_age.insert((fresh_at, stream, index));
         }
-        while self.bytes > self.limits.bytes_max && self.drop_oldest() {}
+        while self.bytes > self.limits.bytes_max
+            && !flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::StoreLimitIgnored)
+            && self.drop_oldest()
+        {}
         Ok(true)
     }
 

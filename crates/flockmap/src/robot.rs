@@ -238,6 +238,11 @@ impl Robot {
         &self.session
     }
 
+    /// Packages that wait for those that they build on, and their bytes with 200 bytes of bookkeeping each: at most 1,024, and 1 MiB.
+    pub fn waiting(&self) -> (usize, usize) {
+        self.waiting.load()
+    }
+
     /// What was counted.
     pub const fn counters(&self) -> &RobotCounters {
         &self.counters
@@ -255,7 +260,13 @@ impl Robot {
 
     /// Codes a cycle, takes it into the own layer and gives it to the session.
     fn publish(&mut self, now: Stamp, cycle: Cycle, changes: Changes) {
-        let packages = match self.encode(&cycle, &changes) {
+        let mut coded = std::borrow::Cow::Borrowed(&changes);
+        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::BlockLeftOut)
+            && changes.blocks().len() > 1
+        {
+            coded = std::borrow::Cow::Owned(Changes::from_blocks(changes.blocks()[1..].to_vec()));
+        }
+        let packages = match self.encode(&cycle, &coded) {
             Ok(packages) => packages,
             Err(error) => {
                 // The map goes on without these changes, and what is told next counts on them.

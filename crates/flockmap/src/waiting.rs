@@ -64,6 +64,11 @@ impl Waiting {
         self.drop_upto(stream, u32::MAX);
     }
 
+    /// Packages that wait, and their bytes with bookkeeping.
+    pub(crate) fn load(&self) -> (usize, usize) {
+        (self.packages.len(), self.bytes.values().sum())
+    }
+
     fn take(&mut self, stream: Stream, index: u32) -> Option<Package> {
         let package = self.packages.remove(&(stream, index))?;
         self.let_go(stream, &package);

@@ -1,8 +1,10 @@
-//! `flockmap sim`: simulated swarms, written as records.
+//! `flockmap sim`: simulated swarms: written as records, or in virtual time for their protocol.
 
 pub mod explore;
 mod fly;
 pub mod robot_record;
+mod swarm;
+mod table;
 
 use crate::args_sim::SimCommand;
 
@@ -11,5 +13,7 @@ pub fn run(command: &SimCommand) -> anyhow::Result<bool> {
     match command {
         SimCommand::Fly(args) => fly::run(args),
         SimCommand::Explore(args) => explore::run(args),
+        SimCommand::Swarm(args) => swarm::run(args),
+        SimCommand::Table(args) => table::run(args),
     }
 }

@@ -180,7 +180,10 @@ impl Fusion {
         let taken = apply(layer);
         self.layer_blocks += layer.block_count() - before;
         let origin = self.origin(stream.origin);
-        if stream != self.own && !origin.is_muted {
+        if stream != self.own
+            && !origin.is_muted
+            && !crate::mutation::is(crate::mutation::Mutation::FusionSkipped)
+        {
             for (index, mask) in origin.alignment.reach(&taken).iter() {
                 self.refresh(mapper, *index, mask);
             }

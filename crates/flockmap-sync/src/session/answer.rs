@@ -93,6 +93,9 @@ impl Session {
             let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));
             // Of what lies below the list, the last word still holds.
             let below = view.held.within(0, stated.from.saturating_sub(1));
+            if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::HoldingsIgnored) {
+                continue;
+            }
             view.held = if is_overtaken {
                 // What came in later datagrams of the peer it did not hold yet when it made this request.
                 view.held.union(&stated.held)

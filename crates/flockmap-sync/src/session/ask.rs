@@ -350,6 +350,9 @@ impl Session {
     /// only a present state can bring.
     fn stated_as_held(&self, stream: Stream, now: Stamp) -> IntervalSet {
         let Some(held) = self.store.held(stream) else { return IntervalSet::new(0) };
+        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::GapNeverAsked) {
+            return IntervalSet::from_intervals(0, vec![(1, self.store.newest_known(stream))]);
+        }
         let of_stream = |index| Item::Package { stream, index };
         let index = |item: Item| match item {
             Item::Package { index, .. } => Some((index, index)),

@@ -30,6 +30,8 @@ impl Incoming {
 
     pub(super) fn is_complete(&self) -> bool {
         self.accepted.contains_range(1, self.tiles)
+            || (!self.accepted.is_empty()
+                && flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::StateHeldTooEarly))
     }
 
     /// Nothing has come of it for long. A complete one waits longer, for the packages before it.

@@ -47,10 +47,13 @@ impl Peer {
     /// Notes that an item is on its way to the peer; whether it is now in the ledger, and was not before. One that is on its way
     /// again, since somebody else missed it too, counts from now.
     pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
-        if !self.wants(item.stream()) {
+        if !self.wants(item.stream())
+            || flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::LedgerIgnored)
+        {
             return false;
         }
-        let is_new = self.in_flight.len() < in_flight_max
+        let is_new = (self.in_flight.len() < in_flight_max
+            || flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::WindowIgnored))
             && self.view(item.stream(), now).is_some_and(|view| view.cover(item));
         if is_new {
             self.in_flight.push_back(Sent { item, at: now, requests: 0 });
@@ -113,7 +116,9 @@ impl Session {
         if positions.is_empty() {
             return Attempt::Nothing;
         }
-        if peer.in_flight.len() >= self.config.in_flight_max {
+        if peer.in_flight.len() >= self.config.in_flight_max
+            && !flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::WindowIgnored)
+        {
             self.counters.delayed_by_window += 1;
             return Attempt::Nothing;
         }

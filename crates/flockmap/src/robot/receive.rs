@@ -149,6 +149,10 @@ impl Robot {
             // A present state has brought it meanwhile.
             return false;
         }
+        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::AcceptedUnmerged) {
+            self.session.accept(now, package);
+            return true;
+        }
         let reason = match self.merge(package) {
             Ok(event) => {
                 self.counters.merged += 1;

@@ -1,0 +1,268 @@
+//! `flockmap sim swarm`: the sync protocol in virtual time under everything that a seed can do.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::ensure;
+use flockmap_sim::swarm::{Report, SwarmOptions, fly};
+use serde_json::{Value, json};
+
+use crate::args_sim::SimSwarmArgs;
+use crate::progress::Progress;
+use crate::table::{Table, thousands};
+use crate::{command_line, json_file, stop};
+
+/// How often the progress is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Of many seeds, failures told in full.
+const FAILURES_TOLD: usize = 5;
+
+/// Runs the command. False if a checker found something.
+pub fn run(args: &SimSwarmArgs) -> anyhow::Result<bool> {
+    ensure!(args.robots.is_none_or(|n| (2..=200).contains(&n)), "--robots must be 2 to 200");
+    let seconds_fit = args.seconds.is_none_or(|s| (0.1..=3_600.0).contains(&s));
+    ensure!(seconds_fit, "--seconds must be 0.1 to 3,600");
+    ensure!(args.threads.is_none_or(|n| (1..=1_000).contains(&n)), "--threads must be 1 to 1,000");
+    ensure!(args.seeds.is_none_or(|n| n > 0), "--seeds must be 1 or more");
+    match args.seeds {
+        None => one(args),
+        Some(seeds) => many(args, seeds),
+    }
+}
+
+fn options(args: &SimSwarmArgs, seed: u64) -> SwarmOptions {
+    SwarmOptions {
+        robots: args.robots,
+        radio: args.radio,
+        seconds: args.seconds,
+        cast: args.cast.map(Into::into),
+        is_calm: args.calm,
+        ..SwarmOptions::new(seed)
+    }
+}
+
+fn one(args: &SimSwarmArgs) -> anyhow::Result<bool> {
+    let report = fly(&options(args, args.seed));
+    print!("{}", account(&report));
+    if let Some(path) = &args.json {
+        json_file::write(path, &one_as_json(&report))?;
+    }
+    Ok(report.is_good())
+}
+
+/// What of many flights is kept.
+#[derive(Default)]
+struct Sum {
+    flights: u64,
+    agreement_s: Vec<f64>,
+    robots: u64,
+    steps: u64,
+    flown_s: f64,
+    seen: BTreeMap<&'static str, (u64, u64)>,
+    failures: Vec<(u64, Report)>,
+}
+
+impl Sum {
+    fn add(&mut self, seed: u64, report: Report) {
+        self.flights += 1;
+        self.agreement_s.extend(report.agreement_s);
+        self.robots += report.robots.len() as u64;
+        self.steps += report.steps;
+        self.flown_s += report.flown_s;
+        for (name, count) in &report.seen {
+            let (flights, all) = self.seen.entry(name).or_default();
+            *flights += u64::from(*count > 0);
+            *all += count;
+        }
+        if !report.is_good() {
+            self.failures.push((seed, report));
+        }
+    }
+}
+
+fn many(args: &SimSwarmArgs, seeds: u64) -> anyhow::Result<bool> {
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let threads = args.threads.unwrap_or(cores).min(seeds as usize);
+    let (next, done) = (AtomicU64::new(0), AtomicU64::new(0));
+    let sum = Mutex::new(Sum::default());
+    let began = Instant::now();
+    let mut progress = Progress::new("flights", seeds);
+    std::thread::scope(|scope| {
+        let work = || {
+            while !stop::requested() {
+                let number = next.fetch_add(1, Ordering::Relaxed);
+                if number >= seeds {
+                    return;
+                }
+                let seed = args.seed.wrapping_add(number);
+                let report = fly(&options(args, seed));
+                if let Ok(mut sum) = sum.lock() {
+                    sum.add(seed, report);
+                }
+                done.fetch_add(1, Ordering::Relaxed);
+            }
+        };
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        while workers.iter().any(|worker| !worker.is_finished()) {
+            progress.set(done.load(Ordering::Relaxed));
+            std::thread::sleep(LOOK_EVERY);
+        }
+        for worker in workers {
+            if let Err(panic) = worker.join() {
+                std::panic::resume_unwind(panic);
+            }
+        }
+    });
+    drop(progress);
+    let mut sum = sum.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    sum.failures.sort_by_key(|(seed, _)| *seed);
+    print!("{}", summary(&mut sum, began.elapsed(), threads));
+    if let Some(path) = &args.json {
+        json_file::write(path, &many_as_json(args, &sum))?;
+    }
+    Ok(sum.failures.is_empty())
+}
+
+fn account(report: &Report) -> String {
+    let mut text = format!("{}\n\n", report.command);
+    for line in &report.settings {
+        text += &format!("  {line}\n");
+    }
+    text += "\n";
+    for (at, what) in &report.events {
+        text += &format!("  {at:>9.3} s  {what}\n");
+    }
+    let mut table = Table::new([
+        "robot",
+        "runs",
+        "packages",
+        "their bytes",
+        "sent bytes",
+        "requests",
+        "their bytes",
+        "air s",
+        "merged",
+        "age 50 % s",
+        "99 % s",
+    ]);
+    for robot in &report.robots {
+        table.row([
+            format!("{}{}", robot.id, if robot.is_alive { "" } else { " (gone)" }),
+            robot.runs.to_string(),
+            thousands(robot.packages),
+            thousands(robot.package_bytes),
+            thousands(robot.bytes),
+            thousands(robot.requests),
+            thousands(robot.request_bytes),
+            format!("{:.3}", robot.airtime_s),
+            thousands(robot.merged),
+            format!("{:.3}", robot.age_median_s),
+            format!("{:.3}", robot.age_99_s),
+        ]);
+    }
+    text += &format!("\n{table}\n");
+    let seen = report.seen.iter().filter(|(_, count)| **count > 0);
+    let seen: Vec<String> = seen.map(|(name, count)| format!("{name} {}", thousands(*count))).collect();
+    text += &format!("  seen: {}\n\n", seen.join(", "));
+    match (&report.failure, report.agreement_s) {
+        (Some(failure), _) => text += &format!("FAILED: {failure}\n  again:    {}\n", report.command),
+        (None, Some(agreement)) => {
+            text += &format!(
+                "  all maps equal {agreement:.2} s after links healed (within {:.1} s), then quiet; {:.1} s of virtual time\n",
+                report.agreement_within_s, report.flown_s
+            );
+        }
+        (None, None) => {}
+    }
+    text
+}
+
+fn summary(sum: &mut Sum, took: Duration, threads: usize) -> String {
+    let mut text = String::new();
+    let mut table = Table::new(["seen", "in flights", "in all"]);
+    for (name, (flights, all)) in &sum.seen {
+        table.row([(*name).to_owned(), thousands(*flights), thousands(*all)]);
+    }
+    text += &format!("{table}\n");
+    for (_, report) in sum.failures.iter().take(FAILURES_TOLD) {
+        if let Some(failure) = &report.failure {
+            text += &format!("FAILED: {failure}\n  again:    {}\n", report.command);
+        }
+    }
+    let mut by_checker = BTreeMap::<&str, Vec<u64>>::new();
+    for (seed, report) in &sum.failures {
+        by_checker.entry(report.failure.as_ref().map_or("", |f| f.checker)).or_default().push(*seed);
+    }
+    for (checker, seeds) in &by_checker {
+        let first: Vec<String> = seeds.iter().take(12).map(u64::to_string).collect();
+        let more = if seeds.len() > first.len() { " …" } else { "" };
+        text += &format!("  checker {checker}: {} flights, seeds {}{more}\n", seeds.len(), first.join(" "));
+    }
+    sum.agreement_s.sort_by(f64::total_cmp);
+    let at = |share: f64| {
+        let last = sum.agreement_s.len().saturating_sub(1) as f64;
+        sum.agreement_s.get((last * share).round() as usize).copied().unwrap_or(0.0)
+    };
+    text += &format!(
+        "  {} flights of {} robots, {} inputs, {:.0} s of virtual time in {:.1} s on {threads} threads\n",
+        thousands(sum.flights),
+        thousands(sum.robots),
+        thousands(sum.steps),
+        sum.flown_s,
+        took.as_secs_f64()
+    );
+    text += &format!(
+        "  agreement after links healed: median {:.2} s, 99 % {:.2} s, longest {:.2} s\n",
+        at(0.5),
+        at(0.99),
+        at(1.0)
+    );
+    text += &format!("  {} of {} flights failed\n", sum.failures.len(), thousands(sum.flights));
+    text
+}
+
+fn one_as_json(report: &Report) -> Value {
+    let robots: Vec<Value> = report
+        .robots
+        .iter()
+        .map(|robot| {
+            json!({
+                "robot": robot.id, "runs": robot.runs, "alive": robot.is_alive, "packages": robot.packages,
+                "package_bytes": robot.package_bytes, "datagrams": robot.datagrams, "bytes": robot.bytes,
+                "requests": robot.requests, "request_bytes": robot.request_bytes, "airtime_s": robot.airtime_s,
+                "merged": robot.merged, "age_median_s": robot.age_median_s, "age_99_s": robot.age_99_s,
+            })
+        })
+        .collect();
+    let events: Vec<Value> =
+        report.events.iter().map(|(at, what)| json!({"at_s": at, "what": what})).collect();
+    json!({
+        "command": report.command, "settings": report.settings, "events": events, "robots": robots,
+        "mapping_s": report.mapping_s, "agreement_s": report.agreement_s,
+        "agreement_within_s": report.agreement_within_s, "seen": report.seen, "flown_s": report.flown_s,
+        "steps": report.steps, "failure": report.failure.as_ref().map(ToString::to_string),
+    })
+}
+
+fn many_as_json(args: &SimSwarmArgs, sum: &Sum) -> Value {
+    let failures: Vec<Value> = sum
+        .failures
+        .iter()
+        .map(|(seed, report)| {
+            let failure = report.failure.as_ref().map(ToString::to_string);
+            json!({"seed": seed, "command": report.command, "failure": failure})
+        })
+        .collect();
+    let seen: BTreeMap<_, _> = sum
+        .seen
+        .iter()
+        .map(|(name, (flights, all))| (*name, json!({"flights": flights, "all": all})))
+        .collect();
+    json!({
+        "command": command_line(), "seed": args.seed, "flights": sum.flights, "robots": sum.robots,
+        "steps": sum.steps, "flown_s": sum.flown_s, "agreement_s": sum.agreement_s, "seen": seen,
+        "failures": failures,
+    })
+}

@@ -1,0 +1,80 @@
+//! Faults put in on purpose, to prove that the checkers of the swarm simulator find them. For tests only.
+//!
+//! Each fault breaks one thing in one line, where [`is`] asks for it. Without the feature `mutations`, which no shipped program has,
+//! [`is`] is a constant `false` and nothing remains of it.
+
+/// A fault.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[non_exhaustive]
+pub enum Mutation {
+    /// A layer takes over every word, however old.
+    StampCompareDropped,
+    /// What was sent is not noted as being on its way.
+    LedgerIgnored,
+    /// A decoded package is not held against its check.
+    CheckSkipped,
+    /// The byte budget never makes anything wait.
+    BudgetIgnored,
+    /// A robot says that it holds all of which it has heard, so a gap is never filled.
+    GapNeverAsked,
+    /// A package counts as held before it is merged, and is not.
+    AcceptedUnmerged,
+    /// A present state counts as held when its first tile has come.
+    StateHeldTooEarly,
+    /// More is in flight to a peer than the limit allows.
+    WindowIgnored,
+    /// The store grows beyond its limit.
+    StoreLimitIgnored,
+    /// What layers take over does not reach the fused map.
+    FusionSkipped,
+    /// What a peer says to hold is not noted, so it is sent again when it counts as lost.
+    HoldingsIgnored,
+    /// A session wants to be called again at once, always.
+    TimeStandsStill,
+    /// A cycle leaves out its last block.
+    BlockLeftOut,
+}
+
+impl Mutation {
+    /// All of them.
+    pub const ALL: [Self; 13] = [
+        Self::StampCompareDropped,
+        Self::LedgerIgnored,
+        Self::CheckSkipped,
+        Self::BudgetIgnored,
+        Self::GapNeverAsked,
+        Self::AcceptedUnmerged,
+        Self::StateHeldTooEarly,
+        Self::WindowIgnored,
+        Self::StoreLimitIgnored,
+        Self::FusionSkipped,
+        Self::HoldingsIgnored,
+        Self::TimeStandsStill,
+        Self::BlockLeftOut,
+    ];
+}
+
+#[cfg(feature = "mutations")]
+thread_local! {
+    static ACTIVE: core::cell::Cell<Option<Mutation>> = const { core::cell::Cell::new(None) };
+}
+
+/// Puts in a fault, or takes it out, on this thread.
+#[cfg(feature = "mutations")]
+pub fn set(mutation: Option<Mutation>) {
+    ACTIVE.set(mutation);
+}
+
+/// Whether this fault is put in on this thread.
+#[cfg(feature = "mutations")]
+#[inline]
+pub fn is(mutation: Mutation) -> bool {
+    ACTIVE.get() == Some(mutation)
+}
+
+/// Whether this fault is put in: never.
+#[cfg(not(feature = "mutations"))]
+#[inline(always)]
+pub const fn is(_: Mutation) -> bool {
+    false
+}

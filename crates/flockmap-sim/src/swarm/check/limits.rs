@@ -1,0 +1,40 @@
+//! The stated limits: `memory` on what a session and its robot hold, `in_flight` on packages sent and not yet confirmed.
+
+use super::Finding;
+use flockmap::Robot;
+
+const MEMORY: &str = "memory";
+const IN_FLIGHT: &str = "in_flight";
+
+/// Undecided packages and tiles, as the session states it.
+const UNDECIDED_MAX: usize = 4_096;
+/// Refused ones that are remembered.
+const REFUSED_MAX: usize = 1_024;
+/// Packages that wait for their reference at a robot, and their bytes.
+const WAITING_MAX: usize = 1_024;
+const WAITING_BYTES_MAX: usize = 1 << 20;
+/// Intervals in the indices of one stream.
+const INTERVALS_MAX: usize = 1_024;
+
+/// After every input of a robot. O(peers + streams).
+pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
+    let (session, config) = (robot.session(), robot.session().config());
+    let load = session.load();
+    let (waiting, waiting_bytes) = robot.waiting();
+    let intervals =
+        session.streams().filter_map(|stream| session.held(stream)).map(|held| held.intervals().len()).max();
+    let limits = [
+        (MEMORY, "peers", load.peers, config.peers_max),
+        (MEMORY, "streams of others", load.streams, config.streams_max),
+        (MEMORY, "bytes in the store", session.store().bytes(), config.store_bytes_max),
+        (MEMORY, "packages undecided", load.undecided, UNDECIDED_MAX),
+        (MEMORY, "packages refused", load.refused, REFUSED_MAX),
+        (MEMORY, "present states received at once", load.transfers, config.transfers_max),
+        (MEMORY, "packages that wait", waiting, WAITING_MAX),
+        (MEMORY, "bytes of packages that wait", waiting_bytes, WAITING_BYTES_MAX),
+        (MEMORY, "intervals held of a stream", intervals.unwrap_or(0), INTERVALS_MAX),
+        (IN_FLIGHT, "packages in flight to a peer", load.in_flight_most, config.in_flight_max),
+    ];
+    let (checker, what, found, most) = limits.into_iter().find(|(_, _, found, most)| found > most)?;
+    Some(Finding { checker, expected: format!("{what}: at most {most}"), found: found.to_string() })
+}

@@ -1,0 +1,57 @@
+//! What must hold in every flight. Each checker has a file, a name, and says there what it holds.
+
+mod agreement;
+mod budget;
+mod fused;
+mod layer;
+mod limits;
+mod quiet;
+mod still;
+mod twice;
+mod voxel;
+
+pub(super) use agreement::{bound, disagreement, unequal_layer};
+pub(super) use budget::Budget;
+pub(super) use fused::wrong_fused;
+pub(super) use quiet::{Quiet, period_micros};
+pub(super) use still::Still;
+pub(super) use twice::Twice;
+
+use flockmap::RobotId;
+
+pub(super) mod names {
+    pub(in crate::swarm) use super::agreement::NAME as AGREEMENT;
+    /// What a robot's call into the library panicked with.
+    pub(in crate::swarm) const CRASH: &str = "crash";
+    /// The packages of a cycle, decoded at their origin, say what the cycle changed.
+    pub(in crate::swarm) const PACKED: &str = "packed";
+    /// What the simulator asks of its own settings.
+    pub(in crate::swarm) const SETTINGS: &str = "settings";
+}
+
+pub(super) use layer::{layer_after, whole_layer};
+pub(super) use limits::limits;
+pub(super) use voxel::{voxels_of_merge, whole_voxels};
+
+/// Something that must hold and did not.
+#[derive(Clone, PartialEq, Debug)]
+#[non_exhaustive]
+pub struct Failure {
+    /// The checker.
+    pub checker: &'static str,
+    /// Where it was found.
+    pub robot: Option<RobotId>,
+    /// When, in seconds since the flight began.
+    pub at_s: f64,
+    /// What should have been.
+    pub expected: String,
+    /// What was.
+    pub found: String,
+}
+
+/// A finding of a checker, before time and robot are put to it.
+pub(super) struct Finding {
+    pub(super) checker: &'static str,
+    pub(super) expected: String,
+    pub(super) found: String,
+}

@@ -1,0 +1,61 @@
+//! When nothing is missing anywhere, only periodic requests flow.
+
+use super::Finding;
+use flockmap::SessionConfig;
+
+const NAME: &str = "quiet";
+
+/// What a robot sends from a moment on at which everybody has everything and knows it of everybody.
+#[derive(Default)]
+pub(in crate::swarm) struct Quiet {
+    from: Option<i64>,
+    requests: u64,
+}
+
+impl Quiet {
+    /// How long after agreement it is quiet: the last requests have told everybody.
+    pub(in crate::swarm) fn grace_micros(config: &SessionConfig) -> i64 {
+        let period = period_micros(config);
+        1_000_000 + 1_000 * i64::from(config.active_for_ms) + 3 * period
+    }
+
+    pub(in crate::swarm) fn begin(&mut self, now: i64) {
+        self.from = Some(now);
+    }
+
+    /// A datagram to everyone counts once.
+    pub(in crate::swarm) fn sent(
+        &mut self,
+        config: &SessionConfig,
+        now: i64,
+        is_request: bool,
+    ) -> Option<Finding> {
+        let since = now - self.from?;
+        if !is_request {
+            return Some(Finding {
+                checker: NAME,
+                expected: "requests only: nobody misses anything".to_owned(),
+                found: "a datagram of packages".to_owned(),
+            });
+        }
+        self.requests += 1;
+        let shortest = 900 * i64::from(config.request_period_idle_ms.min(config.request_period_active_ms));
+        let most = 2 + (since / shortest.max(1)) as u64;
+        (self.requests > most).then(|| Finding {
+            checker: NAME,
+            expected: format!("at most {most} requests in {:.3} s", since as f64 / 1e6),
+            found: format!("{}", self.requests),
+        })
+    }
+}
+
+/// Longest pause between two requests to everyone, in microseconds.
+pub(in crate::swarm) fn period_micros(config: &SessionConfig) -> i64 {
+    let is_small = |rate: Option<u32>| rate.is_some_and(|rate| rate < 20_000);
+    let mut period = i64::from(config.request_period_idle_ms.max(config.request_period_active_ms)) * 1_100;
+    if is_small(config.radio_bytes_per_s) || is_small(config.link_bytes_per_s) {
+        // A small budget makes them rarer, but three come within the time after which a peer counts as gone.
+        period = period.max(i64::from(config.peer_timeout_ms) * 1_100 / 3);
+    }
+    period
+}

@@ -1,0 +1,129 @@
+//! Nothing is sent twice to a peer within a round trip, and nothing that the peer has said it holds.
+//!
+//! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
+//! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
+//! send are allowed, and counted as relayed. Sessions that compare successive requests (the paper's) measure no round trip and are
+//! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
+
+use super::Finding;
+use flockmap::codec::ContentKind;
+use flockmap::sync::InFlight;
+use flockmap::sync::wire::{Datagram, Kind, Request, parse_packages};
+use flockmap::{Robot, RobotId, Stamp, Stream};
+use rustc_hash::FxHashMap;
+
+const NAME: &str = "twice";
+
+/// A package by its index, or a tile by its set and number.
+type Item = (Stream, u32, Option<(u32, u32)>);
+
+/// What one robot knows of another, as the simulator sees it.
+#[derive(Default)]
+struct Pair {
+    /// When each item was sent last.
+    sent: FxHashMap<Item, i64>,
+    /// The peer's newest request that arrived.
+    request: Option<(Stamp, Request)>,
+}
+
+/// All that one run of a robot sent and was told.
+#[derive(Default)]
+pub(in crate::swarm) struct Twice {
+    peers: FxHashMap<RobotId, Pair>,
+}
+
+impl Twice {
+    /// The robot has lost sight of a peer, or has met it (again): what was before counts no more.
+    pub(in crate::swarm) fn forget(&mut self, peer: RobotId) {
+        self.peers.remove(&peer);
+    }
+
+    /// A datagram has arrived at the robot and was accepted.
+    pub(in crate::swarm) fn arrived(&mut self, bytes: &[u8]) {
+        let Ok(datagram) = Datagram::new_checked(bytes) else { return };
+        let header = *datagram.header();
+        if header.kind != Kind::Request {
+            return;
+        }
+        let Ok(request) = Request::parse(&datagram, 256) else { return };
+        let pair = self.peers.entry(header.sender.origin).or_default();
+        if pair.request.as_ref().is_none_or(|(stamp, _)| *stamp < header.stamp) {
+            pair.request = Some((header.stamp, request));
+        }
+    }
+
+    /// A datagram of packages goes out, to one or (`to` is `None`) to all peers of the robot.
+    pub(in crate::swarm) fn sent(
+        &mut self,
+        robot: &Robot,
+        now: i64,
+        to: Option<RobotId>,
+        bytes: &[u8],
+        round_trip: i64,
+    ) -> Option<Finding> {
+        let datagram = Datagram::new_checked(bytes).ok()?;
+        let packages = parse_packages(&datagram).ok()?;
+        let config = robot.session().config();
+        let ledger = config.in_flight == InFlight::RoundTrip;
+        // Until a round trip is measured, the configured one is all that is known.
+        let initial = 1_000 * i64::from(config.round_trip_initial_ms);
+        let peers = robot.session().peers();
+        let peers = peers.filter(|peer| to.map_or(peer.hears_us, |to| to == peer.stream.origin));
+        // As the robot knows them: a robot that began anew is sent its former run.
+        let peers: Vec<(Stream, i64)> = peers
+            .map(|peer| {
+                let round_trip = match peer.round_trip_micros {
+                    Some(_) => round_trip,
+                    None => round_trip.min(initial),
+                };
+                (peer.stream, round_trip)
+            })
+            .collect();
+        for package in &packages {
+            let header = package.header();
+            let tile = match header.content {
+                ContentKind::Present { set, tile, .. } => Some((set, tile)),
+                ContentKind::Changes => None,
+            };
+            let item = (header.stream, header.index, tile);
+            let mut reasons = Vec::new();
+            for (stream, round_trip) in &peers {
+                let peer = stream.origin;
+                if *stream == header.stream {
+                    reasons.push(format!("it is {peer:?}'s own"));
+                    continue;
+                }
+                let pair = self.peers.entry(peer).or_default();
+                let before = pair.sent.insert(item, now);
+                let says_held = tile.is_none()
+                    && pair.request.as_ref().is_some_and(|(_, request)| {
+                        request.held.iter().any(|held| held.stream == item.0 && held.held.contains(item.1))
+                    });
+                if says_held {
+                    reasons.push(format!("{peer:?} has said that it holds it"));
+                } else if let Some(before) = before.filter(|before| ledger && now - before < *round_trip) {
+                    let (ago, least) = ((now - before) as f64 / 1e3, *round_trip as f64 / 1e3);
+                    reasons.push(format!(
+                        "sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"
+                    ));
+                }
+            }
+            if reasons.len() == peers.len() {
+                let what = match tile {
+                    Some((set, tile)) => format!("tile {tile} of set {set:08x} of {:?}", item.0),
+                    None => format!("package {} of {:?}", item.1, item.0),
+                };
+                return Some(Finding {
+                    checker: NAME,
+                    expected: format!("a reason to send {what}"),
+                    found: if reasons.is_empty() {
+                        "no peer that hears".to_owned()
+                    } else {
+                        reasons.join("; ")
+                    },
+                });
+            }
+        }
+        None
+    }
+}

@@ -1,0 +1,32 @@
+//! A whole swarm in virtual time: real robots (mapper, codec, session, layers, fusion) on one queue of events, over an emulated
+//! radio. One seed decides everything, and checkers look at every event.
+//!
+//! ```
+//! use flockmap_sim::swarm::{SwarmOptions, fly};
+//!
+//! let report = fly(&SwarmOptions::new(1));
+//! assert!(report.is_good(), "{}", report.failure.unwrap());
+//! assert!(report.agreement_s.is_some());
+//! ```
+
+mod broken;
+mod check;
+mod clock;
+mod engine;
+mod member;
+mod options;
+mod plan;
+mod preset;
+mod report;
+mod seen;
+mod session;
+mod settings;
+pub mod table;
+mod truth;
+mod world;
+
+pub use check::Failure;
+pub use engine::fly;
+pub use options::SwarmOptions;
+pub use preset::{RadioNumbers, RadioPreset, Topology};
+pub use report::{Report, RobotFigures};

@@ -1,0 +1,225 @@
+//! What every origin told, taken down at the origin itself, to hold the others' layers against.
+
+use flockmap::codec::{Content, Decoder, Package};
+use flockmap::sync::IntervalSet;
+use flockmap_grid::{BlockIndex, Changes, Layer, Stamp, State, Stream, Voxel, bit_of, voxel_bit};
+use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
+
+/// One word of an origin about a voxel.
+#[derive(Clone, Copy, Debug)]
+struct Word {
+    index: u32,
+    stamp: Stamp,
+    state: State,
+    /// Number + 1 of the word before about the same voxel; 0: none.
+    before: u32,
+}
+
+/// All that one stream told.
+#[derive(Default)]
+pub(super) struct Told {
+    words: Vec<Word>,
+    /// Number + 1 of the newest word on each voxel of a block.
+    newest: FxHashMap<BlockIndex, Box<[u32; 512]>>,
+    /// What each cycle changed, by its end.
+    cycles: BTreeMap<Stamp, Changes>,
+    /// Packages made.
+    last: u32,
+    /// Bytes of these.
+    pub(super) bytes: u64,
+}
+
+/// A layer that is not what it should be.
+pub(super) struct Wrong {
+    pub(super) voxel: Voxel,
+    pub(super) expected: String,
+    pub(super) found: String,
+}
+
+/// All streams of a flight.
+#[derive(Default)]
+pub(super) struct Truth {
+    streams: BTreeMap<Stream, Told>,
+    decoder: Decoder,
+}
+
+impl Truth {
+    /// Takes down a cycle: what changed, and the packages made of it. `layer` is the origin's own, with the cycle in it.
+    /// What is wrong with the packages, if something is.
+    pub(super) fn note_cycle(
+        &mut self,
+        changes: &Changes,
+        packages: &[Package],
+        layer: Option<&Layer>,
+    ) -> Result<(), String> {
+        let Some(first) = packages.first() else { return Ok(()) };
+        let told = self.streams.entry(first.header().stream).or_default();
+        let mut together = Vec::new();
+        for package in packages {
+            let header = package.header();
+            if header.index != told.last + 1 {
+                return Err(format!("package {} after package {}", header.index, told.last));
+            }
+            let content = match self.decoder.decode_against(package, layer) {
+                Ok(Content::Changes(content)) => content,
+                other => return Err(format!("package {}: {other:?}", header.index)),
+            };
+            told.last = header.index;
+            told.bytes += package.bytes().len() as u64;
+            for (block, states) in content.blocks() {
+                let heads = told.newest.entry(*block).or_insert_with(|| Box::new([0; 512]));
+                let known = states.known();
+                for (z, plane) in known.iter().enumerate() {
+                    let mut bits = *plane;
+                    while bits != 0 {
+                        let bit = z * 64 + bits.trailing_zeros() as usize;
+                        bits &= bits - 1;
+                        let (index, stamp, state) = (header.index, header.cycle_end, states.get(bit));
+                        told.words.push(Word { index, stamp, state, before: heads[bit] });
+                        heads[bit] = told.words.len() as u32;
+                    }
+                }
+            }
+            together.extend_from_slice(content.blocks());
+        }
+        let together = Changes::from_blocks(together);
+        if together != *changes {
+            let (got, expected) = (together.len(), changes.len());
+            return Err(format!("the packages of a cycle of {expected} changes say {got}, or others"));
+        }
+        told.cycles.insert(first.header().cycle_end, together);
+        Ok(())
+    }
+
+    pub(super) fn told(&self, stream: Stream) -> Option<&Told> {
+        self.streams.get(&stream)
+    }
+
+    pub(super) fn streams(&self) -> impl Iterator<Item = (Stream, &Told)> {
+        self.streams.iter().map(|(stream, told)| (*stream, told))
+    }
+
+    /// Packages that a stream made.
+    pub(super) fn last(&self, stream: Stream) -> u32 {
+        self.streams.get(&stream).map_or(0, |told| told.last)
+    }
+}
+
+impl Told {
+    /// The first voxel of some changes of the cycle that ended at `stamp` that this cycle did not tell.
+    pub(super) fn find_untold(&self, changes: &Changes, stamp: Stamp) -> Option<Wrong> {
+        let cycle = self.cycles.get(&stamp);
+        for (block, states) in changes.blocks() {
+            let at =
+                cycle.and_then(|cycle| cycle.blocks().binary_search_by_key(block, |(index, _)| *index).ok());
+            let told = at.zip(cycle).map(|(at, cycle)| cycle.blocks()[at].1).unwrap_or_default();
+            let more = states.minus(&told);
+            if let Some(bit) = (0..512).find(|bit| more.get(*bit) != State::Unknown) {
+                let expected = match told.get(bit) {
+                    State::Unknown => format!("nothing with stamp {stamp:?}"),
+                    state => format!("{state:?} at {stamp:?}"),
+                };
+                return Some(Wrong {
+                    voxel: voxel_at(*block, bit),
+                    expected,
+                    found: format!("{:?} at {stamp:?}", more.get(bit)),
+                });
+            }
+        }
+        None
+    }
+
+    /// The words about a voxel, newest first.
+    fn words(&self, block: BlockIndex, bit: usize) -> impl Iterator<Item = &Word> {
+        let mut at = self.newest.get(&block).map_or(0, |heads| heads[bit]);
+        core::iter::from_fn(move || {
+            let word = self.words.get(at.checked_sub(1)? as usize)?;
+            at = word.before;
+            Some(word)
+        })
+    }
+
+    /// The first voxel of a layer that holds a word which was never told.
+    pub(super) fn find_untold_in(&self, layer: &Layer) -> Option<Wrong> {
+        for (block, states) in layer.blocks() {
+            let known = states.known();
+            for bit in (0..512).filter(|bit| known[bit / 64] >> (bit % 64) & 1 == 1) {
+                let voxel = voxel_at(block, bit);
+                let Some((state, stamp)) = layer.get(voxel) else { continue };
+                if !self.words(block, bit).any(|word| (word.state, word.stamp) == (state, stamp)) {
+                    let all: Vec<String> = self
+                        .words(block, bit)
+                        .map(|word| format!("{:?} at {:?}", word.state, word.stamp))
+                        .collect();
+                    return Some(Wrong {
+                        voxel,
+                        expected: format!("one of [{}]", all.join(", ")),
+                        found: format!("{state:?} at {stamp:?}"),
+                    });
+                }
+            }
+        }
+        None
+    }
+
+    /// The first of some voxels of a layer that is older than what the packages held say of it.
+    pub(super) fn find_older(
+        &self,
+        changes: &Changes,
+        layer: Option<&Layer>,
+        held: &IntervalSet,
+    ) -> Option<Wrong> {
+        for (block, states) in changes.blocks() {
+            let known = states.known();
+            for bit in (0..512).filter(|bit| known[bit / 64] >> (bit % 64) & 1 == 1) {
+                if let Some(wrong) = self.older_at(*block, bit, layer, held) {
+                    return Some(wrong);
+                }
+            }
+        }
+        None
+    }
+
+    /// The same of all voxels that were ever told.
+    pub(super) fn find_older_in(&self, layer: Option<&Layer>, held: &IntervalSet) -> Option<Wrong> {
+        for (block, heads) in &self.newest {
+            for bit in (0..512).filter(|bit| heads[*bit] != 0) {
+                if let Some(wrong) = self.older_at(*block, bit, layer, held) {
+                    return Some(wrong);
+                }
+            }
+        }
+        None
+    }
+
+    fn older_at(
+        &self,
+        block: BlockIndex,
+        bit: usize,
+        layer: Option<&Layer>,
+        held: &IntervalSet,
+    ) -> Option<Wrong> {
+        let word = self.words(block, bit).find(|word| held.contains(word.index))?;
+        let voxel = voxel_at(block, bit);
+        let found = layer.and_then(|layer| layer.get(voxel));
+        let is_right = found
+            .is_some_and(|(state, stamp)| stamp > word.stamp || (stamp == word.stamp && state == word.state));
+        (!is_right).then(|| Wrong {
+            voxel,
+            expected: format!(
+                "{:?} at {:?}, as package {} says, or newer",
+                word.state, word.stamp, word.index
+            ),
+            found: found.map_or("Unknown".to_owned(), |(state, stamp)| format!("{state:?} at {stamp:?}")),
+        })
+    }
+}
+
+fn voxel_at(block: BlockIndex, bit: usize) -> Voxel {
+    let corner = block.corner();
+    let [x, y, z] = bit_of(bit);
+    let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
+    debug_assert_eq!(voxel_bit(voxel), bit);
+    voxel
+}

@@ -1,0 +1,52 @@
+//! Faults put into the library on purpose: the checkers of the swarm find each of them, by name.
+
+use flockmap_grid::mutation::{self, Mutation};
+use flockmap_sim::swarm::{Failure, SwarmOptions, fly};
+
+/// Seeds that are flown for each fault, at the most.
+const SEEDS: u64 = 150;
+
+/// Who has to find a fault.
+const fn finder(mutation: Mutation) -> &'static str {
+    match mutation {
+        Mutation::StampCompareDropped | Mutation::AcceptedUnmerged | Mutation::StateHeldTooEarly => "layer",
+        Mutation::LedgerIgnored | Mutation::HoldingsIgnored => "twice",
+        Mutation::CheckSkipped => "voxel",
+        Mutation::BudgetIgnored => "budget",
+        Mutation::GapNeverAsked => "agreement",
+        Mutation::WindowIgnored => "in_flight",
+        Mutation::StoreLimitIgnored => "memory",
+        Mutation::FusionSkipped => "fused",
+        Mutation::TimeStandsStill => "still",
+        Mutation::BlockLeftOut => "packed",
+        _ => "a checker that is named here",
+    }
+}
+
+fn failure(seed: u64, mutation: Option<Mutation>) -> Option<Failure> {
+    mutation::set(mutation);
+    let report = fly(&SwarmOptions::new(seed));
+    mutation::set(None);
+    report.failure
+}
+
+#[test]
+fn each_fault_is_found_by_the_checker_that_is_there_for_it() {
+    for mutation in Mutation::ALL {
+        let mut others = Vec::new();
+        let found = (1..=SEEDS).find(|seed| {
+            let failure = failure(*seed, Some(mutation));
+            let checker = failure.as_ref().map(|failure| failure.checker);
+            others.extend(
+                checker.filter(|checker| *checker != finder(mutation)).map(|checker| (*seed, checker)),
+            );
+            checker == Some(finder(mutation))
+        });
+        let Some(seed) = found else {
+            panic!("{mutation:?}: {} found nothing in {SEEDS} seeds; others: {others:?}", finder(mutation));
+        };
+        println!("{mutation:?}: {} at seed {seed}, before it {others:?}", finder(mutation));
+        // It is the fault and not the seed.
+        assert_eq!(failure(seed, None), None, "{mutation:?}: seed {seed} fails without it");
+    }
+}
