@@ -74,6 +74,7 @@ Examples:
   flockmap info robot1.mcap
   flockmap info fr_079.bt
   flockmap info package.bin         the bytes of one map package
+  flockmap info store/              what a robot has on disk for its next run
 
 With --json the facts go to a file as well.")]
     Info(InfoArgs),

@@ -44,8 +44,8 @@ mod transport;
 pub use clock::Clock;
 pub use config::{
     AlignmentSection, CodecSection, ConfigError, CycleSection, EXAMPLE, FusionSection, MapSection,
-    MetricsSection, NetworkSection, NodeConfig, OutputSection, SensorSection, SessionSection,
-    StoreSection, TeammatesSection,
+    MetricsSection, NetworkSection, NodeConfig, OutputSection, SensorSection, SessionSection, StoreSection,
+    TeammatesSection,
 };
 pub use flockmap_io::{Frame, Frames};
 pub use histogram::Histogram;

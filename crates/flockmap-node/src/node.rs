@@ -12,8 +12,8 @@ use flockmap::{Event, Pose, Robot, RobotConfig, RobotId, Scan, ScanReport, Stamp
 use tokio::sync::{mpsc, oneshot};
 
 use crate::driver::{Command, Driver};
-use crate::store::{Store, StoreError, StoreWriter};
 use crate::sensor::{INPUTS_WAITING_MAX, Input, Sensor, SensorSocket, play};
+use crate::store::{Store, StoreError, StoreWriter};
 use crate::{Clock, Log, NodeStatus, Summary, Transport};
 
 /// When a node ends by itself.
@@ -245,11 +245,7 @@ impl Node {
 }
 
 /// Gives the robot what a store has, and says what that was.
-fn open_store(
-    mut store: Store,
-    robot: &mut Robot,
-    options: &NodeOptions,
-) -> Result<StoreWriter, StartError> {
+fn open_store(mut store: Store, robot: &mut Robot, options: &NodeOptions) -> Result<StoreWriter, StartError> {
     let began = Instant::now();
     let restored = store.restore(robot, options.clock.now());
     let log = &options.log;

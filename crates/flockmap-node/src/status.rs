@@ -316,7 +316,9 @@ mod tests {
             fields.map(|(name, _)| name.to_owned()).collect()
         };
         let check = |debug: String, named: Named| {
-            for name in names_of(debug).iter().filter(|n| !["datagrams", "bytes", "disk_bytes"].contains(&n.as_str())) {
+            for name in
+                names_of(debug).iter().filter(|n| !["datagrams", "bytes", "disk_bytes"].contains(&n.as_str()))
+            {
                 assert!(named.iter().any(|(known, _)| known == name), "{name} is left out");
             }
         };

@@ -51,7 +51,8 @@ fn every_key_is_in_the_example_and_every_example_can_be_uncommented() {
     assert_eq!(config.alignments().unwrap().len(), 1);
     assert_eq!(config.clock_offsets().unwrap(), [(RobotId(2), 12_500)]);
 
-    let sections = ["", "map", "cycle", "codec", "session", "fusion", "store", "network", "sensor", "metrics"];
+    let sections =
+        ["", "map", "cycle", "codec", "session", "fusion", "store", "network", "sensor", "metrics"];
     for section in sections.iter().chain(&["alignment.2", "teammates", "output"]) {
         // An error about an unknown key lists the known ones.
         let text = match *section {

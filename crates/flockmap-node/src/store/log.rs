@@ -109,11 +109,8 @@ impl Log {
         let (identity, epoch) = (self.identity, self.epoch);
         let compacted =
             SegmentHeader { identity, epoch, number: self.number.saturating_add(1), is_compacted: true };
-        let header = SegmentHeader {
-            number: compacted.number.saturating_add(1),
-            is_compacted: false,
-            ..compacted
-        };
+        let header =
+            SegmentHeader { number: compacted.number.saturating_add(1), is_compacted: false, ..compacted };
         self.file = create(&*self.disk, &header, &header.name()).map_err(cannot("begin a segment"))?;
         self.number = header.number;
         self.seed = header.seed();

@@ -157,9 +157,9 @@ impl StoreWriter {
         let waiting = self.shared.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
         let is_full = waiting + bytes > WAITING_BYTES_MAX;
         if is_full && !self.shared.is_slowness_told.swap(true, Ordering::Relaxed) {
-            self.shared
-                .log
-                .warn("store: the disk does not keep up; packages are left out, and asked for after a restart");
+            self.shared.log.warn(
+                "store: the disk does not keep up; packages are left out, and asked for after a restart",
+            );
         }
         let is_sent =
             !is_full && self.jobs.as_ref().is_some_and(|jobs| jobs.send(Job::Store(records)).is_ok());
@@ -278,8 +278,9 @@ impl Shared {
     /// Said once: nothing is written after it.
     fn fail(&self, error: &LogError) {
         self.counters().failures += 1;
-        let text =
-            format!("store: {error}. The robot flies on in memory; nothing more is stored until it is started again");
+        let text = format!(
+            "store: {error}. The robot flies on in memory; nothing more is stored until it is started again"
+        );
         self.log.say(Level::Error, text);
     }
 }
@@ -378,7 +379,9 @@ impl Writer {
             }
             Err(why) => {
                 self.shared.counters().compactions_failed += 1;
-                self.shared.log.warn(format!("store: the log could not be made shorter, and grows on: {why}"));
+                self.shared
+                    .log
+                    .warn(format!("store: the log could not be made shorter, and grows on: {why}"));
             }
         }
         self.compacted_at = self.log.as_ref().map(Log::bytes);

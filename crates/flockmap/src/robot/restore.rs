@@ -10,7 +10,9 @@ use super::Robot;
 #[non_exhaustive]
 pub enum RestoreError {
     /// It is of the own id, and not of a former run.
-    #[error("a stored package of {got:?}, but this run is {own:?}: give each run a higher epoch than all before it")]
+    #[error(
+        "a stored package of {got:?}, but this run is {own:?}: give each run a higher epoch than all before it"
+    )]
     NotFormer {
         /// Of the package.
         got: Stream,
