@@ -492,6 +492,57 @@ fn a_crash_between_a_compaction_and_its_clean_up_does_no_harm() {
 }
 
 #[test]
+fn a_compaction_amid_losses_restores_no_wrong_voxel_and_heals() {
+    let lossy = Radio { loss: 0.3, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 150.0) };
+    for seed in 1..=4 {
+        let disk = MemoryDisk::default();
+        // Many small segments make a compaction at once.
+        for epoch in 1..=65 {
+            drop(start(&disk, OPTIONS, epoch));
+        }
+        let mut configs = two(Codec::Flock);
+        configs[0].epoch = 66;
+        let mut swarm = Swarm::new(configs, lossy, seed);
+        let mut random = Random(seed);
+        let mut writer = None;
+        for tick in 0..60 {
+            for robot in 0..2 {
+                let scan = swarm::scan(&mut random, swarm.now);
+                swarm.scan(robot, &scan, &Pose::from_yaw([f64::from(tick) * 0.1, robot as f64, 0.0], 0.0));
+            }
+            swarm.run(100);
+            if tick == 30 {
+                // All so far is in the layers, and nowhere else.
+                swarm.events[0].clear();
+                let mut begun = start(&disk, OPTIONS, 66);
+                finish_compaction(&swarm, &mut begun, 1);
+                writer = Some(begun);
+            }
+            if let Some(writer) = &mut writer {
+                store_events(&mut swarm, writer, &mut Vec::new());
+            }
+        }
+        drop(writer);
+        // What is restored stands as it stood, or is not there yet: no word is newer or another.
+        let (robot, _) = restart(&disk, config(1), 67);
+        let live = Model::of_robot(&swarm.robots[0]);
+        for (stream, layer) in Model::of_robot(&robot).0 {
+            for (voxel, word) in layer {
+                let known = live.0[&stream][&voxel];
+                assert!(word == known || word.0 < known.0, "seed {seed}: {stream:?} {voxel:?}");
+            }
+        }
+        let own = RobotConfig { epoch: 67, ..two(Codec::Flock).remove(0) };
+        let mut robot = Robot::new(own, swarm.now).unwrap();
+        open(&disk, OPTIONS).restore(&mut robot, swarm.now);
+        swarm.robots[0] = robot;
+        swarm.settle(60_000);
+        assert!(swarm.agrees(), "seed {seed}");
+        swarm.assert_layers_equal_own_maps(seed);
+    }
+}
+
+#[test]
 fn a_present_state_that_was_received_is_there_after_a_restart() {
     let lossy = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 80.0) };
     for seed in 1..=3 {
