@@ -357,7 +357,7 @@ pub struct BenchMappingArgs {
 
 #[derive(Args, Debug)]
 pub struct InfoArgs {
-    /// A record, map, cloud, or map package
+    /// A record, map, cloud, map package, or the folder of a store
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Write the facts as JSON

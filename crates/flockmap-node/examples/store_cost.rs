@@ -86,7 +86,7 @@ fn fly(robots: &mut [Robot; 2], store: &mut StoreWriter) -> anyhow::Result<(Dura
     let scan = ScanOptions { range_m: RANGE_M, ..ScanOptions::default() };
     let mut flights: Vec<_> = patrols
         .into_iter()
-        .map(|patrol| Flight::new(Arc::clone(&world), Lidar::Mid360, scan.clone(), patrol))
+        .map(|patrol| Flight::new(Arc::clone(&world), Lidar::Mid360, scan, patrol))
         .collect();
     let (mut noting, mut packages, mut bytes) = (Duration::ZERO, 0, 0);
     loop {

@@ -7,7 +7,7 @@ mod disk;
 mod swarm;
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use disk::MemoryDisk;
@@ -251,6 +251,9 @@ fn a_package_of_this_run_or_a_later_one_is_not_taken_for_a_former_one() {
     assert_eq!(robot.fusion().layers().count(), 0);
 }
 
+/// Name and bytes of a segment, and the packages in it with what they say.
+type HonestLog = (String, Vec<u8>, Vec<Package>, Vec<Content>);
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
     #[test]
@@ -258,7 +261,7 @@ proptest! {
         spoilt in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut_out in any::<(prop::sample::Index, u8)>(),
     ) {
-        static LOG: std::sync::OnceLock<(String, Vec<u8>, Vec<Package>, Vec<Content>)> = std::sync::OnceLock::new();
+        static LOG: OnceLock<HonestLog> = OnceLock::new();
         let (name, honest, packages, contents) = LOG.get_or_init(|| {
             let (name, bytes, packages, _) = small_log(Codec::Flock, 12);
             let contents = contents(&packages);
@@ -310,7 +313,9 @@ fn behind_a_damaged_place_reading_goes_on() {
 }
 
 /// Lines that were said.
-fn told() -> (Log, Arc<Mutex<Vec<(Level, String)>>>) {
+type Lines = Arc<Mutex<Vec<(Level, String)>>>;
+
+fn told() -> (Log, Lines) {
     let lines = Arc::new(Mutex::new(Vec::new()));
     let to = Arc::clone(&lines);
     (Log::new(move |level, text| to.lock().unwrap().push((level, text.to_owned()))), lines)
