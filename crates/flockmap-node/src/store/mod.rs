@@ -5,6 +5,7 @@
 //! ([`Store::start`]) on a thread of its own, so that the robot never waits for the disk.
 
 mod compaction;
+mod counters;
 mod disk;
 mod inspect;
 mod log;
@@ -19,10 +20,11 @@ use std::time::Duration;
 
 use flockmap::{Event, Resolution, Robot, RobotId, Stamp};
 
+pub use counters::StoreCounters;
 pub use disk::{Disk, DiskFile, Folder};
 pub use inspect::{Inspection, SegmentFacts, StreamFacts, inspect, is_store};
 pub use record::STORE_VERSION;
-pub use writer::{StoreCounters, StoreWriter};
+pub use writer::StoreWriter;
 
 use record::{NoHeader, Record, Scan, parse_name};
 

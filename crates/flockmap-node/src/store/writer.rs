@@ -11,47 +11,13 @@ use flockmap::{Event, Package, Robot, Stream};
 use super::compaction::{Compaction, StreamCopy};
 use super::log::{Log, LogError};
 use super::record::{CONTENT_MAX, Record, SegmentHeader};
-use super::{Disk, Restored, Store, StoreError, StoreOptions};
+use super::{Disk, Store, StoreCounters, StoreError, StoreOptions};
 use crate::Level;
 
 /// Bytes of records that may wait for the disk; of more, the newest are left out. Their packages are held by the session as well, as a rule.
 const WAITING_BYTES_MAX: usize = 16 << 20;
 /// From so many segments on, a run that begins makes one of them.
 const SEGMENTS_MAX: usize = 64;
-
-/// What a store did in this run.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-#[non_exhaustive]
-pub struct StoreCounters {
-    /// Packages that came back at the start: [`Restored::packages`].
-    pub restored: u64,
-    /// Of these: merged.
-    pub restored_merged: u64,
-    /// [`Restored::unreadable`].
-    pub unreadable: u64,
-    /// [`Restored::skipped_bytes`].
-    pub skipped_bytes: u64,
-    /// [`Restored::torn_bytes`].
-    pub torn_bytes: u64,
-    /// [`Restored::damaged_segments`].
-    pub damaged_segments: u64,
-    /// Packages written in this run.
-    pub written: u64,
-    /// Bytes of these with their frames.
-    pub written_bytes: u64,
-    /// Packages that were not written: after a failure, or since the disk did not keep up.
-    pub left_out: u64,
-    /// Times that what was written was made safe.
-    pub syncs: u64,
-    /// 1 if writing has failed: nothing is stored from then on in this run.
-    pub failures: u64,
-    /// Times that the log was replaced by present states.
-    pub compactions: u64,
-    /// Times that this failed; the log went on.
-    pub compactions_failed: u64,
-    /// Bytes on disk now.
-    pub disk_bytes: u64,
-}
 
 /// Takes what is to be stored. Never waits for the disk. Dropping it writes what waits, makes it safe, and lets go of the folder.
 #[derive(Debug)]
@@ -374,6 +340,7 @@ impl Writer {
         match result {
             Ok(bytes) => {
                 if self.attempt(|log| log.replace(header, bytes)).is_some() {
+                    self.note_bytes();
                     self.shared.counters().compactions += 1;
                 }
             }
@@ -413,19 +380,4 @@ fn bytes_of(records: &[Record]) -> usize {
         Record::Held { .. } => 0,
     };
     records.iter().map(bytes).sum()
-}
-
-impl From<Restored> for StoreCounters {
-    fn from(restored: Restored) -> Self {
-        let Restored { packages, merged, unreadable, skipped_bytes, torn_bytes, damaged_segments } = restored;
-        Self {
-            restored: packages,
-            restored_merged: merged,
-            unreadable,
-            skipped_bytes,
-            torn_bytes,
-            damaged_segments,
-            ..Self::default()
-        }
-    }
 }
