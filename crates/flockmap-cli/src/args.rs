@@ -90,6 +90,7 @@ Examples:
   flockmap info robot1.mcap
   flockmap info fr_079.bt
   flockmap info package.bin         the bytes of one map package
+  flockmap info store/              what a robot has on disk for its next run
 
 With --json the facts go to a file as well.")]
     Info(InfoArgs),
@@ -418,7 +419,7 @@ pub struct BenchMappingArgs {
 
 #[derive(Args, Debug)]
 pub struct InfoArgs {
-    /// A record, map, cloud, or map package
+    /// A record, map, cloud, map package, or the folder of a store
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Write the facts as JSON

@@ -1,9 +1,12 @@
 //! `flockmap info`: what is in a file.
 
+use std::path::Path;
+
 use anyhow::{Context, bail, ensure};
 use flockmap::State;
 use flockmap::codec::{Content, ContentKind, Package};
 use flockmap_io::describe;
+use flockmap_node::store::{inspect, is_store};
 use serde_json::{Value, json};
 
 use crate::args::InfoArgs;
@@ -20,13 +23,15 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<bool> {
     let extension = args.file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     let known =
         matches!(extension.as_deref(), Some("mcap" | "pcd" | "ply" | "las" | "laz" | "bt" | "db3" | "bag"));
-    let (text, facts) = if known || metadata.is_dir() {
+    let (text, facts) = if metadata.is_dir() && is_store(&args.file) {
+        store(&args.file)?
+    } else if known || metadata.is_dir() {
         let description = describe(&args.file)?;
         (description.to_string(), facts(&description))
     } else {
         ensure!(
             metadata.len() <= PACKAGE_FILE_BYTES_MAX,
-            "{}: no kind of file that flockmap knows: a record (.mcap, folder of scans), a map (.bt), a cloud (.pcd .ply .las .laz), or the bytes of one \
+            "{}: no kind of file that flockmap knows: a record (.mcap, folder of scans), the store of a robot (its folder), a map (.bt), a cloud (.pcd .ply .las .laz), or the bytes of one \
              map package, which are at most 64 MiB",
             args.file.display()
         );
@@ -68,6 +73,71 @@ fn facts(description: &flockmap_io::Description) -> Value {
         _ => json!({"kind": "unknown"}),
     };
     json!({"path": description.path, "bytes": description.bytes, "content": content})
+}
+
+fn store(folder: &Path) -> anyhow::Result<(String, Value)> {
+    let inspection = inspect(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    let bytes: u64 = inspection.segments.iter().map(|segment| segment.bytes).sum();
+    let mut text = format!("{}: store of a robot, {} bytes on disk\n", folder.display(), thousands(bytes));
+    if let Some(own) = inspection.identity {
+        text +=
+            &format!("  robot {}, swarm {}, voxels of {} m\n", own.robot, own.swarm, own.resolution.metres());
+    }
+    text += &format!("  {} segments\n", inspection.segments.len());
+    for s in &inspection.segments {
+        text += &format!("    {}: {} bytes, {} records", s.name, thousands(s.bytes), thousands(s.records));
+        text += if s.is_compacted { ", present states that replace all before" } else { "" };
+        for (count, what) in [
+            (s.unreadable, "records of another version"),
+            (s.skipped_bytes, "damaged bytes in between"),
+            (s.torn_bytes, "bytes at its end half written"),
+        ] {
+            if count > 0 {
+                text += &format!(", {} {what}", thousands(count));
+            }
+        }
+        if let Some(fault) = &s.fault {
+            text += &format!(", NOT USED: {fault}");
+        }
+        text.push('\n');
+    }
+    text += &format!("  {} streams\n", inspection.streams.len());
+    for (stream, s) in &inspection.streams {
+        let held: Vec<String> =
+            s.held.intervals().iter().take(8).map(|(low, high)| format!("{low}–{high}")).collect();
+        let more = if s.held.intervals().len() > 8 { " …" } else { "" };
+        text += &format!(
+            "    robot {} epoch {}: holds {}{more}; {} packages of {} bytes, {} tiles of present states of {} bytes\n",
+            stream.origin,
+            stream.epoch,
+            if held.is_empty() { "nothing".to_owned() } else { held.join(", ") },
+            thousands(s.packages),
+            thousands(s.package_bytes),
+            thousands(s.tiles),
+            thousands(s.tile_bytes)
+        );
+    }
+    let segments: Vec<Value> = inspection
+        .segments
+        .iter()
+        .map(|s| {
+            json!({"name": s.name, "bytes": s.bytes, "fault": s.fault, "is_compacted": s.is_compacted, "records": s.records,
+                "unreadable": s.unreadable, "skipped_bytes": s.skipped_bytes, "torn_bytes": s.torn_bytes})
+        })
+        .collect();
+    let streams: Vec<Value> = inspection
+        .streams
+        .iter()
+        .map(|(stream, s)| {
+            json!({"origin": stream.origin.0, "epoch": stream.epoch, "held": s.held.intervals(), "packages": s.packages,
+                "package_bytes": s.package_bytes, "tiles": s.tiles, "tile_bytes": s.tile_bytes})
+        })
+        .collect();
+    let own = inspection.identity.map(
+        |own| json!({"robot": own.robot.0, "swarm": own.swarm, "resolution_m": own.resolution.metres()}),
+    );
+    let content = json!({"kind": "store", "own": own, "segments": segments, "streams": streams});
+    Ok((text, json!({"path": folder, "bytes": bytes, "content": content})))
 }
 
 fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {

@@ -55,6 +55,44 @@ fn the_same_replay_sends_the_same_bytes() {
 }
 
 #[test]
+fn info_shows_what_is_in_a_store() {
+    use flockmap::{Pose, Resolution, Robot, RobotConfig, RobotId, Scan, Stamp};
+    use flockmap_node::store::{Folder, Identity, Store, StoreOptions};
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("store");
+    let resolution = Resolution::from_metres(0.25).unwrap();
+    let identity = Identity { swarm: 9, robot: RobotId(4), resolution };
+    let disk = std::sync::Arc::new(Folder::open(&path).unwrap());
+    let store = Store::open(disk, identity, StoreOptions::default()).unwrap();
+    let writer = store.start(7, flockmap_node::Log::silent()).unwrap();
+    let config = RobotConfig { epoch: 7, ..RobotConfig::new(RobotId(4), resolution, 6.0) };
+    let mut robot = Robot::new(config, Stamp(0)).unwrap();
+    for second in 1..=3i64 {
+        let point = [second as f32, 2.0, 0.0];
+        let scan = Scan { stamp: Stamp(second * 1_000_000), points: vec![point], no_returns: Vec::new() };
+        robot.insert_scan(scan.stamp, &scan, &Pose::IDENTITY);
+        robot.flush(scan.stamp);
+    }
+    while let Some(event) = robot.poll_event() {
+        writer.note(&event);
+    }
+    drop(writer);
+    // A crash amid a record.
+    let segment = path.join("00000001-0000000007.log");
+    let bytes = std::fs::read(&segment).unwrap();
+    std::fs::write(&segment, &bytes[..bytes.len() - 1]).unwrap();
+
+    let facts = folder.path().join("facts.json");
+    let text = good(&format!("info {} --json {}", path.display(), facts.display()));
+    assert!(text.contains("robot 4, swarm 9, voxels of 0.25 m"), "{text}");
+    assert!(text.contains("robot 4 epoch 7: holds 1–2; 2 packages"), "{text}");
+    assert!(text.contains("bytes at its end half written"), "{text}");
+    let content = &json(&facts)["content"];
+    assert_eq!(content["streams"][0]["held"], serde_json::json!([[1, 2]]));
+    assert_eq!(content["segments"][0]["records"], 2);
+}
+
+#[test]
 fn broadcast_costs_less_than_unicast_among_three() {
     let folder = tempfile::tempdir().unwrap();
     let total = |cast: &str| {

@@ -9,6 +9,7 @@ use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 use crate::node::{NodeOptions, Observation};
 use crate::sensor::Input;
 use crate::status::StatusLine;
+use crate::store::StoreWriter;
 use crate::transport::is_unreachable;
 use crate::{Histogram, Level, NodeCounters, NodeStatus, Timings, Transport};
 
@@ -37,6 +38,7 @@ const WARNING_PERIOD: Duration = Duration::from_secs(1);
 pub(crate) struct Driver<T> {
     options: NodeOptions,
     robot: Robot,
+    store: Option<StoreWriter>,
     transport: T,
     inputs: Receiver<Input>,
     commands: UnboundedReceiver<Command>,
@@ -58,7 +60,7 @@ pub(crate) struct Driver<T> {
 impl<T: Transport> Driver<T> {
     pub(crate) fn new(
         options: NodeOptions,
-        mut robot: Robot,
+        (mut robot, store): (Robot, Option<StoreWriter>),
         transport: T,
         inputs: Receiver<Input>,
         commands: UnboundedReceiver<Command>,
@@ -78,6 +80,7 @@ impl<T: Transport> Driver<T> {
         Self {
             options,
             robot,
+            store,
             transport,
             inputs,
             commands,
@@ -111,6 +114,9 @@ impl<T: Transport> Driver<T> {
             self.step(&mut buffer, Some(until)).await;
         }
         self.pump().await;
+        if let Some(store) = &self.store {
+            store.flush();
+        }
         self.say_status();
         let status = self.status();
         (self.robot, status)
@@ -155,6 +161,9 @@ impl<T: Transport> Driver<T> {
             self.counters.send_failed += u64::from(sent.failed);
         }
         self.take_events(clock.now(), |_, _| {});
+        if let Some(store) = &mut self.store {
+            store.step(&self.robot);
+        }
         if let Some(period) = self.options.status_period
             && Instant::now() >= self.status_due
         {
@@ -254,6 +263,9 @@ impl<T: Transport> Driver<T> {
     fn take_events(&mut self, now: Stamp, mut time: impl FnMut(&mut Timings, &Event)) {
         while let Some(event) = self.robot.poll_event() {
             time(&mut self.timings, &event);
+            if let Some(store) = &self.store {
+                store.note(&event);
+            }
             if let Some(observer) = &mut self.options.observer {
                 observer(now, &self.robot, Observation::Event(&event));
             }
@@ -343,7 +355,7 @@ impl<T: Transport> Driver<T> {
     }
 
     fn status(&self) -> NodeStatus {
-        NodeStatus::new(
+        let status = NodeStatus::new(
             &self.options.name,
             &self.robot,
             self.began.elapsed(),
@@ -351,7 +363,8 @@ impl<T: Transport> Driver<T> {
             self.inputs_ended,
             self.counters,
             &self.timings,
-        )
+        );
+        NodeStatus { store: self.store.as_ref().map(StoreWriter::counters).unwrap_or_default(), ..status }
     }
 }
 

@@ -23,6 +23,7 @@
 //! | [`Transport`], [`UdpTransport`] | how datagrams travel; others can stand beside UDP |
 //! | [`Sensor`] | a recording or simulation in real time, a channel, or a socket that any program feeds |
 //! | [`Node`], [`NodeHandle`] | the robot at work, and the hand on it |
+//! | [`store`] | packages on disk, so that a rebooted robot has its map again |
 //! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; what is left at the end |
 #![forbid(unsafe_code)]
 
@@ -36,6 +37,7 @@ mod node;
 mod run;
 mod sensor;
 mod status;
+pub mod store;
 mod summary;
 mod transport;
 
@@ -43,7 +45,7 @@ pub use clock::Clock;
 pub use config::{
     AlignmentSection, CodecSection, ConfigError, CycleSection, EXAMPLE, FoundKey, FusionSection,
     KEY_VARIABLE, MapSection, MetricsSection, NetworkSection, NodeConfig, OutputSection, Secret,
-    SensorSection, SessionSection, TeammatesSection,
+    SensorSection, SessionSection, StoreSection, TeammatesSection,
 };
 pub use flockmap_io::{Frame, Frames};
 pub use histogram::Histogram;

@@ -24,7 +24,7 @@ pub struct Log(Arc<Write>);
 type Write = dyn Fn(Level, &str) + Send + Sync;
 
 impl Log {
-    /// Lines are given to a function. It is called from the thread of the node and should return soon.
+    /// Lines are given to a function. It is called from the threads of the node and should return soon.
     pub fn new(write: impl Fn(Level, &str) + Send + Sync + 'static) -> Self {
         Self(Arc::new(write))
     }

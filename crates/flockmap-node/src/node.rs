@@ -6,13 +6,14 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::mpsc as std_mpsc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use flockmap::{Event, Pose, Robot, RobotConfig, RobotId, Scan, ScanReport, Stamp};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::driver::{Command, Driver};
 use crate::sensor::{INPUTS_WAITING_MAX, Input, Sensor, SensorSocket, play};
+use crate::store::{Store, StoreError, StoreWriter};
 use crate::{Clock, Log, NodeStatus, Summary, Transport};
 
 /// When a node ends by itself.
@@ -67,6 +68,9 @@ pub struct NodeOptions {
     pub clock_offsets: Vec<(RobotId, i64)>,
     /// Robots whose layers are left out of the fused map.
     pub muted: Vec<RobotId>,
+    /// What the robot has from former runs, and where it stores this one. The epoch of the robot must be higher than all in it:
+    /// [`Store::next_epoch`].
+    pub store: Option<Store>,
     /// Serve counters as Prometheus text here.
     pub prometheus: Option<SocketAddr>,
     /// Say a line of counters each such time.
@@ -90,6 +94,7 @@ impl NodeOptions {
             alignments: Vec::new(),
             clock_offsets: Vec::new(),
             muted: Vec::new(),
+            store: None,
             prometheus: None,
             status_period: None,
             end: EndOptions::default(),
@@ -118,6 +123,9 @@ pub enum StartError {
     /// The robot's options cannot work.
     #[error(transparent)]
     Robot(#[from] flockmap::RobotError),
+    /// The store cannot be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// An option of the node cannot work.
     #[error("{option} is {got}, expected {expected}")]
     Option {
@@ -199,7 +207,11 @@ impl Node {
             .build()
             .map_err(system("start the runtime"))?;
         runtime.block_on(async move {
-            let robot = Robot::new(options.robot.clone(), options.clock.now())?;
+            let mut robot = Robot::new(options.robot.clone(), options.clock.now())?;
+            let store = match options.store.take() {
+                Some(store) => Some(open_store(store, &mut robot, &options)?),
+                None => None,
+            };
             let transport = make_transport().map_err(system("start the transport"))?;
             let sensor_socket = SensorSocket::open(&options.sensor)
                 .await
@@ -223,13 +235,42 @@ impl Node {
             if let Some(listener) = prometheus {
                 tokio::spawn(crate::metrics::serve(listener, commands));
             }
-            let driver = Driver::new(options, robot, transport, inputs_in, commands_in);
+            let driver = Driver::new(options, (robot, store), transport, inputs_in, commands_in);
             // The caller waits for this.
             let _ = started.send(addresses);
             let (robot, status) = driver.drive().await;
             Ok(Ended { summary: Summary::new(&robot, &status), robot, status })
         })
     }
+}
+
+/// Gives the robot what a store has, and says what that was.
+fn open_store(mut store: Store, robot: &mut Robot, options: &NodeOptions) -> Result<StoreWriter, StartError> {
+    let began = Instant::now();
+    let restored = store.restore(robot, options.clock.now());
+    let log = &options.log;
+    let writer = store.start(options.robot.epoch, log.clone())?;
+    if restored.packages > 0 {
+        log.info(format!(
+            "store: {} packages of former runs read, {} merged, in {:.2} s",
+            restored.packages,
+            restored.merged,
+            began.elapsed().as_secs_f64()
+        ));
+    }
+    if restored.torn_bytes > 0 {
+        log.warn(format!(
+            "store: the last run ended while it was writing: {} bytes that were half written are cut off",
+            restored.torn_bytes
+        ));
+    }
+    if restored.skipped_bytes > 0 || restored.unreadable > 0 || restored.damaged_segments > 0 {
+        log.warn(format!(
+            "store: {} damaged bytes, {} records of another version and {} damaged segments are left out; what they said is asked for",
+            restored.skipped_bytes, restored.unreadable, restored.damaged_segments
+        ));
+    }
+    Ok(writer)
 }
 
 fn start_sensor(

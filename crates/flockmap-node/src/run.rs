@@ -2,6 +2,7 @@
 
 use std::env::VarError;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
@@ -11,6 +12,7 @@ use flockmap_io::{ExportOptions, RecordOptions, export_map, open_record};
 
 use crate::config::{seconds, value};
 use crate::sensor::repeated;
+use crate::store::{Folder, Identity, Store, StoreOptions};
 use crate::{
     EndOptions, Ended, KEY_VARIABLE, Level, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions,
     Sensor, UdpSockets,
@@ -55,7 +57,9 @@ fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
     // Looked at before the epoch is waited for.
     config.robot(1)?;
     let sensor = sensor(config, log)?;
-    let mut options = NodeOptions::new(config.robot(config.epoch.unwrap_or_else(|| epoch_of_now(log)))?);
+    let store = store(config)?;
+    let mut options = NodeOptions::new(config.robot(epoch(config, store.as_ref(), log))?);
+    options.store = store;
     options.name = config.robot_name();
     options.sensor = sensor;
     options.alignments = config.alignments()?;
@@ -103,6 +107,34 @@ fn swarm_key(config: &NodeConfig, config_path: &Path, log: &Log) -> Result<Optio
         ));
     }
     Ok(Some(found.key))
+}
+
+/// The store that is configured, opened.
+fn store(config: &NodeConfig) -> Result<Option<Store>> {
+    let section = &config.store;
+    let Some(path) = &section.path else { return Ok(None) };
+    let robot = config.robot(1)?;
+    let identity =
+        Identity { swarm: robot.session.swarm, robot: robot.id, resolution: robot.mapper.resolution };
+    let options = StoreOptions {
+        bytes_max: section.bytes_max,
+        sync_period: Duration::from_millis(section.sync_ms.into()),
+    };
+    Ok(Some(Store::open(Arc::new(Folder::open(path)?), identity, options)?))
+}
+
+/// The run: as configured, else the seconds since 1970, else one more than the last that the store knows.
+fn epoch(config: &NodeConfig, store: Option<&Store>, log: &Log) -> u32 {
+    match (config.epoch, store) {
+        (Some(epoch), _) => epoch,
+        (None, Some(store)) if store.last_epoch().is_some() => store.next_epoch(seconds_since_1970()),
+        (None, _) => epoch_of_now(log),
+    }
+}
+
+fn seconds_since_1970() -> u32 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u32::try_from(since_1970.as_secs()).unwrap_or(u32::MAX)
 }
 
 /// The second since 1970 that begins next. By waiting for it, no two runs one after the other get the same, however soon

@@ -7,6 +7,7 @@ use flockmap::sync::{Counters, PeerInfo};
 use flockmap::{Robot, RobotCounters, Stream};
 
 use crate::Histogram;
+use crate::store::StoreCounters;
 
 /// What a node counted, beside its robot and its session. Bytes are those of UDP payloads.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -93,6 +94,8 @@ pub struct NodeStatus {
     pub robot: RobotCounters,
     /// Counters of the session.
     pub session: Counters,
+    /// Counters of the store; all 0 without one.
+    pub store: StoreCounters,
     /// How long things took.
     pub timings: Timings,
 }
@@ -130,6 +133,7 @@ impl NodeStatus {
             node,
             robot: *robot.counters(),
             session: *session.counters(),
+            store: StoreCounters::default(),
             timings: timings.clone(),
         }
     }
@@ -155,12 +159,14 @@ impl NodeStatus {
             ("node", node_counters(&self.node)),
             ("robot", robot_counters(&self.robot)),
             ("session", session_counters(&self.session)),
+            ("store", store_counters(&self.store)),
         ] {
             for (name, count) in counters {
                 metric("counter", &format!("{prefix}_{name}_total"), one(count as f64));
             }
         }
         metric("gauge", "uptime_seconds", one(self.uptime.as_secs_f64()));
+        metric("gauge", "store_disk_bytes", one(self.store.disk_bytes as f64));
         metric("gauge", "peers", one(self.peers.len() as f64));
         let (free, occupied) = self.map_voxels;
         let states = [("free", free), ("occupied", occupied)];
@@ -227,13 +233,14 @@ impl StatusLine {
         self.before = Some((status.uptime, node.bytes_in, node.bytes_out));
         let (held, missing) = status.packages();
         let (free, occupied) = status.map_voxels;
+        let store = if status.store.failures > 0 { " | STORE OFF" } else { "" };
         let age = match age.count() {
             0 => "–".to_owned(),
             _ => format!("{:.2} s", age.quantile(0.5) as f64 / 1e6),
         };
         format!(
             "peers {} | in {rate_in:.1} out {rate_out:.1} KB/s | {} cycles | packages {held} held {missing} missing | \
-             map {} voxels, {occupied} occupied | age {age}",
+             map {} voxels, {occupied} occupied | age {age}{store}",
             status.peers.len(),
             status.robot.cycles,
             free + occupied,
@@ -261,6 +268,11 @@ pub(crate) fn node_counters(c: &NodeCounters) -> Named {
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
     fields!(c; scans points_ignored points_masked blocks_forgotten cycles changes packages package_bytes merged
         waited waiting_dropped overtaken damaged no_room foreign_resolution present_states cycles_without_reference events_dropped)
+}
+
+pub(crate) fn store_counters(c: &StoreCounters) -> Named {
+    fields!(c; restored restored_merged unreadable skipped_bytes torn_bytes damaged_segments written written_bytes left_out syncs
+        failures compactions compactions_failed)
 }
 
 pub(crate) fn session_counters(c: &Counters) -> Named {
@@ -304,7 +316,9 @@ mod tests {
             fields.map(|(name, _)| name.to_owned()).collect()
         };
         let check = |debug: String, named: Named| {
-            for name in names_of(debug).iter().filter(|n| !["datagrams", "bytes"].contains(&n.as_str())) {
+            for name in
+                names_of(debug).iter().filter(|n| !["datagrams", "bytes", "disk_bytes"].contains(&n.as_str()))
+            {
                 assert!(named.iter().any(|(known, _)| known == name), "{name} is left out");
             }
         };
@@ -312,6 +326,7 @@ mod tests {
         check(format!("{:?}", s.node), node_counters(&s.node));
         check(format!("{:?}", s.robot), robot_counters(&s.robot));
         check(format!("{:?}", s.session), session_counters(&s.session));
+        check(format!("{:?}", s.store), store_counters(&s.store));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use flockmap::Robot;
 use serde::Serialize;
 
-use crate::status::{node_counters, robot_counters, session_counters};
+use crate::status::{node_counters, robot_counters, session_counters, store_counters};
 use crate::{Histogram, NodeStatus};
 
 /// A node at its end.
@@ -25,7 +25,7 @@ pub struct Summary {
     pub map_occupied: usize,
     /// Every stream known, by origin and epoch.
     pub streams: Vec<StreamSummary>,
-    /// Counters of the node, the robot and the session, by name.
+    /// Counters of the node, the robot, the session and the store, by name.
     pub counters: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
     /// How long things took.
     pub timings: BTreeMap<&'static str, TimingSummary>,
@@ -95,6 +95,7 @@ impl Summary {
             ("node", node_counters(&status.node)),
             ("robot", robot_counters(&status.robot)),
             ("session", session_counters(&status.session)),
+            ("store", store_counters(&status.store)),
         ];
         Self {
             id: status.own.origin.0,

@@ -283,6 +283,19 @@ impl Session {
             && self.store.insert(package, now, now) == Ok(true)
     }
 
+    /// Delivers a package, or a tile of a present state, that a former run stored on disk: as if it had just come from a peer, so that it is decoded
+    /// and merged like any other ([`Event::Received`]) and asked for only if that fails. For the time before the first datagram comes.
+    /// `false`: it is of the own stream, or there is no room for its stream.
+    pub fn deliver_stored(&mut self, now: Stamp, package: Package) -> bool {
+        let now = self.advance(now);
+        let stream = package.header().stream;
+        if stream == self.own || !self.open_stream(stream) {
+            return false;
+        }
+        self.receive_packages(now, self.own, vec![package]);
+        true
+    }
+
     /// Puts back that packages `low` to `high` of a stream are in the map, without the packages themselves.
     /// Whether it was taken.
     pub fn restore_held(&mut self, stream: Stream, low: u32, high: u32) -> bool {

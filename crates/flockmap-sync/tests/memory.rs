@@ -259,7 +259,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
         present_state_bytes_min: None,
         ..config()
     };
-    let base = SessionConfig { in_flight_max: 1, ..large };
+    let base = SessionConfig { in_flight_max: 1, ..large.clone() };
     case("packages in flight", large, &base, 0.5, |victim| {
         for index in 1..=20_000 {
             let package = victim.package(OWN, index, 0);
@@ -291,7 +291,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
 
     // A fixed limit: 4,096 events. All else is as small as can be.
     let large = SessionConfig { peers_max: 1, streams_max: 1, in_flight_max: 1, ..config() };
-    let base = SessionConfig { store_bytes_max: 0, ..large };
+    let base = SessionConfig { store_bytes_max: 0, ..large.clone() };
     case("events that nobody takes", large, &base, 1.0, |victim| {
         victim.takes_no_events = true;
         for n in 1..5_000 {
@@ -302,7 +302,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
     });
 
     let large = SessionConfig { peers_max: 64, streams_max: 1, in_flight_max: 1, ..config() };
-    let base = SessionConfig { peers_max: 1, ..large };
+    let base = SessionConfig { peers_max: 1, ..large.clone() };
     case("requests full of small records", large, &base, 0.03, |victim| {
         for n in 0..64 {
             // What takes the most memory for its bytes: floors, of two bytes each.

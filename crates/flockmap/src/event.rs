@@ -31,6 +31,9 @@ pub enum Event {
         changes: Changes,
         /// Voxels of the layer that were taken over; the others were known to be newer.
         taken: usize,
+        /// The package itself. Who stores these, and the own ones of [`Self::CycleClosed`], in the order of the events can give them back to
+        /// [`Robot::restore`](crate::Robot::restore).
+        package: Package,
     },
     /// A package was not taken in. It is counted, and asked for again unless that is useless.
     Refused {

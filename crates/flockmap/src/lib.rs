@@ -62,4 +62,4 @@ pub use flockmap_grid::{
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Session, SessionConfig, Transmit};
 pub use packer::Packer;
-pub use robot::Robot;
+pub use robot::{RestoreError, Robot};

@@ -1,6 +1,9 @@
 //! One robot: mapper, packer, codec, session, layers and fusion joined. The way of the data, both directions.
 
 mod receive;
+mod restore;
+
+pub use restore::RestoreError;
 
 use std::collections::{BTreeMap, BTreeSet};
 

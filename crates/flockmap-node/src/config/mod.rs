@@ -42,6 +42,9 @@ pub struct NodeConfig {
     /// How layers become one map.
     #[serde(default)]
     pub fusion: FusionSection,
+    /// What survives a reboot.
+    #[serde(default)]
+    pub store: StoreSection,
     /// Sockets.
     #[serde(default)]
     pub network: NetworkSection,
@@ -200,6 +203,24 @@ pub struct FusionSection {
     /// Robots whose layers are left out of the map.
     #[serde(default)]
     pub muted: Vec<u16>,
+}
+
+/// `[store]`
+#[derive(Clone, PartialEq, Eq, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StoreSection {
+    /// Folder of the store; made if need be.
+    pub path: Option<PathBuf>,
+    /// Bytes that it may take on disk.
+    pub bytes_max: u64,
+    /// What was written is made safe against a power failure after so long.
+    pub sync_ms: u32,
+}
+
+impl Default for StoreSection {
+    fn default() -> Self {
+        Self { path: None, bytes_max: 256 << 20, sync_ms: 1_000 }
+    }
 }
 
 /// `[network]`

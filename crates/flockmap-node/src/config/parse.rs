@@ -79,6 +79,7 @@ impl NodeConfig {
             &mut sensor.listen_unix,
             &mut output.save_map_at_end,
             &mut output.report_json,
+            &mut config.store.path,
         ] {
             *file = file.take().map(|file| folder.join(file));
         }

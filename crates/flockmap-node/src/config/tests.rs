@@ -40,6 +40,7 @@ fn the_defaults_in_the_example_are_the_defaults() {
     assert_eq!(given.sensor, default.sensor);
     assert_eq!(given.metrics, default.metrics);
     assert_eq!(given.output, default.output);
+    assert_eq!(given.store, default.store);
 }
 
 #[test]
@@ -50,7 +51,8 @@ fn every_key_is_in_the_example_and_every_example_can_be_uncommented() {
     assert_eq!(config.alignments().unwrap().len(), 1);
     assert_eq!(config.clock_offsets().unwrap(), [(RobotId(2), 12_500)]);
 
-    let sections = ["", "map", "cycle", "codec", "session", "fusion", "network", "sensor", "metrics"];
+    let sections =
+        ["", "map", "cycle", "codec", "session", "fusion", "store", "network", "sensor", "metrics"];
     for section in sections.iter().chain(&["alignment.2", "teammates", "output"]) {
         // An error about an unknown key lists the known ones.
         let text = match *section {

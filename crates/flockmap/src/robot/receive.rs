@@ -243,5 +243,5 @@ impl Robot {
 
 fn merged(package: &Package, changes: Changes, taken: usize) -> Event {
     let &Header { stream, index, cycle_start, cycle_end, .. } = package.header();
-    Event::Merged { stream, index, cycle_start, cycle_end, changes, taken }
+    Event::Merged { stream, index, cycle_start, cycle_end, changes, taken, package: package.clone() }
 }

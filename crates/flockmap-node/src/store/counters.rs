@@ -1,0 +1,52 @@
+//! What a store counts.
+
+use super::Restored;
+
+/// What a store did in this run.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[non_exhaustive]
+pub struct StoreCounters {
+    /// Packages that came back at the start: [`Restored::packages`].
+    pub restored: u64,
+    /// Of these: merged.
+    pub restored_merged: u64,
+    /// [`Restored::unreadable`].
+    pub unreadable: u64,
+    /// [`Restored::skipped_bytes`].
+    pub skipped_bytes: u64,
+    /// [`Restored::torn_bytes`].
+    pub torn_bytes: u64,
+    /// [`Restored::damaged_segments`].
+    pub damaged_segments: u64,
+    /// Packages written in this run.
+    pub written: u64,
+    /// Bytes of these with their frames.
+    pub written_bytes: u64,
+    /// Packages that were not written: after a failure, or since the disk did not keep up.
+    pub left_out: u64,
+    /// Times that what was written was made safe.
+    pub syncs: u64,
+    /// 1 if writing has failed: nothing is stored from then on in this run.
+    pub failures: u64,
+    /// Times that the log was replaced by present states.
+    pub compactions: u64,
+    /// Times that this failed; the log went on.
+    pub compactions_failed: u64,
+    /// Bytes on disk now.
+    pub disk_bytes: u64,
+}
+
+impl From<Restored> for StoreCounters {
+    fn from(restored: Restored) -> Self {
+        let Restored { packages, merged, unreadable, skipped_bytes, torn_bytes, damaged_segments } = restored;
+        Self {
+            restored: packages,
+            restored_merged: merged,
+            unreadable,
+            skipped_bytes,
+            torn_bytes,
+            damaged_segments,
+            ..Self::default()
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! What is in a store, without a robot: for `flockmap info`. Changes nothing, and needs no lock.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+use flockmap::Stream;
+use flockmap::codec::ContentKind;
+use flockmap::sync::IntervalSet;
+
+use super::Identity;
+use super::disk::names;
+use super::record::{NoHeader, Record, Scan, parse_name};
+
+/// Intervals told of one stream; of more, the rest is left out.
+const INTERVALS_MAX: usize = 1_024;
+/// Streams told.
+const STREAMS_MAX: usize = 4_096;
+
+/// What is in a store.
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub struct Inspection {
+    /// Whose it is, as the newest sound segment says.
+    pub identity: Option<Identity>,
+    /// Its segments, oldest first.
+    pub segments: Vec<SegmentFacts>,
+    /// Its streams; of more than 4,096 the rest is left out.
+    pub streams: BTreeMap<Stream, StreamFacts>,
+}
+
+/// A segment of a store.
+#[derive(Clone, PartialEq, Eq, Debug)]
+#[non_exhaustive]
+pub struct SegmentFacts {
+    /// Its file.
+    pub name: String,
+    /// Bytes of it.
+    pub bytes: u64,
+    /// What is wrong with its header, if something is: then nothing of it is used.
+    pub fault: Option<String>,
+    /// It replaces all segments before it.
+    pub is_compacted: bool,
+    /// Sound records.
+    pub records: u64,
+    /// Of these: records that this version cannot use.
+    pub unreadable: u64,
+    /// Bytes between sound records that are none.
+    pub skipped_bytes: u64,
+    /// Bytes behind the last sound record: cut off when a robot opens the store.
+    pub torn_bytes: u64,
+}
+
+/// A stream in a store.
+#[derive(Clone, PartialEq, Eq, Debug)]
+#[non_exhaustive]
+pub struct StreamFacts {
+    /// Indices of packages that are in the store, or in one of its present states.
+    pub held: IntervalSet,
+    /// Packages of changes.
+    pub packages: u64,
+    /// Bytes of these.
+    pub package_bytes: u64,
+    /// Tiles of present states.
+    pub tiles: u64,
+    /// Bytes of these.
+    pub tile_bytes: u64,
+}
+
+/// Whether a folder holds segments of a store.
+pub fn is_store(folder: &Path) -> bool {
+    names(folder).is_ok_and(|names| names.iter().any(|name| parse_name(name).is_some()))
+}
+
+/// Reads all of a store.
+///
+/// # Errors
+/// The folder cannot be listed, or a file in it not be opened.
+pub fn inspect(folder: &Path) -> io::Result<Inspection> {
+    let mut inspection = Inspection::default();
+    let mut segments: Vec<_> =
+        names(folder)?.into_iter().filter_map(|name| Some((parse_name(&name)?, name))).collect();
+    segments.sort();
+    for (_, name) in segments {
+        inspection.add_segment(&folder.join(&name), name)?;
+    }
+    Ok(inspection)
+}
+
+impl Inspection {
+    fn add_segment(&mut self, path: &Path, name: String) -> io::Result<()> {
+        let bytes = std::fs::metadata(path)?.len();
+        let (header, mut scan) = Scan::open(Box::new(File::open(path)?))?;
+        let mut facts = SegmentFacts {
+            name,
+            bytes,
+            fault: None,
+            is_compacted: false,
+            records: 0,
+            unreadable: 0,
+            skipped_bytes: 0,
+            torn_bytes: 0,
+        };
+        match header {
+            Ok(header) => {
+                self.identity = Some(header.identity);
+                facts.is_compacted = header.is_compacted;
+                if header.is_compacted {
+                    self.streams.clear();
+                }
+                // Of a present state: its number and the tiles seen.
+                let mut tiles_seen = (0, 0);
+                while let Some(record) = scan.next() {
+                    facts.records += 1;
+                    match record {
+                        Ok(record) => self.add_record(&record, &mut tiles_seen),
+                        Err(_) => facts.unreadable += 1,
+                    }
+                }
+                facts.skipped_bytes = scan.skipped;
+                facts.torn_bytes = scan.tail().1;
+                facts.fault = scan.error.map(|error| format!("cannot be read to its end: {error}"));
+            }
+            Err(NoHeader::Torn) => {
+                facts.torn_bytes = bytes;
+                facts.fault = Some("ends within its header".into());
+            }
+            Err(NoHeader::Damaged) => facts.fault = Some("its header is damaged".into()),
+            Err(NoHeader::Version(version)) => {
+                facts.fault = Some(format!("written by another version ({version})"));
+            }
+        }
+        self.segments.push(facts);
+        Ok(())
+    }
+
+    fn add_record(&mut self, record: &Record, tiles_seen: &mut (u32, u32)) {
+        let stream = match record {
+            Record::Package(package) => package.header().stream,
+            Record::Held { stream, .. } => *stream,
+        };
+        if self.streams.len() >= STREAMS_MAX && !self.streams.contains_key(&stream) {
+            return;
+        }
+        let facts = self.streams.entry(stream).or_insert_with(|| StreamFacts {
+            held: IntervalSet::new(INTERVALS_MAX),
+            packages: 0,
+            package_bytes: 0,
+            tiles: 0,
+            tile_bytes: 0,
+        });
+        // What does not fit into the list is left out.
+        match record {
+            Record::Package(package) => {
+                let (header, bytes) = (package.header(), package.bytes().len() as u64);
+                match header.content {
+                    ContentKind::Changes => {
+                        facts.packages += 1;
+                        facts.package_bytes += bytes;
+                        let _ = facts.held.insert(header.index);
+                    }
+                    ContentKind::Present { set, tile, tiles, since } => {
+                        facts.tiles += 1;
+                        facts.tile_bytes += bytes;
+                        *tiles_seen = match *tiles_seen {
+                            (of, seen) if of == set && seen == tile => (set, seen + 1),
+                            _ => (set, u32::from(tile == 0)),
+                        };
+                        let is_told = since == 0 || facts.held.contains_range(1, since);
+                        if *tiles_seen == (set, tiles) && is_told {
+                            let _ = facts.held.insert_range(1, header.index);
+                        }
+                    }
+                }
+            }
+            Record::Held { upto, intervals, .. } => {
+                if *upto > 0 && facts.held.contains_range(1, *upto) {
+                    for &(low, high) in intervals {
+                        let _ = facts.held.insert_range(low, high);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! The log that grows: the segment of this run, and the bytes of those before.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::Arc;
+
+use super::record::{HEADERS_BYTES, Record, SegmentHeader, segment_name};
+use super::{Disk, DiskFile, Identity};
+
+pub(super) struct Log {
+    disk: Arc<dyn Disk>,
+    identity: Identity,
+    epoch: u32,
+    bytes_max: u64,
+    segments: BTreeMap<(u32, u32), u64>,
+    file: Box<dyn DiskFile>,
+    number: u32,
+    seed: u32,
+    buffer: Vec<u8>,
+    is_synced: bool,
+}
+
+/// Why the log cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum LogError {
+    #[error("cannot {what}: {source}")]
+    Disk { what: &'static str, source: io::Error },
+    #[error("bytes_max ({0}) is reached: raise it, or empty the folder")]
+    Full(u64),
+}
+
+fn cannot(what: &'static str) -> impl FnOnce(io::Error) -> LogError {
+    move |source| LogError::Disk { what, source }
+}
+
+/// A new segment with its header, safe on disk: its epoch will not be used again.
+pub(super) fn create(disk: &dyn Disk, header: &SegmentHeader, name: &str) -> io::Result<Box<dyn DiskFile>> {
+    let mut file = disk.create(name)?;
+    file.write_all(&header.write())?;
+    file.sync()?;
+    disk.sync_folder()?;
+    Ok(file)
+}
+
+impl Log {
+    /// Begins the first segment of a run.
+    pub(super) fn begin(
+        disk: Arc<dyn Disk>,
+        identity: Identity,
+        epoch: u32,
+        bytes_max: u64,
+        segments: BTreeMap<(u32, u32), u64>,
+    ) -> Result<Self, LogError> {
+        let number = segments.keys().next_back().map_or(0, |(number, _)| *number).saturating_add(1);
+        let header = SegmentHeader { identity, epoch, number, is_compacted: false };
+        let file = create(&*disk, &header, &header.name()).map_err(cannot("begin a segment"))?;
+        let seed = header.seed();
+        let (buffer, is_synced) = (Vec::new(), true);
+        let mut log =
+            Self { disk, identity, epoch, bytes_max, segments, file, number, seed, buffer, is_synced };
+        log.segments.insert((number, epoch), HEADERS_BYTES as u64);
+        Ok(log)
+    }
+
+    /// Bytes of all segments.
+    pub(super) fn bytes(&self) -> u64 {
+        self.segments.values().sum()
+    }
+
+    pub(super) fn segments(&self) -> usize {
+        self.segments.len()
+    }
+
+    /// Hands records to the system. Returns their bytes.
+    pub(super) fn append<'a>(&mut self, records: impl Iterator<Item = &'a Record>) -> Result<u64, LogError> {
+        self.buffer.clear();
+        for record in records {
+            record.write(self.seed, &mut self.buffer);
+        }
+        let bytes = self.buffer.len() as u64;
+        if bytes == 0 {
+            return Ok(0);
+        }
+        if self.bytes() + bytes > self.bytes_max {
+            return Err(LogError::Full(self.bytes_max));
+        }
+        self.is_synced = false;
+        self.file.write_all(&self.buffer).map_err(cannot("write"))?;
+        *self.segments.entry((self.number, self.epoch)).or_default() += bytes;
+        Ok(bytes)
+    }
+
+    pub(super) const fn is_synced(&self) -> bool {
+        self.is_synced
+    }
+
+    /// Returns when all that was written is on the disk.
+    pub(super) fn sync(&mut self) -> Result<(), LogError> {
+        if !self.is_synced {
+            self.file.sync().map_err(cannot("sync"))?;
+            self.is_synced = true;
+        }
+        Ok(())
+    }
+
+    /// Goes on in a new segment, and leaves a number free before it: for the segment that is to replace all before.
+    pub(super) fn roll(&mut self) -> Result<SegmentHeader, LogError> {
+        self.sync()?;
+        let (identity, epoch) = (self.identity, self.epoch);
+        let compacted =
+            SegmentHeader { identity, epoch, number: self.number.saturating_add(1), is_compacted: true };
+        let header =
+            SegmentHeader { number: compacted.number.saturating_add(1), is_compacted: false, ..compacted };
+        self.file = create(&*self.disk, &header, &header.name()).map_err(cannot("begin a segment"))?;
+        self.number = header.number;
+        self.seed = header.seed();
+        self.segments.insert((header.number, epoch), HEADERS_BYTES as u64);
+        Ok(compacted)
+    }
+
+    /// A compacted segment is complete under its name: those before it go.
+    pub(super) fn replace(&mut self, compacted: &SegmentHeader, bytes: u64) -> Result<(), LogError> {
+        while let Some(entry) = self.segments.first_entry().filter(|e| e.key().0 < compacted.number) {
+            let (number, epoch) = *entry.key();
+            self.disk.remove(&segment_name(number, epoch)).map_err(cannot("remove a segment"))?;
+            entry.remove();
+        }
+        self.segments.insert((compacted.number, compacted.epoch), bytes);
+        self.disk.sync_folder().map_err(cannot("sync the folder"))
+    }
+}

@@ -1,0 +1,58 @@
+//! What a former run stored comes back: its own packages as a stream of the own id with a lower epoch, those of others as they were.
+
+use flockmap_codec::Package;
+use flockmap_grid::{Stamp, Stream};
+
+use super::Robot;
+
+/// A stored package that cannot be taken back.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RestoreError {
+    /// It is of the own id, and not of a former run.
+    #[error(
+        "a stored package of {got:?}, but this run is {own:?}: give each run a higher epoch than all before it"
+    )]
+    NotFormer {
+        /// Of the package.
+        got: Stream,
+        /// Of this run.
+        own: Stream,
+    },
+    /// Its stream has no place: there are too many, or newer runs of the same robot.
+    #[error("no room for {0:?}: streams_max or epochs_max is reached")]
+    NoRoom(Stream),
+}
+
+impl Robot {
+    /// Takes back a package, or a tile of a present state, that a former run merged or made; to be called after [`Robot::new`] and before the first
+    /// datagram, in the order in which the packages were stored ([`Event::CycleClosed`](crate::Event::CycleClosed),
+    /// [`Event::Merged`](crate::Event::Merged)).
+    ///
+    /// It goes the way of one that has just been received: it is decoded and checked, merged into the layer of its stream and into the fused map, held, and offered
+    /// to others. What builds on a package that is gone waits for it, and that one is asked for. So whatever is lost or damaged in
+    /// a store, no voxel comes out wrong. Packages of a former run of this robot become a layer like a team-mate's, in the
+    /// own clock and, unless the alignment of the own id says otherwise, in the own frame.
+    ///
+    /// # Errors
+    /// [`RestoreError`]; nothing is changed then. That one does not decode is an event, as for every package.
+    pub fn restore(&mut self, now: Stamp, package: Package) -> Result<(), RestoreError> {
+        let (got, own) = (package.header().stream, self.own);
+        if got.origin == own.origin && got.epoch >= own.epoch {
+            return Err(RestoreError::NotFormer { got, own });
+        }
+        let is_taken = self.session.deliver_stored(now, package);
+        self.answer_session(now);
+        if is_taken { Ok(()) } else { Err(RestoreError::NoRoom(got)) }
+    }
+
+    /// Takes back that packages are in the layer of a stream beside those up to `upto`, without the packages: the present state that was restored just
+    /// before contains them. Does nothing, and returns `false`, if that state is not complete here, or for the own stream.
+    pub fn restore_held(&mut self, stream: Stream, upto: u32, held: &[(u32, u32)]) -> bool {
+        let is_whole = self.session.held(stream).is_some_and(|held| held.contains_range(1, upto));
+        stream != self.own
+            && upto > 0
+            && is_whole
+            && held.iter().all(|&(low, high)| low <= high && self.session.restore_held(stream, low, high))
+    }
+}

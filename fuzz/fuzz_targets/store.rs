@@ -1,0 +1,10 @@
+#![no_main]
+
+#[path = "../../crates/flockmap-node/tests/common/disk.rs"]
+#[allow(dead_code, reason = "the target uses a part of it")]
+mod disk;
+#[path = "../../crates/flockmap-node/tests/fuzz/store.rs"]
+#[allow(dead_code, reason = "the target uses a part of it")]
+mod store;
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| store::run(input));
