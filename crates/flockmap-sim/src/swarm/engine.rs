@@ -279,6 +279,10 @@ impl Engine {
         let Some(outsider) = self.outsider.as_mut().filter(|outsider| outsider.next <= self.now) else {
             return;
         };
+        if self.phase != Phase::Mapping {
+            outsider.next = NEVER;
+            return;
+        }
         if let Some((number, attack)) = outsider.attack(self.now, self.members.len()) {
             let input =
                 if attack.is_genuine { Input::Datagram(&attack.bytes) } else { Input::Forged(&attack.bytes) };
@@ -340,13 +344,15 @@ impl Engine {
         while let Some(event) = robot.poll_event() {
             match event {
                 Event::CycleClosed { changes, packages, .. } => {
+                    self.members[number].keep(&packages);
                     let layer = robot.fusion().layer(robot.own_stream());
                     if let Err(found) = self.truth.note_cycle(&changes, &packages, layer) {
                         let expected = "packages that say what their cycle changed".to_owned();
                         self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
                     }
                 }
-                Event::Merged { stream, index, cycle_end, changes, .. } => {
+                Event::Merged { stream, index, cycle_end, changes, package, .. } => {
+                    self.members[number].keep(&[package]);
                     self.note_age(number, stream, cycle_end, now);
                     if changes.is_empty() {
                         if !self.dirty.contains(&(number, stream)) {

@@ -37,6 +37,8 @@ pub(super) struct MemberSettings {
     pub(super) rays: usize,
     pub(super) scan_period: i64,
     pub(super) has_no_returns: bool,
+    /// After a crash it begins with what it stored.
+    pub(super) has_disk: bool,
 }
 
 /// A whole flight.
@@ -107,6 +109,7 @@ impl Settings {
                 rays: if is_table { TABLE_RAYS } else { 20 + random.below(60) as usize },
                 scan_period: if is_table { 100_000 } else { 1_000 * (100 + random.below(200) as i64) },
                 has_no_returns: random.chance(0.4),
+                has_disk: random.chance(0.4) && !options.is_calm,
             }
         });
         Self {

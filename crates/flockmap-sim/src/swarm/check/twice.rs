@@ -2,7 +2,8 @@
 //!
 //! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
 //! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
-//! send are allowed, and counted as relayed. Sessions that compare successive requests (the paper's) measure no round trip and are
+//! send are allowed, and counted as relayed. A tile that is broadcast for one peer while another one begins the same set may go
+//! out again. Sessions that compare successive requests (the paper's) measure no round trip and are
 //! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
 
 use super::Finding;
@@ -78,6 +79,7 @@ impl Twice {
                 ContentKind::Changes => None,
             };
             let item = (header.stream, header.index, tile);
+            let is_noted = ledger && (tile.is_none() || to.is_some());
             let mut reasons = Vec::new();
             for (stream, round_trip) in &peers {
                 let peer = stream.origin;
@@ -93,7 +95,7 @@ impl Twice {
                     });
                 if says_held {
                     reasons.push(format!("{peer:?} has said that it holds it"));
-                } else if let Some(before) = before.filter(|before| ledger && now - before < *round_trip) {
+                } else if let Some(before) = before.filter(|before| is_noted && now - before < *round_trip) {
                     let (ago, least) = ((now - before) as f64 / 1e3, *round_trip as f64 / 1e3);
                     reasons.push(format!(
                         "sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"
