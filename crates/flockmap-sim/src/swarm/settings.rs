@@ -71,7 +71,7 @@ impl Settings {
         let drawn = [2, 2, 3, 3, 3, 4, 4, 5, 6][random.below(9) as usize];
         let robots = options.robots.unwrap_or(drawn).clamp(2, 200);
         let drawn = 2.0 + random.unit() * random.unit() * 6.0;
-        let seconds = options.seconds.unwrap_or((drawn * 10.0).round() / 10.0);
+        let seconds = options.seconds.unwrap_or_else(|| (drawn * 10.0).round() / 10.0);
         let mapping = (seconds.clamp(0.1, 3_600.0) * 1e6) as i64;
         let drawn = if random.chance(0.5) { Cast::Broadcast } else { Cast::Unicast };
         let cast = options.cast.unwrap_or(drawn);

@@ -54,8 +54,8 @@ pub fn row(radio: RadioPreset, robots: usize) -> Result<String, String> {
     let bytes = sum(|robot| robot.bytes as f64);
     let requests = sum(|robot| robot.request_bytes as f64);
     let air = sum(|robot| robot.airtime_s) / if numbers.is_shared { 1.0 } else { count };
-    let budget = numbers.budget(robots).map_or("none".to_owned(), |budget| budget.to_string());
-    let agreement = report.agreement_s.map_or("-".to_owned(), |s| format!("{s:.2} s"));
+    let budget = numbers.budget(robots).map_or_else(|| "none".to_owned(), |budget| budget.to_string());
+    let agreement = report.agreement_s.map_or_else(|| "-".to_owned(), |s| format!("{s:.2} s"));
     Ok(format!(
         "{:<15}{robots:>7}{budget:>11}{:>8.0}{:>9.0}{:>8.0} %{:>5.1} %{:>7.3} s{:>7.3} s{agreement:>11}\n",
         radio.name(),
