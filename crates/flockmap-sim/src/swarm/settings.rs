@@ -27,7 +27,7 @@ const VOXEL_M: f64 = 0.5;
 const RANGE_M: f64 = 5.0;
 /// A table of figures wants more of a map.
 const TABLE_VOXEL_M: f64 = 0.25;
-const TABLE_RAYS: usize = 100;
+const TABLE_RAYS: usize = 60;
 
 /// One robot.
 #[derive(Clone, Debug)]
