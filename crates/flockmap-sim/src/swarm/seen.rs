@@ -78,6 +78,10 @@ pub(super) fn settings(settings: &Settings) -> Vec<String> {
             100.0 * settings.broken
         ));
     }
+    let disks = settings.members.iter().filter(|member| member.has_disk).count();
+    if disks > 0 {
+        words.push(format!("{disks} robots with a disk"));
+    }
     words.push(match settings.clocks_given {
         true => "clocks known exactly".to_owned(),
         false => "clocks measured".to_owned(),

@@ -27,7 +27,7 @@ const VOXEL_M: f64 = 0.5;
 const RANGE_M: f64 = 5.0;
 /// A table of figures wants more of a map.
 const TABLE_VOXEL_M: f64 = 0.25;
-const TABLE_RAYS: usize = 100;
+const TABLE_RAYS: usize = 60;
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -37,6 +37,8 @@ pub(super) struct MemberSettings {
     pub(super) rays: usize,
     pub(super) scan_period: i64,
     pub(super) has_no_returns: bool,
+    /// After a crash it begins with what it stored.
+    pub(super) has_disk: bool,
 }
 
 /// A whole flight.
@@ -69,7 +71,7 @@ impl Settings {
         let drawn = [2, 2, 3, 3, 3, 4, 4, 5, 6][random.below(9) as usize];
         let robots = options.robots.unwrap_or(drawn).clamp(2, 200);
         let drawn = 2.0 + random.unit() * random.unit() * 6.0;
-        let seconds = options.seconds.unwrap_or((drawn * 10.0).round() / 10.0);
+        let seconds = options.seconds.unwrap_or_else(|| (drawn * 10.0).round() / 10.0);
         let mapping = (seconds.clamp(0.1, 3_600.0) * 1e6) as i64;
         let drawn = if random.chance(0.5) { Cast::Broadcast } else { Cast::Unicast };
         let cast = options.cast.unwrap_or(drawn);
@@ -107,6 +109,7 @@ impl Settings {
                 rays: if is_table { TABLE_RAYS } else { 20 + random.below(60) as usize },
                 scan_period: if is_table { 100_000 } else { 1_000 * (100 + random.below(200) as i64) },
                 has_no_returns: random.chance(0.4),
+                has_disk: random.chance(0.4) && !options.is_calm,
             }
         });
         Self {

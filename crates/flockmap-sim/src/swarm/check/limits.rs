@@ -23,7 +23,7 @@ pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
     let (waiting, waiting_bytes) = robot.waiting();
     let intervals =
         session.streams().filter_map(|stream| session.held(stream)).map(|held| held.intervals().len()).max();
-    // What everyone hears is noted for everyone, as far as twice the limit goes.
+    // By broadcast, what goes to another peer is noted beyond the limit, up to twice as much.
     let in_flight_max = config.in_flight_max * if config.cast == Cast::Broadcast { 2 } else { 1 };
     let limits = [
         (MEMORY, "peers", load.peers, config.peers_max),

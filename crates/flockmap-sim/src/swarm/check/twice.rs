@@ -2,7 +2,8 @@
 //!
 //! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
 //! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
-//! send are allowed, and counted as relayed. Sessions that compare successive requests (the paper's) measure no round trip and are
+//! send are allowed, and counted as relayed. A tile that is broadcast for one peer while another one begins the same set may go
+//! out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions that compare successive requests (the paper's) measure no round trip and are
 //! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
 
 use super::Finding;
@@ -62,13 +63,15 @@ impl Twice {
         let peers = robot.session().peers();
         let peers = peers.filter(|peer| to.map_or(peer.hears_us, |to| to == peer.stream.origin));
         // As the robot knows them: a robot that began anew is sent its former run.
-        let peers: Vec<(Stream, i64)> = peers
+        let peers: Vec<(Stream, i64, bool)> = peers
             .map(|peer| {
                 let round_trip = match peer.round_trip_micros {
                     Some(_) => round_trip,
                     None => round_trip.min(initial),
                 };
-                (peer.stream, round_trip)
+                // What finds no room in the ledger of one that it is not meant for is not noted.
+                let is_full = to.is_none() && peer.in_flight >= 2 * config.in_flight_max;
+                (peer.stream, round_trip, is_full)
             })
             .collect();
         for package in packages {
@@ -78,22 +81,24 @@ impl Twice {
                 ContentKind::Changes => None,
             };
             let item = (header.stream, header.index, tile);
+            let is_noted = ledger && (tile.is_none() || to.is_some());
             let mut reasons = Vec::new();
-            for (stream, round_trip) in &peers {
+            for (stream, round_trip, is_full) in &peers {
                 let peer = stream.origin;
                 if *stream == header.stream {
                     reasons.push(format!("it is {peer:?}'s own"));
                     continue;
                 }
                 let pair = self.peers.entry(peer).or_default();
-                let before = pair.sent.insert(item, now);
                 let says_held = tile.is_none()
                     && pair.request.as_ref().is_some_and(|(_, request)| {
                         request.held.iter().any(|held| held.stream == item.0 && held.held.contains(item.1))
                     });
+                // To one that says to hold it nothing is sent, even if it hears it: it may take its word back.
+                let before = if says_held || *is_full { None } else { pair.sent.insert(item, now) };
                 if says_held {
                     reasons.push(format!("{peer:?} has said that it holds it"));
-                } else if let Some(before) = before.filter(|before| ledger && now - before < *round_trip) {
+                } else if let Some(before) = before.filter(|before| is_noted && now - before < *round_trip) {
                     let (ago, least) = ((now - before) as f64 / 1e3, *round_trip as f64 / 1e3);
                     reasons.push(format!(
                         "sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"
