@@ -5,6 +5,9 @@ use flockmap_grid::{Layer, PresentState};
 use crate::check::check_present;
 use crate::{Codec, ContentKind, Decoder, Package, PackageError, flock};
 
+/// Most blocks that a byte of a tile tells of.
+const BLOCKS_PER_BYTE: usize = 4;
+
 /// The tiles of one set that have been read, from the first on. In [`Codec::Flock`] each tile is told against those before it;
 /// in the other codecs each can be read alone. Holds as much as a [`Layer`] of what was read.
 #[derive(Clone, Debug, Default)]
@@ -19,9 +22,20 @@ impl TilesRead {
         self.next
     }
 
-    /// Blocks told of so far, of at most [`LAYER_BLOCK_BYTES_MAX`](flockmap_grid::LAYER_BLOCK_BYTES_MAX) bytes each. A tile adds at most four for each of its bytes.
+    /// Blocks told of so far.
     pub fn block_count(&self) -> usize {
         self.told.block_count()
+    }
+
+    /// Bytes that it holds. O(1).
+    pub fn memory_bytes(&self) -> usize {
+        self.told.memory_bytes()
+    }
+
+    /// Bytes that it may hold at most while and after this tile is read, beside the stamps of the voxels of the tile: it adds at most four blocks
+    /// for each of its bytes. O(1).
+    pub fn memory_bytes_with(&self, tile: &Package) -> usize {
+        self.told.memory_bytes_with(BLOCKS_PER_BYTE * tile.payload().len())
     }
 }
 

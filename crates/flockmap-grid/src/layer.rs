@@ -1,7 +1,10 @@
 //! What is known from one origin.
 
-use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
 
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use crate::memory::table_bytes;
 use crate::present::{PresentVoxels, places};
 use crate::stamps::BlockStamps;
 use crate::{BlockIndex, Changes, Plane, PresentState, Stamp, State, StateBlock, Voxel, VoxelBox, voxel_bit};
@@ -14,12 +17,20 @@ use crate::{BlockIndex, Changes, Plane, PresentState, Stamp, State, StateBlock, 
 pub struct Layer {
     blocks: FxHashMap<BlockIndex, LayerBlock>,
     newest: Option<Stamp>,
+    /// Of all blocks.
+    stamp_bytes: usize,
     /// By end of cycle, where the sensor was. Codecs make use of it; it is no part of what is known.
-    sensors: std::collections::BTreeMap<Stamp, [i32; 3]>,
+    sensors: BTreeMap<Stamp, [i32; 3]>,
+    /// How many were noted since the layer was last gone through for those of which nothing stands any more.
+    sensors_noted: usize,
 }
 
 /// Most cycles whose sensor a layer remembers; the oldest are forgotten.
 const SENSORS_MAX: usize = 1 << 16;
+/// A sensor in its map.
+const SENSOR_BYTES: usize = 48;
+/// So many sensors are noted at least before the layer is gone through.
+const SENSORS_NOTED_MIN: usize = 1_024;
 
 #[derive(Clone, Debug)]
 struct LayerBlock {
@@ -42,7 +53,9 @@ pub struct Overtaken {
 }
 
 /// Most bytes that one block of a layer can take: 512 voxels that changed last in 512 different cycles.
-pub const LAYER_BLOCK_BYTES_MAX: usize = size_of::<LayerBlock>() + 32 + 2 * 1024 * size_of::<Stamp>() + 1024;
+pub const LAYER_BLOCK_BYTES_MAX: usize = table_bytes(1, ENTRY_BYTES) + BlockStamps::bytes_of(usize::MAX);
+/// A block in the table.
+const ENTRY_BYTES: usize = size_of::<(BlockIndex, LayerBlock)>();
 
 impl Layer {
     /// Takes over each change that is newer than what is known of its voxel. At equal stamps the known one
@@ -54,26 +67,50 @@ impl Layer {
     /// The same for every voxel of a present state, each with its own stamp. Returns the blocks and voxels that it took over,
     /// a block once for each stamp. O(voxels).
     pub fn apply_present(&mut self, state: &PresentState) -> Vec<(BlockIndex, Plane)> {
+        let taken =
+            state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, false)).collect();
+        // After the voxels: the sensor of a cycle of which nothing stands may be forgotten at once.
         state.sensors.iter().for_each(|(stamp, sensor)| self.note_sensor(*stamp, *sensor));
-        state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, false)).collect()
+        taken
     }
 
-    /// Notes where the sensor was in the cycle that ended at `stamp`, in sixteenths of a voxel. Of 2¹⁶ cycles, 24 bytes each.
+    /// Notes where the sensor was in the cycle that ended at `stamp`, in sixteenths of a voxel; to be called after its voxels were
+    /// taken over. Of at most 2¹⁶ cycles, 48 bytes each; cycles of which no voxel stands any more are forgotten now and then. O(log n)
+    /// over time.
     pub fn note_sensor(&mut self, stamp: Stamp, sensor: [i32; 3]) {
-        self.sensors.insert(stamp, sensor);
+        if self.sensors.insert(stamp, sensor).is_some() {
+            return;
+        }
+        self.sensors_noted += 1;
+        // So rare that going through all blocks costs little for each.
+        if self.sensors_noted >= SENSORS_NOTED_MIN.max(self.blocks.len() / 4).max(self.sensors.len() / 2) {
+            self.forget_sensors();
+        }
         if self.sensors.len() > SENSORS_MAX {
             self.sensors.pop_first();
         }
+    }
+
+    /// Forgets the sensors of cycles of which no voxel stands. O(voxels).
+    fn forget_sensors(&mut self) {
+        self.sensors_noted = 0;
+        let mut unseen: FxHashSet<Stamp> = self.sensors.keys().copied().collect();
+        for block in self.blocks.values() {
+            block.stamps.for_each_in_use(&block.states.known(), |stamp| {
+                unseen.remove(&stamp);
+            });
+        }
+        self.sensors.retain(|stamp, _| !unseen.contains(stamp));
     }
 
     /// `is_cycle`: the changes are of one cycle, and what was there before remains known.
     fn take_over(&mut self, changes: &Changes, stamp: Stamp, is_cycle: bool) -> Vec<(BlockIndex, Plane)> {
         let mut taken = Vec::with_capacity(changes.blocks().len());
         for (index, new) in changes.blocks() {
-            let block = self.blocks.entry(*index).or_insert_with(|| LayerBlock {
-                states: StateBlock::default(),
-                stamps: BlockStamps::new(stamp),
-                before: Some(StateBlock::default()),
+            let block = self.blocks.entry(*index).or_insert_with(|| {
+                let stamps = BlockStamps::new(stamp);
+                self.stamp_bytes += stamps.memory_bytes();
+                LayerBlock { states: StateBlock::default(), stamps, before: Some(StateBlock::default()) }
             });
             block.keep_before(new, stamp, is_cycle);
             let mut mask = new.known();
@@ -84,7 +121,9 @@ impl Layer {
             }
             if mask != [0; 8] {
                 block.states.overlay(&new.masked(&mask));
+                self.stamp_bytes -= block.stamps.memory_bytes();
                 block.stamps.set(&mask, stamp, &block.states.known());
+                self.stamp_bytes += block.stamps.memory_bytes();
                 taken.push((*index, mask));
             }
         }
@@ -170,10 +209,41 @@ impl Layer {
         self.newest
     }
 
-    /// Bytes that the layer holds. O(blocks).
+    /// Bytes that the layer holds, as asked of the allocator. O(1).
     pub fn memory_bytes(&self) -> usize {
-        let blocks = self.blocks.values().map(|b| size_of::<LayerBlock>() + 32 + b.stamps.memory_bytes());
-        blocks.sum::<usize>() + 32 * self.sensors.len()
+        table_bytes(self.blocks.len(), ENTRY_BYTES) + SENSOR_BYTES * self.sensors.len() + self.stamp_bytes
+    }
+
+    /// Bytes that it may hold at most while and after so many blocks are added to it, beside their stamps. O(1).
+    pub fn memory_bytes_with(&self, blocks: usize) -> usize {
+        self.memory_bytes() + self.table_growth(blocks)
+    }
+
+    /// The most by which taking over these changes, each with a stamp of its own, can make it grow, in bytes, and by how many
+    /// blocks. O(blocks).
+    pub(crate) fn growth_max<'a>(&self, parts: impl ExactSizeIterator<Item = &'a Changes>) -> (usize, usize) {
+        let of_block = |index: &BlockIndex, stamps: usize| match self.blocks.get(index) {
+            Some(block) => (block.stamps.growth_max(stamps), 0),
+            None => (BlockStamps::bytes_of(stamps), 1),
+        };
+        let sum = |sum: (usize, usize), more: (usize, usize)| (sum.0 + more.0, sum.1 + more.1);
+        let (stamps, blocks) = if parts.len() == 1 {
+            let blocks = parts.flat_map(Changes::blocks);
+            blocks.map(|(index, _)| of_block(index, 1)).fold((0, 0), sum)
+        } else {
+            let mut stamps_of = FxHashMap::<BlockIndex, usize>::default();
+            for (index, _) in parts.flat_map(Changes::blocks) {
+                *stamps_of.entry(*index).or_default() += 1;
+            }
+            stamps_of.iter().map(|(index, stamps)| of_block(index, *stamps)).fold((0, 0), sum)
+        };
+        (stamps + self.table_growth(blocks), blocks)
+    }
+
+    /// While a table grows, the old one is there too.
+    fn table_growth(&self, blocks: usize) -> usize {
+        let [now, then] = [0, blocks].map(|more| table_bytes(self.blocks.len() + more, ENTRY_BYTES));
+        if then > now { then } else { 0 }
     }
 
     /// The whole layer with its stamps, such that applying its parts to an empty layer gives this one.
@@ -327,7 +397,6 @@ fn mix(hash: u64, word: u64) -> u64 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use std::collections::BTreeMap;
 
     fn package() -> impl Strategy<Value = (Stamp, Vec<(Voxel, State)>)> {
         let voxel = (-6..12i32, -6..12i32, -3..9i32).prop_map(|(x, y, z)| Voxel::new(x, y, z));
@@ -344,7 +413,11 @@ mod tests {
             let mut model = BTreeMap::<Voxel, (Stamp, bool)>::new();
             for (stamp, voxels) in &packages {
                 let changes = Changes::from_voxels(voxels.iter().copied());
+                let before = (layer.memory_bytes(), layer.block_count());
+                let (growth, new_blocks) = layer.growth_max(std::iter::once(&changes));
                 let taken = layer.apply(&changes, *stamp);
+                prop_assert!(layer.memory_bytes() <= before.0 + growth, "{} after {:?}", growth, before);
+                prop_assert_eq!(layer.block_count(), before.1 + new_blocks);
                 let mut expected = 0;
                 for (voxel, state) in changes.voxels() {
                     let word = (*stamp, state == State::Occupied);
@@ -358,6 +431,9 @@ mod tests {
                 prop_assert_eq!(count, expected);
             }
             prop_assert_eq!(layer.len(), model.len());
+            let stamp_bytes: usize = layer.blocks.values().map(|block| block.stamps.memory_bytes()).sum();
+            prop_assert_eq!(layer.stamp_bytes, stamp_bytes);
+            prop_assert_eq!(layer.memory_bytes_with(0), layer.memory_bytes());
             for (voxel, (stamp, occupied)) in &model {
                 let state = if *occupied { State::Occupied } else { State::Free };
                 prop_assert_eq!(layer.get(*voxel), Some((state, *stamp)));
@@ -371,6 +447,35 @@ mod tests {
                 }
             }
             prop_assert_eq!(again.digest(), layer.digest());
+            if let Some(present) = layer.present_state() {
+                let (mut at_once, parts) = (Layer::default(), present.parts.iter().map(|(_, part)| part));
+                let (growth, new_blocks) = at_once.growth_max(parts);
+                at_once.apply_present(&present);
+                prop_assert!(at_once.memory_bytes() <= growth);
+                prop_assert_eq!(at_once.block_count(), new_blocks);
+            }
+        }
+
+        /// Against a layer that never forgets a sensor of its own accord.
+        #[test]
+        fn sensors_are_forgotten_only_where_no_voxel_of_their_cycle_stands(
+            packages in prop::collection::vec(package(), 1..60).prop_shuffle(), rounds in 1..30u64,
+        ) {
+            let (mut layer, mut all) = (Layer::default(), BTreeMap::new());
+            for round in 0..rounds as i64 {
+                for (stamp, voxels) in &packages {
+                    let stamp = Stamp(stamp.0 + 700 * round);
+                    layer.apply(&Changes::from_voxels(voxels.iter().copied()), stamp);
+                    let sensor = [stamp.0 as i32, 1, 2];
+                    layer.note_sensor(stamp, sensor);
+                    all.insert(stamp, sensor);
+                }
+            }
+            layer.forget_sensors();
+            let present = layer.present_state().unwrap();
+            let standing: Vec<_> = present.parts.iter().map(|(stamp, _)| (*stamp, all[stamp])).collect();
+            prop_assert_eq!(&present.sensors, &standing, "every sensor of a cycle that stands is there");
+            prop_assert_eq!(layer.sensors.len(), standing.len(), "and no other");
         }
 
         #[test]
@@ -519,6 +624,25 @@ mod tests {
             assert_eq!(layer.get(Voxel::new(3, 2, 1)).unwrap().1, Stamp(round * 1000 + 64 + 16 + 3));
         }
         assert!(layer.memory_bytes() <= LAYER_BLOCK_BYTES_MAX, "{}", layer.memory_bytes());
+    }
+
+    #[test]
+    fn sensors_of_a_flight_that_sees_the_same_place_again_and_again_do_not_pile_up() {
+        let mut layer = Layer::default();
+        let kept =
+            |cycle: i64| if cycle % 100 == 0 { Voxel::new(cycle as i32, 50, 0) } else { Voxel::new(1, 1, 1) };
+        for cycle in 0..20_000 {
+            layer.apply(&Changes::from_voxels([(kept(cycle), State::Free)]), Stamp(cycle));
+            layer.note_sensor(Stamp(cycle), [cycle as i32, 0, 0]);
+            // 200 cycles stand at the end, and the blocks are as few.
+            assert!(layer.sensors.len() < 200 + 2 * SENSORS_NOTED_MIN, "{} of {cycle}", layer.sensors.len());
+        }
+        let present = layer.present_state().unwrap();
+        assert_eq!(present.sensors.len(), present.parts.len());
+        // A present state says where its cycles were seen from.
+        let mut again = Layer::default();
+        again.apply_present(&present);
+        assert_eq!(again.present_state().unwrap(), present);
     }
 
     #[test]

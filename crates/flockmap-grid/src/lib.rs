@@ -10,6 +10,7 @@ mod changes;
 mod fusion;
 mod layer;
 mod mapper;
+mod memory;
 #[doc(hidden)]
 pub mod mutation;
 mod origin;

@@ -125,8 +125,9 @@ pub struct SessionConfig {
     // Limits on what others can make this robot hold.
     /// A peer not heard for so long is forgotten. Default 10,000.
     pub peer_timeout_ms: u32,
-    /// Peers known at once. Default 32. Worst case per peer: 25 KiB for each of `streams_max` streams, 80 bytes
-    /// for each of `in_flight_max` packages, and 26 KiB. All worst cases together: [`memory_max`](Self::memory_max).
+    /// Peers known at once. Default 32. Worst case per peer: 25 KiB for each of `streams_max` streams, 96 bytes
+    /// for each of `in_flight_max` packages (by broadcast 192), and 26 KiB. All worst cases together:
+    /// [`memory_max`](Self::memory_max).
     pub peers_max: usize,
     /// Streams of others known at once. Default 64. Worst case 10 KiB each, beside what peers state of them.
     pub streams_max: usize,
@@ -134,7 +135,8 @@ pub struct SessionConfig {
     pub epochs_max: usize,
     /// Bytes of stored packages, with 400 bytes of bookkeeping for each. Default 64 MiB.
     pub store_bytes_max: usize,
-    /// Packages sent to one peer and not yet confirmed; more wait. Default 4,096.
+    /// Packages sent to one peer and not yet confirmed; more wait. By broadcast up to as many again are noted that other peers were sent, and
+    /// this one has heard. Default 4,096.
     pub in_flight_max: usize,
     /// Bytes of present-state tiles kept for sending. Default 16 MiB.
     pub present_state_bytes_max: usize,

@@ -1,8 +1,8 @@
 //! The most that a session can be made to hold, reckoned from its options.
 
-use crate::SessionConfig;
 use crate::store::HELD_INTERVALS_MAX;
 use crate::wire::DATAGRAM_BYTES_MAX;
+use crate::{Cast, SessionConfig};
 
 /// Bytes of an interval of indices.
 const INTERVAL: usize = 8;
@@ -15,8 +15,13 @@ const STREAM: usize = 2_048;
 const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 16_384;
 /// What a peer states of one stream: six lists of at most 256 intervals.
 const VIEW: usize = 6 * GROWTH * 256 * INTERVAL + 512;
-/// A package that was sent and not yet confirmed.
-const IN_FLIGHT: usize = 40 * GROWTH;
+/// A package that was sent and not yet confirmed, and its interval among those that need not be sent.
+const IN_FLIGHT: usize = (40 + INTERVAL) * GROWTH;
+/// The budget of the link to a peer that fell silent.
+const SILENT_LINK: usize = 2_048 + 256;
+/// With a key, what is known of the counters of every robot that was ever heard, 2¹⁶ of them; and the window of a peer.
+const HEARD: usize = (1 << 16) * 60;
+const WINDOW: usize = 256 + 16;
 /// Events that nobody took, and packages that wait for a verdict: so many.
 const EVENTS: usize = 4_096;
 /// A package in memory, beside its bytes.
@@ -34,12 +39,21 @@ impl SessionConfig {
     pub const fn memory_max(&self) -> usize {
         let streams = self.streams_max + 1;
         let held = HELD_INTERVALS_MAX * INTERVAL;
-        let peer = PEER + streams * VIEW + self.in_flight_max * IN_FLIGHT;
+        // What everyone hears is noted for everyone, up to twice the limit.
+        let in_flight = match self.cast {
+            Cast::Unicast => self.in_flight_max,
+            Cast::Broadcast => 2 * self.in_flight_max,
+        };
+        let peer = PEER + streams * VIEW + in_flight * IN_FLIGHT;
+        let silent_links = if self.link_bytes_per_s.is_some() { self.peers_max * SILENT_LINK } else { 0 };
+        let replays = if self.swarm_key.is_some() { HEARD + self.peers_max * WINDOW } else { 0 };
         // Of every stream the plan for a peer takes up the best 256 packages, and a request its list of held indices.
         let work = WORK + streams * (256 * 32 + 2 * held);
         self.store_bytes_max
             + streams * (held + STREAM)
             + self.peers_max * peer
+            + silent_links
+            + replays
             + self.transfers_max * (held + 256)
             // Tiles are about as long as a datagram, and so are packages.
             + self.present_state_bytes_max / DATAGRAM_BYTES_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)

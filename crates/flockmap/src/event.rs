@@ -73,6 +73,16 @@ pub enum Refusal {
     /// There is no room for it.
     #[error(transparent)]
     Fusion(#[from] FusionError),
+    /// It is a tile of a present state that takes more than may be held of present states while they are read. It is asked for again.
+    #[error(
+        "of its present state {held} bytes are held, and with it there may be more than half of layer_bytes_max ({max})"
+    )]
+    Tiles {
+        /// Bytes held of the present state.
+        held: usize,
+        /// The limit.
+        max: usize,
+    },
     /// It waited for the packages that it builds on, and there was no room for it any more. It is asked for again.
     #[error("it waited for package {reference}, or one before that, and there is no room for more that wait")]
     Waiting {

@@ -2,39 +2,34 @@
 
 use crate::RobotConfig;
 use crate::events::{EVENTS_BYTES_MAX, EVENTS_MAX};
-use crate::tiles::{SETS_MAX, WAITING_MAX as TILES_WAITING_MAX};
-use crate::waiting::{WAITING_BYTES_MAX, WAITING_MAX};
+use crate::tiles::{SETS_MAX, WAITING_MAX as TILES_WAITING_MAX, bytes_max as tiles_bytes_max};
+use crate::waiting::WAITING_BYTES_MAX;
 
-/// A block of a layer in which each of 512 voxels changed last in another cycle, with what it was before, its place in half-full maps,
-/// and its part of the fused map.
-const LAYER_BLOCK: usize = 20_000;
-/// Where the sensor was in a cycle: of 65,536 of each stream.
-const SENSORS: usize = 65_536 * 48;
 /// A package in memory: its bytes, its header, its place in a map.
 const PACKAGE: usize = 1_150 + 400;
 /// An event, beside its changes.
 const EVENT: usize = 256;
-/// Decoding a present state of the largest box that a datagram can tell, the tables of the codecs, and lists of changes on their way
-/// into a layer.
-const WORK: usize = 32 << 20;
+/// A tile that was read and has no place in a layer yet: 144 bytes for each of at most four blocks a byte.
+const UNMERGED: usize = 1_150 * 4 * 144;
+/// Decoding a package of the largest box that it can tell, the tables of the codecs, lists of changes on their way into a layer; and what the last
+/// merge may add to the fused map, and the last tile to what was read, beyond their limits.
+const WORK: usize = 64 << 20;
 
 impl RobotConfig {
     /// The most bytes that others can make a robot with these options hold on the heap, whatever they send, as asked of the
-    /// allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the layers and the fused map, packages and
-    /// tiles that wait, present states that are being read, events that nobody takes. The own map has
-    /// `mapper.memory_bytes_max` beside that.
+    /// allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the layers and what they add to the fused map
+    /// (`fusion.layer_bytes_max`), present states that are being read (half as much), packages and tiles that wait, events that nobody
+    /// takes. By default 1.1 GB, of which honest robots make it hold a tenth.
     ///
-    /// By far the largest part is `fusion.layer_blocks_max`, where the worst case (20 kB a block) is 28 times what honest flights
-    /// take: 8 GB by default, and four times that while four present states are being read that tell as much. Where others are
-    /// not trusted, make it smaller.
+    /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth of it in the fused map) and the own layer
+    /// (`fusion.own_layer_bytes_max`). A [`MapView`](flockmap_grid::MapView) that is kept while the map goes on takes as much
+    /// as the fused map once more. An alignment that is set when the layers are full already may make the fused map larger.
     pub const fn memory_of_others_max(&self) -> usize {
-        let layers = self.fusion.layer_blocks_max * LAYER_BLOCK;
         self.session.memory_max()
-            + layers * (1 + SETS_MAX)
-            + (self.session.streams_max + 1) * SENSORS
+            + self.fusion.layer_bytes_max
+            + tiles_bytes_max(self.fusion.layer_bytes_max)
+            + SETS_MAX * (TILES_WAITING_MAX * PACKAGE + UNMERGED)
             + WAITING_BYTES_MAX
-            + WAITING_MAX * 400
-            + SETS_MAX * TILES_WAITING_MAX * PACKAGE
             + EVENTS_BYTES_MAX
             + EVENTS_MAX * EVENT
             + WORK

@@ -98,7 +98,7 @@ impl Robot {
             damaged: BTreeSet::new(),
             repair: RepairDelay::new(config.repair_delay_max_ms),
             waiting: Waiting::default(),
-            tiles: Tiles::default(),
+            tiles: Tiles::new(config.fusion.layer_bytes_max),
             requests_seen: 0,
             events: Events::default(),
             counters: RobotCounters::default(),

@@ -6,15 +6,25 @@ use std::collections::BTreeMap;
 use flockmap_codec::{Codec, ContentKind, Decoder, Package, PackageError, TilesRead};
 use flockmap_grid::{PresentState, Stream};
 
-/// Present states that are read side by side. Each holds as much as the layer that it is merged into, so this bounds the memory.
+use crate::Refusal;
+
+/// Present states that are read side by side.
 pub(crate) const SETS_MAX: usize = 4;
+/// So many bytes they may hold together at least, however small the layers are: more than one tile can need.
+const BYTES_MIN: usize = 8 << 20;
 /// Tiles of one present state that may wait for the ones before them.
 pub(crate) const WAITING_MAX: usize = 256;
 
+/// Bytes that the present states being read may hold together: half of what layers may hold.
+pub(crate) const fn bytes_max(layer_bytes_max: usize) -> usize {
+    let half = layer_bytes_max / 2;
+    if half > BYTES_MIN { half } else { BYTES_MIN }
+}
+
 /// The present states that are being read; the one that was added to last comes last.
-#[derive(Default)]
 pub(crate) struct Tiles {
     sets: Vec<TileSet>,
+    bytes_max: usize,
 }
 
 /// Which present state of which stream: its tiles belong together.
@@ -31,6 +41,10 @@ pub(crate) struct TileSet {
 }
 
 impl Tiles {
+    pub(crate) const fn new(layer_bytes_max: usize) -> Self {
+        Self { sets: Vec::new(), bytes_max: bytes_max(layer_bytes_max) }
+    }
+
     /// The present state that a tile belongs to, and its number, if it is told against the tiles before it.
     pub(crate) fn place_of(package: &Package) -> Option<(SetId, u32)> {
         let header = package.header();
@@ -60,6 +74,28 @@ impl Tiles {
         // Just pushed.
         let last = self.sets.len() - 1;
         (&mut self.sets[last], dropped)
+    }
+
+    /// Makes room for a tile of the present state that was opened last. Returns those that had to go for it: first the ones that were left alone
+    /// longest.
+    ///
+    /// # Errors
+    /// [`Refusal::Tiles`] if it would not fit even alone; nothing goes then.
+    pub(crate) fn make_room(&mut self, tile: &Package) -> Result<Vec<SetId>, Refusal> {
+        let Some((last, others)) = self.sets.split_last().filter(|(last, _)| last.unmerged.is_none()) else {
+            return Ok(Vec::new());
+        };
+        let (mut sum, max) = (last.read.memory_bytes_with(tile), self.bytes_max);
+        if sum > max {
+            return Err(Refusal::Tiles { held: last.read.memory_bytes(), max });
+        }
+        let fits = |set: &&TileSet| {
+            sum += set.read.memory_bytes();
+            sum <= max
+        };
+        let kept = others.iter().rev().take_while(fits).count();
+        let gone = others.len() - kept;
+        Ok(self.sets.drain(..gone).map(|set| set.id).collect())
     }
 
     /// Lets go of a present state.
@@ -131,7 +167,7 @@ mod tests {
 
     #[test]
     fn the_present_state_that_was_left_alone_longest_goes() {
-        let mut tiles = Tiles::default();
+        let mut tiles = Tiles::new(0);
         for set in 0..SETS_MAX as u32 {
             assert_eq!(tiles.open(id(set), 10 + set).1, None);
         }

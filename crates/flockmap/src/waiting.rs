@@ -7,9 +7,10 @@ use flockmap_grid::Stream;
 
 /// Packages that may wait, of all streams.
 pub(crate) const WAITING_MAX: usize = 1_024;
-/// Bytes that they may take, with 200 bytes of bookkeeping for each.
+/// Bytes that they may take, with 400 bytes of bookkeeping for each.
 pub(crate) const WAITING_BYTES_MAX: usize = 1 << 20;
-const OVERHEAD_BYTES: usize = 200;
+/// Its header, and its place in a map whose nodes may be half empty.
+const OVERHEAD_BYTES: usize = 400;
 
 /// Packages by stream and index, within [`WAITING_MAX`] and [`WAITING_BYTES_MAX`]. Where they do not suffice, the stream of which most
 /// is waiting gives way, so that none can displace another; and of it the highest index, since the low ones are the first that can

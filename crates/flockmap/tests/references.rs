@@ -214,7 +214,7 @@ fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_present_state() {
 fn who_has_no_room_for_the_own_layer_tells_its_cycles_alone() {
     let mut configs: Vec<RobotConfig> =
         (1..=2).map(|id| RobotConfig { codec: Codec::Flock, ..config(id) }).collect();
-    configs[0].fusion.layer_blocks_max = 60;
+    configs[0].fusion.own_layer_bytes_max = 60_000;
     let mut swarm = Swarm::new(configs, LOSSY, 5);
     let mut random = Random(5);
     for tick in 0..40 {

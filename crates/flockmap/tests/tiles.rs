@@ -141,7 +141,7 @@ fn a_damaged_tile_makes_the_present_state_begin_again_and_does_no_harm() {
 fn without_room_for_a_tile_it_is_asked_for_again_and_nothing_is_lost() {
     let (tiles, _, _) = tiles(5);
     let mut config = config(9);
-    config.fusion.layer_blocks_max = 40;
+    config.fusion.layer_bytes_max = 60_000;
     let mut bob = Robot::new(config, Stamp(0)).unwrap();
     let now = Stamp(60_000_000);
     for (round, expected) in [(0, 1), (1, 2)] {

@@ -5,12 +5,12 @@ mod view;
 
 use std::collections::BTreeMap;
 
-use crate::layer::LAYER_BLOCK_BYTES_MAX;
 use crate::{
     BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, PresentState, Resolution, RobotId,
     ScanReport, Stamp, State, StateBlock, Stream, Voxel, bit_of,
 };
 use align::Alignment;
+use view::VIEW_BLOCK_BYTES;
 pub use view::{MapView, RayEnd};
 
 /// How layers become one map.
@@ -19,30 +19,55 @@ pub struct FusionConfig {
     /// A robot's own observation of a voxel wins over a team-mate's that is newer by up to this much.
     /// Microseconds; default 1 s.
     pub own_priority_micros: i64,
-    /// Most blocks of 8³ voxels that the layers of all streams together may hold; what goes beyond is refused.
-    /// Worst case 18 kB a block, 0.7 kB as a rule. Default 400,000.
-    pub layer_blocks_max: usize,
+    /// Most bytes that the layers of all other streams may hold together, with what they add to the fused map; what goes beyond is
+    /// refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule, and 11 kB if each of its voxels changed last in another cycle. One
+    /// merge may go beyond by what it adds to the fused map in new places, at most 64 MiB. Default 512 MiB.
+    pub layer_bytes_max: usize,
+    /// The same for the layer of the own stream: what of the own map was told. Default 256 MiB.
+    pub own_layer_bytes_max: usize,
     /// Most streams that are kept. Default 256.
     pub streams_max: usize,
 }
 
 impl Default for FusionConfig {
     fn default() -> Self {
-        Self { own_priority_micros: 1_000_000, layer_blocks_max: 400_000, streams_max: 256 }
+        Self {
+            own_priority_micros: 1_000_000,
+            layer_bytes_max: 512 << 20,
+            own_layer_bytes_max: 256 << 20,
+            streams_max: 256,
+        }
     }
 }
 
-const _: () = assert!(LAYER_BLOCK_BYTES_MAX < 18_000);
+/// Blocks of the fused map that a new block of a layer in another frame is taken to add, before it is there and they are counted.
+const REACHED_BLOCKS: usize = 4;
 
 /// Why changes were not taken into a layer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FusionError {
-    /// The layers would hold too much.
-    #[error("the layers hold {held} blocks and would exceed layer_blocks_max ({max})")]
+    /// The layers of others would hold too much.
+    #[error(
+        "the layers of others hold {held} bytes, and with {more} more would exceed layer_bytes_max ({max})"
+    )]
     LayersFull {
-        /// Blocks held.
+        /// Bytes held.
         held: usize,
+        /// What may be added to them.
+        more: usize,
+        /// The limit.
+        max: usize,
+    },
+    /// The own layer would hold too much.
+    #[error(
+        "the own layer holds {held} bytes, and with {more} more would exceed own_layer_bytes_max ({max})"
+    )]
+    OwnLayerFull {
+        /// Bytes held.
+        held: usize,
+        /// What may be added to them.
+        more: usize,
         /// The limit.
         max: usize,
     },
@@ -57,7 +82,8 @@ pub struct Fusion {
     own: Stream,
     resolution: Resolution,
     layers: BTreeMap<Stream, Layer>,
-    layer_blocks: usize,
+    /// Of the layers of others.
+    layer_bytes: usize,
     origins: BTreeMap<RobotId, Origin>,
     /// Of origins for which nothing was set.
     unset: Origin,
@@ -81,7 +107,7 @@ impl Fusion {
             own,
             resolution,
             layers: BTreeMap::new(),
-            layer_blocks: 0,
+            layer_bytes: 0,
             origins: BTreeMap::new(),
             unset: Origin::new(Alignment::new(&Pose::IDENTITY, resolution)),
             view: MapView::new(resolution),
@@ -130,7 +156,7 @@ impl Fusion {
         changes: &Changes,
         stamp: Stamp,
     ) -> Result<usize, FusionError> {
-        self.check_room(stream, changes)?;
+        self.check_room(mapper, stream, core::iter::once(changes))?;
         Ok(self.take_over(mapper, stream, |layer| layer.apply(changes, stamp)))
     }
 
@@ -144,28 +170,45 @@ impl Fusion {
         stream: Stream,
         state: &PresentState,
     ) -> Result<usize, FusionError> {
-        let blocks = state.parts.iter().flat_map(|(_, part)| part.blocks().iter().copied()).collect();
-        self.check_room(stream, &Changes::from_blocks(blocks))?;
+        self.check_room(mapper, stream, state.parts.iter().map(|(_, part)| part))?;
         Ok(self.take_over(mapper, stream, |layer| layer.apply_present(state)))
     }
 
-    /// Whether the layer of a stream may hold the blocks of these changes.
-    fn check_room(&self, stream: Stream, changes: &Changes) -> Result<(), FusionError> {
-        if !self.layers.contains_key(&stream) && self.layers.len() >= self.config.streams_max {
+    /// Bytes that the layers of others hold, with what of the fused map the own map does not account for. O(1).
+    pub fn memory_bytes_of_others(&self, mapper: &Mapper) -> usize {
+        self.layer_bytes + self.view.memory_bytes().saturating_sub(mapper.block_count() * VIEW_BLOCK_BYTES)
+    }
+
+    /// Whether the layer of a stream may take these changes over, each with a stamp of its own.
+    fn check_room<'a>(
+        &self,
+        mapper: &Mapper,
+        stream: Stream,
+        parts: impl ExactSizeIterator<Item = &'a Changes>,
+    ) -> Result<(), FusionError> {
+        let layer = self.layers.get(&stream);
+        if layer.is_none() && self.layers.len() >= self.config.streams_max {
             return Err(FusionError::StreamsFull(stream, self.config.streams_max));
         }
-        if self.layer_blocks + changes.blocks().len() > self.config.layer_blocks_max {
-            let layer = self.layers.get(&stream);
-            let is_new = |index| layer.is_none_or(|layer| layer.block(index).is_none());
-            let new = changes.blocks().iter().filter(|(index, _)| is_new(*index)).count();
-            if self.layer_blocks + new > self.config.layer_blocks_max {
-                return Err(FusionError::LayersFull {
-                    held: self.layer_blocks,
-                    max: self.config.layer_blocks_max,
-                });
-            }
+        let (layer_growth, new_blocks) = layer.unwrap_or(&Layer::default()).growth_max(parts);
+        if stream == self.own {
+            let (held, max) = (layer.map_or(0, Layer::memory_bytes), self.config.own_layer_bytes_max);
+            let is_within = held + layer_growth <= max;
+            return is_within.then_some(()).ok_or(FusionError::OwnLayerFull {
+                held,
+                more: layer_growth,
+                max,
+            });
         }
-        Ok(())
+        let origin = self.origin(stream.origin);
+        let reached = match (origin.is_muted, origin.alignment.is_identity()) {
+            (true, _) => 0,
+            (false, true) => new_blocks,
+            (false, false) => new_blocks * REACHED_BLOCKS,
+        };
+        let (held, max) = (self.memory_bytes_of_others(mapper), self.config.layer_bytes_max);
+        let more = layer_growth + reached * VIEW_BLOCK_BYTES;
+        if held + more <= max { Ok(()) } else { Err(FusionError::LayersFull { held, more, max }) }
     }
 
     /// Lets a layer take something over, and brings what it took into the fused map. Returns the number of voxels.
@@ -175,10 +218,7 @@ impl Fusion {
         stream: Stream,
         apply: impl FnOnce(&mut Layer) -> Vec<(BlockIndex, Plane)>,
     ) -> usize {
-        let layer = self.layers.entry(stream).or_default();
-        let before = layer.block_count();
-        let taken = apply(layer);
-        self.layer_blocks += layer.block_count() - before;
+        let taken = self.change_layer(stream, apply);
         let origin = self.origin(stream.origin);
         if stream != self.own
             && !origin.is_muted
@@ -191,18 +231,37 @@ impl Fusion {
         taken.iter().flat_map(|(_, mask)| mask).map(|word| word.count_ones() as usize).sum()
     }
 
+    /// Changes a layer, and the count of bytes with it.
+    fn change_layer<T>(&mut self, stream: Stream, change: impl FnOnce(&mut Layer) -> T) -> T {
+        let layer = self.layers.entry(stream).or_default();
+        let before = layer.memory_bytes();
+        let result = change(layer);
+        if stream != self.own {
+            self.layer_bytes = self.layer_bytes + layer.memory_bytes() - before;
+        }
+        result
+    }
+
     /// Notes where the sensor was in a cycle of a stream, if there is a layer of it: [`Layer::note_sensor`].
     pub fn note_sensor(&mut self, stream: Stream, stamp: Stamp, sensor: [i32; 3]) {
-        if let Some(layer) = self.layers.get_mut(&stream) {
-            layer.note_sensor(stamp, sensor);
+        if self.layers.contains_key(&stream) {
+            self.change_layer(stream, |layer| layer.note_sensor(stamp, sensor));
         }
     }
 
     /// Forgets the layer of a stream.
     pub fn forget(&mut self, mapper: &Mapper, stream: Stream) {
         if let Some(layer) = self.layers.remove(&stream) {
-            self.layer_blocks -= layer.block_count();
+            if stream != self.own {
+                self.layer_bytes -= layer.memory_bytes();
+            }
             self.rebuild(mapper);
+        }
+        // What is set of an origin stays; how far its clock is off is measured again.
+        let origin = self.origin(stream.origin);
+        let is_plain = origin.alignment.is_identity() && !origin.is_muted;
+        if is_plain && !self.layers.keys().any(|other| other.origin == stream.origin) {
+            self.origins.remove(&stream.origin);
         }
     }
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use rustc_hash::FxHashMap;
 
+use crate::memory::table_bytes;
 use crate::{
     BLOCK_SIDE, BlockIndex, Changes, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, voxel_bit,
 };
@@ -17,8 +18,15 @@ const REGION_BITS: i32 = 3;
 pub struct MapView {
     resolution: Resolution,
     regions: Arc<FxHashMap<BlockIndex, Arc<Region>>>,
+    /// Of all regions.
+    region_bytes: usize,
     version: u64,
 }
+
+/// A block in the table of its region, which may be filled to no more than 7/16.
+pub(super) const VIEW_BLOCK_BYTES: usize = (size_of::<(BlockIndex, ViewBlock)>() + 1) * 16 / 7;
+/// A region, beside its table.
+const REGION_BYTES: usize = 2 * size_of::<usize>() + size_of::<Region>();
 
 type Region = FxHashMap<BlockIndex, ViewBlock>;
 
@@ -51,7 +59,7 @@ pub enum RayEnd {
 
 impl MapView {
     pub(super) fn new(resolution: Resolution) -> Self {
-        Self { resolution, regions: Arc::default(), version: 0 }
+        Self { resolution, regions: Arc::default(), region_bytes: 0, version: 0 }
     }
 
     /// Side of a voxel.
@@ -62,6 +70,12 @@ impl MapView {
     /// Goes up with every change of the map.
     pub const fn version(&self) -> u64 {
         self.version
+    }
+
+    /// Bytes that the map holds, as asked of the allocator. O(1). Views share them; a view that is kept while the map goes on takes as
+    /// much again at most.
+    pub fn memory_bytes(&self) -> usize {
+        self.region_bytes + table_bytes(self.regions.len(), size_of::<(BlockIndex, Arc<Region>)>())
     }
 
     /// State of a voxel. Two hash look-ups.
@@ -167,12 +181,23 @@ impl MapView {
         self.version += 1;
         let regions = Arc::make_mut(&mut self.regions);
         let region = Arc::make_mut(regions.entry(region_of(index)).or_default());
+        self.region_bytes -= region_bytes(region);
         region.insert(index, ViewBlock { states: new, version: self.version });
+        self.region_bytes += region_bytes(region);
     }
 
     pub(super) fn clear(&mut self) {
         self.version += 1;
         self.regions = Arc::default();
+        self.region_bytes = 0;
+    }
+}
+
+/// Of a region in which something is known; before that, nothing.
+fn region_bytes(region: &Region) -> usize {
+    match region.len() {
+        0 => 0,
+        blocks => REGION_BYTES + table_bytes(blocks, size_of::<(BlockIndex, ViewBlock)>()),
     }
 }
 

@@ -195,7 +195,12 @@ impl Mapper {
 
     /// Bytes that the map holds.
     pub fn memory_bytes(&self) -> usize {
-        self.blocks.len() * MAP_BLOCK_BYTES
+        self.block_count() * MAP_BLOCK_BYTES
+    }
+
+    /// Number of blocks.
+    pub fn block_count(&self) -> usize {
+        self.blocks.len()
     }
 
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]

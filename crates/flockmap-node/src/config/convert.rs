@@ -72,8 +72,11 @@ impl NodeConfig {
         if let Some(ms) = fusion.own_priority_ms {
             config.fusion.own_priority_micros = i64::from(ms) * 1_000;
         }
-        if let Some(blocks) = fusion.layer_blocks_max {
-            config.fusion.layer_blocks_max = blocks;
+        if let Some(mb) = fusion.layers_mb {
+            config.fusion.layer_bytes_max = (mb as usize) << 20;
+        }
+        if let Some(mb) = fusion.own_layer_mb {
+            config.fusion.own_layer_bytes_max = (mb as usize) << 20;
         }
         if let Some(radius) = self.teammates.radius_m {
             if !(0.0..=100.0).contains(&radius) {

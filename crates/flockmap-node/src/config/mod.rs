@@ -198,8 +198,10 @@ pub struct SessionSection {
 pub struct FusionSection {
     /// An own observation wins over a team-mate's that is newer by up to this.
     pub own_priority_ms: Option<u32>,
-    /// Most blocks of 8³ voxels in all layers.
-    pub layer_blocks_max: Option<usize>,
+    /// Memory of the layers of others, and of what they add to the map, in MiB.
+    pub layers_mb: Option<u32>,
+    /// Memory of the own layer in MiB.
+    pub own_layer_mb: Option<u32>,
     /// Robots whose layers are left out of the map.
     #[serde(default)]
     pub muted: Vec<u16>,

@@ -26,7 +26,7 @@ fn identity() -> Identity {
 fn robot(epoch: u32) -> Robot {
     let mut config = RobotConfig { epoch, ..RobotConfig::new(RobotId(1), resolution(), 7.0) };
     // What a store may make it hold is bounded by these.
-    config.fusion.layer_blocks_max = 2_000;
+    config.fusion.layer_bytes_max = 4 << 20;
     config.session.streams_max = 8;
     Robot::new(config, Stamp(0)).expect("a configuration that works")
 }

@@ -16,7 +16,7 @@ pub struct Load {
     pub refused: usize,
     /// Present states being received: at most `transfers_max`.
     pub transfers: usize,
-    /// Packages sent to one peer and not yet confirmed, of the peer with the most: at most `in_flight_max`.
+    /// Packages sent to one peer and not yet confirmed, of the peer with the most: at most `in_flight_max`, by broadcast twice as many.
     pub in_flight_most: usize,
 }
 

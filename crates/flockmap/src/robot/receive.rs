@@ -112,6 +112,20 @@ impl Robot {
     /// Decodes and merges the tile whose turn it is, and gives the session the verdict; whether it is held now.
     fn merge_tile(&mut self, now: Stamp, id: SetId, package: &Package) -> bool {
         let header = package.header();
+        self.tiles.open(id, header.index);
+        match self.tiles.make_room(package) {
+            Ok(dropped) => {
+                for (stream, set) in dropped {
+                    self.session.restart_present_state(now, stream, set);
+                }
+            }
+            Err(reason) => {
+                self.counters.no_room += 1;
+                self.session.reject(now, package);
+                self.push_event(Event::Refused { stream: header.stream, index: header.index, reason });
+                return false;
+            }
+        }
         let (set, _) = self.tiles.open(id, header.index);
         let reason = match set.read(&mut self.decoder, package) {
             Ok(state) => match self.merge_present(package, &state) {
@@ -174,7 +188,7 @@ impl Robot {
                 self.session.accept(now, package);
                 true
             }
-            Refusal::Fusion(_) => {
+            Refusal::Fusion(_) | Refusal::Tiles { .. } => {
                 self.counters.no_room += 1;
                 self.session.reject(now, package);
                 false
