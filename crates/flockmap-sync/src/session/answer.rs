@@ -226,7 +226,10 @@ impl Session {
                 let hears =
                     |robot| peer.hears(robot) || (peer.is_new(self.now) && self.peers.contains_key(&robot));
                 let hears_origin = stream.origin != peer.stream.origin && hears(stream.origin);
-                let before = |robot| robot < self.own.origin && robot != stream.origin;
+                // Whom this robot does not hear stands elsewhere in the swarm, and rarely holds the same.
+                let before = |robot| {
+                    robot < self.own.origin && robot != stream.origin && self.peers.contains_key(&robot)
+                };
                 let others = peer.hears.iter().filter(|&&robot| before(robot)).count() as u32;
                 Some(u32::from(hears_origin) + others)
             }
