@@ -313,7 +313,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
     });
 
     let large = SessionConfig { swarm_key: Some(SwarmKey::from_bytes([7; 32])), peers_max: 64, ..config() };
-    let base = SessionConfig { swarm_key: None, ..large.clone() };
+    let base = SessionConfig { swarm_key: None, ..large };
     case("counters of all robots that there can be", large.clone(), &base, 0.5, |victim| {
         for id in (0..=u16::MAX).filter(|id| *id != OWN.origin.0) {
             let own = Stream { origin: RobotId(id), epoch: 1 };
