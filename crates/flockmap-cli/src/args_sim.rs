@@ -47,13 +47,13 @@ Examples:
   flockmap sim swarm --seed 3 --robots 5 --radio wifi_lossy --seconds 20 --cast broadcast
 
 One seed decides everything: number of robots, who hears whom, loss, bursts, delay, reordering, duplication, flipped bits, rates and queues,
-partitions, half-open links, clocks, crashes, restarts, budgets, limits. An option takes the place of what would be drawn.
+partitions, half-open links, clocks, crashes, restarts, disks, keys and an outsider, budgets, limits. An option takes the place of what would be drawn.
 Each robot is a real one, with a mapper, codec, session and fused map, in a small world. Mapping ends, links heal, and then all must agree.
 
 Checkers: voxel (a layer holds only what its origin told), layer (nothing older than what is held), packed (packages say what a cycle
 changed), fused (the fused map follows from the layers), memory, in_flight (stated limits), twice (nothing twice within a round trip),
 budget (bytes of any second), quiet (nothing but requests when nothing is missing), agreement (equal maps in time), still (time goes on),
-crash (no panic). A failure names the checker, the robot, the time, and the one command that repeats it; the exit code is 1 then.")]
+nonce and key (sealed datagrams), crash (no panic). A failure names the checker, the robot, the time, and the one command that repeats it; the exit code is 1 then.")]
     Swarm(SimSwarmArgs),
     /// What a swarm costs by its radio and the number of its robots: bytes, airtime, age, time to agreement
     #[command(after_help = "\

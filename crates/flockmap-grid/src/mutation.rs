@@ -33,11 +33,15 @@ pub enum Mutation {
     TimeStandsStill,
     /// A cycle leaves out its last block.
     BlockLeftOut,
+    /// A nonce is used for every datagram.
+    NonceRepeated,
+    /// A sealed datagram counts however often it comes.
+    ReplayAccepted,
 }
 
 impl Mutation {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::StampCompareDropped,
         Self::LedgerIgnored,
         Self::CheckSkipped,
@@ -51,6 +55,8 @@ impl Mutation {
         Self::HoldingsIgnored,
         Self::TimeStandsStill,
         Self::BlockLeftOut,
+        Self::NonceRepeated,
+        Self::ReplayAccepted,
     ];
 }
 

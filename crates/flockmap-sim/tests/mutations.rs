@@ -19,6 +19,8 @@ const fn finder(mutation: Mutation) -> &'static str {
         Mutation::FusionSkipped => "fused",
         Mutation::TimeStandsStill => "still",
         Mutation::BlockLeftOut => "packed",
+        Mutation::NonceRepeated => "nonce",
+        Mutation::ReplayAccepted => "key",
         _ => "a checker that is named here",
     }
 }

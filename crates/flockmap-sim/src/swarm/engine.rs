@@ -1,18 +1,20 @@
 //! The queue of events of a flight, and what each does to a robot.
 
+mod look;
+mod work;
+
 use super::check::{self, Failure, Finding, names};
 use super::member::{Member, NEVER};
+use super::outsider::Outsider;
 use super::plan::Action;
-use super::preset::Topology;
 use super::report::Report;
 use super::settings::{Settings, purpose};
 use super::truth::Truth;
 use super::world::SmallWorld;
-use super::{SwarmOptions, broken, seen};
+use super::{SwarmOptions, seen};
 use crate::random::Random;
-use crate::{Faults, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
-use flockmap::sync::wire::{Datagram, Kind};
-use flockmap::{Cast, Destination, Event, Robot, RobotId, Stream, Transmit};
+use crate::{Faults, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator};
+use flockmap::{RobotId, Stream};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -61,6 +63,8 @@ enum Phase {
 #[derive(Clone, Copy)]
 enum Input<'a> {
     Datagram(&'a [u8]),
+    /// One that no robot sent.
+    Forged(&'a [u8]),
     Time,
     /// It has taken a scan in already.
     Scan,
@@ -74,6 +78,8 @@ struct Engine {
     members: Vec<Member>,
     radio: RadioEmulator,
     broken: Random,
+    outsider: Option<Outsider>,
+    sealed: check::Sealed,
     next_action: usize,
     /// How often each directed link is closed.
     closed: BTreeMap<(usize, usize), u32>,
@@ -94,7 +100,10 @@ struct Engine {
 impl Engine {
     fn new(settings: Settings) -> Self {
         let seed = settings.options.seed;
-        let world = SmallWorld::draw(&mut Random::new(seed, purpose::WORLD));
+        // Where figures are asked for, more robots have more to see.
+        let is_table = settings.options.until_agreement_s.is_some();
+        let scale = if is_table { (settings.members.len() as f64 / 2.0).sqrt() } else { 1.0 };
+        let world = SmallWorld::draw(&mut Random::new(seed, purpose::WORLD), scale);
         let members: Vec<Member> =
             (0..settings.members.len()).map(|number| Member::new(number, &settings, &world)).collect();
         let numbers = settings.radio;
@@ -126,6 +135,7 @@ impl Engine {
                 }
             }
         }
+        let outsider = settings.key.is_some().then(|| Outsider::new(Random::new(seed, purpose::OUTSIDER)));
         Self {
             settings,
             world,
@@ -134,6 +144,8 @@ impl Engine {
             members,
             radio,
             broken: Random::new(seed, purpose::BROKEN),
+            outsider,
+            sealed: check::Sealed::default(),
             next_action: 0,
             closed,
             next_look: 0,
@@ -162,6 +174,7 @@ impl Engine {
             {
                 self.deliver(delivery.to, &delivery.bytes);
             }
+            self.attack();
             for number in 0..self.members.len() {
                 if self.phase == Phase::Mapping && self.members[number].next_scan <= self.now {
                     self.members[number].scan(&self.world, self.now);
@@ -180,7 +193,8 @@ impl Engine {
     fn next_time(&self) -> i64 {
         let radio = self.radio.next_due().map_or(NEVER, |at| at.0);
         let action = self.settings.plan.get(self.next_action).map_or(NEVER, |(at, _)| *at);
-        let mut next = radio.min(action).min(self.next_look);
+        let outsider = self.outsider.as_ref().map_or(NEVER, |outsider| outsider.next);
+        let mut next = radio.min(action).min(self.next_look).min(outsider);
         for member in &self.members {
             next = next.min(member.wake);
             if self.phase == Phase::Mapping {
@@ -261,297 +275,19 @@ impl Engine {
         }
     }
 
-    /// Gives a robot an input, then takes what it says and sends, under the eyes of the checkers.
-    fn work(&mut self, number: usize, input: Input<'_>) {
-        let Some(mut robot) = self.members[number].robot.take() else { return };
-        let id = self.members[number].id();
-        let now = self.members[number].settings.clock.shows(self.now);
-        self.at_work = Some(id);
-        self.steps += 1;
-        let found = self.members[number].still.called(self.now);
-        self.found(id, found);
-        let is_taken = match input {
-            Input::Datagram(bytes) => robot.handle_datagram(now, bytes).is_ok(),
-            Input::Time => {
-                robot.handle_timeout(now);
-                false
-            }
-            Input::Scan => false,
+    /// Lets the outsider send what is due.
+    fn attack(&mut self) {
+        let Some(outsider) = self.outsider.as_mut().filter(|outsider| outsider.next <= self.now) else {
+            return;
         };
-        self.drain(number, &mut robot, now);
-        if let Input::Datagram(bytes) = input
-            && is_taken
-        {
-            self.members[number].twice.arrived(bytes);
-        }
-        while self.failure.is_none()
-            && let Some(transmit) = robot.poll_transmit(now)
-        {
-            self.transmit(number, &robot, &transmit, now);
-            let found = self.members[number].still.called(self.now);
-            self.found(id, found);
-        }
-        self.drain(number, &mut robot, now);
-        if self.members.len() <= 8 || self.steps.is_multiple_of(16) {
-            self.found(id, check::limits(&robot));
-        }
-        let member = &mut self.members[number];
-        member.wake = robot.poll_timeout().map_or(NEVER, |at| member.settings.clock.when(at).max(self.now));
-        member.robot = Some(robot);
-        self.at_work = None;
-    }
-
-    /// Takes what a robot tells.
-    fn drain(&mut self, number: usize, robot: &mut Robot, now: flockmap::Stamp) {
-        let id = self.members[number].id();
-        while let Some(event) = robot.poll_event() {
-            match event {
-                Event::CycleClosed { changes, packages, .. } => {
-                    let layer = robot.fusion().layer(robot.own_stream());
-                    if let Err(found) = self.truth.note_cycle(&changes, &packages, layer) {
-                        let expected = "packages that say what their cycle changed".to_owned();
-                        self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
-                    }
-                }
-                Event::Merged { stream, index, cycle_end, changes, .. } => {
-                    self.note_age(number, stream, cycle_end, now);
-                    if changes.is_empty() {
-                        if !self.dirty.contains(&(number, stream)) {
-                            self.dirty.push((number, stream));
-                        }
-                        continue;
-                    }
-                    let found = check::voxels_of_merge(&self.truth, stream, index, &changes, cycle_end);
-                    self.found(id, found);
-                    let found = check::layer_after(&self.truth, robot, stream, &changes);
-                    self.found(id, found);
-                }
-                Event::CaughtUp { stream, .. } => {
-                    self.found(id, check::whole_voxels(&self.truth, robot, stream));
-                    self.found(id, check::whole_layer(&self.truth, robot, stream));
-                }
-                Event::PeerSeen(peer) | Event::PeerLost(peer) => {
-                    self.members[number].twice.forget(peer.origin)
-                }
-                Event::EncodeFailed(error) => {
-                    let expected = "changes that can be coded".to_owned();
-                    let found = error.to_string();
-                    self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
-                }
-                _ => {}
-            }
-        }
-    }
-
-    fn note_age(&mut self, number: usize, stream: Stream, cycle_end: flockmap::Stamp, now: flockmap::Stamp) {
-        let origin = self.members.iter().find(|member| member.id() == stream.origin);
-        let own = self.members[number].settings.clock;
-        if let Some(origin) = origin {
-            let age = own.when(now) - origin.settings.clock.when(cycle_end);
-            self.members[number].ages.push(age.max(0));
-        }
-    }
-
-    fn transmit(&mut self, number: usize, robot: &Robot, transmit: &Transmit, now: flockmap::Stamp) {
-        let id = self.members[number].id();
-        let is_request = Datagram::new_checked(&transmit.bytes)
-            .is_ok_and(|datagram| datagram.header().kind == Kind::Request);
-        let config = robot.session().config();
-        let is_broadcast = config.cast == Cast::Broadcast;
-        let peers = || robot.session().peers().map(|peer| peer.stream.origin);
-        let counted: Vec<RobotId> = match transmit.to {
-            Destination::Peer(peer) => vec![peer],
-            Destination::Everyone => peers().collect(),
-        };
-        let bytes = transmit.bytes.len() + IP_UDP_BYTES;
-        let member = &mut self.members[number];
-        let mut found = if is_broadcast {
-            // One datagram, whoever hears it.
-            member.budget.sent(config, now, 1, bytes, &[])
-        } else {
-            member.budget.sent(config, now, counted.len(), bytes, &counted)
-        };
-        found = found.or_else(|| member.quiet.sent(config, self.now, is_request));
-        if !is_request {
-            let to = match transmit.to {
-                Destination::Peer(peer) => Some(peer),
-                Destination::Everyone => None,
-            };
-            // There and back, at the least.
-            let round_trip = 2 * self.settings.radio.delay_micros.max(0);
-            found = found.or_else(|| member.twice.sent(robot, self.now, to, &transmit.bytes, round_trip));
-        }
-        self.found(id, found);
-        let at = flockmap::Stamp(self.now);
-        let damaged = match self.settings.broken {
-            share
-                if !is_request
-                    && self.phase == Phase::Mapping
-                    && share > 0.0
-                    && self.broken.chance(share) =>
-            {
-                broken::damaged_inside(&transmit.bytes, &mut self.broken)
-            }
-            _ => None,
-        };
-        let bytes = damaged.as_ref().unwrap_or(&transmit.bytes);
-        match transmit.to {
-            Destination::Peer(peer) => self.radio.send(at, id, To::Node(peer), bytes),
-            Destination::Everyone if is_broadcast => self.radio.send(at, id, To::All, bytes),
-            Destination::Everyone => {
-                for other in self.members.iter().map(Member::id).filter(|other| *other != id) {
-                    self.radio.send(at, id, To::Node(other), &transmit.bytes);
-                }
-            }
-        }
-    }
-
-    /// What is done now and then.
-    fn look(&mut self) {
-        self.next_look = self.now + LOOK_EVERY;
-        if self.next_whole_look <= self.now {
-            self.next_whole_look = self.now + LOOK_WHOLE_EVERY;
-            self.look_at_dirty_layers();
-        }
-        match self.phase {
-            Phase::Mapping if self.now >= self.settings.mapping => self.heal(),
-            Phase::Mapping | Phase::Over => {
-                self.next_look = self.next_look.min(self.settings.mapping.max(self.now + 1))
-            }
-            Phase::Healing { until } => self.look_for_agreement(until),
-            Phase::Grace { until } if self.now >= until => {
-                let longest =
-                    self.members.iter().map(|m| check::period_micros(&m.settings.config.session)).max();
-                let until = self.now + QUIET_PERIODS * longest.unwrap_or(0);
-                self.members.iter_mut().for_each(|member| member.quiet.begin(self.now));
-                self.phase = Phase::Quiet { until };
-                self.next_look = until;
-            }
-            Phase::Grace { until } => self.next_look = until,
-            Phase::Quiet { until } if self.now >= until => {
-                self.look_at_everything();
-                self.phase = Phase::Over;
-            }
-            Phase::Quiet { until } => self.next_look = until,
-        }
-    }
-
-    /// Mapping ends, links heal.
-    fn heal(&mut self) {
-        let numbers = self.settings.radio;
-        let link = Link {
-            delay_micros: numbers.delay_micros,
-            jitter_micros: numbers.jitter_micros,
-            ..Link::default()
-        };
-        for a in 0..self.members.len() {
-            for b in (0..self.members.len()).filter(|b| a != *b) {
-                let (from, to) = (self.members[a].id(), self.members[b].id());
-                self.radio.set_link(from, to, link);
-                self.radio.set_faults(from, to, Faults::default());
-                self.radio.set_open(from, to, numbers.is_linked(a, b, self.members.len()));
-            }
-        }
-        self.next_action = self.settings.plan.len();
-        // Who is gone stays gone only where nobody is heard by way of it.
-        if numbers.topology != Topology::Full {
-            for number in 0..self.members.len() {
-                if self.members[number].robot.is_none() {
-                    self.events
-                        .push((self.now as f64 / 1e6, format!("restart of {:?}", self.members[number].id())));
-                    self.start(number);
-                }
-            }
-        }
-        let told: Vec<(u64, u64)> = self
-            .truth
-            .streams()
-            .map(|(stream, told)| (told.bytes, u64::from(self.truth.last(stream))))
-            .collect();
-        let bytes: u64 = told.iter().map(|(bytes, _)| bytes).sum();
-        let packages: u64 = told.iter().map(|(_, packages)| packages).sum();
-        let robots: Vec<&Robot> = self.members.iter().filter_map(|member| member.robot.as_ref()).collect();
-        let hops = numbers.hops(self.members.len());
-        // What is not packed yet is as much again at the most.
-        self.agreement_within = check::bound(&robots, hops, 2 * bytes + 10_000, 2 * packages + 10);
-        if let Some(seconds) = self.settings.options.until_agreement_s {
-            self.agreement_within = i64::from(seconds) * 1_000_000;
-        }
-        self.phase = Phase::Healing { until: self.now + self.agreement_within };
-        self.events.push((self.now as f64 / 1e6, "mapping ends, links heal".to_owned()));
-    }
-
-    fn robots(&self) -> Vec<&Robot> {
-        self.members.iter().filter_map(|member| member.robot.as_ref()).collect()
-    }
-
-    fn look_for_agreement(&mut self, until: i64) {
-        let robots = self.robots();
-        // Not everything is packed yet.
-        let pending = robots.iter().find(|robot| robot.mapper().pending() > 0);
-        let pending = pending.map(|robot| (robot.own_stream().origin, "its own newest cycle".to_owned()));
-        let lacks = pending.or_else(|| check::disagreement(&self.truth, &robots));
-        if let Some((robot, lacks)) = lacks {
-            if self.now >= until && self.settings.options.until_agreement_s.is_some() {
-                self.phase = Phase::Over;
-            } else if self.now >= until {
-                let within = self.agreement_within as f64 / 1e6;
-                let expected = format!("all packages everywhere {within:.1} s after links healed");
-                let found = format!("it lacks {lacks}");
-                self.found(robot, Some(Finding { checker: names::AGREEMENT, expected, found }));
-            }
+        if self.phase != Phase::Mapping {
+            outsider.next = NEVER;
             return;
         }
-        self.agreement = Some(self.now - self.settings.mapping);
-        self.events.push((self.now as f64 / 1e6, "all agree".to_owned()));
-        self.look_at_everything();
-        if self.settings.options.until_agreement_s.is_some() {
-            self.phase = Phase::Over;
-            return;
-        }
-        let grace = self.members.iter().map(|m| check::Quiet::grace_micros(&m.settings.config.session)).max();
-        // What waits at the radio is sent first.
-        let grace =
-            grace.unwrap_or(0) + 4 * (self.settings.radio.delay_micros + self.settings.radio.jitter_micros);
-        self.phase = Phase::Grace { until: self.now + grace };
-    }
-
-    fn look_at_dirty_layers(&mut self) {
-        for (number, stream) in core::mem::take(&mut self.dirty) {
-            let Some(robot) = &self.members[number].robot else { continue };
-            let found = check::whole_voxels(&self.truth, robot, stream)
-                .or_else(|| check::whole_layer(&self.truth, robot, stream));
-            let id = robot.own_stream().origin;
-            self.found(id, found);
-        }
-    }
-
-    /// All layers as a whole, and the fused maps.
-    fn look_at_everything(&mut self) {
-        let robots = self.robots();
-        let mut findings = Vec::new();
-        let clocks: BTreeMap<RobotId, i64> =
-            self.members.iter().map(|member| (member.id(), member.settings.clock.offset)).collect();
-        for robot in &robots {
-            let own = robot.own_stream();
-            for (stream, _) in robot.fusion().layers() {
-                let found = check::whole_voxels(&self.truth, robot, stream)
-                    .or_else(|| check::whole_layer(&self.truth, robot, stream));
-                findings.extend(found.map(|found| (own.origin, found)));
-            }
-            let ahead = |other: RobotId| {
-                let known = if self.settings.clocks_given { clocks.get(&other) } else { None };
-                // A former run of its own has the same clock, but nobody says so.
-                known.map(|theirs| clocks[&own.origin] - theirs)
-            };
-            findings.extend(check::wrong_fused(robot, ahead).map(|found| (own.origin, found)));
-        }
-        if let Some((robot, found)) = check::unequal_layer(&robots) {
-            let expected = "equal layers, since all packages are held".to_owned();
-            findings.push((robot, Finding { checker: names::AGREEMENT, expected, found }));
-        }
-        for (robot, found) in findings {
-            self.found(robot, Some(found));
+        if let Some((number, attack)) = outsider.attack(self.now, self.members.len()) {
+            let input =
+                if attack.is_genuine { Input::Datagram(&attack.bytes) } else { Input::Forged(&attack.bytes) };
+            self.work(number, input);
         }
     }
 

@@ -6,7 +6,7 @@ use super::settings::{MemberSettings, Settings, purpose};
 use super::world::{Course, SmallWorld};
 use crate::random::Random;
 use flockmap::sync::Counters;
-use flockmap::{Pose, Robot, RobotCounters, RobotError, RobotId};
+use flockmap::{Package, Pose, Robot, RobotCounters, RobotError, RobotId};
 
 /// No robot wants anything at this time.
 pub(super) const NEVER: i64 = i64::MAX;
@@ -27,6 +27,8 @@ pub(super) struct Member {
     pub(super) figures: RobotFigures,
     pub(super) ages: Vec<i64>,
     epoch: u32,
+    /// What it stored, where robots have a disk.
+    disk: Vec<Package>,
 }
 
 impl Member {
@@ -50,6 +52,7 @@ impl Member {
             still: Still::default(),
             ages: Vec::new(),
             epoch: 0,
+            disk: Vec::new(),
         }
     }
 
@@ -57,7 +60,7 @@ impl Member {
         self.settings.config.id
     }
 
-    /// Begins a run with nothing in the store.
+    /// Begins a run: with what is on its disk, or with nothing.
     pub(super) fn start(
         &mut self,
         now: i64,
@@ -71,10 +74,24 @@ impl Member {
             let offset = clock.offset - self.settings.clock.offset;
             robot.set_clock_offset(*other, Some(offset));
         }
+        // The last cycle may not have come to the disk.
+        let torn = self.random.below(4) as usize;
+        self.disk.truncate(self.disk.len().saturating_sub(torn));
+        for package in &self.disk {
+            // For some there may be no room.
+            let _ = robot.restore(self.settings.clock.shows(now), package.clone());
+        }
         (self.robot, self.wake) = (Some(robot), now);
         (self.twice, self.budget) = (Twice::default(), Budget::default());
         self.figures.runs += 1;
         Ok(())
+    }
+
+    /// Stores packages, if it has a disk.
+    pub(super) fn keep(&mut self, packages: &[Package]) {
+        if self.settings.has_disk {
+            self.disk.extend_from_slice(packages);
+        }
     }
 
     /// Ends the run. What it counted is kept.

@@ -12,9 +12,11 @@
 mod broken;
 mod check;
 mod clock;
+mod datagram;
 mod engine;
 mod member;
 mod options;
+mod outsider;
 mod plan;
 mod preset;
 mod report;

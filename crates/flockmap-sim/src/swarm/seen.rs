@@ -19,6 +19,8 @@ pub(super) fn add_counters(seen: &mut BTreeMap<&'static str, u64>, robot: &Robot
         ("requests overtaken", s.stale_requests),
         ("damaged and noticed", s.damaged),
         ("damaged by the sender and noticed", r.damaged),
+        ("forged and noticed", s.forged + s.unsealed),
+        ("replayed and noticed", s.replayed),
         ("of a former run", s.stale_epoch),
         ("waited for a reference", r.waited),
         ("given up for a present state", s.given_up),
@@ -67,11 +69,18 @@ pub(super) fn settings(settings: &Settings) -> Vec<String> {
         line += &format!(", {rate} bytes/s {whose}, queue of {} KiB", radio.queue_bytes_max >> 10);
     }
     words.push(line);
+    if settings.key.is_some() {
+        words.push("a key, and an outsider who replays, changes and forges".to_owned());
+    }
     if settings.broken > 0.0 {
         words.push(format!(
             "{:.1} % of the datagrams of packages damaged by their sender",
             100.0 * settings.broken
         ));
+    }
+    let disks = settings.members.iter().filter(|member| member.has_disk).count();
+    if disks > 0 {
+        words.push(format!("{disks} robots with a disk"));
     }
     words.push(match settings.clocks_given {
         true => "clocks known exactly".to_owned(),

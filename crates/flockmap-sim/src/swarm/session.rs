@@ -19,7 +19,8 @@ pub(super) struct Drawn<'a> {
 pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig>, Vec<String>) {
     let mut words = Vec::new();
     let budget = swarm.radio.budget(swarm.robots);
-    let budget_words = |budget: Option<u32>| budget.map_or("none".to_owned(), |b| format!("{b} bytes/s"));
+    let budget_words =
+        |budget: Option<u32>| budget.map_or_else(|| "none".to_owned(), |b| format!("{b} bytes/s"));
     let mut common =
         SessionConfig { cast: swarm.cast, radio_bytes_per_s: budget, ..SessionConfig::default() };
     common.peers_max = common.peers_max.max(swarm.robots);
@@ -81,7 +82,13 @@ pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig
         first.get_or_insert_with(|| session.clone());
         Some(session)
     });
-    (sessions.collect(), words)
+    let mut sessions: Vec<SessionConfig> = sessions.collect();
+    // Long enough to hear four requests of everybody, however rare they are.
+    let rarest = sessions.iter().map(|session| session.request_period_idle_ms).max().unwrap_or(0);
+    for session in &mut sessions {
+        session.peer_timeout_ms = session.peer_timeout_ms.max(4 * rarest);
+    }
+    (sessions, words)
 }
 
 fn vary(random: &mut Random, session: &mut SessionConfig, swarm: &Drawn<'_>) {
@@ -101,7 +108,6 @@ fn vary(random: &mut Random, session: &mut SessionConfig, swarm: &Drawn<'_>) {
     session.relay_delay_ms = 200 + random.below(2_000) as u32;
     session.round_trip_initial_ms = 50 + random.below(600) as u32;
     session.burst_ms = 10 + random.below(400) as u32;
-    // Long enough to hear three requests.
     session.peer_timeout_ms = 4 * session.request_period_idle_ms + random.below(6_000) as u32;
     if random.chance(0.3) {
         session.present_state_bytes_min = Some(200 + random.below(4_000) as u32);

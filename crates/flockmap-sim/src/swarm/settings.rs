@@ -6,6 +6,7 @@ use super::preset::{RadioNumbers, RadioPreset, Topology};
 use super::{SwarmOptions, session};
 use crate::Burst;
 use crate::random::Random;
+use flockmap::sync::SwarmKey;
 use flockmap::{Cast, Codec, CycleConfig, Resolution, RobotConfig, RobotId};
 
 /// Each part of the settings has random numbers of its own, so that an option given does not shift the others.
@@ -18,6 +19,7 @@ pub(super) mod purpose {
     pub(in crate::swarm) const WORLD: u64 = 0x5357_0006;
     pub(in crate::swarm) const SCANS: u64 = 0x5357_0007;
     pub(in crate::swarm) const BROKEN: u64 = 0x5357_0008;
+    pub(in crate::swarm) const OUTSIDER: u64 = 0x5357_0009;
 }
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
@@ -25,7 +27,7 @@ const VOXEL_M: f64 = 0.5;
 const RANGE_M: f64 = 5.0;
 /// A table of figures wants more of a map.
 const TABLE_VOXEL_M: f64 = 0.25;
-const TABLE_RAYS: usize = 100;
+const TABLE_RAYS: usize = 60;
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -35,6 +37,8 @@ pub(super) struct MemberSettings {
     pub(super) rays: usize,
     pub(super) scan_period: i64,
     pub(super) has_no_returns: bool,
+    /// After a crash it begins with what it stored.
+    pub(super) has_disk: bool,
 }
 
 /// A whole flight.
@@ -53,6 +57,8 @@ pub(super) struct Settings {
     pub(super) plan: Vec<(i64, Action)>,
     /// Share of the datagrams of packages that their sender damages before it makes their check, 0 … 1.
     pub(super) broken: f64,
+    /// The swarm has a key, and somebody without it is in reach.
+    pub(super) key: Option<SwarmKey>,
     /// What is special about the sessions, in words.
     pub(super) words: Vec<String>,
 }
@@ -65,7 +71,7 @@ impl Settings {
         let drawn = [2, 2, 3, 3, 3, 4, 4, 5, 6][random.below(9) as usize];
         let robots = options.robots.unwrap_or(drawn).clamp(2, 200);
         let drawn = 2.0 + random.unit() * random.unit() * 6.0;
-        let seconds = options.seconds.unwrap_or((drawn * 10.0).round() / 10.0);
+        let seconds = options.seconds.unwrap_or_else(|| (drawn * 10.0).round() / 10.0);
         let mapping = (seconds.clamp(0.1, 3_600.0) * 1e6) as i64;
         let drawn = if random.chance(0.5) { Cast::Broadcast } else { Cast::Unicast };
         let cast = options.cast.unwrap_or(drawn);
@@ -76,9 +82,12 @@ impl Settings {
         let mut plan_random = Random::new(seed, purpose::PLAN);
         let plan = if options.is_calm { Vec::new() } else { plan::draw(&mut plan_random, robots, mapping) };
         let is_broken = plan_random.chance(0.12) && !options.is_calm;
-        let broken = if is_broken { plan_random.range(0.005, 0.08) } else { 0.0 };
+        let has_key = plan_random.chance(0.2) && !options.is_calm;
+        let broken = if is_broken && !has_key { plan_random.range(0.005, 0.08) } else { 0.0 };
         let mut random = Random::new(seed, purpose::SESSION);
         let swarm = session::Drawn { robots, cast, radio: &radio, plan: &plan, is_calm: options.is_calm };
+        let key = has_key
+            .then(|| SwarmKey::from_bytes(core::array::from_fn(|at| (seed >> (at % 8)) as u8 ^ at as u8)));
         let (sessions, words) = session::draw(&mut random, &swarm);
         let members = sessions.into_iter().enumerate().map(|(number, session)| {
             let mut random = Random::new(seed, purpose::ROBOT + ((number as u64) << 32));
@@ -86,6 +95,7 @@ impl Settings {
                 .unwrap_or_else(|| unreachable!("these are allowed"));
             let mut config = RobotConfig::new(RobotId(number as u16 + 1), resolution, RANGE_M);
             config.session = session;
+            config.session.swarm_key.clone_from(&key);
             config.seed = seed;
             config.cycle = draw_cycle(&mut random, options.is_calm);
             config.codec = draw_codec(&mut random, options.is_calm);
@@ -99,6 +109,7 @@ impl Settings {
                 rays: if is_table { TABLE_RAYS } else { 20 + random.below(60) as usize },
                 scan_period: if is_table { 100_000 } else { 1_000 * (100 + random.below(200) as i64) },
                 has_no_returns: random.chance(0.4),
+                has_disk: random.chance(0.4) && !options.is_calm,
             }
         });
         Self {
@@ -111,6 +122,7 @@ impl Settings {
             clocks_given,
             plan,
             broken,
+            key,
             words,
         }
     }

@@ -6,7 +6,7 @@ use flockmap::Cast;
 /// Numbers of robots in the table.
 pub const ROBOTS: [usize; 6] = [2, 5, 10, 20, 50, 100];
 /// Seconds of mapping in each flight.
-pub const MAPPING_S: u32 = 10;
+pub const MAPPING_S: u32 = 5;
 /// Seconds after which it is no more waited for agreement.
 pub const WAIT_S: u32 = 120;
 const SEED: u64 = 1;
@@ -14,7 +14,7 @@ const SEED: u64 = 1;
 /// What stands above the rows.
 pub fn head() -> String {
     let text = "\
-What a swarm costs: flockmap sim table. Each robot maps a small hall for {MAPPING_S} s (voxels of 0.25 m, ten scans of 100 rays a second), broadcasts
+What a swarm costs: flockmap sim table. Each robot maps its part of a hall for {MAPPING_S} s (the more robots, the larger; voxels of 0.25 m, ten scans of 60 rays a second), broadcasts
 what changed and asks for what it misses. Then links heal; agreement is the time from there until all layers are equal (-: not
 within {WAIT_S} s, and the figures count until then). Budget: what a robot may send in a second (its part of 70 % of a shared radio,
 but at least the 500 bytes/s that a session needs). Map: bytes of the packages that it made itself. Sent: all that it sent, with 28
@@ -54,8 +54,8 @@ pub fn row(radio: RadioPreset, robots: usize) -> Result<String, String> {
     let bytes = sum(|robot| robot.bytes as f64);
     let requests = sum(|robot| robot.request_bytes as f64);
     let air = sum(|robot| robot.airtime_s) / if numbers.is_shared { 1.0 } else { count };
-    let budget = numbers.budget(robots).map_or("none".to_owned(), |budget| budget.to_string());
-    let agreement = report.agreement_s.map_or("-".to_owned(), |s| format!("{s:.2} s"));
+    let budget = numbers.budget(robots).map_or_else(|| "none".to_owned(), |budget| budget.to_string());
+    let agreement = report.agreement_s.map_or_else(|| "-".to_owned(), |s| format!("{s:.2} s"));
     Ok(format!(
         "{:<15}{robots:>7}{budget:>11}{:>8.0}{:>9.0}{:>8.0} %{:>5.1} %{:>7.3} s{:>7.3} s{agreement:>11}\n",
         radio.name(),

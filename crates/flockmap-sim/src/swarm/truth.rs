@@ -211,7 +211,8 @@ impl Told {
                 "{:?} at {:?}, as package {} says, or newer",
                 word.state, word.stamp, word.index
             ),
-            found: found.map_or("Unknown".to_owned(), |(state, stamp)| format!("{state:?} at {stamp:?}")),
+            found: found
+                .map_or_else(|| "Unknown".to_owned(), |(state, stamp)| format!("{state:?} at {stamp:?}")),
         })
     }
 }

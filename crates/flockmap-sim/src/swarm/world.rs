@@ -36,10 +36,11 @@ fn reflected(x: f64, half: f64) -> f64 {
 }
 
 impl SmallWorld {
-    pub(super) fn draw(random: &mut Random) -> Self {
-        let half = [random.range(4.0, 9.0), random.range(4.0, 9.0)];
+    /// `scale` times as wide and as long as a small hall, with as many more boxes.
+    pub(super) fn draw(random: &mut Random, scale: f64) -> Self {
+        let half = [random.range(4.0, 9.0) * scale, random.range(4.0, 9.0) * scale];
         let height = random.range(2.5, 5.0);
-        let things = (0..4 + random.below(7))
+        let things = (0..((4 + random.below(7)) as f64 * scale * scale) as u64)
             .map(|number| {
                 let centre = [random.range(-half[0], half[0]), random.range(-half[1], half[1])];
                 let side = random.range(0.3, 1.5);

@@ -35,7 +35,8 @@ impl Session {
         let Some(key) = &self.config.swarm_key else { return Some(transmit) };
         let bytes = seal_datagram(key, &transmit.bytes, self.sealed + 1)?;
         debug_assert!(bytes.len() <= self.config.datagram_bytes_max, "{} bytes sealed", bytes.len());
-        self.sealed += 1;
+        self.sealed +=
+            u64::from(!flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::NonceRepeated));
         Some(Transmit { to: transmit.to, bytes })
     }
 
@@ -52,7 +53,13 @@ impl Session {
             self.check_own(now, sender.epoch, counter)?;
             return Ok(opened);
         }
-        self.replays.check(sender, counter).map_err(|not_fresh| match not_fresh {
+        let fresh = self.replays.check(sender, counter);
+        let fresh = if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::ReplayAccepted) {
+            Ok(())
+        } else {
+            fresh
+        };
+        fresh.map_err(|not_fresh| match not_fresh {
             NotFresh::Replayed => DatagramError::Replayed { sender: sender.origin, counter },
             NotFresh::Stale(current) => {
                 DatagramError::StaleEpoch { sender: sender.origin, got: sender.epoch, current }

@@ -5,6 +5,7 @@ use super::{Destination, Session, Transmit};
 use crate::wire::{Kind, PackagesWriter};
 use crate::{Cast, Order};
 use flockmap_codec::Package;
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::cmp::Reverse;
 use std::collections::VecDeque;
@@ -45,22 +46,34 @@ impl View {
 
 impl Peer {
     /// Notes that an item is on its way to the peer; whether it is now in the ledger, and was not before. One that is on its way
-    /// again, since somebody else missed it too, counts from now.
+    /// again, since somebody else missed it too, counts from now. Of more than `in_flight_max` the oldest is forgotten.
     pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
-        if !self.wants(item.stream())
-            || flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::LedgerIgnored)
-        {
+        if !self.wants(item.stream()) || mutation::is(Mutation::LedgerIgnored) {
             return false;
         }
-        let is_new = (self.in_flight.len() < in_flight_max
-            || flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::WindowIgnored))
-            && self.view(item.stream(), now).is_some_and(|view| view.cover(item));
-        if is_new {
-            self.in_flight.push_back(Sent { item, at: now, requests: 0 });
-        } else if let Some(sent) = self.in_flight.iter_mut().rev().find(|sent| sent.item == item) {
+        let is_new = self.view(item.stream(), now).is_some_and(|view| view.cover(item));
+        let known = self.in_flight.iter_mut().rev().find(|sent| !is_new && sent.item == item);
+        if let Some(sent) = known {
             *sent = Sent { item, at: now, requests: 0 };
+        } else if is_new || self.has(item) {
+            // What it states to hold it may take back: what it has refused counts as held for a while.
+            if self.in_flight.len() >= in_flight_max && !mutation::is(Mutation::WindowIgnored) {
+                self.in_flight.pop_front();
+            }
+            self.in_flight.push_back(Sent { item, at: now, requests: 0 });
         }
         is_new
+    }
+
+    /// Whether the peer states that it holds an item.
+    fn has(&self, item: Item) -> bool {
+        let Some(view) = self.views.get(&item.stream()) else { return false };
+        match item {
+            Item::Package { index, .. } => view.held.contains(index),
+            Item::Tile { set, tile, .. } => {
+                view.sending.as_ref().is_some_and(|s| s.set == set && s.accepted.contains(tile + 1))
+            }
+        }
     }
 
     /// Whether an item is still missing and not on its way, and can be noted as being on its way.
@@ -116,9 +129,7 @@ impl Session {
         if positions.is_empty() {
             return Attempt::Nothing;
         }
-        if peer.in_flight.len() >= self.config.in_flight_max
-            && !flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::WindowIgnored)
-        {
+        if peer.in_flight.len() >= self.config.in_flight_max && !mutation::is(Mutation::WindowIgnored) {
             self.counters.delayed_by_window += 1;
             return Attempt::Nothing;
         }

@@ -1,7 +1,7 @@
 //! The stated limits: `memory` on what a session and its robot hold, `in_flight` on packages sent and not yet confirmed.
 
 use super::Finding;
-use flockmap::Robot;
+use flockmap::{Cast, Robot};
 
 const MEMORY: &str = "memory";
 const IN_FLIGHT: &str = "in_flight";
@@ -23,6 +23,8 @@ pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
     let (waiting, waiting_bytes) = robot.waiting();
     let intervals =
         session.streams().filter_map(|stream| session.held(stream)).map(|held| held.intervals().len()).max();
+    // By broadcast, what goes to another peer is noted beyond the limit, up to twice as much.
+    let in_flight_max = config.in_flight_max * if config.cast == Cast::Broadcast { 2 } else { 1 };
     let limits = [
         (MEMORY, "peers", load.peers, config.peers_max),
         (MEMORY, "streams of others", load.streams, config.streams_max),
@@ -33,7 +35,7 @@ pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
         (MEMORY, "packages that wait", waiting, WAITING_MAX),
         (MEMORY, "bytes of packages that wait", waiting_bytes, WAITING_BYTES_MAX),
         (MEMORY, "intervals held of a stream", intervals.unwrap_or(0), INTERVALS_MAX),
-        (IN_FLIGHT, "packages in flight to a peer", load.in_flight_most, config.in_flight_max),
+        (IN_FLIGHT, "packages in flight to a peer", load.in_flight_most, in_flight_max),
     ];
     let (checker, what, found, most) = limits.into_iter().find(|(_, _, found, most)| found > most)?;
     Some(Finding { checker, expected: format!("{what}: at most {most}"), found: found.to_string() })

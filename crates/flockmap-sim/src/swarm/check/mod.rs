@@ -6,6 +6,7 @@ mod fused;
 mod layer;
 mod limits;
 mod quiet;
+mod sealed;
 mod still;
 mod twice;
 mod voxel;
@@ -14,6 +15,7 @@ pub(super) use agreement::{bound, disagreement, unequal_layer};
 pub(super) use budget::Budget;
 pub(super) use fused::wrong_fused;
 pub(super) use quiet::{Quiet, period_micros};
+pub(super) use sealed::Sealed;
 pub(super) use still::Still;
 pub(super) use twice::Twice;
 

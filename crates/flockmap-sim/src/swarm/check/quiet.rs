@@ -16,7 +16,10 @@ impl Quiet {
     /// How long after agreement it is quiet: the last requests have told everybody.
     pub(in crate::swarm) fn grace_micros(config: &SessionConfig) -> i64 {
         let period = period_micros(config);
-        1_000_000 + 1_000 * i64::from(config.active_for_ms) + 3 * period
+        // An outsider may have made robots hear each other that do not.
+        let forgotten =
+            if config.swarm_key.is_some() { 1_000 * i64::from(config.peer_timeout_ms) } else { 0 };
+        1_000_000 + forgotten + 1_000 * i64::from(config.active_for_ms) + 3 * period
     }
 
     pub(in crate::swarm) fn begin(&mut self, now: i64) {

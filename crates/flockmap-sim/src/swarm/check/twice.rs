@@ -2,14 +2,15 @@
 //!
 //! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
 //! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
-//! send are allowed, and counted as relayed. Sessions that compare successive requests (the paper's) measure no round trip and are
+//! send are allowed, and counted as relayed. A tile that is broadcast for one peer while another one begins the same set may go
+//! out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions that compare successive requests (the paper's) measure no round trip and are
 //! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
 
 use super::Finding;
 use flockmap::codec::ContentKind;
 use flockmap::sync::InFlight;
-use flockmap::sync::wire::{Datagram, Kind, Request, parse_packages};
-use flockmap::{Robot, RobotId, Stamp, Stream};
+use flockmap::sync::wire::{DatagramHeader, Request};
+use flockmap::{Package, Robot, RobotId, Stamp, Stream};
 use rustc_hash::FxHashMap;
 
 const NAME: &str = "twice";
@@ -38,14 +39,8 @@ impl Twice {
         self.peers.remove(&peer);
     }
 
-    /// A datagram has arrived at the robot and was accepted.
-    pub(in crate::swarm) fn arrived(&mut self, bytes: &[u8]) {
-        let Ok(datagram) = Datagram::new_checked(bytes) else { return };
-        let header = *datagram.header();
-        if header.kind != Kind::Request {
-            return;
-        }
-        let Ok(request) = Request::parse(&datagram, 256) else { return };
+    /// A request has arrived at the robot and was accepted.
+    pub(in crate::swarm) fn arrived(&mut self, header: &DatagramHeader, request: Request) {
         let pair = self.peers.entry(header.sender.origin).or_default();
         if pair.request.as_ref().is_none_or(|(stamp, _)| *stamp < header.stamp) {
             pair.request = Some((header.stamp, request));
@@ -58,11 +53,9 @@ impl Twice {
         robot: &Robot,
         now: i64,
         to: Option<RobotId>,
-        bytes: &[u8],
+        packages: &[Package],
         round_trip: i64,
     ) -> Option<Finding> {
-        let datagram = Datagram::new_checked(bytes).ok()?;
-        let packages = parse_packages(&datagram).ok()?;
         let config = robot.session().config();
         let ledger = config.in_flight == InFlight::RoundTrip;
         // Until a round trip is measured, the configured one is all that is known.
@@ -70,38 +63,42 @@ impl Twice {
         let peers = robot.session().peers();
         let peers = peers.filter(|peer| to.map_or(peer.hears_us, |to| to == peer.stream.origin));
         // As the robot knows them: a robot that began anew is sent its former run.
-        let peers: Vec<(Stream, i64)> = peers
+        let peers: Vec<(Stream, i64, bool)> = peers
             .map(|peer| {
                 let round_trip = match peer.round_trip_micros {
                     Some(_) => round_trip,
                     None => round_trip.min(initial),
                 };
-                (peer.stream, round_trip)
+                // What finds no room in the ledger of one that it is not meant for is not noted.
+                let is_full = to.is_none() && peer.in_flight >= 2 * config.in_flight_max;
+                (peer.stream, round_trip, is_full)
             })
             .collect();
-        for package in &packages {
+        for package in packages {
             let header = package.header();
             let tile = match header.content {
                 ContentKind::Present { set, tile, .. } => Some((set, tile)),
                 ContentKind::Changes => None,
             };
             let item = (header.stream, header.index, tile);
+            let is_noted = ledger && (tile.is_none() || to.is_some());
             let mut reasons = Vec::new();
-            for (stream, round_trip) in &peers {
+            for (stream, round_trip, is_full) in &peers {
                 let peer = stream.origin;
                 if *stream == header.stream {
                     reasons.push(format!("it is {peer:?}'s own"));
                     continue;
                 }
                 let pair = self.peers.entry(peer).or_default();
-                let before = pair.sent.insert(item, now);
                 let says_held = tile.is_none()
                     && pair.request.as_ref().is_some_and(|(_, request)| {
                         request.held.iter().any(|held| held.stream == item.0 && held.held.contains(item.1))
                     });
+                // To one that says to hold it nothing is sent, even if it hears it: it may take its word back.
+                let before = if says_held || *is_full { None } else { pair.sent.insert(item, now) };
                 if says_held {
                     reasons.push(format!("{peer:?} has said that it holds it"));
-                } else if let Some(before) = before.filter(|before| ledger && now - before < *round_trip) {
+                } else if let Some(before) = before.filter(|before| is_noted && now - before < *round_trip) {
                     let (ago, least) = ((now - before) as f64 / 1e3, *round_trip as f64 / 1e3);
                     reasons.push(format!(
                         "sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"

@@ -1,0 +1,76 @@
+//! Somebody without the key in reach of the radio: hears everything, and sends it again, changes it, takes the seal off, or seals with a key of
+//! its own.
+
+use crate::random::Random;
+use flockmap::sync::SwarmKey;
+use flockmap::sync::wire::seal_datagram;
+use std::collections::VecDeque;
+
+/// Datagrams that it remembers.
+const HEARD_MAX: usize = 64;
+const HEADER_BYTES: usize = 24;
+
+pub(super) struct Outsider {
+    random: Random,
+    heard: VecDeque<Vec<u8>>,
+    /// When it sends next.
+    pub(super) next: i64,
+}
+
+/// What the outsider sends to one robot.
+pub(super) struct Attack {
+    pub(super) bytes: Vec<u8>,
+    /// It is a datagram as a robot sent it, and may not have come to this robot before.
+    pub(super) is_genuine: bool,
+}
+
+impl Outsider {
+    pub(super) fn new(mut random: Random) -> Self {
+        let next = random.below(1_000_000) as i64;
+        Self { random, heard: VecDeque::new(), next }
+    }
+
+    pub(super) fn hear(&mut self, bytes: &[u8]) {
+        if self.heard.len() >= HEARD_MAX {
+            self.heard.pop_front();
+        }
+        self.heard.push_back(bytes.to_vec());
+    }
+
+    /// What it sends now, and to which of so many robots.
+    pub(super) fn attack(&mut self, now: i64, robots: usize) -> Option<(usize, Attack)> {
+        self.next = now + 10_000 + self.random.below(250_000) as i64;
+        let number = self.random.below(self.heard.len().max(1) as u64) as usize;
+        let mut bytes = self.heard.get(number)?.clone();
+        let kind = self.random.below(4);
+        match kind {
+            0 => {}
+            1 => {
+                let bit = self.random.below(bytes.len() as u64 * 8) as usize;
+                bytes[bit / 8] ^= 1 << (bit % 8);
+            }
+            2 => bytes = self.without_seal(&bytes)?,
+            _ => {
+                let plain = self.without_seal(&bytes)?;
+                let key = SwarmKey::from_bytes([0x5a; SwarmKey::BYTES]);
+                bytes = seal_datagram(&key, &plain, 1 << 20)?;
+            }
+        }
+        let to = self.random.below(robots as u64) as usize;
+        Some((to, Attack { bytes, is_genuine: kind == 0 }))
+    }
+
+    /// A request in the name of the sender, as a robot without a key would send it.
+    fn without_seal(&mut self, sealed: &[u8]) -> Option<Vec<u8>> {
+        let mut bytes = sealed.get(..HEADER_BYTES)?.to_vec();
+        bytes[3] = 1;
+        // All streams, all echoes, and none of either: the sender has lost everything.
+        bytes.push(3);
+        bytes[12..20].copy_from_slice(&self.random.next_u64().to_le_bytes());
+        let mut check = crc32fast::Hasher::new();
+        check.update(&bytes[..20]);
+        check.update(&bytes[24..]);
+        bytes[20..24].copy_from_slice(&check.finalize().to_le_bytes());
+        Some(bytes)
+    }
+}
