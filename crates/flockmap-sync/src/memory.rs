@@ -34,8 +34,8 @@ const WORK: usize = 512 << 10;
 impl SessionConfig {
     /// The most bytes that a [`Session`](crate::Session) with these options holds on the heap, whatever it receives and however late
     /// its events are taken: the sum of the worst cases that the limits state. As asked of the allocator, which may add some. What
-    /// the driver keeps (packages without a verdict, layers) is not in it. The default: 175 MB, of which 64 MiB are
-    /// the store, 100 MB what 32 peers may state of 64 streams; honest peers state a hundredth of that.
+    /// the driver keeps (packages without a verdict, layers) is not in it. The default: 165 MB, of which 64 MiB are
+    /// the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is on its way to them; honest peers take a hundredth of these two.
     pub const fn memory_max(&self) -> usize {
         let streams = self.streams_max + 1;
         let held = HELD_INTERVALS_MAX * INTERVAL;

@@ -9,7 +9,7 @@ use flockmap_grid::{Changes, PresentState, Resolution, RobotId, Stamp, State, St
 use flockmap_sync::wire::{
     Datagram, DatagramError, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request,
 };
-use flockmap_sync::{Event, IntervalSet, Session, SessionConfig};
+use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey};
 
 /// Counts the bytes that are held, and the most that ever were.
 struct Counting;
@@ -275,6 +275,55 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
         victim.transmit_all();
         let in_flight: usize = victim.session.peers().map(|peer| peer.in_flight).sum();
         assert!(in_flight > 30_000, "{in_flight}");
+    });
+
+    // What everyone hears is noted for all, though each has less than half of it sent for itself: every peer misses other packages.
+    let large = SessionConfig {
+        in_flight_max: 10_000,
+        peers_max: 4,
+        cast: Cast::Broadcast,
+        store_bytes_max: 32 << 20,
+        present_state_bytes_min: None,
+        ..config()
+    };
+    let base = SessionConfig { in_flight_max: 1, ..large.clone() };
+    case("packages in flight, by broadcast", large, &base, 0.3, |victim| {
+        for index in 1..=40_000 {
+            let package = victim.package(OWN, index, 0);
+            victim.session.publish(victim.now, package).unwrap();
+        }
+        victim.is_prepared();
+        for n in 0..4 {
+            let (first, last) = (1 + 10_000 * u32::from(n), 10_000 * (u32::from(n) + 1));
+            let holds_the_rest = match n {
+                // The last one misses all.
+                3 => vec![],
+                _ => vec![(1, first - 1), (last + 1, 40_000)],
+            };
+            let held = Held { stream: OWN, from: 1, held: IntervalSet::from_intervals(8, holds_the_rest) };
+            let echo =
+                Echo { robot: OWN.origin, epoch_low: 1, stamp_low: victim.now.0 as u32, age_micros: 0 };
+            let request =
+                Request { echoes: vec![echo], all_echoes: true, held: vec![held], ..Request::default() };
+            victim.take_request(peer(n), &request);
+        }
+        victim.transmit_all();
+        let most = victim.session.peers().map(|peer| peer.in_flight).max().unwrap();
+        assert!((15_000..=20_000).contains(&most), "{most}");
+    });
+
+    let large = SessionConfig { swarm_key: Some(SwarmKey::from_bytes([7; 32])), peers_max: 64, ..config() };
+    let base = SessionConfig { swarm_key: None, ..large };
+    case("counters of all robots that there can be", large.clone(), &base, 0.5, |victim| {
+        for id in (0..=u16::MAX).filter(|id| *id != OWN.origin.0) {
+            let own = Stream { origin: RobotId(id), epoch: 1 };
+            let mut sender = Session::new(own, large.clone(), 1).unwrap();
+            let bytes = sender.poll_transmit(victim.now).unwrap().bytes;
+            drop(sender);
+            victim.take(&bytes);
+        }
+        assert_eq!(victim.session.peers().count(), 64);
+        assert!(victim.session.counters().too_many_peers > 65_000);
     });
 
     let large = SessionConfig { transfers_max: 4, ..config() };

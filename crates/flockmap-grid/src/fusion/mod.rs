@@ -190,7 +190,8 @@ impl Fusion {
         if layer.is_none() && self.layers.len() >= self.config.streams_max {
             return Err(FusionError::StreamsFull(stream, self.config.streams_max));
         }
-        let (layer_growth, new_blocks) = layer.unwrap_or(&Layer::default()).growth_max(parts);
+        let nothing = Layer::default();
+        let (layer_growth, new_blocks) = layer.unwrap_or(&nothing).growth_max(parts);
         if stream == self.own {
             let (held, max) = (layer.map_or(0, Layer::memory_bytes), self.config.own_layer_bytes_max);
             let is_within = held + layer_growth <= max;
@@ -249,7 +250,7 @@ impl Fusion {
         }
     }
 
-    /// Forgets the layer of a stream.
+    /// Forgets the layer of a stream; and with the last one of an origin how far its clock is off, unless it has an alignment or is muted.
     pub fn forget(&mut self, mapper: &Mapper, stream: Stream) {
         if let Some(layer) = self.layers.remove(&stream) {
             if stream != self.own {
@@ -257,7 +258,7 @@ impl Fusion {
             }
             self.rebuild(mapper);
         }
-        // What is set of an origin stays; how far its clock is off is measured again.
+        // Else the list of origins would grow with every robot that ever came by.
         let origin = self.origin(stream.origin);
         let is_plain = origin.alignment.is_identity() && !origin.is_muted;
         if is_plain && !self.layers.keys().any(|other| other.origin == stream.origin) {
