@@ -28,7 +28,7 @@ pub struct Layer {
 /// Most cycles whose sensor a layer remembers; the oldest are forgotten.
 const SENSORS_MAX: usize = 1 << 16;
 /// A sensor in its map.
-const SENSOR_BYTES: usize = 48;
+pub(crate) const SENSOR_BYTES: usize = 48;
 /// So many sensors are noted at least before the layer is gone through.
 const SENSORS_NOTED_MIN: usize = 1_024;
 
@@ -219,7 +219,7 @@ impl Layer {
         self.memory_bytes() + self.table_growth(blocks)
     }
 
-    /// The most by which taking over these changes, each with a stamp of its own, can make it grow, in bytes, and by how many
+    /// The most by which taking over these changes, each with a stamp of its own, can make it grow, in bytes (sensors not counted), and by how many
     /// blocks. O(blocks).
     pub(crate) fn growth_max<'a>(&self, parts: impl ExactSizeIterator<Item = &'a Changes>) -> (usize, usize) {
         let of_block = |index: &BlockIndex, stamps: usize| match self.blocks.get(index) {

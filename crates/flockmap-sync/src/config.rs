@@ -126,7 +126,7 @@ pub struct SessionConfig {
     /// A peer not heard for so long is forgotten. Default 10,000.
     pub peer_timeout_ms: u32,
     /// Peers known at once. Default 32. Worst case per peer: 25 KiB for each of `streams_max` streams, 96 bytes
-    /// for each of `in_flight_max` packages (by broadcast 192), and 26 KiB. All worst cases together:
+    /// for each of `in_flight_max` packages (by broadcast 160, and 32 in each stream), and 26 KiB. All worst cases together:
     /// [`memory_max`](Self::memory_max).
     pub peers_max: usize,
     /// Streams of others known at once. Default 64. Worst case 10 KiB each, beside what peers state of them.

@@ -15,8 +15,10 @@ const STREAM: usize = 2_048;
 const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 16_384;
 /// What a peer states of one stream: six lists of at most 256 intervals.
 const VIEW: usize = 6 * GROWTH * 256 * INTERVAL + 512;
-/// A package that was sent and not yet confirmed, and its interval among those that need not be sent.
-const IN_FLIGHT: usize = (40 + INTERVAL) * GROWTH;
+/// A package that was sent and not yet confirmed.
+const IN_FLIGHT: usize = 40 * GROWTH;
+/// Its interval among those that need not be sent.
+const COVERED: usize = INTERVAL * GROWTH;
 /// The budget of the link to a peer that fell silent.
 const SILENT_LINK: usize = 2_048 + 256;
 /// With a key, what is known of the counters of every robot that was ever heard, 2¹⁶ of them; and the window of a peer.
@@ -35,16 +37,17 @@ impl SessionConfig {
     /// The most bytes that a [`Session`](crate::Session) with these options holds on the heap, whatever it receives and however late
     /// its events are taken: the sum of the worst cases that the limits state. As asked of the allocator, which may add some. What
     /// the driver keeps (packages without a verdict, layers) is not in it. The default: 165 MB, of which 64 MiB are
-    /// the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is on its way to them; honest peers take a hundredth of these two.
+    /// the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is on its way to them, by broadcast 300 MB; honest peers take a hundredth of these two.
     pub const fn memory_max(&self) -> usize {
         let streams = self.streams_max + 1;
         let held = HELD_INTERVALS_MAX * INTERVAL;
-        // What everyone hears is noted for everyone, up to twice the limit.
         let in_flight = match self.cast {
-            Cast::Unicast => self.in_flight_max,
-            Cast::Broadcast => 2 * self.in_flight_max,
+            Cast::Unicast => self.in_flight_max * (IN_FLIGHT + COVERED),
+            // What everyone hears is noted for everyone, up to twice the limit. Of more the oldest is forgotten, but in each view it counts as on
+            // its way until the peer's next request.
+            Cast::Broadcast => 2 * self.in_flight_max * (IN_FLIGHT + streams * COVERED),
         };
-        let peer = PEER + streams * VIEW + in_flight * IN_FLIGHT;
+        let peer = PEER + streams * VIEW + in_flight;
         let silent_links = if self.link_bytes_per_s.is_some() { self.peers_max * SILENT_LINK } else { 0 };
         let replays = if self.swarm_key.is_some() { HEARD + self.peers_max * WINDOW } else { 0 };
         // Of every stream the plan for a peer takes up the best 256 packages, and a request its list of held indices.

@@ -5,6 +5,7 @@ mod view;
 
 use std::collections::BTreeMap;
 
+use crate::layer::SENSOR_BYTES;
 use crate::{
     BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, PresentState, Resolution, RobotId,
     ScanReport, Stamp, State, StateBlock, Stream, Voxel, bit_of,
@@ -156,7 +157,8 @@ impl Fusion {
         changes: &Changes,
         stamp: Stamp,
     ) -> Result<usize, FusionError> {
-        self.check_room(mapper, stream, core::iter::once(changes))?;
+        // Its sensor is noted when it has been applied.
+        self.check_room(mapper, stream, core::iter::once(changes), 1)?;
         Ok(self.take_over(mapper, stream, |layer| layer.apply(changes, stamp)))
     }
 
@@ -170,7 +172,8 @@ impl Fusion {
         stream: Stream,
         state: &PresentState,
     ) -> Result<usize, FusionError> {
-        self.check_room(mapper, stream, state.parts.iter().map(|(_, part)| part))?;
+        let parts = state.parts.iter().map(|(_, part)| part);
+        self.check_room(mapper, stream, parts, state.sensors.len())?;
         Ok(self.take_over(mapper, stream, |layer| layer.apply_present(state)))
     }
 
@@ -179,19 +182,21 @@ impl Fusion {
         self.layer_bytes + self.view.memory_bytes().saturating_sub(mapper.block_count() * VIEW_BLOCK_BYTES)
     }
 
-    /// Whether the layer of a stream may take these changes over, each with a stamp of its own.
+    /// Whether the layer of a stream may take these changes over, each with a stamp of its own, and so many sensors.
     fn check_room<'a>(
         &self,
         mapper: &Mapper,
         stream: Stream,
         parts: impl ExactSizeIterator<Item = &'a Changes>,
+        sensors: usize,
     ) -> Result<(), FusionError> {
         let layer = self.layers.get(&stream);
         if layer.is_none() && self.layers.len() >= self.config.streams_max {
             return Err(FusionError::StreamsFull(stream, self.config.streams_max));
         }
         let nothing = Layer::default();
-        let (layer_growth, new_blocks) = layer.unwrap_or(&nothing).growth_max(parts);
+        let (growth, new_blocks) = layer.unwrap_or(&nothing).growth_max(parts);
+        let layer_growth = growth + sensors * SENSOR_BYTES;
         if stream == self.own {
             let (held, max) = (layer.map_or(0, Layer::memory_bytes), self.config.own_layer_bytes_max);
             let is_within = held + layer_growth <= max;

@@ -65,8 +65,7 @@ pub(super) struct View {
     pub(super) from: u32,
     /// What the peer stated to hold, or sent itself.
     pub(super) held: IntervalSet,
-    /// Those and the ones in flight: what need not be sent now. It has room for both: the intervals of all views together that are not in `held` too
-    /// are at most as many as are in flight.
+    /// Those and the ones in flight: what need not be sent now. It has room for both; and those that a full ledger forgot since the last request.
     pub(super) covered: IntervalSet,
     /// For a relay that is not first in line: what stayed missing for the whole relay delay.
     pub(super) overdue: IntervalSet,
