@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Everything that must hold before a change lands. Run it here as CI does: ./ci.sh
-# One step alone: ./ci.sh fmt | clippy | docs | test | readme | tables
+# One step alone: ./ci.sh fmt | clippy | docs | test | readme | tables | seeds
 set -euo pipefail
 cd "$(dirname "$0")"
 export CARGO_TERM_COLOR=never
@@ -28,6 +28,9 @@ readme() {
 # What a protocol change costs shows as a difference of a table.
 tables() { cargo run --release --locked -- sim table --robots-max 20 --file tests/tables/swarms.txt --check; }
 
+# Ten thousand swarms, each with a checker at every event (docs/swarm.md).
+seeds() { cargo run --release --locked -- sim swarm --seed 1 --seeds 10000; }
+
 step() {
     local start=$SECONDS
     echo "== $1"
@@ -36,8 +39,8 @@ step() {
 }
 
 case "${1:-all}" in
-    all) for name in fmt clippy docs readme tables tests; do step "$name"; done ;;
+    all) for name in fmt clippy docs readme tables seeds tests; do step "$name"; done ;;
     test) step tests ;;
-    fmt | clippy | docs | readme | tables) step "$1" ;;
+    fmt | clippy | docs | readme | tables | seeds) step "$1" ;;
     *) sed -n '2,3p' "$0" >&2; exit 2 ;;
 esac

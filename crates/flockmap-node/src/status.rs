@@ -289,7 +289,7 @@ pub(crate) fn session_counters(c: &Counters) -> Named {
     named.extend(fields!(c; published sent relayed tiles_sent confirmed lost suppressed gap_requests
         delayed_by_budget delayed_by_window received accepted repaired tiles_accepted caught_up duplicates rejected
         given_up present_states_restarted own_returned damaged foreign_version foreign_swarm forged replayed unsealed sealed_without_key malformed own_heard same_identity stale_epoch
-        stale_requests too_many_peers too_many_streams too_fragmented events_overflowed too_many_transfers
+        stale_requests too_many_peers too_many_streams too_fragmented events_overflowed too_many_transfers transfers_dropped
         present_states_wanted present_states_unusable));
     named
 }

@@ -6,6 +6,7 @@ mod ask;
 mod event;
 mod load;
 mod peer;
+mod plan;
 mod present;
 mod receive;
 mod sealing;

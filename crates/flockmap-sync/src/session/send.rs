@@ -2,19 +2,12 @@
 
 use super::peer::{Item, Peer, Sent, View};
 use super::{Destination, Session, Transmit};
+use crate::Cast;
 use crate::wire::{Kind, PackagesWriter};
-use crate::{Cast, Order};
 use flockmap_codec::Package;
 use flockmap_grid::mutation::{self, Mutation};
-use flockmap_grid::{RobotId, Stamp, Stream};
-use std::cmp::Reverse;
-use std::collections::VecDeque;
+use flockmap_grid::{RobotId, Stamp};
 
-/// Items planned ahead for a peer, and looked at per stream for it.
-const QUEUE_MAX: usize = 256;
-/// A peer that misses more packages of a stream than this gets the oldest first: what builds on them could only wait, and of
-/// what may wait there is not enough room for a long flight.
-const BACKLOG_MIN: u32 = 64;
 /// Items looked at to fill up a datagram.
 const BUNDLE_LOOKAHEAD: usize = 16;
 
@@ -206,69 +199,7 @@ impl Session {
         Transmit { to, bytes }
     }
 
-    /// Makes the peer's queue anew: the best of what it misses.
-    fn plan(&self, now: Stamp, peer: &mut Peer) {
-        peer.queue_stale = false;
-        let mut due: Vec<(Stamp, Stream, u32)> = Vec::new();
-        let (mut backlog, mut overdue) = (Vec::new(), Vec::new());
-        let mut tiles = Vec::new();
-        for stream in self.store.streams() {
-            let Some(turn) = self.turn(peer, stream) else { continue };
-            // Without push, a request is answered with what there was when it came.
-            let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
-            let Some(view) = peer.view(stream, now) else { continue };
-            let upto = self.store.newest_known(stream);
-            // What a present state brings that is under way is not sent beside it.
-            let (since, after) = match &view.sending {
-                Some(sending) => (sending.since, sending.upto.saturating_add(1)),
-                None => (0, 1),
-            };
-            let before = view.covered.missing(view.from.max(1), since);
-            let mut missing: Vec<(u32, u32)> =
-                before.chain(view.covered.missing(view.from.max(after), upto)).collect();
-            if turn > 0 {
-                let overdue = crate::IntervalSet::from_intervals(0, missing).intersection(&view.overdue);
-                missing = overdue.intervals().to_vec();
-            }
-            let packages = missing.iter().flat_map(|&(low, high)| self.store.range(stream, low, high));
-            let packages = packages.filter(|(_, stored)| self.config.push || stored.stored_at <= asked_at);
-            let keyed = packages.map(|(index, stored)| (stored.fresh_at, stream, index));
-            let count = missing.iter().map(|&(low, high)| high - low + 1).fold(0, u32::saturating_add);
-            if turn == 0 && count > BACKLOG_MIN {
-                backlog.extend(keyed.take(QUEUE_MAX));
-            } else if turn > 0 {
-                // The origin sends its newest first. From the other end a relay meets it in the middle.
-                overdue.extend(keyed.take(QUEUE_MAX));
-            } else if self.config.order == Order::OldestFirst {
-                due.extend(keyed.take(QUEUE_MAX));
-            } else {
-                let newest =
-                    missing.iter().rev().flat_map(|&(low, high)| self.store.range(stream, low, high).rev());
-                let newest = newest.filter(|(_, stored)| self.config.push || stored.stored_at <= asked_at);
-                due.extend(newest.map(|(index, stored)| (stored.fresh_at, stream, index)).take(QUEUE_MAX));
-            }
-            if let Some(sending) = &view.sending {
-                tiles.extend(self.tiles_to_send(stream, sending).take(QUEUE_MAX));
-            }
-        }
-        match self.config.order {
-            // Cycle by cycle; within a cycle in the order of the indices, so that no gaps appear on the way.
-            Order::NewestFirst => {
-                due.sort_unstable_by_key(|&(at, stream, index)| (Reverse(at), stream, index))
-            }
-            Order::OldestFirst => due.sort_unstable(),
-        }
-        backlog.sort_unstable();
-        overdue.sort_unstable();
-        let packages = due
-            .into_iter()
-            .chain(backlog)
-            .chain(overdue)
-            .map(|(_, stream, index)| Item::Package { stream, index });
-        peer.queue = packages.chain(tiles).take(QUEUE_MAX).collect::<VecDeque<_>>();
-    }
-
-    fn package(&self, item: Item) -> Option<&Package> {
+    pub(super) fn package(&self, item: Item) -> Option<&Package> {
         match item {
             Item::Package { stream, index } => self.store.get(stream, index).map(|stored| &stored.package),
             Item::Tile { stream, set, tile } => self.tile(stream, set, tile),

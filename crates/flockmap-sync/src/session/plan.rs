@@ -1,0 +1,94 @@
+//! What a peer is sent next: the best of what it misses.
+
+use super::Session;
+use super::peer::{Item, Peer};
+use crate::store::Stored;
+use crate::{IntervalSet, Order};
+use flockmap_codec::Priority;
+use flockmap_grid::{Stamp, Stream};
+use std::cmp::Reverse;
+use std::collections::VecDeque;
+
+/// Items planned ahead for a peer, and looked at per stream for it.
+const QUEUE_MAX: usize = 256;
+/// A peer that misses more packages of a stream than this gets the oldest first: what builds on them could only wait, and of
+/// what may wait there is not enough room for a long flight.
+const BACKLOG_MIN: u32 = 64;
+
+/// A package that the peer misses.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Due {
+    fresh_at: Stamp,
+    stream: Stream,
+    index: u32,
+    priority: Priority,
+}
+
+impl Session {
+    /// Makes the peer's queue anew: the best of what it misses.
+    pub(super) fn plan(&self, now: Stamp, peer: &mut Peer) {
+        peer.queue_stale = false;
+        let (mut due, mut backlog, mut overdue) = (Vec::new(), Vec::new(), Vec::new());
+        let mut tiles = Vec::new();
+        for stream in self.store.streams() {
+            let Some(turn) = self.turn(peer, stream) else { continue };
+            // Without push, a request is answered with what there was when it came.
+            let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
+            let Some(view) = peer.view(stream, now) else { continue };
+            let upto = self.store.newest_known(stream);
+            // What a present state brings that is under way is not sent beside it.
+            let (since, after) = match &view.sending {
+                Some(sending) => (sending.since, sending.upto.saturating_add(1)),
+                None => (0, 1),
+            };
+            let before = view.covered.missing(view.from.max(1), since);
+            let mut missing: Vec<(u32, u32)> =
+                before.chain(view.covered.missing(view.from.max(after), upto)).collect();
+            if turn > 0 {
+                let overdue = IntervalSet::from_intervals(0, missing).intersection(&view.overdue);
+                missing = overdue.intervals().to_vec();
+            }
+            let is_told = |(_, stored): &(u32, &Stored)| self.config.push || stored.stored_at <= asked_at;
+            let item = |(index, stored): (u32, &Stored)| Due {
+                fresh_at: stored.fresh_at,
+                stream,
+                index,
+                priority: stored.package.header().priority,
+            };
+            let oldest = missing.iter().flat_map(|&(low, high)| self.store.range(stream, low, high));
+            let newest =
+                missing.iter().rev().flat_map(|&(low, high)| self.store.range(stream, low, high).rev());
+            let (oldest, newest) = (oldest.filter(is_told), newest.filter(is_told));
+            let count = missing.iter().map(|&(low, high)| high - low + 1).fold(0, u32::saturating_add);
+            if turn > 0 {
+                // The origin sends its newest first. From the other end a relay meets it in the middle.
+                overdue.extend(oldest.map(item).take(QUEUE_MAX));
+            } else if self.config.order == Order::OldestFirst {
+                due.extend(oldest.map(item).take(QUEUE_MAX));
+            } else if count > BACKLOG_MIN {
+                backlog.extend(oldest.map(item).take(QUEUE_MAX));
+            } else {
+                due.extend(newest.map(item).take(QUEUE_MAX));
+            }
+            if let Some(sending) = &view.sending {
+                tiles.extend(self.tiles_to_send(stream, sending).take(QUEUE_MAX));
+            }
+        }
+        match self.config.order {
+            // Obstacles, near free space, far free space; of each cycle by cycle; within a cycle in the order of the indices, so that no
+            // gaps appear on the way.
+            Order::NewestFirst => {
+                due.sort_unstable_by_key(|due| (due.priority, Reverse(due.fresh_at), due.stream, due.index))
+            }
+            Order::OldestFirst => due.sort_unstable(),
+        }
+        backlog.sort_unstable();
+        overdue.sort_unstable();
+        let packages = due
+            .into_iter()
+            .chain(backlog)
+            .chain(overdue)
+            .map(|due| Item::Package { stream: due.stream, index: due.index });
+        peer.queue = packages.chain(tiles).take(QUEUE_MAX).collect::<VecDeque<_>>();
+    }
+}
