@@ -136,6 +136,9 @@ impl Session {
         let Some(turn) = self.turn(peer, stream) else { return };
         let Some(held) = self.store.held(stream) else { return };
         let prefix = held.prefix();
+        if prefix == 0 {
+            return;
+        }
         let id = peer.stream.origin;
         let Some(view) = peer.view(stream, now) else { return };
         let wanted = view.state_wanted;
@@ -167,7 +170,8 @@ impl Session {
         }
         // Those further down the line wait whether others give it.
         let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
-        let wanted = wanted.filter(|&([_, upto], at)| upto <= prefix && now.micros_since(at) >= delay);
+        let wanted =
+            wanted.filter(|&([_, upto], at)| (1..=prefix).contains(&upto) && now.micros_since(at) >= delay);
         let wanted = wanted.map(|([_, upto], _)| upto);
         let Some(first) = missing.first().into_iter().chain(wanted).min() else { return };
         // Where packages are stored and cost less than the state, it is the part that they cannot bring that is wanted.
