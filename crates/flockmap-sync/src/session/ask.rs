@@ -340,7 +340,8 @@ impl Session {
                 .filter_map(|(&stream, given_up)| {
                     // What waits for a verdict, or was rejected, may never be held either.
                     let unheld = self.stated_as_held(stream, now).difference(self.store.held(stream)?);
-                    Some((stream, unheld.first()? - 1, given_up.last()?))
+                    let (since, upto) = (unheld.first()? - 1, given_up.last()?);
+                    (since < upto).then_some((stream, since, upto))
                 })
                 .collect(),
         }

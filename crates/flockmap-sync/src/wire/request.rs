@@ -186,7 +186,11 @@ impl Request {
     fn read_states_wanted(&mut self, reader: &mut Reader<'_>) -> Option<()> {
         while !reader.is_empty() {
             let stream = read_stream(reader)?;
-            self.states_wanted.push((stream, reader.varint_u32()?, reader.varint_u32()?));
+            let (since, upto) = (reader.varint_u32()?, reader.varint_u32()?);
+            if since >= upto {
+                return None;
+            }
+            self.states_wanted.push((stream, since, upto));
         }
         Some(())
     }

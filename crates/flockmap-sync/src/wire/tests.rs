@@ -292,7 +292,7 @@ proptest! {
             transfers: vec![TransferProgress { source: stream.origin, stream, since: epoch, upto: epoch, set: epoch, tiles: epoch, from, accepted: held }],
             floors: vec![(stream.origin, epoch)],
             clocks: vec![ClockReport { robot: stream.origin, epoch_low: 5, offset_micros }],
-            states_wanted: vec![(stream, epoch, epoch)],
+            states_wanted: vec![(stream, epoch / 2, epoch / 2 + 1)],
             ..Request::default()
         };
         let bytes = request.emit(DatagramHeader { stamp: Stamp(stamp), ..HEADER }, 1_200);
