@@ -266,7 +266,7 @@ pub(crate) fn node_counters(c: &NodeCounters) -> Named {
 }
 
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
-    fields!(c; scans points_ignored points_masked blocks_forgotten cycles changes packages package_bytes merged
+    fields!(c; scans points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes packages package_bytes merged
         waited waiting_dropped overtaken damaged no_room foreign_resolution present_states cycles_without_reference events_dropped)
 }
 

@@ -5,6 +5,7 @@ mod answer;
 mod ask;
 mod event;
 mod load;
+mod pace;
 mod peer;
 mod plan;
 mod present;
@@ -14,6 +15,7 @@ mod send;
 
 pub use event::{Destination, Event, PublishError, Transmit};
 pub use load::Load;
+pub use pace::Pace;
 pub use peer::PeerInfo;
 pub(crate) use sealing::RESTARTS_MAX;
 

@@ -38,6 +38,7 @@
 #![forbid(unsafe_code)]
 
 mod config;
+mod cost;
 mod counters;
 mod event;
 mod events;

@@ -1,9 +1,13 @@
 //! When a cycle of mapping ends, and what it holds (the paper's Alg. 1).
 
 use flockmap_codec::Cycle;
-use flockmap_grid::{Changes, Mapper, Pose, Resolution, Stamp, Stream, Which};
+use flockmap_grid::{BlockIndex, Changes, Mapper, Pose, Resolution, Stamp, Stream, Which};
 
 use crate::CycleConfig;
+use crate::cost::Room;
+
+/// Of a cycle that is told in parts, so many of obstacles alone come before one with free space, if there are as many.
+const OBSTACLES_IN_ROW: u32 = 3;
 
 /// Closes cycles: takes the net changes from the mapper when enough have come up or enough time has passed.
 #[derive(Clone, Debug)]
@@ -14,6 +18,8 @@ pub struct Packer {
     /// When the last cycle of obstacles and of free space was closed, on the robot's clock.
     closed_occupied: Stamp,
     closed_free: Stamp,
+    /// Of a cycle that is told in parts: how many of the last parts were of obstacles alone.
+    obstacles_in_row: u32,
     /// Stamp of the newest scan.
     newest_scan: Stamp,
     /// End of the last cycle; ends strictly increase.
@@ -36,6 +42,7 @@ impl Packer {
             resolution,
             closed_occupied: now,
             closed_free: now,
+            obstacles_in_row: 0,
             newest_scan: now,
             last_end: None,
             occupied_from: None,
@@ -80,12 +87,58 @@ impl Packer {
         if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
             return None;
         }
-        let free_due = now >= self.closed_free.plus_micros(1_000 * i64::from(self.config.t_l_ms));
-        if free_due || mapper.pending() >= self.config.changes_max || self.config.t_l_occupied_ms.is_none() {
+        if self.everything_is_due(now, mapper) {
             return self.close(now, mapper);
         }
-        self.closed_occupied = now;
-        let changes = mapper.take_changes(Which::Occupied);
+        self.close_obstacles(now, mapper, usize::MAX)
+    }
+
+    /// As [`close_due`](Self::close_due), where the radio has no room for all: what is nearest to the sensor goes first, obstacles and
+    /// everything else in turn. The rest stays in the map, goes on changing there, and is due again at once.
+    pub(crate) fn close_part(
+        &mut self,
+        now: Stamp,
+        mapper: &mut Mapper,
+        room: Room,
+    ) -> Option<(Cycle, Changes)> {
+        if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
+            return None;
+        }
+        let everything_is_due = self.everything_is_due(now, mapper);
+        if everything_is_due && mapper.pending() <= room.voxels {
+            return self.close(now, mapper);
+        }
+        if !everything_is_due || self.obstacles_in_row < OBSTACLES_IN_ROW {
+            let obstacles = self.close_obstacles(now, mapper, room.obstacles);
+            let is_cut = obstacles.is_some() && mapper.has_changes(Which::Occupied);
+            self.obstacles_in_row = if is_cut { self.obstacles_in_row + 1 } else { OBSTACLES_IN_ROW };
+            if obstacles.is_some() || !everything_is_due {
+                return obstacles;
+            }
+        }
+        self.obstacles_in_row = 0;
+        let changes = mapper.take_nearest(Which::All, self.sensor_block(), room.voxels);
+        let (start, end) = (self.free_from, self.end());
+        let middle = self.middle_sensor();
+        Some((self.cycle(start, end, middle), changes))
+    }
+
+    fn everything_is_due(&self, now: Stamp, mapper: &Mapper) -> bool {
+        now >= self.closed_free.plus_micros(1_000 * i64::from(self.config.t_l_ms))
+            || mapper.pending() >= self.config.changes_max
+            || self.config.t_l_occupied_ms.is_none()
+    }
+
+    fn close_obstacles(
+        &mut self,
+        now: Stamp,
+        mapper: &mut Mapper,
+        voxels_max: usize,
+    ) -> Option<(Cycle, Changes)> {
+        let changes = mapper.take_nearest(Which::Occupied, self.sensor_block(), voxels_max);
+        if voxels_max == usize::MAX || changes.len() < voxels_max {
+            self.closed_occupied = now;
+        }
         if changes.is_empty() {
             return None;
         }
@@ -98,6 +151,7 @@ impl Packer {
     pub fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
         self.closed_occupied = now;
         self.closed_free = now;
+        self.obstacles_in_row = 0;
         let changes = mapper.take_changes(Which::All);
         if changes.is_empty() {
             return None;
@@ -105,9 +159,19 @@ impl Packer {
         let (start, end) = (self.free_from, self.end());
         self.occupied_from = Some(end);
         self.free_from = Some(end);
-        let (first, last) = (self.first_sensor.take().unwrap_or(self.newest_sensor), self.newest_sensor);
-        let middle = core::array::from_fn(|axis| first[axis].midpoint(last[axis]));
+        let middle = self.middle_sensor();
         Some((self.cycle(start, end, middle), changes))
+    }
+
+    /// Between where the sensor was at the first scan of a cycle and where it is now.
+    fn middle_sensor(&mut self) -> [i32; 3] {
+        let (first, last) = (self.first_sensor.take().unwrap_or(self.newest_sensor), self.newest_sensor);
+        core::array::from_fn(|axis| first[axis].midpoint(last[axis]))
+    }
+
+    fn sensor_block(&self) -> BlockIndex {
+        let [x, y, z] = self.newest_sensor.map(|sixteenths| sixteenths.div_euclid(16 * 8));
+        BlockIndex { x, y, z }
     }
 
     /// The newest scan's stamp, or just after the last cycle's end if no newer scan came.
@@ -129,7 +193,7 @@ impl Packer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockmap_grid::{MapperConfig, Preset, RobotId, Scan, State};
+    use flockmap_grid::{MapperConfig, Preset, RobotId, Scan, State, Voxel};
 
     const MS: i64 = 1_000;
 
@@ -184,5 +248,46 @@ mod tests {
         let (second, changes) = packer.close_due(Stamp(2_000 * MS), &mut mapper).unwrap();
         assert_eq!(changes.len(), 20);
         assert!(second.end > first.end, "a voxel's newest word must be told apart by its stamp");
+    }
+
+    #[test]
+    fn a_part_is_of_obstacles_or_of_what_is_nearest_and_the_rest_is_due_at_once() {
+        let (mut packer, mut mapper) =
+            setup(CycleConfig { t_l_ms: 2_000, t_l_occupied_ms: Some(100), ..CycleConfig::default() });
+        let room = |voxels| Room { obstacles: 1, voxels, hold_max: 0 };
+        for (i, point) in [[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 1.0]].into_iter().enumerate() {
+            scan(&mut packer, &mut mapper, 100 + i as i64, point);
+        }
+        let all = mapper.pending();
+        let mut close = |ms: i64, voxels| packer.close_part(Stamp(ms * MS), &mut mapper, room(voxels));
+        // The nearest obstacle; the others are due at once.
+        let (first, obstacle) = close(200, 10).unwrap();
+        assert_eq!(obstacle.voxels().collect::<Vec<_>>(), [(Voxel::new(0, 0, 10), State::Occupied)]);
+        let told = [close(200, 10).unwrap().1.len(), close(200, 10).unwrap().1.len()];
+        assert_eq!(told, [1, 1]);
+        assert!(close(200, 10).is_none(), "free space has its own time");
+        let (near, changes) = close(2_200, 30).unwrap();
+        assert!(near.end > first.end && changes.len() <= 30 && !changes.has_occupied());
+        let (_, rest) = close(2_200, 1_000).unwrap();
+        assert_eq!(3 + changes.len() + rest.len(), all);
+        assert!(close(4_300, 10).is_none());
+    }
+
+    #[test]
+    fn obstacles_without_end_leave_every_fourth_part_to_free_space() {
+        let (mut packer, mut mapper) = setup(CycleConfig { t_l_ms: 100, ..CycleConfig::default() });
+        let points = (0..200i16).map(|i| {
+            let angle = f32::from(i) / 200.0 * core::f32::consts::TAU;
+            [6.0 * angle.cos(), 6.0 * angle.sin(), 0.0]
+        });
+        let scan = Scan { stamp: Stamp(100 * MS), points: points.collect(), no_returns: Vec::new() };
+        mapper.insert(&scan, &Pose::IDENTITY, &[]);
+        packer.note_scan(scan.stamp, &Pose::IDENTITY);
+        let room = Room { obstacles: 10, voxels: 10, hold_max: 0 };
+        let parts: Vec<bool> = (0..8)
+            .map(|_| packer.close_part(Stamp(200 * MS), &mut mapper, room).unwrap().1)
+            .map(|changes| changes.voxels().all(|(_, state)| state == State::Occupied))
+            .collect();
+        assert_eq!(parts, [true, true, true, false, true, true, true, false]);
     }
 }

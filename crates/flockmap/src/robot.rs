@@ -14,8 +14,9 @@ use flockmap_grid::{
     Changes, Fusion, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
 };
 use flockmap_sync::wire::DatagramError;
-use flockmap_sync::{Session, Transmit};
+use flockmap_sync::{Pace, Session, Transmit};
 
+use crate::cost::Cost;
 use crate::events::Events;
 use crate::repair::RepairDelay;
 use crate::sent::Sent;
@@ -25,6 +26,9 @@ use crate::{Event, Packer, RobotConfig, RobotCounters, RobotError};
 
 /// Team-mates whose positions are kept.
 const TEAMMATES_MAX: usize = 1_024;
+
+/// A cycle that the budget holds back is looked at again after so many microseconds.
+const HELD_PAUSE: i64 = 10_000;
 
 /// A robot of the swarm: keeps its own map from its scans, sends what changed, repairs what was lost, and fuses
 /// what the others saw. Knows no sockets, threads or clocks; it can be driven by any runtime, or none.
@@ -52,12 +56,22 @@ pub struct Robot {
     /// Packages that were damaged once already.
     damaged: BTreeSet<(Stream, u32)>,
     repair: RepairDelay,
+    cost: Cost,
+    /// A cycle is due and waits for the budget.
+    held: Option<Held>,
     waiting: Waiting,
     tiles: Tiles,
     /// Requests taken in when the repair delay was looked at last.
     requests_seen: u64,
     events: Events,
     counters: RobotCounters,
+}
+
+#[derive(Clone, Copy)]
+struct Held {
+    since: Stamp,
+    /// When to look again.
+    until: Stamp,
 }
 
 struct Teammate {
@@ -97,6 +111,8 @@ impl Robot {
             own_layer_has_all: true,
             damaged: BTreeSet::new(),
             repair: RepairDelay::new(config.repair_delay_max_ms),
+            cost: Cost::default(),
+            held: None,
             waiting: Waiting::default(),
             tiles: Tiles::new(config.fusion.layer_bytes_max),
             requests_seen: 0,
@@ -131,10 +147,10 @@ impl Robot {
 
     /// Lets time pass: closes the cycle that is due, and does what the session has to do.
     pub fn handle_timeout(&mut self, now: Stamp) {
-        while let Some((cycle, changes)) = self.packer.close_due(now, &mut self.mapper) {
+        self.session.handle_timeout(now);
+        while let Some((cycle, changes)) = self.close_due(now) {
             self.publish(now, cycle, changes);
         }
-        self.session.handle_timeout(now);
         self.answer_session(now);
     }
 
@@ -201,7 +217,8 @@ impl Robot {
 
     /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once.
     pub fn poll_timeout(&self) -> Option<Stamp> {
-        let cycle = self.packer.deadline(&self.mapper);
+        let cycle =
+            self.packer.deadline(&self.mapper).map(|due| self.held.map_or(due, |held| due.max(held.until)));
         let session = self.session.poll_timeout();
         match (cycle, session) {
             (Some(a), Some(b)) => Some(a.min(b)),
@@ -261,6 +278,34 @@ impl Robot {
         &self.config
     }
 
+    /// The cycle that is due, unless own packages still wait for the radio's budget: then what changes is merged in the map, which costs
+    /// less than packages that wait, and nothing builds on them. Of what is due, as much as the radio takes.
+    fn close_due(&mut self, now: Stamp) -> Option<(Cycle, Changes)> {
+        if self.packer.deadline(&self.mapper).is_none_or(|due| due > now) {
+            return None;
+        }
+        let (bytes_per_s, waits) = match self.session.pace(now) {
+            Pace::Free => {
+                self.held = None;
+                return self.packer.close_due(now, &mut self.mapper);
+            }
+            Pace::BytesPerSecond(rate) => (rate, false),
+            Pace::Waits(rate) => (rate, true),
+        };
+        let room = self.cost.room(bytes_per_s);
+        let since = self.held.map_or(now, |held| held.since);
+        if waits && now.micros_since(since) < room.hold_max {
+            self.counters.cycles_held += u64::from(self.held.is_none());
+            self.held = Some(Held { since, until: now.plus_micros(HELD_PAUSE) });
+            return None;
+        }
+        self.held = None;
+        let closed = self.packer.close_part(now, &mut self.mapper, room)?;
+        self.counters.cycles_in_parts +=
+            u64::from(self.packer.deadline(&self.mapper).is_some_and(|due| due <= now));
+        Some(closed)
+    }
+
     /// Codes a cycle, takes it into the own layer and gives it to the session.
     fn publish(&mut self, now: Stamp, cycle: Cycle, changes: Changes) {
         let mut coded = std::borrow::Cow::Borrowed(&changes);
@@ -288,6 +333,7 @@ impl Robot {
             debug_assert_eq!(published, Ok(()));
         }
         self.sent.note_cycle(&packages);
+        self.cost.note_cycle(&changes, &packages);
         self.repair.note_cycle(now, self.next_index - 1);
         if let Err(error) = self.fusion.apply(&self.mapper, self.own, &changes, cycle.end) {
             // The packages are out all the same; only a present state of this stream would lack them. And the others hold more from now

@@ -3,12 +3,11 @@
 mod block;
 mod config;
 mod rays;
+mod take;
 
 use rustc_hash::FxHashMap;
 
-use crate::{
-    BlockIndex, Changes, Plane, Pose, Scan, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, voxel_bit,
-};
+use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, voxel_bit};
 use block::MapBlock;
 use config::Rules;
 pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset, SensorModel};
@@ -136,36 +135,6 @@ impl Mapper {
         report
     }
 
-    /// Number of voxels whose state differs from what was taken last (the paper's `ChangesInList(S)`).
-    pub const fn pending(&self) -> usize {
-        self.pending
-    }
-
-    /// Takes the net changes: each voxel whose state now differs from its state when it was last taken. One
-    /// that flipped and flipped back, or has become Unknown, is none of them.
-    pub fn take_changes(&mut self, which: Which) -> Changes {
-        let mut taken = Vec::with_capacity(self.pending_blocks.len());
-        self.pending_blocks.retain(|index, known| {
-            let Some(block) = self.blocks.get_mut(index) else { return false };
-            let all = block.changes();
-            let part = match which {
-                Which::All => all,
-                Which::Occupied => StateBlock::new([0; 8], *all.occupied()),
-                Which::Free => StateBlock::new(*all.free(), [0; 8]),
-            };
-            block.mark_packed(&part);
-            let (taken_here, left) = (part.known_count(), all.known_count() - part.known_count());
-            self.pending -= *known as usize - left as usize;
-            *known = left;
-            if taken_here > 0 {
-                taken.push((*index, part));
-            }
-            left > 0
-        });
-        taken.sort_unstable_by_key(|(index, _)| *index);
-        Changes::from_blocks(taken)
-    }
-
     /// State of a voxel.
     pub fn state(&self, voxel: Voxel) -> State {
         self.blocks.get(&voxel.block()).map_or(State::Unknown, |block| block.states().get(voxel_bit(voxel)))
@@ -287,15 +256,10 @@ impl Mapper {
             return;
         }
         let keep = (blocks_max - blocks_max / 10).max(1);
-        let here = start.map(|v| (v / 8.0).floor() as i64);
-        let mut far: Vec<(i64, BlockIndex)> = self
-            .blocks
-            .keys()
-            .map(|b| {
-                let d = [i64::from(b.x) - here[0], i64::from(b.y) - here[1], i64::from(b.z) - here[2]];
-                (d.iter().map(|d| d * d).sum(), *b)
-            })
-            .collect();
+        let [x, y, z] = start.map(|v| (v / 8.0).floor() as i32);
+        let here = BlockIndex { x, y, z };
+        let mut far: Vec<(i64, BlockIndex)> =
+            self.blocks.keys().map(|block| (block.distance_squared(here), *block)).collect();
         far.select_nth_unstable(keep);
         for (_, index) in &far[keep..] {
             self.blocks.remove(index);

@@ -31,6 +31,8 @@ pub(super) fn add_counters(seen: &mut BTreeMap<&'static str, u64>, robot: &Robot
         ("waited for the budget", s.delayed_by_budget),
         ("waited for confirmations", s.delayed_by_window),
         ("cycles told alone", r.cycles_without_reference),
+        ("cycles held back for the budget", r.cycles_held),
+        ("cycles told in parts", r.cycles_in_parts),
         ("rejected", s.rejected),
     ] {
         *seen.entry(name).or_default() += count;

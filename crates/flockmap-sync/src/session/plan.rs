@@ -13,7 +13,7 @@ use std::collections::VecDeque;
 const QUEUE_MAX: usize = 256;
 /// A peer that misses more packages of a stream than this gets the oldest first: what builds on them could only wait, and of
 /// what may wait there is not enough room for a long flight.
-const BACKLOG_MIN: u32 = 64;
+pub(super) const BACKLOG_MIN: u32 = 64;
 
 /// A package that the peer misses.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

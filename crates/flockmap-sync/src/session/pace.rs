@@ -1,0 +1,59 @@
+//! How much of the own map the budget takes at the moment: what a driver needs to know to merge changes before they become packages.
+
+use super::Session;
+use super::peer::{Peer, View};
+use super::plan::BACKLOG_MIN;
+use crate::Cast;
+use flockmap_grid::Stamp;
+
+/// What a budget leaves for own packages.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Pace {
+    /// There is no budget, or nobody who listens: whatever is published waits for nothing.
+    Free,
+    /// Published packages have all been sent. So many bytes a second reach everybody who listens, if nothing else is sent.
+    BytesPerSecond(u32),
+    /// Published packages wait for the budget, for the first time or again. What is published now waits behind them, or builds on
+    /// them. So many bytes a second as above.
+    Waits(u32),
+}
+
+impl Session {
+    /// What the budget leaves for own packages.
+    ///
+    /// Only peers count that hear this robot and are not silent. One that catches up, since it lacks more than 64 packages, counts only if there
+    /// is no other. O(peers).
+    pub fn pace(&self, now: Stamp) -> Pace {
+        let newest = self.store.newest_known(self.own);
+        let listens =
+            |peer: &&Peer| peer.hears(self.own.origin) && !peer.is_silent(now) && peer.wants(self.own);
+        let (mut in_step, mut catching_up, mut waits) = (0, 0, false);
+        for peer in self.peers.values().filter(listens) {
+            let missing = match peer.views.get(&self.own) {
+                Some(View { sending: Some(_), .. }) => u32::MAX,
+                Some(view) => {
+                    let gaps = view.covered.missing(view.from.max(1), newest);
+                    gaps.fold(0, |sum: u32, (low, high)| sum.saturating_add(high - low + 1))
+                }
+                None if peer.takes_unnamed => newest,
+                None => continue,
+            };
+            if missing > BACKLOG_MIN {
+                catching_up += 1;
+            } else {
+                in_step += 1;
+                waits |= missing > 0;
+            }
+        }
+        let copies = match self.config.cast {
+            Cast::Unicast => in_step + catching_up,
+            Cast::Broadcast => 1,
+        };
+        let radio = self.config.radio_bytes_per_s.map(|rate| rate / copies.max(1));
+        match radio.into_iter().chain(self.config.link_bytes_per_s).min() {
+            Some(rate) if waits || (in_step == 0 && catching_up > 0) => Pace::Waits(rate),
+            Some(rate) if in_step > 0 => Pace::BytesPerSecond(rate),
+            _ => Pace::Free,
+        }
+    }
+}

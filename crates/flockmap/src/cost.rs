@@ -1,0 +1,105 @@
+//! How many voxels a cycle may tell where the radio takes less than the map changes.
+
+use flockmap_codec::Package;
+use flockmap_grid::Changes;
+
+/// A part of a cycle is sent in about so many milliseconds: so long the next obstacles wait for it.
+const PART_MS: u64 = 250;
+/// But not less: of smaller packages too much is header.
+const PART_BYTES_MIN: u64 = 600;
+/// A cycle that is held back is told after the time of so many parts, whatever waits.
+const HOLD_PARTS: u64 = 8;
+/// Cycles over which the cost of a voxel is smoothed.
+const SMOOTHING: u64 = 4;
+/// What a voxel is taken to cost before the first cycle, in millionths of a byte.
+const COST_INITIAL: u64 = 200_000;
+
+/// Bytes that voxels cost, as far as measured: so that a part of a cycle can be cut to what the radio takes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cost {
+    /// Of cycles of obstacles, in millionths of a byte for a voxel.
+    obstacle: u64,
+    /// Of all others.
+    voxel: u64,
+}
+
+/// Voxels that a cycle may tell.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Room {
+    /// If it is one of obstacles.
+    pub(crate) obstacles: usize,
+    /// If it is any other.
+    pub(crate) voxels: usize,
+    /// How long packages that wait can hold it back, in microseconds.
+    pub(crate) hold_max: i64,
+}
+
+impl Default for Cost {
+    fn default() -> Self {
+        Self { obstacle: COST_INITIAL, voxel: COST_INITIAL }
+    }
+}
+
+impl Cost {
+    /// Notes what a cycle cost.
+    pub(crate) fn note_cycle(&mut self, changes: &Changes, packages: &[Package]) {
+        let voxels = changes.len() as u64;
+        let bytes: u64 = packages.iter().map(|package| package.bytes().len() as u64).sum();
+        let is_free = changes.blocks().iter().all(|(_, block)| block.occupied() == &[0; 8]);
+        let is_occupied = changes.blocks().iter().all(|(_, block)| block.free() == &[0; 8]);
+        let cost = if is_occupied && !is_free { &mut self.obstacle } else { &mut self.voxel };
+        if let Some(now) = (bytes * 1_000_000).checked_div(voxels) {
+            *cost = (*cost * (SMOOTHING - 1) + now) / SMOOTHING;
+        }
+    }
+
+    /// What the radio takes in one part, at so many bytes a second.
+    pub(crate) fn room(&self, bytes_per_s: u32) -> Room {
+        let bytes = (u64::from(bytes_per_s) * PART_MS / 1_000).max(PART_BYTES_MIN);
+        let voxels = |cost: u64| (bytes * 1_000_000 / cost.max(1)).clamp(1, 1 << 40) as usize;
+        let micros = bytes * 1_000_000 / u64::from(bytes_per_s.max(1));
+        Room {
+            obstacles: voxels(self.obstacle),
+            voxels: voxels(self.voxel),
+            hold_max: (HOLD_PARTS * micros) as i64,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_codec::{Codec, Cycle, Encoder};
+    use flockmap_grid::{Resolution, RobotId, Stamp, State, Stream, Voxel};
+
+    fn note(cost: &mut Cost, voxels: impl Iterator<Item = (i32, State)>) -> u64 {
+        let changes = Changes::from_voxels(voxels.map(|(x, state)| (Voxel::new(x, 0, 0), state)));
+        let stream = Stream { origin: RobotId(1), epoch: 1 };
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(1), resolution, sensor: [0; 3] };
+        let packages = Encoder::new().encode_cycle(Codec::Paper, &cycle, 1, &changes, 1150).unwrap();
+        cost.note_cycle(&changes, &packages);
+        packages.iter().map(|package| package.bytes().len() as u64).sum()
+    }
+
+    #[test]
+    fn the_room_is_what_cycles_of_late_would_take_in_a_part() {
+        let mut cost = Cost::default();
+        let mut bytes = (0, 0);
+        for _ in 0..20 {
+            bytes.0 = note(&mut cost, (0..50).map(|x| (x, State::Occupied)));
+            bytes.1 = note(&mut cost, (0..4_000).map(|x| (x, State::Free)));
+        }
+        let room = cost.room(8_000);
+        let near = |voxels: usize, bytes: u64, of: u64| (voxels as u64 * bytes / of).abs_diff(2_000) <= 100;
+        assert!(near(room.obstacles, bytes.0, 50), "{room:?}, {bytes:?}");
+        assert!(near(room.voxels, bytes.1, 4_000), "{room:?}, {bytes:?}");
+        assert_eq!(room.hold_max, 2_000_000);
+        // Of a thin radio, a part takes longer.
+        assert_eq!(cost.room(500).hold_max, 8 * 1_200_000);
+        // Nothing was learnt from a cycle without voxels, and no rate is too small.
+        cost.note_cycle(&Changes::default(), &[]);
+        assert_eq!(cost.room(8_000), room);
+        assert!(cost.room(0).voxels > 0);
+    }
+}
