@@ -1,6 +1,7 @@
 //! From a package back to its content.
 
 use flockmap_grid::Layer;
+use flockmap_grid::mutation::{self, Mutation};
 
 use crate::check::{check_changes, check_present};
 use crate::flock;
@@ -84,9 +85,7 @@ impl Decoder {
                 rule: "the priority of obstacles is that of changes to Occupied",
             });
         }
-        if found != package.check()
-            && !flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::CheckSkipped)
-        {
+        if found != package.check() && !mutation::is(Mutation::CheckSkipped) {
             return Err(PackageError::Check { stated: package.check(), found });
         }
         Ok(content)

@@ -262,17 +262,18 @@ pub(crate) type Named = Vec<(&'static str, u64)>;
 
 pub(crate) fn node_counters(c: &NodeCounters) -> Named {
     fields!(c; datagrams_in bytes_in datagrams_out bytes_out send_failed receive_errors unreachable
-        datagrams_refused frames frames_late points_dropped sensor_faults)
+            datagrams_refused frames frames_late points_dropped sensor_faults)
 }
 
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
-    fields!(c; scans points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes packages package_bytes merged
-        waited waiting_dropped overtaken damaged no_room foreign_resolution present_states cycles_without_reference events_dropped)
+    fields!(c; scans points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes
+            packages package_bytes merged waited waiting_dropped overtaken damaged no_room foreign_resolution
+            present_states cycles_without_reference events_dropped)
 }
 
 pub(crate) fn store_counters(c: &StoreCounters) -> Named {
-    fields!(c; restored restored_merged unreadable skipped_bytes torn_bytes damaged_segments written written_bytes left_out syncs
-        failures compactions compactions_failed)
+    fields!(c; restored restored_merged unreadable skipped_bytes torn_bytes damaged_segments written written_bytes
+            left_out syncs failures compactions compactions_failed)
 }
 
 pub(crate) fn session_counters(c: &Counters) -> Named {
@@ -286,11 +287,12 @@ pub(crate) fn session_counters(c: &Counters) -> Named {
         ("packages_in", c.packages_in.datagrams),
         ("packages_in_bytes", c.packages_in.bytes),
     ];
-    named.extend(fields!(c; published sent relayed tiles_sent confirmed lost suppressed gap_requests
-        delayed_by_budget delayed_by_window received accepted repaired tiles_accepted caught_up duplicates rejected
-        given_up present_states_restarted own_returned damaged foreign_version foreign_swarm forged replayed unsealed sealed_without_key malformed own_heard same_identity stale_epoch
-        stale_requests too_many_peers too_many_streams too_fragmented events_overflowed too_many_transfers transfers_dropped
-        present_states_wanted present_states_unusable));
+    named.extend(fields!(c; published sent relayed tiles_sent confirmed lost suppressed gap_requests delayed_by_budget
+            delayed_by_window received accepted repaired tiles_accepted caught_up duplicates rejected given_up
+            present_states_restarted own_returned damaged foreign_version foreign_swarm forged replayed unsealed
+            sealed_without_key malformed own_heard same_identity stale_epoch stale_requests too_many_peers
+            too_many_streams too_fragmented events_overflowed too_many_transfers transfers_dropped
+            present_states_wanted present_states_unusable));
     named
 }
 

@@ -5,6 +5,7 @@
 //! in any T seconds at most one full datagram and the budget times T go out.
 
 use flockmap_grid::Stamp;
+use flockmap_grid::mutation::{self, Mutation};
 use std::collections::VecDeque;
 
 const SECOND: i64 = 1_000_000;
@@ -44,7 +45,7 @@ impl Pacer {
 
     /// `None` if `bytes` may be sent now, else the earliest time at which they may.
     pub(crate) fn wait(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
-        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::BudgetIgnored) {
+        if mutation::is(Mutation::BudgetIgnored) {
             return None;
         }
         self.advance(now);

@@ -3,6 +3,7 @@
 
 mod answer;
 mod ask;
+mod datagram;
 mod event;
 mod load;
 mod pace;
@@ -21,12 +22,13 @@ pub(crate) use sealing::RESTARTS_MAX;
 
 use crate::pacer::Pacer;
 use crate::replay::Replays;
-use crate::wire::{Datagram, DatagramError, DatagramHeader, Kind, Request, is_sealed, parse_packages};
+use crate::wire::{DatagramHeader, Kind};
 use crate::{Cast, ConfigError, Counters, IntervalSet, SessionConfig, Store};
 use ask::Schedule;
 use flockmap_codec::{ContentKind, Package};
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
-use peer::{Item, Peer, VIEW_INTERVALS_MAX};
+use peer::{Item, Peer};
 use present::{Incoming, Outgoing};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -139,111 +141,6 @@ impl Session {
 
     // Inputs.
 
-    /// Takes in a received datagram. An error is already counted; it says what was wrong and needs no action.
-    pub fn handle_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
-        let now = self.advance(now);
-        let result = self.take_datagram(now, bytes);
-        if let Err(error) = &result {
-            let counter = match error {
-                DatagramError::Length { .. } | DatagramError::Magic { .. } | DatagramError::Check { .. } => {
-                    &mut self.counters.damaged
-                }
-                DatagramError::Version { .. } | DatagramError::Kind { .. } => {
-                    &mut self.counters.foreign_version
-                }
-                DatagramError::Swarm { .. } => &mut self.counters.foreign_swarm,
-                DatagramError::Malformed { .. } | DatagramError::Package { .. } => {
-                    &mut self.counters.malformed
-                }
-                DatagramError::StaleEpoch { .. } => &mut self.counters.stale_epoch,
-                DatagramError::TooManyPeers { .. } => &mut self.counters.too_many_peers,
-                DatagramError::Forged { .. } => &mut self.counters.forged,
-                DatagramError::Replayed { .. } => &mut self.counters.replayed,
-                DatagramError::Unsealed { .. } => &mut self.counters.unsealed,
-                DatagramError::SealedWithoutKey { .. } => &mut self.counters.sealed_without_key,
-                // Counted where it is told.
-                DatagramError::SameIdentity { .. } => return result,
-            };
-            *counter += 1;
-        }
-        result
-    }
-
-    fn take_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
-        let opened;
-        let datagram = if is_sealed(bytes) {
-            opened = self.open(now, bytes)?;
-            opened.datagram()?
-        } else {
-            let datagram = Datagram::new_checked(bytes)?;
-            self.check_swarm(datagram.header().swarm)?;
-            if self.config.swarm_key.is_some() {
-                return Err(DatagramError::Unsealed { sender: datagram.header().sender.origin });
-            }
-            datagram
-        };
-        let header = *datagram.header();
-        // The seal counts as overhead, both ways.
-        let length = bytes.len() - self.seal_bytes();
-        if header.sender == self.own {
-            self.counters.own_heard += 1;
-            return Ok(());
-        }
-        if header.sender.origin == self.own.origin {
-            self.tell_same_identity(now);
-            return Err(DatagramError::SameIdentity { id: self.own.origin });
-        }
-        // All of it is read before any of it counts.
-        match header.kind {
-            Kind::Request => {
-                let request = Request::parse(&datagram, VIEW_INTERVALS_MAX)?;
-                self.hear(now, &header, length)?;
-                self.counters.requests_in.add(1, length + self.overhead());
-                self.handle_request(now, &header, &request);
-            }
-            Kind::Packages => {
-                let packages = parse_packages(&datagram)?;
-                self.hear(now, &header, length)?;
-                self.counters.packages_in.add(1, length + self.overhead());
-                self.receive_packages(now, header.sender, packages);
-            }
-        }
-        Ok(())
-    }
-
-    /// Notes that a peer was heard; makes its acquaintance if it is new or in a new run.
-    fn hear(&mut self, now: Stamp, header: &DatagramHeader, bytes: usize) -> Result<(), DatagramError> {
-        let (stream, id) = (header.sender, header.sender.origin);
-        let known = self.peers.get(&id).map(|peer| peer.stream.epoch);
-        if let Some(current) = known.filter(|&current| current > stream.epoch) {
-            return Err(DatagramError::StaleEpoch { sender: id, got: stream.epoch, current });
-        }
-        if known.is_none() && self.peers.len() >= self.config.peers_max {
-            return Err(DatagramError::TooManyPeers { sender: id, peers_max: self.config.peers_max });
-        }
-        if known != Some(stream.epoch) {
-            let mut peer = Peer::new(stream, now, &self.config);
-            // A budget is the link's: it does not begin anew with a new run.
-            let before = self.peers.remove(&id).and_then(|before| before.pacer);
-            peer.pacer = before.or_else(|| self.silent_links.remove(&id)).or(peer.pacer);
-            self.peers.insert(id, peer);
-            self.push_event(Event::PeerSeen(stream));
-            self.greet(now);
-        }
-        let overhead = self.overhead();
-        if let Some(peer) = self.peers.get_mut(&id) {
-            peer.note_heard(now);
-            peer.traffic_in.add(1, bytes + overhead);
-            if header.stamp > peer.newest_stamp
-                || now.micros_since(peer.newest_stamp_at) > answer::REORDERED_MAX
-            {
-                peer.newest_stamp = header.stamp;
-                peer.newest_stamp_at = now;
-            }
-        }
-        Ok(())
-    }
-
     /// Lets time pass. Call it when [`poll_timeout`](Self::poll_timeout) is reached.
     pub fn handle_timeout(&mut self, now: Stamp) {
         self.advance(now);
@@ -337,7 +234,7 @@ impl Session {
     /// When to call [`handle_timeout`](Self::handle_timeout) and poll again, if no datagram comes before.
     /// Correct after `poll_transmit` returned `None`.
     pub fn poll_timeout(&self) -> Option<Stamp> {
-        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::TimeStandsStill) {
+        if mutation::is(Mutation::TimeStandsStill) {
             return Some(self.now);
         }
         let lost = self.peers.values().map(|peer| peer.last_heard.plus_micros(self.peer_timeout())).min();

@@ -3,6 +3,7 @@
 use crate::IntervalSet;
 use crate::milestones::Milestones;
 use flockmap_codec::Package;
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -224,7 +225,7 @@ impl Store {
             self.by_age.insert((fresh_at, stream, index));
         }
         while self.bytes > self.limits.bytes_max
-            && !flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::StoreLimitIgnored)
+            && !mutation::is(Mutation::StoreLimitIgnored)
             && self.drop_oldest()
         {}
         Ok(true)

@@ -1,8 +1,4 @@
 //! Hostile peers fill every limit of a session, one at a time: it holds no more than `SessionConfig::memory_max` states.
-#![allow(unsafe_code, reason = "a counting allocator cannot be had without")]
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use flockmap_codec::{Codec, Cycle, Encoder, PACKAGE_BYTES_MIN, Package};
 use flockmap_grid::{Changes, PresentState, Resolution, RobotId, Stamp, State, Stream, Voxel, VoxelBox};
@@ -10,31 +6,11 @@ use flockmap_sync::wire::{
     Datagram, DatagramError, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request,
 };
 use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey};
+use peak_alloc::PeakAlloc;
 
 /// Counts the bytes that are held, and the most that ever were.
-struct Counting;
-
-static HELD: AtomicUsize = AtomicUsize::new(0);
-static PEAK: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: hands everything to the system's allocator and only counts.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let held = HELD.fetch_add(layout.size(), Relaxed) + layout.size();
-        PEAK.fetch_max(held, Relaxed);
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        HELD.fetch_sub(layout.size(), Relaxed);
-        // SAFETY: the caller keeps the contract of `dealloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: PeakAlloc = PeakAlloc;
 
 const OWN: Stream = Stream { origin: RobotId(500), epoch: 1 };
 const SECOND: i64 = 1_000_000;
@@ -145,8 +121,8 @@ impl Victim {
 
     /// What follows fills the limit; what the test itself took on the way counts no more.
     fn is_prepared(&mut self) {
-        self.base = HELD.load(Relaxed);
-        PEAK.store(self.base, Relaxed);
+        self.base = ALLOCATOR.current_usage();
+        ALLOCATOR.reset_peak_usage();
     }
 
     fn transmit_all(&mut self) {
@@ -161,10 +137,10 @@ fn case(name: &str, large: SessionConfig, small: &SessionConfig, least: f64, fil
     let mut victim = Victim::new(large);
     // The encoder is not the session's.
     victim.package(OWN, 1, 1_000);
-    let before = HELD.load(Relaxed);
+    let before = ALLOCATOR.current_usage();
     victim.is_prepared();
     fill(&mut victim);
-    let peak = PEAK.load(Relaxed);
+    let peak = ALLOCATOR.peak_usage();
     let (measured, filled) = (peak - before, peak - victim.base);
     let percent = 100.0 * filled as f64 / share as f64;
     println!(

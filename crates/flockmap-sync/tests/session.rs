@@ -2,7 +2,8 @@
 
 mod swarm;
 
-use flockmap_sync::{Cast, SessionConfig};
+use flockmap_grid::Stamp;
+use flockmap_sync::{Cast, Pace, SessionConfig};
 use swarm::{MS, Radio, SECOND, Swarm};
 
 /// Two robots publish every half second for a while; then there is time to repair.
@@ -362,6 +363,31 @@ fn the_byte_budget_holds_in_every_second() {
         assert!(swarm.robots[&1].session.counters().delayed_by_budget > 0);
         swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2)]);
     }
+}
+
+#[test]
+fn the_pace_says_whether_what_is_published_waits_and_what_the_budget_leaves_for_each() {
+    let config = SessionConfig { radio_bytes_per_s: Some(8_000), ..SessionConfig::default() };
+    let mut swarm = Swarm::of(3, 5, Radio::lossy(0.0), &config);
+    let pace = |swarm: &Swarm| swarm.robots[&1].session.pace(Stamp(swarm.now + swarm.robots[&1].clock));
+    assert_eq!(pace(&swarm), Pace::Free, "nobody listens yet");
+    swarm.run(2 * SECOND);
+    // Two copies of all that is sent.
+    assert_eq!(pace(&swarm), Pace::BytesPerSecond(4_000));
+    swarm.publish(1, 40_000);
+    assert_eq!(pace(&swarm), Pace::Waits(4_000));
+    swarm.run(20 * SECOND);
+    assert_eq!(pace(&swarm), Pace::BytesPerSecond(4_000));
+    // Who is out of reach is not waited for; nor who catches up, if another keeps up.
+    swarm.cut(1, 3);
+    for _ in 0..60 {
+        swarm.publish(1, 100);
+        swarm.run(SECOND);
+    }
+    assert_eq!(pace(&swarm), Pace::BytesPerSecond(8_000));
+    swarm.join(1, 3);
+    swarm.run(SECOND / 2);
+    assert!(!matches!(pace(&swarm), Pace::Waits(_)), "{:?}", pace(&swarm));
 }
 
 /// Fails if a robot sent more than a budget below 2,000 bytes a second allows in any span of time after the first

@@ -10,6 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use flockmap_codec::{
     Codec, Cycle, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Reference, Span,
 };
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{
     Changes, Fusion, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
 };
@@ -309,9 +310,7 @@ impl Robot {
     /// Codes a cycle, takes it into the own layer and gives it to the session.
     fn publish(&mut self, now: Stamp, cycle: Cycle, changes: Changes) {
         let mut coded = std::borrow::Cow::Borrowed(&changes);
-        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::BlockLeftOut)
-            && changes.blocks().len() > 1
-        {
+        if mutation::is(Mutation::BlockLeftOut) && changes.blocks().len() > 1 {
             coded = std::borrow::Cow::Owned(Changes::from_blocks(changes.blocks()[1..].to_vec()));
         }
         let packages = match self.encode(&cycle, &coded) {

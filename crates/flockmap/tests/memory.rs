@@ -1,8 +1,4 @@
 //! Hostile packages fill every limit of a robot: it holds no more than `RobotConfig::memory_of_others_max` states.
-#![allow(unsafe_code, reason = "a counting allocator cannot be had without")]
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX, Reference};
 use flockmap::grid::Layer;
@@ -11,31 +7,11 @@ use flockmap::{
     Changes, Codec, Cycle, Event, Package, Refusal, Resolution, Robot, RobotConfig, RobotId, Stamp, State,
     Stream, Voxel,
 };
+use peak_alloc::PeakAlloc;
 
 /// Counts the bytes that are held, and the most that ever were.
-struct Counting;
-
-static HELD: AtomicUsize = AtomicUsize::new(0);
-static PEAK: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: hands everything to the system's allocator and only counts.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let held = HELD.fetch_add(layout.size(), Relaxed) + layout.size();
-        PEAK.fetch_max(held, Relaxed);
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        HELD.fetch_sub(layout.size(), Relaxed);
-        // SAFETY: the caller keeps the contract of `dealloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: PeakAlloc = PeakAlloc;
 
 fn resolution() -> Resolution {
     Resolution::from_metres(0.1).unwrap()
@@ -107,11 +83,11 @@ impl Teller {
 /// Runs a case; the most that the robot held must be within what is stated, and at least `least`, or the case is no case.
 fn case(name: &str, config: RobotConfig, least: usize, fill: impl FnOnce(&mut Robot)) {
     let stated = config.memory_of_others_max();
-    let before = HELD.load(Relaxed);
+    let before = ALLOCATOR.current_usage();
     let mut robot = Robot::new(config, Stamp(0)).unwrap();
-    PEAK.store(HELD.load(Relaxed), Relaxed);
+    ALLOCATOR.reset_peak_usage();
     fill(&mut robot);
-    let measured = PEAK.load(Relaxed) - before;
+    let measured = ALLOCATOR.peak_usage() - before;
     println!("{name}: {measured} of {stated} bytes stated");
     assert!(measured <= stated, "{name}: {measured} bytes held, {stated} stated");
     assert!(
@@ -125,7 +101,7 @@ fn is_within(robot: &Robot, before: usize, layer_bytes_max: usize) {
     assert!(robot.counters().no_room > 0);
     let said = robot.fusion().memory_bytes_of_others(robot.mapper());
     assert!(said <= layer_bytes_max && said > layer_bytes_max / 2, "{said} of {layer_bytes_max}");
-    let held = HELD.load(Relaxed) - before;
+    let held = ALLOCATOR.current_usage() - before;
     println!("  layers of {said} bytes, {held} on the heap with all else");
     // The store has a mebibyte, and there are the tables of the codecs.
     assert!(held > said && held < said + (2 << 20), "{held} bytes held, {said} said");
@@ -160,7 +136,7 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
         })
         .collect();
     case("layers of many stamps", config(4 << 20), 3 << 20, |robot| {
-        let before = HELD.load(Relaxed);
+        let before = ALLOCATOR.current_usage();
         for package in &packages {
             teller.send(robot, package);
             while robot.poll_event().is_some() {}
@@ -188,7 +164,7 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
     let apart = (0..3_000).map(|n| Changes::from_voxels([(Voxel::new(n * 700, 0, 0), State::Occupied)]));
     let packages: Vec<Package> = apart.flat_map(|changes| teller.tell(Codec::Raw, &changes, None)).collect();
     case("blocks far apart", config(2 << 20), 1_800_000, |robot| {
-        let before = HELD.load(Relaxed);
+        let before = ALLOCATOR.current_usage();
         for package in &packages {
             teller.send(robot, package);
             while robot.poll_event().is_some() {}

@@ -4,6 +4,7 @@ use super::Session;
 use super::peer::{Item, Peer, Sent, VIEW_INTERVALS_MAX, View};
 use crate::wire::{DatagramHeader, Request};
 use crate::{InFlight, IntervalSet, Relay};
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
 
 /// A stamp below an earlier one means that the datagram was overtaken on the way, unless the earlier one is older
@@ -93,7 +94,7 @@ impl Session {
             let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));
             // Of what lies below the list, the last word still holds.
             let below = view.held.within(0, stated.from.saturating_sub(1));
-            if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::HoldingsIgnored) {
+            if mutation::is(Mutation::HoldingsIgnored) {
                 continue;
             }
             view.held = if is_overtaken {

@@ -4,6 +4,7 @@ use super::{Destination, Event, Session, Transmit};
 use crate::session::peer::{Item, Peer};
 use crate::wire::{ClockReport, Echo, Held, Kind, Request, TransferProgress};
 use crate::{Cast, IntervalSet};
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 /// When requests are due.
@@ -351,7 +352,7 @@ impl Session {
     /// only a present state can bring.
     fn stated_as_held(&self, stream: Stream, now: Stamp) -> IntervalSet {
         let Some(held) = self.store.held(stream) else { return IntervalSet::new(0) };
-        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::GapNeverAsked) {
+        if mutation::is(Mutation::GapNeverAsked) {
             return IntervalSet::from_intervals(0, vec![(1, self.store.newest_known(stream))]);
         }
         let of_stream = |index| Item::Package { stream, index };

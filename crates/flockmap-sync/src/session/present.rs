@@ -4,6 +4,7 @@ use super::peer::{Item, Peer, Sending, VIEW_INTERVALS_MAX};
 use super::{Event, Session};
 use crate::{Cast, IntervalSet};
 use flockmap_codec::{ContentKind, Package};
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 /// A present state that is being received.
@@ -30,8 +31,7 @@ impl Incoming {
 
     pub(super) fn is_complete(&self) -> bool {
         self.accepted.contains_range(1, self.tiles)
-            || (!self.accepted.is_empty()
-                && flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::StateHeldTooEarly))
+            || (!self.accepted.is_empty() && mutation::is(Mutation::StateHeldTooEarly))
     }
 
     /// Nothing has come of it for long. A complete one waits longer, for the packages before it.

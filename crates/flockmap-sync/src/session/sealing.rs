@@ -4,6 +4,7 @@ use super::{Event, Session, Transmit};
 use crate::replay::NotFresh;
 use crate::wire::{DatagramError, OpenedDatagram, SEAL_BYTES, SealedDatagram, seal_datagram};
 use flockmap_grid::Stamp;
+use flockmap_grid::mutation::{self, Mutation};
 
 /// The counter of a datagram is the number of the start, 12 bits, then the number of the datagram in it, so many bits.
 const START_BITS: u32 = 36;
@@ -35,8 +36,7 @@ impl Session {
         let Some(key) = &self.config.swarm_key else { return Some(transmit) };
         let bytes = seal_datagram(key, &transmit.bytes, self.sealed + 1)?;
         debug_assert!(bytes.len() <= self.config.datagram_bytes_max, "{} bytes sealed", bytes.len());
-        self.sealed +=
-            u64::from(!flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::NonceRepeated));
+        self.sealed += u64::from(!mutation::is(Mutation::NonceRepeated));
         Some(Transmit { to: transmit.to, bytes })
     }
 
@@ -54,11 +54,7 @@ impl Session {
             return Ok(opened);
         }
         let fresh = self.replays.check(sender, counter);
-        let fresh = if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::ReplayAccepted) {
-            Ok(())
-        } else {
-            fresh
-        };
+        let fresh = if mutation::is(Mutation::ReplayAccepted) { Ok(()) } else { fresh };
         fresh.map_err(|not_fresh| match not_fresh {
             NotFresh::Replayed => DatagramError::Replayed { sender: sender.origin, counter },
             NotFresh::Stale(current) => {

@@ -1,6 +1,7 @@
 //! What comes in: packages of others wait, are decoded and merged, and the session gets the verdict.
 
 use flockmap_codec::{Content, ContentKind, Header, Package, PackageError, Span};
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Changes, PresentState, Stamp, Stream};
 
 use super::Robot;
@@ -163,7 +164,7 @@ impl Robot {
             // A present state has brought it meanwhile.
             return false;
         }
-        if flockmap_grid::mutation::is(flockmap_grid::mutation::Mutation::AcceptedUnmerged) {
+        if mutation::is(Mutation::AcceptedUnmerged) {
             self.session.accept(now, package);
             return true;
         }
