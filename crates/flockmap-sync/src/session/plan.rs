@@ -31,7 +31,9 @@ impl Session {
         let (mut due, mut backlog, mut overdue) = (Vec::new(), Vec::new(), Vec::new());
         let mut tiles = Vec::new();
         for stream in self.store.streams() {
-            let Some(turn) = self.turn(peer, stream) else { continue };
+            if !peer.wants(stream) {
+                continue;
+            }
             // Without push, a request is answered with what there was when it came.
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
             let Some(view) = peer.view(stream, now) else { continue };
@@ -44,6 +46,12 @@ impl Session {
             let before = view.covered.missing(view.from.max(1), since);
             let mut missing: Vec<(u32, u32)> =
                 before.chain(view.covered.missing(view.from.max(after), upto)).collect();
+            if missing.is_empty() && view.sending.is_none() {
+                // Most of the time there is nothing, and the turn costs more to work out than this.
+                continue;
+            }
+            let Some(turn) = self.turn(peer, stream) else { continue };
+            let Some(view) = peer.views.get(&stream) else { continue };
             if turn > 0 {
                 let overdue = IntervalSet::from_intervals(0, missing).intersection(&view.overdue);
                 missing = overdue.intervals().to_vec();
