@@ -5,8 +5,10 @@ use flockmap_grid::Changes;
 
 /// A part of a cycle is sent in about so many milliseconds: so long the next obstacles wait for it.
 const PART_MS: u64 = 250;
-/// But not less: of smaller packages too much is header.
+/// And has at least so many bytes: of a smaller one too much would be header.
 const PART_BYTES_MIN: u64 = 600;
+/// What a package costs beside its voxels, about.
+const PACKAGE_HEADER_BYTES: u64 = 40;
 /// A cycle that is held back is told after the time of so many parts, whatever waits.
 const HOLD_PARTS: u64 = 8;
 /// Cycles over which the cost of a voxel is smoothed.
@@ -44,10 +46,10 @@ impl Cost {
     /// Notes what a cycle cost.
     pub(crate) fn note_cycle(&mut self, changes: &Changes, packages: &[Package]) {
         let voxels = changes.len() as u64;
-        let bytes: u64 = packages.iter().map(|package| package.bytes().len() as u64).sum();
-        let is_free = changes.blocks().iter().all(|(_, block)| block.occupied() == &[0; 8]);
+        let bytes = packages.iter().map(|package| package.bytes().len() as u64);
+        let bytes: u64 = bytes.map(|bytes| bytes.saturating_sub(PACKAGE_HEADER_BYTES)).sum();
         let is_occupied = changes.blocks().iter().all(|(_, block)| block.free() == &[0; 8]);
-        let cost = if is_occupied && !is_free { &mut self.obstacle } else { &mut self.voxel };
+        let cost = if is_occupied { &mut self.obstacle } else { &mut self.voxel };
         if let Some(now) = (bytes * 1_000_000).checked_div(voxels) {
             *cost = (*cost * (SMOOTHING - 1) + now) / SMOOTHING;
         }
@@ -79,7 +81,7 @@ mod tests {
         let cycle = Cycle { stream, start: Stamp(0), end: Stamp(1), resolution, sensor: [0; 3] };
         let packages = Encoder::new().encode_cycle(Codec::Paper, &cycle, 1, &changes, 1150).unwrap();
         cost.note_cycle(&changes, &packages);
-        packages.iter().map(|package| package.bytes().len() as u64).sum()
+        packages.iter().map(|package| package.bytes().len() as u64 - PACKAGE_HEADER_BYTES).sum()
     }
 
     #[test]

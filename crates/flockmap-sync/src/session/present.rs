@@ -141,7 +141,8 @@ impl Session {
         }
         let id = peer.stream.origin;
         let Some(view) = peer.view(stream, now) else { return };
-        let wanted = view.state_wanted;
+        // A wish that reaches beyond what is held here is somebody else's to fulfil.
+        let wanted = view.state_wanted.filter(|([_, upto], _)| (1..=prefix).contains(upto));
         let lacks = held.within(view.from.max(1), prefix).difference(&view.held);
         // All packages up to this one it has, or can get as they are.
         let mut since_max = self.first_unstored(stream, &lacks).map_or(u32::MAX, |first| first - 1);
@@ -170,9 +171,7 @@ impl Session {
         }
         // Those further down the line wait whether others give it.
         let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
-        let wanted =
-            wanted.filter(|&([_, upto], at)| (1..=prefix).contains(&upto) && now.micros_since(at) >= delay);
-        let wanted = wanted.map(|([_, upto], _)| upto);
+        let wanted = wanted.filter(|&(_, at)| now.micros_since(at) >= delay).map(|([_, upto], _)| upto);
         let Some(first) = missing.first().into_iter().chain(wanted).min() else { return };
         // Where packages are stored and cost less than the state, it is the part that they cannot bring that is wanted.
         since_max = if since_max == u32::MAX { first.saturating_sub(1) } else { since_max };
