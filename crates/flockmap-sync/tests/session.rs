@@ -79,7 +79,7 @@ fn a_clock_that_was_set_back_mutes_a_robot_only_for_seconds() {
     let (mut swarm, _) = two_robots(30, Radio::PERFECT, &SessionConfig::default(), 4);
     let bytes = {
         let robot = swarm.robots.get_mut(&2).unwrap();
-        let ahead = flockmap_grid::Stamp(swarm.now + robot.clock + 1_000 * SECOND);
+        let ahead = Stamp(swarm.now + robot.clock + 1_000 * SECOND);
         // What robot 2 would send if its clock were ahead; the session itself stays as it is.
         let header = flockmap_sync::wire::DatagramHeader {
             kind: flockmap_sync::wire::Kind::Request,
@@ -90,7 +90,7 @@ fn a_clock_that_was_set_back_mutes_a_robot_only_for_seconds() {
         flockmap_sync::wire::Request::default().emit(header, 1_200)
     };
     let robot = swarm.robots.get_mut(&1).unwrap();
-    robot.session.handle_datagram(flockmap_grid::Stamp(swarm.now + robot.clock), &bytes).unwrap();
+    robot.session.handle_datagram(Stamp(swarm.now + robot.clock), &bytes).unwrap();
     swarm.publish(1, 100);
     swarm.publish(2, 100);
     swarm.run(10 * SECOND);
@@ -621,7 +621,7 @@ fn two_robots_with_one_id_are_told() {
         session.poll_transmit(now).unwrap().bytes
     };
     let robot = swarm.robots.get_mut(&1).unwrap();
-    let now = flockmap_grid::Stamp(swarm.now + robot.clock);
+    let now = Stamp(swarm.now + robot.clock);
     assert!(robot.session.handle_datagram(now, &bytes).is_err());
     swarm.drive(1);
     assert!(swarm.robots[&1].events.iter().any(|e| e == "SameIdentity"));
@@ -651,7 +651,7 @@ fn a_store_from_disk_is_put_back() {
     swarm.start(1, 1, config);
     let robot = swarm.robots.get_mut(&1).unwrap();
     robot.layers = layers;
-    let now = flockmap_grid::Stamp(swarm.now + robot.clock);
+    let now = Stamp(swarm.now + robot.clock);
     for stream in [one, two] {
         for (_, stored) in old.session.store().range(stream, 1, u32::MAX) {
             assert!(robot.session.restore(now, &stored.package));

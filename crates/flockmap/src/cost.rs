@@ -79,7 +79,7 @@ mod tests {
         let stream = Stream { origin: RobotId(1), epoch: 1 };
         let resolution = Resolution::from_metres(0.1).unwrap();
         let cycle = Cycle { stream, start: Stamp(0), end: Stamp(1), resolution, sensor: [0; 3] };
-        let packages = Encoder::new().encode_cycle(Codec::Paper, &cycle, 1, &changes, 1150).unwrap();
+        let packages = Encoder::new().encode_cycle(Codec::Raw, &cycle, 1, &changes, 1150).unwrap();
         cost.note_cycle(&changes, &packages);
         packages.iter().map(|package| package.bytes().len() as u64 - PACKAGE_HEADER_BYTES).sum()
     }
@@ -89,12 +89,12 @@ mod tests {
         let mut cost = Cost::default();
         let mut bytes = (0, 0);
         for _ in 0..20 {
-            bytes.0 = note(&mut cost, (0..50).map(|x| (x, State::Occupied)));
+            bytes.0 = note(&mut cost, (0..1_000).map(|x| (x, State::Occupied)));
             bytes.1 = note(&mut cost, (0..4_000).map(|x| (x, State::Free)));
         }
         let room = cost.room(8_000);
         let near = |voxels: usize, bytes: u64, of: u64| (voxels as u64 * bytes / of).abs_diff(2_000) <= 100;
-        assert!(near(room.obstacles, bytes.0, 50), "{room:?}, {bytes:?}");
+        assert!(near(room.obstacles, bytes.0, 1_000), "{room:?}, {bytes:?}");
         assert!(near(room.voxels, bytes.1, 4_000), "{room:?}, {bytes:?}");
         assert_eq!(room.hold_max, 2_000_000);
         // Of a thin radio, a part takes longer.
