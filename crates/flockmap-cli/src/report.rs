@@ -122,6 +122,10 @@ pub struct RobotReport {
     pub package_datagrams: u64,
     pub package_datagram_bytes: u64,
     pub cycles: u64,
+    /// Cycles that were due and waited for the budget.
+    pub cycles_held: u64,
+    /// Cycles that told only what was nearest, since the budget has no room for more.
+    pub cycles_in_parts: u64,
     pub changed_voxels: u64,
     pub own_packages: u64,
     pub packages_sent: u64,
@@ -380,10 +384,21 @@ impl Report {
                 format!("unicast: each of the {} others gets its own copy, for racer and paper too", n - 1)
             }
         };
+        let sum = |of: fn(&RobotReport) -> u64| self.robots.iter().map(of).sum::<u64>();
+        let (held, in_parts) = (sum(|r| r.cycles_held), sum(|r| r.cycles_in_parts));
+        let budget = match held + in_parts {
+            0 => String::new(),
+            _ => format!(
+                " For want of budget, {} of {} cycles waited and {} told only what was nearest; the rest came later.",
+                thousands(held),
+                thousands(sum(|r| r.cycles)),
+                thousands(in_parts)
+            ),
+        };
         format!(
             "UDP payload with requests, repairs and all headers; 28 bytes of IP and UDP for each datagram apart. KB = 1,024 bytes. Average \
              over {:.1} s from first to last scan; max: largest window of one second. {copies}. racer: 5 bytes for each of the same changes \
-             and 52 for each 200 of them, sent once, no requests, no repairs. paper whole: each cycle as one package, likewise.",
+             and 52 for each 200 of them, sent once, no requests, no repairs. paper whole: each cycle as one package, likewise.{budget}",
             self.record_s
         )
     }
@@ -450,6 +465,8 @@ fn robot_report(finished: &Finished<'_>, seconds: f64) -> RobotReport {
         package_datagrams: session.packages_out.datagrams,
         package_datagram_bytes: session.packages_out.bytes,
         cycles: counters.cycles,
+        cycles_held: counters.cycles_held,
+        cycles_in_parts: counters.cycles_in_parts,
         changed_voxels: counters.changes,
         own_packages: counters.packages,
         packages_sent: session.sent,
