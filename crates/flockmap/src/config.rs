@@ -9,7 +9,7 @@ use flockmap_sync::SessionConfig;
 /// Under a byte budget a cycle that is due waits until the packages before it have been sent. What changes meanwhile is merged in the map; then
 /// what the radio takes in a quarter of a second is told at a time, obstacles first (three parts of them for one of anything else), the nearest first.
 /// So obstacles stay fresh where the radio takes less than the map changes, and free space gets late.
-/// A change that waited has the stamp at which it is told.
+/// A change that waited has the stamp at which it is told; free space that waited is not told where a team-mate saw an obstacle in the meantime.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct CycleConfig {
     /// A cycle closes when this many voxels have changed: the paper's `d`. At least 1. Default 50,000.

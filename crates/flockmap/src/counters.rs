@@ -17,7 +17,7 @@ pub struct RobotCounters {
     /// Cycles that were due and were told later, since own packages still waited for the radio's budget.
     pub cycles_held: u64,
     /// Cycles that told only a part of what had changed, the nearest first, since the budget has no room for more. What
-    /// was left out is in [`Mapper::pending`](flockmap_grid::Mapper::pending) until it is told.
+    /// was left out is in [`Robot::untold`](crate::Robot::untold) until it is told.
     pub cycles_in_parts: u64,
     /// Own voxels that changed, added up over cycles.
     pub changes: u64,

@@ -1,7 +1,7 @@
 //! When a cycle of mapping ends, and what it holds (the paper's Alg. 1).
 
 use flockmap_codec::Cycle;
-use flockmap_grid::{BlockIndex, Changes, Mapper, Pose, Resolution, Stamp, Stream, Which};
+use flockmap_grid::{BlockIndex, Changes, Mapper, Plane, Pose, Resolution, Stamp, Stream, Which};
 
 use crate::CycleConfig;
 use crate::cost::Room;
@@ -20,6 +20,8 @@ pub struct Packer {
     closed_free: Stamp,
     /// Of a cycle that is told in parts: how many of the last parts were of obstacles alone.
     obstacles_in_row: u32,
+    /// A part has left something that has not been told yet.
+    is_behind: bool,
     /// Stamp of the newest scan.
     newest_scan: Stamp,
     /// End of the last cycle; ends strictly increase.
@@ -43,6 +45,7 @@ impl Packer {
             closed_occupied: now,
             closed_free: now,
             obstacles_in_row: 0,
+            is_behind: false,
             newest_scan: now,
             last_end: None,
             occupied_from: None,
@@ -93,22 +96,24 @@ impl Packer {
         self.close_obstacles(now, mapper, usize::MAX)
     }
 
-    /// As [`close_due`](Self::close_due), where the radio has no room for all: what is nearest to the sensor goes first, obstacles and
+    /// As [`close_due`](Self::close_due), where the radio may have no room for all: what is nearest to the sensor goes first, obstacles and
     /// everything else in turn. The rest stays in the map, goes on changing there, and is due again at once.
+    ///
+    /// What is told late has a late stamp. So from when something was left until all is told, what is Free stays in the map as well where
+    /// the robot itself believes what a team-mate saw later: `believed_occupied` of a block.
     pub(crate) fn close_part(
         &mut self,
         now: Stamp,
         mapper: &mut Mapper,
         room: Room,
+        believed_occupied: impl Fn(BlockIndex) -> Plane,
     ) -> Option<(Cycle, Changes)> {
         if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
             return None;
         }
         let everything_is_due = self.everything_is_due(now, mapper);
-        if everything_is_due && mapper.pending() <= room.voxels {
-            return self.close(now, mapper);
-        }
-        if !everything_is_due || self.obstacles_in_row < OBSTACLES_IN_ROW {
+        let has_room = everything_is_due && mapper.pending() <= room.voxels;
+        if !has_room && (!everything_is_due || self.obstacles_in_row < OBSTACLES_IN_ROW) {
             let obstacles = self.close_obstacles(now, mapper, room.obstacles);
             let is_cut = obstacles.is_some() && mapper.has_changes(Which::Occupied);
             self.obstacles_in_row = if is_cut { self.obstacles_in_row + 1 } else { OBSTACLES_IN_ROW };
@@ -117,10 +122,29 @@ impl Packer {
             }
         }
         self.obstacles_in_row = 0;
-        let changes = mapper.take_nearest(Which::All, self.sensor_block(), room.voxels);
+        let was_behind = self.is_behind;
+        let except = |block| if was_behind { believed_occupied(block) } else { [0; 8] };
+        let (changes, is_cut) = mapper.take_nearest(Which::All, self.sensor_block(), room.voxels, except);
+        self.is_behind = is_cut || (was_behind && mapper.pending() > 0);
+        if !is_cut {
+            self.closed_occupied = now;
+            self.closed_free = now;
+        }
+        if changes.is_empty() {
+            return None;
+        }
         let (start, end) = (self.free_from, self.end());
+        self.occupied_from = Some(end);
+        if !is_cut {
+            self.free_from = Some(end);
+        }
         let middle = self.middle_sensor();
         Some((self.cycle(start, end, middle), changes))
+    }
+
+    /// Whether a part has left something that has not been told yet.
+    pub(crate) const fn is_behind(&self) -> bool {
+        self.is_behind
     }
 
     fn everything_is_due(&self, now: Stamp, mapper: &Mapper) -> bool {
@@ -135,8 +159,9 @@ impl Packer {
         mapper: &mut Mapper,
         voxels_max: usize,
     ) -> Option<(Cycle, Changes)> {
-        let changes = mapper.take_nearest(Which::Occupied, self.sensor_block(), voxels_max);
-        if voxels_max == usize::MAX || changes.len() < voxels_max {
+        let (changes, is_cut) =
+            mapper.take_nearest(Which::Occupied, self.sensor_block(), voxels_max, |_| [0; 8]);
+        if !is_cut {
             self.closed_occupied = now;
         }
         if changes.is_empty() {
@@ -152,6 +177,7 @@ impl Packer {
         self.closed_occupied = now;
         self.closed_free = now;
         self.obstacles_in_row = 0;
+        self.is_behind = false;
         let changes = mapper.take_changes(Which::All);
         if changes.is_empty() {
             return None;
@@ -259,7 +285,8 @@ mod tests {
             scan(&mut packer, &mut mapper, 100 + i as i64, point);
         }
         let all = mapper.pending();
-        let mut close = |ms: i64, voxels| packer.close_part(Stamp(ms * MS), &mut mapper, room(voxels));
+        let mut close =
+            |ms: i64, voxels| packer.close_part(Stamp(ms * MS), &mut mapper, room(voxels), |_| [0; 8]);
         // The nearest obstacle; the others are due at once.
         let (first, obstacle) = close(200, 10).unwrap();
         assert_eq!(obstacle.voxels().collect::<Vec<_>>(), [(Voxel::new(0, 0, 10), State::Occupied)]);
@@ -285,9 +312,32 @@ mod tests {
         packer.note_scan(scan.stamp, &Pose::IDENTITY);
         let room = Room { obstacles: 10, voxels: 10, hold_max: 0 };
         let parts: Vec<bool> = (0..8)
-            .map(|_| packer.close_part(Stamp(200 * MS), &mut mapper, room).unwrap().1)
+            .map(|_| packer.close_part(Stamp(200 * MS), &mut mapper, room, |_| [0; 8]).unwrap().1)
             .map(|changes| changes.voxels().all(|(_, state)| state == State::Occupied))
             .collect();
         assert_eq!(parts, [true, true, true, false, true, true, true, false]);
+    }
+
+    #[test]
+    fn what_waited_is_not_told_where_the_robot_believes_somebody_who_saw_it_later() {
+        let (mut packer, mut mapper) = setup(CycleConfig { t_l_ms: 100, ..CycleConfig::default() });
+        scan(&mut packer, &mut mapper, 100, [3.0, 0.0, 0.0]);
+        // A team-mate has put something at the second block of the ray.
+        let believed = |block: BlockIndex| if block == BlockIndex::new(1, 0, 0) { [!0; 8] } else { [0; 8] };
+        let room = |voxels| Room { obstacles: 100, voxels, hold_max: 0 };
+        let mut close = |ms: i64, voxels| {
+            let closed = packer.close_part(Stamp(ms * MS), &mut mapper, room(voxels), believed);
+            let changes = closed.map(|(_, changes)| changes);
+            let blocks = changes.iter().flat_map(|changes| changes.blocks()).map(|(block, _)| block.x);
+            (blocks.collect::<Vec<_>>(), mapper.pending(), packer.deadline(&mapper))
+        };
+        let at = |ms: i64| Some(Stamp(ms * MS));
+        assert_eq!(close(200, 10), (vec![3], 30, at(100)), "the obstacle first");
+        assert_eq!(close(200, 10), (vec![0], 22, at(100)));
+        assert_eq!(close(210, 100), (vec![2, 3], 8, at(310)), "what waited");
+        // It stays for as long as it is not seen again, and nothing runs in circles for it.
+        assert_eq!(close(310, 100), (vec![], 8, at(410)));
+        let all = packer.close(Stamp(320 * MS), &mut mapper).unwrap().1;
+        assert_eq!(all.len(), 8, "whoever asks for all gets all");
     }
 }

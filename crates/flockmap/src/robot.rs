@@ -12,7 +12,8 @@ use flockmap_codec::{
 };
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{
-    Changes, Fusion, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
+    BlockIndex, Changes, Fusion, MapView, Mapper, Plane, Pose, RobotId, Scan, ScanReport, Sphere, Stamp,
+    Stream,
 };
 use flockmap_sync::wire::DatagramError;
 use flockmap_sync::{Pace, Session, Transmit};
@@ -30,6 +31,9 @@ const TEAMMATES_MAX: usize = 1_024;
 
 /// A cycle that the budget holds back is looked at again after so many microseconds.
 const HELD_PAUSE: i64 = 10_000;
+
+/// And where there was nothing to tell, after so many.
+const NOTHING_PAUSE: i64 = 50_000;
 
 /// A robot of the swarm: keeps its own map from its scans, sends what changed, repairs what was lost, and fuses
 /// what the others saw. Knows no sockets, threads or clocks; it can be driven by any runtime, or none.
@@ -264,6 +268,15 @@ impl Robot {
         self.waiting.load()
     }
 
+    /// Voxels that have changed and are still to be told. What a team-mate is believed to know better, where a budget made the own word late,
+    /// is not among them: it is told when it is seen again, or by [`flush`](Self::flush). O(blocks with changes).
+    pub fn untold(&self) -> usize {
+        match self.packer.is_behind() {
+            true => self.mapper.count_changes(|block| believed_occupied(&self.fusion, block)),
+            false => self.mapper.pending(),
+        }
+    }
+
     /// What was counted.
     pub const fn counters(&self) -> &RobotCounters {
         &self.counters
@@ -301,7 +314,14 @@ impl Robot {
             return None;
         }
         self.held = None;
-        let closed = self.packer.close_part(now, &mut self.mapper, room)?;
+        let fusion = &self.fusion;
+        let closed =
+            self.packer.close_part(now, &mut self.mapper, room, |block| believed_occupied(fusion, block));
+        let Some(closed) = closed else {
+            // There may be nothing but what a team-mate knows better.
+            self.held = Some(Held { since: now, until: now.plus_micros(NOTHING_PAUSE) });
+            return None;
+        };
         self.counters.cycles_in_parts +=
             u64::from(self.packer.deadline(&self.mapper).is_some_and(|due| due <= now));
         Some(closed)
@@ -394,4 +414,9 @@ impl Robot {
     fn push_event(&mut self, event: Event) {
         self.counters.events_dropped += self.events.push(event);
     }
+}
+
+/// The voxels of a block that are Occupied in the fused map.
+fn believed_occupied(fusion: &Fusion, block: BlockIndex) -> Plane {
+    fusion.map().block(block).map_or([0; 8], |states| *states.occupied())
 }

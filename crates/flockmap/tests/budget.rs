@@ -58,7 +58,7 @@ fn obstacles_stay_fresh_where_the_radio_takes_half_of_what_the_map_needs() {
         assert!(median < 1_600 && almost_all < 4_000, "seed {seed}: {median} and {almost_all} ms");
         let counters = *swarm.robots[0].counters();
         assert!(counters.cycles_held > 0 && counters.cycles_in_parts > 0, "seed {seed}: {counters:?}");
-        assert!(swarm.robots[0].mapper().pending() > 0, "seed {seed}: what is left out can be counted");
+        assert!(swarm.robots[0].untold() > 0, "seed {seed}: what is left out can be counted");
         swarm.settle(300_000);
         assert!(swarm.agrees(), "seed {seed}");
         swarm.assert_layers_equal_own_maps(seed);

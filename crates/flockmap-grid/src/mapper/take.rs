@@ -1,7 +1,7 @@
 //! Which changes are taken from the map to be told to the swarm.
 
 use super::{Mapper, Which};
-use crate::{BlockIndex, Changes, StateBlock};
+use crate::{BlockIndex, Changes, Plane, StateBlock};
 
 impl Which {
     fn of(self, changes: StateBlock) -> StateBlock {
@@ -23,15 +23,33 @@ impl Mapper {
     /// that flipped and flipped back, or has become Unknown, is none of them.
     pub fn take_changes(&mut self, which: Which) -> Changes {
         let blocks: Vec<BlockIndex> = self.pending_blocks.keys().copied().collect();
-        self.take_from(blocks, which, usize::MAX)
+        self.take_from(blocks, which, usize::MAX, |_| [0; 8]).0
     }
 
     /// Takes the net changes of the blocks nearest to a block, as whole blocks, until the next one would make them more than `voxels_max`;
-    /// but always those of one block. The others stay for the next time. O(n log n) for n blocks with changes.
-    pub fn take_nearest(&mut self, which: Which, centre: BlockIndex, voxels_max: usize) -> Changes {
+    /// but always those of one block. The others stay for the next time; so do voxels that have become Free and are in `except_free` of their block.
+    /// Also says whether it came to `voxels_max`. O(n log n) for n blocks with changes.
+    pub fn take_nearest(
+        &mut self,
+        which: Which,
+        centre: BlockIndex,
+        voxels_max: usize,
+        except_free: impl Fn(BlockIndex) -> Plane,
+    ) -> (Changes, bool) {
         let mut blocks: Vec<BlockIndex> = self.pending_blocks.keys().copied().collect();
         blocks.sort_unstable_by_key(|block| (block.distance_squared(centre), *block));
-        self.take_from(blocks, which, voxels_max)
+        self.take_from(blocks, which, voxels_max, except_free)
+    }
+
+    /// How many changes there are to take, but for voxels that have become Free and are in `except_free` of their block. O(blocks with changes).
+    pub fn count_changes(&self, except_free: impl Fn(BlockIndex) -> Plane) -> usize {
+        let blocks = self.pending_blocks.keys().filter_map(|index| Some((index, self.blocks.get(index)?)));
+        let counts = blocks.map(|(index, block)| {
+            let (changes, except) = (block.changes(), except_free(*index));
+            let free = changes.free().iter().zip(except).map(|(word, except)| word & !except);
+            free.chain(*changes.occupied()).map(u64::count_ones).sum::<u32>() as usize
+        });
+        counts.sum()
     }
 
     /// Whether there are changes to take. O(blocks with changes).
@@ -40,8 +58,14 @@ impl Mapper {
         blocks.any(|block| !which.of(block.changes()).is_empty())
     }
 
-    fn take_from(&mut self, blocks: Vec<BlockIndex>, which: Which, voxels_max: usize) -> Changes {
-        let (mut taken, mut voxels) = (Vec::with_capacity(blocks.len()), 0);
+    fn take_from(
+        &mut self,
+        blocks: Vec<BlockIndex>,
+        which: Which,
+        voxels_max: usize,
+        except_free: impl Fn(BlockIndex) -> Plane,
+    ) -> (Changes, bool) {
+        let (mut taken, mut voxels, mut is_cut) = (Vec::with_capacity(blocks.len()), 0, false);
         for index in blocks {
             let Some(known) = self.pending_blocks.get_mut(&index) else { continue };
             let Some(block) = self.blocks.get_mut(&index) else {
@@ -50,8 +74,12 @@ impl Mapper {
             };
             let all = block.changes();
             let part = which.of(all);
+            let except = except_free(index);
+            let free = core::array::from_fn(|word| part.free()[word] & !except[word]);
+            let part = StateBlock::new(free, *part.occupied());
             let (part_count, left) = (part.known_count(), all.known_count() - part.known_count());
             if voxels > 0 && voxels + part_count as usize > voxels_max {
+                is_cut = true;
                 break;
             }
             voxels += part_count as usize;
@@ -66,7 +94,7 @@ impl Mapper {
             }
         }
         taken.sort_unstable_by_key(|(index, _)| *index);
-        Changes::from_blocks(taken)
+        (Changes::from_blocks(taken), is_cut)
     }
 }
 
@@ -92,18 +120,41 @@ mod tests {
         mapper
     }
 
+    fn none(_: BlockIndex) -> Plane {
+        [0; 8]
+    }
+
+    #[test]
+    fn what_somebody_else_knows_better_stays() {
+        let mut mapper = mapper(&[[8.0, 0.0, 0.0]]);
+        let all = mapper.pending();
+        let one = |block: BlockIndex| {
+            if block == BlockIndex::new(1, 0, 0) { [3, 0, 0, 0, 0, 0, 0, 0] } else { [0; 8] }
+        };
+        assert_eq!((mapper.count_changes(none), mapper.count_changes(one)), (all, all - 2));
+        let (most, is_cut) = mapper.take_nearest(Which::All, BlockIndex::new(0, 0, 0), all, one);
+        assert_eq!((most.len(), mapper.pending(), is_cut), (all - 2, 2, false));
+        assert!(most.has_occupied());
+        let (nothing, _) = mapper.take_nearest(Which::All, BlockIndex::new(0, 0, 0), all, one);
+        assert!(nothing.is_empty());
+        let rest = mapper.take_changes(Which::All);
+        assert_eq!(rest.voxels().map(|(voxel, _)| voxel.x).collect::<Vec<_>>(), [8, 9]);
+    }
+
     #[test]
     fn the_nearest_blocks_go_first_and_the_rest_stays() {
         let mut mapper = mapper(&[[8.0, 0.0, 0.0]]);
         let all = mapper.pending();
         let here = BlockIndex::new(0, 0, 0);
-        let near = mapper.take_nearest(Which::All, here, 20);
+        let (near, is_cut) = mapper.take_nearest(Which::All, here, 20, none);
         assert!(near.len() <= 20 && near.blocks().iter().all(|(block, _)| block.x <= 2), "{near:?}");
+        assert!(is_cut);
         assert_eq!(mapper.pending(), all - near.len());
-        assert!(mapper.take_nearest(Which::Occupied, here, 20).has_occupied());
+        let (obstacles, is_cut) = mapper.take_nearest(Which::Occupied, here, 20, none);
+        assert!(obstacles.has_occupied() && !is_cut);
         assert!(!mapper.has_changes(Which::Occupied) && mapper.has_changes(Which::Free));
         // One block is taken even if it has more: otherwise nothing would ever go.
-        let far = mapper.take_nearest(Which::All, BlockIndex::new(10, 0, 0), 1);
+        let (far, _) = mapper.take_nearest(Which::All, BlockIndex::new(10, 0, 0), 1, none);
         assert_eq!(far.blocks().len(), 1);
         assert!(far.len() > 1 && far.blocks()[0].0.x >= 9);
     }
@@ -126,8 +177,9 @@ mod tests {
             for (which, voxels_max, [x, y, z]) in parts {
                 let which = [Which::All, Which::Occupied, Which::Free][usize::from(which)];
                 let (had, before) = (in_parts.has_changes(which), in_parts.pending());
-                let part = in_parts.take_nearest(which, BlockIndex::new(x, y, z), voxels_max);
+                let (part, is_cut) = in_parts.take_nearest(which, BlockIndex::new(x, y, z), voxels_max, none);
                 prop_assert_eq!(had, !part.is_empty());
+                prop_assert_eq!(is_cut, in_parts.has_changes(which));
                 prop_assert!(part.len() <= voxels_max || part.blocks().len() == 1);
                 prop_assert_eq!(in_parts.pending(), before - part.len());
                 take(part, which);
