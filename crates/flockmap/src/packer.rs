@@ -20,7 +20,7 @@ pub struct Packer {
     closed_free: Stamp,
     /// Of a cycle that is told in parts: how many of the last parts were of obstacles alone.
     obstacles_in_row: u32,
-    /// A part has left something that has not been told yet.
+    /// Something has waited beyond its time that has not been told yet.
     is_behind: bool,
     /// Stamp of the newest scan.
     newest_scan: Stamp,
@@ -99,8 +99,8 @@ impl Packer {
     /// As [`close_due`](Self::close_due), where the radio may have no room for all: what is nearest to the sensor goes first, obstacles and
     /// everything else in turn. The rest stays in the map, goes on changing there, and is due again at once.
     ///
-    /// What is told late has a late stamp. So from when something was left until all is told, what is Free stays in the map as well where
-    /// the robot itself believes what a team-mate saw later: `believed_occupied` of a block.
+    /// What is told late has a late stamp. So from when something was left, or [held back](Self::note_late), until all is told, what is Free stays in
+    /// the map as well where the robot itself believes what a team-mate saw later: `believed_occupied` of a block.
     pub(crate) fn close_part(
         &mut self,
         now: Stamp,
@@ -142,7 +142,12 @@ impl Packer {
         Some((self.cycle(start, end, middle), changes))
     }
 
-    /// Whether a part has left something that has not been told yet.
+    /// Notes that a cycle was held back for so long that what it tells is late.
+    pub(crate) const fn note_late(&mut self) {
+        self.is_behind = true;
+    }
+
+    /// Whether something has waited beyond its time that has not been told yet.
     pub(crate) const fn is_behind(&self) -> bool {
         self.is_behind
     }

@@ -311,6 +311,9 @@ impl Robot {
         if waits && now.micros_since(since) < room.hold_max {
             self.counters.cycles_held += u64::from(self.held.is_none());
             self.held = Some(Held { since, until: now.plus_micros(HELD_PAUSE) });
+            if now.micros_since(since) >= 1_000 * i64::from(self.config.cycle.t_l_ms) {
+                self.packer.note_late();
+            }
             return None;
         }
         self.held = None;
