@@ -21,7 +21,7 @@ pub enum Pace {
 impl Session {
     /// What the budget leaves for own packages.
     ///
-    /// Only peers count that hear this robot and are not silent. One that catches up, since it lacks more than 64 packages, counts only if there
+    /// Only peers count that hear this robot and are not silent. One that catches up, since it lacks more than 64 stored packages, counts only if there
     /// is no other. O(peers).
     pub fn pace(&self, now: Stamp) -> Pace {
         let newest = self.store.newest_known(self.own);
@@ -29,16 +29,18 @@ impl Session {
             |peer: &&Peer| peer.hears(self.own.origin) && !peer.is_silent(now) && peer.wants(self.own);
         let (mut in_step, mut catching_up, mut waits) = (0, 0, false);
         for peer in self.peers.values().filter(listens) {
+            // What is not stored any more cannot be sent as a package, and waits for nothing here.
+            let stored = |(low, high)| self.store.range(self.own, low, high);
             let missing = match peer.views.get(&self.own) {
-                Some(View { sending: Some(_), .. }) => u32::MAX,
+                Some(View { sending: Some(_), .. }) => usize::MAX,
                 Some(view) => {
                     let gaps = view.covered.missing(view.from.max(1), newest);
-                    gaps.fold(0, |sum: u32, (low, high)| sum.saturating_add(high - low + 1))
+                    gaps.flat_map(stored).take(BACKLOG_MIN as usize + 1).count()
                 }
-                None if peer.takes_unnamed => newest,
+                None if peer.takes_unnamed => stored((1, newest)).take(BACKLOG_MIN as usize + 1).count(),
                 None => continue,
             };
-            if missing > BACKLOG_MIN {
+            if missing > BACKLOG_MIN as usize {
                 catching_up += 1;
             } else {
                 in_step += 1;
