@@ -3,7 +3,9 @@
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_sync::wire::{DatagramHeader, Held, Kind, PackagesWriter, TransferProgress};
-use flockmap_sync::{Cast, Counters, Event, InFlight, IntervalSet, Order, Relay, Session, SessionConfig};
+use flockmap_sync::{
+    Cast, Counters, Event, InFlight, IntervalSet, Order, Pace, Relay, Session, SessionConfig,
+};
 
 use super::made::{self, Maker, OWN};
 use super::session_checks::{Sent, limits};
@@ -31,6 +33,10 @@ pub(crate) fn run(input: &[u8]) -> Counters {
     while !choices.is_empty() {
         run.step(&mut choices);
         limits(run.session);
+        let config = run.session.config();
+        let has_budget = config.radio_bytes_per_s.or(config.link_bytes_per_s).is_some();
+        let pace = run.session.pace(run.now);
+        assert!(has_budget || pace == Pace::Free, "a pace without a budget");
     }
     // Time goes on, and everybody is gone: no peer, and nothing but requests.
     run.now = run.now.plus_micros(7_200_000_000);
