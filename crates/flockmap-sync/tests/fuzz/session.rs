@@ -240,9 +240,8 @@ impl Run<'_> {
 
     fn transmit(&mut self) {
         for _ in 0..TRANSMITS_MAX {
-            let peers = self.session.peers().count();
             let Some(transmit) = self.session.poll_transmit(self.now) else { return };
-            self.sent.take(self.session, self.now, &transmit, peers);
+            self.sent.take(self.session, self.now, &transmit);
         }
         panic!("datagrams without end");
     }

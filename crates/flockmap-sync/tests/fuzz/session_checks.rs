@@ -19,8 +19,8 @@ pub(crate) struct Sent {
 }
 
 impl Sent {
-    /// Checks a datagram that goes out and counts it. `peers` were known when it was made.
-    pub(crate) fn take(&mut self, session: &Session, now: Stamp, transmit: &Transmit, peers: usize) {
+    /// Checks a datagram that goes out and counts it.
+    pub(crate) fn take(&mut self, session: &Session, now: Stamp, transmit: &Transmit) {
         let config = session.config();
         assert!(transmit.bytes.len() <= config.datagram_bytes_max, "{} bytes", transmit.bytes.len());
         let datagram = Datagram::new_checked(&transmit.bytes).unwrap();
@@ -30,7 +30,8 @@ impl Sent {
             Kind::Packages => assert!(!parse_packages(&datagram).unwrap().is_empty(), "nothing was sent"),
         }
         let copies = match (transmit.to, config.cast) {
-            (Destination::Everyone, Cast::Unicast) => peers.max(1),
+            // Those that fell silent were forgotten before it was made, and none has come since.
+            (Destination::Everyone, Cast::Unicast) => session.peers().count().max(1),
             _ => 1,
         };
         let bytes = (transmit.bytes.len() + config.datagram_overhead_bytes as usize) * copies;
