@@ -18,7 +18,7 @@ pub struct Packer {
     /// When the last cycle of obstacles and of free space was closed, on the robot's clock.
     closed_occupied: Stamp,
     closed_free: Stamp,
-    /// Of a cycle that is told in parts: how many of the last parts were of obstacles alone.
+    /// Of a cycle that is told in parts: how many of the turns of obstacles alone are used up.
     obstacles_in_row: u32,
     /// Something has waited beyond its time that has not been told yet.
     is_behind: bool,
@@ -115,8 +115,6 @@ impl Packer {
         let has_room = everything_is_due && mapper.pending() <= room.voxels;
         if !has_room && (!everything_is_due || self.obstacles_in_row < OBSTACLES_IN_ROW) {
             let obstacles = self.close_obstacles(now, mapper, room.obstacles);
-            let is_cut = obstacles.is_some() && mapper.has_changes(Which::Occupied);
-            self.obstacles_in_row = if is_cut { self.obstacles_in_row + 1 } else { OBSTACLES_IN_ROW };
             if obstacles.is_some() || !everything_is_due {
                 return obstacles;
             }
@@ -166,7 +164,11 @@ impl Packer {
     ) -> Option<(Cycle, Changes)> {
         let (changes, is_cut) =
             mapper.take_nearest(Which::Occupied, self.sensor_block(), voxels_max, |_| [0; 8]);
-        if !is_cut {
+        if is_cut {
+            self.obstacles_in_row += 1;
+        } else {
+            // There are no more: the turn is over.
+            self.obstacles_in_row = OBSTACLES_IN_ROW;
             self.closed_occupied = now;
         }
         if changes.is_empty() {

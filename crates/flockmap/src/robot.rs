@@ -1,22 +1,19 @@
 //! One robot: mapper, packer, codec, session, layers and fusion joined. The way of the data, both directions.
 
+mod publish;
 mod receive;
 mod restore;
 
 pub use restore::RestoreError;
 
+use publish::{Held, believed_occupied};
+
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockmap_codec::{
-    Codec, Cycle, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Reference, Span,
-};
-use flockmap_grid::mutation::{self, Mutation};
-use flockmap_grid::{
-    BlockIndex, Changes, Fusion, MapView, Mapper, Plane, Pose, RobotId, Scan, ScanReport, Sphere, Stamp,
-    Stream,
-};
+use flockmap_codec::{Decoder, Encoder, PACKAGE_BYTES_MAX, Span};
+use flockmap_grid::{Fusion, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream, Which};
 use flockmap_sync::wire::DatagramError;
-use flockmap_sync::{Pace, Session, Transmit};
+use flockmap_sync::{Session, Transmit};
 
 use crate::cost::Cost;
 use crate::events::Events;
@@ -28,12 +25,6 @@ use crate::{Event, Packer, RobotConfig, RobotCounters, RobotError};
 
 /// Team-mates whose positions are kept.
 const TEAMMATES_MAX: usize = 1_024;
-
-/// A cycle that the budget holds back is looked at again after so many microseconds.
-const HELD_PAUSE: i64 = 10_000;
-
-/// And where there was nothing to tell, after so many.
-const NOTHING_PAUSE: i64 = 50_000;
 
 /// A robot of the swarm: keeps its own map from its scans, sends what changed, repairs what was lost, and fuses
 /// what the others saw. Knows no sockets, threads or clocks; it can be driven by any runtime, or none.
@@ -70,13 +61,6 @@ pub struct Robot {
     requests_seen: u64,
     events: Events,
     counters: RobotCounters,
-}
-
-#[derive(Clone, Copy)]
-struct Held {
-    since: Stamp,
-    /// When to look again.
-    until: Stamp,
 }
 
 struct Teammate {
@@ -272,7 +256,7 @@ impl Robot {
     /// is not among them: it is told when it is seen again, or by [`flush`](Self::flush). O(blocks with changes).
     pub fn untold(&self) -> usize {
         match self.packer.is_behind() {
-            true => self.mapper.count_changes(|block| believed_occupied(&self.fusion, block)),
+            true => self.mapper.count_changes(Which::All, |block| believed_occupied(&self.fusion, block)),
             false => self.mapper.pending(),
         }
     }
@@ -290,109 +274,6 @@ impl Robot {
     /// What it was told.
     pub const fn config(&self) -> &RobotConfig {
         &self.config
-    }
-
-    /// The cycle that is due, unless own packages still wait for the radio's budget: then what changes is merged in the map, which costs
-    /// less than packages that wait, and nothing builds on them. Of what is due, as much as the radio takes.
-    fn close_due(&mut self, now: Stamp) -> Option<(Cycle, Changes)> {
-        if self.packer.deadline(&self.mapper).is_none_or(|due| due > now) {
-            return None;
-        }
-        let (bytes_per_s, waits) = match self.session.pace(now) {
-            Pace::Free => {
-                self.held = None;
-                return self.packer.close_due(now, &mut self.mapper);
-            }
-            Pace::BytesPerSecond(rate) => (rate, false),
-            Pace::Waits(rate) => (rate, true),
-        };
-        let room = self.cost.room(bytes_per_s);
-        let since = self.held.map_or(now, |held| held.since);
-        if waits && now.micros_since(since) < room.hold_max {
-            self.counters.cycles_held += u64::from(self.held.is_none());
-            self.held = Some(Held { since, until: now.plus_micros(HELD_PAUSE) });
-            if now.micros_since(since) >= 1_000 * i64::from(self.config.cycle.t_l_ms) {
-                self.packer.note_late();
-            }
-            return None;
-        }
-        self.held = None;
-        let fusion = &self.fusion;
-        let closed =
-            self.packer.close_part(now, &mut self.mapper, room, |block| believed_occupied(fusion, block));
-        let Some(closed) = closed else {
-            // There may be nothing but what a team-mate knows better.
-            self.held = Some(Held { since: now, until: now.plus_micros(NOTHING_PAUSE) });
-            return None;
-        };
-        self.counters.cycles_in_parts +=
-            u64::from(self.packer.deadline(&self.mapper).is_some_and(|due| due <= now));
-        Some(closed)
-    }
-
-    /// Codes a cycle, takes it into the own layer and gives it to the session.
-    fn publish(&mut self, now: Stamp, cycle: Cycle, changes: Changes) {
-        let mut coded = std::borrow::Cow::Borrowed(&changes);
-        if mutation::is(Mutation::BlockLeftOut) && changes.blocks().len() > 1 {
-            coded = std::borrow::Cow::Owned(Changes::from_blocks(changes.blocks()[1..].to_vec()));
-        }
-        let packages = match self.encode(&cycle, &coded) {
-            Ok(packages) => packages,
-            Err(error) => {
-                // The map goes on without these changes, and what is told next counts on them.
-                self.own_layer_is_whole = false;
-                return self.push_event(Event::EncodeFailed(error));
-            }
-        };
-        self.counters.cycles += 1;
-        self.counters.changes += changes.len() as u64;
-        for package in &packages {
-            self.next_index += 1;
-            self.counters.packages += 1;
-            self.counters.package_bytes += package.bytes().len() as u64;
-            // Numbered and sized by us, so the session takes it.
-            let published = self.session.publish(now, package.clone());
-            debug_assert_eq!(published, Ok(()));
-        }
-        self.sent.note_cycle(&packages);
-        self.cost.note_cycle(&changes, &packages);
-        self.repair.note_cycle(now, self.next_index - 1);
-        if let Err(error) = self.fusion.apply(&self.mapper, self.own, &changes, cycle.end) {
-            // The packages are out all the same; only a present state of this stream would lack them. And the others hold more from now
-            // on than the own layer, so that nothing can be told against it any more.
-            self.own_layer_is_whole = false;
-            self.own_layer_has_all = false;
-            self.counters.no_room += 1;
-            let reason = error.into();
-            self.push_event(Event::Refused { stream: self.own, index: self.next_index - 1, reason });
-        }
-        self.fusion.note_sensor(self.own, cycle.end, cycle.sensor);
-        self.push_event(Event::CycleClosed { cycle, changes, packages });
-        self.answer_session(now);
-    }
-
-    /// The packages of a cycle, told against what the others will hold; without, if repair is slow.
-    fn encode(&mut self, cycle: &Cycle, changes: &Changes) -> Result<Vec<Package>, EncodeError> {
-        let Self { encoder, fusion, sent, counters, config, .. } = self;
-        let is_alone = !self.own_layer_is_whole || self.repair.is_slow();
-        counters.cycles_without_reference += u64::from(is_alone && config.codec == Codec::Flock);
-        let layer = fusion.layer(self.own).filter(|_| !is_alone);
-        let reference = Reference { layer, cycles: sent.cycles(), readers: sent.readers() };
-        let mut encode = |reference: Option<&Reference<'_>>| {
-            encoder.encode_cycle_against(
-                config.codec,
-                cycle,
-                self.next_index,
-                changes,
-                reference,
-                PACKAGE_BYTES_MAX,
-            )
-        };
-        match encode(Some(&reference)) {
-            // The own layer holds something as new, which no cycle should meet: it can be told all the same.
-            Err(EncodeError::Overtaken(_)) => encode(Some(&Reference { layer: None, ..reference })),
-            coded => coded,
-        }
     }
 
     /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too much of it.
@@ -417,9 +298,4 @@ impl Robot {
     fn push_event(&mut self, event: Event) {
         self.counters.events_dropped += self.events.push(event);
     }
-}
-
-/// The voxels of a block that are Occupied in the fused map.
-fn believed_occupied(fusion: &Fusion, block: BlockIndex) -> Plane {
-    fusion.map().block(block).map_or([0; 8], |states| *states.occupied())
 }

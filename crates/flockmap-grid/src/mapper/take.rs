@@ -4,11 +4,12 @@ use super::{Mapper, Which};
 use crate::{BlockIndex, Changes, Plane, StateBlock};
 
 impl Which {
-    fn of(self, changes: StateBlock) -> StateBlock {
+    fn of(self, changes: &StateBlock, except_free: Plane) -> StateBlock {
+        let free = core::array::from_fn(|word| changes.free()[word] & !except_free[word]);
         match self {
-            Self::All => changes,
+            Self::All => StateBlock::new(free, *changes.occupied()),
             Self::Occupied => StateBlock::new([0; 8], *changes.occupied()),
-            Self::Free => StateBlock::new(*changes.free(), [0; 8]),
+            Self::Free => StateBlock::new(free, [0; 8]),
         }
     }
 }
@@ -37,25 +38,18 @@ impl Mapper {
         except_free: impl Fn(BlockIndex) -> Plane,
     ) -> (Changes, bool) {
         let mut blocks: Vec<BlockIndex> = self.pending_blocks.keys().copied().collect();
-        blocks.sort_unstable_by_key(|block| (block.distance_squared(centre), *block));
+        if voxels_max < self.pending {
+            blocks.sort_unstable_by_key(|block| (block.distance_squared(centre), *block));
+        }
         self.take_from(blocks, which, voxels_max, except_free)
     }
 
     /// How many changes there are to take, but for voxels that have become Free and are in `except_free` of their block. O(blocks with changes).
-    pub fn count_changes(&self, except_free: impl Fn(BlockIndex) -> Plane) -> usize {
-        let blocks = self.pending_blocks.keys().filter_map(|index| Some((index, self.blocks.get(index)?)));
-        let counts = blocks.map(|(index, block)| {
-            let (changes, except) = (block.changes(), except_free(*index));
-            let free = changes.free().iter().zip(except).map(|(word, except)| word & !except);
-            free.chain(*changes.occupied()).map(u64::count_ones).sum::<u32>() as usize
-        });
-        counts.sum()
-    }
-
-    /// Whether there are changes to take. O(blocks with changes).
-    pub fn has_changes(&self, which: Which) -> bool {
-        let mut blocks = self.pending_blocks.keys().filter_map(|index| self.blocks.get(index));
-        blocks.any(|block| !which.of(block.changes()).is_empty())
+    pub fn count_changes(&self, which: Which, except_free: impl Fn(BlockIndex) -> Plane) -> usize {
+        let blocks = self.pending_blocks.keys().filter_map(|index| Some((*index, self.blocks.get(index)?)));
+        blocks
+            .map(|(index, block)| which.of(&block.changes(), except_free(index)).known_count() as usize)
+            .sum()
     }
 
     fn take_from(
@@ -73,10 +67,7 @@ impl Mapper {
                 continue;
             };
             let all = block.changes();
-            let part = which.of(all);
-            let except = except_free(index);
-            let free = core::array::from_fn(|word| part.free()[word] & !except[word]);
-            let part = StateBlock::new(free, *part.occupied());
+            let part = which.of(&all, except_free(index));
             let (part_count, left) = (part.known_count(), all.known_count() - part.known_count());
             if voxels > 0 && voxels + part_count as usize > voxels_max {
                 is_cut = true;
@@ -131,7 +122,10 @@ mod tests {
         let one = |block: BlockIndex| {
             if block == BlockIndex::new(1, 0, 0) { [3, 0, 0, 0, 0, 0, 0, 0] } else { [0; 8] }
         };
-        assert_eq!((mapper.count_changes(none), mapper.count_changes(one)), (all, all - 2));
+        assert_eq!(
+            (mapper.count_changes(Which::All, none), mapper.count_changes(Which::All, one)),
+            (all, all - 2)
+        );
         let (most, is_cut) = mapper.take_nearest(Which::All, BlockIndex::new(0, 0, 0), all, one);
         assert_eq!((most.len(), mapper.pending(), is_cut), (all - 2, 2, false));
         assert!(most.has_occupied());
@@ -152,7 +146,8 @@ mod tests {
         assert_eq!(mapper.pending(), all - near.len());
         let (obstacles, is_cut) = mapper.take_nearest(Which::Occupied, here, 20, none);
         assert!(obstacles.has_occupied() && !is_cut);
-        assert!(!mapper.has_changes(Which::Occupied) && mapper.has_changes(Which::Free));
+        assert_eq!(mapper.count_changes(Which::Occupied, none), 0);
+        assert_eq!(mapper.count_changes(Which::Free, none), mapper.pending());
         // One block is taken even if it has more: otherwise nothing would ever go.
         let (far, _) = mapper.take_nearest(Which::All, BlockIndex::new(10, 0, 0), 1, none);
         assert_eq!(far.blocks().len(), 1);
@@ -176,10 +171,10 @@ mod tests {
             };
             for (which, voxels_max, [x, y, z]) in parts {
                 let which = [Which::All, Which::Occupied, Which::Free][usize::from(which)];
-                let (had, before) = (in_parts.has_changes(which), in_parts.pending());
+                let (had, before) = (in_parts.count_changes(which, none) > 0, in_parts.pending());
                 let (part, is_cut) = in_parts.take_nearest(which, BlockIndex::new(x, y, z), voxels_max, none);
                 prop_assert_eq!(had, !part.is_empty());
-                prop_assert_eq!(is_cut, in_parts.has_changes(which));
+                prop_assert_eq!(is_cut, in_parts.count_changes(which, none) > 0);
                 prop_assert!(part.len() <= voxels_max || part.blocks().len() == 1);
                 prop_assert_eq!(in_parts.pending(), before - part.len());
                 take(part, which);

@@ -11,11 +11,16 @@ use flockmap_grid::Stamp;
 pub enum Pace {
     /// There is no budget, or nobody who listens: whatever is published waits for nothing.
     Free,
-    /// Published packages have all been sent. So many bytes a second reach everybody who listens, if nothing else is sent.
-    BytesPerSecond(u32),
-    /// Published packages wait for the budget, for the first time or again. What is published now waits behind them, or builds on
-    /// them. So many bytes a second as above.
-    Waits(u32),
+    /// Published packages have all been sent.
+    AllSent {
+        /// So much of own packages reaches everybody who listens, if nothing else is sent.
+        bytes_per_s: u32,
+    },
+    /// Published packages wait for the budget, for the first time or again. What is published now waits behind them, or builds on them.
+    Waiting {
+        /// As above.
+        bytes_per_s: u32,
+    },
 }
 
 impl Session {
@@ -53,8 +58,8 @@ impl Session {
         };
         let radio = self.config.radio_bytes_per_s.map(|rate| rate / copies.max(1));
         match radio.into_iter().chain(self.config.link_bytes_per_s).min() {
-            Some(rate) if waits || (in_step == 0 && catching_up > 0) => Pace::Waits(rate),
-            Some(rate) if in_step > 0 => Pace::BytesPerSecond(rate),
+            Some(bytes_per_s) if waits || (in_step == 0 && catching_up > 0) => Pace::Waiting { bytes_per_s },
+            Some(bytes_per_s) if in_step > 0 => Pace::AllSent { bytes_per_s },
             _ => Pace::Free,
         }
     }
