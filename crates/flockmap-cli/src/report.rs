@@ -151,7 +151,7 @@ pub struct MapReport {
 #[derive(Serialize)]
 pub struct LayerReport {
     pub origin: u16,
-    pub epoch: u32,
+    pub epoch: u64,
     pub voxels: usize,
     pub digest: String,
     pub memory_bytes: usize,

@@ -1,12 +1,12 @@
 //! The header of a package.
 
-use flockmap_grid::{Changes, Resolution, RobotId, Stamp, Stream, Voxel, VoxelBox};
+use flockmap_grid::{Changes, Resolution, RobotId, Stamp, Stream, Voxel, VoxelBox, seconds_of_epoch};
 
 use crate::varint::{self, Reader};
 use crate::{Codec, PackageError};
 
 /// The version of the package format, the first byte of every package.
-pub const FORMAT_VERSION: u8 = 3;
+pub const FORMAT_VERSION: u8 = 4;
 
 /// What a package says about itself: 25 to 35 bytes on the wire as a rule, with the check.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -146,7 +146,7 @@ impl Header {
         let (unit, flag) = if is_in_blocks(&self.region) { (BLOCK_SIDE, BOX_IN_BLOCKS) } else { (1, 0) };
         out.push(self.codec.id() | kind << KIND_SHIFT | self.priority.id() << PRIORITY_SHIFT | flag);
         varint::write(out, u64::from(self.stream.origin.0));
-        varint::write(out, u64::from(self.stream.epoch));
+        varint::write(out, self.stream.epoch);
         varint::write(out, u64::from(self.index));
         varint::write_signed(out, self.cycle_end.0.wrapping_sub(epoch_micros(self.stream.epoch)));
         varint::write(out, self.cycle_end.0.wrapping_sub(self.cycle_start.0) as u64);
@@ -184,7 +184,7 @@ impl Header {
         }
         let u32_max = u64::from(u32::MAX);
         let origin = RobotId(reader.number("origin", u64::from(u16::MAX))? as u16);
-        let epoch = reader.number("epoch", u32_max)? as u32;
+        let epoch = reader.number("epoch", u64::MAX)?;
         let index = reader.number("index", u32_max)? as u32;
         if index == 0 {
             return Err(PackageError::Header { rule: "indices begin at 1" });
@@ -257,8 +257,8 @@ fn read_back(
 
 /// Real robots take the seconds since 1970 for their epoch, and their clocks tell the microseconds: what is left of a stamp is
 /// the time since the run began, which is short. Any other epoch does no harm.
-fn epoch_micros(epoch: u32) -> i64 {
-    i64::from(epoch) * 1_000_000
+fn epoch_micros(epoch: u64) -> i64 {
+    i64::from(seconds_of_epoch(epoch)) * 1_000_000
 }
 
 /// Twice the millimetres where they are whole, else twice the micrometres and one.
@@ -321,7 +321,7 @@ mod tests {
 
     fn header() -> impl Strategy<Value = Header> {
         let stamp = prop_oneof![any::<i64>(), 0..1_800_000_000_000_000i64];
-        let numbers = (any::<u16>(), any::<u32>(), 1..=u32::MAX, any::<u32>(), 1_000..=100_000_000u32);
+        let numbers = (any::<u16>(), any::<u64>(), 1..=u32::MAX, any::<u32>(), 1_000..=100_000_000u32);
         let side = prop_oneof![1..200u32, Just(1 << 28)];
         let corner = -(1 << 28)..=1i32;
         let corners = [corner.clone(), corner.clone(), corner];
@@ -414,7 +414,7 @@ mod tests {
 
     #[test]
     fn a_usual_header_takes_few_bytes() {
-        let epoch = 1_700_000_000;
+        let epoch = flockmap_grid::epoch(1_700_000_000, 0x8765_4321);
         let end = Stamp(epoch_micros(epoch) + 10 * 60 * 1_000_000);
         let header = Header {
             stream: Stream { origin: RobotId(3), epoch },
@@ -429,14 +429,14 @@ mod tests {
             content: ContentKind::Changes,
             priority: Priority::NearFree,
         };
-        assert_eq!(written(&header).len(), 33);
+        assert_eq!(written(&header).len(), 37);
     }
 
     #[test]
     fn numbers_out_of_range_are_refused() {
         let refused = |edit: &dyn Fn(&mut Vec<u8>)| {
             // Version, kind and codec, origin, epoch, index 5, cycle end, duration, resolution 0.1 m, box, reference.
-            let mut bytes = vec![3, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
+            let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
             assert!(Header::read(&bytes).is_ok());
             edit(&mut bytes);
             Header::read(&bytes).unwrap_err().to_string()

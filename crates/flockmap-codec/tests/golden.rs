@@ -3,17 +3,17 @@
 //!
 //! After a change of layout, which is a change of [`FORMAT_VERSION`]: `FLOCKMAP_BLESS=1 cargo test -p flockmap-codec
 //! --test golden` writes new files, and its failure tells the new [`LAYOUT`]; keep the old files if the old version can
-//! still be read. (Version 1, with a longer header and no references, cannot.)
+//! still be read, or else to hold that it is refused.
 
 mod common;
 
 use common::{cycle, resolution, stream};
-use flockmap_codec::{Codec, Content, Decoder, Encoder, FORMAT_VERSION, Package, Reference, hilbert_order};
+use flockmap_codec::{Codec, Content, Decoder, Encoder, FORMAT_VERSION, Package, PackageError, Reference, hilbert_order};
 use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel};
 
 /// The layout that [`FORMAT_VERSION`] stands for: CRC-32 over the golden packages that zlib has no part in.
 /// If this changes, the version must change.
-const LAYOUT: (u8, u32) = (3, 212_298_053);
+const LAYOUT: (u8, u32) = (4, 1_006_455_345);
 
 /// Voxels without a pattern; for `flock`, which would take them for noise, a piece of a room in front of a wall.
 fn golden_changes(codec: Codec) -> Changes {
@@ -136,6 +136,20 @@ fn golden_packages_are_read_and_written_as_ever() {
     }
     let found = (FORMAT_VERSION, crc32fast::hash(&layout));
     assert_eq!(found, LAYOUT, "the layout has changed: that is a new format version");
+}
+
+#[test]
+fn packages_of_former_versions_are_refused_with_a_word_about_the_version() {
+    let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden"));
+    let mut refused = 0;
+    for Golden { name, .. } in golden() {
+        let bytes = std::fs::read(folder.join(format!("v3-{name}.bin"))).unwrap();
+        let error = Package::parse(&bytes).unwrap_err();
+        assert_eq!(error, PackageError::Version { found: 3 }, "{name}");
+        assert_eq!(error.to_string(), "package format version 3, this program reads version 4");
+        refused += 1;
+    }
+    assert!(refused > 10);
 }
 
 /// The walk is part of the format: a decoder with another curve would give other voxels.

@@ -228,7 +228,7 @@ fn voxels_outside_of_the_grid_and_wrong_wishes_are_refused() {
 fn the_longest_header_and_stamps_still_fit_into_the_smallest_package() {
     let far = 1 << 28;
     let cycle = flockmap_codec::Cycle {
-        stream: flockmap_grid::Stream { origin: flockmap_grid::RobotId(u16::MAX), epoch: u32::MAX },
+        stream: flockmap_grid::Stream { origin: flockmap_grid::RobotId(u16::MAX), epoch: u64::MAX },
         start: Stamp(i64::MIN),
         end: Stamp(i64::MAX),
         resolution: flockmap_grid::Resolution::from_micrometres(100_000_000).unwrap(),

@@ -28,7 +28,7 @@ pub use mapper::{
     ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport,
     SensorModel, Sphere, Which,
 };
-pub use origin::{RobotId, Stamp, Stream};
+pub use origin::{RobotId, Stamp, Stream, epoch, seconds_of_epoch};
 pub use pose::Pose;
 pub use present::{PresentState, PresentVoxels};
 pub use scan::Scan;

@@ -23,8 +23,27 @@ impl fmt::Display for RobotId {
 pub struct Stream {
     /// The robot whose sensor made the observations.
     pub origin: RobotId,
-    /// The run of that robot. A robot that starts again without its store takes a higher epoch.
-    pub epoch: u32,
+    /// The run of that robot: [`epoch`].
+    pub epoch: u64,
+}
+
+/// The epoch of a run: the seconds since 1970 at which it began, and 32 random bits. Later runs of a robot have higher epochs. Where a
+/// clock shows the same second twice, the random bits tell the runs apart; where it was set back, a robot that hears of a higher epoch
+/// of its own id begins anew above that.
+///
+/// ```
+/// use flockmap_grid::{epoch, seconds_of_epoch};
+///
+/// let run = epoch(1_795_000_000, 0x1234_5678);
+/// assert_eq!(seconds_of_epoch(run), 1_795_000_000);
+/// ```
+pub const fn epoch(seconds: u32, random: u32) -> u64 {
+    (seconds as u64) << 32 | random as u64
+}
+
+/// The seconds since 1970 in an epoch.
+pub const fn seconds_of_epoch(epoch: u64) -> u32 {
+    (epoch >> 32) as u32
 }
 
 impl fmt::Debug for Stream {

@@ -31,6 +31,7 @@ pub fn run(config_path: &Path) -> Result<()> {
     let log = Log::to_stderr(&config.robot_name());
     let mut options = options(&config, &log)?;
     options.robot.session.swarm_key = swarm_key(&config, config_path, &log)?;
+    options.robot.session.salt = random_bytes()?;
     let sockets = UdpSockets::bind(&config.udp()?)?;
     let address = sockets.local_addr()?;
     let own = (options.robot.id, options.robot.epoch);
@@ -58,7 +59,7 @@ fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
     config.robot(1)?;
     let sensor = sensor(config, log)?;
     let store = store(config)?;
-    let mut options = NodeOptions::new(config.robot(epoch(config, store.as_ref(), log))?);
+    let mut options = NodeOptions::new(config.robot(epoch(config, store.as_ref(), log)?)?);
     options.store = store;
     options.name = config.robot_name();
     options.sensor = sensor;
@@ -124,12 +125,22 @@ fn store(config: &NodeConfig) -> Result<Option<Store>> {
 }
 
 /// The run: as configured, else the seconds since 1970, else one more than the last that the store knows.
-fn epoch(config: &NodeConfig, store: Option<&Store>, log: &Log) -> u32 {
-    match (config.epoch, store) {
+fn epoch(config: &NodeConfig, store: Option<&Store>, log: &Log) -> Result<u64> {
+    let random = u32::from_le_bytes(random_bytes()?);
+    Ok(match (config.epoch, store) {
         (Some(epoch), _) => epoch,
-        (None, Some(store)) if store.last_epoch().is_some() => store.next_epoch(seconds_since_1970()),
-        (None, _) => epoch_of_now(log),
-    }
+        (None, Some(store)) if store.last_epoch().is_some() => {
+            store.next_epoch(flockmap::epoch(seconds_since_1970(), random))
+        }
+        (None, _) => flockmap::epoch(epoch_of_now(log), random),
+    })
+}
+
+/// Bytes that nobody can guess.
+fn random_bytes<const N: usize>() -> Result<[u8; N]> {
+    let mut bytes = [0; N];
+    getrandom::fill(&mut bytes).context("the system gives no random bytes")?;
+    Ok(bytes)
 }
 
 fn seconds_since_1970() -> u32 {

@@ -16,7 +16,7 @@ pub struct Summary {
     /// Its name.
     pub name: String,
     /// Its run.
-    pub epoch: u32,
+    pub epoch: u64,
     /// How long it ran.
     pub uptime_s: f64,
     /// Free voxels of the fused map.
@@ -37,7 +37,7 @@ pub struct StreamSummary {
     /// The robot.
     pub origin: u16,
     /// Its run.
-    pub epoch: u32,
+    pub epoch: u64,
     /// Indices held, as closed intervals.
     pub held: Vec<(u32, u32)>,
     /// Packages that are known to exist and not held.

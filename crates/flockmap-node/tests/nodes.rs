@@ -328,7 +328,7 @@ fn log_lines_tell_of_peers() {
 /// Starts a robot that plays its corridor.
 fn start_playing(
     id: u16,
-    epoch: u32,
+    epoch: u64,
     sockets: UdpSockets,
     change: impl FnOnce(&mut NodeOptions),
 ) -> NodeHandle {

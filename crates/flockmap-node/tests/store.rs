@@ -32,12 +32,12 @@ fn open(disk: &MemoryDisk, options: StoreOptions) -> Store {
     Store::open(Arc::new(disk.clone()), identity(), options).unwrap()
 }
 
-fn start(disk: &MemoryDisk, options: StoreOptions, epoch: u32) -> StoreWriter {
+fn start(disk: &MemoryDisk, options: StoreOptions, epoch: u64) -> StoreWriter {
     open(disk, options).start(epoch, Log::silent()).unwrap()
 }
 
 /// Robot 1 in its next run, with what is on the disk.
-fn restart(disk: &MemoryDisk, base: RobotConfig, epoch: u32) -> (Robot, Restored) {
+fn restart(disk: &MemoryDisk, base: RobotConfig, epoch: u64) -> (Robot, Restored) {
     let mut robot = Robot::new(RobotConfig { epoch, ..base }, Stamp(500_000_000)).unwrap();
     let restored = open(disk, OPTIONS).restore(&mut robot, Stamp(500_000_000));
     (robot, restored)

@@ -27,6 +27,7 @@ fn time(mut work: impl FnMut(u64)) -> f64 {
 }
 
 fn main() {
+    let (salt, robot) = ([7; 16], Some(RobotId(2)));
     let key = SwarmKey::from_bytes(core::array::from_fn(|at| at as u8));
     let sender = Stream { origin: RobotId(1), epoch: 1_800_000_000 };
     let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender, stamp: Stamp(1) };
@@ -41,16 +42,17 @@ fn main() {
             plain.extend((0..length).map(|at| at as u8));
         }
         let plain = with_check(plain);
-        let sealed = seal_datagram(&key, &plain, 1).expect("a datagram can be sealed");
+        let sealed = seal_datagram(&key, &salt, &plain, robot, 1).expect("a datagram can be sealed");
         assert_eq!(sealed.len(), plain.len() + SEAL_BYTES);
         let check = time(|_| {
             black_box(Datagram::new_checked(black_box(&plain)).expect("it is sound"));
         });
         let seal = time(|counter| {
-            black_box(seal_datagram(&key, black_box(&plain), counter));
+            black_box(seal_datagram(&key, &salt, black_box(&plain), robot, counter));
         });
         let open = time(|_| {
-            let opened = SealedDatagram::new_checked(black_box(&sealed)).and_then(|sealed| sealed.open(&key));
+            let sealed = SealedDatagram::new_checked(black_box(&sealed)).expect("it is sealed");
+            let opened = sealed.open(&key, &salt, RobotId(2));
             black_box(opened.expect("it is genuine").datagram().expect("it is sound"));
         });
         println!("{:5}   {:6}   {check:17.3}   {seal:7.3}   {open:7.3}", plain.len(), sealed.len());
@@ -58,7 +60,7 @@ fn main() {
 }
 
 fn with_check(mut bytes: Vec<u8>) -> Vec<u8> {
-    let check = crc32fast::hash(&[&bytes[..20], &bytes[24..]].concat());
-    bytes[20..24].copy_from_slice(&check.to_le_bytes());
+    let check = crc32fast::hash(&[&bytes[..24], &bytes[28..]].concat());
+    bytes[24..28].copy_from_slice(&check.to_le_bytes());
     bytes
 }

@@ -1,9 +1,8 @@
 //! All options of a session.
 
 use crate::SwarmKey;
-use crate::session::RESTARTS_MAX;
 use crate::store::StoreLimits;
-use crate::wire::DATAGRAM_BYTES_MAX;
+use crate::wire::{DATAGRAM_BYTES_MAX, Salt};
 
 /// How packages go out.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -55,13 +54,12 @@ pub struct SessionConfig {
     /// Robots of other swarms are ignored. Default 0.
     pub swarm: u16,
     /// The secret of the swarm: all that is sent is sealed with it, and only what it opens is believed. Default `None`: anybody
-    /// in reach of the radio can read and change the map. With a key the epoch of each run **must** be higher than that of
-    /// the runs before, since a nonce is made of robot id, epoch and a counter, and none may come twice.
-    /// Holds, against replays, 60 bytes for each robot id that a holder of the key used (4 MiB for all 65,536), 256 more for each peer.
+    /// in reach of the radio can read and change the map. Needs a [`salt`](Self::salt).
+    /// Holds, against replays, 160 bytes for each robot id that a holder of the key used (10 MiB for all 65,536), 512 more for each peer.
     pub swarm_key: Option<SwarmKey>,
-    /// How often this run was started before, if it goes on with what it stored ([`Session::restore`](crate::Session::restore))
-    /// under the same epoch: each such start has counters of its own. 0 to 4,095. Default 0. Only used with a key.
-    pub restarts: u16,
+    /// With a key: random bytes, drawn anew for **every** run (`getrandom`), which make a key of its own for it: so no nonce comes
+    /// twice, whatever the clock and the epoch are. All zero, as by default, is refused where there is a key.
+    pub salt: Salt,
     /// Unicast or broadcast. Default unicast.
     pub cast: Cast,
 
@@ -119,7 +117,7 @@ pub struct SessionConfig {
     pub burst_ms: u32,
     /// Bytes counted for each datagram beside its payload. Default 28: IPv4 and UDP headers.
     pub datagram_overhead_bytes: u32,
-    /// Longest datagram made, in bytes of UDP payload; 1,180 to 1,200, with a key 1,196 to 1,200. Default 1,200.
+    /// Longest datagram made, in bytes of UDP payload; 1,181 to 1,200, with a key 1,199 to 1,200. Default 1,200.
     pub datagram_bytes_max: usize,
 
     // Limits on what others can make this robot hold.
@@ -149,7 +147,7 @@ impl Default for SessionConfig {
         Self {
             swarm: 0,
             swarm_key: None,
-            restarts: 0,
+            salt: [0; 16],
             cast: Cast::Unicast,
             request_period_active_ms: 1_000,
             request_period_idle_ms: 3_000,
@@ -246,11 +244,12 @@ impl SessionConfig {
         ] {
             check(option, (1..=1 << 20).contains(&count), count as u64, "1 to 1,048,576")?;
         }
-        check("restarts", self.restarts <= RESTARTS_MAX, self.restarts.into(), "0 to 4,095")?;
+        let has_salt = self.swarm_key.is_none() || self.salt != [0; 16];
+        check("salt", has_salt, 0, "with a swarm_key 16 random bytes, drawn anew for each run,")?;
         let bytes = self.datagram_bytes_max;
         let (least, expected) = match self.swarm_key {
-            None => (1_180, "1,180 to 1,200"),
-            Some(_) => (1_196, "with a key 1,196 to 1,200"),
+            None => (1_181, "1,181 to 1,200"),
+            Some(_) => (1_199, "with a key 1,199 or 1,200"),
         };
         check("datagram_bytes_max", (least..=DATAGRAM_BYTES_MAX).contains(&bytes), bytes as u64, expected)
     }

@@ -84,6 +84,8 @@ pub struct Counters {
     pub forged: u64,
     /// Genuine datagrams that were there already, or so late that this cannot be told.
     pub replayed: u64,
+    /// Sealed datagrams of a run of which no request had come yet, so that they could not be opened. Its packages come again.
+    pub unknown_run: u64,
     /// Datagrams that are not sealed, where this robot has a key.
     pub unsealed: u64,
     /// Sealed datagrams, where this robot has no key.

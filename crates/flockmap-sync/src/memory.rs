@@ -22,8 +22,8 @@ const COVERED: usize = INTERVAL * GROWTH;
 /// The budget of the link to a peer that fell silent.
 const SILENT_LINK: usize = 2_048 + 256;
 /// With a key, what is known of the counters of every robot that was ever heard, 2¹⁶ of them; and the window of a peer.
-const HEARD: usize = (1 << 16) * 60;
-const WINDOW: usize = 256 + 16;
+const HEARD: usize = (1 << 16) * 160;
+const WINDOW: usize = 2 * (256 + 16);
 /// Events that nobody took, and packages that wait for a verdict: so many.
 const EVENTS: usize = 4_096;
 /// A package in memory, beside its bytes.

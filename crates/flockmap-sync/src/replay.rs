@@ -1,5 +1,6 @@
 //! Which sealed datagrams were there already: for each robot a window over its counters, as in RFC 6479.
 
+use crate::wire::Salt;
 use flockmap_grid::{RobotId, Stream};
 use std::collections::BTreeMap;
 
@@ -15,11 +16,11 @@ pub(crate) enum NotFresh {
     /// It was there already, or so many later ones were that this cannot be told.
     Replayed,
     /// It is from a run before this one.
-    Stale(u32),
+    Stale(u64),
 }
 
-/// What was heard of every robot. Only genuine datagrams get here, so only holders of the key fill it: at most 60
-/// bytes for each robot id ever heard (for all 65,536 of them 4 MiB), and 256 bytes more for those that are peers.
+/// What was heard of every robot. Only genuine datagrams get here, so only holders of the key fill it: at most 120
+/// bytes for each robot id ever heard (for all 65,536 of them 8 MiB), and 512 bytes more for those that are peers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Replays {
     robots: BTreeMap<RobotId, Heard>,
@@ -28,75 +29,97 @@ pub(crate) struct Replays {
 /// The newest run of a robot.
 #[derive(Clone, Debug)]
 struct Heard {
-    epoch: u32,
-    /// The highest counter.
-    newest: u64,
-    /// Bit `counter % BITS`: it was there. Without a window, all up to the newest count as having been there.
-    window: Option<Box<[u64; WORDS]>>,
+    epoch: u64,
+    salt: Salt,
+    for_all: Window,
+    for_one: Window,
+}
+
+/// The counters of one run that were there, of datagrams for all or of those for this robot alone.
+#[derive(Clone, Debug, Default)]
+struct Window {
+    /// The highest one, once there was one.
+    newest: Option<u64>,
+    /// Bit `counter % BITS`: it was there. Without these, all up to the newest count as having been there.
+    seen: Option<Box<[u64; WORDS]>>,
 }
 
 impl Replays {
+    /// The salt of a run, if it is the newest of its robot that was heard.
+    pub(crate) fn salt(&self, sender: Stream) -> Option<Salt> {
+        self.robots.get(&sender.origin).filter(|heard| heard.epoch == sender.epoch).map(|heard| heard.salt)
+    }
+
     /// Whether a genuine datagram counts; changes nothing.
-    pub(crate) fn check(&self, sender: Stream, counter: u64) -> Result<(), NotFresh> {
+    pub(crate) fn check(&self, sender: Stream, is_for_one: bool, counter: u64) -> Result<(), NotFresh> {
         match self.robots.get(&sender.origin) {
             Some(heard) if sender.epoch < heard.epoch => Err(NotFresh::Stale(heard.epoch)),
-            Some(heard) if sender.epoch == heard.epoch && heard.has(counter) => Err(NotFresh::Replayed),
+            Some(heard) if sender.epoch == heard.epoch && heard.window(is_for_one).has(counter) => {
+                Err(NotFresh::Replayed)
+            }
             _ => Ok(()),
         }
     }
 
-    /// Notes a genuine datagram that passed the check. `is_peer`: keep a window for this robot, so that datagrams that come
-    /// out of order count. All counters below the first one noted of a run count as having been there.
-    pub(crate) fn note(&mut self, sender: Stream, counter: u64, is_peer: bool) {
-        let first = || Heard { epoch: sender.epoch, newest: counter, window: None };
+    /// Notes a genuine datagram that passed the check. `is_peer`: keep what came of this robot one by one, so that datagrams that
+    /// come out of order count. All counters below the first one noted of a run count as having been there.
+    pub(crate) fn note(&mut self, sender: Stream, salt: Salt, is_for_one: bool, counter: u64, is_peer: bool) {
+        let first =
+            || Heard { epoch: sender.epoch, salt, for_all: Window::default(), for_one: Window::default() };
         let heard = self.robots.entry(sender.origin).or_insert_with(first);
         if heard.epoch != sender.epoch {
             *heard = first();
         }
-        if is_peer && heard.window.is_none() {
-            let mut window = Box::new([u64::MAX; WORDS]);
-            window[word(heard.newest)] >>= 63 - heard.newest % 64;
-            heard.window = Some(window);
-        }
-        heard.set(counter);
+        let window = if is_for_one { &mut heard.for_one } else { &mut heard.for_all };
+        window.note(counter, is_peer);
     }
 
     /// The robot is no peer any more: all of its datagrams up to the newest count as having been there from now on.
     pub(crate) fn forget_window(&mut self, robot: RobotId) {
         if let Some(heard) = self.robots.get_mut(&robot) {
-            heard.window = None;
+            (heard.for_all.seen, heard.for_one.seen) = (None, None);
         }
     }
 
     #[cfg(test)]
     pub(crate) fn windows(&self) -> usize {
-        self.robots.values().filter(|heard| heard.window.is_some()).count()
+        let of = |heard: &Heard| {
+            usize::from(heard.for_all.seen.is_some()) + usize::from(heard.for_one.seen.is_some())
+        };
+        self.robots.values().map(of).sum()
     }
 }
 
 impl Heard {
+    const fn window(&self, is_for_one: bool) -> &Window {
+        if is_for_one { &self.for_one } else { &self.for_all }
+    }
+}
+
+impl Window {
     fn has(&self, counter: u64) -> bool {
-        if counter > self.newest {
-            return false;
-        }
-        match &self.window {
-            Some(window) if self.newest - counter < WINDOW => {
-                window[word(counter)] & (1 << (counter % 64)) != 0
-            }
+        let Some(newest) = self.newest.filter(|newest| counter <= *newest) else { return false };
+        match &self.seen {
+            Some(seen) if newest - counter < WINDOW => seen[word(counter)] & (1 << (counter % 64)) != 0,
             _ => true,
         }
     }
 
-    fn set(&mut self, counter: u64) {
-        let newest = self.newest;
-        self.newest = newest.max(counter);
-        let Some(window) = &mut self.window else { return };
+    fn note(&mut self, counter: u64, is_peer: bool) {
+        let newest = self.newest.unwrap_or(counter);
+        if is_peer && self.seen.is_none() {
+            let mut seen = Box::new([u64::MAX; WORDS]);
+            seen[word(newest)] >>= 63 - newest % 64;
+            self.seen = Some(seen);
+        }
+        self.newest = Some(newest.max(counter));
+        let Some(seen) = &mut self.seen else { return };
         // The words between the newest and this one come into the window empty; of a far jump, all of them.
         let from = newest / 64 + 1;
         for at in (from..=counter / 64).take(WORDS) {
-            window[word(at * 64)] = 0;
+            seen[word(at * 64)] = 0;
         }
-        window[word(counter)] |= 1 << (counter % 64);
+        seen[word(counter)] |= 1 << (counter % 64);
     }
 }
 
@@ -110,14 +133,16 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
-    fn stream(epoch: u32) -> Stream {
+    const SALT: Salt = [1; 16];
+
+    fn stream(epoch: u64) -> Stream {
         Stream { origin: RobotId(7), epoch }
     }
 
     fn take(replays: &mut Replays, counter: u64) -> bool {
-        let fresh = replays.check(stream(1), counter).is_ok();
+        let fresh = replays.check(stream(1), false, counter).is_ok();
         if fresh {
-            replays.note(stream(1), counter, true);
+            replays.note(stream(1), SALT, false, counter, true);
         }
         fresh
     }
@@ -137,11 +162,24 @@ mod tests {
     #[test]
     fn a_new_run_begins_anew_and_the_former_one_is_stale() {
         let mut replays = Replays::default();
-        replays.note(stream(5), 100, true);
-        assert_eq!(replays.check(stream(6), 1), Ok(()));
-        replays.note(stream(6), 1, true);
-        assert_eq!(replays.check(stream(6), 1), Err(NotFresh::Replayed));
-        assert_eq!(replays.check(stream(5), 101), Err(NotFresh::Stale(6)));
+        replays.note(stream(5), SALT, false, 100, true);
+        assert_eq!(replays.check(stream(6), false, 1), Ok(()));
+        replays.note(stream(6), [2; 16], false, 1, true);
+        assert_eq!(replays.check(stream(6), false, 1), Err(NotFresh::Replayed));
+        assert_eq!(replays.check(stream(5), false, 101), Err(NotFresh::Stale(6)));
+        assert_eq!((replays.salt(stream(6)), replays.salt(stream(5))), (Some([2; 16]), None));
+    }
+
+    #[test]
+    fn datagrams_for_all_and_for_one_are_counted_apart() {
+        let mut replays = Replays::default();
+        replays.note(stream(1), SALT, false, 900, true);
+        assert_eq!(replays.check(stream(1), true, 5), Ok(()));
+        replays.note(stream(1), SALT, true, 5, true);
+        assert_eq!(replays.check(stream(1), true, 5), Err(NotFresh::Replayed));
+        assert_eq!(replays.check(stream(1), true, 4), Err(NotFresh::Replayed), "it was before the first one heard");
+        assert_eq!(replays.check(stream(1), false, 5), Err(NotFresh::Replayed));
+        assert_eq!(replays.check(stream(1), false, 901), Ok(()));
     }
 
     #[test]
@@ -152,7 +190,7 @@ mod tests {
         }
         replays.forget_window(RobotId(7));
         for counter in 1..=99 {
-            assert_eq!(replays.check(stream(1), counter), Err(NotFresh::Replayed));
+            assert_eq!(replays.check(stream(1), false, counter), Err(NotFresh::Replayed));
         }
         assert!(take(&mut replays, 105));
         assert!(!take(&mut replays, 98) && take(&mut replays, 104) && take(&mut replays, 100));
@@ -162,7 +200,7 @@ mod tests {
     fn who_is_no_peer_has_no_window() {
         let mut replays = Replays::default();
         for robot in 0..1_000 {
-            replays.note(Stream { origin: RobotId(robot), epoch: 1 }, 5, false);
+            replays.note(Stream { origin: RobotId(robot), epoch: 1 }, SALT, false, 5, false);
         }
         assert!(replays.windows() == 0);
     }

@@ -18,7 +18,6 @@ pub use event::{Destination, Event, PublishError, Transmit};
 pub use load::Load;
 pub use pace::Pace;
 pub use peer::PeerInfo;
-pub(crate) use sealing::RESTARTS_MAX;
 
 use crate::pacer::Pacer;
 use crate::replay::Replays;
@@ -99,8 +98,7 @@ pub struct Session {
     /// When a budget that stopped sending allows it again.
     wake: Option<Stamp>,
     same_identity_told: Option<Stamp>,
-    /// The counter of the last datagram that was sealed; nothing else with a key may use one up to it.
-    sealed: u64,
+    sealed: sealing::SealedCounters,
     spent_told: bool,
     replays: Replays,
     counters: Counters,
@@ -113,7 +111,7 @@ impl Session {
         Ok(Self {
             own,
             now: Stamp(i64::MIN),
-            random: seed ^ (u64::from(own.origin.0) << 32) ^ u64::from(own.epoch),
+            random: seed ^ (u64::from(own.origin.0) << 32) ^ own.epoch,
             store: Store::new(own, config.store_limits()),
             peers: BTreeMap::new(),
             silent_links: BTreeMap::new(),
@@ -131,7 +129,7 @@ impl Session {
             served: RobotId(0),
             wake: None,
             same_identity_told: None,
-            sealed: sealing::counter_before(config.restarts),
+            sealed: sealing::SealedCounters::default(),
             spent_told: false,
             replays: Replays::default(),
             counters: Counters::default(),
@@ -172,13 +170,12 @@ impl Session {
         Ok(())
     }
 
-    /// Puts back a package of an earlier time of this run, from a store on disk: it is held and can be sent on,
-    /// and is not delivered again. Own packages continue at the index after the highest restored one. With a swarm key, who
-    /// restores own packages has to count the starts of this run: [`SessionConfig::restarts`].
-    /// Whether it was taken.
+    /// Puts back a package, from a store on disk: it is held and can be sent on, and is not delivered again. Whether it was taken;
+    /// one of the own stream is not, since a run is never continued.
     pub fn restore(&mut self, now: Stamp, package: &Package) -> bool {
         let now = self.advance(now);
         package.header().content == ContentKind::Changes
+            && package.header().stream != self.own
             && package.bytes().len() <= self.package_bytes_max()
             && self.store.insert(package, now, now) == Ok(true)
     }
@@ -390,14 +387,14 @@ impl Session {
         }
     }
 
-    /// Bytes counted for each datagram beside what it has before it is sealed.
-    const fn overhead(&self) -> usize {
-        self.config.datagram_overhead_bytes as usize + self.seal_bytes()
+    /// Bytes counted for each datagram of a kind beside what it has before it is sealed.
+    const fn overhead(&self, kind: Kind) -> usize {
+        self.config.datagram_overhead_bytes as usize + self.seal_bytes(kind)
     }
 
     /// Longest package that fits into a datagram: header, record type and length go off.
     const fn package_bytes_max(&self) -> usize {
-        self.plain_bytes_max() - crate::wire::HEADER_BYTES - 3
+        self.plain_bytes_max(Kind::Packages) - crate::wire::HEADER_BYTES - 3
     }
 
     fn peer_timeout(&self) -> i64 {

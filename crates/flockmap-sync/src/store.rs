@@ -60,7 +60,7 @@ pub struct Store {
     bytes: usize,
     dropped: u64,
     /// Origins of which streams were forgotten, with the lowest epoch that is still wanted.
-    floors: BTreeMap<RobotId, u32>,
+    floors: BTreeMap<RobotId, u64>,
 }
 
 /// Why a stream or a package has no place in the store.
@@ -144,7 +144,7 @@ impl Store {
     }
 
     /// Origins of which old runs were forgotten, with the lowest epoch still wanted. At most `streams_max`.
-    pub(crate) const fn floors(&self) -> &BTreeMap<RobotId, u32> {
+    pub(crate) const fn floors(&self) -> &BTreeMap<RobotId, u64> {
         &self.floors
     }
 
@@ -161,7 +161,7 @@ impl Store {
             return Err(NoRoom::OldEpoch);
         }
         let of_origin = |epoch| Stream { origin: stream.origin, epoch };
-        let mut runs = self.shelves.range(of_origin(0)..=of_origin(u32::MAX)).map(|(stream, _)| *stream);
+        let mut runs = self.shelves.range(of_origin(0)..=of_origin(u64::MAX)).map(|(stream, _)| *stream);
         let oldest = runs.clone().find(|&run| run != self.own);
         let forgotten = if runs.by_ref().filter(|&run| run != self.own).count() >= self.limits.epochs_max {
             let Some(oldest) = oldest.filter(|oldest| oldest.epoch < stream.epoch) else {

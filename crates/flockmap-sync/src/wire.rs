@@ -12,7 +12,8 @@ mod sealed;
 pub use packages::{PackagesWriter, parse_packages};
 pub use request::{ClockReport, Echo, Held, Request, TransferProgress};
 pub use sealed::{
-    COUNTER_MAX, OpenedDatagram, SEAL_BYTES, SealedDatagram, is_sealed, seal_datagram, stated_sender,
+    COUNTER_MAX, OpenedDatagram, SALT_BYTES, SEAL_BYTES, Salt, SealedDatagram, is_sealed, seal_bytes,
+    seal_datagram, stated_sender,
 };
 
 use crate::bytes::{Reader, put_varint, varint_len};
@@ -23,19 +24,19 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 pub const DATAGRAM_BYTES_MAX: usize = 1_200;
 
 /// The version of the layout. Any change of the layout of what stands in `WIRE.md` is a change of this.
-pub const WIRE_VERSION: u8 = 2;
+pub const WIRE_VERSION: u8 = 3;
 
 /// Bytes of the header of a datagram that is not sealed.
-pub const HEADER_BYTES: usize = 24;
+pub const HEADER_BYTES: usize = 28;
 
 const MAGIC: [u8; 2] = *b"FM";
 /// The check covers everything but itself.
-const CHECK: core::ops::Range<usize> = 20..24;
+const CHECK: core::ops::Range<usize> = 24..28;
 
 /// The layout that [`WIRE_VERSION`] stands for, in words. A test holds its hash: who changes a line here must
 /// change the version too. (A new type of record, which older readers skip, is no change of a line.)
 pub const LAYOUT: &str = "\
-header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u32, stamp i64, crc32 u32 of all else
+header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u64, stamp i64, crc32 u32 of all else
 kind 128 sealed: magic, version, kind, swarm, sender, epoch as above, counter u48; sealed with the swarm key: \
 kind u8, stamp i64, what follows the header; tag 16. \
 ChaCha20-Poly1305, nonce: sender, epoch, counter; associated data: all before what is sealed
@@ -59,6 +60,8 @@ pub enum Kind {
     Request,
     /// Map packages: the paper's response, or a push of new ones.
     Packages,
+    /// Whether a robot is to be reached at an address: a challenge, or the answer to one.
+    Path,
 }
 
 impl Kind {
@@ -66,6 +69,16 @@ impl Kind {
         match self {
             Self::Request => 1,
             Self::Packages => 2,
+            Self::Path => 3,
+        }
+    }
+
+    const fn from_id(id: u8) -> Option<Self> {
+        match id {
+            1 => Some(Self::Request),
+            2 => Some(Self::Packages),
+            3 => Some(Self::Path),
+            _ => None,
         }
     }
 }
@@ -148,6 +161,12 @@ pub enum DatagramError {
         /// Its number.
         counter: u64,
     },
+    /// Sealed by a run of which no request was heard yet: only these have the salt with which it seals.
+    #[error("sealed datagram of {sender:?} before a request of its run: its next request tells how to open it")]
+    UnknownRun {
+        /// Who sent it, as it states.
+        sender: RobotId,
+    },
     /// Not sealed, and this robot has a key.
     #[error(
         "datagram that is not sealed, stating to be of {sender:?}: this robot has a swarm_key; give it to that robot too, or to none"
@@ -165,7 +184,7 @@ pub enum DatagramError {
         sender: RobotId,
     },
     /// Of a kind that this version does not know.
-    #[error("unknown kind of datagram {got}, 1, 2, or sealed 128 expected")]
+    #[error("unknown kind of datagram {got}, 1 to 3, sealed with 128 or 192 more, expected")]
     Kind {
         /// The kind it states.
         got: u8,
@@ -200,9 +219,9 @@ pub enum DatagramError {
         /// Who sent it.
         sender: RobotId,
         /// The epoch it states.
-        got: u32,
+        got: u64,
         /// The epoch heard since.
-        current: u32,
+        current: u64,
     },
     /// From a robot that bears the own id but is another run: two robots have the same id.
     #[error("another robot uses the own id {id}: give every robot of a swarm its own id")]
@@ -243,26 +262,22 @@ impl<'a> Datagram<'a> {
         if got != expected {
             return Err(DatagramError::Check { got, expected });
         }
+        let kind = Kind::from_id(kind).ok_or(DatagramError::Kind { got: kind })?;
         Self::with_body(kind, swarm, sender, stamp, &bytes[HEADER_BYTES..])
     }
 
-    /// A datagram of which everything but the kind and what follows the header is checked.
+    /// A datagram of which everything but what follows the header is checked.
     fn with_body(
-        kind: u8,
+        kind: Kind,
         swarm: u16,
         sender: Stream,
         stamp: i64,
         body: &'a [u8],
     ) -> Result<Self, DatagramError> {
-        let kind = match kind {
-            1 => Kind::Request,
-            2 => Kind::Packages,
-            got => return Err(DatagramError::Kind { got }),
-        };
         let malformed = |what| DatagramError::Malformed { sender: sender.origin, what };
         let flags = match kind {
             Kind::Request => *body.first().ok_or_else(|| malformed("flags"))?,
-            Kind::Packages => 0,
+            Kind::Packages | Kind::Path => 0,
         };
         let records = &body[usize::from(kind == Kind::Request)..];
         let mut rest = Reader::new(records);
@@ -304,7 +319,7 @@ fn check_version(bytes: &[u8]) -> Result<u8, DatagramError> {
 
 /// Swarm and sender, which follow the kind.
 fn head(reader: &mut Reader<'_>) -> Option<(u16, Stream)> {
-    Some((reader.u16()?, Stream { origin: RobotId(reader.u16()?), epoch: reader.u32()? }))
+    Some((reader.u16()?, Stream { origin: RobotId(reader.u16()?), epoch: reader.u64()? }))
 }
 
 fn next_record<'a>(reader: &mut Reader<'a>) -> Option<(u8, &'a [u8])> {

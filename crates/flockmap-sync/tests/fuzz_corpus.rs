@@ -78,7 +78,7 @@ fn packages_travel_as_they_are() {
     let mut maker = Maker::new();
     let mut inputs = Vec::new();
     for index in [1, 7, u32::MAX] {
-        let stream = Stream { origin: RobotId(3), epoch: index };
+        let stream = Stream { origin: RobotId(3), epoch: index.into() };
         inputs.push(maker.package(stream, index, index == 7).bytes().to_vec());
         inputs.extend(maker.tiles(stream, (index / 2, index), 4, 1).iter().map(|tile| tile.bytes().to_vec()));
     }

@@ -16,6 +16,9 @@ use swarm::{Radio, Random, SECOND, Swarm};
 /// Counts the bytes in use.
 struct Counting;
 
+/// Of every sender.
+const SALT: [u8; 16] = [3; 16];
+
 static IN_USE: AtomicUsize = AtomicUsize::new(0);
 
 // SAFETY: passes everything on to the system's allocator.
@@ -51,7 +54,7 @@ fn package(random: &mut Random, stream: Stream, index: u32) -> Package {
 }
 
 fn any_stream(random: &mut Random) -> Stream {
-    Stream { origin: RobotId(random.below(1 << 16) as u16), epoch: random.next() as u32 }
+    Stream { origin: RobotId(random.below(1 << 16) as u16), epoch: random.next() as u32 as u64 }
 }
 
 fn any_index(random: &mut Random) -> u32 {
@@ -73,7 +76,7 @@ fn any_set(random: &mut Random) -> IntervalSet {
 
 /// A datagram with a right check and wild content, much of it about the robot `own`.
 fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> {
-    let sender = Stream { origin: RobotId(2 + random.below(senders) as u16), epoch: random.below(3) as u32 };
+    let sender = Stream { origin: RobotId(2 + random.below(senders) as u16), epoch: random.below(3) };
     let stamp = if random.chance(0.9) { now } else { Stamp(random.next() as i64) };
     let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender, stamp };
     if random.chance(0.5) {
@@ -120,7 +123,7 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
                 accepted: any_set(random),
             })
             .collect(),
-        floors: vec![(RobotId(random.next() as u16), random.next() as u32)],
+        floors: vec![(RobotId(random.next() as u16), random.next() as u32 as u64)],
         clocks: Vec::new(),
         states_wanted: vec![
             (Stream { origin: own, epoch: 1 }, any_index(random), any_index(random)),
@@ -162,7 +165,7 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
                 // Most are fresh.
                 let late_max = if random.chance(0.2) { 4_000 } else { 3 };
                 let late = random.below(late_max);
-                bytes = seal_datagram(key, &bytes, u64::from(round + 4_000) - late).unwrap();
+                bytes = seal_datagram(key, &SALT, &bytes, None, u64::from(round + 4_000) - late).unwrap();
             }
             match random.below(8) {
                 0 => bytes.truncate(random.below(bytes.len() as u64) as usize),

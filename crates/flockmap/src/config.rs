@@ -32,8 +32,8 @@ impl Default for CycleConfig {
 pub struct RobotConfig {
     /// Which robot of the swarm this is. No two may have the same.
     pub id: RobotId,
-    /// Which run of this robot. Must be higher after each restart: seconds since 1970 will do. Default 1.
-    pub epoch: u32,
+    /// Which run of this robot: [`epoch`](crate::epoch) of the seconds since 1970 and 32 random bits. Default 1.
+    pub epoch: u64,
     /// Its mapper.
     pub mapper: MapperConfig,
     /// When cycles close.

@@ -58,7 +58,7 @@ pub use flockmap_codec::{Codec, Cycle, Package};
 pub use flockmap_grid as grid;
 pub use flockmap_grid::{
     Changes, Fusion, FusionConfig, MapView, Mapper, MapperConfig, Pose, Preset, RayEnd, Resolution, RobotId,
-    Scan, ScanReport, Sphere, Stamp, State, Stream, Voxel, VoxelBox,
+    Scan, ScanReport, Sphere, Stamp, State, Stream, Voxel, VoxelBox, epoch,
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Session, SessionConfig, Transmit};

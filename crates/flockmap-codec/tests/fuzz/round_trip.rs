@@ -59,7 +59,7 @@ impl Sender {
         };
         let corner = Voxel::new(corner(), corner(), corner());
         let has_long_header = choices.below(8) == 7;
-        let epoch = if has_long_header { u32::MAX } else { choices.below(3) };
+        let epoch: u64 = if has_long_header { u64::MAX } else { u64::from(choices.below(3)) };
         Self {
             stream: Stream { origin: RobotId(if has_long_header { u16::MAX } else { 1 }), epoch },
             resolution: Resolution::from_micrometres(if has_long_header { 99_999_999 } else { 100_000 })

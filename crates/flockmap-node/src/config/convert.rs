@@ -23,7 +23,7 @@ impl NodeConfig {
     ///
     /// # Errors
     /// Names the key, its value and what was expected.
-    pub fn robot(&self, epoch: u32) -> Result<RobotConfig, ConfigError> {
+    pub fn robot(&self, epoch: u64) -> Result<RobotConfig, ConfigError> {
         let map = &self.map;
         let resolution = Resolution::from_metres(map.resolution_m).ok_or_else(|| {
             value("[map] resolution_m", map.resolution_m, "the side of a voxel in metres, for example 0.1")

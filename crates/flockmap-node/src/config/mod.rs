@@ -27,7 +27,7 @@ pub struct NodeConfig {
     pub name: Option<String>,
     /// Which run of the robot this is; must be higher after each restart. Default: the second since 1970 that begins next; the node
     /// waits for it.
-    pub epoch: Option<u32>,
+    pub epoch: Option<u64>,
     /// The mapper.
     pub map: MapSection,
     /// When changes are packed.

@@ -10,9 +10,9 @@ use super::{Disk, DiskFile, Identity};
 pub(super) struct Log {
     disk: Arc<dyn Disk>,
     identity: Identity,
-    epoch: u32,
+    epoch: u64,
     bytes_max: u64,
-    segments: BTreeMap<(u32, u32), u64>,
+    segments: BTreeMap<(u32, u64), u64>,
     file: Box<dyn DiskFile>,
     number: u32,
     seed: u32,
@@ -47,9 +47,9 @@ impl Log {
     pub(super) fn begin(
         disk: Arc<dyn Disk>,
         identity: Identity,
-        epoch: u32,
+        epoch: u64,
         bytes_max: u64,
-        segments: BTreeMap<(u32, u32), u64>,
+        segments: BTreeMap<(u32, u64), u64>,
     ) -> Result<Self, LogError> {
         let number = segments.keys().next_back().map_or(0, |(number, _)| *number).saturating_add(1);
         let header = SegmentHeader { identity, epoch, number, is_compacted: false };

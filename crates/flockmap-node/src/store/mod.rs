@@ -106,9 +106,9 @@ pub enum StoreError {
     #[error("store: epoch {got} was used before: the last one was {last}, give a higher one or none")]
     Epoch {
         /// The epoch of this run.
-        got: u32,
+        got: u64,
         /// The highest in the store.
-        last: u32,
+        last: u64,
     },
 }
 
@@ -124,8 +124,8 @@ pub struct Store {
     identity: Identity,
     options: StoreOptions,
     /// Names and bytes of the segments, by number and epoch.
-    segments: BTreeMap<(u32, u32), u64>,
-    last_epoch: Option<u32>,
+    segments: BTreeMap<(u32, u64), u64>,
+    last_epoch: Option<u64>,
     restored: Restored,
 }
 
@@ -208,19 +208,19 @@ impl Store {
     }
 
     /// The highest epoch of this robot that is known to have been used.
-    pub const fn last_epoch(&self) -> Option<u32> {
+    pub const fn last_epoch(&self) -> Option<u64> {
         self.last_epoch
     }
 
     /// The epoch for this run: `wanted`, or more if need be, so that it is higher than all before. (The last of 2³² would be used again.)
-    pub fn next_epoch(&self, wanted: u32) -> u32 {
+    pub fn next_epoch(&self, wanted: u64) -> u64 {
         self.last_epoch.map_or(wanted, |last| wanted.max(last.saturating_add(1)))
     }
 
     /// Gives the robot, which must be new, what the store has, in its order, and cuts off what a crash left half written. What is damaged or gone is
     /// left out: the robot asks the others for it, and what builds on it waits. The events of the robot up to now are taken from it.
     pub fn restore(&mut self, robot: &mut Robot, now: Stamp) -> Restored {
-        let names: Vec<(u32, u32)> = self.segments.keys().copied().collect();
+        let names: Vec<(u32, u64)> = self.segments.keys().copied().collect();
         for (number, epoch) in names {
             let name = record::segment_name(number, epoch);
             let Some(length) = self.restore_segment(&name, robot, now) else {

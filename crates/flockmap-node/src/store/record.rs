@@ -10,9 +10,9 @@ use super::Identity;
 
 const MAGIC: &[u8; 8] = b"FLKSTORE";
 /// Goes up with every change of the layout.
-pub const STORE_VERSION: u8 = 1;
+pub const STORE_VERSION: u8 = 2;
 
-const HEADER_BYTES: usize = 32;
+const HEADER_BYTES: usize = 36;
 /// The header stands there twice, so that one spoilt byte does not cost a whole segment.
 pub(super) const HEADERS_BYTES: usize = 2 * HEADER_BYTES;
 const IS_COMPACTED: u8 = 1;
@@ -34,7 +34,7 @@ const HELD: u8 = 2;
 pub(super) struct SegmentHeader {
     pub(super) identity: Identity,
     /// The run that wrote it.
-    pub(super) epoch: u32,
+    pub(super) epoch: u64,
     /// Its place among the segments.
     pub(super) number: u32,
     /// It says all that the segments with lower numbers say.
@@ -89,7 +89,7 @@ impl SegmentHeader {
     fn read_copy(copy: &[u8]) -> Result<Self, NoHeader> {
         let u16_at = |at: usize| u16::from_le_bytes([copy[at], copy[at + 1]]);
         let u32_at = |at: usize| u32::from_le_bytes([copy[at], copy[at + 1], copy[at + 2], copy[at + 3]]);
-        if copy[..8] != *MAGIC || u32_at(28) != crc32fast::hash(&copy[..28]) {
+        if copy[..8] != *MAGIC || u32_at(32) != crc32fast::hash(&copy[..32]) {
             return Err(NoHeader::Damaged);
         }
         if copy[8] != STORE_VERSION {
@@ -98,8 +98,8 @@ impl SegmentHeader {
         let resolution = Resolution::from_micrometres(u32_at(16)).ok_or(NoHeader::Damaged)?;
         Ok(Self {
             identity: Identity { swarm: u16_at(10), robot: RobotId(u16_at(12)), resolution },
-            epoch: u32_at(20),
-            number: u32_at(24),
+            epoch: u64::from(u32_at(24)) << 32 | u64::from(u32_at(20)),
+            number: u32_at(28),
             is_compacted: copy[9] & IS_COMPACTED != 0,
         })
     }
@@ -112,12 +112,12 @@ impl SegmentHeader {
 }
 
 /// `NUMBER-EPOCH.log`: the epoch is safe even where the header is spoilt.
-pub(super) fn segment_name(number: u32, epoch: u32) -> String {
-    format!("{number:08}-{epoch:010}.log")
+pub(super) fn segment_name(number: u32, epoch: u64) -> String {
+    format!("{number:08}-{epoch:020}.log")
 }
 
 /// Number and epoch of a segment; `None` for all other files.
-pub(super) fn parse_name(name: &str) -> Option<(u32, u32)> {
+pub(super) fn parse_name(name: &str) -> Option<(u32, u64)> {
     let (number, epoch) = name.strip_suffix(".log")?.split_once('-')?;
     let (number, epoch) = (number.parse().ok()?, epoch.parse().ok()?);
     (segment_name(number, epoch) == name).then_some((number, epoch))
@@ -165,7 +165,7 @@ impl Record {
         let (epoch, rest) = rest.split_first_chunk()?;
         let (upto, rest) = rest.split_first_chunk()?;
         let stream =
-            Stream { origin: RobotId(u16::from_le_bytes(*origin)), epoch: u32::from_le_bytes(*epoch) };
+            Stream { origin: RobotId(u16::from_le_bytes(*origin)), epoch: u64::from_le_bytes(*epoch) };
         let (pairs, rest) = rest.as_chunks::<8>();
         let number = |bytes: &[u8]| bytes.iter().rev().fold(0, |n, byte| n << 8 | u32::from(*byte));
         let intervals = pairs.iter().map(|pair| (number(&pair[..4]), number(&pair[4..]))).collect();

@@ -67,7 +67,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Epoch`] if the epoch is not higher than all before; [`StoreError::Disk`] if there is no thread to be had.
-    pub fn start(self, epoch: u32, log: crate::Log) -> Result<StoreWriter, StoreError> {
+    pub fn start(self, epoch: u64, log: crate::Log) -> Result<StoreWriter, StoreError> {
         if let Some(last) = self.last_epoch.filter(|last| *last >= epoch) {
             return Err(StoreError::Epoch { got: epoch, last });
         }

@@ -23,7 +23,7 @@ fn identity() -> Identity {
     Identity { swarm: 0, robot: RobotId(1), resolution: resolution() }
 }
 
-fn robot(epoch: u32) -> Robot {
+fn robot(epoch: u64) -> Robot {
     let mut config = RobotConfig { epoch, ..RobotConfig::new(RobotId(1), resolution(), 7.0) };
     // What a store may make it hold is bounded by these.
     config.fusion.layer_bytes_max = 4 << 20;

@@ -1,12 +1,13 @@
 //! A robot of the swarm with its clock, what its checkers remember, and what is counted of it.
 
+use super::datagram::salt_of;
 use super::check::{Budget, Quiet, Still, Twice};
 use super::report::{RobotFigures, median_and_99};
 use super::settings::{MemberSettings, Settings, purpose};
 use super::world::{Course, SmallWorld};
 use crate::random::Random;
 use flockmap::sync::Counters;
-use flockmap::{Package, Pose, Robot, RobotCounters, RobotError, RobotId};
+use flockmap::{Package, Pose, Robot, RobotCounters, RobotError, RobotId, Stream};
 
 /// No robot wants anything at this time.
 pub(super) const NEVER: i64 = i64::MAX;
@@ -26,7 +27,7 @@ pub(super) struct Member {
     pub(super) still: Still,
     pub(super) figures: RobotFigures,
     pub(super) ages: Vec<i64>,
-    epoch: u32,
+    epoch: u64,
     /// What it stored, where robots have a disk.
     disk: Vec<Package>,
 }
@@ -66,9 +67,10 @@ impl Member {
         now: i64,
         others: &[(RobotId, super::clock::Clock)],
     ) -> Result<(), RobotError> {
-        self.epoch += 1 + self.random.below(3) as u32;
+        self.epoch += 1 + self.random.below(3);
         let mut config = self.settings.config.clone();
         config.epoch = self.epoch;
+        config.session.salt = salt_of(Stream { origin: config.id, epoch: config.epoch });
         let mut robot = Robot::new(config, self.settings.clock.shows(now))?;
         for (other, clock) in others {
             let offset = clock.offset - self.settings.clock.offset;

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 /// Datagrams that it remembers.
 const HEARD_MAX: usize = 64;
-const HEADER_BYTES: usize = 24;
+const HEADER_BYTES: usize = 28;
 
 pub(super) struct Outsider {
     random: Random,
@@ -53,7 +53,7 @@ impl Outsider {
             _ => {
                 let plain = self.without_seal(&bytes)?;
                 let key = SwarmKey::from_bytes([0x5a; SwarmKey::BYTES]);
-                bytes = seal_datagram(&key, &plain, 1 << 20)?;
+                bytes = seal_datagram(&key, &[0x5a; 16], &plain, None, 1 << 20)?;
             }
         }
         let to = self.random.below(robots as u64) as usize;
@@ -66,11 +66,11 @@ impl Outsider {
         bytes[3] = 1;
         // All streams, all echoes, and none of either: the sender has lost everything.
         bytes.push(3);
-        bytes[12..20].copy_from_slice(&self.random.next_u64().to_le_bytes());
+        bytes[16..24].copy_from_slice(&self.random.next_u64().to_le_bytes());
         let mut check = crc32fast::Hasher::new();
-        check.update(&bytes[..20]);
-        check.update(&bytes[24..]);
-        bytes[20..24].copy_from_slice(&check.finalize().to_le_bytes());
+        check.update(&bytes[..24]);
+        check.update(&bytes[28..]);
+        bytes[24..28].copy_from_slice(&check.finalize().to_le_bytes());
         Some(bytes)
     }
 }

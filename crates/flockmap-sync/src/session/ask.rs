@@ -176,7 +176,7 @@ impl Session {
         let copies = self.copies(to);
         let header = self.header(now, Kind::Request);
         let bytes = self.request(now).emit(header, self.request_bytes_max(copies as usize));
-        let each = bytes.len() + self.overhead();
+        let each = bytes.len() + self.overhead(Kind::Request);
         let total = each * copies as usize;
         let radio = self.radio.iter_mut().map(|radio| (radio, total));
         let links = self.peers.iter_mut().filter(|(id, _)| to.includes(**id));
@@ -207,8 +207,8 @@ impl Session {
         let radio = self.config.radio_bytes_per_s.map(|rate| rate as usize / copies.max(1));
         let rate = link.into_iter().chain(radio).min().unwrap_or(usize::MAX);
         (rate / BUDGET_SHARE_AT_ONCE)
-            .saturating_sub(self.overhead())
-            .clamp(REQUEST_BYTES_MIN, self.plain_bytes_max())
+            .saturating_sub(self.overhead(Kind::Request))
+            .clamp(REQUEST_BYTES_MIN, self.plain_bytes_max(Kind::Request))
     }
 
     /// Pause after a request of so many bytes, so that requests take no more than their share of the budget; short

@@ -26,6 +26,7 @@ impl Session {
                 DatagramError::TooManyPeers { .. } => &mut self.counters.too_many_peers,
                 DatagramError::Forged { .. } => &mut self.counters.forged,
                 DatagramError::Replayed { .. } => &mut self.counters.replayed,
+                DatagramError::UnknownRun { .. } => &mut self.counters.unknown_run,
                 DatagramError::Unsealed { .. } => &mut self.counters.unsealed,
                 DatagramError::SealedWithoutKey { .. } => &mut self.counters.sealed_without_key,
                 // Counted where it is told.
@@ -50,8 +51,6 @@ impl Session {
             datagram
         };
         let header = *datagram.header();
-        // The seal counts as overhead, both ways.
-        let length = bytes.len() - self.seal_bytes();
         if header.sender == self.own {
             self.counters.own_heard += 1;
             return Ok(());
@@ -64,16 +63,17 @@ impl Session {
         match header.kind {
             Kind::Request => {
                 let request = Request::parse(&datagram, VIEW_INTERVALS_MAX)?;
-                self.hear(now, &header, length)?;
-                self.counters.requests_in.add(1, length + self.overhead());
+                self.hear(now, &header, bytes.len())?;
+                self.counters.requests_in.add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.handle_request(now, &header, &request);
             }
             Kind::Packages => {
                 let packages = parse_packages(&datagram)?;
-                self.hear(now, &header, length)?;
-                self.counters.packages_in.add(1, length + self.overhead());
+                self.hear(now, &header, bytes.len())?;
+                self.counters.packages_in.add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.receive_packages(now, header.sender, packages);
             }
+            Kind::Path => self.hear(now, &header, bytes.len())?,
         }
         Ok(())
     }
@@ -97,7 +97,7 @@ impl Session {
             self.push_event(Event::PeerSeen(stream));
             self.greet(now);
         }
-        let overhead = self.overhead();
+        let overhead = self.config.datagram_overhead_bytes as usize;
         if let Some(peer) = self.peers.get_mut(&id) {
             peer.note_heard(now);
             peer.traffic_in.add(1, bytes + overhead);

@@ -113,7 +113,7 @@ pub(super) struct Peer {
     pub(super) hears_all_listed: bool,
     /// Its last request named all its streams and it takes new ones: what is not named is not held.
     pub(super) takes_unnamed: bool,
-    pub(super) floors: Vec<(RobotId, u32)>,
+    pub(super) floors: Vec<(RobotId, u64)>,
     pub(super) clocks: Vec<crate::wire::ClockReport>,
     pub(super) views: BTreeMap<Stream, View>,
     pub(super) in_flight: VecDeque<Sent>,

@@ -1,24 +1,33 @@
 //! What a swarm key changes in a session: datagrams are sealed as they go out, and proved before anything of them counts.
 
-use super::{Event, Session, Transmit};
+use super::{Destination, Event, Session, Transmit};
 use crate::replay::NotFresh;
-use crate::wire::{DatagramError, OpenedDatagram, SEAL_BYTES, SealedDatagram, seal_datagram};
-use flockmap_grid::Stamp;
+use crate::wire::{COUNTER_MAX, DatagramError, Kind, OpenedDatagram, SealedDatagram, seal_bytes, seal_datagram};
 use flockmap_grid::mutation::{self, Mutation};
+use flockmap_grid::{RobotId, Stamp, Stream};
+use std::collections::BTreeMap;
 
-/// The counter of a datagram is the number of the start, 12 bits, then the number of the datagram in it, so many bits.
-const START_BITS: u32 = 36;
-/// Most that a run can be started again.
-pub(crate) const RESTARTS_MAX: u16 = (1 << 12) - 1;
+/// The counters of the datagrams that this run has sealed. At most one for each robot that was ever a peer.
+#[derive(Debug, Default)]
+pub(super) struct SealedCounters {
+    for_all: u64,
+    for_one: BTreeMap<RobotId, u64>,
+    /// One of them has reached its end.
+    is_exhausted: bool,
+}
 
-/// The counter before the first of a start.
-pub(super) const fn counter_before(restarts: u16) -> u64 {
-    (restarts as u64) << START_BITS
+impl SealedCounters {
+    /// The number of the last datagram that was sealed for this recipient.
+    fn last_mut(&mut self, recipient: Option<RobotId>) -> &mut u64 {
+        match recipient {
+            None => &mut self.for_all,
+            Some(robot) => self.for_one.entry(robot).or_default(),
+        }
+    }
 }
 
 impl Session {
-    /// Whether no datagram can be sealed any more: one more would need a nonce that belongs to a later start. Tells the
-    /// driver, once.
+    /// Whether some datagram cannot be sealed any more: one more would need a nonce that was used. Tells the driver, once.
     pub(super) fn check_spent(&mut self) -> bool {
         if self.is_spent() && !self.spent_told {
             self.spent_told = true;
@@ -27,16 +36,22 @@ impl Session {
         self.is_spent()
     }
 
-    pub(super) const fn is_spent(&self) -> bool {
-        self.config.swarm_key.is_some() && (self.sealed + 1) >> START_BITS > self.config.restarts as u64
+    pub(super) fn is_spent(&self) -> bool {
+        self.config.swarm_key.is_some() && self.sealed.is_exhausted
     }
 
     /// Seals a datagram that is about to go out, if there is a key.
     pub(super) fn seal(&mut self, transmit: Transmit) -> Option<Transmit> {
         let Some(key) = &self.config.swarm_key else { return Some(transmit) };
-        let bytes = seal_datagram(key, &transmit.bytes, self.sealed + 1)?;
+        let recipient = match transmit.to {
+            Destination::Peer(robot) => Some(robot),
+            Destination::Everyone => None,
+        };
+        let last = self.sealed.last_mut(recipient);
+        let bytes = seal_datagram(key, &self.config.salt, &transmit.bytes, recipient, *last + 1)?;
         debug_assert!(bytes.len() <= self.config.datagram_bytes_max, "{} bytes sealed", bytes.len());
-        self.sealed += u64::from(!mutation::is(Mutation::NonceRepeated));
+        *last += u64::from(!mutation::is(Mutation::NonceRepeated));
+        self.sealed.is_exhausted |= *last >= COUNTER_MAX;
         Some(Transmit { to: transmit.to, bytes })
     }
 
@@ -44,16 +59,22 @@ impl Session {
     pub(super) fn open(&mut self, now: Stamp, bytes: &[u8]) -> Result<OpenedDatagram, DatagramError> {
         let datagram = SealedDatagram::new_checked(bytes)?;
         self.check_swarm(datagram.swarm())?;
-        let (sender, counter) = (datagram.sender(), datagram.counter());
+        let (sender, counter, is_for_one) = (datagram.sender(), datagram.counter(), datagram.is_for_one());
         let Some(key) = &self.config.swarm_key else {
             return Err(DatagramError::SealedWithoutKey { sender: sender.origin });
         };
-        let opened = datagram.open(key)?;
+        let known = if sender == self.own { Some(self.config.salt) } else { self.replays.salt(sender) };
+        let salt = datagram.salt().or(known).ok_or(DatagramError::UnknownRun { sender: sender.origin })?;
+        let opened = datagram.open(key, &salt, self.own.origin)?;
         if sender.origin == self.own.origin {
-            self.check_own(now, sender.epoch, counter)?;
+            self.check_own(now, sender, salt)?;
             return Ok(opened);
         }
-        let fresh = self.replays.check(sender, counter);
+        if known.is_some_and(|known| known != salt) {
+            // Two runs of one robot with the same epoch: by chance once in 2³², else a driver that does not draw its epochs.
+            return Err(DatagramError::Replayed { sender: sender.origin, counter });
+        }
+        let fresh = self.replays.check(sender, is_for_one, counter);
         let fresh = if mutation::is(Mutation::ReplayAccepted) { Ok(()) } else { fresh };
         fresh.map_err(|not_fresh| match not_fresh {
             NotFresh::Replayed => DatagramError::Replayed { sender: sender.origin, counter },
@@ -61,18 +82,19 @@ impl Session {
                 DatagramError::StaleEpoch { sender: sender.origin, got: sender.epoch, current }
             }
         })?;
-        self.replays.note(sender, counter, self.peers.contains_key(&sender.origin));
+        let is_peer = self.peers.contains_key(&sender.origin);
+        self.replays.note(sender, salt, is_for_one, counter, is_peer);
         Ok(opened)
     }
 
-    /// A genuine datagram in the own name: of a former run, if somebody replays it; of another robot, if its number was never
-    /// given here; else an own one heard back.
-    fn check_own(&mut self, now: Stamp, epoch: u32, counter: u64) -> Result<(), DatagramError> {
+    /// A genuine datagram in the own name: of a former run, if somebody replays it; of another robot, if it is sealed by another run;
+    /// else an own one heard back.
+    fn check_own(&mut self, now: Stamp, sender: Stream, salt: [u8; 16]) -> Result<(), DatagramError> {
         let (id, current) = (self.own.origin, self.own.epoch);
-        if epoch < current {
-            return Err(DatagramError::StaleEpoch { sender: id, got: epoch, current });
+        if sender.epoch < current {
+            return Err(DatagramError::StaleEpoch { sender: id, got: sender.epoch, current });
         }
-        if epoch == current && counter > self.sealed {
+        if sender.epoch == current && salt != self.config.salt {
             self.tell_same_identity(now);
             return Err(DatagramError::SameIdentity { id });
         }
@@ -87,79 +109,80 @@ impl Session {
         }
     }
 
-    /// Bytes that sealing adds to each datagram.
-    pub(super) const fn seal_bytes(&self) -> usize {
-        if self.config.swarm_key.is_some() { SEAL_BYTES } else { 0 }
+    /// Bytes that sealing adds to a datagram of this kind.
+    pub(super) const fn seal_bytes(&self, kind: Kind) -> usize {
+        if self.config.swarm_key.is_some() { seal_bytes(kind) } else { 0 }
     }
 
-    /// Longest datagram before it is sealed.
-    pub(super) const fn plain_bytes_max(&self) -> usize {
-        self.config.datagram_bytes_max - self.seal_bytes()
+    /// Longest datagram of this kind before it is sealed.
+    pub(super) const fn plain_bytes_max(&self, kind: Kind) -> usize {
+        self.config.datagram_bytes_max - self.seal_bytes(kind)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Session, SessionConfig, SwarmKey};
-    use flockmap_grid::{RobotId, Stream};
+    use crate::{SessionConfig, SwarmKey};
 
-    fn session(id: u16, restarts: u16) -> Session {
+    fn session(id: u16, epoch: u64) -> Session {
         let swarm_key = Some(SwarmKey::from_bytes([9; 32]));
-        let config = SessionConfig { swarm_key, restarts, ..SessionConfig::default() };
-        Session::new(Stream { origin: RobotId(id), epoch: 1 }, config, 1).unwrap()
+        let config = SessionConfig { swarm_key, salt: [id as u8 + 1; 16], ..SessionConfig::default() };
+        Session::new(Stream { origin: RobotId(id), epoch }, config, 1).unwrap()
     }
 
     #[test]
     fn at_the_end_of_its_counters_a_session_falls_silent_and_says_so_once() {
-        for restarts in [0, 1, RESTARTS_MAX] {
-            let mut session = session(1, restarts);
-            let last = counter_before(restarts) + (1 << START_BITS) - 1;
-            session.sealed = last - 1;
-            let bytes = session.poll_transmit(Stamp(0)).unwrap().bytes;
-            assert_eq!(SealedDatagram::new_checked(&bytes).unwrap().counter(), last);
-            assert!(last < counter_before(restarts + 1) && last <= crate::wire::COUNTER_MAX);
-            for second in 1..100 {
-                let now = Stamp(second * 1_000_000);
-                assert_eq!(session.poll_transmit(now), None);
-                assert_eq!(session.poll_timeout(), None, "nothing to wait for");
-            }
-            assert!(matches!(session.poll_event(), Some(Event::CountersSpent)));
-            assert!(session.poll_event().is_none());
+        let mut session = session(1, 1);
+        session.sealed.for_all = COUNTER_MAX - 1;
+        let bytes = session.poll_transmit(Stamp(0)).unwrap().bytes;
+        assert_eq!(SealedDatagram::new_checked(&bytes).unwrap().counter(), COUNTER_MAX);
+        for second in 1..100 {
+            let now = Stamp(second * 1_000_000);
+            assert_eq!(session.poll_transmit(now), None);
+            assert_eq!(session.poll_timeout(), None, "nothing to wait for");
         }
+        assert!(matches!(session.poll_event(), Some(Event::CountersSpent)));
+        assert!(session.poll_event().is_none());
     }
 
     #[test]
-    fn a_run_that_goes_on_after_a_restart_is_heard_and_repeats_no_counter() {
-        let (mut first, mut again, mut other) = (session(1, 0), session(1, 1), session(2, 0));
-        let mut counters = std::collections::BTreeSet::new();
-        for (session, start) in [(&mut first, 0), (&mut again, 10)] {
-            for second in start..start + 10 {
-                let now = Stamp(second * 1_000_000);
-                while let Some(transmit) = session.poll_transmit(now) {
-                    let counter = SealedDatagram::new_checked(&transmit.bytes).unwrap().counter();
-                    assert!(counters.insert(counter), "counter {counter} came twice");
-                    other.handle_datagram(now, &transmit.bytes).unwrap();
-                }
-            }
-        }
-        assert!(counters.len() > 4 && other.counters().replayed == 0);
-        // The start before it is heard no more.
-        let late = first.poll_transmit(Stamp(30_000_000)).unwrap().bytes;
-        assert!(matches!(
-            other.handle_datagram(Stamp(30_000_000), &late),
-            Err(DatagramError::Replayed { .. })
-        ));
+    fn what_is_for_one_robot_no_other_can_open() {
+        let (mut one, mut two, mut three) = (session(1, 1), session(2, 1), session(3, 1));
+        let request = one.poll_transmit(Stamp(0)).unwrap().bytes;
+        two.handle_datagram(Stamp(0), &request).unwrap();
+        three.handle_datagram(Stamp(0), &request).unwrap();
+        let header = one.header(Stamp(1), Kind::Packages);
+        let plain = crate::wire::PackagesWriter::new(header, 1_000).finish();
+        let to = Destination::Peer(RobotId(2));
+        let sealed = one.seal(Transmit { to, bytes: plain }).unwrap().bytes;
+        assert!(matches!(three.handle_datagram(Stamp(1), &sealed), Err(DatagramError::Forged { .. })));
+        two.handle_datagram(Stamp(1), &sealed).unwrap();
+        assert!(matches!(two.handle_datagram(Stamp(1), &sealed), Err(DatagramError::Replayed { .. })));
+    }
+
+    #[test]
+    fn a_datagram_before_the_first_request_of_its_run_is_counted_and_not_believed() {
+        let (mut one, mut two) = (session(1, 1), session(2, 1));
+        let header = one.header(Stamp(1), Kind::Packages);
+        let plain = crate::wire::PackagesWriter::new(header, 1_000).finish();
+        let sealed = one.seal(Transmit { to: Destination::Everyone, bytes: plain }).unwrap().bytes;
+        let unknown = DatagramError::UnknownRun { sender: RobotId(1) };
+        assert_eq!(two.handle_datagram(Stamp(1), &sealed), Err(unknown));
+        assert_eq!((two.counters().unknown_run, two.peers().count()), (1, 0));
+        let request = one.poll_transmit(Stamp(2)).unwrap().bytes;
+        two.handle_datagram(Stamp(2), &request).unwrap();
+        two.handle_datagram(Stamp(3), &sealed).unwrap_err();
     }
 
     #[test]
     fn windows_are_kept_for_peers_only() {
-        let config = SessionConfig { peers_max: 4, ..session(1, 0).config };
+        let config = SessionConfig { peers_max: 4, ..session(1, 1).config };
         let mut receiver = Session::new(Stream { origin: RobotId(1), epoch: 1 }, config, 1).unwrap();
         for second in 0..9 {
             for id in 2..40 {
-                let mut sender = session(id, 0);
-                sender.sealed = second as u64;
+                let mut sender = session(id, 1);
+                sender.sealed.for_all = second as u64;
                 let bytes = sender.poll_transmit(Stamp(0)).unwrap().bytes;
                 let _ = receiver.handle_datagram(Stamp(second * 1_000_000), &bytes);
             }

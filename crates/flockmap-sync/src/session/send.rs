@@ -126,7 +126,7 @@ impl Session {
             self.counters.delayed_by_window += 1;
             return Attempt::Nothing;
         }
-        let cost = writer.bytes() + self.overhead();
+        let cost = writer.bytes() + self.overhead(Kind::Packages);
         let link = peer.pacer.as_mut().and_then(|pacer| pacer.wait(now, cost));
         let radio = self.radio.as_mut().and_then(|radio| radio.wait(now, cost));
         if let Some(ready) = link.max(radio) {
@@ -150,7 +150,7 @@ impl Session {
     /// Fills a datagram from the peer's queue; the places in the queue of what went in. Drops from the front of
     /// the queue what the peer does not miss any more.
     fn bundle(&self, now: Stamp, peer: &mut Peer) -> (PackagesWriter, Vec<usize>) {
-        let mut writer = PackagesWriter::new(self.header(now, Kind::Packages), self.plain_bytes_max());
+        let mut writer = PackagesWriter::new(self.header(now, Kind::Packages), self.plain_bytes_max(Kind::Packages));
         let mut positions = Vec::new();
         while let Some(&item) = peer.queue.front()
             && (!peer.lacks(item) || self.package(item).is_none())
@@ -175,7 +175,7 @@ impl Session {
             Cast::Unicast => Destination::Peer(id),
             Cast::Broadcast => Destination::Everyone,
         };
-        let each = bytes.len() + self.overhead();
+        let each = bytes.len() + self.overhead(Kind::Packages);
         self.counters.packages_out.add(1, each);
         for &item in items {
             self.counters.sent += 1;

@@ -102,7 +102,7 @@ pub struct Request {
     /// The present states that it is receiving.
     pub transfers: Vec<TransferProgress>,
     /// Streams of this origin with an epoch below this one are not wanted.
-    pub floors: Vec<(RobotId, u32)>,
+    pub floors: Vec<(RobotId, u64)>,
     /// What it knows of others' clocks.
     pub clocks: Vec<ClockReport>,
     /// Streams with packages that it cannot decode any more, the last package before the first that it states and does not hold, and the newest of them: it wants
@@ -167,7 +167,7 @@ impl Request {
 
     fn read_floors(&mut self, reader: &mut Reader<'_>) -> Option<()> {
         while !reader.is_empty() {
-            self.floors.push((RobotId(reader.varint_u16()?), reader.varint_u32()?));
+            self.floors.push((RobotId(reader.varint_u16()?), reader.varint()?));
         }
         Some(())
     }
@@ -223,7 +223,7 @@ impl Request {
         for (robot, epoch) in &self.floors {
             if content.len() + 8 <= list_max {
                 put_varint(&mut content, u64::from(robot.0));
-                put_varint(&mut content, u64::from(*epoch));
+                put_varint(&mut content, *epoch);
             }
         }
         put_unless_empty(&mut out, FLOORS, &mut content);
@@ -301,12 +301,12 @@ fn put_unless_empty(out: &mut Vec<u8>, id: u8, content: &mut Vec<u8>) {
 }
 
 fn read_stream(reader: &mut Reader<'_>) -> Option<Stream> {
-    Some(Stream { origin: RobotId(reader.varint_u16()?), epoch: reader.varint_u32()? })
+    Some(Stream { origin: RobotId(reader.varint_u16()?), epoch: reader.varint()? })
 }
 
 fn put_stream(out: &mut Vec<u8>, stream: Stream) {
     put_varint(out, u64::from(stream.origin.0));
-    put_varint(out, u64::from(stream.epoch));
+    put_varint(out, stream.epoch);
 }
 
 /// Reads `from` and the intervals after it, to the end of the record.

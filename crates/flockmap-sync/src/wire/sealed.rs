@@ -1,34 +1,53 @@
-//! Sealed datagrams: what a swarm with a key sends. ChaCha20-Poly1305 (RFC 8439) over everything but the few bytes by
-//! which a receiver finds the nonce; those are authenticated too.
+//! Sealed datagrams: what a swarm with a key sends. XChaCha20-Poly1305 over everything but the few bytes by which a receiver
+//! finds the nonce; those are authenticated too.
 
 use super::{
-    DATAGRAM_BYTES_MAX, Datagram, DatagramError, HEADER_BYTES, MAGIC, WIRE_VERSION, check_version, head,
+    DATAGRAM_BYTES_MAX, Datagram, DatagramError, HEADER_BYTES, Kind, MAGIC, WIRE_VERSION, check_version, head,
 };
 use crate::SwarmKey;
 use crate::bytes::Reader;
 use chacha20poly1305::aead::AeadInOut;
-use chacha20poly1305::{ChaCha20Poly1305, KeyInit, Nonce, Tag};
+use chacha20poly1305::{KeyInit, Tag, XChaCha20Poly1305, XNonce};
 use flockmap_grid::{RobotId, Stream};
 
-/// In place of the kind, which is inside.
+/// Set in the kind of a datagram that is sealed.
 pub(super) const SEALED: u8 = 0x80;
+/// Set beside it where only one robot can open the datagram.
+const FOR_ONE: u8 = 0x40;
+/// The kind itself.
+const KIND: u8 = 0x3f;
 
-/// Magic, version, kind, swarm, sender, epoch, counter.
-const CLEAR_BYTES: usize = 12 + COUNTER_BYTES;
+/// Magic, version, kind, swarm, sender, epoch: the same in every datagram.
+const HEAD_BYTES: usize = 16;
 const COUNTER_BYTES: usize = 6;
 const TAG_BYTES: usize = 16;
-/// What is sealed begins with these: kind, send stamp.
-const INNER_BYTES: usize = 9;
+/// What is sealed begins with the send stamp.
+const STAMP_BYTES: usize = 8;
 
-/// Bytes by which a sealed datagram is longer than the same one unsealed.
-pub const SEAL_BYTES: usize = CLEAR_BYTES + INNER_BYTES + TAG_BYTES - HEADER_BYTES;
+/// Bytes of the salt of a run.
+pub const SALT_BYTES: usize = 16;
 
-/// The highest counter of a sealed datagram.
-pub const COUNTER_MAX: u64 = (1 << (8 * COUNTER_BYTES)) - 1;
+/// Bytes by which a sealed datagram is longer than the same one unsealed; a request is longer by [`SALT_BYTES`] more.
+pub const SEAL_BYTES: usize = HEAD_BYTES + COUNTER_BYTES + STAMP_BYTES + TAG_BYTES - HEADER_BYTES;
+
+/// The highest counter of a sealed datagram. The bit above it tells datagrams for one robot from those for all.
+pub const COUNTER_MAX: u64 = (1 << (8 * COUNTER_BYTES - 1)) - 1;
+
+/// Random bytes that a driver draws for each run. With them every run seals with a key of its own, whatever its clock and its
+/// epoch are, so that no nonce comes twice.
+pub type Salt = [u8; SALT_BYTES];
+
+/// Bytes that sealing adds to a datagram of this kind.
+pub const fn seal_bytes(kind: Kind) -> usize {
+    match kind {
+        Kind::Request => SEAL_BYTES + SALT_BYTES,
+        Kind::Packages | Kind::Path => SEAL_BYTES,
+    }
+}
 
 /// Whether a received datagram states to be sealed. Nothing is checked.
 pub fn is_sealed(bytes: &[u8]) -> bool {
-    bytes.get(3) == Some(&SEALED)
+    bytes.get(3).is_some_and(|kind| kind & SEALED != 0)
 }
 
 /// The robot that a datagram states to be from, sealed or not. Nothing is checked.
@@ -37,23 +56,35 @@ pub fn stated_sender(bytes: &[u8]) -> Option<RobotId> {
     Some(RobotId(u16::from_le_bytes(sender)))
 }
 
-/// Seals a complete datagram. A counter above [`COUNTER_MAX`], or bytes that are no datagram, give `None`.
+/// Seals a complete datagram for all robots of the swarm, or for one alone. A counter above [`COUNTER_MAX`], or bytes that are no
+/// datagram, give `None`.
 ///
-/// **Never use a counter twice** for one sender and epoch: two datagrams with one nonce give away what both say, and let
+/// **Never use a counter twice** for one salt and recipient: two datagrams with one nonce give away what both say, and let
 /// others forge.
-pub fn seal_datagram(key: &SwarmKey, datagram: &[u8], counter: u64) -> Option<Vec<u8>> {
+pub fn seal_datagram(
+    key: &SwarmKey,
+    salt: &Salt,
+    datagram: &[u8],
+    recipient: Option<RobotId>,
+    counter: u64,
+) -> Option<Vec<u8>> {
     if counter > COUNTER_MAX || datagram.len() < HEADER_BYTES {
         return None;
     }
-    let mut out = Vec::with_capacity(datagram.len() + SEAL_BYTES);
-    out.extend(&datagram[..12]);
-    out[3] = SEALED;
+    let kind = Kind::from_id(datagram[3])?;
+    let mut out = Vec::with_capacity(datagram.len() + SEAL_BYTES + SALT_BYTES);
+    out.extend(&datagram[..HEAD_BYTES]);
+    out[3] |= SEALED | if recipient.is_some() { FOR_ONE } else { 0 };
     out.extend(&counter.to_le_bytes()[..COUNTER_BYTES]);
-    out.push(datagram[3]);
-    out.extend(&datagram[12..20]);
+    if kind == Kind::Request {
+        out.extend(salt);
+    }
+    let clear_bytes = out.len();
+    out.extend(&datagram[HEAD_BYTES..HEAD_BYTES + STAMP_BYTES]);
     out.extend(&datagram[HEADER_BYTES..]);
-    let (clear, inner) = out.split_at_mut(CLEAR_BYTES);
-    let tag = cipher(key).encrypt_inout_detached(&nonce(clear), clear, inner.into()).ok()?;
+    let (clear, inner) = out.split_at_mut(clear_bytes);
+    let nonce = nonce(salt, recipient, counter);
+    let tag = cipher(key).encrypt_inout_detached(&nonce, clear, inner.into()).ok()?;
     out.extend(tag);
     Some(out)
 }
@@ -61,9 +92,12 @@ pub fn seal_datagram(key: &SwarmKey, datagram: &[u8], counter: u64) -> Option<Ve
 /// A received datagram that is sealed, of this version and of a length that can be. Nothing of it is proved.
 #[derive(Clone, Copy, Debug)]
 pub struct SealedDatagram<'a> {
+    kind: Kind,
+    is_for_one: bool,
     swarm: u16,
     sender: Stream,
     counter: u64,
+    salt: Option<Salt>,
     clear: &'a [u8],
     inner: &'a [u8],
     tag: &'a [u8],
@@ -74,20 +108,33 @@ impl<'a> SealedDatagram<'a> {
     pub fn new_checked(bytes: &'a [u8]) -> Result<Self, DatagramError> {
         let got = bytes.len();
         let length = DatagramError::Length { got };
-        if !(HEADER_BYTES + SEAL_BYTES..=DATAGRAM_BYTES_MAX).contains(&got) {
+        if got > DATAGRAM_BYTES_MAX {
             return Err(length);
         }
-        let (clear, rest) = bytes.split_at(CLEAR_BYTES);
-        let (inner, tag) = rest.split_at(rest.len() - TAG_BYTES);
-        let kind = check_version(bytes)?;
-        if kind != SEALED {
-            return Err(DatagramError::Kind { got: kind });
-        }
-        let mut reader = Reader::new(&clear[4..]);
+        let stated = check_version(bytes)?;
+        let unknown = DatagramError::Kind { got: stated };
+        let kind =
+            Kind::from_id(stated & KIND).filter(|_| stated & SEALED != 0).ok_or_else(|| unknown.clone())?;
+        let mut reader = Reader::new(bytes.get(4..).unwrap_or_default());
         let (swarm, sender) = head(&mut reader).ok_or_else(|| length.clone())?;
         let mut counter = [0; 8];
-        counter[..COUNTER_BYTES].copy_from_slice(reader.bytes(COUNTER_BYTES).ok_or(length)?);
-        Ok(Self { swarm, sender, counter: u64::from_le_bytes(counter), clear, inner, tag })
+        counter[..COUNTER_BYTES]
+            .copy_from_slice(reader.bytes(COUNTER_BYTES).ok_or_else(|| length.clone())?);
+        let counter = u64::from_le_bytes(counter);
+        if counter > COUNTER_MAX {
+            return Err(DatagramError::Malformed { sender: sender.origin, what: "counter" });
+        }
+        let salt = match kind {
+            Kind::Request => Some(reader.array().ok_or_else(|| length.clone())?),
+            _ => None,
+        };
+        let (clear, rest) = bytes.split_at(HEAD_BYTES + COUNTER_BYTES + salt.map_or(0, |_| SALT_BYTES));
+        if rest.len() < STAMP_BYTES + TAG_BYTES {
+            return Err(length);
+        }
+        let (inner, tag) = rest.split_at(rest.len() - TAG_BYTES);
+        let is_for_one = stated & FOR_ONE != 0;
+        Ok(Self { kind, is_for_one, swarm, sender, counter, salt, clear, inner, tag })
     }
 
     /// The swarm that it states.
@@ -100,51 +147,66 @@ impl<'a> SealedDatagram<'a> {
         self.sender
     }
 
-    /// The number of the datagram that it states.
+    /// The number of the datagram that it states, among those for all or among those for one.
     pub const fn counter(&self) -> u64 {
         self.counter
     }
 
-    /// Proves the datagram with the key and deciphers it. Allocates as many bytes as the datagram has.
-    pub fn open(&self, key: &SwarmKey) -> Result<OpenedDatagram, DatagramError> {
+    /// Whether it is for one robot alone. Which one it does not say: no other can open it.
+    pub const fn is_for_one(&self) -> bool {
+        self.is_for_one
+    }
+
+    /// The salt of the sender's run, if the datagram has it: requests have.
+    pub const fn salt(&self) -> Option<Salt> {
+        self.salt
+    }
+
+    /// Proves the datagram with the key and the salt of the sender's run, and deciphers it for `own`. Allocates as many bytes as the
+    /// datagram has.
+    pub fn open(&self, key: &SwarmKey, salt: &Salt, own: RobotId) -> Result<OpenedDatagram, DatagramError> {
         let forged = DatagramError::Forged { sender: self.sender.origin };
         let mut inner = self.inner.to_vec();
         let tag = Tag::try_from(self.tag).map_err(|_| forged.clone())?;
+        let nonce = nonce(salt, self.is_for_one.then_some(own), self.counter);
         cipher(key)
-            .decrypt_inout_detached(&nonce(self.clear), self.clear, inner.as_mut_slice().into(), &tag)
+            .decrypt_inout_detached(&nonce, self.clear, inner.as_mut_slice().into(), &tag)
             .map_err(|_| forged)?;
-        Ok(OpenedDatagram { swarm: self.swarm, sender: self.sender, inner })
+        Ok(OpenedDatagram { kind: self.kind, swarm: self.swarm, sender: self.sender, inner })
     }
 }
 
 /// The content of a sealed datagram that was proved to be from a holder of the key.
 #[derive(Clone, Debug)]
 pub struct OpenedDatagram {
+    kind: Kind,
     swarm: u16,
     sender: Stream,
     inner: Vec<u8>,
 }
 
 impl OpenedDatagram {
-    /// Checks what the sender wrote: kind and records.
+    /// Checks what the sender wrote: the records.
     pub fn datagram(&self) -> Result<Datagram<'_>, DatagramError> {
-        let mut reader = Reader::new(&self.inner);
-        let start = (|| Some((reader.u8()?, reader.i64()?)))();
-        let (kind, stamp) = start.ok_or(DatagramError::Malformed {
-            sender: self.sender.origin,
-            what: "start of what is sealed",
-        })?;
-        Datagram::with_body(kind, self.swarm, self.sender, stamp, &self.inner[INNER_BYTES..])
+        let malformed = || DatagramError::Malformed { sender: self.sender.origin, what: "send stamp" };
+        let stamp = Reader::new(&self.inner).i64().ok_or_else(malformed)?;
+        Datagram::with_body(self.kind, self.swarm, self.sender, stamp, &self.inner[STAMP_BYTES..])
     }
 }
 
-fn cipher(key: &SwarmKey) -> ChaCha20Poly1305 {
-    ChaCha20Poly1305::new(key.bytes().into())
+fn cipher(key: &SwarmKey) -> XChaCha20Poly1305 {
+    XChaCha20Poly1305::new(key.bytes().into())
 }
 
-/// Sender, epoch and counter as they stand in the clear part: no two datagrams of a swarm have the same three.
-fn nonce(clear: &[u8]) -> Nonce {
-    core::array::from_fn(|at| clear[6 + at]).into()
+/// The salt, then the recipient, then the counter with its highest bit set where there is a recipient: no two datagrams under a
+/// swarm's key have the same, as long as no two runs have the same salt.
+fn nonce(salt: &Salt, recipient: Option<RobotId>, counter: u64) -> XNonce {
+    let recipient_bits = recipient.map_or(0, |_| COUNTER_MAX + 1);
+    let mut bytes = [0; SALT_BYTES + 2 + COUNTER_BYTES];
+    bytes[..SALT_BYTES].copy_from_slice(salt);
+    bytes[SALT_BYTES..][..2].copy_from_slice(&recipient.map_or(0, |robot| robot.0).to_le_bytes());
+    bytes[SALT_BYTES + 2..].copy_from_slice(&(counter | recipient_bits).to_le_bytes()[..COUNTER_BYTES]);
+    bytes.into()
 }
 
-const _: () = assert!(MAGIC.len() == 2 && WIRE_VERSION == 2 && CLEAR_BYTES == 6 + 12);
+const _: () = assert!(MAGIC.len() == 2 && WIRE_VERSION == 3 && HEAD_BYTES + STAMP_BYTES + 4 == HEADER_BYTES);

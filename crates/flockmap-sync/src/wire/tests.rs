@@ -93,16 +93,16 @@ fn golden_sealed_datagram() {
     // Made by another implementation (Python's `cryptography`), as docs/key.md shows.
     let key = SwarmKey::from_bytes(core::array::from_fn(|i| i as u8));
     let plain = sample().emit(HEADER, DATAGRAM_BYTES_MAX);
-    let sealed = seal_datagram(&key, &plain, 0x0a0b_0c0d_0e0f).unwrap();
+    let sealed = seal_datagram(&key, &SALT, &plain, None, 0x0a0b_0c0d_0e0f).unwrap();
     assert_eq!(hex(&sealed), GOLDEN_SEALED);
-    assert_eq!(sealed.len(), plain.len() + SEAL_BYTES);
+    assert_eq!(sealed.len(), plain.len() + seal_bytes(Kind::Request));
 
     let datagram = SealedDatagram::new_checked(&sealed).unwrap();
     assert_eq!((datagram.swarm(), datagram.sender()), (HEADER.swarm, HEADER.sender));
     assert_eq!(datagram.counter(), 0x0a0b_0c0d_0e0f);
     assert!(is_sealed(&sealed) && !is_sealed(&plain));
     assert_eq!((stated_sender(&sealed), stated_sender(&plain)), (Some(RobotId(7)), Some(RobotId(7))));
-    let opened = datagram.open(&key).unwrap();
+    let opened = datagram.open(&key, &SALT, RobotId(9)).unwrap();
     let datagram = opened.datagram().unwrap();
     assert_eq!(*datagram.header(), HEADER);
     assert_eq!(Request::parse(&datagram, 1_000).unwrap(), sample());
@@ -111,20 +111,21 @@ fn golden_sealed_datagram() {
 #[test]
 fn the_longest_package_fits_into_a_sealed_datagram() {
     let record = record_len(flockmap_codec::PACKAGE_BYTES_MAX);
-    assert_eq!(HEADER_BYTES + record + SEAL_BYTES, 1_196);
+    assert_eq!(HEADER_BYTES + record + SEAL_BYTES, 1_199);
     let mut plain = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX - SEAL_BYTES).finish();
     put_record(&mut plain, 16, &[0xa5; flockmap_codec::PACKAGE_BYTES_MAX]);
-    let sealed = seal_datagram(&SwarmKey::from_bytes([7; 32]), &plain, COUNTER_MAX).unwrap();
-    assert_eq!(sealed.len(), 1_196);
-    assert_eq!(seal_datagram(&SwarmKey::from_bytes([7; 32]), &plain, COUNTER_MAX + 1), None);
+    let key = SwarmKey::from_bytes([7; 32]);
+    let sealed = seal_datagram(&key, &SALT, &plain, Some(RobotId(2)), COUNTER_MAX).unwrap();
+    assert_eq!(sealed.len(), 1_199);
+    assert_eq!(seal_datagram(&key, &SALT, &plain, None, COUNTER_MAX + 1), None);
 }
 
 #[test]
 fn what_cannot_be_a_sealed_datagram_is_refused() {
     let key = SwarmKey::from_bytes([7; 32]);
-    let sealed = seal_datagram(&key, &sample().emit(HEADER, DATAGRAM_BYTES_MAX), 5).unwrap();
+    let sealed = seal_datagram(&key, &SALT, &sample().emit(HEADER, DATAGRAM_BYTES_MAX), None, 5).unwrap();
     for length in 0..sealed.len() {
-        let opened = SealedDatagram::new_checked(&sealed[..length]).and_then(|datagram| datagram.open(&key));
+        let opened = SealedDatagram::new_checked(&sealed[..length]).and_then(|datagram| datagram.open(&key, &SALT, RobotId(9)));
         assert!(opened.is_err(), "cut to {length} bytes");
     }
     let long = [&sealed[..], &[0; DATAGRAM_BYTES_MAX]].concat();
@@ -133,16 +134,17 @@ fn what_cannot_be_a_sealed_datagram_is_refused() {
     other[2] = WIRE_VERSION + 1;
     assert!(matches!(SealedDatagram::new_checked(&other), Err(DatagramError::Version { .. })));
     // A holder of the key that seals nonsense is faulty, and no more.
-    for kind in [0, 3, SEALED_KIND] {
+    for kind in [0, 4, 63] {
         let mut plain = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX).finish();
         plain[3] = kind;
-        let sealed = seal_datagram(&key, &plain, 6).unwrap();
-        let opened = SealedDatagram::new_checked(&sealed).unwrap().open(&key).unwrap();
-        assert_eq!(opened.datagram().unwrap_err(), DatagramError::Kind { got: kind });
+        assert_eq!(seal_datagram(&key, &SALT, &plain, None, 6), None);
+        other[2] = WIRE_VERSION;
+        other[3] = kind | 0x80;
+        assert_eq!(SealedDatagram::new_checked(&other).unwrap_err(), DatagramError::Kind { got: kind | 0x80 });
     }
 }
 
-const SEALED_KIND: u8 = 0x80;
+const SALT: Salt = [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88, 0x99, 0xaa, 0xbb, 0xcc, 0xdd, 0xee, 0xff, 0];
 const GOLDEN_SEALED: &str = "464d028002010700030000000f0e0d0c0b0a1413f5411f27fb0f9c4d222a315226c51aad4f4b63caa90f026287d13951ec97\
     951bf69e5d98a2106e71e91b2ae7daec93e0c9b795a06552d3c945a1ff95f26453a9d005cdf20b2960b8e3cce4b8be4a24ce\
     73bba23c8cd33ac4569c1fcad9d7f1e54a7250f026af943415151572c0a1d925bd4de5";
@@ -280,7 +282,7 @@ proptest! {
     #[test]
     fn any_request_survives_the_wire(
         intervals in prop::collection::vec((1..5_000u32, 0..50u32), 0..40),
-        from in 1..50u32, origin: u16, epoch: u32, stamp: i64, age_micros: u32, offset_micros: i64,
+        from in 1..50u32, origin: u16, epoch: u64, count: u32, stamp: i64, age_micros: u32, offset_micros: i64,
     ) {
         let all = IntervalSet::from_intervals(1_000, intervals.into_iter().map(|(l, n)| (l, l + n)).collect());
         let held = all.within(from, u32::MAX);
@@ -289,10 +291,10 @@ proptest! {
             all_streams: true,
             echoes: vec![Echo { robot: RobotId(origin), epoch_low: epoch as u16, stamp_low: stamp as u32, age_micros }],
             held: vec![Held { stream, from, held: held.clone() }],
-            transfers: vec![TransferProgress { source: stream.origin, stream, since: epoch, upto: epoch, set: epoch, tiles: epoch, from, accepted: held }],
+            transfers: vec![TransferProgress { source: stream.origin, stream, since: count, upto: count, set: count, tiles: count, from, accepted: held }],
             floors: vec![(stream.origin, epoch)],
             clocks: vec![ClockReport { robot: stream.origin, epoch_low: 5, offset_micros }],
-            states_wanted: vec![(stream, epoch / 2, epoch / 2 + 1)],
+            states_wanted: vec![(stream, count / 2, count / 2 + 1)],
             ..Request::default()
         };
         let bytes = request.emit(DatagramHeader { stamp: Stamp(stamp), ..HEADER }, 1_200);

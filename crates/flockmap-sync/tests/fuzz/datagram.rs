@@ -26,6 +26,7 @@ fn read(bytes: &[u8]) -> Result<(), DatagramError> {
     // Every error has words.
     let datagram = result.inspect_err(|error| assert!(!error.to_string().is_empty()))?;
     match datagram.header().kind {
+        Kind::Path => {}
         Kind::Request => {
             Request::parse(&datagram, INTERVALS_MAX)?;
         }

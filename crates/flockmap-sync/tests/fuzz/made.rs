@@ -65,9 +65,9 @@ fn resolution() -> Resolution {
 pub(crate) fn stream(choices: &mut Choices<'_>) -> Stream {
     match choices.below(16) {
         0 => OWN,
-        1 => Stream { origin: OWN.origin, epoch: choices.below(9) },
-        2 => Stream { origin: RobotId(choices.word() as u16), epoch: choices.word() },
-        n => Stream { origin: RobotId(2 + n as u16 % 5), epoch: 1 + choices.below(6) },
+        1 => Stream { origin: OWN.origin, epoch: choices.below(9).into() },
+        2 => Stream { origin: RobotId(choices.word() as u16), epoch: choices.word().into() },
+        n => Stream { origin: RobotId(2 + n as u16 % 5), epoch: 1 + u64::from(choices.below(6)) },
     }
 }
 
@@ -141,7 +141,7 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
         request.states_wanted.push((stream(choices), since, upto));
     }
     if flags & 16 != 0 {
-        request.floors.push((stream(choices).origin, choices.below(9)));
+        request.floors.push((stream(choices).origin, choices.below(9).into()));
     }
     if flags & 32 != 0 {
         let robot = stream(choices);

@@ -131,10 +131,11 @@ impl Swarm {
     }
 
     /// Starts a robot, or starts it again with nothing but its new epoch.
-    pub(crate) fn start(&mut self, id: u16, epoch: u32, config: SessionConfig) -> Stream {
+    pub(crate) fn start(&mut self, id: u16, epoch: u64, config: SessionConfig) -> Stream {
         let own = Stream { origin: RobotId(id), epoch };
-        let clock = i64::from(id) * 1_000 * SECOND + i64::from(epoch) * 7 * SECOND;
-        let session = Session::new(own, config, self.seed).unwrap();
+        let clock = i64::from(id) * 1_000 * SECOND + epoch as i64 * 7 * SECOND;
+        let salt = core::array::from_fn(|at| (id as u8).wrapping_add(epoch as u8 * 31) ^ at as u8);
+        let session = Session::new(own, SessionConfig { salt, ..config }, self.seed).unwrap();
         let robot = Robot {
             session,
             layers: BTreeMap::new(),

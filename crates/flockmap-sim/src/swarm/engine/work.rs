@@ -35,7 +35,7 @@ impl Engine {
                 let found = self.sealed.taken(robot.own_stream(), bytes, is_genuine);
                 self.found(id, found);
             }
-            let read = datagram::read(bytes, self.settings.key.as_ref());
+            let read = datagram::read(bytes, self.settings.key.as_ref(), id);
             if let Some((header, Content::Request(request))) = read {
                 self.members[number].twice.arrived(&header, *request);
             }
@@ -124,7 +124,11 @@ impl Engine {
         now: flockmap::Stamp,
     ) {
         let id = self.members[number].id();
-        let read = datagram::read(&transmit.bytes, self.settings.key.as_ref());
+        let reader = match transmit.to {
+            Destination::Peer(peer) => peer,
+            Destination::Everyone => id,
+        };
+        let read = datagram::read(&transmit.bytes, self.settings.key.as_ref(), reader);
         let packages = match read {
             Some((_, Content::Packages(packages))) => Some(packages),
             _ => None,
