@@ -130,6 +130,8 @@ const KIND_ALONE: u8 = 2;
 const BOX_IN_BLOCKS: u8 = 1 << 7;
 const KIND_SHIFT: u32 = 3;
 const PRIORITY_SHIFT: u32 = 5;
+/// The stream stands behind version, codec and kind.
+pub(crate) const STREAM_AT: usize = 2;
 /// Voxels along the side of a block.
 const BLOCK_SIDE: u32 = 8;
 

@@ -1,12 +1,13 @@
 //! An encoded package: bytes that know their header.
 
 use core::fmt;
+use core::ops::Range;
 use std::sync::Arc;
 
-use flockmap_grid::{Changes, PresentState};
+use flockmap_grid::{Changes, PresentState, Stream};
 
-use crate::header::Tail;
-use crate::{Codec, ContentKind, Decoder, Header, PackageError, flock};
+use crate::header::{STREAM_AT, Tail};
+use crate::{Codec, ContentKind, Decoder, Header, PackageError, flock, varint};
 
 /// An encoded package with its header. Cloning shares the bytes.
 #[derive(Clone)]
@@ -32,6 +33,25 @@ impl Package {
     pub fn parse(bytes: &[u8]) -> Result<Self, PackageError> {
         let (header, tail, _) = Header::read(bytes)?;
         Ok(Self { bytes: bytes.into(), header, tail })
+    }
+
+    /// The same bytes in two parts without the stream between them, for who knows the stream: [`Self::parse_without_stream`].
+    pub fn without_stream(&self) -> [&[u8]; 2] {
+        let Stream { origin, epoch } = self.header.stream;
+        let stream_end = STREAM_AT + varint::length(origin.0.into()) + varint::length(epoch);
+        let part = |range: Range<usize>| self.bytes.get(range).unwrap_or_default();
+        [part(0..STREAM_AT), part(stream_end..self.bytes.len())]
+    }
+
+    /// Takes the bytes of exactly one package of this stream, which stands in them no more. Otherwise as [`Self::parse`].
+    pub fn parse_without_stream(stream: Stream, bytes: &[u8]) -> Result<Self, PackageError> {
+        let (front, back) = bytes.split_at(bytes.len().min(STREAM_AT));
+        let mut whole = Vec::with_capacity(bytes.len() + 13);
+        whole.extend_from_slice(front);
+        varint::write(&mut whole, stream.origin.0.into());
+        varint::write(&mut whole, stream.epoch);
+        whole.extend_from_slice(back);
+        Self::parse(&whole)
     }
 
     /// Header, tail and payload as the encoder made them.

@@ -60,7 +60,8 @@ fn with_box(package: &Package, size: [u32; 3]) -> Vec<u8> {
     varint(header.stream.origin.0.into(), &mut bytes);
     varint(header.stream.epoch.into(), &mut bytes);
     varint(header.index.into(), &mut bytes);
-    let since_epoch = header.cycle_end.0 - i64::from(flockmap_grid::seconds_of_epoch(header.stream.epoch)) * 1_000_000;
+    let since_epoch =
+        header.cycle_end.0 - i64::from(flockmap_grid::seconds_of_epoch(header.stream.epoch)) * 1_000_000;
     varint((since_epoch as u64) << 1, &mut bytes);
     varint(header.cycle_end.micros_since(header.cycle_start) as u64, &mut bytes);
     varint(u64::from(header.resolution.micrometres()) / 1_000 * 2, &mut bytes);

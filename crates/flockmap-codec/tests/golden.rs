@@ -8,7 +8,9 @@
 mod common;
 
 use common::{cycle, resolution, stream};
-use flockmap_codec::{Codec, Content, Decoder, Encoder, FORMAT_VERSION, Package, PackageError, Reference, hilbert_order};
+use flockmap_codec::{
+    Codec, Content, Decoder, Encoder, FORMAT_VERSION, Package, PackageError, Reference, hilbert_order,
+};
 use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel};
 
 /// The layout that [`FORMAT_VERSION`] stands for: CRC-32 over the golden packages that zlib has no part in.

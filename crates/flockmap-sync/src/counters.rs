@@ -29,6 +29,11 @@ pub struct Counters {
     /// Datagrams of packages received.
     pub packages_in: Traffic,
 
+    /// Challenges and answers sent, to find out whether a robot is to be reached at an address.
+    pub paths_out: Traffic,
+    /// Addresses through which an answer came back.
+    pub paths_validated: u64,
+
     /// Own packages published.
     pub published: u64,
     /// Packages sent, each time counted; by broadcast once for all.
@@ -96,12 +101,16 @@ pub struct Counters {
     pub own_heard: u64,
     /// Signs that another robot uses the own id, or that the own epoch was used before.
     pub same_identity: u64,
+    /// Times that a run of the own id with a higher epoch was heard of, so that a new run had to begin.
+    pub epoch_too_low: u64,
     /// Datagrams of a former run of a peer.
     pub stale_epoch: u64,
     /// Requests that arrived after a newer one of the same peer, or twice.
     pub stale_requests: u64,
     /// Datagrams of peers for whom there was no room.
     pub too_many_peers: u64,
+    /// Ended runs that were forgotten, since there were too many streams or too many runs of one robot: their maps are gone here.
+    pub streams_forgotten: u64,
     /// Packages and lists of streams for which there was no room, or of runs that are too old.
     pub too_many_streams: u64,
     /// Packages refused because they would tear too many gaps; they are asked for again.
@@ -120,8 +129,8 @@ impl Counters {
     /// Everything sent.
     pub const fn out(&self) -> Traffic {
         Traffic {
-            datagrams: self.requests_out.datagrams + self.packages_out.datagrams,
-            bytes: self.requests_out.bytes + self.packages_out.bytes,
+            datagrams: self.requests_out.datagrams + self.packages_out.datagrams + self.paths_out.datagrams,
+            bytes: self.requests_out.bytes + self.packages_out.bytes + self.paths_out.bytes,
         }
     }
 }

@@ -111,8 +111,11 @@ mod tests {
 
     #[test]
     fn a_key_is_never_printed() {
-        let config =
-            crate::SessionConfig { swarm_key: Some(HEX.parse().unwrap()), ..crate::SessionConfig::default() };
+        let config = crate::SessionConfig {
+            swarm_key: Some(HEX.parse().unwrap()),
+            salt: [1; 16],
+            ..Default::default()
+        };
         let own = flockmap_grid::Stream { origin: flockmap_grid::RobotId(1), epoch: 1 };
         let session = crate::Session::new(own, config, 1).unwrap();
         let printed = format!("{session:?}");

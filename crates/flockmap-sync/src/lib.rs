@@ -24,5 +24,5 @@ pub use config::{Cast, ConfigError, InFlight, Order, Relay, SessionConfig};
 pub use counters::{Counters, Traffic};
 pub use interval_set::{IntervalSet, TooFragmented};
 pub use key::{KeyError, SwarmKey};
-pub use session::{Destination, Event, Load, Pace, PeerInfo, PublishError, Session, Transmit};
+pub use session::{Destination, Event, Load, Pace, Path, PeerInfo, PublishError, Session, Transmit};
 pub use store::{HELD_INTERVALS_MAX, Store, StoreLimits, Stored};

@@ -12,11 +12,11 @@ const GROWTH: usize = 2;
 const STREAM: usize = 2_048;
 /// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the queue (256 items), its pacer,
 /// its clock.
-const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 16_384;
-/// What a peer states of one stream: six lists of at most 256 intervals.
-const VIEW: usize = 6 * GROWTH * 256 * INTERVAL + 512;
+const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 24_576;
+/// What a peer states of one stream: seven lists of at most 256 intervals.
+const VIEW: usize = 7 * GROWTH * 256 * INTERVAL + 512;
 /// A package that was sent and not yet confirmed.
-const IN_FLIGHT: usize = 40 * GROWTH;
+const IN_FLIGHT: usize = 48 * GROWTH;
 /// Its interval among those that need not be sent.
 const COVERED: usize = INTERVAL * GROWTH;
 /// The budget of the link to a peer that fell silent.

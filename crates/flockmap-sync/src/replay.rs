@@ -177,7 +177,11 @@ mod tests {
         assert_eq!(replays.check(stream(1), true, 5), Ok(()));
         replays.note(stream(1), SALT, true, 5, true);
         assert_eq!(replays.check(stream(1), true, 5), Err(NotFresh::Replayed));
-        assert_eq!(replays.check(stream(1), true, 4), Err(NotFresh::Replayed), "it was before the first one heard");
+        assert_eq!(
+            replays.check(stream(1), true, 4),
+            Err(NotFresh::Replayed),
+            "it was before the first one heard"
+        );
         assert_eq!(replays.check(stream(1), false, 5), Err(NotFresh::Replayed));
         assert_eq!(replays.check(stream(1), false, 901), Ok(()));
     }

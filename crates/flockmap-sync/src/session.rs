@@ -5,8 +5,10 @@ mod answer;
 mod ask;
 mod datagram;
 mod event;
+mod identity;
 mod load;
 mod pace;
+mod path;
 mod peer;
 mod plan;
 mod present;
@@ -17,6 +19,7 @@ mod send;
 pub use event::{Destination, Event, PublishError, Transmit};
 pub use load::Load;
 pub use pace::Pace;
+pub use path::Path;
 pub use peer::PeerInfo;
 
 use crate::pacer::Pacer;
@@ -93,11 +96,13 @@ pub struct Session {
     present_asked: BTreeMap<Stream, Stamp>,
     schedule: Schedule,
     radio: Option<Pacer>,
+    path_waiting: path::Waiting,
     /// The peer that was served last.
     served: RobotId,
     /// When a budget that stopped sending allows it again.
     wake: Option<Stamp>,
     same_identity_told: Option<Stamp>,
+    anew: identity::Anew,
     sealed: sealing::SealedCounters,
     spent_told: bool,
     replays: Replays,
@@ -126,9 +131,11 @@ impl Session {
             present_asked: BTreeMap::new(),
             schedule: Schedule::default(),
             radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),
+            path_waiting: path::Waiting::new(),
             served: RobotId(0),
             wake: None,
             same_identity_told: None,
+            anew: identity::Anew::default(),
             sealed: sealing::SealedCounters::default(),
             spent_told: false,
             replays: Replays::default(),
@@ -176,6 +183,7 @@ impl Session {
         let now = self.advance(now);
         package.header().content == ContentKind::Changes
             && package.header().stream != self.own
+            && self.open_stream(package.header().stream)
             && package.bytes().len() <= self.package_bytes_max()
             && self.store.insert(package, now, now) == Ok(true)
     }
@@ -189,14 +197,14 @@ impl Session {
         if stream == self.own || !self.open_stream(stream) {
             return false;
         }
-        self.receive_packages(now, self.own, vec![package]);
+        self.receive_packages(now, self.own, vec![package], Vec::new());
         true
     }
 
     /// Puts back that packages `low` to `high` of a stream are in the map, without the packages themselves.
     /// Whether it was taken.
     pub fn restore_held(&mut self, stream: Stream, low: u32, high: u32) -> bool {
-        low > 0 && self.store.hold(stream, low, high).is_ok()
+        low > 0 && self.open_stream(stream) && self.store.hold(stream, low, high, self.now).is_ok()
     }
 
     /// Sets a robot's clock minus the own clock, in microseconds, known from elsewhere; it is used in place of
@@ -223,8 +231,13 @@ impl Session {
         if self.check_spent() {
             return None;
         }
-        let transmit =
-            if self.request_due(now) { self.transmit_request(now) } else { self.transmit_packages(now) };
+        let transmit = if !self.path_waiting.is_empty() {
+            self.transmit_path(now)
+        } else if self.request_due(now) {
+            self.transmit_request(now)
+        } else {
+            self.transmit_packages(now)
+        };
         transmit.and_then(|transmit| self.seal(transmit))
     }
 
@@ -354,14 +367,6 @@ impl Session {
             self.silent_links.pop_first();
         }
         self.silent_links.extend(pacer.map(|pacer| (id, pacer)));
-    }
-
-    fn tell_same_identity(&mut self, now: Stamp) {
-        self.counters.same_identity += 1;
-        if self.same_identity_told.is_none_or(|told| now.micros_since(told) >= 10_000_000) {
-            self.same_identity_told = Some(now);
-            self.push_event(Event::SameIdentity);
-        }
     }
 
     fn push_event(&mut self, event: Event) {

@@ -17,7 +17,8 @@ const PACKAGE_OVERHEAD_BYTES: usize = 400;
 /// What a [`Store`] may hold.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct StoreLimits {
-    /// Streams besides the own one. Worst case 24 KiB each, beside the packages.
+    /// Streams besides the own one. Of more, a run that has ended is forgotten: the one of which nothing new has come for longest.
+    /// Worst case 24 KiB each, beside the packages.
     pub streams_max: usize,
     /// Runs of one origin; of more, the oldest is forgotten.
     pub epochs_max: usize,
@@ -47,6 +48,8 @@ struct Shelf {
     /// Outlives the packages.
     milestones: Milestones,
     bytes: usize,
+    /// When something of it was news last.
+    touched: Stamp,
 }
 
 /// Packages by stream. *Held* is what was taken into the map; *stored* is what of it can be sent on as it came.
@@ -59,8 +62,16 @@ pub struct Store {
     by_age: BTreeSet<(Stamp, Stream, u32)>,
     bytes: usize,
     dropped: u64,
-    /// Origins of which streams were forgotten, with the lowest epoch that is still wanted.
-    floors: BTreeMap<RobotId, u64>,
+    /// Origins of which runs were forgotten or refused: none before the oldest one that is here is wanted.
+    cut: BTreeSet<RobotId>,
+}
+
+/// A stream that has a place now.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Opened {
+    pub(crate) is_new: bool,
+    /// The run that had to go for it.
+    pub(crate) forgotten: Option<Stream>,
 }
 
 /// Why a stream or a package has no place in the store.
@@ -68,7 +79,7 @@ pub struct Store {
 pub(crate) enum NoRoom {
     /// As many streams as may be.
     Streams,
-    /// An epoch older than those kept of its origin.
+    /// A run older than those kept of its robot.
     OldEpoch,
     /// Too many holes in the index list.
     Intervals,
@@ -77,8 +88,15 @@ pub(crate) enum NoRoom {
 impl Store {
     pub(crate) fn new(own: Stream, limits: StoreLimits) -> Self {
         let mut shelves = BTreeMap::new();
-        shelves.insert(own, Shelf::new());
-        Self { own, limits, shelves, by_age: BTreeSet::new(), bytes: 0, dropped: 0, floors: BTreeMap::new() }
+        shelves.insert(own, Shelf::new(Stamp(i64::MIN)));
+        Self { own, limits, shelves, by_age: BTreeSet::new(), bytes: 0, dropped: 0, cut: BTreeSet::new() }
+    }
+
+    /// The own stream is another one from now on; nothing of the former one is kept.
+    pub(crate) fn begin_run(&mut self, own: Stream) {
+        self.forget(self.own);
+        self.own = own;
+        self.shelves.insert(own, Shelf::new(Stamp(i64::MIN)));
     }
 
     /// The streams of which something is known, in ascending order; the own one is always among them.
@@ -143,42 +161,111 @@ impl Store {
         self.dropped
     }
 
-    /// Origins of which old runs were forgotten, with the lowest epoch still wanted. At most `streams_max`.
-    pub(crate) const fn floors(&self) -> &BTreeMap<RobotId, u64> {
-        &self.floors
+    /// Whether no run of its origin before this one is wanted any more. Only the oldest one that is here says so.
+    pub(crate) fn is_oldest_wanted(&self, stream: Stream) -> bool {
+        self.cut.contains(&stream.origin) && self.oldest_run(stream.origin) == Some(stream)
     }
 
-    pub(crate) fn is_full_of_streams(&self) -> bool {
+    /// Whether there is no place for another stream, unless its robot is heard and takes that of one which is not.
+    pub(crate) fn is_full(&self) -> bool {
+        self.is_at_limit() && self.ended_runs(None).next().is_none()
+    }
+
+    /// Whether a later run of its robot is known.
+    pub(crate) fn is_superseded(&self, stream: Stream) -> bool {
+        self.runs(stream.origin).any(|run| run > stream)
+    }
+
+    /// When something of a stream was news last.
+    pub(crate) fn touched(&self, stream: Stream) -> Option<Stamp> {
+        self.shelves.get(&stream).map(|shelf| shelf.touched)
+    }
+
+    /// Whether any run of a robot is here.
+    pub(crate) fn has_runs(&self, origin: RobotId) -> bool {
+        self.oldest_run(origin).is_some()
+    }
+
+    fn is_at_limit(&self) -> bool {
         self.shelves.len() > self.limits.streams_max
     }
 
-    /// Makes a place for a stream; whether it is new, and the old run that had to go for it.
-    pub(crate) fn open(&mut self, stream: Stream) -> Result<(bool, Option<Stream>), NoRoom> {
+    /// The runs of a robot that are here, oldest first.
+    fn runs(&self, origin: RobotId) -> impl DoubleEndedIterator<Item = Stream> + '_ {
+        let run = |epoch| Stream { origin, epoch };
+        self.shelves.range(run(0)..=run(u64::MAX)).map(|(stream, _)| *stream)
+    }
+
+    /// The newest run of a robot that is here.
+    pub(crate) fn newest_run(&self, origin: RobotId) -> Option<Stream> {
+        self.runs(origin).next_back()
+    }
+
+    fn oldest_run(&self, origin: RobotId) -> Option<Stream> {
+        self.runs(origin).next()
+    }
+
+    /// The oldest run of each robot of which there is a later one, also `newcomer`.
+    fn ended_runs(&self, newcomer: Option<Stream>) -> impl Iterator<Item = (Stream, &Shelf)> {
+        let mut before = None;
+        self.shelves.iter().filter(|(run, _)| **run != self.own).filter_map(move |(&run, shelf)| {
+            let is_oldest = before.replace(run.origin) != Some(run.origin);
+            let is_ended =
+                self.is_superseded(run) || newcomer.is_some_and(|new| new.origin == run.origin && new > run);
+            (is_oldest && is_ended).then_some((run, shelf))
+        })
+    }
+
+    /// Makes a place for a stream. `is_heard`: robots of which there is a sign of life; their newest runs are never forgotten.
+    pub(crate) fn open(
+        &mut self,
+        stream: Stream,
+        now: Stamp,
+        is_heard: impl Fn(RobotId) -> bool,
+    ) -> Result<Opened, NoRoom> {
         if self.shelves.contains_key(&stream) {
-            return Ok((false, None));
+            return Ok(Opened { is_new: false, forgotten: None });
         }
-        if self.floors.get(&stream.origin).is_some_and(|&floor| stream.epoch < floor) {
+        let origin = stream.origin;
+        let oldest = self.oldest_run(origin);
+        let is_before = oldest.is_some_and(|oldest| stream < oldest);
+        if is_before && self.cut.contains(&origin) {
             return Err(NoRoom::OldEpoch);
         }
-        let of_origin = |epoch| Stream { origin: stream.origin, epoch };
-        let mut runs = self.shelves.range(of_origin(0)..=of_origin(u64::MAX)).map(|(stream, _)| *stream);
-        let oldest = runs.clone().find(|&run| run != self.own);
-        let forgotten = if runs.by_ref().filter(|&run| run != self.own).count() >= self.limits.epochs_max {
-            let Some(oldest) = oldest.filter(|oldest| oldest.epoch < stream.epoch) else {
-                // Said to all, so that nobody offers it for ever.
-                self.floors.extend(oldest.map(|oldest| (stream.origin, oldest.epoch)));
+        let others = || self.runs(origin).filter(|run| *run != self.own);
+        let forgotten = if others().count() >= self.limits.epochs_max {
+            let oldest = others().next();
+            self.cut.insert(origin);
+            if is_before {
                 return Err(NoRoom::OldEpoch);
-            };
-            self.forget(oldest);
-            self.floors.insert(stream.origin, oldest.epoch.saturating_add(1));
-            Some(oldest)
-        } else if self.is_full_of_streams() {
-            return Err(NoRoom::Streams);
-        } else {
+            }
+            oldest
+        } else if !self.is_at_limit() {
             None
+        } else if self.is_superseded(stream) {
+            // All places are taken: what has ended takes none from another.
+            self.cut.extend(oldest.map(|_| origin));
+            return Err(if oldest.is_some() { NoRoom::OldEpoch } else { NoRoom::Streams });
+        } else {
+            let ended = self.ended_runs(Some(stream));
+            let silent = self.shelves.iter().map(|(run, shelf)| (*run, shelf)).filter(|(run, _)| {
+                *run != self.own && is_heard(origin) && !is_heard(run.origin) && !self.is_superseded(*run)
+            });
+            let age = |(_, shelf): &(Stream, &Shelf)| shelf.touched;
+            let (run, _) = ended.min_by_key(age).or_else(|| silent.min_by_key(age)).ok_or(NoRoom::Streams)?;
+            self.cut.insert(run.origin);
+            Some(run)
         };
-        self.shelves.insert(stream, Shelf::new());
-        Ok((true, forgotten))
+        if let Some(forgotten) = forgotten {
+            self.forget(forgotten);
+        }
+        self.shelves.insert(stream, Shelf::new(now));
+        if let Some(forgotten) = forgotten
+            && self.oldest_run(forgotten.origin).is_none()
+        {
+            self.cut.remove(&forgotten.origin);
+        }
+        Ok(Opened { is_new: true, forgotten })
     }
 
     fn forget(&mut self, stream: Stream) {
@@ -192,25 +279,31 @@ impl Store {
     }
 
     /// Notes that packages up to `index` exist; whether that is news.
-    pub(crate) fn note_newest(&mut self, stream: Stream, index: u32) -> bool {
+    pub(crate) fn note_newest(&mut self, stream: Stream, index: u32, now: Stamp) -> bool {
         let Some(shelf) = self.shelves.get_mut(&stream) else { return false };
         let news = index > shelf.newest_known;
-        shelf.newest_known = shelf.newest_known.max(index);
+        if news {
+            shelf.newest_known = index;
+            shelf.touched = now;
+        }
         news
     }
 
-    /// Marks indices as held without a package to send on; whether any was new.
-    pub(crate) fn hold(&mut self, stream: Stream, low: u32, high: u32) -> Result<bool, NoRoom> {
-        self.open(stream)?;
+    /// Marks indices of a stream that has a place as held without a package to send on; whether any was new.
+    pub(crate) fn hold(&mut self, stream: Stream, low: u32, high: u32, now: Stamp) -> Result<bool, NoRoom> {
         let Some(shelf) = self.shelves.get_mut(&stream) else { return Err(NoRoom::Streams) };
+        let is_new = shelf.held.insert_range(low, high).map_err(|_| NoRoom::Intervals)?;
         shelf.newest_known = shelf.newest_known.max(high);
-        shelf.held.insert_range(low, high).map_err(|_| NoRoom::Intervals)
+        if is_new {
+            shelf.touched = now;
+        }
+        Ok(is_new)
     }
 
-    /// Puts a package away and drops the oldest ones if there are too many bytes; whether it was new.
+    /// Puts a package of a stream that has a place away and drops the oldest ones if there are too many bytes; whether it was new.
     pub(crate) fn insert(&mut self, package: &Package, now: Stamp, fresh_at: Stamp) -> Result<bool, NoRoom> {
         let (stream, index) = (package.header().stream, package.header().index);
-        let is_new = self.hold(stream, index, index)?;
+        let is_new = self.hold(stream, index, index, now)?;
         let Some(shelf) = self.shelves.get_mut(&stream) else { return Err(NoRoom::Streams) };
         if !is_new {
             return Ok(false);
@@ -254,13 +347,14 @@ impl Store {
 }
 
 impl Shelf {
-    const fn new() -> Self {
+    const fn new(now: Stamp) -> Self {
         Self {
             held: IntervalSet::new(HELD_INTERVALS_MAX),
             newest_known: 0,
             stored: BTreeMap::new(),
             milestones: Milestones::new(),
             bytes: 0,
+            touched: now,
         }
     }
 }

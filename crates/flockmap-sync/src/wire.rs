@@ -6,11 +6,13 @@
 //! a key, datagrams travel sealed: [`seal_datagram`] on the one side, [`SealedDatagram`] on the other.
 
 mod packages;
+mod path;
 mod request;
 mod sealed;
 
-pub use packages::{PackagesWriter, parse_packages};
-pub use request::{ClockReport, Echo, Held, Request, TransferProgress};
+pub use packages::{CONTENTS_BYTES_MAX, Contents, PackagesWriter, parse_contents, parse_packages};
+pub use path::PathMessage;
+pub use request::{ClockReport, Covered, Echo, Held, Request, StateWanted, TransferProgress};
 pub use sealed::{
     COUNTER_MAX, OpenedDatagram, SALT_BYTES, SEAL_BYTES, Salt, SealedDatagram, is_sealed, seal_bytes,
     seal_datagram, stated_sender,
@@ -37,19 +39,25 @@ const CHECK: core::ops::Range<usize> = 24..28;
 /// change the version too. (A new type of record, which older readers skip, is no change of a line.)
 pub const LAYOUT: &str = "\
 header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u64, stamp i64, crc32 u32 of all else
-kind 128 sealed: magic, version, kind, swarm, sender, epoch as above, counter u48; sealed with the swarm key: \
-kind u8, stamp i64, what follows the header; tag 16. \
-ChaCha20-Poly1305, nonce: sender, epoch, counter; associated data: all before what is sealed
-kind 1 request: flags u8 (1 all streams, 2 all echoes, 4 no new streams), records
+sealed: 128 more in the kind, 64 more where it is for one robot; magic, version, kind, swarm, sender, epoch as above, counter u48, \
+in requests salt 16; sealed with the swarm key: stamp i64, what follows the header; tag 16. \
+XChaCha20-Poly1305, nonce: salt, recipient u16 or 0, counter with its highest bit set for one robot; associated data: all before what is sealed
+kind 1 request: flags u8 (1 all origins, 2 all echoes, 4 no new streams), records
 kind 2 packages: records
+kind 3 path: records
 record: type u8, length varint, content
 type 1 echoes: (robot u16, epoch low u16, stamp low u32, age varint)*
 type 2 held: origin varint, epoch varint, intervals
+type 7 held, earlier runs not wanted: as type 2
 type 3 transfer: source varint, origin varint, epoch varint, since varint, upto varint, set u32, tiles varint, intervals of accepted tile + 1
-type 4 floors: (origin varint, epoch varint)*
+type 4 covered: first origin varint, last origin varint
 type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
-type 6 states wanted: (origin varint, epoch varint, since varint, upto varint)*
+type 6 state wanted: origin varint, epoch varint, since varint, intervals of undecodable indices
 type 16 package: map package
+type 17 package of the sender's own run: map package without origin and epoch
+type 18 contents of a partial present state: origin varint, epoch varint, set u32, intervals
+type 32 challenge: number u64
+type 33 answer: number u64
 intervals: from varint, (gap - to from, then to end + 2 - varint, length - 1 varint)*
 integers little-endian, varints shortest LEB128";
 
@@ -162,7 +170,9 @@ pub enum DatagramError {
         counter: u64,
     },
     /// Sealed by a run of which no request was heard yet: only these have the salt with which it seals.
-    #[error("sealed datagram of {sender:?} before a request of its run: its next request tells how to open it")]
+    #[error(
+        "sealed datagram of {sender:?} before a request of its run: its next request tells how to open it"
+    )]
     UnknownRun {
         /// Who sent it, as it states.
         sender: RobotId,

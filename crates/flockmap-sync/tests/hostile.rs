@@ -6,7 +6,8 @@ mod swarm;
 use flockmap_codec::{Codec, Cycle, Encoder, Package};
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_sync::wire::{
-    DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, TransferProgress, seal_datagram,
+    Covered, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, StateWanted, TransferProgress,
+    seal_datagram,
 };
 use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -94,12 +95,21 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
         }
         return writer.finish();
     }
+    let wish = |random: &mut Random, stream| StateWanted {
+        stream,
+        since: any_index(random),
+        from: 1,
+        undecodable: any_set(random),
+    };
     let held = |random: &mut Random| {
         let stream = if random.chance(0.3) { Stream { origin: own, epoch: 1 } } else { any_stream(random) };
-        Held { stream, from: 1, held: any_set(random) }
+        Held { is_oldest_wanted: random.chance(0.2), stream, from: 1, held: any_set(random) }
     };
     Request {
-        all_streams: random.chance(0.5),
+        covered: random.chance(0.5).then(|| Covered {
+            first: RobotId(random.below(20) as u16),
+            last: RobotId(random.next() as u16),
+        }),
         all_echoes: random.chance(0.5),
         no_new_streams: random.chance(0.2),
         echoes: (0..random.below(4))
@@ -123,11 +133,10 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
                 accepted: any_set(random),
             })
             .collect(),
-        floors: vec![(RobotId(random.next() as u16), random.next() as u32 as u64)],
         clocks: Vec::new(),
         states_wanted: vec![
-            (Stream { origin: own, epoch: 1 }, any_index(random), any_index(random)),
-            (any_stream(random), any_index(random), any_index(random)),
+            wish(random, Stream { origin: own, epoch: 1 }),
+            wish(random, Stream { origin: RobotId(2), epoch: 1 }),
         ],
     }
     .emit(header, 1_200)
@@ -143,6 +152,7 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
         let config = SessionConfig {
             cast,
             swarm_key: swarm_key.clone(),
+            salt: [8; 16],
             peers_max: 4,
             streams_max: 8,
             store_bytes_max: 200_000,

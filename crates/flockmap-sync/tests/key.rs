@@ -4,7 +4,7 @@ mod swarm;
 
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_sync::wire::{DatagramError, DatagramHeader, Kind, Request, SealedDatagram, seal_datagram};
-use flockmap_sync::{Cast, Counters, Session, SessionConfig, SwarmKey};
+use flockmap_sync::{Cast, Counters, Destination, Session, SessionConfig, SwarmKey};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use swarm::{MS, Radio, SECOND, Swarm};
@@ -171,7 +171,9 @@ fn own_datagrams_that_come_back_raise_no_alarm() {
 fn of_two_robots_with_one_id_one_finds_out() {
     for (epoch, other_epoch) in [(5, 5), (5, 6)] {
         let mut now = Stamp(0);
-        let (mut one, mut two) = (session(1, epoch, with_key(1)), session(1, other_epoch, with_key(1)));
+        let mut one = session(1, epoch, with_key(1));
+        let other = Stream { origin: RobotId(1), epoch: other_epoch };
+        let mut two = Session::new(other, SessionConfig { salt: [77; 16], ..with_key(1) }, 2).unwrap();
         next(&mut two, &mut now);
         let bytes = next(&mut two, &mut now);
         let error = one.handle_datagram(now, &bytes).unwrap_err();
@@ -198,9 +200,14 @@ fn a_reboot_never_repeats_a_nonce() {
             }
             swarm.run(SECOND / 2);
         }
-        for bytes in swarm.take_sent() {
+        for (to, bytes) in swarm.take_sent() {
             let sealed = SealedDatagram::new_checked(&bytes).unwrap();
-            let nonce = (sealed.sender(), sealed.is_for_one(), sealed.counter());
+            let recipient = match to {
+                Destination::Peer(peer) => Some(peer),
+                Destination::Everyone => None,
+            };
+            assert_eq!(recipient.is_some(), sealed.is_for_one());
+            let nonce = (sealed.sender(), recipient, sealed.counter());
             assert!(nonces.insert(nonce), "nonce of {:?} {} repeats", sealed.sender(), sealed.counter());
             assert!(sealed.counter() > 0);
             datagrams += 1;
@@ -240,9 +247,12 @@ fn errors_say_what_to_do() {
     ] {
         assert!(text.contains(words), "{text}");
     }
-    let config = SessionConfig { datagram_bytes_max: 1_190, ..with_key(1) };
+    let config = SessionConfig { datagram_bytes_max: 1_190, salt: [7; 16], ..with_key(1) };
     let error = Session::new(Stream { origin: RobotId(1), epoch: 1 }, config, 1).unwrap_err().to_string();
     assert_eq!(error, "session option `datagram_bytes_max` is 1190; with a key 1,199 or 1,200 expected");
+    let error =
+        Session::new(Stream { origin: RobotId(1), epoch: 1 }, with_key(1), 1).unwrap_err().to_string();
+    assert!(error.contains("16 random bytes, drawn anew for each run"), "{error}");
 }
 
 proptest! {
@@ -273,10 +283,13 @@ proptest! {
         // By the first six bytes it may already be known to be none of ours.
         let counters = receiver.counters();
         if changed[..6] == bytes[..6] {
-            prop_assert_eq!(error, DatagramError::Forged { sender: RobotId(u16::from_le_bytes([changed[6], changed[7]])) });
-            prop_assert_eq!(counters.forged, 1);
+            let sender = RobotId(u16::from_le_bytes([changed[6], changed[7]]));
+            let is_named = error == DatagramError::Forged { sender } || error == DatagramError::Malformed { sender, what: "counter" };
+            prop_assert!(is_named, "{}", error);
+            prop_assert_eq!(counters.forged + counters.malformed, 1);
         } else {
-            prop_assert_eq!(counters.damaged + counters.foreign_version + counters.foreign_swarm + counters.forged, 1);
+            let by_kind = counters.unknown_run + counters.malformed + counters.unsealed;
+            prop_assert_eq!(by_kind + counters.damaged + counters.foreign_version + counters.foreign_swarm + counters.forged, 1);
         }
         // The true one still counts.
         prop_assert_eq!(receiver.handle_datagram(now, &bytes), Ok(()));

@@ -3,7 +3,7 @@
 use flockmap_codec::{Codec, Cycle, Encoder, PACKAGE_BYTES_MIN, Package};
 use flockmap_grid::{Changes, PresentState, Resolution, RobotId, Stamp, State, Stream, Voxel, VoxelBox};
 use flockmap_sync::wire::{
-    Datagram, DatagramError, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request,
+    Covered, Datagram, DatagramError, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, StateWanted,
 };
 use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey};
 use peak_alloc::PeakAlloc;
@@ -207,6 +207,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
                     let lists = (first..first + 2).map(|k| {
                         let held = torn(10 + 1_000 * round, 255);
                         Held {
+                            is_oldest_wanted: false,
                             stream: stream(k),
                             from: if round == 0 { 1 } else { 10 + 1_000 * round },
                             held,
@@ -216,7 +217,12 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
                         echoes: echoes.to_vec(),
                         all_echoes: true,
                         held: lists.collect(),
-                        states_wanted: vec![(stream(first), 0, 50)],
+                        states_wanted: vec![StateWanted {
+                            stream: stream(first),
+                            since: 0,
+                            from: 1,
+                            undecodable: torn(1, 255),
+                        }],
                         ..Request::default()
                     };
                     victim.take_request(peer(n), &request);
@@ -243,8 +249,12 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
         }
         victim.is_prepared();
         let echo = Echo { robot: OWN.origin, epoch_low: 1, stamp_low: victim.now.0 as u32, age_micros: 0 };
-        let request =
-            Request { all_streams: true, all_echoes: true, echoes: vec![echo], ..Request::default() };
+        let request = Request {
+            covered: Some(Covered::all_from(RobotId(0))),
+            all_echoes: true,
+            echoes: vec![echo],
+            ..Request::default()
+        };
         for n in 0..2 {
             victim.take_request(peer(n), &request);
         }
@@ -267,11 +277,16 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
             victim.session.restore_held(stream(k), 1, 1);
         }
         for n in [0, 1, 2, 3, 0, 1, 2, 3] {
-            let held = (0..4).map(|k| Held { stream: stream(k), from: 1, held: torn(1, 1) });
+            let held = (0..4).map(|k| Held {
+                is_oldest_wanted: false,
+                stream: stream(k),
+                from: 1,
+                held: torn(1, 1),
+            });
             let request = Request {
                 echoes: echoes.to_vec(),
                 all_echoes: true,
-                all_streams: true,
+                covered: Some(Covered::all_from(RobotId(0))),
                 held: held.collect(),
                 ..Request::default()
             };
@@ -289,7 +304,8 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
         assert_eq!(most, 4_000);
     });
 
-    let large = SessionConfig { swarm_key: Some(SwarmKey::from_bytes([7; 32])), peers_max: 64, ..config() };
+    let swarm_key = Some(SwarmKey::from_bytes([7; 32]));
+    let large = SessionConfig { swarm_key, salt: [8; 16], peers_max: 64, ..config() };
     let base = SessionConfig { swarm_key: None, ..large };
     case("counters of all robots that there can be", large.clone(), &base, 0.5, |victim| {
         for id in (0..=u16::MAX).filter(|id| *id != OWN.origin.0) {
@@ -331,14 +347,14 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
     let base = SessionConfig { peers_max: 1, ..large.clone() };
     case("requests full of small records", large, &base, 0.03, |victim| {
         for n in 0..64 {
-            // What takes the most memory for its bytes: floors, of two bytes each.
+            // What takes the most memory for its bytes: empty lists of held indices, of five bytes each.
             let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender: peer(n), stamp: victim.now };
             let mut bytes = Request::default().emit(header, 1_200);
-            let content = (1_200 - bytes.len() - 3) / 2 * 2;
-            bytes.extend([4, content as u8 | 0x80, (content >> 7) as u8]);
-            bytes.extend((0..content).map(|n| (n % 120) as u8));
+            while bytes.len() + 5 <= 1_200 {
+                bytes.extend([2, 3, (bytes.len() % 120) as u8, 1, 1]);
+            }
             if let Err(DatagramError::Check { expected, .. }) = Datagram::new_checked(&bytes) {
-                bytes[20..24].copy_from_slice(&expected.to_le_bytes());
+                bytes[24..28].copy_from_slice(&expected.to_le_bytes());
             }
             victim.take(&bytes);
         }

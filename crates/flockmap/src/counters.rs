@@ -43,6 +43,8 @@ pub struct RobotCounters {
     pub foreign_resolution: u64,
     /// Present states made for others.
     pub present_states: u64,
+    /// Runs begun while flying, since the own id was used with a higher epoch.
+    pub runs_begun: u64,
     /// Own cycles that were told without what was before, since repair was slow.
     pub cycles_without_reference: u64,
     /// Events dropped since nobody polled them.

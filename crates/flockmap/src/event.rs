@@ -55,9 +55,14 @@ pub enum Event {
     PeerSeen(Stream),
     /// A robot has not been heard for a while.
     PeerLost(Stream),
+    /// An ended run of a robot was forgotten, since there were too many streams or too many runs of one robot: its map is gone here.
+    RunForgotten(Stream),
+    /// The own id was used with a higher epoch, by an earlier run whose clock was ahead or by another robot: so this one has begun anew above that, with
+    /// what it had published until then. A driver that keeps epochs on disk stores this one.
+    RunBegun(Stream),
     /// Another robot uses the own id. Give one of them another.
     SameIdentity,
-    /// With a swarm key: this run has sealed all the datagrams that it can (2³⁶) and sends no more. Start again with a higher epoch.
+    /// With a swarm key: this run has sealed all the datagrams that it can (2⁴⁷) and sends no more. Start again.
     CountersSpent,
     /// Own changes could not be coded, and are lost to the others. Please report it: this should not happen.
     EncodeFailed(flockmap_codec::EncodeError),

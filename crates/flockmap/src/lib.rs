@@ -61,6 +61,6 @@ pub use flockmap_grid::{
     Scan, ScanReport, Sphere, Stamp, State, Stream, Voxel, VoxelBox, epoch,
 };
 pub use flockmap_sync as sync;
-pub use flockmap_sync::{Cast, Destination, Session, SessionConfig, Transmit};
+pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
 pub use packer::Packer;
 pub use robot::{RestoreError, Robot};

@@ -55,6 +55,11 @@ impl Packer {
         }
     }
 
+    /// What is closed from now on is of another stream. Ends go on to increase.
+    pub const fn begin_run(&mut self, stream: Stream) {
+        self.stream = stream;
+    }
+
     /// Notes a scan that the mapper has taken in: it is the time of what has changed, and the place that it was seen from.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {

@@ -1,5 +1,6 @@
 //! One robot: mapper, packer, codec, session, layers and fusion joined. The way of the data, both directions.
 
+mod begin;
 mod publish;
 mod receive;
 mod restore;
@@ -10,10 +11,10 @@ use publish::{Held, believed_occupied};
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockmap_codec::{Decoder, Encoder, PACKAGE_BYTES_MAX, Span};
+use flockmap_codec::{Decoder, Encoder, Span};
 use flockmap_grid::{Fusion, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream, Which};
 use flockmap_sync::wire::DatagramError;
-use flockmap_sync::{Session, Transmit};
+use flockmap_sync::{Path, Session, Transmit};
 
 use crate::cost::Cost;
 use crate::events::Events;
@@ -149,13 +150,33 @@ impl Robot {
     /// What was wrong with it. It is counted already and needs no action.
     pub fn handle_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
         let result = self.session.handle_datagram(now, bytes);
+        self.after_datagram(now);
+        result
+    }
+
+    /// The same for a driver that sends to addresses: `path` stands for the one that it was received from. By unicast nothing but a
+    /// challenge goes out on a path before an answer came back through it; [`Transmit::path`] tells where datagrams go.
+    ///
+    /// # Errors
+    /// What was wrong with it. It is counted already and needs no action.
+    pub fn handle_datagram_from(
+        &mut self,
+        now: Stamp,
+        path: Path,
+        bytes: &[u8],
+    ) -> Result<(), DatagramError> {
+        let result = self.session.handle_datagram_from(now, path, bytes);
+        self.after_datagram(now);
+        result
+    }
+
+    fn after_datagram(&mut self, now: Stamp) {
         self.answer_session(now);
         let requests = self.session.counters().requests_in.datagrams;
         if requests != self.requests_seen {
             self.requests_seen = requests;
             self.repair.note_held(self.session.own_held_by_peers());
         }
-        result
     }
 
     /// Closes the cycle now, with whatever has changed.
@@ -277,7 +298,7 @@ impl Robot {
     }
 
     /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too much of it.
-    fn provide_present_state(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>) {
+    fn provide_present_state(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
         let stream = span.stream;
         let is_whole = stream != self.own || self.own_layer_has_all;
         let state = self.fusion.layer(stream).filter(|_| is_whole);
@@ -285,7 +306,7 @@ impl Robot {
             return self.session.provide_present_state(now, stream, Vec::new());
         };
         let resolution = self.config.mapper.resolution;
-        let coded = self.encoder.encode_span(self.config.codec, span, resolution, &state, PACKAGE_BYTES_MAX);
+        let coded = self.encoder.encode_span(self.config.codec, span, resolution, &state, bytes_max);
         match coded {
             Ok(tiles) => {
                 self.counters.present_states += 1;

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Radio, Random, Swarm, config, scan};
 use flockmap::sync::IntervalSet;
-use flockmap::sync::wire::{DatagramHeader, Echo, Held, Kind, Request};
+use flockmap::sync::wire::{Covered, DatagramHeader, Echo, Held, Kind, Request};
 use flockmap::{CycleConfig, Event, Pose, Robot, RobotConfig, RobotId, SessionConfig, Stamp, State, Stream};
 
 const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.0, damage: 0.0, delay_ms: (20.0, 20.0) };
@@ -80,10 +80,10 @@ fn who_never_has_enough_cannot_hold_back_the_map_of_the_others() {
             // It hears this robot, and states that it holds all but the newest five, again and again.
             let newest = robot.session().held(own).and_then(|held| held.last()).unwrap_or(0);
             let held = IntervalSet::from_intervals(4, vec![(1, newest.max(6) - 5)]);
-            let held = (newest > 5).then_some(Held { stream: own, from: 1, held });
+            let held = (newest > 5).then_some(Held { is_oldest_wanted: false, stream: own, from: 1, held });
             let echo = Echo { robot: own.origin, epoch_low: 1, stamp_low: 0, age_micros: 0 };
             let request = Request {
-                all_streams: true,
+                covered: Some(Covered::all_from(RobotId(0))),
                 all_echoes: true,
                 echoes: vec![echo],
                 held: held.into_iter().collect(),

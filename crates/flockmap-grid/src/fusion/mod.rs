@@ -255,6 +255,12 @@ impl Fusion {
         }
     }
 
+    /// The own stream is another one from now on, without a layer; that of the former one is forgotten.
+    pub fn begin_run(&mut self, own: Stream) {
+        self.layers.remove(&self.own);
+        self.own = own;
+    }
+
     /// Forgets the layer of a stream; and with the last one of an origin how far its clock is off, unless it has an alignment or is muted.
     pub fn forget(&mut self, mapper: &Mapper, stream: Stream) {
         if let Some(layer) = self.layers.remove(&stream) {

@@ -5,7 +5,7 @@ use crate::random::Random;
 use flockmap::sync::wire::HEADER_BYTES;
 
 /// Where the check of a datagram stands: a CRC-32 of all else.
-const CHECK: core::ops::Range<usize> = 20..24;
+const CHECK: core::ops::Range<usize> = 24..28;
 /// Bytes at the end of a datagram, which are the payload of its last package.
 const TAIL: usize = 12;
 

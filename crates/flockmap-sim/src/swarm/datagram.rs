@@ -1,10 +1,10 @@
 //! Datagrams as the simulator reads them, with the key of the swarm if there is one.
 
 use flockmap::sync::SwarmKey;
-use flockmap::{Package, RobotId, Stream};
 use flockmap::sync::wire::{
     Datagram, DatagramHeader, Kind, Request, Salt, SealedDatagram, is_sealed, parse_packages,
 };
+use flockmap::{Package, RobotId, Stream};
 
 /// Intervals taken of each list of a request.
 const INTERVALS_MAX: usize = 256;

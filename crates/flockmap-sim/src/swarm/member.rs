@@ -1,7 +1,7 @@
 //! A robot of the swarm with its clock, what its checkers remember, and what is counted of it.
 
-use super::datagram::salt_of;
 use super::check::{Budget, Quiet, Still, Twice};
+use super::datagram::salt_of;
 use super::report::{RobotFigures, median_and_99};
 use super::settings::{MemberSettings, Settings, purpose};
 use super::world::{Course, SmallWorld};

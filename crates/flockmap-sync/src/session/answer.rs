@@ -1,7 +1,7 @@
 //! Requests that come in: what the peer holds, what of the packages sent to it is lost, whose turn it is to answer.
 
 use super::Session;
-use super::peer::{Item, Peer, Sent, VIEW_INTERVALS_MAX, View};
+use super::peer::{Item, Peer, PeerWish, Sent, VIEW_INTERVALS_MAX, View};
 use crate::wire::{DatagramHeader, Request};
 use crate::{InFlight, IntervalSet, Relay};
 use flockmap_grid::mutation::{self, Mutation};
@@ -66,30 +66,37 @@ impl Session {
     /// Takes in what the peer holds of each stream.
     fn take_holdings(&mut self, now: Stamp, peer: &mut Peer, header: &DatagramHeader, request: &Request) {
         let is_overtaken = header.stamp < peer.newest_stamp;
-        peer.takes_unnamed = request.all_streams && !request.no_new_streams;
-        peer.floors.clone_from(&request.floors);
-        if request.all_streams {
+        peer.takes_new_streams = !request.no_new_streams;
+        peer.oldest_wanted.retain(|&origin, _| !request.covers(origin) && self.store.has_runs(origin));
+        if let Some(covered) = request.covered {
+            peer.note_covered(covered);
             peer.views.retain(|stream, view| {
-                // Not named: nothing is held any more, as after a lost store.
-                if !request.held.iter().any(|held| held.stream == *stream) {
+                let is_named = request.held.iter().any(|held| held.stream == *stream);
+                // Not named: nothing is held any more, as after a lost store. But what came in later datagrams of the peer it did not
+                // hold yet when it made this request.
+                if !is_named && covered.contains(stream.origin) && !is_overtaken {
                     view.held = IntervalSet::new(VIEW_INTERVALS_MAX);
                     view.from = 1;
                 }
-                peer.takes_unnamed || request.held.iter().any(|held| held.stream == *stream)
+                is_named || peer.takes_new_streams || !covered.contains(stream.origin)
             });
         }
         for stated in &request.held {
+            self.note_own_id(now, stated.stream);
             if stated.stream == self.own {
                 // Nobody but this robot can say which own packages there are.
                 if stated.held.last() > Some(self.store.newest_known(self.own)) {
-                    self.tell_same_identity(now);
+                    self.note_own_run_used(now);
                 }
             } else if !self.open_stream(stated.stream) {
                 continue;
             } else if let Some(newest) = stated.held.last()
-                && self.store.note_newest(stated.stream, newest)
+                && self.store.note_newest(stated.stream, newest, now)
             {
                 self.note_gap(now, false);
+            }
+            if stated.is_oldest_wanted {
+                peer.oldest_wanted.insert(stated.stream.origin, stated.stream.epoch);
             }
             let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));
             // Of what lies below the list, the last word still holds.
@@ -108,9 +115,16 @@ impl Session {
             view.from = view.from.min(stated.from).max(view.held.keep_newest(VIEW_INTERVALS_MAX));
         }
         for (&stream, view) in &mut peer.views {
-            let wanted = request.states_wanted.iter().find(|(wanted, ..)| *wanted == stream);
-            let at = view.state_wanted.map_or(now, |(_, at)| at);
-            view.state_wanted = wanted.map(|&(_, since, upto)| ([since, upto], at));
+            let wanted = request.states_wanted.iter().find(|wanted| wanted.stream == stream);
+            let since = view.state_wanted.as_ref().map_or(now, |wanted| wanted.stated_since);
+            // A wish that found no room this time stands on until its origin is covered.
+            if wanted.is_some() || request.covers(stream.origin) {
+                view.state_wanted = wanted.map(|wanted| PeerWish {
+                    since: wanted.since,
+                    undecodable: wanted.undecodable.clone(),
+                    stated_since: since,
+                });
+            }
         }
         for progress in request.transfers.iter().filter(|progress| progress.source == self.own.origin) {
             let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
@@ -152,7 +166,10 @@ impl Session {
             let (held, stated) = match sent.item {
                 Item::Package { stream, index } => {
                     let named = request.held.iter().find(|held| held.stream == stream);
-                    (view.held.contains(index), named.map_or(request.all_streams, |held| index >= held.from))
+                    (
+                        view.held.contains(index),
+                        named.map_or_else(|| request.covers(stream.origin), |held| index >= held.from),
+                    )
                 }
                 Item::Tile { set, tile, .. } => match &view.sending {
                     Some(sending) if sending.set == set => (sending.accepted.contains(tile + 1), true),

@@ -2,7 +2,8 @@
 
 use super::{Destination, Event, Session, Transmit};
 use crate::session::peer::{Item, Peer};
-use crate::wire::{ClockReport, Echo, Held, Kind, Request, TransferProgress};
+use crate::store::Opened;
+use crate::wire::{ClockReport, Covered, Echo, Held, Kind, Request, StateWanted, TransferProgress};
 use crate::{Cast, IntervalSet};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -26,6 +27,12 @@ pub(super) struct Schedule {
     last_activity: Stamp,
     /// Requests made: lists that do not fit begin at another place each time.
     count: usize,
+    /// The first origin that the next request covers; and how often all were.
+    cursor: RobotId,
+    rounds: u32,
+    /// A run of a robot that was heard in an earlier one: it should learn of it soon.
+    superseded: Option<Stream>,
+    superseded_told: Option<Stamp>,
 }
 
 impl Default for Schedule {
@@ -41,6 +48,10 @@ impl Default for Schedule {
             budget_pause: 0,
             last_activity: never,
             count: 0,
+            cursor: RobotId(0),
+            rounds: 0,
+            superseded: None,
+            superseded_told: None,
         }
     }
 }
@@ -49,6 +60,8 @@ impl Default for Schedule {
 const GREETING_JITTER: u64 = 20_000;
 /// Least pause before a greeting, so that ever new runs of a faulty peer do not make us talk without end.
 const GREETING_PAUSE: i64 = 50_000;
+/// Least pause between requests that go out because a robot was heard in a former run: replays must not make us talk.
+const SUPERSEDED_PAUSE: i64 = 1_000_000;
 /// So many requests for gaps go out at the shortest pause; after that the pause doubles each time. Over a radio that loses every
 /// second datagram, one round of request and answer in four succeeds.
 const GAP_TRIES: u32 = 10;
@@ -70,6 +83,8 @@ const PROBE_LOSS_MIN: u32 = crate::link::LOSS_ONE / 6;
 const BUDGET_SHARE_OVER_TIME: i64 = 8;
 /// … and one request to all at most one part in so many of a second's worth …
 const BUDGET_SHARE_AT_ONCE: usize = 2;
+/// Lists of held indices that come before the origins in turn.
+const URGENT_MAX: usize = 64;
 /// … but a request is never cut below so many bytes: it has to say something of each transfer and stream in turn.
 const REQUEST_BYTES_MIN: usize = 280;
 
@@ -88,6 +103,15 @@ impl Session {
         let at = now.max(self.schedule.last.plus_micros(pause));
         let at = at.plus_micros(self.random(GREETING_JITTER) as i64);
         self.schedule.greeting = Some(self.schedule.greeting.map_or(at, |earlier| earlier.min(at)));
+    }
+
+    /// A robot was heard in a run before the newest one that is known of it: it should learn of that one, and begin anew above it.
+    pub(super) fn tell_superseded(&mut self, now: Stamp, newest: Stream) {
+        if self.schedule.superseded_told.is_none_or(|told| now.micros_since(told) >= SUPERSEDED_PAUSE) {
+            self.schedule.superseded_told = Some(now);
+            self.schedule.superseded = Some(newest);
+            self.greet(now);
+        }
     }
 
     /// Something may be missing. `certain`: a later package has arrived, so it is late or lost.
@@ -175,7 +199,8 @@ impl Session {
         let to = if for_gap && !periodic { self.whom_to_ask(now) } else { Destination::Everyone };
         let copies = self.copies(to);
         let header = self.header(now, Kind::Request);
-        let bytes = self.request(now).emit(header, self.request_bytes_max(copies as usize));
+        let (request, urgent) = self.request(now);
+        let (bytes, covered) = request.emit_in_turn(header, self.request_bytes_max(copies as usize), urgent);
         let each = bytes.len() + self.overhead(Kind::Request);
         let total = each * copies as usize;
         let radio = self.radio.iter_mut().map(|radio| (radio, total));
@@ -197,8 +222,16 @@ impl Session {
         {
             peer.traffic_out.add(1, each);
         }
+        if to == Destination::Everyone {
+            self.move_cursor(covered);
+            self.schedule.superseded = None;
+        }
         self.schedule_next(now, for_gap, to);
-        Some(Transmit { to, bytes })
+        let path = match to {
+            Destination::Peer(id) => self.peers.get(&id).and_then(|peer| peer.path.valid()),
+            Destination::Everyone => None,
+        };
+        Some(Transmit { to, path, bytes })
     }
 
     /// Longest request that leaves most of a second's worth of a small budget to packages.
@@ -262,7 +295,10 @@ impl Session {
         if self.config.cast == Cast::Unicast && self.schedule.gap_tries == 0 {
             let mut streams = self.gaps(now);
             if let (Some(stream), None) = (streams.next(), streams.next())
-                && self.peers.get(&stream.origin).is_some_and(|peer| peer.stream == stream)
+                && self
+                    .peers
+                    .get(&stream.origin)
+                    .is_some_and(|peer| peer.stream == stream && peer.path.is_open())
             {
                 return Destination::Peer(stream.origin);
             }
@@ -270,7 +306,8 @@ impl Session {
         Destination::Everyone
     }
 
-    fn request(&self, now: Stamp) -> Request {
+    /// What there is to say; and how many of the lists of held indices are urgent: the own one, and those with gaps.
+    fn request(&self, now: Stamp) -> (Request, usize) {
         let count = self.schedule.count;
         let mut echoes: Vec<Echo> = self
             .peers
@@ -286,18 +323,7 @@ impl Session {
             let start = count * 8 % echoes.len();
             echoes.rotate_left(start);
         }
-        let mut held: Vec<Held> = self
-            .store
-            .streams()
-            .filter_map(|stream| {
-                let held = self.stated_as_held(stream, now);
-                (!held.is_empty()).then_some(Held { stream, from: 1, held })
-            })
-            .collect();
-        if !held.is_empty() {
-            let start = count % held.len();
-            held.rotate_left(start);
-        }
+        let (held, urgent) = self.held_lists(now);
         let transfers = self.incoming.iter().map(|incoming| {
             let number = |item: Item| match item {
                 Item::Tile { stream, set, tile } if stream == incoming.stream && set == incoming.set => {
@@ -326,26 +352,89 @@ impl Session {
             let start = count % transfers.len();
             transfers.rotate_left(start);
         }
-        Request {
-            all_streams: true,
+        let request = Request {
+            covered: Some(Covered::all_from(self.schedule.cursor)),
             all_echoes: true,
-            no_new_streams: self.store.is_full_of_streams(),
+            no_new_streams: self.store.is_full(),
             echoes,
             held,
             transfers,
-            floors: self.store.floors().iter().map(|(&robot, &epoch)| (robot, epoch)).collect(),
             clocks: self.clock_reports(),
-            states_wanted: self
-                .given_up
-                .iter()
-                .filter_map(|(&stream, given_up)| {
-                    // What waits for a verdict, or was rejected, may never be held either.
-                    let unheld = self.stated_as_held(stream, now).difference(self.store.held(stream)?);
-                    let (since, upto) = (unheld.first()? - 1, given_up.last()?);
-                    (since < upto).then_some((stream, since, upto))
-                })
-                .collect(),
+            states_wanted: self.states_wanted(now),
+        };
+        (request, urgent)
+    }
+
+    /// What is held of each stream: of the own one first, then of those with gaps and of robots that do not know of a later run of theirs, in turn; then
+    /// of all, origin by origin from the cursor on. How many of these are there before the cursor's.
+    fn held_lists(&self, now: Stamp) -> (Vec<Held>, usize) {
+        let list = |stream: Stream| Held {
+            stream,
+            is_oldest_wanted: self.store.is_oldest_wanted(stream),
+            from: 1,
+            held: self.stated_as_held(stream, now),
+        };
+        let mut urgent: Vec<Stream> = self
+            .gaps(now)
+            .chain(self.schedule.superseded.filter(|run| self.store.held(*run).is_some()))
+            .collect();
+        if !urgent.is_empty() {
+            let start = self.schedule.count % urgent.len();
+            urgent.rotate_left(start);
         }
+        urgent.truncate(URGENT_MAX);
+        let own = Some(self.own).filter(|own| self.store.newest_known(*own) > 0);
+        let mut lists: Vec<Held> = own.into_iter().chain(urgent).map(list).collect();
+        let urgent = lists.len();
+
+        let from_cursor = |stream: &Stream| stream.origin.0.wrapping_sub(self.schedule.cursor.0);
+        let mut streams: Vec<Stream> = self.store.streams().collect();
+        streams.sort_by_key(|stream| (from_cursor(stream), core::cmp::Reverse(stream.epoch)));
+        // Of a robot with more runs than fit into a request each comes first in turn.
+        if let Some(first) = streams.first().map(|stream| stream.origin) {
+            let runs = streams.iter().take_while(|stream| stream.origin == first).count();
+            streams[..runs].rotate_left(self.schedule.rounds as usize % runs);
+        }
+        let named =
+            streams.into_iter().map(list).filter(|held| held.is_oldest_wanted || !held.held.is_empty());
+        lists.extend(named);
+        (lists, urgent)
+    }
+
+    /// A present state of each stream of which something can only be had that way.
+    fn states_wanted(&self, now: Stamp) -> Vec<StateWanted> {
+        let mut wanted: Vec<StateWanted> = self
+            .given_up
+            .iter()
+            .filter_map(|(&stream, given_up)| {
+                // What waits for a verdict, or was rejected, may never be held either.
+                let unheld = self.stated_as_held(stream, now).difference(self.store.held(stream)?);
+                let since = unheld.first()? - 1;
+                let undecodable = given_up.within(since + 1, u32::MAX);
+                (!undecodable.is_empty()).then_some(StateWanted { stream, since, from: 1, undecodable })
+            })
+            .collect();
+        if !wanted.is_empty() {
+            let start = self.schedule.count % wanted.len();
+            wanted.rotate_left(start);
+        }
+        wanted
+    }
+
+    /// A request to everyone went out: the next one begins with the first origin that this one did not cover.
+    fn move_cursor(&mut self, covered: Option<Covered>) {
+        let cursor = self.schedule.cursor;
+        let next = match covered {
+            Some(covered) if covered.is_all() => cursor,
+            Some(covered) => RobotId(covered.last.0.wrapping_add(1)),
+            // Not all runs of one robot fit: the others are not to wait for them.
+            None => {
+                let after = self.store.streams().map(|stream| stream.origin).find(|origin| *origin > cursor);
+                after.unwrap_or(RobotId(0))
+            }
+        };
+        self.schedule.rounds = self.schedule.rounds.wrapping_add(u32::from(next <= cursor));
+        self.schedule.cursor = next;
     }
 
     /// What is held, and what nobody shall send just now: what waits for a verdict, what was rejected a moment ago, and what
@@ -398,9 +487,13 @@ impl Session {
 
     /// Opens a place for a stream and tells the driver; whether there is one.
     pub(super) fn open_stream(&mut self, stream: Stream) -> bool {
-        match self.store.open(stream) {
-            Ok((is_new, forgotten)) => {
+        let is_heard = |robot| {
+            self.peers.contains_key(&robot) || self.peers.values().any(|peer| peer.hears.contains(&robot))
+        };
+        match self.store.open(stream, self.now, is_heard) {
+            Ok(Opened { is_new, forgotten }) => {
                 if let Some(forgotten) = forgotten {
+                    self.counters.streams_forgotten += 1;
                     self.forget_stream(forgotten);
                 }
                 if is_new {
@@ -415,7 +508,7 @@ impl Session {
         }
     }
 
-    fn forget_stream(&mut self, stream: Stream) {
+    pub(super) fn forget_stream(&mut self, stream: Stream) {
         for peer in self.peers.values_mut() {
             peer.views.remove(&stream);
             peer.in_flight.retain(|sent| sent.item.stream() != stream);

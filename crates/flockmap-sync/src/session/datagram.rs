@@ -1,15 +1,39 @@
 //! Datagrams that come in: what is wrong with them, and whom they make known.
 
 use super::peer::{Peer, VIEW_INTERVALS_MAX};
-use super::{Event, Session, answer};
-use crate::wire::{Datagram, DatagramError, DatagramHeader, Kind, Request, is_sealed, parse_packages};
-use flockmap_grid::Stamp;
+use super::{Event, Path, Session, answer};
+use crate::store::HELD_INTERVALS_MAX;
+use crate::wire::{
+    Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, is_sealed, parse_contents,
+    parse_packages,
+};
+use flockmap_grid::{Stamp, Stream};
 
 impl Session {
-    /// Takes in a received datagram. An error is already counted; it says what was wrong and needs no action.
+    /// Takes in a received datagram, of a driver that knows no addresses. An error is already counted; it says what was wrong and needs
+    /// no action.
     pub fn handle_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
+        self.handle_datagram_on(now, None, bytes)
+    }
+
+    /// Takes in a datagram received on a path. By unicast nothing but a challenge goes out on it before an answer came back.
+    pub fn handle_datagram_from(
+        &mut self,
+        now: Stamp,
+        path: Path,
+        bytes: &[u8],
+    ) -> Result<(), DatagramError> {
+        self.handle_datagram_on(now, Some(path), bytes)
+    }
+
+    fn handle_datagram_on(
+        &mut self,
+        now: Stamp,
+        path: Option<Path>,
+        bytes: &[u8],
+    ) -> Result<(), DatagramError> {
         let now = self.advance(now);
-        let result = self.take_datagram(now, bytes);
+        let result = self.take_datagram(now, path, bytes);
         if let Err(error) = &result {
             let counter = match error {
                 DatagramError::Length { .. } | DatagramError::Magic { .. } | DatagramError::Check { .. } => {
@@ -37,7 +61,7 @@ impl Session {
         result
     }
 
-    fn take_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
+    fn take_datagram(&mut self, now: Stamp, path: Option<Path>, bytes: &[u8]) -> Result<(), DatagramError> {
         let opened;
         let datagram = if is_sealed(bytes) {
             opened = self.open(now, bytes)?;
@@ -56,32 +80,52 @@ impl Session {
             return Ok(());
         }
         if header.sender.origin == self.own.origin {
+            let (sender, got, current) = (self.own.origin, header.sender.epoch, self.own.epoch);
+            if got < current {
+                return Err(DatagramError::StaleEpoch { sender, got, current });
+            }
             self.tell_same_identity(now);
-            return Err(DatagramError::SameIdentity { id: self.own.origin });
+            self.note_own_id(now, header.sender);
+            return Err(DatagramError::SameIdentity { id: sender });
         }
         // All of it is read before any of it counts.
         match header.kind {
             Kind::Request => {
                 let request = Request::parse(&datagram, VIEW_INTERVALS_MAX)?;
-                self.hear(now, &header, bytes.len())?;
+                self.hear(now, &header, path, bytes.len())?;
                 self.counters.requests_in.add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.handle_request(now, &header, &request);
             }
             Kind::Packages => {
                 let packages = parse_packages(&datagram)?;
-                self.hear(now, &header, bytes.len())?;
+                let contents = parse_contents(&datagram, HELD_INTERVALS_MAX)?;
+                self.hear(now, &header, path, bytes.len())?;
                 self.counters.packages_in.add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
-                self.receive_packages(now, header.sender, packages);
+                self.receive_packages(now, header.sender, packages, contents);
             }
-            Kind::Path => self.hear(now, &header, bytes.len())?,
+            Kind::Path => {
+                let message = PathMessage::parse(&datagram)?;
+                self.hear(now, &header, path, bytes.len())?;
+                self.handle_path(now, header.sender.origin, path, message);
+            }
         }
         Ok(())
     }
 
     /// Notes that a peer was heard; makes its acquaintance if it is new or in a new run.
-    fn hear(&mut self, now: Stamp, header: &DatagramHeader, bytes: usize) -> Result<(), DatagramError> {
+    fn hear(
+        &mut self,
+        now: Stamp,
+        header: &DatagramHeader,
+        path: Option<Path>,
+        bytes: usize,
+    ) -> Result<(), DatagramError> {
         let (stream, id) = (header.sender, header.sender.origin);
         let known = self.peers.get(&id).map(|peer| peer.stream.epoch);
+        let newest = self.store.newest_run(id).map_or(0, |run| run.epoch).max(known.unwrap_or(0));
+        if newest > stream.epoch {
+            self.tell_superseded(now, Stream { epoch: newest, ..stream });
+        }
         if let Some(current) = known.filter(|&current| current > stream.epoch) {
             return Err(DatagramError::StaleEpoch { sender: id, got: stream.epoch, current });
         }
@@ -91,7 +135,10 @@ impl Session {
         if known != Some(stream.epoch) {
             let mut peer = Peer::new(stream, now, &self.config);
             // A budget is the link's: it does not begin anew with a new run.
-            let before = self.peers.remove(&id).and_then(|before| before.pacer);
+            let before = self.peers.remove(&id);
+            // Where its former run was reached is tried again only if it is heard from elsewhere.
+            peer.path = before.as_ref().map(|before| before.path).unwrap_or_default();
+            let before = before.and_then(|before| before.pacer);
             peer.pacer = before.or_else(|| self.silent_links.remove(&id)).or(peer.pacer);
             self.peers.insert(id, peer);
             self.push_event(Event::PeerSeen(stream));
@@ -107,6 +154,9 @@ impl Session {
                 peer.newest_stamp = header.stamp;
                 peer.newest_stamp_at = now;
             }
+        }
+        if let Some(path) = path {
+            self.note_path(now, id, path);
         }
         Ok(())
     }

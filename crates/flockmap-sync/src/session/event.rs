@@ -1,5 +1,6 @@
 //! What a session tells its driver.
 
+use super::Path;
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 
@@ -25,8 +26,10 @@ pub enum Event {
         /// Every voxel whose newest change is in a package after `since` has a newer stamp than this, on the clock of the stream's robot.
         /// `None`: the whole layer is wanted.
         newer_than: Option<Stamp>,
-        /// All packages from 1 to this one are in the layer.
+        /// All packages from 1 to this one are in the layer; or, where `since` is the one before it and there are gaps before that, this one.
         upto: u32,
+        /// No tile may have more bytes.
+        bytes_max: usize,
         /// The peer that misses it.
         peer: RobotId,
     },
@@ -46,22 +49,28 @@ pub enum Event {
     StreamSeen(Stream),
     /// An old run of an origin was forgotten to make room for a newer one. What the map has of it may stay.
     StreamForgotten(Stream),
-    /// Somebody holds own packages that this robot never made: another robot uses the own id, or this robot started
-    /// again without its store and with an epoch that it had used before. New packages are then taken for the old
-    /// ones of the same index and do not arrive. Give every robot its own id and every run a higher epoch. Told at
-    /// most every 10 s.
+    /// Another robot uses the own id, or this run has the epoch of an earlier one. Give every robot its own id and every run an epoch with
+    /// random bits. Told at most every 10 s.
     SameIdentity,
-    /// So many datagrams were sealed (2³⁶ in one start) that one more would repeat a nonce: this session sends nothing more.
-    /// Start the robot again with a higher epoch. Told once.
+    /// The own id was used with a higher epoch, as others tell: by an earlier run whose clock was ahead, or by another robot. Whoever knows that run
+    /// takes this one for a former one. Call [`begin_run`](crate::Session::begin_run) with an epoch above this one. Told at once, then after
+    /// pauses from 10 s up to an hour.
+    EpochTooLow {
+        /// The epoch that was used.
+        used: u64,
+    },
+    /// So many datagrams were sealed (2⁴⁷) that one more would repeat a nonce: this session sends nothing more.
+    /// Start the robot again. Told once.
     CountersSpent,
 }
 
 /// Whom a datagram goes to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Destination {
-    /// This peer, at the address where it was last heard.
+    /// This peer: at [`Transmit::path`].
     Peer(RobotId),
-    /// Everyone: the broadcast or multicast address, or each configured and each heard address in turn.
+    /// Everyone: the broadcast or multicast address, or each configured address and each of
+    /// [`Session::paths`](crate::Session::paths) in turn.
     Everyone,
 }
 
@@ -79,6 +88,9 @@ impl Destination {
 pub struct Transmit {
     /// Whom to.
     pub to: Destination,
+    /// Where to, if it is for one robot and the driver tells on which path it hears each datagram
+    /// ([`handle_datagram_from`](crate::Session::handle_datagram_from)).
+    pub path: Option<Path>,
     /// The UDP payload, at most [`DATAGRAM_BYTES_MAX`](crate::wire::DATAGRAM_BYTES_MAX) bytes.
     pub bytes: Vec<u8>,
 }

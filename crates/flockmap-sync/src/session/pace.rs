@@ -42,7 +42,9 @@ impl Session {
                     let gaps = view.covered.missing(view.from.max(1), newest);
                     gaps.flat_map(stored).take(BACKLOG_MIN as usize + 1).count()
                 }
-                None if peer.takes_unnamed => stored((1, newest)).take(BACKLOG_MIN as usize + 1).count(),
+                None if peer.takes_unnamed(self.own) => {
+                    stored((1, newest)).take(BACKLOG_MIN as usize + 1).count()
+                }
                 None => continue,
             };
             if missing > BACKLOG_MIN as usize {

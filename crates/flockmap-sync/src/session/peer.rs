@@ -1,14 +1,19 @@
 //! What a session knows of one peer.
 
+use super::path::PeerPath;
 use crate::counters::Traffic;
 use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
+use crate::wire::Covered;
 use crate::{IntervalSet, SessionConfig};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Intervals kept of what a peer states to hold of one stream; of more, the newest.
 pub(super) const VIEW_INTERVALS_MAX: usize = 256;
+
+/// Intervals kept of the origins that a peer has covered.
+const COVERED_INTERVALS_MAX: usize = 256;
 
 /// Datagrams that follow each other within this time are one burst.
 const BURST: i64 = 100_000;
@@ -72,8 +77,18 @@ pub(super) struct View {
     /// What was missing at some earlier request, and when that was.
     pub(super) missing_then: (Stamp, IntervalSet),
     pub(super) sending: Option<Sending>,
-    /// The peer wants a present state since the first package or an earlier one that contains the second; and how long it has said so.
-    pub(super) state_wanted: Option<([u32; 2], Stamp)>,
+    pub(super) state_wanted: Option<PeerWish>,
+}
+
+/// A present state that the peer wants.
+#[derive(Clone, Debug)]
+pub(super) struct PeerWish {
+    /// Since this package, or an earlier one.
+    pub(super) since: u32,
+    /// It should contain some of these.
+    pub(super) undecodable: IntervalSet,
+    /// How long it has said so.
+    pub(super) stated_since: Stamp,
 }
 
 impl View {
@@ -111,9 +126,12 @@ pub(super) struct Peer {
     /// Whom it hears, by its last request; whether that list was whole.
     pub(super) hears: Vec<RobotId>,
     pub(super) hears_all_listed: bool,
-    /// Its last request named all its streams and it takes new ones: what is not named is not held.
-    pub(super) takes_unnamed: bool,
-    pub(super) floors: Vec<(RobotId, u64)>,
+    /// Number + 1 of the origins that its requests have covered so far: of these it holds no run that it has not named.
+    covered: IntervalSet,
+    /// It has room for streams that it does not name.
+    pub(super) takes_new_streams: bool,
+    /// The epochs below which it wants no run, of robots of which something is known here.
+    pub(super) oldest_wanted: BTreeMap<RobotId, u64>,
     pub(super) clocks: Vec<crate::wire::ClockReport>,
     pub(super) views: BTreeMap<Stream, View>,
     pub(super) in_flight: VecDeque<Sent>,
@@ -125,6 +143,7 @@ pub(super) struct Peer {
     pub(super) clock: ClockFilter,
     pub(super) loss: Loss,
     pub(super) pacer: Option<Pacer>,
+    pub(super) path: PeerPath,
     pub(super) traffic_in: Traffic,
     pub(super) traffic_out: Traffic,
 }
@@ -141,8 +160,9 @@ impl Peer {
             request: None,
             hears: Vec::new(),
             hears_all_listed: false,
-            takes_unnamed: false,
-            floors: Vec::new(),
+            covered: IntervalSet::new(COVERED_INTERVALS_MAX),
+            takes_new_streams: false,
+            oldest_wanted: BTreeMap::new(),
             clocks: Vec::new(),
             views: BTreeMap::new(),
             in_flight: VecDeque::new(),
@@ -154,6 +174,7 @@ impl Peer {
             pacer: config
                 .link_bytes_per_s
                 .map(|rate| Pacer::new(rate, super::burst_bytes(rate, config.burst_ms))),
+            path: PeerPath::default(),
             traffic_in: Traffic::default(),
             traffic_out: Traffic::default(),
         }
@@ -186,13 +207,29 @@ impl Peer {
     /// Whether the peer wants packages of this stream at all.
     pub(super) fn wants(&self, stream: Stream) -> bool {
         stream != self.stream
-            && !self.floors.iter().any(|&(origin, epoch)| origin == stream.origin && stream.epoch < epoch)
+            && self.oldest_wanted.get(&stream.origin).is_none_or(|oldest| stream.epoch >= *oldest)
+    }
+
+    /// Notes that a request named every run of these origins that the peer holds something of.
+    pub(super) fn note_covered(&mut self, covered: Covered) {
+        let (first, last) = (u32::from(covered.first.0) + 1, u32::from(covered.last.0) + 1);
+        let parts =
+            if first <= last { [(first, last), (first, last)] } else { [(first, 1 << 16), (1, last)] };
+        for (low, high) in parts {
+            // A peer that covers single origins all over the range is covered again later.
+            let _ = self.covered.insert_range(low, high);
+        }
+    }
+
+    /// Whether of a stream that it has not named it holds nothing, and may be sent it.
+    pub(super) fn takes_unnamed(&self, stream: Stream) -> bool {
+        self.takes_new_streams && self.covered.contains(u32::from(stream.origin.0) + 1)
     }
 
     /// What is known of the peer's holdings of a stream. A stream that it did not name, where it names all, is
     /// one of which it holds nothing.
     pub(super) fn view(&mut self, stream: Stream, now: Stamp) -> Option<&mut View> {
-        if self.takes_unnamed {
+        if self.takes_unnamed(stream) {
             return Some(self.views.entry(stream).or_insert_with(|| View::new(1, now)));
         }
         self.views.get_mut(&stream)

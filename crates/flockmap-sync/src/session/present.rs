@@ -2,6 +2,7 @@
 
 use super::peer::{Item, Peer, Sending, VIEW_INTERVALS_MAX};
 use super::{Event, Session};
+use crate::wire::CONTENTS_BYTES_MAX;
 use crate::{Cast, IntervalSet};
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::mutation::{self, Mutation};
@@ -19,6 +20,8 @@ pub(super) struct Incoming {
     pub(super) tiles: u32,
     /// Number + 1 of the tiles accepted.
     pub(super) accepted: IntervalSet,
+    /// What it contains, where it is a part of a history with gaps.
+    pub(super) contents: Option<IntervalSet>,
     pub(super) touched: Stamp,
 }
 
@@ -32,6 +35,12 @@ impl Incoming {
     pub(super) fn is_complete(&self) -> bool {
         self.accepted.contains_range(1, self.tiles)
             || (!self.accepted.is_empty() && mutation::is(Mutation::StateHeldTooEarly))
+    }
+
+    /// Whether all that it brings is held already.
+    pub(super) fn is_in(&self, held: &IntervalSet) -> bool {
+        let rest = self.contents.as_ref().map(|contents| contents.difference(held));
+        held.contains_range(1, self.upto) || rest.is_some_and(|rest| rest.is_empty())
     }
 
     /// Nothing has come of it for long. A complete one waits longer, for the packages before it.
@@ -50,20 +59,44 @@ pub(super) struct Outgoing {
     pub(super) set: u32,
     pub(super) since: u32,
     pub(super) upto: u32,
+    /// What it contains, where that has gaps.
+    pub(super) contents: Option<IntervalSet>,
     pub(super) tiles: Vec<Package>,
     bytes: usize,
     pub(super) used_at: Stamp,
 }
 
+/// Of a run that has ended, a gap is taken for one that nobody fills when nothing new has come for so long.
+const GAP_STANDS: i64 = 10_000_000;
+/// Longest tile of a state of a history with gaps: what it contains goes with every tile.
+const PARTS_TILE_BYTES_MAX: usize = flockmap_codec::PACKAGE_BYTES_MAX - CONTENTS_BYTES_MAX;
+
 /// The driver is asked again for the state of a stream after so long; after it declined, later.
 const ASK_AGAIN: i64 = 2_000_000;
 const ASK_AGAIN_DECLINED: i64 = 30_000_000;
+
+impl Sending {
+    /// A peer that does not speak of the set for long has forgotten it, or has not heard of it yet.
+    fn note_silence(&mut self, now: Stamp) {
+        if now.micros_since(self.named_at) > ABANDONED {
+            self.named_at = now;
+            self.accepted = IntervalSet::new(VIEW_INTERVALS_MAX);
+        }
+    }
+}
 
 impl Outgoing {
     /// About what the part of it since a package would cost now, when `upto` is the newest one.
     fn cost(&self, since: u32, upto: u32) -> u64 {
         let part = u64::from(upto.saturating_sub(since.max(self.since)));
         self.bytes as u64 * part / u64::from(self.upto - self.since).max(1)
+    }
+
+    /// Begins to send it to a peer.
+    fn sending(&self, now: Stamp) -> Sending {
+        let nothing = IntervalSet::new(VIEW_INTERVALS_MAX);
+        let (set, since, upto) = (self.set, self.since, self.upto);
+        Sending { set, since, upto, named_at: now, accepted: nothing.clone(), covered: nothing }
     }
 
     /// Whether at most an eighth of it says what who knows packages 1 to `since` knows already.
@@ -115,8 +148,12 @@ impl Session {
         };
         let bytes = tiles.iter().map(|tile| tile.bytes().len()).sum();
         let longest = self.package_bytes_max();
+        let held = self.store.held(stream)?;
+        // One of a history with gaps says by itself no more than its newest package.
+        let is_whole = held.contains_range(1, upto);
+        let contents = (!is_whole).then(|| held.within(1, upto));
         let usable = bytes <= self.config.present_state_bytes_max
-            && self.store.held(stream).is_some_and(|held| held.contains_range(1, upto))
+            && (is_whole || (since + 1 == upto && held.contains(upto)))
             && (0..).zip(&tiles).all(|(number, tile)| {
                 tile.header().stream == stream
                     && tile.header().index == upto
@@ -128,12 +165,93 @@ impl Session {
             self.counters.present_states_unusable += 1;
             return None;
         }
-        Some(Outgoing { stream, set, since, upto, tiles, bytes, used_at: now })
+        Some(Outgoing { stream, set, since, upto, contents, tiles, bytes, used_at: now })
     }
 
     /// Decides whether a peer gets the present state of a stream, or of a part of its history, instead of packages.
     pub(super) fn review_present_state(&mut self, now: Stamp, peer: &mut Peer, stream: Stream) {
         let Some(turn) = self.turn(peer, stream) else { return };
+        if !self.goes_on_with_parts(now, peer, stream) {
+            self.review_whole(now, peer, stream, turn);
+            self.review_parts(now, peer, stream, turn);
+        }
+    }
+
+    /// Whether a state of a history with gaps is on its way to a peer that still lacks some of it.
+    fn goes_on_with_parts(&self, now: Stamp, peer: &mut Peer, stream: Stream) -> bool {
+        let Some(view) = peer.view(stream, now) else { return false };
+        let Some(sending) = &mut view.sending else { return false };
+        let of_set = self.outgoing.iter().find(|o| o.stream == stream && o.set == sending.set);
+        let Some(contents) = of_set.and_then(|outgoing| outgoing.contents.as_ref()) else { return false };
+        let wanted = view.state_wanted.as_ref().map(|wanted| wanted.undecodable.intersection(contents));
+        let goes_on = !contents.difference(&view.held).is_empty() || wanted.is_some_and(|w| !w.is_empty());
+        if goes_on {
+            sending.note_silence(now);
+        } else {
+            view.sending = None;
+        }
+        goes_on
+    }
+
+    /// What is held beyond a gap that nobody fills comes as a state of all that is held, if it is not stored: of runs that have ended.
+    fn review_parts(&mut self, now: Stamp, peer: &mut Peer, stream: Stream, turn: u32) {
+        let Some(held) = self.store.held(stream) else { return };
+        let beyond = held.within(held.prefix().saturating_add(2), u32::MAX);
+        let (Some(upto), Some(touched)) = (beyond.last(), self.store.touched(stream)) else { return };
+        if !self.has_ended(stream) || now.micros_since(touched) < GAP_STANDS {
+            return;
+        }
+        let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
+        let id = peer.stream.origin;
+        let Some(view) = peer.view(stream, now) else { return };
+        if view.sending.is_some() {
+            return;
+        }
+        let mut lacks = beyond.difference(&view.held);
+        if turn > 0 {
+            lacks = lacks.intersection(&view.overdue);
+        }
+        let wish = view.state_wanted.as_ref().filter(|wish| now.micros_since(wish.stated_since) >= delay);
+        let wish = wish.map(|wish| wish.undecodable.intersection(&beyond));
+        if self.first_unstored(stream, &lacks).is_none() && wish.is_none_or(|wish| wish.is_empty()) {
+            return;
+        }
+        let has_it = |o: &Outgoing| {
+            let rest = o.contents.as_ref().map(|contents| beyond.difference(contents));
+            o.stream == stream && rest.is_some_and(|rest| rest.is_empty())
+        };
+        if let Some(at) = self.outgoing.iter().rposition(has_it) {
+            self.outgoing[at].used_at = now;
+            view.sending = Some(self.outgoing[at].sending(now));
+            peer.queue_stale = true;
+        } else {
+            let (since, bytes_max) = (upto - 1, PARTS_TILE_BYTES_MAX);
+            let wanted =
+                Event::PresentStateWanted { stream, since, newer_than: None, upto, bytes_max, peer: id };
+            self.ask_for_state(now, stream, wanted);
+        }
+    }
+
+    /// Whether its robot has begun a later run, or is not heard by anybody here.
+    fn has_ended(&self, stream: Stream) -> bool {
+        let is_heard = || {
+            self.peers.contains_key(&stream.origin)
+                || self.peers.values().any(|peer| peer.hears.contains(&stream.origin))
+        };
+        stream != self.own && (self.store.is_superseded(stream) || !is_heard())
+    }
+
+    /// Asks the driver for a state of a stream, unless that was done a moment ago.
+    fn ask_for_state(&mut self, now: Stamp, stream: Stream, wanted: Event) {
+        if self.present_asked.get(&stream).is_none_or(|&again| again <= now) {
+            self.present_asked.insert(stream, now.plus_micros(ASK_AGAIN));
+            self.counters.present_states_wanted += 1;
+            self.push_event(wanted);
+        }
+    }
+
+    /// What is held without a gap from the first package on.
+    fn review_whole(&mut self, now: Stamp, peer: &mut Peer, stream: Stream, turn: u32) {
         let Some(held) = self.store.held(stream) else { return };
         let prefix = held.prefix();
         if prefix == 0 {
@@ -141,26 +259,25 @@ impl Session {
         }
         let id = peer.stream.origin;
         let Some(view) = peer.view(stream, now) else { return };
-        // A wish that reaches beyond what is held here is somebody else's to fulfil.
-        let wanted = view.state_wanted.filter(|([_, upto], _)| (1..=prefix).contains(upto));
+        // What of a wish lies beyond what is held here is somebody else's to fulfil.
+        let wish = view.state_wanted.as_ref().and_then(|wish| {
+            Some((wish.since, wish.undecodable.within(1, prefix).last()?, wish.stated_since))
+        });
+        let wanted = wish.map(|(_, upto, _)| upto);
         let lacks = held.within(view.from.max(1), prefix).difference(&view.held);
         // All packages up to this one it has, or can get as they are.
         let mut since_max = self.first_unstored(stream, &lacks).map_or(u32::MAX, |first| first - 1);
-        if let Some(([since, _], _)) = wanted {
+        if let Some((since, ..)) = wish {
             since_max = since_max.min(since);
         }
         if let Some(sending) = &mut view.sending {
             let kept = self.outgoing.iter().any(|o| o.stream == stream && o.set == sending.set);
             // What it cannot decode it states as held.
-            let is_wanted = wanted.is_some_and(|([_, upto], _)| upto <= sending.upto);
+            let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto);
             // Of what lies above it the next one may be short.
             let is_sound = sending.since <= since_max;
             if kept && is_sound && (is_wanted || !view.held.contains_range(1, sending.upto)) {
-                if now.micros_since(sending.named_at) > ABANDONED {
-                    // It has forgotten the set, or has not heard of it yet.
-                    sending.named_at = now;
-                    sending.accepted = IntervalSet::new(VIEW_INTERVALS_MAX);
-                }
+                sending.note_silence(now);
                 return;
             }
             view.sending = None;
@@ -171,7 +288,7 @@ impl Session {
         }
         // Those further down the line wait whether others give it.
         let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
-        let wanted = wanted.filter(|&(_, at)| now.micros_since(at) >= delay).map(|([_, upto], _)| upto);
+        let wanted = wish.filter(|(.., at)| now.micros_since(*at) >= delay).map(|(_, upto, _)| upto);
         let Some(first) = missing.first().into_iter().chain(wanted).min() else { return };
         // Where packages are stored and cost less than the state, it is the part that they cannot bring that is wanted.
         since_max = if since_max == u32::MAX { first.saturating_sub(1) } else { since_max };
@@ -201,19 +318,15 @@ impl Session {
             {
                 let Some(outgoing) = self.outgoing.get_mut(at) else { return };
                 outgoing.used_at = now;
-                let nothing = IntervalSet::new(VIEW_INTERVALS_MAX);
-                let (set, since) = (outgoing.set, outgoing.since);
-                let (accepted, covered) = (nothing.clone(), nothing);
-                view.sending = Some(Sending { set, since, upto, named_at: now, accepted, covered });
+                view.sending = Some(outgoing.sending(now));
                 peer.queue_stale = true;
                 return;
             }
         }
-        if self.present_asked.get(&stream).is_none_or(|&again| again <= now) {
-            self.present_asked.insert(stream, now.plus_micros(ASK_AGAIN));
-            self.counters.present_states_wanted += 1;
-            self.push_event(Event::PresentStateWanted { stream, since, newer_than, upto: prefix, peer: id });
-        }
+        let bytes_max = self.package_bytes_max();
+        let wanted =
+            Event::PresentStateWanted { stream, since, newer_than, upto: prefix, bytes_max, peer: id };
+        self.ask_for_state(now, stream, wanted);
     }
 
     /// Below every stamp of the packages after `since`. `None` if that is not known: then only the whole state will do.
@@ -224,7 +337,9 @@ impl Session {
 
     /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.
     fn at_hand(&self, stream: Stream, since_max: u32) -> Option<usize> {
-        self.outgoing.iter().rposition(|outgoing| outgoing.stream == stream && outgoing.since <= since_max)
+        self.outgoing.iter().rposition(|outgoing| {
+            outgoing.stream == stream && outgoing.contents.is_none() && outgoing.since <= since_max
+        })
     }
 
     /// By broadcast: whether a set is on its way to somebody else, so that everyone hears it.

@@ -4,6 +4,7 @@ use super::peer::Item;
 use super::present::Incoming;
 use super::{EVENTS_MAX, Event, Session};
 use crate::store::{HELD_INTERVALS_MAX, NoRoom};
+use crate::wire::Contents;
 use crate::{Cast, IntervalSet};
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -16,13 +17,20 @@ const REFUSED_MAX: usize = 1_024;
 const GIVEN_UP_INTERVALS_MAX: usize = 64;
 
 impl Session {
-    pub(super) fn receive_packages(&mut self, now: Stamp, sender: Stream, packages: Vec<Package>) {
+    pub(super) fn receive_packages(
+        &mut self,
+        now: Stamp,
+        sender: Stream,
+        packages: Vec<Package>,
+        contents: Vec<Contents>,
+    ) {
         for package in packages {
             let (stream, index) = (package.header().stream, package.header().index);
+            self.note_own_id(now, stream);
             if stream == self.own {
                 self.counters.own_returned += 1;
                 if index > self.store.newest_known(stream) {
-                    self.tell_same_identity(now);
+                    self.note_own_run_used(now);
                 }
             } else if self.open_stream(stream) {
                 match package.header().content {
@@ -34,12 +42,18 @@ impl Session {
                 }
             }
         }
+        for Contents { stream, set, held } in contents {
+            let is_of = |i: &&mut Incoming| (i.source, i.stream, i.set) == (sender.origin, stream, set);
+            if let Some(incoming) = self.incoming.iter_mut().find(is_of) {
+                incoming.contents = Some(held);
+            }
+        }
     }
 
     fn receive_changes(&mut self, now: Stamp, from: RobotId, package: Package) {
         let (stream, index) = (package.header().stream, package.header().index);
         let newest = self.store.newest_known(stream);
-        if self.store.note_newest(stream, index) && index - newest > 1 {
+        if self.store.note_newest(stream, index, now) && index - newest > 1 {
             self.note_gap(now, true);
         }
         self.note_seen_from(now, from, stream, index);
@@ -67,7 +81,7 @@ impl Session {
 
     fn receive_tile(&mut self, now: Stamp, tile_of: Incoming, tile: u32, package: Package) {
         let (stream, upto) = (tile_of.stream, tile_of.upto);
-        self.store.note_newest(stream, upto);
+        self.store.note_newest(stream, upto, now);
         if self.store.held(stream).is_some_and(|held| held.contains_range(1, upto)) {
             self.counters.duplicates += 1;
             return;
@@ -199,34 +213,46 @@ impl Session {
             .incoming
             .iter()
             .filter(|incoming| incoming.is_complete())
-            .map(|incoming| (incoming.stream, incoming.since, incoming.upto))
+            .map(|incoming| (incoming.stream, incoming.since, incoming.upto, incoming.contents.clone()))
             .collect();
         // One may be what the next one waits for.
-        complete.sort_unstable();
-        for (stream, since, upto) in complete {
+        complete.sort_unstable_by_key(|(stream, since, upto, _)| (*stream, *since, *upto));
+        for (stream, since, upto, contents) in complete {
+            let Some(held) = self.store.held(stream) else { continue };
             // What is wanting before it comes as packages, or by another present state.
-            let prefix = self.store.held(stream).map_or(0, IntervalSet::prefix);
-            if prefix < since || prefix >= upto {
+            let prefix = held.prefix();
+            let by_prefix = (prefix >= since && prefix < upto)
+                .then(|| IntervalSet::from_intervals(1, vec![(since + 1, upto)]));
+            let news = match (by_prefix, contents) {
+                (Some(news), _) => news,
+                (None, Some(contents)) => contents.difference(held),
+                (None, None) => continue,
+            };
+            if news.is_empty() {
                 continue;
             }
-            match self.store.hold(stream, since + 1, upto) {
-                Ok(_) => {
-                    self.settle_upto(stream, upto);
-                    self.counters.caught_up += 1;
-                    self.push_event(Event::CaughtUp { stream, upto });
-                    self.mark_queues_stale();
-                    // The sender should learn soon that it can stop, and what came after.
-                    self.greet(now);
-                }
-                // Stays complete, and counts once some gaps above it are filled.
-                Err(_) => self.counters.too_fragmented += 1,
+            let mut is_held = true;
+            for &(low, high) in news.intervals() {
+                is_held &= self.store.hold(stream, low, high, now).is_ok();
+            }
+            self.settle(stream, &news);
+            if is_held {
+                self.counters.caught_up += 1;
+                let upto = self.store.held(stream).map_or(0, IntervalSet::prefix);
+                self.push_event(Event::CaughtUp { stream, upto });
+                self.mark_queues_stale();
+                // The sender should learn soon that it can stop, and what came after.
+                self.greet(now);
+            } else {
+                // Stays complete, and counts once some gaps are filled.
+                self.counters.too_fragmented += 1;
             }
         }
         let store = &self.store;
         let before = self.incoming.len();
         let mut dropped = 0;
         self.incoming.retain(|incoming| {
-            let held = store.held(incoming.stream).is_some_and(|held| held.contains_range(1, incoming.upto));
+            let held = store.held(incoming.stream).is_some_and(|held| incoming.is_in(held));
             let is_abandoned = !held && incoming.is_abandoned(now);
             dropped += u64::from(is_abandoned);
             !held && !is_abandoned
@@ -248,19 +274,14 @@ impl Session {
         });
     }
 
-    /// What the packages of a stream up to this one say is known: those that waited for a verdict, or for a present state, need none.
-    fn settle_upto(&mut self, stream: Stream, upto: u32) {
-        let of_stream = |index| (Item::Package { stream, index }, RobotId(0));
-        let settled: Vec<_> = self
-            .undecided
-            .range(of_stream(0)..=(Item::Package { stream, index: upto }, RobotId(u16::MAX)))
-            .copied()
-            .collect();
-        for entry in settled {
-            self.undecided.remove(&entry);
-        }
+    /// What these packages of a stream say is known: those that waited for a verdict, or for a present state, need none.
+    fn settle(&mut self, stream: Stream, known: &IntervalSet) {
+        self.undecided.retain(|(item, _)| match *item {
+            Item::Package { stream: of, index } => of != stream || !known.contains(index),
+            Item::Tile { .. } => true,
+        });
         if let Some(given_up) = self.given_up.get_mut(&stream) {
-            *given_up = given_up.within(upto.saturating_add(1), u32::MAX);
+            *given_up = given_up.difference(known);
             if given_up.is_empty() {
                 self.given_up.remove(&stream);
             }
@@ -345,6 +366,7 @@ impl Incoming {
             set,
             tiles,
             accepted: IntervalSet::new(HELD_INTERVALS_MAX),
+            contents: None,
             touched: now,
         }
     }

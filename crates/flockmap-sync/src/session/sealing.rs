@@ -2,7 +2,9 @@
 
 use super::{Destination, Event, Session, Transmit};
 use crate::replay::NotFresh;
-use crate::wire::{COUNTER_MAX, DatagramError, Kind, OpenedDatagram, SealedDatagram, seal_bytes, seal_datagram};
+use crate::wire::{
+    COUNTER_MAX, DatagramError, Kind, OpenedDatagram, SealedDatagram, seal_bytes, seal_datagram,
+};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::BTreeMap;
@@ -52,7 +54,7 @@ impl Session {
         debug_assert!(bytes.len() <= self.config.datagram_bytes_max, "{} bytes sealed", bytes.len());
         *last += u64::from(!mutation::is(Mutation::NonceRepeated));
         self.sealed.is_exhausted |= *last >= COUNTER_MAX;
-        Some(Transmit { to: transmit.to, bytes })
+        Some(Transmit { bytes, ..transmit })
     }
 
     /// Proves and opens a received datagram. Changes nothing if it is not genuine.
@@ -79,6 +81,7 @@ impl Session {
         fresh.map_err(|not_fresh| match not_fresh {
             NotFresh::Replayed => DatagramError::Replayed { sender: sender.origin, counter },
             NotFresh::Stale(current) => {
+                self.tell_superseded(now, Stream { epoch: current, ..sender });
                 DatagramError::StaleEpoch { sender: sender.origin, got: sender.epoch, current }
             }
         })?;
@@ -155,7 +158,7 @@ mod tests {
         let header = one.header(Stamp(1), Kind::Packages);
         let plain = crate::wire::PackagesWriter::new(header, 1_000).finish();
         let to = Destination::Peer(RobotId(2));
-        let sealed = one.seal(Transmit { to, bytes: plain }).unwrap().bytes;
+        let sealed = one.seal(Transmit { to, path: None, bytes: plain }).unwrap().bytes;
         assert!(matches!(three.handle_datagram(Stamp(1), &sealed), Err(DatagramError::Forged { .. })));
         two.handle_datagram(Stamp(1), &sealed).unwrap();
         assert!(matches!(two.handle_datagram(Stamp(1), &sealed), Err(DatagramError::Replayed { .. })));
@@ -166,7 +169,8 @@ mod tests {
         let (mut one, mut two) = (session(1, 1), session(2, 1));
         let header = one.header(Stamp(1), Kind::Packages);
         let plain = crate::wire::PackagesWriter::new(header, 1_000).finish();
-        let sealed = one.seal(Transmit { to: Destination::Everyone, bytes: plain }).unwrap().bytes;
+        let sealed =
+            one.seal(Transmit { to: Destination::Everyone, path: None, bytes: plain }).unwrap().bytes;
         let unknown = DatagramError::UnknownRun { sender: RobotId(1) };
         assert_eq!(two.handle_datagram(Stamp(1), &sealed), Err(unknown));
         assert_eq!((two.counters().unknown_run, two.peers().count()), (1, 0));

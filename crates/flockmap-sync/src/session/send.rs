@@ -3,7 +3,7 @@
 use super::peer::{Item, Peer, Sent, View};
 use super::{Destination, Session, Transmit};
 use crate::Cast;
-use crate::wire::{Kind, PackagesWriter};
+use crate::wire::{Contents, Kind, PackagesWriter};
 use flockmap_codec::Package;
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp};
@@ -112,7 +112,7 @@ impl Session {
     }
 
     fn attempt(&mut self, now: Stamp, peer: &mut Peer) -> Attempt {
-        if !peer.hears(self.own.origin) || peer.is_silent(now) {
+        if !peer.hears(self.own.origin) || peer.is_silent(now) || !peer.path.is_open() {
             return Attempt::Nothing;
         }
         if peer.queue_stale {
@@ -150,7 +150,8 @@ impl Session {
     /// Fills a datagram from the peer's queue; the places in the queue of what went in. Drops from the front of
     /// the queue what the peer does not miss any more.
     fn bundle(&self, now: Stamp, peer: &mut Peer) -> (PackagesWriter, Vec<usize>) {
-        let mut writer = PackagesWriter::new(self.header(now, Kind::Packages), self.plain_bytes_max(Kind::Packages));
+        let mut writer =
+            PackagesWriter::new(self.header(now, Kind::Packages), self.plain_bytes_max(Kind::Packages));
         let mut positions = Vec::new();
         while let Some(&item) = peer.queue.front()
             && (!peer.lacks(item) || self.package(item).is_none())
@@ -158,10 +159,19 @@ impl Session {
             peer.queue.pop_front();
         }
         let room = self.config.in_flight_max.saturating_sub(peer.in_flight.len()).max(1);
+        let mut told = None;
         for (position, &item) in peer.queue.iter().enumerate().take(BUNDLE_LOOKAHEAD) {
-            if positions.len() < room
-                && peer.lacks(item)
-                && let Some(package) = self.package(item)
+            if positions.len() >= room || !peer.lacks(item) {
+                continue;
+            }
+            let contents = self.contents(item).filter(|contents| told != Some(contents.set));
+            if let Some(contents) = &contents {
+                if !writer.push_contents(contents) {
+                    continue;
+                }
+                told = Some(contents.set);
+            }
+            if let Some(package) = self.package(item)
                 && writer.push(package)
             {
                 positions.push(position);
@@ -196,7 +206,15 @@ impl Session {
         }
         self.note_activity(now);
         self.note_sent(now);
-        Transmit { to, bytes }
+        let path = self.peers.get(&id).and_then(|peer| peer.path.valid());
+        Transmit { to, path: path.filter(|_| to != Destination::Everyone), bytes }
+    }
+
+    /// What a tile's set contains, where that has to be told.
+    fn contents(&self, item: Item) -> Option<Contents> {
+        let Item::Tile { stream, set, .. } = item else { return None };
+        let outgoing = self.outgoing.iter().find(|o| o.stream == stream && o.set == set)?;
+        Some(Contents { stream, set, held: outgoing.contents.clone()? })
     }
 
     pub(super) fn package(&self, item: Item) -> Option<&Package> {

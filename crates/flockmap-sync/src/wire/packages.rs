@@ -1,11 +1,43 @@
 //! PACKAGES datagrams: one or several whole map packages.
 
-use super::{
-    DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
-};
+use super::request::{put_list, put_stream, read_intervals, read_stream};
+use super::{DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, record_len, seal};
+use crate::IntervalSet;
+use crate::bytes::{Reader, put_varint};
 use flockmap_codec::Package;
+use flockmap_grid::Stream;
 
 const PACKAGE: u8 = 16;
+/// Of the sender's own run: its stream is that of the header.
+const OWN_PACKAGE: u8 = 17;
+
+/// What a present state of a history with gaps contains.
+const CONTENTS: u8 = 18;
+/// Bytes of such a record at the most: of more intervals the lowest are left out, and come by another state.
+pub const CONTENTS_BYTES_MAX: usize = 190;
+
+/// What a set of tiles contains, where that is not all from the first package on: who has accepted all of them holds these.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Contents {
+    /// The stream.
+    pub stream: Stream,
+    /// Which set of the sender's.
+    pub set: u32,
+    /// The packages.
+    pub held: IntervalSet,
+}
+
+/// All contents that a datagram tells. Lists of more than `intervals_max` intervals keep their newest ones.
+pub fn parse_contents(datagram: &Datagram<'_>, intervals_max: usize) -> Result<Vec<Contents>, DatagramError> {
+    let read = |bytes| {
+        let mut reader = Reader::new(bytes);
+        let (stream, set) = (read_stream(&mut reader)?, reader.u32()?);
+        let (_, held) = read_intervals(&mut reader, intervals_max)?;
+        Some(Contents { stream, set, held })
+    };
+    let records = datagram.records().filter(|(id, _)| *id == CONTENTS);
+    records.map(|(_, bytes)| read(bytes).ok_or_else(|| datagram.malformed("contents of a state"))).collect()
+}
 
 /// All packages of a datagram; records of unknown types are skipped. Holds at most as many bytes as the
 /// datagram has.
@@ -13,14 +45,19 @@ pub fn parse_packages(datagram: &Datagram<'_>) -> Result<Vec<Package>, DatagramE
     let sender = datagram.header().sender.origin;
     datagram
         .records()
-        .filter(|(id, _)| *id == PACKAGE)
-        .map(|(_, bytes)| Package::parse(bytes).map_err(|error| DatagramError::Package { sender, error }))
+        .filter_map(|(id, bytes)| match id {
+            PACKAGE => Some(Package::parse(bytes)),
+            OWN_PACKAGE => Some(Package::parse_without_stream(datagram.header().sender, bytes)),
+            _ => None,
+        })
+        .map(|package| package.map_err(|error| DatagramError::Package { sender, error }))
         .collect()
 }
 
 /// Collects packages into one datagram for as long as they fit.
 #[derive(Clone, Debug)]
 pub struct PackagesWriter {
+    sender: Stream,
     bytes: Vec<u8>,
     bytes_max: usize,
 }
@@ -29,16 +66,31 @@ impl PackagesWriter {
     /// An empty datagram that never grows beyond `bytes_max` (at most [`DATAGRAM_BYTES_MAX`]).
     pub fn new(header: DatagramHeader, bytes_max: usize) -> Self {
         let header = DatagramHeader { kind: Kind::Packages, ..header };
-        Self { bytes: header.emit(), bytes_max: bytes_max.min(DATAGRAM_BYTES_MAX) }
+        Self { sender: header.sender, bytes: header.emit(), bytes_max: bytes_max.min(DATAGRAM_BYTES_MAX) }
     }
 
     /// Adds a package; `false`, with nothing changed, if it does not fit any more.
     pub fn push(&mut self, package: &Package) -> bool {
-        let fits = self.bytes.len() + record_len(package.bytes().len()) <= self.bytes_max;
+        let is_own = package.header().stream == self.sender;
+        let [front, back] = if is_own { package.without_stream() } else { [package.bytes(), &[]] };
+        let length = front.len() + back.len();
+        let fits = self.bytes.len() + record_len(length) <= self.bytes_max;
         if fits {
-            put_record(&mut self.bytes, PACKAGE, package.bytes());
+            self.bytes.push(if is_own { OWN_PACKAGE } else { PACKAGE });
+            put_varint(&mut self.bytes, length as u64);
+            self.bytes.extend_from_slice(front);
+            self.bytes.extend_from_slice(back);
         }
         fits
+    }
+
+    /// Adds what a set of tiles contains; `false`, with nothing changed, if it does not fit any more.
+    pub fn push_contents(&mut self, contents: &Contents) -> bool {
+        let end = self.bytes.len() + CONTENTS_BYTES_MAX;
+        let mut content = Vec::new();
+        put_stream(&mut content, contents.stream);
+        content.extend(contents.set.to_le_bytes());
+        end <= self.bytes_max && put_list(&mut self.bytes, CONTENTS, &mut content, 1, &contents.held, end)
     }
 
     /// Bytes of the datagram so far.

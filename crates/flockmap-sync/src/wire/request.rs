@@ -10,13 +10,17 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 const ECHOES: u8 = 1;
 const HELD: u8 = 2;
 const TRANSFER: u8 = 3;
-const FLOORS: u8 = 4;
+const COVERED: u8 = 4;
 const CLOCKS: u8 = 5;
-const STATES_WANTED: u8 = 6;
+const STATE_WANTED: u8 = 6;
+const HELD_FROM_OLDEST: u8 = 7;
 
-const ALL_STREAMS: u8 = 1;
+const ALL_ORIGINS: u8 = 1;
 const ALL_ECHOES: u8 = 2;
 const NO_NEW_STREAMS: u8 = 4;
+
+/// Record with a range of origins.
+const COVERED_BYTES_MAX: usize = 8;
 
 /// A peer that the sender of a request hears directly. From the echo of an own stamp a robot measures the round
 /// trip and the offset between the clocks; from everybody's echoes it knows who hears whom.
@@ -42,15 +46,57 @@ impl Echo {
     }
 }
 
-/// The indices that are held of one stream.
+/// The indices that are held of one stream; perhaps none.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Held {
     /// The stream.
     pub stream: Stream,
+    /// Earlier runs of this origin are not wanted any more.
+    pub is_oldest_wanted: bool,
     /// Nothing is said of indices below this one; 1 if the list is whole.
     pub from: u32,
     /// The indices held, none of them below `from`.
     pub held: IntervalSet,
+}
+
+/// Origins of which a request names every run that the sender holds something of: what it does not name of them, it does not hold.
+/// From `first` on, upwards, and from 65,535 on to 0, to `last`.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Covered {
+    /// The first of them.
+    pub first: RobotId,
+    /// The last of them.
+    pub last: RobotId,
+}
+
+impl Covered {
+    /// All origins, beginning with this one.
+    pub const fn all_from(first: RobotId) -> Self {
+        Self { first, last: RobotId(first.0.wrapping_sub(1)) }
+    }
+
+    /// Whether an origin is among them.
+    pub const fn contains(self, origin: RobotId) -> bool {
+        origin.0.wrapping_sub(self.first.0) <= self.last.0.wrapping_sub(self.first.0)
+    }
+
+    /// Whether all are.
+    pub const fn is_all(self) -> bool {
+        self.last.0.wrapping_add(1) == self.first.0
+    }
+}
+
+/// A present state that is wanted in place of packages that cannot be decoded any more, since what they build on is gone.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct StateWanted {
+    /// The stream.
+    pub stream: Stream,
+    /// The sender holds packages 1 to this one: a state since there, or since an earlier one, will do.
+    pub since: u32,
+    /// Nothing is said of indices below this one; 1 if the list is whole.
+    pub from: u32,
+    /// The packages: a state that contains one of them is welcome. The sender states them as held, so that nobody sends them.
+    pub undecodable: IntervalSet,
 }
 
 /// How far the receipt of a present state is.
@@ -88,34 +134,36 @@ pub struct ClockReport {
 /// All that a request says. Parsed from at most [`DATAGRAM_BYTES_MAX`] bytes; holds at most 24 times as many.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
 pub struct Request {
-    /// Whether `held` names every stream of which the sender holds something. If not, it had to be cut, and says
-    /// nothing of the streams that it does not name.
-    pub all_streams: bool,
+    /// The origins of which `held` names every run that the sender holds something of. A request that has to be cut says nothing of
+    /// others that it does not name. `None`: of no origin.
+    pub covered: Option<Covered>,
     /// Whether `echoes` names every peer that the sender hears.
     pub all_echoes: bool,
     /// The sender has no room for streams that it does not name.
     pub no_new_streams: bool,
     /// The peers that the sender hears.
     pub echoes: Vec<Echo>,
-    /// What the sender holds.
+    /// What the sender holds. To be written: what matters most first, then all runs by their origins, in the order of `covered`.
     pub held: Vec<Held>,
     /// The present states that it is receiving.
     pub transfers: Vec<TransferProgress>,
-    /// Streams of this origin with an epoch below this one are not wanted.
-    pub floors: Vec<(RobotId, u64)>,
     /// What it knows of others' clocks.
     pub clocks: Vec<ClockReport>,
-    /// Streams with packages that it cannot decode any more, the last package before the first that it states and does not hold, and the newest of them: it wants
-    /// a present state since the one, or an earlier one, that contains the other. It states these packages as held, so that nobody sends them.
-    pub states_wanted: Vec<(Stream, u32, u32)>,
+    /// The present states that it wants.
+    pub states_wanted: Vec<StateWanted>,
 }
 
 impl Request {
+    /// Whether it names every run of this origin that its sender holds something of.
+    pub fn covers(&self, origin: RobotId) -> bool {
+        self.covered.is_some_and(|covered| covered.contains(origin))
+    }
+
     /// Reads the records of a request; unknown ones are skipped. Lists of more than `intervals_max` intervals
     /// keep their newest ones.
     pub fn parse(datagram: &Datagram<'_>, intervals_max: usize) -> Result<Self, DatagramError> {
         let mut request = Self {
-            all_streams: datagram.flags & ALL_STREAMS != 0,
+            covered: (datagram.flags & ALL_ORIGINS != 0).then_some(Covered::all_from(RobotId(0))),
             all_echoes: datagram.flags & ALL_ECHOES != 0,
             no_new_streams: datagram.flags & NO_NEW_STREAMS != 0,
             ..Self::default()
@@ -124,11 +172,16 @@ impl Request {
             let mut reader = Reader::new(content);
             let (read, what) = match id {
                 ECHOES => (request.read_echoes(&mut reader), "echo"),
-                HELD => (request.read_held(&mut reader, intervals_max), "list of held indices"),
+                HELD | HELD_FROM_OLDEST => (
+                    request.read_held(&mut reader, id == HELD_FROM_OLDEST, intervals_max),
+                    "list of held indices",
+                ),
                 TRANSFER => (request.read_transfer(&mut reader, intervals_max), "transfer"),
-                FLOORS => (request.read_floors(&mut reader), "floor"),
+                COVERED => (request.read_covered(&mut reader), "range of origins"),
                 CLOCKS => (request.read_clocks(&mut reader), "clock"),
-                STATES_WANTED => (request.read_states_wanted(&mut reader), "wish for a present state"),
+                STATE_WANTED => {
+                    (request.read_state_wanted(&mut reader, intervals_max), "wish for a present state")
+                }
                 _ => continue,
             };
             read.ok_or_else(|| datagram.malformed(what))?;
@@ -148,10 +201,15 @@ impl Request {
         Some(())
     }
 
-    fn read_held(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
+    fn read_held(
+        &mut self,
+        reader: &mut Reader<'_>,
+        is_oldest_wanted: bool,
+        intervals_max: usize,
+    ) -> Option<()> {
         let stream = read_stream(reader)?;
         let (from, held) = read_intervals(reader, intervals_max)?;
-        self.held.push(Held { stream, from, held });
+        self.held.push(Held { stream, is_oldest_wanted, from, held });
         Some(())
     }
 
@@ -165,11 +223,10 @@ impl Request {
         Some(())
     }
 
-    fn read_floors(&mut self, reader: &mut Reader<'_>) -> Option<()> {
-        while !reader.is_empty() {
-            self.floors.push((RobotId(reader.varint_u16()?), reader.varint()?));
-        }
-        Some(())
+    fn read_covered(&mut self, reader: &mut Reader<'_>) -> Option<()> {
+        let (first, last) = (RobotId(reader.varint_u16()?), RobotId(reader.varint_u16()?));
+        self.covered = Some(Covered { first, last });
+        reader.is_empty().then_some(())
     }
 
     fn read_clocks(&mut self, reader: &mut Reader<'_>) -> Option<()> {
@@ -183,23 +240,33 @@ impl Request {
         Some(())
     }
 
-    fn read_states_wanted(&mut self, reader: &mut Reader<'_>) -> Option<()> {
-        while !reader.is_empty() {
-            let stream = read_stream(reader)?;
-            let (since, upto) = (reader.varint_u32()?, reader.varint_u32()?);
-            if since >= upto {
-                return None;
-            }
-            self.states_wanted.push((stream, since, upto));
+    fn read_state_wanted(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
+        let (stream, since) = (read_stream(reader)?, reader.varint_u32()?);
+        let (from, undecodable) = read_intervals(reader, intervals_max)?;
+        if undecodable.first().is_none_or(|first| first <= since) {
+            return None;
         }
+        self.states_wanted.push(StateWanted { stream, since, from, undecodable });
         Some(())
     }
 
-    /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]). What does not fit is
-    /// cut: echoes, floors and clocks get at most a quarter of the room, wishes for present states an eighth, held lists lose their oldest part, then
-    /// whole streams are left out, of transfers what is more than half of the room; the request says so. `all_streams` and `all_echoes` of `self` are what they
-    /// are to be if nothing is cut. Put what matters most first in each list.
+    /// Writes the request into at most `bytes_max` bytes, with nothing that is urgent: [`Self::emit_in_turn`].
     pub fn emit(&self, header: DatagramHeader, bytes_max: usize) -> Vec<u8> {
+        self.emit_in_turn(header, bytes_max, 0).0
+    }
+
+    /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]); also tells which origins it covers.
+    ///
+    /// What does not fit is cut: echoes get at most a quarter of the room, clocks and wishes for present states an eighth each. Of the rest
+    /// half is for transfers that need it, since one that is not named would be sent for ever. The first `urgent` lists of held indices get
+    /// half of what remains; then come the origins in their order, each with all of its runs, as many as fit. `covered` of `self` is what is covered if all fit.
+    /// A list that does not fit loses its lowest intervals. However small the room, a run is named.
+    pub fn emit_in_turn(
+        &self,
+        header: DatagramHeader,
+        bytes_max: usize,
+        urgent: usize,
+    ) -> (Vec<u8>, Option<Covered>) {
         let bytes_max = bytes_max.clamp(200, DATAGRAM_BYTES_MAX);
         let mut out = DatagramHeader { kind: Kind::Request, ..header }.emit();
         let flags_at = out.len();
@@ -220,16 +287,8 @@ impl Request {
             flags |= ALL_ECHOES;
         }
 
-        for (robot, epoch) in &self.floors {
-            if content.len() + 8 <= list_max {
-                put_varint(&mut content, u64::from(robot.0));
-                put_varint(&mut content, *epoch);
-            }
-        }
-        put_unless_empty(&mut out, FLOORS, &mut content);
-
         for clock in &self.clocks {
-            if content.len() + 15 <= list_max {
+            if content.len() + 15 <= list_max / 2 {
                 put_varint(&mut content, u64::from(clock.robot.0));
                 content.extend(clock.epoch_low.to_le_bytes());
                 put_zigzag(&mut content, clock.offset_micros);
@@ -237,41 +296,73 @@ impl Request {
         }
         put_unless_empty(&mut out, CLOCKS, &mut content);
 
-        for (stream, since, upto) in &self.states_wanted {
-            if content.len() + 18 <= list_max / 2 {
-                put_stream(&mut content, *stream);
-                put_varint(&mut content, u64::from(*since));
-                put_varint(&mut content, u64::from(*upto));
-            }
+        let wishes_end = out.len() + list_max / 2;
+        for wanted in &self.states_wanted {
+            put_stream(&mut content, wanted.stream);
+            put_varint(&mut content, u64::from(wanted.since));
+            put_list(&mut out, STATE_WANTED, &mut content, wanted.from, &wanted.undecodable, wishes_end);
         }
-        put_unless_empty(&mut out, STATES_WANTED, &mut content);
 
-        // Lists of held indices leave half of the room to transfers that need it: a transfer that is not named
-        // would be sent for ever.
         let mut trial = out.clone();
         self.put_transfers(&mut trial, out.len() + (bytes_max - out.len()) / 2);
-        // Each `from` is reckoned with the 5 bytes that it may take.
+        // Each `from` is reckoned with the 5 bytes that it may take, and the range of origins with its 8.
         let transfer_bytes = trial.len() - out.len() + 5 * self.transfers.len();
-        let held_end_max = bytes_max.saturating_sub(transfer_bytes);
-
-        let mut all_fit = true;
-        for held in &self.held {
-            put_stream(&mut content, held.stream);
-            let room = held_end_max.saturating_sub(out.len() + record_len(content.len()) + 2);
-            if put_intervals(&mut content, held.from, &held.held, room) {
-                put_unless_empty(&mut out, HELD, &mut content);
-            } else {
-                content.clear();
-                all_fit = false;
+        let held_end = bytes_max.saturating_sub(transfer_bytes + COVERED_BYTES_MAX);
+        let covered = self.put_held(&mut out, held_end, urgent);
+        match covered {
+            Some(covered) if covered.is_all() => flags |= ALL_ORIGINS,
+            Some(Covered { first, last }) => {
+                put_varint(&mut content, u64::from(first.0));
+                put_varint(&mut content, u64::from(last.0));
+                put_unless_empty(&mut out, COVERED, &mut content);
             }
+            None => {}
         }
-        if self.all_streams && all_fit {
-            flags |= ALL_STREAMS;
-        }
-
         self.put_transfers(&mut out, bytes_max);
         out[flags_at] = flags;
-        seal(out)
+        (seal(out), covered)
+    }
+
+    /// Appends the lists of held indices that fit before `end`; the origins of which all are there.
+    fn put_held(&self, out: &mut Vec<u8>, end: usize, urgent: usize) -> Option<Covered> {
+        let (urgent, rest) = self.held.split_at(urgent.min(self.held.len()));
+        // Half of the room is for the origins in their order, if they need it.
+        let half = end.saturating_sub(out.len()) / 2;
+        let mut trial = Vec::new();
+        let is_urgent = |held: &Held| urgent.iter().any(|urgent| urgent.stream == held.stream);
+        let fits = rest.iter().filter(|held| !is_urgent(held)).all(|held| put_held(&mut trial, held, half));
+        let urgent_end = end.saturating_sub(if fits { trial.len() } else { half });
+        let mut named = Vec::with_capacity(urgent.len());
+        for held in urgent {
+            if put_held(out, held, urgent_end) {
+                named.push(held.stream);
+            }
+        }
+        let Covered { first, .. } = self.covered.unwrap_or(Covered::all_from(RobotId(0)));
+        let mut next = first;
+        // Only of lists that are in order can be said how far they go.
+        let is_in_order = rest.is_sorted_by_key(|held| held.stream.origin.0.wrapping_sub(first.0));
+        for runs in rest.chunk_by(|a, b| a.stream.origin == b.stream.origin) {
+            let origin = runs[0].stream.origin;
+            let before = out.len();
+            let mut all_fit = true;
+            for held in runs.iter().filter(|held| !named.contains(&held.stream)) {
+                all_fit &= put_held(out, held, end);
+            }
+            if !all_fit {
+                if next != first {
+                    // It is the first one next time.
+                    out.truncate(before);
+                }
+                let last = RobotId(origin.0.wrapping_sub(1));
+                return self
+                    .covered
+                    .filter(|_| origin != first && is_in_order)
+                    .map(|_| Covered { first, last });
+            }
+            next = RobotId(origin.0.wrapping_add(1));
+        }
+        self.covered
     }
 
     /// Appends the transfers that fit before `end_max`.
@@ -284,11 +375,7 @@ impl Request {
             put_varint(&mut content, u64::from(transfer.upto));
             content.extend(transfer.set.to_le_bytes());
             put_varint(&mut content, u64::from(transfer.tiles));
-            let room = end_max.saturating_sub(out.len() + record_len(content.len()) + 2);
-            if put_intervals(&mut content, transfer.from, &transfer.accepted, room) {
-                put_unless_empty(out, TRANSFER, &mut content);
-            }
-            content.clear();
+            put_list(out, TRANSFER, &mut content, transfer.from, &transfer.accepted, end_max);
         }
     }
 }
@@ -300,17 +387,42 @@ fn put_unless_empty(out: &mut Vec<u8>, id: u8, content: &mut Vec<u8>) {
     }
 }
 
-fn read_stream(reader: &mut Reader<'_>) -> Option<Stream> {
+/// Ends a record with a list of intervals, as far as it fits before `end`; whether anything of it did. Empties `content`.
+pub(super) fn put_list(
+    out: &mut Vec<u8>,
+    id: u8,
+    content: &mut Vec<u8>,
+    from: u32,
+    set: &IntervalSet,
+    end: usize,
+) -> bool {
+    let room = end.saturating_sub(out.len() + record_len(content.len()) + 2);
+    let fits = put_intervals(content, from, set, room);
+    if fits {
+        put_record(out, id, content);
+    }
+    content.clear();
+    fits
+}
+
+fn put_held(out: &mut Vec<u8>, held: &Held, end: usize) -> bool {
+    let mut content = Vec::new();
+    put_stream(&mut content, held.stream);
+    let id = if held.is_oldest_wanted { HELD_FROM_OLDEST } else { HELD };
+    put_list(out, id, &mut content, held.from, &held.held, end)
+}
+
+pub(super) fn read_stream(reader: &mut Reader<'_>) -> Option<Stream> {
     Some(Stream { origin: RobotId(reader.varint_u16()?), epoch: reader.varint()? })
 }
 
-fn put_stream(out: &mut Vec<u8>, stream: Stream) {
+pub(super) fn put_stream(out: &mut Vec<u8>, stream: Stream) {
     put_varint(out, u64::from(stream.origin.0));
     put_varint(out, stream.epoch);
 }
 
 /// Reads `from` and the intervals after it, to the end of the record.
-fn read_intervals(reader: &mut Reader<'_>, intervals_max: usize) -> Option<(u32, IntervalSet)> {
+pub(super) fn read_intervals(reader: &mut Reader<'_>, intervals_max: usize) -> Option<(u32, IntervalSet)> {
     let mut from = reader.varint_u32()?;
     let mut intervals = Vec::new();
     let mut lowest = from;

@@ -118,8 +118,7 @@ impl<'a> SealedDatagram<'a> {
         let mut reader = Reader::new(bytes.get(4..).unwrap_or_default());
         let (swarm, sender) = head(&mut reader).ok_or_else(|| length.clone())?;
         let mut counter = [0; 8];
-        counter[..COUNTER_BYTES]
-            .copy_from_slice(reader.bytes(COUNTER_BYTES).ok_or_else(|| length.clone())?);
+        counter[..COUNTER_BYTES].copy_from_slice(reader.bytes(COUNTER_BYTES).ok_or_else(|| length.clone())?);
         let counter = u64::from_le_bytes(counter);
         if counter > COUNTER_MAX {
             return Err(DatagramError::Malformed { sender: sender.origin, what: "counter" });

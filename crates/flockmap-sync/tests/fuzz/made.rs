@@ -6,7 +6,8 @@ use flockmap_grid::{
 };
 use flockmap_sync::IntervalSet;
 use flockmap_sync::wire::{
-    ClockReport, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, TransferProgress,
+    ClockReport, Covered, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, StateWanted,
+    TransferProgress,
 };
 
 use super::Choices;
@@ -102,12 +103,14 @@ fn set(choices: &mut Choices<'_>) -> IntervalSet {
 pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
     let header = header(choices, Kind::Request, now);
     let flags = choices.byte();
-    let mut request = Request {
-        all_streams: flags & 1 != 0,
-        all_echoes: flags & 2 != 0,
-        no_new_streams: flags & 12 == 12,
-        ..Request::default()
-    };
+    let mut request =
+        Request { all_echoes: flags & 2 != 0, no_new_streams: flags & 12 == 12, ..Request::default() };
+    if flags & 1 != 0 {
+        let first = RobotId(choices.below(8) as u16);
+        let last = RobotId(first.0.wrapping_add(choices.below(8) as u16));
+        request.covered =
+            Some(if flags & 64 != 0 { Covered::all_from(RobotId(0)) } else { Covered { first, last } });
+    }
     for _ in 0..choices.below(4) {
         let robot = stream(choices);
         request.echoes.push(Echo {
@@ -120,7 +123,7 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
     for _ in 0..choices.below(4) {
         let (stream, held) = (stream(choices), set(choices));
         let from = if choices.below(4) == 3 { held.first().unwrap_or(1) } else { 1 };
-        request.held.push(Held { stream, from, held: held.within(from, u32::MAX) });
+        request.held.push(Held { is_oldest_wanted: false, stream, from, held: held.within(from, u32::MAX) });
     }
     for _ in 0..choices.below(3) {
         let mine = choices.below(4) > 0;
@@ -138,10 +141,13 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
     for _ in 0..choices.below(3) {
         let (since, upto) =
             if choices.below(2) == 0 { (0, index(choices)) } else { (index(choices), index(choices)) };
-        request.states_wanted.push((stream(choices), since, upto));
+        let undecodable = IntervalSet::from_intervals(1, vec![(upto, upto)]);
+        request.states_wanted.push(StateWanted { stream: stream(choices), since, from: 1, undecodable });
     }
-    if flags & 16 != 0 {
-        request.floors.push((stream(choices).origin, choices.below(9).into()));
+    if flags & 16 != 0
+        && let Some(held) = request.held.last_mut()
+    {
+        held.is_oldest_wanted = true;
     }
     if flags & 32 != 0 {
         let robot = stream(choices);
@@ -197,5 +203,10 @@ pub(crate) fn honest_peer(choices: &mut Choices<'_>) -> Stream {
 pub(crate) fn honest_request(stamp: Stamp) -> Request {
     let echo =
         Echo { robot: OWN.origin, epoch_low: OWN.epoch as u16, stamp_low: stamp.0 as u32, age_micros: 200 };
-    Request { all_streams: true, all_echoes: true, echoes: vec![echo], ..Request::default() }
+    Request {
+        covered: Some(Covered::all_from(RobotId(0))),
+        all_echoes: true,
+        echoes: vec![echo],
+        ..Request::default()
+    }
 }

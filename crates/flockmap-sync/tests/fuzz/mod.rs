@@ -14,7 +14,7 @@ pub(crate) use choices::Choices;
 use flockmap_sync::wire::{Datagram, DatagramError, HEADER_BYTES, WIRE_VERSION};
 
 /// Where the check of a datagram stands.
-const CHECK: core::ops::Range<usize> = 20..24;
+const CHECK: core::ops::Range<usize> = 24..28;
 
 /// The datagram with magic and version, kind and check put right, so that what lies behind them is reached too.
 pub(crate) fn mended(mut bytes: Vec<u8>, kind: u8) -> Vec<u8> {

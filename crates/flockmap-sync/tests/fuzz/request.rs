@@ -35,9 +35,14 @@ pub(crate) fn run(input: &[u8]) {
             let mut said = of_stream.filter(|said| said.held.within(held.from, u32::MAX) == held.held);
             assert!(said.next().is_some(), "{held:?} was never said");
         }
-        assert!(request.all_streams || !read.all_streams);
+        // What is covered was covered, and named if it was said.
+        if let Some(covered) = read.covered {
+            assert!(request.covered.is_some());
+            for held in request.held.iter().filter(|held| covered.contains(held.stream.origin)) {
+                assert!(read.held.iter().any(|named| named.stream == held.stream), "{held:?} was not named");
+            }
+        }
         assert!(request.all_echoes || !read.all_echoes);
-        assert!(!read.all_streams || read.held.len() == request.held.len());
         // What fitted with room to spare fits again, and has one form. The writer reckons each list with five bytes more than it may
         // take, so one that was cut to the last byte may not.
         let spare = 5 * (read.held.len() + read.transfers.len());

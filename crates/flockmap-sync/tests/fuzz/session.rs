@@ -152,7 +152,7 @@ impl Run<'_> {
             let upto = newest.saturating_sub(choices.below(6));
             if stream != peer && upto > 0 {
                 let held = IntervalSet::from_intervals(1, vec![(1, upto)]);
-                request.held.push(Held { stream, from: 1, held });
+                request.held.push(Held { is_oldest_wanted: false, stream, from: 1, held });
             }
         }
         if let Some((stream, (since, upto), set, tiles)) = self.given {

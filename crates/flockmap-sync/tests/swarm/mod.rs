@@ -91,7 +91,7 @@ pub(crate) struct Swarm {
     /// Pairs that cannot hear each other.
     pub(crate) cut: BTreeSet<(u16, u16)>,
     /// Every datagram that was sent, and every one that a robot heard, until they are taken.
-    sent_bytes: Vec<Vec<u8>>,
+    sent_bytes: Vec<(Destination, Vec<u8>)>,
     heard_bytes: Vec<(u16, Vec<u8>)>,
     flying: BinaryHeap<Reverse<Flying>>,
     sequence: u64,
@@ -134,7 +134,8 @@ impl Swarm {
     pub(crate) fn start(&mut self, id: u16, epoch: u64, config: SessionConfig) -> Stream {
         let own = Stream { origin: RobotId(id), epoch };
         let clock = i64::from(id) * 1_000 * SECOND + epoch as i64 * 7 * SECOND;
-        let salt = core::array::from_fn(|at| (id as u8).wrapping_add(epoch as u8 * 31) ^ at as u8);
+        let salt =
+            core::array::from_fn(|at| (id as u8).wrapping_add((epoch as u8).wrapping_mul(31)) ^ at as u8);
         let session = Session::new(own, SessionConfig { salt, ..config }, self.seed).unwrap();
         let robot = Robot {
             session,
@@ -275,7 +276,7 @@ impl Swarm {
         let broadcast = robot.session.config().cast == Cast::Broadcast;
         let copies = if broadcast { 1 } else { receivers.len() };
         robot.sent.push((self.now, bytes.len() + 28, copies));
-        self.sent_bytes.push(bytes.to_vec());
+        self.sent_bytes.push((to, bytes.to_vec()));
         for to in receivers {
             let copies = 1 + u32::from(self.random.chance(self.radio.duplicate));
             for _ in 0..copies {
@@ -291,7 +292,7 @@ impl Swarm {
     }
 
     /// The datagrams that were sent since this was asked last.
-    pub(crate) fn take_sent(&mut self) -> Vec<Vec<u8>> {
+    pub(crate) fn take_sent(&mut self) -> Vec<(Destination, Vec<u8>)> {
         std::mem::take(&mut self.sent_bytes)
     }
 

@@ -18,14 +18,16 @@ impl Robot {
         while let Some(event) = self.session.poll_event() {
             match event {
                 SessionEvent::Received(package) => self.receive(now, package),
-                SessionEvent::PresentStateWanted { stream, since, newer_than, upto, .. } => {
-                    self.provide_present_state(now, Span { stream, since, upto }, newer_than);
+                SessionEvent::PresentStateWanted { stream, since, newer_than, upto, bytes_max, .. } => {
+                    self.provide_present_state(now, Span { stream, since, upto }, newer_than, bytes_max);
                 }
                 SessionEvent::StreamForgotten(stream) => {
                     self.waiting.forget(stream);
                     self.tiles.drop_upto(stream, u32::MAX);
                     self.fusion.forget(&self.mapper, stream);
+                    self.push_event(Event::RunForgotten(stream));
                 }
+                SessionEvent::EpochTooLow { used } => self.begin_anew(now, used),
                 SessionEvent::CaughtUp { stream, upto } => {
                     self.waiting.drop_upto(stream, upto);
                     self.tiles.drop_upto(stream, upto);

@@ -1,9 +1,9 @@
-//! With a key: `nonce`, no two datagrams of a swarm are sealed with the same sender, epoch and counter; and `key`, nothing that an outsider made or
+//! With a key: `nonce`, no two datagrams of a swarm are sealed with the same salt, recipient and counter; and `key`, nothing that an outsider made or
 //! changed is believed, and no datagram counts twice at a run of a robot.
 
 use super::Finding;
-use flockmap::Stream;
-use flockmap::sync::wire::SealedDatagram;
+use flockmap::sync::wire::{Salt, SealedDatagram};
+use flockmap::{Destination, RobotId, Stream};
 use rustc_hash::FxHashSet;
 
 const NONCE: &str = "nonce";
@@ -12,22 +12,26 @@ const KEY: &str = "key";
 /// All sealed datagrams of a flight.
 #[derive(Default)]
 pub(in crate::swarm) struct Sealed {
-    sent: FxHashSet<(Stream, u64)>,
-    /// Receiver, sender, counter.
-    taken: FxHashSet<(Stream, Stream, u64)>,
+    sent: FxHashSet<(Salt, Option<RobotId>, u64)>,
+    /// Receiver, sender, whether it was for the receiver alone, counter.
+    taken: FxHashSet<(Stream, Stream, bool, u64)>,
 }
 
 impl Sealed {
     /// A robot with a key sends.
-    pub(in crate::swarm) fn sent(&mut self, bytes: &[u8]) -> Option<Finding> {
+    pub(in crate::swarm) fn sent(&mut self, to: Destination, salt: Salt, bytes: &[u8]) -> Option<Finding> {
         let Ok(datagram) = SealedDatagram::new_checked(bytes) else {
             let expected = "a sealed datagram".to_owned();
             return Some(Finding { checker: KEY, expected, found: "one that is not".to_owned() });
         };
         let (sender, counter) = (datagram.sender(), datagram.counter());
-        (!self.sent.insert((sender, counter))).then(|| Finding {
+        let recipient = match to {
+            Destination::Peer(robot) => Some(robot),
+            Destination::Everyone => None,
+        };
+        (!self.sent.insert((salt, recipient, counter))).then(|| Finding {
             checker: NONCE,
-            expected: format!("a counter that {sender:?} has not used before"),
+            expected: format!("a counter that {sender:?} has not used for {recipient:?} before"),
             found: format!("{counter} again"),
         })
     }
@@ -46,7 +50,8 @@ impl Sealed {
         };
         let (sender, counter) = (datagram.sender(), datagram.counter());
         // Own ones that are heard back are counted, and nothing else.
-        let is_new = sender.origin == receiver.origin || self.taken.insert((receiver, sender, counter));
+        let is_new = sender.origin == receiver.origin
+            || self.taken.insert((receiver, sender, datagram.is_for_one(), counter));
         (!is_new).then(|| Finding {
             checker: KEY,
             expected: format!("datagram {counter} of {sender:?} taken once"),

@@ -135,7 +135,7 @@ impl Engine {
         };
         let is_request = packages.is_none();
         if self.settings.key.is_some() {
-            let found = self.sealed.sent(&transmit.bytes);
+            let found = self.sealed.sent(transmit.to, robot.session().config().salt, &transmit.bytes);
             self.found(id, found);
         }
         if let Some(outsider) = &mut self.outsider {

@@ -1,0 +1,66 @@
+//! Which run of which robot this is, and what to do where another one has the same id.
+
+use super::{Event, Session};
+use flockmap_grid::{Stamp, Stream};
+
+/// After beginning anew, it is done again not before this time; each time twice as long, up to the longest. Two robots with the same
+/// id would else outdo each other without end.
+const ANEW_PAUSE: i64 = 10_000_000;
+const ANEW_PAUSE_MAX: i64 = 3_600_000_000;
+
+/// Whether and when this robot has begun anew.
+#[derive(Debug, Default)]
+pub(super) struct Anew {
+    times: u32,
+    not_before: Option<Stamp>,
+}
+
+impl Session {
+    /// Looks at a stream that somebody named. One of the own id with an epoch that is not below the own one: a run before this one had a
+    /// clock that was ahead, or another robot has the same id. Whoever knows that run takes this one for a former one.
+    pub(super) fn note_own_id(&mut self, now: Stamp, run: Stream) {
+        if run.origin == self.own.origin && run.epoch > self.own.epoch {
+            self.ask_for_a_new_run(now, run.epoch);
+        }
+    }
+
+    /// Somebody holds packages of this very run that it never made.
+    pub(super) fn note_own_run_used(&mut self, now: Stamp) {
+        self.tell_same_identity(now);
+        self.ask_for_a_new_run(now, self.own.epoch);
+    }
+
+    fn ask_for_a_new_run(&mut self, now: Stamp, used: u64) {
+        if self.anew.not_before.is_none_or(|at| at <= now) {
+            let pause = (ANEW_PAUSE << self.anew.times.min(16)).min(ANEW_PAUSE_MAX);
+            self.anew =
+                Anew { times: self.anew.times.saturating_add(1), not_before: Some(now.plus_micros(pause)) };
+            self.counters.epoch_too_low += 1;
+            self.push_event(Event::EpochTooLow { used });
+        }
+    }
+
+    /// Begins a new run while flying: with this epoch and an empty stream. What the former one published is forgotten here; others may hold it,
+    /// as that of any run that has ended. The answer to [`Event::EpochTooLow`]. `false`, with nothing changed: the epoch is not above that of
+    /// the run so far.
+    pub fn begin_run(&mut self, now: Stamp, epoch: u64) -> bool {
+        let now = self.advance(now);
+        let former = self.own;
+        if epoch <= former.epoch {
+            return false;
+        }
+        self.own = Stream { epoch, ..former };
+        self.store.begin_run(self.own);
+        self.forget_stream(former);
+        self.greet(now);
+        true
+    }
+
+    pub(super) fn tell_same_identity(&mut self, now: Stamp) {
+        self.counters.same_identity += 1;
+        if self.same_identity_told.is_none_or(|told| now.micros_since(told) >= 10_000_000) {
+            self.same_identity_told = Some(now);
+            self.push_event(Event::SameIdentity);
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! Where peers are reached: an address is used only after a round trip through it, as QUIC validates paths (RFC 9000, section 8.2). Else who
+//! copies a robot's datagrams from an address of its own would draw the traffic for that robot there.
+
+use super::peer::Peer;
+use super::{Destination, Session, Transmit};
+use crate::Cast;
+use crate::wire::{Kind, PathMessage};
+use flockmap_grid::{RobotId, Stamp};
+use std::collections::VecDeque;
+
+/// An address, as the driver numbers them: whatever arrives from one address has the same number.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub struct Path(pub u64);
+
+/// Challenges and answers that wait to be sent; more are dropped, and come again.
+const WAITING_MAX: usize = 64;
+/// Least pause between two challenges to a peer: each is an answer to a datagram, and not longer than the shortest of these.
+const CHALLENGE_PAUSE: i64 = 200_000;
+
+/// Where a peer is reached.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct PeerPath {
+    /// The last path through which an answer came back.
+    valid: Option<Path>,
+    /// One that it was heard from and that is being tried, with the number that has to come back, and when that was sent last.
+    tried: Option<(Path, u64, Stamp)>,
+}
+
+impl PeerPath {
+    /// Whether something may be sent to the peer alone: its path is known to be right, or the driver knows of none.
+    pub(super) const fn is_open(self) -> bool {
+        self.valid.is_some() || self.tried.is_none()
+    }
+
+    pub(super) const fn valid(self) -> Option<Path> {
+        self.valid
+    }
+}
+
+/// Challenges and answers that wait to be sent.
+pub(super) type Waiting = VecDeque<(RobotId, Path, PathMessage)>;
+
+impl Session {
+    /// The paths on which peers are reached: where what is for everyone goes, beside the addresses that the driver is told.
+    pub fn paths(&self) -> impl Iterator<Item = (RobotId, Path)> + '_ {
+        self.peers.iter().filter_map(|(id, peer)| Some((*id, peer.path.valid()?)))
+    }
+
+    /// A sound datagram of a peer came on this path.
+    pub(super) fn note_path(&mut self, now: Stamp, id: RobotId, path: Path) {
+        if self.config.cast == Cast::Broadcast {
+            return;
+        }
+        let number = self.random(u64::MAX);
+        let Some(peer) = self.peers.get_mut(&id) else { return };
+        if peer.path.valid == Some(path) {
+            // It is where it was.
+            peer.path.tried = None;
+            return;
+        }
+        let number = match peer.path.tried {
+            Some((.., at)) if now.micros_since(at) < CHALLENGE_PAUSE => return,
+            Some((tried, number, _)) if tried == path => number,
+            _ => number,
+        };
+        peer.path.tried = Some((path, number, now));
+        self.say_on_path(id, path, PathMessage { challenge: Some(number), answer: None });
+    }
+
+    /// What a peer says of paths.
+    pub(super) fn handle_path(&mut self, now: Stamp, id: RobotId, path: Option<Path>, message: PathMessage) {
+        if let (Some(path), Some(number)) = (path, message.challenge) {
+            // Back to where it came from, whatever is known of that: it is as long as what came.
+            self.say_on_path(id, path, PathMessage { challenge: None, answer: Some(number) });
+        }
+        let Some(peer) = self.peers.get_mut(&id) else { return };
+        if let Some((tried, number, _)) = peer.path.tried
+            && message.answer == Some(number)
+        {
+            peer.path = PeerPath { valid: Some(tried), tried: None };
+            peer.queue_stale = true;
+            self.counters.paths_validated += 1;
+            self.greet(now);
+        }
+    }
+
+    fn say_on_path(&mut self, id: RobotId, path: Path, message: PathMessage) {
+        if self.path_waiting.len() < WAITING_MAX {
+            self.path_waiting.push_back((id, path, message));
+        }
+    }
+
+    /// The next challenge or answer.
+    pub(super) fn transmit_path(&mut self, now: Stamp) -> Option<Transmit> {
+        let &(id, path, message) = self.path_waiting.front()?;
+        let bytes = message.emit(self.header(now, Kind::Path));
+        let cost = bytes.len() + self.overhead(Kind::Path);
+        let link = self.peers.get_mut(&id).and_then(|peer: &mut Peer| peer.pacer.as_mut());
+        let mut pacers: Vec<_> = self.radio.iter_mut().chain(link).collect();
+        if let Some(ready) = pacers.iter_mut().filter_map(|pacer| pacer.wait(now, cost)).max() {
+            self.wake = Some(ready);
+            self.counters.delayed_by_budget += 1;
+            return None;
+        }
+        for pacer in pacers {
+            pacer.spend(now, cost);
+        }
+        self.path_waiting.pop_front();
+        self.counters.paths_out.add(1, cost);
+        Some(Transmit { to: Destination::Peer(id), path: Some(path), bytes })
+    }
+}
