@@ -49,18 +49,24 @@ impl Clock {
         stamp_of((self.system)())
     }
 
-    /// How far the machine's own clock is ahead of this one, in microseconds. It changes when the machine's is stepped, or
-    /// when the machine was asleep.
-    pub fn system_ahead(&self) -> i64 {
+    /// This clock and the machine's own at the same moment.
+    pub fn now_and_system_now(&self) -> (Stamp, Stamp) {
         // Whoever is interrupted between the two looks tries again, but not for ever.
         for _ in 0..4 {
             let before = Instant::now();
-            let ahead = self.system_now().micros_since(self.now());
+            let both = (self.now(), self.system_now());
             if before.elapsed() < READING_MAX {
-                return ahead;
+                return both;
             }
         }
-        self.system_now().micros_since(self.now())
+        (self.now(), self.system_now())
+    }
+
+    /// How far the machine's own clock is ahead of this one, in microseconds. It changes when the machine's is stepped, or
+    /// when the machine was asleep.
+    pub fn system_ahead(&self) -> i64 {
+        let (now, system) = self.now_and_system_now();
+        system.micros_since(now)
     }
 
     /// When the clock will show `stamp`; what is past is now, what is far is a day away.

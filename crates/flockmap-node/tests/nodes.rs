@@ -296,6 +296,19 @@ fn any_program_can_feed_scans_over_tcp() {
     assert_eq!(stream.read(&mut [0]).unwrap_or(0), 0, "the connection is closed");
 }
 
+#[test]
+fn a_few_silent_programs_keep_no_sensor_out() {
+    let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
+    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let address = node.sensor_address().unwrap().to_owned();
+    let _silent: Vec<TcpStream> = (0..6).map(|_| TcpStream::connect(&address).unwrap()).collect();
+    let mut stream = TcpStream::connect(&address).unwrap();
+    let mut frame = corridor(0, 1).next().unwrap();
+    frame.scan.stamp = flockmap::Stamp(0);
+    stream.write_all(&SensorMessage::Scan(frame).emit()).unwrap();
+    wait_until("the scan is mapped", || node.status().unwrap().robot.scans == 1);
+}
+
 #[cfg(unix)]
 #[test]
 fn any_program_can_feed_scans_over_a_unix_socket() {

@@ -299,10 +299,10 @@ fn a_node_that_cannot_run_says_why() {
     assert!(error.contains("more than one"), "{error}");
     let error = run("[output]\nsave_map_at_end = \"map.obj\"\n");
     assert!(error.contains(".ply, .pcd or .bt"), "{error}");
-    let error = run("[output]\nreport_json = \"missing/end.json\"\n");
+    let error = run("[output]\nend_after_s = 0.0\nreport_json = \"missing/end.json\"\n");
     assert!(error.contains("[output] report_json") && error.contains("mkdir -p"), "{error}");
     std::fs::create_dir_all(dir.join("folder.ply")).unwrap();
-    let error = run("[output]\nsave_map_at_end = \"folder.ply\"\n");
+    let error = run("[output]\nend_after_s = 0.0\nsave_map_at_end = \"folder.ply\"\n");
     assert!(error.contains("this is a folder"), "{error}");
     let error = run("[sensor]\nlisten_unix = \"missing/sensor.sock\"\n[network]\nbind = \"127.0.0.1:0\"\n");
     assert!(error.contains("missing/sensor.sock") && error.contains("mkdir -p"), "{error}");

@@ -229,11 +229,11 @@ impl<S: AsyncRead + Unpin> Reader<S> {
     /// A stamp of the system clock tells how old the scan is now, and that holds on every clock. A scan from the future, within
     /// what is allowed, is of now. An error is how far the stamp is off.
     fn on_the_node_s_clock(&self, stamp: Stamp) -> Result<Stamp, i64> {
-        let now = self.clock.now();
+        let (now, system_now) = self.clock.now_and_system_now();
         if stamp == Stamp(0) {
             return Ok(now);
         }
-        let off = stamp.micros_since(now.plus_micros(self.clock.system_ahead()));
+        let off = stamp.micros_since(system_now);
         if off.unsigned_abs() > self.limits.stamp_error_max_micros.unsigned_abs() {
             return Err(off);
         }
@@ -525,32 +525,49 @@ mod tests {
     }
 
     #[test]
+    fn a_program_within_a_long_message_is_not_silent() {
+        runtime().block_on(async {
+            let mut programs = Programs::new();
+            let mut slow: Vec<DuplexStream> = (0..CONNECTIONS_MAX).map(|_| programs.connect()).collect();
+            let mut late = programs.connect();
+            say(&mut late).await;
+            for byte in scan(Stamp(0)) {
+                sleep(SILENT_MIN - Duration::from_secs(1)).await;
+                for program in &mut slow {
+                    program.write_all(&[byte]).await.unwrap();
+                }
+            }
+            let lines = programs.lines_until_a_scan().await;
+            let [line] = lines.as_slice() else { panic!("{lines:?}") };
+            assert!(line.contains("connection 9 waits"), "{line}");
+        });
+    }
+
+    #[test]
     fn a_program_that_the_node_keeps_waiting_is_not_silent() {
         runtime().block_on(async {
             let mut programs = Programs::new();
             let mut speakers: Vec<DuplexStream> = (0..CONNECTIONS_MAX).map(|_| programs.connect()).collect();
-            // Nobody takes the scans: there is room for four, and the others wait.
-            for speaker in &mut speakers {
-                say(speaker).await;
+            // Nobody takes the scans: there is room for four, and every program has one that waits.
+            for _ in 0..5 {
+                for speaker in &mut speakers {
+                    say(speaker).await;
+                }
             }
             let mut late = programs.connect();
             say(&mut late).await;
             sleep(SILENT_MIN * 10).await;
             let mut scans = 0;
-            let gave_way = loop {
+            while scans < 5 * CONNECTIONS_MAX {
                 match programs.next().await {
                     Input::Frame(_) => scans += 1,
-                    Input::GaveWay(text) => break text,
-                    _ => {}
-                }
-            };
-            assert!(scans >= 4, "{scans} before {gave_way}");
-            let mut all = scans;
-            while all < CONNECTIONS_MAX + 1 {
-                if let Input::Frame(_) = programs.next().await {
-                    all += 1;
+                    Input::Note(text) => assert!(text.contains("connection 9 waits"), "{text}"),
+                    other => panic!("after {scans} scans: {other:?}"),
                 }
             }
+            // Now they are silent.
+            let lines = programs.lines_until_a_scan().await;
+            assert!(lines.iter().any(|line| line.contains("connection 9 wants in")), "{lines:?}");
         });
     }
 

@@ -337,6 +337,18 @@ mod tests {
     }
 
     #[test]
+    fn a_node_waits_for_another_that_is_taking_its_path_in_the_same_folder() {
+        let place = Place::new("lock");
+        let folder = File::open(&place.0).unwrap();
+        folder.lock().unwrap();
+        let error = place.refusal();
+        assert!(error.contains("locked") && error.contains("a folder of its own"), "{error}");
+        assert!(!place.path().exists());
+        folder.unlock().unwrap();
+        place.bind(0o600).unwrap();
+    }
+
+    #[test]
     fn a_path_that_cannot_be_is_named_with_what_to_do() {
         let place = Place::new("path");
         let _context = place.1.enter();
