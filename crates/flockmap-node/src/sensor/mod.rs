@@ -25,7 +25,8 @@ pub enum Sensor {
     /// The node has no sensor: it only listens, and passes on what it hears.
     None,
     /// A recording or a simulation. It is played in real time: the first frame comes at once, the others as far apart as
-    /// their stamps, and each gets the time at which it is played as its stamp. Read on a thread of its own.
+    /// their stamps, and each gets the time at which it is played as its stamp. Where the stamps go back, since a clock was
+    /// stepped, it is played on at once. Read on a thread of its own.
     Play {
         /// The frames.
         frames: Frames,
