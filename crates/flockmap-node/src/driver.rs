@@ -6,6 +6,7 @@ use flockmap::sync::wire::stated_sender;
 use flockmap::{Event, Robot, Stamp};
 use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 
+use crate::clock::StepWatch;
 use crate::node::{NodeOptions, Observation};
 use crate::sensor::Input;
 use crate::status::StatusLine;
@@ -50,6 +51,7 @@ pub(crate) struct Driver<T> {
     active: Instant,
     status_due: Instant,
     line: StatusLine,
+    clock_steps: StepWatch,
     warned: Option<Instant>,
     warnings_left_out: u64,
     counters: NodeCounters,
@@ -75,6 +77,7 @@ impl<T: Transport> Driver<T> {
             robot.set_muted(*origin, true);
         }
         let now = Instant::now();
+        let clock_steps = StepWatch::new(options.clock);
         // A rate needs some time to be one.
         let status_due = later(now, options.status_period.unwrap_or_default());
         Self {
@@ -90,6 +93,7 @@ impl<T: Transport> Driver<T> {
             active: now,
             status_due,
             line: StatusLine::default(),
+            clock_steps,
             warned: None,
             warnings_left_out: 0,
             counters: NodeCounters::default(),
@@ -163,6 +167,10 @@ impl<T: Transport> Driver<T> {
         self.take_events(clock.now(), |_, _| {});
         if let Some(store) = &mut self.store {
             store.step(&self.robot);
+        }
+        if let Some(step) = self.clock_steps.poll() {
+            self.counters.clock_steps += 1;
+            self.options.log.warn(step);
         }
         if let Some(period) = self.options.status_period
             && Instant::now() >= self.status_due
@@ -245,6 +253,10 @@ impl<T: Transport> Driver<T> {
             Input::Fault(text) => {
                 self.counters.sensor_faults += 1;
                 self.warn(|| text);
+            }
+            Input::GaveWay(text) => {
+                self.counters.sensor_gave_way += 1;
+                self.options.log.warn(text);
             }
             Input::Note(text) if text.is_empty() => {}
             Input::Note(text) => self.options.log.info(text),

@@ -27,6 +27,7 @@
 //! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; what is left at the end |
 #![forbid(unsafe_code)]
 
+mod advice;
 mod clock;
 mod config;
 mod driver;

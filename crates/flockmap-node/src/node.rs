@@ -58,7 +58,7 @@ pub struct NodeOptions {
     pub robot: RobotConfig,
     /// Name for logs and metrics.
     pub name: String,
-    /// The clock. Nodes of one process may share one.
+    /// The clock, and the system clock by which sensor programs stamp. Nodes of one process may share one.
     pub clock: Clock,
     /// Where scans come from.
     pub sensor: Sensor,
@@ -215,7 +215,7 @@ impl Node {
             let transport = make_transport().map_err(system("start the transport"))?;
             let sensor_socket = SensorSocket::open(&options.sensor)
                 .await
-                .map_err(system(&format!("open the sensor socket {:?}", options.sensor)))?;
+                .map_err(system(&format!("open the sensor socket {}", options.sensor.place())))?;
             let prometheus = match options.prometheus {
                 Some(address) => Some(
                     crate::metrics::listen(address)
@@ -306,7 +306,7 @@ fn start_sensor(
                 }
             });
         }
-        Sensor::None | Sensor::Tcp(..) | Sensor::Unix(..) => {}
+        Sensor::None | Sensor::Tcp(..) | Sensor::Unix { .. } => {}
     }
     Ok(())
 }

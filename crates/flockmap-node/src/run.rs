@@ -81,8 +81,36 @@ fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
     {
         bail!(value("[output] save_map_at_end", path.display(), "a file that ends in .ply, .pcd or .bt"));
     }
+    for (key, path) in
+        [("[output] save_map_at_end", &output.save_map_at_end), ("[output] report_json", &output.report_json)]
+    {
+        path.as_deref().map_or(Ok(()), |path| check_output(key, path))?;
+    }
     options.log = log.clone();
     Ok(options)
+}
+
+/// Looks whether a file can be written, and leaves everything as it was.
+fn check_output(key: &str, path: &Path) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        let expected = format!("a file in a folder that is there (mkdir -p {})", folder.display());
+        bail!(value(key, path.display(), expected));
+    }
+    let is_new = match std::fs::metadata(path) {
+        Ok(there) if there.is_dir() => bail!(value(key, path.display(), "a file, and this is a folder")),
+        Ok(there) if there.is_file() => false,
+        // A device or a pipe.
+        Ok(_) => return Ok(()),
+        Err(_) => true,
+    };
+    std::fs::OpenOptions::new().append(true).create(true).open(path).map_err(|error| {
+        value(key, format!("{} ({error})", path.display()), "a file that this user may write")
+    })?;
+    if is_new {
+        std::fs::remove_file(path).with_context(|| format!("cannot remove {}", path.display()))?;
+    }
+    Ok(())
 }
 
 /// The key of the swarm; says where it comes from, or what it means that there is none.
@@ -202,8 +230,22 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
             let frames = repeated(record.frames, section.repeat, open);
             Ok(Sensor::Play { frames, speed: section.speed, skip, begin: None })
         }
-        (None, Some(address), None) => Ok(Sensor::Tcp(address, limits)),
-        (None, None, Some(path)) => Ok(Sensor::Unix(path.clone(), limits)),
+        (None, Some(address), None) => {
+            if !address.ip().is_loopback() {
+                log.warn(format!("anybody who reaches {address} can feed scans; 127.0.0.1 keeps others out"));
+            }
+            Ok(Sensor::Tcp(address, limits))
+        }
+        (None, None, Some(path)) => {
+            let mode = config.unix_mode()?;
+            if mode & 0o002 != 0 {
+                let path = path.display();
+                log.warn(format!(
+                    "with unix_mode {mode:04o} every user of this machine can feed scans at {path}"
+                ));
+            }
+            Ok(Sensor::Unix { path: path.clone(), mode, limits })
+        }
         _ => bail!("[sensor] has more than one of record, listen_tcp and listen_unix, expected one of them"),
     }
 }
@@ -266,18 +308,21 @@ impl Signals {
 fn finish(config: &NodeConfig, ended: &Ended, log: &Log) -> Result<()> {
     let output = &config.output;
     let json = serde_json::to_string_pretty(&ended.summary)?;
-    match &output.report_json {
-        Some(path) => {
-            std::fs::write(path, json + "\n").with_context(|| format!("cannot write {}", path.display()))?;
-            log.info(format!("summary in {}", path.display()));
+    // One that cannot be written is no reason to lose the other.
+    let summary = match &output.report_json {
+        Some(path) => std::fs::write(path, json + "\n")
+            .map(|()| log.info(format!("summary in {}", path.display())))
+            .with_context(|| format!("cannot write {}", path.display())),
+        None => {
+            println!("{json}");
+            Ok(())
         }
-        None => println!("{json}"),
-    }
+    };
     if let Some(path) = &output.save_map_at_end {
         let map = ended.robot.map();
         let options = ExportOptions { free: output.save_free };
         let count = export_map(path, map.resolution(), map.voxels(), &options)?;
         log.say(Level::Info, format!("{count} voxels in {}", path.display()));
     }
-    Ok(())
+    summary
 }

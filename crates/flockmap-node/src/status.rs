@@ -37,6 +37,10 @@ pub struct NodeCounters {
     pub points_dropped: u64,
     /// Faults of the sensor: damaged messages, frames that could not be read, stamps from another clock.
     pub sensor_faults: u64,
+    /// Silent sensor connections that were closed, since another program wanted in and there was no place.
+    pub sensor_gave_way: u64,
+    /// Times that the system clock was stepped, or the machine slept. The node's clock goes on.
+    pub clock_steps: u64,
 }
 
 /// How long things took, in microseconds.
@@ -262,7 +266,8 @@ pub(crate) type Named = Vec<(&'static str, u64)>;
 
 pub(crate) fn node_counters(c: &NodeCounters) -> Named {
     fields!(c; datagrams_in bytes_in datagrams_out bytes_out send_failed receive_errors unreachable
-            datagrams_refused frames frames_late points_dropped sensor_faults)
+            datagrams_refused frames frames_late points_dropped sensor_faults
+            sensor_gave_way clock_steps)
 }
 
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {

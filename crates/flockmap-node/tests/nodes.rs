@@ -179,8 +179,10 @@ fn a_node_that_cannot_start_says_why() {
     let sensor = Sensor::Tcp(address, MessageLimits::default());
     let text = start(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
     assert!(text.contains("sensor socket") && text.contains(&address.port().to_string()), "{text}");
+    assert!(text.contains("another port in [sensor] listen_tcp"), "{text}");
     let options = NodeOptions { prometheus: Some(address), ..NodeOptions::new(config(1)) };
-    assert!(start(options).contains("metrics"));
+    let text = start(options);
+    assert!(text.contains("metrics") && text.contains("another port in [metrics] prometheus"), "{text}");
 }
 
 fn start_alone(options: NodeOptions) -> NodeHandle {
@@ -218,6 +220,64 @@ fn counters_are_served_to_prometheus() {
 }
 
 #[test]
+fn idle_clients_delay_nobody_who_asks_for_counters() {
+    let node = start_alone(NodeOptions { prometheus: Some(loopback()), ..NodeOptions::new(config(1)) });
+    let address = node.prometheus_address().unwrap();
+    // If each were waited for, even a few at a time, it would be far longer than the patience.
+    let mut idle: Vec<TcpStream> = (0..100).map(|_| TcpStream::connect(address).unwrap()).collect();
+    for client in &mut idle {
+        // Some have begun to ask.
+        client.write_all(b"GET /metr").unwrap();
+    }
+    let mut client = TcpStream::connect(address).unwrap();
+    client.set_read_timeout(Some(common::PATIENCE)).unwrap();
+    client.write_all(b"GET /metrics HTTP/1.1\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    client.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200 OK"), "{answer}");
+}
+
+#[test]
+fn a_node_takes_stamped_scans_whatever_is_done_to_the_system_clock() {
+    use std::sync::LazyLock;
+    use std::sync::atomic::{AtomicI64, Ordering};
+    use std::time::{Instant, SystemTime, UNIX_EPOCH};
+    /// Where the system clock was put, and what it goes by.
+    static SYSTEM_S: AtomicI64 = AtomicI64::new(1_800_000_000);
+    static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
+    fn system() -> SystemTime {
+        UNIX_EPOCH + Duration::from_secs(SYSTEM_S.load(Ordering::Relaxed).unsigned_abs()) + BEGAN.elapsed()
+    }
+
+    let lines: common::Shared<Vec<String>> = Arc::default();
+    let in_log = Arc::clone(&lines);
+    let mut options = NodeOptions::new(config(1));
+    let clock = Clock::with_system_time(system);
+    options.clock = clock;
+    options.sensor = Sensor::Tcp(loopback(), MessageLimits::default());
+    options.log = Log::new(move |_, text| in_log.lock().unwrap().push(text.to_owned()));
+    let node = start_alone(options);
+    let mut stream = TcpStream::connect(node.sensor_address().unwrap()).unwrap();
+    let mut steps = 0;
+    // Forwards, back to 1970, and forwards again; the program knows nothing of it.
+    for (round, to) in [0, 3_600, -1_800_000_000 + 60, 1_900_000_000].into_iter().enumerate() {
+        SYSTEM_S.fetch_add(to, Ordering::Relaxed);
+        for mut frame in corridor(0, 5) {
+            frame.scan.stamp = clock.system_now();
+            stream.write_all(&SensorMessage::Scan(frame).emit()).unwrap();
+        }
+        wait_until("the scans are mapped", || node.status().unwrap().robot.scans == 5 * (round as u64 + 1));
+        steps += u64::from(to != 0);
+        wait_until("the step is counted", || node.status().unwrap().node.clock_steps >= steps);
+    }
+    let status = node.status().unwrap();
+    assert_eq!((status.node.sensor_faults, status.node.frames, status.node.clock_steps), (0, 20, 3));
+    let lines = lines.lock().unwrap();
+    let steps: Vec<&String> = lines.iter().filter(|l| l.contains("system clock was stepped by ")).collect();
+    assert!(steps.len() == 3 && steps[0].contains("+3") && steps[1].contains("by -17999999"), "{lines:?}");
+}
+
+#[test]
 fn any_program_can_feed_scans_over_tcp() {
     let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
     let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
@@ -236,13 +296,26 @@ fn any_program_can_feed_scans_over_tcp() {
     assert_eq!(stream.read(&mut [0]).unwrap_or(0), 0, "the connection is closed");
 }
 
+#[test]
+fn a_few_silent_programs_keep_no_sensor_out() {
+    let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
+    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let address = node.sensor_address().unwrap().to_owned();
+    let _silent: Vec<TcpStream> = (0..6).map(|_| TcpStream::connect(&address).unwrap()).collect();
+    let mut stream = TcpStream::connect(&address).unwrap();
+    let mut frame = corridor(0, 1).next().unwrap();
+    frame.scan.stamp = flockmap::Stamp(0);
+    stream.write_all(&SensorMessage::Scan(frame).emit()).unwrap();
+    wait_until("the scan is mapped", || node.status().unwrap().robot.scans == 1);
+}
+
 #[cfg(unix)]
 #[test]
 fn any_program_can_feed_scans_over_a_unix_socket() {
     let path = std::env::temp_dir().join(format!("flockmap-test-{}.sock", std::process::id()));
     // As a killed node leaves it.
     drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
-    let sensor = Sensor::Unix(path.clone(), MessageLimits::default());
+    let sensor = Sensor::Unix { path: path.clone(), mode: 0o600, limits: MessageLimits::default() };
     let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
     let mut stream = std::os::unix::net::UnixStream::connect(&path).unwrap();
     let mut frame = corridor(0, 1).next().unwrap();

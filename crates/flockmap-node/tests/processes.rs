@@ -103,6 +103,117 @@ fn node_process(config: &Path, log: &Path) -> Child {
         .unwrap()
 }
 
+/// A node that takes scans at `sensor.sock` in the folder. With `umask`, as a shell starts it that has this one.
+struct SocketNode {
+    process: Child,
+    lines: Box<dyn Iterator<Item = String>>,
+}
+
+impl SocketNode {
+    fn start(dir: &Path, id: u16, sensor: &str, umask: &str) -> Self {
+        let path = dir.join(format!("robot{id}.toml"));
+        let text = format!(
+            "id = {id}\nepoch = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[network]\nbind = \"127.0.0.1:0\"\n\
+             [sensor]\nlisten_unix = \"sensor.sock\"\n{sensor}[metrics]\nstatus_period_s = 0.0\n\
+             [output]\nreport_json = \"end{id}.json\"\nlinger_ms = 0\n"
+        );
+        std::fs::write(&path, text).unwrap();
+        let mut process = Command::new("sh")
+            .args(["-c", "umask \"$1\"; exec \"$0\" --ignored --exact one_node --nocapture"])
+            .arg(std::env::current_exe().unwrap())
+            .arg(umask)
+            .env("FLOCKMAP_NODE_CONFIG", &path)
+            .env_remove(flockmap_node::KEY_VARIABLE)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = Box::new(BufReader::new(process.stderr.take().unwrap()).lines().map(Result::unwrap));
+        Self { process, lines }
+    }
+
+    /// Reads on until a line with these words; `false` if the node ended before.
+    fn says(&mut self, words: &str) -> bool {
+        self.lines.any(|line| line.contains(words))
+    }
+
+    fn terminate(mut self) {
+        let killed = Command::new("kill").args(["-TERM", &self.process.id().to_string()]).status().unwrap();
+        assert!(killed.success() && self.process.wait().unwrap().success());
+    }
+}
+
+impl Drop for SocketNode {
+    fn drop(&mut self) {
+        // Also after a test that failed nothing is left running.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+#[test]
+fn a_second_node_leaves_the_sensor_socket_to_the_live_first() {
+    let dir = new_dir("stolen-socket");
+    let socket = dir.join("sensor.sock");
+    let mut first = SocketNode::start(&dir, 1, "", "022");
+    assert!(first.says("takes scans at"));
+    let mut second = SocketNode::start(&dir, 2, "", "022");
+    // It ends by itself, or says that it has taken the path.
+    let words = format!("process {} (", first.process.id());
+    let line = second.lines.find(|line| line.contains("takes scans at") || line.contains("listens there"));
+    let line = line.unwrap();
+    assert!(line.contains(&words) && line.contains("stop it") && line.contains("sensor.sock"), "{line}");
+    assert!(!second.process.wait().unwrap().success());
+    // The first has lost nothing.
+    drop(std::os::unix::net::UnixStream::connect(&socket).unwrap());
+    assert!(first.says("sensor connection 2 ended after 0 messages"), "the second node only looked");
+    first.terminate();
+    assert!(!socket.exists(), "removed by the one it belongs to");
+    std::fs::remove_dir_all(&dir).unwrap();
+}
+
+#[test]
+fn a_node_that_ends_leaves_the_socket_that_is_another_s_by_now() {
+    let dir = new_dir("another-socket");
+    let socket = dir.join("sensor.sock");
+    let mut first = SocketNode::start(&dir, 1, "", "022");
+    assert!(first.says("takes scans at"));
+    std::fs::remove_file(&socket).unwrap();
+    let mut second = SocketNode::start(&dir, 2, "", "022");
+    assert!(second.says("takes scans at"));
+    first.terminate();
+    drop(std::os::unix::net::UnixStream::connect(&socket).expect("the second's"));
+    assert!(second.says("sensor connection 1 ended"));
+    // Killed, it can remove nothing; the next one takes the path over.
+    second.process.kill().unwrap();
+    second.process.wait().unwrap();
+    assert!(socket.exists());
+    let mut third = SocketNode::start(&dir, 3, "", "022");
+    assert!(third.says("takes scans at"));
+    third.terminate();
+    std::fs::remove_dir_all(&dir).unwrap();
+}
+
+#[test]
+fn the_sensor_socket_has_the_configured_mode_under_any_umask() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = new_dir("socket-mode");
+    for (umask, option, mode) in [
+        ("000", "", 0o600),
+        ("022", "", 0o600),
+        ("077", "unix_mode = \"0660\"\n", 0o660),
+        ("177", "unix_mode = \"0660\"\n", 0o660),
+        ("000", "unix_mode = \"0660\"\n", 0o660),
+    ] {
+        let mut node = SocketNode::start(&dir, 1, option, umask);
+        assert!(node.says("takes scans at"));
+        let file = std::fs::symlink_metadata(dir.join("sensor.sock")).unwrap();
+        assert_eq!(file.permissions().mode() & 0o777, mode, "umask {umask} {option}");
+        node.terminate();
+    }
+    std::fs::remove_dir_all(&dir).unwrap();
+}
+
 #[test]
 fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     let dir = new_dir("killed-node");
@@ -188,6 +299,15 @@ fn a_node_that_cannot_run_says_why() {
     assert!(error.contains("more than one"), "{error}");
     let error = run("[output]\nsave_map_at_end = \"map.obj\"\n");
     assert!(error.contains(".ply, .pcd or .bt"), "{error}");
+    let error = run("[output]\nend_after_s = 0.0\nreport_json = \"missing/end.json\"\n");
+    assert!(error.contains("[output] report_json") && error.contains("mkdir -p"), "{error}");
+    std::fs::create_dir_all(dir.join("folder.ply")).unwrap();
+    let error = run("[output]\nend_after_s = 0.0\nsave_map_at_end = \"folder.ply\"\n");
+    assert!(error.contains("this is a folder"), "{error}");
+    let error = run("[sensor]\nlisten_unix = \"missing/sensor.sock\"\n[network]\nbind = \"127.0.0.1:0\"\n");
+    assert!(error.contains("missing/sensor.sock") && error.contains("mkdir -p"), "{error}");
+    let error = run("[sensor]\nlisten_unix = \"sensor.sock\"\nunix_mode = \"660 \"\n");
+    assert!(error.contains("[sensor] unix_mode"), "{error}");
     let error = run("[session]\nswarm_key_file = \"no.key\"\n");
     assert!(error.contains(&format!("{}", dir.join("no.key").display())), "{error}");
     let error = run("[session]\nswarm_key = \"too short\"\n");

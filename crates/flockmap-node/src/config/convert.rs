@@ -182,6 +182,20 @@ impl NodeConfig {
         })
     }
 
+    /// Permissions of the file of the Unix socket.
+    ///
+    /// # Errors
+    /// It is not octal, or would keep the owner out.
+    pub fn unix_mode(&self) -> Result<u32, ConfigError> {
+        let text = &self.sensor.unix_mode;
+        let mode = u32::from_str_radix(text, 8).ok().filter(|mode| mode & 0o600 == 0o600 && *mode <= 0o777);
+        mode.filter(|_| text.bytes().all(|b| b.is_ascii_digit())).ok_or_else(|| {
+            let expected =
+                "permissions in octal that let the owner in: \"0600\", or \"0660\" for the group too";
+            value("[sensor] unix_mode", format!("\"{text}\""), expected)
+        })
+    }
+
     /// `T_own_origin` of each robot that has one.
     ///
     /// # Errors

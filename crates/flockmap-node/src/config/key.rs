@@ -6,6 +6,7 @@ use flockmap::sync::SwarmKey;
 use serde::Deserialize;
 
 use super::convert::value;
+use super::parse::read_text;
 use super::{ConfigError, NodeConfig};
 
 /// The environment variable that may hold the key.
@@ -70,10 +71,9 @@ impl NodeConfig {
         let fail = |error: std::io::Error| {
             value(name, format!("\"{}\" ({error})", path.display()), "a file that can be read")
         };
-        if std::fs::metadata(path).map_err(fail)?.len() > FILE_BYTES_MAX {
+        let Some(text) = read_text(path, FILE_BYTES_MAX).map_err(fail)? else {
             return Err(value(name, format!("\"{}\"", path.display()), "a file with nothing but the key"));
-        }
-        let text = std::fs::read_to_string(path).map_err(fail)?;
+        };
         found(name, &text, path.display().to_string(), Some(path)).map(Some)
     }
 }

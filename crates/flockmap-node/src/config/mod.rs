@@ -289,9 +289,11 @@ pub struct SensorSection {
     pub listen_tcp: Option<SocketAddr>,
     /// Listen here for scans over a Unix socket.
     pub listen_unix: Option<PathBuf>,
+    /// Permissions of its file, in octal: who may write to it may feed scans.
+    pub unix_mode: String,
     /// Most points in a scan.
     pub scan_points_max: u32,
-    /// A scan whose stamp is off the node's clock by more than this is refused.
+    /// A scan whose stamp is off the system clock by more than this, when it is received, is refused.
     pub stamp_error_max_s: f64,
 }
 
@@ -308,6 +310,7 @@ impl Default for SensorSection {
             poses: None,
             listen_tcp: None,
             listen_unix: None,
+            unix_mode: "0600".into(),
             scan_points_max: 1 << 20,
             stamp_error_max_s: 10.0,
         }
@@ -353,7 +356,7 @@ pub struct TeammatesSection {
     pub timeout_ms: Option<u32>,
 }
 
-/// `[output]`
+/// `[output]`. None of these files is a secret: they get the permissions that the umask leaves.
 #[derive(Clone, PartialEq, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OutputSection {

@@ -1,9 +1,15 @@
 //! Reading a configuration: an error names the key, where it stands, and what was probably meant.
 
+use std::fs::File;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::NodeConfig;
+use crate::advice::read_error;
+
+/// A file with more than this is no configuration.
+const CONFIG_BYTES_MAX: u64 = 1 << 20;
 
 /// A configuration that cannot be used. The user is at fault, and the text says what to change.
 #[derive(Debug, thiserror::Error)]
@@ -15,7 +21,7 @@ pub enum ConfigError {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// It is no TOML, or has a key or a value that cannot be there.
     #[error("{text}{hint}")]
@@ -58,11 +64,10 @@ impl NodeConfig {
     pub fn read(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref();
         let fail = |source| ConfigError::Read { path: path.to_owned(), source };
-        if std::fs::metadata(path).map_err(fail)?.len() > 1 << 20 {
+        let Some(text) = read_text(path, CONFIG_BYTES_MAX).map_err(|error| fail(read_error(error)))? else {
             let text = format!("{}: longer than 1 MiB, so no configuration", path.display());
             return Err(ConfigError::Parse { text, hint: String::new() });
-        }
-        let text = std::fs::read_to_string(path).map_err(fail)?;
+        };
         let mut config: Self = text.parse().map_err(|error| match error {
             ConfigError::Parse { text, hint } => {
                 ConfigError::Parse { text: format!("{}: {text}", path.display()), hint }
@@ -96,6 +101,16 @@ impl FromStr for NodeConfig {
             text: error.to_string().trim_end().to_owned(),
         })
     }
+}
+
+/// A text file; `None` if it is longer than allowed, also where its length is not known before, as of a pipe.
+pub(super) fn read_text(path: &Path, bytes_max: u64) -> io::Result<Option<String>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(bytes_max + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > bytes_max {
+        return Ok(None);
+    }
+    String::from_utf8(bytes).map(Some).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
 /// The nearest known key, for an error about an unknown one.

@@ -111,6 +111,20 @@ fn a_value_that_cannot_work_is_named_with_what_would() {
 }
 
 #[test]
+fn the_mode_of_the_sensor_socket_is_octal_and_lets_the_owner_in() {
+    let mode =
+        |text: &str| parse(&format!("{MINIMAL}[sensor]\nunix_mode = \"{text}\"\n")).unwrap().unix_mode();
+    assert_eq!(parse(MINIMAL).unwrap().unix_mode().unwrap(), 0o600);
+    for (text, expected) in [("0600", 0o600), ("660", 0o660), ("0666", 0o666), ("0777", 0o777)] {
+        assert_eq!(mode(text).unwrap(), expected);
+    }
+    for text in ["", "rw-rw----", "0680", "+660", "0060", "0400", "4660", "0x1b0", "-600"] {
+        let error = mode(text).unwrap_err().to_string();
+        assert!(error.contains("[sensor] unix_mode") && error.contains("\"0660\" for the group"), "{error}");
+    }
+}
+
+#[test]
 fn words_become_options() {
     let text = format!(
         "name = \"alice\"\nepoch = 7\n{MINIMAL}[cycle]\nt_l_occupied_ms = 100\n[codec]\nname = \"raw\"\n\
@@ -129,5 +143,17 @@ fn words_become_options() {
 #[test]
 fn a_file_that_is_not_there_is_named() {
     let error = NodeConfig::read("no/such/robot.toml").unwrap_err().to_string();
-    assert!(error.contains("no/such/robot.toml"), "{error}");
+    assert!(error.contains("no/such/robot.toml") && error.contains("a file that is there"), "{error}");
+    let error = NodeConfig::read(std::env::temp_dir()).unwrap_err().to_string();
+    assert!(error.contains("expected a file"), "{error}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_file_without_an_end_is_no_configuration_and_no_key() {
+    let error = NodeConfig::read("/dev/zero").unwrap_err().to_string();
+    assert!(error.contains("/dev/zero: longer than 1 MiB"), "{error}");
+    let config = parse(&format!("{MINIMAL}[session]\nswarm_key_file = \"/dev/zero\"\n")).unwrap();
+    let error = config.swarm_key("robot.toml".as_ref(), None).unwrap_err().to_string();
+    assert!(error.contains("nothing but the key"), "{error}");
 }

@@ -18,7 +18,7 @@ const POINT_BYTES: usize = 12;
 pub struct MessageLimits {
     /// Most points and rays without a return, together, in one scan. Worst case held: 36 bytes each.
     pub scan_points_max: u32,
-    /// A scan whose stamp is off the node's clock by more than this many microseconds is refused.
+    /// A scan whose stamp is off the machine's clock by more than this many microseconds is refused.
     pub stamp_error_max_micros: i64,
 }
 

@@ -1,9 +1,12 @@
 //! Where the scans of a node come from.
 
+mod connections;
 mod message;
 mod play;
 mod repeat;
 mod socket;
+#[cfg(unix)]
+mod unix;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -22,7 +25,8 @@ pub enum Sensor {
     /// The node has no sensor: it only listens, and passes on what it hears.
     None,
     /// A recording or a simulation. It is played in real time: the first frame comes at once, the others as far apart as
-    /// their stamps, and each gets the time at which it is played as its stamp. Read on a thread of its own.
+    /// their stamps, and each gets the time at which it is played as its stamp. Where the stamps go back, since a clock was
+    /// stepped, it is played on at once. Read on a thread of its own.
     Play {
         /// The frames.
         frames: Frames,
@@ -39,8 +43,16 @@ pub enum Sensor {
     Channel(tokio::sync::mpsc::Receiver<Frame>),
     /// Any program sends messages over TCP, see `docs/sensor-input.md`.
     Tcp(SocketAddr, MessageLimits),
-    /// The same over a Unix socket. A file that is there is replaced if it is a socket.
-    Unix(PathBuf, MessageLimits),
+    /// The same over a Unix socket.
+    Unix {
+        /// Its file. One that a killed node left behind is replaced; where somebody listens, the node does not start. It is
+        /// removed at the end if it is still the node's own.
+        path: PathBuf,
+        /// Permissions of the file, such as `0o600`, whatever the umask is: who may write to it may feed scans.
+        mode: u32,
+        /// What a message may be.
+        limits: MessageLimits,
+    },
 }
 
 impl core::fmt::Debug for Sensor {
@@ -50,7 +62,20 @@ impl core::fmt::Debug for Sensor {
             Self::Play { speed, .. } => f.debug_struct("Play").field("speed", speed).finish_non_exhaustive(),
             Self::Channel(_) => f.write_str("Channel"),
             Self::Tcp(address, _) => f.debug_tuple("Tcp").field(address).finish(),
-            Self::Unix(path, _) => f.debug_tuple("Unix").field(path).finish(),
+            Self::Unix { path, mode, .. } => {
+                f.debug_struct("Unix").field("path", path).field("mode", mode).finish_non_exhaustive()
+            }
+        }
+    }
+}
+
+impl Sensor {
+    /// Where it listens, for errors.
+    pub(crate) fn place(&self) -> String {
+        match self {
+            Self::Tcp(address, _) => address.to_string(),
+            Self::Unix { path, .. } => path.display().to_string(),
+            Self::None | Self::Play { .. } | Self::Channel(_) => String::new(),
         }
     }
 }
@@ -66,6 +91,8 @@ pub(crate) enum Input {
     Teammate(RobotId, [f64; 3]),
     /// Something was wrong: one line. It is counted.
     Fault(String),
+    /// A silent connection was closed, since there was no room for another program: one line. It is counted.
+    GaveWay(String),
     /// Something worth telling.
     Note(String),
 }

@@ -12,6 +12,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use tokio::io::ReadBuf;
 
 use super::{Sent, Transport};
+use crate::advice::{listen_error, with};
 
 /// Robots whose address is kept; of more, those heard last.
 const ADDRESSES_MAX: usize = 256;
@@ -97,6 +98,9 @@ impl UdpSockets {
         let everyone = options.multicast.or(options.broadcast);
         let shares_port = everyone
             .is_some_and(|all| all.port() == options.bind.port() && options.bind.ip().is_unspecified());
+        if shares_port {
+            refuse_a_second_node(options.bind)?;
+        }
         let main = open(options, options.bind, shares_port)?;
         if let Some(group) = options.multicast {
             send_to_group(&main, options, group)?;
@@ -294,8 +298,32 @@ fn open(options: &UdpOptions, address: SocketAddr, shared: bool) -> Result<Socke
     let _ = socket.set_recv_buffer_size(options.receive_buffer_bytes);
     let _ = socket.set_send_buffer_size(options.send_buffer_bytes);
     socket.set_nonblocking(true).map_err(system("set non-blocking", address))?;
-    socket.bind(&address.into()).map_err(system("listen on", address))?;
+    let option = if address == options.bind { "[network] bind" } else { "[network]" };
+    socket
+        .bind(&address.into())
+        .map_err(|error| system("listen on", address)(listen_error(option, error)))?;
     Ok(socket)
+}
+
+/// A socket that shares its port with sockets of the group would share it with another node just as well, and either would get what
+/// is sent to the other. That one is found at an address that nobody shares.
+fn refuse_a_second_node(bind: SocketAddr) -> Result<(), UdpError> {
+    let v4 = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    let loopbacks = if bind.is_ipv4() { vec![v4] } else { vec![v4, Ipv6Addr::LOCALHOST.into()] };
+    for ip in loopbacks {
+        match UdpSocket::bind((ip, bind.port())) {
+            Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
+                return Err(system("listen on", bind)(with(
+                    error,
+                    "another program listens there: stop that one, or choose another port in [network] bind; the port of the group \
+                     stays the same for all",
+                )));
+            }
+            // No such address here: nobody has it.
+            Ok(_) | Err(_) => {}
+        }
+    }
+    Ok(())
 }
 
 fn send_to_group(socket: &Socket, options: &UdpOptions, group: SocketAddr) -> Result<(), UdpError> {

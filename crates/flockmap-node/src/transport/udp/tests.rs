@@ -146,3 +146,22 @@ fn a_port_in_use_is_named() {
     let text = UdpSockets::bind(&UdpOptions::new(taken)).unwrap_err().to_string();
     assert!(text.contains(&taken.to_string()) && text.contains("listen on"), "{text}");
 }
+
+#[test]
+fn a_second_node_does_not_get_what_is_sent_to_a_live_one() {
+    let port = bound("127.0.0.1:0").local_addr().unwrap().port();
+    let options = UdpOptions {
+        multicast: Some(address(&format!("239.77.7.8:{port}"))),
+        multicast_interface_v4: Some(Ipv4Addr::LOCALHOST),
+        ..UdpOptions::new(address(&format!("0.0.0.0:{port}")))
+    };
+    // A robot with a port of its own is in nobody's way.
+    let beside = UdpOptions { bind: address("127.0.0.1:0"), ..options.clone() };
+    let (_beside, _first) = match [&beside, &options].map(UdpSockets::bind) {
+        [Ok(beside), Ok(first)] => (beside, first),
+        results => return println!("skipped: no multicast here: {results:?}"),
+    };
+    let text = UdpSockets::bind(&options).unwrap_err().to_string();
+    assert!(text.contains(&format!("0.0.0.0:{port}")) && text.contains("choose another port"), "{text}");
+    assert!(UdpSockets::bind(&beside).is_ok());
+}
