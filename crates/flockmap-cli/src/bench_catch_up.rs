@@ -263,7 +263,7 @@ impl Flight {
             for number in 0..self.robots.len() {
                 while self.frames[number].next_stamp().is_some_and(|at| at <= self.now) {
                     if let Some(frame) = self.frames[number].next() {
-                        self.robots[number].insert_scan(self.now, &frame.scan, &frame.pose);
+                        self.robots[number].insert_scan(self.now, &frame.scan, &frame.pose)?;
                     }
                     progress.step();
                 }

@@ -2,7 +2,8 @@
 
 use std::time::Instant;
 
-use flockmap::{Cast, Destination, Event, Robot, RobotConfig, RobotId, Stamp};
+use anyhow::Context;
+use flockmap::{Cast, Destination, Event, PoseError, Robot, RobotConfig, RobotId, Stamp};
 use flockmap_sim::{RadioConfig, RadioEmulator, To};
 
 use crate::measure::Times;
@@ -104,7 +105,7 @@ pub fn run(
             last_scan = swarm.now;
             for number in 0..swarm.members.len() {
                 while swarm.members[number].next_scan.is_some_and(|at| at <= swarm.now) {
-                    swarm.insert_scan(number);
+                    swarm.insert_scan(number).with_context(|| format!("a scan of robot {}", number + 1))?;
                     progress.step();
                 }
             }
@@ -188,20 +189,21 @@ impl Swarm {
         self.transmit();
     }
 
-    fn insert_scan(&mut self, number: usize) {
+    fn insert_scan(&mut self, number: usize) -> Result<(), PoseError> {
         let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
         let member = &mut self.members[number];
         if let Some(frame) = member.frames.next() {
             for mate in &frame.team_mates {
                 if let Some(id) = ids.get(mate.number) {
-                    member.robot.set_teammate(*id, mate.position, self.now);
+                    member.robot.set_teammate(*id, mate.position, self.now)?;
                 }
             }
             let started = Instant::now();
-            let report = member.robot.insert_scan(self.now, &frame.scan, &frame.pose);
+            let report = member.robot.insert_scan(self.now, &frame.scan, &frame.pose)?;
             member.measures.scan(Some(started.elapsed()), &report, frame.scan.stamp);
         }
         member.next_scan = member.frames.next_stamp();
+        Ok(())
     }
 
     fn transmit(&mut self) {

@@ -70,7 +70,7 @@ fn info_shows_what_is_in_a_store() {
     for second in 1..=3i64 {
         let point = [second as f32, 2.0, 0.0];
         let scan = Scan { stamp: Stamp(second * 1_000_000), points: vec![point], no_returns: Vec::new() };
-        robot.insert_scan(scan.stamp, &scan, &Pose::IDENTITY);
+        robot.insert_scan(scan.stamp, &scan, &Pose::IDENTITY).unwrap();
         robot.flush(scan.stamp);
     }
     while let Some(event) = robot.poll_event() {

@@ -29,7 +29,7 @@ pub use mapper::{
     SensorModel, Sphere, Which,
 };
 pub use origin::{RobotId, Stamp, Stream, epoch, seconds_of_epoch};
-pub use pose::Pose;
+pub use pose::{Pose, PoseError};
 pub use present::{PresentState, PresentVoxels};
 pub use scan::Scan;
 pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};

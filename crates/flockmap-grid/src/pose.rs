@@ -2,12 +2,68 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
+use crate::{Resolution, VOXEL_LIMIT};
+
 /// A rigid transform. `T_a_b` takes coordinates in frame `b` (metres) to coordinates in frame `a`;
 /// `T_map_sensor` is the pose of the sensor in the map.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Pose {
     rotation: DQuat,
     translation: DVec3,
+}
+
+/// Why a pose or a position was refused. Nothing has been changed then.
+#[derive(Clone, Copy, PartialEq, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PoseError {
+    /// The position has a number that is none.
+    #[error(
+        "position {0:?} m is not finite: give no pose while the localisation has none, and look at where it was computed"
+    )]
+    Position([f64; 3]),
+    /// The rotation has a number that is none.
+    #[error(
+        "rotation {0:?} (quaternion x, y, z, w) is not finite: give no pose while the localisation has none, and look at \
+         where it was computed"
+    )]
+    Rotation([f64; 4]),
+    /// The position lies where the grid has no voxels, or too near to its end for a ray.
+    #[error(
+        "position {position:?} m lies beyond the grid, which at voxels of {resolution:?} goes to ±{limit_m:.1} m on each axis: \
+         take metres, from an origin near the robots"
+    )]
+    BeyondGrid {
+        /// Metres.
+        position: [f64; 3],
+        /// The farthest from the origin that a position may be on each axis, in metres.
+        limit_m: f64,
+        /// Side of a voxel.
+        resolution: Resolution,
+    },
+}
+
+/// Voxels between the farthest position that is taken and the end of the grid: room for the longest ray, so that every
+/// end has a voxel.
+const MARGIN: i32 = 1_024;
+
+impl Resolution {
+    /// Whether a sensor, a team-mate or the origin of a frame may be at this position (metres): finite, and at least 1,024 voxels
+    /// within the end of the grid.
+    ///
+    /// # Errors
+    /// [`PoseError`] says what was wrong.
+    pub fn check_position(self, position: [f64; 3]) -> Result<(), PoseError> {
+        let (scale, limit) = (1.0 / self.metres(), f64::from(VOXEL_LIMIT - MARGIN));
+        if !position.iter().all(|metres| metres.is_finite()) {
+            return Err(PoseError::Position(position));
+        }
+        let is_within = position.iter().all(|metres| (metres * scale).abs() <= limit);
+        is_within.then_some(()).ok_or(PoseError::BeyondGrid {
+            position,
+            limit_m: limit * self.metres(),
+            resolution: self,
+        })
+    }
 }
 
 impl Default for Pose {
@@ -32,12 +88,13 @@ impl Pose {
             .then(|| Self { rotation: if is_unit { rotation } else { rotation.normalize() }, translation })
     }
 
-    /// A translation in metres alone.
+    /// A translation in metres alone. Numbers that are not finite are refused where the pose is used: [`Self::check`].
     pub fn from_translation(translation: [f64; 3]) -> Self {
         Self { rotation: DQuat::IDENTITY, translation: DVec3::from_array(translation) }
     }
 
-    /// A translation in metres and a rotation of `yaw` radians about z.
+    /// A translation in metres and a rotation of `yaw` radians about z. Numbers that are not finite are refused where the pose
+    /// is used: [`Self::check`].
     pub fn from_yaw(translation: [f64; 3], yaw: f64) -> Self {
         Self { rotation: DQuat::from_rotation_z(yaw), translation: DVec3::from_array(translation) }
     }
@@ -58,6 +115,18 @@ impl Pose {
             rotation: DQuat::from_mat3(&rotation).normalize(),
             translation: DVec3::new(m[3], m[7], m[11]),
         })
+    }
+
+    /// Whether this is a pose that lies in a grid of this resolution. Whoever takes a pose asks this: one that was composed
+    /// of sound poses can be none.
+    ///
+    /// # Errors
+    /// [`PoseError`] says what was wrong.
+    pub fn check(&self, resolution: Resolution) -> Result<(), PoseError> {
+        if !self.rotation.is_finite() {
+            return Err(PoseError::Rotation(self.quaternion_xyzw()));
+        }
+        resolution.check_position(self.translation())
     }
 
     /// The translation in metres.
@@ -140,6 +209,68 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Numbers of every kind, those that are none and those at the limits among them.
+    fn number() -> impl Strategy<Value = f64> {
+        let special = [
+            0.0,
+            f64::NAN,
+            f64::INFINITY,
+            -f64::INFINITY,
+            1e300,
+            -1.7e308,
+            5e-324,
+            26_843_443.2,
+            26_843_444.0,
+        ];
+        prop_oneof![
+            3 => -100.0..100.0f64,
+            1 => prop::sample::select(special.to_vec()),
+            1 => any::<u64>().prop_map(f64::from_bits),
+        ]
+    }
+
+    proptest! {
+        /// Whatever it is made of: a pose that is taken brings every voxel of the grid to a place that is a number, and back.
+        #[test]
+        fn a_pose_is_taken_if_and_only_if_all_it_says_is_a_number_within_the_grid(
+            at in prop::array::uniform3(number()), turn in prop::array::uniform4(number()), yaw in number(),
+            chained in any::<bool>(),
+        ) {
+            let resolution = Resolution::from_metres(0.1).unwrap();
+            let poses = [Some(Pose::from_translation(at)), Some(Pose::from_yaw(at, yaw)), Pose::new(at, turn)];
+            for mut pose in poses.into_iter().flatten() {
+                if chained {
+                    pose = pose.compose(&Pose::from_yaw(at, 1.0)).inverse();
+                }
+                let all = [&pose.translation()[..], &pose.quaternion_xyzw()[..]].concat();
+                let is_number = all.iter().all(|number| number.is_finite());
+                let is_within = pose.translation().iter().all(|metres| metres.abs() <= 26_843_443.2);
+                let checked = pose.check(resolution);
+                prop_assert_eq!(checked.is_ok(), is_number && is_within, "{:?}: {:?}", pose, checked);
+                if checked.is_ok() {
+                    let far = resolution.centre(crate::Voxel::new(VOXEL_LIMIT, -VOXEL_LIMIT, VOXEL_LIMIT));
+                    let there = pose.transform(far);
+                    let back = pose.inverse().transform(there);
+                    let error = (0..3).map(|axis| (back[axis] - far[axis]).abs()).fold(0.0, f64::max);
+                    prop_assert!(error < 1e-3, "{error} m off at the end of the grid");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_pose_that_is_refused_says_what_was_wrong_and_what_to_do() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let said = |pose: Pose| pose.check(resolution).unwrap_err().to_string();
+        let text = said(Pose::from_translation([1.0, f64::NAN, 0.0]));
+        assert!(text.contains("position [1.0, NaN, 0.0] m is not finite"), "{text}");
+        let text = said(Pose::from_yaw([1.0, 2.0, 3.0], f64::INFINITY));
+        assert!(text.contains("rotation") && text.contains("NaN") && text.contains("give no pose"), "{text}");
+        let text = said(Pose::from_translation([0.0, 0.0, 1e300]));
+        assert!(text.contains("beyond the grid") && text.contains("±26843443.2 m"), "{text}");
+        assert_eq!(Pose::from_translation([26_843_443.2, -26_843_443.2, 0.0]).check(resolution), Ok(()));
     }
 
     #[test]

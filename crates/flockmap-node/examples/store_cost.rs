@@ -94,7 +94,7 @@ fn fly(robots: &mut [Robot; 2], store: &mut StoreWriter) -> anyhow::Result<(Dura
         let mut now = None;
         for (robot, flight) in robots.iter_mut().zip(&mut flights) {
             let Some(frame) = flight.next() else { continue };
-            robot.insert_scan(frame.scan.stamp, &frame.scan, &frame.t_map_sensor);
+            robot.insert_scan(frame.scan.stamp, &frame.scan, &frame.t_map_sensor)?;
             now = now.max(Some(frame.scan.stamp));
         }
         let Some(now) = now else { return Ok((noting, packages, bytes)) };

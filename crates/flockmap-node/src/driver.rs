@@ -68,7 +68,9 @@ impl<T: Transport> Driver<T> {
         commands: UnboundedReceiver<Command>,
     ) -> Self {
         for (origin, pose) in &options.alignments {
-            robot.set_alignment(*origin, pose);
+            if let Err(error) = robot.set_alignment(*origin, pose) {
+                options.log.warn(format!("no alignment of {origin:?}: {error}"));
+            }
         }
         for (origin, micros) in &options.clock_offsets {
             robot.set_clock_offset(*origin, Some(*micros));
@@ -242,18 +244,26 @@ impl<T: Transport> Driver<T> {
                 self.counters.points_dropped += frame.points_dropped;
                 self.counters.frames_late += u64::from(now.micros_since(frame.scan.stamp) > LATE_MICROS);
                 let began = Instant::now();
-                let report = self.robot.insert_scan(now, &frame.scan, &frame.t_map_sensor);
+                let report = match self.robot.insert_scan(now, &frame.scan, &frame.t_map_sensor) {
+                    Ok(report) => report,
+                    Err(error) => return self.take_fault(format!("scan left out: {error}")),
+                };
                 self.timings.insert_scan.add(micros(began.elapsed()));
                 if let Some(observer) = &mut self.options.observer {
                     observer(now, &self.robot, Observation::Scan { scan: &frame.scan, report: &report });
                 }
             }
-            Input::Alignment(robot, pose) => self.robot.set_alignment(robot, &pose),
-            Input::Teammate(robot, position) => self.robot.set_teammate(robot, position, now),
-            Input::Fault(text) => {
-                self.counters.sensor_faults += 1;
-                self.warn(|| text);
+            Input::Alignment(robot, pose) => {
+                if let Err(error) = self.robot.set_alignment(robot, &pose) {
+                    self.take_fault(format!("the alignment of {robot:?} stays as it was: {error}"));
+                }
             }
+            Input::Teammate(robot, position) => {
+                if let Err(error) = self.robot.set_teammate(robot, position, now) {
+                    self.take_fault(format!("where {robot:?} is was left out: {error}"));
+                }
+            }
+            Input::Fault(text) => self.take_fault(text),
             Input::GaveWay(text) => {
                 self.counters.sensor_gave_way += 1;
                 self.options.log.warn(text);
@@ -261,6 +271,12 @@ impl<T: Transport> Driver<T> {
             Input::Note(text) if text.is_empty() => {}
             Input::Note(text) => self.options.log.info(text),
         }
+    }
+
+    /// Counts something of the sensor that cannot be used, and says so.
+    fn take_fault(&mut self, text: String) {
+        self.counters.sensor_faults += 1;
+        self.warn(|| text);
     }
 
     fn end_inputs(&mut self) {

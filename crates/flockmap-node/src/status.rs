@@ -35,7 +35,7 @@ pub struct NodeCounters {
     pub frames_late: u64,
     /// Points that the reader of the record left out, since they are not finite.
     pub points_dropped: u64,
-    /// Faults of the sensor: damaged messages, frames that could not be read, stamps from another clock.
+    /// Faults of the sensor: damaged messages, frames that could not be read, stamps from another clock, poses and positions that are none.
     pub sensor_faults: u64,
     /// Silent sensor connections that were closed, since another program wanted in and there was no place.
     pub sensor_gave_way: u64,
@@ -271,7 +271,7 @@ pub(crate) fn node_counters(c: &NodeCounters) -> Named {
 }
 
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
-    fields!(c; scans points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes
+    fields!(c; scans scans_ahead points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes
             packages package_bytes merged waited waiting_dropped overtaken damaged no_room foreign_resolution
             present_states cycles_without_reference events_dropped)
 }

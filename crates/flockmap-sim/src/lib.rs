@@ -36,6 +36,9 @@ pub mod swarm;
 mod tracks;
 mod world;
 
+/// Why the place of a simulated robot is never refused.
+const IN_THE_WORLD: &str = "simulated robots are in their world, which is small";
+
 pub use exploration::{Ended, ExploreError, ExploreOptions, Explorer, Outcome, Progress, RobotProgress};
 pub use flight::Flight;
 pub use lidar::{

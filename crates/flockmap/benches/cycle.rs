@@ -104,7 +104,8 @@ fn bench(c: &mut Criterion) {
                             let Content::Changes(changes) = decoder.decode(&received).unwrap() else {
                                 unreachable!()
                             };
-                            fusion.apply(&own, stream, &changes, received.header().cycle_end).unwrap();
+                            let end = received.header().cycle_end;
+                            fusion.apply(&own, stream, &changes, end, end).unwrap();
                         }
                     },
                     BatchSize::LargeInput,

@@ -13,7 +13,7 @@
 //! // Alice sees a wall 2 m ahead of her; Bob sees nothing.
 //! let points = (-10..10).map(|y| [2.05, y as f32 * 0.1 + 0.05, 0.05]).collect();
 //! let scan = Scan { stamp: Stamp(100_000), points, no_returns: Vec::new() };
-//! alice.insert_scan(scan.stamp, &scan, &Pose::IDENTITY);
+//! alice.insert_scan(scan.stamp, &scan, &Pose::IDENTITY)?;
 //!
 //! // A radio without loss. With loss it takes a little longer.
 //! let mut now = scan.stamp;
@@ -57,8 +57,8 @@ pub use flockmap_codec as codec;
 pub use flockmap_codec::{Codec, Cycle, Package};
 pub use flockmap_grid as grid;
 pub use flockmap_grid::{
-    Changes, Fusion, FusionConfig, MapView, Mapper, MapperConfig, Pose, Preset, RayEnd, Resolution, RobotId,
-    Scan, ScanReport, Sphere, Stamp, State, Stream, Voxel, VoxelBox, epoch,
+    Changes, Fusion, FusionConfig, MapView, Mapper, MapperConfig, Pose, PoseError, Preset, RayEnd,
+    Resolution, RobotId, Scan, ScanReport, Sphere, Stamp, State, Stream, Voxel, VoxelBox, epoch,
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};

@@ -12,7 +12,9 @@ use publish::{Held, believed_occupied};
 use std::collections::{BTreeMap, BTreeSet};
 
 use flockmap_codec::{Decoder, Encoder, Span};
-use flockmap_grid::{Fusion, MapView, Mapper, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, Stream, Which};
+use flockmap_grid::{
+    Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, Stream, Which,
+};
 use flockmap_sync::wire::DatagramError;
 use flockmap_sync::{Path, Session, Transmit};
 
@@ -36,6 +38,8 @@ const TEAMMATES_MAX: usize = 1_024;
 pub struct Robot {
     config: RobotConfig,
     own: Stream,
+    /// The newest time that came with an input.
+    now: Stamp,
     mapper: Mapper,
     packer: Packer,
     encoder: Encoder,
@@ -70,7 +74,8 @@ struct Teammate {
 }
 
 impl Robot {
-    /// A robot with an empty map. `now` is the time on its clock; every later `now` must not be before it.
+    /// A robot with an empty map. `now` is the time on its clock. Every later `now` must not be before it; where one is, time is taken to
+    /// stand still.
     ///
     /// # Errors
     /// [`RobotError`] names the option that cannot work.
@@ -88,6 +93,7 @@ impl Robot {
         let resolution = config.mapper.resolution;
         Ok(Self {
             own,
+            now,
             mapper: Mapper::new(config.mapper.clone())?,
             packer: Packer::new(config.cycle, own, resolution, now),
             encoder: Encoder::new(),
@@ -116,27 +122,45 @@ impl Robot {
 
     /// Takes in a scan made at `T_map_sensor`. Only maps: a cycle that is due is closed by the next
     /// [`handle_timeout`](Self::handle_timeout), and [`poll_timeout`](Self::poll_timeout) says so.
+    ///
+    /// No scan is made after `now`: one with a stamp ahead of it counts as made now, in the map and for the others, and is counted
+    /// ([`RobotCounters::scans_ahead`]).
+    ///
+    /// # Errors
+    /// [`PoseError`] if the pose is none or lies beyond the grid; nothing is changed then.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub fn insert_scan(&mut self, now: Stamp, scan: &Scan, T_map_sensor: &Pose) -> ScanReport {
+    pub fn insert_scan(
+        &mut self,
+        now: Stamp,
+        scan: &Scan,
+        T_map_sensor: &Pose,
+    ) -> Result<ScanReport, PoseError> {
+        T_map_sensor.check(self.config.mapper.resolution)?;
+        let now = self.advance(now);
+        let stamp = scan.stamp.min(now);
         let timeout = 1_000 * i64::from(self.config.teammate_timeout_ms);
-        let masks: Vec<Sphere> = self
-            .teammates
-            .values()
-            .filter(|teammate| now.micros_since(teammate.seen) <= timeout)
-            .map(|teammate| Sphere { centre: teammate.position, radius: self.config.teammate_radius_m })
-            .collect();
-        let report = self.mapper.insert(scan, T_map_sensor, &masks);
-        self.packer.note_scan(scan.stamp, T_map_sensor);
+        let radius = self.config.teammate_radius_m;
+        let masks = self.teammates.values_mut().filter_map(|teammate| {
+            // Else it would not be taken for an obstacle for as long as its clock is ahead.
+            teammate.seen = teammate.seen.min(now);
+            let is_fresh = now.micros_since(teammate.seen) <= timeout;
+            is_fresh.then_some(Sphere { centre: teammate.position, radius })
+        });
+        let masks: Vec<Sphere> = masks.collect();
+        let report = self.mapper.insert_at(stamp, scan, T_map_sensor, &masks);
+        self.packer.note_scan(stamp, T_map_sensor);
         self.fusion.own_scan(&self.mapper, &report);
         self.counters.scans += 1;
+        self.counters.scans_ahead += u64::from(scan.stamp > now);
         self.counters.points_ignored += report.ignored as u64;
         self.counters.points_masked += report.masked as u64;
         self.counters.blocks_forgotten += report.forgotten.len() as u64;
-        report
+        Ok(report)
     }
 
     /// Lets time pass: closes the cycle that is due, and does what the session has to do.
     pub fn handle_timeout(&mut self, now: Stamp) {
+        let now = self.advance(now);
         self.session.handle_timeout(now);
         while let Some((cycle, changes)) = self.close_due(now) {
             self.publish(now, cycle, changes);
@@ -149,6 +173,7 @@ impl Robot {
     /// # Errors
     /// What was wrong with it. It is counted already and needs no action.
     pub fn handle_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
+        let now = self.advance(now);
         let result = self.session.handle_datagram(now, bytes);
         self.after_datagram(now);
         result
@@ -165,6 +190,7 @@ impl Robot {
         path: Path,
         bytes: &[u8],
     ) -> Result<(), DatagramError> {
+        let now = self.advance(now);
         let result = self.session.handle_datagram_from(now, path, bytes);
         self.after_datagram(now);
         result
@@ -181,16 +207,21 @@ impl Robot {
 
     /// Closes the cycle now, with whatever has changed.
     pub fn flush(&mut self, now: Stamp) {
+        let now = self.advance(now);
         if let Some((cycle, changes)) = self.packer.close(now, &mut self.mapper) {
             self.publish(now, cycle, changes);
         }
         self.answer_session(now);
     }
 
-    /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again. O(voxels known).
+    /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again. What comes to lie beyond the end of
+    /// the grid is left out of the fused map. O(voxels known).
+    ///
+    /// # Errors
+    /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; the alignment stays as it was then.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub fn set_alignment(&mut self, origin: RobotId, T_own_origin: &Pose) {
-        self.fusion.set_alignment(&self.mapper, origin, T_own_origin);
+    pub fn set_alignment(&mut self, origin: RobotId, T_own_origin: &Pose) -> Result<(), PoseError> {
+        self.fusion.set_alignment(&self.mapper, origin, T_own_origin)
     }
 
     /// Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is measured.
@@ -208,18 +239,24 @@ impl Robot {
         self.fusion.set_muted(&self.mapper, origin, is_muted);
     }
 
-    /// Says where a team-mate is, in metres in the frame of the own map, so that it is not taken for an obstacle.
-    /// Positions of at most 1,024 robots are kept.
-    pub fn set_teammate(&mut self, id: RobotId, position: [f64; 3], seen: Stamp) {
+    /// Says where a team-mate is, in metres in the frame of the own map, so that it is not taken for an obstacle. `seen` is on the own
+    /// clock; one ahead of it counts as the time of the next scan. Positions of at most 1,024 robots are kept.
+    ///
+    /// # Errors
+    /// [`PoseError`] if the position is not finite or lies beyond the grid; the one before is kept then, for as long as it counts.
+    pub fn set_teammate(&mut self, id: RobotId, position: [f64; 3], seen: Stamp) -> Result<(), PoseError> {
+        self.config.mapper.resolution.check_position(position)?;
         if self.teammates.len() < TEAMMATES_MAX || self.teammates.contains_key(&id) {
             self.teammates.insert(id, Teammate { position, seen });
         }
+        Ok(())
     }
 
     // Outputs.
 
     /// The next datagram to send, until `None`.
     pub fn poll_transmit(&mut self, now: Stamp) -> Option<Transmit> {
+        let now = self.advance(now);
         let transmit = self.session.poll_transmit(now);
         self.answer_session(now);
         transmit
@@ -314,6 +351,12 @@ impl Robot {
             }
             Err(error) => self.push_event(Event::EncodeFailed(error)),
         }
+    }
+
+    /// The time of an input. A clock that is set back stands still until it has come up again.
+    fn advance(&mut self, now: Stamp) -> Stamp {
+        self.now = self.now.max(now);
+        self.now
     }
 
     fn push_event(&mut self, event: Event) {

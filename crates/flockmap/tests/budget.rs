@@ -76,7 +76,7 @@ fn who_never_has_enough_cannot_hold_back_the_map_of_the_others() {
     for ms in 0..40_000 {
         let now = Stamp(ms * 1_000);
         if ms % 100 == 0 {
-            robot.insert_scan(now, &scan(&mut random, now), &pose(ms as i32 / 100));
+            robot.insert_scan(now, &scan(&mut random, now), &pose(ms as i32 / 100)).unwrap();
             // It hears this robot, and states that it holds all but the newest five, again and again.
             let newest = robot.session().held(own).and_then(|held| held.last()).unwrap_or(0);
             let held = IntervalSet::from_intervals(4, vec![(1, newest.max(6) - 5)]);

@@ -109,7 +109,7 @@ fn a_team_mates_frame_may_change_later_without_a_resend() {
     let bob = &mut swarm.robots[1];
     assert_eq!(bob.map().state_at([3.1, 0.1, 0.1]), State::Occupied);
     let turned = Pose::from_yaw([0.0, 10.0, 0.0], core::f64::consts::FRAC_PI_2);
-    bob.set_alignment(RobotId(1), &turned);
+    bob.set_alignment(RobotId(1), &turned).unwrap();
     assert_eq!(bob.map().state_at([3.1, 0.1, 0.1]), State::Unknown);
     assert_eq!(bob.map().state_at(turned.transform([3.1, 0.1, 0.1])), State::Occupied);
     assert_eq!(swarm.bytes, bytes);
@@ -118,13 +118,13 @@ fn a_team_mates_frame_may_change_later_without_a_resend() {
 #[test]
 fn a_team_mate_in_sight_is_not_mapped() {
     let mut robot = Robot::new(config(1), Stamp(0)).unwrap();
-    robot.set_teammate(RobotId(2), [3.0, 0.0, 0.0], Stamp(0));
+    robot.set_teammate(RobotId(2), [3.0, 0.0, 0.0], Stamp(0)).unwrap();
     let scan = |stamp| flockmap::Scan { stamp, points: vec![[2.9, 0.1, 0.1]], no_returns: Vec::new() };
-    robot.insert_scan(Stamp(100_000), &scan(Stamp(100_000)), &Pose::IDENTITY);
+    robot.insert_scan(Stamp(100_000), &scan(Stamp(100_000)), &Pose::IDENTITY).unwrap();
     assert_eq!(robot.map().state_at([2.9, 0.1, 0.1]), State::Unknown);
     assert_eq!(robot.counters().points_masked, 1);
     // Two seconds later nobody knows where the team-mate is: what is seen is an obstacle.
-    robot.insert_scan(Stamp(2_100_000), &scan(Stamp(2_100_000)), &Pose::IDENTITY);
+    robot.insert_scan(Stamp(2_100_000), &scan(Stamp(2_100_000)), &Pose::IDENTITY).unwrap();
     assert_eq!(robot.map().state_at([2.9, 0.1, 0.1]), State::Occupied);
 }
 

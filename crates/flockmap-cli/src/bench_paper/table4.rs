@@ -121,6 +121,7 @@ fn one_cycle(
                     header.stream,
                     &decoded,
                     header.cycle_end,
+                    header.cycle_end,
                 )?;
             }
         }

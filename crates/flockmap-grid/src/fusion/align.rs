@@ -40,6 +40,7 @@ impl Rigid {
 }
 
 impl Alignment {
+    /// Of a pose that lies in the grid. What it brings beyond the end of the grid is not there.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub(super) fn new(T_own_origin: &Pose, resolution: Resolution) -> Self {
         Self {
@@ -93,7 +94,9 @@ impl Alignment {
                 let image = self.forward.voxel(voxel);
                 if image.in_limits() {
                     add(image);
-                    neighbours(image).filter(|near| self.backward.voxel(*near) == voxel).for_each(&mut add);
+                    // At the end of the grid there are neighbours that lie beyond it.
+                    let near = neighbours(image).filter(|near| near.in_limits());
+                    near.filter(|near| self.backward.voxel(*near) == voxel).for_each(&mut add);
                 }
             }
         }

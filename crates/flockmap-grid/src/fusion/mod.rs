@@ -1,16 +1,18 @@
 //! Fusion: own observations and the layers of all others, aligned into one map; the newest stamp wins (Sec. IV-C).
 
 mod align;
+mod received;
 mod view;
 
 use std::collections::BTreeMap;
 
 use crate::layer::SENSOR_BYTES;
 use crate::{
-    BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, PresentState, Resolution, RobotId,
-    ScanReport, Stamp, State, StateBlock, Stream, Voxel, bit_of,
+    BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, PoseError, PresentState, Resolution,
+    RobotId, ScanReport, Stamp, State, StateBlock, Stream, Voxel, bit_of,
 };
 use align::Alignment;
+use received::Received;
 use view::VIEW_BLOCK_BYTES;
 pub use view::{MapView, RayEnd};
 
@@ -82,13 +84,28 @@ pub struct Fusion {
     config: FusionConfig,
     own: Stream,
     resolution: Resolution,
-    layers: BTreeMap<Stream, Layer>,
-    /// Of the layers of others.
+    sources: BTreeMap<Stream, Source>,
+    /// Of the sources of others.
     layer_bytes: usize,
     origins: BTreeMap<RobotId, Origin>,
     /// Of origins for which nothing was set.
     unset: Origin,
     view: MapView,
+}
+
+/// What came of a stream.
+#[derive(Default)]
+struct Source {
+    /// The same on every robot that has applied the same, with the stamps of the origin.
+    layer: Layer,
+    /// When it came here. Of the own stream nothing is noted: the mapper says what was seen when.
+    received: Received,
+}
+
+impl Source {
+    fn memory_bytes(&self) -> usize {
+        self.layer.memory_bytes() + self.received.memory_bytes()
+    }
 }
 
 /// What is set for the layers of an origin.
@@ -107,7 +124,7 @@ impl Fusion {
             config,
             own,
             resolution,
-            layers: BTreeMap::new(),
+            sources: BTreeMap::new(),
             layer_bytes: 0,
             origins: BTreeMap::new(),
             unset: Origin::new(Alignment::new(&Pose::IDENTITY, resolution)),
@@ -127,12 +144,12 @@ impl Fusion {
 
     /// The layer of a stream.
     pub fn layer(&self, stream: Stream) -> Option<&Layer> {
-        self.layers.get(&stream)
+        self.sources.get(&stream).map(|source| &source.layer)
     }
 
     /// All layers in ascending order of their streams.
     pub fn layers(&self) -> impl Iterator<Item = (Stream, &Layer)> {
-        self.layers.iter().map(|(stream, layer)| (*stream, layer))
+        self.sources.iter().map(|(stream, source)| (*stream, &source.layer))
     }
 
     /// Takes in what the mapper made of a scan.
@@ -146,7 +163,9 @@ impl Fusion {
     }
 
     /// Takes changes into the layer of a stream, and from there into the fused map. `stamp` is on the clock of the
-    /// origin. Returns how many voxels of the layer were taken over (older ones are not).
+    /// origin, `now` on the own one. In the layer the stamp stands as it is; among layers, and beside what the robot sees itself, what came
+    /// now counts as made now at the latest, to a quarter of a second. Returns how many voxels of the layer were taken over (older
+    /// ones are not).
     ///
     /// # Errors
     /// [`FusionError`] if the layers would grow beyond their limits; nothing is changed then.
@@ -156,10 +175,11 @@ impl Fusion {
         stream: Stream,
         changes: &Changes,
         stamp: Stamp,
+        now: Stamp,
     ) -> Result<usize, FusionError> {
         // Its sensor is noted when it has been applied.
         self.check_room(mapper, stream, core::iter::once(changes), 1)?;
-        Ok(self.take_over(mapper, stream, |layer| layer.apply(changes, stamp)))
+        Ok(self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(changes, stamp)))
     }
 
     /// The same for a present state, or a tile of one: every voxel has its own stamp.
@@ -171,10 +191,12 @@ impl Fusion {
         mapper: &Mapper,
         stream: Stream,
         state: &PresentState,
+        now: Stamp,
     ) -> Result<usize, FusionError> {
         let parts = state.parts.iter().map(|(_, part)| part);
         self.check_room(mapper, stream, parts, state.sensors.len())?;
-        Ok(self.take_over(mapper, stream, |layer| layer.apply_present(state)))
+        let newest = state.parts.iter().map(|(stamp, _)| *stamp).max();
+        Ok(self.take_over(mapper, stream, (newest, now), |layer| layer.apply_present(state)))
     }
 
     /// Bytes that the layers of others hold, with what of the fused map the own map does not account for. O(1).
@@ -190,15 +212,16 @@ impl Fusion {
         parts: impl ExactSizeIterator<Item = &'a Changes>,
         sensors: usize,
     ) -> Result<(), FusionError> {
-        let layer = self.layers.get(&stream);
-        if layer.is_none() && self.layers.len() >= self.config.streams_max {
+        let source = self.sources.get(&stream);
+        if source.is_none() && self.sources.len() >= self.config.streams_max {
             return Err(FusionError::StreamsFull(stream, self.config.streams_max));
         }
-        let nothing = Layer::default();
-        let (growth, new_blocks) = layer.unwrap_or(&nothing).growth_max(parts);
+        let nothing = Source::default();
+        let Source { layer, received } = source.unwrap_or(&nothing);
+        let (growth, new_blocks) = layer.growth_max(parts);
         let layer_growth = growth + sensors * SENSOR_BYTES;
         if stream == self.own {
-            let (held, max) = (layer.map_or(0, Layer::memory_bytes), self.config.own_layer_bytes_max);
+            let (held, max) = (layer.memory_bytes(), self.config.own_layer_bytes_max);
             let is_within = held + layer_growth <= max;
             return is_within.then_some(()).ok_or(FusionError::OwnLayerFull {
                 held,
@@ -213,20 +236,29 @@ impl Fusion {
             (false, false) => new_blocks * REACHED_BLOCKS,
         };
         let (held, max) = (self.memory_bytes_of_others(mapper), self.config.layer_bytes_max);
-        let more = layer_growth + reached * VIEW_BLOCK_BYTES;
+        let more = layer_growth + received.growth_max() + reached * VIEW_BLOCK_BYTES;
         if held + more <= max { Ok(()) } else { Err(FusionError::LayersFull { held, more, max }) }
     }
 
-    /// Lets a layer take something over, and brings what it took into the fused map. Returns the number of voxels.
+    /// Lets a layer take something over that came now, up to this stamp, and brings what it took into the fused map. Returns the number
+    /// of voxels.
     fn take_over(
         &mut self,
         mapper: &Mapper,
         stream: Stream,
+        (newest, now): (Option<Stamp>, Stamp),
         apply: impl FnOnce(&mut Layer) -> Vec<(BlockIndex, Plane)>,
     ) -> usize {
-        let taken = self.change_layer(stream, apply);
+        let clock_offset_micros = self.origin(stream.origin).clock_offset_micros;
+        let newest = newest.filter(|_| stream != self.own);
+        let (taken, is_made_otherwise) = self.change_source(stream, |source| {
+            let changed = newest.is_some_and(|stamp| source.received.note(stamp, now, clock_offset_micros));
+            (apply(&mut source.layer), changed)
+        });
         let origin = self.origin(stream.origin);
-        if stream != self.own
+        if is_made_otherwise {
+            self.rebuild(mapper);
+        } else if stream != self.own
             && !origin.is_muted
             && !crate::mutation::is(crate::mutation::Mutation::FusionSkipped)
         {
@@ -237,53 +269,63 @@ impl Fusion {
         taken.iter().flat_map(|(_, mask)| mask).map(|word| word.count_ones() as usize).sum()
     }
 
-    /// Changes a layer, and the count of bytes with it.
-    fn change_layer<T>(&mut self, stream: Stream, change: impl FnOnce(&mut Layer) -> T) -> T {
-        let layer = self.layers.entry(stream).or_default();
-        let before = layer.memory_bytes();
-        let result = change(layer);
+    /// Changes a source, and the count of bytes with it.
+    fn change_source<T>(&mut self, stream: Stream, change: impl FnOnce(&mut Source) -> T) -> T {
+        let source = self.sources.entry(stream).or_default();
+        let before = source.memory_bytes();
+        let result = change(source);
         if stream != self.own {
-            self.layer_bytes = self.layer_bytes + layer.memory_bytes() - before;
+            self.layer_bytes = self.layer_bytes + source.memory_bytes() - before;
         }
         result
     }
 
     /// Notes where the sensor was in a cycle of a stream, if there is a layer of it: [`Layer::note_sensor`].
     pub fn note_sensor(&mut self, stream: Stream, stamp: Stamp, sensor: [i32; 3]) {
-        if self.layers.contains_key(&stream) {
-            self.change_layer(stream, |layer| layer.note_sensor(stamp, sensor));
+        if self.sources.contains_key(&stream) {
+            self.change_source(stream, |source| source.layer.note_sensor(stamp, sensor));
         }
     }
 
     /// The own stream is another one from now on, without a layer; that of the former one is forgotten.
     pub fn begin_run(&mut self, own: Stream) {
-        self.layers.remove(&self.own);
+        self.sources.remove(&self.own);
         self.own = own;
     }
 
     /// Forgets the layer of a stream; and with the last one of an origin how far its clock is off, unless it has an alignment or is muted.
     pub fn forget(&mut self, mapper: &Mapper, stream: Stream) {
-        if let Some(layer) = self.layers.remove(&stream) {
+        if let Some(source) = self.sources.remove(&stream) {
             if stream != self.own {
-                self.layer_bytes -= layer.memory_bytes();
+                self.layer_bytes -= source.memory_bytes();
             }
             self.rebuild(mapper);
         }
         // Else the list of origins would grow with every robot that ever came by.
         let origin = self.origin(stream.origin);
         let is_plain = origin.alignment.is_identity() && !origin.is_muted;
-        if is_plain && !self.layers.keys().any(|other| other.origin == stream.origin) {
+        if is_plain && !self.sources.keys().any(|other| other.origin == stream.origin) {
             self.origins.remove(&stream.origin);
         }
     }
 
     /// Says how an origin's frame lies in this robot's frame. Nothing has to be sent again: the fused map is made anew
-    /// from the layers. O(voxels of all layers).
+    /// from the layers. What comes to lie beyond the end of the grid is left out. O(voxels of all layers).
+    ///
+    /// # Errors
+    /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; nothing is changed then.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub fn set_alignment(&mut self, mapper: &Mapper, origin: RobotId, T_own_origin: &Pose) {
+    pub fn set_alignment(
+        &mut self,
+        mapper: &Mapper,
+        origin: RobotId,
+        T_own_origin: &Pose,
+    ) -> Result<(), PoseError> {
+        T_own_origin.check(self.resolution)?;
         let alignment = Alignment::new(T_own_origin, self.resolution);
         self.origin_mut(origin).alignment = alignment;
         self.rebuild(mapper);
+        Ok(())
     }
 
     /// Says how far this robot's clock is ahead of an origin's: own time = origin's time + offset. Microseconds.
@@ -305,8 +347,8 @@ impl Fusion {
     pub fn rebuild(&mut self, mapper: &Mapper) {
         self.view.clear();
         let mut reached: BTreeMap<BlockIndex, Plane> = mapper.blocks().map(|(i, b)| (i, b.known())).collect();
-        for (origin, layer) in self.heard() {
-            let known: Vec<_> = layer.blocks().map(|(index, block)| (index, block.known())).collect();
+        for (origin, source) in self.heard() {
+            let known: Vec<_> = source.layer.blocks().map(|(index, block)| (index, block.known())).collect();
             for (index, mask) in origin.alignment.reach(&known).iter() {
                 let all = reached.entry(*index).or_default();
                 *all = core::array::from_fn(|z| all[z] | mask[z]);
@@ -325,11 +367,11 @@ impl Fusion {
         self.origins.entry(id).or_insert_with(|| self.unset.clone())
     }
 
-    /// The layers that have a say in the fused map.
-    fn heard(&self) -> impl Iterator<Item = (&Origin, &Layer)> {
-        let others = self.layers.iter().filter(|(stream, _)| **stream != self.own);
+    /// The sources that have a say in the fused map.
+    fn heard(&self) -> impl Iterator<Item = (&Origin, &Source)> {
+        let others = self.sources.iter().filter(|(stream, _)| **stream != self.own);
         others
-            .map(|(stream, layer)| (self.origin(stream.origin), layer))
+            .map(|(stream, source)| (self.origin(stream.origin), source))
             .filter(|(origin, _)| !origin.is_muted)
     }
 
@@ -338,8 +380,8 @@ impl Fusion {
     fn refresh(&mut self, mapper: &Mapper, index: BlockIndex, mask: &Plane) {
         let mut fused = mapper.block(index).map_or_else(StateBlock::default, |block| block.masked(mask));
         let mut contested = [0u64; 8];
-        for (origin, layer) in self.heard() {
-            let Some(told) = origin.block(layer, index, mask) else { continue };
+        for (origin, source) in self.heard() {
+            let Some(told) = origin.block(&source.layer, index, mask) else { continue };
             let (known, new) = (fused.known(), told.known());
             for z in 0..8 {
                 contested[z] |= known[z] & new[z];
@@ -352,15 +394,15 @@ impl Fusion {
         self.view.write(index, mask, &fused);
     }
 
-    /// The word with the newest stamp on this robot's clock; at equal stamps Occupied.
+    /// The word that was made last on this robot's clock; of those made together, Occupied.
     fn winner(&self, mapper: &Mapper, voxel: Voxel) -> State {
         let own = mapper.state(voxel);
         let own_stamp = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
         let own = (own != State::Unknown)
             .then(|| (own_stamp.plus_micros(self.config.own_priority_micros), own == State::Occupied));
-        let told = self.heard().filter_map(|(origin, layer)| {
-            let (state, stamp) = origin.look_up(layer, voxel)?;
-            Some((stamp.plus_micros(origin.clock_offset_micros), state == State::Occupied))
+        let told = self.heard().filter_map(|(origin, source)| {
+            let (state, stamp) = origin.look_up(&source.layer, voxel)?;
+            Some((source.received.made(stamp, origin.clock_offset_micros), state == State::Occupied))
         });
         match told.chain(own).max() {
             None => State::Unknown,

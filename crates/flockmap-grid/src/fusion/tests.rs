@@ -23,6 +23,7 @@ fn naive(
     fusion: &Fusion,
     alignments: &BTreeMap<u16, Pose>,
     offsets: &BTreeMap<u16, i64>,
+    arrivals: &[(Stream, Stamp, Stamp)],
 ) -> BTreeMap<Voxel, State> {
     let mut words: BTreeMap<Voxel, Vec<(Stamp, bool)>> = BTreeMap::new();
     for (index, block) in mapper.blocks() {
@@ -32,7 +33,12 @@ fn naive(
         }
     }
     let everywhere = VoxelBox::spanning(Voxel::new(-60, -60, -60), Voxel::new(60, 60, 60)).unwrap();
-    for (stream, layer) in fusion.layers() {
+    for (stream, layer) in fusion.layers().filter(|(stream, _)| *stream != OWN) {
+        // Before the end of the quarter of a second in which something of the stream came that is as new.
+        let came_by = |stamp: Stamp| {
+            let as_new = arrivals.iter().filter(|(of, newest, _)| *of == stream && *newest >= stamp);
+            Stamp(as_new.map(|(_, _, now)| (now.0 / 250_000 + 1) * 250_000).min().unwrap())
+        };
         let pose = alignments.get(&stream.origin.0).copied().unwrap_or_default();
         let offset = offsets.get(&stream.origin.0).copied().unwrap_or(0);
         let mut told: BTreeMap<Voxel, (Stamp, bool)> = BTreeMap::new();
@@ -50,7 +56,8 @@ fn naive(
             }
         }
         for (voxel, (stamp, occupied)) in told {
-            words.entry(voxel).or_default().push((stamp.plus_micros(offset), occupied));
+            let made = stamp.plus_micros(offset).min(came_by(stamp));
+            words.entry(voxel).or_default().push((made, occupied));
         }
     }
     let state = |words: Vec<(Stamp, bool)>| match words.into_iter().max() {
@@ -67,6 +74,11 @@ enum Event {
     Align { origin: u16, pose: Pose },
 }
 
+/// Stamps of all kinds: the events of a test take five seconds at most.
+fn time() -> impl Strategy<Value = i64> {
+    prop_oneof![8 => -1_000_000..8_000_000i64, 1 => prop::sample::select(vec![i64::MIN, i64::MAX])]
+}
+
 fn event() -> impl Strategy<Value = Event> {
     let point = [-9.0..9.0f32, -9.0..9.0f32, -3.0..3.0f32];
     let voxel = (-14..14i32, -14..14i32, -5..5i32).prop_map(|(x, y, z)| Voxel::new(x, y, z));
@@ -75,9 +87,9 @@ fn event() -> impl Strategy<Value = Event> {
         ([-3.0..3.0f64, -3.0..3.0f64, -1.0..1.0f64], [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64, 0.3..1.0f64])
             .prop_map(|(t, q)| Pose::new(t, q).unwrap());
     prop_oneof![
-        3 => (0..100i64, prop::collection::vec(point, 1..12))
+        3 => (time(), prop::collection::vec(point, 1..12))
             .prop_map(|(stamp, points)| Event::Scan { stamp, points }),
-        5 => (2..4u16, 0..100i64, prop::collection::vec((voxel, state), 1..60))
+        5 => (2..4u16, time(), prop::collection::vec((voxel, state), 1..60))
             .prop_map(|(origin, stamp, voxels)| Event::Package { origin, stamp, voxels }),
         1 => (2..4u16, pose).prop_map(|(origin, pose)| Event::Align { origin, pose }),
     ]
@@ -89,14 +101,16 @@ proptest! {
     /// Whatever happens in whatever order, the map that is kept up to date is the map made from scratch.
     #[test]
     fn the_fused_map_is_what_the_rules_say(
-        events in prop::collection::vec(event(), 1..14), offset in -20..20i64, with_alignment in any::<bool>(),
+        events in prop::collection::vec((event(), 0..700_000i64), 1..14),
+        offsets in [-2_000_000..2_000_000i64, -2_000_000..2_000_000i64], with_alignment in any::<bool>(),
     ) {
         let mut mapper = mapper();
-        let config = FusionConfig { own_priority_micros: 5, ..FusionConfig::default() };
+        let config = FusionConfig { own_priority_micros: 500_000, ..FusionConfig::default() };
         let mut fusion = Fusion::new(OWN, resolution(), config);
-        fusion.set_clock_offset(RobotId(3), offset);
-        let mut alignments = BTreeMap::new();
-        for event in events {
+        fusion.set_clock_offset(RobotId(3), offsets[0]);
+        let (mut alignments, mut arrivals, mut now) = (BTreeMap::new(), Vec::new(), Stamp(0));
+        for (event, pause) in events {
+            now = now.plus_micros(pause);
             match event {
                 Event::Scan { stamp, points } => {
                     let scan = Scan { stamp: Stamp(stamp), points, no_returns: Vec::new() };
@@ -104,25 +118,33 @@ proptest! {
                     fusion.own_scan(&mapper, &report);
                     // What is published of oneself must change nothing in one's own fused map.
                     let changes = mapper.take_changes(Which::All);
-                    fusion.apply(&mapper, OWN, &changes, Stamp(stamp)).unwrap();
+                    fusion.apply(&mapper, OWN, &changes, Stamp(stamp), now).unwrap();
                 }
                 Event::Package { origin, stamp, voxels } => {
-                    fusion.apply(&mapper, stream(origin), &Changes::from_voxels(voxels), Stamp(stamp)).unwrap();
+                    let changes = Changes::from_voxels(voxels);
+                    fusion.apply(&mapper, stream(origin), &changes, Stamp(stamp), now).unwrap();
+                    arrivals.push((stream(origin), Stamp(stamp), now));
                 }
                 Event::Align { origin, pose } if with_alignment => {
-                    fusion.set_alignment(&mapper, RobotId(origin), &pose);
+                    fusion.set_alignment(&mapper, RobotId(origin), &pose).unwrap();
                     alignments.insert(origin, pose);
                 }
                 Event::Align { .. } => {}
             }
         }
-        fusion.layers.remove(&OWN);
-        let expected = naive(&mapper, &fusion, &alignments, &BTreeMap::from([(3, offset)]));
+        let mut clocks = BTreeMap::from([(3, offsets[0])]);
+        let expected = naive(&mapper, &fusion, &alignments, &clocks, &arrivals);
         let found: BTreeMap<Voxel, State> = fusion.map().voxels().collect();
         let differing: Vec<_> = expected.iter().filter(|(v, s)| found.get(v) != Some(s)).take(5).collect();
         prop_assert!(differing.is_empty(), "{differing:?}");
         prop_assert_eq!(found.len(), expected.len());
         fusion.rebuild(&mapper);
+        prop_assert_eq!(fusion.map().voxels().collect::<BTreeMap<_, _>>(), expected);
+        // A clock that turns out to be off otherwise changes when all was made, but for what would have come before.
+        fusion.set_clock_offset(RobotId(3), offsets[1]);
+        fusion.rebuild(&mapper);
+        clocks.insert(3, offsets[1]);
+        let expected = naive(&mapper, &fusion, &alignments, &clocks, &arrivals);
         prop_assert_eq!(fusion.map().voxels().collect::<BTreeMap<_, _>>(), expected);
     }
 }
@@ -136,9 +158,11 @@ fn a_view_stays_as_it_was_while_the_map_goes_on() {
     let mapper = mapper();
     let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
     let (a, b) = (Voxel::new(1, 2, 3), Voxel::new(100, -200, 3));
-    fusion.apply(&mapper, stream(2), &told(&[(a, State::Free)]), Stamp(1)).unwrap();
+    fusion.apply(&mapper, stream(2), &told(&[(a, State::Free)]), Stamp(1), Stamp(1)).unwrap();
     let before = fusion.view();
-    fusion.apply(&mapper, stream(2), &told(&[(a, State::Occupied), (b, State::Free)]), Stamp(2)).unwrap();
+    fusion
+        .apply(&mapper, stream(2), &told(&[(a, State::Occupied), (b, State::Free)]), Stamp(2), Stamp(2))
+        .unwrap();
     assert_eq!((before.state(a), before.state(b)), (State::Free, State::Unknown));
     assert_eq!((fusion.map().state(a), fusion.map().state(b)), (State::Occupied, State::Free));
     assert_eq!(fusion.map().changed_since(before.version()), [a.block(), b.block()]);
@@ -150,7 +174,7 @@ fn muting_an_origin_takes_it_out_and_unmuting_brings_it_back_without_a_resend() 
     let mapper = mapper();
     let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
     let voxel = Voxel::new(1, 2, 3);
-    fusion.apply(&mapper, stream(2), &told(&[(voxel, State::Occupied)]), Stamp(1)).unwrap();
+    fusion.apply(&mapper, stream(2), &told(&[(voxel, State::Occupied)]), Stamp(1), Stamp(1)).unwrap();
     fusion.set_muted(&mapper, RobotId(2), true);
     assert_eq!(fusion.map().state(voxel), State::Unknown);
     fusion.set_muted(&mapper, RobotId(2), false);
@@ -163,7 +187,7 @@ fn rays_stop_at_obstacles_and_at_the_unknown() {
     let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
     let free = (0..10).map(|x| (Voxel::new(x, 0, 0), State::Free));
     let changes = Changes::from_voxels(free.chain([(Voxel::new(10, 0, 0), State::Occupied)]));
-    fusion.apply(&mapper, stream(2), &changes, Stamp(1)).unwrap();
+    fusion.apply(&mapper, stream(2), &changes, Stamp(1), Stamp(1)).unwrap();
     let from = [0.25, 0.25, 0.25];
     let hit = fusion.map().cast_ray(from, [8.25, 0.25, 0.25], false);
     assert_eq!(hit, RayEnd::Occupied { voxel: Voxel::new(10, 0, 0), distance_m: 4.75 });
@@ -186,7 +210,7 @@ fn layers_beyond_their_limit_are_refused_and_nothing_is_changed() {
     let mut blocks = 0;
     let full = loop {
         let before = (fusion.layer(stream(2)).map(Layer::digest), fusion.memory_bytes_of_others(&mapper));
-        match fusion.apply(&mapper, stream(2), &apart(blocks..blocks + 4), Stamp(1)) {
+        match fusion.apply(&mapper, stream(2), &apart(blocks..blocks + 4), Stamp(1), Stamp(1)) {
             Ok(taken) => blocks += taken as i32,
             Err(error) => {
                 let after =
@@ -199,17 +223,21 @@ fn layers_beyond_their_limit_are_refused_and_nothing_is_changed() {
     };
     let FusionError::LayersFull { held, more, max: 40_000 } = full else { panic!("{full}") };
     assert!(held + more > 40_000 && held > 13_000 && (16..99).contains(&blocks), "{full}, {blocks} blocks");
-    assert_eq!(fusion.apply(&mapper, stream(2), &apart(0..4), Stamp(2)), Ok(4), "the same blocks fit");
+    assert_eq!(
+        fusion.apply(&mapper, stream(2), &apart(0..4), Stamp(2), Stamp(2)),
+        Ok(4),
+        "the same blocks fit"
+    );
     let beyond = apart(500..504);
     assert!(matches!(
-        fusion.apply(&mapper, stream(3), &apart(0..100), Stamp(1)),
+        fusion.apply(&mapper, stream(3), &apart(0..100), Stamp(1), Stamp(1)),
         Err(FusionError::LayersFull { .. })
     ));
     assert!(fusion.layer(stream(3)).is_none());
     assert_eq!(fusion.map().state(Voxel::new(9 * 99, 9 * 99, 99)), State::Unknown);
     fusion.forget(&mapper, stream(2));
     assert_eq!(fusion.memory_bytes_of_others(&mapper), 0);
-    assert_eq!(fusion.apply(&mapper, stream(3), &beyond, Stamp(1)), Ok(4));
+    assert_eq!(fusion.apply(&mapper, stream(3), &beyond, Stamp(1), Stamp(1)), Ok(4));
 }
 
 #[test]
@@ -222,13 +250,13 @@ fn a_present_state_of_many_stamps_is_refused_where_its_voxels_alone_would_fit() 
     for (layer_bytes_max, is_refused) in [(6_000, true), (10_000, false)] {
         let config = FusionConfig { layer_bytes_max, ..FusionConfig::default() };
         let mut fusion = Fusion::new(OWN, resolution(), config.clone());
-        assert_eq!(fusion.apply_present(&mapper, stream(2), &state).is_err(), is_refused);
+        assert_eq!(fusion.apply_present(&mapper, stream(2), &state, Stamp(999)).is_err(), is_refused);
         assert_eq!(fusion.layer(stream(2)).is_none(), is_refused);
         assert!(fusion.memory_bytes_of_others(&mapper) <= layer_bytes_max);
         // Of one stamp it fits.
         let mut fusion = Fusion::new(OWN, resolution(), config);
         let all: Vec<_> = voxels().collect();
-        assert_eq!(fusion.apply(&mapper, stream(2), &told(&all), Stamp(1)), Ok(512));
+        assert_eq!(fusion.apply(&mapper, stream(2), &told(&all), Stamp(1), Stamp(1)), Ok(512));
     }
 }
 
@@ -241,12 +269,12 @@ fn what_others_tell_leaves_the_own_layer_its_room_and_the_other_way_round() {
         let mut fusion = Fusion::new(OWN, resolution(), config.clone());
         let taken = |fusion: &mut Fusion, stream| {
             (0..100)
-                .take_while(|n| fusion.apply(&mapper, stream, &apart(*n..n + 1), Stamp(1)).is_ok())
+                .take_while(|n| fusion.apply(&mapper, stream, &apart(*n..n + 1), Stamp(1), Stamp(1)).is_ok())
                 .count()
         };
         assert!((10..100).contains(&taken(&mut fusion, first)));
         assert!((10..100).contains(&taken(&mut fusion, second)));
-        let own_full = fusion.apply(&mapper, OWN, &apart(100..200), Stamp(2));
+        let own_full = fusion.apply(&mapper, OWN, &apart(100..200), Stamp(2), Stamp(2));
         assert!(matches!(own_full, Err(FusionError::OwnLayerFull { .. })), "{own_full:?}");
     }
 }
@@ -289,11 +317,16 @@ fn a_present_state_fuses_as_its_parts_do_and_leaves_no_past() {
     let region = VoxelBox::spanning(a, b).unwrap();
     let mut one_by_one = Fusion::new(OWN, resolution(), FusionConfig::default());
     for (stamp, part) in &parts {
-        one_by_one.apply(&mapper, stream(2), part, *stamp).unwrap();
+        one_by_one.apply(&mapper, stream(2), part, *stamp, *stamp).unwrap();
     }
     let mut at_once = Fusion::new(OWN, resolution(), FusionConfig::default());
     assert_eq!(
-        at_once.apply_present(&mapper, stream(2), &PresentState { region, parts, sensors: Vec::new() }),
+        at_once.apply_present(
+            &mapper,
+            stream(2),
+            &PresentState { region, parts, sensors: Vec::new() },
+            Stamp(2)
+        ),
         Ok(2)
     );
     for voxel in [a, b] {
@@ -303,4 +336,139 @@ fn a_present_state_fuses_as_its_parts_do_and_leaves_no_past() {
     assert_eq!(layers[0].digest(), layers[1].digest());
     assert!(layers[0].block_before(a.block(), Stamp(2)).is_err());
     assert!(layers[1].block_before(a.block(), Stamp(2)).is_ok());
+}
+
+/// The wall that the robot sees itself at so many seconds, in front of free space of a team-mate.
+fn shows_own_wall(mapper: &mut Mapper, fusion: &mut Fusion, at: i64) -> bool {
+    let wall = Voxel::new(10, 0, 0);
+    let points = vec![[5.2, 0.2, 0.2]; 3];
+    let scan = Scan { stamp: Stamp(at * 1_000_000), points, no_returns: Vec::new() };
+    let report = mapper.insert(&scan, &Pose::from_translation([0.2, 0.2, 0.2]), &[]);
+    fusion.own_scan(mapper, &report);
+    assert_eq!(mapper.state(wall), State::Occupied);
+    fusion.map().state(wall) == State::Occupied
+}
+
+#[test]
+fn what_came_with_a_stamp_of_the_future_hides_nothing_that_the_robot_sees_later() {
+    let free = told(&[(Voxel::new(10, 0, 0), State::Free)]);
+    for ahead in [0, 9_900_000, 3_600_000_000, i64::MAX] {
+        for (offset, then) in [(0, 0), (40_000_000, 40_000_000), (0, 3_600_000_000), (-9_000_000, 0)] {
+            let (mut mapper, now) = (mapper(), Stamp(100_000_000));
+            let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+            fusion.set_clock_offset(RobotId(2), offset);
+            let stamp = now.plus_micros(-offset).plus_micros(ahead);
+            fusion.apply(&mapper, stream(2), &free, stamp, now).unwrap();
+            assert_eq!(
+                fusion.layer(stream(2)).unwrap().newest(),
+                Some(stamp),
+                "the layer keeps what it was told"
+            );
+            assert_eq!(fusion.map().state(Voxel::new(10, 0, 0)), State::Free);
+            // Its clock is taken to be off otherwise later on.
+            fusion.set_clock_offset(RobotId(2), then);
+            assert!(
+                shows_own_wall(&mut mapper, &mut fusion, 100),
+                "{ahead} ahead, offset {offset} then {then}"
+            );
+            fusion.rebuild(&mapper);
+            assert_eq!(fusion.map().state(Voxel::new(10, 0, 0)), State::Occupied);
+            // And what the team-mate sees later shows again, with a stamp of which the layer only knows that it is newer.
+            fusion
+                .apply(&mapper, stream(2), &free, stamp.plus_micros(1), now.plus_micros(5_000_000))
+                .unwrap();
+            let is_newer = ahead != i64::MAX && ahead + then - offset > 1_000_000;
+            assert_eq!(
+                fusion.map().state(Voxel::new(10, 0, 0)) == State::Free,
+                is_newer,
+                "{ahead}, {offset}, {then}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_clock_that_is_a_day_ahead_keeps_the_map_the_one_made_from_scratch() {
+    let mut mapper = mapper();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    let day = 86_400_000_000;
+    for second in 0..6_000 {
+        let voxel = Voxel::new((second % 50) as i32, 0, 0);
+        let state = if second % 3 == 0 { State::Occupied } else { State::Free };
+        let (stamp, now) = (Stamp(day + second), Stamp(second * 1_000_000));
+        fusion.apply(&mapper, stream(2), &told(&[(voxel, state)]), stamp, now).unwrap();
+        if second % 100 == 7 {
+            assert!(shows_own_wall(&mut mapper, &mut fusion, second));
+        }
+        if second % 500 == 499 {
+            let kept: Vec<_> = fusion.map().voxels().collect();
+            fusion.rebuild(&mapper);
+            assert_eq!(kept, fusion.map().voxels().collect::<Vec<_>>());
+        }
+    }
+    let (layer, view) = (fusion.layer(stream(2)).unwrap().memory_bytes(), fusion.map().memory_bytes());
+    let of_arrivals = fusion.memory_bytes_of_others(&mapper) - layer;
+    assert!((32_000..=65_536 + view).contains(&of_arrivals), "{of_arrivals} bytes");
+}
+
+#[test]
+fn an_alignment_that_is_none_is_refused_and_the_map_stays() {
+    let mapper = mapper();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    let voxels = [(Voxel::new(5, -9, 2), State::Occupied), (Voxel::new(4, -9, 2), State::Free)];
+    fusion.apply(&mapper, stream(2), &told(&voxels), Stamp(1), Stamp(1)).unwrap();
+    let turned = Pose::from_yaw([3.0, 2.0, 1.0], 0.4);
+    fusion.set_alignment(&mapper, RobotId(2), &turned).unwrap();
+    let before: Vec<_> = fusion.map().voxels().collect();
+    let far = Pose::new([1.7e308, 1.7e308, 0.0], [0.0, 0.0, 0.382, 0.924]).unwrap();
+    for pose in [
+        Pose::from_translation([f64::NAN, 0.0, 0.0]),
+        Pose::from_yaw([1.0, 0.0, 0.0], f64::NAN),
+        Pose::from_translation([1e300, 0.0, 0.0]),
+        Pose::from_translation([0.0, f64::NEG_INFINITY, 0.0]),
+        far,
+        Pose::from_translation([0.0, 0.0, 134_217_728.0]),
+    ] {
+        assert!(fusion.set_alignment(&mapper, RobotId(2), &pose).is_err(), "{pose:?}");
+        assert_eq!(fusion.map().voxels().collect::<Vec<_>>(), before);
+    }
+    fusion.rebuild(&mapper);
+    assert_eq!(fusion.map().voxels().collect::<Vec<_>>(), before);
+}
+
+/// At the end of the grid, along each axis and turned: what stays in it is where it belongs, the rest is nowhere.
+#[test]
+fn what_an_alignment_brings_beyond_the_end_of_the_grid_is_left_out() {
+    let mapper = mapper();
+    let end = crate::VOXEL_LIMIT;
+    let near_the_end = |far: i32| {
+        let all = (-6..=0).flat_map(move |x| (-2..2).map(move |y| (Voxel::new(far + x, y, 0), x + y)));
+        all.map(|(voxel, sum)| (voxel, if sum % 3 == 0 { State::Occupied } else { State::Free }))
+    };
+    for (x, yaw) in [(1.25, 0.0), (1.0, 0.0), (600.0, 0.0), (1.25, 1e-9), (-1.25, 3.141592653)] {
+        let pose = Pose::from_yaw([x, 0.1, 0.0], yaw);
+        let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+        fusion.set_alignment(&mapper, RobotId(2), &pose).unwrap();
+        let changes = Changes::from_voxels(near_the_end(end));
+        fusion.apply(&mapper, stream(2), &changes, Stamp(1), Stamp(1)).unwrap();
+        for _ in 0..2 {
+            let found: BTreeMap<Voxel, State> = fusion.map().voxels().collect();
+            assert!(found.keys().all(|voxel| voxel.in_limits()), "{found:?}");
+            let images = near_the_end(end).filter(|(_, state)| *state == State::Occupied);
+            let images =
+                images.filter_map(|(v, _)| resolution().voxel_at(pose.transform(resolution().centre(v))));
+            for image in images {
+                assert_eq!(found.get(&image), Some(&State::Occupied), "{pose:?}: {image:?}");
+            }
+            for (target, state) in &found {
+                let source = resolution().voxel_at(pose.inverse().transform(resolution().centre(*target)));
+                let told = source.map(|source| changes.voxels().find(|(voxel, _)| *voxel == source));
+                assert!(
+                    *state == State::Occupied || matches!(told, Some(Some((_, State::Free)))),
+                    "{target:?}"
+                );
+            }
+            fusion.rebuild(&mapper);
+        }
+    }
 }

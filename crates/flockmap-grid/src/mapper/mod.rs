@@ -7,7 +7,8 @@ mod take;
 
 use rustc_hash::FxHashMap;
 
-use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, voxel_bit};
+use crate::memory::table_bytes;
+use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::MapBlock;
 use config::Rules;
 pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset, SensorModel};
@@ -23,6 +24,8 @@ pub struct Mapper {
     /// Blocks with changes, or that had some; the flag in `is_pending` keeps each in here once.
     pending_blocks: FxHashMap<BlockIndex, u32>,
     pending: usize,
+    /// Room in the tables of blocks and of blocks with changes. Tables never shrink.
+    table_places: [usize; 2],
     counts: RayCounts,
     rays: Vec<Ray>,
     /// Stamp of scan number `i + 1`.
@@ -41,11 +44,13 @@ pub struct Sphere {
 /// What became of a scan.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct ScanReport {
+    /// When it counts as made.
+    pub stamp: Stamp,
     /// Blocks with touched voxels, and which.
     pub touched: Vec<(BlockIndex, Plane)>,
     /// Voxels that are Free or Occupied now and were not before this scan.
     pub changed: Vec<(BlockIndex, StateBlock)>,
-    /// Blocks that were forgotten under the byte cap.
+    /// Blocks that were forgotten under the byte cap, or not even taken in, ascending.
     pub forgotten: Vec<BlockIndex>,
     /// Rays that ended with a hit.
     pub hits: usize,
@@ -68,8 +73,26 @@ pub enum Which {
     Free,
 }
 
-/// Bytes that one block of the map takes, its place in the hash map included.
-pub const MAP_BLOCK_BYTES: usize = size_of::<MapBlock>() + 32;
+/// The most bytes that one block of the map takes of the byte cap: itself, and its places in the table of blocks and in that of blocks with
+/// changes. A table is filled to no less than 7/32 while blocks come and go.
+pub const MAP_BLOCK_BYTES: usize = size_of::<MapBlock>() + (ENTRY_BYTES + 1 + PENDING_BYTES + 1) * 32 / 7;
+/// What a scan can take for a moment, for each block that it touches: the counts of the rays that pass and of those that end, each list a
+/// quarter too large and moved to a new place while it grows; its number and its place in the window; what is reported of it, and what is
+/// forgotten for it.
+const SCAN_BLOCK_BYTES: usize = (2 * 1_024 * 5 / 4 + 1_024) + 12 + 48 + REPORT_BYTES + FORGET_BYTES;
+/// In the report.
+const REPORT_BYTES: usize = size_of::<(BlockIndex, Plane)>() + size_of::<(BlockIndex, StateBlock)>();
+/// In the list of what may be forgotten, and in the report of it.
+const FORGET_BYTES: usize = size_of::<FarKey>() + size_of::<BlockIndex>();
+/// For each of its points: the ray, and the ray ready to walk, which is moved to a new place when a larger scan comes.
+const POINT_BYTES: usize = size_of::<Ray>() + 2 * 56;
+/// Stamps of scans, as long as voxels refer to them; moved to a new place while the list grows.
+const SCAN_STAMPS_BYTES: usize = (1 << 16) * size_of::<Stamp>() * 3 / 2;
+
+/// A block in its table.
+const ENTRY_BYTES: usize = size_of::<(BlockIndex, Box<MapBlock>)>();
+/// A block in the table of those with changes.
+const PENDING_BYTES: usize = size_of::<(BlockIndex, u32)>();
 
 impl Mapper {
     /// An empty map.
@@ -84,6 +107,7 @@ impl Mapper {
             blocks: FxHashMap::default(),
             pending_blocks: FxHashMap::default(),
             pending: 0,
+            table_places: [0; 2],
             counts: RayCounts::default(),
             rays: Vec::new(),
             scan_stamps: Vec::new(),
@@ -96,27 +120,44 @@ impl Mapper {
     }
 
     /// Takes in one scan made at `T_map_sensor`. Points inside one of the spheres of `teammates` are ignored, so
-    /// that a robot in sight does not become an obstacle.
+    /// that a robot in sight does not become an obstacle. With a pose that is none, or beyond the grid ([`Pose::check`]), the whole scan is
+    /// ignored.
     ///
     /// Cost: about one nanosecond a voxel passed by a ray; memory for what is touched for the first time.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn insert(&mut self, scan: &Scan, T_map_sensor: &Pose, teammates: &[Sphere]) -> ScanReport {
-        let mut report = ScanReport::default();
-        let scale = 1.0 / self.config.resolution.metres();
-        let start = T_map_sensor.translation().map(|v| v * scale);
-        // Room for the longest ray, so that every end has a voxel.
-        let limit = f64::from(VOXEL_LIMIT) - 1024.0;
-        if !start.iter().all(|v| v.abs() <= limit) {
+        self.insert_at(scan.stamp, scan, T_map_sensor, teammates)
+    }
+
+    /// The same with another stamp in place of the scan's own.
+    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
+    pub fn insert_at(
+        &mut self,
+        stamp: Stamp,
+        scan: &Scan,
+        T_map_sensor: &Pose,
+        teammates: &[Sphere],
+    ) -> ScanReport {
+        let mut report = ScanReport { stamp, ..ScanReport::default() };
+        if T_map_sensor.check(self.config.resolution).is_err() {
             report.ignored = scan.points.len() + scan.no_returns.len();
             return report;
         }
+        let scale = 1.0 / self.config.resolution.metres();
+        let start = T_map_sensor.translation().map(|v| v * scale);
         self.collect_rays(scan, T_map_sensor, teammates, start, scale, &mut report);
-        let number = self.next_scan_number(scan.stamp);
-        let mut rays = core::mem::take(&mut self.rays);
-        self.counts.cast(start, &rays);
-        rays.clear();
-        self.rays = rays;
+        let number = self.next_scan_number(stamp);
+        self.counts.cast(start, &self.rays);
+        let nearer_than = self.forget_far_blocks(start, &mut report);
+        let is_kept = |index: BlockIndex| nearer_than.is_none_or(|end| far_key(start, index) < end);
+        let touched_max = self.counts.indices().len().min(self.config.blocks_max());
+        report.touched.reserve_exact(touched_max);
+        report.changed.reserve_exact(touched_max);
         for mut counts in self.counts.blocks() {
+            if !is_kept(counts.index) {
+                counts.clear();
+                continue;
+            }
             let block = self.blocks.entry(counts.index).or_insert_with(|| Box::new(MapBlock::new()));
             let before = *block.states();
             let touched = block.update(&self.rules, number, &mut counts);
@@ -131,7 +172,11 @@ impl Mapper {
                 report.touched.push((counts.index, touched));
             }
         }
-        self.forget_far_blocks(start, &mut report);
+        // Nothing was taken out since the tables grew, if they did.
+        self.table_places = [
+            self.table_places[0].max(self.blocks.capacity()),
+            self.table_places[1].max(self.pending_blocks.capacity()),
+        ];
         report
     }
 
@@ -162,9 +207,12 @@ impl Mapper {
         self.scan_stamps.get(usize::from(number).checked_sub(1)?).copied()
     }
 
-    /// Bytes that the map holds.
+    /// Bytes that the map holds, as asked of the allocator: its blocks and their tables. At most [`MapperConfig::memory_bytes_max`]. What
+    /// the last scans needed comes on top, see there. O(1).
     pub fn memory_bytes(&self) -> usize {
-        self.block_count() * MAP_BLOCK_BYTES
+        self.block_count() * size_of::<MapBlock>()
+            + table_bytes(self.table_places[0], ENTRY_BYTES)
+            + table_bytes(self.table_places[1], PENDING_BYTES)
     }
 
     /// Number of blocks.
@@ -189,7 +237,7 @@ impl Mapper {
         let masks: Vec<([f64; 3], f64)> =
             teammates.iter().map(|s| (s.centre.map(|c| c * scale), (s.radius * scale).powi(2))).collect();
         self.rays.clear();
-        self.rays.reserve(scan.points.len() + scan.no_returns.len());
+        self.rays.reserve_exact(scan.points.len() + scan.no_returns.len());
         let returns = scan.points.iter().map(|p| (p, true));
         for (point, returned) in returns.chain(scan.no_returns.iter().map(|p| (p, false))) {
             let p = point.map(f64::from);
@@ -248,27 +296,40 @@ impl Mapper {
         self.scan_stamps.len() as u16
     }
 
-    /// Keeps the byte cap: forgets the blocks farthest from the sensor, a tenth more than needed so that it does
-    /// not come to this at every scan. What is forgotten is no change: the swarm keeps what it was told.
-    fn forget_far_blocks(&mut self, start: [f64; 3], report: &mut ScanReport) {
-        let blocks_max = (self.config.memory_bytes_max / MAP_BLOCK_BYTES).max(1);
-        if self.blocks.len() <= blocks_max {
-            return;
+    /// Keeps the byte cap before the scan is taken in: forgets the blocks farthest from the sensor, a tenth more than needed so that it does
+    /// not come to this at every scan. What is forgotten is no change: the swarm keeps what it was told. Returns where the blocks end that
+    /// are kept; of those that the scan touches, the ones beyond are not even made.
+    fn forget_far_blocks(&mut self, start: [f64; 3], report: &mut ScanReport) -> Option<FarKey> {
+        let blocks_max = self.config.blocks_max();
+        if self.blocks.len() + self.counts.indices().len() <= blocks_max {
+            return None;
+        }
+        let new = self.counts.indices().filter(|index| !self.blocks.contains_key(index));
+        let all = self.blocks.keys().copied().chain(new);
+        let mut far: Vec<FarKey> = Vec::with_capacity(self.blocks.len() + self.counts.indices().len());
+        far.extend(all.map(|index| far_key(start, index)));
+        if far.len() <= blocks_max {
+            return None;
         }
         let keep = (blocks_max - blocks_max / 10).max(1);
-        let [x, y, z] = start.map(|v| (v / 8.0).floor() as i32);
-        let here = BlockIndex { x, y, z };
-        let mut far: Vec<(i64, BlockIndex)> =
-            self.blocks.keys().map(|block| (block.distance_squared(here), *block)).collect();
-        far.select_nth_unstable(keep);
+        let (_, &mut end, _) = far.select_nth_unstable(keep);
         for (_, index) in &far[keep..] {
             self.blocks.remove(index);
             if let Some(known) = self.pending_blocks.remove(index) {
                 self.pending -= known as usize;
             }
-            report.forgotten.push(*index);
         }
+        report.forgotten = far[keep..].iter().map(|(_, index)| *index).collect();
         report.forgotten.sort_unstable();
-        report.touched.retain(|(index, _)| self.blocks.contains_key(index));
+        Some(end)
     }
+}
+
+/// By which blocks are farther from the sensor than others: the square of the distance in blocks, and the index.
+type FarKey = (i64, BlockIndex);
+
+/// `start`: where the sensor is, in voxels.
+fn far_key(start: [f64; 3], index: BlockIndex) -> FarKey {
+    let [x, y, z] = start.map(|v| (v / 8.0).floor() as i32);
+    (index.distance_squared(BlockIndex { x, y, z }), index)
 }

@@ -32,24 +32,20 @@ const NEVER: f64 = (1u32 << 30) as f64;
 #[derive(Default)]
 pub(super) struct RayCounts {
     window: Window,
-    /// For each block of the window: where its counts begin in the pools; 0 = not touched yet.
+    /// For each block of the window: where its counts begin in `misses`; 0 = not touched yet.
     table: Vec<u32>,
     /// Rays that passed through, 512 to a block. The first 512 are never used, so that 0 means "none".
     /// All zero between scans: who takes the counts sets them back.
     misses: Vec<u16>,
-    /// Rays that ended here, in the same places.
+    /// Rays that ended here, in the same places. Ends are counted first, so that only the first blocks have hits: most blocks are
+    /// only passed through.
     hits: Vec<u16>,
-    /// The touched blocks, in the order of their first touch; block `n` has its counts at `(n + 1) · 512`.
-    touched: Vec<Touched>,
+    /// How many blocks these are.
+    hit_blocks: usize,
+    /// Places in the table of the touched blocks, in the order of their first touch; block `n` has its counts at `(n + 1) · 512`.
+    touched: Vec<u32>,
     walks: Vec<Walk>,
     by_length: Vec<u32>,
-}
-
-#[derive(Clone, Copy)]
-struct Touched {
-    /// Place in the table.
-    block: u32,
-    has_hits: bool,
 }
 
 /// The part of the map that the rays of a scan can reach: block 0 0 0 of the table, and bits per axis.
@@ -130,6 +126,16 @@ pub(super) struct TouchedBlock<'a> {
     pub(super) hits: Option<&'a mut [u16; BLOCK_VOXELS]>,
 }
 
+impl TouchedBlock<'_> {
+    /// Sets the counts back to zero.
+    pub(super) fn clear(self) {
+        *self.misses = [0; BLOCK_VOXELS];
+        if let Some(hits) = self.hits {
+            *hits = [0; BLOCK_VOXELS];
+        }
+    }
+}
+
 fn voxel_of(p: [f64; 3]) -> Voxel {
     Voxel::new(p[0].floor() as i32, p[1].floor() as i32, p[2].floor() as i32)
 }
@@ -171,21 +177,27 @@ impl RayCounts {
         self.by_length = order;
     }
 
-    /// The touched blocks, in the order of their first touch. The counts must be set back to zero.
+    /// The touched blocks, in the order of their first touch.
+    pub(super) fn indices(&self) -> impl ExactSizeIterator<Item = BlockIndex> {
+        self.touched.iter().map(|block| self.window.block(*block))
+    }
+
+    /// The same with their counts, which must be set back to zero.
     pub(super) fn blocks(&mut self) -> impl Iterator<Item = TouchedBlock<'_>> {
         let window = self.window;
         let misses = self.misses.as_chunks_mut::<BLOCK_VOXELS>().0.iter_mut().skip(1);
-        let hits = self.hits.as_chunks_mut::<BLOCK_VOXELS>().0.iter_mut().skip(1);
-        self.touched.iter().zip(misses.zip(hits)).map(move |(touched, (misses, hits))| TouchedBlock {
-            index: window.block(touched.block),
+        let hits = self.hits.as_chunks_mut::<BLOCK_VOXELS>().0.iter_mut().skip(1).take(self.hit_blocks);
+        let hits = hits.map(Some).chain(core::iter::repeat_with(|| None));
+        self.touched.iter().zip(misses.zip(hits)).map(move |(block, (misses, hits))| TouchedBlock {
+            index: window.block(*block),
             misses,
-            hits: touched.has_hits.then_some(hits),
+            hits,
         })
     }
 
     fn clear(&mut self) {
         for touched in &self.touched {
-            self.table[touched.block as usize] = 0;
+            self.table[*touched as usize] = 0;
         }
         self.touched.clear();
     }
@@ -196,7 +208,7 @@ impl RayCounts {
         let fraction: [f64; 3] = core::array::from_fn(|a| start[a] - start[a].floor());
         let from = [from.x, from.y, from.z];
         self.walks.clear();
-        self.walks.reserve(rays.len());
+        self.walks.reserve_exact(rays.len());
         for ray in rays {
             let end = voxel_of(ray.end);
             let to = [end.x, end.y, end.z];
@@ -222,10 +234,11 @@ impl RayCounts {
             if ray.is_hit {
                 let [x, y, z] = self.window.place(end);
                 let at = self.slot(x | y | z);
+                extend(&mut self.hits, at | (BLOCK_VOXELS - 1));
                 self.hits[at] = self.hits[at].saturating_add(1);
-                self.touched[at / BLOCK_VOXELS - 1].has_hits = true;
             }
         }
+        self.hit_blocks = self.touched.len();
     }
 
     /// Longest first, equal lengths in the order of the scan, so that the rays of a group end together.
@@ -238,6 +251,8 @@ impl RayCounts {
         for i in 1..starts.len() {
             starts[i] += starts[i - 1];
         }
+        self.by_length.clear();
+        self.by_length.reserve_exact(self.walks.len());
         self.by_length.resize(self.walks.len(), 0);
         for (ray, walk) in self.walks.iter().enumerate() {
             let at = &mut starts[longest - walk.length as usize];
@@ -345,13 +360,27 @@ impl RayCounts {
     #[inline(never)]
     fn touch(&mut self, block: usize) -> u32 {
         let slot = (self.touched.len() + 1) * BLOCK_VOXELS;
-        if self.misses.len() < slot + BLOCK_VOXELS {
-            self.misses.resize(slot + BLOCK_VOXELS, 0);
-            self.hits.resize(slot + BLOCK_VOXELS, 0);
-        }
-        self.touched.push(Touched { block: block as u32, has_hits: false });
+        extend(&mut self.misses, slot | (BLOCK_VOXELS - 1));
+        grow(&mut self.touched, slot / BLOCK_VOXELS);
+        self.touched.push(block as u32);
         self.table[block] = slot as u32;
         slot as u32
+    }
+}
+
+/// Makes a pool reach up to this place, with zeros.
+fn extend(pool: &mut Vec<u16>, last: usize) {
+    if pool.len() <= last {
+        grow(pool, last + 1);
+        pool.resize(last + 1, 0);
+    }
+}
+
+/// Makes room for so many, a quarter more than there was at a time: lists of a scan are large, and twice of what is used would be waste.
+pub(super) fn grow<T>(list: &mut Vec<T>, needed: usize) {
+    let capacity = list.capacity();
+    if capacity < needed {
+        list.reserve_exact(needed.max(capacity + capacity / 4) - list.len());
     }
 }
 
@@ -366,12 +395,7 @@ mod tests {
         let mut counts = RayCounts::default();
         // Used before, as it is from the second scan on.
         counts.cast([0.5; 3], &[Ray { end: [40.0, 3.0, -9.0], is_hit: true }]);
-        for block in counts.blocks() {
-            *block.misses = [0; BLOCK_VOXELS];
-            if let Some(hits) = block.hits {
-                *hits = [0; BLOCK_VOXELS];
-            }
-        }
+        counts.blocks().for_each(TouchedBlock::clear);
         counts.cast(start, rays);
         let mut found = HashMap::new();
         for block in counts.blocks() {
@@ -384,10 +408,7 @@ mod tests {
                     found.insert(voxel, (block.misses[bit], hits));
                 }
             }
-            *block.misses = [0; BLOCK_VOXELS];
-            if let Some(hits) = block.hits {
-                *hits = [0; BLOCK_VOXELS];
-            }
+            block.clear();
         }
         found
     }

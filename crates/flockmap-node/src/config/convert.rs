@@ -214,7 +214,11 @@ impl NodeConfig {
                     Pose::new(section.translation_m, [0.0, 0.0, half.sin(), half.cos()])
                 }
             };
-            Ok((robot(&key, id)?, pose.ok_or_else(|| fail("finite numbers and a quaternion that is not 0"))?))
+            let pose = pose.ok_or_else(|| fail("finite numbers and a quaternion that is not 0"))?;
+            if let Some(resolution) = Resolution::from_metres(self.map.resolution_m) {
+                pose.check(resolution).map_err(|error| fail(&format!("a pose in the grid: {error}")))?;
+            }
+            Ok((robot(&key, id)?, pose))
         };
         self.alignment.iter().map(pose).collect()
     }

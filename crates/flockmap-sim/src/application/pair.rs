@@ -1,7 +1,7 @@
 //! Two robots with their maps, joined by an emulated radio in virtual time.
 
 use super::{ApplicationOptions, MapSync, RobotTraffic};
-use crate::{IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
+use crate::{IN_THE_WORLD, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
 use flockmap::{CycleConfig, Event, Robot, RobotConfig, RobotError, SessionConfig};
 use flockmap_grid::{Changes, Layer, Pose, RobotId, Scan, Stamp, State};
 
@@ -77,8 +77,8 @@ impl Pair {
     #[allow(non_snake_case)]
     pub(super) fn insert_scan(&mut self, number: usize, scan: &Scan, T_map_sensor: &Pose, other: [f64; 3]) {
         let robot = &mut self.robots[number];
-        robot.set_teammate(id(1 - number), other, self.now);
-        let report = robot.insert_scan(self.now, scan, T_map_sensor);
+        robot.set_teammate(id(1 - number), other, self.now).expect(IN_THE_WORLD);
+        let report = robot.insert_scan(self.now, scan, T_map_sensor).expect(IN_THE_WORLD);
         if number == FOLLOWER {
             self.onset.apply(&Changes::from_blocks(report.changed), scan.stamp);
         }

@@ -259,7 +259,7 @@ mod tests {
             (Voxel::new(8, -3, 13), State::Free),
             (Voxel::new(9, -3, 12), State::Free),
         ];
-        fusion.apply(&mapper, stream(2), &Changes::from_voxels(voxels), Stamp(1)).unwrap();
+        fusion.apply(&mapper, stream(2), &Changes::from_voxels(voxels), Stamp(1), Stamp(1)).unwrap();
         let window = Window { centre: [0.0; 2], half_m: 1.0, heights: [1.05, 1.35, 1.65] };
         let slab = Slab::of_map(fusion.map(), &window);
         let at = |x| slab.cell([x, -3]).unwrap();

@@ -9,7 +9,10 @@ use super::sight::Sight;
 use super::{ExploreError, ExploreOptions, start};
 use crate::curve::distance;
 use crate::random::mix;
-use crate::{Body, Motion, RadioConfig, RadioEmulator, SCAN_PERIOD_MICROS, ScanOptions, Scanner, To, World};
+use crate::{
+    Body, IN_THE_WORLD, Motion, RadioConfig, RadioEmulator, SCAN_PERIOD_MICROS, ScanOptions, Scanner, To,
+    World,
+};
 use flockmap::{Cast, Destination, Robot, RobotConfig};
 use flockmap_grid::{RobotId, Stamp};
 use flockmap_io::Frame;
@@ -230,9 +233,9 @@ impl Explorer {
             let bodies: Vec<Body> = others().map(|(_, place)| Body::robot(*place)).collect();
             let scan = member.scanner.scan(now, &pose, Some(&end.pose()), &bodies);
             for (other, place) in others() {
-                member.robot.set_teammate(ids[other], *place, now);
+                member.robot.set_teammate(ids[other], *place, now).expect(IN_THE_WORLD);
             }
-            member.robot.insert_scan(now, &scan, &pose);
+            member.robot.insert_scan(now, &scan, &pose).expect(IN_THE_WORLD);
             member.frame = Some(Frame { scan, t_map_sensor: pose, points_dropped: 0 });
         });
         let next = now.plus_micros(SCAN_PERIOD_MICROS);

@@ -25,7 +25,8 @@ impl Map {
         self.stamp += 1;
         let from = Stream { origin: RobotId(2), epoch: 1 };
         let changes = Changes::from_voxels(voxels);
-        self.fusion.apply(&self.mapper, from, &changes, Stamp(self.stamp)).unwrap();
+        let now = Stamp(self.stamp);
+        self.fusion.apply(&self.mapper, from, &changes, now, now).unwrap();
     }
 
     /// All voxels of a world's part: solid ones Occupied, others Free.

@@ -5,6 +5,7 @@ use super::datagram::salt_of;
 use super::report::{RobotFigures, median_and_99};
 use super::settings::{MemberSettings, Settings, purpose};
 use super::world::{Course, SmallWorld};
+use crate::IN_THE_WORLD;
 use crate::random::Random;
 use flockmap::sync::Counters;
 use flockmap::{Package, Pose, Robot, RobotCounters, RobotError, RobotId, Stream};
@@ -116,7 +117,7 @@ impl Member {
             scan.no_returns.clear();
         }
         if let Some(robot) = &mut self.robot {
-            robot.insert_scan(stamp, &scan, &Pose::from_translation(place));
+            robot.insert_scan(stamp, &scan, &Pose::from_translation(place)).expect(IN_THE_WORLD);
         }
         self.next_scan = now + self.settings.scan_period;
     }

@@ -90,7 +90,7 @@ impl Robot {
         self.sent.note_cycle(&packages);
         self.cost.note_cycle(&changes, &packages);
         self.repair.note_cycle(now, self.next_index - 1);
-        if let Err(error) = self.fusion.apply(&self.mapper, self.own, &changes, cycle.end) {
+        if let Err(error) = self.fusion.apply(&self.mapper, self.own, &changes, cycle.end, now) {
             // The packages are out all the same; only a present state of this stream would lack them. And the others hold more from now
             // on than the own layer, so that nothing can be told against it any more.
             self.own_layer_is_whole = false;

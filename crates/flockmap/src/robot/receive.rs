@@ -131,7 +131,7 @@ impl Robot {
         }
         let (set, _) = self.tiles.open(id, header.index);
         let reason = match set.read(&mut self.decoder, package) {
-            Ok(state) => match self.merge_present(package, &state) {
+            Ok(state) => match self.merge_present(now, package, &state) {
                 Ok(event) => {
                     self.counters.merged += 1;
                     self.session.accept(now, package);
@@ -170,7 +170,7 @@ impl Robot {
             self.session.accept(now, package);
             return true;
         }
-        let reason = match self.merge(package) {
+        let reason = match self.merge(now, package) {
             Ok(event) => {
                 self.counters.merged += 1;
                 self.session.accept(now, package);
@@ -224,7 +224,7 @@ impl Robot {
         !self.damaged.insert((header.stream, header.index))
     }
 
-    fn merge(&mut self, package: &Package) -> Result<Event, Refusal> {
+    fn merge(&mut self, now: Stamp, package: &Package) -> Result<Event, Refusal> {
         let header = *package.header();
         let stream = header.stream;
         let own = self.config.mapper.resolution;
@@ -233,20 +233,25 @@ impl Robot {
         }
         let changes = match self.decoder.decode_against(package, self.fusion.layer(stream))? {
             Content::Changes(changes) => changes,
-            Content::Present(state) => return self.merge_present(package, &state),
+            Content::Present(state) => return self.merge_present(now, package, &state),
         };
         self.note_clock(stream);
-        let taken = self.fusion.apply(&self.mapper, stream, &changes, header.cycle_end)?;
+        let taken = self.fusion.apply(&self.mapper, stream, &changes, header.cycle_end, now)?;
         if let Some(sensor) = package.sensor() {
             self.fusion.note_sensor(stream, header.cycle_end, sensor);
         }
         Ok(merged(package, changes, taken))
     }
 
-    fn merge_present(&mut self, package: &Package, state: &PresentState) -> Result<Event, Refusal> {
+    fn merge_present(
+        &mut self,
+        now: Stamp,
+        package: &Package,
+        state: &PresentState,
+    ) -> Result<Event, Refusal> {
         let stream = package.header().stream;
         self.note_clock(stream);
-        let taken = self.fusion.apply_present(&self.mapper, stream, state)?;
+        let taken = self.fusion.apply_present(&self.mapper, stream, state, now)?;
         Ok(merged(package, Changes::default(), taken))
     }
 

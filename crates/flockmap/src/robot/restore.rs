@@ -41,6 +41,7 @@ impl Robot {
         if got.origin == own.origin && got.epoch >= own.epoch {
             return Err(RestoreError::NotFormer { got, own });
         }
+        let now = self.advance(now);
         let is_taken = self.session.deliver_stored(now, package);
         self.answer_session(now);
         if is_taken { Ok(()) } else { Err(RestoreError::NoRoom(got)) }

@@ -91,7 +91,7 @@ impl Swarm {
 
     /// A robot takes in a scan now.
     pub fn scan(&mut self, robot: usize, scan: &Scan, pose: &Pose) {
-        self.robots[robot].insert_scan(self.now, scan, pose);
+        self.robots[robot].insert_scan(self.now, scan, pose).unwrap();
         self.drain(robot);
     }
 

@@ -1,0 +1,95 @@
+//! Scans in the open, far larger than what may be held of the map: the mapper takes no more than it states.
+
+use flockmap_grid::{Mapper, MapperConfig, Pose, Preset, Resolution, Scan, Stamp, Which};
+use peak_alloc::PeakAlloc;
+
+/// Counts the bytes that are held, and the most that ever were.
+#[global_allocator]
+static ALLOCATOR: PeakAlloc = PeakAlloc;
+
+/// Points all around, at the end of the range, on a spiral from pole to pole.
+fn sphere(points: usize, radius: f64, stamp: i64) -> Scan {
+    let point = |n: usize| {
+        let (z, turn) = ((2 * n + 1) as f64 / points as f64 - 1.0, n as f64 * 2.399_963);
+        let across = (1.0 - z * z).sqrt();
+        [across * turn.cos(), across * turn.sin(), z].map(|at| (at * radius) as f32)
+    };
+    Scan { stamp: Stamp(stamp), points: (0..points).map(point).collect(), no_returns: Vec::new() }
+}
+
+fn config(memory_bytes_max: usize, range_m: f64) -> MapperConfig {
+    let resolution = Resolution::from_metres(0.1).unwrap();
+    MapperConfig { memory_bytes_max, ..MapperConfig::preset(Preset::RogMap, resolution, range_m) }
+}
+
+/// Inserts scans one after the other; returns what was held afterwards and the most on the way. Reports are let go at once.
+fn held(mapper: &mut Mapper, scans: &[Scan], step_m: f64) -> (usize, usize, usize) {
+    let mut blocks = 0;
+    ALLOCATOR.reset_peak_usage();
+    for (number, scan) in scans.iter().enumerate() {
+        let pose = Pose::from_translation([number as f64 * step_m, 0.05, 0.05]);
+        let report = mapper.insert(scan, &pose, &[]);
+        blocks = blocks.max(mapper.block_count() + report.forgotten.len());
+        drop(report);
+        drop(mapper.take_changes(Which::All));
+    }
+    (blocks, ALLOCATOR.current_usage(), ALLOCATOR.peak_usage())
+}
+
+/// One test, since the counter is one for the whole process.
+#[test]
+fn a_mapper_takes_what_it_states_also_while_a_scan_is_taken_in() {
+    // Far more than may be held: a mebibyte, of a scan that touches nearly all within its range.
+    for (range, points) in [(8.0, 40_000), (20.0, 150_000)] {
+        let config = config(1 << 20, range);
+        let scans: Vec<Scan> = (1..4).map(|stamp| sphere(points, range * 0.99, stamp)).collect();
+        let before = ALLOCATOR.current_usage();
+        let mut mapper = Mapper::new(config.clone()).unwrap();
+        let (blocks, after, peak) = held(&mut mapper, &scans[..1], 0.0);
+        let (after, peak) = (after - before, peak - before);
+        assert!(peak <= config.memory_max(points), "{peak} bytes, {} stated", config.memory_max(points));
+        assert!(mapper.memory_bytes() <= 1 << 20, "{}", mapper.memory_bytes());
+        // What the documentation says of each block and point, by the blocks that were really touched.
+        assert!(peak <= (1 << 20) + blocks * 3_900 + points * 144, "{peak} bytes for {blocks} blocks");
+        assert!(after <= (1 << 20) + blocks * 2_600 + points * 88, "{after} bytes for {blocks} blocks");
+        println!("range {range} m: {blocks} blocks, {peak} bytes at the peak, {after} after");
+        // In the open few rays end in a block: half of that.
+        let (of_peak, of_rest) =
+            (peak - points * 88 - (1 << 20), after - points * 88 - mapper.memory_bytes());
+        println!("  {} bytes a block at the peak, {} after", of_peak / blocks, of_rest / blocks);
+        assert!(of_rest / blocks <= 2_000 && of_peak / blocks <= 3_000);
+        // The next ones take nothing more.
+        let (_, again, _) = held(&mut mapper, &scans[1..], 0.0);
+        assert!(again - before <= after + (64 << 10), "{} bytes after {after}", again - before);
+    }
+
+    // A flight whose map fits: what is said to be held is held.
+    let config = config(64 << 20, 6.0);
+    let scans: Vec<Scan> = (1..60).map(|stamp| sphere(3_000, 5.9, stamp)).collect();
+    let before = ALLOCATOR.current_usage();
+    let mut mapper = Mapper::new(config.clone()).unwrap();
+    let (_, after, peak) = held(&mut mapper, &scans, 1.0);
+    let (said, after, peak) = (mapper.memory_bytes(), after - before, peak - before);
+    println!(
+        "flight: {} blocks of {} bytes, {after} held, {peak} at the peak",
+        mapper.block_count(),
+        said / mapper.block_count()
+    );
+    assert!(mapper.block_count() > 10_000 && said <= 64 << 20 && said / mapper.block_count() <= 2_500);
+    assert!(after > said && after < said + (8 << 20), "{after} bytes held, {said} said");
+    assert!(peak <= config.memory_max(3_000));
+
+    // One that goes on and on under a cap: the tables do not grow with what was forgotten.
+    let config = self::config(8 << 20, 6.0);
+    let scans: Vec<Scan> = (1..200).map(|stamp| sphere(3_000, 5.9, stamp)).collect();
+    let before = ALLOCATOR.current_usage();
+    let mut mapper = Mapper::new(config.clone()).unwrap();
+    let (_, after, peak) = held(&mut mapper, &scans, 2.0);
+    let (said, after, peak) = (mapper.memory_bytes(), after - before, peak - before);
+    println!(
+        "long flight: {} blocks, {said} bytes said, {after} held, {peak} at the peak",
+        mapper.block_count()
+    );
+    assert!(said <= 8 << 20 && after > said && after < said + (8 << 20), "{after} bytes held, {said} said");
+    assert!(peak <= config.memory_max(3_000));
+}
