@@ -137,17 +137,17 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
         is_within(robot, before, 4 << 20);
     });
 
-    // Four million voxels in a datagram, again and again, and nobody takes the events.
+    // As many voxels in a datagram as may be, again and again, and nobody takes the events.
     let mut teller = Teller::new(2);
     // The largest that a package may say.
     let cube = cube(32);
-    let packages: Vec<Package> = (0..25).flat_map(|_| teller.tell(Codec::Paper, &cube, None)).collect();
+    let packages: Vec<Package> = (0..2_500).flat_map(|_| teller.tell(Codec::Paper, &cube, None)).collect();
     assert!(packages.iter().all(|package| package.bytes().len() <= PACKAGE_BYTES_MAX));
-    case("events that nobody takes", config(32 << 20), 15 << 20, |robot| {
+    case("events that nobody takes", config(32 << 20), 2 << 20, |robot| {
         for package in &packages {
             teller.send(robot, package);
         }
-        assert_eq!(robot.counters().merged, 25);
+        assert_eq!(robot.counters().merged, packages.len() as u64);
         assert!(robot.counters().events_dropped > 0);
     });
 
