@@ -137,11 +137,11 @@ pub(crate) fn decode(
         packed.copy_from_slice(payload);
     } else {
         work.take(work::of_stream(volume as u64))?;
-        inflate_exact(payload, packed).ok_or(wrong(
+        inflate_exact(payload, packed).ok_or_else(|| wrong(
             "one whole zlib stream that gives two bits for each voxel of the box, and nothing after it",
         ))?;
     }
-    fill_last(packed, volume, others.code()).ok_or(wrong(FILLED))?;
+    fill_last(packed, volume, others.code()).ok_or_else(|| wrong(FILLED))?;
     let codes = Codes::new(packed, others.code());
     let rule = match others {
         Others::Unchanged => "no voxel changes to Unknown (code 10)",
