@@ -8,6 +8,7 @@ use crate::flock;
 use crate::reference::Known;
 use crate::states::{self, Others, Scratch};
 use crate::varint::Reader;
+use crate::work::Work;
 use crate::{Codec, Content, ContentKind, Package, PackageError, Priority, TilesRead, stamps};
 
 /// Decodes packages and keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box
@@ -17,6 +18,7 @@ use crate::{Codec, Content, ContentKind, Package, PackageError, Priority, TilesR
 #[derive(Default)]
 pub struct Decoder {
     scratch: Scratch,
+    steps: u64,
     /// Made with the first package in that codec.
     pub(crate) flock: Option<Box<flock::Workspace>>,
 }
@@ -43,40 +45,18 @@ impl Decoder {
         package: &Package,
         layer: Option<&Layer>,
     ) -> Result<Content, PackageError> {
-        let (header, payload) = (package.header(), package.payload());
-        let (codec, region) = (header.codec, header.region);
-        let (content, found) = match header.content {
-            ContentKind::Changes if codec == Codec::Flock => {
-                let layer = if header.is_alone { None } else { layer };
-                if !header.is_alone && layer.is_none() {
-                    return Err(PackageError::ReferenceMissing { reference: header.reference });
-                }
-                let known = Known::new(layer, header.cycle_end);
-                let changes = flock::decode(&mut self.flock, &known, payload, &region)?;
-                let check = check_changes(&package.checked(), &changes);
-                (Content::Changes(changes), check)
-            }
-            ContentKind::Changes => {
-                let states = states::decode(codec, payload, &region, Others::Unchanged, &mut self.scratch)?;
-                let check = check_changes(&package.checked(), &states);
-                (Content::Changes(states), check)
-            }
-            ContentKind::Present { .. } if codec == Codec::Flock => {
-                return self.decode_tile(package, &mut TilesRead::default()).map(Content::Present);
-            }
-            ContentKind::Present { .. } => {
-                let rule = "the length of the states, the states, the stamps";
-                let mut reader = Reader::new(payload);
-                let length = reader.number("length of states", payload.len() as u64)? as usize;
-                let (states, stamps) =
-                    reader.rest().split_at_checked(length).ok_or(PackageError::Payload { codec, rule })?;
-                let states = states::decode(codec, states, &region, Others::Unknown, &mut self.scratch)?;
-                let ends = [header.cycle_start, header.cycle_end];
-                let grid = &mut self.scratch.grid;
-                let state = stamps::decode(codec, stamps, states, region, ends, payload.len(), grid)?;
-                let check = check_present(&package.checked(), &state);
-                (Content::Present(state), check)
-            }
+        let header = package.header();
+        let codec = header.codec;
+        if codec == Codec::Flock && matches!(header.content, ContentKind::Present { .. }) {
+            return self.decode_tile(package, &mut TilesRead::default()).map(Content::Present);
+        }
+        let mut work = Work::new(codec, package.payload().len());
+        let content = self.content(package, layer, &mut work);
+        self.steps = work.taken();
+        let content = content?;
+        let found = match &content {
+            Content::Changes(changes) => check_changes(&package.checked(), changes),
+            Content::Present(state) => check_present(&package.checked(), state),
         };
         if let Content::Changes(changes) = &content
             && changes.has_occupied() != (header.priority == Priority::Obstacles)
@@ -89,5 +69,51 @@ impl Decoder {
             return Err(PackageError::Check { stated: package.check(), found });
         }
         Ok(content)
+    }
+
+    /// Steps of work that the last package took, as `WIRE.md` counts them; of a refused one those up to its refusal.
+    pub const fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    pub(crate) fn note_steps(&mut self, steps: u64) {
+        self.steps = steps;
+    }
+
+    /// What the payload says, before it is checked.
+    fn content(
+        &mut self,
+        package: &Package,
+        layer: Option<&Layer>,
+        work: &mut Work,
+    ) -> Result<Content, PackageError> {
+        let (header, payload) = (package.header(), package.payload());
+        let (codec, region) = (header.codec, header.region);
+        match header.content {
+            ContentKind::Changes if codec == Codec::Flock => {
+                let layer = if header.is_alone { None } else { layer };
+                if !header.is_alone && layer.is_none() {
+                    return Err(PackageError::ReferenceMissing { reference: header.reference });
+                }
+                let known = Known::new(layer, header.cycle_end);
+                flock::decode(&mut self.flock, &known, payload, &region, work).map(Content::Changes)
+            }
+            ContentKind::Changes => {
+                let others = Others::Unchanged;
+                states::decode(codec, payload, &region, others, &mut self.scratch, work).map(Content::Changes)
+            }
+            ContentKind::Present { .. } => {
+                let rule = "the length of the states, the states, the stamps";
+                let mut reader = Reader::new(payload);
+                let length = reader.number("length of states", payload.len() as u64)? as usize;
+                let (states, stamps) =
+                    reader.rest().split_at_checked(length).ok_or(PackageError::Payload { codec, rule })?;
+                let states =
+                    states::decode(codec, states, &region, Others::Unknown, &mut self.scratch, work)?;
+                let ends = [header.cycle_start, header.cycle_end];
+                let grid = &mut self.scratch.grid;
+                stamps::decode(codec, stamps, states, region, ends, work, grid).map(Content::Present)
+            }
+        }
     }
 }

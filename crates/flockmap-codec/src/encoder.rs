@@ -14,7 +14,7 @@ use crate::reference::Known;
 use crate::states::{self, Others, Scratch};
 use crate::{
     BOX_VOXELS_MAX, Codec, ContentKind, EncodeError, Header, PACKAGE_BYTES_MIN, Package, Priority, Reference,
-    stamps, varint,
+    stamps, varint, work,
 };
 
 /// One cycle of mapping: all changes from `start` to `end`.
@@ -82,7 +82,10 @@ impl Encoder {
             return Err(EncodeError::BoxTooLarge { voxels });
         }
         self.payload.clear();
-        self.encode_states(codec, changes, &region, Others::Unchanged);
+        let steps = self.encode_states(codec, changes, &region, Others::Unchanged);
+        if steps > work::limit(self.payload.len()) {
+            return Err(EncodeError::TooMuchWork);
+        }
         let header = changes_header(codec, cycle, index, region).with_priority(cycle, changes);
         Ok(Package::seal(&header, &self.payload, |header| check_changes(header, changes)))
     }
@@ -207,9 +210,13 @@ impl Encoder {
                 if expected > room + room / 10 && piece.states.len() > 1 {
                     expected
                 } else {
-                    self.encode_piece(codec, &piece, others);
+                    let steps = self.encode_piece(codec, &piece, others);
                     forecast.learn(&piece, self.payload.len());
-                    if self.is_decodable(codec, &piece, others) { self.payload.len() } else { usize::MAX }
+                    if self.is_decodable(codec, &piece, others, steps) {
+                        self.payload.len()
+                    } else {
+                        usize::MAX
+                    }
                 }
             };
             if needed <= room {
@@ -230,34 +237,34 @@ impl Encoder {
         Ok(done)
     }
 
-    /// The payload of a piece into `self.payload`.
-    fn encode_piece(&mut self, codec: Codec, piece: &Piece, others: Others) {
+    /// The payload of a piece into `self.payload`. Returns the steps that it takes to decode it.
+    fn encode_piece(&mut self, codec: Codec, piece: &Piece, others: Others) -> u64 {
         self.payload.clear();
-        self.encode_states(codec, &piece.states, &piece.region, others);
+        let steps = self.encode_states(codec, &piece.states, &piece.region, others);
         if others == Others::Unknown {
             let mut length = Vec::new();
             varint::write(&mut length, self.payload.len() as u64);
             self.payload.splice(..0, length);
             stamps::encode(&piece.parts, &piece.region, &mut self.deflater, &mut self.payload);
         }
+        steps + stamps::steps(&piece.parts, &piece.region)
     }
 
-    fn encode_states(&mut self, codec: Codec, states: &Changes, region: &VoxelBox, others: Others) {
+    fn encode_states(&mut self, codec: Codec, states: &Changes, region: &VoxelBox, others: Others) -> u64 {
         let Self { scratch, deflater, payload, .. } = self;
-        states::encode(codec, states, region, others, scratch, deflater, payload);
+        states::encode(codec, states, region, others, scratch, deflater, payload)
     }
 
     /// Whether the payload just made respects the limits that a decoder holds it to beyond its length.
-    fn is_decodable(&self, codec: Codec, piece: &Piece, others: Others) -> bool {
+    fn is_decodable(&self, codec: Codec, piece: &Piece, others: Others, steps: u64) -> bool {
         let length = self.payload.len();
-        let part_blocks: usize = piece.parts.iter().map(|(_, part)| part.blocks().len()).sum();
         let box_limit = match others {
             Others::Unchanged => BOX_VOXELS_MAX,
             // The states are a part of the payload; what the rest takes is left out to be safe.
             Others::Unknown => states::voxels_max(codec, length / 2, others),
         };
         let fills = codec == Codec::Raw || piece.region.volume() <= u128::from(box_limit);
-        fills && piece.parts.len() <= stamps::STAMPS_MAX && part_blocks <= stamps::part_blocks_max(length)
+        fills && piece.parts.len() <= stamps::STAMPS_MAX && steps <= work::limit(length)
     }
 }
 

@@ -66,6 +66,18 @@ pub enum PackageError {
         /// Most voxels for a payload of this length.
         limit: u64,
     },
+    /// A payload that would take long to read for its length. What had been read of it is dropped.
+    #[error(
+        "package payload ({codec}) of {payload} bytes asks for more than {limit} steps of work, the most for that length"
+    )]
+    Work {
+        /// The codec of the payload.
+        codec: Codec,
+        /// Bytes of payload.
+        payload: usize,
+        /// Most steps for a payload of this length, as `WIRE.md` counts them.
+        limit: u64,
+    },
     /// The package was coded against what earlier packages said, and was to be decoded without that.
     #[error("package was coded against the packages up to {reference}, which are needed to decode it")]
     ReferenceMissing {
@@ -114,6 +126,11 @@ pub enum EncodeError {
         /// Voxels in the box.
         voxels: u128,
     },
+    /// The changes say so much in so few bytes that no reader takes them in one package.
+    #[error(
+        "the changes as one package would ask for more work than a reader takes; use encode_cycle, which splits"
+    )]
+    TooMuchWork,
     /// A voxel outside of the limits of the grid.
     #[error("a voxel lies outside of ±{}", flockmap_grid::VOXEL_LIMIT)]
     OutsideGrid,

@@ -36,9 +36,10 @@ pub fn hilbert_order(size: [u32; 3]) -> Vec<[u32; 3]> {
 }
 
 /// A piece of the walk: a first voxel and the steps from it, in linear indices with x fastest, then y, then z.
+#[derive(Clone, Copy)]
 pub(crate) struct Leaf<'t> {
     first: usize,
-    steps: &'t [u8],
+    way: &'t Way,
     /// Index difference of each step number. Two of the eight are not used; so no step can be out of range.
     strides: [usize; 8],
 }
@@ -46,7 +47,7 @@ pub(crate) struct Leaf<'t> {
 impl Leaf<'_> {
     /// Number of voxels.
     pub(crate) fn len(&self) -> usize {
-        self.steps.len() + 1
+        self.way.places.len()
     }
 
     /// Calls `visit` with the linear index of each voxel in turn.
@@ -54,23 +55,92 @@ impl Leaf<'_> {
     pub(crate) fn for_each(&self, mut visit: impl FnMut(usize)) {
         let mut index = self.first;
         visit(index);
-        for &step in self.steps {
+        for &step in &self.way.steps {
             index = index.wrapping_add(self.strides[usize::from(step & 7)]);
             visit(index);
         }
+    }
+
+    /// The voxel that [`Self::for_each`] gives after so many others.
+    #[inline]
+    pub(crate) fn voxel(&self, step: usize) -> usize {
+        let place = self.way.places.get(step).copied().unwrap_or(0) as usize;
+        let along = |axis: usize| (place >> (3 * axis) & 7).wrapping_mul(self.strides[2 * axis]);
+        self.first.wrapping_add(along(0)).wrapping_add(along(1)).wrapping_add(along(2))
     }
 }
 
 /// Walks a box of `size` voxels along x, y, z; gives the pieces of the walk in order.
 /// `size` must have at most 2³¹ voxels; a side of zero gives no piece.
-pub(crate) fn walk(size: [usize; 3], mut visit: impl FnMut(Leaf<'_>)) {
+pub(crate) fn walk(size: [usize; 3], visit: impl FnMut(Leaf<'_>)) {
+    let strides = [1, size[0] as isize, (size[0] * size[1]) as isize];
+    walk_with(size, strides, &mut All(visit));
+}
+
+/// The same, with voxels as [`Places`] has them.
+pub(crate) fn walk_places(size: [usize; 3], visit: impl FnMut(Leaf<'_>)) {
+    walk_with(size, Places::of(size).strides(), &mut All(visit));
+}
+
+/// Walks the parts of a box in which `pick` wants a voxel; it gets the pieces of the walk in order, with voxels as [`Places`] has
+/// them. What lies between takes no time that goes with its size.
+pub(crate) fn walk_some(size: [usize; 3], pick: &mut impl Pick) {
+    walk_with(size, Places::of(size).strides(), pick);
+}
+
+fn walk_with(size: [usize; 3], strides: [isize; 3], pick: &mut impl Pick) {
     if size.contains(&0) {
         return;
     }
-    let strides = [1, size[0] as isize, (size[0] * size[1]) as isize];
     let axes = [0, 1, 2].map(|axis| Axis { len: size[axis], stride: strides[axis] });
     let [a, b, c] = order_axes(axes);
-    Walker { tables: tables(), visit: &mut visit }.solid(0, a, b, c);
+    Walker { tables: tables(), pick, passed: 0 }.solid(0, a, b, c);
+}
+
+/// Who goes along the walk.
+pub(crate) trait Pick {
+    /// The first step from `step` on, numbered from 0, that is wanted. `step` never descends.
+    fn next(&mut self, step: usize) -> usize;
+    /// A piece of the walk that has a wanted step, and the number of its first.
+    fn leaf(&mut self, step: usize, leaf: &Leaf<'_>);
+}
+
+/// Every step.
+struct All<F>(F);
+
+impl<F: FnMut(Leaf<'_>)> Pick for All<F> {
+    #[inline(always)]
+    fn next(&mut self, step: usize) -> usize {
+        step
+    }
+
+    #[inline(always)]
+    fn leaf(&mut self, _: usize, leaf: &Leaf<'_>) {
+        (self.0)(*leaf);
+    }
+}
+
+/// The voxels of a box as numbers from which their places are read without dividing: x in the lowest bits, above it y, then z.
+#[derive(Clone, Copy)]
+pub(crate) struct Places {
+    bits: [u32; 2],
+}
+
+impl Places {
+    pub(crate) fn of(size: [usize; 3]) -> Self {
+        Self { bits: [size[0], size[1]].map(|side| usize::BITS - side.leading_zeros()) }
+    }
+
+    fn strides(self) -> [isize; 3] {
+        [1, 1 << self.bits[0], 1 << (self.bits[0] + self.bits[1])]
+    }
+
+    #[inline(always)]
+    pub(crate) fn place(self, number: usize) -> [i32; 3] {
+        let [x, y] = self.bits;
+        let low = |number: usize, bits: u32| number & ((1 << bits) - 1);
+        [low(number, x), low(number >> x, y), number >> (x + y)].map(|at| at as i32)
+    }
 }
 
 /// Puts the axis along which the walk as a whole goes first: the longest even one, else (all odd) the longest.
@@ -140,24 +210,41 @@ fn third_even(len: usize) -> usize {
     if len > 2 { third + third % 2 } else { third }
 }
 
-struct Walker<'t, 'v, V> {
+struct Walker<'t, 'p, P> {
     tables: &'t Tables,
-    visit: &'v mut V,
+    pick: &'p mut P,
+    /// Steps of the walk so far.
+    passed: usize,
 }
 
-impl<V: FnMut(Leaf<'_>)> Walker<'_, '_, V> {
+impl<P: Pick> Walker<'_, '_, P> {
+    /// Goes by so many voxels if none of them is wanted.
+    #[inline(always)]
+    fn passes(&mut self, voxels: usize) -> bool {
+        let passes = self.pick.next(self.passed) >= self.passed + voxels;
+        if passes {
+            self.passed += voxels;
+        }
+        passes
+    }
+
     /// A sub-box: by table if it is small, else cut into two to five parts whose walks join.
     fn solid(&mut self, from: isize, a: Axis, b: Axis, c: Axis) {
-        if let Some(steps) = self.tables.steps(a.len, b.len, c.len) {
-            return self.leaf(from, steps, a, b, c);
+        if self.passes(a.len * b.len * c.len) {
+            return;
+        }
+        if let Some(way) = self.tables.way(a.len, b.len, c.len) {
+            return self.leaf(from, way, a, b, c);
         }
         self.divide(from, a, b, c);
     }
 
-    fn leaf(&mut self, from: isize, steps: &[u8], a: Axis, b: Axis, c: Axis) {
+    fn leaf(&mut self, from: isize, way: &Way, a: Axis, b: Axis, c: Axis) {
         let strides =
             [a.stride, -a.stride, b.stride, -b.stride, c.stride, -c.stride, 0, 0].map(|s| s as usize);
-        (self.visit)(Leaf { first: from as usize, steps, strides });
+        let leaf = Leaf { first: from as usize, way, strides };
+        self.pick.leaf(self.passed, &leaf);
+        self.passed += leaf.len();
     }
 
     fn divide(&mut self, from: isize, a: Axis, b: Axis, c: Axis) {
@@ -237,8 +324,11 @@ impl<V: FnMut(Leaf<'_>)> Walker<'_, '_, V> {
     /// A sub-box with one side of 1: the walk in the plane of the other two.
     fn flat(&mut self, from: isize, a: Axis, b: Axis) {
         const POINT: Axis = Axis { len: 1, stride: 0 };
-        if let Some(steps) = self.tables.steps(a.len, b.len, 1) {
-            return self.leaf(from, steps, a, b, POINT);
+        if self.passes(a.len * b.len) {
+            return;
+        }
+        if let Some(way) = self.tables.way(a.len, b.len, 1) {
+            return self.leaf(from, way, a, b, POINT);
         }
         if b.len == 1 {
             return self.line(from, a);
@@ -260,19 +350,35 @@ impl<V: FnMut(Leaf<'_>)> Walker<'_, '_, V> {
 
     fn line(&mut self, from: isize, a: Axis) {
         const POINT: Axis = Axis { len: 1, stride: 0 };
-        for start in (0..a.len).step_by(LEAF_SIDE) {
+        let mut start = 0;
+        while start < a.len {
+            // Straight to the next that is wanted: a line may be as long as the largest box.
+            let ahead = self.pick.next(self.passed).saturating_sub(self.passed).min(a.len - start);
+            let ahead = ahead - if ahead < a.len - start { ahead % LEAF_SIDE } else { 0 };
+            (start, self.passed) = (start + ahead, self.passed + ahead);
             let part = a.head(LEAF_SIDE.min(a.len - start));
-            if let Some(steps) = self.tables.steps(part.len, 1, 1) {
-                self.leaf(from + a.at(start), steps, part, POINT, POINT);
+            if part.len == 0 {
+                break;
             }
+            if let Some(way) = self.tables.way(part.len, 1, 1) {
+                self.leaf(from + a.at(start), way, part, POINT, POINT);
+            }
+            start += part.len;
         }
     }
 }
 
-/// The steps of the walk for every size of small box: 0, 1 forward and back along the first axis, 2, 3 along
-/// the second, 4, 5 along the third. About 50 KB, made at first use in about a millisecond.
+/// The walks of every size of small box. About 150 KB, made at first use in about a millisecond.
 struct Tables {
-    steps: Vec<Option<Box<[u8]>>>,
+    ways: Vec<Option<Way>>,
+}
+
+/// A walk of a small box.
+struct Way {
+    /// From each voxel to the next: 0, 1 forward and back along the first axis, 2, 3 along the second, 4, 5 along the third.
+    steps: Box<[u8]>,
+    /// Each voxel: its places along the three axes, three bits each, that of the first lowest.
+    places: Box<[u16]>,
 }
 
 fn tables() -> &'static Tables {
@@ -284,9 +390,11 @@ impl Tables {
     /// Every table is made from those of smaller boxes by the same rules as a large box: first lines, then
     /// planes, then solids, each in order of volume.
     fn new() -> Self {
-        let mut tables = Self { steps: vec![None; LEAF_SIDE * LEAF_SIDE * LEAF_SIDE] };
+        let ways = std::iter::repeat_with(|| None).take(LEAF_SIDE * LEAF_SIDE * LEAF_SIDE);
+        let mut tables = Self { ways: ways.collect() };
         for len in 1..=LEAF_SIDE {
-            tables.steps[Self::place(len, 1, 1)] = Some(vec![0; len - 1].into());
+            let (steps, places) = (vec![0; len - 1].into(), (0..len as u16).collect());
+            tables.ways[Self::place(len, 1, 1)] = Some(Way { steps, places });
         }
         let sides = || 1..=LEAF_SIDE;
         let mut sizes: Vec<[usize; 3]> =
@@ -294,35 +402,39 @@ impl Tables {
         sizes.sort_by_key(|&[a, b, c]| (c > 1, a * b * c));
         for [a, b, c] in sizes {
             if (b, c) != (1, 1) {
-                tables.steps[Self::place(a, b, c)] = tables.make([a, b, c]);
+                tables.ways[Self::place(a, b, c)] = tables.make([a, b, c]);
             }
         }
         tables
     }
 
     /// `None` for the sizes that have no walk without jumps; no such part is ever cut from a box that has one.
-    fn make(&self, size: [usize; 3]) -> Option<Box<[u8]>> {
+    fn make(&self, size: [usize; 3]) -> Option<Way> {
         const STRIDES: [isize; 3] = [1, 64, 64 * 64];
         let [a, b, c] = [0, 1, 2].map(|axis| Axis { len: size[axis], stride: STRIDES[axis] });
         let mut order = Vec::new();
         Walker {
             tables: self,
-            visit: &mut |leaf: Leaf<'_>| leaf.for_each(|index| order.push(index as isize)),
+            pick: &mut All(|leaf: Leaf<'_>| leaf.for_each(|index| order.push(index as isize))),
+            passed: 0,
         }
         .divide(0, a, b, c);
         let step_number = |pair: &[isize]| {
             let axis = STRIDES.iter().position(|stride| (pair[1] - pair[0]).abs() == *stride)?;
             Some(2 * axis as u8 + u8::from(pair[1] < pair[0]))
         };
-        order.windows(2).map(step_number).collect()
+        let steps = order.windows(2).map(step_number).collect::<Option<_>>()?;
+        // Six bits an axis become three.
+        let places = order.iter().map(|&at| (at & 7 | at >> 3 & 7 << 3 | at >> 6 & 7 << 6) as u16).collect();
+        Some(Way { steps, places })
     }
 
-    /// The steps through a box of these sides; `None` if it is too large for a table.
-    fn steps(&self, a: usize, b: usize, c: usize) -> Option<&[u8]> {
+    /// The walk of a box of these sides; `None` if it is too large for a table.
+    fn way(&self, a: usize, b: usize, c: usize) -> Option<&Way> {
         if a.max(b).max(c) > LEAF_SIDE {
             return None;
         }
-        self.steps.get(Self::place(a, b, c)).and_then(Option::as_deref)
+        self.ways.get(Self::place(a, b, c)).and_then(Option::as_ref)
     }
 
     const fn place(a: usize, b: usize, c: usize) -> usize {
@@ -488,6 +600,75 @@ mod tests {
                 flat(add(&[p, b2]), a, sub(b, b2), out);
                 flat(add(&[p, sub(a, unit(a)), sub(b2, unit(b))]), neg(b2), sub(a2, a), out);
             }
+        }
+    }
+
+    /// Wants some steps of a walk, and looks at what it gets.
+    struct Some<'a> {
+        wanted: &'a [usize],
+        order: &'a [[u32; 3]],
+        places: Places,
+        leaves: usize,
+        found: usize,
+    }
+
+    impl Pick for Some<'_> {
+        fn next(&mut self, step: usize) -> usize {
+            let later = self.wanted.partition_point(|wanted| *wanted < step);
+            self.wanted.get(later).copied().unwrap_or(usize::MAX)
+        }
+
+        fn leaf(&mut self, step: usize, leaf: &Leaf<'_>) {
+            let mut step = step;
+            let before = self.found;
+            let first = step;
+            leaf.for_each(|number| {
+                assert_eq!(self.places.place(number).map(|at| at as u32), self.order[step]);
+                assert_eq!(leaf.voxel(step - first), number);
+                self.found += usize::from(self.wanted.contains(&step));
+                step += 1;
+            });
+            assert!(self.found > before, "a leaf without a wanted step");
+            self.leaves += 1;
+        }
+    }
+
+    fn check_some(size: [u32; 3], wanted: &[usize]) {
+        let order = hilbert_order(size);
+        let size = size.map(|side| side as usize);
+        let mut some = Some { wanted, order: &order, places: Places::of(size), leaves: 0, found: 0 };
+        walk_some(size, &mut some);
+        assert_eq!(some.found, wanted.len(), "{size:?}");
+        assert!(some.leaves <= wanted.len());
+    }
+
+    #[test]
+    fn the_walk_goes_straight_to_the_steps_that_are_wanted() {
+        for x in 1..=12u32 {
+            for y in 1..=12 {
+                for z in 1..=12 {
+                    let volume = (x * y * z) as usize;
+                    check_some([x, y, z], &[volume * 5 / 7]);
+                    check_some([x, y, z], &[]);
+                }
+            }
+        }
+        let sizes = [
+            [37, 52, 19],
+            [64, 64, 64],
+            [101, 33, 5],
+            [1, 90, 77],
+            [5_000, 1, 1],
+            [21, 35, 49],
+            [1, 1, 9_999],
+        ];
+        for size in sizes {
+            let volume: usize = size.iter().map(|side| *side as usize).product();
+            let mut wanted: Vec<usize> =
+                (1..40).map(|n| n * n * 7_919 % volume).chain([0, volume - 1]).collect();
+            wanted.sort_unstable();
+            wanted.dedup();
+            check_some(size, &wanted);
         }
     }
 

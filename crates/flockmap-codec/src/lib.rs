@@ -48,7 +48,9 @@ mod reference;
 mod stamps;
 mod states;
 mod tiles;
+mod told;
 mod varint;
+mod work;
 
 #[cfg(feature = "training")]
 pub use flock::training;

@@ -24,26 +24,3 @@ pub(crate) fn pack(codes: &[u8], packed: &mut Vec<u8>) {
         packed.push(rest.iter().rev().fold(0, |byte, code| byte << 2 | code));
     }
 }
-
-/// Unpacks `packed`, which must hold exactly as many codes as there is room in `codes`.
-/// `None` if it does not, or if bits after the last code are not zero.
-pub(crate) fn unpack(packed: &[u8], codes: &mut [u8]) -> Option<()> {
-    if packed.len() != packed_len(codes.len()) {
-        return None;
-    }
-    let (fours, rest) = codes.as_chunks_mut::<4>();
-    for (codes, &byte) in fours.iter_mut().zip(packed) {
-        *codes = [byte & 3, byte >> 2 & 3, byte >> 4 & 3, byte >> 6];
-    }
-    if !rest.is_empty() {
-        let mut byte = *packed.last()?;
-        for code in rest {
-            *code = byte & 3;
-            byte >>= 2;
-        }
-        if byte != 0 {
-            return None;
-        }
-    }
-    Some(())
-}

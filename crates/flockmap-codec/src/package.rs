@@ -64,6 +64,11 @@ impl Package {
         Self { bytes: bytes.into(), header: *header, tail }
     }
 
+    /// A package of these parts, whatever they are: for tests of what a hostile peer may send.
+    pub fn from_parts(header: &Header, payload: &[u8], check: u32) -> Self {
+        Self::seal(header, payload, |_| check)
+    }
+
     /// What the package says about itself.
     pub fn header(&self) -> &Header {
         &self.header

@@ -5,23 +5,18 @@
 //! of its stamp, the low bytes of all voxels first, and the high bytes after them if there are more than 256 stamps.
 
 use flockmap_grid::{BlockIndex, Changes, PresentState, Stamp, StateBlock, Voxel, VoxelBox, voxel_bit};
-use std::collections::BTreeMap;
+use rustc_hash::FxHashMap;
 
 use crate::code_grid::CodeGrid;
 use crate::deflate::{Deflater, inflate_up_to};
-use crate::hilbert::walk;
+use crate::hilbert::{Places, walk, walk_places};
 use crate::pack::{FREE, OCCUPIED, UNKNOWN};
 use crate::varint::{self, Reader};
+use crate::work::{self, Work};
 use crate::{Codec, PackageError};
 
 /// Most distinct stamps in a tile.
 pub(crate) const STAMPS_MAX: usize = 1 << 16;
-
-/// The most blocks that the parts of a tile may have, counted together: what bounds the memory of a decoded
-/// tile, at 160 bytes a block, to some 12 MB for a package of 1,150 bytes.
-pub(crate) fn part_blocks_max(payload_bytes: usize) -> usize {
-    payload_bytes.saturating_mul(64)
-}
 
 /// Appends the stamps of `parts`, whose voxels all lie in `region`. At most [`STAMPS_MAX`] parts.
 pub(crate) fn encode(
@@ -65,15 +60,25 @@ pub(crate) fn encode(
     deflater.deflate(&bytes, out);
 }
 
+/// The steps that [`decode`] takes for such parts.
+pub(crate) fn steps(parts: &[(Stamp, Changes)], region: &VoxelBox) -> u64 {
+    if parts.len() < 2 {
+        return 0;
+    }
+    let known: usize = parts.iter().map(|(_, part)| part.len()).sum();
+    let blocks: usize = parts.iter().map(|(_, part)| part.blocks().len()).sum();
+    work::of_stamps(region.volume() as u64, known as u64) + work::BLOCK_STEPS * blocks as u64
+}
+
 /// Joins `states`, what is known in `region`, with the stamps in `bytes`. `first` and `last` are the oldest and the
-/// newest stamp by the header. `payload_bytes` is the length of the whole payload, which sets the limits.
+/// newest stamp by the header. What it takes counts as `work` of the whole payload.
 pub(crate) fn decode(
     codec: Codec,
     bytes: &[u8],
     states: Changes,
     region: VoxelBox,
     [first, last]: [Stamp; 2],
-    payload_bytes: usize,
+    work: &mut Work,
     grid: &mut CodeGrid,
 ) -> Result<PresentState, PackageError> {
     let wrong = |rule| PackageError::Payload { codec, rule };
@@ -85,6 +90,7 @@ pub(crate) fn decode(
         return Ok(PresentState { region, parts, sensors: Vec::new() });
     }
     let known = states.len();
+    work.take(work::of_stamps(region.volume() as u64, known as u64))?;
     let stamps_max = known.min(STAMPS_MAX);
     let inflated = inflate_up_to(bytes, 10 * (stamps_max + 1) + 2 * known)
         .ok_or_else(|| wrong("stamps are one whole zlib stream and nothing after it"))?;
@@ -110,11 +116,17 @@ pub(crate) fn decode(
 
     grid.fill(&states, &region, UNKNOWN);
     let codes = grid.codes();
-    let mut blocks = BTreeMap::<(u16, BlockIndex), StateBlock>::new();
-    let blocks_max = part_blocks_max(payload_bytes);
+    let size = region.size().map(|side| side as usize);
+    let (min, places) = (region.min(), Places::of(size));
+    let mut blocks: Vec<(u16, (BlockIndex, StateBlock))> = Vec::new();
+    let mut place_of = FxHashMap::<(u16, BlockIndex), usize>::default();
+    // Voxels one after the other are of one block and stamp as a rule.
+    let mut last = usize::MAX;
     let mut fault = None;
-    walk(region.size().map(|side| side as usize), |leaf| {
-        leaf.for_each(|index| {
+    walk_places(size, |leaf| {
+        leaf.for_each(|number| {
+            let [x, y, z] = places.place(number);
+            let index = (z as usize * size[1] + y as usize) * size[0] + x as usize;
             let state = match codes.get(index) {
                 Some(&FREE) => flockmap_grid::State::Free,
                 Some(&OCCUPIED) => flockmap_grid::State::Occupied,
@@ -122,32 +134,41 @@ pub(crate) fn decode(
             };
             let Some((low, high)) = numbers.next() else { return };
             let number = u16::from_le_bytes([*low, high]);
-            if usize::from(number) >= count {
-                fault = Some("a voxel has one of the stamps that there are");
-            } else if blocks.len() > blocks_max {
-                fault = Some("no more than 64 blocks of equal stamp for each byte of payload");
+            if fault.is_some() {
+                return;
             }
-            if fault.is_none() {
-                let voxel = voxel_at(&region, index);
-                blocks.entry((number, voxel.block())).or_default().set(voxel_bit(voxel), state);
+            if usize::from(number) >= count {
+                fault = Some(wrong("a voxel has one of the stamps that there are"));
+                return;
+            }
+            let voxel = Voxel::new(min.x + x, min.y + y, min.z + z);
+            let block = voxel.block();
+            if blocks.get(last).is_none_or(|(of, (found, _))| *of != number || *found != block) {
+                last = *place_of.entry((number, block)).or_insert(blocks.len());
+                if last == blocks.len() {
+                    fault = work.take(work::BLOCK_STEPS).err();
+                    blocks.push((number, (block, StateBlock::default())));
+                }
+            }
+            if let Some((_, (_, states))) = blocks.get_mut(last) {
+                states.set(voxel_bit(voxel), state);
             }
         });
     });
-    if let Some(rule) = fault {
-        return Err(wrong(rule));
+    if let Some(fault) = fault {
+        return Err(fault);
     }
 
-    let mut parts: Vec<(Stamp, Changes)> = Vec::new();
-    let mut blocks = blocks.into_iter().peekable();
-    for (number, stamp) in stamps.into_iter().enumerate() {
-        let mut part = Vec::new();
-        while let Some(((_, index), block)) = blocks.next_if(|((of, _), _)| usize::from(*of) == number) {
-            part.push((index, block));
-        }
-        if part.is_empty() {
-            return Err(wrong("every stamp has a voxel"));
-        }
-        parts.push((stamp, Changes::from_blocks(part)));
+    blocks.sort_unstable_by_key(|(number, (index, _))| (*number, *index));
+    let parts: Vec<(Stamp, Changes)> = blocks
+        .chunk_by(|a, b| a.0 == b.0)
+        .filter_map(|part| {
+            let stamp = stamps.get(usize::from(part.first()?.0))?;
+            Some((*stamp, Changes::from_blocks(part.iter().map(|(_, block)| *block).collect())))
+        })
+        .collect();
+    if parts.len() < count {
+        return Err(wrong("every stamp has a voxel"));
     }
     Ok(PresentState { region, parts, sensors: Vec::new() })
 }
@@ -156,10 +177,4 @@ fn place(region: &VoxelBox, voxel: Voxel) -> usize {
     let (min, size) = (region.min(), region.size().map(|s| s as usize));
     let [x, y, z] = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as usize);
     (z * size[1] + y) * size[0] + x
-}
-
-fn voxel_at(region: &VoxelBox, index: usize) -> Voxel {
-    let (min, size) = (region.min(), region.size().map(|s| s as usize));
-    let (xy, x) = (index / size[0], index % size[0]);
-    Voxel::new(min.x + x as i32, min.y + (xy % size[1]) as i32, min.z + (xy / size[1]) as i32)
 }

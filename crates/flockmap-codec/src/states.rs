@@ -5,7 +5,9 @@ use flockmap_grid::{Changes, State, Voxel, VoxelBox};
 use crate::code_grid::{CodeGrid, nested_columns};
 use crate::deflate::{Deflater, EXPANSION_MAX, inflate_exact};
 use crate::hilbert::walk;
-use crate::pack::{UNCHANGED, UNKNOWN, pack, packed_len, unpack};
+use crate::pack::{UNCHANGED, UNKNOWN, pack, packed_len};
+use crate::told::{self, Codes};
+use crate::work::{self, Work};
 use crate::{BOX_VOXELS_MAX, Codec, PackageError};
 
 /// What holds for the voxels of the box that are in no state.
@@ -50,7 +52,7 @@ pub(crate) fn voxels_max(codec: Codec, payload_bytes: usize, others: Others) -> 
     filled.min(BOX_VOXELS_MAX)
 }
 
-/// Appends `states`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels.
+/// Appends `states`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels. Returns the steps that [`decode`] takes for them.
 pub(crate) fn encode(
     codec: Codec,
     states: &Changes,
@@ -59,9 +61,11 @@ pub(crate) fn encode(
     scratch: &mut Scratch,
     deflater: &mut Deflater,
     out: &mut Vec<u8>,
-) {
+) -> u64 {
+    let blocks = states.blocks().len();
     if codec == Codec::Racer {
-        return encode_addresses(states, region, out);
+        encode_addresses(states, region, out);
+        return steps(codec, 0, 0, &mut [], blocks);
     }
     let Scratch { grid, sequence, packed } = scratch;
     grid.fill(states, region, others.code());
@@ -95,16 +99,18 @@ pub(crate) fn encode(
     } else {
         deflater.deflate(packed, out);
     }
+    steps(codec, codes.len(), others.code(), packed, blocks)
 }
 
 /// The states in `payload`; the inverse of [`encode`]. Takes no memory before it is sure that `payload` can fill
-/// the box, see [`voxels_max`].
+/// the box, see [`voxels_max`], and counts its work.
 pub(crate) fn decode(
     codec: Codec,
     payload: &[u8],
     region: &VoxelBox,
     others: Others,
     scratch: &mut Scratch,
+    work: &mut Work,
 ) -> Result<Changes, PackageError> {
     let limit = voxels_max(codec, payload.len(), others);
     let voxels = region.volume();
@@ -112,56 +118,65 @@ pub(crate) fn decode(
         return Err(PackageError::BoxTooLarge { voxels, payload: payload.len(), codec, limit });
     }
     if codec == Codec::Racer {
-        return decode_addresses(payload, region);
+        let states = decode_addresses(payload, region)?;
+        work.take(work::BLOCK_STEPS * states.blocks().len() as u64)?;
+        return Ok(states);
     }
+    let wrong = |rule| PackageError::Payload { codec, rule };
     let volume = voxels as usize;
-    let Scratch { grid, sequence, packed } = scratch;
-    let packed = if codec == Codec::Raw {
-        payload
-    } else {
-        packed.clear();
-        packed.resize(packed_len(volume), 0);
-        inflate_exact(payload, packed).ok_or(PackageError::Payload {
-            codec,
-            rule: "one whole zlib stream that gives two bits for each voxel of the box, and nothing after it",
-        })?;
-        packed
-    };
-    sequence.clear();
-    sequence.resize(volume, 0);
-    unpack(packed, sequence).ok_or(PackageError::Payload {
-        codec,
-        rule: "two bits for each voxel of the box, zeros after the last",
-    })?;
-
-    grid.clear(volume, others.code());
-    let codes = grid.codes_mut();
-    let size = region.size().map(|side| side as usize);
-    if codec == Codec::Paper {
-        let mut rest = sequence.as_slice();
-        walk(size, |leaf| {
-            let Some((part, after)) = rest.split_at_checked(leaf.len()) else { return };
-            rest = after;
-            let mut part = part.iter();
-            leaf.for_each(|index| {
-                if let (Some(code), Some(to)) = (part.next(), codes.get_mut(index)) {
-                    *to = *code;
-                }
-            });
-        });
-    } else {
-        for (start, column) in nested_columns(size).zip(sequence.chunks_exact(size[2])) {
-            let to = codes.get_mut(start..).unwrap_or_default();
-            to.iter_mut().step_by(size[0] * size[1]).zip(column).for_each(|(to, code)| *to = *code);
-        }
+    let length = packed_len(volume);
+    // What is there already is written over.
+    if scratch.packed.len() < length {
+        scratch.packed.resize(length, 0);
     }
-    grid.states(region, others.code()).ok_or(PackageError::Payload {
-        codec,
-        rule: match others {
-            Others::Unchanged => "no voxel changes to Unknown (code 10)",
-            Others::Unknown => "no voxel of a present state is Unchanged (code 11)",
-        },
-    })
+    let packed = scratch.packed.get_mut(..length).unwrap_or_default();
+    if codec == Codec::Raw {
+        if payload.len() != length {
+            return Err(wrong(FILLED));
+        }
+        packed.copy_from_slice(payload);
+    } else {
+        work.take(work::of_stream(volume as u64))?;
+        inflate_exact(payload, packed).ok_or_else(|| wrong(
+            "one whole zlib stream that gives two bits for each voxel of the box, and nothing after it",
+        ))?;
+    }
+    fill_last(packed, volume, others.code()).ok_or_else(|| wrong(FILLED))?;
+    let codes = Codes::new(packed, others.code());
+    let rule = match others {
+        Others::Unchanged => "no voxel changes to Unknown (code 10)",
+        Others::Unknown => "no voxel of a present state is Unchanged (code 11)",
+    };
+    told::voxels(codec, codes, region, work, rule)
+}
+
+const FILLED: &str = "two bits for each voxel of the box, zeros after the last";
+
+/// Puts `background` in place of the zeros after the last code. `None` if there is something else.
+fn fill_last(packed: &mut [u8], codes: usize, background: u8) -> Option<()> {
+    let bits = 2 * (codes % 4);
+    if bits != 0 {
+        let last = packed.last_mut()?;
+        if *last >> bits != 0 {
+            return None;
+        }
+        *last |= (background * 0b0101_0101) << bits;
+    }
+    Some(())
+}
+
+/// The steps of [`decode`] for what was encoded last; `known` are the blocks of it.
+fn steps(codec: Codec, volume: usize, background: u8, packed: &mut [u8], blocks: usize) -> u64 {
+    let codes = match codec {
+        Codec::Racer | Codec::Flock => 0,
+        _ => {
+            // Zeros, as they were just packed.
+            let _ = fill_last(packed, volume, background);
+            let stream = if codec == Codec::Raw { 0 } else { work::of_stream(volume as u64) };
+            stream + Codes::new(packed, background).steps()
+        }
+    };
+    codes + work::BLOCK_STEPS * blocks as u64
 }
 
 /// Bytes for each voxel in the list of addresses.

@@ -3,10 +3,8 @@
 use flockmap_grid::{Layer, PresentState};
 
 use crate::check::check_present;
+use crate::work::{self, Work};
 use crate::{Codec, ContentKind, Decoder, Package, PackageError, flock};
-
-/// Most blocks that a byte of a tile tells of.
-const BLOCKS_PER_BYTE: usize = 4;
 
 /// The tiles of one set that have been read, from the first on. In [`Codec::Flock`] each tile is told against those before it;
 /// in the other codecs each can be read alone. Holds as much as a [`Layer`] of what was read.
@@ -32,10 +30,11 @@ impl TilesRead {
         self.told.memory_bytes()
     }
 
-    /// Bytes that it may hold at most while and after this tile is read, beside the stamps of the voxels of the tile: it adds at most four blocks
-    /// for each of its bytes. O(1).
+    /// Bytes that it may hold at most while and after this tile is read, beside the stamps of the voxels of the tile: it adds at most as many
+    /// blocks as its bytes may ask for. O(1).
     pub fn memory_bytes_with(&self, tile: &Package) -> usize {
-        self.told.memory_bytes_with(BLOCKS_PER_BYTE * tile.payload().len())
+        let blocks = work::limit(tile.payload().len()) / work::BLOCK_STEPS;
+        self.told.memory_bytes_with(usize::try_from(blocks).unwrap_or(usize::MAX))
     }
 }
 
@@ -59,8 +58,12 @@ impl Decoder {
         }
         let TilesRead { mut told, next } = core::mem::take(before);
         let ends = [header.cycle_start, header.cycle_end];
+        let payload = package.payload();
+        let mut work = Work::new(header.codec, payload.len());
         let state =
-            flock::present::decode(&mut self.flock, &mut told, package.payload(), &header.region, ends)?;
+            flock::present::decode(&mut self.flock, &mut told, payload, &header.region, ends, &mut work);
+        self.note_steps(work.taken());
+        let state = state?;
         let found = check_present(&package.checked(), &state);
         if found != package.check() {
             return Err(PackageError::Check { stated: package.check(), found });

@@ -16,12 +16,14 @@ pub(crate) struct Coding<'a, B> {
     chances: &'a mut Chances,
     tables: &'static Tables,
     pub(crate) bits: B,
+    /// How many have been made.
+    pub(crate) made: u64,
 }
 
 impl<'a, B> Coding<'a, B> {
     pub(crate) fn new(tables: &'static Tables, chances: &'a mut Chances, bits: B) -> Self {
         chances.clone_from(&tables.start);
-        Self { chances, tables, bits }
+        Self { chances, tables, bits, made: 0 }
     }
 }
 
@@ -30,6 +32,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
 
     #[inline]
     fn flag(&mut self, context: usize, truth: bool) -> bool {
+        self.made += 1;
         self.bits.code(&mut self.chances.flag[context], truth, FLAG_RATE)
     }
 
@@ -37,7 +40,10 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
         let Chances { voxel, kind, .. } = &mut *self.chances;
         let lookup = self.tables.lookup();
-        self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, lookup, bits }, row, truth))
+        let told =
+            self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, lookup, bits }, row, truth));
+        self.made += u64::from(row.voxels.count_ones() + (told.free | told.occupied).count_ones());
+        told
     }
 }
 

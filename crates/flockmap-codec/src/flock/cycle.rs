@@ -8,6 +8,7 @@ use super::package::{self, Habits, Piece, Workspace};
 use super::tables::TableSet;
 use crate::reference::Known;
 use crate::varint::Reader;
+use crate::work::{self, Work};
 use crate::{BOX_VOXELS_MAX, Codec, PackageError};
 
 /// The first byte of a payload of noise. Others tell a set of tables, of which there is none with this number.
@@ -70,7 +71,9 @@ fn with_model(
         known.take_newest();
         let number = all.len();
         let (piece, count) =
-            package::encode(workspace, known, &mut habits, sensor, rest, |region| room(number, region))?;
+            package::encode(workspace, known, &mut habits, sensor, rest, work::STEPS_FREE, |region| {
+                room(number, region)
+            })?;
         let (told, left) = rest.split_at(count.min(rest.len()));
         rest = left;
         if piece.payload.len() <= room(number, &piece.region) {
@@ -92,7 +95,8 @@ fn as_noise(changes: &Changes, room: impl Fn(usize, &VoxelBox) -> usize) -> Vec<
         let region = BlockBox::around(&region).voxels()?;
         let mut payload = vec![NOISE];
         noise::encode(&changes, &region, &mut payload);
-        Some(Told { piece: Piece { changes, region, payload }, reference: None })
+        let steps = noise::steps(changes.len(), changes.blocks().len());
+        Some(Told { piece: Piece { changes, region, payload, steps }, reference: None })
     });
     told.collect()
 }
@@ -103,6 +107,7 @@ pub(crate) fn decode(
     known: &Known<'_>,
     payload: &[u8],
     region: &VoxelBox,
+    work: &mut Work,
 ) -> Result<Changes, PackageError> {
     let codec = Codec::Flock;
     let blocks = BlockBox::of_voxels(region);
@@ -112,8 +117,8 @@ pub(crate) fn decode(
         return Err(PackageError::BoxTooLarge { voxels: region.volume(), payload, codec, limit });
     }
     match payload.split_first() {
-        Some((&NOISE, rest)) => noise::decode(rest, region, noise::changes_max(rest.len())),
-        _ => package::decode(workspace.get_or_insert_default(), known, payload, blocks),
+        Some((&NOISE, rest)) => noise::decode(rest, region, noise::changes_max(rest.len()), work),
+        _ => package::decode(workspace.get_or_insert_default(), known, payload, blocks, work),
     }
 }
 

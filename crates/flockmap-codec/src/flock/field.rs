@@ -23,6 +23,8 @@ pub(crate) struct Field {
 
 /// A block that was not looked at yet.
 const NOT_ASKED: u32 = 0;
+/// The block in the middle of its neighbours.
+pub(crate) const OWN: usize = 13;
 /// The cells of blocks of which nothing is known.
 pub(crate) const NOTHING: u32 = 1;
 
@@ -83,12 +85,21 @@ impl Field {
         slot
     }
 
+    /// How much was known of a block before, without taking it in: most blocks that are asked for do not change.
+    pub(crate) fn classes(
+        &self,
+        known: &Known<'_>,
+        block: BlockIndex,
+    ) -> Result<block::KnownClasses, Overtaken> {
+        Ok(known.block(block)?.map(block::KnownClasses::of).unwrap_or_default())
+    }
+
     /// How much was known of a block before.
     pub(crate) fn counts(&self, slot: u32) -> block::KnownClasses {
         self.counts.get(slot as usize).copied().unwrap_or_default()
     }
 
-    /// The slots of a block and its neighbours by x + 3·y + 9·z, each −1 … 1 plus one; mirrored as a turn says. Only of those that
+    /// The slots of a block, which is [`OWN`], and its neighbours by x + 3·y + 9·z, each −1 … 1 plus one; mirrored as a turn says. Only of those that
     /// contexts look at: the neighbours beyond it along one to three axes, and those before it along one to three.
     pub(crate) fn around(
         &mut self,
@@ -104,7 +115,9 @@ impl Field {
         let [row, slice] = [self.size[0], self.size[0] * self.size[1]];
         let side = turn.is_up.map(|is_up| if is_up { 1 } else { -1 });
         for axes in 0..8 {
-            for side in [side, side.map(|side| -side)] {
+            // The block itself is on neither side.
+            let sides = [side, side.map(|side| -side)];
+            for side in sides.into_iter().take(if axes == 0 { 1 } else { 2 }) {
                 let offset: [i32; 3] = core::array::from_fn(|a| side[a] * (axes >> a & 1));
                 let [x, y, z] = offset.map(|offset| (offset + 1) as usize);
                 let (number, place) = ((z * 9 + y * 3 + x) % 27, place + z * slice + y * row + x);

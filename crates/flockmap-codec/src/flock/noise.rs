@@ -25,6 +25,7 @@ use self::fine::FineBits;
 use self::gap::Gaps;
 use self::order::Order;
 use super::coder::{BitReader, BitWriter};
+use crate::work::{self, Work};
 use crate::{BOX_VOXELS_MAX, Codec, PackageError};
 
 pub(crate) use self::cut::cut;
@@ -43,9 +44,16 @@ pub(crate) const fn changes_max(payload_bytes: usize) -> usize {
 const CHANGES_PER_BYTE: usize = 16;
 const CHANGES_FREE: usize = 64;
 
-/// The fewest bytes of payload that may hold so many changes; inverse of [`changes_max`].
-const fn bytes_min(changes: usize) -> usize {
-    changes.saturating_sub(CHANGES_FREE).div_ceil(CHANGES_PER_BYTE)
+/// The fewest bytes of payload that may hold so many changes in so many blocks.
+const fn bytes_min(changes: usize, blocks: usize) -> usize {
+    let for_changes = changes.saturating_sub(CHANGES_FREE).div_ceil(CHANGES_PER_BYTE);
+    let for_work = work::bytes_min(steps(changes, blocks));
+    if for_changes > for_work { for_changes } else { for_work }
+}
+
+/// Steps of work for so many changes in so many blocks.
+pub(crate) const fn steps(changes: usize, blocks: usize) -> u64 {
+    changes as u64 * work::CHANGE_STEPS + blocks as u64 * work::NOISE_BLOCK_STEPS
 }
 
 /// Appends the payload for `changes`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels. No changes: no bytes.
@@ -71,7 +79,7 @@ pub(crate) fn encode(changes: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
         }
     }
     bits.finish();
-    let length = (out.len() - start).max(bytes_min(total));
+    let length = (out.len() - start).max(bytes_min(total, changes.blocks().len()));
     out.resize(start + length, 0);
 }
 
@@ -81,7 +89,12 @@ pub(crate) fn encode(changes: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
 ///
 /// # Errors
 /// [`PackageError::BoxTooLarge`] for more than [`BOX_VOXELS_MAX`] voxels, [`PackageError::Payload`] for too many changes.
-pub(crate) fn decode(payload: &[u8], region: &VoxelBox, at_most: usize) -> Result<Changes, PackageError> {
+pub(crate) fn decode(
+    payload: &[u8],
+    region: &VoxelBox,
+    at_most: usize,
+    work: &mut Work,
+) -> Result<Changes, PackageError> {
     let (codec, voxels) = (Codec::Flock, region.volume());
     if voxels > u128::from(BOX_VOXELS_MAX) {
         return Err(PackageError::BoxTooLarge {
@@ -98,6 +111,7 @@ pub(crate) fn decode(payload: &[u8], region: &VoxelBox, at_most: usize) -> Resul
         let rule = "there are no more changes than voxels in the box, and than so many bytes may hold";
         return Err(PackageError::Payload { codec, rule });
     }
+    work.take(work::CHANGE_STEPS * u64::from(total))?;
     let order = Order::new(region);
     let mut walk = Walk::new(total, voxels as u32);
     let mut blocks: Vec<(BlockIndex, StateBlock)> = Vec::new();
@@ -108,6 +122,7 @@ pub(crate) fn decode(payload: &[u8], region: &VoxelBox, at_most: usize) -> Resul
         let part = match current {
             Some(part) if order.reaches(&part, place) => part,
             _ => {
+                work.take(work::NOISE_BLOCK_STEPS)?;
                 let next = order.part_at(place);
                 if let Some(part) = current.replace(next) {
                     blocks.push((part.index, StateBlock::new(free, occupied)));

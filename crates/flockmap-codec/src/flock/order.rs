@@ -67,12 +67,19 @@ pub(crate) fn key(block: BlockIndex, sensor_block: [i32; 3]) -> (u8, [i32; 3]) {
     (octant, [along(2), along(1), along(0)])
 }
 
-/// All blocks of a box in order. O(1) for each.
-pub(crate) fn blocks(region: BlockBox, sensor_block: [i32; 3]) -> impl Iterator<Item = BlockIndex> {
+/// The blocks of a box in order, without so many from the front. O(1) for each, and for those that are left out.
+pub(crate) fn blocks(
+    region: BlockBox,
+    sensor_block: [i32; 3],
+    before: u64,
+) -> impl Iterator<Item = BlockIndex> {
+    let mut before = before;
     (0..8usize).flat_map(move |octant| {
-        Octant::new(core::array::from_fn(|a| {
+        let mut octant = Octant::new(core::array::from_fn(|a| {
             side(region.min[a], region.max[a], sensor_block[a], octant >> a & 1 == 1)
-        }))
+        }));
+        before = octant.pass(before);
+        octant
     })
 }
 
@@ -96,6 +103,18 @@ impl Octant {
         // Without blocks along one axis there are none at all.
         let is_empty = sides.iter().any(|side| side.count == 0);
         Self { sides, at: [0, 0, if is_empty { sides[2].count } else { 0 }] }
+    }
+
+    /// Leaves out so many blocks from the front, or all; returns how many more there were to leave out.
+    fn pass(&mut self, blocks: u64) -> u64 {
+        let [x, y, z] = self.sides.map(|side| u64::from(side.count));
+        let all = u128::from(x) * u128::from(y) * u128::from(z);
+        if u128::from(blocks) >= all {
+            self.at = [0, 0, self.sides[2].count];
+            return blocks - all as u64;
+        }
+        self.at = [blocks % x, blocks / x % y, blocks / x / y].map(|at| at as u32);
+        0
     }
 }
 
@@ -154,17 +173,21 @@ mod tests {
         ) {
             let region = BlockBox { min, max: core::array::from_fn(|a| min[a] + size[a]) };
             let sensor = sensor_block(sensor);
-            let blocks: Vec<_> = blocks(region, sensor).collect();
-            prop_assert_eq!(blocks.len() as u128, region.volume());
-            prop_assert!(blocks.is_sorted_by(|a, b| key(*a, sensor) < key(*b, sensor)));
-            prop_assert!(blocks.iter().all(|block| region.with(*block) == region));
+            let all: Vec<_> = blocks(region, sensor, 0).collect();
+            prop_assert_eq!(all.len() as u128, region.volume());
+            prop_assert!(all.is_sorted_by(|a, b| key(*a, sensor) < key(*b, sensor)));
+            prop_assert!(all.iter().all(|block| region.with(*block) == region));
+            for before in 0..=all.len() + 1 {
+                let rest: Vec<_> = blocks(region, sensor, before as u64).collect();
+                prop_assert_eq!(&rest, all.get(before..).unwrap_or_default(), "{} left out", before);
+            }
         }
     }
 
     #[test]
     fn in_an_octant_the_far_corner_comes_first() {
         let region = BlockBox { min: [-2; 3], max: [2; 3] };
-        let order: Vec<_> = blocks(region, [0; 3]).collect();
+        let order: Vec<_> = blocks(region, [0; 3], 0).collect();
         assert_eq!(order[0], BlockIndex::new(-2, -2, -2));
         assert_eq!(order.iter().find(|b| b.x > 0 && b.y > 0 && b.z > 0), Some(&BlockIndex::new(2, 2, 2)));
     }

@@ -12,24 +12,18 @@ use super::choice;
 use super::coder::{BitReader, BitWriter};
 use super::coding::Coding;
 use super::decide::Decide;
-use super::field::Field;
+use super::field::{Field, OWN};
 use super::order::{self, BLOCK_UNITS, BlockBox};
 use super::tables::{Chances, TableSet};
 use crate::reference::Known;
+use crate::work::{self, BLOCK_STEPS, FLAG_STEPS, Work};
 use crate::{BOX_VOXELS_MAX, Codec, PackageError, varint};
 
 /// Most blocks in the box of a package.
 pub(crate) const BOX_BLOCKS_MAX: u128 = (BOX_VOXELS_MAX / 512) as u128;
 
-/// Most blocks with changes in a payload of so many bytes. A writer adds zeros if it has to.
-const fn blocks_max(payload_bytes: usize) -> usize {
-    payload_bytes.saturating_mul(4)
-}
-
-/// The inverse.
-const fn bytes_min(blocks: usize) -> usize {
-    blocks.div_ceil(4)
-}
+/// Zeros at the end of a payload that is short for its work, at most, unless it tells of one block: another package takes no more.
+const PADDING_MAX: usize = 40;
 
 /// Memory that is used again from package to package: 550 bytes for each block of the largest package so far and for each known
 /// block next to it, and five bytes for each block of its box and round it.
@@ -59,6 +53,8 @@ pub(crate) struct Piece {
     pub(crate) changes: Changes,
     pub(crate) region: VoxelBox,
     pub(crate) payload: Vec<u8>,
+    /// What it takes to decode it.
+    pub(crate) steps: u64,
 }
 
 /// A block with its changes.
@@ -130,30 +126,34 @@ impl Habits {
 }
 
 /// Codes as many blocks from the front of `blocks`, which are [`in_order`], as go into `room` bytes; `room` says how many there are for a
-/// payload of a certain box. Returns the number of blocks too. At least one, even if that takes more.
+/// payload of a certain box. Returns the number of blocks too. At least one, even if that takes more. `spare` are steps of work that the
+/// payload may ask for beside those for its bytes.
 pub(crate) fn encode(
     workspace: &mut Workspace,
     known: &Known<'_>,
     habits: &mut Habits,
     sensor: [i32; 3],
     blocks: &[Changed<'_>],
+    spare: u64,
     room: impl Fn(&VoxelBox) -> usize,
 ) -> Result<(Piece, usize), Overtaken> {
     let set = habits.tables(workspace, known, sensor, blocks)?;
     let mut before = 0;
     loop {
         // The box is that of as many blocks as may go in, so that it is known from the start.
-        let nearly =
-            boxes(blocks).next().and_then(|region| region.voxels()).map_or(0, |region| room(&region));
+        let nearly = boxes(blocks, u64::MAX).next().and_then(|region| region.voxels());
+        let nearly = nearly.map_or(0, |region| room(&region));
+        // Half of the work is left to what is said of the box.
+        let work = work::for_bytes(nearly).saturating_add(spare) / 2;
         let wanted = habits.reach(blocks, nearly).max(2 * before);
-        let Some((reach, region)) = boxes(blocks).take(wanted).enumerate().last() else {
+        let Some((reach, region)) = boxes(blocks, work).take(wanted).enumerate().last() else {
             unreachable!("a cycle has a block")
         };
         let Some(voxels) = region.voxels() else { unreachable!("blocks lie in the grid") };
         let reach = reach + 1;
         let room = room(&voxels);
         let told = blocks.get(..reach).unwrap_or_default();
-        let (payload, count) = write(workspace, known, set, sensor, told, region, room)?;
+        let (payload, count, steps) = write(workspace, known, set, sensor, told, region, spare, room)?;
         let changes = changes_of(&blocks[..count]);
         habits.rate = (payload.len() * 1_024 / changes.len().max(1)).max(1);
         // All went in, and there is room for more: again, with a larger box.
@@ -161,20 +161,25 @@ pub(crate) fn encode(
             before = reach;
             continue;
         }
-        return Ok((Piece { changes, region: voxels, payload }, count));
+        return Ok((Piece { changes, region: voxels, payload, steps }, count));
     }
 }
 
-/// The boxes of one, two, … blocks from the front, as many as a package may span.
-fn boxes(blocks: &[Changed<'_>]) -> impl Iterator<Item = BlockBox> {
+/// The boxes of one, two, … blocks from the front, as many as a package may span that asks for no more than this work for its box. One at
+/// least.
+fn boxes(blocks: &[Changed<'_>], work: u64) -> impl Iterator<Item = BlockBox> {
     let boxes = blocks.iter().scan(None, |region: &mut Option<BlockBox>, (index, _)| {
         *region = Some(region.map_or(BlockBox::of(*index), |region| region.with(*index)));
         *region
     });
-    boxes.take_while(|region| region.volume() <= BOX_BLOCKS_MAX)
+    boxes.take_while(move |region| {
+        let volume = region.volume();
+        volume == 1 || (volume <= BOX_BLOCKS_MAX && work::of_box(region.size()) <= work)
+    })
 }
 
-/// Writes as many blocks as there is room for, at least one; `region` is the box of all.
+/// Writes as many blocks as there is room for, at least one; `region` is the box of all. Returns how many, and the steps for them.
+#[expect(clippy::too_many_arguments, reason = "all of a package, from one place")]
 fn write(
     workspace: &mut Workspace,
     known: &Known<'_>,
@@ -182,12 +187,13 @@ fn write(
     sensor: [i32; 3],
     blocks: &[Changed<'_>],
     region: BlockBox,
+    spare: u64,
     room: usize,
-) -> Result<(Vec<u8>, usize), Overtaken> {
+) -> Result<(Vec<u8>, usize, u64), Overtaken> {
     let Workspace { field, cells, chances, body, told, .. } = workspace;
     let sensor_block = order::sensor_block(sensor);
     let first = blocks.first().map(|(index, _)| *index);
-    let before = order::blocks(region, sensor_block).take_while(|index| Some(*index) != first).count();
+    let before = order::blocks(region, sensor_block, 0).take_while(|index| Some(*index) != first).count();
 
     let mut payload = Vec::with_capacity(1_200);
     Head { set, sensor, before: before as u64 }.write(&region, &mut payload);
@@ -200,13 +206,14 @@ fn write(
     // Blocks told of, and those with changes.
     let (mut length, mut count) = (0u64, 0);
     let (mut seen, mut mark) = (0, decisions.bits.mark());
-    for index in order::blocks(region, sensor_block).skip(before) {
+    let of_box = work::of_box(region.size());
+    let mut steps = of_box;
+    for index in order::blocks(region, sensor_block, before as u64) {
         let Some((changed, states)) = next else { break };
         seen += 1;
         let is_changed = *changed == index;
         let (turn, distance) = view(index, sensor);
-        let slot = field.ask(known, index, turn)?;
-        let counts = field.counts(slot);
+        let counts = field.classes(known, index)?;
         decisions.flag(flags.context(index, turn, counts), is_changed);
         flags.tell(index, is_changed);
         if !is_changed {
@@ -217,20 +224,22 @@ fn write(
         let turns = block::turns(known.block(index)?, states);
         let truth = TurnedChanges::of(states, turn);
         block::code(&mut decisions, cells, distance, counts, &truth, turns);
-        field.tell(slot, index, turn, &truth);
+        field.tell(slots[OWN], index, turn, &truth);
         let bytes = payload.len() + varint::length(seen) + decisions.bits.finished_len();
-        if bytes.max(bytes_min(count + 1)) > room && count > 0 {
+        let all_steps = of_box + seen * FLAG_STEPS + (count as u64 + 1) * BLOCK_STEPS + decisions.made;
+        let padded = work::bytes_for(all_steps, spare);
+        if (bytes.max(padded) > room || padded > bytes + PADDING_MAX) && count > 0 {
             decisions.bits.back_to(&mark);
             break;
         }
-        (length, count, mark) = (seen, count + 1, decisions.bits.mark());
+        (length, count, mark, steps) = (seen, count + 1, decisions.bits.mark(), all_steps);
         next = left.next();
     }
     decisions.bits.finish();
     varint::write(&mut payload, length);
     payload.extend_from_slice(body);
-    payload.resize(payload.len().max(bytes_min(count)), 0);
-    Ok((payload, count))
+    payload.resize(payload.len().max(work::bytes_for(steps, spare)), 0);
+    Ok((payload, count, steps))
 }
 
 /// What a payload says; `region` has at most [`BOX_BLOCKS_MAX`] blocks.
@@ -239,37 +248,39 @@ pub(crate) fn decode(
     known: &Known<'_>,
     payload: &[u8],
     region: BlockBox,
+    work: &mut Work,
 ) -> Result<Changes, PackageError> {
     let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
     let mut reader = varint::Reader::new(payload);
     let Head { set, sensor, before } = Head::read(&region, &mut reader)?;
     let volume = region.volume() as u64;
     let length = reader.number("blocks told of", volume - before)?;
-    let mut blocks_left = blocks_max(payload.len());
+    work.take(work::of_box(region.size()))?;
 
     let Workspace { field, cells, chances, told, .. } = workspace;
     field.clear(region);
     let mut flags = Flags::new(region, told);
     let mut decisions = Coding::new(set.tables(), chances, BitReader::new(reader.rest()));
     let mut changed = Vec::new();
-    for index in
-        order::blocks(region, order::sensor_block(sensor)).skip(before as usize).take(length as usize)
-    {
+    let mut made = 0;
+    for index in order::blocks(region, order::sensor_block(sensor), before).take(length as usize) {
+        work.take(FLAG_STEPS + decisions.made - made)?;
+        made = decisions.made;
         let (turn, distance) = view(index, sensor);
-        let slot = field.ask(known, index, turn)?;
-        let counts = field.counts(slot);
+        let counts = field.classes(known, index)?;
         let is_changed = decisions.flag(flags.context(index, turn, counts), false);
         flags.tell(index, is_changed);
         if !is_changed {
             continue;
         }
-        blocks_left = blocks_left.checked_sub(1).ok_or_else(|| wrong("at most four blocks for each byte"))?;
+        work.take(BLOCK_STEPS)?;
         let slots = field.around(known, index, turn)?;
         cells.gather(turn, &slots, field.cells());
         let told =
             block::code(&mut decisions, cells, distance, counts, &TurnedChanges::default(), [false; 2]);
-        changed.push((index, field.tell(slot, index, turn, &told)));
+        changed.push((index, field.tell(slots[OWN], index, turn, &told)));
     }
+    work.take(decisions.made - made)?;
     let changes = Changes::from_blocks(changed);
     // At its end the grid cuts a block, and only there can a voxel lie outside.
     let ends_grid = region.max.contains(&(VOXEL_LIMIT / BLOCK_SIDE));

@@ -18,6 +18,7 @@ use super::tables::TableSet;
 use crate::check::hash_present;
 use crate::reference::Known;
 use crate::varint::{self, Reader};
+use crate::work::{self, Work};
 use crate::{Codec, PackageError};
 
 /// A tile that is being filled or is full.
@@ -28,6 +29,8 @@ pub(crate) struct Tile {
     pub(crate) ends: [Stamp; 2],
     /// What the sections say, until the tile is full.
     parts: Vec<(Stamp, Changes)>,
+    /// What it takes to decode the sections.
+    steps: u64,
     /// Of each part, as the sections tell it.
     sensors: Vec<(Stamp, [i32; 3])>,
     /// For the check, once the tile is full.
@@ -71,6 +74,7 @@ pub(crate) fn encode(
             region: largest,
             ends: [Stamp(0); 2],
             parts: Vec::new(),
+            steps: 0,
             sensors: Vec::new(),
             content: Hasher::new(),
         });
@@ -92,7 +96,8 @@ pub(crate) fn encode(
                     (tiles.last().map_or(0, |tile| left_in(tile, stamp)), true)
                 }
             };
-            let coded = package::encode(workspace, &known, &mut habits, sensor, rest, |_| left);
+            let spare = tiles.last().map_or(0, Tile::spare);
+            let coded = package::encode(workspace, &known, &mut habits, sensor, rest, spare, |_| left);
             // Parts come in the order of their stamps, so that nothing in `told` is as new.
             let Ok((piece, count)) = coded else { unreachable!("what is known before a part is never gone") };
             let of_section = BlockBox::around(&piece.region).volume();
@@ -136,12 +141,19 @@ impl Tile {
         self.sections.iter().map(|section| section.region.volume()).sum()
     }
 
+    /// Steps of work that the sections so far leave of those that the tile may ask for.
+    fn spare(&self) -> u64 {
+        let bytes: usize = self.sections.iter().map(|section| section.payload.len()).sum();
+        work::limit(bytes).saturating_sub(self.steps)
+    }
+
     fn add(&mut self, stamp: Stamp, sensor: [i32; 3], piece: package::Piece) {
         add_sensor(&mut self.sensors, stamp, sensor);
         let region = BlockBox::around(&piece.region);
         let is_first = self.sections.is_empty();
         self.region = if is_first { region } else { self.region.union(&region) };
         self.ends = [if is_first { stamp } else { self.ends[0] }, stamp];
+        self.steps += piece.steps;
         self.sections.push(Section { stamp, region, payload: piece.payload });
         add(&mut self.parts, stamp, piece.changes);
     }
@@ -184,10 +196,11 @@ pub(crate) fn decode(
     payload: &[u8],
     region: &VoxelBox,
     [first, last]: [Stamp; 2],
+    work: &mut Work,
 ) -> Result<PresentState, PackageError> {
     let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
     let blocks = BlockBox::of_voxels(region).ok_or_else(|| wrong("the box is made of whole blocks"))?;
-    let mut state = PresentState { region: *region, parts: Vec::new(), sensors: Vec::new() };
+    let (mut parts, mut sensors) = (Vec::<(Stamp, Vec<(BlockIndex, StateBlock)>)>::new(), Vec::new());
     let mut stamp = first;
     let mut blocks_left = package::BOX_BLOCKS_MAX;
     let mut rest = payload;
@@ -206,7 +219,7 @@ pub(crate) fn decode(
             .ok_or_else(|| wrong("the boxes of its sections have at most 2¹⁸ blocks together"))?;
         let voxels = section.voxels().ok_or_else(|| wrong("a section lies in the grid"))?;
         let known = Known::new(Some(told), stamp);
-        let changes = package::decode(workspace.get_or_insert_default(), &known, body, section)?;
+        let changes = package::decode(workspace.get_or_insert_default(), &known, body, section, work)?;
         let is_known = |block: &StateBlock, known: &StateBlock| {
             block.known().iter().zip(known.known()).any(|(told, known)| told & known != 0)
         };
@@ -218,11 +231,17 @@ pub(crate) fn decode(
         }
         told.apply(&changes, stamp);
         if let Some(sensor) = super::sensor(body, &voxels) {
-            add_sensor(&mut state.sensors, stamp, sensor);
+            add_sensor(&mut sensors, stamp, sensor);
         }
-        add(&mut state.parts, stamp, changes);
+        match parts.last_mut() {
+            Some((last, part)) if *last == stamp => part.extend_from_slice(changes.blocks()),
+            // Bytes can be made that say nothing; a part is never empty.
+            _ if changes.is_empty() => {}
+            _ => parts.push((stamp, changes.blocks().to_vec())),
+        }
     }
-    Ok(state)
+    let parts = parts.into_iter().map(|(stamp, part)| (stamp, Changes::from_blocks(part))).collect();
+    Ok(PresentState { region: *region, parts, sensors })
 }
 
 /// The box of a section in that of its tile.
@@ -245,8 +264,6 @@ fn add(parts: &mut Vec<(Stamp, Changes)>, stamp: Stamp, changes: Changes) {
         Some((last, part)) if *last == stamp => {
             *part = Changes::from_blocks([part.blocks(), changes.blocks()].concat());
         }
-        // Bytes can be made that say nothing; a part is never empty.
-        _ if changes.is_empty() => {}
         _ => parts.push((stamp, changes)),
     }
 }

@@ -124,7 +124,8 @@ impl Trainer {
         self.field.clear(region);
         let mut flags = Flags::new(region, &mut self.told);
         let mut left = blocks.iter().peekable();
-        for index in order::blocks(region, order::sensor_block(sensor)).skip_while(|index| index != first) {
+        for index in order::blocks(region, order::sensor_block(sensor), 0).skip_while(|index| index != first)
+        {
             let Some((next, states)) = left.peek() else { break };
             let is_changed = *next == index;
             // A layer of whole cycles, in order, has not been overtaken.

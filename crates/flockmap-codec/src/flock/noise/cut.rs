@@ -17,11 +17,11 @@ pub(crate) fn estimate(changes: &Changes, region: &VoxelBox) -> usize {
         .iter()
         .flat_map(|(_, block)| block.occupied())
         .map(|word| word.count_ones() as usize);
-    estimate_of(region, changes.len(), occupied.sum())
+    estimate_of(region, changes.blocks().len(), changes.len(), occupied.sum())
 }
 
-/// [`estimate`] from the numbers of changes and of changes to Occupied.
-pub(super) fn estimate_of(region: &VoxelBox, changes: usize, occupied: usize) -> usize {
+/// [`estimate`] from the numbers of blocks, of changes and of changes to Occupied.
+pub(super) fn estimate_of(region: &VoxelBox, blocks: usize, changes: usize, occupied: usize) -> usize {
     let voxels = region.volume();
     if voxels > u128::from(BOX_VOXELS_MAX) {
         return usize::MAX;
@@ -33,7 +33,7 @@ pub(super) fn estimate_of(region: &VoxelBox, changes: usize, occupied: usize) ->
     let number = (u128::from(3 * changes.checked_ilog2().unwrap_or(0)) << 31) + (2 << 32);
     let bits =
         number + choice(voxels as u64, changes as u64) + choice(changes as u64, occupied as u64) + slack;
-    ((bits >> 32).div_ceil(8) as usize).max(bytes_min(changes))
+    ((bits >> 32).div_ceil(8) as usize).max(bytes_min(changes, blocks))
 }
 
 /// The entropy of a choice of `some` out of `all`, all · h(some / all), in 2⁻³² bits; at most 2²⁷ of each.

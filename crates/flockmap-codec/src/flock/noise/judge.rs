@@ -29,7 +29,8 @@ pub(crate) fn is_noise(changes: &Changes, region: &VoxelBox) -> bool {
     if equal - by_chance > (pairs - by_chance) / 10 + luck(pairs - by_chance) {
         return false;
     }
-    let payload = estimate_of(region, counts.changed as usize, counts.occupied as usize);
+    // Without zeros for the work of its blocks: what needs them is no noise.
+    let payload = estimate_of(region, 0, counts.changed as usize, counts.occupied as usize);
     counts.changed as usize <= changes_max(payload.saturating_sub(8))
 }
 

@@ -155,6 +155,10 @@ fn encoded(changes: &Changes, region: &VoxelBox) -> Vec<u8> {
     payload.split_off(3)
 }
 
+fn decode(payload: &[u8], region: &VoxelBox, at_most: usize) -> Result<Changes, PackageError> {
+    super::decode(payload, region, at_most, &mut Work::new(Codec::Flock, payload.len()))
+}
+
 fn is_refused(payload: &[u8], region: &VoxelBox, at_most: usize) -> bool {
     decode(payload, region, at_most).is_err()
 }
@@ -261,7 +265,7 @@ fn a_full_box_of_one_state_is_filled_up_to_the_limit_of_the_decoder() {
     for state in [State::Free, State::Occupied] {
         let changes = Changes::from_voxels(region.voxels().map(|v| (v, state)));
         let payload = encoded(&changes, &region);
-        assert_eq!(payload.len(), bytes_min(changes.len()));
+        assert_eq!(payload.len(), bytes_min(changes.len(), changes.blocks().len()));
         assert!(changes_max(payload.len()) >= changes.len());
         assert_eq!(decode(&payload, &region, usize::MAX), Ok(changes.clone()));
         let short = &payload[..payload.len() - 1];

@@ -1,0 +1,294 @@
+//! The voxels that a box of codes tells of: found group by group, so that what says nothing costs next to nothing.
+
+use flockmap_grid::{BlockIndex, Changes, StateBlock, Voxel, VoxelBox, voxel_bit};
+use rustc_hash::FxHashMap;
+
+use crate::hilbert::{Leaf, Pick, Places, walk_some};
+use crate::pack::{FREE, OCCUPIED};
+use crate::work::{self, Work};
+use crate::{Codec, PackageError};
+
+/// Bytes of codes that are looked at as one.
+const GROUP_BYTES: usize = 128;
+/// Codes in a byte.
+const PER_BYTE: usize = 4;
+
+/// Packed codes, in the order of their codec.
+#[derive(Clone, Copy)]
+pub(crate) struct Codes<'a> {
+    packed: &'a [u8],
+    /// A byte of codes that tell of no voxel.
+    nothing: u8,
+}
+
+impl<'a> Codes<'a> {
+    /// `background` is the code of a voxel that is not told of; the bits after the last code are the same as if there were more of these.
+    pub(crate) const fn new(packed: &'a [u8], background: u8) -> Self {
+        Self { packed, nothing: background * 0b0101_0101 }
+    }
+
+    /// The bytes of each group that tells of a voxel, with the number of the first.
+    fn groups(self) -> impl Iterator<Item = (usize, &'a [u8])> {
+        let nothing = u64::from_le_bytes([self.nothing; 8]);
+        let firsts = (0..self.packed.len()).step_by(GROUP_BYTES);
+        firsts.zip(self.packed.chunks(GROUP_BYTES)).filter(move |(_, group)| {
+            let (words, rest) = group.as_chunks::<8>();
+            let words = words.iter().fold(0, |all, word| all | (u64::from_le_bytes(*word) ^ nothing));
+            words != 0 || rest.iter().any(|byte| *byte != self.nothing)
+        })
+    }
+
+    /// Groups that tell of a voxel, and bytes that do.
+    fn count(self) -> (u64, u64) {
+        let tells = |group: &[u8]| group.iter().filter(|byte| **byte != self.nothing).count() as u64;
+        self.groups().fold((0, 0), |(groups, bytes), (_, group)| (groups + 1, bytes + tells(group)))
+    }
+
+    /// The steps that it takes to find the voxels.
+    pub(crate) fn steps(self) -> u64 {
+        let (groups, bytes) = self.count();
+        work::of_codes(groups, bytes)
+    }
+}
+
+/// The voxels of `codes`, in the order of a codec: that of the paper along the Hilbert walk, the others nested.
+pub(crate) fn voxels(
+    codec: Codec,
+    codes: Codes<'_>,
+    region: &VoxelBox,
+    work: &mut Work,
+    rule: &'static str,
+) -> Result<Changes, PackageError> {
+    work.take(codes.steps())?;
+    let size = region.size().map(|side| side as usize);
+    let mut blocks = Blocks::new(codec, *region, work, rule);
+    if codec == Codec::Paper {
+        let groups: Vec<usize> = codes.groups().map(|(first, _)| first * PER_BYTE).collect();
+        walk_some(size, &mut Found { codes, groups: &groups, places: Places::of(size), blocks: &mut blocks });
+    } else {
+        let [_, depth, height] = size.map(|side| side as u32);
+        for (byte, at) in codes.groups().flat_map(|(first, group)| group.iter().zip(first..)) {
+            if *byte == codes.nothing {
+                continue;
+            }
+            // A box has at most 2²⁷ voxels.
+            let first = (at * PER_BYTE) as u32;
+            let (mut xy, mut z) = (first / height, first % height);
+            for at in 0..PER_BYTE {
+                let code = byte >> (2 * at) & 3;
+                if code != codes.nothing & 3 {
+                    blocks.set([xy / depth, xy % depth, z].map(|at| at as i32), code);
+                }
+                z += 1;
+                if z == height {
+                    (xy, z) = (xy + 1, 0);
+                }
+            }
+        }
+    }
+    blocks.finish()
+}
+
+/// Voxels with a code, along the Hilbert walk.
+struct Found<'a, 'b, 'w> {
+    codes: Codes<'a>,
+    /// The first code of each group that tells of a voxel, from the one that comes next.
+    groups: &'a [usize],
+    places: Places,
+    blocks: &'b mut Blocks<'w>,
+}
+
+impl Pick for Found<'_, '_, '_> {
+    #[inline]
+    fn next(&mut self, step: usize) -> usize {
+        while let Some((first, later)) = self.groups.split_first() {
+            if first + GROUP_BYTES * PER_BYTE > step {
+                return if self.blocks.fault.is_some() { usize::MAX } else { *first.max(&step) };
+            }
+            self.groups = later;
+        }
+        usize::MAX
+    }
+
+    fn leaf(&mut self, step: usize, leaf: &Leaf<'_>) {
+        let Codes { packed, nothing } = self.codes;
+        let (mut at, end) = (step, step + leaf.len());
+        while at < end {
+            let bytes = packed.get(at / PER_BYTE..).unwrap_or_default();
+            // Eight bytes that tell of nothing, or one.
+            if bytes.first_chunk::<8>().is_some_and(|bytes| *bytes == [nothing; 8]) {
+                at = (at / PER_BYTE + 8) * PER_BYTE;
+                continue;
+            }
+            let byte = bytes.first().copied().unwrap_or(nothing);
+            let next = ((at / PER_BYTE + 1) * PER_BYTE).min(end);
+            if byte != nothing {
+                for at in at..next {
+                    let code = byte >> (2 * (at % PER_BYTE)) & 3;
+                    if code != nothing & 3 {
+                        self.blocks.set(self.places.place(leaf.voxel(at - step)), code);
+                    }
+                }
+            }
+            at = next;
+        }
+    }
+}
+
+/// The blocks of a box in which voxels were found.
+struct Blocks<'w> {
+    codec: Codec,
+    min: Voxel,
+    found: Vec<(BlockIndex, [[u64; 8]; 2])>,
+    number_of: FxHashMap<BlockIndex, usize>,
+    /// Where the last blocks are in `found`, one for each that is even or odd along the axes: so that neighbours are all here.
+    last: [usize; 8],
+    work: &'w mut Work,
+    /// What codes that are no states are refused with.
+    rule: &'static str,
+    fault: Option<PackageError>,
+}
+
+impl<'w> Blocks<'w> {
+    fn new(codec: Codec, region: VoxelBox, work: &'w mut Work, rule: &'static str) -> Self {
+        Self {
+            codec,
+            min: region.min(),
+            found: Vec::new(),
+            number_of: FxHashMap::default(),
+            last: [usize::MAX; 8],
+            work,
+            rule,
+            fault: None,
+        }
+    }
+
+    /// `place` is in the box.
+    #[inline]
+    fn set(&mut self, [x, y, z]: [i32; 3], code: u8) {
+        let voxel = Voxel::new(self.min.x + x, self.min.y + y, self.min.z + z);
+        let (index, bit) = (voxel.block(), voxel_bit(voxel));
+        let last = ((index.x & 1) | (index.y & 1) << 1 | (index.z & 1) << 2) as usize;
+        let mut number = self.last[last & 7];
+        if self.found.get(number).is_none_or(|(found, _)| *found != index) {
+            match self.number(index) {
+                Some(found) => number = found,
+                None => return,
+            }
+            self.last[last & 7] = number;
+        }
+        let plane = match code {
+            FREE => 0,
+            OCCUPIED => 1,
+            _ => {
+                self.fault.get_or_insert(PackageError::Payload { codec: self.codec, rule: self.rule });
+                return;
+            }
+        };
+        if let Some((_, planes)) = self.found.get_mut(number) {
+            planes[plane][bit >> 6 & 7] |= 1 << (bit & 63);
+        }
+    }
+
+    /// The number of a block, which is counted when it is new.
+    #[inline(never)]
+    fn number(&mut self, index: BlockIndex) -> Option<usize> {
+        if self.fault.is_some() {
+            return None;
+        }
+        let new = self.found.len();
+        let number = *self.number_of.entry(index).or_insert(new);
+        if number == new {
+            if let Err(fault) = self.work.take(work::BLOCK_STEPS) {
+                self.fault = Some(fault);
+                return None;
+            }
+            self.found.push((index, [[0; 8]; 2]));
+        }
+        Some(number)
+    }
+
+    fn finish(self) -> Result<Changes, PackageError> {
+        if let Some(fault) = self.fault {
+            return Err(fault);
+        }
+        let blocks =
+            self.found.into_iter().map(|(index, [free, occupied])| (index, StateBlock::new(free, occupied)));
+        Ok(Changes::from_blocks(blocks.collect()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hilbert_order;
+    use crate::pack::{UNCHANGED, UNKNOWN, pack};
+    use flockmap_grid::State;
+    use proptest::prelude::*;
+
+    /// The codes of a box in some order of its voxels, most of them `background`.
+    fn draw(volume: usize, background: u8, one_of: u64, seed: u64) -> Vec<u8> {
+        let mut random = seed | 1;
+        let mut next = || {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            random >> 33
+        };
+        (0..volume)
+            .map(|_| match next() % one_of {
+                0 => (next() % 2) as u8,
+                _ => background,
+            })
+            .collect()
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_found_is_what_going_through_all_voxels_finds(
+            size in prop_oneof![prop::array::uniform3(1..30u32), (1..4_000u32, 1..3u32, 1..3u32).prop_map(|(x, y, z)| [y, z, x])],
+            corner in prop::array::uniform3(-40..40i32),
+            is_present: bool,
+            one_of in prop_oneof![Just(1u64), Just(2), Just(40), Just(3_000)],
+            seed: u64,
+        ) {
+            let region = VoxelBox::new(Voxel::new(corner[0], corner[1], corner[2]), size).unwrap();
+            let background = if is_present { UNKNOWN } else { UNCHANGED };
+            let list = draw(region.volume() as usize, background, one_of, seed);
+            let mut packed = Vec::new();
+            pack(&list, &mut packed);
+            if list.len() % 4 != 0 {
+                *packed.last_mut().unwrap() |= (background * 0x55) << (2 * (list.len() % 4));
+            }
+            let nested = (0..size[0]).flat_map(|x| (0..size[1]).flat_map(move |y| (0..size[2]).map(move |z| [x, y, z])));
+            for (codec, order) in [(Codec::Paper, hilbert_order(size)), (Codec::NestedZlib, nested.collect())] {
+                let voxels = order.iter().zip(&list).filter(|(_, code)| **code != background);
+                let voxels = voxels.map(|(at, code)| {
+                    let [x, y, z] = [0, 1, 2].map(|axis| corner[axis] + at[axis] as i32);
+                    (Voxel::new(x, y, z), if *code == OCCUPIED { State::Occupied } else { State::Free })
+                });
+                let expected = Changes::from_voxels(voxels);
+                let mut work = Work::new(codec, 1 << 20);
+                let codes = Codes::new(&packed, background);
+                let found = super::voxels(codec, codes, &region, &mut work, "none");
+                prop_assert_eq!(found.as_ref(), Ok(&expected));
+
+                let is_told = |codes: &&[u8]| codes.iter().any(|code| *code != background);
+                let groups = list.chunks(512).filter(is_told).count();
+                let bytes = list.chunks(4).filter(is_told).count();
+                let steps = 64 * groups + 6 * bytes + 64 * expected.blocks().len();
+                prop_assert_eq!(work.taken(), steps as u64);
+            }
+        }
+    }
+
+    #[test]
+    fn a_code_that_is_no_state_is_refused() {
+        let region = VoxelBox::new(Voxel::new(0, 0, 0), [4, 4, 4]).unwrap();
+        let mut packed = [0xff; 16];
+        packed[7] = 0xfe;
+        for codec in [Codec::Raw, Codec::Paper] {
+            let mut work = Work::new(codec, 1_000);
+            let found = voxels(codec, Codes::new(&packed, UNCHANGED), &region, &mut work, "a rule");
+            assert_eq!(found, Err(PackageError::Payload { codec, rule: "a rule" }));
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! No package asks for more work than its length allows: what is encoded stays within it, and what goes beyond is refused early.
+
+mod common;
+
+use common::{changes, cycle, forest_cycle, resolution, stream};
+use flate2::{Compress, Compression, FlushCompress};
+use flockmap_codec::{
+    Codec, Content, Decoder, EncodeError, Encoder, Header, PACKAGE_BYTES_MAX, Package, PackageError,
+    Priority, TilesRead,
+};
+use flockmap_grid::{Changes, PresentState, Stamp, State, Voxel, VoxelBox};
+use proptest::prelude::*;
+
+/// The most steps for a package of so many bytes, all of which are taken for payload.
+fn limit(package: &Package) -> u64 {
+    128 * package.bytes().len() as u64 + 4_096
+}
+
+/// A box full of one state, of two in layers, or with few voxels far apart: what compresses best.
+fn smooth() -> impl Strategy<Value = Changes> {
+    let size = prop_oneof![[1..30i32, 1..30, 1..24], [1..4i32, 1..4, 1..900]];
+    (size, [1..5i32, 1..5, 1..5], 1..60i32, -90..90i32).prop_map(|(size, step, layer, corner)| {
+        let all = (0..size[0]).step_by(step[0] as usize).flat_map(move |x| {
+            let rows = (0..size[1]).step_by(step[1] as usize);
+            rows.flat_map(move |y| (0..size[2]).step_by(step[2] as usize).map(move |z| [x, y, z]))
+        });
+        Changes::from_voxels(all.map(|[x, y, z]| {
+            let state = if z / layer % 2 == 0 { State::Free } else { State::Occupied };
+            (Voxel::new(corner + x, y - corner, z), state)
+        }))
+    })
+}
+
+fn few_far_apart() -> impl Strategy<Value = Changes> {
+    prop::collection::vec([-90..90i32, -90..90, -20..20], 1..30).prop_map(|places| {
+        Changes::from_voxels(places.into_iter().map(|[x, y, z]| (Voxel::new(x, y, z), State::Occupied)))
+    })
+}
+
+fn read_all(packages: &[Package]) -> usize {
+    let (mut decoder, mut before) = (Decoder::new(), TilesRead::default());
+    let read = |package: &Package| {
+        let is_tile = package.header().content != flockmap_codec::ContentKind::Changes;
+        let voxels = if is_tile && package.header().codec == Codec::Flock {
+            let state = decoder.decode_tile(package, &mut before).unwrap();
+            state.parts.iter().map(|(_, part)| part.len()).sum()
+        } else {
+            match decoder.decode(package).unwrap() {
+                Content::Changes(changes) => changes.len(),
+                Content::Present(state) => state.parts.iter().map(|(_, part)| part.len()).sum(),
+            }
+        };
+        assert!(decoder.steps() <= limit(package), "{} steps for {package:?}", decoder.steps());
+        voxels
+    };
+    packages.iter().map(read).sum()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(16) })]
+
+    #[test]
+    fn whatever_is_encoded_is_read_within_the_limit(
+        changes in prop_oneof![2 => smooth(), 1 => few_far_apart(), 1 => changes()],
+        bytes_max in prop_oneof![Just(PACKAGE_BYTES_MAX), 600..1_200usize],
+        stamps in 1..6i32,
+    ) {
+        let mut encoder = Encoder::new();
+        for codec in Codec::ALL {
+            let packages = encoder.encode_cycle(codec, &cycle(), 1, &changes, bytes_max).unwrap();
+            prop_assert_eq!(read_all(&packages), changes.len());
+            match encoder.encode_whole(codec, &cycle(), 1, &changes) {
+                Ok(whole) => prop_assert_eq!(read_all(&[whole]), changes.len()),
+                Err(EncodeError::TooMuchWork | EncodeError::BoxTooLarge { .. }) => {}
+                Err(other) => panic!("{other}"),
+            }
+            let part = |stamp| {
+                let of = |voxel: Voxel| (voxel.x >> 3).rem_euclid(stamps) == stamp;
+                let part = Changes::from_voxels(changes.voxels().filter(|(voxel, _)| of(*voxel)));
+                (Stamp(i64::from(stamp)), part)
+            };
+            let parts = (0..stamps).map(part).filter(|(_, part)| !part.is_empty()).collect();
+            let state = PresentState { region: changes.bounding_box().unwrap(), parts, sensors: Vec::new() };
+            let tiles = encoder.encode_present(codec, stream(), 9, resolution(), &state, bytes_max).unwrap();
+            prop_assert_eq!(read_all(&tiles), changes.len());
+        }
+    }
+}
+
+/// A package of `paper` whose box is a cube and whose codes are all the same byte.
+fn cube(side: u32, byte: u8) -> Package {
+    let codes = vec![byte; (side * side * side / 4) as usize];
+    let mut payload = Vec::with_capacity(codes.len());
+    let mut deflate = Compress::new(Compression::new(9), true);
+    deflate.compress_vec(&codes, &mut payload, FlushCompress::Finish).unwrap();
+    let header = Header {
+        stream: stream(),
+        index: 1,
+        cycle_start: Stamp(0),
+        cycle_end: Stamp(0),
+        reference: 0,
+        is_alone: true,
+        resolution: resolution(),
+        region: VoxelBox::new(Voxel::new(0, 0, 0), [side; 3]).unwrap(),
+        codec: Codec::Paper,
+        content: flockmap_codec::ContentKind::Changes,
+        priority: Priority::NearFree,
+    };
+    let package = Package::from_parts(&header, &payload, 0);
+    assert!(package.bytes().len() <= PACKAGE_BYTES_MAX, "{package:?}");
+    package
+}
+
+#[test]
+fn a_large_box_that_says_nothing_takes_one_step_for_64_voxels() {
+    let mut decoder = Decoder::new();
+    let package = cube(160, 0xff);
+    let Err(PackageError::Check { found, .. }) = decoder.decode(&package) else { panic!("a wrong check") };
+    assert_eq!(decoder.steps(), 160 * 160 * 160 / 64);
+    let right = Package::from_parts(package.header(), payload_of(&package), found);
+    assert_eq!(decoder.decode(&right), Ok(Content::Changes(Changes::default())));
+}
+
+/// The payload of a package of [`cube`]: from the head of its zlib stream.
+fn payload_of(package: &Package) -> &[u8] {
+    let at = package.bytes().windows(2).position(|head| head == [0x78, 0xda]).unwrap();
+    &package.bytes()[at..]
+}
+
+#[test]
+fn a_large_box_that_says_much_is_refused_before_a_voxel_is_looked_for() {
+    let mut decoder = Decoder::new();
+    for (byte, what) in [(0x00, "all Free"), (0x55, "all Occupied"), (0x44, "a checkerboard")] {
+        let package = cube(160, byte);
+        let limit = 128 * payload_of(&package).len() as u64 + 4_096;
+        let error = decoder.decode(&package).unwrap_err();
+        let payload = payload_of(&package).len();
+        assert_eq!(error, PackageError::Work { codec: Codec::Paper, payload, limit }, "{what}");
+        assert!(error.to_string().contains("steps of work"), "{error}");
+        // What is counted at once, and not taken: 8,000 groups of 128 bytes.
+        assert_eq!(decoder.steps(), 64_000 + 8_000 * (64 + 6 * 128), "{what}");
+    }
+}
+
+#[test]
+fn flights_ask_for_a_fraction_of_the_limit() {
+    let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
+    for codec in Codec::ALL {
+        let packages = encoder.encode_cycle(codec, &cycle(), 1, &forest_cycle(), PACKAGE_BYTES_MAX).unwrap();
+        for package in packages {
+            decoder.decode(&package).unwrap();
+            assert!(decoder.steps() * 10 < limit(&package) * 8, "{} steps for {package:?}", decoder.steps());
+        }
+    }
+}
