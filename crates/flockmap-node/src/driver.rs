@@ -9,7 +9,7 @@ use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 use crate::node::{NodeOptions, Observation};
 use crate::sensor::Input;
 use crate::status::StatusLine;
-use crate::store::StoreWriter;
+use crate::store_writer::StoreWriter;
 use crate::transport::is_unreachable;
 use crate::{Histogram, Level, NodeCounters, NodeStatus, Timings, Transport};
 
