@@ -52,6 +52,8 @@ resolution_m = 0.2
 range_m = 7.0
 [session]
 store_mb = 1
+[state]
+path = "state"
 [network]
 bind = "127.0.0.1:$((port + 50 + n))"
 peers = [$peers]

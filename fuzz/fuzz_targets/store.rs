@@ -1,9 +1,6 @@
 #![no_main]
 
-#[path = "../../crates/flockmap-node/tests/common/disk.rs"]
-#[allow(dead_code, reason = "the target uses a part of it")]
-mod disk;
-#[path = "../../crates/flockmap-node/tests/fuzz/store.rs"]
+#[path = "../../crates/flockmap-store/tests/fuzz/store.rs"]
 #[allow(dead_code, reason = "the target uses a part of it")]
 mod store;
 

@@ -91,6 +91,8 @@ name = "robot$2"
 [map]
 resolution_m = 0.2
 range_m = 7.0
+[state]
+path = "state"
 [network]
 bind = "$(address "$1")"
 peers = [$peers]

@@ -34,7 +34,7 @@ fn write_config(dir: &Path, run: &str, robot: u16, start_s: f64) {
         (1..=3).filter(|n| *n != robot).map(|n| format!("\"10.77.0.{n}:7700\"")).collect();
     let text = format!(
         "id = {robot}\nname = \"robot{robot}\"\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n\
-         [network]\nbind = \"10.77.0.{robot}:7700\"\npeers = [{}]\n\
+         [state]\npath = \"state\"\n[network]\nbind = \"10.77.0.{robot}:7700\"\npeers = [{}]\n\
          [sensor]\nrecord = \"robot{robot}.mcap\"\nstart_s = {start_s:.1}\n\
          [output]\nreport_json = \"{run}.json\"\nsave_map_at_end = \"{run}.ply\"\nend_when_quiet_s = 6.0\n",
         peers.join(", ")

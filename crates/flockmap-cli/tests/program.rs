@@ -57,14 +57,12 @@ fn the_same_replay_sends_the_same_bytes() {
 #[test]
 fn info_shows_what_is_in_a_store() {
     use flockmap::{Pose, Resolution, Robot, RobotConfig, RobotId, Scan, Stamp};
-    use flockmap_node::store::{Folder, Identity, Store, StoreOptions};
+    use flockmap_node::store::{Identity, Store, StoreOptions};
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("store");
     let resolution = Resolution::from_metres(0.25).unwrap();
     let identity = Identity { swarm: 9, robot: RobotId(4), resolution };
-    let disk = std::sync::Arc::new(Folder::open(&path).unwrap());
-    let store = Store::open(disk, identity, StoreOptions::default()).unwrap();
-    let writer = store.start(7, flockmap_node::Log::silent()).unwrap();
+    let mut store = Store::open_folder(&path, identity, StoreOptions::default()).unwrap().start(7).unwrap();
     let config = RobotConfig { epoch: 7, ..RobotConfig::new(RobotId(4), resolution, 6.0) };
     let mut robot = Robot::new(config, Stamp(0)).unwrap();
     for second in 1..=3i64 {
@@ -74,11 +72,11 @@ fn info_shows_what_is_in_a_store() {
         robot.flush(scan.stamp);
     }
     while let Some(event) = robot.poll_event() {
-        writer.note(&event);
+        store.note(Stamp(0), &event);
     }
-    drop(writer);
+    drop(store);
     // A crash amid a record.
-    let segment = path.join("00000001-0000000007.log");
+    let segment = path.join("00000001-00000000000000000007.log");
     let bytes = std::fs::read(&segment).unwrap();
     std::fs::write(&segment, &bytes[..bytes.len() - 1]).unwrap();
 

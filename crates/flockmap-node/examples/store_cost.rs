@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use flockmap::{Destination, Resolution, Robot, RobotConfig, RobotId, Stamp};
-use flockmap_node::Log;
-use flockmap_node::store::{Folder, Identity, Store, StoreOptions, StoreWriter};
+use flockmap_node::store::{Identity, Store, StoreOptions};
+use flockmap_node::{Log, StoreWriter};
 use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
 
 const RANGE_M: f64 = 7.0;
@@ -24,12 +24,14 @@ fn main() -> anyhow::Result<()> {
         Robot::new(config, Stamp(0))
     };
     let identity = Identity { swarm: 0, robot: RobotId(1), resolution };
-    let open = || -> anyhow::Result<Store> {
-        Ok(Store::open(Arc::new(Folder::open(&folder)?), identity, StoreOptions::default())?)
+    let open =
+        || -> anyhow::Result<Store> { Ok(Store::open_folder(&folder, identity, StoreOptions::default())?) };
+    let start = |store: Store, epoch| -> anyhow::Result<StoreWriter> {
+        Ok(StoreWriter::start(Some(store.start(epoch)?), None, Log::silent()))
     };
 
     let mut robots = [robot(1, 1)?, robot(2, 1)?];
-    let mut store = open()?.start(1, Log::silent())?;
+    let mut store = start(open()?, 1)?;
     let (noting, packages, bytes) = fly(&mut robots, &mut store)?;
     store.flush();
     let counters = store.counters();
@@ -51,11 +53,11 @@ fn main() -> anyhow::Result<()> {
             took * 1e3 / restored.packages as f64
         );
         ensure!(digest(&again) == digest(&robots[0]), "the layers are others");
-        Ok((again, store.start(epoch, Log::silent())?))
+        Ok((again, start(store, epoch)?))
     };
     // So many runs in which nothing was seen make it shorten its log.
     for epoch in 2..=66 {
-        drop(open()?.start(epoch, Log::silent())?);
+        drop(open()?.start(epoch)?);
     }
     let (again, mut store) = restart(67)?;
     let (began, mut longest) = (Instant::now(), Duration::ZERO);

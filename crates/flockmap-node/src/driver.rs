@@ -10,7 +10,7 @@ use crate::clock::StepWatch;
 use crate::node::{NodeOptions, Observation};
 use crate::sensor::Input;
 use crate::status::StatusLine;
-use crate::store::StoreWriter;
+use crate::store_writer::StoreWriter;
 use crate::transport::is_unreachable;
 use crate::{Histogram, Level, NodeCounters, NodeStatus, Timings, Transport};
 

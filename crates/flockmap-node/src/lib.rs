@@ -23,7 +23,7 @@
 //! | [`Transport`], [`UdpTransport`] | how datagrams travel; others can stand beside UDP |
 //! | [`Sensor`] | a recording or simulation in real time, a channel, or a socket that any program feeds |
 //! | [`Node`], [`NodeHandle`] | the robot at work, and the hand on it |
-//! | [`store`] | packages on disk, so that a rebooted robot has its map again |
+//! | [`store`], [`StoreWriter`] | packages on disk, so that a rebooted robot has its map again, and the epoch of its run |
 //! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; what is left at the end |
 #![forbid(unsafe_code)]
 
@@ -32,13 +32,14 @@ mod clock;
 mod config;
 mod driver;
 mod histogram;
+mod kept;
 mod log;
 mod metrics;
 mod node;
 mod run;
 mod sensor;
 mod status;
-pub mod store;
+mod store_writer;
 mod summary;
 mod transport;
 
@@ -46,14 +47,16 @@ pub use clock::Clock;
 pub use config::{
     AlignmentSection, CodecSection, ConfigError, CycleSection, EXAMPLE, FoundKey, FusionSection,
     KEY_VARIABLE, MapSection, MetricsSection, NetworkSection, NodeConfig, OutputSection, Secret,
-    SensorSection, SessionSection, StoreSection, TeammatesSection,
+    SensorSection, SessionSection, StateSection, StoreSection, TeammatesSection,
 };
 pub use flockmap_io::{Frame, Frames};
+pub use flockmap_store as store;
 pub use histogram::Histogram;
 pub use log::{Level, Log};
 pub use node::{EndOptions, Ended, Node, NodeHandle, NodeOptions, Observation, Observer, StartError};
 pub use run::run;
 pub use sensor::{MESSAGE_VERSION, MessageError, MessageLimits, Sensor, SensorMessage};
 pub use status::{NodeCounters, NodeStatus, StreamStatus, Timings};
+pub use store_writer::StoreWriter;
 pub use summary::{StreamSummary, Summary, TimingSummary};
 pub use transport::{Sent, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};

@@ -13,7 +13,8 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::driver::{Command, Driver};
 use crate::sensor::{INPUTS_WAITING_MAX, Input, Sensor, SensorSocket, play};
-use crate::store::{Store, StoreError, StoreWriter};
+use crate::store::{EpochFile, Store, StoreError, StoreLog};
+use crate::store_writer::StoreWriter;
 use crate::{Clock, Log, NodeStatus, Summary, Transport};
 
 /// When a node ends by itself.
@@ -69,8 +70,10 @@ pub struct NodeOptions {
     /// Robots whose layers are left out of the fused map.
     pub muted: Vec<RobotId>,
     /// What the robot has from former runs, and where it stores this one. The epoch of the robot must be higher than all in it:
-    /// [`Store::next_epoch`].
+    /// [`next_epoch`](crate::store::next_epoch).
     pub store: Option<Store>,
+    /// Where the epoch is kept if the robot begins anew while it runs; that of the start must be in it already.
+    pub epoch_file: Option<EpochFile>,
     /// Serve counters as Prometheus text here.
     pub prometheus: Option<SocketAddr>,
     /// Say a line of counters each such time.
@@ -95,6 +98,7 @@ impl NodeOptions {
             clock_offsets: Vec::new(),
             muted: Vec::new(),
             store: None,
+            epoch_file: None,
             prometheus: None,
             status_period: None,
             end: EndOptions::default(),
@@ -209,9 +213,12 @@ impl Node {
         runtime.block_on(async move {
             let mut robot = Robot::new(options.robot.clone(), options.clock.now())?;
             let store = match options.store.take() {
-                Some(store) => Some(open_store(store, &mut robot, &options)?),
+                Some(store) => Some(restore(store, &mut robot, &options)?),
                 None => None,
             };
+            let epoch_file = options.epoch_file.take();
+            let store = (store.is_some() || epoch_file.is_some())
+                .then(|| StoreWriter::start(store, epoch_file, options.log.clone()));
             let transport = make_transport().map_err(system("start the transport"))?;
             let sensor_socket = SensorSocket::open(&options.sensor)
                 .await
@@ -245,11 +252,11 @@ impl Node {
 }
 
 /// Gives the robot what a store has, and says what that was.
-fn open_store(mut store: Store, robot: &mut Robot, options: &NodeOptions) -> Result<StoreWriter, StartError> {
+fn restore(mut store: Store, robot: &mut Robot, options: &NodeOptions) -> Result<StoreLog, StartError> {
     let began = Instant::now();
     let restored = store.restore(robot, options.clock.now());
     let log = &options.log;
-    let writer = store.start(options.robot.epoch, log.clone())?;
+    let store = store.start(options.robot.epoch)?;
     if restored.packages > 0 {
         log.info(format!(
             "store: {} packages of former runs read, {} merged, in {:.2} s",
@@ -270,7 +277,7 @@ fn open_store(mut store: Store, robot: &mut Robot, options: &NodeOptions) -> Res
             restored.skipped_bytes, restored.unreadable, restored.damaged_segments
         ));
     }
-    Ok(writer)
+    Ok(store)
 }
 
 fn start_sensor(

@@ -2,8 +2,7 @@
 
 use std::env::VarError;
 use std::path::Path;
-use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use flockmap::RobotId;
@@ -11,15 +10,12 @@ use flockmap::sync::SwarmKey;
 use flockmap_io::{ExportOptions, RecordOptions, export_map, open_record};
 
 use crate::config::{seconds, value};
+use crate::kept::Kept;
 use crate::sensor::repeated;
-use crate::store::{Folder, Identity, Store, StoreOptions};
 use crate::{
     EndOptions, Ended, KEY_VARIABLE, Level, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions,
     Sensor, UdpSockets,
 };
-
-/// 2026-01-01: a machine that shows an earlier time has lost it.
-const EARLIEST_TIME: Duration = Duration::from_secs(1_767_225_600);
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
 /// configured; then saves the map if asked, and writes a summary as JSON to the configured file, or to stdout.
@@ -55,12 +51,13 @@ pub fn run(config_path: &Path) -> Result<()> {
 }
 
 fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
-    // Looked at before the epoch is waited for.
-    config.robot(1)?;
+    // Looked at before an epoch is used up.
+    let robot = config.robot(0)?;
     let sensor = sensor(config, log)?;
-    let store = store(config)?;
-    let mut options = NodeOptions::new(config.robot(epoch(config, store.as_ref(), log)?)?);
-    options.store = store;
+    let kept = Kept::open(config, &robot, u32::from_le_bytes(random_bytes()?), log)?;
+    let mut options = NodeOptions::new(config.robot(kept.epoch)?);
+    options.store = kept.store;
+    options.epoch_file = kept.epoch_file;
     options.name = config.robot_name();
     options.sensor = sensor;
     options.alignments = config.alignments()?;
@@ -130,38 +127,7 @@ fn swarm_key(config: &NodeConfig, config_path: &Path, log: &Log) -> Result<Optio
     if let Some(warning) = found.warning {
         log.warn(warning);
     }
-    if let Some(epoch) = config.epoch {
-        log.warn(format!(
-            "the configuration gives epoch {epoch}: with a swarm key it must be a higher one at every start, or what is sent can be read"
-        ));
-    }
     Ok(Some(found.key))
-}
-
-/// The store that is configured, opened.
-fn store(config: &NodeConfig) -> Result<Option<Store>> {
-    let section = &config.store;
-    let Some(path) = &section.path else { return Ok(None) };
-    let robot = config.robot(1)?;
-    let identity =
-        Identity { swarm: robot.session.swarm, robot: robot.id, resolution: robot.mapper.resolution };
-    let options = StoreOptions {
-        bytes_max: section.bytes_max,
-        sync_period: Duration::from_millis(section.sync_ms.into()),
-    };
-    Ok(Some(Store::open(Arc::new(Folder::open(path)?), identity, options)?))
-}
-
-/// The run: as configured, else the seconds since 1970, else one more than the last that the store knows.
-fn epoch(config: &NodeConfig, store: Option<&Store>, log: &Log) -> Result<u64> {
-    let random = u32::from_le_bytes(random_bytes()?);
-    Ok(match (config.epoch, store) {
-        (Some(epoch), _) => epoch,
-        (None, Some(store)) if store.last_epoch().is_some() => {
-            store.next_epoch(flockmap::epoch(seconds_since_1970(), random))
-        }
-        (None, _) => flockmap::epoch(epoch_of_now(log), random),
-    })
 }
 
 /// Bytes that nobody can guess.
@@ -169,23 +135,6 @@ fn random_bytes<const N: usize>() -> Result<[u8; N]> {
     let mut bytes = [0; N];
     getrandom::fill(&mut bytes).context("the system gives no random bytes")?;
     Ok(bytes)
-}
-
-fn seconds_since_1970() -> u32 {
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u32::try_from(since_1970.as_secs()).unwrap_or(u32::MAX)
-}
-
-/// The second since 1970 that begins next. By waiting for it, no two runs one after the other get the same, however soon
-/// a robot is started again: packages of one run must never be taken for those of another.
-fn epoch_of_now(log: &Log) -> u32 {
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    if since_1970 < EARLIEST_TIME {
-        log.warn("the clock of this machine is years behind; if it may show the same time again at the next start, give `epoch`");
-    }
-    let next = since_1970.as_secs() + 1;
-    std::thread::sleep(Duration::from_secs(next).saturating_sub(since_1970));
-    u32::try_from(next).unwrap_or(u32::MAX)
 }
 
 fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {

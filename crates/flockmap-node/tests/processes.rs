@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use common::{config, loopback, wait_until};
 use flockmap::{RobotId, Stream};
+use flockmap_node::store::{EpochFile, Folder};
 use flockmap_node::{Node, NodeOptions, UdpOptions, UdpSockets};
 
 use flockmap_io::RecordWriter;
@@ -47,7 +48,7 @@ fn write_record(dir: &Path, seconds: f64) {
 fn a_robot_plays_its_record_and_leaves_a_map_and_a_summary() {
     let dir = new_dir("one-node");
     write_record(&dir, 1.0);
-    let text = "id = 7\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[network]\nbind = \"127.0.0.1:0\"\n\
+    let text = "id = 7\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[state]\npath = \"state\"\n[network]\nbind = \"127.0.0.1:0\"\n\
         [sensor]\nrecord = \"robot1.mcap\"\nspeed = 4.0\n[metrics]\nstatus_period_s = 0.2\n\
         [output]\nreport_json = \"end.json\"\nsave_map_at_end = \"map.ply\"\nend_when_quiet_s = 0.1\n";
     let path = dir.join("robot.toml");
@@ -70,7 +71,7 @@ fn a_robot_plays_its_record_and_leaves_a_map_and_a_summary() {
 fn a_terminated_node_ends_cleanly() {
     let dir = new_dir("terminated-node");
     let path = dir.join("robot.toml");
-    let text = "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[network]\nbind = \"127.0.0.1:0\"\n\
+    let text = "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[state]\npath = \"state\"\n[network]\nbind = \"127.0.0.1:0\"\n\
         [sensor]\nlisten_tcp = \"127.0.0.1:0\"\n[output]\nreport_json = \"end.json\"\n";
     std::fs::write(&path, text).unwrap();
     let mut node = Command::new(std::env::current_exe().unwrap())
@@ -234,7 +235,7 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     let path = dir.join("robot.toml");
     let write_config = |sensor: &str| {
         let text = format!(
-            "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[cycle]\nt_l_ms = 100\n[network]\nbind = \"127.0.0.1:0\"\n\
+            "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[cycle]\nt_l_ms = 100\n[state]\npath = \"state\"\n[network]\nbind = \"127.0.0.1:0\"\n\
              peers = [\"{address}\"]\n[store]\npath = \"store\"\nsync_ms = 100\n[metrics]\nstatus_period_s = 0.0\n\
              [output]\nreport_json = \"end.json\"\n{sensor}"
         );
@@ -261,7 +262,7 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     let end: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(dir.join("end.json")).unwrap()).unwrap();
     let (stream, _, held) = before[0];
-    assert!(end["epoch"].as_u64().unwrap() > u64::from(stream.epoch));
+    assert!(end["epoch"].as_u64().unwrap() > stream.epoch);
     let streams = end["streams"].as_array().unwrap();
     let former = streams.iter().find(|s| s["epoch"] == stream.epoch).unwrap();
     // The team-mate may have got the end of the last cycle from the restarted robot, or the other way round.
@@ -282,12 +283,89 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     std::fs::remove_dir_all(&dir).unwrap();
 }
 
+/// Runs a robot for a moment; returns its summary and what it said.
+fn moment(dir: &Path, rest: &str) -> (serde_json::Value, String) {
+    let text = format!(
+        "id = 1\n{rest}[map]\nresolution_m = 0.2\nrange_m = 7.0\n[network]\nbind = \"127.0.0.1:0\"\n[metrics]\nstatus_period_s = 0.0\n\
+         [output]\nreport_json = \"end.json\"\nend_after_s = 0.05\nlinger_ms = 0\n"
+    );
+    let (path, log) = (dir.join("robot.toml"), dir.join("node.log"));
+    std::fs::write(&path, text).unwrap();
+    let ended = node_process(&path, &log).wait().unwrap();
+    let log = std::fs::read_to_string(log).unwrap();
+    assert!(ended.success(), "{log}");
+    (serde_json::from_str(&std::fs::read_to_string(dir.join("end.json")).unwrap()).unwrap(), log)
+}
+
+#[test]
+fn each_start_has_an_epoch_above_the_last_whatever_the_clock_shows() {
+    let dir = new_dir("epochs");
+    let file = dir.join("state/epoch-0-1");
+    // In place of the clock, so that it can fall back.
+    let boot = |clock: &str, parts: &str| {
+        let (end, log) = moment(&dir, &format!("{clock}{parts}"));
+        (end["epoch"].as_u64().unwrap(), log)
+    };
+    let state = "[state]\npath = \"state\"\n";
+    let store = "[state]\npath = \"state\"\n[store]\npath = \"store\"\n";
+    let mut last = 0;
+    for (clock, parts, high) in [
+        ("epoch = 70\n", state, 70),
+        ("epoch = 70\n", state, 71),
+        ("epoch = 5\n", state, 72),
+        ("epoch = 90\n", store, 90),
+        ("epoch = 90\n", store, 91),
+    ] {
+        let (epoch, log) = boot(clock, parts);
+        assert_eq!(epoch >> 32, high, "{log}");
+        assert!(epoch > last && !log.contains("warning: store"), "{log}");
+        last = epoch;
+    }
+    // Each of file and store knows it.
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!(boot("epoch = 5\n", store).0 >> 32, 92);
+    std::fs::remove_dir_all(dir.join("store")).unwrap();
+    assert_eq!(boot("epoch = 5\n", store).0 >> 32, 93);
+    // A damaged file is said and replaced.
+    std::fs::write(&file, "nonsense").unwrap();
+    let (epoch, log) = boot("epoch = 80\n", state);
+    assert!(epoch >> 32 == 80 && log.contains("epoch-0-1 has another length than an epoch file"), "{log}");
+    assert_eq!(boot("epoch = 5\n", state).0 >> 32, 81);
+    // And by the clock.
+    let now = || std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap().as_secs();
+    let began = now();
+    let epoch = boot("", state).0;
+    assert!((began..=now()).contains(&(epoch >> 32)), "{epoch}");
+
+    // Where there is no higher one, it says what to remove.
+    let folder = Arc::new(Folder::open(dir.join("state")).unwrap());
+    EpochFile::open(folder, 0, RobotId(1)).0.keep(u64::MAX).unwrap();
+    let error = format!("{:#}", flockmap_node::run(&dir.join("robot.toml")).unwrap_err());
+    assert!(error.contains("remove") && error.contains("state/epoch-0-1"), "{error}");
+    std::fs::remove_dir_all(&dir).unwrap();
+}
+
+#[test]
+fn folders_that_cannot_be_had_are_said_and_the_robot_flies() {
+    let dir = new_dir("no-folders");
+    std::fs::write(dir.join("file"), "no folder").unwrap();
+    let (end, log) = moment(&dir, "[state]\npath = \"file\"\n[store]\npath = \"file/store\"\n");
+    assert!(
+        log.contains("cannot make the folder") && log.contains("[state] path names another folder"),
+        "{log}"
+    );
+    assert!(log.contains("cannot open the folder") && log.contains("flies on in memory"), "{log}");
+    assert_eq!(end["counters"]["store"]["failures"], 1);
+    std::fs::remove_dir_all(&dir).unwrap();
+}
+
 #[test]
 fn a_node_that_cannot_run_says_why() {
     let dir = new_dir("no-node");
     let path = dir.join("robot.toml");
     let run = |rest: &str| {
-        let text = format!("id = 1\nepoch = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n{rest}");
+        let text =
+            format!("id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[state]\npath = \"state\"\n{rest}");
         std::fs::write(&path, text).unwrap();
         flockmap_node::run(&path).unwrap_err().to_string()
     };

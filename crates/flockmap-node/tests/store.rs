@@ -1,316 +1,14 @@
-//! The store: cut at every byte, spoilt, on disks that fail, and replaced by present states.
+//! The threads that keep what is on disk: what they are given is there, a failure is told once, and the robot begins anew under them.
 
-#[path = "common/disk.rs"]
-mod disk;
-#[path = "../../flockmap/tests/common/mod.rs"]
-#[allow(dead_code, reason = "each test uses a part of it")]
-mod swarm;
+mod common;
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, OnceLock};
-use std::time::Duration;
+use std::sync::{Arc, Mutex};
 
-use disk::MemoryDisk;
-use flockmap::codec::{Content, Decoder};
-use flockmap::{
-    Codec, Event, Package, Pose, RestoreError, Robot, RobotConfig, RobotId, Scan, Stamp, State, Stream, Voxel,
-};
-use flockmap_node::store::{
-    Folder, Identity, Restored, Store, StoreError, StoreOptions, StoreWriter, inspect, is_store,
-};
-use flockmap_node::{Level, Log};
-use proptest::prelude::*;
-use swarm::{PERFECT, Radio, Random, Swarm, config, resolution};
-
-const OPTIONS: StoreOptions = StoreOptions { bytes_max: 64 << 20, sync_period: Duration::ZERO };
-
-fn identity() -> Identity {
-    Identity { swarm: 0, robot: RobotId(1), resolution: resolution() }
-}
-
-fn open(disk: &MemoryDisk, options: StoreOptions) -> Store {
-    Store::open(Arc::new(disk.clone()), identity(), options).unwrap()
-}
-
-fn start(disk: &MemoryDisk, options: StoreOptions, epoch: u64) -> StoreWriter {
-    open(disk, options).start(epoch, Log::silent()).unwrap()
-}
-
-/// Robot 1 in its next run, with what is on the disk.
-fn restart(disk: &MemoryDisk, base: RobotConfig, epoch: u64) -> (Robot, Restored) {
-    let mut robot = Robot::new(RobotConfig { epoch, ..base }, Stamp(500_000_000)).unwrap();
-    let restored = open(disk, OPTIONS).restore(&mut robot, Stamp(500_000_000));
-    (robot, restored)
-}
-
-/// A scan with few points, so that a test of each byte has not too many.
-fn small_scan(random: &mut Random, stamp: Stamp) -> Scan {
-    let mut scan = swarm::scan(random, stamp);
-    scan.points.truncate(6);
-    scan
-}
-
-/// Both robots fly; what the first one tells goes to its store. Returns the packages in the order of the store.
-fn fly(
-    swarm: &mut Swarm,
-    writer: &mut StoreWriter,
-    ticks: u32,
-    random: &mut Random,
-    scan: impl Fn(&mut Random, Stamp) -> Scan,
-) -> Vec<Package> {
-    let mut stored = Vec::new();
-    for tick in 0..ticks {
-        for robot in 0..swarm.robots.len() {
-            let scan = scan(random, swarm.now);
-            let at = [f64::from(tick) * 0.1, 2.0 * robot as f64, 0.0];
-            swarm.scan(robot, &scan, &Pose::from_yaw(at, random.unit()));
-        }
-        swarm.run(100);
-        store_events(swarm, writer, &mut stored);
-    }
-    swarm.settle(20_000);
-    store_events(swarm, writer, &mut stored);
-    writer.flush();
-    stored
-}
-
-fn store_events(swarm: &mut Swarm, writer: &mut StoreWriter, stored: &mut Vec<Package>) {
-    for event in std::mem::take(&mut swarm.events[0]) {
-        writer.note(&event);
-        match event {
-            Event::CycleClosed { packages, .. } => stored.extend(packages),
-            Event::Merged { package, .. } => stored.push(package),
-            _ => {}
-        }
-    }
-    writer.step(&swarm.robots[0]);
-}
-
-fn two(codec: Codec) -> Vec<RobotConfig> {
-    (1..=2).map(|id| RobotConfig { codec, ..config(id) }).collect()
-}
-
-/// Layers voxel by voxel: the newest word on each.
-#[derive(Clone, Default, PartialEq, Debug)]
-struct Model(BTreeMap<Stream, BTreeMap<Voxel, (Stamp, bool)>>);
-
-impl Model {
-    fn add(&mut self, package: &Package, content: &Content) {
-        let header = package.header();
-        let layer = self.0.entry(header.stream).or_default();
-        let Content::Changes(changes) = content else { panic!("{package:?}") };
-        for (voxel, state) in changes.voxels() {
-            let word = (header.cycle_end, state == State::Occupied);
-            let known = layer.entry(voxel).or_insert(word);
-            *known = word.max(*known);
-        }
-    }
-
-    fn of_robot(robot: &Robot) -> Self {
-        let words = |layer: &flockmap::grid::Layer| {
-            layer
-                .voxels()
-                .map(|(voxel, _)| {
-                    let (state, stamp) = layer.get(voxel).unwrap();
-                    (voxel, (stamp, state == State::Occupied))
-                })
-                .collect()
-        };
-        Self(robot.fusion().layers().map(|(stream, layer)| (stream, words(layer))).collect())
-    }
-}
-
-/// What each package says, decoded one after the other.
-fn contents(packages: &[Package]) -> Vec<Content> {
-    let mut layers = BTreeMap::<Stream, flockmap::grid::Layer>::new();
-    let mut decoder = Decoder::new();
-    packages
-        .iter()
-        .map(|package| {
-            let header = package.header();
-            let layer = layers.entry(header.stream).or_default();
-            let content = decoder.decode_against(package, Some(layer)).unwrap();
-            if let Content::Changes(changes) = &content {
-                layer.apply(changes, header.cycle_end);
-                if let Some(sensor) = package.sensor() {
-                    layer.note_sensor(header.cycle_end, sensor);
-                }
-            }
-            content
-        })
-        .collect()
-}
-
-/// A log of a short flight: its only segment, its packages, and the robots.
-fn small_log(codec: Codec, ticks: u32) -> (String, Vec<u8>, Vec<Package>, Swarm) {
-    let disk = MemoryDisk::default();
-    let mut swarm = Swarm::new(two(codec), PERFECT, 3);
-    let mut writer = start(&disk, OPTIONS, 1);
-    let packages = fly(&mut swarm, &mut writer, ticks, &mut Random(3), small_scan);
-    drop(writer);
-    let mut files = disk.files();
-    assert_eq!(files.len(), 1);
-    let (name, bytes) = files.pop_first().unwrap();
-    (name, bytes, packages, swarm)
-}
-
-#[test]
-fn a_kill_at_any_byte_loses_what_was_behind_it_and_nothing_else() {
-    for codec in [Codec::Flock, Codec::Paper] {
-        let (name, bytes, packages, swarm) = small_log(codec, 12);
-        let streams = packages.iter().map(|p| p.header().stream).collect::<std::collections::BTreeSet<_>>();
-        assert!(streams.len() == 2 && packages.len() > 4, "{} packages", packages.len());
-        // Where each record ends.
-        let mut ends = vec![64];
-        ends.extend(packages.iter().scan(64, |end, package| {
-            *end += 9 + package.bytes().len();
-            Some(*end)
-        }));
-        assert_eq!(ends.last(), Some(&bytes.len()), "a record is its package and 9 bytes");
-        let contents = contents(&packages);
-        let mut models = vec![Model::default()];
-        for (package, content) in packages.iter().zip(&contents) {
-            let mut next = models.last().unwrap().clone();
-            next.add(package, content);
-            models.push(next);
-        }
-        assert_eq!(models.last(), Some(&Model::of_robot(&swarm.robots[0])));
-
-        println!("{codec:?}: {} packages, cut at each of {} bytes", packages.len(), bytes.len());
-        for length in 0..=bytes.len() {
-            let disk = MemoryDisk::of([(name.clone(), bytes[..length].to_vec())].into());
-            let (robot, restored) = restart(&disk, config(1), 2);
-            let whole = ends.iter().filter(|end| **end <= length).count().saturating_sub(1);
-            assert_eq!((restored.packages, restored.merged), (whole as u64, whole as u64), "{length}");
-            assert_eq!((restored.skipped_bytes, restored.damaged_segments), (0, 0), "{length}");
-            let end = if length < 64 { 0 } else { ends[whole] };
-            assert_eq!(restored.torn_bytes, (length - end) as u64, "{length}");
-            assert_eq!(Model::of_robot(&robot), models[whole], "{length}");
-            // What is torn is told once.
-            let again = restart(&disk, config(1), 2).1;
-            assert_eq!((again.torn_bytes, again.packages), (0, restored.packages), "{length}");
-        }
-    }
-}
-
-#[test]
-fn a_former_run_is_an_older_layer_in_the_map_and_what_was_lost_comes_back_from_others() {
-    let disk = MemoryDisk::default();
-    let mut swarm = Swarm::new(two(Codec::Flock), PERFECT, 5);
-    let mut writer = start(&disk, OPTIONS, 1);
-    let mut random = Random(5);
-    fly(&mut swarm, &mut writer, 40, &mut random, swarm::scan);
-    drop(writer);
-    let (before, bytes) = (Model::of_robot(&swarm.robots[0]), swarm.bytes);
-    let in_all = bytes;
-    // The last 3,000 bytes were not safe.
-    let files: BTreeMap<_, _> =
-        disk.files().into_iter().map(|(name, f)| (name, f[..f.len() - 3_000].to_vec())).collect();
-    let disk = MemoryDisk::of(files);
-    let mut robot = Robot::new(RobotConfig { epoch: 2, ..two(Codec::Flock).remove(0) }, swarm.now).unwrap();
-    let mut store = open(&disk, OPTIONS);
-    assert_eq!((store.last_epoch(), store.next_epoch(1), store.next_epoch(9)), (Some(1), 2, 9));
-    let restored = store.restore(&mut robot, swarm.now);
-    assert!(restored.packages > 20 && restored.packages == restored.merged, "{restored:?}");
-    let mut writer = store.start(2, Log::silent()).unwrap();
-    // The own former layer is in the fused map, as there is no newer word.
-    let own = Stream { origin: RobotId(1), epoch: 1 };
-    let layer = robot.fusion().layer(own).unwrap();
-    assert!(layer.len() > 1_000);
-    let agreeing = layer.voxels().filter(|(voxel, state)| robot.map().state(*voxel) == *state).count();
-    assert!(agreeing * 10 > layer.len() * 9, "{agreeing} of {}", layer.len());
-    assert_eq!(robot.mapper().blocks().count(), 0);
-
-    swarm.robots[0] = robot;
-    swarm.settle(20_000);
-    store_events(&mut swarm, &mut writer, &mut Vec::new());
-    assert!(swarm.agrees());
-    let after = Model::of_robot(&swarm.robots[0]);
-    assert_eq!(after, before, "both former streams are whole again");
-    let repair = swarm.bytes - bytes;
-    println!("{in_all} B for the flight, {repair} B after the restart");
-    assert!(repair < 3_000 + in_all / 20, "{repair} of {in_all} B");
-    // And it goes on, and starts once more, with both runs.
-    fly(&mut swarm, &mut writer, 10, &mut random, swarm::scan);
-    drop(writer);
-    swarm.assert_layers_equal_own_maps(5);
-    let (robot, restored) = restart(&disk, config(1), 3);
-    assert_eq!(Model::of_robot(&robot), Model::of_robot(&swarm.robots[0]));
-    assert_eq!(restored.torn_bytes, 0);
-    assert_eq!(robot.fusion().layers().count(), 3);
-}
-
-#[test]
-fn a_package_of_this_run_or_a_later_one_is_not_taken_for_a_former_one() {
-    let (_, _, packages, _) = small_log(Codec::Flock, 2);
-    let package = packages.iter().find(|p| p.header().stream.origin == RobotId(1)).unwrap();
-    let mut robot = Robot::new(config(1), Stamp(0)).unwrap();
-    let error = robot.restore(Stamp(0), package.clone()).unwrap_err();
-    assert!(matches!(error, RestoreError::NotFormer { .. }), "{error}");
-    assert!(error.to_string().contains("higher epoch"));
-    assert_eq!(robot.fusion().layers().count(), 0);
-}
-
-/// Name and bytes of a segment, and the packages in it with what they say.
-type HonestLog = (String, Vec<u8>, Vec<Package>, Vec<Content>);
-
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
-    #[test]
-    fn spoilt_bytes_never_make_a_voxel_wrong(
-        spoilt in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
-        cut_out in any::<(prop::sample::Index, u8)>(),
-    ) {
-        static LOG: OnceLock<HonestLog> = OnceLock::new();
-        let (name, honest, packages, contents) = LOG.get_or_init(|| {
-            let (name, bytes, packages, _) = small_log(Codec::Flock, 12);
-            let contents = contents(&packages);
-            (name, bytes, packages, contents)
-        });
-        let mut bytes = honest.clone();
-        for (at, value) in &spoilt {
-            bytes[at.index(honest.len())] = *value;
-        }
-        // Now and then a piece is missing altogether.
-        if cut_out.1 % 4 == 0 {
-            let at = cut_out.0.index(honest.len());
-            bytes.drain(at..(at + usize::from(cut_out.1)).min(honest.len()));
-        }
-        let disk = MemoryDisk::of([(name.clone(), bytes)].into());
-        let (robot, restored) = restart(&disk, config(1), 2);
-        prop_assert!(restored.packages <= packages.len() as u64);
-        // Each layer is what the packages say that are held, and no more.
-        let mut model = Model::default();
-        for (package, content) in packages.iter().zip(contents) {
-            let held = robot.session().held(package.header().stream);
-            if held.is_some_and(|held| held.contains(package.header().index)) {
-                model.add(package, content);
-            }
-        }
-        prop_assert_eq!(Model::of_robot(&robot), model);
-    }
-}
-
-#[test]
-fn behind_a_damaged_place_reading_goes_on() {
-    let (name, mut bytes, packages, _) = small_log(Codec::Paper, 12);
-    let second = 64 + 9 + packages[0].bytes().len();
-    bytes[second + 20] ^= 4;
-    let disk = MemoryDisk::of([(name.clone(), bytes.clone())].into());
-    let (_, restored) = restart(&disk, config(1), 2);
-    assert_eq!(restored.packages, packages.len() as u64 - 1);
-    assert_eq!(restored.skipped_bytes, 9 + packages[1].bytes().len() as u64);
-    assert_eq!(restored.torn_bytes, 0);
-    // One of the two headers may be spoilt, not both.
-    bytes[9] ^= 1;
-    let disk = MemoryDisk::of([(name.clone(), bytes.clone())].into());
-    assert_eq!(restart(&disk, config(1), 2).1, restored);
-    bytes[40] ^= 1;
-    let disk = MemoryDisk::of([(name, bytes)].into());
-    let (_, restored) = restart(&disk, config(1), 2);
-    assert_eq!((restored.packages, restored.damaged_segments), (0, 1));
-    assert_eq!(open(&disk, OPTIONS).next_epoch(1), 2, "the name still tells the epoch");
-}
+use common::{config, corridor, wait_until};
+use flockmap::{Event, Robot, RobotConfig, RobotId, Stamp, Stream};
+use flockmap_node::store::memory::{Faults, MemoryDisk};
+use flockmap_node::store::{EpochFile, Identity, Store, StoreOptions};
+use flockmap_node::{Level, Log, StoreWriter};
 
 /// Lines that were said.
 type Lines = Arc<Mutex<Vec<(Level, String)>>>;
@@ -321,296 +19,116 @@ fn told() -> (Log, Lines) {
     (Log::new(move |level, text| to.lock().unwrap().push((level, text.to_owned()))), lines)
 }
 
+fn robot(epoch: u64) -> Robot {
+    Robot::new(RobotConfig { epoch, ..config(1) }, Stamp(0)).unwrap()
+}
+
+fn open(disk: &MemoryDisk) -> Store {
+    let identity = Identity { swarm: 0, robot: RobotId(1), resolution: config(1).mapper.resolution };
+    Store::open(Arc::new(disk.clone()), identity, StoreOptions::default()).unwrap()
+}
+
+/// The robot sees so much of a corridor; its cycles are noted. Returns how many packages that were.
+fn see(robot: &mut Robot, writer: &StoreWriter, scans: usize) -> u64 {
+    let mut packages = 0;
+    for frame in corridor(1, scans) {
+        robot.insert_scan(frame.scan.stamp, &frame.scan, &frame.t_map_sensor);
+        robot.flush(frame.scan.stamp);
+        while let Some(event) = robot.poll_event() {
+            if let Event::CycleClosed { packages: told, .. } = &event {
+                packages += told.len() as u64;
+            }
+            writer.note(&event);
+        }
+    }
+    packages
+}
+
 #[test]
-fn on_a_disk_that_fails_the_robot_flies_on_and_says_so_once() {
-    type Fault = fn(&mut disk::State);
-    let faults: [(&str, Fault); 3] = [
-        ("no storage space", |state| state.room = Some(700)),
-        ("input/output error", |state| state.sync_fails = true),
-        ("no storage space", |state| state.room = Some(0)),
-    ];
-    for (name, fault) in faults {
+fn what_is_noted_is_on_disk_and_is_made_shorter_beside_it() {
+    let disk = MemoryDisk::default();
+    for epoch in 1..=65 {
+        drop(open(&disk).start(epoch).unwrap());
+    }
+    let (log, lines) = told();
+    let mut robot = robot(66);
+    let mut writer = StoreWriter::start(Some(open(&disk).start(66).unwrap()), None, log);
+    let packages = see(&mut robot, &writer, 10);
+    writer.flush();
+    assert_eq!((writer.counters().written, writer.counters().left_out), (packages, 0));
+    wait_until("the log is one segment and that which goes on", || {
+        writer.step(&robot);
+        writer.counters().compactions == 1
+    });
+    let more = see(&mut robot, &writer, 3);
+    drop(writer);
+    assert_eq!(disk.files().len(), 2);
+    assert_eq!(*lines.lock().unwrap(), []);
+
+    let mut again = self::robot(67);
+    open(&disk).restore(&mut again, Stamp(9_000_000));
+    let own = robot.own_stream();
+    let digest = |robot: &Robot| robot.fusion().layer(own).unwrap().digest();
+    assert_eq!(digest(&again), digest(&robot));
+    assert_eq!(again.session().held(own).unwrap().count(), packages + more);
+}
+
+#[test]
+fn a_disk_that_fails_is_told_once_and_the_robot_does_not_notice() {
+    for fault in
+        [Faults { room: Some(500), ..Faults::default() }, Faults { calls: 0..u64::MAX, ..Faults::default() }]
+    {
         let disk = MemoryDisk::default();
+        disk.set_faults(fault.clone());
         let (log, lines) = told();
-        let mut swarm = Swarm::new(two(Codec::Flock), PERFECT, 7);
-        let mut writer = open(&disk, OPTIONS).start(1, log).unwrap();
-        let mut random = Random(7);
-        let mut stored = fly(&mut swarm, &mut writer, 5, &mut random, small_scan);
-        fault(&mut disk.state());
-        stored.extend(fly(&mut swarm, &mut writer, 20, &mut random, small_scan));
+        let store = open(&disk);
+        let mut robot = robot(1);
+        let writer = StoreWriter::start(Some(store.start(1).unwrap()), None, log);
+        let packages = see(&mut robot, &writer, 10);
+        writer.flush();
         let counters = writer.counters();
+        assert_eq!((counters.failures, counters.written + counters.left_out), (1, packages), "{fault:?}");
+        assert!(counters.left_out > 0, "{fault:?}");
         drop(writer);
-        assert_eq!(counters.failures, 1, "{name}");
-        assert!(counters.left_out > 0 && counters.written > 0, "{name}: {counters:?}");
         let lines = lines.lock().unwrap();
         assert_eq!(lines.len(), 1, "{lines:?}");
         assert!(lines[0].0 == Level::Error && lines[0].1.contains("flies on in memory"), "{lines:?}");
-        assert!(lines[0].1.contains(name), "{lines:?}");
-        assert!(swarm.agrees());
-
-        // What was written before is there, and nothing else.
-        *disk.state() = disk::State { files: disk.files(), ..disk::State::default() };
-        let (robot, restored) = restart(&disk, config(1), 2);
-        assert!(restored.packages >= counters.written && restored.packages < stored.len() as u64);
-        let mut model = Model::default();
-        let contents = contents(&stored);
-        for (package, content) in stored.iter().zip(&contents).take(restored.packages as usize) {
-            model.add(package, content);
-        }
-        assert_eq!(Model::of_robot(&robot), model, "{name}");
     }
 }
 
 #[test]
-fn a_disk_that_refuses_from_the_start_stops_no_robot() {
+fn a_robot_that_begins_anew_has_both_runs_and_its_epoch_on_disk() {
+    let (disk, state) = (MemoryDisk::default(), MemoryDisk::default());
+    let epochs = || EpochFile::open(Arc::new(state.clone()), 0, RobotId(1)).0;
+    let (first, second) = (7 << 32, 9 << 32 | 5);
+    for has_store in [true, false] {
+        let store = has_store.then(|| open(&disk).start(first).unwrap());
+        let writer = StoreWriter::start(store, Some(epochs()), Log::silent());
+        let packages = see(&mut robot(first), &writer, 3);
+        writer.note_epoch(second);
+        see(&mut robot(second), &writer, 3);
+        writer.flush();
+        assert_eq!(epochs().last(), Some(second));
+        assert_eq!(writer.counters().written, if has_store { 2 * packages } else { 0 });
+        drop(writer);
+    }
+    assert_eq!(open(&disk).last_epoch(), Some(second));
+    let mut again = robot(10 << 32);
+    open(&disk).restore(&mut again, Stamp(9_000_000));
+    let held = |epoch| again.session().held(Stream { origin: RobotId(1), epoch }).map(|held| held.count());
+    assert!(held(first).is_some_and(|count| count > 0));
+    assert_eq!(held(first), held(second));
+}
+
+#[test]
+fn an_epoch_that_cannot_be_kept_is_told() {
     let disk = MemoryDisk::default();
-    disk.state().create_fails = true;
+    let (file, _) = EpochFile::open(Arc::new(disk.clone()), 0, RobotId(1));
+    disk.set_faults(Faults { sync: true, ..Faults::default() });
     let (log, lines) = told();
-    let writer = open(&disk, OPTIONS).start(1, log).unwrap();
-    assert_eq!(writer.counters().failures, 1);
-    assert!(lines.lock().unwrap()[0].1.contains("cannot begin a segment: permission denied"));
-}
-
-#[test]
-fn what_cannot_be_read_is_left_out_and_not_cut_off() {
-    let (name, bytes, packages, _) = small_log(Codec::Flock, 12);
-    let disk = MemoryDisk::of([(name.clone(), bytes.clone())].into());
-    disk.state().readable = Some(bytes.len() / 2);
-    let (_, restored) = restart(&disk, config(1), 2);
-    assert_eq!((restored.damaged_segments, restored.torn_bytes), (1, 0));
-    assert!(restored.packages > 0 && restored.packages < packages.len() as u64);
-    disk.state().readable = None;
-    assert_eq!(restart(&disk, config(1), 2).1.packages, packages.len() as u64);
-    assert_eq!(disk.files()[&name], bytes);
-}
-
-/// Waits until no compaction is on its way.
-fn finish_compaction(swarm: &Swarm, writer: &mut StoreWriter, wanted: u64) {
-    for _ in 0..20_000 {
-        writer.step(&swarm.robots[0]);
-        let counters = writer.counters();
-        if counters.compactions + counters.compactions_failed >= wanted {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(1));
-    }
-    panic!("no compaction: {:?}", writer.counters());
-}
-
-/// A cap that a flight of some seconds reaches.
-const CAP: u64 = 256 << 10;
-
-#[test]
-fn compaction_keeps_every_layer_bit_for_bit_and_the_cap_is_held() {
-    for codec in [Codec::Flock, Codec::Paper] {
-        let disk = MemoryDisk::default();
-        let options = StoreOptions { bytes_max: CAP, ..OPTIONS };
-        let mut swarm = Swarm::new(two(codec), PERFECT, 11);
-        let mut writer = start(&disk, options, 1);
-        let mut random = Random(11);
-        for round in 1..=400 {
-            fly(&mut swarm, &mut writer, 10, &mut random, swarm::scan);
-            for _ in 0..5 {
-                writer.step(&swarm.robots[0]);
-                std::thread::sleep(Duration::from_millis(1));
-            }
-            if writer.counters().compactions >= 3 {
-                println!("{codec:?}: 3 compactions in {round} rounds, {:?}", writer.counters());
-                break;
-            }
-        }
-        let counters = writer.counters();
-        println!("{codec:?}: {counters:?}");
-        assert_eq!((counters.failures, counters.left_out, counters.compactions_failed), (0, 0, 0));
-        assert!(counters.compactions >= 3, "{counters:?}");
-        fly(&mut swarm, &mut writer, 5, &mut random, swarm::scan);
-        drop(writer);
-        let most = disk.state().bytes_most as u64;
-        assert!(most > CAP / 2 && most <= CAP, "{most} B at most");
-        let (robot, restored) = restart(&disk, config(1), 2);
-        assert_eq!((restored.skipped_bytes, restored.torn_bytes), (0, 0));
-        for (stream, layer) in swarm.robots[0].fusion().layers() {
-            let again = robot.fusion().layer(stream).unwrap();
-            assert_eq!(again.digest(), layer.digest(), "{codec:?} {stream:?}");
-            assert_eq!(robot.session().held(stream), swarm.robots[0].session().held(stream));
-        }
-    }
-}
-
-#[test]
-fn compaction_keeps_what_is_held_beyond_a_gap() {
-    // Packages that need no others, of which one is missing for good.
-    let (_, _, packages, _) = small_log(Codec::Paper, 30);
-    let of_two: Vec<&Package> =
-        packages.iter().filter(|package| package.header().stream.origin == RobotId(2)).collect();
-    assert!(of_two.len() > 5);
-    for gap in [1, 3] {
-        let disk = MemoryDisk::default();
-        // Many small segments make a compaction at once.
-        for epoch in 1..=65 {
-            drop(start(&disk, OPTIONS, epoch));
-        }
-        let mut swarm =
-            Swarm::new(vec![RobotConfig { epoch: 66, ..two(Codec::Paper).remove(0) }], PERFECT, 1);
-        let now = swarm.now;
-        for package in of_two.iter().filter(|package| package.header().index != gap) {
-            swarm.robots[0].restore(now, (*package).clone()).unwrap();
-        }
-        let mut writer = start(&disk, OPTIONS, 66);
-        finish_compaction(&swarm, &mut writer, 1);
-        drop(writer);
-        assert_eq!(disk.files().len(), 2, "one compacted and one that goes on");
-        let (robot, _) = restart(&disk, config(1), 67);
-        let stream = of_two[0].header().stream;
-        assert_eq!(Model::of_robot(&robot), Model::of_robot(&swarm.robots[0]), "gap {gap}");
-        let held = robot.session().held(stream).unwrap();
-        assert_eq!(Some(held), swarm.robots[0].session().held(stream));
-        assert!(!held.contains(gap) && held.contains(gap + 1));
-    }
-}
-
-#[test]
-fn a_crash_between_a_compaction_and_its_clean_up_does_no_harm() {
-    let disk = MemoryDisk::default();
-    let options = StoreOptions { bytes_max: CAP, ..OPTIONS };
-    let mut swarm = Swarm::new(two(Codec::Flock), PERFECT, 13);
-    let mut writer = start(&disk, options, 1);
-    let mut random = Random(13);
-    while disk.files().len() < 2 {
-        fly(&mut swarm, &mut writer, 10, &mut random, swarm::scan);
-    }
-    disk.state().remove_fails = true;
-    for _ in 0..20_000 {
-        writer.step(&swarm.robots[0]);
-        if writer.counters().failures > 0 {
-            break;
-        }
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    let writer = StoreWriter::start(None, Some(file), log);
+    writer.note_epoch(5);
     drop(writer);
-    assert_eq!(disk.files().len(), 3);
-    disk.state().remove_fails = false;
-    disk.state().files.insert("00000009-0000000001.log.unfinished".into(), vec![1, 2, 3]);
-    let (robot, _) = restart(&disk, config(1), 2);
-    assert_eq!(disk.files().len(), 2, "what is replaced goes, and what is unfinished");
-    assert_eq!(Model::of_robot(&robot), Model::of_robot(&swarm.robots[0]));
-}
-
-#[test]
-fn a_compaction_amid_losses_restores_no_wrong_voxel_and_heals() {
-    let lossy = Radio { loss: 0.3, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 150.0) };
-    for seed in 1..=4 {
-        let disk = MemoryDisk::default();
-        // Many small segments make a compaction at once.
-        for epoch in 1..=65 {
-            drop(start(&disk, OPTIONS, epoch));
-        }
-        let mut configs = two(Codec::Flock);
-        configs[0].epoch = 66;
-        let mut swarm = Swarm::new(configs, lossy, seed);
-        let mut random = Random(seed);
-        let mut writer = None;
-        for tick in 0..60 {
-            for robot in 0..2 {
-                let scan = swarm::scan(&mut random, swarm.now);
-                swarm.scan(robot, &scan, &Pose::from_yaw([f64::from(tick) * 0.1, robot as f64, 0.0], 0.0));
-            }
-            swarm.run(100);
-            if tick == 30 {
-                // All so far is in the layers, and nowhere else.
-                swarm.events[0].clear();
-                let mut begun = start(&disk, OPTIONS, 66);
-                finish_compaction(&swarm, &mut begun, 1);
-                writer = Some(begun);
-            }
-            if let Some(writer) = &mut writer {
-                store_events(&mut swarm, writer, &mut Vec::new());
-            }
-        }
-        drop(writer);
-        // What is restored stands as it stood, or is not there yet: no word is newer or another.
-        let (robot, _) = restart(&disk, config(1), 67);
-        let live = Model::of_robot(&swarm.robots[0]);
-        for (stream, layer) in Model::of_robot(&robot).0 {
-            for (voxel, word) in layer {
-                let known = live.0[&stream][&voxel];
-                assert!(word == known || word.0 < known.0, "seed {seed}: {stream:?} {voxel:?}");
-            }
-        }
-        let own = RobotConfig { epoch: 67, ..two(Codec::Flock).remove(0) };
-        let mut robot = Robot::new(own, swarm.now).unwrap();
-        open(&disk, OPTIONS).restore(&mut robot, swarm.now);
-        swarm.robots[0] = robot;
-        swarm.settle(60_000);
-        assert!(swarm.agrees(), "seed {seed}");
-        swarm.assert_layers_equal_own_maps(seed);
-    }
-}
-
-#[test]
-fn a_present_state_that_was_received_is_there_after_a_restart() {
-    let lossy = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 80.0) };
-    for seed in 1..=3 {
-        let mut configs = two(Codec::Flock);
-        for config in &mut configs {
-            config.session.present_state_range_max = Some(5);
-        }
-        let mut swarm = Swarm::new(configs, lossy, seed);
-        swarm.cut = vec![(0, 1)];
-        let mut random = Random(seed);
-        for tick in 0..40 {
-            let scan = swarm::scan(&mut random, swarm.now);
-            swarm.scan(1, &scan, &Pose::from_yaw([f64::from(tick) * 0.1, 0.0, 0.0], 0.0));
-            swarm.run(100);
-        }
-        let disk = MemoryDisk::default();
-        let mut writer = start(&disk, OPTIONS, 1);
-        swarm.cut.clear();
-        swarm.settle(60_000);
-        assert!(swarm.events[0].iter().any(|event| matches!(event, Event::CaughtUp { .. })), "seed {seed}");
-        fly(&mut swarm, &mut writer, 10, &mut random, swarm::scan);
-        assert!(swarm.agrees(), "seed {seed}");
-        drop(writer);
-        let (robot, _) = restart(&disk, config(1), 2);
-        assert_eq!(Model::of_robot(&robot), Model::of_robot(&swarm.robots[0]), "seed {seed}");
-        let stream = swarm.robots[1].own_stream();
-        assert_eq!(robot.session().held(stream), swarm.robots[0].session().held(stream), "seed {seed}");
-    }
-}
-
-#[test]
-fn a_store_is_of_one_robot_one_version_and_one_process() {
-    let folder = std::env::temp_dir().join(format!("flockmap-store-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let disk = Arc::new(Folder::open(&folder).unwrap());
-    let error = Folder::open(&folder).unwrap_err();
-    assert!(matches!(error, StoreError::InUse { .. }), "{error}");
-    let store = Store::open(disk.clone(), identity(), OPTIONS).unwrap();
-    assert_eq!(store.last_epoch(), None);
-    drop(store.start(7, Log::silent()).unwrap());
-    let store = Store::open(disk.clone(), identity(), OPTIONS).unwrap();
-    let error = store.start(7, Log::silent()).unwrap_err().to_string();
-    assert_eq!(error, "store: epoch 7 was used before: the last one was 7, give a higher one or none");
-
-    let other = Identity { robot: RobotId(2), ..identity() };
-    let error = Store::open(disk.clone(), other, OPTIONS).unwrap_err();
-    assert!(matches!(error, StoreError::Foreign { .. }), "{error}");
-    assert!(is_store(&folder));
-    let inspection = inspect(&folder).unwrap();
-    assert_eq!(inspection.identity, Some(identity()));
-    assert_eq!((inspection.segments.len(), inspection.segments[0].bytes), (1, 64));
-
-    let path = folder.join(&inspection.segments[0].name);
-    let mut bytes = std::fs::read(&path).unwrap();
-    for copy in bytes.chunks_mut(32) {
-        copy[8] = 9;
-        let check = crc32fast::hash(&copy[..28]);
-        copy[28..].copy_from_slice(&check.to_le_bytes());
-    }
-    std::fs::write(&path, bytes).unwrap();
-    let error = Store::open(disk.clone(), identity(), OPTIONS).unwrap_err().to_string();
-    assert!(error.contains("has version 9, this program knows version 1"), "{error}");
-    drop(disk);
-    Folder::open(&folder).unwrap();
-    std::fs::remove_dir_all(&folder).unwrap();
+    let lines = lines.lock().unwrap();
+    assert!(lines.len() == 1 && lines[0].1.contains("cannot write epoch-0-1"), "{lines:?}");
 }

@@ -1,6 +1,8 @@
 //! From the words of the configuration to the options of the parts.
 
+use std::ffi::OsString;
 use std::net::{SocketAddr, ToSocketAddrs};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use flockmap::sync::{InFlight, Order, Relay};
@@ -18,8 +20,7 @@ impl NodeConfig {
         self.name.clone().unwrap_or_else(|| format!("robot{}", self.id))
     }
 
-    /// The options of the robot. `epoch` is used if the configuration has none. The swarm key is not among them:
-    /// [`swarm_key`](Self::swarm_key) finds it.
+    /// The options of the robot in a run with this epoch. The swarm key is not among them: [`swarm_key`](Self::swarm_key) finds it.
     ///
     /// # Errors
     /// Names the key, its value and what was expected.
@@ -34,7 +35,7 @@ impl NodeConfig {
             &[("rog-map", Preset::RogMap), ("racer", Preset::Racer), ("octomap", Preset::OctoMap)],
         )?;
         let mut config = RobotConfig::new(RobotId(self.id), resolution, map.range_m);
-        config.epoch = self.epoch.unwrap_or(epoch);
+        config.epoch = epoch;
         config.mapper = MapperConfig::preset(preset, resolution, map.range_m);
         if !(0.0..map.range_m).contains(&map.range_min_m) {
             return Err(value("[map] range_min_m", map.range_min_m, "0 or more, and less than range_m"));
@@ -88,6 +89,20 @@ impl NodeConfig {
             config.teammate_timeout_ms = timeout;
         }
         Ok(config)
+    }
+
+    /// The folder for the epoch: `[state] path`, else that which systemd gives (`STATE_DIRECTORY`), else `flockmap` in `XDG_STATE_HOME`, else
+    /// `.local/state/flockmap` in `HOME`, each as far as it is an absolute path. `variable` looks up the environment.
+    pub fn state_folder(&self, variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+        let absolute = |path: PathBuf| path.is_absolute().then_some(path);
+        let folder = |name: &str| variable(name).map(PathBuf::from).and_then(absolute);
+        // A service may have several; the first one will do.
+        let systemd = variable("STATE_DIRECTORY").and_then(|all| std::env::split_paths(&all).next());
+        let configured = self.state.path.clone();
+        configured
+            .or_else(|| systemd.and_then(absolute))
+            .or_else(|| folder("XDG_STATE_HOME").map(|path| path.join("flockmap")))
+            .or_else(|| folder("HOME").map(|path| path.join(".local/state/flockmap")))
     }
 
     fn session(&self) -> Result<SessionConfig, ConfigError> {

@@ -25,9 +25,9 @@ pub struct NodeConfig {
     pub id: u16,
     /// Name in logs. Default `robotID`.
     pub name: Option<String>,
-    /// Which run of the robot this is; must be higher after each restart. Default: the second since 1970 that begins next; the node
-    /// waits for it.
-    pub epoch: Option<u64>,
+    /// In place of the seconds since 1970 that the machine's clock shows, from which the epoch of a run is made. If a former run is known
+    /// that had as much or more, one more than that counts.
+    pub epoch: Option<u32>,
     /// The mapper.
     pub map: MapSection,
     /// When changes are packed.
@@ -45,6 +45,9 @@ pub struct NodeConfig {
     /// What survives a reboot.
     #[serde(default)]
     pub store: StoreSection,
+    /// Where the epoch is kept.
+    #[serde(default)]
+    pub state: StateSection,
     /// Sockets.
     #[serde(default)]
     pub network: NetworkSection,
@@ -223,6 +226,14 @@ impl Default for StoreSection {
     fn default() -> Self {
         Self { path: None, bytes_max: 256 << 20, sync_ms: 1_000 }
     }
+}
+
+/// `[state]`
+#[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StateSection {
+    /// Folder for the epoch of the newest run, a small file; made if need be. Default: [`NodeConfig::state_folder`].
+    pub path: Option<PathBuf>,
 }
 
 /// `[network]`

@@ -85,6 +85,7 @@ impl NodeConfig {
             &mut output.save_map_at_end,
             &mut output.report_json,
             &mut config.store.path,
+            &mut config.state.path,
         ] {
             *file = file.take().map(|file| folder.join(file));
         }

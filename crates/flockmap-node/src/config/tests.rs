@@ -52,7 +52,7 @@ fn every_key_is_in_the_example_and_every_example_can_be_uncommented() {
     assert_eq!(config.clock_offsets().unwrap(), [(RobotId(2), 12_500)]);
 
     let sections =
-        ["", "map", "cycle", "codec", "session", "fusion", "store", "network", "sensor", "metrics"];
+        ["", "map", "cycle", "codec", "session", "fusion", "store", "state", "network", "sensor", "metrics"];
     for section in sections.iter().chain(&["alignment.2", "teammates", "output"]) {
         // An error about an unknown key lists the known ones.
         let text = match *section {
@@ -133,7 +133,8 @@ fn words_become_options() {
     );
     let config = parse(&text).unwrap();
     let robot = config.robot(99).unwrap();
-    assert_eq!((robot.epoch, robot.codec, config.robot_name().as_str()), (7, Codec::Raw, "alice"));
+    assert_eq!((robot.epoch, robot.codec, config.robot_name().as_str()), (99, Codec::Raw, "alice"));
+    assert_eq!(config.epoch, Some(7));
     assert_eq!(robot.cycle.t_l_occupied_ms, Some(100));
     assert_eq!((robot.session.cast, robot.session.push), (Cast::Broadcast, false));
     assert_eq!(robot.session.radio_bytes_per_s, Some(102_400));
@@ -156,4 +157,25 @@ fn a_file_without_an_end_is_no_configuration_and_no_key() {
     let config = parse(&format!("{MINIMAL}[session]\nswarm_key_file = \"/dev/zero\"\n")).unwrap();
     let error = config.swarm_key("robot.toml".as_ref(), None).unwrap_err().to_string();
     assert!(error.contains("nothing but the key"), "{error}");
+}
+
+#[test]
+fn the_epoch_is_kept_where_the_system_keeps_such_things() {
+    let folder = |text: &str, environment: &[(&str, &str)]| {
+        let config = parse(&format!("{MINIMAL}{text}")).unwrap();
+        let find =
+            |name: &str| environment.iter().find(|(known, _)| *known == name).map(|(_, path)| path.into());
+        config.state_folder(find).map(|path| path.display().to_string())
+    };
+    let home = ("HOME", "/home/robot");
+    let xdg = ("XDG_STATE_HOME", "/data/state");
+    let systemd = ("STATE_DIRECTORY", "/var/lib/flockmap:/var/lib/other");
+    assert_eq!(folder("", &[]), None);
+    assert_eq!(folder("", &[home]).as_deref(), Some("/home/robot/.local/state/flockmap"));
+    assert_eq!(folder("", &[home, xdg]).as_deref(), Some("/data/state/flockmap"));
+    assert_eq!(folder("", &[home, xdg, systemd]).as_deref(), Some("/var/lib/flockmap"));
+    assert_eq!(folder("[state]\npath = \"/x\"\n", &[home, xdg, systemd]).as_deref(), Some("/x"));
+    // What is no path to rely on is as good as none.
+    let odd = [("STATE_DIRECTORY", ""), ("XDG_STATE_HOME", "state"), home];
+    assert_eq!(folder("", &odd).as_deref(), Some("/home/robot/.local/state/flockmap"));
 }

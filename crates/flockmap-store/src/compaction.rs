@@ -1,24 +1,26 @@
-//! A segment that says in few bytes what all before it say: the present state of each stream. Made on a thread of its own, from copies that the robot
-//! gives stream by stream.
+//! A segment that says in few bytes what all before it say: the present state of each stream. Made from copies that the robot gives stream by stream, so that it
+//! can be coded and written on another thread.
 
+use std::fmt;
 use std::sync::Arc;
 
 use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::Layer;
 use flockmap::{Codec, Package, Resolution, Robot, Stream};
 
-use super::log::{LogError, create};
-use super::record::{HEADERS_BYTES, INTERVALS_MAX, Record, SegmentHeader};
-use super::{Disk, DiskFile};
+use crate::log::create;
+use crate::record::{INTERVALS_MAX, Record};
+use crate::segment::{HEADERS_BYTES, SegmentHeader};
+use crate::{Disk, DiskFile};
 
 /// What the name of a compacted segment ends with until it is complete.
-pub(super) const UNFINISHED: &str = ".unfinished";
+pub(crate) const UNFINISHED: &str = ".unfinished";
 
 /// Records are handed to the system in portions of about so many bytes.
 const PORTION_BYTES: usize = 64 << 10;
 
 /// A copy of what a robot has of one stream.
-pub(super) struct StreamCopy {
+pub struct StreamCopy {
     stream: Stream,
     codec: Codec,
     resolution: Resolution,
@@ -32,8 +34,8 @@ pub(super) struct StreamCopy {
 }
 
 impl StreamCopy {
-    /// The first stream after `after` that the robot has something of. Copies its layer: 1 ms for 3 MB.
-    pub(super) fn next(robot: &Robot, after: Option<Stream>) -> Option<Self> {
+    /// The first stream after `after` that the robot has something of, with no event of the robot left unread. Copies its layer: 1 ms for 3 MB.
+    pub fn next(robot: &Robot, after: Option<Stream>) -> Option<Self> {
         let session = robot.session();
         let later = session.streams().filter(|stream| after.is_none_or(|after| *stream > after));
         later.into_iter().find_map(|stream| {
@@ -58,7 +60,8 @@ impl StreamCopy {
         })
     }
 
-    pub(super) const fn stream(&self) -> Stream {
+    /// The stream.
+    pub const fn stream(&self) -> Stream {
         self.stream
     }
 
@@ -78,32 +81,65 @@ impl StreamCopy {
 }
 
 /// A compacted segment that is being written. Dropped before its end, it leaves a file behind that the next start removes.
-pub(super) struct Compaction {
+pub struct Compaction {
     disk: Arc<dyn Disk>,
     header: SegmentHeader,
-    file: Box<dyn DiskFile>,
     name: String,
+    /// What is being written, or why it cannot be.
+    file: Result<Box<dyn DiskFile>, String>,
     seed: u32,
     bytes: u64,
     bytes_max: u64,
     encoder: Encoder,
+    last: Option<Stream>,
+}
+
+/// The end of a compaction, for [`StoreLog::end_compaction`](crate::StoreLog::end_compaction).
+#[derive(Debug)]
+pub struct Compacted {
+    pub(crate) header: SegmentHeader,
+    /// Its bytes, or why there is none.
+    pub(crate) result: Result<u64, String>,
 }
 
 impl Compaction {
-    pub(super) fn begin(
-        disk: Arc<dyn Disk>,
-        header: SegmentHeader,
-        bytes_max: u64,
-    ) -> Result<Self, LogError> {
+    /// What goes wrong here and later is told at its end.
+    pub(crate) fn begin(disk: Arc<dyn Disk>, header: SegmentHeader, bytes_max: u64) -> Self {
         let name = header.name() + UNFINISHED;
         let file = create(&*disk, &header, &name)
-            .map_err(|source| LogError::Disk { what: "begin a compacted segment", source })?;
-        let (seed, bytes) = (header.seed(), HEADERS_BYTES as u64);
-        Ok(Self { disk, header, file, name, seed, bytes, bytes_max, encoder: Encoder::new() })
+            .map_err(|error| format!("cannot begin a compacted segment: {error}"));
+        Self {
+            disk,
+            header,
+            name,
+            file,
+            seed: header.seed(),
+            bytes: HEADERS_BYTES as u64,
+            bytes_max,
+            encoder: Encoder::new(),
+            last: None,
+        }
     }
 
-    /// Writes one stream.
-    pub(super) fn add(&mut self, copy: StreamCopy) -> Result<(), String> {
+    /// Copies and writes the next stream of the robot, with no event of the robot left unread. `false`: there is none any more, or it has failed; then it
+    /// is to be [finished](Self::finish).
+    pub fn step(&mut self, robot: &Robot) -> bool {
+        StreamCopy::next(robot, self.last).is_some_and(|copy| self.add(copy))
+    }
+
+    /// Writes one stream. `false`: it has failed.
+    pub fn add(&mut self, copy: StreamCopy) -> bool {
+        self.last = Some(copy.stream);
+        if self.file.is_ok()
+            && let Err(why) = self.write(copy)
+        {
+            self.file = Err(why);
+        }
+        self.file.is_ok()
+    }
+
+    fn write(&mut self, copy: StreamCopy) -> Result<(), String> {
+        let file = self.file.as_mut().map_err(|why| why.clone())?;
         let mut buffer = Vec::new();
         let mut records = copy.into_records(&mut self.encoder)?.into_iter().peekable();
         while let Some(record) = records.next() {
@@ -116,26 +152,42 @@ impl Compaction {
                         self.bytes_max
                     ));
                 }
-                self.file.write_all(&buffer).map_err(|error| format!("cannot write: {error}"))?;
+                file.write_all(&buffer).map_err(|error| format!("cannot write: {error}"))?;
                 buffer.clear();
             }
         }
         Ok(())
     }
 
-    /// Makes it safe, and gives it its name: from here on it counts, and all before it does not. Returns its bytes.
-    pub(super) fn finish(mut self) -> Result<u64, String> {
-        let fail = |error| format!("cannot finish a compacted segment: {error}");
-        self.file.sync().map_err(fail)?;
-        drop(self.file);
-        self.disk.rename(&self.name, &self.header.name()).map_err(fail)?;
-        self.disk.sync_folder().map_err(fail)?;
-        Ok(self.bytes)
+    /// Makes it safe, and gives it its name: from here on it counts, and all before it does not.
+    pub fn finish(self) -> Compacted {
+        let Self { disk, header, name, file, bytes, .. } = self;
+        let finish = |mut file: Box<dyn DiskFile>| {
+            file.sync()?;
+            drop(file);
+            disk.rename(&name, &header.name())?;
+            disk.sync_folder()
+        };
+        let result = file.and_then(|file| {
+            finish(file).map_err(|error| format!("cannot finish a compacted segment: {error}"))
+        });
+        if result.is_err() {
+            // What is left is removed at the next start, or is whole and counts.
+            let _ = disk.remove(&name);
+            let _ = disk.remove(&header.name());
+        }
+        Compacted { header, result: result.map(|()| bytes) }
     }
 
-    /// Takes the file away again; what is left is removed at the next start.
-    pub(super) fn abandon(self) {
-        drop(self.file);
-        let _ = self.disk.remove(&self.name);
+    /// Takes the file away again.
+    pub fn abandon(mut self, why: &str) -> Compacted {
+        self.file = Err(why.to_owned());
+        self.finish()
+    }
+}
+
+impl fmt::Debug for Compaction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Compaction").field("name", &self.name).finish_non_exhaustive()
     }
 }

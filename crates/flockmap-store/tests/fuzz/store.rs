@@ -10,10 +10,8 @@ use std::sync::{Arc, OnceLock};
 use flockmap::codec::{Codec, Cycle, Encoder, Reference};
 use flockmap::grid::Layer;
 use flockmap::{Changes, Package, Resolution, Robot, RobotConfig, RobotId, Stamp, State, Stream, Voxel};
-use flockmap_node::Log;
-use flockmap_node::store::{Disk, Folder, Identity, Store, StoreOptions, inspect};
-
-use super::disk::MemoryDisk;
+use flockmap_store::memory::MemoryDisk;
+use flockmap_store::{Disk, Folder, Identity, Store, StoreOptions, inspect};
 
 fn resolution() -> Resolution {
     Resolution::from_metres(0.1).expect("a resolution")
@@ -71,11 +69,11 @@ fn segment(input: &[u8]) -> Vec<u8> {
         .get_or_init(|| {
             let disk = MemoryDisk::default();
             let store = Store::open(Arc::new(disk.clone()), identity(), StoreOptions::default());
-            drop(store.expect("an empty store").start(1, Log::silent()));
+            drop(store.expect("an empty store").start(1));
             disk.files().into_values().next().expect("a segment")
         })
         .clone();
-    let seed = crc32fast::hash(&bytes[..28]);
+    let seed = crc32fast::hash(&bytes[..32]);
     let mut rest = input;
     while let Some((&choice, after)) = rest.split_first() {
         rest = after;
@@ -108,14 +106,14 @@ fn frame(seed: u32, kind: u8, content: &[u8], out: &mut Vec<u8>) {
 }
 
 pub(crate) fn run(input: &[u8]) {
-    let name = "00000001-0000000001.log";
+    let name = "00000001-00000000000000000001.log";
     // A second one of which nothing is sure, not even the header.
-    let other = "00000002-0000000001.log";
+    let other = "00000002-00000000000000000001.log";
     let files = [(name.to_owned(), segment(input)), (other.to_owned(), input.to_vec())];
     let disk = MemoryDisk::of(files.clone().into());
     let open = || Store::open(Arc::new(disk.clone()), identity(), StoreOptions::default());
     let Ok(mut store) = open() else { return };
-    let epoch = store.next_epoch(2);
+    let epoch: u64 = store.last_epoch().map_or(2, |last| (last + 1).max(2));
     let mut first = robot(epoch);
     let restored = store.restore(&mut first, Stamp(1_000));
     assert!(restored.merged <= restored.packages, "{restored:?}");
@@ -137,7 +135,7 @@ pub(crate) fn run(input: &[u8]) {
     if epoch > 2 {
         return;
     }
-    drop(store.start(epoch, Log::silent()));
+    drop(store.start(epoch));
     assert!(disk.names().is_ok_and(|names| names.len() >= 2));
 }
 
@@ -146,8 +144,8 @@ pub(crate) fn inspect_one(input: &[u8]) {
     let folder: PathBuf = std::env::temp_dir().join(format!("flockmap-store-fuzz-{}", std::process::id()));
     let fill = |folder: &Path| -> std::io::Result<()> {
         std::fs::create_dir_all(folder)?;
-        std::fs::write(folder.join("00000001-0000000001.log"), segment(input))?;
-        std::fs::write(folder.join("00000002-0000000001.log"), input)
+        std::fs::write(folder.join("00000001-00000000000000000001.log"), segment(input))?;
+        std::fs::write(folder.join("00000002-00000000000000000001.log"), input)
     };
     fill(&folder).expect("a folder to write to");
     let inspection = inspect(&folder).expect("a folder to read");

@@ -1,131 +1,28 @@
-//! The bytes of a segment: its header, its records, and how they are found again (`docs/store.md`).
+//! The records of a segment, and how they are found again behind a damaged place (`docs/store.md`).
 
 use std::io::{self, Read};
 
 use crc32fast::Hasher;
 use flockmap::codec::PackageError;
-use flockmap::{Package, Resolution, RobotId, Stream};
+use flockmap::{Package, RobotId, Stream};
 
-use super::Identity;
-
-const MAGIC: &[u8; 8] = b"FLKSTORE";
-/// Goes up with every change of the layout.
-pub const STORE_VERSION: u8 = 2;
-
-const HEADER_BYTES: usize = 36;
-/// The header stands there twice, so that one spoilt byte does not cost a whole segment.
-pub(super) const HEADERS_BYTES: usize = 2 * HEADER_BYTES;
-const IS_COMPACTED: u8 = 1;
+use crate::segment::{HEADERS_BYTES, NoHeader, SegmentHeader};
 
 /// Begins each record: found again behind a damaged place.
 const SYNC: [u8; 2] = [0xf1, 0x0c];
 /// Sync, type, length, check.
-pub(super) const RECORD_OVERHEAD: usize = 9;
+pub(crate) const RECORD_OVERHEAD: usize = 9;
 /// Content of a record; packages are shorter than datagrams.
-pub(super) const CONTENT_MAX: usize = 1_536;
+pub(crate) const CONTENT_MAX: usize = 1_536;
 /// Intervals in one record.
-pub(super) const INTERVALS_MAX: usize = 180;
+pub(crate) const INTERVALS_MAX: usize = 180;
 
 const PACKAGE: u8 = 1;
 const HELD: u8 = 2;
 
-/// What a segment says about itself.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct SegmentHeader {
-    pub(super) identity: Identity,
-    /// The run that wrote it.
-    pub(super) epoch: u64,
-    /// Its place among the segments.
-    pub(super) number: u32,
-    /// It says all that the segments with lower numbers say.
-    pub(super) is_compacted: bool,
-}
-
-/// Why a segment has no header that can be used.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum NoHeader {
-    /// The file ends before it.
-    Torn,
-    /// Neither of its two copies is sound.
-    Damaged,
-    /// Sound, and of another version.
-    Version(u8),
-}
-
-impl SegmentHeader {
-    pub(super) fn name(&self) -> String {
-        segment_name(self.number, self.epoch)
-    }
-
-    pub(super) fn write(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(HEADERS_BYTES);
-        bytes.extend_from_slice(MAGIC);
-        bytes.push(STORE_VERSION);
-        bytes.push(if self.is_compacted { IS_COMPACTED } else { 0 });
-        bytes.extend_from_slice(&self.identity.swarm.to_le_bytes());
-        bytes.extend_from_slice(&self.identity.robot.0.to_le_bytes());
-        bytes.extend_from_slice(&[0; 2]);
-        bytes.extend_from_slice(&self.identity.resolution.micrometres().to_le_bytes());
-        bytes.extend_from_slice(&self.epoch.to_le_bytes());
-        bytes.extend_from_slice(&self.number.to_le_bytes());
-        bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
-        bytes.repeat(2)
-    }
-
-    /// Reads the two copies that a segment begins with.
-    pub(super) fn read(bytes: &[u8]) -> Result<Self, NoHeader> {
-        let Some(copies) = bytes.get(..HEADERS_BYTES) else { return Err(NoHeader::Torn) };
-        let mut why = NoHeader::Damaged;
-        for copy in copies.chunks(HEADER_BYTES) {
-            match Self::read_copy(copy) {
-                Ok(header) => return Ok(header),
-                Err(NoHeader::Damaged) => {}
-                Err(version) => why = version,
-            }
-        }
-        Err(why)
-    }
-
-    fn read_copy(copy: &[u8]) -> Result<Self, NoHeader> {
-        let u16_at = |at: usize| u16::from_le_bytes([copy[at], copy[at + 1]]);
-        let u32_at = |at: usize| u32::from_le_bytes([copy[at], copy[at + 1], copy[at + 2], copy[at + 3]]);
-        if copy[..8] != *MAGIC || u32_at(32) != crc32fast::hash(&copy[..32]) {
-            return Err(NoHeader::Damaged);
-        }
-        if copy[8] != STORE_VERSION {
-            return Err(NoHeader::Version(copy[8]));
-        }
-        let resolution = Resolution::from_micrometres(u32_at(16)).ok_or(NoHeader::Damaged)?;
-        Ok(Self {
-            identity: Identity { swarm: u16_at(10), robot: RobotId(u16_at(12)), resolution },
-            epoch: u64::from(u32_at(24)) << 32 | u64::from(u32_at(20)),
-            number: u32_at(28),
-            is_compacted: copy[9] & IS_COMPACTED != 0,
-        })
-    }
-
-    /// Checks of records begin from here: those of another segment are none of this one.
-    pub(super) fn seed(&self) -> u32 {
-        // Without its own check, behind which every header would have the same one.
-        crc32fast::hash(&self.write()[..HEADER_BYTES - 4])
-    }
-}
-
-/// `NUMBER-EPOCH.log`: the epoch is safe even where the header is spoilt.
-pub(super) fn segment_name(number: u32, epoch: u64) -> String {
-    format!("{number:08}-{epoch:020}.log")
-}
-
-/// Number and epoch of a segment; `None` for all other files.
-pub(super) fn parse_name(name: &str) -> Option<(u32, u64)> {
-    let (number, epoch) = name.strip_suffix(".log")?.split_once('-')?;
-    let (number, epoch) = (number.parse().ok()?, epoch.parse().ok()?);
-    (segment_name(number, epoch) == name).then_some((number, epoch))
-}
-
 /// What a record says.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub(super) enum Record {
+pub(crate) enum Record {
     /// A package, or a tile of a present state, was made or merged.
     Package(Package),
     /// The present state just before, up to package `upto`, contains these packages too.
@@ -134,11 +31,11 @@ pub(super) enum Record {
 
 impl Record {
     /// Appends the record to `out`.
-    pub(super) fn write(&self, seed: u32, out: &mut Vec<u8>) {
+    pub(crate) fn write(&self, seed: u32, out: &mut Vec<u8>) {
         match self {
-            Self::Package(package) => frame(seed, PACKAGE, package.bytes(), out),
+            Self::Package(package) => write_package(package, seed, out),
             Self::Held { stream, upto, intervals } => {
-                let mut content = Vec::with_capacity(10 + 8 * intervals.len());
+                let mut content = Vec::with_capacity(14 + 8 * intervals.len());
                 content.extend_from_slice(&stream.origin.0.to_le_bytes());
                 content.extend_from_slice(&stream.epoch.to_le_bytes());
                 content.extend_from_slice(&upto.to_le_bytes());
@@ -173,9 +70,14 @@ impl Record {
     }
 }
 
+/// Appends the record of a package to `out`.
+pub(crate) fn write_package(package: &Package, seed: u32, out: &mut Vec<u8>) {
+    frame(seed, PACKAGE, package.bytes(), out);
+}
+
 /// A record that is whole and cannot be used.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
-pub(super) enum Unreadable {
+pub(crate) enum Unreadable {
     #[error("a package of another version, or none: {0}")]
     Package(PackageError),
     #[error("a list of packages held that is none")]
@@ -214,7 +116,7 @@ fn unframe(seed: u32, bytes: &[u8]) -> Option<(u8, &[u8])> {
 }
 
 /// Reads the records of a segment one after the other, and finds the next sound one behind a damaged place. Holds at most 128 KiB.
-pub(super) struct Scan {
+pub(crate) struct Scan {
     source: Box<dyn Read>,
     seed: u32,
     buffer: Vec<u8>,
@@ -226,16 +128,16 @@ pub(super) struct Scan {
     /// End of the last sound record.
     sound_end: u64,
     /// Bytes between sound records that are none.
-    pub(super) skipped: u64,
+    pub(crate) skipped: u64,
     /// Why the file could not be read to its end.
-    pub(super) error: Option<io::Error>,
+    pub(crate) error: Option<io::Error>,
 }
 
 const BUFFER_BYTES: usize = 64 << 10;
 
 impl Scan {
     /// The header of a segment, and its records.
-    pub(super) fn open(mut source: Box<dyn Read>) -> io::Result<(Result<SegmentHeader, NoHeader>, Self)> {
+    pub(crate) fn open(mut source: Box<dyn Read>) -> io::Result<(Result<SegmentHeader, NoHeader>, Self)> {
         let mut header = Vec::with_capacity(HEADERS_BYTES);
         source.by_ref().take(HEADERS_BYTES as u64).read_to_end(&mut header)?;
         let header = SegmentHeader::read(&header);
@@ -256,7 +158,7 @@ impl Scan {
     }
 
     /// The next sound record; `None` at the end of the file.
-    pub(super) fn next(&mut self) -> Option<Result<Record, Unreadable>> {
+    pub(crate) fn next(&mut self) -> Option<Result<Record, Unreadable>> {
         loop {
             self.fill();
             let rest = self.buffer.get(self.at..).unwrap_or_default();
@@ -280,7 +182,7 @@ impl Scan {
     }
 
     /// Where the last sound record ends, and bytes behind it. After the last record.
-    pub(super) const fn tail(&self) -> (u64, u64) {
+    pub(crate) const fn tail(&self) -> (u64, u64) {
         (self.sound_end, self.offset - self.sound_end)
     }
 

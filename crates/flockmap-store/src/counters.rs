@@ -1,6 +1,22 @@
 //! What a store counts.
 
-use super::Restored;
+/// What came back from a store.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[non_exhaustive]
+pub struct Restored {
+    /// Packages, and tiles of present states, that were read.
+    pub packages: u64,
+    /// Of these: merged. The others wait for packages that are gone, say what is known already, or have no room; the robot's counters tell.
+    pub merged: u64,
+    /// Records that are whole and cannot be used: of another version of the packages.
+    pub unreadable: u64,
+    /// Bytes between sound records that are none: damage on the disk.
+    pub skipped_bytes: u64,
+    /// Bytes behind the last sound record of a segment, cut off: what was being written when a run ended.
+    pub torn_bytes: u64,
+    /// Segments whose header is damaged, or that could not be read to their end.
+    pub damaged_segments: u64,
+}
 
 /// What a store did in this run.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]

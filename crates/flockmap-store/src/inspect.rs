@@ -9,9 +9,9 @@ use flockmap::Stream;
 use flockmap::codec::ContentKind;
 use flockmap::sync::IntervalSet;
 
-use super::Identity;
-use super::disk::names;
-use super::record::{NoHeader, Record, Scan, parse_name};
+use crate::folder::names;
+use crate::record::{Record, Scan};
+use crate::segment::{Identity, NoHeader, is_of_version_1, parse_name};
 
 /// Intervals told of one stream; of more, the rest is left out.
 const INTERVALS_MAX: usize = 1_024;
@@ -52,6 +52,21 @@ pub struct SegmentFacts {
     pub torn_bytes: u64,
 }
 
+impl SegmentFacts {
+    const fn new(name: String, bytes: u64) -> Self {
+        Self {
+            name,
+            bytes,
+            fault: None,
+            is_compacted: false,
+            records: 0,
+            unreadable: 0,
+            skipped_bytes: 0,
+            torn_bytes: 0,
+        }
+    }
+}
+
 /// A stream in a store.
 #[derive(Clone, PartialEq, Eq, Debug)]
 #[non_exhaustive]
@@ -70,7 +85,8 @@ pub struct StreamFacts {
 
 /// Whether a folder holds segments of a store.
 pub fn is_store(folder: &Path) -> bool {
-    names(folder).is_ok_and(|names| names.iter().any(|name| parse_name(name).is_some()))
+    names(folder)
+        .is_ok_and(|names| names.iter().any(|name| parse_name(name).is_some() || is_of_version_1(name)))
 }
 
 /// Reads all of a store.
@@ -79,9 +95,21 @@ pub fn is_store(folder: &Path) -> bool {
 /// The folder cannot be listed, or a file in it not be opened.
 pub fn inspect(folder: &Path) -> io::Result<Inspection> {
     let mut inspection = Inspection::default();
-    let mut segments: Vec<_> =
-        names(folder)?.into_iter().filter_map(|name| Some((parse_name(&name)?, name))).collect();
+    let (mut segments, mut old) = (Vec::new(), Vec::new());
+    for name in names(folder)? {
+        match parse_name(&name) {
+            Some(key) => segments.push((key, name)),
+            None if is_of_version_1(&name) => old.push(name),
+            None => {}
+        }
+    }
+    old.sort();
     segments.sort();
+    for name in old {
+        let bytes = std::fs::metadata(folder.join(&name))?.len();
+        let fault = Some("written by another version (1)".into());
+        inspection.segments.push(SegmentFacts { fault, ..SegmentFacts::new(name, bytes) });
+    }
     for (_, name) in segments {
         inspection.add_segment(&folder.join(&name), name)?;
     }
@@ -92,16 +120,7 @@ impl Inspection {
     fn add_segment(&mut self, path: &Path, name: String) -> io::Result<()> {
         let bytes = std::fs::metadata(path)?.len();
         let (header, mut scan) = Scan::open(Box::new(File::open(path)?))?;
-        let mut facts = SegmentFacts {
-            name,
-            bytes,
-            fault: None,
-            is_compacted: false,
-            records: 0,
-            unreadable: 0,
-            skipped_bytes: 0,
-            torn_bytes: 0,
-        };
+        let mut facts = SegmentFacts::new(name, bytes);
         match header {
             Ok(header) => {
                 self.identity = Some(header.identity);

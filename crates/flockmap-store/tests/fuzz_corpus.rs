@@ -1,8 +1,5 @@
 //! What the fuzzer of the store found worth keeping, and what it does, for a second: see `fuzz/README.md`.
 
-#[path = "common/disk.rs"]
-#[allow(dead_code, reason = "each test uses a part of it")]
-mod disk;
 #[path = "fuzz/store.rs"]
 mod store;
 

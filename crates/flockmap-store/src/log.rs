@@ -4,10 +4,14 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 
-use super::record::{HEADERS_BYTES, Record, SegmentHeader, segment_name};
-use super::{Disk, DiskFile, Identity};
+use flockmap::Package;
 
-pub(super) struct Log {
+use crate::record::write_package;
+use crate::segment::{HEADERS_BYTES, Identity, SegmentHeader, segment_name};
+use crate::{Disk, DiskFile};
+
+#[derive(Debug)]
+pub(crate) struct Log {
     disk: Arc<dyn Disk>,
     identity: Identity,
     epoch: u64,
@@ -22,7 +26,7 @@ pub(super) struct Log {
 
 /// Why the log cannot go on.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum LogError {
+pub(crate) enum LogError {
     #[error("cannot {what}: {source}")]
     Disk { what: &'static str, source: io::Error },
     #[error("bytes_max ({0}) is reached: raise it, or empty the folder")]
@@ -34,7 +38,7 @@ fn cannot(what: &'static str) -> impl FnOnce(io::Error) -> LogError {
 }
 
 /// A new segment with its header, safe on disk: its epoch will not be used again.
-pub(super) fn create(disk: &dyn Disk, header: &SegmentHeader, name: &str) -> io::Result<Box<dyn DiskFile>> {
+pub(crate) fn create(disk: &dyn Disk, header: &SegmentHeader, name: &str) -> io::Result<Box<dyn DiskFile>> {
     let mut file = disk.create(name)?;
     file.write_all(&header.write())?;
     file.sync()?;
@@ -44,7 +48,7 @@ pub(super) fn create(disk: &dyn Disk, header: &SegmentHeader, name: &str) -> io:
 
 impl Log {
     /// Begins the first segment of a run.
-    pub(super) fn begin(
+    pub(crate) fn begin(
         disk: Arc<dyn Disk>,
         identity: Identity,
         epoch: u64,
@@ -63,24 +67,24 @@ impl Log {
     }
 
     /// Bytes of all segments.
-    pub(super) fn bytes(&self) -> u64 {
+    pub(crate) fn bytes(&self) -> u64 {
         self.segments.values().sum()
     }
 
-    pub(super) fn segments(&self) -> usize {
+    pub(crate) fn segments(&self) -> usize {
         self.segments.len()
     }
 
     /// Hands records to the system. Returns their bytes.
-    pub(super) fn append<'a>(&mut self, records: impl Iterator<Item = &'a Record>) -> Result<u64, LogError> {
+    pub(crate) fn append<'a>(
+        &mut self,
+        packages: impl Iterator<Item = &'a Package>,
+    ) -> Result<u64, LogError> {
         self.buffer.clear();
-        for record in records {
-            record.write(self.seed, &mut self.buffer);
+        for package in packages {
+            write_package(package, self.seed, &mut self.buffer);
         }
         let bytes = self.buffer.len() as u64;
-        if bytes == 0 {
-            return Ok(0);
-        }
         if self.bytes() + bytes > self.bytes_max {
             return Err(LogError::Full(self.bytes_max));
         }
@@ -90,12 +94,12 @@ impl Log {
         Ok(bytes)
     }
 
-    pub(super) const fn is_synced(&self) -> bool {
+    pub(crate) const fn is_synced(&self) -> bool {
         self.is_synced
     }
 
     /// Returns when all that was written is on the disk.
-    pub(super) fn sync(&mut self) -> Result<(), LogError> {
+    pub(crate) fn sync(&mut self) -> Result<(), LogError> {
         if !self.is_synced {
             self.file.sync().map_err(cannot("sync"))?;
             self.is_synced = true;
@@ -104,22 +108,39 @@ impl Log {
     }
 
     /// Goes on in a new segment, and leaves a number free before it: for the segment that is to replace all before.
-    pub(super) fn roll(&mut self) -> Result<SegmentHeader, LogError> {
-        self.sync()?;
-        let (identity, epoch) = (self.identity, self.epoch);
+    pub(crate) fn roll(&mut self) -> Result<SegmentHeader, LogError> {
+        let number = self.number.saturating_add(1);
         let compacted =
-            SegmentHeader { identity, epoch, number: self.number.saturating_add(1), is_compacted: true };
-        let header =
-            SegmentHeader { number: compacted.number.saturating_add(1), is_compacted: false, ..compacted };
-        self.file = create(&*self.disk, &header, &header.name()).map_err(cannot("begin a segment"))?;
-        self.number = header.number;
-        self.seed = header.seed();
-        self.segments.insert((header.number, epoch), HEADERS_BYTES as u64);
+            SegmentHeader { identity: self.identity, epoch: self.epoch, number, is_compacted: true };
+        self.go_on_in(number.saturating_add(1))?;
         Ok(compacted)
     }
 
+    /// Goes on in a new segment, under a higher epoch. One that is not higher changes nothing.
+    pub(crate) fn begin_epoch(&mut self, epoch: u64) -> Result<(), LogError> {
+        if epoch <= self.epoch {
+            return Ok(());
+        }
+        self.epoch = epoch;
+        self.go_on_in(self.number.saturating_add(1))
+    }
+
+    fn go_on_in(&mut self, number: u32) -> Result<(), LogError> {
+        self.sync()?;
+        if self.bytes() + HEADERS_BYTES as u64 > self.bytes_max {
+            return Err(LogError::Full(self.bytes_max));
+        }
+        let (identity, epoch) = (self.identity, self.epoch);
+        let header = SegmentHeader { identity, epoch, number, is_compacted: false };
+        self.file = create(&*self.disk, &header, &header.name()).map_err(cannot("begin a segment"))?;
+        self.number = number;
+        self.seed = header.seed();
+        self.segments.insert((number, epoch), HEADERS_BYTES as u64);
+        Ok(())
+    }
+
     /// A compacted segment is complete under its name: those before it go.
-    pub(super) fn replace(&mut self, compacted: &SegmentHeader, bytes: u64) -> Result<(), LogError> {
+    pub(crate) fn replace(&mut self, compacted: &SegmentHeader, bytes: u64) -> Result<(), LogError> {
         while let Some(entry) = self.segments.first_entry().filter(|e| e.key().0 < compacted.number) {
             let (number, epoch) = *entry.key();
             self.disk.remove(&segment_name(number, epoch)).map_err(cannot("remove a segment"))?;

@@ -1,0 +1,323 @@
+//! The threads on which the robot's disk is written, and the hand on them: the robot never waits for it.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use flockmap::{Event, Package, Robot, Stamp, Stream};
+use flockmap_store::{
+    Compacted, Compaction, EpochFile, Notice, StoreCounters, StoreLog, StreamCopy, packages_of,
+};
+
+use crate::{Level, Log};
+
+/// Bytes of packages that may wait for the disk; of more, the newest are left out. Their packages are held by the session as well, as a rule.
+const WAITING_BYTES_MAX: usize = 16 << 20;
+
+/// Takes what is to be on disk. Never waits for the disk. Dropping it writes what waits, makes it safe, and lets go of the folder.
+#[derive(Debug)]
+pub struct StoreWriter {
+    jobs: Option<Sender<Job>>,
+    thread: Option<JoinHandle<()>>,
+    shared: Arc<Shared>,
+    has_store: bool,
+    running: Option<Running>,
+    compaction_thread: Option<JoinHandle<()>>,
+}
+
+/// What the threads share.
+#[derive(Debug)]
+struct Shared {
+    log: Log,
+    counters: Mutex<StoreCounters>,
+    /// Left out before they came to the store.
+    left_out: AtomicU64,
+    /// A compaction that waits for copies.
+    wanted: Mutex<Option<Compaction>>,
+    waiting_bytes: AtomicUsize,
+    is_slowness_told: AtomicBool,
+}
+
+enum Job {
+    Store(Vec<Package>),
+    Epoch(u64),
+    Compacted(Compacted),
+    Flush(SyncSender<()>),
+}
+
+/// A compaction on its way.
+#[derive(Debug)]
+struct Running {
+    copies: SyncSender<Step>,
+    is_busy: Arc<AtomicBool>,
+    last: Option<Stream>,
+}
+
+enum Step {
+    Stream(Box<StreamCopy>),
+    End,
+}
+
+impl StoreWriter {
+    /// Takes the store of this run, and the file of its epoch, each if there is one. A system that gives no thread is told, and stores nothing.
+    pub fn start(store: Option<StoreLog>, epochs: Option<EpochFile>, log: Log) -> Self {
+        let shared = Arc::new(Shared {
+            log,
+            counters: Mutex::default(),
+            left_out: AtomicU64::new(0),
+            wanted: Mutex::default(),
+            waiting_bytes: AtomicUsize::new(0),
+            is_slowness_told: AtomicBool::new(false),
+        });
+        let has_store = store.is_some();
+        let mut writer = Writer { shared: Arc::clone(&shared), store, epochs, began: Instant::now() };
+        writer.tell();
+        let (jobs, jobs_in) = channel();
+        let thread = std::thread::Builder::new().name("store".into()).spawn(move || writer.run(&jobs_in));
+        let (thread, jobs) = match thread {
+            Ok(thread) => (Some(thread), Some(jobs)),
+            Err(error) => {
+                shared.counters().failures += u64::from(has_store);
+                shared.log.say(
+                    Level::Error,
+                    format!("store: cannot start a thread: {error}. The robot flies on in memory"),
+                );
+                (None, None)
+            }
+        };
+        Self { jobs, thread, shared, has_store, running: None, compaction_thread: None }
+    }
+
+    /// Stores what an event says is to be stored.
+    pub fn note(&self, event: &Event) {
+        let packages = packages_of(event);
+        if packages.is_empty() || !self.has_store {
+            return;
+        }
+        let bytes = bytes_of(packages);
+        let waiting = self.shared.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
+        let is_full = waiting + bytes > WAITING_BYTES_MAX;
+        if is_full && !self.shared.is_slowness_told.swap(true, Ordering::Relaxed) {
+            self.shared.log.warn(
+                "store: the disk does not keep up; packages are left out, and asked for after a restart",
+            );
+        }
+        if is_full || !self.give(Job::Store(packages.to_vec())) {
+            self.shared.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
+            self.shared.left_out.fetch_add(packages.len() as u64, Ordering::Relaxed);
+        }
+    }
+
+    /// The robot has begun anew without a restart: this is its epoch from now on. What is noted from here on is of that run.
+    pub fn note_epoch(&self, epoch: u64) {
+        // Without a thread nothing is kept, which was told.
+        let _ = self.give(Job::Epoch(epoch));
+    }
+
+    /// Does a part of a compaction if one is on its way: copies one layer. To be called often, between two events, with no event left unread.
+    pub fn step(&mut self, robot: &Robot) {
+        if self.running.is_none() {
+            let Some(compaction) = lock(&self.shared.wanted).take() else { return };
+            self.running = self.begin_compaction(compaction);
+        }
+        let Some(running) = &mut self.running else { return };
+        if running.is_busy.swap(true, Ordering::Acquire) {
+            return;
+        }
+        let step = StreamCopy::next(robot, running.last).map_or(Step::End, |copy| {
+            running.last = Some(copy.stream());
+            Step::Stream(Box::new(copy))
+        });
+        let is_over = matches!(step, Step::End);
+        if running.copies.send(step).is_err() || is_over {
+            self.running = None;
+        }
+    }
+
+    /// Waits until all that was noted is safe on disk, or has failed.
+    pub fn flush(&self) {
+        let (done, is_done) = sync_channel(1);
+        if self.give(Job::Flush(done)) {
+            // An error means that the thread is gone, and with it what it could do.
+            let _ = is_done.recv();
+        }
+    }
+
+    /// What was done so far; all 0 without a store.
+    pub fn counters(&self) -> StoreCounters {
+        let mut counters = *self.shared.counters();
+        counters.left_out += self.shared.left_out.load(Ordering::Relaxed);
+        counters
+    }
+
+    /// Whether it is taken.
+    fn give(&self, job: Job) -> bool {
+        self.jobs.as_ref().is_some_and(|jobs| jobs.send(job).is_ok())
+    }
+
+    fn begin_compaction(&mut self, compaction: Compaction) -> Option<Running> {
+        if let Some(before) = self.compaction_thread.take() {
+            // It has told its end.
+            let _ = before.join();
+        }
+        let (copies, copies_in) = sync_channel(1);
+        let is_busy = Arc::new(AtomicBool::new(false));
+        let (jobs, busy) = (self.jobs.clone()?, Arc::clone(&is_busy));
+        let (hand_over, handed) = sync_channel(1);
+        let work = move || {
+            let Ok(compaction) = handed.recv() else { return };
+            let compacted = compact(compaction, &copies_in, &busy);
+            // Without a writer there is nothing to tell.
+            let _ = jobs.send(Job::Compacted(compacted));
+        };
+        match std::thread::Builder::new().name("store compaction".into()).spawn(work) {
+            Ok(thread) => {
+                self.compaction_thread = Some(thread);
+                // It waits for this.
+                let _ = hand_over.send(compaction);
+                Some(Running { copies, is_busy, last: None })
+            }
+            Err(error) => {
+                let compacted = compaction.abandon(&format!("cannot start a thread: {error}"));
+                self.give(Job::Compacted(compacted));
+                None
+            }
+        }
+    }
+}
+
+/// Writes a compacted segment of the copies that come.
+fn compact(mut compaction: Compaction, copies: &Receiver<Step>, is_busy: &AtomicBool) -> Compacted {
+    loop {
+        let goes_on = match copies.recv() {
+            Ok(Step::Stream(copy)) => compaction.add(*copy),
+            Ok(Step::End) => false,
+            Err(_) => return compaction.abandon("the node ended before"),
+        };
+        if !goes_on {
+            return compaction.finish();
+        }
+        is_busy.store(false, Ordering::Release);
+    }
+}
+
+impl Drop for StoreWriter {
+    fn drop(&mut self) {
+        // A compaction that is not complete ends without its last step.
+        self.running = None;
+        if let Some(thread) = self.compaction_thread.take() {
+            let _ = thread.join();
+        }
+        self.jobs = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Shared {
+    fn counters(&self) -> MutexGuard<'_, StoreCounters> {
+        lock(&self.counters)
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What the thread works on.
+struct Writer {
+    shared: Arc<Shared>,
+    store: Option<StoreLog>,
+    epochs: Option<EpochFile>,
+    /// Time counts from here.
+    began: Instant,
+}
+
+impl Writer {
+    fn run(mut self, jobs: &Receiver<Job>) {
+        self.consider_compaction();
+        loop {
+            let due = self.store.as_ref().and_then(StoreLog::poll_timeout);
+            let job = match due {
+                None => jobs.recv().map_err(|_| RecvTimeoutError::Disconnected),
+                Some(due) => {
+                    let micros = due.micros_since(self.now()).max(0).unsigned_abs();
+                    jobs.recv_timeout(Duration::from_micros(micros))
+                }
+            };
+            match job {
+                Ok(job) => self.work(job),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            // While jobs keep coming, the time-out does not.
+            let now = self.now();
+            self.with_store(|store| store.handle_timeout(now));
+        }
+        self.with_store(StoreLog::sync);
+    }
+
+    fn work(&mut self, job: Job) {
+        let now = self.now();
+        match job {
+            Job::Store(packages) => {
+                self.shared.waiting_bytes.fetch_sub(bytes_of(&packages), Ordering::Relaxed);
+                self.with_store(|store| store.append(now, &packages));
+                self.consider_compaction();
+            }
+            Job::Epoch(epoch) => {
+                if let Some(Err(fault)) = self.epochs.as_mut().map(|file| file.keep(epoch)) {
+                    self.shared.log.warn(fault.to_string());
+                }
+                self.with_store(|store| store.note_epoch(epoch));
+                self.consider_compaction();
+            }
+            Job::Compacted(compacted) => {
+                self.with_store(|store| store.end_compaction(compacted));
+                self.consider_compaction();
+            }
+            Job::Flush(done) => {
+                self.with_store(StoreLog::sync);
+                // Who asked may be gone.
+                let _ = done.send(());
+            }
+        }
+    }
+
+    fn now(&self) -> Stamp {
+        Stamp(i64::try_from(self.began.elapsed().as_micros()).unwrap_or(i64::MAX))
+    }
+
+    fn consider_compaction(&mut self) {
+        let compaction = self.with_store(StoreLog::begin_compaction).flatten();
+        if compaction.is_some() {
+            *lock(&self.shared.wanted) = compaction;
+        }
+    }
+
+    /// Does something with the store, if there is one, and tells what came of it.
+    fn with_store<T>(&mut self, work: impl FnOnce(&mut StoreLog) -> T) -> Option<T> {
+        let done = work(self.store.as_mut()?);
+        self.tell();
+        Some(done)
+    }
+
+    fn tell(&mut self) {
+        let Some(store) = &mut self.store else { return };
+        while let Some(notice) = store.poll_notice() {
+            let level = match notice {
+                Notice::Off(_) => Level::Error,
+                _ => Level::Warning,
+            };
+            self.shared.log.say(level, notice.to_string());
+        }
+        *self.shared.counters() = store.counters();
+    }
+}
+
+fn bytes_of(packages: &[Package]) -> usize {
+    packages.iter().map(|package| package.bytes().len() + 100).sum()
+}

@@ -1,0 +1,61 @@
+//! Why a store cannot be used.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::segment::{Identity, STORE_VERSION};
+
+/// Why a store cannot be used. The text says what to do.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StoreError {
+    /// The system refused something. No reason not to fly: [`Store::off`](crate::Store::off).
+    #[error("store: cannot {what}: {source}")]
+    Disk {
+        /// What was asked of it.
+        what: String,
+        /// Its answer.
+        source: io::Error,
+    },
+    /// Another node has the folder.
+    #[error("store: {path} is in use by another node: give each node a folder of its own")]
+    InUse {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// It belongs to another robot.
+    #[error("store: {name} is of {got:?}, this robot is {own:?}: give it another folder, or empty this one")]
+    Foreign {
+        /// The segment that says so.
+        name: String,
+        /// Whose it is.
+        got: Identity,
+        /// Who wants it.
+        own: Identity,
+    },
+    /// It was written by another version.
+    #[error(
+        "store: {name} has version {got}, this program knows version {STORE_VERSION}: move the folder away, or name another one, and start again. The map in it is lost to this \
+         robot; what the team holds of it comes back over the radio"
+    )]
+    Version {
+        /// The segment that says so.
+        name: String,
+        /// Its version.
+        got: u8,
+    },
+    /// An option cannot work.
+    #[error("store: bytes_max is {got}, expected at least {}", crate::store_log::BYTES_MAX_MIN)]
+    BytesMax {
+        /// Its value.
+        got: u64,
+    },
+    /// The epoch of the robot was used before.
+    #[error("store: epoch {got} was used before: the last one was {last}, give a higher one")]
+    Epoch {
+        /// The epoch of this run.
+        got: u64,
+        /// The highest in the store.
+        last: u64,
+    },
+}

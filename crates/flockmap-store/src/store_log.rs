@@ -1,0 +1,257 @@
+//! What a run stores: when it is made safe, when the log is made shorter, and what follows a failure.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+use flockmap::{Event, Package, Stamp};
+
+use crate::compaction::{Compacted, Compaction};
+use crate::log::{Log, LogError};
+use crate::record::CONTENT_MAX;
+use crate::{Disk, Identity, Restored, StoreCounters};
+
+/// What a store may take.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct StoreOptions {
+    /// Bytes on disk, never more. From half of it on, the log is replaced by the present states of its streams. At least 64 KiB; default 256 MiB.
+    pub bytes_max: u64,
+    /// What was written is made safe (fsync) after so long at the latest: what a power failure can cost. What only the death of the process
+    /// can cost is less: the records that were not handed to the system yet. Default 1 s.
+    pub sync_period: Duration,
+}
+
+impl Default for StoreOptions {
+    fn default() -> Self {
+        Self { bytes_max: 256 << 20, sync_period: Duration::from_secs(1) }
+    }
+}
+
+/// Least cap: room for a few cycles and their present state.
+pub(crate) const BYTES_MAX_MIN: u64 = 64 << 10;
+/// Longer periods than this count as this.
+const SYNC_PERIOD_MAX: Duration = Duration::from_secs(3_600);
+/// When there are more segments than this, and since the last time so many more, they are made one.
+const SEGMENTS_MAX: usize = 64;
+
+/// Something that whoever looks after the robot should know.
+#[derive(Clone, PartialEq, Eq, Debug)]
+#[non_exhaustive]
+pub enum Notice {
+    /// Nothing is stored from now on in this run.
+    Off(String),
+    /// Something is wrong, and the store goes on.
+    Warning(String),
+}
+
+impl Notice {
+    pub(crate) fn off(why: &str) -> Self {
+        Self::Off(format!(
+            "store: {why}. The robot flies on in memory; nothing more is stored until it is started again"
+        ))
+    }
+}
+
+impl fmt::Display for Notice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (Self::Off(text) | Self::Warning(text)) = self;
+        f.write_str(text)
+    }
+}
+
+/// Takes what a run makes and merges. Each call that stores waits for the disk.
+#[derive(Debug)]
+pub struct StoreLog {
+    disk: Option<Arc<dyn Disk>>,
+    options: StoreOptions,
+    /// `None` after a failure.
+    log: Option<Log>,
+    /// When what was written has to be made safe.
+    sync_due: Option<Stamp>,
+    is_compacting: bool,
+    /// What the disk could not read must not be replaced by what the robot knows.
+    keeps_all: bool,
+    /// Bytes and segments after the last compaction of this run.
+    compacted_at: (u64, usize),
+    counters: StoreCounters,
+    notices: VecDeque<Notice>,
+}
+
+impl StoreLog {
+    /// Without a disk it has failed already, which a notice tells.
+    pub(crate) fn begin(
+        disk: Option<Arc<dyn Disk>>,
+        identity: Identity,
+        options: StoreOptions,
+        (segments, restored): (BTreeMap<(u32, u64), u64>, Restored),
+        epoch: u64,
+        notices: Vec<Notice>,
+    ) -> Self {
+        let disk_bytes = segments.values().sum();
+        let mut store = Self {
+            disk,
+            options,
+            log: None,
+            sync_due: None,
+            is_compacting: false,
+            keeps_all: false,
+            compacted_at: (0, 0),
+            counters: StoreCounters { disk_bytes, ..restored.into() },
+            notices: notices.into(),
+        };
+        match &store.disk {
+            None => store.counters.failures = 1,
+            Some(disk) => match Log::begin(Arc::clone(disk), identity, epoch, options.bytes_max, segments) {
+                Ok(log) => store.log = Some(log),
+                Err(error) => store.fail(&error),
+            },
+        }
+        store
+    }
+
+    /// Replaces nothing in this run: there is more on the disk than it gave at the start, and it may give that another time.
+    pub(crate) fn keep_all(&mut self) {
+        self.keeps_all = true;
+        let text = "store: the disk could not read all of it; that is asked for, and nothing of the store is removed in this run";
+        self.notices.push_back(Notice::Warning(text.into()));
+    }
+
+    /// Stores what an event says is to be stored. `now` never steps back within a run; what it counts from does not matter.
+    pub fn note(&mut self, now: Stamp, event: &Event) {
+        self.append(now, packages_of(event));
+    }
+
+    /// Stores packages.
+    pub fn append(&mut self, now: Stamp, packages: &[Package]) {
+        let fitting = || packages.iter().filter(|package| package.bytes().len() <= CONTENT_MAX);
+        let count = fitting().count() as u64;
+        if count == 0 {
+            return;
+        }
+        let Some(bytes) = self.attempt(|log| log.append(fitting())) else {
+            self.counters.left_out += count;
+            return;
+        };
+        self.counters.written += count;
+        self.counters.written_bytes += bytes;
+        self.note_bytes();
+        let period = self.options.sync_period.min(SYNC_PERIOD_MAX).as_micros() as i64;
+        self.sync_due.get_or_insert_with(|| now.plus_micros(period));
+        self.handle_timeout(now);
+    }
+
+    /// Another run of this robot has begun without a restart, under a higher epoch: a new segment begins, and when this returns the epoch is safe on disk. What
+    /// comes next is of that run. An epoch that is not higher changes nothing.
+    pub fn note_epoch(&mut self, epoch: u64) {
+        if self.attempt(|log| log.begin_epoch(epoch)).is_some() {
+            self.sync_due = None;
+            self.note_bytes();
+        }
+    }
+
+    /// When [`Self::handle_timeout`] has something to do.
+    pub const fn poll_timeout(&self) -> Option<Stamp> {
+        self.sync_due
+    }
+
+    /// Makes safe what was written, if that is due.
+    pub fn handle_timeout(&mut self, now: Stamp) {
+        if self.sync_due.is_some_and(|due| due <= now) {
+            self.sync();
+        }
+    }
+
+    /// Makes safe what was written.
+    pub fn sync(&mut self) {
+        self.sync_due = None;
+        if self.log.as_ref().is_some_and(|log| !log.is_synced()) && self.attempt(Log::sync).is_some() {
+            self.counters.syncs += 1;
+        }
+    }
+
+    /// The compaction that is due, if one is; to be asked after each package, at the start, and after [`Self::end_compaction`]. It must be brought to its end
+    /// ([`Compaction::finish`] or [`Compaction::abandon`]), on any thread, while this goes on storing.
+    pub fn begin_compaction(&mut self) -> Option<Compaction> {
+        let (log, disk) = (self.log.as_ref()?, self.disk.clone()?);
+        let bytes_max = self.options.bytes_max;
+        let (bytes, segments) = self.compacted_at;
+        let is_due = log.bytes() > (bytes_max / 2).max(bytes.saturating_add(bytes_max / 16))
+            || log.segments() > segments + SEGMENTS_MAX;
+        if !is_due || self.is_compacting || self.keeps_all {
+            return None;
+        }
+        let header = self.attempt(Log::roll)?;
+        self.sync_due = None;
+        self.is_compacting = true;
+        self.note_bytes();
+        // So that together with the log that it replaces, and what is written meanwhile, it stays within the cap.
+        Some(Compaction::begin(disk, header, bytes_max / 16 * 7))
+    }
+
+    /// Takes the end of a compaction: if it is complete, the log before it goes.
+    pub fn end_compaction(&mut self, compacted: Compacted) {
+        let Compacted { header, result } = compacted;
+        self.is_compacting = false;
+        match result {
+            Ok(bytes) => {
+                if self.attempt(|log| log.replace(&header, bytes)).is_some() {
+                    self.counters.compactions += 1;
+                }
+            }
+            Err(why) => {
+                self.counters.compactions_failed += 1;
+                let text = format!("store: the log could not be made shorter, and grows on: {why}");
+                self.notices.push_back(Notice::Warning(text));
+            }
+        }
+        if let Some(log) = &self.log {
+            self.compacted_at = (log.bytes(), log.segments());
+        }
+        self.note_bytes();
+    }
+
+    /// What is to be said, in its order.
+    pub fn poll_notice(&mut self) -> Option<Notice> {
+        self.notices.pop_front()
+    }
+
+    /// What was done so far.
+    pub const fn counters(&self) -> StoreCounters {
+        self.counters
+    }
+
+    fn note_bytes(&mut self) {
+        if let Some(log) = &self.log {
+            self.counters.disk_bytes = log.bytes();
+        }
+    }
+
+    /// Does something with the log; after a failure there is none any more.
+    fn attempt<T>(&mut self, work: impl FnOnce(&mut Log) -> Result<T, LogError>) -> Option<T> {
+        match work(self.log.as_mut()?) {
+            Ok(done) => Some(done),
+            Err(error) => {
+                self.fail(&error);
+                None
+            }
+        }
+    }
+
+    /// Said once: nothing is written after it.
+    fn fail(&mut self, error: &LogError) {
+        self.log = None;
+        self.sync_due = None;
+        self.counters.failures += 1;
+        self.notices.push_back(Notice::off(&error.to_string()));
+    }
+}
+
+/// The packages that an event says are to be stored.
+pub fn packages_of(event: &Event) -> &[Package] {
+    match event {
+        Event::CycleClosed { packages, .. } => packages,
+        Event::Merged { package, .. } => std::slice::from_ref(package),
+        _ => &[],
+    }
+}
