@@ -39,9 +39,11 @@ impl View {
 
 impl Peer {
     /// Notes that an item is on its way to the peer; whether it is now in the ledger, and was not before. One that is on its way
-    /// again, since somebody else missed it too, counts from now. Of more than `in_flight_max` the oldest is forgotten.
-    pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
-        if !self.wants(item.stream()) || mutation::is(Mutation::LedgerIgnored) {
+    /// again, since somebody else missed it too, counts from now. Of more than `in_flight_max` that were sent the oldest is forgotten; for what
+    /// was only heard from another robot (`is_sent` is false) nothing is.
+    pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize, is_sent: bool) -> bool {
+        let is_full = self.in_flight.len() >= in_flight_max && !is_sent;
+        if is_full || !self.wants(item.stream()) || mutation::is(Mutation::LedgerIgnored) {
             return false;
         }
         let is_new = self.view(item.stream(), now).is_some_and(|view| view.cover(item));
@@ -197,7 +199,7 @@ impl Session {
             if other == id || (to == Destination::Everyone && peer.hears(own)) {
                 // What everyone hears is noted for everyone, as far as twice the limit goes.
                 for &item in items {
-                    peer.cover(item, now, 2 * self.config.in_flight_max);
+                    peer.cover(item, now, 2 * self.config.in_flight_max, true);
                 }
             }
             if other == id && to != Destination::Everyone {
