@@ -10,7 +10,9 @@ mod path;
 mod request;
 mod sealed;
 
-pub use packages::{CONTENTS_BYTES_MAX, Contents, PackagesWriter, parse_contents, parse_packages};
+pub use packages::{
+    CONTENTS_BYTES_MAX, Contents, PackagesWriter, asks_for_word, parse_contents, parse_packages,
+};
 pub use path::PathMessage;
 pub use request::{ClockReport, Covered, Echo, Held, Request, StateWanted, TransferProgress};
 pub use sealed::{
@@ -56,6 +58,7 @@ type 6 state wanted: origin varint, epoch varint, since varint, intervals of und
 type 16 package: map package
 type 17 package of the sender's own run: map package without origin and epoch
 type 18 contents of a partial present state: origin varint, epoch varint, set u32, intervals
+type 19 the sender may send no more before it knows what has arrived: nothing
 type 32 challenge: number u64
 type 33 answer: number u64
 intervals: from varint, (gap - to from, then to end + 2 - varint, length - 1 varint)*

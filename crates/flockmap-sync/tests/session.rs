@@ -248,6 +248,21 @@ fn a_late_joiner_of_a_long_flight_gets_every_package_once() {
 }
 
 #[test]
+fn a_window_that_is_full_waits_a_round_trip_and_not_for_the_next_periodic_request() {
+    let config = SessionConfig { in_flight_max: 4, ..SessionConfig::default() };
+    let mut swarm = Swarm::of(2, 25, Radio::PERFECT, &config);
+    swarm.run(2 * SECOND);
+    for _ in 0..100 {
+        swarm.publish(1, 100);
+    }
+    let packages = swarm.robots[&1].session.store().newest_known(swarm.stream(1));
+    assert!(packages >= 100);
+    // At four for each periodic request it would take 25 s.
+    swarm.run(4 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1)]);
+}
+
+#[test]
 fn packages_dropped_from_the_store_come_back_as_present_state() {
     let small =
         SessionConfig { store_bytes_max: 30_000, present_state_bytes_min: None, ..SessionConfig::default() };

@@ -4,8 +4,8 @@ use super::peer::{Peer, VIEW_INTERVALS_MAX};
 use super::{Event, Path, Session, answer};
 use crate::store::HELD_INTERVALS_MAX;
 use crate::wire::{
-    Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, is_sealed, parse_contents,
-    parse_packages,
+    Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, asks_for_word, is_sealed,
+    parse_contents, parse_packages,
 };
 use flockmap_grid::{Stamp, Stream};
 
@@ -102,6 +102,9 @@ impl Session {
                 self.hear(now, &header, path, bytes.len())?;
                 self.counters.packages_in.add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.receive_packages(now, header.sender, packages, contents);
+                if asks_for_word(&datagram) {
+                    self.greet(now);
+                }
             }
             Kind::Path => {
                 let message = PathMessage::parse(&datagram)?;

@@ -179,6 +179,9 @@ impl Session {
                 positions.push(position);
             }
         }
+        if positions.len() == room && !positions.is_empty() {
+            writer.ask_for_word();
+        }
         (writer, positions)
     }
 

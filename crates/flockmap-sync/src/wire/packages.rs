@@ -1,7 +1,9 @@
 //! PACKAGES datagrams: one or several whole map packages.
 
 use super::request::{put_list, put_stream, read_intervals, read_stream};
-use super::{DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, record_len, seal};
+use super::{
+    DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
+};
 use crate::IntervalSet;
 use crate::bytes::{Reader, put_varint};
 use flockmap_codec::Package;
@@ -13,8 +15,15 @@ const OWN_PACKAGE: u8 = 17;
 
 /// What a present state of a history with gaps contains.
 const CONTENTS: u8 = 18;
-/// Bytes of such a record at the most: of more intervals the lowest are left out, and come by another state.
+/// The sender may send no more before it knows what has arrived.
+const WINDOW_FULL: u8 = 19;
+/// Bytes of a record of contents at the most: of more intervals the lowest are left out, and come by another state.
 pub const CONTENTS_BYTES_MAX: usize = 190;
+
+/// Whether the sender waits for word of what has arrived.
+pub fn asks_for_word(datagram: &Datagram<'_>) -> bool {
+    datagram.records().any(|(id, _)| id == WINDOW_FULL)
+}
 
 /// What a set of tiles contains, where that is not all from the first package on: who has accepted all of them holds these.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -82,6 +91,13 @@ impl PackagesWriter {
             self.bytes.extend_from_slice(back);
         }
         fits
+    }
+
+    /// Asks for word of what has arrived, if there is room for that.
+    pub fn ask_for_word(&mut self) {
+        if self.bytes.len() + record_len(0) <= self.bytes_max {
+            put_record(&mut self.bytes, WINDOW_FULL, &[]);
+        }
     }
 
     /// Adds what a set of tiles contains; `false`, with nothing changed, if it does not fit any more.
