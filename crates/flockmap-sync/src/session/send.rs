@@ -229,3 +229,29 @@ impl Session {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::SessionConfig;
+    use crate::wire::Covered;
+    use flockmap_grid::Stream;
+
+    #[test]
+    fn what_is_heard_from_others_pushes_nothing_that_was_sent_out_of_the_ledger() {
+        let robot = |id| Stream { origin: RobotId(id), epoch: 1 };
+        let item = |id, index| Item::Package { stream: robot(id), index };
+        let mut peer = Peer::new(robot(2), Stamp(0), &SessionConfig::default());
+        peer.takes_new_streams = true;
+        peer.note_covered(Covered::all_from(RobotId(0)));
+        assert!(peer.cover(item(1, 1), Stamp(0), 6, true));
+        for index in 1..=20 {
+            let is_noted = peer.cover(item(3, index), Stamp(1), 6, false);
+            assert_eq!(is_noted, index <= 5, "the ledger has room for six");
+        }
+        assert_eq!((peer.in_flight.len(), peer.in_flight[0].item), (6, item(1, 1)));
+        // What goes out itself is noted in any case.
+        assert!(peer.cover(item(1, 2), Stamp(2), 6, true));
+        assert_eq!((peer.in_flight.len(), peer.in_flight[5].item), (6, item(1, 2)));
+    }
+}
