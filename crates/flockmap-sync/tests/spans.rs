@@ -3,7 +3,7 @@
 mod swarm;
 
 use flockmap_codec::{Codec, Encoder, PACKAGE_BYTES_MAX, Span};
-use flockmap_grid::Resolution;
+use flockmap_grid::{Resolution, Stamp};
 use flockmap_sync::{Cast, SessionConfig};
 use swarm::{MS, Radio, SECOND, Swarm};
 
@@ -138,4 +138,38 @@ fn a_rebooted_robot_gets_its_former_run_back_from_those_who_hold_it_and_do_not_s
     swarm.run(60 * SECOND);
     swarm.assert_in_sync(&[old, new]);
     assert_eq!(swarm.robots[&1].layer(old), digest);
+}
+
+/// A disk may keep sets of tiles whose packages before them it has lost.
+#[test]
+fn sets_that_nothing_more_comes_of_take_no_place_from_one_that_goes_on() {
+    let mut swarm = Swarm::of(2, 61, Radio::PERFECT, &small());
+    swarm.run(SECOND);
+    fly(&mut swarm, 150);
+    let own = swarm.stream(1);
+    let tiles_of = |swarm: &Swarm, since: u32| {
+        let robot = &swarm.robots[&1];
+        let upto = robot.session.held(own).unwrap().prefix();
+        let newer_than = robot.session.store().stamp_not_after(own, since + 1).unwrap().plus_micros(-1);
+        let state = robot.layers[&own].present_voxels(Some(newer_than)).unwrap();
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let span = Span { stream: own, since, upto };
+        Encoder::new().encode_span(Codec::Raw, span, resolution, &state, PACKAGE_BYTES_MAX).unwrap()
+    };
+    let upto = swarm.robots[&1].session.held(own).unwrap().prefix();
+    let sets = [tiles_of(&swarm, upto - 2), tiles_of(&swarm, upto - 4)];
+    swarm.stop(2);
+    let config = SessionConfig { transfers_max: 2, ..small() };
+    swarm.start(2, 2, config);
+    let robot = swarm.robots.get_mut(&2).unwrap();
+    let now = Stamp(swarm.now + robot.clock);
+    for tile in sets.iter().flatten() {
+        assert!(robot.session.deliver_stored(now, tile.clone()));
+    }
+    swarm.drive(2);
+    assert_eq!(swarm.robots[&2].session.load().transfers, 2, "both wait for what is before them");
+    // Nothing of the first packages is stored any more: a state has to come.
+    swarm.run(20 * SECOND);
+    swarm.assert_in_sync(&[own]);
+    assert!(swarm.robots[&2].session.counters().transfers_dropped > 0);
 }

@@ -105,6 +105,9 @@ impl Session {
                     }
                 }
                 if self.incoming.len() >= self.config.transfers_max {
+                    self.make_way(&tile_of);
+                }
+                if self.incoming.len() >= self.config.transfers_max {
                     self.counters.too_many_transfers += 1;
                     return;
                 }
@@ -119,6 +122,23 @@ impl Session {
         self.deliver(now, from, item, held, package);
         // If the rest gets lost, say soon which tiles are missing.
         self.note_gap(now, false);
+    }
+
+    /// For want of room: a set that goes on from what is held takes the place of one that nothing more comes of, be it complete and waiting for
+    /// packages before it, or from the own disk. What that brought is merged; what it contains may have to come again.
+    fn make_way(&mut self, newcomer: &Incoming) {
+        let prefix = |stream| self.store.held(stream).map_or(0, IntervalSet::prefix);
+        if newcomer.source == self.own.origin || newcomer.since > prefix(newcomer.stream) {
+            return;
+        }
+        let own = self.own.origin;
+        let is_idle = |i: &Incoming| i.source == own || (i.is_complete() && i.since > prefix(i.stream));
+        let idle = self.incoming.iter().enumerate().filter(|(_, incoming)| is_idle(incoming));
+        if let Some((oldest, _)) = idle.min_by_key(|(_, incoming)| incoming.touched) {
+            self.incoming.remove(oldest);
+            self.counters.transfers_dropped += 1;
+            self.forget_tiles_of_nothing();
+        }
     }
 
     fn deliver(&mut self, now: Stamp, from: RobotId, item: Item, held: bool, package: Package) {
