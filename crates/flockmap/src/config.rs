@@ -32,7 +32,8 @@ impl Default for CycleConfig {
 pub struct RobotConfig {
     /// Which robot of the swarm this is. No two may have the same.
     pub id: RobotId,
-    /// Which run of this robot: [`epoch`](crate::epoch) of the seconds since 1970 and 32 random bits. Default 1.
+    /// Which run of this robot: [`epoch`](crate::epoch) of the seconds since 1970 and 32 random bits, new for **every** run. Two runs with the same epoch are
+    /// taken for one, and what the second one publishes does not arrive. Default 1, for one that is never started again.
     pub epoch: u64,
     /// Its mapper.
     pub mapper: MapperConfig,
