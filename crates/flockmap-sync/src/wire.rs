@@ -15,7 +15,7 @@ pub use path::PathMessage;
 pub use request::{ClockReport, Covered, Echo, Held, Request, StateWanted, TransferProgress};
 pub use sealed::{
     COUNTER_MAX, OpenedDatagram, SALT_BYTES, SEAL_BYTES, Salt, SealedDatagram, is_sealed, seal_bytes,
-    seal_datagram, stated_sender,
+    seal_datagram,
 };
 
 use crate::bytes::{Reader, put_varint, varint_len};

@@ -55,12 +55,6 @@ pub fn is_sealed(bytes: &[u8]) -> bool {
     bytes.get(3).is_some_and(|kind| kind & SEALED != 0)
 }
 
-/// The robot that a datagram states to be from, sealed or not. Nothing is checked.
-pub fn stated_sender(bytes: &[u8]) -> Option<RobotId> {
-    let sender = bytes.get(6..8)?.try_into().ok()?;
-    Some(RobotId(u16::from_le_bytes(sender)))
-}
-
 /// Seals a complete datagram for all robots of the swarm, or for one alone. A counter above [`COUNTER_MAX`], or bytes that are no
 /// datagram, give `None`.
 ///
