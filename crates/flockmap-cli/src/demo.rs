@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use flockmap::{Destination, Event, RobotConfig, RobotId, ScanReport, Stamp, Stream};
+use flockmap::{Event, Path, RobotConfig, RobotId, ScanReport, Stamp, Stream, Transmit};
 use flockmap_node::{
     Clock, Node, NodeHandle, NodeOptions, Observation, Sensor, Sent, Transport, UdpOptions, UdpSockets,
 };
@@ -291,17 +291,17 @@ struct Metered<T> {
 }
 
 impl<T: Transport> Transport for Metered<T> {
-    async fn receive(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+    async fn receive(&mut self, buffer: &mut [u8]) -> io::Result<(usize, Path)> {
         self.inner.receive(buffer).await
     }
 
-    fn note_sender(&mut self, robot: RobotId) {
-        self.inner.note_sender(robot);
+    fn set_paths(&mut self, paths: &[Path]) {
+        self.inner.set_paths(paths);
     }
 
-    async fn send(&mut self, to: Destination, bytes: &[u8]) -> Sent {
-        let sent = self.inner.send(to, bytes).await;
-        let told = Told::Sent { now: self.clock.now(), bytes: bytes.len(), copies: sent.copies };
+    async fn send(&mut self, transmit: &Transmit) -> Sent {
+        let sent = self.inner.send(transmit).await;
+        let told = Told::Sent { now: self.clock.now(), bytes: transmit.bytes.len(), copies: sent.copies };
         // The demo is over if nobody listens.
         let _ = self.tell.send((self.number, told));
         sent

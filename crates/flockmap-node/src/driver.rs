@@ -2,8 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use flockmap::sync::wire::stated_sender;
-use flockmap::{Event, Robot, Stamp};
+use flockmap::{Event, Path, Robot, Stamp};
 use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 
 use crate::clock::StepWatch;
@@ -40,7 +39,11 @@ pub(crate) struct Driver<T> {
     options: NodeOptions,
     robot: Robot,
     store: Option<StoreWriter>,
+    /// The highest epoch that was on disk at the start or was given to the store since.
+    epoch_kept: u64,
     transport: T,
+    /// The paths that the transport was told.
+    paths: Vec<Path>,
     inputs: Receiver<Input>,
     commands: UnboundedReceiver<Command>,
     /// No input will come any more. Never so with a sensor socket.
@@ -83,10 +86,12 @@ impl<T: Transport> Driver<T> {
         // A rate needs some time to be one.
         let status_due = later(now, options.status_period.unwrap_or_default());
         Self {
+            epoch_kept: robot.own_stream().epoch,
             options,
             robot,
             store,
             transport,
+            paths: Vec::new(),
             inputs,
             commands,
             inputs_ended: false,
@@ -135,7 +140,7 @@ impl<T: Transport> Driver<T> {
         let Self { transport, inputs, commands, inputs_ended, .. } = self;
         tokio::select! {
             received = transport.receive(buffer) => match received {
-                Ok(length) => self.take_datagram(&buffer[..length]),
+                Ok((length, path)) => self.take_datagram(path, &buffer[..length]),
                 Err(error) => self.take_receive_error(&error).await,
             },
             input = inputs.recv(), if !*inputs_ended => match input {
@@ -158,10 +163,11 @@ impl<T: Transport> Driver<T> {
         if self.robot.poll_timeout().is_some_and(|due| due <= now) {
             self.close_cycles(now, Robot::handle_timeout);
         }
+        self.tell_paths();
         loop {
             let now = clock.now();
             let Some(transmit) = self.robot.poll_transmit(now) else { break };
-            let sent = self.transport.send(transmit.to, &transmit.bytes).await;
+            let sent = self.transport.send(&transmit).await;
             self.counters.datagrams_out += u64::from(sent.copies);
             self.counters.bytes_out += u64::from(sent.copies) * transmit.bytes.len() as u64;
             self.counters.send_failed += u64::from(sent.failed);
@@ -182,6 +188,15 @@ impl<T: Transport> Driver<T> {
         }
     }
 
+    /// Tells the transport where robots are reached, if that has changed. Before it receives again: what it is told it does not forget.
+    fn tell_paths(&mut self) {
+        let paths = || self.robot.session().paths().map(|(_, path)| path);
+        if !paths().eq(self.paths.iter().copied()) {
+            self.paths = paths().collect();
+            self.transport.set_paths(&self.paths);
+        }
+    }
+
     /// Closes the cycle with what has changed.
     fn flush(&mut self) {
         self.close_cycles(self.options.clock.now(), Robot::flush);
@@ -198,29 +213,21 @@ impl<T: Transport> Driver<T> {
         });
     }
 
-    fn take_datagram(&mut self, bytes: &[u8]) {
+    fn take_datagram(&mut self, path: Path, bytes: &[u8]) {
         self.counters.datagrams_in += 1;
         self.counters.bytes_in += bytes.len() as u64;
         let now = self.options.clock.now();
         let began = Instant::now();
-        let result = self.robot.handle_datagram(now, bytes);
+        let result = self.robot.handle_datagram_from(now, path, bytes);
         let took = micros(began.elapsed());
         self.take_events(now, |timings, event| {
             if let Event::Merged { .. } = event {
                 timings.receive_to_insert.add(took);
             }
         });
-        match result {
-            Ok(()) => {
-                // Sound, of this swarm and, with a key, genuine and fresh, or it would be an error.
-                if let Some(sender) = stated_sender(bytes) {
-                    self.transport.note_sender(sender);
-                }
-            }
-            Err(error) => {
-                self.counters.datagrams_refused += 1;
-                self.warn(|| error.to_string());
-            }
+        if let Err(error) = result {
+            self.counters.datagrams_refused += 1;
+            self.warn(|| error.to_string());
         }
     }
 
@@ -291,6 +298,12 @@ impl<T: Transport> Driver<T> {
     fn take_events(&mut self, now: Stamp, mut time: impl FnMut(&mut Timings, &Event)) {
         while let Some(event) = self.robot.poll_event() {
             time(&mut self.timings, &event);
+            match &event {
+                Event::RunBegun(run) => self.keep_epoch(run.epoch),
+                // Of many events the oldest are dropped.
+                Event::CycleClosed { cycle, .. } => self.keep_epoch(cycle.stream.epoch),
+                _ => {}
+            }
             if let Some(store) = &self.store {
                 store.note(&event);
             }
@@ -319,6 +332,15 @@ impl<T: Transport> Driver<T> {
                 }
                 Event::PeerSeen(stream) => self.options.log.info(format!("hears {stream:?}")),
                 Event::PeerLost(stream) => self.options.log.info(format!("hears {stream:?} no more")),
+                Event::RunBegun(run) => {
+                    self.options.log.warn(format!(
+                        "a run of this robot with a higher epoch than its own was heard of, from a time when its clock was ahead, or of another robot with the same id: \
+                         it goes on as {run:?}, with all that it had told"
+                    ));
+                }
+                Event::RunForgotten(run) => {
+                    self.warn(|| format!("the map of {run:?}, which has ended, is given up for a newer one: raise streams_max or epochs_max to keep more"));
+                }
                 Event::SameIdentity => {
                     self.warn(|| "another robot uses the id of this one; give one of them another".into());
                 }
@@ -332,6 +354,16 @@ impl<T: Transport> Driver<T> {
                         .say(Level::Error, format!("own changes are lost to the others: {error}"));
                 }
                 _ => {}
+            }
+        }
+    }
+
+    /// Keeps the epoch of a run that was begun while flying, before anything of that run is stored.
+    fn keep_epoch(&mut self, epoch: u64) {
+        if epoch > self.epoch_kept {
+            self.epoch_kept = epoch;
+            if let Some(store) = &self.store {
+                store.note_epoch(epoch);
             }
         }
     }

@@ -56,7 +56,7 @@ pub use log::{Level, Log};
 pub use node::{EndOptions, Ended, Node, NodeHandle, NodeOptions, Observation, Observer, StartError};
 pub use run::run;
 pub use sensor::{MESSAGE_VERSION, MessageError, MessageLimits, Sensor, SensorMessage};
-pub use status::{NodeCounters, NodeStatus, StreamStatus, Timings};
+pub use status::{GivenUp, NodeCounters, NodeStatus, StreamStatus, Timings};
 pub use store_writer::StoreWriter;
 pub use summary::{StreamSummary, Summary, TimingSummary};
 pub use transport::{Sent, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};

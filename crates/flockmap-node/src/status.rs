@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use flockmap::sync::{Counters, PeerInfo};
 use flockmap::{Robot, RobotCounters, Stream};
+use serde::Serialize;
 
 use crate::Histogram;
 use crate::store::StoreCounters;
@@ -70,6 +71,15 @@ pub struct StreamStatus {
     pub newest: u32,
     /// Voxels in its layer.
     pub voxels: usize,
+}
+
+/// What a robot has given up, since it may know only so many streams and so many runs of each robot.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize)]
+pub struct GivenUp {
+    /// Ended runs that were forgotten, with their maps.
+    pub runs_forgotten: u64,
+    /// Packages and lists of streams for which there was no room, each time counted.
+    pub streams_refused: u64,
 }
 
 /// A node at one moment.
@@ -145,6 +155,12 @@ impl NodeStatus {
     /// Packages held and missing, over all streams.
     pub fn packages(&self) -> (u64, u64) {
         self.streams.iter().fold((0, 0), |(held, missing), s| (held + s.held, missing + s.missing))
+    }
+
+    /// What this robot has given up for want of room. Anything but 0: raise `streams_max` or `epochs_max`.
+    pub const fn given_up(&self) -> GivenUp {
+        let Counters { streams_forgotten, too_many_streams, .. } = self.session;
+        GivenUp { runs_forgotten: streams_forgotten, streams_refused: too_many_streams }
     }
 
     /// Everything as Prometheus text (format 0.0.4), each line labelled with the name of the robot.
@@ -238,13 +254,19 @@ impl StatusLine {
         let (held, missing) = status.packages();
         let (free, occupied) = status.map_voxels;
         let store = if status.store.failures > 0 { " | STORE OFF" } else { "" };
+        let given_up = match status.given_up() {
+            GivenUp { runs_forgotten: 0, streams_refused: 0 } => String::new(),
+            GivenUp { runs_forgotten, streams_refused } => {
+                format!(" | GIVEN UP {runs_forgotten} runs, {streams_refused} refused")
+            }
+        };
         let age = match age.count() {
             0 => "–".to_owned(),
             _ => format!("{:.2} s", age.quantile(0.5) as f64 / 1e6),
         };
         format!(
             "peers {} | in {rate_in:.1} out {rate_out:.1} KB/s | {} cycles | packages {held} held {missing} missing | \
-             map {} voxels, {occupied} occupied | age {age}{store}",
+             map {} voxels, {occupied} occupied | age {age}{store}{given_up}",
             status.peers.len(),
             status.robot.cycles,
             free + occupied,
@@ -273,7 +295,7 @@ pub(crate) fn node_counters(c: &NodeCounters) -> Named {
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
     fields!(c; scans scans_ahead points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes
             packages package_bytes merged waited waiting_dropped overtaken damaged no_room foreign_resolution
-            present_states cycles_without_reference events_dropped)
+            present_states runs_begun cycles_without_reference events_dropped)
 }
 
 pub(crate) fn store_counters(c: &StoreCounters) -> Named {
@@ -291,12 +313,14 @@ pub(crate) fn session_counters(c: &Counters) -> Named {
         ("requests_in_bytes", c.requests_in.bytes),
         ("packages_in", c.packages_in.datagrams),
         ("packages_in_bytes", c.packages_in.bytes),
+        ("paths_out", c.paths_out.datagrams),
+        ("paths_out_bytes", c.paths_out.bytes),
     ];
-    named.extend(fields!(c; published sent relayed tiles_sent confirmed lost suppressed gap_requests delayed_by_budget
+    named.extend(fields!(c; paths_validated published sent relayed tiles_sent confirmed lost suppressed gap_requests delayed_by_budget
             delayed_by_window received accepted repaired tiles_accepted caught_up duplicates rejected given_up
-            present_states_restarted own_returned damaged foreign_version foreign_swarm forged replayed unsealed
-            sealed_without_key malformed own_heard same_identity stale_epoch stale_requests too_many_peers
-            too_many_streams too_fragmented events_overflowed too_many_transfers transfers_dropped
+            present_states_restarted own_returned damaged foreign_version foreign_swarm forged replayed unknown_run unsealed
+            sealed_without_key malformed own_heard same_identity epoch_too_low stale_epoch stale_requests too_many_peers
+            streams_forgotten too_many_streams too_fragmented events_overflowed too_many_transfers transfers_dropped
             present_states_wanted present_states_unusable));
     named
 }
@@ -350,6 +374,10 @@ mod tests {
         let second = line.next(&now, &age);
         assert!(second.contains("in 4.0 out 0.0 KB/s"), "{second}");
         assert!(second.ends_with("age 0.25 s"), "{second}");
+        (now.session.streams_forgotten, now.session.too_many_streams) = (3, 12);
+        let third = line.next(&now, &age);
+        assert!(third.ends_with("age 0.25 s | GIVEN UP 3 runs, 12 refused"), "{third}");
+        assert_eq!(now.given_up(), GivenUp { runs_forgotten: 3, streams_refused: 12 });
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use flockmap::Robot;
 use serde::Serialize;
 
-use crate::status::{node_counters, robot_counters, session_counters, store_counters};
+use crate::status::{GivenUp, node_counters, robot_counters, session_counters, store_counters};
 use crate::{Histogram, NodeStatus};
 
 /// A node at its end.
@@ -25,6 +25,8 @@ pub struct Summary {
     pub map_occupied: usize,
     /// Every stream known, by origin and epoch.
     pub streams: Vec<StreamSummary>,
+    /// What was given up for want of room.
+    pub given_up: GivenUp,
     /// Counters of the node, the robot, the session and the store, by name.
     pub counters: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
     /// How long things took.
@@ -105,6 +107,7 @@ impl Summary {
             map_free: status.map_voxels.0,
             map_occupied: status.map_voxels.1,
             streams: streams.collect(),
+            given_up: status.given_up(),
             counters: counters.into_iter().map(|(part, named)| (part, named.into_iter().collect())).collect(),
             timings: status.timings.all().into_iter().map(|(name, h)| (name, h.into())).collect(),
         }

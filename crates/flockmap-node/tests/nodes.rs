@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use common::{config, corridor, frames, loopback, swarm, wait_until};
-use flockmap::{Cast, Destination, Event, RobotId, Stream};
+use flockmap::{Cast, Event, Path, RobotId, Stream, Transmit};
 use flockmap_node::{
     Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, Sensor,
     SensorMessage, Sent, Transport, UdpOptions, UdpSockets, UdpTransport,
@@ -73,20 +73,20 @@ fn three_nodes_end_with_equal_layers() {
 struct Lossy(UdpTransport, u32);
 
 impl Transport for Lossy {
-    async fn receive(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+    async fn receive(&mut self, buffer: &mut [u8]) -> std::io::Result<(usize, Path)> {
         self.0.receive(buffer).await
     }
 
-    fn note_sender(&mut self, robot: RobotId) {
-        self.0.note_sender(robot);
+    fn set_paths(&mut self, paths: &[Path]) {
+        self.0.set_paths(paths);
     }
 
-    async fn send(&mut self, to: Destination, bytes: &[u8]) -> Sent {
+    async fn send(&mut self, transmit: &Transmit) -> Sent {
         self.1 += 1;
         if self.1.is_multiple_of(3) {
             return Sent { copies: 1, failed: 0 };
         }
-        self.0.send(to, bytes).await
+        self.0.send(transmit).await
     }
 }
 
@@ -440,7 +440,10 @@ fn robots_with_a_key_sync_and_believe_nobody_without_it() {
     let nodes: Vec<NodeHandle> = (1..=2)
         .zip(sockets)
         .map(|(id, sockets)| {
-            start_playing(id, 1, sockets, |options| options.robot.session.swarm_key = Some(key.clone()))
+            start_playing(id, 1, sockets, |options| {
+                options.robot.session.swarm_key = Some(key.clone());
+                options.robot.session.salt = [id as u8; 16];
+            })
         })
         .collect();
     wait_until_equal(&nodes, 2);

@@ -4,17 +4,14 @@
 mod common;
 
 use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 
-use common::{config, loopback, wait_until};
+use common::{config, loopback, new_dir, wait_until, write_record};
 use flockmap::{RobotId, Stream};
 use flockmap_node::store::{EpochFile, Folder};
 use flockmap_node::{Node, NodeOptions, UdpOptions, UdpSockets};
-
-use flockmap_io::RecordWriter;
-use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
 
 /// Not a test: a node for the tests below, which run this executable again.
 #[test]
@@ -23,25 +20,6 @@ fn one_node() {
     if let Some(path) = std::env::var_os("FLOCKMAP_NODE_CONFIG") {
         flockmap_node::run(path.as_ref()).unwrap();
     }
-}
-
-fn new_dir(name: &str) -> PathBuf {
-    let dir = std::env::temp_dir().join(format!("flockmap-{name}-{}", std::process::id()));
-    std::fs::create_dir_all(&dir).unwrap();
-    dir
-}
-
-/// A short flight through an office, thinned, as a record.
-fn write_record(dir: &Path, seconds: f64) {
-    let world = Arc::new(World::indoor(1));
-    let options = PatrolOptions { duration_s: seconds, ..PatrolOptions::default() };
-    let scan = ScanOptions { range_m: 7.0, ..ScanOptions::default() };
-    let patrol = Patrol::plan(&world, 1, 1, &options).unwrap().remove(0);
-    let mut writer = RecordWriter::create(dir.join("robot1.mcap"), "robot1").unwrap();
-    for frame in Flight::new(world, Lidar::Mid360, scan, patrol).step_by(2) {
-        writer.write(&frame.scan, &frame.t_map_sensor).unwrap();
-    }
-    writer.finish().unwrap();
 }
 
 #[test]

@@ -32,7 +32,7 @@ fn open(disk: &MemoryDisk) -> Store {
 fn see(robot: &mut Robot, writer: &StoreWriter, scans: usize) -> u64 {
     let mut packages = 0;
     for frame in corridor(1, scans) {
-        robot.insert_scan(frame.scan.stamp, &frame.scan, &frame.t_map_sensor);
+        robot.insert_scan(frame.scan.stamp, &frame.scan, &frame.t_map_sensor).unwrap();
         robot.flush(frame.scan.stamp);
         while let Some(event) = robot.poll_event() {
             if let Event::CycleClosed { packages: told, .. } = &event {

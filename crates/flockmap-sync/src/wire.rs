@@ -17,7 +17,7 @@ pub use path::PathMessage;
 pub use request::{ClockReport, Covered, Echo, Held, Request, StateWanted, TransferProgress};
 pub use sealed::{
     COUNTER_MAX, OpenedDatagram, SALT_BYTES, SEAL_BYTES, Salt, SealedDatagram, is_sealed, seal_bytes,
-    seal_datagram, stated_sender,
+    seal_datagram,
 };
 
 use crate::bytes::{Reader, put_varint, varint_len};
@@ -42,7 +42,7 @@ const CHECK: core::ops::Range<usize> = 24..28;
 pub const LAYOUT: &str = "\
 header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u64, stamp i64, crc32 u32 of all else
 sealed: 128 more in the kind, 64 more where it is for one robot; magic, version, kind, swarm, sender, epoch as above, counter u48, \
-in requests salt 16; sealed with the swarm key: stamp i64, what follows the header; tag 16. \
+in kinds 1 and 3 salt 16; sealed with the swarm key: stamp i64, what follows the header; tag 16. \
 XChaCha20-Poly1305, nonce: salt, recipient u16 or 0, counter with its highest bit set for one robot; associated data: all before what is sealed
 kind 1 request: flags u8 (1 all origins, 2 all echoes, 4 no new streams), records
 kind 2 packages: records

@@ -1,11 +1,12 @@
 //! How datagrams leave a node and come to it.
 
+mod addresses;
 mod udp;
 
 use std::future::Future;
 use std::io;
 
-use flockmap::{Destination, RobotId};
+use flockmap::{Path, Transmit};
 
 pub(crate) use udp::is_unreachable;
 pub use udp::{UdpError, UdpOptions, UdpSockets, UdpTransport};
@@ -14,16 +15,16 @@ pub use udp::{UdpError, UdpOptions, UdpSockets, UdpTransport};
 ///
 /// It lives on the one thread of its node, within a tokio runtime.
 pub trait Transport: 'static {
-    /// Waits for the next datagram and writes it to `buffer`; returns its length. Dropping the future loses nothing. An
-    /// error is counted, and the node goes on.
-    fn receive(&mut self, buffer: &mut [u8]) -> impl Future<Output = io::Result<usize>>;
+    /// Waits for the next datagram and writes it to `buffer`; returns its length, and the path on which it came: the same for all that come from
+    /// one address, and never that of another address. Dropping the future loses nothing. An error is counted, and the node goes on.
+    fn receive(&mut self, buffer: &mut [u8]) -> impl Future<Output = io::Result<(usize, Path)>>;
 
-    /// The datagram that [`receive`](Self::receive) gave last is sound, and this robot sent it: the place where it came
-    /// from is where the robot can be reached.
-    fn note_sender(&mut self, robot: RobotId);
+    /// On these paths robots are reached, from now on until the next call: what is for everyone goes there too, and they are not forgotten.
+    fn set_paths(&mut self, paths: &[Path]);
 
-    /// Sends a datagram, or drops it: to a robot that cannot be reached, or where the system has no room.
-    fn send(&mut self, to: Destination, bytes: &[u8]) -> impl Future<Output = Sent>;
+    /// Sends a datagram, or drops it where the system has no room: one for a robot on its path and nowhere else, without a path not at all; one for everyone
+    /// to all who are configured, and on the paths that were set.
+    fn send(&mut self, transmit: &Transmit) -> impl Future<Output = Sent>;
 }
 
 /// What became of a datagram.

@@ -1,21 +1,18 @@
 //! Datagrams over UDP: to each robot at its address, by broadcast, or by multicast.
 
-use std::collections::BTreeMap;
 use std::future::poll_fn;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::task::Poll;
 use std::time::Duration;
 
-use flockmap::{Destination, RobotId};
+use flockmap::{Destination, Path, Transmit};
 use socket2::{Domain, Protocol, Socket, Type};
 use tokio::io::ReadBuf;
 
+use super::addresses::Addresses;
 use super::{Sent, Transport};
 use crate::advice::{listen_error, with};
-
-/// Robots whose address is kept; of more, those heard last.
-const ADDRESSES_MAX: usize = 256;
 
 /// A radio whose queue stays full for so long loses the datagram, which is repaired later; the node must go on.
 const SEND_WAIT_MAX: Duration = Duration::from_millis(20);
@@ -25,7 +22,7 @@ const SEND_WAIT_MAX: Duration = Duration::from_millis(20);
 pub struct UdpOptions {
     /// Own address and port. Port 0: the system chooses. `[::]` serves IPv4 too.
     pub bind: SocketAddr,
-    /// Robots that are sent to before they were heard. What is heard from elsewhere is answered there.
+    /// Robots that are sent to before they were heard. Those heard from elsewhere are sent to there once an answer has come back from there.
     pub peers: Vec<SocketAddr>,
     /// What is for everyone goes here in one datagram. IPv4.
     pub broadcast: Option<SocketAddr>,
@@ -125,9 +122,9 @@ impl UdpSockets {
             None => None,
         };
         let main: UdpSocket = main.into();
-        let is_v6 = options.bind.is_ipv6();
-        let peers = options.peers.iter().map(|&peer| in_family(peer, is_v6)).collect();
-        Ok(Self { main, group, peers, everyone })
+        let mut sockets = Self { main, group, peers: Vec::new(), everyone };
+        options.peers.iter().for_each(|peer| sockets.add_peer(*peer));
+        Ok(sockets)
     }
 
     /// The address that was bound, with the port that the system chose.
@@ -138,7 +135,10 @@ impl UdpSockets {
     /// Adds a robot that is sent to before it was heard.
     pub fn add_peer(&mut self, peer: SocketAddr) {
         let is_v6 = self.local_addr().is_ok_and(|own| own.is_ipv6());
-        self.peers.push(in_family(peer, is_v6));
+        let peer = in_family(peer, is_v6);
+        if !self.peers.contains(&peer) {
+            self.peers.push(peer);
+        }
     }
 
     /// Puts the sockets to work. Call it within a tokio runtime.
@@ -148,9 +148,8 @@ impl UdpSockets {
             group: self.group.map(tokio::net::UdpSocket::from_std).transpose()?,
             peers: self.peers,
             everyone: self.everyone,
-            heard: BTreeMap::new(),
-            count: 0,
-            last_from: None,
+            addresses: Addresses::default(),
+            group_first: false,
         })
     }
 }
@@ -162,58 +161,53 @@ pub struct UdpTransport {
     group: Option<tokio::net::UdpSocket>,
     peers: Vec<SocketAddr>,
     everyone: Option<SocketAddr>,
-    /// Where each robot was heard last, and how many datagrams had been received until then.
-    heard: BTreeMap<RobotId, (SocketAddr, u64)>,
-    count: u64,
-    last_from: Option<SocketAddr>,
+    addresses: Addresses,
+    /// Which socket is read first, in turn, so that neither starves the other.
+    group_first: bool,
 }
 
 impl Transport for UdpTransport {
-    async fn receive(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let (main, group, count) = (&self.main, self.group.as_ref(), self.count);
+    async fn receive(&mut self, buffer: &mut [u8]) -> io::Result<(usize, Path)> {
+        let (main, group, group_first) = (&self.main, self.group.as_ref(), self.group_first);
+        // Where one socket serves both, all who are heard there count as members of the group.
+        let is_shared = self.everyone.is_some() && group.is_none();
         let received = poll_fn(|context| {
-            // In turn, so that neither starves the other.
-            let order = if count.is_multiple_of(2) { [Some(main), group] } else { [group, Some(main)] };
-            for socket in order.into_iter().flatten() {
+            let mut order = [(Some(main), is_shared), (group, true)];
+            if group_first {
+                order.reverse();
+            }
+            for (socket, by_group) in order.into_iter().filter_map(|(socket, by)| Some((socket?, by))) {
                 let mut buffer = ReadBuf::new(buffer);
                 if let Poll::Ready(result) = socket.poll_recv_from(context, &mut buffer) {
-                    return Poll::Ready(result.map(|from| (buffer.filled().len(), from)));
+                    return Poll::Ready(result.map(|from| (buffer.filled().len(), from, by_group)));
                 }
             }
             Poll::Pending
         })
         .await;
-        self.count += 1;
-        self.last_from = received.as_ref().ok().map(|&(_, from)| from);
-        received.map(|(length, _)| length)
+        self.group_first = !self.group_first;
+        received.map(|(length, from, by_group)| (length, self.addresses.note(from, by_group)))
     }
 
-    fn note_sender(&mut self, robot: RobotId) {
-        let Some(from) = self.last_from else { return };
-        self.heard.insert(robot, (from, self.count));
-        if self.heard.len() > ADDRESSES_MAX {
-            let oldest = self.heard.iter().min_by_key(|(_, (_, count))| *count).map(|(robot, _)| *robot);
-            oldest.and_then(|robot| self.heard.remove(&robot));
-        }
+    fn set_paths(&mut self, paths: &[Path]) {
+        self.addresses.set_used(paths);
     }
 
-    async fn send(&mut self, to: Destination, bytes: &[u8]) -> Sent {
+    async fn send(&mut self, transmit: &Transmit) -> Sent {
         let mut sent = Sent::default();
-        match to {
-            Destination::Peer(robot) => {
-                let address = self.heard.get(&robot).map(|&(address, _)| address);
-                send_one(&self.main, address, bytes, &mut sent).await;
+        match transmit.to {
+            Destination::Peer(_) => {
+                let address = transmit.path.and_then(|path| self.addresses.address(path));
+                send_one(&self.main, address, &transmit.bytes, &mut sent).await;
             }
             Destination::Everyone => {
-                if self.everyone.is_some() {
-                    send_one(&self.main, self.everyone, bytes, &mut sent).await;
-                }
-                // Configured peers are reached even where the group does not reach. Those that were heard are in the
-                // group, or heard us by being configured.
-                let heard = self.heard.values().map(|&(address, _)| address);
-                let heard = heard.filter(|a| self.everyone.is_none() && !self.peers.contains(a));
-                for address in self.peers.iter().copied().chain(heard) {
-                    send_one(&self.main, Some(address), bytes, &mut sent).await;
+                // Configured robots are reached even where the group does not reach.
+                let configured = self.everyone.iter().chain(&self.peers).copied();
+                // The members of the group have got it.
+                let used = self.addresses.used().filter(|(_, is_in_group)| !is_in_group);
+                let used = used.map(|(address, _)| address).filter(|address| !self.peers.contains(address));
+                for address in configured.chain(used) {
+                    send_one(&self.main, Some(address), &transmit.bytes, &mut sent).await;
                 }
             }
         }

@@ -3,11 +3,14 @@
 #![allow(dead_code, reason = "each test uses a part of it")]
 
 use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use flockmap::{Pose, Resolution, RobotConfig, RobotId, Scan, Stamp};
+use flockmap_io::RecordWriter;
 use flockmap_node::{Frame, Frames, UdpOptions, UdpSockets};
+use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
 
 /// Far more than any step of a test takes.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
@@ -62,3 +65,22 @@ pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
 }
 
 pub(crate) type Shared<T> = Arc<std::sync::Mutex<T>>;
+
+pub(crate) fn new_dir(name: &str) -> PathBuf {
+    let dir = std::env::temp_dir().join(format!("flockmap-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&dir).unwrap();
+    dir
+}
+
+/// A short flight through an office, thinned, as a record.
+pub(crate) fn write_record(dir: &Path, seconds: f64) {
+    let world = Arc::new(World::indoor(1));
+    let options = PatrolOptions { duration_s: seconds, ..PatrolOptions::default() };
+    let scan = ScanOptions { range_m: 7.0, ..ScanOptions::default() };
+    let patrol = Patrol::plan(&world, 1, 1, &options).unwrap().remove(0);
+    let mut writer = RecordWriter::create(dir.join("robot1.mcap"), "robot1").unwrap();
+    for frame in Flight::new(world, Lidar::Mid360, scan, patrol).step_by(2) {
+        writer.write(&frame.scan, &frame.t_map_sensor).unwrap();
+    }
+    writer.finish().unwrap();
+}

@@ -126,6 +126,7 @@ impl Session {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session::Path;
     use crate::{SessionConfig, SwarmKey};
 
     fn session(id: u16, epoch: u64) -> Session {
@@ -177,6 +178,27 @@ mod tests {
         let request = one.poll_transmit(Stamp(2)).unwrap().bytes;
         two.handle_datagram(Stamp(2), &request).unwrap();
         two.handle_datagram(Stamp(3), &sealed).unwrap_err();
+    }
+
+    #[test]
+    fn robots_of_which_one_knows_an_address_meet_though_challenges_come_before_requests() {
+        let (mut one, mut two) = (session(1, 1), session(2, 1));
+        let (at_one, at_two) = (Path(1), Path(2));
+        // Two knows no address: of what it sends only that on a path arrives.
+        for step in 0..40 {
+            let now = Stamp(step * 100_000);
+            while let Some(transmit) = one.poll_transmit(now) {
+                two.handle_datagram_from(now, at_one, &transmit.bytes).unwrap();
+            }
+            while let Some(transmit) = two.poll_transmit(now) {
+                if transmit.path == Some(at_one) {
+                    one.handle_datagram_from(now, at_two, &transmit.bytes).unwrap();
+                }
+            }
+        }
+        assert_eq!(two.paths().collect::<Vec<_>>(), [(RobotId(1), at_one)]);
+        assert_eq!(one.paths().collect::<Vec<_>>(), [(RobotId(2), at_two)]);
+        assert_eq!((one.counters().unknown_run, two.counters().unknown_run), (0, 0));
     }
 
     #[test]

@@ -27,7 +27,7 @@ const STAMP_BYTES: usize = 8;
 /// Bytes of the salt of a run.
 pub const SALT_BYTES: usize = 16;
 
-/// Bytes by which a sealed datagram is longer than the same one unsealed; a request is longer by [`SALT_BYTES`] more.
+/// Bytes by which a sealed datagram is longer than the same one unsealed; requests and challenges are longer by [`SALT_BYTES`] more.
 pub const SEAL_BYTES: usize = HEAD_BYTES + COUNTER_BYTES + STAMP_BYTES + TAG_BYTES - HEADER_BYTES;
 
 /// The highest counter of a sealed datagram. The bit above it tells datagrams for one robot from those for all.
@@ -39,21 +39,20 @@ pub type Salt = [u8; SALT_BYTES];
 
 /// Bytes that sealing adds to a datagram of this kind.
 pub const fn seal_bytes(kind: Kind) -> usize {
+    SEAL_BYTES + if has_salt(kind) { SALT_BYTES } else { 0 }
+}
+
+/// Requests and challenges have the salt of the sender's run: each of them may be the first that a robot hears of it.
+const fn has_salt(kind: Kind) -> bool {
     match kind {
-        Kind::Request => SEAL_BYTES + SALT_BYTES,
-        Kind::Packages | Kind::Path => SEAL_BYTES,
+        Kind::Request | Kind::Path => true,
+        Kind::Packages => false,
     }
 }
 
 /// Whether a received datagram states to be sealed. Nothing is checked.
 pub fn is_sealed(bytes: &[u8]) -> bool {
     bytes.get(3).is_some_and(|kind| kind & SEALED != 0)
-}
-
-/// The robot that a datagram states to be from, sealed or not. Nothing is checked.
-pub fn stated_sender(bytes: &[u8]) -> Option<RobotId> {
-    let sender = bytes.get(6..8)?.try_into().ok()?;
-    Some(RobotId(u16::from_le_bytes(sender)))
 }
 
 /// Seals a complete datagram for all robots of the swarm, or for one alone. A counter above [`COUNTER_MAX`], or bytes that are no
@@ -76,7 +75,7 @@ pub fn seal_datagram(
     out.extend(&datagram[..HEAD_BYTES]);
     out[3] |= SEALED | if recipient.is_some() { FOR_ONE } else { 0 };
     out.extend(&counter.to_le_bytes()[..COUNTER_BYTES]);
-    if kind == Kind::Request {
+    if has_salt(kind) {
         out.extend(salt);
     }
     let clear_bytes = out.len();
@@ -123,9 +122,9 @@ impl<'a> SealedDatagram<'a> {
         if counter > COUNTER_MAX {
             return Err(DatagramError::Malformed { sender: sender.origin, what: "counter" });
         }
-        let salt = match kind {
-            Kind::Request => Some(reader.array().ok_or_else(|| length.clone())?),
-            _ => None,
+        let salt = match has_salt(kind) {
+            true => Some(reader.array().ok_or_else(|| length.clone())?),
+            false => None,
         };
         let (clear, rest) = bytes.split_at(HEAD_BYTES + COUNTER_BYTES + salt.map_or(0, |_| SALT_BYTES));
         if rest.len() < STAMP_BYTES + TAG_BYTES {
@@ -156,7 +155,7 @@ impl<'a> SealedDatagram<'a> {
         self.is_for_one
     }
 
-    /// The salt of the sender's run, if the datagram has it: requests have.
+    /// The salt of the sender's run, if the datagram has it: requests and challenges have.
     pub const fn salt(&self) -> Option<Salt> {
         self.salt
     }

@@ -1,4 +1,5 @@
 use super::*;
+use flockmap::RobotId;
 use std::net::SocketAddr;
 
 fn block_on<F: Future>(future: F) -> F::Output {
@@ -14,27 +15,64 @@ fn bound(text: &str) -> UdpSockets {
     UdpSockets::bind(&UdpOptions::new(address(text))).unwrap()
 }
 
+fn to_all(bytes: &[u8]) -> Transmit {
+    Transmit { to: Destination::Everyone, path: None, bytes: bytes.to_vec() }
+}
+
+fn to_one(path: Option<Path>, bytes: &[u8]) -> Transmit {
+    Transmit { to: Destination::Peer(RobotId(1)), path, bytes: bytes.to_vec() }
+}
+
+/// Receives a datagram; its length and its path.
+async fn get(transport: &mut UdpTransport) -> (usize, Path) {
+    transport.receive(&mut [0; 64]).await.unwrap()
+}
+
 #[test]
-fn a_robot_is_answered_where_it_was_heard() {
+fn a_robot_is_reached_on_its_path_and_nowhere_before() {
     block_on(async {
         let mut a = bound("127.0.0.1:0");
         let b = bound("127.0.0.1:0");
         a.add_peer(b.local_addr().unwrap());
         let (mut a, mut b) = (a.into_transport().unwrap(), b.into_transport().unwrap());
-        let mut buffer = [0; 64];
 
         // B knows nobody yet.
-        assert_eq!(b.send(Destination::Peer(RobotId(1)), b"no").await, Sent { copies: 0, failed: 1 });
-        assert_eq!(b.send(Destination::Everyone, b"no").await, Sent::default());
+        assert_eq!(b.send(&to_one(None, b"no")).await, Sent { copies: 0, failed: 1 });
+        assert_eq!(b.send(&to_one(Some(Path(1)), b"no")).await, Sent { copies: 0, failed: 1 });
+        assert_eq!(b.send(&to_all(b"no")).await, Sent::default());
 
-        assert_eq!(a.send(Destination::Everyone, b"hello").await.copies, 1);
-        assert_eq!(b.receive(&mut buffer).await.unwrap(), 5);
-        b.note_sender(RobotId(1));
-        assert_eq!(b.send(Destination::Peer(RobotId(1)), b"hi").await.copies, 1);
-        assert_eq!(a.receive(&mut buffer).await.unwrap(), 2);
-        assert_eq!(&buffer[..2], b"hi");
-        assert_eq!(b.send(Destination::Everyone, b"all").await.copies, 1);
-        assert_eq!(a.receive(&mut buffer).await.unwrap(), 3);
+        assert_eq!(a.send(&to_all(b"hello")).await.copies, 1);
+        let (length, path) = get(&mut b).await;
+        assert_eq!(length, 5);
+        // That it was heard is no reason to send there; the session may.
+        assert_eq!(b.send(&to_all(b"no")).await, Sent::default());
+        assert_eq!(b.send(&to_one(Some(path), b"hi")).await.copies, 1);
+        assert_eq!(get(&mut a).await.0, 2);
+        b.set_paths(&[path]);
+        assert_eq!(b.send(&to_all(b"all")).await.copies, 1);
+        assert_eq!(get(&mut a).await.0, 3);
+        assert_eq!(a.send(&to_all(b"again")).await.copies, 1);
+        assert_eq!(get(&mut b).await, (5, path), "the same address, the same path");
+        b.set_paths(&[]);
+        assert_eq!(b.send(&to_all(b"no")).await, Sent::default());
+    });
+}
+
+#[test]
+fn what_is_for_everyone_goes_to_each_address_once() {
+    block_on(async {
+        let (mut a, mut b) = (bound("127.0.0.1:0"), bound("127.0.0.1:0"));
+        let (at_a, at_b) = (a.local_addr().unwrap(), b.local_addr().unwrap());
+        for _ in 0..2 {
+            a.add_peer(at_b);
+        }
+        b.add_peer(at_a);
+        let (mut a, mut b) = (a.into_transport().unwrap(), b.into_transport().unwrap());
+        assert_eq!(a.send(&to_all(b"one")).await, Sent { copies: 1, failed: 0 });
+        let (_, path) = get(&mut b).await;
+        // Two robots behind one address.
+        b.set_paths(&[path, path]);
+        assert_eq!(b.send(&to_all(b"one")).await, Sent { copies: 1, failed: 0 });
     });
 }
 
@@ -52,17 +90,31 @@ fn one_datagram_to_a_group_reaches_every_member() {
         [result, ..] => return println!("skipped: no multicast here: {result:?}"),
     };
     block_on(async {
+        let at_a = a.local_addr().unwrap();
         let [mut a, mut b, mut c] = [a, b, c].map(|sockets| sockets.into_transport().unwrap());
-        let sent = a.send(Destination::Everyone, b"to all").await;
+        let sent = a.send(&to_all(b"to all")).await;
         if sent.failed > 0 {
             return println!("skipped: no route for multicast on loopback");
         }
-        let mut buffer = [0; 64];
         for member in [&mut b, &mut c] {
-            assert_eq!(member.receive(&mut buffer).await.unwrap(), 6);
-            member.note_sender(RobotId(1));
-            assert_eq!(member.send(Destination::Peer(RobotId(1)), b"got it").await.copies, 1);
+            let (length, path) = get(member).await;
+            assert_eq!(length, 6);
+            assert_eq!(member.send(&to_one(Some(path), b"got it")).await.copies, 1);
+            // Who sends to the group hears the group, and does not get a second copy.
+            member.set_paths(&[path]);
+            assert_eq!(member.send(&to_all(b"to all")).await.copies, 1);
         }
+        // One that is not in the group is reached on its path.
+        let mut d = bound("127.0.0.1:0");
+        d.add_peer(at_a);
+        d.into_transport().unwrap().send(&to_all(b"from outside")).await;
+        let path = loop {
+            if let (12, path) = get(&mut a).await {
+                break path;
+            }
+        };
+        a.set_paths(&[path]);
+        assert_eq!(a.send(&to_all(b"to all")).await.copies, 2);
     });
 }
 
@@ -76,10 +128,9 @@ fn one_broadcast_reaches_every_robot() {
     let [a, b, c] = [0; 3].map(|_| UdpSockets::bind(&options).unwrap());
     block_on(async {
         let [mut a, mut b, mut c] = [a, b, c].map(|sockets| sockets.into_transport().unwrap());
-        assert_eq!(a.send(Destination::Everyone, b"to all").await, Sent { copies: 1, failed: 0 });
-        let mut buffer = [0; 64];
+        assert_eq!(a.send(&to_all(b"to all")).await, Sent { copies: 1, failed: 0 });
         for robot in [&mut b, &mut c] {
-            assert_eq!(robot.receive(&mut buffer).await.unwrap(), 6);
+            assert_eq!(get(robot).await.0, 6);
         }
     });
 }
@@ -94,12 +145,15 @@ fn ipv6_and_ipv4_robots_talk() {
         let mut v6 = v6;
         v6.add_peer(v4.local_addr().unwrap());
         let (mut v4, mut v6) = (v4.into_transport().unwrap(), v6.into_transport().unwrap());
-        let mut buffer = [0; 64];
-        assert_eq!(v6.send(Destination::Everyone, b"six").await.copies, 1);
-        assert_eq!(v4.receive(&mut buffer).await.unwrap(), 3);
-        v4.note_sender(RobotId(6));
-        assert_eq!(v4.send(Destination::Peer(RobotId(6)), b"four").await.copies, 1);
-        assert_eq!(v6.receive(&mut buffer).await.unwrap(), 4);
+        assert_eq!(v6.send(&to_all(b"six")).await.copies, 1);
+        let (length, path) = get(&mut v4).await;
+        assert_eq!(length, 3);
+        assert_eq!(v4.send(&to_one(Some(path), b"four")).await.copies, 1);
+        let (length, path) = get(&mut v6).await;
+        assert_eq!(length, 4);
+        // A configured IPv4 address is the one that is heard from.
+        v6.set_paths(&[path]);
+        assert_eq!(v6.send(&to_all(b"six")).await.copies, 1);
     });
 }
 
@@ -112,10 +166,9 @@ fn a_robot_that_is_off_does_not_stop_the_others() {
         a.add_peer(off);
         a.add_peer(on.local_addr().unwrap());
         let (mut a, mut on) = (a.into_transport().unwrap(), on.into_transport().unwrap());
-        let mut buffer = [0; 64];
         for _ in 0..20 {
-            assert_eq!(a.send(Destination::Everyone, b"hello").await, Sent { copies: 2, failed: 0 });
-            assert_eq!(on.receive(&mut buffer).await.unwrap(), 5);
+            assert_eq!(a.send(&to_all(b"hello")).await, Sent { copies: 2, failed: 0 });
+            assert_eq!(get(&mut on).await.0, 5);
         }
     });
 }
