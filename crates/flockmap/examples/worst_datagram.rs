@@ -130,7 +130,7 @@ fn robot_ms(case: &Case, packages: &[Package], layer: &Layer, pose: &Pose) -> f6
             robot.handle_datagram(Stamp(10), &datagram(&[package])).unwrap();
         }
     }
-    robot.set_alignment(SENDER.origin, pose);
+    robot.set_alignment(SENDER.origin, pose).unwrap();
     let bytes = datagram(packages);
     let start = Instant::now();
     let _ = black_box(robot.handle_datagram(Stamp(2_000), &bytes));
