@@ -12,9 +12,10 @@ pub(super) struct Rigid {
 /// Coordinates of the images of a row of voxels: by axis, by voxel.
 pub(super) type Row<T> = [[T; 8]; 3];
 
-/// The centre of a voxel and that of the voxel into which it is brought lie within half the diagonal of a voxel, 0.87. So along an axis the
-/// voxels that may be brought into this one lie from here below the image of its centre to as much above it, less half a voxel.
-const REACH: f64 = 0.37;
+/// The centre of a voxel and that of the voxel into which it is brought lie within half the diagonal of a voxel, 0.87. So the voxels that
+/// may be brought into this one are, along an axis, the whole numbers from 1.37 below the image of its centre to 0.37 above it: from the
+/// one nearest to the first of these to the one nearest to the second.
+const NEAR: [f64; 2] = [-0.87, -0.13];
 
 /// Voxels along a side of what the images of a block can touch: its diagonal from centre to centre, 12.1, and what is in reach.
 const WINDOW: usize = 16;
@@ -43,8 +44,8 @@ impl Rigid {
     /// The lowest and the highest voxel of those that the inverse may bring into this one: two along each axis at most.
     pub(super) fn near(&self, v: Voxel) -> [Voxel; 2] {
         let image = self.image(v);
-        [-REACH, REACH].map(|reach| {
-            let [x, y, z] = image.map(|at| floor(at + reach));
+        NEAR.map(|end| {
+            let [x, y, z] = image.map(|at| nearest(at + end));
             Voxel::new(x, y, z)
         })
     }
@@ -61,7 +62,7 @@ impl Rigid {
                 };
                 let p = [pick(0, min.x, max.x), pick(1, min.y, max.y), pick(2, min.z, max.z)];
                 let at = turn[0] * p[0] + turn[1] * p[1] + turn[2] * p[2] + self.translation[axis];
-                floor(at + if is_upper { REACH } else { -REACH })
+                nearest(at + NEAR[usize::from(is_upper)])
             });
             Voxel::new(x, y, z)
         };
@@ -98,7 +99,7 @@ impl Rigid {
     #[inline(always)]
     pub(super) fn each_voxel(&self, index: BlockIndex, mask: &Plane, mut found: impl FnMut(usize, [i32; 3])) {
         self.rows(index, mask, |first, bits, images| {
-            let voxels = floors(images, 0.0);
+            let voxels = images.map(|axis| axis.map(floor));
             each_bit(bits, |x| found(first + x, [voxels[0][x], voxels[1][x], voxels[2][x]]));
         });
     }
@@ -112,7 +113,7 @@ impl Rigid {
         let [low, high] = self.near_block(index, mask);
         let mut window = Window::new(low);
         self.rows(index, mask, |_, bits, images| {
-            let (lows, highs) = (floors(images, -REACH), floors(images, REACH));
+            let [lows, highs] = NEAR.map(|end| images.map(|axis| axis.map(|at| nearest(at + end))));
             each_bit(bits, |x| {
                 window.mark(lows.map(|axis| axis[x]), highs.map(|axis| axis[x]));
             });
@@ -130,24 +131,20 @@ fn each_bit(bits: u8, mut found: impl FnMut(usize)) {
     }
 }
 
-/// Rounded down; of numbers below 2³¹, as those of the grid are.
-fn floor(at: f64) -> i32 {
-    at.floor() as i32
+/// Added to a number below 2³¹, as those of the grid are, this leaves its nearest whole number in the lowest bits.
+const WHOLE: f64 = 6_755_399_441_055_744.0;
+
+/// The nearest whole number. Without a call or a branch, so that the compiler can take several at once.
+#[inline(always)]
+fn nearest(at: f64) -> i32 {
+    (at + WHOLE).to_bits() as i32
 }
 
-/// The same with something added, for many at once: without a call or a branch, so that the compiler can take several together.
+/// Rounded down, likewise.
 #[inline(always)]
-fn floors(row: &Row<f64>, add: f64) -> Row<i32> {
-    /// Added to a number this leaves its whole part, rounded, in the lowest bits.
-    const WHOLE: f64 = 6_755_399_441_055_744.0;
-    row.map(|axis| {
-        axis.map(|at| {
-            let at = at + add;
-            let whole = at + WHOLE;
-            let is_above = whole - WHOLE > at;
-            (whole.to_bits() as i32).wrapping_sub(i32::from(is_above))
-        })
-    })
+fn floor(at: f64) -> i32 {
+    let whole = (at + WHOLE) - WHOLE;
+    nearest(whole - if whole > at { 1.0 } else { 0.0 })
 }
 
 /// The lowest and the highest voxel of a box that holds those of `mask`, which has some.
