@@ -53,10 +53,13 @@ fn main() {
     }
 }
 
+/// What it takes in milliseconds, the packages, their box.
+type Found = (f64, Vec<Package>, [u32; 3]);
+
 /// Finds the draft that is worst to read, and that which is worst to merge from a turned frame; says what they cost.
 fn report(case: &Case, layer: &Layer, package_bytes: usize) {
     let mut decoder = Decoder::new();
-    let mut worst: [Option<(f64, Vec<Package>, [u32; 3])>; 2] = [None, None];
+    let mut worst: [Option<Found>; 2] = [None, None];
     // No header is longer.
     for draft in (case.drafts)(package_bytes - 38) {
         let Some(packages) = fill(case, &draft, &mut decoder, layer) else { continue };
