@@ -255,7 +255,7 @@ mod tests {
             let list = draw(region.volume() as usize, background, one_of, seed);
             let mut packed = Vec::new();
             pack(&list, &mut packed);
-            if list.len() % 4 != 0 {
+            if !list.len().is_multiple_of(4) {
                 *packed.last_mut().unwrap() |= (background * 0x55) << (2 * (list.len() % 4));
             }
             let nested = (0..size[0]).flat_map(|x| (0..size[1]).flat_map(move |y| (0..size[2]).map(move |z| [x, y, z])));

@@ -13,7 +13,9 @@ pub(crate) const BLOCK_STEPS: u64 = 64;
 /// A payload, or a section of one, in the model of `flock`.
 pub(crate) const SECTION_STEPS: u64 = 512;
 /// A block of which `flock` says whether it changed.
-pub(crate) const FLAG_STEPS: u64 = 8;
+const FLAG_STEPS: u64 = 8;
+/// More for one of which something was known before: it has to be fetched from a large table.
+const KNOWN_STEPS: u64 = 32;
 /// A change in noise, and a block with changes: there are many that were not known, which takes longer to merge than to read.
 pub(crate) const CHANGE_STEPS: u64 = 8;
 pub(crate) const NOISE_BLOCK_STEPS: u64 = 160;
@@ -61,6 +63,11 @@ pub(crate) const fn of_codes(groups: u64, bytes: u64) -> u64 {
 /// Steps for the stamps of a tile, if there are any.
 pub(crate) const fn of_stamps(voxels: u64, known: u64) -> u64 {
     voxels.div_ceil(STAMPED_PER_STEP) + known * STAMP_STEPS
+}
+
+/// Steps for a block of which `flock` says whether it changed.
+pub(crate) const fn of_flag(was_known: bool) -> u64 {
+    if was_known { FLAG_STEPS + KNOWN_STEPS } else { FLAG_STEPS }
 }
 
 /// Steps for a box of so many blocks along each side, before anything is said of them.

@@ -58,7 +58,7 @@ fn with_box(package: &Package, size: [u32; 3]) -> Vec<u8> {
     let (unit, flag) = if header.codec == Codec::Flock { (8, 1 << 7) } else { (1, 0) };
     let mut bytes = vec![3, flag | header.codec.id()];
     varint(header.stream.origin.0.into(), &mut bytes);
-    varint(header.stream.epoch.into(), &mut bytes);
+    varint(header.stream.epoch, &mut bytes);
     varint(header.index.into(), &mut bytes);
     let since_epoch =
         header.cycle_end.0 - i64::from(flockmap_grid::seconds_of_epoch(header.stream.epoch)) * 1_000_000;

@@ -8,7 +8,7 @@ use flockmap_codec::{
     Codec, Content, Decoder, EncodeError, Encoder, Header, PACKAGE_BYTES_MAX, Package, PackageError,
     Priority, TilesRead,
 };
-use flockmap_grid::{Changes, PresentState, Stamp, State, Voxel, VoxelBox};
+use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel, VoxelBox};
 use proptest::prelude::*;
 
 /// The most steps for a package of so many bytes, all of which are taken for payload.
@@ -140,6 +140,34 @@ fn a_large_box_that_says_much_is_refused_before_a_voxel_is_looked_for() {
         // What is counted at once, and not taken: 8,000 groups of 128 bytes.
         assert_eq!(decoder.steps(), 64_000 + 8_000 * (64 + 6 * 128), "{what}");
     }
+}
+
+/// What is known is fetched from a table that may be far larger than a cache.
+#[test]
+fn blocks_of_which_something_is_known_take_more_steps() {
+    let blocks = (0..24 * 24 * 24).map(|n| [n % 24, n / 24 % 24, n / 576].map(|at| at * 8));
+    let mut layer = Layer::default();
+    let known = blocks.map(|[x, y, z]| (Voxel::new(x + 1, y + 2, z + 3), State::Free));
+    layer.apply(&Changes::from_voxels(known), Stamp(-9));
+    let header = Header {
+        reference: 1,
+        index: 2,
+        is_alone: false,
+        codec: Codec::Flock,
+        region: VoxelBox::new(Voxel::new(0, 0, 0), [192; 3]).unwrap(),
+        ..*cube(8, 0xff).header()
+    };
+    // Tables and sensor, 13,824 blocks, and decisions that are all the same: of one kind or the other.
+    let refused = [0x00, 0xff].map(|byte| {
+        let mut payload = vec![0, 0, 0, 0, 0x80, 0x6c];
+        payload.resize(1_000, byte);
+        let package = Package::from_parts(&header, &payload, 0);
+        [Layer::default(), layer.clone()].map(|layer| {
+            let error = Decoder::new().decode_against(&package, Some(&layer)).unwrap_err();
+            matches!(error, PackageError::Work { .. })
+        })
+    });
+    assert!(refused.contains(&[false, true]), "{refused:?}");
 }
 
 #[test]

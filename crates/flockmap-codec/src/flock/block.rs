@@ -66,6 +66,11 @@ impl KnownClasses {
         Self { free_class, occupied_class, has_free: touched != 0, has_occupied: occupied_class != 0 }
     }
 
+    /// Whether anything is known.
+    pub(crate) const fn is_any(&self) -> bool {
+        self.has_free || self.has_occupied
+    }
+
     fn class(&self) -> usize {
         self.free_class * 8 + self.occupied_class
     }

@@ -16,7 +16,7 @@ use super::field::{Field, OWN};
 use super::order::{self, BLOCK_UNITS, BlockBox};
 use super::tables::{Chances, TableSet};
 use crate::reference::Known;
-use crate::work::{self, BLOCK_STEPS, FLAG_STEPS, Work};
+use crate::work::{self, BLOCK_STEPS, Work};
 use crate::{BOX_VOXELS_MAX, Codec, PackageError, varint};
 
 /// Most blocks in the box of a package.
@@ -207,13 +207,14 @@ fn write(
     let (mut length, mut count) = (0u64, 0);
     let (mut seen, mut mark) = (0, decisions.bits.mark());
     let of_box = work::of_box(region.size());
-    let mut steps = of_box;
+    let (mut steps, mut of_flags) = (of_box, 0);
     for index in order::blocks(region, sensor_block, before as u64) {
         let Some((changed, states)) = next else { break };
         seen += 1;
         let is_changed = *changed == index;
         let (turn, distance) = view(index, sensor);
         let counts = field.classes(known, index)?;
+        of_flags += work::of_flag(counts.is_any());
         decisions.flag(flags.context(index, turn, counts), is_changed);
         flags.tell(index, is_changed);
         if !is_changed {
@@ -226,7 +227,7 @@ fn write(
         block::code(&mut decisions, cells, distance, counts, &truth, turns);
         field.tell(slots[OWN], index, turn, &truth);
         let bytes = payload.len() + varint::length(seen) + decisions.bits.finished_len();
-        let all_steps = of_box + seen * FLAG_STEPS + (count as u64 + 1) * BLOCK_STEPS + decisions.made;
+        let all_steps = of_box + of_flags + (count as u64 + 1) * BLOCK_STEPS + decisions.made;
         let padded = work::bytes_for(all_steps, spare);
         if (bytes.max(padded) > room || padded > bytes + PADDING_MAX) && count > 0 {
             decisions.bits.back_to(&mark);
@@ -264,10 +265,10 @@ pub(crate) fn decode(
     let mut changed = Vec::new();
     let mut made = 0;
     for index in order::blocks(region, order::sensor_block(sensor), before).take(length as usize) {
-        work.take(FLAG_STEPS + decisions.made - made)?;
-        made = decisions.made;
         let (turn, distance) = view(index, sensor);
         let counts = field.classes(known, index)?;
+        work.take(work::of_flag(counts.is_any()) + decisions.made - made)?;
+        made = decisions.made;
         let is_changed = decisions.flag(flags.context(index, turn, counts), false);
         flags.tell(index, is_changed);
         if !is_changed {

@@ -4,8 +4,9 @@ use std::borrow::Cow;
 
 use rustc_hash::FxHashMap;
 
+use super::rigid::Rigid;
 use crate::block::voxel_bit;
-use crate::{BlockIndex, Layer, Plane, Pose, Resolution, Stamp, State, Voxel};
+use crate::{BlockIndex, Layer, Plane, Pose, Resolution, Stamp, State, StateBlock, Voxel};
 
 /// `T_own_origin` and its inverse, in voxel units.
 #[derive(Clone, Debug)]
@@ -13,30 +14,6 @@ pub(super) struct Alignment {
     forward: Rigid,
     backward: Rigid,
     is_identity: bool,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Rigid {
-    rotation: [[f64; 3]; 3],
-    translation: [f64; 3],
-}
-
-impl Rigid {
-    fn new(pose: &Pose, resolution: Resolution) -> Self {
-        let scale = 1.0 / resolution.metres();
-        Self { rotation: pose.rotation_rows(), translation: pose.translation().map(|t| t * scale) }
-    }
-
-    /// The voxel of the target grid that holds the centre of this voxel.
-    fn voxel(&self, v: Voxel) -> Voxel {
-        let p = [v.x, v.y, v.z].map(|i| f64::from(i) + 0.5);
-        let [x, y, z] = core::array::from_fn(|axis| {
-            let [a, b, c] = self.rotation[axis];
-            // Saturates far out, where no voxel is.
-            (a * p[0] + b * p[1] + c * p[2] + self.translation[axis]).floor() as i32
-        });
-        Voxel::new(x, y, z)
-    }
 }
 
 impl Alignment {
@@ -61,44 +38,85 @@ impl Alignment {
     /// comes to lie in it, so that no obstacle is lost. Free is looked up backwards: the voxel is Free if its own
     /// centre lies in a free voxel of the layer, so that no holes appear.
     pub(super) fn look_up(&self, layer: &Layer, target: Voxel) -> Option<(State, Stamp)> {
-        let source = self.backward.voxel(target);
-        if !source.in_limits() {
-            return None;
-        }
+        let [low, high] = self.backward.near(target);
         let mut occupied: Option<Stamp> = None;
-        for near in neighbours(source) {
-            if let Some((State::Occupied, stamp)) = layer.get(near)
-                && self.forward.voxel(near) == target
-            {
-                occupied = occupied.max(Some(stamp));
+        for z in low.z..=high.z {
+            for y in low.y..=high.y {
+                for x in low.x..=high.x {
+                    let near = Voxel::new(x, y, z);
+                    if let Some((State::Occupied, stamp)) = layer.get(near)
+                        && self.forward.voxel(near) == target
+                    {
+                        occupied = occupied.max(Some(stamp));
+                    }
+                }
             }
         }
         match occupied {
             Some(stamp) => Some((State::Occupied, stamp)),
-            None => layer.get(source).filter(|(state, _)| *state == State::Free),
+            None => layer.get(self.backward.voxel(target)).filter(|(state, _)| *state == State::Free),
         }
     }
 
-    /// The voxels of the own grid on which these voxels of the layer can have a say.
+    /// What a layer says of the voxels of `mask` in a block of the own grid: [`Self::look_up`] of each. `None` if that is nothing.
+    pub(super) fn block(&self, layer: &Layer, index: BlockIndex, mask: &Plane) -> Option<StateBlock> {
+        if *mask == [0; 8] {
+            return None;
+        }
+        // The blocks of the layer in which the answer lies: three along each axis at most.
+        let [low, high] = self.backward.near_block(index, mask).map(Voxel::block);
+        let mut sources = [None; 27];
+        let (mut has_free, mut has_occupied) = (false, false);
+        for z in low.z..=high.z.min(low.z + 2) {
+            for y in low.y..=high.y.min(low.y + 2) {
+                for x in low.x..=high.x.min(low.x + 2) {
+                    let block = layer.block(BlockIndex::new(x, y, z));
+                    has_free |= block.is_some_and(|block| *block.free() != [0; 8]);
+                    has_occupied |= block.is_some_and(|block| *block.occupied() != [0; 8]);
+                    sources[((z - low.z) * 9 + (y - low.y) * 3 + x - low.x) as usize % 27] = block;
+                }
+            }
+        }
+        if !has_free && !has_occupied {
+            return None;
+        }
+        let (mut free, mut occupied) = ([0; 8], [0; 8]);
+        if has_free {
+            let planes = sources.map(|block| block.map_or(&[0; 8], StateBlock::free));
+            self.backward.each_voxel(index, mask, |bit, [x, y, z]| {
+                let number = ((z >> 3) - low.z) * 9 + ((y >> 3) - low.y) * 3 + (x >> 3) - low.x;
+                let word = planes.get(number as usize).map_or(0, |plane| plane[z as usize & 7]);
+                free[bit >> 6 & 7] |= (word >> (8 * (y & 7) + (x & 7)) & 1) << (bit & 63);
+            });
+        }
+        if has_occupied {
+            self.backward.near_voxels(index, mask, |source, near| {
+                let Some(block) = layer.block(source) else { return };
+                let near = block.masked(near);
+                self.forward.each_voxel(source, near.occupied(), |_, [x, y, z]| {
+                    let image = Voxel::new(x, y, z);
+                    if image.block() == index {
+                        let bit = voxel_bit(image);
+                        occupied[bit / 64] |= 1 << (bit % 64);
+                    }
+                });
+            });
+            occupied = core::array::from_fn(|z| occupied[z] & mask[z]);
+        }
+        Some(StateBlock::new(free, occupied))
+    }
+
+    /// The voxels of the own grid on which these voxels of the layer can have a say, and few others.
     pub(super) fn reach<'a>(&self, source: &'a [(BlockIndex, Plane)]) -> Cow<'a, [(BlockIndex, Plane)]> {
         if self.is_identity {
             return Cow::Borrowed(source);
         }
         let mut reached = FxHashMap::<BlockIndex, Plane>::default();
-        let mut add = |voxel: Voxel| {
-            let bit = voxel_bit(voxel);
-            reached.entry(voxel.block()).or_default()[bit / 64] |= 1 << (bit % 64);
-        };
         for (index, mask) in source {
-            for (voxel, _) in super::voxels_of(*index, mask) {
-                let image = self.forward.voxel(voxel);
-                if image.in_limits() {
-                    add(image);
-                    // At the end of the grid there are neighbours that lie beyond it.
-                    let near = neighbours(image).filter(|near| near.in_limits());
-                    near.filter(|near| self.backward.voxel(*near) == voxel).for_each(&mut add);
-                }
-            }
+            self.forward.near_voxels(*index, mask, |target, near| {
+                let plane = reached.entry(target).or_default();
+                *plane = core::array::from_fn(|z| plane[z] | near[z]);
+            });
         }
         let mut reached: Vec<_> = reached.into_iter().collect();
         reached.sort_unstable_by_key(|(index, _)| *index);
@@ -106,10 +124,143 @@ impl Alignment {
     }
 }
 
-/// A voxel and the 26 around it. The centre of a voxel that a rigid motion brings into a voxel lies within 0.87
-/// voxels of that voxel's centre, so its grid place is at most one off on each axis.
-fn neighbours(v: Voxel) -> impl Iterator<Item = Voxel> {
-    (-1..=1).flat_map(move |x| {
-        (-1..=1).flat_map(move |y| (-1..=1).map(move |z| Voxel::new(v.x + x, v.y + y, v.z + z)))
-    })
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{BLOCK_VOXELS, Changes, VOXEL_LIMIT, bit_of};
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    fn resolution() -> Resolution {
+        Resolution::from_metres(0.5).unwrap()
+    }
+
+    /// The voxel in which the image of a centre lies, as the matrix of the pose says.
+    fn moved(pose: &Pose, v: Voxel) -> [i64; 3] {
+        let p = [v.x, v.y, v.z].map(|i| f64::from(i) + 0.5);
+        let (rows, scale) = (pose.rotation_rows(), 1.0 / resolution().metres());
+        core::array::from_fn(|axis| {
+            let ([a, b, c], t) = (rows[axis], pose.translation()[axis] * scale);
+            (a * p[0] + b * p[1] + c * p[2] + t).floor() as i64
+        })
+    }
+
+    /// The rules in plain words: where the occupied voxels of a layer come to lie, and which is the newest there.
+    fn images(layer: &Layer, pose: &Pose) -> BTreeMap<[i64; 3], Stamp> {
+        let mut images = BTreeMap::new();
+        for (voxel, _) in layer.voxels().filter(|(_, state)| *state == State::Occupied) {
+            let (_, stamp) = layer.get(voxel).unwrap();
+            let newest = images.entry(moved(pose, voxel)).or_insert(stamp);
+            *newest = stamp.max(*newest);
+        }
+        images
+    }
+
+    /// What a layer says of a voxel.
+    fn naive(
+        layer: &Layer,
+        pose: &Pose,
+        images: &BTreeMap<[i64; 3], Stamp>,
+        target: Voxel,
+    ) -> Option<(State, Stamp)> {
+        if let Some(stamp) = images.get(&[target.x, target.y, target.z].map(i64::from)) {
+            return Some((State::Occupied, *stamp));
+        }
+        let [x, y, z] = moved(&pose.inverse(), target).map(|at| at as i32);
+        layer.get(Voxel::new(x, y, z)).filter(|(state, _)| *state == State::Free)
+    }
+
+    fn pose() -> impl Strategy<Value = Pose> {
+        let translation = prop_oneof![
+            (-9.0..9.0f64, -9.0..9.0f64, -9.0..9.0f64).prop_map(|(x, y, z)| [x, y, z]),
+            // Halves and quarters of voxels: centres come to lie on borders.
+            (-9..9i32, -9..9i32, -9..9i32).prop_map(|(x, y, z)| [x, y, z].map(|t| f64::from(t) * 0.125)),
+        ];
+        let unit = -1.0..1.0f64;
+        let rotation = prop_oneof![
+            [unit.clone(), unit.clone(), unit.clone(), 0.1..1.0f64],
+            (unit, 0.1..1.0f64).prop_map(|(z, w)| [0.0, 0.0, z, w]),
+            // Quarter and third turns.
+            prop::sample::select(vec![
+                [0.0, 0.0, 1.0, 1.0],
+                [1.0, 0.0, 0.0, 1.0],
+                [0.0, 1.0, 0.0, 0.0],
+                [1.0, 1.0, 1.0, 1.0],
+                [0.0, 0.0, 0.0, 1.0],
+                [0.0, 0.0, 0.382_683_432_365_089_8, 0.923_879_532_511_286_7],
+            ]),
+        ];
+        (translation, rotation).prop_map(|(t, q)| Pose::new(t, q).unwrap())
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 96, ..ProptestConfig::default() })]
+
+        /// At the middle of the grid and at its ends, where block and images of it may lie half beyond.
+        #[test]
+        fn a_block_seen_from_another_frame_is_what_the_rules_say_of_each_voxel(
+            pose in pose(),
+            at in prop::sample::select(vec![[0, 0, 0], [-1, 0, 1], [1, 1, 1], [0, -1, 0], [0, 0, -1]]),
+            is_far in any::<bool>(),
+            voxels in prop::collection::vec((-14..14i32, -14..14i32, -14..14i32, any::<bool>(), 0..9i64), 1..400),
+            fill in prop::option::of(any::<bool>()),
+            masks in prop::collection::vec(prop_oneof![any::<u64>(), Just(u64::MAX), Just(0), Just(1 << 27)], 8),
+        ) {
+            let far = if is_far { VOXEL_LIMIT } else { 0 };
+            let middle = at.map(|side| side * far);
+            let mut layer = Layer::default();
+            let place = |x: i32, y: i32, z: i32| Voxel::new(middle[0] + x, middle[1] + y, middle[2] + z);
+            let state = |occupied: bool| if occupied { State::Occupied } else { State::Free };
+            if let Some(occupied) = fill {
+                let all = (0..4_096).map(|n| place(n % 16 - 9, n / 16 % 16 - 9, n / 256 - 9));
+                let all = all.filter(|voxel| voxel.in_limits()).map(|voxel| (voxel, state(occupied)));
+                layer.apply(&Changes::from_voxels(all), Stamp(4));
+            }
+            for (x, y, z, occupied, stamp) in voxels {
+                if place(x, y, z).in_limits() {
+                    layer.apply(&Changes::from_voxels([(place(x, y, z), state(occupied))]), Stamp(stamp));
+                }
+            }
+            let alignment = Alignment::new(&pose, resolution());
+            let mut mask: Plane = masks.try_into().unwrap();
+            let centre = alignment.forward.voxel(place(0, 0, 0));
+            if !centre.in_limits() {
+                return Ok(());
+            }
+            let index = centre.block();
+            let corner = index.corner();
+            let voxel = |bit: usize| {
+                let [x, y, z] = bit_of(bit);
+                Voxel::new(corner.x + x, corner.y + y, corner.z + z)
+            };
+            for bit in (0..BLOCK_VOXELS).filter(|bit| !voxel(*bit).in_limits()) {
+                mask[bit / 64] &= !(1 << (bit % 64));
+            }
+            let told = alignment.block(&layer, index, &mask).unwrap_or_default();
+            let known: Vec<_> = layer.blocks().map(|(index, block)| (index, block.known())).collect();
+            let reached = alignment.reach(&known);
+            let images = images(&layer, &pose);
+            for bit in 0..BLOCK_VOXELS {
+                if mask[bit / 64] >> (bit % 64) & 1 == 0 {
+                    prop_assert_eq!(told.get(bit), State::Unknown);
+                    continue;
+                }
+                let expected = naive(&layer, &pose, &images, voxel(bit));
+                prop_assert_eq!(alignment.look_up(&layer, voxel(bit)), expected, "{:?}", voxel(bit));
+                let state = expected.map_or(State::Unknown, |(state, _)| state);
+                prop_assert_eq!(told.get(bit), state, "{:?}", voxel(bit));
+                let is_reached = reached.iter().any(|(reached, plane)| {
+                    *reached == index && plane[bit / 64] >> (bit % 64) & 1 == 1
+                });
+                prop_assert!(is_reached || expected.is_none(), "{:?} is not worked out anew", voxel(bit));
+            }
+            for (index, plane) in reached.iter() {
+                let is_inside = (0..BLOCK_VOXELS).filter(|bit| plane[bit / 64] >> (bit % 64) & 1 == 1).all(|bit| {
+                    let ([x, y, z], corner) = (bit_of(bit), index.corner());
+                    Voxel::new(corner.x + x, corner.y + y, corner.z + z).in_limits()
+                });
+                prop_assert!(is_inside, "{:?}", index);
+            }
+        }
+    }
 }

@@ -2,6 +2,7 @@
 
 mod align;
 mod received;
+mod rigid;
 mod view;
 
 use std::collections::BTreeMap;
@@ -422,13 +423,7 @@ impl Origin {
         if self.alignment.is_identity() {
             return layer.block(index).map(|block| block.masked(mask));
         }
-        let mut told = StateBlock::default();
-        for (voxel, bit) in voxels_of(index, mask) {
-            if let Some((state, _)) = self.alignment.look_up(layer, voxel) {
-                told.set(bit, state);
-            }
-        }
-        Some(told)
+        self.alignment.block(layer, index, mask)
     }
 
     fn look_up(&self, layer: &Layer, voxel: Voxel) -> Option<(State, Stamp)> {

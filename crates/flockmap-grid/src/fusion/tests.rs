@@ -445,7 +445,7 @@ fn what_an_alignment_brings_beyond_the_end_of_the_grid_is_left_out() {
         let all = (-6..=0).flat_map(move |x| (-2..2).map(move |y| (Voxel::new(far + x, y, 0), x + y)));
         all.map(|(voxel, sum)| (voxel, if sum % 3 == 0 { State::Occupied } else { State::Free }))
     };
-    for (x, yaw) in [(1.25, 0.0), (1.0, 0.0), (600.0, 0.0), (1.25, 1e-9), (-1.25, 3.141592653)] {
+    for (x, yaw) in [(1.25, 0.0), (1.0, 0.0), (600.0, 0.0), (1.25, 1e-9), (-1.25, core::f64::consts::PI)] {
         let pose = Pose::from_yaw([x, 0.1, 0.0], yaw);
         let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
         fusion.set_alignment(&mapper, RobotId(2), &pose).unwrap();
