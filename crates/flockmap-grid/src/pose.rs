@@ -58,11 +58,10 @@ impl Resolution {
             return Err(PoseError::Position(position));
         }
         let is_within = position.iter().all(|metres| (metres * scale).abs() <= limit);
-        is_within.then_some(()).ok_or_else(|| PoseError::BeyondGrid {
-            position,
-            limit_m: limit * self.metres(),
-            resolution: self,
-        })
+        if is_within {
+            return Ok(());
+        }
+        Err(PoseError::BeyondGrid { position, limit_m: limit * self.metres(), resolution: self })
     }
 }
 
