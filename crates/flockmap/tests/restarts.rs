@@ -245,7 +245,7 @@ fn runs_that_begin_at_the_same_clock_reading_share_no_nonce_and_both_maps_arrive
     let mut net = Net::new(2);
     let with = |number: usize, random: u32, salt: u8| {
         let mut config = config(number, epoch(10, random));
-        config.session.swarm_key = Some(SwarmKey::from_bytes([9; 32]).clone());
+        config.session.swarm_key = Some(SwarmKey::from_bytes([9; 32]));
         config.session.salt = [salt; 16];
         config
     };
