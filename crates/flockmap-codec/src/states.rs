@@ -137,9 +137,9 @@ pub(crate) fn decode(
         packed.copy_from_slice(payload);
     } else {
         work.take(work::of_stream(volume as u64))?;
-        inflate_exact(payload, packed).ok_or_else(|| wrong(
-            "one whole zlib stream that gives two bits for each voxel of the box, and nothing after it",
-        ))?;
+        inflate_exact(payload, packed).ok_or_else(|| {
+            wrong("one whole zlib stream that gives two bits for each voxel of the box, and nothing after it")
+        })?;
     }
     fill_last(packed, volume, others.code()).ok_or_else(|| wrong(FILLED))?;
     let codes = Codes::new(packed, others.code());
