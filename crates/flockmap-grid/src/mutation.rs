@@ -37,8 +37,6 @@ pub enum Mutation {
     NonceRepeated,
     /// A sealed datagram counts however often it comes.
     ReplayAccepted,
-    /// Requests that do not name all origins begin at the same one each time.
-    CursorStands,
     /// No run that has ended gives way to one that flies.
     LiveRefused,
     /// A robot that hears of a run of its own id with a higher epoch goes on as it is.
@@ -57,7 +55,7 @@ pub enum Mutation {
 
 impl Mutation {
     /// All of them.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 22] = [
         Self::StampCompareDropped,
         Self::LedgerIgnored,
         Self::CheckSkipped,
@@ -73,7 +71,6 @@ impl Mutation {
         Self::BlockLeftOut,
         Self::NonceRepeated,
         Self::ReplayAccepted,
-        Self::CursorStands,
         Self::LiveRefused,
         Self::BeginAnewIgnored,
         Self::EpochRepeated,

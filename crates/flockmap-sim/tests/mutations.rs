@@ -1,7 +1,7 @@
 //! Faults put into the library on purpose: the checkers of the swarm find each of them, by name.
 
 use flockmap_grid::mutation::{self, Mutation};
-use flockmap_sim::swarm::{Failure, RadioPreset, SwarmOptions, fly};
+use flockmap_sim::swarm::{Failure, SwarmOptions, fly};
 
 /// Seeds that are flown for each fault, at the most.
 const SEEDS: u64 = 150;
@@ -14,7 +14,6 @@ const fn finder(mutation: Mutation) -> &'static str {
         Mutation::CheckSkipped => "voxel",
         Mutation::BudgetIgnored => "budget",
         Mutation::GapNeverAsked
-        | Mutation::CursorStands
         | Mutation::LiveRefused
         | Mutation::BeginAnewIgnored
         | Mutation::GapStatesWithheld => "agreement",
@@ -42,19 +41,9 @@ const fn first_seed(mutation: Mutation) -> u64 {
     }
 }
 
-/// Where it takes more than a few robots to see a fault.
-fn options(seed: u64, of: Mutation) -> SwarmOptions {
-    match of {
-        Mutation::CursorStands => {
-            SwarmOptions { robots: Some(24), radio: Some(RadioPreset::Lora), ..SwarmOptions::new(seed) }
-        }
-        _ => SwarmOptions::new(seed),
-    }
-}
-
-fn failure(options: &SwarmOptions, mutation: Option<Mutation>) -> Option<Failure> {
+fn failure(seed: u64, mutation: Option<Mutation>) -> Option<Failure> {
     mutation::set(mutation);
-    let report = fly(options);
+    let report = fly(&SwarmOptions::new(seed));
     mutation::set(None);
     report.failure
 }
@@ -65,7 +54,7 @@ fn each_fault_is_found_by_the_checker_that_is_there_for_it() {
         let mut others = Vec::new();
         let first = first_seed(mutation);
         let found = (first..first + SEEDS).find(|seed| {
-            let failure = failure(&options(*seed, mutation), Some(mutation));
+            let failure = failure(*seed, Some(mutation));
             let checker = failure.as_ref().map(|failure| failure.checker);
             others.extend(
                 checker.filter(|checker| *checker != finder(mutation)).map(|checker| (*seed, checker)),
@@ -77,10 +66,6 @@ fn each_fault_is_found_by_the_checker_that_is_there_for_it() {
         };
         println!("{mutation:?}: {} at seed {seed}, before it {others:?}", finder(mutation));
         // It is the fault and not the seed.
-        assert_eq!(
-            failure(&options(seed, mutation), None),
-            None,
-            "{mutation:?}: seed {seed} fails without it"
-        );
+        assert_eq!(failure(seed, None), None, "{mutation:?}: seed {seed} fails without it");
     }
 }

@@ -69,7 +69,9 @@ fn run(disk: &MemoryDisk, before: &[Package]) -> Run {
 impl Run {
     fn see(&mut self, robot: &mut Robot, round: i64) {
         let stamp = Stamp(2_000_000 + round * 100_000);
-        robot.insert_scan(stamp, &small_scan(&mut Random(round.unsigned_abs()), stamp), &Pose::IDENTITY);
+        robot
+            .insert_scan(stamp, &small_scan(&mut Random(round.unsigned_abs()), stamp), &Pose::IDENTITY)
+            .unwrap();
         robot.flush(stamp);
         while let Some(event) = robot.poll_event() {
             if let Event::CycleClosed { packages, .. } = &event {

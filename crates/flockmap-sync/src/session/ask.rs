@@ -423,9 +423,6 @@ impl Session {
 
     /// A request to everyone went out: the next one begins with the first origin that this one did not cover.
     fn move_cursor(&mut self, covered: Option<Covered>) {
-        if mutation::is(Mutation::CursorStands) {
-            return;
-        }
         let cursor = self.schedule.cursor;
         let next = match covered {
             Some(covered) if covered.is_all() => cursor,
