@@ -37,8 +37,19 @@ readme() {
 # What a protocol change costs shows as a difference of a table.
 tables() { cargo run --release --locked -- sim table --robots-max 20 --file tests/tables/swarms.txt --check; }
 
-# Ten thousand swarms, each with a checker at every event (docs/swarm.md).
-seeds() { cargo run --release --locked -- sim swarm --seed 1 --seeds 10000; }
+# Swarms with a checker at every event (docs/swarm.md): those that failed once, the first ones, and ones that nobody has flown before: their seeds
+# follow from the commit.
+seeds() {
+    local base swarm="cargo run --release --locked -- sim swarm"
+    base=$((16#$(git rev-parse HEAD | cut -c 1-10) * 1000))
+    echo "== seeds from $base on"
+    $swarm --file tests/seeds/once-failed.txt
+    $swarm --seed 1 --seeds 3000
+    $swarm --seed "$base" --seeds 3000
+    $swarm --robots 12 --radio mesh_line --seed $((base + 10000)) --seeds 100
+    $swarm --robots 8 --radio intermittent --seconds 30 --seed $((base + 20000)) --seeds 60
+    $swarm --robots 3 --seconds 300 --seed $((base + 30000)) --seeds 12
+}
 
 step() {
     local start=$SECONDS

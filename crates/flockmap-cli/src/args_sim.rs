@@ -45,15 +45,18 @@ Examples:
   flockmap sim swarm --seed 7
   flockmap sim swarm --seed 1 --seeds 10000
   flockmap sim swarm --seed 3 --robots 5 --radio wifi_lossy --seconds 20 --cast broadcast
+  flockmap sim swarm --file tests/seeds/once-failed.txt
 
 One seed decides everything: number of robots, who hears whom, loss, bursts, delay, reordering, duplication, flipped bits, rates and queues,
-partitions, half-open links, clocks, crashes, restarts, disks, keys and an outsider, budgets, limits. An option takes the place of what would be drawn.
+partitions, half-open links, clocks (also such that step, repeat and rewind), crashes, restarts by the hundred, disks that fail, keys and an outsider,
+faulty senders, budgets, limits. What was drawn is printed before the first event. An option takes the place of what would be drawn.
 Each robot is a real one, with a mapper, codec, session and fused map, in a small world. Mapping ends, links heal, and then all must agree.
 
 Checkers: voxel (a layer holds only what its origin told), layer (nothing older than what is held), packed (packages say what a cycle
 changed), fused (the fused map follows from the layers), memory, in_flight (stated limits), twice (nothing twice within a round trip),
 budget (bytes of any second), quiet (nothing but requests when nothing is missing), agreement (equal maps in time), still (time goes on),
-nonce and key (sealed datagrams), crash (no panic). A failure names the checker, the robot, the time, and the one command that repeats it; the exit code is 1 then.")]
+nonce and key (sealed datagrams), identity (no run twice), path (an address is used after it has answered), work (what a datagram can cost),
+crash (no panic). A failure names the checker, the robot, the time, and the one command that repeats it; the exit code is 1 then.")]
     Swarm(SimSwarmArgs),
     /// What a swarm costs by its radio and the number of its robots: bytes, airtime, age, time to agreement
     #[command(after_help = "\
@@ -167,6 +170,9 @@ pub struct SimSwarmArgs {
     /// Fly so many seeds, from --seed on, and sum up
     #[arg(long, value_name = "N")]
     pub seeds: Option<u64>,
+    /// Fly what a file says: options of this command on each line, words after a # are for people
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["seed", "seeds", "robots", "radio", "seconds", "cast", "calm", "json"])]
+    pub file: Option<PathBuf>,
     /// Robots, 2 to 200 [default: drawn, 2 to 6]
     #[arg(long, value_name = "N")]
     pub robots: Option<usize>,

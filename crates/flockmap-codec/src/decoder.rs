@@ -76,6 +76,11 @@ impl Decoder {
         self.steps
     }
 
+    /// The same, and none from then on until the next package.
+    pub const fn take_steps(&mut self) -> u64 {
+        core::mem::replace(&mut self.steps, 0)
+    }
+
     pub(crate) fn note_steps(&mut self, steps: u64) {
         self.steps = steps;
     }

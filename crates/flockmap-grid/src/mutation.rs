@@ -37,11 +37,25 @@ pub enum Mutation {
     NonceRepeated,
     /// A sealed datagram counts however often it comes.
     ReplayAccepted,
+    /// No run that has ended gives way to one that flies.
+    LiveRefused,
+    /// A robot that hears of a run of its own id with a higher epoch goes on as it is.
+    BeginAnewIgnored,
+    /// Every run has the same epoch.
+    EpochRepeated,
+    /// Every run has the same salt.
+    SaltRepeated,
+    /// A path is used at once, before an answer came back through it.
+    PathUnasked,
+    /// What is held beyond a gap is never offered as a state.
+    GapStatesWithheld,
+    /// A payload may ask for any work.
+    WorkUnlimited,
 }
 
 impl Mutation {
     /// All of them.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 22] = [
         Self::StampCompareDropped,
         Self::LedgerIgnored,
         Self::CheckSkipped,
@@ -57,6 +71,13 @@ impl Mutation {
         Self::BlockLeftOut,
         Self::NonceRepeated,
         Self::ReplayAccepted,
+        Self::LiveRefused,
+        Self::BeginAnewIgnored,
+        Self::EpochRepeated,
+        Self::SaltRepeated,
+        Self::PathUnasked,
+        Self::GapStatesWithheld,
+        Self::WorkUnlimited,
     ];
 }
 

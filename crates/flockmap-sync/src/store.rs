@@ -242,6 +242,8 @@ impl Store {
             oldest
         } else if !self.is_at_limit() {
             None
+        } else if mutation::is(Mutation::LiveRefused) {
+            return Err(NoRoom::Streams);
         } else if self.is_superseded(stream) {
             // All places are taken: what has ended takes none from another.
             self.cut.extend(oldest.map(|_| origin));

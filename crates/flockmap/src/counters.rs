@@ -40,6 +40,8 @@ pub struct RobotCounters {
     /// Packages of others that were damaged: not taken in, and asked for again; the second time, if they build on others, a present
     /// state is asked for in their place.
     pub damaged: u64,
+    /// Steps of work that packages of others took to read, as `WIRE.md` counts them, refused ones too.
+    pub steps: u64,
     /// Packages of others for which there was no room.
     pub no_room: u64,
     /// Packages of others with voxels of another size.

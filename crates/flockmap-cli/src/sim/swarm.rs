@@ -1,12 +1,15 @@
 //! `flockmap sim swarm`: the sync protocol in virtual time under everything that a seed can do.
 
 use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::ensure;
-use flockmap_sim::swarm::{Report, SwarmOptions, fly};
+use anyhow::{Context, ensure};
+use clap::Parser;
+use flockmap_sim::swarm::{Report, SwarmOptions, describe, fly};
 use serde_json::{Value, json};
 
 use crate::args_sim::SimSwarmArgs;
@@ -19,8 +22,23 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Of many seeds, failures told in full.
 const FAILURES_TOLD: usize = 5;
 
+/// A line of a file of flights.
+#[derive(Parser, Debug)]
+#[command(no_binary_name = true)]
+struct Line {
+    #[command(flatten)]
+    args: SimSwarmArgs,
+}
+
 /// Runs the command. False if a checker found something.
 pub fn run(args: &SimSwarmArgs) -> anyhow::Result<bool> {
+    match &args.file {
+        None => run_line(args),
+        Some(path) => from_file(path, args.threads),
+    }
+}
+
+fn run_line(args: &SimSwarmArgs) -> anyhow::Result<bool> {
     ensure!(args.robots.is_none_or(|n| (2..=200).contains(&n)), "--robots must be 2 to 200");
     let seconds_fit = args.seconds.is_none_or(|s| (0.1..=3_600.0).contains(&s));
     ensure!(seconds_fit, "--seconds must be 0.1 to 3,600");
@@ -43,8 +61,56 @@ fn options(args: &SimSwarmArgs, seed: u64) -> SwarmOptions {
     }
 }
 
+/// Flies the flights of a file. Every line is read before the first one is flown.
+fn from_file(path: &Path, threads: Option<usize>) -> anyhow::Result<bool> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let mut flights = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let place = || format!("{}, line {number}", path.display());
+        let words = line.split('#').next().unwrap_or("").trim();
+        if words.is_empty() {
+            continue;
+        }
+        let Line { args } = Line::try_parse_from(words.split_whitespace()).with_context(place)?;
+        ensure!(args.file.is_none(), "{}: a file of flights names no other", place());
+        let args = SimSwarmArgs { threads: args.threads.or(threads), ..args };
+        flights.push((args, line.to_owned()));
+    }
+    let mut failed = Vec::new();
+    for (args, line) in &flights {
+        let is_good = match args.seeds {
+            Some(_) => run_line(args)?,
+            None => quietly(args),
+        };
+        if !is_good {
+            failed.push(line.as_str());
+        }
+    }
+    for line in &failed {
+        println!("  failed: {line}");
+    }
+    println!("  {} of {} lines failed", failed.len(), flights.len());
+    Ok(failed.is_empty())
+}
+
+/// Flies one, and tells of it only what is wrong. What was drawn stands before that, whatever becomes of the flight.
+fn quietly(args: &SimSwarmArgs) -> bool {
+    let options = options(args, args.seed);
+    println!("{}", options.command());
+    let _ = std::io::stdout().flush();
+    let report = fly(&options);
+    if let Some(failure) = &report.failure {
+        println!("FAILED: {failure}\n  again:    {}", report.command);
+    }
+    report.is_good()
+}
+
 fn one(args: &SimSwarmArgs) -> anyhow::Result<bool> {
-    let report = fly(&options(args, args.seed));
+    let options = options(args, args.seed);
+    print!("{}", head(&options));
+    // It is there even where the flight never ends.
+    let _ = std::io::stdout().flush();
+    let report = fly(&options);
     print!("{}", account(&report));
     if let Some(path) = &args.json {
         json_file::write(path, &one_as_json(&report))?;
@@ -125,12 +191,17 @@ fn many(args: &SimSwarmArgs, seeds: u64) -> anyhow::Result<bool> {
     Ok(sum.failures.is_empty())
 }
 
-fn account(report: &Report) -> String {
-    let mut text = format!("{}\n\n", report.command);
-    for line in &report.settings {
+/// What was drawn.
+fn head(options: &SwarmOptions) -> String {
+    let mut text = format!("{}\n\n", options.command());
+    for line in describe(options) {
         text += &format!("  {line}\n");
     }
-    text += "\n";
+    text
+}
+
+fn account(report: &Report) -> String {
+    let mut text = "\n".to_owned();
     for (at, what) in &report.events {
         text += &format!("  {at:>9.3} s  {what}\n");
     }

@@ -15,6 +15,11 @@ impl Clock {
         Stamp(self.offset + at + (at * self.ppm).div_euclid(1_000_000))
     }
 
+    /// The same clock, set so that it shows `stamp` at a time of the flight.
+    pub(super) fn showing(self, at: i64, stamp: Stamp) -> Self {
+        Self { offset: self.offset + stamp.micros_since(self.shows(at)), ..self }
+    }
+
     /// The first time of the flight at which it shows at least this.
     pub(super) fn when(self, stamp: Stamp) -> i64 {
         let since = i128::from(stamp.0) - i128::from(self.offset);

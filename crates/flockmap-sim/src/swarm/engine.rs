@@ -4,8 +4,11 @@ mod look;
 mod work;
 
 use super::check::{self, Failure, Finding, names};
+use super::clock::Clock;
+use super::costly::Costly;
+use super::datagram::Keys;
 use super::member::{Member, NEVER};
-use super::outsider::Outsider;
+use super::outsider::{self, Outsider};
 use super::plan::Action;
 use super::report::Report;
 use super::settings::{Settings, purpose};
@@ -14,7 +17,7 @@ use super::world::SmallWorld;
 use super::{SwarmOptions, seen};
 use crate::random::Random;
 use crate::{Faults, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator};
-use flockmap::{RobotId, Stream};
+use flockmap::{Path, RobotId, Stream};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -23,6 +26,11 @@ const LOOK_EVERY: i64 = 50_000;
 const LOOK_WHOLE_EVERY: i64 = 1_000_000;
 /// Quiet is watched for so many idle periods.
 const QUIET_PERIODS: i64 = 3;
+
+/// What a seed decides before the flight begins, in words.
+pub fn describe(options: &SwarmOptions) -> Vec<String> {
+    seen::settings(&Settings::draw(options))
+}
 
 /// Flies a swarm. The same options give the same report on every machine.
 pub fn fly(options: &SwarmOptions) -> Report {
@@ -52,6 +60,9 @@ enum Phase {
     /// All agree; quiet from then, to the end.
     Grace {
         until: i64,
+        grace: i64,
+        /// When it has to be quiet at the latest.
+        latest: i64,
     },
     Quiet {
         until: i64,
@@ -62,9 +73,12 @@ enum Phase {
 /// What a robot is called with.
 #[derive(Clone, Copy)]
 enum Input<'a> {
-    Datagram(&'a [u8]),
-    /// One that no robot sent.
-    Forged(&'a [u8]),
+    Datagram {
+        bytes: &'a [u8],
+        path: Option<Path>,
+        /// A robot sent it, as it is.
+        is_genuine: bool,
+    },
     Time,
     /// It has taken a scan in already.
     Scan,
@@ -79,7 +93,12 @@ struct Engine {
     radio: RadioEmulator,
     broken: Random,
     outsider: Option<Outsider>,
+    costly: Option<Costly>,
+    keys: Keys,
+    /// What the clock of each run shows.
+    clocks: BTreeMap<Stream, Clock>,
     sealed: check::Sealed,
+    identities: check::Identities,
     next_action: usize,
     /// How often each directed link is closed.
     closed: BTreeMap<(usize, usize), u32>,
@@ -94,6 +113,8 @@ struct Engine {
     seen: BTreeMap<&'static str, u64>,
     steps: u64,
     agreement: Option<i64>,
+    /// When packages were sent last.
+    last_packages: i64,
     agreement_within: i64,
 }
 
@@ -136,6 +157,10 @@ impl Engine {
             }
         }
         let outsider = settings.key.is_some().then(|| Outsider::new(Random::new(seed, purpose::OUTSIDER)));
+        // Where there is a key, nobody takes it for a robot.
+        let is_costly = settings.trouble.is_costly && settings.key.is_none();
+        let costly = is_costly.then(|| Costly::new(Random::new(seed, purpose::COSTLY)));
+        let keys = Keys { key: settings.key.clone(), ..Keys::default() };
         Self {
             settings,
             world,
@@ -145,7 +170,11 @@ impl Engine {
             radio,
             broken: Random::new(seed, purpose::BROKEN),
             outsider,
+            costly,
+            keys,
+            clocks: BTreeMap::new(),
             sealed: check::Sealed::default(),
+            identities: check::Identities::default(),
             next_action: 0,
             closed,
             next_look: 0,
@@ -158,6 +187,7 @@ impl Engine {
             seen: BTreeMap::new(),
             steps: 0,
             agreement: None,
+            last_packages: 0,
             agreement_within: 0,
         }
     }
@@ -172,9 +202,10 @@ impl Engine {
             while self.failure.is_none()
                 && let Some(delivery) = self.radio.deliver_due(flockmap::Stamp(self.now))
             {
-                self.deliver(delivery.to, &delivery.bytes);
+                self.deliver(delivery.from, delivery.to, &delivery.bytes);
             }
             self.attack();
+            self.burden();
             for number in 0..self.members.len() {
                 if self.phase == Phase::Mapping && self.members[number].next_scan <= self.now {
                     self.members[number].scan(&self.world, self.now);
@@ -194,7 +225,8 @@ impl Engine {
         let radio = self.radio.next_due().map_or(NEVER, |at| at.0);
         let action = self.settings.plan.get(self.next_action).map_or(NEVER, |(at, _)| *at);
         let outsider = self.outsider.as_ref().map_or(NEVER, |outsider| outsider.next);
-        let mut next = radio.min(action).min(self.next_look).min(outsider);
+        let costly = self.costly.as_ref().map_or(NEVER, |costly| costly.next);
+        let mut next = radio.min(action).min(self.next_look).min(outsider).min(costly);
         for member in &self.members {
             next = next.min(member.wake);
             if self.phase == Phase::Mapping {
@@ -261,17 +293,39 @@ impl Engine {
         };
         let own = self.members[number].id();
         let others: Vec<_> = others.into_iter().filter(|(id, _)| *id != own).collect();
-        if let Err(error) = self.members[number].start(self.now, &others) {
+        if let Err(error) = self.boot(number, &others) {
             let expected = "settings that a robot takes".to_owned();
-            self.fail(Some(own), Finding { checker: names::SETTINGS, expected, found: error.to_string() });
-            return;
+            return self.fail(Some(own), Finding { checker: names::SETTINGS, expected, found: error });
         }
         self.work(number, Input::Time);
     }
 
-    fn deliver(&mut self, to: RobotId, bytes: &[u8]) {
+    fn boot(&mut self, number: usize, others: &[(RobotId, Clock)]) -> Result<(), String> {
+        let member = &mut self.members[number];
+        let run = member.boot(self.now)?;
+        let (stream, salt) = (run.stream, run.salt);
+        let clock = member.settings.clock;
+        let found = self.identities.started(stream, salt);
+        self.found(stream.origin, found);
+        self.keys.salts.insert(stream, salt);
+        self.clocks.insert(stream, clock);
+        if self.failure.is_some() {
+            return Ok(());
+        }
+        let member = &mut self.members[number];
+        member.start(self.now, run, others)?;
+        if let Some(robot) = &member.robot {
+            member.work.begin(robot);
+            // What came from a disk went past no checker yet.
+            self.dirty.extend(robot.fusion().layers().map(|(stream, _)| (number, stream)));
+        }
+        Ok(())
+    }
+
+    fn deliver(&mut self, from: RobotId, to: RobotId, bytes: &[u8]) {
         if let Some(number) = self.members.iter().position(|member| member.id() == to) {
-            self.work(number, Input::Datagram(bytes));
+            let path = self.settings.has_paths.then_some(Path(from.0.into()));
+            self.work(number, Input::Datagram { bytes, path, is_genuine: true });
         }
     }
 
@@ -285,9 +339,35 @@ impl Engine {
             return;
         }
         if let Some((number, attack)) = outsider.attack(self.now, self.members.len()) {
-            let input =
-                if attack.is_genuine { Input::Datagram(&attack.bytes) } else { Input::Forged(&attack.bytes) };
-            self.work(number, input);
+            let path = self.settings.has_paths.then_some(outsider::PATH);
+            self.work(number, Input::Datagram { bytes: &attack.bytes, path, is_genuine: attack.is_genuine });
+        }
+    }
+
+    /// Lets the faulty robot send what is due: in place of a package that the receiver lacks.
+    fn burden(&mut self) {
+        let Some(costly) = self.costly.as_mut().filter(|costly| costly.next <= self.now) else { return };
+        if self.phase != Phase::Mapping {
+            costly.next = NEVER;
+            return;
+        }
+        let (to, from) = costly.pair(self.now, self.members.len());
+        let (Some(receiver), Some(sender)) = (&self.members[to].robot, &self.members[from].robot) else {
+            return;
+        };
+        let stream = sender.own_stream();
+        let Some(held) = receiver.session().held(stream) else { return };
+        let missing = held.missing(1, self.truth.last(stream)).next();
+        let (Some((index, _)), true) =
+            (missing, receiver.session().peers().any(|peer| peer.stream == stream))
+        else {
+            return;
+        };
+        let stamp = self.members[from].settings.clock.shows(self.now);
+        let resolution = sender.config().mapper.resolution;
+        if let Some(bytes) = costly.datagram(stream, index, stamp, resolution) {
+            *self.seen.entry("packages that cost too much").or_default() += 1;
+            self.work(to, Input::Datagram { bytes: &bytes, path: None, is_genuine: true });
         }
     }
 

@@ -1,17 +1,30 @@
 //! A robot of the swarm with its clock, what its checkers remember, and what is counted of it.
 
-use super::check::{Budget, Quiet, Still, Twice};
-use super::datagram::salt_of;
+use super::check::{Budget, Paths, Quiet, Still, Twice, Work};
+use super::clock::Clock;
 use super::report::{RobotFigures, median_and_99};
 use super::settings::{MemberSettings, Settings, purpose};
+use super::sim_disk::{self, SimDisk};
+use super::trouble::Boot;
 use super::world::{Course, SmallWorld};
 use crate::IN_THE_WORLD;
 use crate::random::Random;
 use flockmap::sync::Counters;
-use flockmap::{Package, Pose, Robot, RobotCounters, RobotError, RobotId, Stream};
+use flockmap::sync::wire::Salt;
+use flockmap::{Pose, Robot, RobotCounters, RobotId, Stream};
+use flockmap_grid::mutation::{self, Mutation};
+use flockmap_store::next_epoch;
+use std::collections::BTreeMap;
 
 /// No robot wants anything at this time.
 pub(super) const NEVER: i64 = i64::MAX;
+
+/// What is decided of a run before it begins.
+pub(super) struct Run {
+    pub(super) stream: Stream,
+    pub(super) salt: Salt,
+    found: Option<sim_disk::Found>,
+}
 
 pub(super) struct Member {
     pub(super) settings: MemberSettings,
@@ -26,20 +39,38 @@ pub(super) struct Member {
     pub(super) budget: Budget,
     pub(super) quiet: Quiet,
     pub(super) still: Still,
+    pub(super) paths: Paths,
+    pub(super) work: Work,
     pub(super) figures: RobotFigures,
     pub(super) ages: Vec<i64>,
-    epoch: u64,
-    /// What it stored, where robots have a disk.
-    disk: Vec<Package>,
+    /// Runs that this run has forgotten; whether it wants none before them either.
+    pub(super) forgotten: BTreeMap<Stream, bool>,
+    /// The run that flies, and the one that it replaced while flying.
+    pub(super) run: Option<Stream>,
+    pub(super) replaced: Option<Stream>,
+    pub(super) disk: Option<SimDisk>,
+    runs: Random,
+    boot: Boot,
+    /// Epochs are counted, where a run does not take its own from a clock.
+    epoch: Option<u64>,
+    /// Microseconds by which the clock that tells the date is behind.
+    behind: i64,
 }
+
+/// What a clock that tells the date shows when a flight begins, in seconds since 1970; and what one without a battery shows at each start.
+const DATE_S: u64 = 1_795_000_000;
+const NO_DATE_S: u64 = 12;
+const HOUR: u64 = 3_600_000_000;
 
 impl Member {
     pub(super) fn new(number: usize, settings: &Settings, world: &SmallWorld) -> Self {
         let own = settings.members[number].clone();
+        let trouble = &settings.trouble;
         let seed = settings.options.seed;
         let mut random = Random::new(seed, purpose::SCANS + ((number as u64) << 32));
         let course = world.course(&mut random);
         let next_scan = random.below(own.scan_period as u64) as i64;
+        let disk = own.has_disk.then(|| SimDisk::new(seed, number, trouble.has_faulty_disks));
         Self {
             figures: RobotFigures { id: own.config.id.0, ..RobotFigures::default() },
             settings: own,
@@ -52,9 +83,17 @@ impl Member {
             budget: Budget::default(),
             quiet: Quiet::default(),
             still: Still::default(),
+            paths: Paths::default(),
+            work: Work::default(),
             ages: Vec::new(),
-            epoch: 0,
-            disk: Vec::new(),
+            forgotten: BTreeMap::new(),
+            run: None,
+            replaced: None,
+            disk,
+            runs: Random::new(seed, purpose::RUNS + ((number as u64) << 32)),
+            boot: trouble.boot,
+            epoch: (!trouble.has_epochs_of_clocks()).then_some(0),
+            behind: 0,
         }
     }
 
@@ -62,38 +101,84 @@ impl Member {
         self.settings.config.id
     }
 
+    /// Decides of a run before it begins: its epoch and its salt, as a node does.
+    ///
+    /// # Errors
+    /// What is wrong with its disk, other than that it fails.
+    pub(super) fn boot(&mut self, now: i64) -> Result<Run, String> {
+        // One number for each start, whatever it is for.
+        let steps = 1 + self.random.below(3);
+        let _ = self.random.below(4);
+        self.set_clock(now);
+        let config = &self.settings.config;
+        let found = self.disk.as_mut().map(|disk| disk.open(config)).transpose()?;
+        let last = found.as_ref().and_then(sim_disk::Found::last_epoch);
+        let epoch = match &mut self.epoch {
+            Some(epoch) => {
+                *epoch += steps;
+                *epoch
+            }
+            None => {
+                let random = self.runs.next_u64() as u32;
+                next_epoch(last, self.date_s(now), random).map_err(|error| error.to_string())?
+            }
+        };
+        let mut salt = Salt::default();
+        for part in salt.chunks_exact_mut(8) {
+            part.copy_from_slice(&self.runs.next_u64().to_le_bytes());
+        }
+        if mutation::is(Mutation::SaltRepeated) {
+            salt = [0x5a; 16];
+        }
+        Ok(Run { stream: Stream { origin: config.id, epoch }, salt, found })
+    }
+
     /// Begins a run: with what is on its disk, or with nothing.
-    pub(super) fn start(
-        &mut self,
-        now: i64,
-        others: &[(RobotId, super::clock::Clock)],
-    ) -> Result<(), RobotError> {
-        self.epoch += 1 + self.random.below(3);
+    ///
+    /// # Errors
+    /// What a robot or its store cannot work with.
+    pub(super) fn start(&mut self, now: i64, run: Run, others: &[(RobotId, Clock)]) -> Result<(), String> {
+        let stamp = self.settings.clock.shows(now);
         let mut config = self.settings.config.clone();
-        config.epoch = self.epoch;
-        config.session.salt = salt_of(Stream { origin: config.id, epoch: config.epoch });
-        let mut robot = Robot::new(config, self.settings.clock.shows(now))?;
+        config.epoch = run.stream.epoch;
+        config.session.salt = run.salt;
+        let mut robot = Robot::new(config, stamp).map_err(|error| error.to_string())?;
         for (other, clock) in others {
             let offset = clock.offset - self.settings.clock.offset;
             robot.set_clock_offset(*other, Some(offset));
         }
-        // The last cycle may not have come to the disk.
-        let torn = self.random.below(4) as usize;
-        self.disk.truncate(self.disk.len().saturating_sub(torn));
-        for package in &self.disk {
-            // For some there may be no room.
-            let _ = robot.restore(self.settings.clock.shows(now), package.clone());
+        if let (Some(disk), Some(found)) = (&mut self.disk, run.found) {
+            disk.begin(found, &mut robot, stamp)?;
         }
         (self.robot, self.wake) = (Some(robot), now);
         (self.twice, self.budget) = (Twice::default(), Budget::default());
+        (self.paths, self.work) = (Paths::default(), Work::default());
+        self.forgotten.clear();
+        (self.run, self.replaced) = (Some(run.stream), None);
         self.figures.runs += 1;
         Ok(())
     }
 
-    /// Stores packages, if it has a disk.
-    pub(super) fn keep(&mut self, packages: &[Package]) {
-        if self.settings.has_disk {
-            self.disk.extend_from_slice(packages);
+    /// What the clock shows from this start on.
+    fn set_clock(&mut self, now: i64) {
+        let clock = &mut self.settings.clock;
+        let is_first = self.figures.runs == 0;
+        match self.boot {
+            Boot::Repeats if !is_first => *clock = clock.showing(now, clock.shows(0)),
+            Boot::Rewinds if !is_first => {
+                let back = self.runs.below(HOUR) as i64;
+                self.behind += back;
+                *clock = clock.showing(now, clock.shows(now).plus_micros(-back));
+            }
+            _ => {}
+        }
+    }
+
+    /// The seconds since 1970, as the robot believes at a start.
+    fn date_s(&self, now: i64) -> u64 {
+        match self.boot {
+            Boot::Repeats => NO_DATE_S,
+            _ => DATE_S.saturating_add_signed((now - self.behind).div_euclid(1_000_000)),
         }
     }
 
@@ -102,6 +187,9 @@ impl Member {
         if let Some(robot) = self.robot.take() {
             counts(&robot);
             self.note_counters(robot.session().counters(), robot.counters());
+        }
+        if let Some(disk) = &mut self.disk {
+            disk.crash();
         }
         self.wake = NEVER;
     }
@@ -113,6 +201,8 @@ impl Member {
         let place = world.place(&self.course, seconds);
         let range_m = self.settings.config.mapper.range_m;
         let mut scan = world.scan(&mut self.random, place, seconds, stamp, self.settings.rays, range_m);
+        let steps = self.settings.clock_steps.iter().filter(|(at, _)| *at <= now);
+        scan.stamp = stamp.plus_micros(steps.map(|(_, by)| by).sum());
         if !self.settings.has_no_returns {
             scan.no_returns.clear();
         }

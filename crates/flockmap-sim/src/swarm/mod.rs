@@ -12,6 +12,7 @@
 mod broken;
 mod check;
 mod clock;
+mod costly;
 mod datagram;
 mod engine;
 mod member;
@@ -23,12 +24,14 @@ mod report;
 mod seen;
 mod session;
 mod settings;
+mod sim_disk;
 pub mod table;
+mod trouble;
 mod truth;
 mod world;
 
 pub use check::Failure;
-pub use engine::fly;
+pub use engine::{describe, fly};
 pub use options::SwarmOptions;
 pub use preset::{RadioNumbers, RadioPreset, Topology};
 pub use report::{Report, RobotFigures};

@@ -2,6 +2,7 @@
 //! its own.
 
 use crate::random::Random;
+use flockmap::Path;
 use flockmap::sync::SwarmKey;
 use flockmap::sync::wire::seal_datagram;
 use std::collections::VecDeque;
@@ -9,6 +10,8 @@ use std::collections::VecDeque;
 /// Datagrams that it remembers.
 const HEARD_MAX: usize = 64;
 const HEADER_BYTES: usize = 28;
+/// The path on which it is heard.
+pub(super) const PATH: Path = Path(1 << 32);
 
 pub(super) struct Outsider {
     random: Random,

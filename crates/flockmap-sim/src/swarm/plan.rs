@@ -80,3 +80,26 @@ pub(super) fn draw(random: &mut Random, robots: usize, mapping: i64) -> Vec<(i64
     plan.sort_by_key(|(at, _)| *at);
     plan
 }
+
+/// A day in the field on top of a plan: so many restarts, spread over all robots, now and then of several at once.
+pub(super) fn add_field_day(
+    plan: &mut Vec<(i64, Action)>,
+    random: &mut Random,
+    robots: usize,
+    mapping: i64,
+    restarts: usize,
+) {
+    let mut left = restarts;
+    while left > 0 {
+        let at = random.below(mapping as u64) as i64;
+        let together = if random.chance(0.25) { 2 + random.below(robots as u64 - 1) as usize } else { 1 };
+        let first = random.below(robots as u64) as usize;
+        for robot in (first..first + together.min(left)).map(|robot| robot % robots) {
+            plan.push((at, Action::Crash(robot)));
+            plan.push((at + 10_000 + random.below(300_000) as i64, Action::Restart(robot)));
+        }
+        left -= together.min(left);
+    }
+    plan.retain(|(at, _)| *at < mapping);
+    plan.sort_by_key(|(at, _)| *at);
+}

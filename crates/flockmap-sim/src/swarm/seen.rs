@@ -80,6 +80,9 @@ pub(super) fn settings(settings: &Settings) -> Vec<String> {
             100.0 * settings.broken
         ));
     }
+    if settings.has_paths {
+        words.push("robots hear by path".to_owned());
+    }
     let disks = settings.members.iter().filter(|member| member.has_disk).count();
     if disks > 0 {
         words.push(format!("{disks} robots with a disk"));

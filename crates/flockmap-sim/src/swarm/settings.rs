@@ -3,6 +3,7 @@
 use super::clock::Clock;
 use super::plan::{self, Action};
 use super::preset::{RadioNumbers, RadioPreset, Topology};
+use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
 use crate::Burst;
 use crate::random::Random;
@@ -20,6 +21,13 @@ pub(super) mod purpose {
     pub(in crate::swarm) const SCANS: u64 = 0x5357_0007;
     pub(in crate::swarm) const BROKEN: u64 = 0x5357_0008;
     pub(in crate::swarm) const OUTSIDER: u64 = 0x5357_0009;
+    pub(in crate::swarm) const TROUBLE: u64 = 0x5357_000a;
+    pub(in crate::swarm) const FIELD: u64 = 0x5357_000b;
+    pub(in crate::swarm) const LIMITS: u64 = 0x5357_000c;
+    pub(in crate::swarm) const CLOCKS: u64 = 0x5357_000d;
+    pub(in crate::swarm) const DISK: u64 = 0x5357_000e;
+    pub(in crate::swarm) const RUNS: u64 = 0x5357_000f;
+    pub(in crate::swarm) const COSTLY: u64 = 0x5357_0010;
 }
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
@@ -39,6 +47,8 @@ pub(super) struct MemberSettings {
     pub(super) has_no_returns: bool,
     /// After a crash it begins with what it stored.
     pub(super) has_disk: bool,
+    /// When the clock that stamps its scans is stepped, and by how much.
+    pub(super) clock_steps: Vec<(i64, i64)>,
 }
 
 /// A whole flight.
@@ -61,6 +71,9 @@ pub(super) struct Settings {
     pub(super) key: Option<SwarmKey>,
     /// What is special about the sessions, in words.
     pub(super) words: Vec<String>,
+    pub(super) trouble: Trouble,
+    /// Each robot hears by path: the number of who sent it.
+    pub(super) has_paths: bool,
 }
 
 impl Settings {
@@ -72,11 +85,14 @@ impl Settings {
         let robots = options.robots.unwrap_or(drawn).clamp(2, 200);
         let drawn = 2.0 + random.unit() * random.unit() * 6.0;
         let seconds = options.seconds.unwrap_or_else(|| (drawn * 10.0).round() / 10.0);
+        let trouble = Trouble::draw(options);
+        let seconds = if options.seconds.is_none() { seconds.max(trouble.seconds()) } else { seconds };
         let mapping = (seconds.clamp(0.1, 3_600.0) * 1e6) as i64;
         let drawn = if random.chance(0.5) { Cast::Broadcast } else { Cast::Unicast };
         let cast = options.cast.unwrap_or(drawn);
         let clocks_given = random.chance(0.5);
         let has_drift = !clocks_given && random.chance(0.5);
+        let clocks_given = clocks_given && !trouble.has_other_clocks();
 
         let (radio_name, radio) = draw_radio(options, &mut Random::new(seed, purpose::RADIO));
         let mut plan_random = Random::new(seed, purpose::PLAN);
@@ -88,7 +104,26 @@ impl Settings {
         let swarm = session::Drawn { robots, cast, radio: &radio, plan: &plan, is_calm: options.is_calm };
         let key = has_key
             .then(|| SwarmKey::from_bytes(core::array::from_fn(|at| (seed >> (at % 8)) as u8 ^ at as u8)));
-        let (sessions, words) = session::draw(&mut random, &swarm);
+        let (mut sessions, mut words) = session::draw(&mut random, &swarm);
+        let mut plan = plan;
+        if trouble.restarts > 0 {
+            plan::add_field_day(
+                &mut plan,
+                &mut Random::new(seed, purpose::FIELD),
+                robots,
+                mapping,
+                trouble.restarts,
+            );
+        }
+        words.extend(trouble.words());
+        if trouble.has_small_limits {
+            for (number, session) in sessions.iter_mut().enumerate() {
+                let mut random = Random::new(seed, purpose::LIMITS + ((number as u64) << 32));
+                let limits = trouble::limit(&mut random, session, robots, cast, &radio);
+                words.push(format!("robot {} has room for {limits}", number + 1));
+            }
+        }
+        let has_paths = trouble.has_paths && key.is_some() && cast == Cast::Unicast;
         let members = sessions.into_iter().enumerate().map(|(number, session)| {
             let mut random = Random::new(seed, purpose::ROBOT + ((number as u64) << 32));
             let resolution = Resolution::from_metres(if is_table { TABLE_VOXEL_M } else { VOXEL_M })
@@ -109,12 +144,18 @@ impl Settings {
                 rays: if is_table { TABLE_RAYS } else { 20 + random.below(60) as usize },
                 scan_period: if is_table { 100_000 } else { 1_000 * (100 + random.below(200) as i64) },
                 has_no_returns: random.chance(0.4),
-                has_disk: random.chance(0.4) && !options.is_calm,
+                has_disk: (random.chance(0.4) || trouble.has_faulty_disks) && !options.is_calm,
+                clock_steps: if trouble.has_steps {
+                    trouble::steps(&mut Random::new(seed, purpose::CLOCKS + ((number as u64) << 32)), mapping)
+                } else {
+                    Vec::new()
+                },
             }
         });
+        let members = members.collect();
         Self {
             options: *options,
-            members: members.collect(),
+            members,
             mapping,
             radio_name,
             radio,
@@ -124,6 +165,8 @@ impl Settings {
             broken,
             key,
             words,
+            trouble,
+            has_paths,
         }
     }
 }

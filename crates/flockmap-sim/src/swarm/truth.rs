@@ -28,6 +28,8 @@ pub(super) struct Told {
     last: u32,
     /// Bytes of these.
     pub(super) bytes: u64,
+    /// All of it, in order: what the packages of a cycle are told against.
+    layer: Layer,
 }
 
 /// A layer that is not what it should be.
@@ -45,14 +47,8 @@ pub(super) struct Truth {
 }
 
 impl Truth {
-    /// Takes down a cycle: what changed, and the packages made of it. `layer` is the origin's own, with the cycle in it.
-    /// What is wrong with the packages, if something is.
-    pub(super) fn note_cycle(
-        &mut self,
-        changes: &Changes,
-        packages: &[Package],
-        layer: Option<&Layer>,
-    ) -> Result<(), String> {
+    /// Takes down a cycle: what changed, and the packages made of it. What is wrong with the packages, if something is.
+    pub(super) fn note_cycle(&mut self, changes: &Changes, packages: &[Package]) -> Result<(), String> {
         let Some(first) = packages.first() else { return Ok(()) };
         let told = self.streams.entry(first.header().stream).or_default();
         let mut together = Vec::new();
@@ -61,7 +57,7 @@ impl Truth {
             if header.index != told.last + 1 {
                 return Err(format!("package {} after package {}", header.index, told.last));
             }
-            let content = match self.decoder.decode_against(package, layer) {
+            let content = match self.decoder.decode_against(package, Some(&told.layer)) {
                 Ok(Content::Changes(content)) => content,
                 other => return Err(format!("package {}: {other:?}", header.index)),
             };
@@ -88,7 +84,9 @@ impl Truth {
             let (got, expected) = (together.len(), changes.len());
             return Err(format!("the packages of a cycle of {expected} changes say {got}, or others"));
         }
-        told.cycles.insert(first.header().cycle_end, together);
+        let end = first.header().cycle_end;
+        told.layer.apply(&together, end);
+        told.cycles.insert(end, together);
         Ok(())
     }
 

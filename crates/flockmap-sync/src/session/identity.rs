@@ -1,6 +1,7 @@
 //! Which run of which robot this is, and what to do where another one has the same id.
 
 use super::{Event, Session};
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
 
 /// After beginning anew, it is done again not before this time; each time twice as long, up to the longest. Two robots with the same
@@ -31,7 +32,7 @@ impl Session {
     }
 
     fn ask_for_a_new_run(&mut self, now: Stamp, used: u64) {
-        if self.anew.not_before.is_none_or(|at| at <= now) {
+        if self.anew.not_before.is_none_or(|at| at <= now) && !mutation::is(Mutation::BeginAnewIgnored) {
             let pause = (ANEW_PAUSE << self.anew.times.min(16)).min(ANEW_PAUSE_MAX);
             self.anew =
                 Anew { times: self.anew.times.saturating_add(1), not_before: Some(now.plus_micros(pause)) };

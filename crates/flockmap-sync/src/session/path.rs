@@ -5,6 +5,7 @@ use super::peer::Peer;
 use super::{Destination, Session, Transmit};
 use crate::Cast;
 use crate::wire::{Kind, PathMessage};
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp};
 use std::collections::VecDeque;
 
@@ -53,6 +54,9 @@ impl Session {
         }
         let number = self.random(u64::MAX);
         let Some(peer) = self.peers.get_mut(&id) else { return };
+        if mutation::is(Mutation::PathUnasked) {
+            peer.path.valid = Some(path);
+        }
         if peer.path.valid == Some(path) {
             // It is where it was.
             peer.path.tried = None;

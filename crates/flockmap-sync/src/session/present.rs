@@ -198,7 +198,8 @@ impl Session {
         let Some(held) = self.store.held(stream) else { return };
         let beyond = held.within(held.prefix().saturating_add(2), u32::MAX);
         let (Some(upto), Some(touched)) = (beyond.last(), self.store.touched(stream)) else { return };
-        if !self.has_ended(stream) || now.micros_since(touched) < GAP_STANDS {
+        let is_withheld = mutation::is(Mutation::GapStatesWithheld);
+        if !self.has_ended(stream) || now.micros_since(touched) < GAP_STANDS || is_withheld {
             return;
         }
         let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;

@@ -130,7 +130,9 @@ impl Robot {
             }
         }
         let (set, _) = self.tiles.open(id, header.index);
-        let reason = match set.read(&mut self.decoder, package) {
+        let read = set.read(&mut self.decoder, package);
+        self.counters.steps += self.decoder.take_steps();
+        let reason = match read {
             Ok(state) => match self.merge_present(now, package, &state) {
                 Ok(event) => {
                     self.counters.merged += 1;
@@ -231,7 +233,9 @@ impl Robot {
         if header.resolution != own {
             return Err(Refusal::Resolution { got: header.resolution, own });
         }
-        let changes = match self.decoder.decode_against(package, self.fusion.layer(stream))? {
+        let content = self.decoder.decode_against(package, self.fusion.layer(stream));
+        self.counters.steps += self.decoder.take_steps();
+        let changes = match content? {
             Content::Changes(changes) => changes,
             Content::Present(state) => return self.merge_present(now, package, &state),
         };

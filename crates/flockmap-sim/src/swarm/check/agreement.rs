@@ -1,12 +1,12 @@
 //! Once links heal, all robots hold the same packages, and with them the same layers, within a time that follows from the settings.
 //!
-//! Asked for is: of every run that still flies all packages; of a run that has ended all that any robot still has (packages that
-//! it stores, and what it holds without a gap from the first on). Left out are ended runs that somebody has to forget (`epochs_max`)
-//! or that nobody passes on (`Relay::Never`).
+//! Asked for is: of every run that still flies all packages, at every robot, whatever the limits are; of a run that has ended all that any
+//! robot holds, also beyond gaps. Left out are ended runs that a robot has forgotten, or for which it has no place (`streams_max`,
+//! `epochs_max`), with those of the same robot before them; and ended runs that nobody passes on (`Relay::Never`).
 //!
 //! The time is the sum of: 50 s in which refused packages, declined present states and abandoned transfers are tried again; for
 //! each hop four requests, and each robot's relay delay; and what all packages together take through the smallest budget, six times
-//! for each robot that has to get them.
+//! for each robot that has to get them. Where epochs come from clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
 
 use super::quiet::period_micros;
 use crate::swarm::truth::Truth;
@@ -15,8 +15,20 @@ use flockmap::{Cast, Robot, RobotId, Stream};
 
 pub(in crate::swarm) const NAME: &str = "agreement";
 
+/// Ended runs that robots which fly have forgotten; whether those of the same robot before them are not wanted any more either.
+pub(in crate::swarm) type Forgotten = Vec<(Stream, bool)>;
+
+/// A robot that begins anew once more does so after pauses of 10, 20, 40 s.
+const ANEW: i64 = 80_000_000;
+
 /// In microseconds.
-pub(in crate::swarm) fn bound(robots: &[&Robot], hops: usize, told_bytes: u64, told_packages: u64) -> i64 {
+pub(in crate::swarm) fn bound(
+    robots: &[&Robot],
+    hops: usize,
+    told_bytes: u64,
+    told_packages: u64,
+    may_begin_anew: bool,
+) -> i64 {
     let configs = || robots.iter().map(|robot| robot.session().config());
     let period = configs().map(period_micros).max().unwrap_or(0);
     let relay = configs().map(|config| 1_000 * i64::from(config.relay_delay_ms)).max().unwrap_or(0);
@@ -33,14 +45,29 @@ pub(in crate::swarm) fn bound(robots: &[&Robot], hops: usize, told_bytes: u64, t
     let bytes = told_bytes + 80 * told_packages;
     let copies = robots.len() as u64;
     let sending = (6 * copies * bytes).saturating_mul(1_000_000) / budget;
-    50_000_000 + hops as i64 * (4 * period + robots.len() as i64 * relay + 2_000_000) + sending as i64
+    let anew = if may_begin_anew { ANEW } else { 0 };
+    50_000_000 + anew + hops as i64 * (4 * period + robots.len() as i64 * relay + 2_000_000) + sending as i64
+}
+
+/// The first robot that flies in a run below one of its own id that somebody knows: it has to begin anew.
+pub(in crate::swarm) fn superseded(robots: &[&Robot]) -> Option<(RobotId, String)> {
+    robots.iter().find_map(|robot| {
+        let own = robot.own_stream();
+        let known = robots.iter().flat_map(|other| other.session().streams());
+        let newer = known.filter(|run| run.origin == own.origin).max()?;
+        (newer > own).then(|| (own.origin, format!("a run above {newer:?}")))
+    })
 }
 
 /// The first thing that a robot lacks, in words; `None`: all agree.
-pub(in crate::swarm) fn disagreement(truth: &Truth, robots: &[&Robot]) -> Option<(RobotId, String)> {
+pub(in crate::swarm) fn disagreement(
+    truth: &Truth,
+    robots: &[&Robot],
+    forgotten: &Forgotten,
+) -> Option<(RobotId, String)> {
     for (stream, _) in truth.streams() {
         let is_alive = robots.iter().any(|robot| robot.own_stream() == stream);
-        if !is_alive && !is_passed_on(truth, robots, stream) {
+        if !is_alive && !is_passed_on(robots, forgotten, stream) {
             continue;
         }
         for robot in robots {
@@ -61,10 +88,9 @@ pub(in crate::swarm) fn disagreement(truth: &Truth, robots: &[&Robot]) -> Option
                 continue;
             }
             for other in robots {
-                let prefix = other.session().held(stream).map_or(0, flockmap::sync::IntervalSet::prefix);
-                let stored = || other.session().store().range(stream, prefix + 1, u32::MAX);
-                let gap =
-                    missing(1, prefix).or_else(|| stored().find_map(|(index, _)| missing(index, index)));
+                let held = other.session().held(stream);
+                let intervals = held.into_iter().flat_map(flockmap::sync::IntervalSet::intervals);
+                let gap = intervals.copied().find_map(|(low, high)| missing(low, high));
                 if let Some((low, high)) = gap {
                     let whose = other.own_stream();
                     return Some((
@@ -78,11 +104,28 @@ pub(in crate::swarm) fn disagreement(truth: &Truth, robots: &[&Robot]) -> Option
     None
 }
 
-/// Whether robots have to pass on what they hold of a run that has ended.
-fn is_passed_on(truth: &Truth, robots: &[&Robot], stream: Stream) -> bool {
-    let runs = truth.streams().filter(|(other, _)| other.origin == stream.origin).count();
-    let configs = || robots.iter().map(|robot| robot.session().config());
-    configs().all(|config| config.relay != Relay::Never && runs <= config.epochs_max)
+/// Whether some run that has ended is left out: then it may still be on its way to some robot when all agree.
+pub(in crate::swarm) fn leaves_out(truth: &Truth, robots: &[&Robot], forgotten: &Forgotten) -> bool {
+    truth.streams().any(|(run, _)| {
+        robots.iter().all(|robot| robot.own_stream() != run) && !is_passed_on(robots, forgotten, run)
+    })
+}
+
+/// Whether robots have to hold what others hold of a run that has ended.
+fn is_passed_on(robots: &[&Robot], forgotten: &Forgotten, run: Stream) -> bool {
+    let is_forgotten = forgotten.iter().any(|&(gone, is_cut)| {
+        gone == run || (is_cut && gone.origin == run.origin && gone.epoch > run.epoch)
+    });
+    !is_forgotten
+        && robots.iter().all(|robot| {
+            let (session, own) = (robot.session(), robot.own_stream());
+            let config = session.config();
+            let others = || session.streams().filter(|stream| *stream != own);
+            let has_place = session.held(run).is_some()
+                || (others().count() < config.streams_max
+                    && others().filter(|other| other.origin == run.origin).count() < config.epochs_max);
+            has_place && config.relay != Relay::Never
+        })
 }
 
 /// The first layer that is not its origin's, where all is held.

@@ -3,21 +3,27 @@
 mod agreement;
 mod budget;
 mod fused;
+mod identity;
 mod layer;
 mod limits;
+mod path;
 mod quiet;
 mod sealed;
 mod still;
 mod twice;
 mod voxel;
+mod work;
 
-pub(super) use agreement::{bound, disagreement, unequal_layer};
+pub(super) use agreement::{Forgotten, bound, disagreement, leaves_out, superseded, unequal_layer};
 pub(super) use budget::Budget;
 pub(super) use fused::wrong_fused;
+pub(super) use identity::Identities;
+pub(super) use path::Paths;
 pub(super) use quiet::{Quiet, period_micros};
 pub(super) use sealed::Sealed;
 pub(super) use still::Still;
 pub(super) use twice::Twice;
+pub(super) use work::Work;
 
 use flockmap::RobotId;
 

@@ -1,7 +1,8 @@
-//! When nothing is missing anywhere, only periodic requests flow.
+//! When nothing is missing anywhere, only periodic requests flow. Ended runs that `agreement` leaves out may come to some robots after all agree: it
+//! is quiet when nothing of them has flowed for a while, at the latest after the time in which all have to agree.
 
 use super::Finding;
-use flockmap::SessionConfig;
+use flockmap::{Destination, Package, SessionConfig};
 
 const NAME: &str = "quiet";
 
@@ -31,14 +32,16 @@ impl Quiet {
         &mut self,
         config: &SessionConfig,
         now: i64,
-        is_request: bool,
+        to: Destination,
+        packages: Option<&[Package]>,
     ) -> Option<Finding> {
         let since = now - self.from?;
-        if !is_request {
+        if let Some(packages) = packages {
+            let what = packages.iter().map(|package| (package.header().stream, package.header().index));
             return Some(Finding {
                 checker: NAME,
                 expected: "requests only: nobody misses anything".to_owned(),
-                found: "a datagram of packages".to_owned(),
+                found: format!("to {to:?}: packages {:?}", what.collect::<Vec<_>>()),
             });
         }
         self.requests += 1;

@@ -39,6 +39,16 @@ impl Twice {
         self.peers.remove(&peer);
     }
 
+    /// The robot has forgotten a run, and with it what it knew of others' share in it.
+    pub(in crate::swarm) fn forget_run(&mut self, run: Stream) {
+        for pair in self.peers.values_mut() {
+            pair.sent.retain(|(stream, ..), _| *stream != run);
+            if let Some((_, request)) = &mut pair.request {
+                request.held.retain(|held| held.stream != run);
+            }
+        }
+    }
+
     /// A request has arrived at the robot and was accepted.
     pub(in crate::swarm) fn arrived(&mut self, header: &DatagramHeader, request: Request) {
         let pair = self.peers.entry(header.sender.origin).or_default();

@@ -21,7 +21,14 @@ impl Engine {
                 self.next_look = self.next_look.min(self.settings.mapping.max(self.now + 1))
             }
             Phase::Healing { until } => self.look_for_agreement(until),
-            Phase::Grace { until } if self.now >= until => {
+            Phase::Grace { until, grace, latest }
+                if self.now >= until && self.last_packages + grace > self.now && self.now < latest =>
+            {
+                let until = (self.last_packages + grace).min(latest);
+                self.phase = Phase::Grace { until, grace, latest };
+                self.next_look = until;
+            }
+            Phase::Grace { until, .. } if self.now >= until => {
                 let longest =
                     self.members.iter().map(|m| check::period_micros(&m.settings.config.session)).max();
                 let until = self.now + QUIET_PERIODS * longest.unwrap_or(0);
@@ -29,7 +36,7 @@ impl Engine {
                 self.phase = Phase::Quiet { until };
                 self.next_look = until;
             }
-            Phase::Grace { until } => self.next_look = until,
+            Phase::Grace { until, .. } => self.next_look = until,
             Phase::Quiet { until } if self.now >= until => {
                 self.look_at_everything();
                 self.phase = Phase::Over;
@@ -56,7 +63,7 @@ impl Engine {
         }
         self.next_action = self.settings.plan.len();
         // Who is gone stays gone only where nobody is heard by way of it.
-        if numbers.topology != Topology::Full {
+        if numbers.topology != Topology::Full || self.settings.trouble.restarts > 0 {
             for number in 0..self.members.len() {
                 if self.members[number].robot.is_none() {
                     self.events
@@ -74,8 +81,10 @@ impl Engine {
         let packages: u64 = told.iter().map(|(_, packages)| packages).sum();
         let robots: Vec<&Robot> = self.members.iter().filter_map(|member| member.robot.as_ref()).collect();
         let hops = numbers.hops(self.members.len());
+        let may_begin_anew = self.settings.trouble.has_epochs_of_clocks();
         // What is not packed yet is as much again at the most.
-        self.agreement_within = check::bound(&robots, hops, 2 * bytes + 10_000, 2 * packages + 10);
+        self.agreement_within =
+            check::bound(&robots, hops, 2 * bytes + 10_000, 2 * packages + 10, may_begin_anew);
         if let Some(seconds) = self.settings.options.until_agreement_s {
             self.agreement_within = i64::from(seconds) * 1_000_000;
         }
@@ -87,12 +96,20 @@ impl Engine {
         self.members.iter().filter_map(|member| member.robot.as_ref()).collect()
     }
 
+    /// The runs that robots which fly have forgotten.
+    fn forgotten(&self) -> check::Forgotten {
+        let members = self.members.iter().filter(|member| member.robot.is_some());
+        members.flat_map(|member| member.forgotten.iter().map(|(run, is_cut)| (*run, *is_cut))).collect()
+    }
+
     pub(super) fn look_for_agreement(&mut self, until: i64) {
         let robots = self.robots();
         // Not everything is packed yet.
         let pending = robots.iter().find(|robot| robot.untold() > 0);
         let pending = pending.map(|robot| (robot.own_stream().origin, "its own newest cycle".to_owned()));
-        let lacks = pending.or_else(|| check::disagreement(&self.truth, &robots));
+        let lacks = pending
+            .or_else(|| check::superseded(&robots))
+            .or_else(|| check::disagreement(&self.truth, &robots, &self.forgotten()));
         if let Some((robot, lacks)) = lacks {
             if self.now >= until && self.settings.options.until_agreement_s.is_some() {
                 self.phase = Phase::Over;
@@ -115,7 +132,9 @@ impl Engine {
         // What waits at the radio is sent first.
         let grace =
             grace.unwrap_or(0) + 4 * (self.settings.radio.delay_micros + self.settings.radio.jitter_micros);
-        self.phase = Phase::Grace { until: self.now + grace };
+        let leaves_out = check::leaves_out(&self.truth, &self.robots(), &self.forgotten());
+        let more = if leaves_out { self.agreement_within } else { 0 };
+        self.phase = Phase::Grace { until: self.now + grace, grace, latest: self.now + grace + more };
     }
 
     pub(super) fn look_at_dirty_layers(&mut self) {

@@ -3,10 +3,10 @@
 use super::{Engine, Input, Phase};
 use crate::swarm::broken;
 use crate::swarm::check::{self, Finding, names};
-use crate::swarm::datagram::{self, Content};
+use crate::swarm::datagram::Content;
 use crate::swarm::member::{Member, NEVER};
 use crate::{IP_UDP_BYTES, To};
-use flockmap::{Cast, Destination, Event, Robot, RobotId, Stream, Transmit};
+use flockmap::{Cast, Destination, Event, Robot, RobotId, Stamp, Stream, Transmit};
 
 impl Engine {
     /// Gives a robot an input, then takes what it says and sends, under the eyes of the checkers.
@@ -19,27 +19,37 @@ impl Engine {
         let found = self.members[number].still.called(self.now);
         self.found(id, found);
         let is_taken = match input {
-            Input::Datagram(bytes) | Input::Forged(bytes) => robot.handle_datagram(now, bytes).is_ok(),
+            Input::Datagram { bytes, path: Some(path), .. } => {
+                robot.handle_datagram_from(now, path, bytes).is_ok()
+            }
+            Input::Datagram { bytes, path: None, .. } => robot.handle_datagram(now, bytes).is_ok(),
             Input::Time => {
                 robot.handle_timeout(now);
                 false
             }
             Input::Scan => false,
         };
-        self.drain(number, &mut robot, now);
-        if let Input::Datagram(bytes) | Input::Forged(bytes) = input
-            && is_taken
-        {
-            if self.settings.key.is_some() {
-                let is_genuine = matches!(input, Input::Datagram(_));
+        if let Input::Datagram { bytes, is_genuine, .. } = input {
+            let read = if is_taken { self.keys.read(bytes, id) } else { None };
+            let packages = match &read {
+                Some((_, Content::Packages(packages))) => packages.len(),
+                _ => 0,
+            };
+            let found = self.members[number].work.taken(&robot, bytes.len(), packages);
+            self.found(id, found);
+            if is_taken && self.settings.key.is_some() {
                 let found = self.sealed.taken(robot.own_stream(), bytes, is_genuine);
                 self.found(id, found);
             }
-            let read = datagram::read(bytes, self.settings.key.as_ref(), id);
-            if let Some((header, Content::Request(request))) = read {
-                self.members[number].twice.arrived(&header, *request);
+            match read {
+                Some((header, Content::Request(request))) => {
+                    self.members[number].twice.arrived(&header, *request);
+                }
+                Some((_, Content::Path(message))) => self.members[number].paths.arrived(&message),
+                _ => {}
             }
         }
+        self.drain(number, &mut robot, now);
         while self.failure.is_none()
             && let Some(transmit) = robot.poll_transmit(now)
         {
@@ -58,20 +68,20 @@ impl Engine {
     }
 
     /// Takes what a robot tells.
-    pub(super) fn drain(&mut self, number: usize, robot: &mut Robot, now: flockmap::Stamp) {
+    pub(super) fn drain(&mut self, number: usize, robot: &mut Robot, now: Stamp) {
         let id = self.members[number].id();
         while let Some(event) = robot.poll_event() {
+            if let Some(disk) = &mut self.members[number].disk {
+                disk.note(now, &event);
+            }
             match event {
                 Event::CycleClosed { changes, packages, .. } => {
-                    self.members[number].keep(&packages);
-                    let layer = robot.fusion().layer(robot.own_stream());
-                    if let Err(found) = self.truth.note_cycle(&changes, &packages, layer) {
+                    if let Err(found) = self.truth.note_cycle(&changes, &packages) {
                         let expected = "packages that say what their cycle changed".to_owned();
                         self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
                     }
                 }
-                Event::Merged { stream, index, cycle_end, changes, package, .. } => {
-                    self.members[number].keep(&[package]);
+                Event::Merged { stream, index, cycle_end, changes, .. } => {
                     self.note_age(number, stream, cycle_end, now);
                     if changes.is_empty() {
                         if !self.dirty.contains(&(number, stream)) {
@@ -88,6 +98,24 @@ impl Engine {
                     self.found(id, check::whole_voxels(&self.truth, robot, stream));
                     self.found(id, check::whole_layer(&self.truth, robot, stream));
                 }
+                Event::RunBegun(run) => {
+                    let found = self.identities.begun(run);
+                    self.found(id, found);
+                    let member = &mut self.members[number];
+                    member.replaced = member.run.replace(run);
+                    self.keys.salts.insert(run, robot.session().config().salt);
+                    self.clocks.insert(run, self.members[number].settings.clock);
+                    self.events.push((self.now as f64 / 1e6, format!("{run:?} begins while flying")));
+                    *self.seen.entry("run begun while flying").or_default() += 1;
+                }
+                Event::RunForgotten(run) => {
+                    // The own run that another one replaces while flying: older ones are wanted as before.
+                    let member = &mut self.members[number];
+                    let is_replaced = member.replaced.take_if(|replaced| *replaced == run).is_some();
+                    member.forgotten.insert(run, !is_replaced);
+                    member.twice.forget_run(run);
+                    *self.seen.entry("run forgotten").or_default() += 1;
+                }
                 Event::PeerSeen(peer) | Event::PeerLost(peer) => {
                     self.members[number].twice.forget(peer.origin)
                 }
@@ -99,41 +127,34 @@ impl Engine {
                 _ => {}
             }
         }
+        if let Some(disk) = &mut self.members[number].disk {
+            disk.go_on(robot);
+        }
     }
 
-    pub(super) fn note_age(
-        &mut self,
-        number: usize,
-        stream: Stream,
-        cycle_end: flockmap::Stamp,
-        now: flockmap::Stamp,
-    ) {
-        let origin = self.members.iter().find(|member| member.id() == stream.origin);
+    fn note_age(&mut self, number: usize, stream: Stream, cycle_end: Stamp, now: Stamp) {
         let own = self.members[number].settings.clock;
-        if let Some(origin) = origin {
-            let age = own.when(now) - origin.settings.clock.when(cycle_end);
+        if let Some(clock) = self.clocks.get(&stream) {
+            let age = own.when(now) - clock.when(cycle_end);
             self.members[number].ages.push(age.max(0));
         }
     }
 
-    pub(super) fn transmit(
-        &mut self,
-        number: usize,
-        robot: &Robot,
-        transmit: &Transmit,
-        now: flockmap::Stamp,
-    ) {
+    pub(super) fn transmit(&mut self, number: usize, robot: &Robot, transmit: &Transmit, now: Stamp) {
         let id = self.members[number].id();
         let reader = match transmit.to {
             Destination::Peer(peer) => peer,
             Destination::Everyone => id,
         };
-        let read = datagram::read(&transmit.bytes, self.settings.key.as_ref(), reader);
-        let packages = match read {
-            Some((_, Content::Packages(packages))) => Some(packages),
-            _ => None,
+        let (packages, message) = match self.keys.read(&transmit.bytes, reader) {
+            Some((_, Content::Packages(packages))) => (Some(packages), None),
+            Some((_, Content::Path(message))) => (None, Some(message)),
+            _ => (None, None),
         };
         let is_request = packages.is_none();
+        if !is_request {
+            self.last_packages = self.now;
+        }
         if self.settings.key.is_some() {
             let found = self.sealed.sent(transmit.to, robot.session().config().salt, &transmit.bytes);
             self.found(id, found);
@@ -156,7 +177,7 @@ impl Engine {
         } else {
             member.budget.sent(config, now, counted.len(), bytes, &counted)
         };
-        found = found.or_else(|| member.quiet.sent(config, self.now, is_request));
+        found = found.or_else(|| member.quiet.sent(config, self.now, transmit.to, packages.as_deref()));
         if let Some(packages) = &packages {
             let to = match transmit.to {
                 Destination::Peer(peer) => Some(peer),
@@ -166,8 +187,17 @@ impl Engine {
             let round_trip = 2 * self.settings.radio.delay_micros.max(0);
             found = found.or_else(|| member.twice.sent(robot, self.now, to, packages, round_trip));
         }
+        if self.settings.has_paths {
+            let paths = &mut self.members[number].paths;
+            let used = match (transmit.to, transmit.path) {
+                (Destination::Everyone, _) => robot.session().paths().find_map(|(_, path)| paths.used(path)),
+                (_, Some(path)) => paths.sent(path, message.as_ref()),
+                (_, None) => None,
+            };
+            found = found.or(used);
+        }
         self.found(id, found);
-        let at = flockmap::Stamp(self.now);
+        let at = Stamp(self.now);
         let damaged = match self.settings.broken {
             share
                 if !is_request
@@ -181,7 +211,12 @@ impl Engine {
         };
         let bytes = damaged.as_ref().unwrap_or(&transmit.bytes);
         match transmit.to {
-            Destination::Peer(peer) => self.radio.send(at, id, To::Node(peer), bytes),
+            Destination::Peer(peer) => {
+                // What goes to a path arrives there, whoever it is meant for.
+                let there =
+                    transmit.path.map_or(peer, |path| RobotId(u16::try_from(path.0).unwrap_or(u16::MAX)));
+                self.radio.send(at, id, To::Node(there), bytes);
+            }
             Destination::Everyone if is_broadcast => self.radio.send(at, id, To::All, bytes),
             Destination::Everyone => {
                 for other in self.members.iter().map(Member::id).filter(|other| *other != id) {

@@ -1,0 +1,58 @@
+//! What one datagram makes a robot do, in the steps that `WIRE.md` counts: at most 128 for each of its bytes, and 4,096 for each package in it.
+//!
+//! A package that waits is read later, once, when another datagram has brought what it waits for: its steps are carried over.
+
+use super::Finding;
+use flockmap::Robot;
+
+const NAME: &str = "work";
+const STEPS_PER_BYTE: u64 = 128;
+const STEPS_PER_PACKAGE: u64 = 4_096;
+
+/// What one run of a robot has done, and may do yet.
+#[derive(Default)]
+pub(in crate::swarm) struct Work {
+    steps: u64,
+    waited: u64,
+    /// Steps of packages that came and wait.
+    carried: u64,
+}
+
+impl Work {
+    /// What a robot did before anything came, such as reading its store, counts for no datagram.
+    pub(in crate::swarm) fn begin(&mut self, robot: &Robot) {
+        (self.steps, self.waited) = (robot.counters().steps, robot.counters().waited);
+    }
+
+    /// A robot has dealt with a datagram of so many bytes with so many packages.
+    pub(in crate::swarm) fn taken(
+        &mut self,
+        robot: &Robot,
+        bytes: usize,
+        packages: usize,
+    ) -> Option<Finding> {
+        let counters = robot.counters();
+        let (steps, has_waited) = (counters.steps - self.steps, counters.waited > self.waited);
+        self.begin(robot);
+        let allowed = bytes as u64 * STEPS_PER_BYTE + packages as u64 * STEPS_PER_PACKAGE;
+        if has_waited {
+            self.carried += allowed;
+        }
+        if steps <= allowed {
+            return None;
+        }
+        let more = steps - allowed;
+        if more <= self.carried {
+            self.carried -= more;
+            return None;
+        }
+        Some(Finding {
+            checker: NAME,
+            expected: format!(
+                "at most {allowed} steps for {bytes} bytes with {packages} packages, and {} for packages that waited",
+                self.carried
+            ),
+            found: format!("{steps} steps"),
+        })
+    }
+}
