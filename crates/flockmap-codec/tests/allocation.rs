@@ -107,7 +107,9 @@ fn memory_stays_within_the_stated_limits() {
             if limit == 20_000 {
                 assert!(matches!(
                     result,
-                    Err(PackageError::BoxTooLarge { .. } | PackageError::Header { .. })
+                    Err(PackageError::BoxTooLarge { .. }
+                        | PackageError::Header { .. }
+                        | PackageError::Work { .. })
                 ));
             }
         }

@@ -374,10 +374,7 @@ impl Session {
             from: 1,
             held: self.stated_as_held(stream, now),
         };
-        let mut urgent: Vec<Stream> = self
-            .gaps(now)
-            .chain(self.schedule.superseded.filter(|run| self.store.held(*run).is_some()))
-            .collect();
+        let mut urgent: Vec<Stream> = self.gaps(now).chain(self.schedule.superseded).collect();
         if !urgent.is_empty() {
             let start = self.schedule.count % urgent.len();
             urgent.rotate_left(start);
