@@ -245,9 +245,10 @@ impl Store {
         } else if mutation::is(Mutation::LiveRefused) {
             return Err(NoRoom::Streams);
         } else if self.is_superseded(stream) {
-            // All places are taken: what has ended takes none from another.
-            self.cut.extend(oldest.map(|_| origin));
-            return Err(if oldest.is_some() { NoRoom::OldEpoch } else { NoRoom::Streams });
+            // All places are taken: what has ended takes one from an older run of the same robot, and from no other.
+            let older = others().next().filter(|older| *older < stream);
+            self.cut.insert(origin);
+            Some(older.ok_or(NoRoom::OldEpoch)?)
         } else {
             let ended = self.ended_runs(Some(stream));
             let silent = self.shelves.iter().map(|(run, shelf)| (*run, shelf)).filter(|(run, _)| {

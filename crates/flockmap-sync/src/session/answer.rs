@@ -83,6 +83,10 @@ impl Session {
         }
         for stated in &request.held {
             self.note_own_id(now, stated.stream);
+            // Also where there is no place for it here.
+            if stated.is_oldest_wanted && self.store.has_runs(stated.stream.origin) {
+                peer.oldest_wanted.insert(stated.stream.origin, stated.stream.epoch);
+            }
             if stated.stream == self.own {
                 // Nobody but this robot can say which own packages there are.
                 if stated.held.last() > Some(self.store.newest_known(self.own)) {
@@ -94,9 +98,6 @@ impl Session {
                 && self.store.note_newest(stated.stream, newest, now)
             {
                 self.note_gap(now, false);
-            }
-            if stated.is_oldest_wanted {
-                peer.oldest_wanted.insert(stated.stream.origin, stated.stream.epoch);
             }
             let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));
             // Of what lies below the list, the last word still holds.
