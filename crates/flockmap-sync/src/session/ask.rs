@@ -374,14 +374,15 @@ impl Session {
             from: 1,
             held: self.stated_as_held(stream, now),
         };
-        let mut urgent: Vec<Stream> = self.gaps(now).chain(self.schedule.superseded).collect();
+        let mut urgent: Vec<Stream> = self.gaps(now).collect();
         if !urgent.is_empty() {
             let start = self.schedule.count % urgent.len();
             urgent.rotate_left(start);
         }
         urgent.truncate(URGENT_MAX);
         let own = Some(self.own).filter(|own| self.store.newest_known(*own) > 0);
-        let mut lists: Vec<Held> = own.into_iter().chain(urgent).map(list).collect();
+        let first = own.into_iter().chain(self.schedule.superseded);
+        let mut lists: Vec<Held> = first.chain(urgent).map(list).collect();
         let urgent = lists.len();
 
         let from_cursor = |stream: &Stream| stream.origin.0.wrapping_sub(self.schedule.cursor.0);
