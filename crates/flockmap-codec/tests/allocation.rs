@@ -56,7 +56,7 @@ fn with_box(package: &Package, size: [u32; 3]) -> Vec<u8> {
     let header = package.header();
     // Boxes of `flock` are made of blocks, and counted in these.
     let (unit, flag) = if header.codec == Codec::Flock { (8, 1 << 7) } else { (1, 0) };
-    let mut bytes = vec![3, flag | header.codec.id()];
+    let mut bytes = vec![flockmap_codec::FORMAT_VERSION, flag | header.codec.id()];
     varint(header.stream.origin.0.into(), &mut bytes);
     varint(header.stream.epoch, &mut bytes);
     varint(header.index.into(), &mut bytes);

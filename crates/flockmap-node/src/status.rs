@@ -293,7 +293,7 @@ pub(crate) fn node_counters(c: &NodeCounters) -> Named {
 }
 
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
-    fields!(c; scans scans_ahead points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes
+    fields!(c; scans scans_ahead steps points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes
             packages package_bytes merged waited waiting_dropped overtaken damaged no_room foreign_resolution
             present_states runs_begun cycles_without_reference events_dropped)
 }

@@ -45,11 +45,11 @@ impl Pair {
                 while session.poll_event().is_some() {}
             }
             while let Some(transmit) = self.one.poll_transmit(now) {
-                let known: Vec<Path> = self.one.paths().map(|(_, path)| path).collect();
+                let is_known = self.one.paths().any(|(_, path)| path == from[1]);
                 let is_everyone = transmit.to == Destination::Everyone;
                 let is_there = match transmit.path {
                     Some(path) => path == from[1],
-                    None => is_everyone && (!self.only_two_is_told || known.contains(&from[1])),
+                    None => is_everyone && (!self.only_two_is_told || is_known),
                 };
                 if is_there {
                     let _ = self.two.handle_datagram_from(now, from[0], &transmit.bytes);
