@@ -127,9 +127,10 @@ pub struct SessionConfig {
     /// for each of `in_flight_max` packages (by broadcast 160, and 32 in each stream), and 26 KiB. All worst cases together:
     /// [`memory_max`](Self::memory_max).
     pub peers_max: usize,
-    /// Streams of others known at once. Default 64. Worst case 10 KiB each, beside what peers state of them.
+    /// Streams of others known at once. Of more, ended runs give way, the one of which nothing new has come for longest
+    /// ([`Event::StreamForgotten`](crate::Event::StreamForgotten)); the newest run of a robot that is heard never does. Default 64. Worst case 10 KiB each, beside what peers state of them.
     pub streams_max: usize,
-    /// Runs kept of one origin. Default 4.
+    /// Runs kept of one origin; of more, the oldest is forgotten. Default 4.
     pub epochs_max: usize,
     /// Bytes of stored packages, with 400 bytes of bookkeeping for each. Default 64 MiB.
     pub store_bytes_max: usize,

@@ -1,7 +1,7 @@
 //! Requests: when they go out and what they say.
 
 use super::{Destination, Event, Session, Transmit};
-use crate::session::peer::{Item, Peer};
+use crate::session::peer::{Item, Peer, is_heard};
 use crate::store::Opened;
 use crate::wire::{ClockReport, Covered, Echo, Held, Kind, Request, StateWanted, TransferProgress};
 use crate::{Cast, IntervalSet};
@@ -365,8 +365,8 @@ impl Session {
         (request, urgent)
     }
 
-    /// What is held of each stream: of the own one first, then of those with gaps and of robots that do not know of a later run of theirs, in turn; then
-    /// of all, origin by origin from the cursor on. How many of these are there before the cursor's.
+    /// The lists of held indices in the order in which they are to be written, and how many of them are urgent. Urgent are: the own run; the
+    /// run that a robot heard in a former one has to learn of; runs with gaps, in turn. Then come all runs, origin by origin from the cursor on.
     fn held_lists(&self, now: Stamp) -> (Vec<Held>, usize) {
         let list = |stream: Stream| Held {
             stream,
@@ -485,10 +485,7 @@ impl Session {
 
     /// Opens a place for a stream and tells the driver; whether there is one.
     pub(super) fn open_stream(&mut self, stream: Stream) -> bool {
-        let is_heard = |robot| {
-            self.peers.contains_key(&robot) || self.peers.values().any(|peer| peer.hears.contains(&robot))
-        };
-        match self.store.open(stream, self.now, is_heard) {
+        match self.store.open(stream, self.now, |robot| is_heard(&self.peers, robot)) {
             Ok(Opened { is_new, forgotten }) => {
                 if let Some(forgotten) = forgotten {
                     self.counters.streams_forgotten += 1;

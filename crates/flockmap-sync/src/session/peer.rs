@@ -111,6 +111,11 @@ impl View {
     }
 }
 
+/// Whether there is a sign of life of a robot: it is heard here, or by a peer.
+pub(super) fn is_heard(peers: &BTreeMap<RobotId, Peer>, robot: RobotId) -> bool {
+    peers.contains_key(&robot) || peers.values().any(|peer| peer.hears.contains(&robot))
+}
+
 #[derive(Debug)]
 pub(super) struct Peer {
     pub(super) stream: Stream,

@@ -1,6 +1,6 @@
 //! Present states: the map as it is, sent in place of the packages that made it.
 
-use super::peer::{Item, Peer, Sending, VIEW_INTERVALS_MAX};
+use super::peer::{Item, Peer, Sending, VIEW_INTERVALS_MAX, is_heard};
 use super::{Event, Session};
 use crate::wire::CONTENTS_BYTES_MAX;
 use crate::{Cast, IntervalSet};
@@ -235,11 +235,7 @@ impl Session {
 
     /// Whether its robot has begun a later run, or is not heard by anybody here.
     fn has_ended(&self, stream: Stream) -> bool {
-        let is_heard = || {
-            self.peers.contains_key(&stream.origin)
-                || self.peers.values().any(|peer| peer.hears.contains(&stream.origin))
-        };
-        stream != self.own && (self.store.is_superseded(stream) || !is_heard())
+        stream != self.own && (self.store.is_superseded(stream) || !is_heard(&self.peers, stream.origin))
     }
 
     /// Asks the driver for a state of a stream, unless that was done a moment ago.
