@@ -133,7 +133,7 @@ fn replayed_datagrams_change_nothing_and_are_counted() {
 fn a_departed_peers_datagrams_cannot_be_replayed() {
     let mut now = Stamp(0);
     let (mut sender, mut receiver) = (session(2, 9, with_key(1)), session(1, 1, with_key(1)));
-    let recorded: Vec<_> = (0..20).map(|_| next(&mut sender, &mut now)).collect();
+    let recorded: Vec<_> = (0..100).map(|_| next(&mut sender, &mut now)).collect();
     for bytes in recorded.iter().step_by(2) {
         receiver.handle_datagram(now, bytes).unwrap();
     }
@@ -253,6 +253,28 @@ fn errors_say_what_to_do() {
     let error =
         Session::new(Stream { origin: RobotId(1), epoch: 1 }, with_key(1), 1).unwrap_err().to_string();
     assert!(error.contains("16 random bytes, drawn anew for each run"), "{error}");
+}
+
+/// What goes to all peers at once of a thin budget is promised to be this short.
+#[test]
+fn a_request_of_a_thin_budget_has_327_bytes_at_most() {
+    for (config, longest) in [(with_key(1), 327), (SessionConfig::default(), 303)] {
+        let mut session = session(1, 1, SessionConfig { radio_bytes_per_s: Some(600), ..config });
+        // Large ids take all the room that is reckoned for the range of origins.
+        for id in 20_000..20_060 {
+            assert!(session.restore_held(
+                Stream { origin: RobotId(id), epoch: 1 << 40 },
+                1,
+                9 << (id % 3 * 8)
+            ));
+        }
+        let mut now = Stamp(0);
+        let requests: Vec<usize> = (0..20).map(|_| next(&mut session, &mut now).len() + 28).collect();
+        assert!(
+            requests.iter().max().is_some_and(|bytes| (longest - 3..=longest).contains(bytes)),
+            "{requests:?}"
+        );
+    }
 }
 
 proptest! {

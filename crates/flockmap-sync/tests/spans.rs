@@ -173,3 +173,28 @@ fn sets_that_nothing_more_comes_of_take_no_place_from_one_that_goes_on() {
     swarm.assert_in_sync(&[own]);
     assert!(swarm.robots[&2].session.counters().transfers_dropped > 0);
 }
+
+/// By broadcast each hears the tiles of both. What is sent to one is not to push out again and again what is sent to the other.
+#[test]
+fn sets_for_different_robots_do_not_take_each_others_place_for_ever() {
+    let config = SessionConfig {
+        cast: Cast::Broadcast,
+        radio_bytes_per_s: Some(3_000),
+        transfers_max: 1,
+        store_bytes_max: 8_000,
+        ..small()
+    };
+    let mut swarm = Swarm::of(2, 67, Radio::PERFECT, &config);
+    swarm.run(SECOND);
+    fly(&mut swarm, 20);
+    swarm.run(60 * SECOND);
+    let own = swarm.stream(1);
+    swarm.assert_in_sync(&[own]);
+    swarm.cut(1, 2);
+    fly(&mut swarm, 20);
+    swarm.join(1, 2);
+    swarm.run(SECOND);
+    swarm.start(3, 1, config);
+    swarm.run(60 * SECOND);
+    swarm.assert_in_sync(&[own]);
+}

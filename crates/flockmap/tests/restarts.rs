@@ -20,6 +20,8 @@ struct Net {
     events: Vec<Vec<Event>>,
     /// Datagrams from and to these are lost.
     deaf: BTreeSet<usize>,
+    /// These do not hear each other.
+    apart: Option<[usize; 2]>,
     sent: Vec<(usize, Destination, Vec<u8>)>,
 }
 
@@ -30,6 +32,7 @@ impl Net {
             now: Stamp(1_000_000),
             events: vec![Vec::new(); robots],
             deaf: BTreeSet::new(),
+            apart: None,
             sent: Vec::new(),
         }
     }
@@ -77,6 +80,7 @@ impl Net {
                     && is_meant
                     && !self.deaf.contains(&to)
                     && !self.deaf.contains(&from)
+                    && self.apart.is_none_or(|apart| !(apart.contains(&from) && apart.contains(&to)))
                 {
                     // What is wrong with it is counted.
                     let _ = robot.handle_datagram(self.now, &transmit.bytes);
@@ -241,6 +245,33 @@ fn a_run_whose_clock_fell_back_begins_anew_and_arrives_whole() {
 }
 
 #[test]
+fn a_robot_begins_anew_above_a_run_of_its_own_that_only_robots_out_of_earshot_know_of() {
+    let mut net = Net::new(3);
+    // A row of three.
+    net.apart = Some([0, 2]);
+    net.start(0, config(0, 50));
+    net.start(1, config(1, 1));
+    net.start(2, config(2, 1));
+    net.run(5.0);
+    // The clock falls back. The robot in the middle says so, heard by the far one alone, and forgets it.
+    net.start(0, config(0, 20));
+    net.drive(0);
+    net.deaf.insert(0);
+    net.run(1.0);
+    net.start(1, config(1, 2));
+    net.run(5.0);
+    net.deaf.clear();
+    let used = Stream { origin: RobotId(1), epoch: 50 };
+    assert!(
+        net.robot(2).session().held(used).is_some_and(|held| held.is_empty()),
+        "it is known by name alone"
+    );
+    assert_eq!(net.robot(0).own_stream().epoch, 20);
+    net.run(20.0);
+    assert!(net.robot(0).own_stream() > used, "{:?}", net.robot(0).own_stream());
+}
+
+#[test]
 fn runs_that_begin_at_the_same_clock_reading_share_no_nonce_and_both_maps_arrive() {
     let mut net = Net::new(2);
     let with = |number: usize, random: u32, salt: u8| {
@@ -286,6 +317,17 @@ fn two_robots_with_one_id_do_not_outdo_each_other_without_end() {
 
 #[test]
 fn what_lies_beyond_a_gap_of_an_ended_run_reaches_a_late_joiner() {
+    reaches_beyond_a_gap(60.0, &[(2, 1)]);
+}
+
+/// Nobody has a place for its new run, since that has told nothing yet.
+#[test]
+fn what_lies_beyond_a_gap_of_an_ended_run_reaches_its_own_robot_in_a_run_without_packages() {
+    reaches_beyond_a_gap(2.0, &[(0, 2), (2, 1)]);
+}
+
+/// `joiners`: number and epoch of robots that start when the run has ended for so many seconds, and hear each other.
+fn reaches_beyond_a_gap(seconds: f64, joiners: &[(usize, u64)]) {
     let mut net = Net::new(3);
     let with = |number: usize, epoch: u64| {
         let mut config = config(number, epoch);
@@ -315,14 +357,18 @@ fn what_lies_beyond_a_gap_of_an_ended_run_reaches_a_late_joiner() {
     }
     let ended = net.robot(0).own_stream();
     net.robots[0] = None;
-    net.run(60.0);
+    net.run(seconds);
     let held = net.robot(1).session().held(ended).unwrap().clone();
     assert!(held.intervals().len() > 1, "{held:?} has no gap");
     assert!(net.robot(1).session().store().packages() < 20, "most are not stored any more");
-    net.start(2, with(2, 1));
+    for &(number, epoch) in joiners {
+        net.start(number, with(number, epoch));
+    }
     net.run(90.0);
-    assert_eq!(net.robot(2).session().held(ended), Some(&held));
-    assert_eq!(digest(net.robot(2), ended), digest(net.robot(1), ended));
+    for &(number, _) in joiners {
+        assert_eq!(net.robot(number).session().held(ended), Some(&held), "robot {number}");
+        assert_eq!(digest(net.robot(number), ended), digest(net.robot(1), ended));
+    }
     // And then it is quiet.
     let sent = net.robot(1).session().counters().packages_out;
     net.run(60.0);

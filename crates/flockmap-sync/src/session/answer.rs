@@ -45,7 +45,7 @@ impl Session {
         header: &DatagramHeader,
         request: &Request,
     ) -> Option<(Stamp, i64)> {
-        peer.hears = request.echoes.iter().map(|echo| echo.robot).collect();
+        peer.hears = request.echoes.iter().map(|echo| (echo.robot, echo.epoch_low)).collect();
         peer.hears_all_listed = request.all_echoes;
         peer.clocks.clone_from(&request.clocks);
         let own = |echo: &&crate::wire::Echo| {
@@ -249,7 +249,7 @@ impl Session {
                 let before = |robot| {
                     robot < self.own.origin && robot != stream.origin && self.peers.contains_key(&robot)
                 };
-                let others = peer.hears.iter().filter(|&&robot| before(robot)).count() as u32;
+                let others = peer.hears.iter().filter(|(robot, _)| before(*robot)).count() as u32;
                 Some(u32::from(hears_origin) + others)
             }
         }

@@ -86,7 +86,7 @@ const BUDGET_SHARE_AT_ONCE: usize = 2;
 /// Lists of held indices that come before the origins in turn.
 const URGENT_MAX: usize = 64;
 /// … but a request is never cut below so many bytes: it has to say something of each transfer and stream in turn.
-const REQUEST_BYTES_MIN: usize = 280;
+const REQUEST_BYTES_MIN: usize = 275;
 
 impl Session {
     /// Packages flow: the next periodic request is due sooner.
@@ -393,9 +393,12 @@ impl Session {
             let runs = streams.iter().take_while(|stream| stream.origin == first).count();
             streams[..runs].rotate_left(self.schedule.rounds as usize % runs);
         }
-        let named =
-            streams.into_iter().map(list).filter(|held| held.is_oldest_wanted || !held.held.is_empty());
-        lists.extend(named);
+        // The newest run of a robot is named also where nothing of it is held: the robot may fly in a former one, out of earshot.
+        let is_newest = |stream: Stream| stream != self.own && !self.store.is_superseded(stream);
+        let named = streams.into_iter().map(list);
+        lists.extend(
+            named.filter(|held| held.is_oldest_wanted || !held.held.is_empty() || is_newest(held.stream)),
+        );
         (lists, urgent)
     }
 

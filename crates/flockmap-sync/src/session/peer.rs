@@ -113,7 +113,15 @@ impl View {
 
 /// Whether there is a sign of life of a robot: it is heard here, or by a peer.
 pub(super) fn is_heard(peers: &BTreeMap<RobotId, Peer>, robot: RobotId) -> bool {
-    peers.contains_key(&robot) || peers.values().any(|peer| peer.hears.contains(&robot))
+    peers.contains_key(&robot) || peers.values().any(|peer| peer.lists(robot))
+}
+
+/// Whether its robot flies in another run, or is not heard at all. That run may have no packages yet, and so no place in any store.
+pub(super) fn has_no_robot(peers: &BTreeMap<RobotId, Peer>, run: Stream) -> bool {
+    match peers.get(&run.origin) {
+        Some(peer) => peer.stream != run,
+        None => !peers.values().any(|peer| peer.hears.contains(&(run.origin, run.epoch as u16))),
+    }
 }
 
 #[derive(Debug)]
@@ -128,8 +136,8 @@ pub(super) struct Peer {
     pub(super) newest_stamp_at: Stamp,
     /// Send stamp and time of receipt of its last request, once there was one.
     pub(super) request: Option<(Stamp, Stamp)>,
-    /// Whom it hears, by its last request; whether that list was whole.
-    pub(super) hears: Vec<RobotId>,
+    /// Whom it hears, with the low bits of the run's epoch, by its last request; whether that list was whole.
+    pub(super) hears: Vec<(RobotId, u16)>,
     pub(super) hears_all_listed: bool,
     /// Number + 1 of the origins that its requests have covered so far: of these it holds no run that it has not named.
     covered: IntervalSet,
@@ -206,7 +214,12 @@ impl Peer {
 
     /// Whether the peer hears this robot; assumed if its list was cut.
     pub(super) fn hears(&self, robot: RobotId) -> bool {
-        self.request.is_some() && (!self.hears_all_listed || self.hears.contains(&robot))
+        self.request.is_some() && (!self.hears_all_listed || self.lists(robot))
+    }
+
+    /// Whether its last request names this robot among those that it hears.
+    fn lists(&self, robot: RobotId) -> bool {
+        self.hears.iter().any(|(heard, _)| *heard == robot)
     }
 
     /// Whether the peer wants packages of this stream at all.

@@ -1,6 +1,6 @@
 //! Present states: the map as it is, sent in place of the packages that made it.
 
-use super::peer::{Item, Peer, Sending, VIEW_INTERVALS_MAX, is_heard};
+use super::peer::{Item, Peer, Sending, VIEW_INTERVALS_MAX, has_no_robot};
 use super::{Event, Session};
 use crate::wire::CONTENTS_BYTES_MAX;
 use crate::{Cast, IntervalSet};
@@ -233,9 +233,9 @@ impl Session {
         }
     }
 
-    /// Whether its robot has begun a later run, or is not heard by anybody here.
+    /// Whether its robot has begun a later run, or nobody here hears it in this one.
     fn has_ended(&self, stream: Stream) -> bool {
-        stream != self.own && (self.store.is_superseded(stream) || !is_heard(&self.peers, stream.origin))
+        stream != self.own && (self.store.is_superseded(stream) || has_no_robot(&self.peers, stream))
     }
 
     /// Asks the driver for a state of a stream, unless that was done a moment ago.

@@ -91,18 +91,9 @@ impl Session {
             Some(at) => at,
             None => {
                 // Sets of one robot are kept side by side: by broadcast, one that it sends to somebody else is
-                // heard among the tiles of the one for us. Only for want of room does the newer one take over.
+                // heard among the tiles of the one for us.
                 if self.incoming.len() >= self.config.transfers_max {
                     self.finish_transfers(now);
-                }
-                if self.incoming.len() >= self.config.transfers_max {
-                    let same = self.incoming.iter().enumerate();
-                    let same = same.filter(|(_, other)| other.stream == stream && other.source == from);
-                    if let Some((oldest, _)) = same.min_by_key(|(_, other)| other.touched) {
-                        self.incoming.remove(oldest);
-                        self.counters.transfers_dropped += 1;
-                        self.forget_tiles_of_nothing();
-                    }
                 }
                 if self.incoming.len() >= self.config.transfers_max {
                     self.make_way(&tile_of);
@@ -124,17 +115,23 @@ impl Session {
         self.note_gap(now, false);
     }
 
-    /// For want of room: a set that goes on from what is held takes the place of one that nothing more comes of, be it complete and waiting for
-    /// packages before it, or from the own disk. What that brought is merged; what it contains may have to come again.
+    /// For want of room one set takes the place of another, the one of which nothing has come for longest. By unicast a robot sends one set of a
+    /// stream at a time, so a newer one takes over. By broadcast two sets for two robots would push each other out without end: there, and of
+    /// other robots and streams, only a set that goes on from what is held takes a place, and that of one that does not go on: complete or,
+    /// of the same stream, not, it waits for packages before it; or it is from the own disk. What that brought is merged; what it
+    /// contains may have to come again.
     fn make_way(&mut self, newcomer: &Incoming) {
-        let prefix = |stream| self.store.held(stream).map_or(0, IntervalSet::prefix);
-        if newcomer.source == self.own.origin || newcomer.since > prefix(newcomer.stream) {
-            return;
-        }
         let own = self.own.origin;
-        let is_idle = |i: &Incoming| i.source == own || (i.is_complete() && i.since > prefix(i.stream));
-        let idle = self.incoming.iter().enumerate().filter(|(_, incoming)| is_idle(incoming));
-        if let Some((oldest, _)) = idle.min_by_key(|(_, incoming)| incoming.touched) {
+        let goes_on = |i: &Incoming| i.since <= self.store.held(i.stream).map_or(0, IntervalSet::prefix);
+        let gives_way = |i: &Incoming| {
+            let is_same_stream = i.stream == newcomer.stream;
+            let is_idle = i.source == own || (!goes_on(i) && (i.is_complete() || is_same_stream));
+            let is_replaced =
+                is_same_stream && i.source == newcomer.source && self.config.cast == Cast::Unicast;
+            is_replaced || (is_idle && goes_on(newcomer) && newcomer.source != own)
+        };
+        let way = self.incoming.iter().enumerate().filter(|(_, incoming)| gives_way(incoming));
+        if let Some((oldest, _)) = way.min_by_key(|(_, incoming)| incoming.touched) {
             self.incoming.remove(oldest);
             self.counters.transfers_dropped += 1;
             self.forget_tiles_of_nothing();

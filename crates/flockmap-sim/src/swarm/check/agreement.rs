@@ -49,6 +49,13 @@ pub(in crate::swarm) fn bound(
     50_000_000 + anew + hops as i64 * (4 * period + robots.len() as i64 * relay + 2_000_000) + sending as i64
 }
 
+/// How long nothing of a run that has ended may flow though somebody will still pass it on, in microseconds: gaps stand for 10 s, then each robot
+/// waits its turn in the line of those who answer (WIRE.md, "Who answers").
+pub(in crate::swarm) fn pause_of_relays(robots: &[&Robot]) -> i64 {
+    let delays = robots.iter().map(|robot| 1_000 * i64::from(robot.session().config().relay_delay_ms));
+    10_000_000 + robots.len() as i64 * delays.max().unwrap_or(0)
+}
+
 /// The first robot that flies in a run below one of its own id that somebody knows: it has to begin anew.
 pub(in crate::swarm) fn superseded(robots: &[&Robot]) -> Option<(RobotId, String)> {
     robots.iter().find_map(|robot| {

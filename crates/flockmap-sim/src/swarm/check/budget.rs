@@ -64,7 +64,8 @@ fn finding(option: &str, rate: u32, found: String) -> Finding {
 impl Window {
     /// What is wrong after so many bytes more. `copies`: peers to whom one request has to fit, or nothing is promised.
     fn add(&mut self, rate: u32, now: Stamp, bytes: usize, copies: usize) -> Option<String> {
-        let is_promised = copies * REQUEST_BYTES <= (rate as usize).max(FULL_DATAGRAM as usize);
+        let at_once = if rate < THIN_BYTES_PER_S { FULL_DATAGRAM as usize } else { rate as usize };
+        let is_promised = copies * REQUEST_BYTES <= at_once;
         if rate < THIN_BYTES_PER_S {
             let since = self.at.map_or(0, |at| now.micros_since(at));
             self.at = Some(now);

@@ -14,7 +14,9 @@ mod twice;
 mod voxel;
 mod work;
 
-pub(super) use agreement::{Forgotten, bound, disagreement, leaves_out, superseded, unequal_layer};
+pub(super) use agreement::{
+    Forgotten, bound, disagreement, leaves_out, pause_of_relays, superseded, unequal_layer,
+};
 pub(super) use budget::Budget;
 pub(super) use fused::wrong_fused;
 pub(super) use identity::Identities;

@@ -134,6 +134,7 @@ impl Engine {
             grace.unwrap_or(0) + 4 * (self.settings.radio.delay_micros + self.settings.radio.jitter_micros);
         let leaves_out = check::leaves_out(&self.truth, &self.robots(), &self.forgotten());
         let more = if leaves_out { self.agreement_within } else { 0 };
+        let grace = if leaves_out { grace + check::pause_of_relays(&self.robots()) } else { grace };
         self.phase = Phase::Grace { until: self.now + grace, grace, latest: self.now + grace + more };
     }
 
