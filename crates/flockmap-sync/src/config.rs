@@ -105,7 +105,7 @@ pub struct SessionConfig {
     ///
     /// Of 2,000 and more it holds in every single second. Below that a full datagram takes more than half a second's worth, and
     /// the limit is: in any T seconds at most 1,300 bytes (one full datagram) and the budget times T. What goes to every peer at once has to
-    /// fit: the limit only holds if one request to each, at most 303 bytes (327 with a key), fits into the budget; below 2,000, into 1,300 bytes.
+    /// fit: the limit only holds if one request to each, at most 308 bytes (327 with a key), fits into the budget; below 2,000, into 1,300 bytes.
     ///
     /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (an eighth of
     /// the budget over time, but three within `peer_timeout_ms`), so that control leaves room for the map.

@@ -255,28 +255,6 @@ fn errors_say_what_to_do() {
     assert!(error.contains("16 random bytes, drawn anew for each run"), "{error}");
 }
 
-/// What goes to all peers at once of a thin budget is promised to be this short.
-#[test]
-fn a_request_of_a_thin_budget_has_327_bytes_at_most() {
-    for (config, longest) in [(with_key(1), 327), (SessionConfig::default(), 303)] {
-        let mut session = session(1, 1, SessionConfig { radio_bytes_per_s: Some(600), ..config });
-        // Large ids take all the room that is reckoned for the range of origins.
-        for id in 20_000..20_060 {
-            assert!(session.restore_held(
-                Stream { origin: RobotId(id), epoch: 1 << 40 },
-                1,
-                9 << (id % 3 * 8)
-            ));
-        }
-        let mut now = Stamp(0);
-        let requests: Vec<usize> = (0..20).map(|_| next(&mut session, &mut now).len() + 28).collect();
-        assert!(
-            requests.iter().max().is_some_and(|bytes| (longest - 3..=longest).contains(bytes)),
-            "{requests:?}"
-        );
-    }
-}
-
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 

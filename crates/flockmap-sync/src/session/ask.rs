@@ -86,7 +86,9 @@ const BUDGET_SHARE_AT_ONCE: usize = 2;
 /// Lists of held indices that come before the origins in turn.
 const URGENT_MAX: usize = 64;
 /// … but a request is never cut below so many bytes: it has to say something of each transfer and stream in turn.
-const REQUEST_BYTES_MIN: usize = 275;
+const REQUEST_BYTES_MIN: usize = 280;
+/// Nor below so many when it is sealed, which is less before: all peers at once are to get one out of a thin budget.
+const SEALED_REQUEST_BYTES_MIN: usize = 299;
 
 impl Session {
     /// Packages flow: the next periodic request is due sooner.
@@ -239,9 +241,10 @@ impl Session {
         let link = self.config.link_bytes_per_s.map(|rate| rate as usize);
         let radio = self.config.radio_bytes_per_s.map(|rate| rate as usize / copies.max(1));
         let rate = link.into_iter().chain(radio).min().unwrap_or(usize::MAX);
+        let least = REQUEST_BYTES_MIN.min(SEALED_REQUEST_BYTES_MIN - self.seal_bytes(Kind::Request));
         (rate / BUDGET_SHARE_AT_ONCE)
             .saturating_sub(self.overhead(Kind::Request))
-            .clamp(REQUEST_BYTES_MIN, self.plain_bytes_max(Kind::Request))
+            .clamp(least, self.plain_bytes_max(Kind::Request))
     }
 
     /// Pause after a request of so many bytes, so that requests take no more than their share of the budget; short
@@ -524,4 +527,25 @@ impl Session {
 
 fn union_with(set: &IntervalSet, intervals: Vec<(u32, u32)>) -> IntervalSet {
     if intervals.is_empty() { set.clone() } else { set.union(&IntervalSet::from_intervals(0, intervals)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{SessionConfig, SwarmKey};
+
+    #[test]
+    fn the_longest_request_of_a_thin_budget_is_as_long_as_its_option_says() {
+        let key = Some(SwarmKey::from_bytes([7; 32]));
+        for (swarm_key, longest) in [(None, 308), (key, 327)] {
+            let config = SessionConfig {
+                swarm_key,
+                salt: [9; 16],
+                radio_bytes_per_s: Some(600),
+                ..SessionConfig::default()
+            };
+            let session = Session::new(Stream { origin: RobotId(1), epoch: 1 }, config, 1).unwrap();
+            assert_eq!(session.request_bytes_max(5) + session.overhead(Kind::Request), longest);
+        }
+    }
 }

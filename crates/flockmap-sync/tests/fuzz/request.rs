@@ -5,7 +5,7 @@ use flockmap_sync::wire::{DATAGRAM_BYTES_MAX, Datagram, Request};
 use super::mended;
 
 /// A request is never made shorter than so.
-const REQUEST_BYTES_MIN: usize = 275;
+const REQUEST_BYTES_MIN: usize = 265;
 
 /// Input: how many intervals are kept; then a datagram.
 pub(crate) fn run(input: &[u8]) {
