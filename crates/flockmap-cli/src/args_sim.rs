@@ -171,7 +171,7 @@ pub struct SimSwarmArgs {
     #[arg(long, value_name = "N")]
     pub seeds: Option<u64>,
     /// Fly what a file says: options of this command on each line, words after a # are for people
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["seed", "seeds", "robots", "radio", "seconds", "cast", "calm", "json"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["seed", "seeds", "robots", "radio", "seconds", "cast", "budget", "calm", "json"])]
     pub file: Option<PathBuf>,
     /// Robots, 2 to 200 [default: drawn, 2 to 6]
     #[arg(long, value_name = "N")]
@@ -185,6 +185,9 @@ pub struct SimSwarmArgs {
     /// To each peer on its own, or to all at once [default: drawn]
     #[arg(long, value_name = "CAST")]
     pub cast: Option<CastArg>,
+    /// Bytes that each robot may send in a second, 500 or more [default: drawn]
+    #[arg(long, value_name = "BYTES_PER_S")]
+    pub budget: Option<u32>,
     /// No crashes, partitions, half-open links, tight limits or mixed settings: the radio alone
     #[arg(long)]
     pub calm: bool,

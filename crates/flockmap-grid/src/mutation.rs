@@ -51,11 +51,13 @@ pub enum Mutation {
     GapStatesWithheld,
     /// A payload may ask for any work.
     WorkUnlimited,
+    /// Each request begins with the same robot: what does not fit behind it is never named.
+    OriginsNotInTurn,
 }
 
 impl Mutation {
     /// All of them.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::StampCompareDropped,
         Self::LedgerIgnored,
         Self::CheckSkipped,
@@ -78,6 +80,7 @@ impl Mutation {
         Self::PathUnasked,
         Self::GapStatesWithheld,
         Self::WorkUnlimited,
+        Self::OriginsNotInTurn,
     ];
 }
 

@@ -1,5 +1,6 @@
 //! Faults put into the library on purpose: the checkers of the swarm find each of them, by name.
 
+use flockmap::Cast;
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_sim::swarm::{Failure, SwarmOptions, fly};
 
@@ -16,7 +17,8 @@ const fn finder(mutation: Mutation) -> &'static str {
         Mutation::GapNeverAsked
         | Mutation::LiveRefused
         | Mutation::BeginAnewIgnored
-        | Mutation::GapStatesWithheld => "agreement",
+        | Mutation::GapStatesWithheld
+        | Mutation::OriginsNotInTurn => "agreement",
         Mutation::WindowIgnored => "in_flight",
         Mutation::StoreLimitIgnored => "memory",
         Mutation::FusionSkipped => "fused",
@@ -31,6 +33,21 @@ const fn finder(mutation: Mutation) -> &'static str {
     }
 }
 
+/// The flights of a fault.
+const fn options(seed: u64, mutation: Mutation) -> SwarmOptions {
+    let options = SwarmOptions::new(seed);
+    match mutation {
+        // Requests have to be too short for all runs of all robots.
+        Mutation::OriginsNotInTurn => SwarmOptions {
+            robots: Some(10),
+            budget_bytes_per_s: Some(600),
+            cast: Some(Cast::Broadcast),
+            ..options
+        },
+        _ => options,
+    }
+}
+
 /// The first seed that is flown for a fault: where what it breaks is rare, not far before one that shows it.
 const fn first_seed(mutation: Mutation) -> u64 {
     match mutation {
@@ -41,9 +58,9 @@ const fn first_seed(mutation: Mutation) -> u64 {
     }
 }
 
-fn failure(seed: u64, mutation: Option<Mutation>) -> Option<Failure> {
+fn failure(options: &SwarmOptions, mutation: Option<Mutation>) -> Option<Failure> {
     mutation::set(mutation);
-    let report = fly(&SwarmOptions::new(seed));
+    let report = fly(options);
     mutation::set(None);
     report.failure
 }
@@ -54,7 +71,7 @@ fn each_fault_is_found_by_the_checker_that_is_there_for_it() {
         let mut others = Vec::new();
         let first = first_seed(mutation);
         let found = (first..first + SEEDS).find(|seed| {
-            let failure = failure(*seed, Some(mutation));
+            let failure = failure(&options(*seed, mutation), Some(mutation));
             let checker = failure.as_ref().map(|failure| failure.checker);
             others.extend(
                 checker.filter(|checker| *checker != finder(mutation)).map(|checker| (*seed, checker)),
@@ -66,6 +83,10 @@ fn each_fault_is_found_by_the_checker_that_is_there_for_it() {
         };
         println!("{mutation:?}: {} at seed {seed}, before it {others:?}", finder(mutation));
         // It is the fault and not the seed.
-        assert_eq!(failure(seed, None), None, "{mutation:?}: seed {seed} fails without it");
+        assert_eq!(
+            failure(&options(seed, mutation), None),
+            None,
+            "{mutation:?}: seed {seed} fails without it"
+        );
     }
 }

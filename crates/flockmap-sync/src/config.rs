@@ -137,7 +137,7 @@ pub struct SessionConfig {
     /// Packages sent to one peer and not yet confirmed; more wait. By broadcast up to as many again are noted that other peers were sent, and
     /// this one has heard. Default 4,096.
     pub in_flight_max: usize,
-    /// Bytes of present-state tiles kept for sending. Default 16 MiB.
+    /// Bytes of present-state tiles kept for sending. A set on its way to a peer that takes it gives way to no other: that one waits. Default 16 MiB.
     pub present_state_bytes_max: usize,
     /// Present states received at once. Default 8. Worst case 8 KiB each.
     pub transfers_max: usize,

@@ -198,3 +198,34 @@ fn sets_for_different_robots_do_not_take_each_others_place_for_ever() {
     swarm.run(60 * SECOND);
     swarm.assert_in_sync(&[own]);
 }
+
+/// Of two sets only one fits in at a time.
+#[test]
+fn sets_that_are_sent_do_not_push_each_other_out_at_their_sender() {
+    let config = SessionConfig {
+        radio_bytes_per_s: Some(1500),
+        in_flight_max: 2,
+        store_bytes_max: 8_000,
+        present_state_bytes_max: 9_000,
+        ..small()
+    };
+    let mut swarm = Swarm::of(2, 71, Radio::PERFECT, &config);
+    swarm.run(SECOND);
+    for _ in 0..20 {
+        swarm.publish(1, 900);
+        swarm.publish(2, 900);
+        swarm.run(50 * MS);
+    }
+    swarm.run(60 * SECOND);
+    let streams = [swarm.stream(1), swarm.stream(2)];
+    swarm.assert_in_sync(&streams);
+    // Who joins gets both from the one robot that it hears.
+    let asked = wanted(&swarm, 1).len();
+    swarm.cut(2, 3);
+    swarm.start(3, 1, config);
+    swarm.run(90 * SECOND);
+    // Once for each, and once more for the one that had to wait for the other.
+    let asked = wanted(&swarm, 1).len() - asked;
+    assert!(asked <= 3, "asked {asked} times for two states");
+    swarm.assert_in_sync(&streams);
+}

@@ -43,6 +43,7 @@ fn run_line(args: &SimSwarmArgs) -> anyhow::Result<bool> {
     let seconds_fit = args.seconds.is_none_or(|s| (0.1..=3_600.0).contains(&s));
     ensure!(seconds_fit, "--seconds must be 0.1 to 3,600");
     ensure!(args.threads.is_none_or(|n| (1..=1_000).contains(&n)), "--threads must be 1 to 1,000");
+    ensure!(args.budget.is_none_or(|n| n >= 500), "--budget must be 500 or more");
     ensure!(args.seeds.is_none_or(|n| n > 0), "--seeds must be 1 or more");
     match args.seeds {
         None => one(args),
@@ -56,6 +57,7 @@ fn options(args: &SimSwarmArgs, seed: u64) -> SwarmOptions {
         radio: args.radio,
         seconds: args.seconds,
         cast: args.cast.map(Into::into),
+        budget_bytes_per_s: args.budget,
         is_calm: args.calm,
         ..SwarmOptions::new(seed)
     }

@@ -17,6 +17,8 @@ pub struct SwarmOptions {
     pub seconds: Option<f64>,
     /// To each peer on its own, or to all at once.
     pub cast: Option<Cast>,
+    /// Bytes that each robot may send in a second, in all; 500 or more.
+    pub budget_bytes_per_s: Option<u32>,
     /// No crashes, partitions, half-open links, tight limits or mixed settings: the radio alone.
     pub is_calm: bool,
     /// The flight is over when all agree, or so many seconds after links healed; then nobody asks whether they had to. For tables.
@@ -32,6 +34,7 @@ impl SwarmOptions {
             radio: None,
             seconds: None,
             cast: None,
+            budget_bytes_per_s: None,
             is_calm: false,
             until_agreement_s: None,
         }
@@ -53,6 +56,9 @@ impl SwarmOptions {
             Some(Cast::Unicast) => command += " --cast unicast",
             Some(Cast::Broadcast) => command += " --cast broadcast",
             None => {}
+        }
+        if let Some(budget) = self.budget_bytes_per_s {
+            let _ = write!(command, " --budget {budget}");
         }
         if self.is_calm {
             command += " --calm";

@@ -123,6 +123,10 @@ impl Settings {
                 words.push(format!("robot {} has room for {limits}", number + 1));
             }
         }
+        if let Some(budget) = options.budget_bytes_per_s {
+            sessions.iter_mut().for_each(|session| session.radio_bytes_per_s = Some(budget.max(500)));
+            words.push(format!("but {budget} bytes/s, as asked"));
+        }
         let has_paths = trouble.has_paths && key.is_some() && cast == Cast::Unicast;
         let members = sessions.into_iter().enumerate().map(|(number, session)| {
             let mut random = Random::new(seed, purpose::ROBOT + ((number as u64) << 32));

@@ -131,6 +131,7 @@ impl Session {
             let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
             if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
                 sending.named_at = now;
+                sending.is_ignored = false;
                 sending.accepted = progress.accepted.clone();
                 if progress.from > 1 {
                     // What the cut list does not name, it does not ask for either.

@@ -428,6 +428,9 @@ impl Session {
     /// A request to everyone went out: the next one begins with the first origin that this one did not cover.
     fn move_cursor(&mut self, covered: Option<Covered>) {
         let cursor = self.schedule.cursor;
+        if mutation::is(Mutation::OriginsNotInTurn) {
+            return;
+        }
         let next = match covered {
             Some(covered) if covered.is_all() => cursor,
             Some(covered) => RobotId(covered.last.0.wrapping_add(1)),

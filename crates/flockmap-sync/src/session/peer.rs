@@ -57,6 +57,8 @@ pub(super) struct Sending {
     pub(super) upto: u32,
     /// When the peer last spoke of the set, or it was begun.
     pub(super) named_at: Stamp,
+    /// The peer has said nothing of it for long.
+    pub(super) is_ignored: bool,
     /// Number + 1 of the tiles that the peer accepted.
     pub(super) accepted: IntervalSet,
     /// Those and the ones in flight.

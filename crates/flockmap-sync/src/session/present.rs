@@ -71,8 +71,9 @@ const GAP_STANDS: i64 = 10_000_000;
 /// Longest tile of a state of a history with gaps: what it contains goes with every tile.
 const PARTS_TILE_BYTES_MAX: usize = flockmap_codec::PACKAGE_BYTES_MAX - CONTENTS_BYTES_MAX;
 
-/// The driver is asked again for the state of a stream after so long; after it declined, later.
+/// The driver is asked again for the state of a stream after so long; where there was no room for it, and after it declined, later.
 const ASK_AGAIN: i64 = 2_000_000;
+const ASK_AGAIN_NO_ROOM: i64 = 5_000_000;
 const ASK_AGAIN_DECLINED: i64 = 30_000_000;
 
 impl Sending {
@@ -80,6 +81,7 @@ impl Sending {
     fn note_silence(&mut self, now: Stamp) {
         if now.micros_since(self.named_at) > ABANDONED {
             self.named_at = now;
+            self.is_ignored = true;
             self.accepted = IntervalSet::new(VIEW_INTERVALS_MAX);
         }
     }
@@ -96,7 +98,15 @@ impl Outgoing {
     fn sending(&self, now: Stamp) -> Sending {
         let nothing = IntervalSet::new(VIEW_INTERVALS_MAX);
         let (set, since, upto) = (self.set, self.since, self.upto);
-        Sending { set, since, upto, named_at: now, accepted: nothing.clone(), covered: nothing }
+        Sending {
+            set,
+            since,
+            upto,
+            named_at: now,
+            is_ignored: false,
+            accepted: nothing.clone(),
+            covered: nothing,
+        }
     }
 
     /// Whether at most an eighth of it says what who knows packages 1 to `since` knows already.
@@ -124,18 +134,37 @@ impl Session {
             return;
         };
         self.outgoing.retain(|other| other.stream != stream || other.set != outgoing.set);
-        self.outgoing.push(outgoing);
-        while self.outgoing.iter().map(|o| o.bytes).sum::<usize>() > self.config.present_state_bytes_max {
-            let oldest = (0..self.outgoing.len() - 1).min_by_key(|&at| self.outgoing[at].used_at);
-            let Some(oldest) = oldest else { break };
-            self.outgoing.remove(oldest);
+        if !self.make_room_for_tiles(outgoing.bytes) {
+            self.present_asked.insert(stream, now.plus_micros(ASK_AGAIN_NO_ROOM));
+            return;
         }
+        self.outgoing.push(outgoing);
         let ids: Vec<RobotId> = self.peers.keys().copied().collect();
         for id in ids {
             if let Some(mut peer) = self.peers.remove(&id) {
                 self.review_present_state(now, &mut peer, stream);
                 self.peers.insert(id, peer);
             }
+        }
+    }
+
+    /// Lets go of sets that nobody is sent, those first that were not used for longest. What is on its way to a peer that speaks of it
+    /// stays: sets that push each other out are never complete anywhere.
+    fn make_room_for_tiles(&mut self, bytes: usize) -> bool {
+        loop {
+            let held: usize = self.outgoing.iter().map(|outgoing| outgoing.bytes).sum();
+            if held + bytes <= self.config.present_state_bytes_max {
+                return true;
+            }
+            let is_idle = |at: &usize| {
+                let Outgoing { stream, set, .. } = self.outgoing[*at];
+                let views = self.peers.values().filter_map(|peer| peer.views.get(&stream));
+                let mut sendings = views.filter_map(|view| view.sending.as_ref());
+                !sendings.any(|sending| sending.set == set && !sending.is_ignored)
+            };
+            let idle = (0..self.outgoing.len()).filter(is_idle);
+            let Some(oldest) = idle.min_by_key(|&at| self.outgoing[at].used_at) else { return false };
+            self.outgoing.remove(oldest);
         }
     }
 
