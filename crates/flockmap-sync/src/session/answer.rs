@@ -162,9 +162,14 @@ impl Session {
             },
         };
         let (mut confirmed, mut lost) = (0, 0);
-        let views = &mut peer.views;
-        peer.in_flight.retain_mut(|sent| {
-            let Some(view) = views.get(&sent.item.stream()) else { return false };
+        let mut in_flight = std::mem::take(&mut peer.in_flight);
+        in_flight.retain_mut(|sent| {
+            let stream = sent.item.stream();
+            let Some(view) = peer.views.get(&stream).filter(|_| peer.wants(stream)) else {
+                // It takes nothing of that stream: whether it arrived it does not say.
+                sent.requests = sent.requests.saturating_add(1);
+                return !is_lost(sent);
+            };
             let (held, stated) = match sent.item {
                 Item::Package { stream, index } => {
                     let named = request.held.iter().find(|held| held.stream == stream);
@@ -187,18 +192,19 @@ impl Session {
             lost += u64::from(gone);
             !gone
         });
+        peer.in_flight = in_flight;
         self.counters.confirmed += confirmed;
         self.counters.lost += lost;
         peer.loss.sample(confirmed, lost);
 
-        for view in views.values_mut() {
+        for view in peer.views.values_mut() {
             view.covered = view.held.with_room(VIEW_INTERVALS_MAX + 2 * self.config.in_flight_max);
             if let Some(sending) = &mut view.sending {
                 sending.covered = sending.accepted.clone();
             }
         }
         for sent in &peer.in_flight {
-            if let Some(view) = views.get_mut(&sent.item.stream()) {
+            if let Some(view) = peer.views.get_mut(&sent.item.stream()) {
                 view.cover(sent.item);
             }
         }

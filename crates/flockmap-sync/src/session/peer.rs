@@ -149,6 +149,7 @@ pub(super) struct Peer {
     pub(super) oldest_wanted: BTreeMap<RobotId, u64>,
     pub(super) clocks: Vec<crate::wire::ClockReport>,
     pub(super) views: BTreeMap<Stream, View>,
+    /// The ledger: what is on its way to it. Also of streams of which it takes nothing now: it may have room when that arrives.
     pub(super) in_flight: VecDeque<Sent>,
     /// What to send next, best first, if nothing changes.
     pub(super) queue: VecDeque<Item>,
@@ -249,8 +250,13 @@ impl Peer {
     /// What is known of the peer's holdings of a stream. A stream that it did not name, where it names all, is
     /// one of which it holds nothing.
     pub(super) fn view(&mut self, stream: Stream, now: Stamp) -> Option<&mut View> {
-        if self.takes_unnamed(stream) {
-            return Some(self.views.entry(stream).or_insert_with(|| View::new(1, now)));
+        if self.takes_unnamed(stream) && !self.views.contains_key(&stream) {
+            let mut view = View::new(1, now);
+            // What went out while it took nothing of the stream may find room now.
+            self.in_flight.iter().filter(|sent| sent.item.stream() == stream).for_each(|sent| {
+                view.cover(sent.item);
+            });
+            self.views.insert(stream, view);
         }
         self.views.get_mut(&stream)
     }

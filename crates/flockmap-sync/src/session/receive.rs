@@ -71,7 +71,7 @@ impl Session {
             for peer in self.peers.values_mut() {
                 if peer.stream.origin != from && peer.hears_all_listed && peer.hears(from) {
                     let item = Item::Package { stream, index };
-                    if peer.cover(item, now, 2 * self.config.in_flight_max, false) {
+                    if peer.cover_heard(item, now, 2 * self.config.in_flight_max) {
                         self.counters.suppressed += 1;
                     }
                 }

@@ -38,37 +38,47 @@ impl View {
 }
 
 impl Peer {
-    /// Notes that an item is on its way to the peer; whether it is now in the ledger, and was not before. One that is on its way
-    /// again, since somebody else missed it too, counts from now. Of more than `in_flight_max` that were sent the oldest is forgotten; for what
-    /// was only heard from another robot (`is_sent` is false) nothing is.
-    pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize, is_sent: bool) -> bool {
-        let is_full = self.in_flight.len() >= in_flight_max && !is_sent;
-        if is_full || !self.wants(item.stream()) || mutation::is(Mutation::LedgerIgnored) {
-            return false;
+    /// Notes that an item goes out and is on its way to the peer: also one that it states to hold or has no place for, since it
+    /// may take back either before the item arrives. One that is on its way already counts from now. Of more than `in_flight_max` the oldest is
+    /// forgotten if it would count as lost by now; else the new one is not noted, and only kept back until the next request.
+    pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) {
+        let stream = item.stream();
+        if stream == self.stream || mutation::is(Mutation::LedgerIgnored) {
+            return;
         }
-        let is_new = self.view(item.stream(), now).is_some_and(|view| view.cover(item));
-        let known = self.in_flight.iter_mut().rev().find(|sent| !is_new && sent.item == item);
-        if let Some(sent) = known {
-            *sent = Sent { item, at: now, requests: 0 };
-        } else if is_new || self.has(item) {
-            // What it states to hold it may take back: what it has refused counts as held for a while.
-            if self.in_flight.len() >= in_flight_max && !mutation::is(Mutation::WindowIgnored) {
-                self.in_flight.pop_front();
-            }
+        let view = self.view(stream, now);
+        if let Item::Tile { set, .. } = item
+            && view.as_ref().and_then(|view| view.sending.as_ref()).is_none_or(|sending| sending.set != set)
+        {
+            // It is not sent this set.
+            return;
+        }
+        let is_new = view.is_some_and(|view| view.cover(item));
+        if let Some(at) = self.in_flight.iter().rposition(|sent| !is_new && sent.item == item) {
+            self.in_flight.remove(at);
+        }
+        let timeout = self.round_trip.timeout();
+        if self.in_flight.len() >= in_flight_max
+            && self.in_flight.front().is_some_and(|oldest| now.micros_since(oldest.at) >= timeout)
+        {
+            self.in_flight.pop_front();
+        }
+        if self.in_flight.len() < in_flight_max || mutation::is(Mutation::WindowIgnored) {
             self.in_flight.push_back(Sent { item, at: now, requests: 0 });
         }
-        is_new
     }
 
-    /// Whether the peer states that it holds an item.
-    fn has(&self, item: Item) -> bool {
-        let Some(view) = self.views.get(&item.stream()) else { return false };
-        match item {
-            Item::Package { index, .. } => view.held.contains(index),
-            Item::Tile { set, tile, .. } => {
-                view.sending.as_ref().is_some_and(|s| s.set == set && s.accepted.contains(tile + 1))
-            }
+    /// Notes that the peer hears an item from another robot, if there is room; whether it was missing.
+    pub(super) fn cover_heard(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
+        if self.in_flight.len() >= in_flight_max
+            || !self.wants(item.stream())
+            || self.view(item.stream(), now).is_none()
+        {
+            return false;
         }
+        let is_news = self.lacks(item);
+        self.cover(item, now, in_flight_max);
+        is_news
     }
 
     /// Whether an item is still missing and not on its way, and can be noted as being on its way.
@@ -202,7 +212,7 @@ impl Session {
             if other == id || (to == Destination::Everyone && peer.hears(own)) {
                 // What everyone hears is noted for everyone, as far as twice the limit goes.
                 for &item in items {
-                    peer.cover(item, now, 2 * self.config.in_flight_max, true);
+                    peer.cover(item, now, 2 * self.config.in_flight_max);
                 }
             }
             if other == id && to != Destination::Everyone {
@@ -244,14 +254,17 @@ mod tests {
         let mut peer = Peer::new(robot(2), Stamp(0), &SessionConfig::default());
         peer.takes_new_streams = true;
         peer.note_covered(Covered::all_from(RobotId(0)));
-        assert!(peer.cover(item(1, 1), Stamp(0), 6, true));
+        peer.cover(item(1, 1), Stamp(0), 6);
         for index in 1..=20 {
-            let is_noted = peer.cover(item(3, index), Stamp(1), 6, false);
+            let is_noted = peer.cover_heard(item(3, index), Stamp(1), 6);
             assert_eq!(is_noted, index <= 5, "the ledger has room for six");
         }
         assert_eq!((peer.in_flight.len(), peer.in_flight[0].item), (6, item(1, 1)));
-        // What goes out itself is noted in any case.
-        assert!(peer.cover(item(1, 2), Stamp(2), 6, true));
+        // What goes out itself takes the place of what would count as lost by now, and no other.
+        peer.cover(item(1, 2), Stamp(2), 6);
+        assert_eq!((peer.in_flight.len(), peer.in_flight[0].item), (6, item(1, 1)));
+        assert!(!peer.lacks(item(1, 2)), "it is kept back until the next request");
+        peer.cover(item(1, 2), Stamp(peer.round_trip.timeout()), 6);
         assert_eq!((peer.in_flight.len(), peer.in_flight[5].item), (6, item(1, 2)));
     }
 }
