@@ -15,7 +15,8 @@ pub(super) const PATH: Path = Path(1 << 32);
 
 pub(super) struct Outsider {
     random: Random,
-    heard: VecDeque<Vec<u8>>,
+    /// With the time at which each reaches it: what it sends again is never ahead of the datagram itself.
+    heard: VecDeque<(i64, Vec<u8>)>,
     /// When it sends next.
     pub(super) next: i64,
 }
@@ -33,18 +34,19 @@ impl Outsider {
         Self { random, heard: VecDeque::new(), next }
     }
 
-    pub(super) fn hear(&mut self, bytes: &[u8]) {
+    /// A datagram goes out, and is heard at `at`.
+    pub(super) fn hear(&mut self, at: i64, bytes: &[u8]) {
         if self.heard.len() >= HEARD_MAX {
             self.heard.pop_front();
         }
-        self.heard.push_back(bytes.to_vec());
+        self.heard.push_back((at, bytes.to_vec()));
     }
 
     /// What it sends now, and to which of so many robots.
     pub(super) fn attack(&mut self, now: i64, robots: usize) -> Option<(usize, Attack)> {
         self.next = now + 10_000 + self.random.below(250_000) as i64;
         let number = self.random.below(self.heard.len().max(1) as u64) as usize;
-        let mut bytes = self.heard.get(number)?.clone();
+        let (heard_at, mut bytes) = self.heard.get(number)?.clone();
         let kind = self.random.below(4);
         match kind {
             0 => {}
@@ -60,7 +62,7 @@ impl Outsider {
             }
         }
         let to = self.random.below(robots as u64) as usize;
-        Some((to, Attack { bytes, is_genuine: kind == 0 }))
+        (heard_at <= now).then_some((to, Attack { bytes, is_genuine: kind == 0 }))
     }
 
     /// A request in the name of the sender, as a robot without a key would send it.
@@ -75,5 +77,19 @@ impl Outsider {
         check.update(&bytes[28..]);
         bytes[24..28].copy_from_slice(&check.finalize().to_le_bytes());
         Some(bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_outsider_sends_again_is_never_ahead_of_the_datagram_itself() {
+        let mut outsider = Outsider::new(Random::new(1, 2));
+        outsider.hear(5_000, &[0; 60]);
+        let mut attacks = |from: i64| (from..from + 100).filter_map(|now| outsider.attack(now, 3)).count();
+        assert_eq!(attacks(4_900), 0);
+        assert!(attacks(5_000) > 0);
     }
 }

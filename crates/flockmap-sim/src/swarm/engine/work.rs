@@ -160,7 +160,7 @@ impl Engine {
             self.found(id, found);
         }
         if let Some(outsider) = &mut self.outsider {
-            outsider.hear(&transmit.bytes);
+            outsider.hear(self.now + self.settings.radio.delay_micros.max(0), &transmit.bytes);
         }
         let config = robot.session().config();
         let is_broadcast = config.cast == Cast::Broadcast;
