@@ -1,7 +1,7 @@
 //! Nothing is sent twice to a peer within a round trip, and nothing that the peer has said it holds.
 //!
 //! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
-//! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
+//! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with, on its own clock.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
 //! send are allowed, and counted as relayed. A tile that is broadcast for one peer while another one begins the same set may go
 //! out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions that compare successive requests (the paper's) measure no round trip and are
 //! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
@@ -21,8 +21,8 @@ type Item = (Stream, u32, Option<(u32, u32)>);
 /// What one robot knows of another, as the simulator sees it.
 #[derive(Default)]
 struct Pair {
-    /// When each item was sent last.
-    sent: FxHashMap<Item, i64>,
+    /// When each item was sent last: in the time of the flight, and on the robot's clock.
+    sent: FxHashMap<Item, (i64, Stamp)>,
     /// The peer's newest request that arrived.
     request: Option<(Stamp, Request)>,
 }
@@ -57,31 +57,29 @@ impl Twice {
         }
     }
 
-    /// A datagram of packages goes out, to one or (`to` is `None`) to all peers of the robot.
+    /// A datagram of packages goes out, to one or (`to` is `None`) to all peers of the robot. `now`: the time of the flight, and what the
+    /// robot's clock shows.
     pub(in crate::swarm) fn sent(
         &mut self,
         robot: &Robot,
-        now: i64,
+        now: (i64, Stamp),
         to: Option<RobotId>,
         packages: &[Package],
         round_trip: i64,
     ) -> Option<Finding> {
         let config = robot.session().config();
         let ledger = config.in_flight == InFlight::RoundTrip;
-        // Until a round trip is measured, the configured one is all that is known.
+        // Until a round trip is measured, the configured one is all that is known: on the robot's clock, like all its times.
         let initial = 1_000 * i64::from(config.round_trip_initial_ms);
         let peers = robot.session().peers();
         let peers = peers.filter(|peer| to.map_or(peer.hears_us, |to| to == peer.stream.origin));
         // As the robot knows them: a robot that began anew is sent its former run.
         let peers: Vec<(Stream, i64, bool)> = peers
             .map(|peer| {
-                let round_trip = match peer.round_trip_micros {
-                    Some(_) => round_trip,
-                    None => round_trip.min(initial),
-                };
+                let on_its_clock = if peer.round_trip_micros.is_some() { i64::MAX } else { initial };
                 // What finds no room in the ledger of one that it is not meant for is not noted.
                 let is_full = to.is_none() && peer.in_flight >= 2 * config.in_flight_max;
-                (peer.stream, round_trip, is_full)
+                (peer.stream, on_its_clock, is_full)
             })
             .collect();
         for package in packages {
@@ -93,7 +91,7 @@ impl Twice {
             let item = (header.stream, header.index, tile);
             let is_noted = ledger && (tile.is_none() || to.is_some());
             let mut reasons = Vec::new();
-            for (stream, round_trip, is_full) in &peers {
+            for (stream, on_its_clock, is_full) in &peers {
                 let peer = stream.origin;
                 if *stream == header.stream {
                     reasons.push(format!("it is {peer:?}'s own"));
@@ -108,8 +106,13 @@ impl Twice {
                 let before = if says_held || *is_full { None } else { pair.sent.insert(item, now) };
                 if says_held {
                     reasons.push(format!("{peer:?} has said that it holds it"));
-                } else if let Some(before) = before.filter(|before| is_noted && now - before < *round_trip) {
-                    let (ago, least) = ((now - before) as f64 / 1e3, *round_trip as f64 / 1e3);
+                } else if let Some((before, shown)) = before
+                    && is_noted
+                    && now.0 - before < round_trip
+                    && now.1.micros_since(shown) < *on_its_clock
+                {
+                    let least = round_trip.min(*on_its_clock);
+                    let (ago, least) = ((now.0 - before) as f64 / 1e3, least as f64 / 1e3);
                     reasons.push(format!(
                         "sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"
                     ));

@@ -185,7 +185,7 @@ impl Engine {
             };
             // There and back, at the least.
             let round_trip = 2 * self.settings.radio.delay_micros.max(0);
-            found = found.or_else(|| member.twice.sent(robot, self.now, to, packages, round_trip));
+            found = found.or_else(|| member.twice.sent(robot, (self.now, now), to, packages, round_trip));
         }
         if self.settings.has_paths {
             let paths = &mut self.members[number].paths;
