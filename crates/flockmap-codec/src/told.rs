@@ -274,7 +274,7 @@ mod tests {
                 let is_told = |codes: &&[u8]| codes.iter().any(|code| *code != background);
                 let groups = list.chunks(512).filter(is_told).count();
                 let bytes = list.chunks(4).filter(is_told).count();
-                let steps = 64 * groups + 6 * bytes + 64 * expected.blocks().len();
+                let steps = 128 * groups + 12 * bytes + 128 * expected.blocks().len();
                 prop_assert_eq!(work.taken(), steps as u64);
             }
         }

@@ -5,32 +5,39 @@ use flockmap_grid::mutation::{self, Mutation};
 
 use crate::{Codec, PackageError};
 
-/// Steps for each byte of payload. A step is some five nanoseconds of a core that runs at 3 GHz. Real flights ask for 20 to 90.
-const STEPS_PER_BYTE: u64 = 128;
+/// Steps for each byte of payload. A step is two to four nanoseconds of a core that runs at 3 GHz. Real flights ask for 60 to 240.
+const STEPS_PER_BYTE: u64 = 256;
 /// Steps that a payload may ask for beside, however short it is: its header has about as many bytes.
-pub(crate) const STEPS_FREE: u64 = 4_096;
+pub(crate) const STEPS_FREE: u64 = 8_192;
 
 /// A block of 8³ voxels that a payload tells of, once for each stamp.
-pub(crate) const BLOCK_STEPS: u64 = 64;
+pub(crate) const BLOCK_STEPS: u64 = 128;
 /// A payload, or a section of one, in the model of `flock`.
-pub(crate) const SECTION_STEPS: u64 = 512;
+pub(crate) const SECTION_STEPS: u64 = 1_024;
 /// A block of which `flock` says whether it changed.
 const FLAG_STEPS: u64 = 8;
-/// More for one of which something was known before: it has to be fetched from a large table.
-const KNOWN_STEPS: u64 = 32;
+/// More for one of which something was known before: it is fetched from a large table, several at once.
+const KNOWN_STEPS: u64 = 8;
+/// A block that `flock` says has changed: its surroundings are put together, its rows gone through and put back.
+pub(crate) const CHANGED_STEPS: u64 = 128;
+/// A block whose cells are taken in, of which something was known or is told: once, whatever looks at it.
+pub(crate) const TAKEN_IN_STEPS: u64 = 24;
+/// A decision by itself; a row whose unknown voxels are decided one by one, beside one step for each decision of these.
+pub(crate) const DECISION_STEPS: u64 = 2;
+pub(crate) const ROW_STEPS: u64 = 6;
 /// A change in noise, and a block with changes: there are many that were not known, which takes longer to merge than to read.
-pub(crate) const CHANGE_STEPS: u64 = 8;
-pub(crate) const NOISE_BLOCK_STEPS: u64 = 160;
+pub(crate) const CHANGE_STEPS: u64 = 16;
+pub(crate) const NOISE_BLOCK_STEPS: u64 = 320;
 /// Places of blocks, those round a box with it, for one step: `flock` has a table of them.
-const PLACES_PER_STEP: u64 = 8;
+const PLACES_PER_STEP: u64 = 4;
 /// Voxels of a zlib stream for one step.
-const VOXELS_PER_STEP: u64 = 64;
+const VOXELS_PER_STEP: u64 = 32;
 /// A group of codes that tells of a voxel, and each byte of it that does.
-const GROUP_STEPS: u64 = 64;
-const CODE_BYTE_STEPS: u64 = 6;
+const GROUP_STEPS: u64 = 128;
+const CODE_BYTE_STEPS: u64 = 12;
 /// Where a tile has stamps: voxels of its box for one step, and steps for each known voxel.
-const STAMPED_PER_STEP: u64 = 4;
-const STAMP_STEPS: u64 = 4;
+const STAMPED_PER_STEP: u64 = 2;
+const STAMP_STEPS: u64 = 8;
 
 /// The most steps that a payload of so many bytes may ask for.
 pub(crate) const fn limit(payload_bytes: usize) -> u64 {
@@ -116,7 +123,7 @@ mod tests {
 
     #[test]
     fn the_fewest_bytes_are_the_fewest() {
-        for steps in (0..2_000).chain([4_095, 4_096, 4_097, 4_224, 4_225, 1 << 40]) {
+        for steps in (0..2_000).chain([8_191, 8_192, 8_193, 8_448, 8_449, 1 << 40]) {
             let bytes = bytes_min(steps);
             assert!(limit(bytes) >= steps);
             assert!(bytes == 0 || limit(bytes - 1) < steps, "{steps}");
@@ -130,7 +137,7 @@ mod tests {
         let error = work.take(1).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "package payload (paper) of 10 bytes asks for more than 5376 steps of work, the most for that length"
+            "package payload (paper) of 10 bytes asks for more than 10752 steps of work, the most for that length"
         );
         assert!(work.take(u64::MAX).is_err());
     }

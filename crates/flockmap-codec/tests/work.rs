@@ -6,14 +6,14 @@ use common::{changes, cycle, forest_cycle, resolution, stream};
 use flate2::{Compress, Compression, FlushCompress};
 use flockmap_codec::{
     Codec, Content, Decoder, EncodeError, Encoder, Header, PACKAGE_BYTES_MAX, Package, PackageError,
-    Priority, TilesRead,
+    Priority, Reference, TilesRead,
 };
 use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel, VoxelBox};
 use proptest::prelude::*;
 
 /// The most steps for a package of so many bytes, all of which are taken for payload.
 fn limit(package: &Package) -> u64 {
-    128 * package.bytes().len() as u64 + 4_096
+    256 * package.bytes().len() as u64 + 8_192
 }
 
 /// A box full of one state, of two in layers, or with few voxels far apart: what compresses best.
@@ -112,11 +112,11 @@ fn cube(side: u32, byte: u8) -> Package {
 }
 
 #[test]
-fn a_large_box_that_says_nothing_takes_one_step_for_64_voxels() {
+fn a_large_box_that_says_nothing_takes_one_step_for_32_voxels() {
     let mut decoder = Decoder::new();
     let package = cube(160, 0xff);
     let Err(PackageError::Check { found, .. }) = decoder.decode(&package) else { panic!("a wrong check") };
-    assert_eq!(decoder.steps(), 160 * 160 * 160 / 64);
+    assert_eq!(decoder.steps(), 160 * 160 * 160 / 32);
     let right = Package::from_parts(package.header(), payload_of(&package), found);
     assert_eq!(decoder.decode(&right), Ok(Content::Changes(Changes::default())));
 }
@@ -132,13 +132,13 @@ fn a_large_box_that_says_much_is_refused_before_a_voxel_is_looked_for() {
     let mut decoder = Decoder::new();
     for (byte, what) in [(0x00, "all Free"), (0x55, "all Occupied"), (0x44, "a checkerboard")] {
         let package = cube(160, byte);
-        let limit = 128 * payload_of(&package).len() as u64 + 4_096;
+        let limit = 256 * payload_of(&package).len() as u64 + 8_192;
         let error = decoder.decode(&package).unwrap_err();
         let payload = payload_of(&package).len();
         assert_eq!(error, PackageError::Work { codec: Codec::Paper, payload, limit }, "{what}");
         assert!(error.to_string().contains("steps of work"), "{error}");
         // What says nothing was looked for; the 8,000 groups of 128 bytes that say something were not taken up.
-        assert_eq!(decoder.steps(), 64_000, "{what}");
+        assert_eq!(decoder.steps(), 128_000, "{what}");
     }
 }
 
@@ -160,7 +160,7 @@ fn blocks_of_which_something_is_known_take_more_steps() {
     // Tables and sensor, 13,824 blocks, and decisions that are all the same: of one kind or the other.
     let refused = [0x00, 0xff].map(|byte| {
         let mut payload = vec![0, 0, 0, 0, 0x80, 0x6c];
-        payload.resize(1_000, byte);
+        payload.resize(800, byte);
         let package = Package::from_parts(&header, &payload, 0);
         [Layer::default(), layer.clone()].map(|layer| {
             let error = Decoder::new().decode_against(&package, Some(&layer)).unwrap_err();
@@ -168,6 +168,67 @@ fn blocks_of_which_something_is_known_take_more_steps() {
         })
     });
     assert!(refused.contains(&[false, true]), "{refused:?}");
+}
+
+/// Blocks in rows, each with some voxels of one state, at heights that begin at `z`.
+fn rows(z: i32, blocks: i32, state: State) -> Changes {
+    let voxel = |n: i32, x: i32| Voxel::new(n % 12 * 8 + x, n / 12 % 12 * 8 + x % 3, n / 144 * 8 + z + x % 2);
+    Changes::from_voxels((0..blocks).flat_map(|n| (0..7).map(move |x| (voxel(n, x), state))))
+}
+
+/// Else a reader could refuse what its writer found to be within the limit.
+#[test]
+fn a_package_asks_for_the_same_steps_whatever_of_its_cycle_was_merged_before() {
+    let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
+    let mut before = Layer::default();
+    before.apply(&rows(2, 300, State::Free), Stamp(cycle().start.0 - 1));
+    let changes = rows(5, 600, State::Occupied);
+    let cycles = [(Stamp(cycle().start.0 - 1), 1)];
+    let reference = Reference { layer: Some(&before), cycles: &cycles, readers: &[] };
+    let packages =
+        encoder.encode_cycle_against(Codec::Flock, &cycle(), 2, &changes, Some(&reference), 600).unwrap();
+    assert!(packages.len() > 3, "{}", packages.len());
+    let mut steps = Vec::new();
+    let mut merged = before.clone();
+    for package in &packages {
+        let Content::Changes(changes) = decoder.decode_against(package, Some(&before)).unwrap() else {
+            panic!()
+        };
+        steps.push(decoder.steps());
+        merged.apply(&changes, cycle().end);
+    }
+    for (package, steps) in packages.iter().zip(steps) {
+        decoder.decode_against(package, Some(&merged)).unwrap();
+        assert_eq!(decoder.steps(), steps, "{package:?}");
+    }
+}
+
+/// Few voxels that change among many blocks that are known: the shortest packages, and those that look at most.
+#[test]
+fn what_is_told_against_a_large_layer_is_read_within_the_limit() {
+    let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
+    let mut before = Layer::default();
+    before.apply(&rows(2, 144 * 9, State::Free), Stamp(cycle().start.0 - 1));
+    let cycles = [(Stamp(cycle().start.0 - 1), 1)];
+    let reference = Reference { layer: Some(&before), cycles: &cycles, readers: &[] };
+    for every in [1, 2, 5, 17, 60, 400] {
+        for state in [State::Free, State::Occupied] {
+            let all = rows(2, 144 * 9, state);
+            let some = all.voxels().enumerate().filter(|(n, _)| n / 7 % every == 0);
+            let moved = some.map(|(_, (voxel, state))| (Voxel::new(voxel.x, voxel.y, voxel.z + 2), state));
+            let changes = Changes::from_voxels(moved);
+            let encoded =
+                encoder.encode_cycle_against(Codec::Flock, &cycle(), 2, &changes, Some(&reference), 1_150);
+            let mut read = 0;
+            for package in encoded.unwrap() {
+                let content = decoder.decode_against(&package, Some(&before)).unwrap();
+                let Content::Changes(changes) = content else { panic!() };
+                assert!(decoder.steps() <= limit(&package));
+                read += changes.len();
+            }
+            assert_eq!(read, changes.len(), "every {every}");
+        }
+    }
 }
 
 #[test]

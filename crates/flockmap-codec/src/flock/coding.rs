@@ -4,6 +4,7 @@ use super::cells::Bits;
 use super::coder::{Chance, CodeBit};
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::tables::{Chances, KIND_CHANCES, Lookup, Tables, VOXEL_CHANCES, voxel_chance};
+use crate::work;
 
 /// How fast a chance follows what happens: a step of one in 2ⁿ.
 const VOXEL_RATE: u32 = 5;
@@ -16,14 +17,14 @@ pub(crate) struct Coding<'a, B> {
     chances: &'a mut Chances,
     tables: &'static Tables,
     pub(crate) bits: B,
-    /// How many have been made.
-    pub(crate) made: u64,
+    /// Steps of work for those that have been made.
+    pub(crate) steps: u64,
 }
 
 impl<'a, B> Coding<'a, B> {
     pub(crate) fn new(tables: &'static Tables, chances: &'a mut Chances, bits: B) -> Self {
         chances.clone_from(&tables.start);
-        Self { chances, tables, bits, made: 0 }
+        Self { chances, tables, bits, steps: 0 }
     }
 }
 
@@ -32,7 +33,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
 
     #[inline]
     fn flag(&mut self, context: usize, truth: bool) -> bool {
-        self.made += 1;
+        self.steps += work::DECISION_STEPS;
         self.bits.code(&mut self.chances.flag[context], truth, FLAG_RATE)
     }
 
@@ -42,7 +43,8 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
         let lookup = self.tables.lookup();
         let told =
             self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, lookup, bits }, row, truth));
-        self.made += u64::from(row.voxels.count_ones() + (told.free | told.occupied).count_ones());
+        let made = row.voxels.count_ones() + (told.free | told.occupied).count_ones();
+        self.steps += work::ROW_STEPS + u64::from(made);
         told
     }
 }

@@ -27,6 +27,10 @@ const NOT_ASKED: u32 = 0;
 pub(crate) const OWN: usize = 13;
 /// The cells of blocks of which nothing is known.
 pub(crate) const NOTHING: u32 = 1;
+/// So many blocks are looked up at once.
+pub(crate) const AHEAD: usize = 16;
+/// The first slot of a block that was taken in.
+const FIRST_SLOT: u32 = 2;
 
 impl Field {
     /// Forgets everything, for a package whose blocks lie in `region`.
@@ -35,11 +39,11 @@ impl Field {
         self.size = region.size().map(|side| side as usize + 2);
         self.slots.clear();
         self.slots.resize(self.size.iter().product(), NOT_ASKED);
-        if self.cells.len() < 2 {
-            self.cells.resize(2, BlockCells::UNKNOWN);
+        if self.cells.len() < FIRST_SLOT as usize {
+            self.cells.resize(FIRST_SLOT as usize, BlockCells::UNKNOWN);
         }
         self.counts.clear();
-        self.counts.resize(2, block::KnownClasses::default());
+        self.counts.resize(FIRST_SLOT as usize, block::KnownClasses::default());
     }
 
     pub(crate) fn cells(&self) -> &[BlockCells] {
@@ -54,9 +58,14 @@ impl Field {
         (z * self.size[1] + y) * self.size[0] + x
     }
 
+    /// The place of a block itself.
+    fn own_place(&self, block: BlockIndex) -> usize {
+        self.place(block) + 1 + self.size[0] * (1 + self.size[1])
+    }
+
     /// The slot of a block: [`NOTHING`] if nothing is known of it.
     pub(crate) fn ask(&mut self, known: &Known<'_>, block: BlockIndex, turn: Turn) -> Result<u32, Overtaken> {
-        let place = self.place(block) + 1 + self.size[0] * (1 + self.size[1]);
+        let place = self.own_place(block);
         match self.slots.get(place) {
             None => Ok(NOTHING),
             Some(&NOT_ASKED) => Ok(self.admit(place, known.block(block)?, turn)),
@@ -68,9 +77,11 @@ impl Field {
     #[inline(never)]
     fn admit(&mut self, place: usize, known: Option<&StateBlock>, turn: Turn) -> u32 {
         let mut slot = NOTHING;
-        if let Some(states) = known {
+        // A block that only this cycle told of was there before it too, without a voxel, where some of the cycle has been merged already.
+        let known = known.map(|states| (states, block::KnownClasses::of(states)));
+        if let Some((states, classes)) = known.filter(|(_, classes)| classes.is_any()) {
             slot = self.counts.len() as u32;
-            self.counts.push(block::KnownClasses::of(states));
+            self.counts.push(classes);
             // Older packages leave theirs behind.
             if self.cells.len() < self.counts.len() {
                 self.cells.push(BlockCells::UNKNOWN);
@@ -85,13 +96,46 @@ impl Field {
         slot
     }
 
-    /// How much was known of a block before, without taking it in: most blocks that are asked for do not change.
+    /// How much was known of a block of the package before, without taking it in: most blocks that are asked for do not change.
     pub(crate) fn classes(
         &self,
         known: &Known<'_>,
         block: BlockIndex,
     ) -> Result<block::KnownClasses, Overtaken> {
-        Ok(known.block(block)?.map(block::KnownClasses::of).unwrap_or_default())
+        match self.slots.get(self.own_place(block)) {
+            Some(&slot) if slot != NOT_ASKED => Ok(self.counts(slot)),
+            _ => Ok(known.block(block)?.map(block::KnownClasses::of).unwrap_or_default()),
+        }
+    }
+
+    /// The same of many blocks, in their order: all are looked up before any is looked at, so that the processor can wait for several at
+    /// once.
+    pub(crate) fn classes_of(
+        &self,
+        known: &Known<'_>,
+        blocks: impl Iterator<Item = BlockIndex>,
+        found: &mut Vec<(BlockIndex, block::KnownClasses)>,
+    ) -> Result<(), Overtaken> {
+        let mut states = [None; AHEAD];
+        found.clear();
+        for (block, states) in blocks.zip(&mut states) {
+            let slot = self.slots.get(self.own_place(block)).copied().unwrap_or(NOT_ASKED);
+            found.push((block, self.counts(slot)));
+            if slot == NOT_ASKED {
+                *states = known.block(block)?;
+            }
+        }
+        for ((_, classes), states) in found.iter_mut().zip(states) {
+            if let Some(states) = states {
+                *classes = block::KnownClasses::of(states);
+            }
+        }
+        Ok(())
+    }
+
+    /// How many blocks have been taken in so far: those of which something was known, and those that were told of.
+    pub(crate) fn taken_in(&self) -> u64 {
+        self.counts.len() as u64 - u64::from(FIRST_SLOT)
     }
 
     /// How much was known of a block before.
@@ -151,7 +195,7 @@ impl Field {
     ) -> StateBlock {
         let mut slot = slot;
         if slot == NOTHING {
-            let place = self.place(block) + 1 + self.size[0] * (1 + self.size[1]);
+            let place = self.own_place(block);
             slot = self.counts.len() as u32;
             if let Some(own) = self.slots.get_mut(place) {
                 *own = slot;

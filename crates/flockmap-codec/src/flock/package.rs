@@ -12,11 +12,11 @@ use super::choice;
 use super::coder::{BitReader, BitWriter};
 use super::coding::Coding;
 use super::decide::Decide;
-use super::field::{Field, OWN};
+use super::field::{AHEAD, Field, OWN};
 use super::order::{self, BLOCK_UNITS, BlockBox};
 use super::tables::{Chances, TableSet};
 use crate::reference::Known;
-use crate::work::{self, BLOCK_STEPS, Work};
+use crate::work::{self, CHANGED_STEPS, TAKEN_IN_STEPS, Work};
 use crate::{BOX_VOXELS_MAX, Codec, PackageError, varint};
 
 /// Most blocks in the box of a package.
@@ -227,7 +227,8 @@ fn write(
         block::code(&mut decisions, cells, distance, counts, &truth, turns);
         field.tell(slots[OWN], index, turn, &truth);
         let bytes = payload.len() + varint::length(seen) + decisions.bits.finished_len();
-        let all_steps = of_box + of_flags + (count as u64 + 1) * BLOCK_STEPS + decisions.made;
+        let of_blocks = (count as u64 + 1) * CHANGED_STEPS + field.taken_in() * TAKEN_IN_STEPS;
+        let all_steps = of_box + of_flags + of_blocks + decisions.steps;
         let padded = work::bytes_for(all_steps, spare);
         if (bytes.max(padded) > room || padded > bytes + PADDING_MAX) && count > 0 {
             decisions.bits.back_to(&mark);
@@ -263,25 +264,35 @@ pub(crate) fn decode(
     let mut flags = Flags::new(region, told);
     let mut decisions = Coding::new(set.tables(), chances, BitReader::new(reader.rest()));
     let mut changed = Vec::new();
-    let mut made = 0;
-    for index in order::blocks(region, order::sensor_block(sensor), before).take(length as usize) {
+    // Steps of what was taken in and decided, as far as they have been counted.
+    let mut counted = 0;
+    let mut blocks = order::blocks(region, order::sensor_block(sensor), before).take(length as usize);
+    let mut ahead = Vec::with_capacity(AHEAD);
+    let mut next = 0;
+    loop {
+        if next == ahead.len() {
+            field.classes_of(known, blocks.by_ref().take(AHEAD), &mut ahead)?;
+            next = 0;
+        }
+        let Some(&(index, counts)) = ahead.get(next) else { break };
+        next += 1;
         let (turn, distance) = view(index, sensor);
-        let counts = field.classes(known, index)?;
-        work.take(work::of_flag(counts.is_any()) + decisions.made - made)?;
-        made = decisions.made;
+        let so_far = field.taken_in() * TAKEN_IN_STEPS + decisions.steps;
+        work.take(work::of_flag(counts.is_any()) + so_far - counted)?;
+        counted = so_far;
         let is_changed = decisions.flag(flags.context(index, turn, counts), false);
         flags.tell(index, is_changed);
         if !is_changed {
             continue;
         }
-        work.take(BLOCK_STEPS)?;
+        work.take(CHANGED_STEPS)?;
         let slots = field.around(known, index, turn)?;
         cells.gather(turn, &slots, field.cells());
         let told =
             block::code(&mut decisions, cells, distance, counts, &TurnedChanges::default(), [false; 2]);
         changed.push((index, field.tell(slots[OWN], index, turn, &told)));
     }
-    work.take(decisions.made - made)?;
+    work.take(field.taken_in() * TAKEN_IN_STEPS + decisions.steps - counted)?;
     let changes = Changes::from_blocks(changed);
     // At its end the grid cuts a block, and only there can a voxel lie outside.
     let ends_grid = region.max.contains(&(VOXEL_LIMIT / BLOCK_SIDE));
