@@ -82,7 +82,10 @@ impl Alignment {
         }
         let (mut free, mut occupied) = ([0; 8], [0; 8]);
         if has_free {
-            let planes = sources.map(|block| block.map_or(&[0; 8], StateBlock::free));
+            let mut planes = [&[0; 8]; 27];
+            for (plane, block) in planes.iter_mut().zip(sources) {
+                *plane = block.map_or(&[0; 8], StateBlock::free);
+            }
             self.backward.each_voxel(index, mask, |bit, [x, y, z]| {
                 let number = ((z >> 3) - low.z) * 9 + ((y >> 3) - low.y) * 3 + (x >> 3) - low.x;
                 let word = planes.get(number as usize).map_or(0, |plane| plane[z as usize & 7]);

@@ -99,7 +99,7 @@ impl Rigid {
     #[inline(always)]
     pub(super) fn each_voxel(&self, index: BlockIndex, mask: &Plane, mut found: impl FnMut(usize, [i32; 3])) {
         self.rows(index, mask, |first, bits, images| {
-            let voxels = images.map(|axis| axis.map(floor));
+            let voxels = whole(images, floor);
             each_bit(bits, |x| found(first + x, [voxels[0][x], voxels[1][x], voxels[2][x]]));
         });
     }
@@ -113,13 +113,26 @@ impl Rigid {
         let [low, high] = self.near_block(index, mask);
         let mut window = Window::new(low);
         self.rows(index, mask, |_, bits, images| {
-            let [lows, highs] = NEAR.map(|end| images.map(|axis| axis.map(|at| nearest(at + end))));
+            let lows = whole(images, |at| nearest(at + NEAR[0]));
+            let highs = whole(images, |at| nearest(at + NEAR[1]));
             each_bit(bits, |x| {
-                window.mark(lows.map(|axis| axis[x]), highs.map(|axis| axis[x]));
+                window.mark([lows[0][x], lows[1][x], lows[2][x]], [highs[0][x], highs[1][x], highs[2][x]]);
             });
         });
         window.blocks(high, found);
     }
+}
+
+/// Each number of a row made whole. Loops over arrays that are there, which the compiler turns into several at once; `map` it would not.
+#[inline(always)]
+fn whole(row: &Row<f64>, round: impl Fn(f64) -> i32) -> Row<i32> {
+    let mut whole = [[0; 8]; 3];
+    for (to, from) in whole.iter_mut().zip(row) {
+        for (to, from) in to.iter_mut().zip(from) {
+            *to = round(*from);
+        }
+    }
+    whole
 }
 
 #[inline(always)]
