@@ -229,3 +229,32 @@ fn sets_that_are_sent_do_not_push_each_other_out_at_their_sender() {
     assert!(asked <= 3, "asked {asked} times for two states");
     swarm.assert_in_sync(&streams);
 }
+
+#[test]
+fn who_has_no_place_for_a_set_is_not_sent_it_over_and_over() {
+    let config = SessionConfig { store_bytes_max: 30_000, transfers_max: 1, ..small() };
+    let thin = SessionConfig { radio_bytes_per_s: Some(500), ..config.clone() };
+    let mut swarm = Swarm::new(73, Radio::PERFECT);
+    swarm.start(1, 1, thin);
+    swarm.start(2, 1, config.clone());
+    swarm.run(SECOND);
+    for _ in 0..80 {
+        swarm.publish(1, 900);
+        swarm.publish(2, 900);
+        swarm.run(50 * MS);
+    }
+    swarm.run(400 * SECOND);
+    let streams = [swarm.stream(1), swarm.stream(2)];
+    swarm.assert_in_sync(&streams);
+    // Who joins is sent the one slowly; the other has no place so long.
+    swarm.cut(2, 3);
+    swarm.start(3, 1, config);
+    swarm.run(5 * SECOND);
+    let sent = swarm.robots[&2].session.counters().tiles_sent;
+    swarm.join(2, 3);
+    swarm.run(20 * SECOND);
+    let sent = swarm.robots[&2].session.counters().tiles_sent - sent;
+    assert!(sent < 60, "{sent} tiles in vain");
+    swarm.run(200 * SECOND);
+    swarm.assert_in_sync(&streams);
+}

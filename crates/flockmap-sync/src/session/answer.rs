@@ -2,10 +2,12 @@
 
 use super::Session;
 use super::peer::{Item, Peer, PeerWish, Sent, VIEW_INTERVALS_MAX, View};
+use super::present::OFFER_PAUSE;
 use crate::wire::{DatagramHeader, Request};
 use crate::{InFlight, IntervalSet, Relay};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
+use std::collections::BTreeSet;
 
 /// A stamp below an earlier one means that the datagram was overtaken on the way, unless the earlier one is older
 /// than this: then the peer's clock was set back.
@@ -131,7 +133,7 @@ impl Session {
             let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
             if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
                 sending.named_at = now;
-                sending.is_ignored = false;
+                sending.unheeded = 0;
                 sending.accepted = progress.accepted.clone();
                 if progress.from > 1 {
                     // What the cut list does not name, it does not ask for either.
@@ -162,6 +164,11 @@ impl Session {
             },
         };
         let (mut confirmed, mut lost) = (0, 0);
+        let own = self.own.origin;
+        let is_named = |stream: Stream, set: u32| {
+            request.transfers.iter().any(|t| (t.source, t.stream, t.set) == (own, stream, set))
+        };
+        let mut unheeded = BTreeSet::new();
         let mut in_flight = std::mem::take(&mut peer.in_flight);
         in_flight.retain_mut(|sent| {
             let stream = sent.item.stream();
@@ -190,9 +197,24 @@ impl Session {
             sent.requests = sent.requests.saturating_add(u8::from(stated));
             let gone = stated && is_lost(sent);
             lost += u64::from(gone);
+            if let Item::Tile { set, .. } = sent.item
+                && gone
+                && !is_named(stream, set)
+            {
+                unheeded.insert((stream, set));
+            }
             !gone
         });
         peer.in_flight = in_flight;
+        for (stream, set) in unheeded {
+            let sending = peer.views.get_mut(&stream).and_then(|view| view.sending.as_mut());
+            if let Some(sending) = sending.filter(|sending| sending.set == set) {
+                sending.note_unheeded(now);
+                if sending.is_ignored() {
+                    peer.offer_at = now.plus_micros(OFFER_PAUSE);
+                }
+            }
+        }
         self.counters.confirmed += confirmed;
         self.counters.lost += lost;
         peer.loss.sample(confirmed, lost);

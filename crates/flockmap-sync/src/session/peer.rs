@@ -57,8 +57,10 @@ pub(super) struct Sending {
     pub(super) upto: u32,
     /// When the peer last spoke of the set, or it was begun.
     pub(super) named_at: Stamp,
-    /// The peer has said nothing of it for long.
-    pub(super) is_ignored: bool,
+    /// 0: the peer spoke of the set. Else how often tiles got lost since then, or since it was begun, and one more.
+    pub(super) unheeded: u8,
+    /// When tiles of it got lost last.
+    pub(super) lost_at: Stamp,
     /// Number + 1 of the tiles that the peer accepted.
     pub(super) accepted: IntervalSet,
     /// Those and the ones in flight.
@@ -151,6 +153,8 @@ pub(super) struct Peer {
     pub(super) views: BTreeMap<Stream, View>,
     /// The ledger: what is on its way to it. Also of streams of which it takes nothing now: it may have room when that arrives.
     pub(super) in_flight: VecDeque<Sent>,
+    /// Not before this a tile is offered to it of a set that it does not take.
+    pub(super) offer_at: Stamp,
     /// What to send next, best first, if nothing changes.
     pub(super) queue: VecDeque<Item>,
     /// The queue has to be made anew: something changed, or it was cut to its bound.
@@ -182,6 +186,7 @@ impl Peer {
             clocks: Vec::new(),
             views: BTreeMap::new(),
             in_flight: VecDeque::new(),
+            offer_at: now,
             queue: VecDeque::new(),
             queue_stale: false,
             round_trip: RoundTrip::new(i64::from(config.round_trip_initial_ms) * 1_000),

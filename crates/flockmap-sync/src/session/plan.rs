@@ -29,7 +29,6 @@ impl Session {
     pub(super) fn plan(&self, now: Stamp, peer: &mut Peer) {
         peer.queue_stale = false;
         let (mut due, mut backlog, mut overdue) = (Vec::new(), Vec::new(), Vec::new());
-        let mut tiles = Vec::new();
         for stream in self.store.streams() {
             if !peer.wants(stream) {
                 continue;
@@ -78,9 +77,6 @@ impl Session {
             } else {
                 due.extend(newest.map(item).take(QUEUE_MAX));
             }
-            if let Some(sending) = &view.sending {
-                tiles.extend(self.tiles_to_send(stream, sending).take(QUEUE_MAX));
-            }
         }
         match self.config.order {
             // Obstacles, near free space, far free space; of each cycle by cycle; within a cycle in the order of the indices, so that no
@@ -97,6 +93,7 @@ impl Session {
             .chain(backlog)
             .chain(overdue)
             .map(|due| Item::Package { stream: due.stream, index: due.index });
+        let tiles = self.plan_tiles(now, peer, QUEUE_MAX);
         peer.queue = packages.chain(tiles).take(QUEUE_MAX).collect::<VecDeque<_>>();
     }
 }

@@ -49,6 +49,11 @@ impl Incoming {
     }
 }
 
+/// A set counts as ignored when tiles of it got lost four times and the peer has not spoken of it …
+const UNHEEDED_MAX: u8 = 5;
+/// … and then single tiles of such sets are offered, with this pause: who has no place for a set is not to be sent it over and over.
+pub(super) const OFFER_PAUSE: i64 = 5_000_000;
+
 /// Silence after which a transfer is given up.
 const ABANDONED: i64 = 30_000_000;
 
@@ -77,11 +82,22 @@ const ASK_AGAIN_NO_ROOM: i64 = 5_000_000;
 const ASK_AGAIN_DECLINED: i64 = 30_000_000;
 
 impl Sending {
+    /// The peer does not take it: it has no place for it, or knows better. Or all that was sent of it got lost.
+    pub(super) const fn is_ignored(&self) -> bool {
+        self.unheeded >= UNHEEDED_MAX
+    }
+
+    /// Tiles got lost, and the peer does not speak of the set.
+    pub(super) fn note_unheeded(&mut self, now: Stamp) {
+        self.unheeded = self.unheeded.saturating_add(1).min(UNHEEDED_MAX);
+        self.lost_at = now;
+    }
+
     /// A peer that does not speak of the set for long has forgotten it, or has not heard of it yet.
     fn note_silence(&mut self, now: Stamp) {
         if now.micros_since(self.named_at) > ABANDONED {
             self.named_at = now;
-            self.is_ignored = true;
+            self.unheeded = UNHEEDED_MAX;
             self.accepted = IntervalSet::new(VIEW_INTERVALS_MAX);
         }
     }
@@ -103,7 +119,8 @@ impl Outgoing {
             since,
             upto,
             named_at: now,
-            is_ignored: false,
+            unheeded: 1,
+            lost_at: now,
             accepted: nothing.clone(),
             covered: nothing,
         }
@@ -160,7 +177,7 @@ impl Session {
                 let Outgoing { stream, set, .. } = self.outgoing[*at];
                 let views = self.peers.values().filter_map(|peer| peer.views.get(&stream));
                 let mut sendings = views.filter_map(|view| view.sending.as_ref());
-                !sendings.any(|sending| sending.set == set && !sending.is_ignored)
+                !sendings.any(|sending| sending.set == set && !sending.is_ignored())
             };
             let idle = (0..self.outgoing.len()).filter(is_idle);
             let Some(oldest) = idle.min_by_key(|&at| self.outgoing[at].used_at) else { return false };
@@ -418,6 +435,28 @@ impl Session {
             set,
             tile: number - 1,
         })
+    }
+
+    /// The tiles that a peer is sent: first those of sets that it speaks of. Of sets that it ignores now and then one.
+    pub(super) fn plan_tiles(&self, now: Stamp, peer: &Peer, most: usize) -> Vec<Item> {
+        let sendings = || {
+            let views = peer.views.iter().filter(|(stream, _)| peer.wants(**stream));
+            views.filter_map(|(stream, view)| Some((*stream, view.sending.as_ref()?)))
+        };
+        let mut taken: Vec<_> = sendings().filter(|(_, sending)| !sending.is_ignored()).collect();
+        taken.sort_by_key(|(_, sending)| sending.unheeded);
+        let is_offered = peer.in_flight.iter().any(|sent| match sent.item {
+            Item::Tile { stream, set, .. } => {
+                sendings().any(|(of, s)| of == stream && s.set == set && s.is_ignored())
+            }
+            Item::Package { .. } => false,
+        });
+        let offer =
+            sendings().filter(|(_, sending)| sending.is_ignored() && !is_offered && peer.offer_at <= now);
+        let offer = offer.min_by_key(|(_, sending)| sending.lost_at);
+        let offer = offer.and_then(|(stream, sending)| self.tiles_to_send(stream, sending).next());
+        let tiles = taken.into_iter().flat_map(|(stream, sending)| self.tiles_to_send(stream, sending));
+        tiles.take(most).chain(offer).collect()
     }
 }
 
