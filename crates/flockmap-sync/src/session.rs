@@ -233,6 +233,13 @@ impl Session {
         }
         let transmit = if !self.path_waiting.is_empty() {
             self.transmit_path(now)
+        } else if self.is_overtaken()
+            && let packages @ Some(_) = self.transmit_packages(now)
+        {
+            packages
+        } else if self.is_overtaken() {
+            // Requests wait with them.
+            None
         } else if self.request_due(now) {
             self.transmit_request(now)
         } else {

@@ -172,3 +172,23 @@ fn behind_a_thin_link_the_newest_cycle_comes_first() {
     assert!(held.contains_range(newest + 1 - last, newest), "{held:?} of {newest}");
     assert!(held.count() < u64::from(newest) / 2, "{held:?} of {newest}");
 }
+
+#[test]
+fn requests_leave_room_for_packages_however_soon_peers_forget_each_other() {
+    // A peer has to be heard every third of a second: that alone takes three quarters of the budget.
+    let config = SessionConfig {
+        radio_bytes_per_s: Some(2_300),
+        request_period_active_ms: 200,
+        request_period_idle_ms: 270,
+        peer_timeout_ms: 1_100,
+        ..SessionConfig::default()
+    };
+    let mut swarm = Swarm::of(6, 83, Radio::PERFECT, &config);
+    swarm.run(2 * SECOND);
+    for id in 1..=6 {
+        swarm.publish(id, 1_500);
+    }
+    swarm.run(120 * SECOND);
+    let streams: Vec<_> = (1..=6).map(|id| swarm.stream(id)).collect();
+    swarm.assert_in_sync(&streams);
+}

@@ -363,7 +363,9 @@ impl Engine {
         else {
             return;
         };
-        let stamp = self.members[from].settings.clock.shows(self.now);
+        // It took as long on the way as any other: from the stamps of what comes at once a round trip of half the time would follow.
+        let sent_at = self.now - self.settings.radio.delay_micros.max(0);
+        let stamp = self.members[from].settings.clock.shows(sent_at);
         let resolution = sender.config().mapper.resolution;
         if let Some(bytes) = costly.datagram(stream, index, stamp, resolution) {
             *self.seen.entry("packages that cost too much").or_default() += 1;

@@ -226,6 +226,7 @@ impl Session {
         }
         if to == Destination::Everyone {
             self.move_cursor(covered);
+            self.note_overtaken();
             self.schedule.superseded = None;
         }
         self.schedule_next(now, for_gap, to);

@@ -163,6 +163,8 @@ pub(super) struct Peer {
     pub(super) clock: ClockFilter,
     pub(super) loss: Loss,
     pub(super) pacer: Option<Pacer>,
+    /// A datagram of packages for it waits for a budget; and how many requests to everyone went out meanwhile.
+    pub(super) overtaken: Option<u8>,
     pub(super) path: PeerPath,
     pub(super) traffic_in: Traffic,
     pub(super) traffic_out: Traffic,
@@ -195,6 +197,7 @@ impl Peer {
             pacer: config
                 .link_bytes_per_s
                 .map(|rate| Pacer::new(rate, super::burst_bytes(rate, config.burst_ms))),
+            overtaken: None,
             path: PeerPath::default(),
             traffic_in: Traffic::default(),
             traffic_out: Traffic::default(),

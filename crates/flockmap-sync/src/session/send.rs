@@ -11,6 +11,9 @@ use flockmap_grid::{RobotId, Stamp};
 /// Items looked at to fill up a datagram.
 const BUNDLE_LOOKAHEAD: usize = 16;
 
+/// Requests to everyone that may go out while packages wait for a budget. Where peers forget each other soon, requests alone could fill it.
+const OVERTAKEN_MAX: u8 = 3;
+
 /// What came of the attempt to send something to a peer.
 enum Attempt {
     Send {
@@ -123,7 +126,20 @@ impl Session {
         None
     }
 
+    /// Whether some datagram of packages has waited for so long that requests are to wait for it.
+    pub(super) fn is_overtaken(&self) -> bool {
+        self.peers.values().any(|peer| peer.overtaken.is_some_and(|requests| requests >= OVERTAKEN_MAX))
+    }
+
+    /// A request to everyone went out.
+    pub(super) fn note_overtaken(&mut self) {
+        for requests in self.peers.values_mut().filter_map(|peer| peer.overtaken.as_mut()) {
+            *requests = requests.saturating_add(1);
+        }
+    }
+
     fn attempt(&mut self, now: Stamp, peer: &mut Peer) -> Attempt {
+        let overtaken = peer.overtaken.take();
         if !peer.hears(self.own.origin) || peer.is_silent(now) || !peer.path.is_open() {
             return Attempt::Nothing;
         }
@@ -144,6 +160,7 @@ impl Session {
         if let Some(ready) = link.max(radio) {
             self.wake = Some(self.wake.map_or(ready, |earlier| earlier.min(ready)));
             self.counters.delayed_by_budget += 1;
+            peer.overtaken = Some(overtaken.unwrap_or(0));
             return if radio.is_some() { Attempt::RadioSpent } else { Attempt::Nothing };
         }
         for pacer in [peer.pacer.as_mut(), self.radio.as_mut()].into_iter().flatten() {
