@@ -5,6 +5,10 @@
 //!
 //! *decode*: reading all packages of the datagram, refused or not. *robot*: `Robot::handle_datagram` where the checks are right, so that
 //! what was read is merged into a layer and the fused map. *aligned*: the same where the frame of the sender is turned.
+//!
+//! Each of the three is done once more in [`counted`], in this order, so that instructions can be counted, row by row:
+//!
+//! `valgrind --tool=callgrind --toggle-collect=worst_datagram::counted --dump-after=worst_datagram::counted target/release/examples/worst_datagram PART`
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -93,6 +97,16 @@ fn print(case: &Case, layer: &Layer, packages: &[Package], size: [u32; 3]) {
     };
     let [robot, aligned] =
         [Pose::IDENTITY, turned()].map(|pose| shortest(TIMES, || robot_ms(case, packages, layer, &pose)));
+    let mut decoder = Decoder::new();
+    counted(|| {
+        for package in packages {
+            let _ = black_box(decode_one(&mut decoder, package, layer));
+        }
+    });
+    for pose in [Pose::IDENTITY, turned()] {
+        let (mut robot, bytes) = (robot_for(case, layer, &pose), datagram(packages));
+        counted(|| robot.handle_datagram(Stamp(2_000), &bytes));
+    }
     let per_kb = |ms: f64| ms * 1024.0 / bytes as f64;
     println!(
         "{:<30} {decode:>7.3} {:>6.3} {robot:>7.3} {:>6.3} {aligned:>7.3} {:>6.3}   {verdict:.90}; {} × {} B, {size:?}",
@@ -130,8 +144,14 @@ fn shortest(times: usize, measure: impl FnMut() -> f64) -> f64 {
     std::iter::repeat_with(measure).take(times).fold(f64::INFINITY, f64::min)
 }
 
-/// What a robot takes for a datagram, with whatever of it is merged.
-fn robot_ms(case: &Case, packages: &[Package], layer: &Layer, pose: &Pose) -> f64 {
+/// Has a name of its own for the profiler.
+#[inline(never)]
+fn counted<T>(work: impl FnOnce() -> T) {
+    drop(black_box(work()));
+}
+
+/// A robot that gets a datagram of a case.
+fn robot_for(case: &Case, layer: &Layer, pose: &Pose) -> Robot {
     let config = RobotConfig::new(RobotId(1), resolution(), 7.0);
     let mut robot = Robot::new(config, Stamp(0)).unwrap();
     if case.is_against {
@@ -150,7 +170,12 @@ fn robot_ms(case: &Case, packages: &[Package], layer: &Layer, pose: &Pose) -> f6
         }
     }
     robot.set_alignment(SENDER.origin, pose).unwrap();
-    let bytes = datagram(packages);
+    robot
+}
+
+/// What a robot takes for a datagram, with whatever of it is merged.
+fn robot_ms(case: &Case, packages: &[Package], layer: &Layer, pose: &Pose) -> f64 {
+    let (mut robot, bytes) = (robot_for(case, layer, pose), datagram(packages));
     let start = Instant::now();
     let _ = black_box(robot.handle_datagram(Stamp(2_000), &bytes));
     start.elapsed().as_secs_f64() * 1e3

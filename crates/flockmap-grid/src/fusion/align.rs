@@ -4,8 +4,7 @@ use std::borrow::Cow;
 
 use rustc_hash::FxHashMap;
 
-use super::rigid::Rigid;
-use crate::block::voxel_bit;
+use super::rigid::{Planes, Rigid, is_dense, numbered, places};
 use crate::{BlockIndex, Layer, Plane, Pose, Resolution, Stamp, State, StateBlock, Voxel};
 
 /// `T_own_origin` and its inverse, in voxel units.
@@ -58,55 +57,69 @@ impl Alignment {
         }
     }
 
-    /// What a layer says of the voxels of `mask` in a block of the own grid: [`Self::look_up`] of each. `None` if that is nothing.
-    pub(super) fn block(&self, layer: &Layer, index: BlockIndex, mask: &Plane) -> Option<StateBlock> {
-        if *mask == [0; 8] {
-            return None;
-        }
-        // The blocks of the layer in which the answer lies: three along each axis at most.
-        let [low, high] = self.backward.near_block(index, mask).map(Voxel::block);
-        let mut sources = [None; 27];
-        let (mut has_free, mut has_occupied) = (false, false);
-        for z in low.z..=high.z.min(low.z + 2) {
-            for y in low.y..=high.y.min(low.y + 2) {
-                for x in low.x..=high.x.min(low.x + 2) {
-                    let block = layer.block(BlockIndex::new(x, y, z));
-                    has_free |= block.is_some_and(|block| *block.free() != [0; 8]);
-                    has_occupied |= block.is_some_and(|block| *block.occupied() != [0; 8]);
-                    sources[((z - low.z) * 9 + (y - low.y) * 3 + x - low.x) as usize % 27] = block;
+    /// What a layer says of voxels of the own grid, [`Self::look_up`] of each: hands on, block by block, the number of the target and the
+    /// states. Occupied voxels are carried forward once for all targets.
+    pub(super) fn blocks(
+        &self,
+        layer: &Layer,
+        targets: &[(BlockIndex, Plane)],
+        mut told: impl FnMut(usize, StateBlock),
+    ) {
+        let mut free = vec![[0; 8]; targets.len()];
+        let mut near = FxHashMap::<BlockIndex, Plane>::default();
+        for ((index, mask), free) in targets.iter().zip(&mut free).filter(|((_, mask), _)| *mask != [0; 8]) {
+            let ends = self.backward.near_block(*index, mask);
+            let sources = Sources::new(layer, ends);
+            if sources.any(StateBlock::free) {
+                *free = self.free(&sources, *index, mask);
+            }
+            if sources.any(StateBlock::occupied) {
+                let mut add = |source: BlockIndex, block: &StateBlock, plane: &Plane| {
+                    let near = near.entry(source).or_default();
+                    let occupied = block.occupied();
+                    *near = core::array::from_fn(|z| near[z] | occupied[z] & plane[z]);
+                };
+                if is_dense(*index, mask) {
+                    sources.each(|source, block| add(source, block, &box_in(source, ends)));
+                } else {
+                    self.backward.near_voxels(&self.forward, *index, mask, |source, plane| {
+                        layer.block(source).into_iter().for_each(|block| add(source, block, plane));
+                    });
                 }
             }
         }
-        if !has_free && !has_occupied {
-            return None;
+        let mut occupied = FxHashMap::<BlockIndex, Plane>::default();
+        if !near.is_empty() {
+            occupied.extend(targets.iter().map(|(index, _)| (*index, [0; 8])));
         }
-        let (mut free, mut occupied) = ([0; 8], [0; 8]);
-        if has_free {
-            let mut planes = [&[0; 8]; 27];
-            for (plane, block) in planes.iter_mut().zip(sources) {
-                *plane = block.map_or(&[0; 8], StateBlock::free);
+        for (source, voxels) in &near {
+            self.forward.images(*source, voxels, |target, images| {
+                if let Some(occupied) = occupied.get_mut(&target) {
+                    *occupied = core::array::from_fn(|z| occupied[z] | images[z]);
+                }
+            });
+        }
+        for (number, ((index, mask), free)) in targets.iter().zip(free).enumerate() {
+            let occupied =
+                occupied.get(index).map_or([0; 8], |all| core::array::from_fn(|z| all[z] & mask[z]));
+            if free != [0; 8] || occupied != [0; 8] {
+                told(number, StateBlock::new(free, occupied));
             }
-            self.backward.each_voxel(index, mask, |bit, [x, y, z]| {
-                let number = ((z >> 3) - low.z) * 9 + ((y >> 3) - low.y) * 3 + (x >> 3) - low.x;
-                let word = planes.get(number as usize).map_or(0, |plane| plane[z as usize & 7]);
-                free[bit >> 6 & 7] |= (word >> (8 * (y & 7) + (x & 7)) & 1) << (bit & 63);
-            });
         }
-        if has_occupied {
-            self.backward.near_voxels(index, mask, |source, near| {
-                let Some(block) = layer.block(source) else { return };
-                let near = block.masked(near);
-                self.forward.each_voxel(source, near.occupied(), |_, [x, y, z]| {
-                    let image = Voxel::new(x, y, z);
-                    if image.block() == index {
-                        let bit = voxel_bit(image);
-                        occupied[bit / 64] |= 1 << (bit % 64);
-                    }
-                });
-            });
-            occupied = core::array::from_fn(|z| occupied[z] & mask[z]);
-        }
-        Some(StateBlock::new(free, occupied))
+    }
+
+    /// The voxels of `mask` whose centres lie in free voxels.
+    fn free(&self, sources: &Sources<'_>, index: BlockIndex, mask: &Plane) -> Plane {
+        let planes = sources.planes(StateBlock::free);
+        let mut free = [0; 8];
+        self.backward.each_row(index, mask, |first, bits, voxels| {
+            let mut row = 0;
+            for (x, place) in places(voxels, sources.low).into_iter().enumerate() {
+                row |= (planes[(place as usize >> 6) % planes.len()] >> (place & 63) & 1) << x;
+            }
+            free[first / 64] |= (row & u64::from(bits)) << (first & 63);
+        });
+        free
     }
 
     /// The voxels of the own grid on which these voxels of the layer can have a say, and few others.
@@ -116,7 +129,7 @@ impl Alignment {
         }
         let mut reached = FxHashMap::<BlockIndex, Plane>::default();
         for (index, mask) in source {
-            self.forward.near_voxels(*index, mask, |target, near| {
+            self.forward.near_voxels(&self.backward, *index, mask, |target, near| {
                 let plane = reached.entry(target).or_default();
                 *plane = core::array::from_fn(|z| plane[z] | near[z]);
             });
@@ -125,6 +138,67 @@ impl Alignment {
         reached.sort_unstable_by_key(|(index, _)| *index);
         Cow::Owned(reached)
     }
+}
+
+/// The blocks of a layer in which lies what it says of a block of another grid: three along each axis at most.
+struct Sources<'a> {
+    low: BlockIndex,
+    blocks: [Option<&'a StateBlock>; 27],
+}
+
+impl<'a> Sources<'a> {
+    fn new(layer: &'a Layer, ends: [Voxel; 2]) -> Self {
+        let [low, high] = ends.map(Voxel::block);
+        let mut blocks = [None; 27];
+        for z in low.z..=high.z.min(low.z + 2) {
+            for y in low.y..=high.y.min(low.y + 2) {
+                for x in low.x..=high.x.min(low.x + 2) {
+                    let number = (z - low.z) * 9 + (y - low.y) * 3 + x - low.x;
+                    blocks[number as usize % 27] = layer.block(BlockIndex::new(x, y, z));
+                }
+            }
+        }
+        Self { low, blocks }
+    }
+
+    fn any(&self, plane: impl Fn(&StateBlock) -> &Plane) -> bool {
+        self.blocks.iter().flatten().any(|block| *plane(block) != [0; 8])
+    }
+
+    /// Hands on all that have Occupied voxels.
+    fn each(&self, mut found: impl FnMut(BlockIndex, &StateBlock)) {
+        for (number, block) in (0..27).zip(self.blocks) {
+            if let Some(block) = block.filter(|block| *block.occupied() != [0; 8]) {
+                found(numbered(self.low, number), block);
+            }
+        }
+    }
+
+    /// One after the other, as [`places`] has them. Their number is a power of two, so that no place lies beyond.
+    fn planes(&self, plane: impl Fn(&StateBlock) -> &Plane) -> Planes {
+        let mut planes = [0; 32 * 8];
+        for (to, block) in planes.chunks_exact_mut(8).zip(self.blocks) {
+            if let Some(block) = block {
+                to.copy_from_slice(plane(block));
+            }
+        }
+        planes
+    }
+}
+
+/// The voxels of a block that lie in a box.
+fn box_in(index: BlockIndex, [low, high]: [Voxel; 2]) -> Plane {
+    let corner = index.corner();
+    // Of one axis: a bit for each place within.
+    let within = |low: i32, high: i32, corner: i32| {
+        let [from, to] = [low - corner, high - corner + 1].map(|end| end.clamp(0, 8));
+        (1u64 << to) - (1 << from.min(to))
+    };
+    let row = within(low.x, high.x, corner.x);
+    let rows = within(low.y, high.y, corner.y);
+    let slice = (0..8).filter(|y| rows >> y & 1 == 1).fold(0, |slice, y| slice | row << (8 * y));
+    let slices = within(low.z, high.z, corner.z);
+    core::array::from_fn(|z| slice * (slices >> z & 1))
 }
 
 #[cfg(test)]
@@ -239,7 +313,16 @@ mod tests {
             for bit in (0..BLOCK_VOXELS).filter(|bit| !voxel(*bit).in_limits()) {
                 mask[bit / 64] &= !(1 << (bit % 64));
             }
-            let told = alignment.block(&layer, index, &mask).unwrap_or_default();
+            let mut told = StateBlock::default();
+            alignment.blocks(&layer, &[(index, mask)], |_, states| told = states);
+            // Among others, and twice, it is the same.
+            let neighbour = (numbered(index, 1), [u64::MAX; 8]);
+            let among_others = [neighbour, (index, mask), (index, [0; 8]), (numbered(index, 13), mask), (index, mask)];
+            let mut told_among = [StateBlock::default(); 5];
+            alignment.blocks(&layer, &among_others, |number, states| told_among[number] = states);
+            prop_assert_eq!(told_among[1], told);
+            prop_assert_eq!(told_among[2], StateBlock::default());
+            prop_assert_eq!(told_among[4], told);
             let known: Vec<_> = layer.blocks().map(|(index, block)| (index, block.known())).collect();
             let reached = alignment.reach(&known);
             let images = images(&layer, &pose);

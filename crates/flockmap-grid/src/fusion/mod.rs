@@ -47,6 +47,10 @@ impl Default for FusionConfig {
 /// Blocks of the fused map that a new block of a layer in another frame is taken to add, before it is there and they are counted.
 const REACHED_BLOCKS: usize = 4;
 
+/// Blocks of the fused map that are worked out together: enough that what they have in common is looked at once, few enough that what
+/// is noted of them, half a kilobyte each, stays small.
+const REFRESHED_AT_ONCE: usize = 2_048;
+
 /// Why changes were not taken into a layer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -155,12 +159,9 @@ impl Fusion {
 
     /// Takes in what the mapper made of a scan.
     pub fn own_scan(&mut self, mapper: &Mapper, report: &ScanReport) {
-        for (index, touched) in &report.touched {
-            self.refresh(mapper, *index, touched);
-        }
-        for index in &report.forgotten {
-            self.refresh(mapper, *index, &[u64::MAX; 8]);
-        }
+        self.refresh(mapper, &report.touched);
+        let forgotten: Vec<_> = report.forgotten.iter().map(|index| (*index, [u64::MAX; 8])).collect();
+        self.refresh(mapper, &forgotten);
     }
 
     /// Takes changes into the layer of a stream, and from there into the fused map. `stamp` is on the clock of the
@@ -263,9 +264,8 @@ impl Fusion {
             && !origin.is_muted
             && !crate::mutation::is(crate::mutation::Mutation::FusionSkipped)
         {
-            for (index, mask) in origin.alignment.reach(&taken).iter() {
-                self.refresh(mapper, *index, mask);
-            }
+            let reached = origin.alignment.reach(&taken);
+            self.refresh(mapper, &reached);
         }
         taken.iter().flat_map(|(_, mask)| mask).map(|word| word.count_ones() as usize).sum()
     }
@@ -355,9 +355,7 @@ impl Fusion {
                 *all = core::array::from_fn(|z| all[z] | mask[z]);
             }
         }
-        for (index, mask) in reached {
-            self.refresh(mapper, index, &mask);
-        }
+        self.refresh(mapper, &reached.into_iter().collect::<Vec<_>>());
     }
 
     fn origin(&self, id: RobotId) -> &Origin {
@@ -376,23 +374,36 @@ impl Fusion {
             .filter(|(origin, _)| !origin.is_muted)
     }
 
-    /// Works out the voxels of `mask` anew. What just one source knows is copied, 64 voxels at a time; only voxels that
-    /// several know are compared one by one.
-    fn refresh(&mut self, mapper: &Mapper, index: BlockIndex, mask: &Plane) {
-        let mut fused = mapper.block(index).map_or_else(StateBlock::default, |block| block.masked(mask));
-        let mut contested = [0u64; 8];
-        for (origin, source) in self.heard() {
-            let Some(told) = origin.block(&source.layer, index, mask) else { continue };
-            let (known, new) = (fused.known(), told.known());
-            for z in 0..8 {
-                contested[z] |= known[z] & new[z];
+    /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that several know are compared one
+    /// by one.
+    fn refresh(&mut self, mapper: &Mapper, targets: &[(BlockIndex, Plane)]) {
+        for targets in targets.chunks(REFRESHED_AT_ONCE) {
+            let mut fused: Vec<_> = targets
+                .iter()
+                .map(|(index, mask)| {
+                    mapper.block(*index).map_or_else(StateBlock::default, |b| b.masked(mask))
+                })
+                .collect();
+            let mut contested = vec![[0u64; 8]; targets.len()];
+            for (origin, source) in self.heard() {
+                origin.blocks(&source.layer, targets, |number, told| {
+                    let (fused, contested) = (&mut fused[number], &mut contested[number]);
+                    let (known, new) = (fused.known(), told.known());
+                    for z in 0..8 {
+                        contested[z] |= known[z] & new[z];
+                    }
+                    fused.overlay(&told.masked(&core::array::from_fn(|z| !known[z])));
+                });
             }
-            fused.overlay(&told.masked(&core::array::from_fn(|z| !known[z])));
+            for (((index, mask), mut fused), contested) in targets.iter().zip(fused).zip(contested) {
+                if contested != [0; 8] {
+                    for (voxel, bit) in voxels_of(*index, &contested) {
+                        fused.set(bit, self.winner(mapper, voxel));
+                    }
+                }
+                self.view.write(*index, mask, &fused);
+            }
         }
-        for (voxel, bit) in voxels_of(index, &contested) {
-            fused.set(bit, self.winner(mapper, voxel));
-        }
-        self.view.write(index, mask, &fused);
     }
 
     /// The word that was made last on this robot's clock; of those made together, Occupied.
@@ -418,12 +429,21 @@ impl Origin {
         Self { alignment, clock_offset_micros: 0, is_muted: false }
     }
 
-    /// What a layer says of the voxels of `mask`, in the own frame.
-    fn block(&self, layer: &Layer, index: BlockIndex, mask: &Plane) -> Option<StateBlock> {
-        if self.alignment.is_identity() {
-            return layer.block(index).map(|block| block.masked(mask));
+    /// What a layer says of voxels in the own frame, block by block, with the number of the target.
+    fn blocks(
+        &self,
+        layer: &Layer,
+        targets: &[(BlockIndex, Plane)],
+        mut told: impl FnMut(usize, StateBlock),
+    ) {
+        if !self.alignment.is_identity() {
+            return self.alignment.blocks(layer, targets, told);
         }
-        self.alignment.block(layer, index, mask)
+        for (number, (index, mask)) in targets.iter().enumerate() {
+            if let Some(block) = layer.block(*index) {
+                told(number, block.masked(mask));
+            }
+        }
     }
 
     fn look_up(&self, layer: &Layer, voxel: Voxel) -> Option<(State, Stamp)> {

@@ -17,6 +17,17 @@ pub(super) type Row<T> = [[T; 8]; 3];
 /// one nearest to the first of these to the one nearest to the second.
 const NEAR: [f64; 2] = [-0.87, -0.13];
 
+/// Far more than what rounding takes from or adds to a coordinate of the grid.
+const SLACK: f64 = 1.0 / 65_536.0;
+
+/// Parts into which a voxel is divided: no image of a block's voxels is 32 voxels from that of its first.
+const PART: i32 = 1 << PART_BITS;
+const PART_BITS: u32 = 26;
+
+/// Parts by which what is reckoned in parts can be off: at most 11 of the steps, which are rounded, and 8 of the numbers, which have 24
+/// bits below the voxel at the end of the grid.
+const DOUBT: i32 = 256;
+
 /// Voxels along a side of what the images of a block can touch: its diagonal from centre to centre, 12.1, and what is in reach.
 const WINDOW: usize = 16;
 
@@ -28,11 +39,14 @@ impl Rigid {
 
     /// The image of the centre of a voxel. Each function here adds in this order, so that all agree to the last bit.
     fn image(&self, v: Voxel) -> [f64; 3] {
+        core::array::from_fn(|axis| self.image_along(axis, v))
+    }
+
+    #[inline(always)]
+    fn image_along(&self, axis: usize, v: Voxel) -> f64 {
         let p = [v.x, v.y, v.z].map(|i| f64::from(i) + 0.5);
-        core::array::from_fn(|axis| {
-            let [a, b, c] = self.rotation[axis];
-            a * p[0] + b * p[1] + c * p[2] + self.translation[axis]
-        })
+        let [a, b, c] = self.rotation[axis];
+        a * p[0] + b * p[1] + c * p[2] + self.translation[axis]
     }
 
     /// The voxel of the target grid that holds the centre of this voxel.
@@ -52,7 +66,11 @@ impl Rigid {
 
     /// The same for all voxels of a block that `mask` holds, which has some: no more than 16 along each axis.
     pub(super) fn near_block(&self, index: BlockIndex, mask: &Plane) -> [Voxel; 2] {
-        let (min, max) = corners(index, mask);
+        self.near_box(corners(index, mask))
+    }
+
+    /// The same for a box.
+    fn near_box(&self, (min, max): (Voxel, Voxel)) -> [Voxel; 2] {
         // Sums are rounded in the same direction at both ends, so that what lies between stays between.
         let end = |is_upper: bool| {
             let [x, y, z] = core::array::from_fn(|axis| {
@@ -95,32 +113,126 @@ impl Rigid {
         }
     }
 
-    /// For each voxel of a block that `mask` holds: its bit, and the voxel that holds the image of its centre.
+    /// Hands on each row of a block in which `mask` has voxels: the number of its first bit, the eight bits of `mask`, the voxels that
+    /// hold the images of the centres. Reckoned in parts of a voxel, whole numbers that the compiler adds several at once; only what
+    /// comes so near to a border that these do not tell the side is worked out as [`Self::voxel`] does.
     #[inline(always)]
-    pub(super) fn each_voxel(&self, index: BlockIndex, mask: &Plane, mut found: impl FnMut(usize, [i32; 3])) {
-        self.rows(index, mask, |first, bits, images| {
-            let voxels = whole(images, floor);
-            each_bit(bits, |x| found(first + x, [voxels[0][x], voxels[1][x], voxels[2][x]]));
-        });
+    pub(super) fn each_row(
+        &self,
+        index: BlockIndex,
+        mask: &Plane,
+        mut row: impl FnMut(usize, u8, &Row<i32>),
+    ) {
+        let corner = index.corner();
+        let start = self.image(corner);
+        let anchor = start.map(floor);
+        let parts = |at: f64| nearest(at * f64::from(PART));
+        let start: [i32; 3] = core::array::from_fn(|axis| parts(start[axis] - f64::from(anchor[axis])));
+        let step = self.rotation.map(|turn| turn.map(parts));
+        let along_x: Row<i32> = step.map(|step| core::array::from_fn(|x| step[0] * x as i32));
+        for z in (0..8).filter(|z| mask[*z] != 0) {
+            for y in 0..8 {
+                let bits = (mask[z] >> (8 * y)) as u8;
+                if bits == 0 {
+                    continue;
+                }
+                let mut voxels = along_x;
+                for axis in 0..3 {
+                    let first = start[axis] + step[axis][1] * y + step[axis][2] * z as i32;
+                    let mut is_near_border = 0;
+                    for at in &mut voxels[axis] {
+                        let parts = first + *at;
+                        is_near_border |= i32::from((parts + DOUBT) & (PART - 1) < 2 * DOUBT);
+                        *at = (parts >> PART_BITS) + anchor[axis];
+                    }
+                    if is_near_border != 0 {
+                        for (x, at) in voxels[axis].iter_mut().enumerate() {
+                            let v = Voxel::new(corner.x + x as i32, corner.y + y, corner.z + z as i32);
+                            *at = floor(self.image_along(axis, v));
+                        }
+                    }
+                }
+                row(z * 64 + y as usize * 8, bits, &voxels);
+            }
+        }
     }
 
-    /// The voxels that the inverse may bring into a voxel of `mask`, and those into which these are brought: block by block, no block
-    /// twice.
-    pub(super) fn near_voxels(&self, index: BlockIndex, mask: &Plane, found: impl FnMut(BlockIndex, &Plane)) {
+    /// The voxels that hold the images of the centres of those of `mask`: block by block, no block twice.
+    pub(super) fn images(&self, index: BlockIndex, mask: &Plane, mut found: impl FnMut(BlockIndex, &Plane)) {
         if *mask == [0; 8] {
             return;
         }
-        let [low, high] = self.near_block(index, mask);
-        let mut window = Window::new(low);
-        self.rows(index, mask, |_, bits, images| {
-            let lows = whole(images, |at| nearest(at + NEAR[0]));
-            let highs = whole(images, |at| nearest(at + NEAR[1]));
-            each_bit(bits, |x| {
-                window.mark([lows[0][x], lows[1][x], lows[2][x]], [highs[0][x], highs[1][x], highs[2][x]]);
-            });
+        let low = self.near_block(index, mask)[0].block();
+        let mut planes: Planes = [0; 32 * 8];
+        self.each_row(index, mask, |_, bits, voxels| {
+            let places = places(voxels, low);
+            each_bit(bits, |x| planes[(places[x] as usize >> 6) % planes.len()] |= 1 << (places[x] & 63));
         });
+        for (number, plane) in (0..27).zip(planes.as_chunks().0) {
+            if *plane != [0; 8] {
+                found(numbered(low, number), plane);
+            }
+        }
+    }
+
+    /// The voxels that the inverse may bring into a voxel of `mask`, those into which these are brought, and few others: block by block,
+    /// no block twice.
+    pub(super) fn near_voxels(
+        &self,
+        inverse: &Self,
+        index: BlockIndex,
+        mask: &Plane,
+        found: impl FnMut(BlockIndex, &Plane),
+    ) {
+        if *mask == [0; 8] {
+            return;
+        }
+        let (min, max) = corners(index, mask);
+        let [low, high] = self.near_box((min, max));
+        let mut window = Window::new(low);
+        if is_dense(index, mask) {
+            window.mark_near_box(inverse, (min, max), high);
+        } else {
+            self.rows(index, mask, |_, bits, images| {
+                let lows = whole(images, |at| nearest(at + NEAR[0]));
+                let highs = whole(images, |at| nearest(at + NEAR[1]));
+                each_bit(bits, |x| {
+                    window
+                        .mark([lows[0][x], lows[1][x], lows[2][x]], [highs[0][x], highs[1][x], highs[2][x]]);
+                });
+            });
+        }
         window.blocks(high, found);
     }
+}
+
+/// Planes of three blocks along each axis, one after the other.
+pub(super) type Planes = [u64; 32 * 8];
+
+/// The block of a number among three along each axis from the first.
+pub(super) fn numbered(first: BlockIndex, number: i32) -> BlockIndex {
+    BlockIndex::new(first.x + number % 3, first.y + number / 3 % 3, first.z + number / 9)
+}
+
+/// Where each voxel of a row lies in such planes, if `low` is the first block: 64 times the number of the word, and the bit.
+#[inline(always)]
+pub(super) fn places(voxels: &Row<i32>, low: BlockIndex) -> [i32; 8] {
+    let corner = low.corner();
+    let mut places = [0; 8];
+    for (x, place) in places.iter_mut().enumerate() {
+        let at = [voxels[0][x] - corner.x, voxels[1][x] - corner.y, voxels[2][x] - corner.z];
+        let block = (at[2] >> 3) * 9 + (at[1] >> 3) * 3 + (at[0] >> 3);
+        *place = block << 9 | (at[2] & 7) << 6 | (at[1] & 7) << 3 | (at[0] & 7);
+    }
+    places
+}
+
+/// Whether so many voxels of a block are meant that their neighbours are near nearly all of the box around them.
+pub(super) fn is_dense(index: BlockIndex, mask: &Plane) -> bool {
+    let (min, max) = corners(index, mask);
+    let volume = (max.x - min.x + 1) * (max.y - min.y + 1) * (max.z - min.z + 1);
+    let voxels: u32 = mask.iter().map(|slice| slice.count_ones()).sum();
+    voxels * 4 >= volume as u32
 }
 
 /// Each number of a row made whole. Loops over arrays that are there, which the compiler turns into several at once; `map` it would not.
@@ -199,6 +311,42 @@ impl Window {
         self.rows[z[1] + y[1]] |= bits;
     }
 
+    /// What may be brought into a box, up to the voxel `high`: what `inverse` brings so near to it that the voxels may have a part in
+    /// common. Along a row these are neighbours, and the faces of the box say where they begin and end.
+    fn mark_near_box(&mut self, inverse: &Rigid, (min, max): (Voxel, Voxel), high: Voxel) {
+        let low = self.low;
+        let (min, max) = ([min.x, min.y, min.z].map(f64::from), [max.x, max.y, max.z].map(f64::from));
+        // By axis of the box: how far a step along the row goes, as a divisor; where the faces are, seen from the start of a row.
+        let start = inverse.image(low);
+        let turn = inverse.rotation;
+        let reach = turn.map(|turn| turn.iter().map(|part| part.abs()).sum::<f64>() * 0.5 + SLACK);
+        let step: [f64; 3] = core::array::from_fn(|axis| {
+            let step = turn[axis][0];
+            // What is so small does not matter over a row; it only must not divide by nothing.
+            1.0 / if step.abs() < SLACK / 64.0 { SLACK / 64.0 } else { step }
+        });
+        let faces: [[f64; 2]; 3] = core::array::from_fn(|axis| {
+            [min[axis] + 0.5 - reach[axis] - start[axis], max[axis] + 0.5 + reach[axis] - start[axis]]
+        });
+        for z in 0..=(high.z - low.z).clamp(0, WINDOW as i32 - 1) {
+            for y in 0..=(high.y - low.y).clamp(0, WINDOW as i32 - 1) {
+                let (mut first, mut last) = (0.0f64, f64::from(high.x - low.x));
+                for axis in 0..3 {
+                    let at = f64::from(y) * turn[axis][1] + f64::from(z) * turn[axis][2];
+                    let [a, b] = faces[axis].map(|face| (face - at) * step[axis]);
+                    first = first.max(a.min(b));
+                    last = last.min(a.max(b));
+                }
+                if first <= last {
+                    // Rounded up and down, unless it is next to a whole number.
+                    let (first, last) = (nearest(first + 0.499), nearest(last - 0.499));
+                    let bits = (2u32 << (last & 15)) - (1 << (first & 15));
+                    self.rows[z as usize * WINDOW + y as usize] = bits as u16;
+                }
+            }
+        }
+    }
+
     /// What was marked, block by block, and what of it lies in the grid.
     fn blocks(&self, high: Voxel, mut found: impl FnMut(BlockIndex, &Plane)) {
         let mut planes = [[0u64; 8]; 27];
@@ -220,8 +368,7 @@ impl Window {
             }
         }
         for (number, plane) in planes.iter_mut().enumerate().filter(|(_, plane)| **plane != [0; 8]) {
-            let [x, y, z] = [number % 3, number / 3 % 3, number / 9].map(|at| at as i32);
-            let index = BlockIndex::new(first.x + x, first.y + y, first.z + z);
+            let index = numbered(first, number as i32);
             keep_in_grid(index, plane);
             if *plane != [0; 8] {
                 found(index, plane);
