@@ -96,6 +96,8 @@ pub struct Session {
     present_asked: BTreeMap<Stream, Stamp>,
     schedule: Schedule,
     radio: Option<Pacer>,
+    /// As [`Peer::overtaken`], for a datagram that waits for the radio's budget.
+    overtaken: Option<u8>,
     path_waiting: path::Waiting,
     /// The peer that was served last.
     served: RobotId,
@@ -131,6 +133,7 @@ impl Session {
             present_asked: BTreeMap::new(),
             schedule: Schedule::default(),
             radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),
+            overtaken: None,
             path_waiting: path::Waiting::new(),
             served: RobotId(0),
             wake: None,

@@ -163,7 +163,7 @@ pub(super) struct Peer {
     pub(super) clock: ClockFilter,
     pub(super) loss: Loss,
     pub(super) pacer: Option<Pacer>,
-    /// A datagram of packages for it waits for a budget; and how many requests to everyone went out meanwhile.
+    /// A datagram of packages for it waits for its link's budget; and how many requests to everyone went out meanwhile.
     pub(super) overtaken: Option<u8>,
     pub(super) path: PeerPath,
     pub(super) traffic_in: Traffic,

@@ -102,6 +102,7 @@ impl Peer {
 impl Session {
     /// The next datagram of packages, serving the peers in turn.
     pub(super) fn transmit_packages(&mut self, now: Stamp) -> Option<Transmit> {
+        let overtaken = self.overtaken.take();
         let after = |id: &&RobotId| **id > self.served;
         let ids: Vec<RobotId> = self
             .peers
@@ -119,7 +120,10 @@ impl Session {
                     self.served = id;
                     return Some(self.sent_to(now, id, bytes, &items));
                 }
-                Attempt::RadioSpent => return None,
+                Attempt::RadioSpent => {
+                    self.overtaken = Some(overtaken.unwrap_or(0));
+                    return None;
+                }
                 Attempt::Nothing => {}
             }
         }
@@ -128,12 +132,14 @@ impl Session {
 
     /// Whether some datagram of packages has waited for so long that requests are to wait for it.
     pub(super) fn is_overtaken(&self) -> bool {
-        self.peers.values().any(|peer| peer.overtaken.is_some_and(|requests| requests >= OVERTAKEN_MAX))
+        let links = self.peers.values().map(|peer| peer.overtaken);
+        links.chain([self.overtaken]).flatten().any(|requests| requests >= OVERTAKEN_MAX)
     }
 
     /// A request to everyone went out.
     pub(super) fn note_overtaken(&mut self) {
-        for requests in self.peers.values_mut().filter_map(|peer| peer.overtaken.as_mut()) {
+        let links = self.peers.values_mut().map(|peer| &mut peer.overtaken);
+        for requests in links.chain([&mut self.overtaken]).flatten() {
             *requests = requests.saturating_add(1);
         }
     }
@@ -160,8 +166,11 @@ impl Session {
         if let Some(ready) = link.max(radio) {
             self.wake = Some(self.wake.map_or(ready, |earlier| earlier.min(ready)));
             self.counters.delayed_by_budget += 1;
+            if radio.is_some() {
+                return Attempt::RadioSpent;
+            }
             peer.overtaken = Some(overtaken.unwrap_or(0));
-            return if radio.is_some() { Attempt::RadioSpent } else { Attempt::Nothing };
+            return Attempt::Nothing;
         }
         for pacer in [peer.pacer.as_mut(), self.radio.as_mut()].into_iter().flatten() {
             pacer.spend(now, cost);
