@@ -437,24 +437,22 @@ impl Session {
         })
     }
 
-    /// The tiles that a peer is sent: first those of sets that it speaks of. Of sets that it ignores now and then one.
+    /// The tiles that a peer is sent: first those of sets that it speaks of. Of all sets that it ignores one tile is on its way at a time.
     pub(super) fn plan_tiles(&self, now: Stamp, peer: &Peer, most: usize) -> Vec<Item> {
-        let sendings = || {
-            let views = peer.views.iter().filter(|(stream, _)| peer.wants(**stream));
-            views.filter_map(|(stream, view)| Some((*stream, view.sending.as_ref()?)))
-        };
-        let mut taken: Vec<_> = sendings().filter(|(_, sending)| !sending.is_ignored()).collect();
+        let views = peer.views.iter().filter(|(stream, _)| peer.wants(**stream));
+        let sendings = views.filter_map(|(stream, view)| Some((*stream, view.sending.as_ref()?)));
+        let (mut ignored, mut taken): (Vec<_>, Vec<_>) = sendings.partition(|(_, s)| s.is_ignored());
         taken.sort_by_key(|(_, sending)| sending.unheeded);
-        let is_offered = peer.in_flight.iter().any(|sent| match sent.item {
-            Item::Tile { stream, set, .. } => {
-                sendings().any(|(of, s)| of == stream && s.set == set && s.is_ignored())
-            }
+        ignored.sort_by_key(|(_, sending)| sending.lost_at);
+        let is_ignored = |item| match item {
+            Item::Tile { stream, set, .. } => ignored.iter().any(|(of, s)| (*of, s.set) == (stream, set)),
             Item::Package { .. } => false,
-        });
-        let offer =
-            sendings().filter(|(_, sending)| sending.is_ignored() && !is_offered && peer.offer_at <= now);
-        let offer = offer.min_by_key(|(_, sending)| sending.lost_at);
-        let offer = offer.and_then(|(stream, sending)| self.tiles_to_send(stream, sending).next());
+        };
+        let is_due = peer.offer_at <= now
+            && !ignored.is_empty()
+            && !peer.in_flight.iter().any(|sent| is_ignored(sent.item));
+        let offer = ignored.first().filter(|_| is_due);
+        let offer = offer.and_then(|(stream, sending)| self.tiles_to_send(*stream, sending).next());
         let tiles = taken.into_iter().flat_map(|(stream, sending)| self.tiles_to_send(stream, sending));
         tiles.take(most).chain(offer).collect()
     }
