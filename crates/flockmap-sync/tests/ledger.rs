@@ -85,8 +85,8 @@ fn broadcast() -> SessionConfig {
     SessionConfig { cast: Cast::Broadcast, ..SessionConfig::default() }
 }
 
-#[test]
-fn who_finds_room_for_a_run_is_not_sent_at_once_what_has_just_gone_out_to_everyone() {
+/// By broadcast: robot 2 has room for the run, robot 3 has none.
+fn one_package_to_two_of_which_one_has_no_room() -> Robot {
     let mut robot = Robot::new(broadcast());
     robot.now = 1_000 * MS;
     for peer in [2, 3] {
@@ -94,6 +94,12 @@ fn who_finds_room_for_a_run_is_not_sent_at_once_what_has_just_gone_out_to_everyo
     }
     robot.publish();
     assert_eq!(robot.sends(), [1]);
+    robot
+}
+
+#[test]
+fn who_finds_room_for_a_run_is_not_sent_at_once_what_has_just_gone_out_to_everyone() {
+    let mut robot = one_package_to_two_of_which_one_has_no_room();
     // Robot 3 has found room, and said so before the package came.
     robot.wait(25 * MS);
     robot.hears(3, false, Some(&[]));
@@ -132,13 +138,7 @@ fn what_went_out_to_one_that_has_room_again_is_not_sent_at_once() {
 
 #[test]
 fn what_nobody_has_a_place_for_leaves_the_ledger_and_is_not_counted_as_lost() {
-    let mut robot = Robot::new(broadcast());
-    robot.now = 1_000 * MS;
-    for peer in [2, 3] {
-        robot.hears(peer, peer == 2, None);
-    }
-    robot.publish();
-    assert_eq!(robot.sends(), [1]);
+    let mut robot = one_package_to_two_of_which_one_has_no_room();
     robot.wait(300 * MS);
     robot.hears(3, false, None);
     let in_flight: Vec<usize> = robot.session.peers().map(|peer| peer.in_flight).collect();

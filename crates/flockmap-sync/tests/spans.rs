@@ -19,6 +19,15 @@ fn fly(swarm: &mut Swarm, cycles: usize) {
     }
 }
 
+/// Robots 1 and 2 map.
+fn fly_both(swarm: &mut Swarm, cycles: usize) {
+    for _ in 0..cycles {
+        swarm.publish(1, 900);
+        swarm.publish(2, 900);
+        swarm.run(50 * MS);
+    }
+}
+
 /// Bytes of the state of robot 1's layer since a package, coded once.
 fn coded_once(swarm: &Swarm, since: u32) -> usize {
     let robot = &swarm.robots[&1];
@@ -203,7 +212,7 @@ fn sets_for_different_robots_do_not_take_each_others_place_for_ever() {
 #[test]
 fn sets_that_are_sent_do_not_push_each_other_out_at_their_sender() {
     let config = SessionConfig {
-        radio_bytes_per_s: Some(1500),
+        radio_bytes_per_s: Some(1_500),
         in_flight_max: 2,
         store_bytes_max: 8_000,
         present_state_bytes_max: 9_000,
@@ -211,11 +220,7 @@ fn sets_that_are_sent_do_not_push_each_other_out_at_their_sender() {
     };
     let mut swarm = Swarm::of(2, 71, Radio::PERFECT, &config);
     swarm.run(SECOND);
-    for _ in 0..20 {
-        swarm.publish(1, 900);
-        swarm.publish(2, 900);
-        swarm.run(50 * MS);
-    }
+    fly_both(&mut swarm, 20);
     swarm.run(60 * SECOND);
     let streams = [swarm.stream(1), swarm.stream(2)];
     swarm.assert_in_sync(&streams);
@@ -238,11 +243,7 @@ fn who_has_no_place_for_a_set_is_not_sent_it_over_and_over() {
     swarm.start(1, 1, thin);
     swarm.start(2, 1, config.clone());
     swarm.run(SECOND);
-    for _ in 0..80 {
-        swarm.publish(1, 900);
-        swarm.publish(2, 900);
-        swarm.run(50 * MS);
-    }
+    fly_both(&mut swarm, 80);
     swarm.run(400 * SECOND);
     let streams = [swarm.stream(1), swarm.stream(2)];
     swarm.assert_in_sync(&streams);
