@@ -47,6 +47,8 @@ pub enum Mutation {
     SaltRepeated,
     /// A path is used at once, before an answer came back through it.
     PathUnasked,
+    /// A peer is asked on a new path as often as it is heard there.
+    PathAskedAtOnce,
     /// What is held beyond a gap is never offered as a state.
     GapStatesWithheld,
     /// A payload may ask for any work.
@@ -57,7 +59,7 @@ pub enum Mutation {
 
 impl Mutation {
     /// All of them.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 24] = [
         Self::StampCompareDropped,
         Self::LedgerIgnored,
         Self::CheckSkipped,
@@ -78,6 +80,7 @@ impl Mutation {
         Self::EpochRepeated,
         Self::SaltRepeated,
         Self::PathUnasked,
+        Self::PathAskedAtOnce,
         Self::GapStatesWithheld,
         Self::WorkUnlimited,
         Self::OriginsNotInTurn,

@@ -287,6 +287,11 @@ impl RadioEmulator {
         self.queue.peek().map(|Reverse(next)| next.due)
     }
 
+    /// When all that is on the way now has arrived; `None` if nothing is. O(datagrams on the way).
+    pub fn last_due(&self) -> Option<Stamp> {
+        self.queue.iter().map(|Reverse(datagram)| datagram.due).max()
+    }
+
     /// The next datagram that has arrived by `now`. Call it until it gives `None`.
     pub fn deliver_due(&mut self, now: Stamp) -> Option<Delivery> {
         if self.next_due()? > now {

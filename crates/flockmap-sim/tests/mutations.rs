@@ -28,7 +28,7 @@ const fn finder(mutation: Mutation) -> &'static str {
         Mutation::NonceRepeated => "nonce",
         Mutation::ReplayAccepted => "key",
         Mutation::EpochRepeated | Mutation::SaltRepeated => "identity",
-        Mutation::PathUnasked => "path",
+        Mutation::PathUnasked | Mutation::PathAskedAtOnce => "path",
         Mutation::WorkUnlimited => "work",
         _ => "a checker that is named here",
     }

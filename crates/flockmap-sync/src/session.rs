@@ -211,7 +211,7 @@ impl Session {
     }
 
     /// Sets a robot's clock minus the own clock, in microseconds, known from elsewhere; it is used in place of
-    /// what is measured. `None`: measure again.
+    /// what is measured. `None`: measure again. Its own id stands for its former runs.
     pub fn set_clock_offset(&mut self, robot: RobotId, micros: Option<i64>) {
         match micros {
             Some(micros) => self.given_offsets.insert(robot, micros),

@@ -437,6 +437,12 @@ fn given_clock_offsets_are_used_in_place_of_measured_ones() {
     assert_eq!(session.clock_offset(stream), Some(42));
     session.set_clock_offset(stream.origin, None);
     assert!(session.clock_offset(stream).unwrap() > 900 * SECOND);
+    // Nobody but itself knows whether its clock went on through a restart.
+    let former = flockmap_grid::Stream { epoch: 0, ..swarm.stream(1) };
+    let session = &mut swarm.robots.get_mut(&1).unwrap().session;
+    assert_eq!(session.clock_offset(former), None);
+    session.set_clock_offset(former.origin, Some(0));
+    assert_eq!(session.clock_offset(former), Some(0));
 }
 
 #[test]

@@ -225,7 +225,8 @@ impl Robot {
     }
 
     /// Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is measured.
-    /// `None`: measure again. The fused map is made anew. O(voxels known).
+    /// `None`: measure again. With its own id: how far its clock was ahead in former runs, 0 if it goes on through a restart; else that is
+    /// measured by way of others that heard those runs. The fused map is made anew. O(voxels known).
     pub fn set_clock_offset(&mut self, origin: RobotId, micros: Option<i64>) {
         self.session.set_clock_offset(origin, micros);
         if let Some(micros) = micros {

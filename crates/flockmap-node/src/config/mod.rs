@@ -60,7 +60,8 @@ pub struct NodeConfig {
     /// How the frames of other robots lie in the own one, by id.
     #[serde(default)]
     pub alignment: BTreeMap<String, AlignmentSection>,
-    /// How far the clocks of other robots are ahead of the own one, in milliseconds, by id.
+    /// How far the clocks of other robots are ahead of the own one, in milliseconds, by id. By the own id: that of former runs, 0 if the
+    /// clock goes on through a restart.
     #[serde(default)]
     pub clock_offset_ms: BTreeMap<String, f64>,
     /// Team-mates in view of the sensor.

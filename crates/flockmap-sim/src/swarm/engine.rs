@@ -287,20 +287,20 @@ impl Engine {
     }
 
     fn start(&mut self, number: usize) {
-        let others: Vec<_> = match self.settings.clocks_given {
-            true => self.members.iter().map(|other| (other.id(), other.settings.clock)).collect(),
+        // Its own among them: a former run of its own had the same clock, and would be measured by way of others.
+        let clocks: Vec<_> = match self.settings.clocks_given {
+            true => self.members.iter().map(|member| (member.id(), member.settings.clock)).collect(),
             false => Vec::new(),
         };
         let own = self.members[number].id();
-        let others: Vec<_> = others.into_iter().filter(|(id, _)| *id != own).collect();
-        if let Err(error) = self.boot(number, &others) {
+        if let Err(error) = self.boot(number, &clocks) {
             let expected = "settings that a robot takes".to_owned();
             return self.fail(Some(own), Finding { checker: names::SETTINGS, expected, found: error });
         }
         self.work(number, Input::Time);
     }
 
-    fn boot(&mut self, number: usize, others: &[(RobotId, Clock)]) -> Result<(), String> {
+    fn boot(&mut self, number: usize, clocks: &[(RobotId, Clock)]) -> Result<(), String> {
         let member = &mut self.members[number];
         let run = member.boot(self.now)?;
         let (stream, salt) = (run.stream, run.salt);
@@ -313,7 +313,7 @@ impl Engine {
             return Ok(());
         }
         let member = &mut self.members[number];
-        member.start(self.now, run, others)?;
+        member.start(self.now, run, clocks)?;
         if let Some(robot) = &member.robot {
             member.work.begin(robot);
             // What came from a disk went past no checker yet.

@@ -137,15 +137,14 @@ impl Member {
     ///
     /// # Errors
     /// What a robot or its store cannot work with.
-    pub(super) fn start(&mut self, now: i64, run: Run, others: &[(RobotId, Clock)]) -> Result<(), String> {
+    pub(super) fn start(&mut self, now: i64, run: Run, clocks: &[(RobotId, Clock)]) -> Result<(), String> {
         let stamp = self.settings.clock.shows(now);
         let mut config = self.settings.config.clone();
         config.epoch = run.stream.epoch;
         config.session.salt = run.salt;
         let mut robot = Robot::new(config, stamp).map_err(|error| error.to_string())?;
-        for (other, clock) in others {
-            let offset = clock.offset - self.settings.clock.offset;
-            robot.set_clock_offset(*other, Some(offset));
+        for (id, clock) in clocks {
+            robot.set_clock_offset(*id, Some(clock.offset - self.settings.clock.offset));
         }
         if let (Some(disk), Some(found)) = (&mut self.disk, run.found) {
             disk.begin(found, &mut robot, stamp)?;

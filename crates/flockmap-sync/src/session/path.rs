@@ -18,6 +18,10 @@ const WAITING_MAX: usize = 64;
 /// Least pause between two challenges to a peer: each is an answer to a datagram, and not longer than the shortest of these.
 const CHALLENGE_PAUSE: i64 = 200_000;
 
+fn challenge_pause() -> i64 {
+    if mutation::is(Mutation::PathAskedAtOnce) { 0 } else { CHALLENGE_PAUSE }
+}
+
 /// Where a peer is reached.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PeerPath {
@@ -63,7 +67,7 @@ impl Session {
             return;
         }
         let number = match peer.path.tried {
-            Some((.., at)) if now.micros_since(at) < CHALLENGE_PAUSE => return,
+            Some((.., at)) if now.micros_since(at) < challenge_pause() => return,
             Some((tried, number, _)) if tried == path => number,
             _ => number,
         };
@@ -88,9 +92,11 @@ impl Session {
         }
     }
 
+    /// What waits already, because the budget is spent, is not said again.
     fn say_on_path(&mut self, id: RobotId, path: Path, message: PathMessage) {
-        if self.path_waiting.len() < WAITING_MAX {
-            self.path_waiting.push_back((id, path, message));
+        let what = (id, path, message);
+        if self.path_waiting.len() < WAITING_MAX && !self.path_waiting.contains(&what) {
+            self.path_waiting.push_back(what);
         }
     }
 

@@ -129,9 +129,10 @@ impl Engine {
             return;
         }
         let grace = self.members.iter().map(|m| check::Quiet::grace_micros(&m.settings.config.session)).max();
-        // What waits at the radio is sent first.
-        let grace =
-            grace.unwrap_or(0) + 4 * (self.settings.radio.delay_micros + self.settings.radio.jitter_micros);
+        // What waits at the radio is sent first: who hears an old request answers it.
+        let waiting = self.radio.last_due().map_or(0, |last| (last.0 - self.now).max(0));
+        let travel = self.settings.radio.delay_micros + self.settings.radio.jitter_micros;
+        let grace = grace.unwrap_or(0) + waiting + 4 * travel;
         let leaves_out = check::leaves_out(&self.truth, &self.robots(), &self.forgotten());
         let more = if leaves_out { self.agreement_within } else { 0 };
         let grace = if leaves_out { grace + check::pause_of_relays(&self.robots()) } else { grace };
@@ -163,7 +164,6 @@ impl Engine {
             }
             let ahead = |other: RobotId| {
                 let known = if self.settings.clocks_given { clocks.get(&other) } else { None };
-                // A former run of its own has the same clock, but nobody says so.
                 known.map(|theirs| clocks[&own.origin] - theirs)
             };
             findings.extend(check::wrong_fused(robot, ahead).map(|found| (own.origin, found)));

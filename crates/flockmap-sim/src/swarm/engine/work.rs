@@ -177,7 +177,10 @@ impl Engine {
         } else {
             member.budget.sent(config, now, counted.len(), bytes, &counted)
         };
-        found = found.or_else(|| member.quiet.sent(config, self.now, transmit.to, packages.as_deref()));
+        // Those about paths have a checker of their own.
+        if message.is_none() {
+            found = found.or_else(|| member.quiet.sent(config, self.now, transmit.to, packages.as_deref()));
+        }
         if let Some(packages) = &packages {
             let to = match transmit.to {
                 Destination::Peer(peer) => Some(peer),
@@ -191,7 +194,11 @@ impl Engine {
             let paths = &mut self.members[number].paths;
             let used = match (transmit.to, transmit.path) {
                 (Destination::Everyone, _) => robot.session().paths().find_map(|(_, path)| paths.used(path)),
-                (_, Some(path)) => paths.sent(path, message.as_ref()),
+                (Destination::Peer(to), Some(path)) => {
+                    let run = robot.session().peers().find(|peer| peer.stream.origin == to);
+                    let run = run.map_or(Stream { origin: to, epoch: 0 }, |peer| peer.stream);
+                    paths.sent(self.now, run, path, message.as_ref())
+                }
                 (_, None) => None,
             };
             found = found.or(used);
