@@ -444,18 +444,23 @@ pub(super) fn read_intervals(reader: &mut Reader<'_>, intervals_max: usize) -> O
 /// `false` if not even the newest interval fits of a set that has one.
 fn put_intervals(out: &mut Vec<u8>, from: u32, set: &IntervalSet, room: usize) -> bool {
     let intervals = set.intervals();
-    // From the newest down: how many fit. Each is counted with its real gap; the first one's gap is counted from
-    // `from`, which raising `from` can only make smaller.
+    // From the newest down: how many fit. The gap below the first one is counted from `from`, which is raised to the end of the one before;
+    // that is one more than between two, and may take a byte more.
     let mut used = 5;
     let mut first = intervals.len();
     while first > 0 {
         let (low, high) = intervals[first - 1];
-        let lowest = if first == 1 { from } else { intervals[first - 2].1 + 2 };
-        let cost = varint_len(u64::from(low.saturating_sub(lowest))) + varint_len(u64::from(high - low));
-        if used + cost > room {
+        let cost = |lowest: u32| {
+            varint_len(u64::from(low.saturating_sub(lowest))) + varint_len(u64::from(high - low))
+        };
+        let (as_first, as_next) = match first.checked_sub(2).map(|before| intervals[before].1) {
+            None => (cost(from), cost(from)),
+            Some(before) => (cost(before + 1), cost(before + 2)),
+        };
+        if used + as_first > room {
             break;
         }
-        used += cost;
+        used += as_next;
         first -= 1;
     }
     if room < 5 || (first == intervals.len() && first > 0) {

@@ -279,6 +279,25 @@ fn long_lists_keep_their_newest_intervals_when_read() {
 }
 
 #[test]
+fn a_list_that_is_cut_keeps_to_its_room_and_is_cut_the_same_again() {
+    // Gaps of 127 or 128 below an interval, which take one byte or two.
+    for gap in [129, 130] {
+        let intervals: Vec<(u32, u32)> =
+            (0..200).map(|i| (0x1000_0000 + gap * i, 0x1000_0000 + gap * i)).collect();
+        let stream = Stream { origin: RobotId(1), epoch: 1 };
+        let held = vec![Held { is_oldest_wanted: false, stream, from: 1, held: set(&intervals) }];
+        let request = Request { held, ..Request::default() };
+        for bytes_max in 300..500 {
+            let bytes = request.emit(HEADER, bytes_max);
+            assert!(bytes.len() <= bytes_max, "{} of {bytes_max} bytes", bytes.len());
+            let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
+            assert!(!read.held[0].held.is_empty());
+            assert_eq!(read.emit(HEADER, bytes_max), bytes, "gaps of {gap}, {bytes_max} bytes");
+        }
+    }
+}
+
+#[test]
 fn an_echoed_stamp_is_completed_from_the_own_clock() {
     for (sent, now) in [(0i64, 5), (-3, 4), (u32::MAX.into(), 1 << 32), (1 << 50, (1 << 50) + 4_000_000_000)]
     {
