@@ -10,7 +10,7 @@ use super::cut::estimate_of;
 ///
 /// Of a few dozen changes nothing certain can be said, and the answer is often yes, as it is for sparse obstacles: compare
 /// [`estimate`](super::estimate) with what another mode took, and code only the smaller. For what noise mode would say in less than
-/// half a bit a change (a full box of one state), the answer is no. O(blocks), two passes over their words at most.
+/// two thirds of a bit a change (a full box of one state), the answer is no. O(blocks), two passes over their words at most.
 pub(crate) fn is_noise(changes: &Changes, region: &VoxelBox) -> bool {
     let counts = Counts::of(changes);
     let (voxels, changed) = (region.volume() as i128, i128::from(counts.changed));

@@ -276,12 +276,12 @@ fn a_full_box_of_one_state_is_filled_up_to_the_limit_of_the_decoder() {
 #[test]
 fn too_many_changes_are_refused_before_anything_is_read() {
     let mut payload = numbered(500);
-    payload.resize(30, 0x5a);
+    payload.resize(40, 0x5a);
     let region = |side| VoxelBox::new(Voxel::new(0, 0, 0), [side; 3]).unwrap();
     assert_eq!(decode(&payload, &region(8), 500).map(|c| c.len()), Ok(500));
     assert!(is_refused(&payload, &region(8), 499), "more than was asked for");
     assert!(is_refused(&payload, &region(7), 500), "more than the box has voxels");
-    assert!(is_refused(&payload[..27], &region(8), 500), "more than so few bytes may hold");
+    assert!(is_refused(&payload[..36], &region(8), 500), "more than so few bytes may hold");
     assert!(is_refused(&payload, &region(513), 500), "a box that is too large");
     assert!(is_refused(&[], &region(8), 500), "nothing");
 }

@@ -1,4 +1,4 @@
-//! What one datagram makes a robot do, in the steps that `WIRE.md` counts: at most 256 for each of its bytes, and 8,192 for each package in it.
+//! What one datagram makes a robot do, in the steps that `WIRE.md` counts: at most 192 for each of its bytes, and 6,144 for each package in it.
 //!
 //! A package that waits is read later, once, when another datagram has brought what it waits for: its steps are carried over.
 
@@ -6,8 +6,8 @@ use super::Finding;
 use flockmap::Robot;
 
 const NAME: &str = "work";
-const STEPS_PER_BYTE: u64 = 256;
-const STEPS_PER_PACKAGE: u64 = 8_192;
+const STEPS_PER_BYTE: u64 = 192;
+const STEPS_PER_PACKAGE: u64 = 6_144;
 
 /// What one run of a robot has done, and may do yet.
 #[derive(Default)]
