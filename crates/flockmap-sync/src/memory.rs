@@ -10,9 +10,9 @@ const INTERVAL: usize = 8;
 const GROWTH: usize = 2;
 /// What is known of a stream beside the list of held indices: indices given up (64 intervals), places in maps.
 const STREAM: usize = 2_048;
-/// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the queue (256 items), its pacer,
+/// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the queue (256 items), runs that had no place, its pacer,
 /// its clock.
-const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 24_576;
+const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 30_720;
 /// What a peer states of one stream: seven lists of at most 256 intervals.
 const VIEW: usize = 7 * GROWTH * 256 * INTERVAL + 512;
 /// A package that was sent and not yet confirmed.

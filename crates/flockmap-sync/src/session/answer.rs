@@ -95,6 +95,7 @@ impl Session {
                     self.note_own_run_used(now);
                 }
             } else if !self.open_stream(stated.stream) {
+                peer.note_unplaced(stated.stream);
                 continue;
             } else if let Some(newest) = stated.held.last()
                 && self.store.note_newest(stated.stream, newest, now)

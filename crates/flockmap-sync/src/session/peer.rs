@@ -7,13 +7,15 @@ use crate::pacer::Pacer;
 use crate::wire::Covered;
 use crate::{IntervalSet, SessionConfig};
 use flockmap_grid::{RobotId, Stamp, Stream};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Intervals kept of what a peer states to hold of one stream; of more, the newest.
 pub(super) const VIEW_INTERVALS_MAX: usize = 256;
 
 /// Intervals kept of the origins that a peer has covered.
 const COVERED_INTERVALS_MAX: usize = 256;
+/// Runs noted that a peer holds and that have no place here.
+pub(crate) const UNPLACED_MAX: usize = 128;
 
 /// Datagrams that follow each other within this time are one burst.
 const BURST: i64 = 100_000;
@@ -145,6 +147,9 @@ pub(super) struct Peer {
     pub(super) hears_all_listed: bool,
     /// Number + 1 of the origins that its requests have covered so far: of these it holds no run that it has not named.
     covered: IntervalSet,
+    /// Runs that it named and that had no place here then, until their origin is covered again: of these it holds something. At most
+    /// [`UNPLACED_MAX`].
+    unplaced: BTreeSet<Stream>,
     /// It has room for streams that it does not name.
     pub(super) takes_new_streams: bool,
     /// The epochs below which it wants no run, of robots of which something is known here.
@@ -183,6 +188,7 @@ impl Peer {
             hears: Vec::new(),
             hears_all_listed: false,
             covered: IntervalSet::new(COVERED_INTERVALS_MAX),
+            unplaced: BTreeSet::new(),
             takes_new_streams: false,
             oldest_wanted: BTreeMap::new(),
             clocks: Vec::new(),
@@ -248,11 +254,21 @@ impl Peer {
             // A peer that covers single origins all over the range is covered again later.
             let _ = self.covered.insert_range(low, high);
         }
+        self.unplaced.retain(|run| !covered.contains(run.origin));
+    }
+
+    /// Notes that it holds something of a run that has no place here. Beyond the limit it may be sent what it holds, should there be one.
+    pub(super) fn note_unplaced(&mut self, run: Stream) {
+        if self.unplaced.len() < UNPLACED_MAX {
+            self.unplaced.insert(run);
+        }
     }
 
     /// Whether of a stream that it has not named it holds nothing, and may be sent it.
     pub(super) fn takes_unnamed(&self, stream: Stream) -> bool {
-        self.takes_new_streams && self.covered.contains(u32::from(stream.origin.0) + 1)
+        self.takes_new_streams
+            && self.covered.contains(u32::from(stream.origin.0) + 1)
+            && !self.unplaced.contains(&stream)
     }
 
     /// What is known of the peer's holdings of a stream. A stream that it did not name, where it names all, is
@@ -290,4 +306,29 @@ pub struct PeerInfo {
     pub traffic_in: Traffic,
     /// Sent to it alone.
     pub traffic_out: Traffic,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_that_was_named_before_it_had_a_place_is_not_one_of_which_nothing_is_held() {
+        let run = |id| Stream { origin: RobotId(id), epoch: 1 };
+        let now = Stamp(0);
+        let mut peer = Peer::new(run(2), now, &SessionConfig::default());
+        peer.takes_new_streams = true;
+        let all = Covered::all_from(RobotId(0));
+        peer.note_covered(all);
+        peer.note_unplaced(run(8));
+        assert!(peer.view(run(8), now).is_none());
+        assert!(peer.view(run(7), now).is_some());
+        // What covers others says nothing of it.
+        peer.note_covered(Covered { first: RobotId(9), last: RobotId(7) });
+        assert!(peer.view(run(8), now).is_none());
+        peer.note_covered(all);
+        assert!(peer.view(run(8), now).is_some(), "not named any more");
+        (0..2 * UNPLACED_MAX as u16).for_each(|id| peer.note_unplaced(run(id)));
+        assert_eq!(peer.unplaced.len(), UNPLACED_MAX);
+    }
 }

@@ -4,6 +4,7 @@
 
 use super::Finding;
 use flockmap::Robot;
+use flockmap::codec::PACKAGE_BYTES_MAX;
 
 const NAME: &str = "work";
 const STEPS_PER_BYTE: u64 = 192;
@@ -19,8 +20,14 @@ pub(in crate::swarm) struct Work {
 }
 
 impl Work {
-    /// What a robot did before anything came, such as reading its store, counts for no datagram.
+    /// What a robot did before anything came, such as reading its store, counts for no datagram. Packages from there may wait too; each
+    /// is taken for one of the longest.
     pub(in crate::swarm) fn begin(&mut self, robot: &Robot) {
+        self.note(robot);
+        self.carried = self.waited * (PACKAGE_BYTES_MAX as u64 * STEPS_PER_BYTE + STEPS_PER_PACKAGE);
+    }
+
+    fn note(&mut self, robot: &Robot) {
         (self.steps, self.waited) = (robot.counters().steps, robot.counters().waited);
     }
 
@@ -33,7 +40,7 @@ impl Work {
     ) -> Option<Finding> {
         let counters = robot.counters();
         let (steps, has_waited) = (counters.steps - self.steps, counters.waited > self.waited);
-        self.begin(robot);
+        self.note(robot);
         let allowed = bytes as u64 * STEPS_PER_BYTE + packages as u64 * STEPS_PER_PACKAGE;
         if has_waited {
             self.carried += allowed;
