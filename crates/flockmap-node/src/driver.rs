@@ -299,9 +299,9 @@ impl<T: Transport> Driver<T> {
         while let Some(event) = self.robot.poll_event() {
             time(&mut self.timings, &event);
             match &event {
-                Event::RunBegun(run) => self.keep_epoch(run.epoch),
+                Event::RunBegun(run) => self.keep_run(run.epoch),
                 // Of many events the oldest are dropped.
-                Event::CycleClosed { cycle, .. } => self.keep_epoch(cycle.stream.epoch),
+                Event::CycleClosed { cycle, .. } => self.keep_run(cycle.stream.epoch),
                 _ => {}
             }
             if let Some(store) = &self.store {
@@ -358,12 +358,12 @@ impl<T: Transport> Driver<T> {
         }
     }
 
-    /// Keeps the epoch of a run that was begun while flying, before anything of that run is stored.
-    fn keep_epoch(&mut self, epoch: u64) {
+    /// Keeps the run that was begun while flying, at the first event of it.
+    fn keep_run(&mut self, epoch: u64) {
         if epoch > self.epoch_kept {
-            self.epoch_kept = epoch;
-            if let Some(store) = &self.store {
-                store.note_epoch(epoch);
+            self.epoch_kept = self.robot.own_stream().epoch;
+            if let Some(store) = &mut self.store {
+                store.note_run(&self.robot);
             }
         }
     }

@@ -41,7 +41,7 @@ impl Kept {
         let epoch =
             next_epoch(last, seconds, random).with_context(|| spent(config, folder, epoch_file.as_ref()))?;
         if let Some(Err(fault)) = epoch_file.as_mut().map(|file| file.keep(epoch)) {
-            log.warn(format!("{fault}. The next run relies on the clock"));
+            log.warn(format!("{fault}. The next run relies on the store, if there is one, and on the clock"));
         }
         Ok(Self { epoch, epoch_file, store })
     }
@@ -65,7 +65,7 @@ fn open_epoch_file(path: &PathBuf, robot: &RobotConfig, log: &Log) -> Option<Epo
         Err(error) => {
             let path = path.display();
             log.warn(format!(
-                "cannot make the folder {path} for the epoch: {error}. The next run relies on the clock; [state] path names another folder"
+                "cannot make the folder {path} for the epoch: {error}. The next run relies on the store, if there is one, and on the clock; [state] path names another folder"
             ));
             return None;
         }

@@ -212,13 +212,6 @@ impl Node {
             .map_err(system("start the runtime"))?;
         runtime.block_on(async move {
             let mut robot = Robot::new(options.robot.clone(), options.clock.now())?;
-            let store = match options.store.take() {
-                Some(store) => Some(restore(store, &mut robot, &options)?),
-                None => None,
-            };
-            let epoch_file = options.epoch_file.take();
-            let store = (store.is_some() || epoch_file.is_some())
-                .then(|| StoreWriter::start(store, epoch_file, options.log.clone()));
             let transport = make_transport().map_err(system("start the transport"))?;
             let sensor_socket = SensorSocket::open(&options.sensor)
                 .await
@@ -231,6 +224,14 @@ impl Node {
                 ),
                 None => None,
             };
+            // After all else that can stop the start: each leaves a segment.
+            let store = match options.store.take() {
+                Some(store) => Some(restore(store, &mut robot, &options)?),
+                None => None,
+            };
+            let epoch_file = options.epoch_file.take();
+            let store = (store.is_some() || epoch_file.is_some())
+                .then(|| StoreWriter::start(store, epoch_file, options.log.clone()));
             let addresses = Addresses {
                 sensor: sensor_socket.as_ref().map(SensorSocket::address),
                 prometheus: prometheus.as_ref().and_then(|listener| listener.local_addr().ok()),

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use flockmap::codec::Header;
 use flockmap::{Event, Package, Robot, Stamp, Stream};
 use flockmap_store::{
     Compacted, Compaction, EpochFile, Notice, StoreCounters, StoreLog, StreamCopy, packages_of,
@@ -16,6 +17,9 @@ use crate::{Level, Log};
 /// Bytes of packages that may wait for the disk; of more, the newest are left out. Their packages are held by the session as well, as a rule.
 const WAITING_BYTES_MAX: usize = 16 << 20;
 
+/// Packages of a run begun while flying that are given to the disk as one.
+const PACKAGES_AT_ONCE: usize = 256;
+
 /// Takes what is to be on disk. Never waits for the disk. Dropping it writes what waits, makes it safe, and lets go of the folder.
 #[derive(Debug)]
 pub struct StoreWriter {
@@ -23,6 +27,8 @@ pub struct StoreWriter {
     thread: Option<JoinHandle<()>>,
     shared: Arc<Shared>,
     has_store: bool,
+    /// The run that was begun while flying, and the last of its packages that was stored with it.
+    begun: Option<(Stream, u32)>,
     running: Option<Running>,
     compaction_thread: Option<JoinHandle<()>>,
 }
@@ -87,16 +93,25 @@ impl StoreWriter {
                 (None, None)
             }
         };
-        Self { jobs, thread, shared, has_store, running: None, compaction_thread: None }
+        Self { jobs, thread, shared, has_store, begun: None, running: None, compaction_thread: None }
     }
 
     /// Stores what an event says is to be stored.
     pub fn note(&self, event: &Event) {
         let packages = packages_of(event);
+        let is_begun = |header: &Header| {
+            self.begun.is_some_and(|(run, upto)| header.stream == run && header.index <= upto)
+        };
+        if packages.last().is_some_and(|last| !is_begun(last.header())) {
+            self.store(packages.to_vec());
+        }
+    }
+
+    fn store(&self, packages: Vec<Package>) {
         if packages.is_empty() || !self.has_store {
             return;
         }
-        let bytes = bytes_of(packages);
+        let (bytes, count) = (bytes_of(&packages), packages.len() as u64);
         let waiting = self.shared.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
         let is_full = waiting + bytes > WAITING_BYTES_MAX;
         if is_full && !self.shared.is_slowness_told.swap(true, Ordering::Relaxed) {
@@ -104,16 +119,28 @@ impl StoreWriter {
                 "store: the disk does not keep up; packages are left out, and asked for after a restart",
             );
         }
-        if is_full || !self.give(Job::Store(packages.to_vec())) {
+        if is_full || !self.give(Job::Store(packages)) {
             self.shared.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
-            self.shared.left_out.fetch_add(packages.len() as u64, Ordering::Relaxed);
+            self.shared.left_out.fetch_add(count, Ordering::Relaxed);
         }
     }
 
-    /// The robot has begun anew without a restart: this is its epoch from now on. What is noted from here on is of that run.
-    pub fn note_epoch(&self, epoch: u64) {
+    /// The robot has begun anew without a restart: keeps its epoch, and stores what it has published in this run so far. That may be more
+    /// than it keeps events of. What is noted from here on is of this run.
+    pub fn note_run(&mut self, robot: &Robot) {
+        let run = robot.own_stream();
         // Without a thread nothing is kept, which was told.
-        let _ = self.give(Job::Epoch(epoch));
+        let _ = self.give(Job::Epoch(run.epoch));
+        let packages: Vec<_> = robot
+            .session()
+            .store()
+            .range(run, 1, u32::MAX)
+            .map(|(_, stored)| stored.package.clone())
+            .collect();
+        self.begun = packages.last().map(|last| (run, last.header().index));
+        for packages in packages.chunks(PACKAGES_AT_ONCE) {
+            self.store(packages.to_vec());
+        }
     }
 
     /// Does a part of a compaction if one is on its way: copies one layer. To be called often, between two events, with no event left unread.
@@ -124,6 +151,10 @@ impl StoreWriter {
         }
         let Some(running) = &mut self.running else { return };
         if running.is_busy.swap(true, Ordering::Acquire) {
+            // One that failed takes no more.
+            if self.compaction_thread.as_ref().is_none_or(JoinHandle::is_finished) {
+                self.running = None;
+            }
             return;
         }
         let step = StreamCopy::next(robot, running.last).map_or(Step::End, |copy| {
