@@ -234,6 +234,22 @@ fn datagrams_overtaken_on_the_way_count_once_each() {
 }
 
 #[test]
+fn a_request_that_somebody_held_back_says_nothing_any_more() {
+    for (config, stale) in [(with_key(1), 1), (SessionConfig::default(), 0)] {
+        let config = SessionConfig { peer_timeout_ms: 60_000, ..config };
+        let (mut a, mut b) = (session(1, 1, config.clone()), session(2, 1, config));
+        let mut now = Stamp(0);
+        b.handle_datagram(now, &next(&mut a, &mut now)).unwrap();
+        let held_back = next(&mut a, &mut now);
+        b.handle_datagram(now, &next(&mut a, &mut now)).unwrap();
+        let later = now.plus_micros(6 * SECOND);
+        b.handle_datagram(later, &held_back).unwrap();
+        // Without a key the newer one might have been of anybody: it does not count for ever.
+        assert_eq!(b.counters().stale_requests, stale);
+    }
+}
+
+#[test]
 fn errors_say_what_to_do() {
     let mut now = Stamp(0);
     let sealed = next(&mut session(2, 1, with_key(1)), &mut now);

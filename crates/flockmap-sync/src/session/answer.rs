@@ -9,9 +9,9 @@ use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
 use std::collections::BTreeSet;
 
-/// A stamp below an earlier one means that the datagram was overtaken on the way, unless the earlier one is older
-/// than this: then the peer's clock was set back.
-pub(super) const REORDERED_MAX: i64 = 5_000_000;
+/// A stamp below an earlier one means that the datagram was overtaken on the way, since the clock of a run never goes back. But the earlier
+/// one may be false where there is no key: then it counts for so long.
+const UNSEALED_STAMP_COUNTS: i64 = 5_000_000;
 
 /// A peer that got one package in so many of those that it missed one relay delay ago is being served.
 const SERVED_SHARE: u64 = 16;
@@ -21,7 +21,7 @@ impl Session {
         let id = header.sender.origin;
         let Some(mut peer) = self.peers.remove(&id) else { return };
         let overtaken =
-            |(newest, at): (Stamp, Stamp)| header.stamp <= newest && now.micros_since(at) < REORDERED_MAX;
+            |(newest, at): (Stamp, Stamp)| header.stamp <= newest && self.stamp_counts(now.micros_since(at));
         if peer.request.is_some_and(overtaken) {
             self.counters.stale_requests += 1;
         } else {
@@ -37,6 +37,11 @@ impl Session {
             peer.queue_stale = true;
         }
         self.peers.insert(id, peer);
+    }
+
+    /// Whether a stamp that came so many microseconds ago still tells which datagrams are older.
+    pub(super) const fn stamp_counts(&self, age: i64) -> bool {
+        self.config.swarm_key.is_some() || age < UNSEALED_STAMP_COUNTS
     }
 
     /// Takes in whom the peer hears. If it hears this robot: the stamp that came back and how long the peer had it.

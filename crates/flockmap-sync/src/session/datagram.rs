@@ -1,7 +1,7 @@
 //! Datagrams that come in: what is wrong with them, and whom they make known.
 
 use super::peer::{Peer, VIEW_INTERVALS_MAX};
-use super::{Event, Path, Session, answer};
+use super::{Event, Path, Session};
 use crate::store::HELD_INTERVALS_MAX;
 use crate::wire::{
     Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, asks_for_word, is_sealed,
@@ -148,12 +148,12 @@ impl Session {
             self.greet(now);
         }
         let overhead = self.config.datagram_overhead_bytes as usize;
+        let newest_at = self.peers.get(&id).map_or(now, |peer| peer.newest_stamp_at);
+        let newest_counts = self.stamp_counts(now.micros_since(newest_at));
         if let Some(peer) = self.peers.get_mut(&id) {
             peer.note_heard(now);
             peer.traffic_in.add(1, bytes + overhead);
-            if header.stamp > peer.newest_stamp
-                || now.micros_since(peer.newest_stamp_at) > answer::REORDERED_MAX
-            {
+            if header.stamp > peer.newest_stamp || !newest_counts {
                 peer.newest_stamp = header.stamp;
                 peer.newest_stamp_at = now;
             }
