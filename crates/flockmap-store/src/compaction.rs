@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::Layer;
+use flockmap::sync::IntervalSet;
 use flockmap::{Codec, Package, Resolution, Robot, Stream};
 
 use crate::log::create;
@@ -24,38 +25,30 @@ pub struct StreamCopy {
     stream: Stream,
     codec: Codec,
     resolution: Resolution,
-    /// All packages up to this one are in the layer.
-    upto: u32,
-    layer: Layer,
-    /// Held beyond that, and in the layer too.
-    beyond: Vec<(u32, u32)>,
-    /// Of a stream of which not even the first package is held: packages as they came.
-    packages: Vec<Package>,
+    what: What,
 }
+
+enum What {
+    /// All packages held are in the layer.
+    State { layer: Layer, held: IntervalSet },
+    /// The layer lacks what some of them say.
+    Packages(Vec<Package>),
+    /// And they are not all there any more.
+    Nothing(&'static str),
+}
+
+const OWN_LAYER_FULL: &str = "the own layer was full, so that it lacks what was told last, and not all own packages are in memory any more: raise own_layer_mb";
 
 impl StreamCopy {
     /// The first stream after `after` that the robot has something of, with no event of the robot left unread. Copies its layer: 1 ms for 3 MB.
     pub fn next(robot: &Robot, after: Option<Stream>) -> Option<Self> {
-        let session = robot.session();
-        let later = session.streams().filter(|stream| after.is_none_or(|after| *stream > after));
+        let later = robot.session().streams().filter(|stream| after.is_none_or(|after| *stream > after));
         later.into_iter().find_map(|stream| {
-            let held = session.held(stream)?;
-            let layer = robot.fusion().layer(stream)?;
-            let upto = held.prefix();
-            let is_whole_from_start = upto > 0;
             Some(Self {
                 stream,
                 codec: robot.config().codec,
                 resolution: robot.config().mapper.resolution,
-                upto,
-                layer: if is_whole_from_start { layer.clone() } else { Layer::default() },
-                beyond: held.within(upto.saturating_add(1), u32::MAX).intervals().to_vec(),
-                packages: match is_whole_from_start {
-                    true => Vec::new(),
-                    false => {
-                        session.store().range(stream, 1, u32::MAX).map(|(_, p)| p.package.clone()).collect()
-                    }
-                },
+                what: What::of(robot, stream)?,
             })
         })
     }
@@ -67,16 +60,40 @@ impl StreamCopy {
 
     /// The records that make the same layer again.
     fn into_records(self, encoder: &mut Encoder) -> Result<Vec<Record>, String> {
-        let Self { stream, upto, .. } = self;
-        let Some(state) = self.layer.present_state().filter(|_| upto > 0) else {
-            return Ok(self.packages.into_iter().map(Record::Package).collect());
+        let Self { stream, codec, resolution, what } = self;
+        let (layer, held) = match what {
+            What::State { layer, held } => (layer, held),
+            What::Packages(packages) => return Ok(packages.into_iter().map(Record::Package).collect()),
+            What::Nothing(why) => return Err(why.into()),
         };
+        let upto = held.prefix();
+        let cannot =
+            |why: &dyn fmt::Display| format!("the present state of {stream:?} could not be coded: {why}");
+        let Some(state) = layer.present_state().filter(|_| upto > 0) else { return Ok(Vec::new()) };
         let tiles = encoder
-            .encode_present(self.codec, stream, upto, self.resolution, &state, PACKAGE_BYTES_MAX)
-            .map_err(|error| format!("the present state of {stream:?} could not be coded: {error}"))?;
-        let held = self.beyond.chunks(INTERVALS_MAX);
+            .encode_present(codec, stream, upto, resolution, &state, PACKAGE_BYTES_MAX)
+            .map_err(|error| cannot(&error))?;
+        let beyond = held.within(upto.saturating_add(1), u32::MAX);
+        let held = beyond.intervals().chunks(INTERVALS_MAX);
         let held = held.map(|intervals| Record::Held { stream, upto, intervals: intervals.to_vec() });
         Ok(tiles.into_iter().map(Record::Package).chain(held).collect())
+    }
+}
+
+impl What {
+    fn of(robot: &Robot, stream: Stream) -> Option<Self> {
+        let (session, held) = (robot.session(), robot.session().held(stream)?);
+        let stored = || session.store().range(stream, 1, u32::MAX).map(|(_, p)| p.package.clone());
+        if stream == robot.own_stream() && !robot.own_layer_has_all() {
+            let packages: Vec<Package> = stored().collect();
+            let is_all = packages.len() as u64 == held.count();
+            return Some(if is_all { Self::Packages(packages) } else { Self::Nothing(OWN_LAYER_FULL) });
+        }
+        let layer = robot.fusion().layer(stream)?;
+        if held.prefix() == 0 {
+            return Some(Self::Packages(stored().collect()));
+        }
+        Some(Self::State { layer: layer.clone(), held: held.clone() })
     }
 }
 

@@ -302,6 +302,74 @@ fn compaction_keeps_what_is_held_beyond_a_gap() {
     }
 }
 
+/// The log is made shorter now, since it has so many segments.
+fn compact_now(writer: &mut Writer, robot: &Robot) {
+    for epoch in 1_000..1_100 {
+        writer.log.note_epoch(epoch);
+    }
+    writer.compaction = writer.log.begin_compaction();
+    writer.finish_compaction(robot);
+}
+
+/// Robot 1 flies, and its own layer has no room for all that it tells; then the log is made shorter. Returns the own packages.
+fn fly_with_a_full_own_layer(disk: &MemoryDisk, store_bytes_max: usize) -> (Vec<Package>, Writer) {
+    let mut config = two(Codec::Flock).remove(0);
+    config.fusion.own_layer_bytes_max = 60_000;
+    config.session.store_bytes_max = store_bytes_max;
+    let mut swarm = Swarm::new(vec![config], PERFECT, 31);
+    let mut writer = start(disk, OPTIONS, 1);
+    let mut packages = Vec::new();
+    let mut random = Random(31);
+    for tick in 0..40 {
+        let scan = swarm::scan(&mut random, swarm.now);
+        swarm.scan(0, &scan, &Pose::from_yaw([f64::from(tick) * 0.1, 0.0, 0.0], random.unit()));
+        swarm.run(100);
+        for event in swarm.events[0].drain(..) {
+            if let Event::CycleClosed { packages: told, .. } = &event {
+                packages.extend_from_slice(told);
+            }
+            writer.log.note(swarm.now, &event);
+        }
+    }
+    assert!(swarm.robots[0].counters().no_room > 0 && !swarm.robots[0].own_layer_has_all());
+    compact_now(&mut writer, &swarm.robots[0]);
+    (packages, writer)
+}
+
+/// The own run is back as its packages said it.
+fn assert_all_is_back(disk: &MemoryDisk, packages: &[Package]) {
+    let stream = packages[0].header().stream;
+    let (robot, _) = restart(disk, config(1), 2_000);
+    let mut model = Model::default();
+    for (package, content) in packages.iter().zip(&contents(packages)) {
+        model.add(package, content);
+    }
+    assert!(robot.session().held(stream).unwrap().contains_range(1, packages.len() as u32));
+    assert_eq!(Model::of_robot(&robot), model);
+}
+
+#[test]
+fn an_own_layer_that_lacks_what_was_told_does_not_replace_the_packages_that_told_it() {
+    let disk = MemoryDisk::default();
+    let (packages, writer) = fly_with_a_full_own_layer(&disk, 64 << 20);
+    assert_eq!(writer.counters().compactions, 1);
+    drop(writer);
+    assert_eq!(disk.files().len(), 2, "one compacted and one that goes on");
+    assert_all_is_back(&disk, &packages);
+}
+
+#[test]
+fn where_neither_the_own_layer_nor_the_packages_in_memory_say_all_the_log_stays_as_it_is() {
+    let disk = MemoryDisk::default();
+    let (packages, writer) = fly_with_a_full_own_layer(&disk, 8_000);
+    let counters = writer.counters();
+    assert_eq!((counters.compactions, counters.compactions_failed, counters.failures), (0, 1, 0));
+    let [Notice::Warning(text)] = &writer.notices[..] else { panic!("{:?}", writer.notices) };
+    assert!(text.contains("grows on") && text.contains("raise own_layer_mb"), "{text}");
+    drop(writer);
+    assert_all_is_back(&disk, &packages);
+}
+
 #[test]
 fn a_crash_between_a_compaction_and_its_clean_up_does_no_harm() {
     let disk = MemoryDisk::default();
