@@ -4,13 +4,13 @@
 use std::fmt;
 use std::sync::Arc;
 
-use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
+use flockmap::codec::{ContentKind, Encoder, PACKAGE_BYTES_MAX, Span};
 use flockmap::grid::Layer;
 use flockmap::sync::IntervalSet;
 use flockmap::{Codec, Package, Resolution, Robot, Stream};
 
 use crate::log::create;
-use crate::record::{INTERVALS_MAX, Record};
+use crate::record::{Contents, Record};
 use crate::segment::{HEADERS_BYTES, SegmentHeader};
 use crate::{Disk, DiskFile};
 
@@ -66,17 +66,21 @@ impl StreamCopy {
             What::Packages(packages) => return Ok(packages.into_iter().map(Record::Package).collect()),
             What::Nothing(why) => return Err(why.into()),
         };
-        let upto = held.prefix();
-        let cannot =
-            |why: &dyn fmt::Display| format!("the present state of {stream:?} could not be coded: {why}");
-        let Some(state) = layer.present_state().filter(|_| upto > 0) else { return Ok(Vec::new()) };
-        let tiles = encoder
-            .encode_present(codec, stream, upto, resolution, &state, PACKAGE_BYTES_MAX)
-            .map_err(|error| cannot(&error))?;
-        let beyond = held.within(upto.saturating_add(1), u32::MAX);
-        let held = beyond.intervals().chunks(INTERVALS_MAX);
-        let held = held.map(|intervals| Record::Held { stream, upto, intervals: intervals.to_vec() });
-        Ok(tiles.into_iter().map(Record::Package).chain(held).collect())
+        let cannot = |why: &str| format!("the present state of {stream:?} cannot be coded: {why}");
+        let Some(upto) = held.last().filter(|_| !layer.is_empty()) else { return Ok(Vec::new()) };
+        let state = layer.present_voxels(None).ok_or_else(|| cannot("it is too large"))?;
+        // One of a history with gaps says by itself no more than its newest package.
+        let is_whole = held.contains_range(1, upto);
+        let span = Span { stream, since: if is_whole { 0 } else { upto - 1 }, upto };
+        let tiles = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
+        let tiles = tiles.map_err(|error| cannot(&error.to_string()))?;
+        let contents = match tiles.first().map(|tile| tile.header().content) {
+            Some(ContentKind::Present { set, .. }) if !is_whole => {
+                Some(Contents { stream, set, intervals: held.intervals().to_vec() })
+            }
+            _ => None,
+        };
+        Ok(tiles.into_iter().map(Record::Package).chain(contents.map(Record::Contents)).collect())
     }
 }
 
@@ -89,11 +93,7 @@ impl What {
             let is_all = packages.len() as u64 == held.count();
             return Some(if is_all { Self::Packages(packages) } else { Self::Nothing(OWN_LAYER_FULL) });
         }
-        let layer = robot.fusion().layer(stream)?;
-        if held.prefix() == 0 {
-            return Some(Self::Packages(stored().collect()));
-        }
-        Some(Self::State { layer: layer.clone(), held: held.clone() })
+        Some(Self::State { layer: robot.fusion().layer(stream)?.clone(), held: held.clone() })
     }
 }
 

@@ -4,9 +4,6 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 
-use flockmap::Package;
-
-use crate::record::write_package;
 use crate::segment::{HEADERS_BYTES, Identity, SegmentHeader, segment_name};
 use crate::{Disk, DiskFile};
 
@@ -75,15 +72,10 @@ impl Log {
         self.segments.len()
     }
 
-    /// Hands records to the system. Returns their bytes.
-    pub(crate) fn append<'a>(
-        &mut self,
-        packages: impl Iterator<Item = &'a Package>,
-    ) -> Result<u64, LogError> {
+    /// Hands records to the system, which are written behind each other with the seed that is given. Returns their bytes.
+    pub(crate) fn append(&mut self, write: impl FnOnce(u32, &mut Vec<u8>)) -> Result<u64, LogError> {
         self.buffer.clear();
-        for package in packages {
-            write_package(package, self.seed, &mut self.buffer);
-        }
+        write(self.seed, &mut self.buffer);
         let bytes = self.buffer.len() as u64;
         if self.bytes() + bytes > self.bytes_max {
             return Err(LogError::Full(self.bytes_max));

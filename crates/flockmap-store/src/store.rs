@@ -7,7 +7,7 @@ use std::sync::Arc;
 use flockmap::{Event, Robot, Stamp};
 
 use crate::compaction::UNFINISHED;
-use crate::record::{Record, Scan};
+use crate::record::{Contents, Record, Scan};
 use crate::segment::{NoHeader, is_of_version_1, parse_name, segment_name};
 use crate::store_log::BYTES_MAX_MIN;
 use crate::{Disk, Folder, Identity, Notice, Restored, StoreError, StoreLog, StoreOptions};
@@ -173,8 +173,8 @@ impl Store {
                     // What has no room is counted by the session.
                     let _ = robot.restore(now, package);
                 }
-                Ok(Record::Held { stream, upto, intervals }) => {
-                    robot.restore_held(stream, upto, &intervals);
+                Ok(Record::Contents(Contents { stream, set, intervals })) => {
+                    robot.restore_contents(now, stream, set, &intervals);
                 }
                 Err(_) => self.restored.unreadable += 1,
             }

@@ -9,7 +9,7 @@ use flockmap::{Event, Package, Stamp};
 
 use crate::compaction::{Compacted, Compaction};
 use crate::log::{Log, LogError};
-use crate::record::CONTENT_MAX;
+use crate::record::{CONTENT_MAX, Contents, Record, write_package};
 use crate::{Disk, Identity, Restored, StoreCounters};
 
 /// What a store may take.
@@ -120,6 +120,9 @@ impl StoreLog {
     /// Stores what an event says is to be stored. `now` never steps back within a run; what it counts from does not matter.
     pub fn note(&mut self, now: Stamp, event: &Event) {
         self.append(now, packages_of(event));
+        if let Some(contents) = contents_of(event) {
+            self.append_contents(now, contents);
+        }
     }
 
     /// Stores packages.
@@ -129,16 +132,29 @@ impl StoreLog {
         if count == 0 {
             return;
         }
-        let Some(bytes) = self.attempt(|log| log.append(fitting())) else {
-            self.counters.left_out += count;
-            return;
-        };
-        self.counters.written += count;
-        self.counters.written_bytes += bytes;
+        let write = |seed, out: &mut Vec<u8>| fitting().for_each(|package| write_package(package, seed, out));
+        match self.write(now, write) {
+            Some(bytes) => {
+                self.counters.written += count;
+                self.counters.written_bytes += bytes;
+            }
+            None => self.counters.left_out += count,
+        }
+    }
+
+    /// Stores which packages a present state contains, behind its tiles.
+    pub fn append_contents(&mut self, now: Stamp, contents: Contents) {
+        self.write(now, |seed, out| Record::Contents(contents).write(seed, out));
+    }
+
+    /// Returns the bytes written.
+    fn write(&mut self, now: Stamp, write: impl FnOnce(u32, &mut Vec<u8>)) -> Option<u64> {
+        let bytes = self.attempt(|log| log.append(write))?;
         self.note_bytes();
         let period = self.options.sync_period.min(SYNC_PERIOD_MAX).as_micros() as i64;
         self.sync_due.get_or_insert_with(|| now.plus_micros(period));
         self.handle_timeout(now);
+        Some(bytes)
     }
 
     /// Another run of this robot has begun without a restart, under a higher epoch: a new segment begins, and when this returns the epoch is safe on disk. What
@@ -254,4 +270,10 @@ pub fn packages_of(event: &Event) -> &[Package] {
         Event::Merged { package, .. } => std::slice::from_ref(package),
         _ => &[],
     }
+}
+
+/// What an event says that a present state contains, which is to be stored behind its tiles.
+pub fn contents_of(event: &Event) -> Option<Contents> {
+    let Event::StateContains { stream, set, held } = event else { return None };
+    Some(Contents { stream: *stream, set: *set, intervals: held.intervals().to_vec() })
 }

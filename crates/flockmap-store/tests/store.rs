@@ -10,8 +10,10 @@ use common::{
     Model, OPTIONS, Writer, contents, fly, open, restart, small_log, small_scan, start, store_events, swarm,
     two,
 };
-use flockmap::codec::Content;
-use flockmap::{Codec, Event, Package, Pose, RestoreError, Robot, RobotConfig, RobotId, Stamp, Stream};
+use flockmap::codec::{Content, ContentKind};
+use flockmap::{
+    Codec, Event, Package, Pose, RestoreError, Robot, RobotConfig, RobotId, Stamp, State, Stream,
+};
 use flockmap_store::memory::{Faults, MemoryDisk};
 use flockmap_store::{Notice, StoreOptions};
 use proptest::prelude::*;
@@ -277,14 +279,15 @@ fn compaction_keeps_what_is_held_beyond_a_gap() {
     let of_two: Vec<&Package> =
         packages.iter().filter(|package| package.header().stream.origin == RobotId(2)).collect();
     assert!(of_two.len() > 5);
-    for gap in [1, 3] {
+    // With all packages in memory, and with nearly none: then what they say is in the layer alone.
+    for (gap, store_bytes_max) in [(1, 64 << 20), (3, 64 << 20), (1, FEW), (3, FEW)] {
         let disk = MemoryDisk::default();
         // Many small segments make a compaction at once.
         for epoch in 1..=65 {
             drop(start(&disk, OPTIONS, epoch));
         }
         let mut swarm =
-            Swarm::new(vec![RobotConfig { epoch: 66, ..two(Codec::Paper).remove(0) }], PERFECT, 1);
+            Swarm::new(vec![RobotConfig { epoch: 66, ..with_room(1, store_bytes_max) }], PERFECT, 1);
         let now = swarm.now;
         for package in of_two.iter().filter(|package| package.header().index != gap) {
             swarm.robots[0].restore(now, (*package).clone()).unwrap();
@@ -302,9 +305,109 @@ fn compaction_keeps_what_is_held_beyond_a_gap() {
     }
 }
 
+/// Bytes of packages in memory: some three of them.
+const FEW: usize = 2_000;
+
+fn with_room(id: u16, store_bytes_max: usize) -> RobotConfig {
+    let mut config = RobotConfig { codec: Codec::Paper, ..config(id) };
+    config.session.store_bytes_max = store_bytes_max;
+    config
+}
+
+/// Packages of a run of robot 2 that has ended, each of which stands by itself.
+fn ended_run() -> (Stream, Vec<Package>) {
+    let (_, _, packages, _) = small_log(Codec::Paper, 30);
+    let stream = Stream { origin: RobotId(2), epoch: 1 };
+    (stream, packages.into_iter().filter(|package| package.header().stream == stream).collect())
+}
+
+/// Robot 3 alone has some packages of an ended run, most of them in its layer only, and tells robot 1. Returns the disk of that one, and what is on it.
+fn tell_beyond_a_gap(stream: Stream, packages: &[Package], gap: u32) -> (MemoryDisk, Swarm, Vec<Package>) {
+    let disk = MemoryDisk::default();
+    let mut writer = start(&disk, OPTIONS, 1);
+    let mut swarm = Swarm::new(vec![with_room(1, FEW), with_room(3, FEW)], PERFECT, 1);
+    let now = swarm.now;
+    for package in packages.iter().filter(|package| package.header().index != gap) {
+        swarm.robots[1].restore(now, package.clone()).unwrap();
+    }
+    swarm.run(60_000);
+    assert_eq!(swarm.robots[0].session().held(stream), swarm.robots[1].session().held(stream));
+    assert!(swarm.events[0].iter().any(|event| matches!(event, Event::StateContains { .. })));
+    let mut stored = Vec::new();
+    store_events(&mut swarm, &mut writer, &mut stored);
+    (disk, swarm, stored)
+}
+
+#[test]
+fn what_a_present_state_with_gaps_contains_is_held_fused_and_told_after_restarts_and_compactions() {
+    let (stream, packages) = ended_run();
+    for gap in [1, 3] {
+        let (disk, swarm, _) = tell_beyond_a_gap(stream, &packages, gap);
+        let (held, model) =
+            (swarm.robots[1].session().held(stream).unwrap(), Model::of_robot(&swarm.robots[1]));
+        let is_all_there = |robot: &Robot, when: &str| {
+            assert_eq!(robot.session().held(stream), Some(held), "gap {gap}, {when}");
+            assert_eq!(Model::of_robot(robot), model, "gap {gap}, {when}");
+            for (voxel, (_, is_occupied)) in &model.0[&stream] {
+                assert_eq!(robot.map().state(*voxel) == State::Occupied, *is_occupied, "gap {gap}, {when}");
+            }
+        };
+        let (mut robot, _) = restart(&disk, with_room(1, FEW), 2);
+        is_all_there(&robot, "after a restart");
+        for epoch in [2, 2_000] {
+            let mut writer = start(&disk, OPTIONS, epoch);
+            compact_now(&mut writer, &robot);
+            assert_eq!(writer.counters().compactions, 1);
+            drop(writer);
+            robot = restart(&disk, with_room(1, FEW), 3_000 + epoch).0;
+            is_all_there(&robot, "after a compaction and a restart");
+        }
+        // The one that told it is gone for good. A newcomer has it from the disk.
+        let mut swarm = Swarm::new(vec![with_room(1, FEW), with_room(4, FEW)], PERFECT, 2);
+        robot = Robot::new(RobotConfig { epoch: 9_000, ..with_room(1, FEW) }, swarm.now).unwrap();
+        open(&disk, OPTIONS).restore(&mut robot, swarm.now);
+        swarm.robots[0] = robot;
+        swarm.run(60_000);
+        is_all_there(&swarm.robots[1], "at a newcomer");
+    }
+}
+
+#[test]
+fn what_a_present_state_contains_counts_only_with_all_its_tiles() {
+    let (stream, packages) = ended_run();
+    let (disk, swarm, stored) = tell_beyond_a_gap(stream, &packages, 1);
+    let (name, bytes) = disk.files().pop_first().unwrap();
+    let live = Model::of_robot(&swarm.robots[0]);
+    let held = |robot: &Robot, index| robot.session().held(stream).is_some_and(|held| held.contains(index));
+    let is_tile = |package: &Package| package.header().content != ContentKind::Changes;
+    let records = stored.iter().scan(72, |end, package| {
+        *end += 9 + package.bytes().len();
+        Some((package, *end))
+    });
+    let tiles: Vec<usize> =
+        records.filter(|(package, _)| is_tile(package)).map(|(_, end)| end - 20).collect();
+    assert!(tiles.len() > 1);
+    // A tile, and the record of what they contain, which is the last one.
+    for at in [tiles[0], tiles[tiles.len() - 1], bytes.len() - 1] {
+        let mut spoilt = bytes.clone();
+        spoilt[at] ^= 1;
+        let disk = MemoryDisk::of([(name.clone(), spoilt)].into());
+        let (robot, restored) = restart(&disk, with_room(1, FEW), 2);
+        assert!(restored.skipped_bytes + restored.torn_bytes > 0);
+        for package in &packages {
+            let index = package.header().index;
+            let came = stored.iter().any(|p| !is_tile(p) && p.header().index == index);
+            assert_eq!(held(&robot, index), came, "byte {at}: package {index}");
+        }
+        for (voxel, word) in Model::of_robot(&robot).0.remove(&stream).unwrap_or_default() {
+            assert_eq!(live.0[&stream][&voxel], word, "byte {at}");
+        }
+    }
+}
+
 /// The log is made shorter now, since it has so many segments.
 fn compact_now(writer: &mut Writer, robot: &Robot) {
-    for epoch in 1_000..1_100 {
+    for epoch in (1_000..).skip_while(|epoch| *epoch <= robot.own_stream().epoch).take(100) {
         writer.log.note_epoch(epoch);
     }
     writer.compaction = writer.log.begin_compaction();
