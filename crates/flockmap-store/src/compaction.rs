@@ -2,6 +2,7 @@
 //! can be coded and written on another thread.
 
 use std::fmt;
+use std::io::ErrorKind;
 use std::sync::Arc;
 
 use flockmap::codec::{ContentKind, Encoder, PACKAGE_BYTES_MAX, Span};
@@ -117,6 +118,8 @@ pub struct Compacted {
     pub(crate) header: SegmentHeader,
     /// Its bytes, or why there is none.
     pub(crate) result: Result<u64, String>,
+    /// Nothing of it is there but what counts.
+    pub(crate) is_gone: bool,
 }
 
 impl Compaction {
@@ -165,7 +168,7 @@ impl Compaction {
                 self.bytes += buffer.len() as u64;
                 if self.bytes > self.bytes_max {
                     return Err(format!(
-                        "the map alone takes more than {} bytes, which is 7/16 of bytes_max: raise it",
+                        "the map alone takes more than {} bytes, and bytes_max leaves it no more (at most 7/16): raise it",
                         self.bytes_max
                     ));
                 }
@@ -188,12 +191,12 @@ impl Compaction {
         let result = file.and_then(|file| {
             finish(file).map_err(|error| format!("cannot finish a compacted segment: {error}"))
         });
-        if result.is_err() {
-            // What is left is removed at the next start, or is whole and counts.
-            let _ = disk.remove(&name);
-            let _ = disk.remove(&header.name());
-        }
-        Compacted { header, result: result.map(|()| bytes) }
+        // What is left is removed at the next start, or is whole and counts.
+        let remove = |name: &str| {
+            disk.remove(name).map_or_else(|error| error.kind() == ErrorKind::NotFound, |()| true)
+        };
+        let is_gone = result.is_ok() || (remove(&name) & remove(&header.name()));
+        Compacted { header, result: result.map(|()| bytes), is_gone }
     }
 
     /// Takes the file away again.

@@ -305,6 +305,97 @@ fn compaction_keeps_what_is_held_beyond_a_gap() {
     }
 }
 
+/// The least cap.
+const LEAST: StoreOptions = StoreOptions { bytes_max: 64 << 10, ..OPTIONS };
+
+/// Robot 1 flies until nothing more is stored, over ever the same few metres if `is_small`. Compactions go on while it flies, or wait.
+fn fly_until_full(disk: &MemoryDisk, is_small: bool, goes_on: bool) -> (Writer, Swarm) {
+    let mut swarm = Swarm::new(vec![two(Codec::Paper).remove(0)], PERFECT, 41);
+    let mut writer = start(disk, LEAST, 1);
+    let mut random = Random(41);
+    for tick in 0..40_000 {
+        let scan = if is_small { small_scan } else { swarm::scan }(&mut random, swarm.now);
+        let at = if is_small { f64::from(tick % 5) * 0.1 } else { f64::from(tick) * 0.3 };
+        swarm.scan(0, &scan, &Pose::from_yaw([at, 0.0, 0.0], 0.0));
+        swarm.robots[0].flush(swarm.now);
+        swarm.run(20);
+        for event in swarm.events[0].drain(..) {
+            writer.note(&event);
+        }
+        if writer.counters().failures > 0 {
+            return (writer, swarm);
+        }
+        if goes_on {
+            writer.step(&swarm.robots[0]);
+        }
+    }
+    panic!("never full: {:?}", writer.counters());
+}
+
+#[test]
+fn there_is_never_more_on_the_disk_than_bytes_max_whether_compactions_wait_fail_or_end() {
+    let most = |disk: &MemoryDisk| disk.bytes_most() as u64;
+    // The log comes to its end while a compaction waits.
+    let disk = MemoryDisk::default();
+    let (mut writer, swarm) = fly_until_full(&disk, true, false);
+    writer.finish_compaction(&swarm.robots[0]);
+    let [Notice::Off(text)] = &writer.notices[..] else { panic!("{:?}", writer.notices) };
+    assert!(text.contains("bytes_max (65536)") && text.contains("raise it"), "{text}");
+    drop(writer);
+    assert!(most(&disk) > LEAST.bytes_max / 2 && most(&disk) <= LEAST.bytes_max, "{} B", most(&disk));
+    // It counts all the same.
+    let (robot, _) = restart(&disk, config(1), 2);
+    let told = swarm.robots[0].own_stream();
+    assert_eq!(Model::of_robot(&robot).0[&told], Model::of_robot(&swarm.robots[0]).0[&told]);
+    let writer = Writer::new(open(&disk, LEAST).start(2).unwrap());
+    assert!(writer.notices.is_empty() && writer.counters().disk_bytes < LEAST.bytes_max / 2);
+
+    // The map alone takes too much: tried again and again, each time beside a longer log.
+    let disk = MemoryDisk::default();
+    let (writer, _) = fly_until_full(&disk, false, true);
+    let counters = writer.counters();
+    assert!(counters.compactions_failed > 1 && counters.failures == 1, "{counters:?}");
+    assert!(writer.notices[0].to_string().contains("the map alone takes more than"), "{:?}", writer.notices);
+    assert!(most(&disk) <= LEAST.bytes_max, "{} B", most(&disk));
+
+    // What is left of those that came to no end is not removed: it takes its room.
+    let disk = MemoryDisk::default();
+    let (writer, swarm) = fly_until_full(&disk, true, false);
+    drop(writer);
+    disk.set_faults(Faults { remove: true, ..Faults::default() });
+    for epoch in 2..=12 {
+        let mut writer = start(&disk, LEAST, epoch);
+        if let Some(compaction) = &mut writer.compaction {
+            while compaction.step(&swarm.robots[0]) {}
+        }
+    }
+    assert!(disk.files().keys().filter(|name| name.ends_with(".unfinished")).count() > 1);
+    assert!(most(&disk) <= LEAST.bytes_max, "{} B", most(&disk));
+}
+
+#[test]
+fn a_log_that_has_come_to_its_end_is_made_shorter_at_the_next_start() {
+    let disk = MemoryDisk::default();
+    let (writer, swarm) = fly_until_full(&disk, true, false);
+    drop(writer);
+    // And a few starts come to nothing.
+    for epoch in 2..=6 {
+        drop(start(&disk, LEAST, epoch));
+    }
+    let mut robot = Robot::new(RobotConfig { epoch: 7, ..config(1) }, swarm.now).unwrap();
+    let mut store = open(&disk, LEAST);
+    store.restore(&mut robot, swarm.now);
+    let mut writer = Writer::new(store.start(7).unwrap());
+    writer.finish_compaction(&robot);
+    let counters = writer.counters();
+    assert_eq!((counters.compactions, counters.failures), (1, 0), "{:?}", writer.notices);
+    assert!(counters.disk_bytes < LEAST.bytes_max / 2, "{counters:?}");
+    assert!(disk.bytes_most() as u64 <= LEAST.bytes_max, "{} B", disk.bytes_most());
+    drop(writer);
+    let (again, _) = restart(&disk, config(1), 8);
+    assert_eq!(Model::of_robot(&again), Model::of_robot(&robot));
+}
+
 /// Bytes of packages in memory: some three of them.
 const FEW: usize = 2_000;
 
