@@ -2,14 +2,16 @@
 //! can be coded and written on another thread.
 
 use std::fmt;
+use std::io::ErrorKind;
 use std::sync::Arc;
 
-use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
+use flockmap::codec::{ContentKind, Encoder, PACKAGE_BYTES_MAX, Span};
 use flockmap::grid::Layer;
+use flockmap::sync::IntervalSet;
 use flockmap::{Codec, Package, Resolution, Robot, Stream};
 
 use crate::log::create;
-use crate::record::{INTERVALS_MAX, Record};
+use crate::record::{Contents, Record};
 use crate::segment::{HEADERS_BYTES, SegmentHeader};
 use crate::{Disk, DiskFile};
 
@@ -24,38 +26,30 @@ pub struct StreamCopy {
     stream: Stream,
     codec: Codec,
     resolution: Resolution,
-    /// All packages up to this one are in the layer.
-    upto: u32,
-    layer: Layer,
-    /// Held beyond that, and in the layer too.
-    beyond: Vec<(u32, u32)>,
-    /// Of a stream of which not even the first package is held: packages as they came.
-    packages: Vec<Package>,
+    what: What,
 }
+
+enum What {
+    /// All packages held are in the layer.
+    State { layer: Layer, held: IntervalSet },
+    /// The layer lacks what some of them say.
+    Packages(Vec<Package>),
+    /// And they are not all there any more.
+    Nothing(&'static str),
+}
+
+const OWN_LAYER_FULL: &str = "the own layer was full, so that it lacks what was told last, and not all own packages are in memory any more: raise own_layer_mb";
 
 impl StreamCopy {
     /// The first stream after `after` that the robot has something of, with no event of the robot left unread. Copies its layer: 1 ms for 3 MB.
     pub fn next(robot: &Robot, after: Option<Stream>) -> Option<Self> {
-        let session = robot.session();
-        let later = session.streams().filter(|stream| after.is_none_or(|after| *stream > after));
+        let later = robot.session().streams().filter(|stream| after.is_none_or(|after| *stream > after));
         later.into_iter().find_map(|stream| {
-            let held = session.held(stream)?;
-            let layer = robot.fusion().layer(stream)?;
-            let upto = held.prefix();
-            let is_whole_from_start = upto > 0;
             Some(Self {
                 stream,
                 codec: robot.config().codec,
                 resolution: robot.config().mapper.resolution,
-                upto,
-                layer: if is_whole_from_start { layer.clone() } else { Layer::default() },
-                beyond: held.within(upto.saturating_add(1), u32::MAX).intervals().to_vec(),
-                packages: match is_whole_from_start {
-                    true => Vec::new(),
-                    false => {
-                        session.store().range(stream, 1, u32::MAX).map(|(_, p)| p.package.clone()).collect()
-                    }
-                },
+                what: What::of(robot, stream)?,
             })
         })
     }
@@ -67,16 +61,40 @@ impl StreamCopy {
 
     /// The records that make the same layer again.
     fn into_records(self, encoder: &mut Encoder) -> Result<Vec<Record>, String> {
-        let Self { stream, upto, .. } = self;
-        let Some(state) = self.layer.present_state().filter(|_| upto > 0) else {
-            return Ok(self.packages.into_iter().map(Record::Package).collect());
+        let Self { stream, codec, resolution, what } = self;
+        let (layer, held) = match what {
+            What::State { layer, held } => (layer, held),
+            What::Packages(packages) => return Ok(packages.into_iter().map(Record::Package).collect()),
+            What::Nothing(why) => return Err(why.into()),
         };
-        let tiles = encoder
-            .encode_present(self.codec, stream, upto, self.resolution, &state, PACKAGE_BYTES_MAX)
-            .map_err(|error| format!("the present state of {stream:?} could not be coded: {error}"))?;
-        let held = self.beyond.chunks(INTERVALS_MAX);
-        let held = held.map(|intervals| Record::Held { stream, upto, intervals: intervals.to_vec() });
-        Ok(tiles.into_iter().map(Record::Package).chain(held).collect())
+        let cannot = |why: &str| format!("the present state of {stream:?} cannot be coded: {why}");
+        let Some(upto) = held.last().filter(|_| !layer.is_empty()) else { return Ok(Vec::new()) };
+        let state = layer.present_voxels(None).ok_or_else(|| cannot("it is too large"))?;
+        // One of a history with gaps says by itself no more than its newest package.
+        let is_whole = held.contains_range(1, upto);
+        let span = Span { stream, since: if is_whole { 0 } else { upto - 1 }, upto };
+        let tiles = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
+        let tiles = tiles.map_err(|error| cannot(&error.to_string()))?;
+        let contents = match tiles.first().map(|tile| tile.header().content) {
+            Some(ContentKind::Present { set, .. }) if !is_whole => {
+                Some(Contents { stream, set, intervals: held.intervals().to_vec() })
+            }
+            _ => None,
+        };
+        Ok(tiles.into_iter().map(Record::Package).chain(contents.map(Record::Contents)).collect())
+    }
+}
+
+impl What {
+    fn of(robot: &Robot, stream: Stream) -> Option<Self> {
+        let (session, held) = (robot.session(), robot.session().held(stream)?);
+        let stored = || session.store().range(stream, 1, u32::MAX).map(|(_, p)| p.package.clone());
+        if stream == robot.own_stream() && !robot.own_layer_has_all() {
+            let packages: Vec<Package> = stored().collect();
+            let is_all = packages.len() as u64 == held.count();
+            return Some(if is_all { Self::Packages(packages) } else { Self::Nothing(OWN_LAYER_FULL) });
+        }
+        Some(Self::State { layer: robot.fusion().layer(stream)?.clone(), held: held.clone() })
     }
 }
 
@@ -100,6 +118,8 @@ pub struct Compacted {
     pub(crate) header: SegmentHeader,
     /// Its bytes, or why there is none.
     pub(crate) result: Result<u64, String>,
+    /// Nothing of it is there but what counts.
+    pub(crate) is_gone: bool,
 }
 
 impl Compaction {
@@ -148,7 +168,7 @@ impl Compaction {
                 self.bytes += buffer.len() as u64;
                 if self.bytes > self.bytes_max {
                     return Err(format!(
-                        "the map alone takes more than {} bytes, which is 7/16 of bytes_max: raise it",
+                        "the map alone takes more than {} bytes, and bytes_max leaves it no more (at most 7/16): raise it",
                         self.bytes_max
                     ));
                 }
@@ -171,12 +191,12 @@ impl Compaction {
         let result = file.and_then(|file| {
             finish(file).map_err(|error| format!("cannot finish a compacted segment: {error}"))
         });
-        if result.is_err() {
-            // What is left is removed at the next start, or is whole and counts.
-            let _ = disk.remove(&name);
-            let _ = disk.remove(&header.name());
-        }
-        Compacted { header, result: result.map(|()| bytes) }
+        // What is left is removed at the next start, or is whole and counts.
+        let remove = |name: &str| {
+            disk.remove(name).map_or_else(|error| error.kind() == ErrorKind::NotFound, |()| true)
+        };
+        let is_gone = result.is_ok() || (remove(&name) & remove(&header.name()));
+        Compacted { header, result: result.map(|()| bytes), is_gone }
     }
 
     /// Takes the file away again.

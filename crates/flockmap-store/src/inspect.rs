@@ -10,7 +10,7 @@ use flockmap::codec::ContentKind;
 use flockmap::sync::IntervalSet;
 
 use crate::folder::names;
-use crate::record::{Record, Scan};
+use crate::record::{Contents, Record, Scan};
 use crate::segment::{Identity, NoHeader, is_of_version_1, parse_name};
 
 /// Intervals told of one stream; of more, the rest is left out.
@@ -83,6 +83,32 @@ pub struct StreamFacts {
     pub tile_bytes: u64,
 }
 
+/// Present states of which tiles were seen.
+#[derive(Default)]
+struct States(BTreeMap<(Stream, u32), (IntervalSet, u32)>);
+
+/// Of more states than that, those seen before are taken for incomplete.
+const STATES_MAX: usize = 256;
+
+impl States {
+    /// Notes a tile; whether there are all of its state now.
+    fn add(&mut self, stream: Stream, set: u32, tile: u32, tiles: u32) -> bool {
+        if self.0.len() >= STATES_MAX && !self.0.contains_key(&(stream, set)) {
+            self.0.clear();
+        }
+        let nothing = || (IntervalSet::new(INTERVALS_MAX), tiles);
+        let (seen, _) = self.0.entry((stream, set)).or_insert_with(nothing);
+        // What does not fit into the list is left out.
+        let _ = seen.insert(tile);
+        self.is_complete(stream, set)
+    }
+
+    fn is_complete(&self, stream: Stream, set: u32) -> bool {
+        let tiles_of = self.0.get(&(stream, set));
+        tiles_of.is_some_and(|(seen, tiles)| *tiles > 0 && seen.contains_range(0, *tiles - 1))
+    }
+}
+
 /// Whether a folder holds segments of a store.
 pub fn is_store(folder: &Path) -> bool {
     names(folder)
@@ -110,14 +136,15 @@ pub fn inspect(folder: &Path) -> io::Result<Inspection> {
         let fault = Some("written by another version (1)".into());
         inspection.segments.push(SegmentFacts { fault, ..SegmentFacts::new(name, bytes) });
     }
+    let mut states = States::default();
     for (_, name) in segments {
-        inspection.add_segment(&folder.join(&name), name)?;
+        inspection.add_segment(&folder.join(&name), name, &mut states)?;
     }
     Ok(inspection)
 }
 
 impl Inspection {
-    fn add_segment(&mut self, path: &Path, name: String) -> io::Result<()> {
+    fn add_segment(&mut self, path: &Path, name: String, states: &mut States) -> io::Result<()> {
         let bytes = std::fs::metadata(path)?.len();
         let (header, mut scan) = Scan::open(Box::new(File::open(path)?))?;
         let mut facts = SegmentFacts::new(name, bytes);
@@ -127,13 +154,12 @@ impl Inspection {
                 facts.is_compacted = header.is_compacted;
                 if header.is_compacted {
                     self.streams.clear();
+                    *states = States::default();
                 }
-                // Of a present state: its number and the tiles seen.
-                let mut tiles_seen = (0, 0);
                 while let Some(record) = scan.next() {
                     facts.records += 1;
                     match record {
-                        Ok(record) => self.add_record(&record, &mut tiles_seen),
+                        Ok(record) => self.add_record(&record, states),
                         Err(_) => facts.unreadable += 1,
                     }
                 }
@@ -154,10 +180,10 @@ impl Inspection {
         Ok(())
     }
 
-    fn add_record(&mut self, record: &Record, tiles_seen: &mut (u32, u32)) {
+    fn add_record(&mut self, record: &Record, states: &mut States) {
         let stream = match record {
             Record::Package(package) => package.header().stream,
-            Record::Held { stream, .. } => *stream,
+            Record::Contents(contents) => contents.stream,
         };
         if self.streams.len() >= STREAMS_MAX && !self.streams.contains_key(&stream) {
             return;
@@ -182,19 +208,15 @@ impl Inspection {
                     ContentKind::Present { set, tile, tiles, since } => {
                         facts.tiles += 1;
                         facts.tile_bytes += bytes;
-                        *tiles_seen = match *tiles_seen {
-                            (of, seen) if of == set && seen == tile => (set, seen + 1),
-                            _ => (set, u32::from(tile == 0)),
-                        };
                         let is_told = since == 0 || facts.held.contains_range(1, since);
-                        if *tiles_seen == (set, tiles) && is_told {
+                        if states.add(stream, set, tile, tiles) && is_told {
                             let _ = facts.held.insert_range(1, header.index);
                         }
                     }
                 }
             }
-            Record::Held { upto, intervals, .. } => {
-                if *upto > 0 && facts.held.contains_range(1, *upto) {
+            Record::Contents(Contents { set, intervals, .. }) => {
+                if states.is_complete(stream, *set) {
                     for &(low, high) in intervals {
                         let _ = facts.held.insert_range(low, high);
                     }

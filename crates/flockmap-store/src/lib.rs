@@ -30,6 +30,7 @@ pub use epoch::{EpochFault, EpochFile, EpochsSpent, next_epoch};
 pub use error::StoreError;
 pub use folder::Folder;
 pub use inspect::{Inspection, SegmentFacts, StreamFacts, inspect, is_store};
+pub use record::Contents;
 pub use segment::{Identity, STORE_VERSION};
 pub use store::Store;
-pub use store_log::{Notice, StoreLog, StoreOptions, packages_of};
+pub use store_log::{Notice, StoreLog, StoreOptions, contents_of, packages_of};

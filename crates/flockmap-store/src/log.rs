@@ -4,9 +4,6 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 
-use flockmap::Package;
-
-use crate::record::write_package;
 use crate::segment::{HEADERS_BYTES, Identity, SegmentHeader, segment_name};
 use crate::{Disk, DiskFile};
 
@@ -15,7 +12,9 @@ pub(crate) struct Log {
     disk: Arc<dyn Disk>,
     identity: Identity,
     epoch: u64,
-    bytes_max: u64,
+    shares: Shares,
+    /// While a compaction is on its way: bytes that it leaves to the segments.
+    limit: Option<u64>,
     segments: BTreeMap<(u32, u64), u64>,
     file: Box<dyn DiskFile>,
     number: u32,
@@ -29,8 +28,42 @@ pub(crate) struct Log {
 pub(crate) enum LogError {
     #[error("cannot {what}: {source}")]
     Disk { what: &'static str, source: io::Error },
-    #[error("bytes_max ({0}) is reached: raise it, or empty the folder")]
+    #[error("the log has taken its share of bytes_max ({0}): raise it, or empty the folder")]
     Full(u64),
+}
+
+/// How `bytes_max` is shared out, so that there is always room for the present states that replace the log.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Shares {
+    /// All that there is.
+    pub(crate) all: u64,
+}
+
+impl Shares {
+    /// From here on the log is to be made shorter.
+    pub(crate) const fn due(self) -> u64 {
+        self.all / 2
+    }
+
+    /// What it has to grow by until that is tried again where it failed.
+    pub(crate) const fn pause(self) -> u64 {
+        self.all / 64
+    }
+
+    /// What the present states may take beside a log of so many bytes.
+    pub(crate) fn present(self, log: u64) -> u64 {
+        (self.all / 16 * 7).min(self.all.saturating_sub(log.saturating_add(self.reserve())))
+    }
+
+    /// All segments.
+    const fn log(self) -> u64 {
+        self.all - self.all / 16 * 7
+    }
+
+    /// Of these, what packages leave free: for what comes during a compaction, and for the headers of runs that begin.
+    const fn reserve(self) -> u64 {
+        self.all / 32
+    }
 }
 
 fn cannot(what: &'static str) -> impl FnOnce(io::Error) -> LogError {
@@ -52,16 +85,21 @@ impl Log {
         disk: Arc<dyn Disk>,
         identity: Identity,
         epoch: u64,
-        bytes_max: u64,
+        shares: Shares,
         segments: BTreeMap<(u32, u64), u64>,
     ) -> Result<Self, LogError> {
+        // It may go beyond the share of the log: where that was larger once, it can be made shorter now.
+        if segments.values().sum::<u64>() + HEADERS_BYTES as u64 > shares.all {
+            return Err(LogError::Full(shares.all));
+        }
         let number = segments.keys().next_back().map_or(0, |(number, _)| *number).saturating_add(1);
         let header = SegmentHeader { identity, epoch, number, is_compacted: false };
         let file = create(&*disk, &header, &header.name()).map_err(cannot("begin a segment"))?;
         let seed = header.seed();
         let (buffer, is_synced) = (Vec::new(), true);
+        let limit = None;
         let mut log =
-            Self { disk, identity, epoch, bytes_max, segments, file, number, seed, buffer, is_synced };
+            Self { disk, identity, epoch, shares, limit, segments, file, number, seed, buffer, is_synced };
         log.segments.insert((number, epoch), HEADERS_BYTES as u64);
         Ok(log)
     }
@@ -75,18 +113,14 @@ impl Log {
         self.segments.len()
     }
 
-    /// Hands records to the system. Returns their bytes.
-    pub(crate) fn append<'a>(
-        &mut self,
-        packages: impl Iterator<Item = &'a Package>,
-    ) -> Result<u64, LogError> {
+    /// Hands records to the system, which are written behind each other with the seed that is given. Returns their bytes.
+    pub(crate) fn append(&mut self, write: impl FnOnce(u32, &mut Vec<u8>)) -> Result<u64, LogError> {
         self.buffer.clear();
-        for package in packages {
-            write_package(package, self.seed, &mut self.buffer);
-        }
+        write(self.seed, &mut self.buffer);
         let bytes = self.buffer.len() as u64;
-        if self.bytes() + bytes > self.bytes_max {
-            return Err(LogError::Full(self.bytes_max));
+        let limit = self.limit.unwrap_or_else(|| self.shares.log() - self.shares.reserve());
+        if self.bytes() + bytes > limit {
+            return Err(LogError::Full(self.shares.all));
         }
         self.is_synced = false;
         self.file.write_all(&self.buffer).map_err(cannot("write"))?;
@@ -107,8 +141,10 @@ impl Log {
         Ok(())
     }
 
-    /// Goes on in a new segment, and leaves a number free before it: for the segment that is to replace all before.
-    pub(crate) fn roll(&mut self) -> Result<SegmentHeader, LogError> {
+    /// Goes on in a new segment, and leaves a number free before it: for the segment that is to replace all before. That may take so many bytes, until
+    /// [`Self::end_present`].
+    pub(crate) fn roll(&mut self, present: u64) -> Result<SegmentHeader, LogError> {
+        self.limit = Some(self.shares.all - present);
         let number = self.number.saturating_add(1);
         let compacted =
             SegmentHeader { identity: self.identity, epoch: self.epoch, number, is_compacted: true };
@@ -127,8 +163,8 @@ impl Log {
 
     fn go_on_in(&mut self, number: u32) -> Result<(), LogError> {
         self.sync()?;
-        if self.bytes() + HEADERS_BYTES as u64 > self.bytes_max {
-            return Err(LogError::Full(self.bytes_max));
+        if self.bytes() + HEADERS_BYTES as u64 > self.limit.unwrap_or_else(|| self.shares.log()) {
+            return Err(LogError::Full(self.shares.all));
         }
         let (identity, epoch) = (self.identity, self.epoch);
         let header = SegmentHeader { identity, epoch, number, is_compacted: false };
@@ -137,6 +173,11 @@ impl Log {
         self.seed = header.seed();
         self.segments.insert((number, epoch), HEADERS_BYTES as u64);
         Ok(())
+    }
+
+    /// No compaction is on its way any more.
+    pub(crate) const fn end_present(&mut self) {
+        self.limit = None;
     }
 
     /// A compacted segment is complete under its name: those before it go.

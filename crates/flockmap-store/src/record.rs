@@ -4,6 +4,7 @@ use std::io::{self, Read};
 
 use crc32fast::Hasher;
 use flockmap::codec::PackageError;
+use flockmap::sync::HELD_INTERVALS_MAX;
 use flockmap::{Package, RobotId, Stream};
 
 use crate::segment::{HEADERS_BYTES, NoHeader, SegmentHeader};
@@ -12,21 +13,32 @@ use crate::segment::{HEADERS_BYTES, NoHeader, SegmentHeader};
 const SYNC: [u8; 2] = [0xf1, 0x0c];
 /// Sync, type, length, check.
 pub(crate) const RECORD_OVERHEAD: usize = 9;
-/// Content of a record; packages are shorter than datagrams.
-pub(crate) const CONTENT_MAX: usize = 1_536;
-/// Intervals in one record.
-pub(crate) const INTERVALS_MAX: usize = 180;
+/// Content of a record: the longest list of packages. Packages are shorter than datagrams.
+pub(crate) const CONTENT_MAX: usize = CONTENTS_BYTES + 8 * HELD_INTERVALS_MAX;
+/// Of a record of contents, without its intervals.
+const CONTENTS_BYTES: usize = 14;
 
 const PACKAGE: u8 = 1;
-const HELD: u8 = 2;
+const CONTENTS: u8 = 2;
 
 /// What a record says.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) enum Record {
     /// A package, or a tile of a present state, was made or merged.
     Package(Package),
-    /// The present state just before, up to package `upto`, contains these packages too.
-    Held { stream: Stream, upto: u32, intervals: Vec<(u32, u32)> },
+    /// Behind the tiles of a present state of a history with gaps.
+    Contents(Contents),
+}
+
+/// Which packages a present state of a history with gaps contains.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Contents {
+    /// The stream.
+    pub stream: Stream,
+    /// The present state, as its tiles say.
+    pub set: u32,
+    /// Indices of packages, as closed intervals; at most 1,024 of them.
+    pub intervals: Vec<(u32, u32)>,
 }
 
 impl Record {
@@ -34,17 +46,7 @@ impl Record {
     pub(crate) fn write(&self, seed: u32, out: &mut Vec<u8>) {
         match self {
             Self::Package(package) => write_package(package, seed, out),
-            Self::Held { stream, upto, intervals } => {
-                let mut content = Vec::with_capacity(14 + 8 * intervals.len());
-                content.extend_from_slice(&stream.origin.0.to_le_bytes());
-                content.extend_from_slice(&stream.epoch.to_le_bytes());
-                content.extend_from_slice(&upto.to_le_bytes());
-                for (low, high) in intervals.iter().take(INTERVALS_MAX) {
-                    content.extend_from_slice(&low.to_le_bytes());
-                    content.extend_from_slice(&high.to_le_bytes());
-                }
-                frame(seed, HELD, &content, out);
-            }
+            Self::Contents(contents) => frame(seed, CONTENTS, &contents.bytes(), out),
         }
     }
 
@@ -52,21 +54,37 @@ impl Record {
     fn read(kind: u8, content: &[u8]) -> Result<Self, Unreadable> {
         match kind {
             PACKAGE => Package::parse(content).map(Self::Package).map_err(Unreadable::Package),
-            HELD => Self::read_held(content).ok_or(Unreadable::Held),
+            CONTENTS => Contents::read(content).map(Self::Contents).ok_or(Unreadable::Contents),
             _ => Err(Unreadable::Kind(kind)),
         }
     }
+}
 
-    fn read_held(content: &[u8]) -> Option<Self> {
+impl Contents {
+    /// The content of its record. Of too many intervals the highest are left out: then they count as missing.
+    fn bytes(&self) -> Vec<u8> {
+        let Self { stream, set, intervals } = self;
+        let mut bytes = Vec::with_capacity(CONTENTS_BYTES + 8 * intervals.len());
+        bytes.extend_from_slice(&stream.origin.0.to_le_bytes());
+        bytes.extend_from_slice(&stream.epoch.to_le_bytes());
+        bytes.extend_from_slice(&set.to_le_bytes());
+        for (low, high) in intervals.iter().take(HELD_INTERVALS_MAX) {
+            bytes.extend_from_slice(&low.to_le_bytes());
+            bytes.extend_from_slice(&high.to_le_bytes());
+        }
+        bytes
+    }
+
+    fn read(content: &[u8]) -> Option<Self> {
         let (origin, rest) = content.split_first_chunk()?;
         let (epoch, rest) = rest.split_first_chunk()?;
-        let (upto, rest) = rest.split_first_chunk()?;
+        let (set, rest) = rest.split_first_chunk()?;
         let stream =
             Stream { origin: RobotId(u16::from_le_bytes(*origin)), epoch: u64::from_le_bytes(*epoch) };
         let (pairs, rest) = rest.as_chunks::<8>();
         let number = |bytes: &[u8]| bytes.iter().rev().fold(0, |n, byte| n << 8 | u32::from(*byte));
         let intervals = pairs.iter().map(|pair| (number(&pair[..4]), number(&pair[4..]))).collect();
-        rest.is_empty().then_some(Self::Held { stream, upto: u32::from_le_bytes(*upto), intervals })
+        rest.is_empty().then_some(Self { stream, set: u32::from_le_bytes(*set), intervals })
     }
 }
 
@@ -80,8 +98,8 @@ pub(crate) fn write_package(package: &Package, seed: u32, out: &mut Vec<u8>) {
 pub(crate) enum Unreadable {
     #[error("a package of another version, or none: {0}")]
     Package(PackageError),
-    #[error("a list of packages held that is none")]
-    Held,
+    #[error("a list of the packages in a present state that is none")]
+    Contents,
     #[error("a record of type {0}, which this version does not know")]
     Kind(u8),
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use flockmap::{Event, Robot, Stamp};
 
 use crate::compaction::UNFINISHED;
-use crate::record::{Record, Scan};
+use crate::record::{Contents, Record, Scan};
 use crate::segment::{NoHeader, is_of_version_1, parse_name, segment_name};
 use crate::store_log::BYTES_MAX_MIN;
 use crate::{Disk, Folder, Identity, Notice, Restored, StoreError, StoreLog, StoreOptions};
@@ -21,6 +21,8 @@ pub struct Store {
     options: StoreOptions,
     /// Bytes of the segments, by number and epoch.
     segments: BTreeMap<(u32, u64), u64>,
+    /// Bytes of unfinished segments that the disk does not remove.
+    unremoved: u64,
     last_epoch: Option<u64>,
     restored: Restored,
     /// The disk did not give all that it has.
@@ -72,7 +74,8 @@ impl Store {
                 return Err(StoreError::Version { name, got: 1 });
             } else if name.ends_with(UNFINISHED) {
                 // If it stays, it is found again next time.
-                let _ = disk.remove(&name);
+                let bytes = disk.length(&name).unwrap_or(0);
+                store.unremoved += if disk.remove(&name).is_ok() { 0 } else { bytes };
             } else if let Some((number, epoch)) = parse_name(&name) {
                 store.last_epoch = store.last_epoch.max(Some(epoch));
                 // What cannot be told is known when it is read.
@@ -95,6 +98,7 @@ impl Store {
             identity,
             options,
             segments: BTreeMap::new(),
+            unremoved: 0,
             last_epoch: None,
             restored: Restored::default(),
             is_unread: false,
@@ -173,8 +177,8 @@ impl Store {
                     // What has no room is counted by the session.
                     let _ = robot.restore(now, package);
                 }
-                Ok(Record::Held { stream, upto, intervals }) => {
-                    robot.restore_held(stream, upto, &intervals);
+                Ok(Record::Contents(Contents { stream, set, intervals })) => {
+                    robot.restore_contents(now, stream, set, &intervals);
                 }
                 Err(_) => self.restored.unreadable += 1,
             }
@@ -203,8 +207,9 @@ impl Store {
         if let Some(last) = self.last_epoch.filter(|last| *last >= epoch) {
             return Err(StoreError::Epoch { got: epoch, last });
         }
-        let Self { disk, identity, options, segments, restored, is_unread, notices, .. } = self;
-        let mut store = StoreLog::begin(disk, identity, options, (segments, restored), epoch, notices);
+        let Self { disk, identity, options, segments, unremoved, restored, is_unread, notices, .. } = self;
+        let found = (segments, unremoved, restored);
+        let mut store = StoreLog::begin(disk, identity, options, found, epoch, notices);
         if is_unread {
             store.keep_all();
         }

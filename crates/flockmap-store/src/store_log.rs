@@ -8,14 +8,15 @@ use std::time::Duration;
 use flockmap::{Event, Package, Stamp};
 
 use crate::compaction::{Compacted, Compaction};
-use crate::log::{Log, LogError};
-use crate::record::CONTENT_MAX;
+use crate::log::{Log, LogError, Shares};
+use crate::record::{CONTENT_MAX, Contents, Record, write_package};
 use crate::{Disk, Identity, Restored, StoreCounters};
 
 /// What a store may take.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct StoreOptions {
-    /// Bytes on disk, never more. From half of it on, the log is replaced by the present states of its streams. At least 64 KiB; default 256 MiB.
+    /// Bytes on disk, never more. From half of it on, the log is replaced by the present states of its streams, which may take 7/16; for these there is
+    /// always room: of the log itself packages take at most 17/32. At least 64 KiB; default 256 MiB.
     pub bytes_max: u64,
     /// What was written is made safe (fsync) after so long at the latest: what a power failure can cost. What only the death of the process
     /// can cost is less: the records that were not handed to the system yet. Default 1 s.
@@ -64,16 +65,19 @@ impl fmt::Display for Notice {
 #[derive(Debug)]
 pub struct StoreLog {
     disk: Option<Arc<dyn Disk>>,
-    options: StoreOptions,
+    shares: Shares,
+    sync_period: Duration,
     /// `None` after a failure.
     log: Option<Log>,
     /// When what was written has to be made safe.
     sync_due: Option<Stamp>,
     is_compacting: bool,
-    /// What the disk could not read must not be replaced by what the robot knows.
+    /// What the disk could not read must not be replaced by what the robot knows; or there is no room, since it does not remove what it should.
     keeps_all: bool,
-    /// Bytes and segments after the last compaction of this run.
-    compacted_at: (u64, usize),
+    /// After a compaction that failed: bytes from which on it is tried again.
+    retry_at: u64,
+    /// Segments after the last compaction of this run.
+    segments_then: usize,
     counters: StoreCounters,
     notices: VecDeque<Notice>,
 }
@@ -84,25 +88,28 @@ impl StoreLog {
         disk: Option<Arc<dyn Disk>>,
         identity: Identity,
         options: StoreOptions,
-        (segments, restored): (BTreeMap<(u32, u64), u64>, Restored),
+        (segments, unremoved, restored): (BTreeMap<(u32, u64), u64>, u64, Restored),
         epoch: u64,
         notices: Vec<Notice>,
     ) -> Self {
         let disk_bytes = segments.values().sum();
+        let shares = Shares { all: options.bytes_max.saturating_sub(unremoved) };
         let mut store = Self {
             disk,
-            options,
+            shares,
+            sync_period: options.sync_period.min(SYNC_PERIOD_MAX),
             log: None,
             sync_due: None,
             is_compacting: false,
             keeps_all: false,
-            compacted_at: (0, 0),
+            retry_at: 0,
+            segments_then: 0,
             counters: StoreCounters { disk_bytes, ..restored.into() },
             notices: notices.into(),
         };
         match &store.disk {
             None => store.counters.failures = 1,
-            Some(disk) => match Log::begin(Arc::clone(disk), identity, epoch, options.bytes_max, segments) {
+            Some(disk) => match Log::begin(Arc::clone(disk), identity, epoch, shares, segments) {
                 Ok(log) => store.log = Some(log),
                 Err(error) => store.fail(&error),
             },
@@ -120,6 +127,9 @@ impl StoreLog {
     /// Stores what an event says is to be stored. `now` never steps back within a run; what it counts from does not matter.
     pub fn note(&mut self, now: Stamp, event: &Event) {
         self.append(now, packages_of(event));
+        if let Some(contents) = contents_of(event) {
+            self.append_contents(now, contents);
+        }
     }
 
     /// Stores packages.
@@ -129,16 +139,29 @@ impl StoreLog {
         if count == 0 {
             return;
         }
-        let Some(bytes) = self.attempt(|log| log.append(fitting())) else {
-            self.counters.left_out += count;
-            return;
-        };
-        self.counters.written += count;
-        self.counters.written_bytes += bytes;
+        let write = |seed, out: &mut Vec<u8>| fitting().for_each(|package| write_package(package, seed, out));
+        match self.write(now, write) {
+            Some(bytes) => {
+                self.counters.written += count;
+                self.counters.written_bytes += bytes;
+            }
+            None => self.counters.left_out += count,
+        }
+    }
+
+    /// Stores which packages a present state contains, behind its tiles.
+    pub fn append_contents(&mut self, now: Stamp, contents: Contents) {
+        self.write(now, |seed, out| Record::Contents(contents).write(seed, out));
+    }
+
+    /// Returns the bytes written.
+    fn write(&mut self, now: Stamp, write: impl FnOnce(u32, &mut Vec<u8>)) -> Option<u64> {
+        let bytes = self.attempt(|log| log.append(write))?;
         self.note_bytes();
-        let period = self.options.sync_period.min(SYNC_PERIOD_MAX).as_micros() as i64;
+        let period = self.sync_period.as_micros() as i64;
         self.sync_due.get_or_insert_with(|| now.plus_micros(period));
         self.handle_timeout(now);
+        Some(bytes)
     }
 
     /// Another run of this robot has begun without a restart, under a higher epoch: a new segment begins, and when this returns the epoch is safe on disk. What
@@ -174,39 +197,46 @@ impl StoreLog {
     /// ([`Compaction::finish`] or [`Compaction::abandon`]), on any thread, while this goes on storing.
     pub fn begin_compaction(&mut self) -> Option<Compaction> {
         let (log, disk) = (self.log.as_ref()?, self.disk.clone()?);
-        let bytes_max = self.options.bytes_max;
-        let (bytes, segments) = self.compacted_at;
-        let is_due = log.bytes() > (bytes_max / 2).max(bytes.saturating_add(bytes_max / 16))
-            || log.segments() > segments + SEGMENTS_MAX;
-        if !is_due || self.is_compacting || self.keeps_all {
+        let is_due = log.bytes() > self.shares.due().max(self.retry_at)
+            || log.segments() > self.segments_then + SEGMENTS_MAX;
+        // So that with it, the log that it replaces and what is written meanwhile stay within the cap.
+        let room = self.shares.present(log.bytes());
+        if !is_due || self.is_compacting || self.keeps_all || room < self.shares.pause() {
             return None;
         }
-        let header = self.attempt(Log::roll)?;
+        let header = self.attempt(|log| log.roll(room))?;
         self.sync_due = None;
         self.is_compacting = true;
         self.note_bytes();
-        // So that together with the log that it replaces, and what is written meanwhile, it stays within the cap.
-        Some(Compaction::begin(disk, header, bytes_max / 16 * 7))
+        Some(Compaction::begin(disk, header, room))
     }
 
     /// Takes the end of a compaction: if it is complete, the log before it goes.
     pub fn end_compaction(&mut self, compacted: Compacted) {
-        let Compacted { header, result } = compacted;
+        let Compacted { header, result, is_gone } = compacted;
         self.is_compacting = false;
+        // What of it is left still takes its room.
+        self.keeps_all |= !is_gone;
+        if let Some(log) = self.log.as_mut().filter(|_| is_gone) {
+            log.end_present();
+        }
         match result {
             Ok(bytes) => {
+                self.retry_at = 0;
                 if self.attempt(|log| log.replace(&header, bytes)).is_some() {
                     self.counters.compactions += 1;
                 }
             }
             Err(why) => {
+                let bytes = self.log.as_ref().map_or(0, Log::bytes);
+                self.retry_at = bytes.saturating_add(self.shares.pause());
                 self.counters.compactions_failed += 1;
                 let text = format!("store: the log could not be made shorter, and grows on: {why}");
                 self.notices.push_back(Notice::Warning(text));
             }
         }
         if let Some(log) = &self.log {
-            self.compacted_at = (log.bytes(), log.segments());
+            self.segments_then = log.segments();
         }
         self.note_bytes();
     }
@@ -254,4 +284,10 @@ pub fn packages_of(event: &Event) -> &[Package] {
         Event::Merged { package, .. } => std::slice::from_ref(package),
         _ => &[],
     }
+}
+
+/// What an event says that a present state contains, which is to be stored behind its tiles.
+pub fn contents_of(event: &Event) -> Option<Contents> {
+    let Event::StateContains { stream, set, held } = event else { return None };
+    Some(Contents { stream: *stream, set: *set, intervals: held.intervals().to_vec() })
 }

@@ -24,7 +24,7 @@ pub use peer::PeerInfo;
 
 use crate::pacer::Pacer;
 use crate::replay::Replays;
-use crate::wire::{DatagramHeader, Kind};
+use crate::wire::{Contents, DatagramHeader, Kind};
 use crate::{Cast, ConfigError, Counters, IntervalSet, SessionConfig, Store};
 use ask::Schedule;
 use flockmap_codec::{ContentKind, Package};
@@ -202,6 +202,22 @@ impl Session {
         }
         self.receive_packages(now, self.own, vec![package], Vec::new());
         true
+    }
+
+    /// Says which packages a present state contains whose tiles were just [delivered](Self::deliver_stored), one of a history with gaps. Whether they are held now: if all its tiles
+    /// are accepted. Else they count when the rest of them is.
+    pub fn deliver_stored_contents(
+        &mut self,
+        now: Stamp,
+        stream: Stream,
+        set: u32,
+        held: IntervalSet,
+    ) -> bool {
+        let now = self.advance(now);
+        let contents = Contents { stream, set, held: held.clone() };
+        self.receive_packages(now, self.own, Vec::new(), vec![contents]);
+        self.finish_transfers(now);
+        self.store.held(stream).is_some_and(|all| held.difference(all).is_empty())
     }
 
     /// Puts back that packages `low` to `high` of a stream are in the map, without the packages themselves.

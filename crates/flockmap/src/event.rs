@@ -2,6 +2,7 @@
 
 use flockmap_codec::{Cycle, Package};
 use flockmap_grid::{Changes, FusionError, Stamp, Stream};
+use flockmap_sync::IntervalSet;
 
 /// Something worth knowing. Need not be polled: what is not read is dropped, oldest first; 1,024 are kept, and of them so many that
 /// they hold at most 16 MiB.
@@ -43,6 +44,16 @@ pub enum Event {
         index: u32,
         /// What was wrong.
         reason: Refusal,
+    },
+    /// All tiles of a present state of a history with gaps were merged, and so these packages are held, though they never came. Who stores the tiles stores this behind
+    /// them, for [`Robot::restore_contents`](crate::Robot::restore_contents).
+    StateContains {
+        /// The stream.
+        stream: Stream,
+        /// The present state, as its tiles say.
+        set: u32,
+        /// The packages that it contains.
+        held: IntervalSet,
     },
     /// All packages up to this one are held now, by way of a present state.
     CaughtUp {

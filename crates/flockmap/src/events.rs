@@ -10,6 +10,8 @@ pub(crate) const EVENTS_MAX: usize = 1_024;
 pub(crate) const EVENTS_BYTES_MAX: usize = 16 << 20;
 /// A block of changes.
 const BLOCK_BYTES: usize = 140;
+/// An interval of indices.
+const INTERVAL_BYTES: usize = 8;
 /// A package, beside its bytes.
 const PACKAGE_BYTES: usize = 200;
 
@@ -53,6 +55,7 @@ fn bytes_of(event: &Event) -> usize {
             changes.blocks().len() * BLOCK_BYTES + packages
         }
         Event::Merged { changes, .. } => changes.blocks().len() * BLOCK_BYTES,
+        Event::StateContains { held, .. } => held.intervals().len() * INTERVAL_BYTES,
         _ => 0,
     }
 }

@@ -330,6 +330,12 @@ impl Robot {
         self.own
     }
 
+    /// Whether all that was published is in the own layer, [`Fusion::layer`] of [`Self::own_stream`]. Not once it was full
+    /// (`fusion.own_layer_bytes_max`): then it says less than the packages, and a present state made of it would pass for all of them.
+    pub const fn own_layer_has_all(&self) -> bool {
+        self.own_layer_has_all
+    }
+
     /// What it was told.
     pub const fn config(&self) -> &RobotConfig {
         &self.config

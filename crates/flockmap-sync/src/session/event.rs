@@ -1,6 +1,7 @@
 //! What a session tells its driver.
 
 use super::Path;
+use crate::IntervalSet;
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 
@@ -40,6 +41,16 @@ pub enum Event {
         stream: Stream,
         /// The newest package that the state contains.
         upto: u32,
+    },
+    /// All tiles of a present state of a history with gaps are accepted: these packages of the stream now count as held. A driver that stores its tiles stores
+    /// this too ([`deliver_stored_contents`](crate::Session::deliver_stored_contents)). [`Self::CaughtUp`] follows.
+    StateContains {
+        /// The stream.
+        stream: Stream,
+        /// The present state, as its tiles say.
+        set: u32,
+        /// The packages that it contains; at most [`HELD_INTERVALS_MAX`](crate::HELD_INTERVALS_MAX) intervals.
+        held: IntervalSet,
     },
     /// A robot was heard for the first time, or again after it was lost, or in a new run.
     PeerSeen(Stream),

@@ -230,7 +230,7 @@ impl Session {
             .incoming
             .iter()
             .filter(|incoming| incoming.is_complete())
-            .map(|incoming| (incoming.stream, incoming.since, incoming.upto, incoming.contents.clone()))
+            .map(|i| (i.stream, i.since, i.upto, i.contents.clone().map(|contents| (i.set, contents))))
             .collect();
         // One may be what the next one waits for.
         complete.sort_unstable_by_key(|(stream, since, upto, _)| (*stream, *since, *upto));
@@ -240,9 +240,9 @@ impl Session {
             let prefix = held.prefix();
             let by_prefix = (prefix >= since && prefix < upto)
                 .then(|| IntervalSet::from_intervals(1, vec![(since + 1, upto)]));
-            let news = match (by_prefix, contents) {
-                (Some(news), _) => news,
-                (None, Some(contents)) => contents.difference(held),
+            let (news, contents) = match (by_prefix, contents) {
+                (Some(news), _) => (news, None),
+                (None, Some((set, contents))) => (contents.difference(held), Some((set, contents))),
                 (None, None) => continue,
             };
             if news.is_empty() {
@@ -256,6 +256,9 @@ impl Session {
             if is_held {
                 self.counters.caught_up += 1;
                 let upto = self.store.held(stream).map_or(0, IntervalSet::prefix);
+                if let Some((set, held)) = contents {
+                    self.push_event(Event::StateContains { stream, set, held });
+                }
                 self.push_event(Event::CaughtUp { stream, upto });
                 self.mark_queues_stale();
                 // The sender should learn soon that it can stop, and what came after.

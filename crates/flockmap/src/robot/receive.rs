@@ -28,6 +28,9 @@ impl Robot {
                     self.push_event(Event::RunForgotten(stream));
                 }
                 SessionEvent::EpochTooLow { used } => self.begin_anew(now, used),
+                SessionEvent::StateContains { stream, set, held } => {
+                    self.push_event(Event::StateContains { stream, set, held });
+                }
                 SessionEvent::CaughtUp { stream, upto } => {
                     self.waiting.drop_upto(stream, upto);
                     self.tiles.drop_upto(stream, upto);

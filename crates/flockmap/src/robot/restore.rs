@@ -2,6 +2,7 @@
 
 use flockmap_codec::Package;
 use flockmap_grid::{Stamp, Stream};
+use flockmap_sync::{HELD_INTERVALS_MAX, IntervalSet};
 
 use super::Robot;
 
@@ -27,7 +28,7 @@ pub enum RestoreError {
 impl Robot {
     /// Takes back a package, or a tile of a present state, that a former run merged or made; to be called after [`Robot::new`] and before the first
     /// datagram, in the order in which the packages were stored ([`Event::CycleClosed`](crate::Event::CycleClosed),
-    /// [`Event::Merged`](crate::Event::Merged)).
+    /// [`Event::Merged`](crate::Event::Merged); beside them [`Robot::restore_contents`]).
     ///
     /// It goes the way of one that has just been received: it is decoded and checked, merged into the layer of its stream and into the fused map, held, and offered
     /// to others. What builds on a package that is gone waits for it, and that one is asked for. So whatever is lost or damaged in
@@ -47,13 +48,17 @@ impl Robot {
         if is_taken { Ok(()) } else { Err(RestoreError::NoRoom(got)) }
     }
 
-    /// Takes back that packages are in the layer of a stream beside those up to `upto`, without the packages: the present state that was restored just
-    /// before contains them. Does nothing, and returns `false`, if that state is not complete here, or for the own stream.
-    pub fn restore_held(&mut self, stream: Stream, upto: u32, held: &[(u32, u32)]) -> bool {
-        let is_whole = self.session.held(stream).is_some_and(|held| held.contains_range(1, upto));
-        stream != self.own
-            && upto > 0
-            && is_whole
-            && held.iter().all(|&(low, high)| low <= high && self.session.restore_held(stream, low, high))
+    /// Takes back which packages a present state of a history with gaps contains ([`Event::StateContains`](crate::Event::StateContains)), behind its tiles. Whether they
+    /// are held now: `false` if some tile of it is gone or damaged, or for the own stream. At most [`HELD_INTERVALS_MAX`] intervals count.
+    pub fn restore_contents(&mut self, now: Stamp, stream: Stream, set: u32, held: &[(u32, u32)]) -> bool {
+        let is_sound = held.iter().all(|&(low, high)| 0 < low && low <= high);
+        if stream == self.own || held.len() > HELD_INTERVALS_MAX || !is_sound {
+            return false;
+        }
+        let now = self.advance(now);
+        let held = IntervalSet::from_intervals(HELD_INTERVALS_MAX, held.to_vec());
+        let is_held = self.session.deliver_stored_contents(now, stream, set, held);
+        self.answer_session(now);
+        is_held
     }
 }
