@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use flockmap::codec::Header;
 use flockmap::{Event, Package, Robot, Stamp, Stream};
 use flockmap_store::{
-    Compacted, Compaction, EpochFile, Notice, StoreCounters, StoreLog, StreamCopy, packages_of,
+    Compacted, Compaction, Contents, EpochFile, Notice, StoreCounters, StoreLog, StreamCopy, contents_of,
+    packages_of,
 };
 
 use crate::{Level, Log};
@@ -48,6 +49,7 @@ struct Shared {
 
 enum Job {
     Store(Vec<Package>),
+    Contents(Contents),
     Epoch(u64),
     Compacted(Compacted),
     Flush(SyncSender<()>),
@@ -98,6 +100,10 @@ impl StoreWriter {
 
     /// Stores what an event says is to be stored.
     pub fn note(&self, event: &Event) {
+        if let Some(contents) = contents_of(event).filter(|_| self.has_store) {
+            // Without a thread nothing is kept, which was told.
+            let _ = self.give(Job::Contents(contents));
+        }
         let packages = packages_of(event);
         let is_begun = |header: &Header| {
             self.begun.is_some_and(|(run, upto)| header.stream == run && header.index <= upto)
@@ -297,6 +303,10 @@ impl Writer {
             Job::Store(packages) => {
                 self.shared.waiting_bytes.fetch_sub(bytes_of(&packages), Ordering::Relaxed);
                 self.with_store(|store| store.append(now, &packages));
+                self.consider_compaction();
+            }
+            Job::Contents(contents) => {
+                self.with_store(|store| store.append_contents(now, contents));
                 self.consider_compaction();
             }
             Job::Epoch(epoch) => {

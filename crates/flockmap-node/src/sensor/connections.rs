@@ -227,7 +227,7 @@ impl<S: AsyncRead + Unpin> Reader<S> {
     }
 
     /// A stamp of the system clock tells how old the scan is now, and that holds on every clock. A scan from the future, within
-    /// what is allowed, counts as made now: that is for the robot to say, and to count. An error is how far the stamp is off.
+    /// what is allowed, is of now. An error is how far the stamp is off.
     fn on_the_node_s_clock(&self, stamp: Stamp) -> Result<Stamp, i64> {
         let (now, system_now) = self.clock.now_and_system_now();
         if stamp == Stamp(0) {
@@ -237,7 +237,7 @@ impl<S: AsyncRead + Unpin> Reader<S> {
         if off.unsigned_abs() > self.limits.stamp_error_max_micros.unsigned_abs() {
             return Err(off);
         }
-        Ok(now.plus_micros(off))
+        Ok(now.plus_micros(off.min(0)))
     }
 
     /// What follows the next length, or `None` at the end. Grows with what arrives, up to the longest message.
