@@ -4,7 +4,7 @@ mod swarm;
 
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_sync::wire::{DatagramError, DatagramHeader, Kind, Request, SealedDatagram, seal_datagram};
-use flockmap_sync::{Cast, Counters, Destination, Session, SessionConfig, SwarmKey};
+use flockmap_sync::{Cast, Counters, Destination, Event, Session, SessionConfig, SwarmKey};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use swarm::{MS, Radio, SECOND, Swarm};
@@ -247,6 +247,34 @@ fn a_request_that_somebody_held_back_says_nothing_any_more() {
         // Without a key the newer one might have been of anybody: it does not count for ever.
         assert_eq!(b.counters().stale_requests, stale);
     }
+}
+
+#[test]
+fn robots_that_each_take_the_other_for_a_former_run_begin_anew_and_find_together() {
+    let mut now = Stamp(0);
+    let [one, two] = [1, 2].map(|id| next(&mut session(id, 5, with_key(1)), &mut now));
+    // After a start both have a clock that was set back, and hear a datagram of the other's last run, late.
+    let mut robots = [1, 2].map(|id| session(id, 3, with_key(1)));
+    robots[0].handle_datagram(now, &two).unwrap();
+    robots[1].handle_datagram(now, &one).unwrap();
+    for _ in 0..300 {
+        now = now.plus_micros(SECOND / 10);
+        for to in 0..2 {
+            robots[1 - to].handle_timeout(now);
+            while let Some(transmit) = robots[1 - to].poll_transmit(now) {
+                let _ = robots[to].handle_datagram(now, &transmit.bytes);
+            }
+            while let Some(event) = robots[to].poll_event() {
+                if let Event::EpochTooLow { used } = event {
+                    assert!(robots[to].begin_run(now, used + 1));
+                }
+            }
+        }
+    }
+    let [one, two] = robots;
+    assert!(one.own().epoch > 5 || two.own().epoch > 5);
+    assert_eq!(one.peers().map(|peer| peer.stream).collect::<Vec<_>>(), [two.own()]);
+    assert_eq!(two.peers().map(|peer| peer.stream).collect::<Vec<_>>(), [one.own()]);
 }
 
 #[test]

@@ -92,7 +92,10 @@ impl Session {
         match header.kind {
             Kind::Request => {
                 let request = Request::parse(&datagram, VIEW_INTERVALS_MAX)?;
-                self.hear(now, &header, path, bytes.len())?;
+                if let Err(unheard) = self.hear(now, &header, path, bytes.len()) {
+                    self.note_own_runs(now, &request);
+                    return Err(unheard);
+                }
                 self.counters.requests_in.add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.handle_request(now, &header, &request);
             }

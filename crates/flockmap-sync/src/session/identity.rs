@@ -1,6 +1,7 @@
 //! Which run of which robot this is, and what to do where another one has the same id.
 
 use super::{Event, Session};
+use crate::wire::Request;
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
 
@@ -23,6 +24,12 @@ impl Session {
         if run.origin == self.own.origin && run.epoch > self.own.epoch {
             self.ask_for_a_new_run(now, run.epoch);
         }
+    }
+
+    /// Looks at the runs of the own id in a request of which nothing else counts, as that of a run that this robot takes for a former one: the
+    /// sender may take this one for a former run too, and else neither would ever hear the other.
+    pub(super) fn note_own_runs(&mut self, now: Stamp, request: &Request) {
+        request.held.iter().for_each(|held| self.note_own_id(now, held.stream));
     }
 
     /// Somebody holds packages of this very run that it never made.

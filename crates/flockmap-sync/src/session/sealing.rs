@@ -3,7 +3,7 @@
 use super::{Destination, Event, Session, Transmit};
 use crate::replay::NotFresh;
 use crate::wire::{
-    COUNTER_MAX, DatagramError, Kind, OpenedDatagram, SealedDatagram, seal_bytes, seal_datagram,
+    COUNTER_MAX, DatagramError, Kind, OpenedDatagram, Request, SealedDatagram, seal_bytes, seal_datagram,
 };
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -81,6 +81,9 @@ impl Session {
         fresh.map_err(|not_fresh| match not_fresh {
             NotFresh::Replayed => DatagramError::Replayed { sender: sender.origin, counter },
             NotFresh::Stale(current) => {
+                if let Ok(request) = opened.datagram().and_then(|datagram| Request::parse(&datagram, 1)) {
+                    self.note_own_runs(now, &request);
+                }
                 self.tell_superseded(now, Stream { epoch: current, ..sender });
                 DatagramError::StaleEpoch { sender: sender.origin, got: sender.epoch, current }
             }
