@@ -453,14 +453,11 @@ fn put_intervals(out: &mut Vec<u8>, from: u32, set: &IntervalSet, room: usize) -
         let cost = |lowest: u32| {
             varint_len(u64::from(low.saturating_sub(lowest))) + varint_len(u64::from(high - low))
         };
-        let (as_first, as_next) = match first.checked_sub(2).map(|before| intervals[before].1) {
-            None => (cost(from), cost(from)),
-            Some(before) => (cost(before + 1), cost(before + 2)),
-        };
-        if used + as_first > room {
+        let before = first.checked_sub(2).map(|before| intervals[before].1);
+        if used + cost(before.map_or(from, |high| high + 1)) > room {
             break;
         }
-        used += as_next;
+        used += cost(before.map_or(from, |high| high + 2));
         first -= 1;
     }
     if room < 5 || (first == intervals.len() && first > 0) {
