@@ -294,7 +294,7 @@ pub(crate) fn node_counters(c: &NodeCounters) -> Named {
 
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
     fields!(c; scans scans_ahead steps points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes
-            packages package_bytes merged waited waiting_dropped overtaken damaged no_room foreign_resolution
+            packages package_bytes merged overtaken damaged no_room foreign_resolution
             present_states runs_begun cycles_without_reference events_dropped)
 }
 
@@ -317,7 +317,7 @@ pub(crate) fn session_counters(c: &Counters) -> Named {
         ("paths_out_bytes", c.paths_out.bytes),
     ];
     named.extend(fields!(c; paths_validated published sent relayed tiles_sent confirmed lost suppressed gap_requests delayed_by_budget
-            delayed_by_window received accepted repaired tiles_accepted caught_up duplicates rejected given_up
+            delayed_by_window received waited waiting_dropped accepted repaired tiles_accepted caught_up duplicates rejected given_up
             present_states_restarted own_returned damaged foreign_version foreign_swarm forged replayed unknown_run unsealed
             sealed_without_key malformed own_heard same_identity epoch_too_low stale_epoch stale_requests too_many_peers
             streams_forgotten too_many_streams too_fragmented events_overflowed too_many_transfers transfers_dropped

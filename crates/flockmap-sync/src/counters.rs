@@ -58,6 +58,10 @@ pub struct Counters {
 
     /// Packages and tiles that were delivered as events.
     pub received: u64,
+    /// Times that a package or tile had to wait for what it builds on.
+    pub waited: u64,
+    /// Of these: dropped for want of room, and asked for again.
+    pub waiting_dropped: u64,
     /// Packages accepted by the driver.
     pub accepted: u64,
     /// Of these: packages that came later than a higher index of their stream, so filled a gap.

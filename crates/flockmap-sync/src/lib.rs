@@ -9,7 +9,9 @@
 mod bytes;
 mod config;
 mod counters;
+mod inbox;
 mod interval_set;
+mod item;
 mod key;
 mod link;
 mod memory;
@@ -22,6 +24,7 @@ pub mod wire;
 
 pub use config::{Cast, ConfigError, InFlight, Order, Relay, SessionConfig};
 pub use counters::{Counters, Traffic};
+pub use inbox::{STATES_READ_MAX, Verdict};
 pub use interval_set::{IntervalSet, TooFragmented};
 pub use key::{KeyError, SwarmKey};
 pub use session::{Destination, Event, Load, Pace, Path, PeerInfo, PublishError, Session, Transmit};

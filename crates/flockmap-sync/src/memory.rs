@@ -1,5 +1,6 @@
 //! The most that a session can be made to hold, reckoned from its options.
 
+use crate::inbox::{STATES_READ_MAX, TILES_WAITING_MAX, WAITING_BYTES_MAX};
 use crate::store::HELD_INTERVALS_MAX;
 use crate::wire::DATAGRAM_BYTES_MAX;
 use crate::{Cast, SessionConfig};
@@ -36,7 +37,7 @@ const WORK: usize = 512 << 10;
 impl SessionConfig {
     /// The most bytes that a [`Session`](crate::Session) with these options holds on the heap, whatever it receives and however late
     /// its events are taken: the sum of the worst cases that the limits state. As asked of the allocator, which may add some. What
-    /// the driver keeps (packages without a verdict, layers) is not in it. The default: 165 MB, of which 64 MiB are
+    /// the driver keeps (layers) is not in it. The default: 165 MB, of which 64 MiB are
     /// the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is on its way to them, by broadcast 300 MB; honest peers take a hundredth of these two.
     pub const fn memory_max(&self) -> usize {
         let streams = self.streams_max + 1;
@@ -61,6 +62,8 @@ impl SessionConfig {
             // Tiles are about as long as a datagram, and so are packages.
             + self.present_state_bytes_max / DATAGRAM_BYTES_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
             + EVENTS * (DATAGRAM_BYTES_MAX + PACKAGE + 64)
+            + WAITING_BYTES_MAX
+            + STATES_READ_MAX * TILES_WAITING_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
             + REFUSED
             + work
     }

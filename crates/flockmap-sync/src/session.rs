@@ -15,6 +15,7 @@ mod present;
 mod receive;
 mod sealing;
 mod send;
+mod transfers;
 
 pub use event::{Destination, Event, PublishError, Transmit};
 pub use load::Load;
@@ -22,6 +23,7 @@ pub use pace::Pace;
 pub use path::Path;
 pub use peer::PeerInfo;
 
+use crate::inbox::{Inbox, PENDING_MAX};
 use crate::pacer::Pacer;
 use crate::replay::Replays;
 use crate::wire::{Contents, DatagramHeader, Kind};
@@ -30,16 +32,16 @@ use ask::Schedule;
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
-use peer::{Item, Peer};
-use present::{Incoming, Outgoing};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use peer::Peer;
+use present::Outgoing;
+use std::collections::{BTreeMap, VecDeque};
 
 /// Events that wait for the driver; more are dropped, counted, and come again by a later request.
-const EVENTS_MAX: usize = 4_096;
+const EVENTS_MAX: usize = PENDING_MAX;
 
 /// Keeps the packages of all robots of a swarm in sync.
 ///
-/// Methods are of four kinds: inputs (`handle_*`, `publish`, `accept`, `reject`, `give_up`, `provide_present_state`,
+/// Methods are of four kinds: inputs (`handle_*`, `publish`, `verdict`, `provide_present_state`,
 /// `set_clock_offset`, `restore*`), outputs (`poll_*`), and queries. After every input, drain
 /// [`poll_event`](Self::poll_event), giving each event its answer, then [`poll_transmit`](Self::poll_transmit);
 /// then wait for a datagram or for [`poll_timeout`](Self::poll_timeout), whichever is first.
@@ -49,7 +51,7 @@ const EVENTS_MAX: usize = 4_096;
 ///
 /// ```
 /// use flockmap_grid::{RobotId, Stamp, Stream};
-/// use flockmap_sync::{Event, Session, SessionConfig};
+/// use flockmap_sync::{Event, Session, SessionConfig, Verdict};
 ///
 /// let own = Stream { origin: RobotId(1), epoch: 1 };
 /// let mut session = Session::new(own, SessionConfig::default(), 42)?;
@@ -58,8 +60,8 @@ const EVENTS_MAX: usize = 4_096;
 /// while let Some(event) = session.poll_event() {
 ///     if let Event::Received(package) = event {
 ///         match package.decode() {
-///             Ok(_content) => session.accept(now, &package), // after merging it
-///             Err(_) => session.reject(now, &package),
+///             Ok(_content) => session.verdict(now, &package, Verdict::Merged), // after merging it
+///             Err(_) => session.verdict(now, &package, Verdict::Damaged),
 ///         }
 ///     }
 /// }
@@ -84,13 +86,7 @@ pub struct Session {
     /// Last measured offsets of streams whose robot may be gone; only of streams in the store.
     measured_offsets: BTreeMap<Stream, i64>,
     events: VecDeque<Event>,
-    /// Delivered, and neither accepted, rejected nor given up yet, with the peer each came from.
-    undecided: BTreeSet<(Item, RobotId)>,
-    /// Rejected, with the time until which they are not asked for again.
-    refused: BTreeMap<Item, Stamp>,
-    /// Indices of packages that cannot be decoded any more: a present state has to bring what they say. Never empty sets.
-    given_up: BTreeMap<Stream, IntervalSet>,
-    incoming: Vec<Incoming>,
+    inbox: Inbox,
     outgoing: Vec<Outgoing>,
     /// When the driver was last asked for a present state, and when to ask again.
     present_asked: BTreeMap<Stream, Stamp>,
@@ -125,10 +121,7 @@ impl Session {
             given_offsets: BTreeMap::new(),
             measured_offsets: BTreeMap::new(),
             events: VecDeque::new(),
-            undecided: BTreeSet::new(),
-            refused: BTreeMap::new(),
-            given_up: BTreeMap::new(),
-            incoming: Vec::new(),
+            inbox: Inbox::default(),
             outgoing: Vec::new(),
             present_asked: BTreeMap::new(),
             schedule: Schedule::default(),
@@ -180,17 +173,6 @@ impl Session {
         Ok(())
     }
 
-    /// Puts back a package, from a store on disk: it is held and can be sent on, and is not delivered again. Whether it was taken;
-    /// one of the own stream is not, since a run is never continued.
-    pub fn restore(&mut self, now: Stamp, package: &Package) -> bool {
-        let now = self.advance(now);
-        package.header().content == ContentKind::Changes
-            && package.header().stream != self.own
-            && self.open_stream(package.header().stream)
-            && package.bytes().len() <= self.package_bytes_max()
-            && self.store.insert(package, now, now) == Ok(true)
-    }
-
     /// Delivers a package, or a tile of a present state, that a former run stored on disk: as if it had just come from a peer, so that it is decoded
     /// and merged like any other ([`Event::Received`]) and asked for only if that fails. For the time before the first datagram comes.
     /// `false`: it is of the own stream, or there is no room for its stream.
@@ -220,12 +202,6 @@ impl Session {
         self.store.held(stream).is_some_and(|all| held.difference(all).is_empty())
     }
 
-    /// Puts back that packages `low` to `high` of a stream are in the map, without the packages themselves.
-    /// Whether it was taken.
-    pub fn restore_held(&mut self, stream: Stream, low: u32, high: u32) -> bool {
-        low > 0 && self.open_stream(stream) && self.store.hold(stream, low, high, self.now).is_ok()
-    }
-
     /// Sets a robot's clock minus the own clock, in microseconds, known from elsewhere; it is used in place of
     /// what is measured. `None`: measure again. Its own id stands for its former runs.
     pub fn set_clock_offset(&mut self, robot: RobotId, micros: Option<i64>) {
@@ -236,11 +212,6 @@ impl Session {
     }
 
     // Outputs.
-
-    /// The next event, until `None`.
-    pub fn poll_event(&mut self) -> Option<Event> {
-        self.events.pop_front()
-    }
 
     /// The next datagram to send now, until `None`. Call it when the datagram can really go out: its send stamp
     /// is `now`.

@@ -9,7 +9,7 @@ use flockmap_sync::wire::{
     Covered, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, StateWanted, TransferProgress,
     seal_datagram,
 };
-use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey};
+use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey, Verdict};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use swarm::{Radio, Random, SECOND, Swarm};
@@ -195,9 +195,9 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
             while let Some(event) = session.poll_event() {
                 if let Event::Received(package) = event {
                     if random.chance(0.8) {
-                        session.accept(now, &package);
+                        session.verdict(now, &package, Verdict::Merged);
                     } else {
-                        session.reject(now, &package);
+                        session.verdict(now, &package, Verdict::Damaged);
                     }
                 }
             }

@@ -3,7 +3,7 @@
 mod swarm;
 
 use flockmap_grid::{RobotId, Stamp};
-use flockmap_sync::SessionConfig;
+use flockmap_sync::{SessionConfig, Verdict};
 use swarm::{MS, Radio, SECOND, Swarm};
 
 const ONE: RobotId = RobotId(1);
@@ -44,7 +44,7 @@ fn what_is_kept_undecided_is_neither_asked_for_nor_sent_again_nor_passed_on() {
     // One that only the second robot hears gets it from nobody until it is decided.
     let robot = swarm.robots.get_mut(&2).unwrap();
     let (now, package) = (Stamp(swarm.now + robot.clock), robot.undecided.remove(0));
-    robot.session.accept(now, &package);
+    robot.session.verdict(now, &package, Verdict::Merged);
     assert!(robot.session.held(stream).unwrap().contains_range(1, 6));
     assert!(robot.session.store().get(stream, 3).is_some());
 }
@@ -105,9 +105,9 @@ fn what_waits_below_a_present_state_needs_no_verdict_any_more() {
     assert_eq!(packages.len(), 2);
     let before = *robot.session.counters();
     for package in &packages {
-        robot.session.give_up(now, package);
-        robot.session.reject(now, package);
-        robot.session.accept(now, package);
+        robot.session.verdict(now, package, Verdict::Undecodable);
+        robot.session.verdict(now, package, Verdict::Damaged);
+        robot.session.verdict(now, package, Verdict::Merged);
     }
     assert_eq!(*robot.session.counters(), before);
 }

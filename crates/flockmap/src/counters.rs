@@ -30,10 +30,6 @@ pub struct RobotCounters {
     pub package_bytes: u64,
     /// Packages of others merged, tiles of present states among them.
     pub merged: u64,
-    /// Packages of others that had to wait for the packages that they build on.
-    pub waited: u64,
-    /// Of these: dropped for want of room, and asked for again.
-    pub waiting_dropped: u64,
     /// Packages of others that could not be decoded any more, since a later cycle or a present state had come before: a present
     /// state was asked for in their place.
     pub overtaken: u64,

@@ -44,11 +44,10 @@ mod event;
 mod events;
 mod memory;
 mod packer;
+mod readers;
 mod repair;
 mod robot;
 mod sent;
-mod tiles;
-mod waiting;
 
 pub use config::{CycleConfig, RobotConfig, RobotError};
 pub use counters::RobotCounters;

@@ -2,11 +2,8 @@
 
 use crate::RobotConfig;
 use crate::events::{EVENTS_BYTES_MAX, EVENTS_MAX};
-use crate::tiles::{SETS_MAX, WAITING_MAX as TILES_WAITING_MAX, bytes_max as tiles_bytes_max};
-use crate::waiting::WAITING_BYTES_MAX;
+use crate::readers::bytes_max as readers_bytes_max;
 
-/// A package in memory: its bytes, its header, its place in a map.
-const PACKAGE: usize = 1_150 + 400;
 /// An event, beside its changes.
 const EVENT: usize = 256;
 /// A tile that was read and has no place in a layer yet: 144 bytes for each of at most four blocks a byte.
@@ -18,7 +15,7 @@ const WORK: usize = 64 << 20;
 impl RobotConfig {
     /// The most bytes that others can make a robot with these options hold on the heap, whatever they send, as asked of the
     /// allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the layers and what they add to the fused map
-    /// (`fusion.layer_bytes_max`), present states that are being read (half as much), packages and tiles that wait, events that nobody
+    /// (`fusion.layer_bytes_max`), present states that are being read (half as much), events that nobody
     /// takes. By default 1.1 GB, by broadcast 1.4 GB, of which honest robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth of it in the fused map) and the own layer
@@ -27,9 +24,8 @@ impl RobotConfig {
     pub const fn memory_of_others_max(&self) -> usize {
         self.session.memory_max()
             + self.fusion.layer_bytes_max
-            + tiles_bytes_max(self.fusion.layer_bytes_max)
-            + SETS_MAX * (TILES_WAITING_MAX * PACKAGE + UNMERGED)
-            + WAITING_BYTES_MAX
+            + readers_bytes_max(self.fusion.layer_bytes_max)
+            + flockmap_sync::STATES_READ_MAX * UNMERGED
             + EVENTS_BYTES_MAX
             + EVENTS_MAX * EVENT
             + WORK

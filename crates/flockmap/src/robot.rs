@@ -9,7 +9,7 @@ pub use restore::RestoreError;
 
 use publish::{Held, believed_occupied};
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use flockmap_codec::{Decoder, Encoder, Span};
 use flockmap_grid::{
@@ -20,10 +20,9 @@ use flockmap_sync::{Path, Session, Transmit};
 
 use crate::cost::Cost;
 use crate::events::Events;
+use crate::readers::Readers;
 use crate::repair::RepairDelay;
 use crate::sent::Sent;
-use crate::tiles::Tiles;
-use crate::waiting::Waiting;
 use crate::{Event, Packer, RobotConfig, RobotCounters, RobotError};
 
 /// Team-mates whose positions are kept.
@@ -54,14 +53,11 @@ pub struct Robot {
     own_layer_is_whole: bool,
     /// The own layer holds all that was published: a present state of it lacks nothing.
     own_layer_has_all: bool,
-    /// Packages that were damaged once already.
-    damaged: BTreeSet<(Stream, u32)>,
     repair: RepairDelay,
     cost: Cost,
     /// A cycle is due and waits for the budget.
     held: Option<Held>,
-    waiting: Waiting,
-    tiles: Tiles,
+    readers: Readers,
     /// Requests taken in when the repair delay was looked at last.
     requests_seen: u64,
     events: Events,
@@ -105,12 +101,10 @@ impl Robot {
             sent: Sent::default(),
             own_layer_is_whole: true,
             own_layer_has_all: true,
-            damaged: BTreeSet::new(),
             repair: RepairDelay::new(config.repair_delay_max_ms),
             cost: Cost::default(),
             held: None,
-            waiting: Waiting::default(),
-            tiles: Tiles::new(config.fusion.layer_bytes_max),
+            readers: Readers::new(config.fusion.layer_bytes_max),
             requests_seen: 0,
             events: Events::default(),
             counters: RobotCounters::default(),
@@ -304,11 +298,6 @@ impl Robot {
     /// The session: peers, packages held, counters.
     pub const fn session(&self) -> &Session {
         &self.session
-    }
-
-    /// Packages that wait for those that they build on, and their bytes with 200 bytes of bookkeeping each: at most 1,024, and 1 MiB.
-    pub fn waiting(&self) -> (usize, usize) {
-        self.waiting.load()
     }
 
     /// Voxels that have changed and are still to be told. What a team-mate is believed to know better, where a budget made the own word late,

@@ -244,6 +244,6 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
         for package in &packages {
             teller.send(robot, package);
         }
-        assert!(robot.counters().waiting_dropped > 0, "{:?}", robot.counters());
+        assert!(robot.session().counters().waiting_dropped > 0, "{:?}", robot.counters());
     });
 }

@@ -102,7 +102,7 @@ fn a_package_waits_and_is_merged_in_the_call_that_brings_what_it_builds_on() {
     let [one, two, three, four, five] = packages.iter().collect::<Vec<_>>().try_into().unwrap();
     let now = Stamp(1_000);
     teller.give(&mut bob, now, &[one, four, three, five, five, four]);
-    assert_eq!((bob.counters().merged, bob.counters().waited), (1, 3));
+    assert_eq!((bob.counters().merged, bob.session().counters().waited), (1, 3));
     assert_eq!(bob.session().counters().duplicates, 2, "nothing waits twice");
     assert!(bob.session().store().get(teller.stream, 4).is_none(), "nor is it passed on");
     teller.give(&mut bob, now, &[two]);
@@ -122,8 +122,8 @@ fn what_waits_is_bounded_and_one_stream_does_not_displace_another() {
     let flood: Vec<Package> = (0..1_500).map(|_| loud.tell_and_note(false)).collect();
     quiet.give(&mut bob, now, &few[1..].iter().collect::<Vec<_>>());
     loud.give(&mut bob, now, &flood[1..].iter().collect::<Vec<_>>());
-    let counters = *bob.counters();
-    assert_eq!((counters.merged, counters.waited), (0, 19 + 1_499));
+    let counters = *bob.session().counters();
+    assert_eq!((bob.counters().merged, counters.waited), (0, 19 + 1_499));
     assert_eq!(counters.waited - counters.waiting_dropped, 1_024);
     quiet.give(&mut bob, now, &[&few[0]]);
     assert!(quiet.holds_all(&bob));
@@ -244,7 +244,7 @@ fn what_waits_below_a_present_state_is_dropped_and_what_waits_above_goes() {
     let all: Vec<&Package> = packages.iter().collect();
     teller.give(&mut swarm.robots[0], now, &all[..5]);
     teller.give(&mut swarm.robots[1], now, &[all[0], all[2], all[1], all[4], all[5], all[6]]);
-    assert_eq!(swarm.robots[1].counters().waited, 3);
+    assert_eq!(swarm.robots[1].session().counters().waited, 3);
     swarm.run(5_000);
     assert!(teller.holds_all(&swarm.robots[1]));
     assert_eq!(swarm.robots[1].session().counters().caught_up, 1);
@@ -277,14 +277,14 @@ fn maps_agree_under_loss_whether_told_against_each_other_or_alone_or_in_turns() 
                 "seed {seed} {codec}: {} cycles, {alone} alone, {} B, {} packages waited, {} overtaken, {} given up, {} present states",
                 sum(|robot| robot.counters().cycles),
                 sum(|robot| robot.counters().package_bytes),
-                sum(|robot| robot.counters().waited),
+                sum(|robot| robot.session().counters().waited),
                 sum(|robot| robot.counters().overtaken),
                 sum(|robot| robot.session().counters().given_up),
                 sum(|robot| robot.counters().present_states),
             );
             assert_eq!(sum(|robot| robot.counters().damaged), 0, "seed {seed}, {codec}");
             assert_eq!(sum(|robot| robot.counters().overtaken), 0, "seed {seed}, {codec}");
-            let waited = sum(|robot| robot.counters().waited);
+            let waited = sum(|robot| robot.session().counters().waited);
             assert_eq!(waited > 0, codec == Codec::Flock);
             if codec == Codec::Paper || repair_delay_max_ms == 0 {
                 assert_eq!(alone, 0);

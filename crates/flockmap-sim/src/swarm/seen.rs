@@ -22,7 +22,7 @@ pub(super) fn add_counters(seen: &mut BTreeMap<&'static str, u64>, robot: &Robot
         ("forged and noticed", s.forged + s.unsealed),
         ("replayed and noticed", s.replayed),
         ("of a former run", s.stale_epoch),
-        ("waited for a reference", r.waited),
+        ("waited for a reference", s.waited),
         ("given up for a present state", s.given_up),
         ("present states asked for", s.present_states_wanted),
         ("present states complete", s.caught_up),

@@ -1,7 +1,7 @@
 //! Requests: when they go out and what they say.
 
 use super::{Destination, Event, Session, Transmit};
-use crate::session::peer::{Item, Peer, is_heard};
+use crate::session::peer::{Peer, is_heard};
 use crate::store::Opened;
 use crate::wire::{ClockReport, Covered, Echo, Held, Kind, Request, StateWanted, TransferProgress};
 use crate::{Cast, IntervalSet};
@@ -188,7 +188,7 @@ impl Session {
         self.store.streams().filter(move |&stream| {
             let newest = self.store.newest_known(stream);
             stream != self.own
-                && (self.given_up.contains_key(&stream)
+                && (self.inbox.undecodable().contains_key(&stream)
                     || self.stated_as_held(stream, now).missing(1, newest).next().is_some())
         })
     }
@@ -328,28 +328,15 @@ impl Session {
             echoes.rotate_left(start);
         }
         let (held, urgent) = self.held_lists(now);
-        let transfers = self.incoming.iter().map(|incoming| {
-            let number = |item: Item| match item {
-                Item::Tile { stream, set, tile } if stream == incoming.stream && set == incoming.set => {
-                    Some((tile + 1, tile + 1))
-                }
-                _ => None,
-            };
-            let refused = self.refused.iter().filter(|(_, until)| **until > now);
-            let refused = refused.filter_map(|(item, _)| number(*item));
-            // The driver has it, and lets it wait.
-            let undecided = self.undecided.iter().filter(|(_, source)| *source == incoming.source);
-            let undecided = undecided.filter_map(|(item, _)| number(*item));
-            TransferProgress {
-                source: incoming.source,
-                stream: incoming.stream,
-                since: incoming.since,
-                upto: incoming.upto,
-                set: incoming.set,
-                tiles: incoming.tiles,
-                from: 1,
-                accepted: union_with(&incoming.accepted, refused.chain(undecided).collect()),
-            }
+        let transfers = self.inbox.transfers.iter().map(|transfer| TransferProgress {
+            source: transfer.source,
+            stream: transfer.stream,
+            since: transfer.since,
+            upto: transfer.upto,
+            set: transfer.set,
+            tiles: transfer.tiles,
+            from: 1,
+            accepted: union_with(&transfer.accepted, self.inbox.unwanted_tiles(transfer, now)),
         });
         let mut transfers: Vec<TransferProgress> = transfers.collect();
         if !transfers.is_empty() {
@@ -409,13 +396,14 @@ impl Session {
     /// A present state of each stream of which something can only be had that way.
     fn states_wanted(&self, now: Stamp) -> Vec<StateWanted> {
         let mut wanted: Vec<StateWanted> = self
-            .given_up
+            .inbox
+            .undecodable()
             .iter()
-            .filter_map(|(&stream, given_up)| {
+            .filter_map(|(&stream, undecodable)| {
                 // What waits for a verdict, or was rejected, may never be held either.
                 let unheld = self.stated_as_held(stream, now).difference(self.store.held(stream)?);
                 let since = unheld.first()? - 1;
-                let undecodable = given_up.within(since + 1, u32::MAX);
+                let undecodable = undecodable.within(since + 1, u32::MAX);
                 (!undecodable.is_empty()).then_some(StateWanted { stream, since, from: 1, undecodable })
             })
             .collect();
@@ -452,17 +440,7 @@ impl Session {
         if mutation::is(Mutation::GapNeverAsked) {
             return IntervalSet::from_intervals(0, vec![(1, self.store.newest_known(stream))]);
         }
-        let of_stream = |index| Item::Package { stream, index };
-        let index = |item: Item| match item {
-            Item::Package { index, .. } => Some((index, index)),
-            Item::Tile { .. } => None,
-        };
-        let refused = self.refused.range(of_stream(0)..=of_stream(u32::MAX));
-        let refused = refused.filter(|(_, until)| **until > now).filter_map(|(item, _)| index(*item));
-        let ends = (of_stream(0), RobotId(0))..=(of_stream(u32::MAX), RobotId(u16::MAX));
-        let undecided = self.undecided.range(ends).filter_map(|(item, _)| index(*item));
-        let given_up = self.given_up.get(&stream).map(IntervalSet::intervals).unwrap_or_default();
-        union_with(held, refused.chain(undecided).chain(given_up.iter().copied()).collect())
+        union_with(held, self.inbox.unwanted_packages(stream, now))
     }
 
     /// Clocks of peers that somebody else here cannot hear.
@@ -487,10 +465,6 @@ impl Session {
                 })
             })
             .collect()
-    }
-
-    pub(super) fn is_refused(&self, item: Item, now: Stamp) -> bool {
-        self.refused.get(&item).is_some_and(|&until| until > now)
     }
 
     /// Opens a place for a stream and tells the driver; whether there is one.
@@ -521,10 +495,8 @@ impl Session {
             peer.in_flight.retain(|sent| sent.item.stream() != stream);
             peer.queue_stale = true;
         }
-        self.incoming.retain(|incoming| incoming.stream != stream);
+        self.inbox.forget(stream);
         self.outgoing.retain(|outgoing| outgoing.stream != stream);
-        self.undecided.retain(|(item, _)| item.stream() != stream);
-        self.given_up.remove(&stream);
         self.present_asked.remove(&stream);
         self.measured_offsets.remove(&stream);
         self.push_event(Event::StreamForgotten(stream));

@@ -9,12 +9,8 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {
-    /// A package or tile that was not held before. Decode and merge it, then call [`accept`](crate::Session::accept), or
-    /// [`reject`](crate::Session::reject) if it does not decode, or [`give_up`](crate::Session::give_up) if it never will.
-    ///
-    /// A package whose `reference` is not held yet may be kept undecided for as long as need be. Meanwhile nobody is asked for it, and it is
-    /// given to nobody; it is not delivered again either, so the driver keeps it, and rejects it if it has no room. If a
-    /// present state that contains it becomes complete, it needs no verdict any more: see [`Self::CaughtUp`].
+    /// A package or tile that was not held before, and that can be decoded: what it builds on is merged; of tiles that are told one against the other
+    /// it is the next one. Decode and merge it, then give the [`verdict`](crate::Session::verdict), before any other call.
     Received(Package),
     /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
     /// more. Encode the layer of the stream, or what of it is newer than a stamp, as tiles with `since` and index `upto` and call
@@ -34,15 +30,31 @@ pub enum Event {
         /// The peer that misses it.
         peer: RobotId,
     },
-    /// All tiles of a present state are accepted, and the packages before those that it contains: packages 1 to `upto` of the stream now count as held. Undecided ones among
-    /// them are to be dropped.
+    /// All tiles of a present state are merged, and the packages before those that it contains: packages 1 to `upto` of the stream now count as held. What was
+    /// read of a present state up to there can be dropped.
     CaughtUp {
         /// The stream.
         stream: Stream,
         /// The newest package that the state contains.
         upto: u32,
     },
-    /// All tiles of a present state of a history with gaps are accepted: these packages of the stream now count as held. A driver that stores its tiles stores
+    /// There is no place to read this present state any more: let go of what was read. Its tiles come again from the first one on.
+    StateDropped {
+        /// The stream.
+        stream: Stream,
+        /// The present state, as its tiles say.
+        set: u32,
+    },
+    /// A package waited for those that it builds on, and there is no room for it any more. It is asked for again after 10 s.
+    NoRoomToWait {
+        /// The stream.
+        stream: Stream,
+        /// The package.
+        index: u32,
+        /// The newest package that it builds on.
+        reference: u32,
+    },
+    /// All tiles of a present state of a history with gaps are merged: these packages of the stream now count as held. A driver that stores its tiles stores
     /// this too ([`deliver_stored_contents`](crate::Session::deliver_stored_contents)). [`Self::CaughtUp`] follows.
     StateContains {
         /// The stream.

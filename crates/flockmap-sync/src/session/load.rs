@@ -10,8 +10,12 @@ pub struct Load {
     pub peers: usize,
     /// Streams known beside the own one: at most `streams_max`.
     pub streams: usize,
-    /// Packages and tiles that wait for the driver's verdict: at most 4,096.
+    /// Packages and tiles that wait for what they build on, or for the driver's verdict: at most 4,096.
     pub undecided: usize,
+    /// Of these: packages that wait for those that they build on: at most 1,024.
+    pub waiting: usize,
+    /// Bytes that these take, with 400 bytes of bookkeeping for each: at most 1 MiB.
+    pub waiting_bytes: usize,
     /// Packages and tiles that were rejected a moment ago: at most 1,024.
     pub refused: usize,
     /// Present states being received: at most `transfers_max`.
@@ -23,12 +27,15 @@ pub struct Load {
 impl Session {
     /// What it holds at the moment. O(peers).
     pub fn load(&self) -> Load {
+        let ((undecided, refused), (waiting, waiting_bytes)) = (self.inbox.load(), self.inbox.waiting());
         Load {
             peers: self.peers.len(),
             streams: self.store.streams().count().saturating_sub(1),
-            undecided: self.undecided.len(),
-            refused: self.refused.len(),
-            transfers: self.incoming.len(),
+            undecided,
+            refused,
+            waiting,
+            waiting_bytes,
+            transfers: self.inbox.transfers.len(),
             in_flight_most: self.peers.values().map(|peer| peer.in_flight.len()).max().unwrap_or(0),
         }
     }

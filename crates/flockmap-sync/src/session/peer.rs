@@ -2,6 +2,7 @@
 
 use super::path::PeerPath;
 use crate::counters::Traffic;
+use crate::item::Item;
 use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
 use crate::wire::Covered;
@@ -26,21 +27,6 @@ const SILENT_MIN: i64 = 1_500_000;
 
 /// A robot has heard those in reach, and said so, after this time.
 const ACQUAINTANCE: i64 = 1_000_000;
-
-/// One package, or one tile of a present state.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
-pub(super) enum Item {
-    Package { stream: Stream, index: u32 },
-    Tile { stream: Stream, set: u32, tile: u32 },
-}
-
-impl Item {
-    pub(super) const fn stream(self) -> Stream {
-        match self {
-            Self::Package { stream, .. } | Self::Tile { stream, .. } => stream,
-        }
-    }
-}
 
 /// Something sent and not yet confirmed.
 #[derive(Clone, Copy, Debug)]

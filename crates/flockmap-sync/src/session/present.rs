@@ -1,61 +1,19 @@
 //! Present states: the map as it is, sent in place of the packages that made it.
 
-use super::peer::{Item, Peer, Sending, VIEW_INTERVALS_MAX, has_no_robot};
+use super::peer::{Peer, Sending, VIEW_INTERVALS_MAX, has_no_robot};
 use super::{Event, Session};
+use crate::inbox::ABANDONED;
+use crate::item::Item;
 use crate::wire::CONTENTS_BYTES_MAX;
 use crate::{Cast, IntervalSet};
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
-/// A present state that is being received.
-#[derive(Debug)]
-pub(super) struct Incoming {
-    pub(super) source: RobotId,
-    pub(super) stream: Stream,
-    /// 0: the whole state. Else what packages 1 to this one say is needed beside it.
-    pub(super) since: u32,
-    pub(super) upto: u32,
-    pub(super) set: u32,
-    pub(super) tiles: u32,
-    /// Number + 1 of the tiles accepted.
-    pub(super) accepted: IntervalSet,
-    /// What it contains, where it is a part of a history with gaps.
-    pub(super) contents: Option<IntervalSet>,
-    pub(super) touched: Stamp,
-}
-
-impl Incoming {
-    /// Whether tiles of both belong together: cut by the same robot from the same state.
-    pub(super) fn is_same(&self, other: &Self) -> bool {
-        (self.source, self.stream, self.since, self.upto, self.set, self.tiles)
-            == (other.source, other.stream, other.since, other.upto, other.set, other.tiles)
-    }
-
-    pub(super) fn is_complete(&self) -> bool {
-        self.accepted.contains_range(1, self.tiles)
-            || (!self.accepted.is_empty() && mutation::is(Mutation::StateHeldTooEarly))
-    }
-
-    /// Whether all that it brings is held already.
-    pub(super) fn is_in(&self, held: &IntervalSet) -> bool {
-        let rest = self.contents.as_ref().map(|contents| contents.difference(held));
-        held.contains_range(1, self.upto) || rest.is_some_and(|rest| rest.is_empty())
-    }
-
-    /// Nothing has come of it for long. A complete one waits longer, for the packages before it.
-    pub(super) fn is_abandoned(&self, now: Stamp) -> bool {
-        now.micros_since(self.touched) > if self.is_complete() { 10 * ABANDONED } else { ABANDONED }
-    }
-}
-
 /// A set counts as ignored when tiles of it got lost four times and the peer has not spoken of it …
 const UNHEEDED_MAX: u8 = 5;
 /// … and then single tiles of such sets are offered, with this pause: who has no place for a set is not to be sent it over and over.
 pub(super) const OFFER_PAUSE: i64 = 5_000_000;
-
-/// Silence after which a transfer is given up.
-const ABANDONED: i64 = 30_000_000;
 
 /// A present state that can be sent, to several peers if they need it.
 #[derive(Debug)]

@@ -1,8 +1,9 @@
 //! Packages that go out: what each peer misses, in which order, within the budget.
 
-use super::peer::{Item, Peer, Sent, View};
+use super::peer::{Peer, Sent, View};
 use super::{Destination, Session, Transmit};
 use crate::Cast;
+use crate::item::Item;
 use crate::wire::{Contents, Kind, PackagesWriter};
 use flockmap_codec::Package;
 use flockmap_grid::mutation::{self, Mutation};

@@ -4,7 +4,7 @@ use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_sync::wire::{DatagramHeader, Held, Kind, PackagesWriter, TransferProgress};
 use flockmap_sync::{
-    Cast, Counters, Event, InFlight, IntervalSet, Order, Pace, Relay, Session, SessionConfig,
+    Cast, Counters, Event, InFlight, IntervalSet, Order, Pace, Relay, Session, SessionConfig, Verdict,
 };
 
 use super::made::{self, Maker, OWN};
@@ -232,9 +232,9 @@ impl Run<'_> {
 
     fn verdict(&mut self, which: u8, package: &Package) {
         match which % 8 {
-            0 => self.session.reject(self.now, package),
-            1 => self.session.give_up(self.now, package),
-            _ => self.session.accept(self.now, package),
+            0 => self.session.verdict(self.now, package, Verdict::Damaged),
+            1 => self.session.verdict(self.now, package, Verdict::Undecodable),
+            _ => self.session.verdict(self.now, package, Verdict::Merged),
         }
     }
 
@@ -258,11 +258,9 @@ impl Run<'_> {
                 self.session.restart_present_state(self.now, stream, set);
             }
             3 => {
-                let stream = made::stream(choices);
-                let (low, high) = (made::index(choices), made::index(choices));
-                if stream != OWN {
-                    self.session.restore_held(stream, low.min(high), low.max(high));
-                }
+                let (stream, index) = (made::stream(choices), made::index(choices));
+                let package = self.maker.package(stream, index, choices.below(2) == 0);
+                self.session.deliver_stored(self.now, package);
             }
             // A clock that is set back.
             _ => self.session.handle_timeout(Stamp(i64::from(choices.byte()))),

@@ -4,7 +4,7 @@
 
 use flockmap_codec::{Codec, Content, ContentKind, Cycle, Encoder, PACKAGE_BYTES_MAX, Package, Span};
 use flockmap_grid::{Changes, Layer, Resolution, RobotId, Stamp, State, Stream, Voxel};
-use flockmap_sync::{Cast, Destination, Event, Session, SessionConfig};
+use flockmap_sync::{Cast, Destination, Event, Session, SessionConfig, Verdict};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
@@ -219,11 +219,11 @@ impl Swarm {
                     if header.content == ContentKind::Changes
                         && robot.ahead_max.is_some_and(|ahead| header.index > prefix.saturating_add(ahead))
                     {
-                        robot.session.reject(now, &package);
+                        robot.session.verdict(now, &package, Verdict::Damaged);
                         continue;
                     }
                     if header.content == ContentKind::Changes && robot.gives_up.contains(&named) {
-                        robot.session.give_up(now, &package);
+                        robot.session.verdict(now, &package, Verdict::Undecodable);
                         continue;
                     }
                     match package.decode().unwrap() {
@@ -238,7 +238,7 @@ impl Swarm {
                             }
                         }
                     }
-                    robot.session.accept(now, &package);
+                    robot.session.verdict(now, &package, Verdict::Merged);
                 }
                 Event::PresentStateWanted { stream, since, newer_than, upto, .. } => {
                     robot.events.push(format!("wanted {stream:?} since {since} upto {upto}"));

@@ -20,7 +20,6 @@ const INTERVALS_MAX: usize = 1_024;
 pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
     let (session, config) = (robot.session(), robot.session().config());
     let load = session.load();
-    let (waiting, waiting_bytes) = robot.waiting();
     let intervals =
         session.streams().filter_map(|stream| session.held(stream)).map(|held| held.intervals().len()).max();
     // By broadcast, what goes to another peer is noted beyond the limit, up to twice as much.
@@ -32,8 +31,8 @@ pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
         (MEMORY, "packages undecided", load.undecided, UNDECIDED_MAX),
         (MEMORY, "packages refused", load.refused, REFUSED_MAX),
         (MEMORY, "present states received at once", load.transfers, config.transfers_max),
-        (MEMORY, "packages that wait", waiting, WAITING_MAX),
-        (MEMORY, "bytes of packages that wait", waiting_bytes, WAITING_BYTES_MAX),
+        (MEMORY, "packages that wait", load.waiting, WAITING_MAX),
+        (MEMORY, "bytes of packages that wait", load.waiting_bytes, WAITING_BYTES_MAX),
         (MEMORY, "intervals held of a stream", intervals.unwrap_or(0), INTERVALS_MAX),
         (IN_FLIGHT, "packages in flight to a peer", load.in_flight_most, in_flight_max),
     ];

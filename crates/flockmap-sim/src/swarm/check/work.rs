@@ -28,7 +28,7 @@ impl Work {
     }
 
     fn note(&mut self, robot: &Robot) {
-        (self.steps, self.waited) = (robot.counters().steps, robot.counters().waited);
+        (self.steps, self.waited) = (robot.counters().steps, robot.session().counters().waited);
     }
 
     /// A robot has dealt with a datagram of so many bytes with so many packages.
@@ -38,8 +38,8 @@ impl Work {
         bytes: usize,
         packages: usize,
     ) -> Option<Finding> {
-        let counters = robot.counters();
-        let (steps, has_waited) = (counters.steps - self.steps, counters.waited > self.waited);
+        let has_waited = robot.session().counters().waited > self.waited;
+        let steps = robot.counters().steps - self.steps;
         self.note(robot);
         let allowed = bytes as u64 * STEPS_PER_BYTE + packages as u64 * STEPS_PER_PACKAGE;
         if has_waited {

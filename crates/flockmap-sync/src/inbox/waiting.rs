@@ -15,7 +15,7 @@ const OVERHEAD_BYTES: usize = 400;
 /// Packages by stream and index, within [`WAITING_MAX`] and [`WAITING_BYTES_MAX`]. Where they do not suffice, the stream of which most
 /// is waiting gives way, so that none can displace another; and of it the highest index, since the low ones are the first that can
 /// go, and others wait for them.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Waiting {
     packages: BTreeMap<(Stream, u32), Package>,
     /// Of each stream with packages.
@@ -58,11 +58,6 @@ impl Waiting {
         while let Some((&(_, index), _)) = self.packages.range((stream, 0)..=(stream, upto)).next() {
             self.take(stream, index);
         }
-    }
-
-    /// Lets go of all packages of a stream.
-    pub(crate) fn forget(&mut self, stream: Stream) {
-        self.drop_upto(stream, u32::MAX);
     }
 
     /// Packages that wait, and their bytes with bookkeeping.
@@ -123,7 +118,6 @@ mod tests {
         Insert { id: u16, index: u32, back: u32 },
         Release { id: u16, prefix: u32 },
         Settle { id: u16, upto: u32 },
-        Forget { id: u16 },
     }
 
     fn step() -> impl Strategy<Value = Step> {
@@ -132,7 +126,6 @@ mod tests {
             6 => (id(), 2..60u32, 1..60u32).prop_map(|(id, index, back)| Step::Insert { id, index, back }),
             2 => (id(), 0..60u32).prop_map(|(id, prefix)| Step::Release { id, prefix }),
             1 => (id(), 0..60u32).prop_map(|(id, upto)| Step::Settle { id, upto }),
-            1 => id().prop_map(|id| Step::Forget { id }),
         ]
     }
 
@@ -165,10 +158,6 @@ mod tests {
                     Step::Settle { id, upto } => {
                         waiting.drop_upto(stream(id), upto);
                         model.retain(|e| e.0 != id || e.1 > upto);
-                    }
-                    Step::Forget { id } => {
-                        waiting.forget(stream(id));
-                        model.retain(|e| e.0 != id);
                     }
                 }
                 prop_assert_eq!(waiting.packages.len(), model.len());

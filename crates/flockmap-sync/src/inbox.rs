@@ -1,0 +1,376 @@
+//! Packages on their way into the map: held until what they build on is there, handed out in an order in which they decode, and each given one
+//! verdict. As quinn's `Assembler` for the bytes of a stream. Nothing is decoded here.
+
+mod chains;
+mod transfer;
+mod waiting;
+
+pub use chains::STATES_READ_MAX;
+pub(crate) use chains::TILES_WAITING_MAX;
+pub(crate) use transfer::{ABANDONED, Transfer};
+pub(crate) use waiting::WAITING_BYTES_MAX;
+
+use crate::item::Item;
+use crate::{Cast, IntervalSet, Store};
+use chains::{ChainId, Chains, Place};
+use flockmap_codec::Package;
+use flockmap_grid::{RobotId, Stamp, Stream};
+use std::collections::{BTreeMap, BTreeSet};
+use waiting::Waiting;
+
+/// Packages and tiles that are in here at a time; more are dropped, counted, and come again by a later request.
+pub(crate) const PENDING_MAX: usize = 4_096;
+/// What was damaged, or had no room, is not asked for again for so long.
+const BACK_OFF: i64 = 10_000_000;
+/// Of these so many are remembered; of more, the one whose pause ends first is asked for again.
+const BACKED_OFF_MAX: usize = 1_024;
+/// Intervals in the undecodable indices of one stream.
+const UNDECODABLE_INTERVALS_MAX: usize = 64;
+/// Damaged packages remembered; of more, all are forgotten.
+const DAMAGED_MAX: usize = 256;
+
+/// What became of a package that was handed out by [`Event::Received`](crate::Event::Received).
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Verdict {
+    /// It is in the map, or will never fit this map but may fit others: it counts as held and is offered to others.
+    Merged,
+    /// It does not decode, and is asked for again after 10 s. A tile that was told against others makes its present state begin again: which of them is
+    /// at fault cannot be told. A package that builds on others and is damaged for the second time is undecodable: should a layer ever differ
+    /// from its sender's, this is what heals it.
+    Damaged,
+    /// It can never be decoded here, since what it was coded against is gone. It is not asked for again: the others are asked for a present state that
+    /// contains it, and when that is complete it counts as held. A tile, or one package too many (the indices of a stream are kept as at
+    /// most 64 intervals), is asked for again after 10 s.
+    Undecodable,
+    /// There was no room for it. It is asked for again after 10 s.
+    NoRoom,
+}
+
+/// What is on its way into the map.
+#[derive(Debug, Default)]
+pub(crate) struct Inbox {
+    /// All that is in here, with the peer it came from, until its verdict.
+    pending: BTreeSet<(Item, RobotId)>,
+    /// Damaged, or without room: not asked for again until then.
+    backed_off: BTreeMap<Item, Stamp>,
+    /// Packages that a present state has to bring. Never empty sets.
+    undecodable: BTreeMap<Stream, IntervalSet>,
+    /// Packages that build on others and were damaged once.
+    damaged: BTreeSet<(Stream, u32)>,
+    pub(crate) transfers: Vec<Transfer>,
+    waiting: Waiting,
+    chains: Chains,
+    releasing: Option<Releasing>,
+}
+
+/// Something was merged: what waited for it comes before all else.
+#[derive(Clone, Copy, Debug)]
+enum Releasing {
+    /// The packages of this stream with a higher index.
+    Packages {
+        stream: Stream,
+        after: u32,
+    },
+    Tiles(ChainId),
+}
+
+/// Whether something that came is taken in.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Intake {
+    Taken,
+    Duplicate,
+    /// Backed off, or undecodable.
+    Unwanted,
+    Full,
+}
+
+/// What to do with something that was taken in, when its turn has come.
+#[derive(Debug)]
+pub(crate) enum Turn {
+    HandOut(Package),
+    /// It waits for what it builds on, for which these had to go.
+    Waits(Vec<Package>),
+    /// Its tile was merged before.
+    Merged(Package),
+    /// It needs no verdict any more.
+    Settled,
+    /// It needs the place of another present state, of which all tiles are needed again then.
+    TakesPlaceOf(ChainId, Package),
+}
+
+impl Inbox {
+    /// Takes something in, unless it is there already (`is_held`: in the map), or not wanted now.
+    pub(crate) fn take_in(&mut self, now: Stamp, from: RobotId, item: Item, is_held: bool) -> Intake {
+        let is_pending = match item {
+            // Whoever it came from, it is the same.
+            Item::Package { .. } => self.is_pending(item),
+            // Tiles count for the robot that they came from.
+            Item::Tile { .. } => self.pending.contains(&(item, from)),
+        };
+        if is_held || is_pending {
+            Intake::Duplicate
+        } else if self.backed_off.get(&item).is_some_and(|&until| until > now) || self.is_undecodable(item) {
+            Intake::Unwanted
+        } else if self.pending.len() >= PENDING_MAX {
+            Intake::Full
+        } else {
+            self.pending.insert((item, from));
+            Intake::Taken
+        }
+    }
+
+    /// Looks at something that was taken in.
+    pub(crate) fn look_at(&mut self, package: Package, store: &Store) -> Turn {
+        let header = *package.header();
+        if !self.is_pending(Item::of(&package)) {
+            Turn::Settled
+        } else if let Some((id, tile)) = Chains::place_of(&package) {
+            if let Some(dropped) = self.chains.open(id, header.index) {
+                return Turn::TakesPlaceOf(dropped, package);
+            }
+            match self.chains.place(id, tile) {
+                Place::Merged => Turn::Merged(package),
+                Place::Next => Turn::HandOut(package),
+                Place::Later => Turn::Waits(self.chains.wait(id, tile, package).into_iter().collect()),
+            }
+        } else if header.reference > prefix(store, header.stream) {
+            Turn::Waits(self.waiting.insert(package))
+        } else {
+            Turn::HandOut(package)
+        }
+    }
+
+    /// The next of what waited for something that was merged.
+    pub(crate) fn next_released(&mut self, store: &Store) -> Option<Package> {
+        loop {
+            let package = match self.releasing? {
+                Releasing::Tiles(id) => self.chains.take_next(id),
+                Releasing::Packages { stream, after } => {
+                    self.waiting.take_ready(stream, after, prefix(store, stream))
+                }
+            };
+            let Some(package) = package else {
+                self.releasing = None;
+                continue;
+            };
+            if let Some(Releasing::Packages { after, .. }) = &mut self.releasing {
+                // A package that has to go on waiting keeps the prefix below itself: none before it can become ready on the way.
+                *after = package.header().index;
+            }
+            if self.is_pending(Item::of(&package)) {
+                return Some(package);
+            }
+        }
+    }
+
+    /// Something was merged: what waited for it may be ready.
+    pub(crate) fn release(&mut self, package: &Package) {
+        if let Some((id, tile)) = Chains::place_of(package) {
+            self.chains.note_merged(id, tile);
+            self.releasing = Some(Releasing::Tiles(id));
+        } else if self.releasing.is_none() {
+            self.release_stream(package.header().stream);
+        }
+    }
+
+    /// More packages of a stream are in the map: what waited for them may be ready.
+    pub(crate) fn release_stream(&mut self, stream: Stream) {
+        self.releasing = Some(Releasing::Packages { stream, after: 0 });
+    }
+
+    /// Takes out something for which there is a verdict now, with the peer it came from. A tile may have come from several.
+    pub(crate) fn take_out(&mut self, item: Item) -> Option<RobotId> {
+        let entry = *self.pending.range(all_of(item)).next()?;
+        self.pending.remove(&entry);
+        Some(entry.1)
+    }
+
+    /// Something is not asked for again for a while.
+    pub(crate) fn back_off(&mut self, now: Stamp, item: Item) {
+        self.backed_off.retain(|_, until| *until > now);
+        if self.backed_off.len() >= BACKED_OFF_MAX
+            && let Some(first) =
+                self.backed_off.iter().min_by_key(|(_, until)| **until).map(|(item, _)| *item)
+        {
+            self.backed_off.remove(&first);
+        }
+        self.backed_off.insert(item, now.plus_micros(BACK_OFF));
+    }
+
+    pub(crate) fn end_back_off(&mut self, item: Item) {
+        self.backed_off.remove(&item);
+    }
+
+    /// Notes that a package can never be decoded here; whether there was room for that.
+    pub(crate) fn note_undecodable(&mut self, stream: Stream, index: u32) -> bool {
+        let nothing = || IntervalSet::new(UNDECODABLE_INTERVALS_MAX);
+        self.undecodable.entry(stream).or_insert_with(nothing).insert(index).is_ok()
+    }
+
+    /// Whether a package that builds on others was damaged before: asking for it again does not help then.
+    pub(crate) fn is_damaged_again(&mut self, package: &Package) -> bool {
+        let header = package.header();
+        if header.is_alone {
+            return false;
+        }
+        if self.damaged.len() >= DAMAGED_MAX {
+            self.damaged.clear();
+        }
+        !self.damaged.insert((header.stream, header.index))
+    }
+
+    /// What was read of a present state is gone: it is read anew from its first tile on. What of it waited needs no verdict any more.
+    pub(crate) fn restart(&mut self, stream: Stream, set: u32) {
+        self.chains.drop_one((stream, set));
+        for transfer in self.transfers.iter_mut().filter(|t| t.stream == stream && t.set == set) {
+            transfer.restart();
+        }
+        let is_of_set =
+            |item: &Item| matches!(item, Item::Tile { stream: s, set: n, .. } if *s == stream && *n == set);
+        self.pending.retain(|(item, _)| !is_of_set(item));
+    }
+
+    /// What these packages of a stream say is in the map: those that waited, for a verdict or for a present state, need none.
+    pub(crate) fn settle(&mut self, stream: Stream, known: &IntervalSet) {
+        self.pending.retain(|(item, _)| match *item {
+            Item::Package { stream: of, index } => of != stream || !known.contains(index),
+            Item::Tile { .. } => true,
+        });
+        if let Some(undecodable) = self.undecodable.get_mut(&stream) {
+            *undecodable = undecodable.difference(known);
+            if undecodable.is_empty() {
+                self.undecodable.remove(&stream);
+            }
+        }
+    }
+
+    /// All packages of a stream up to one are in the map: lets go of what waited and says no more.
+    pub(crate) fn drop_upto(&mut self, stream: Stream, upto: u32) {
+        self.waiting.drop_upto(stream, upto);
+        self.chains.drop_upto(stream, upto);
+    }
+
+    /// Forgets a stream. What waited of it goes with [`drop_upto`](Self::drop_upto).
+    pub(crate) fn forget(&mut self, stream: Stream) {
+        self.transfers.retain(|transfer| transfer.stream != stream);
+        self.pending.retain(|(item, _)| item.stream() != stream);
+        self.undecodable.remove(&stream);
+    }
+
+    /// For want of room one set takes the place of another, the one of which nothing has come for longest. By unicast a robot sends one set of a
+    /// stream at a time, so a newer one takes over. By broadcast two sets for two robots would push each other out without end: there, and of
+    /// other robots and streams, only a set that goes on from what is held takes a place, and that of one that does not go on: complete or,
+    /// of the same stream, not, it waits for packages before it; or it is from the own disk. What that brought is merged; what it
+    /// contains may have to come again. Whether one went.
+    pub(crate) fn make_way(&mut self, newcomer: &Transfer, own: RobotId, cast: Cast, store: &Store) -> bool {
+        let goes_on = |i: &Transfer| i.since <= prefix(store, i.stream);
+        let gives_way = |i: &Transfer| {
+            let is_same_stream = i.stream == newcomer.stream;
+            let is_idle = i.source == own || (!goes_on(i) && (i.is_complete() || is_same_stream));
+            let is_replaced = is_same_stream && i.source == newcomer.source && cast == Cast::Unicast;
+            is_replaced || (is_idle && goes_on(newcomer) && newcomer.source != own)
+        };
+        let way = self.transfers.iter().enumerate().filter(|(_, transfer)| gives_way(transfer));
+        let Some((oldest, _)) = way.min_by_key(|(_, transfer)| transfer.touched) else { return false };
+        self.transfers.remove(oldest);
+        self.forget_tiles_of_nothing();
+        true
+    }
+
+    /// Lets go of transfers that are done or abandoned. Returns how many of them brought nothing.
+    pub(crate) fn drop_done(&mut self, now: Stamp, store: &Store) -> u64 {
+        let before = self.transfers.len();
+        let mut abandoned = 0;
+        self.transfers.retain(|transfer| {
+            let is_held = store.held(transfer.stream).is_some_and(|held| transfer.is_in(held));
+            let is_abandoned = !is_held && transfer.is_abandoned(now);
+            abandoned += u64::from(is_abandoned);
+            !is_held && !is_abandoned
+        });
+        if self.transfers.len() < before {
+            self.forget_tiles_of_nothing();
+        }
+        abandoned
+    }
+
+    /// Tiles of transfers that are gone need no verdict any more.
+    fn forget_tiles_of_nothing(&mut self) {
+        let transfers = &self.transfers;
+        self.pending.retain(|&(item, from)| match item {
+            Item::Package { .. } => true,
+            Item::Tile { stream, set, .. } => {
+                transfers.iter().any(|t| (t.source, t.stream, t.set) == (from, stream, set))
+            }
+        });
+    }
+
+    pub(crate) fn is_pending(&self, item: Item) -> bool {
+        self.pending.range(all_of(item)).next().is_some()
+    }
+
+    fn is_undecodable(&self, item: Item) -> bool {
+        match item {
+            Item::Package { stream, index } => {
+                self.undecodable.get(&stream).is_some_and(|undecodable| undecodable.contains(index))
+            }
+            Item::Tile { .. } => false,
+        }
+    }
+
+    /// The streams of which a present state has to bring something, with the packages that it should contain.
+    pub(crate) const fn undecodable(&self) -> &BTreeMap<Stream, IntervalSet> {
+        &self.undecodable
+    }
+
+    /// Packages of a stream that nobody shall send just now: pending, backed off, or undecodable.
+    pub(crate) fn unwanted_packages(&self, stream: Stream, now: Stamp) -> Vec<(u32, u32)> {
+        let item = |index| Item::Package { stream, index };
+        let index = |item: Item| match item {
+            Item::Package { index, .. } => Some((index, index)),
+            Item::Tile { .. } => None,
+        };
+        let (first, last) = (item(0), item(u32::MAX));
+        let backed_off = self.backed_off.range(first..=last).filter(|(_, until)| **until > now);
+        let pending = self.pending.range((first, RobotId(0))..=(last, RobotId(u16::MAX)));
+        let undecodable = self.undecodable.get(&stream).map(IntervalSet::intervals).unwrap_or_default();
+        let mut unwanted: Vec<(u32, u32)> = backed_off.filter_map(|(item, _)| index(*item)).collect();
+        unwanted.extend(pending.filter_map(|(item, _)| index(*item)));
+        unwanted.extend(undecodable);
+        unwanted
+    }
+
+    /// Number + 1 of the tiles of a transfer that its source shall not send just now: pending, or backed off.
+    pub(crate) fn unwanted_tiles(&self, transfer: &Transfer, now: Stamp) -> Vec<(u32, u32)> {
+        let item = |tile| Item::Tile { stream: transfer.stream, set: transfer.set, tile };
+        let number = |item: Item| match item {
+            Item::Tile { tile, .. } => Some((tile + 1, tile + 1)),
+            Item::Package { .. } => None,
+        };
+        let (first, last) = (item(0), item(u32::MAX));
+        let backed_off = self.backed_off.range(first..=last).filter(|(_, until)| **until > now);
+        let pending = self.pending.range((first, RobotId(0))..=(last, RobotId(u16::MAX)));
+        let pending = pending.filter(|(_, source)| *source == transfer.source);
+        let mut unwanted: Vec<(u32, u32)> = backed_off.filter_map(|(item, _)| number(*item)).collect();
+        unwanted.extend(pending.filter_map(|(item, _)| number(*item)));
+        unwanted
+    }
+
+    /// Sizes: pending, backed off.
+    pub(crate) fn load(&self) -> (usize, usize) {
+        (self.pending.len(), self.backed_off.len())
+    }
+
+    /// Packages that wait for those that they build on, and their bytes with bookkeeping.
+    pub(crate) fn waiting(&self) -> (usize, usize) {
+        self.waiting.load()
+    }
+}
+
+fn all_of(item: Item) -> std::ops::RangeInclusive<(Item, RobotId)> {
+    (item, RobotId(0))..=(item, RobotId(u16::MAX))
+}
+
+/// All packages of a stream from 1 to this one are in the map.
+fn prefix(store: &Store, stream: Stream) -> u32 {
+    store.held(stream).map_or(0, IntervalSet::prefix)
+}

@@ -1,0 +1,76 @@
+//! One present state that is being received.
+
+use crate::IntervalSet;
+use crate::store::HELD_INTERVALS_MAX;
+use flockmap_grid::mutation::{self, Mutation};
+use flockmap_grid::{RobotId, Stamp, Stream};
+
+/// Silence after which a transfer is given up.
+pub(crate) const ABANDONED: i64 = 30_000_000;
+
+/// A present state that is being received.
+#[derive(Debug)]
+pub(crate) struct Transfer {
+    pub(crate) source: RobotId,
+    pub(crate) stream: Stream,
+    /// 0: the whole state. Else what packages 1 to this one say is needed beside it.
+    pub(crate) since: u32,
+    pub(crate) upto: u32,
+    pub(crate) set: u32,
+    pub(crate) tiles: u32,
+    /// Number + 1 of the tiles accepted.
+    pub(crate) accepted: IntervalSet,
+    /// What it contains, where it is a part of a history with gaps.
+    pub(crate) contents: Option<IntervalSet>,
+    pub(crate) touched: Stamp,
+}
+
+impl Transfer {
+    pub(crate) const fn new(
+        source: RobotId,
+        stream: Stream,
+        [since, upto]: [u32; 2],
+        set: u32,
+        tiles: u32,
+        now: Stamp,
+    ) -> Self {
+        Self {
+            source,
+            stream,
+            since,
+            upto,
+            set,
+            tiles,
+            accepted: IntervalSet::new(HELD_INTERVALS_MAX),
+            contents: None,
+            touched: now,
+        }
+    }
+
+    /// None of its tiles counts any more.
+    pub(crate) fn restart(&mut self) {
+        self.accepted = IntervalSet::new(HELD_INTERVALS_MAX);
+    }
+
+    /// Whether tiles of both belong together: cut by the same robot from the same state.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        (self.source, self.stream, self.since, self.upto, self.set, self.tiles)
+            == (other.source, other.stream, other.since, other.upto, other.set, other.tiles)
+    }
+
+    pub(crate) fn is_complete(&self) -> bool {
+        self.accepted.contains_range(1, self.tiles)
+            || (!self.accepted.is_empty() && mutation::is(Mutation::StateHeldTooEarly))
+    }
+
+    /// Whether all that it brings is held already.
+    pub(crate) fn is_in(&self, held: &IntervalSet) -> bool {
+        let rest = self.contents.as_ref().map(|contents| contents.difference(held));
+        held.contains_range(1, self.upto) || rest.is_some_and(|rest| rest.is_empty())
+    }
+
+    /// Nothing has come of it for long. A complete one waits longer, for the packages before it.
+    pub(crate) fn is_abandoned(&self, now: Stamp) -> bool {
+        now.micros_since(self.touched) > if self.is_complete() { 10 * ABANDONED } else { ABANDONED }
+    }
+}

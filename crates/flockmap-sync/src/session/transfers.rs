@@ -1,0 +1,120 @@
+//! Present states that come in, tile by tile.
+
+use super::{Event, Session};
+use crate::IntervalSet;
+use crate::inbox::Transfer;
+use crate::item::Item;
+use flockmap_codec::Package;
+use flockmap_grid::{RobotId, Stamp, Stream};
+
+impl Session {
+    pub(super) fn receive_tile(&mut self, now: Stamp, tile_of: Transfer, tile: u32, package: Package) {
+        let (stream, upto) = (tile_of.stream, tile_of.upto);
+        self.store.note_newest(stream, upto, now);
+        if self.store.held(stream).is_some_and(|held| held.contains_range(1, upto)) {
+            self.counters.duplicates += 1;
+            return;
+        }
+        let from = tile_of.source;
+        let at = match self.inbox.transfers.iter().position(|transfer| transfer.is_same(&tile_of)) {
+            Some(at) => at,
+            None => {
+                // Sets of one robot are kept side by side: by broadcast, one that it sends to somebody else is
+                // heard among the tiles of the one for us.
+                if self.inbox.transfers.len() >= self.config.transfers_max {
+                    self.finish_transfers(now);
+                }
+                if self.inbox.transfers.len() >= self.config.transfers_max {
+                    self.counters.transfers_dropped += u64::from(self.inbox.make_way(
+                        &tile_of,
+                        self.own.origin,
+                        self.config.cast,
+                        &self.store,
+                    ));
+                }
+                if self.inbox.transfers.len() >= self.config.transfers_max {
+                    self.counters.too_many_transfers += 1;
+                    return;
+                }
+                self.inbox.transfers.push(tile_of);
+                self.inbox.transfers.len() - 1
+            }
+        };
+        let transfer = &mut self.inbox.transfers[at];
+        transfer.touched = now;
+        let item = Item::Tile { stream, set: transfer.set, tile };
+        let held = transfer.accepted.contains(tile + 1);
+        self.deliver(now, from, item, held, package);
+        // If the rest gets lost, say soon which tiles are missing.
+        self.note_gap(now, false);
+    }
+
+    pub(super) fn accept_tile(&mut self, now: Stamp, from: RobotId, stream: Stream, set: u32, tile: u32) {
+        let found =
+            self.inbox.transfers.iter().position(|t| (t.source, t.stream, t.set) == (from, stream, set));
+        let Some(at) = found else { return };
+        match self.inbox.transfers[at].accepted.insert(tile + 1) {
+            Ok(is_new) => self.counters.tiles_accepted += u64::from(is_new),
+            Err(_) => {
+                self.counters.too_fragmented += 1;
+                return;
+            }
+        }
+        self.finish_transfers(now);
+    }
+
+    /// The driver has let go of what the tiles of a present state said, and needs all of them again to go on: those merged or
+    /// waiting count no more. Rejected ones stay so for their time.
+    pub fn restart_present_state(&mut self, now: Stamp, stream: Stream, set: u32) {
+        let now = self.advance(now);
+        self.inbox.restart(stream, set);
+        self.counters.present_states_restarted += 1;
+        self.note_gap(now, true);
+    }
+
+    /// Counts as held what completely received present states contain; lets go of transfers that are done,
+    /// overtaken or abandoned.
+    pub(super) fn finish_transfers(&mut self, now: Stamp) {
+        let complete = self.inbox.transfers.iter().filter(|transfer| transfer.is_complete());
+        let mut complete: Vec<_> = complete
+            .map(|t| (t.stream, t.since, t.upto, t.contents.clone().map(|contents| (t.set, contents))))
+            .collect();
+        // One may be what the next one waits for.
+        complete.sort_unstable_by_key(|(stream, since, upto, _)| (*stream, *since, *upto));
+        for (stream, since, upto, contents) in complete {
+            let Some(held) = self.store.held(stream) else { continue };
+            // What is wanting before it comes as packages, or by another present state.
+            let prefix = held.prefix();
+            let by_prefix = (prefix >= since && prefix < upto)
+                .then(|| IntervalSet::from_intervals(1, vec![(since + 1, upto)]));
+            let (news, contents) = match (by_prefix, contents) {
+                (Some(news), _) => (news, None),
+                (None, Some((set, contents))) => (contents.difference(held), Some((set, contents))),
+                (None, None) => continue,
+            };
+            if news.is_empty() {
+                continue;
+            }
+            let mut is_held = true;
+            for &(low, high) in news.intervals() {
+                is_held &= self.store.hold(stream, low, high, now).is_ok();
+            }
+            self.inbox.settle(stream, &news);
+            if is_held {
+                self.counters.caught_up += 1;
+                let upto = self.store.held(stream).map_or(0, IntervalSet::prefix);
+                if let Some((set, held)) = contents {
+                    self.push_event(Event::StateContains { stream, set, held });
+                }
+                self.push_event(Event::CaughtUp { stream, upto });
+                self.mark_queues_stale();
+                // The sender should learn soon that it can stop, and what came after.
+                self.greet(now);
+            } else {
+                // Stays complete, and counts once some gaps are filled.
+                self.counters.too_fragmented += 1;
+            }
+        }
+        self.counters.transfers_dropped += self.inbox.drop_done(now, &self.store);
+    }
+}
