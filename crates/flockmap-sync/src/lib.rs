@@ -7,6 +7,7 @@
 #![forbid(unsafe_code)]
 
 mod bytes;
+mod clocks;
 mod config;
 mod counters;
 mod inbox;
@@ -20,6 +21,7 @@ mod pacer;
 mod replay;
 mod session;
 mod store;
+mod timers;
 pub mod wire;
 
 pub use config::{Cast, ConfigError, InFlight, Order, Relay, SessionConfig};

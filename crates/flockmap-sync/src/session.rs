@@ -2,38 +2,42 @@
 //! threads or clocks.
 
 mod answer;
-mod ask;
 mod datagram;
 mod event;
 mod identity;
 mod load;
+mod outbox;
 mod pace;
 mod path;
 mod peer;
 mod plan;
 mod present;
 mod receive;
+mod request;
+mod schedule;
 mod sealing;
 mod send;
+mod streams;
 mod transfers;
 
 pub use event::{Destination, Event, PublishError, Transmit};
 pub use load::Load;
 pub use pace::Pace;
 pub use path::Path;
+pub(crate) use peer::Peer;
 pub use peer::PeerInfo;
 
+use crate::clocks::Clocks;
 use crate::inbox::{Inbox, PENDING_MAX};
-use crate::pacer::Pacer;
-use crate::replay::Replays;
+use crate::timers::Timer;
 use crate::wire::{Contents, DatagramHeader, Kind};
 use crate::{Cast, ConfigError, Counters, IntervalSet, SessionConfig, Store};
-use ask::Schedule;
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
-use peer::Peer;
-use present::Outgoing;
+use identity::Identity;
+use outbox::Outbox;
+use schedule::Schedule;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Events that wait for the driver; more are dropped, counted, and come again by a later request.
@@ -74,36 +78,21 @@ const EVENTS_MAX: usize = PENDING_MAX;
 /// ```
 #[derive(Debug)]
 pub struct Session {
-    own: Stream,
     config: SessionConfig,
-    now: Stamp,
-    random: u64,
+    identity: Identity,
+    clocks: Clocks,
     store: Store,
     peers: BTreeMap<RobotId, Peer>,
-    /// Budgets of the links to peers that fell silent. At most `peers_max`, 2 KiB each.
-    silent_links: BTreeMap<RobotId, Pacer>,
-    given_offsets: BTreeMap<RobotId, i64>,
-    /// Last measured offsets of streams whose robot may be gone; only of streams in the store.
-    measured_offsets: BTreeMap<Stream, i64>,
-    events: VecDeque<Event>,
     inbox: Inbox,
-    outgoing: Vec<Outgoing>,
-    /// When the driver was last asked for a present state, and when to ask again.
-    present_asked: BTreeMap<Stream, Stamp>,
+    outbox: Outbox,
     schedule: Schedule,
-    radio: Option<Pacer>,
-    /// As [`Peer::overtaken`], for a datagram that waits for the radio's budget.
-    overtaken: Option<u8>,
-    path_waiting: path::Waiting,
-    /// The peer that was served last.
-    served: RobotId,
-    /// When a budget that stopped sending allows it again.
-    wake: Option<Stamp>,
-    same_identity_told: Option<Stamp>,
-    anew: identity::Anew,
-    sealed: sealing::SealedCounters,
-    spent_told: bool,
-    replays: Replays,
+    report: Report,
+}
+
+/// What the driver is told.
+#[derive(Debug, Default)]
+struct Report {
+    events: VecDeque<Event>,
     counters: Counters,
 }
 
@@ -112,30 +101,14 @@ impl Session {
     pub fn new(own: Stream, config: SessionConfig, seed: u64) -> Result<Self, ConfigError> {
         config.validate()?;
         Ok(Self {
-            own,
-            now: Stamp(i64::MIN),
-            random: seed ^ (u64::from(own.origin.0) << 32) ^ own.epoch,
+            identity: Identity::new(own),
+            clocks: Clocks::new(),
             store: Store::new(own, config.store_limits()),
             peers: BTreeMap::new(),
-            silent_links: BTreeMap::new(),
-            given_offsets: BTreeMap::new(),
-            measured_offsets: BTreeMap::new(),
-            events: VecDeque::new(),
             inbox: Inbox::default(),
-            outgoing: Vec::new(),
-            present_asked: BTreeMap::new(),
-            schedule: Schedule::default(),
-            radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),
-            overtaken: None,
-            path_waiting: path::Waiting::new(),
-            served: RobotId(0),
-            wake: None,
-            same_identity_told: None,
-            anew: identity::Anew::default(),
-            sealed: sealing::SealedCounters::default(),
-            spent_told: false,
-            replays: Replays::default(),
-            counters: Counters::default(),
+            outbox: Outbox::new(&config),
+            schedule: Schedule::new(seed ^ (u64::from(own.origin.0) << 32) ^ own.epoch),
+            report: Report::default(),
             config,
         })
     }
@@ -151,13 +124,13 @@ impl Session {
     pub fn publish(&mut self, now: Stamp, package: Package) -> Result<(), PublishError> {
         let now = self.advance(now);
         let header = package.header();
-        if header.stream != self.own {
-            return Err(PublishError::Stream { got: header.stream, own: self.own });
+        if header.stream != self.identity.own {
+            return Err(PublishError::Stream { got: header.stream, own: self.identity.own });
         }
         if header.content != ContentKind::Changes {
             return Err(PublishError::Content);
         }
-        let expected = self.store.newest_known(self.own).saturating_add(1);
+        let expected = self.store.newest_known(self.identity.own).saturating_add(1);
         if header.index != expected {
             return Err(PublishError::Index { got: header.index, expected });
         }
@@ -167,7 +140,7 @@ impl Session {
         }
         // The own index list is one interval, so it never lacks room.
         let _ = self.store.insert(&package, now, now);
-        self.counters.published += 1;
+        self.report.counters.published += 1;
         self.note_activity(now);
         self.mark_queues_stale();
         Ok(())
@@ -179,10 +152,10 @@ impl Session {
     pub fn deliver_stored(&mut self, now: Stamp, package: Package) -> bool {
         let now = self.advance(now);
         let stream = package.header().stream;
-        if stream == self.own || !self.open_stream(stream) {
+        if stream == self.identity.own || !self.open_stream(stream) {
             return false;
         }
-        self.receive_packages(now, self.own, vec![package], Vec::new());
+        self.receive_packages(now, self.identity.own, vec![package], Vec::new());
         true
     }
 
@@ -197,7 +170,7 @@ impl Session {
     ) -> bool {
         let now = self.advance(now);
         let contents = Contents { stream, set, held: held.clone() };
-        self.receive_packages(now, self.own, Vec::new(), vec![contents]);
+        self.receive_packages(now, self.identity.own, Vec::new(), vec![contents]);
         self.finish_transfers(now);
         self.store.held(stream).is_some_and(|all| held.difference(all).is_empty())
     }
@@ -205,10 +178,7 @@ impl Session {
     /// Sets a robot's clock minus the own clock, in microseconds, known from elsewhere; it is used in place of
     /// what is measured. `None`: measure again. Its own id stands for its former runs.
     pub fn set_clock_offset(&mut self, robot: RobotId, micros: Option<i64>) {
-        match micros {
-            Some(micros) => self.given_offsets.insert(robot, micros),
-            None => self.given_offsets.remove(&robot),
-        };
+        self.clocks.set_given(robot, micros);
     }
 
     // Outputs.
@@ -217,11 +187,11 @@ impl Session {
     /// is `now`.
     pub fn poll_transmit(&mut self, now: Stamp) -> Option<Transmit> {
         let now = self.advance(now);
-        self.wake = None;
+        self.schedule.timers.stop(Timer::Budget);
         if self.check_spent() {
             return None;
         }
-        let transmit = if !self.path_waiting.is_empty() {
+        let transmit = if !self.outbox.path_waiting.is_empty() {
             self.transmit_path(now)
         } else if self.is_overtaken()
             && let packages @ Some(_) = self.transmit_packages(now)
@@ -242,20 +212,21 @@ impl Session {
     /// Correct after `poll_transmit` returned `None`.
     pub fn poll_timeout(&self) -> Option<Stamp> {
         if mutation::is(Mutation::TimeStandsStill) {
-            return Some(self.now);
+            return Some(self.clocks.now());
         }
         let lost = self.peers.values().map(|peer| peer.last_heard.plus_micros(self.peer_timeout())).min();
-        // A request that is due already waits for the budget, like everything else: `wake` says until when.
-        let request = self.next_request().filter(|&at| at > self.now || self.wake.is_none());
-        let request = request.filter(|_| !self.is_spent());
-        [lost, self.wake, request].into_iter().flatten().min().map(|at| at.max(self.now))
+        // A request that is due already waits for the budget, like everything else: the timer of that says until when.
+        let budget = self.schedule.timers.get(Timer::Budget);
+        let request = self.schedule.timers.next(&Timer::REQUESTS);
+        let request = request.filter(|&at| !self.is_spent() && (at > self.clocks.now() || budget.is_none()));
+        [lost, budget, request].into_iter().flatten().min().map(|at| at.max(self.clocks.now()))
     }
 
     // Queries.
 
     /// The own stream.
     pub const fn own(&self) -> Stream {
-        self.own
+        self.identity.own
     }
 
     /// The options.
@@ -283,7 +254,7 @@ impl Session {
         self.peers.values().map(|peer| PeerInfo {
             stream: peer.stream,
             last_heard: peer.last_heard,
-            hears_us: peer.hears(self.own.origin),
+            hears_us: peer.hears(self.identity.own.origin),
             round_trip_micros: peer.round_trip.micros(),
             clock_offset_micros: self.clock_offset(peer.stream),
             in_flight: peer.in_flight.len(),
@@ -295,9 +266,9 @@ impl Session {
     /// What each peer that hears this robot holds of the own stream, by its last request: the peer and its run, when the request
     /// came, and the highest index up to which nothing is missing. What a peer keeps undecided counts as held.
     pub fn own_held_by_peers(&self) -> impl Iterator<Item = (Stream, Stamp, u32)> + '_ {
-        self.peers.values().filter(|peer| peer.hears(self.own.origin)).filter_map(|peer| {
+        self.peers.values().filter(|peer| peer.hears(self.identity.own.origin)).filter_map(|peer| {
             let (_, at) = peer.request?;
-            let prefix = match peer.views.get(&self.own) {
+            let prefix = match peer.views.get(&self.identity.own) {
                 // What lies below the list that it states, it does not ask for either.
                 Some(view) => match view.held.first() {
                     Some(first) if first <= view.from.max(1) => view.held.intervals().first()?.1,
@@ -312,37 +283,22 @@ impl Session {
     /// The clock of a stream's robot minus the own clock, in microseconds: as given, else as measured with that
     /// robot, else by way of a peer that hears it, else as last measured.
     pub fn clock_offset(&self, stream: Stream) -> Option<i64> {
-        if stream == self.own {
+        if stream == self.identity.own {
             return Some(0);
         }
-        if let Some(&given) = self.given_offsets.get(&stream.origin) {
-            return Some(given);
-        }
-        let direct = self.peers.get(&stream.origin).filter(|peer| peer.stream == stream);
-        if let Some(offset) = direct.and_then(|peer| peer.clock.offset()) {
-            return Some(offset);
-        }
-        let by_way = self.peers.values().filter_map(|peer| {
-            let report = peer
-                .clocks
-                .iter()
-                .find(|r| r.robot == stream.origin && r.epoch_low == stream.epoch as u16)?;
-            Some((peer.round_trip.micros()?, peer.clock.offset()?.checked_add(report.offset_micros)?))
-        });
-        by_way.min().map(|(_, offset)| offset).or_else(|| self.measured_offsets.get(&stream).copied())
+        self.clocks.of_run(stream, &self.peers)
     }
 
     /// What was counted so far.
     pub const fn counters(&self) -> &Counters {
-        &self.counters
+        &self.report.counters
     }
 
     // Helpers.
 
     /// Moves the own clock on and forgets peers that fell silent.
     fn advance(&mut self, now: Stamp) -> Stamp {
-        self.now = self.now.max(now);
-        let now = self.now;
+        let now = self.clocks.advance(now);
         let timeout = self.peer_timeout();
         while let Some(lost) = self
             .peers
@@ -351,7 +307,7 @@ impl Session {
             .map(|peer| peer.stream)
         {
             self.silence(lost.origin);
-            self.replays.forget_window(lost.origin);
+            self.identity.replays.forget_window(lost.origin);
             self.push_event(Event::PeerLost(lost));
         }
         now
@@ -360,27 +316,18 @@ impl Session {
     /// Forgets a peer, but not what its link's budget has seen.
     fn silence(&mut self, id: RobotId) {
         let pacer = self.peers.remove(&id).and_then(|peer| peer.pacer);
-        if self.silent_links.len() >= self.config.peers_max {
-            self.silent_links.pop_first();
+        if self.outbox.silent_links.len() >= self.config.peers_max {
+            self.outbox.silent_links.pop_first();
         }
-        self.silent_links.extend(pacer.map(|pacer| (id, pacer)));
+        self.outbox.silent_links.extend(pacer.map(|pacer| (id, pacer)));
     }
 
     fn push_event(&mut self, event: Event) {
-        if self.events.len() < EVENTS_MAX {
-            self.events.push_back(event);
+        if self.report.events.len() < EVENTS_MAX {
+            self.report.events.push_back(event);
         } else {
-            self.counters.events_overflowed += 1;
+            self.report.counters.events_overflowed += 1;
         }
-    }
-
-    /// A number from 0 to `below` − 1 (SplitMix64).
-    fn random(&mut self, below: u64) -> u64 {
-        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.random;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ (z >> 31)) % below.max(1)
     }
 
     fn mark_queues_stale(&mut self) {
@@ -404,7 +351,7 @@ impl Session {
     }
 
     const fn header(&self, now: Stamp, kind: Kind) -> DatagramHeader {
-        DatagramHeader { kind, swarm: self.config.swarm, sender: self.own, stamp: now }
+        DatagramHeader { kind, swarm: self.config.swarm, sender: self.identity.own, stamp: now }
     }
 
     /// How often a datagram to everyone is counted.
@@ -414,10 +361,4 @@ impl Session {
             _ => 1,
         }
     }
-}
-
-/// What of a budget may go out at once: a share of the second, but always a full datagram.
-fn burst_bytes(bytes_per_s: u32, burst_ms: u32) -> u32 {
-    let share = u64::from(bytes_per_s) * u64::from(burst_ms) / 1_000;
-    (share as u32).clamp(1_300, bytes_per_s.max(1_300))
 }

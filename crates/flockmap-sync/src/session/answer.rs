@@ -24,7 +24,7 @@ impl Session {
         let overtaken =
             |(newest, at): (Stamp, Stamp)| header.stamp <= newest && self.stamp_counts(now.micros_since(at));
         if peer.request.is_some_and(overtaken) {
-            self.counters.stale_requests += 1;
+            self.report.counters.stale_requests += 1;
         } else {
             peer.request = Some((header.stamp, now));
             let echo = self.take_echoes(now, &mut peer, header, request);
@@ -57,7 +57,7 @@ impl Session {
         peer.hears_all_listed = request.all_echoes;
         peer.clocks.clone_from(&request.clocks);
         let own = |echo: &&crate::wire::Echo| {
-            echo.robot == self.own.origin && echo.epoch_low == self.own.epoch as u16
+            echo.robot == self.identity.own.origin && echo.epoch_low == self.identity.own.epoch as u16
         };
         let echo = request.echoes.iter().find(own)?;
         let (sent, age) = (echo.stamp(now), i64::from(echo.age_micros));
@@ -66,7 +66,7 @@ impl Session {
         if let Some(offset) = peer.clock.offset()
             && self.store.held(peer.stream).is_some()
         {
-            self.measured_offsets.insert(peer.stream, offset);
+            self.clocks.note_measured(peer.stream, offset);
         }
         Some((sent, age))
     }
@@ -95,9 +95,9 @@ impl Session {
             if stated.is_oldest_wanted && self.store.has_runs(stated.stream.origin) {
                 peer.oldest_wanted.insert(stated.stream.origin, stated.stream.epoch);
             }
-            if stated.stream == self.own {
+            if stated.stream == self.identity.own {
                 // Nobody but this robot can say which own packages there are.
-                if stated.held.last() > Some(self.store.newest_known(self.own)) {
+                if stated.held.last() > Some(self.store.newest_known(self.identity.own)) {
                     self.note_own_run_used(now);
                 }
             } else if !self.open_stream(stated.stream) {
@@ -136,7 +136,9 @@ impl Session {
                 });
             }
         }
-        for progress in request.transfers.iter().filter(|progress| progress.source == self.own.origin) {
+        for progress in
+            request.transfers.iter().filter(|progress| progress.source == self.identity.own.origin)
+        {
             let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
             if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
                 sending.named_at = now;
@@ -171,7 +173,7 @@ impl Session {
             },
         };
         let (mut confirmed, mut lost) = (0, 0);
-        let own = self.own.origin;
+        let own = self.identity.own.origin;
         let is_named = |stream: Stream, set: u32| {
             request.transfers.iter().any(|t| (t.source, t.stream, t.set) == (own, stream, set))
         };
@@ -222,8 +224,8 @@ impl Session {
                 }
             }
         }
-        self.counters.confirmed += confirmed;
-        self.counters.lost += lost;
+        self.report.counters.confirmed += confirmed;
+        self.report.counters.lost += lost;
         peer.loss.sample(confirmed, lost);
 
         for view in peer.views.values_mut() {
@@ -254,7 +256,7 @@ impl Session {
             let then = &view.missing_then.1;
             let still = then.intersection(&missing);
             // Where much of it has come meanwhile, or is coming as a present state, somebody is at it.
-            let own = self.own.origin;
+            let own = self.identity.own.origin;
             let is_told = request.transfers.iter().any(|t| t.stream == stream && t.source != own);
             let is_served = is_told || (then.count() - still.count()) * SERVED_SHARE > then.count();
             view.overdue = if is_served { IntervalSet::new(VIEW_INTERVALS_MAX) } else { still };
@@ -270,7 +272,7 @@ impl Session {
         if !peer.wants(stream) {
             return None;
         }
-        if stream.origin == self.own.origin {
+        if stream.origin == self.identity.own.origin {
             return Some(0);
         }
         match self.config.relay {
@@ -278,12 +280,15 @@ impl Session {
             Relay::Always => Some(0),
             Relay::Ranked => {
                 // A new peer has not said yet whom it hears: probably the same robots as this one.
-                let hears =
-                    |robot| peer.hears(robot) || (peer.is_new(self.now) && self.peers.contains_key(&robot));
+                let hears = |robot| {
+                    peer.hears(robot) || (peer.is_new(self.clocks.now()) && self.peers.contains_key(&robot))
+                };
                 let hears_origin = stream.origin != peer.stream.origin && hears(stream.origin);
                 // Whom this robot does not hear stands elsewhere in the swarm, and rarely holds the same.
                 let before = |robot| {
-                    robot < self.own.origin && robot != stream.origin && self.peers.contains_key(&robot)
+                    robot < self.identity.own.origin
+                        && robot != stream.origin
+                        && self.peers.contains_key(&robot)
                 };
                 let others = peer.hears.iter().filter(|(robot, _)| before(*robot)).count() as u32;
                 Some(u32::from(hears_origin) + others)

@@ -37,22 +37,22 @@ impl Session {
         if let Err(error) = &result {
             let counter = match error {
                 DatagramError::Length { .. } | DatagramError::Magic { .. } | DatagramError::Check { .. } => {
-                    &mut self.counters.damaged
+                    &mut self.report.counters.damaged
                 }
                 DatagramError::Version { .. } | DatagramError::Kind { .. } => {
-                    &mut self.counters.foreign_version
+                    &mut self.report.counters.foreign_version
                 }
-                DatagramError::Swarm { .. } => &mut self.counters.foreign_swarm,
+                DatagramError::Swarm { .. } => &mut self.report.counters.foreign_swarm,
                 DatagramError::Malformed { .. } | DatagramError::Package { .. } => {
-                    &mut self.counters.malformed
+                    &mut self.report.counters.malformed
                 }
-                DatagramError::StaleEpoch { .. } => &mut self.counters.stale_epoch,
-                DatagramError::TooManyPeers { .. } => &mut self.counters.too_many_peers,
-                DatagramError::Forged { .. } => &mut self.counters.forged,
-                DatagramError::Replayed { .. } => &mut self.counters.replayed,
-                DatagramError::UnknownRun { .. } => &mut self.counters.unknown_run,
-                DatagramError::Unsealed { .. } => &mut self.counters.unsealed,
-                DatagramError::SealedWithoutKey { .. } => &mut self.counters.sealed_without_key,
+                DatagramError::StaleEpoch { .. } => &mut self.report.counters.stale_epoch,
+                DatagramError::TooManyPeers { .. } => &mut self.report.counters.too_many_peers,
+                DatagramError::Forged { .. } => &mut self.report.counters.forged,
+                DatagramError::Replayed { .. } => &mut self.report.counters.replayed,
+                DatagramError::UnknownRun { .. } => &mut self.report.counters.unknown_run,
+                DatagramError::Unsealed { .. } => &mut self.report.counters.unsealed,
+                DatagramError::SealedWithoutKey { .. } => &mut self.report.counters.sealed_without_key,
                 // Counted where it is told.
                 DatagramError::SameIdentity { .. } => return result,
             };
@@ -75,12 +75,13 @@ impl Session {
             datagram
         };
         let header = *datagram.header();
-        if header.sender == self.own {
-            self.counters.own_heard += 1;
+        if header.sender == self.identity.own {
+            self.report.counters.own_heard += 1;
             return Ok(());
         }
-        if header.sender.origin == self.own.origin {
-            let (sender, got, current) = (self.own.origin, header.sender.epoch, self.own.epoch);
+        if header.sender.origin == self.identity.own.origin {
+            let (sender, got, current) =
+                (self.identity.own.origin, header.sender.epoch, self.identity.own.epoch);
             if got < current {
                 return Err(DatagramError::StaleEpoch { sender, got, current });
             }
@@ -96,14 +97,20 @@ impl Session {
                     self.note_own_runs(now, &request);
                     return Err(unheard);
                 }
-                self.counters.requests_in.add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
+                self.report
+                    .counters
+                    .requests_in
+                    .add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.handle_request(now, &header, &request);
             }
             Kind::Packages => {
                 let packages = parse_packages(&datagram)?;
                 let contents = parse_contents(&datagram, HELD_INTERVALS_MAX)?;
                 self.hear(now, &header, path, bytes.len())?;
-                self.counters.packages_in.add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
+                self.report
+                    .counters
+                    .packages_in
+                    .add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.receive_packages(now, header.sender, packages, contents);
                 if asks_for_word(&datagram) {
                     self.greet(now);
@@ -145,7 +152,7 @@ impl Session {
             // Where its former run was reached is tried again only if it is heard from elsewhere.
             peer.path = before.as_ref().map(|before| before.path).unwrap_or_default();
             let before = before.and_then(|before| before.pacer);
-            peer.pacer = before.or_else(|| self.silent_links.remove(&id)).or(peer.pacer);
+            peer.pacer = before.or_else(|| self.outbox.silent_links.remove(&id)).or(peer.pacer);
             self.peers.insert(id, peer);
             self.push_event(Event::PeerSeen(stream));
             self.greet(now);

@@ -1,6 +1,8 @@
 //! Which run of which robot this is, and what to do where another one has the same id.
 
+use super::sealing::SealedCounters;
 use super::{Event, Session};
+use crate::replay::Replays;
 use crate::wire::Request;
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
@@ -10,9 +12,33 @@ use flockmap_grid::{Stamp, Stream};
 const ANEW_PAUSE: i64 = 10_000_000;
 const ANEW_PAUSE_MAX: i64 = 3_600_000_000;
 
+/// Which run of which robot this is, and what of its name is used up.
+#[derive(Debug)]
+pub(super) struct Identity {
+    pub(super) own: Stream,
+    anew: Anew,
+    same_identity_told: Option<Stamp>,
+    pub(super) sealed: SealedCounters,
+    pub(super) spent_told: bool,
+    pub(super) replays: Replays,
+}
+
+impl Identity {
+    pub(super) fn new(own: Stream) -> Self {
+        Self {
+            own,
+            anew: Anew::default(),
+            same_identity_told: None,
+            sealed: SealedCounters::default(),
+            spent_told: false,
+            replays: Replays::default(),
+        }
+    }
+}
+
 /// Whether and when this robot has begun anew.
 #[derive(Debug, Default)]
-pub(super) struct Anew {
+struct Anew {
     times: u32,
     not_before: Option<Stamp>,
 }
@@ -21,7 +47,7 @@ impl Session {
     /// Looks at a stream that somebody named. One of the own id with an epoch that is not below the own one: a run before this one had a
     /// clock that was ahead, or another robot has the same id. Whoever knows that run takes this one for a former one.
     pub(super) fn note_own_id(&mut self, now: Stamp, run: Stream) {
-        if run.origin == self.own.origin && run.epoch > self.own.epoch {
+        if run.origin == self.identity.own.origin && run.epoch > self.identity.own.epoch {
             self.ask_for_a_new_run(now, run.epoch);
         }
     }
@@ -35,15 +61,19 @@ impl Session {
     /// Somebody holds packages of this very run that it never made.
     pub(super) fn note_own_run_used(&mut self, now: Stamp) {
         self.tell_same_identity(now);
-        self.ask_for_a_new_run(now, self.own.epoch);
+        self.ask_for_a_new_run(now, self.identity.own.epoch);
     }
 
     fn ask_for_a_new_run(&mut self, now: Stamp, used: u64) {
-        if self.anew.not_before.is_none_or(|at| at <= now) && !mutation::is(Mutation::BeginAnewIgnored) {
-            let pause = (ANEW_PAUSE << self.anew.times.min(16)).min(ANEW_PAUSE_MAX);
-            self.anew =
-                Anew { times: self.anew.times.saturating_add(1), not_before: Some(now.plus_micros(pause)) };
-            self.counters.epoch_too_low += 1;
+        if self.identity.anew.not_before.is_none_or(|at| at <= now)
+            && !mutation::is(Mutation::BeginAnewIgnored)
+        {
+            let pause = (ANEW_PAUSE << self.identity.anew.times.min(16)).min(ANEW_PAUSE_MAX);
+            self.identity.anew = Anew {
+                times: self.identity.anew.times.saturating_add(1),
+                not_before: Some(now.plus_micros(pause)),
+            };
+            self.report.counters.epoch_too_low += 1;
             self.push_event(Event::EpochTooLow { used });
         }
     }
@@ -53,21 +83,21 @@ impl Session {
     /// the run so far.
     pub fn begin_run(&mut self, now: Stamp, epoch: u64) -> bool {
         let now = self.advance(now);
-        let former = self.own;
+        let former = self.identity.own;
         if epoch <= former.epoch {
             return false;
         }
-        self.own = Stream { epoch, ..former };
-        self.store.begin_run(self.own);
+        self.identity.own = Stream { epoch, ..former };
+        self.store.begin_run(self.identity.own);
         self.forget_stream(former);
         self.greet(now);
         true
     }
 
     pub(super) fn tell_same_identity(&mut self, now: Stamp) {
-        self.counters.same_identity += 1;
-        if self.same_identity_told.is_none_or(|told| now.micros_since(told) >= 10_000_000) {
-            self.same_identity_told = Some(now);
+        self.report.counters.same_identity += 1;
+        if self.identity.same_identity_told.is_none_or(|told| now.micros_since(told) >= 10_000_000) {
+            self.identity.same_identity_told = Some(now);
             self.push_event(Event::SameIdentity);
         }
     }

@@ -29,20 +29,21 @@ impl Session {
     /// Only peers count that hear this robot and are not silent. One that catches up, since it lacks more than 64 stored packages, counts only if there
     /// is no other. O(peers).
     pub fn pace(&self, now: Stamp) -> Pace {
-        let newest = self.store.newest_known(self.own);
-        let listens =
-            |peer: &&Peer| peer.hears(self.own.origin) && !peer.is_silent(now) && peer.wants(self.own);
+        let newest = self.store.newest_known(self.identity.own);
+        let listens = |peer: &&Peer| {
+            peer.hears(self.identity.own.origin) && !peer.is_silent(now) && peer.wants(self.identity.own)
+        };
         let (mut in_step, mut catching_up, mut waits) = (0, 0, false);
         for peer in self.peers.values().filter(listens) {
             // What is not stored any more cannot be sent as a package, and waits for nothing here.
-            let stored = |(low, high)| self.store.range(self.own, low, high);
-            let missing = match peer.views.get(&self.own) {
+            let stored = |(low, high)| self.store.range(self.identity.own, low, high);
+            let missing = match peer.views.get(&self.identity.own) {
                 Some(View { sending: Some(_), .. }) => usize::MAX,
                 Some(view) => {
                     let gaps = view.covered.missing(view.from.max(1), newest);
                     gaps.flat_map(stored).take(BACKLOG_MIN as usize + 1).count()
                 }
-                None if peer.takes_unnamed(self.own) => {
+                None if peer.takes_unnamed(self.identity.own) => {
                     stored((1, newest)).take(BACKLOG_MIN as usize + 1).count()
                 }
                 None => continue,

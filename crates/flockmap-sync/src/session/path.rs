@@ -4,6 +4,7 @@
 use super::peer::Peer;
 use super::{Destination, Session, Transmit};
 use crate::Cast;
+use crate::timers::Timer;
 use crate::wire::{Kind, PathMessage};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp};
@@ -24,7 +25,7 @@ fn challenge_pause() -> i64 {
 
 /// Where a peer is reached.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct PeerPath {
+pub(crate) struct PeerPath {
     /// The last path through which an answer came back.
     valid: Option<Path>,
     /// One that it was heard from and that is being tried, with the number that has to come back, and when that was sent last.
@@ -56,7 +57,7 @@ impl Session {
         if self.config.cast == Cast::Broadcast {
             return;
         }
-        let number = self.random(u64::MAX);
+        let number = self.schedule.random(u64::MAX);
         let Some(peer) = self.peers.get_mut(&id) else { return };
         if mutation::is(Mutation::PathUnasked) {
             peer.path.valid = Some(path);
@@ -87,7 +88,7 @@ impl Session {
         {
             peer.path = PeerPath { valid: Some(tried), tried: None };
             peer.queue_stale = true;
-            self.counters.paths_validated += 1;
+            self.report.counters.paths_validated += 1;
             self.greet(now);
         }
     }
@@ -95,28 +96,28 @@ impl Session {
     /// What waits already, because the budget is spent, is not said again.
     fn say_on_path(&mut self, id: RobotId, path: Path, message: PathMessage) {
         let what = (id, path, message);
-        if self.path_waiting.len() < WAITING_MAX && !self.path_waiting.contains(&what) {
-            self.path_waiting.push_back(what);
+        if self.outbox.path_waiting.len() < WAITING_MAX && !self.outbox.path_waiting.contains(&what) {
+            self.outbox.path_waiting.push_back(what);
         }
     }
 
     /// The next challenge or answer.
     pub(super) fn transmit_path(&mut self, now: Stamp) -> Option<Transmit> {
-        let &(id, path, message) = self.path_waiting.front()?;
+        let &(id, path, message) = self.outbox.path_waiting.front()?;
         let bytes = message.emit(self.header(now, Kind::Path));
         let cost = bytes.len() + self.overhead(Kind::Path);
         let link = self.peers.get_mut(&id).and_then(|peer: &mut Peer| peer.pacer.as_mut());
-        let mut pacers: Vec<_> = self.radio.iter_mut().chain(link).collect();
+        let mut pacers: Vec<_> = self.outbox.radio.iter_mut().chain(link).collect();
         if let Some(ready) = pacers.iter_mut().filter_map(|pacer| pacer.wait(now, cost)).max() {
-            self.wake = Some(ready);
-            self.counters.delayed_by_budget += 1;
+            self.schedule.timers.set(Timer::Budget, ready);
+            self.report.counters.delayed_by_budget += 1;
             return None;
         }
         for pacer in pacers {
             pacer.spend(now, cost);
         }
-        self.path_waiting.pop_front();
-        self.counters.paths_out.add(1, cost);
+        self.outbox.path_waiting.pop_front();
+        self.report.counters.paths_out.add(1, cost);
         Some(Transmit { to: Destination::Peer(id), path: Some(path), bytes })
     }
 }

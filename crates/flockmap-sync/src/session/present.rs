@@ -105,15 +105,15 @@ impl Session {
     pub fn provide_present_state(&mut self, now: Stamp, stream: Stream, tiles: Vec<Package>) {
         let now = self.advance(now);
         let Some(outgoing) = self.check_tiles(now, stream, tiles) else {
-            self.present_asked.insert(stream, now.plus_micros(ASK_AGAIN_DECLINED));
+            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN_DECLINED));
             return;
         };
-        self.outgoing.retain(|other| other.stream != stream || other.set != outgoing.set);
+        self.outbox.snapshots.retain(|other| other.stream != stream || other.set != outgoing.set);
         if !self.make_room_for_tiles(outgoing.bytes) {
-            self.present_asked.insert(stream, now.plus_micros(ASK_AGAIN_NO_ROOM));
+            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN_NO_ROOM));
             return;
         }
-        self.outgoing.push(outgoing);
+        self.outbox.snapshots.push(outgoing);
         let ids: Vec<RobotId> = self.peers.keys().copied().collect();
         for id in ids {
             if let Some(mut peer) = self.peers.remove(&id) {
@@ -127,19 +127,19 @@ impl Session {
     /// stays: sets that push each other out are never complete anywhere.
     fn make_room_for_tiles(&mut self, bytes: usize) -> bool {
         loop {
-            let held: usize = self.outgoing.iter().map(|outgoing| outgoing.bytes).sum();
+            let held: usize = self.outbox.snapshots.iter().map(|outgoing| outgoing.bytes).sum();
             if held + bytes <= self.config.present_state_bytes_max {
                 return true;
             }
             let is_idle = |at: &usize| {
-                let Outgoing { stream, set, .. } = self.outgoing[*at];
+                let Outgoing { stream, set, .. } = self.outbox.snapshots[*at];
                 let views = self.peers.values().filter_map(|peer| peer.views.get(&stream));
                 let mut sendings = views.filter_map(|view| view.sending.as_ref());
                 !sendings.any(|sending| sending.set == set && !sending.is_ignored())
             };
-            let idle = (0..self.outgoing.len()).filter(is_idle);
-            let Some(oldest) = idle.min_by_key(|&at| self.outgoing[at].used_at) else { return false };
-            self.outgoing.remove(oldest);
+            let idle = (0..self.outbox.snapshots.len()).filter(is_idle);
+            let Some(oldest) = idle.min_by_key(|&at| self.outbox.snapshots[at].used_at) else { return false };
+            self.outbox.snapshots.remove(oldest);
         }
     }
 
@@ -147,7 +147,7 @@ impl Session {
         let first = tiles.first()?.header();
         let (upto, count) = (first.index, tiles.len() as u32);
         let ContentKind::Present { since, set, .. } = first.content else {
-            self.counters.present_states_unusable += 1;
+            self.report.counters.present_states_unusable += 1;
             return None;
         };
         let bytes = tiles.iter().map(|tile| tile.bytes().len()).sum();
@@ -166,7 +166,7 @@ impl Session {
                         == ContentKind::Present { since, set, tile: number, tiles: count }
             });
         if !usable {
-            self.counters.present_states_unusable += 1;
+            self.report.counters.present_states_unusable += 1;
             return None;
         }
         Some(Outgoing { stream, set, since, upto, contents, tiles, bytes, used_at: now })
@@ -185,7 +185,7 @@ impl Session {
     fn goes_on_with_parts(&self, now: Stamp, peer: &mut Peer, stream: Stream) -> bool {
         let Some(view) = peer.view(stream, now) else { return false };
         let Some(sending) = &mut view.sending else { return false };
-        let of_set = self.outgoing.iter().find(|o| o.stream == stream && o.set == sending.set);
+        let of_set = self.outbox.snapshots.iter().find(|o| o.stream == stream && o.set == sending.set);
         let Some(contents) = of_set.and_then(|outgoing| outgoing.contents.as_ref()) else { return false };
         let wanted = view.state_wanted.as_ref().map(|wanted| wanted.undecodable.intersection(contents));
         let goes_on = !contents.difference(&view.held).is_empty() || wanted.is_some_and(|w| !w.is_empty());
@@ -225,9 +225,9 @@ impl Session {
             let rest = o.contents.as_ref().map(|contents| beyond.difference(contents));
             o.stream == stream && rest.is_some_and(|rest| rest.is_empty())
         };
-        if let Some(at) = self.outgoing.iter().rposition(has_it) {
-            self.outgoing[at].used_at = now;
-            view.sending = Some(self.outgoing[at].sending(now));
+        if let Some(at) = self.outbox.snapshots.iter().rposition(has_it) {
+            self.outbox.snapshots[at].used_at = now;
+            view.sending = Some(self.outbox.snapshots[at].sending(now));
             peer.queue_stale = true;
         } else {
             let (since, bytes_max) = (upto - 1, PARTS_TILE_BYTES_MAX);
@@ -239,14 +239,14 @@ impl Session {
 
     /// Whether its robot has begun a later run, or nobody here hears it in this one.
     fn has_ended(&self, stream: Stream) -> bool {
-        stream != self.own && (self.store.is_superseded(stream) || has_no_robot(&self.peers, stream))
+        stream != self.identity.own && (self.store.is_superseded(stream) || has_no_robot(&self.peers, stream))
     }
 
     /// Asks the driver for a state of a stream, unless that was done a moment ago.
     fn ask_for_state(&mut self, now: Stamp, stream: Stream, wanted: Event) {
-        if self.present_asked.get(&stream).is_none_or(|&again| again <= now) {
-            self.present_asked.insert(stream, now.plus_micros(ASK_AGAIN));
-            self.counters.present_states_wanted += 1;
+        if self.outbox.asked.get(&stream).is_none_or(|&again| again <= now) {
+            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN));
+            self.report.counters.present_states_wanted += 1;
             self.push_event(wanted);
         }
     }
@@ -272,7 +272,7 @@ impl Session {
             since_max = since_max.min(since);
         }
         if let Some(sending) = &mut view.sending {
-            let kept = self.outgoing.iter().any(|o| o.stream == stream && o.set == sending.set);
+            let kept = self.outbox.snapshots.iter().any(|o| o.stream == stream && o.set == sending.set);
             // What it cannot decode it states as held.
             let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto);
             // Of what lies above it the next one may be short.
@@ -297,16 +297,18 @@ impl Session {
         let since = if newer_than.is_some() { since_max } else { 0 };
         let all = self.weigh(stream, &missing, prefix);
         // The newest state at hand that will do, if any, tells what one costs.
-        let estimate = self.at_hand(stream, since_max).map_or(0, |at| self.outgoing[at].cost(since, prefix));
+        let estimate =
+            self.at_hand(stream, since_max).map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
         if wanted.is_none() && !self.config.present_state_is_worth(&all, estimate) {
             return;
         }
         let at_hand = self.at_hand(stream, since_max).filter(|&at| {
             // One that is on the air already costs nothing more; any other should not say much that is known.
-            self.outgoing[at].is_near(since) || self.is_on_air(stream, self.outgoing[at].set, id)
+            self.outbox.snapshots[at].is_near(since)
+                || self.is_on_air(stream, self.outbox.snapshots[at].set, id)
         });
         if let Some(at) = at_hand {
-            let (upto, cost) = (self.outgoing[at].upto, self.outgoing[at].bytes as u64);
+            let (upto, cost) = (self.outbox.snapshots[at].upto, self.outbox.snapshots[at].bytes as u64);
             let covered = self.weigh(stream, &missing, upto);
             let rest = all.bytes - covered.bytes;
             let is_enough = match wanted {
@@ -317,7 +319,7 @@ impl Session {
                 && is_enough
                 && rest <= (cost / 2).max(u64::from(self.config.present_state_bytes_min.unwrap_or(0)))
             {
-                let Some(outgoing) = self.outgoing.get_mut(at) else { return };
+                let Some(outgoing) = self.outbox.snapshots.get_mut(at) else { return };
                 outgoing.used_at = now;
                 view.sending = Some(outgoing.sending(now));
                 peer.queue_stale = true;
@@ -338,7 +340,7 @@ impl Session {
 
     /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.
     fn at_hand(&self, stream: Stream, since_max: u32) -> Option<usize> {
-        self.outgoing.iter().rposition(|outgoing| {
+        self.outbox.snapshots.iter().rposition(|outgoing| {
             outgoing.stream == stream && outgoing.contents.is_none() && outgoing.since <= since_max
         })
     }
@@ -377,14 +379,15 @@ impl Session {
     }
 
     pub(super) fn tile(&self, stream: Stream, set: u32, tile: u32) -> Option<&Package> {
-        self.outgoing.iter().find(|o| o.stream == stream && o.set == set)?.tiles.get(tile as usize)
+        self.outbox.snapshots.iter().find(|o| o.stream == stream && o.set == set)?.tiles.get(tile as usize)
     }
 
     /// Tiles of the present state on its way to the peer that are neither accepted nor in flight.
     pub(super) fn tiles_to_send(&self, stream: Stream, sending: &Sending) -> impl Iterator<Item = Item> {
         let set = sending.set;
         let count = self
-            .outgoing
+            .outbox
+            .snapshots
             .iter()
             .find(|outgoing| outgoing.stream == stream && outgoing.set == set)
             .map_or(0, |outgoing| outgoing.tiles.len() as u32);

@@ -20,8 +20,8 @@ impl Session {
         for package in packages {
             let (stream, index) = (package.header().stream, package.header().index);
             self.note_own_id(now, stream);
-            if stream == self.own {
-                self.counters.own_returned += 1;
+            if stream == self.identity.own {
+                self.report.counters.own_returned += 1;
                 if index > self.store.newest_known(stream) {
                     self.note_own_run_used(now);
                 }
@@ -65,7 +65,7 @@ impl Session {
                 if peer.stream.origin != from && peer.hears_all_listed && peer.hears(from) {
                     let item = Item::Package { stream, index };
                     if peer.cover_heard(item, now, 2 * self.config.in_flight_max) {
-                        self.counters.suppressed += 1;
+                        self.report.counters.suppressed += 1;
                     }
                 }
             }
@@ -73,18 +73,18 @@ impl Session {
     }
 
     pub(super) fn deliver(&mut self, now: Stamp, from: RobotId, item: Item, held: bool, package: Package) {
-        if self.events.len() >= EVENTS_MAX && !held && !self.inbox.is_pending(item) {
-            self.counters.events_overflowed += 1;
+        if self.report.events.len() >= EVENTS_MAX && !held && !self.inbox.is_pending(item) {
+            self.report.counters.events_overflowed += 1;
             return;
         }
         match self.inbox.take_in(now, from, item, held) {
             Intake::Taken => {
-                self.counters.received += 1;
-                self.events.push_back(Event::Received(package));
+                self.report.counters.received += 1;
+                self.report.events.push_back(Event::Received(package));
             }
-            Intake::Duplicate => self.counters.duplicates += 1,
-            Intake::Unwanted => self.counters.rejected += 1,
-            Intake::Full => self.counters.events_overflowed += 1,
+            Intake::Duplicate => self.report.counters.duplicates += 1,
+            Intake::Unwanted => self.report.counters.rejected += 1,
+            Intake::Full => self.report.counters.events_overflowed += 1,
         }
     }
 
@@ -94,18 +94,18 @@ impl Session {
             if let Some(package) = self.inbox.next_released(&self.store) {
                 return Some(Event::Received(package));
             }
-            match self.events.pop_front()? {
+            match self.report.events.pop_front()? {
                 Event::Received(package) => match self.inbox.look_at(package, &self.store) {
                     Turn::HandOut(package) => return Some(Event::Received(package)),
                     Turn::Waits(dropped) => {
-                        self.counters.waited += 1;
+                        self.report.counters.waited += 1;
                         dropped.into_iter().for_each(|package| self.drop_waiting(&package));
                     }
-                    Turn::Merged(package) => self.accept(self.now, &package),
+                    Turn::Merged(package) => self.accept(self.clocks.now(), &package),
                     Turn::Settled => {}
                     Turn::TakesPlaceOf((stream, set), package) => {
-                        self.events.push_front(Event::Received(package));
-                        self.restart_present_state(self.now, stream, set);
+                        self.report.events.push_front(Event::Received(package));
+                        self.restart_present_state(self.clocks.now(), stream, set);
                         return Some(Event::StateDropped { stream, set });
                     }
                 },
@@ -125,9 +125,9 @@ impl Session {
 
     /// There is no room any more for something that waited.
     fn drop_waiting(&mut self, package: &Package) {
-        self.counters.waiting_dropped += 1;
+        self.report.counters.waiting_dropped += 1;
         let header = package.header();
-        self.back_off(self.now, package);
+        self.back_off(self.clocks.now(), package);
         if header.content == ContentKind::Changes {
             let (stream, index, reference) = (header.stream, header.index, header.reference);
             self.push_event(Event::NoRoomToWait { stream, index, reference });
@@ -160,7 +160,7 @@ impl Session {
                 if self.inbox.note_undecodable(stream, index) =>
             {
                 self.inbox.take_out(item);
-                self.counters.given_up += 1;
+                self.report.counters.given_up += 1;
                 self.note_gap(now, true);
             }
             _ => self.back_off(now, package),
@@ -171,7 +171,7 @@ impl Session {
     fn back_off(&mut self, now: Stamp, package: &Package) {
         let item = Item::of(package);
         while self.inbox.take_out(item).is_some() {
-            self.counters.rejected += 1;
+            self.report.counters.rejected += 1;
             self.inbox.back_off(now, item);
         }
     }
@@ -206,15 +206,15 @@ impl Session {
                 {
                     self.finish_transfers(now);
                 }
-                self.counters.accepted += u64::from(is_new);
-                self.counters.repaired += u64::from(is_new && fills_gap);
+                self.report.counters.accepted += u64::from(is_new);
+                self.report.counters.repaired += u64::from(is_new && fills_gap);
                 if is_new && fills_gap {
                     self.note_gap_filled();
                 }
                 self.mark_queues_stale();
             }
-            Err(NoRoom::Intervals) => self.counters.too_fragmented += 1,
-            Err(_) => self.counters.too_many_streams += 1,
+            Err(NoRoom::Intervals) => self.report.counters.too_fragmented += 1,
+            Err(_) => self.report.counters.too_many_streams += 1,
         }
     }
 }

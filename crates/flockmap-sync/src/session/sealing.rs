@@ -31,15 +31,15 @@ impl SealedCounters {
 impl Session {
     /// Whether some datagram cannot be sealed any more: one more would need a nonce that was used. Tells the driver, once.
     pub(super) fn check_spent(&mut self) -> bool {
-        if self.is_spent() && !self.spent_told {
-            self.spent_told = true;
+        if self.is_spent() && !self.identity.spent_told {
+            self.identity.spent_told = true;
             self.push_event(Event::CountersSpent);
         }
         self.is_spent()
     }
 
     pub(super) fn is_spent(&self) -> bool {
-        self.config.swarm_key.is_some() && self.sealed.is_exhausted
+        self.config.swarm_key.is_some() && self.identity.sealed.is_exhausted
     }
 
     /// Seals a datagram that is about to go out, if there is a key.
@@ -49,11 +49,11 @@ impl Session {
             Destination::Peer(robot) => Some(robot),
             Destination::Everyone => None,
         };
-        let last = self.sealed.last_mut(recipient);
+        let last = self.identity.sealed.last_mut(recipient);
         let bytes = seal_datagram(key, &self.config.salt, &transmit.bytes, recipient, *last + 1)?;
         debug_assert!(bytes.len() <= self.config.datagram_bytes_max, "{} bytes sealed", bytes.len());
         *last += u64::from(!mutation::is(Mutation::NonceRepeated));
-        self.sealed.is_exhausted |= *last >= COUNTER_MAX;
+        self.identity.sealed.is_exhausted |= *last >= COUNTER_MAX;
         Some(Transmit { bytes, ..transmit })
     }
 
@@ -65,10 +65,14 @@ impl Session {
         let Some(key) = &self.config.swarm_key else {
             return Err(DatagramError::SealedWithoutKey { sender: sender.origin });
         };
-        let known = if sender == self.own { Some(self.config.salt) } else { self.replays.salt(sender) };
+        let known = if sender == self.identity.own {
+            Some(self.config.salt)
+        } else {
+            self.identity.replays.salt(sender)
+        };
         let salt = datagram.salt().or(known).ok_or(DatagramError::UnknownRun { sender: sender.origin })?;
-        let opened = datagram.open(key, &salt, self.own.origin)?;
-        if sender.origin == self.own.origin {
+        let opened = datagram.open(key, &salt, self.identity.own.origin)?;
+        if sender.origin == self.identity.own.origin {
             self.check_own(now, sender, salt)?;
             return Ok(opened);
         }
@@ -76,7 +80,7 @@ impl Session {
             // Two runs of one robot with the same epoch: by chance once in 2³², else a driver that does not draw its epochs.
             return Err(DatagramError::Replayed { sender: sender.origin, counter });
         }
-        let fresh = self.replays.check(sender, is_for_one, counter);
+        let fresh = self.identity.replays.check(sender, is_for_one, counter);
         let fresh = if mutation::is(Mutation::ReplayAccepted) { Ok(()) } else { fresh };
         fresh.map_err(|not_fresh| match not_fresh {
             NotFresh::Replayed => DatagramError::Replayed { sender: sender.origin, counter },
@@ -89,14 +93,14 @@ impl Session {
             }
         })?;
         let is_peer = self.peers.contains_key(&sender.origin);
-        self.replays.note(sender, salt, is_for_one, counter, is_peer);
+        self.identity.replays.note(sender, salt, is_for_one, counter, is_peer);
         Ok(opened)
     }
 
     /// A genuine datagram in the own name: of a former run, if somebody replays it; of another robot, if it is sealed by another run;
     /// else an own one heard back.
     fn check_own(&mut self, now: Stamp, sender: Stream, salt: [u8; 16]) -> Result<(), DatagramError> {
-        let (id, current) = (self.own.origin, self.own.epoch);
+        let (id, current) = (self.identity.own.origin, self.identity.own.epoch);
         if sender.epoch < current {
             return Err(DatagramError::StaleEpoch { sender: id, got: sender.epoch, current });
         }
@@ -141,7 +145,7 @@ mod tests {
     #[test]
     fn at_the_end_of_its_counters_a_session_falls_silent_and_says_so_once() {
         let mut session = session(1, 1);
-        session.sealed.for_all = COUNTER_MAX - 1;
+        session.identity.sealed.for_all = COUNTER_MAX - 1;
         let bytes = session.poll_transmit(Stamp(0)).unwrap().bytes;
         assert_eq!(SealedDatagram::new_checked(&bytes).unwrap().counter(), COUNTER_MAX);
         for second in 1..100 {
@@ -211,14 +215,14 @@ mod tests {
         for second in 0..9 {
             for id in 2..40 {
                 let mut sender = session(id, 1);
-                sender.sealed.for_all = second as u64;
+                sender.identity.sealed.for_all = second as u64;
                 let bytes = sender.poll_transmit(Stamp(0)).unwrap().bytes;
                 let _ = receiver.handle_datagram(Stamp(second * 1_000_000), &bytes);
             }
         }
-        assert_eq!((receiver.peers().count(), receiver.replays.windows()), (4, 4));
+        assert_eq!((receiver.peers().count(), receiver.identity.replays.windows()), (4, 4));
         assert!(receiver.counters().too_many_peers > 100);
         receiver.handle_timeout(Stamp(60_000_000));
-        assert_eq!((receiver.peers().count(), receiver.replays.windows()), (0, 0));
+        assert_eq!((receiver.peers().count(), receiver.identity.replays.windows()), (0, 0));
     }
 }

@@ -4,6 +4,7 @@ use super::peer::{Peer, Sent, View};
 use super::{Destination, Session, Transmit};
 use crate::Cast;
 use crate::item::Item;
+use crate::timers::Timer;
 use crate::wire::{Contents, Kind, PackagesWriter};
 use flockmap_codec::Package;
 use flockmap_grid::mutation::{self, Mutation};
@@ -103,8 +104,8 @@ impl Peer {
 impl Session {
     /// The next datagram of packages, serving the peers in turn.
     pub(super) fn transmit_packages(&mut self, now: Stamp) -> Option<Transmit> {
-        let overtaken = self.overtaken.take();
-        let after = |id: &&RobotId| **id > self.served;
+        let overtaken = self.outbox.overtaken.take();
+        let after = |id: &&RobotId| **id > self.outbox.served;
         let ids: Vec<RobotId> = self
             .peers
             .keys()
@@ -118,11 +119,11 @@ impl Session {
             self.peers.insert(id, peer);
             match attempt {
                 Attempt::Send { bytes, items } => {
-                    self.served = id;
+                    self.outbox.served = id;
                     return Some(self.sent_to(now, id, bytes, &items));
                 }
                 Attempt::RadioSpent => {
-                    self.overtaken = Some(overtaken.unwrap_or(0));
+                    self.outbox.overtaken = Some(overtaken.unwrap_or(0));
                     return None;
                 }
                 Attempt::Nothing => {}
@@ -134,20 +135,20 @@ impl Session {
     /// Whether some datagram of packages has waited for so long that requests are to wait for it.
     pub(super) fn is_overtaken(&self) -> bool {
         let links = self.peers.values().map(|peer| peer.overtaken);
-        links.chain([self.overtaken]).flatten().any(|requests| requests >= OVERTAKEN_MAX)
+        links.chain([self.outbox.overtaken]).flatten().any(|requests| requests >= OVERTAKEN_MAX)
     }
 
     /// A request to everyone went out.
     pub(super) fn note_overtaken(&mut self) {
         let links = self.peers.values_mut().map(|peer| &mut peer.overtaken);
-        for requests in links.chain([&mut self.overtaken]).flatten() {
+        for requests in links.chain([&mut self.outbox.overtaken]).flatten() {
             *requests = requests.saturating_add(1);
         }
     }
 
     fn attempt(&mut self, now: Stamp, peer: &mut Peer) -> Attempt {
         let overtaken = peer.overtaken.take();
-        if !peer.hears(self.own.origin) || peer.is_silent(now) || !peer.path.is_open() {
+        if !peer.hears(self.identity.own.origin) || peer.is_silent(now) || !peer.path.is_open() {
             return Attempt::Nothing;
         }
         if peer.queue_stale {
@@ -158,22 +159,22 @@ impl Session {
             return Attempt::Nothing;
         }
         if peer.in_flight.len() >= self.config.in_flight_max && !mutation::is(Mutation::WindowIgnored) {
-            self.counters.delayed_by_window += 1;
+            self.report.counters.delayed_by_window += 1;
             return Attempt::Nothing;
         }
         let cost = writer.bytes() + self.overhead(Kind::Packages);
         let link = peer.pacer.as_mut().and_then(|pacer| pacer.wait(now, cost));
-        let radio = self.radio.as_mut().and_then(|radio| radio.wait(now, cost));
+        let radio = self.outbox.radio.as_mut().and_then(|radio| radio.wait(now, cost));
         if let Some(ready) = link.max(radio) {
-            self.wake = Some(self.wake.map_or(ready, |earlier| earlier.min(ready)));
-            self.counters.delayed_by_budget += 1;
+            self.schedule.timers.set_sooner(Timer::Budget, ready);
+            self.report.counters.delayed_by_budget += 1;
             if radio.is_some() {
                 return Attempt::RadioSpent;
             }
             peer.overtaken = Some(overtaken.unwrap_or(0));
             return Attempt::Nothing;
         }
-        for pacer in [peer.pacer.as_mut(), self.radio.as_mut()].into_iter().flatten() {
+        for pacer in [peer.pacer.as_mut(), self.outbox.radio.as_mut()].into_iter().flatten() {
             pacer.spend(now, cost);
         }
         let mut items = Vec::with_capacity(positions.len());
@@ -228,13 +229,13 @@ impl Session {
             Cast::Broadcast => Destination::Everyone,
         };
         let each = bytes.len() + self.overhead(Kind::Packages);
-        self.counters.packages_out.add(1, each);
+        self.report.counters.packages_out.add(1, each);
         for &item in items {
-            self.counters.sent += 1;
-            self.counters.relayed += u64::from(item.stream().origin != self.own.origin);
-            self.counters.tiles_sent += u64::from(matches!(item, Item::Tile { .. }));
+            self.report.counters.sent += 1;
+            self.report.counters.relayed += u64::from(item.stream().origin != self.identity.own.origin);
+            self.report.counters.tiles_sent += u64::from(matches!(item, Item::Tile { .. }));
         }
-        let own = self.own.origin;
+        let own = self.identity.own.origin;
         for (&other, peer) in &mut self.peers {
             if other == id || (to == Destination::Everyone && peer.hears(own)) {
                 // What everyone hears is noted for everyone, as far as twice the limit goes.
@@ -255,7 +256,7 @@ impl Session {
     /// What a tile's set contains, where that has to be told.
     fn contents(&self, item: Item) -> Option<Contents> {
         let Item::Tile { stream, set, .. } = item else { return None };
-        let outgoing = self.outgoing.iter().find(|o| o.stream == stream && o.set == set)?;
+        let outgoing = self.outbox.snapshots.iter().find(|o| o.stream == stream && o.set == set)?;
         Some(Contents { stream, set, held: outgoing.contents.clone()? })
     }
 

@@ -12,7 +12,7 @@ impl Session {
         let (stream, upto) = (tile_of.stream, tile_of.upto);
         self.store.note_newest(stream, upto, now);
         if self.store.held(stream).is_some_and(|held| held.contains_range(1, upto)) {
-            self.counters.duplicates += 1;
+            self.report.counters.duplicates += 1;
             return;
         }
         let from = tile_of.source;
@@ -25,15 +25,15 @@ impl Session {
                     self.finish_transfers(now);
                 }
                 if self.inbox.transfers.len() >= self.config.transfers_max {
-                    self.counters.transfers_dropped += u64::from(self.inbox.make_way(
+                    self.report.counters.transfers_dropped += u64::from(self.inbox.make_way(
                         &tile_of,
-                        self.own.origin,
+                        self.identity.own.origin,
                         self.config.cast,
                         &self.store,
                     ));
                 }
                 if self.inbox.transfers.len() >= self.config.transfers_max {
-                    self.counters.too_many_transfers += 1;
+                    self.report.counters.too_many_transfers += 1;
                     return;
                 }
                 self.inbox.transfers.push(tile_of);
@@ -54,9 +54,9 @@ impl Session {
             self.inbox.transfers.iter().position(|t| (t.source, t.stream, t.set) == (from, stream, set));
         let Some(at) = found else { return };
         match self.inbox.transfers[at].accepted.insert(tile + 1) {
-            Ok(is_new) => self.counters.tiles_accepted += u64::from(is_new),
+            Ok(is_new) => self.report.counters.tiles_accepted += u64::from(is_new),
             Err(_) => {
-                self.counters.too_fragmented += 1;
+                self.report.counters.too_fragmented += 1;
                 return;
             }
         }
@@ -68,7 +68,7 @@ impl Session {
     pub fn restart_present_state(&mut self, now: Stamp, stream: Stream, set: u32) {
         let now = self.advance(now);
         self.inbox.restart(stream, set);
-        self.counters.present_states_restarted += 1;
+        self.report.counters.present_states_restarted += 1;
         self.note_gap(now, true);
     }
 
@@ -101,7 +101,7 @@ impl Session {
             }
             self.inbox.settle(stream, &news);
             if is_held {
-                self.counters.caught_up += 1;
+                self.report.counters.caught_up += 1;
                 let upto = self.store.held(stream).map_or(0, IntervalSet::prefix);
                 if let Some((set, held)) = contents {
                     self.push_event(Event::StateContains { stream, set, held });
@@ -112,9 +112,9 @@ impl Session {
                 self.greet(now);
             } else {
                 // Stays complete, and counts once some gaps are filled.
-                self.counters.too_fragmented += 1;
+                self.report.counters.too_fragmented += 1;
             }
         }
-        self.counters.transfers_dropped += self.inbox.drop_done(now, &self.store);
+        self.report.counters.transfers_dropped += self.inbox.drop_done(now, &self.store);
     }
 }

@@ -1,0 +1,271 @@
+//! Requests: what they say.
+
+use super::{Destination, Session, Transmit};
+use crate::timers::Timer;
+use crate::wire::{ClockReport, Covered, Echo, Held, Kind, Request, StateWanted, TransferProgress};
+use crate::{Cast, IntervalSet};
+use flockmap_grid::mutation::{self, Mutation};
+use flockmap_grid::{RobotId, Stamp, Stream};
+
+/// A request to all takes at most one part in so many of a second's worth of a budget …
+const BUDGET_SHARE_AT_ONCE: usize = 2;
+/// Lists of held indices that come before the origins in turn.
+const URGENT_MAX: usize = 64;
+/// … but a request is never cut below so many bytes: it has to say something of each transfer and stream in turn.
+const REQUEST_BYTES_MIN: usize = 280;
+/// Nor below so many when it is sealed, which is less before: all peers at once are to get one out of a thin budget.
+const SEALED_REQUEST_BYTES_MIN: usize = 299;
+
+impl Session {
+    pub(super) fn transmit_request(&mut self, now: Stamp) -> Option<Transmit> {
+        self.finish_transfers(now);
+        let timers = &self.schedule.timers;
+        let for_gap = timers.is_due(Timer::Gap, now);
+        let for_all = [Timer::Request, Timer::Greeting, Timer::Probe].iter().any(|t| timers.is_due(*t, now));
+        let to = if for_gap && !for_all { self.whom_to_ask(now) } else { Destination::Everyone };
+        let copies = self.copies(to);
+        let header = self.header(now, Kind::Request);
+        let (request, urgent) = self.request(now);
+        let (bytes, covered) = request.emit_in_turn(header, self.request_bytes_max(copies as usize), urgent);
+        let each = bytes.len() + self.overhead(Kind::Request);
+        let total = each * copies as usize;
+        let radio = self.outbox.radio.iter_mut().map(|radio| (radio, total));
+        let links = self.peers.iter_mut().filter(|(id, _)| to.includes(**id));
+        let links = links.filter_map(|(_, peer)| Some((peer.pacer.as_mut()?, each)));
+        let mut pacers: Vec<_> = radio.chain(links).collect();
+        if let Some(ready) = pacers.iter_mut().filter_map(|(pacer, bytes)| pacer.wait(now, *bytes)).max() {
+            self.schedule.timers.set(Timer::Budget, ready);
+            self.report.counters.delayed_by_budget += 1;
+            return None;
+        }
+        for (pacer, bytes) in pacers {
+            pacer.spend(now, bytes);
+        }
+        self.schedule.budget_pause = self.budget_pause(each, copies as usize);
+        self.report.counters.requests_out.add(copies, each);
+        if let Destination::Peer(id) = to
+            && let Some(peer) = self.peers.get_mut(&id)
+        {
+            peer.traffic_out.add(1, each);
+        }
+        if to == Destination::Everyone {
+            self.move_cursor(covered);
+            self.note_overtaken();
+            self.schedule.superseded = None;
+        }
+        self.schedule_next(now, for_gap, to);
+        let path = match to {
+            Destination::Peer(id) => self.peers.get(&id).and_then(|peer| peer.path.valid()),
+            Destination::Everyone => None,
+        };
+        Some(Transmit { to, path, bytes })
+    }
+
+    /// Longest request that leaves most of a second's worth of a small budget to packages.
+    fn request_bytes_max(&self, copies: usize) -> usize {
+        let link = self.config.link_bytes_per_s.map(|rate| rate as usize);
+        let radio = self.config.radio_bytes_per_s.map(|rate| rate as usize / copies.max(1));
+        let rate = link.into_iter().chain(radio).min().unwrap_or(usize::MAX);
+        let least = REQUEST_BYTES_MIN.min(SEALED_REQUEST_BYTES_MIN - self.seal_bytes(Kind::Request));
+        (rate / BUDGET_SHARE_AT_ONCE)
+            .saturating_sub(self.overhead(Kind::Request))
+            .clamp(least, self.plain_bytes_max(Kind::Request))
+    }
+
+    /// By unicast the first request for a gap goes to the origin alone if it is heard; later ones go to everyone.
+    fn whom_to_ask(&self, now: Stamp) -> Destination {
+        if self.config.cast == Cast::Unicast && self.schedule.gap_tries == 0 {
+            let mut streams = self.gaps(now);
+            if let (Some(stream), None) = (streams.next(), streams.next())
+                && self
+                    .peers
+                    .get(&stream.origin)
+                    .is_some_and(|peer| peer.stream == stream && peer.path.is_open())
+            {
+                return Destination::Peer(stream.origin);
+            }
+        }
+        Destination::Everyone
+    }
+
+    /// What there is to say; and how many of the lists of held indices are urgent: the own one, and those with gaps.
+    fn request(&self, now: Stamp) -> (Request, usize) {
+        let count = self.schedule.count;
+        let mut echoes: Vec<Echo> = self
+            .peers
+            .values()
+            .map(|peer| Echo {
+                robot: peer.stream.origin,
+                epoch_low: peer.stream.epoch as u16,
+                stamp_low: peer.newest_stamp.0 as u32,
+                age_micros: now.micros_since(peer.newest_stamp_at).clamp(0, i64::from(u32::MAX)) as u32,
+            })
+            .collect();
+        if !echoes.is_empty() {
+            let start = count * 8 % echoes.len();
+            echoes.rotate_left(start);
+        }
+        let (held, urgent) = self.held_lists(now);
+        let transfers = self.inbox.transfers.iter().map(|transfer| TransferProgress {
+            source: transfer.source,
+            stream: transfer.stream,
+            since: transfer.since,
+            upto: transfer.upto,
+            set: transfer.set,
+            tiles: transfer.tiles,
+            from: 1,
+            accepted: union_with(&transfer.accepted, self.inbox.unwanted_tiles(transfer, now)),
+        });
+        let mut transfers: Vec<TransferProgress> = transfers.collect();
+        if !transfers.is_empty() {
+            let start = count % transfers.len();
+            transfers.rotate_left(start);
+        }
+        let request = Request {
+            covered: Some(Covered::all_from(self.schedule.cursor)),
+            all_echoes: true,
+            no_new_streams: self.store.is_full(),
+            echoes,
+            held,
+            transfers,
+            clocks: self.clock_reports(),
+            states_wanted: self.states_wanted(now),
+        };
+        (request, urgent)
+    }
+
+    /// The lists of held indices in the order in which they are to be written, and how many of them are urgent. Urgent are: the own run; the
+    /// run that a robot heard in a former one has to learn of; runs with gaps, in turn. Then come all runs, origin by origin from the cursor on.
+    fn held_lists(&self, now: Stamp) -> (Vec<Held>, usize) {
+        let list = |stream: Stream| Held {
+            stream,
+            is_oldest_wanted: self.store.is_oldest_wanted(stream),
+            from: 1,
+            held: self.stated_as_held(stream, now),
+        };
+        let mut urgent: Vec<Stream> = self.gaps(now).collect();
+        if !urgent.is_empty() {
+            let start = self.schedule.count % urgent.len();
+            urgent.rotate_left(start);
+        }
+        urgent.truncate(URGENT_MAX);
+        let own = Some(self.identity.own).filter(|own| self.store.newest_known(*own) > 0);
+        let first = own.into_iter().chain(self.schedule.superseded);
+        let mut lists: Vec<Held> = first.chain(urgent).map(list).collect();
+        let urgent = lists.len();
+
+        let from_cursor = |stream: &Stream| stream.origin.0.wrapping_sub(self.schedule.cursor.0);
+        let mut streams: Vec<Stream> = self.store.streams().collect();
+        streams.sort_by_key(|stream| (from_cursor(stream), core::cmp::Reverse(stream.epoch)));
+        // Of a robot with more runs than fit into a request each comes first in turn.
+        if let Some(first) = streams.first().map(|stream| stream.origin) {
+            let runs = streams.iter().take_while(|stream| stream.origin == first).count();
+            streams[..runs].rotate_left(self.schedule.rounds as usize % runs);
+        }
+        // The newest run of a robot is named also where nothing of it is held: the robot may fly in a former one, out of earshot.
+        let is_newest = |stream: Stream| stream != self.identity.own && !self.store.is_superseded(stream);
+        let named = streams.into_iter().map(list);
+        lists.extend(
+            named.filter(|held| held.is_oldest_wanted || !held.held.is_empty() || is_newest(held.stream)),
+        );
+        (lists, urgent)
+    }
+
+    /// A present state of each stream of which something can only be had that way.
+    fn states_wanted(&self, now: Stamp) -> Vec<StateWanted> {
+        let mut wanted: Vec<StateWanted> = self
+            .inbox
+            .undecodable()
+            .iter()
+            .filter_map(|(&stream, undecodable)| {
+                // What waits for a verdict, or was rejected, may never be held either.
+                let unheld = self.stated_as_held(stream, now).difference(self.store.held(stream)?);
+                let since = unheld.first()? - 1;
+                let undecodable = undecodable.within(since + 1, u32::MAX);
+                (!undecodable.is_empty()).then_some(StateWanted { stream, since, from: 1, undecodable })
+            })
+            .collect();
+        if !wanted.is_empty() {
+            let start = self.schedule.count % wanted.len();
+            wanted.rotate_left(start);
+        }
+        wanted
+    }
+
+    /// A request to everyone went out: the next one begins with the first origin that this one did not cover.
+    fn move_cursor(&mut self, covered: Option<Covered>) {
+        let cursor = self.schedule.cursor;
+        if mutation::is(Mutation::OriginsNotInTurn) {
+            return;
+        }
+        let next = match covered {
+            Some(covered) if covered.is_all() => cursor,
+            Some(covered) => RobotId(covered.last.0.wrapping_add(1)),
+            // Not all runs of one robot fit: the others are not to wait for them.
+            None => {
+                let after = self.store.streams().map(|stream| stream.origin).find(|origin| *origin > cursor);
+                after.unwrap_or(RobotId(0))
+            }
+        };
+        self.schedule.rounds = self.schedule.rounds.wrapping_add(u32::from(next <= cursor));
+        self.schedule.cursor = next;
+    }
+
+    /// What is held, and what nobody shall send just now: what waits for a verdict, what was rejected a moment ago, and what
+    /// only a present state can bring.
+    pub(super) fn stated_as_held(&self, stream: Stream, now: Stamp) -> IntervalSet {
+        let Some(held) = self.store.held(stream) else { return IntervalSet::new(0) };
+        if mutation::is(Mutation::GapNeverAsked) {
+            return IntervalSet::from_intervals(0, vec![(1, self.store.newest_known(stream))]);
+        }
+        union_with(held, self.inbox.unwanted_packages(stream, now))
+    }
+
+    /// Clocks of peers that somebody else here cannot hear.
+    fn clock_reports(&self) -> Vec<ClockReport> {
+        let unheard_by_somebody = |robot: RobotId| {
+            self.peers.values().any(|peer| {
+                peer.stream.origin != robot
+                    && peer.request.is_some()
+                    && peer.hears_all_listed
+                    && !peer.hears(robot)
+            })
+        };
+        self.peers
+            .values()
+            .filter(|peer| unheard_by_somebody(peer.stream.origin))
+            .filter_map(|peer| {
+                Some(ClockReport {
+                    robot: peer.stream.origin,
+                    epoch_low: peer.stream.epoch as u16,
+                    offset_micros: self.clocks.of_peer(peer)?,
+                })
+            })
+            .collect()
+    }
+}
+
+fn union_with(set: &IntervalSet, intervals: Vec<(u32, u32)>) -> IntervalSet {
+    if intervals.is_empty() { set.clone() } else { set.union(&IntervalSet::from_intervals(0, intervals)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{SessionConfig, SwarmKey};
+
+    #[test]
+    fn the_longest_request_of_a_thin_budget_is_as_long_as_its_option_says() {
+        let key = Some(SwarmKey::from_bytes([7; 32]));
+        for (swarm_key, longest) in [(None, 308), (key, 327)] {
+            let config = SessionConfig {
+                swarm_key,
+                salt: [9; 16],
+                radio_bytes_per_s: Some(600),
+                ..SessionConfig::default()
+            };
+            let session = Session::new(Stream { origin: RobotId(1), epoch: 1 }, config, 1).unwrap();
+            assert_eq!(session.request_bytes_max(5) + session.overhead(Kind::Request), longest);
+        }
+    }
+}

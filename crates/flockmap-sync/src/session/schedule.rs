@@ -1,0 +1,240 @@
+//! When requests go out.
+
+use super::{Destination, Session};
+use crate::session::peer::Peer;
+use crate::timers::{Timer, Timers};
+use flockmap_grid::{RobotId, Stamp, Stream};
+
+/// When requests are due, and where they begin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Schedule {
+    pub(super) timers: Timers,
+    random: u64,
+    /// Requests for gaps since one was filled last, or a new one was seen.
+    pub(super) gap_tries: u32,
+    probes_left: u8,
+    last: Stamp,
+    /// Least pause after the last request, so that requests leave most of a small budget to packages.
+    pub(super) budget_pause: i64,
+    last_activity: Stamp,
+    /// Requests made: lists that do not fit begin at another place each time.
+    pub(super) count: usize,
+    /// The first origin that the next request covers; and how often all were.
+    pub(super) cursor: RobotId,
+    pub(super) rounds: u32,
+    /// A run of a robot that was heard in an earlier one: it should learn of it soon.
+    pub(super) superseded: Option<Stream>,
+    superseded_told: Option<Stamp>,
+}
+
+impl Schedule {
+    /// The first request is due at once.
+    pub(super) fn new(seed: u64) -> Self {
+        let never = Stamp(i64::MIN);
+        let mut timers = Timers::default();
+        timers.set(Timer::Request, never);
+        Self {
+            timers,
+            random: seed,
+            gap_tries: 0,
+            probes_left: 0,
+            last: never,
+            budget_pause: 0,
+            last_activity: never,
+            count: 0,
+            cursor: RobotId(0),
+            rounds: 0,
+            superseded: None,
+            superseded_told: None,
+        }
+    }
+
+    /// A number from 0 to `below` − 1 (SplitMix64).
+    pub(super) fn random(&mut self, below: u64) -> u64 {
+        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.random;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (z ^ (z >> 31)) % below.max(1)
+    }
+}
+
+/// New peers are greeted after at most so long, each robot at another time.
+const GREETING_JITTER: u64 = 20_000;
+/// Least pause before a greeting, so that ever new runs of a faulty peer do not make us talk without end.
+const GREETING_PAUSE: i64 = 50_000;
+/// Least pause between requests that go out because a robot was heard in a former run: replays must not make us talk.
+const SUPERSEDED_PAUSE: i64 = 1_000_000;
+/// So many requests for gaps go out at the shortest pause; after that the pause doubles each time. Over a radio that loses every
+/// second datagram, one round of request and answer in four succeeds.
+const GAP_TRIES: u32 = 10;
+/// In a swarm larger than [`SMALL_SWARM`], whose requests add up on the radio.
+const GAP_TRIES_OF_MANY: u32 = 3;
+/// Peers of a small swarm.
+const SMALL_SWARM: usize = 8;
+/// After so many requests that brought nothing, a gap does not count as something that flows.
+const ACTIVE_TRIES: u32 = 64;
+/// Longest pause between requests for gaps that stay; periodic ones go on beside them.
+const GAP_PAUSE_MAX: i64 = 60_000_000;
+/// Requests in which the peers are made to look whether the end of a burst is lost.
+const PROBES: u8 = 2;
+/// Packages that follow this soon make a probe needless.
+const PROBE_AFTER: i64 = 120_000;
+/// Share of losses above which that is worth a datagram; below, the next packages tell soon enough.
+const PROBE_LOSS_MIN: u32 = crate::link::LOSS_ONE / 6;
+/// Requests take at most one part in so many of a budget over time …
+const BUDGET_SHARE_OVER_TIME: i64 = 8;
+
+impl Session {
+    /// Packages flow: the next periodic request is due sooner.
+    pub(super) fn note_activity(&mut self, now: Stamp) {
+        let period = i64::from(self.config.request_period_active_ms) * 1_000;
+        let soon = now.plus_micros(period).max(self.schedule.last.plus_micros(self.schedule.budget_pause));
+        self.schedule.last_activity = now;
+        self.schedule.timers.set_sooner(Timer::Request, soon);
+    }
+
+    /// A new peer: it should learn soon that it is heard.
+    pub(super) fn greet(&mut self, now: Stamp) {
+        let pause = GREETING_PAUSE.max(self.schedule.budget_pause);
+        let at = now.max(self.schedule.last.plus_micros(pause));
+        let at = at.plus_micros(self.schedule.random(GREETING_JITTER) as i64);
+        self.schedule.timers.set_sooner(Timer::Greeting, at);
+    }
+
+    /// A robot was heard in a run before the newest one that is known of it: it should learn of that one, and begin anew above it.
+    pub(super) fn tell_superseded(&mut self, now: Stamp, newest: Stream) {
+        if self.schedule.superseded_told.is_none_or(|told| now.micros_since(told) >= SUPERSEDED_PAUSE) {
+            self.schedule.superseded_told = Some(now);
+            self.schedule.superseded = Some(newest);
+            self.greet(now);
+        }
+    }
+
+    /// Something may be missing. `certain`: a later package has arrived, so it is late or lost.
+    pub(super) fn note_gap(&mut self, now: Stamp, certain: bool) {
+        if !self.config.gap_requests {
+            return;
+        }
+        if certain {
+            self.schedule.gap_tries = 0;
+        }
+        let patience = self.peers.values().map(|peer| 2 * peer.round_trip.variation()).max().unwrap_or(0);
+        let patience = patience.clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
+        let at = now.plus_micros(patience).max(self.schedule.last.plus_micros(self.gap_pause()));
+        self.schedule.timers.set_sooner(Timer::Gap, at);
+    }
+
+    /// Pause between two requests for gaps: an answer needs the round trip at least.
+    fn gap_pause(&self) -> i64 {
+        let round_trip = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
+        let shortest = (i64::from(self.config.gap_request_pause_ms) * 1_000).max(round_trip);
+        let tries = if self.peers.len() > SMALL_SWARM { GAP_TRIES_OF_MANY } else { GAP_TRIES };
+        let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
+        (shortest << doublings).min(GAP_PAUSE_MAX).max(self.schedule.budget_pause)
+    }
+
+    /// A gap was filled: answers come, so what is still missing is worth asking for soon.
+    pub(super) const fn note_gap_filled(&mut self) {
+        self.schedule.gap_tries = 0;
+    }
+
+    /// Packages went out. If their end gets lost, nothing that follows tells the peers: make them look.
+    pub(super) fn note_sent(&mut self, now: Stamp) {
+        let is_lossy = |peer: &&Peer| peer.loss.share() > PROBE_LOSS_MIN;
+        let timeout = self.peers.values().filter(is_lossy).map(|peer| peer.round_trip.timeout()).max();
+        match timeout {
+            Some(timeout) => {
+                self.schedule.timers.set(Timer::Probe, now.plus_micros(timeout.max(PROBE_AFTER)));
+                self.schedule.probes_left = PROBES;
+            }
+            None => self.schedule.timers.stop(Timer::Probe),
+        }
+    }
+
+    /// Whether something sent before is neither confirmed nor known to be lost.
+    fn is_waiting_for_word(&self, now: Stamp) -> bool {
+        self.peers.values().any(|peer| {
+            let timeout = peer.round_trip.timeout();
+            peer.in_flight.back().is_some_and(|sent| now.micros_since(sent.at) >= timeout / 2)
+        })
+    }
+
+    pub(super) fn request_due(&mut self, now: Stamp) -> bool {
+        if self.schedule.timers.is_due(Timer::Gap, now) && !self.has_gap(now) {
+            self.schedule.timers.stop(Timer::Gap);
+            self.schedule.gap_tries = 0;
+        }
+        if self.schedule.timers.is_due(Timer::Probe, now) && !self.is_waiting_for_word(now) {
+            self.schedule.timers.stop(Timer::Probe);
+        }
+        Timer::REQUESTS.into_iter().any(|timer| self.schedule.timers.is_due(timer, now))
+    }
+
+    fn has_gap(&self, now: Stamp) -> bool {
+        self.gaps(now).next().is_some()
+    }
+
+    /// The streams with gaps that somebody may fill now, by packages or by a present state.
+    pub(super) fn gaps(&self, now: Stamp) -> impl Iterator<Item = Stream> + '_ {
+        self.store.streams().filter(move |&stream| {
+            let newest = self.store.newest_known(stream);
+            stream != self.identity.own
+                && (self.inbox.undecodable().contains_key(&stream)
+                    || self.stated_as_held(stream, now).missing(1, newest).next().is_some())
+        })
+    }
+
+    /// Pause after a request of so many bytes, so that requests take no more than their share of the budget; short
+    /// enough that the peers do not lose sight of this robot.
+    pub(super) fn budget_pause(&self, each: usize, copies: usize) -> i64 {
+        let pause = |bytes: usize, rate: Option<u32>| {
+            rate.map_or(0, |rate| bytes as i64 * BUDGET_SHARE_OVER_TIME * 1_000_000 / i64::from(rate.max(1)))
+        };
+        pause(each * copies, self.config.radio_bytes_per_s)
+            .max(pause(each, self.config.link_bytes_per_s))
+            .min(self.peer_timeout() / 3)
+    }
+
+    pub(super) fn schedule_next(&mut self, now: Stamp, for_gap: bool, to: Destination) {
+        if to == Destination::Everyone {
+            let flows =
+                now.micros_since(self.schedule.last_activity) < i64::from(self.config.active_for_ms) * 1_000;
+            let active = flows || (self.schedule.gap_tries < ACTIVE_TRIES && self.has_gap(now));
+            let period = match active {
+                true => self.config.request_period_active_ms,
+                false => self.config.request_period_idle_ms,
+            };
+            let period = u64::from(period) * 1_000;
+            let period = period.max(self.schedule.budget_pause as u64);
+            let jittered = period - period / 10 + self.schedule.random(period / 5);
+            self.schedule.timers.set(Timer::Request, now.plus_micros(jittered as i64));
+            self.schedule.timers.stop(Timer::Greeting);
+            let timeout = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
+            self.schedule.probes_left = self.schedule.probes_left.saturating_sub(1);
+            if self.schedule.probes_left == 0 {
+                self.schedule.timers.stop(Timer::Probe);
+            } else if self.schedule.timers.get(Timer::Probe).is_some() {
+                let at = now.plus_micros(timeout.max(self.schedule.budget_pause));
+                self.schedule.timers.set(Timer::Probe, at);
+            }
+        }
+        self.schedule.last = now;
+        self.schedule.count = self.schedule.count.wrapping_add(1);
+        if for_gap {
+            self.report.counters.gap_requests += 1;
+        }
+        self.schedule.gap_tries =
+            if self.has_gap(now) { self.schedule.gap_tries.saturating_add(1) } else { 0 };
+        if self.schedule.timers.get(Timer::Gap).is_some() {
+            // The request has just said all that is missing; say it again after a pause that grows.
+            let pause = self.gap_pause();
+            let periodic = i64::from(self.config.request_period_active_ms) * 1_000;
+            let periodic = periodic.max(self.schedule.budget_pause);
+            match pause < periodic {
+                true => self.schedule.timers.set(Timer::Gap, now.plus_micros(pause)),
+                false => self.schedule.timers.stop(Timer::Gap),
+            }
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! Streams that get a place, and those that lose it.
+
+use super::peer::is_heard;
+use super::{Event, Session};
+use crate::store::Opened;
+use flockmap_grid::Stream;
+
+impl Session {
+    /// Opens a place for a stream and tells the driver; whether there is one.
+    pub(super) fn open_stream(&mut self, stream: Stream) -> bool {
+        match self.store.open(stream, self.clocks.now(), |robot| is_heard(&self.peers, robot)) {
+            Ok(Opened { is_new, forgotten }) => {
+                if let Some(forgotten) = forgotten {
+                    self.report.counters.streams_forgotten += 1;
+                    self.forget_stream(forgotten);
+                }
+                if is_new {
+                    self.push_event(Event::StreamSeen(stream));
+                }
+                true
+            }
+            Err(_) => {
+                self.report.counters.too_many_streams += 1;
+                false
+            }
+        }
+    }
+
+    pub(super) fn forget_stream(&mut self, stream: Stream) {
+        for peer in self.peers.values_mut() {
+            if peer.views.remove(&stream).is_some_and(|view| !view.held.is_empty()) {
+                peer.note_unplaced(stream);
+            }
+            peer.in_flight.retain(|sent| sent.item.stream() != stream);
+            peer.queue_stale = true;
+        }
+        self.inbox.forget(stream);
+        self.outbox.snapshots.retain(|outgoing| outgoing.stream != stream);
+        self.outbox.asked.remove(&stream);
+        self.clocks.forget(stream);
+        self.push_event(Event::StreamForgotten(stream));
+    }
+}
