@@ -66,6 +66,14 @@ pub struct Store {
     cut: BTreeSet<RobotId>,
 }
 
+/// What a peer misses of a stream up to some index.
+pub(crate) struct Missing {
+    pub(crate) bytes: u64,
+    /// Some of it is not stored any more.
+    pub(crate) unstored: bool,
+    pub(crate) range: u32,
+}
+
 /// A stream that has a place now.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Opened {
@@ -144,6 +152,37 @@ impl Store {
         let shelf = self.shelves.get(&stream)?;
         let stored = shelf.stored.range(..=index).next_back();
         shelf.milestones.not_after(index).max(stored.map(|(_, stored)| stored.package.header().cycle_end))
+    }
+
+    /// Below every stamp of the packages after `since`. `None` if that is not known: then only the whole state will do.
+    pub(crate) fn newer_than(&self, stream: Stream, since: u32) -> Option<Stamp> {
+        let next = since.checked_add(1).filter(|_| since > 0)?;
+        Some(Stamp(self.stamp_not_after(stream, next)?.0.checked_sub(1)?))
+    }
+
+    /// The first of these packages that is not stored.
+    pub(crate) fn first_unstored(&self, stream: Stream, missing: &IntervalSet) -> Option<u32> {
+        missing.intervals().iter().find_map(|&(low, high)| {
+            let mut stored = self.range(stream, low, high).map(|(index, _)| index);
+            (low..=high).find(|index| stored.next() != Some(*index))
+        })
+    }
+
+    /// What these packages of a stream up to one would cost as packages.
+    pub(crate) fn weigh(&self, stream: Stream, missing: &IntervalSet, upto: u32) -> Missing {
+        let missing = missing.within(1, upto);
+        let (mut bytes, mut stored) = (0, 0);
+        for &(low, high) in missing.intervals() {
+            for (_, package) in self.range(stream, low, high) {
+                bytes += package.package.bytes().len() as u64;
+                stored += 1;
+            }
+        }
+        let range = match (missing.first(), missing.last()) {
+            (Some(first), Some(last)) => (last - first).saturating_add(1),
+            _ => 0,
+        };
+        Missing { bytes, unstored: stored < missing.count(), range }
     }
 
     /// Bytes of all stored packages, with their bookkeeping.

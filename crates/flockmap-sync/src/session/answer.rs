@@ -7,7 +7,7 @@ use crate::item::Item;
 use crate::wire::{DatagramHeader, Request};
 use crate::{InFlight, IntervalSet, Relay};
 use flockmap_grid::mutation::{self, Mutation};
-use flockmap_grid::{Stamp, Stream};
+use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::BTreeSet;
 
 /// A stamp below an earlier one means that the datagram was overtaken on the way, since the clock of a run never goes back. But the earlier
@@ -20,24 +20,21 @@ const SERVED_SHARE: u64 = 16;
 impl Session {
     pub(super) fn handle_request(&mut self, now: Stamp, header: &DatagramHeader, request: &Request) {
         let id = header.sender.origin;
-        let Some(mut peer) = self.peers.remove(&id) else { return };
+        let Some(peer) = self.peers.get(&id) else { return };
         let overtaken =
             |(newest, at): (Stamp, Stamp)| header.stamp <= newest && self.stamp_counts(now.micros_since(at));
         if peer.request.is_some_and(overtaken) {
             self.report.counters.stale_requests += 1;
-        } else {
-            peer.request = Some((header.stamp, now));
-            let echo = self.take_echoes(now, &mut peer, header, request);
-            self.take_holdings(now, &mut peer, header, request);
-            self.settle_in_flight(now, &mut peer, request, echo);
-            let streams: Vec<Stream> = self.store.streams().collect();
-            for stream in streams {
-                self.note_overdue(now, &mut peer, stream, request);
-                self.review_present_state(now, &mut peer, stream);
-            }
-            peer.queue_stale = true;
+            return;
         }
-        self.peers.insert(id, peer);
+        let echo = self.take_echoes(now, header, request);
+        self.take_holdings(now, header, request);
+        self.settle_in_flight(now, id, request, echo);
+        let streams: Vec<Stream> = self.store.streams().collect();
+        for stream in streams {
+            self.note_overdue(now, id, stream, request);
+            self.review_present_state(now, id, stream);
+        }
     }
 
     /// Whether a stamp that came so many microseconds ago still tells which datagrams are older.
@@ -49,10 +46,12 @@ impl Session {
     fn take_echoes(
         &mut self,
         now: Stamp,
-        peer: &mut Peer,
         header: &DatagramHeader,
         request: &Request,
     ) -> Option<(Stamp, i64)> {
+        let peer = self.peers.get_mut(&header.sender.origin)?;
+        peer.request = Some((header.stamp, now));
+        peer.queue_stale = true;
         peer.hears = request.echoes.iter().map(|echo| (echo.robot, echo.epoch_low)).collect();
         peer.hears_all_listed = request.all_echoes;
         peer.clocks.clone_from(&request.clocks);
@@ -72,7 +71,9 @@ impl Session {
     }
 
     /// Takes in what the peer holds of each stream.
-    fn take_holdings(&mut self, now: Stamp, peer: &mut Peer, header: &DatagramHeader, request: &Request) {
+    fn take_holdings(&mut self, now: Stamp, header: &DatagramHeader, request: &Request) {
+        let id = header.sender.origin;
+        let Some(peer) = self.peers.get_mut(&id) else { return };
         let is_overtaken = header.stamp < peer.newest_stamp;
         peer.takes_new_streams = !request.no_new_streams;
         peer.oldest_wanted.retain(|&origin, _| !request.covers(origin) && self.store.has_runs(origin));
@@ -91,6 +92,7 @@ impl Session {
         }
         for stated in &request.held {
             self.note_own_id(now, stated.stream);
+            let Some(peer) = self.peers.get_mut(&id) else { return };
             // Also where there is no place for it here.
             if stated.is_oldest_wanted && self.store.has_runs(stated.stream.origin) {
                 peer.oldest_wanted.insert(stated.stream.origin, stated.stream.epoch);
@@ -101,13 +103,16 @@ impl Session {
                     self.note_own_run_used(now);
                 }
             } else if !self.open_stream(stated.stream) {
-                peer.note_unplaced(stated.stream);
+                if let Some(peer) = self.peers.get_mut(&id) {
+                    peer.note_unplaced(stated.stream);
+                }
                 continue;
             } else if let Some(newest) = stated.held.last()
                 && self.store.note_newest(stated.stream, newest, now)
             {
                 self.note_gap(now, false);
             }
+            let Some(peer) = self.peers.get_mut(&id) else { return };
             let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));
             // Of what lies below the list, the last word still holds.
             let below = view.held.within(0, stated.from.saturating_sub(1));
@@ -124,6 +129,7 @@ impl Session {
             };
             view.from = view.from.min(stated.from).max(view.held.keep_newest(VIEW_INTERVALS_MAX));
         }
+        let Some(peer) = self.peers.get_mut(&id) else { return };
         for (&stream, view) in &mut peer.views {
             let wanted = request.states_wanted.iter().find(|wanted| wanted.stream == stream);
             let since = view.state_wanted.as_ref().map_or(now, |wanted| wanted.stated_since);
@@ -154,13 +160,8 @@ impl Session {
     }
 
     /// Goes through all that is in flight to the peer: confirmed, lost or still under way.
-    fn settle_in_flight(
-        &mut self,
-        now: Stamp,
-        peer: &mut Peer,
-        request: &Request,
-        echo: Option<(Stamp, i64)>,
-    ) {
+    fn settle_in_flight(&mut self, now: Stamp, id: RobotId, request: &Request, echo: Option<(Stamp, i64)>) {
+        let Some(peer) = self.peers.get_mut(&id) else { return };
         let patience = (2 * peer.round_trip.variation())
             .clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
         let timeout = peer.round_trip.timeout();
@@ -242,8 +243,9 @@ impl Session {
     }
 
     /// For a relay that is not first in line: what was missing at a request one relay delay ago, and still is.
-    fn note_overdue(&mut self, now: Stamp, peer: &mut Peer, stream: Stream, request: &Request) {
-        let Some(turn) = self.turn(peer, stream) else { return };
+    fn note_overdue(&mut self, now: Stamp, id: RobotId, stream: Stream, request: &Request) {
+        let Some(turn) = self.peers.get(&id).and_then(|peer| self.turn(peer, stream)) else { return };
+        let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(held) = self.store.held(stream) else { return };
         let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
         let Some(view) = peer.view(stream, now) else { return };

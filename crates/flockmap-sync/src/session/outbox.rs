@@ -2,8 +2,11 @@
 
 use super::path;
 use super::present::Outgoing;
-use crate::SessionConfig;
+use crate::item::Item;
 use crate::pacer::Pacer;
+use crate::wire::Contents;
+use crate::{SessionConfig, Store};
+use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::BTreeMap;
 
@@ -35,6 +38,32 @@ impl Outbox {
             overtaken: None,
             silent_links: BTreeMap::new(),
         }
+    }
+
+    /// A present state that can be sent.
+    pub(super) fn snapshot(&self, stream: Stream, set: u32) -> Option<&Outgoing> {
+        self.snapshots.iter().find(|outgoing| outgoing.stream == stream && outgoing.set == set)
+    }
+
+    /// What is sent for an item, if it is there.
+    pub(super) fn package<'a>(&'a self, item: Item, store: &'a Store) -> Option<&'a Package> {
+        match item {
+            Item::Package { stream, index } => store.get(stream, index).map(|stored| &stored.package),
+            Item::Tile { stream, set, tile } => self.snapshot(stream, set)?.tiles.get(tile as usize),
+        }
+    }
+
+    /// What a tile's set contains, where that has to be told.
+    pub(super) fn contents(&self, item: Item) -> Option<Contents> {
+        let Item::Tile { stream, set, .. } = item else { return None };
+        Some(Contents { stream, set, held: self.snapshot(stream, set)?.contents.clone()? })
+    }
+
+    /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.
+    pub(super) fn at_hand(&self, stream: Stream, since_max: u32) -> Option<usize> {
+        self.snapshots.iter().rposition(|outgoing| {
+            outgoing.stream == stream && outgoing.contents.is_none() && outgoing.since <= since_max
+        })
     }
 }
 

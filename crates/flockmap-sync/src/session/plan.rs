@@ -6,7 +6,7 @@ use crate::item::Item;
 use crate::store::Stored;
 use crate::{IntervalSet, Order};
 use flockmap_codec::Priority;
-use flockmap_grid::{Stamp, Stream};
+use flockmap_grid::{RobotId, Stamp, Stream};
 use std::cmp::Reverse;
 use std::collections::VecDeque;
 
@@ -27,8 +27,20 @@ struct Due {
 
 impl Session {
     /// Makes the peer's queue anew: the best of what it misses.
-    pub(super) fn plan(&self, now: Stamp, peer: &mut Peer) {
-        peer.queue_stale = false;
+    pub(super) fn plan(&mut self, now: Stamp, id: RobotId) {
+        let Some(peer) = self.peers.get_mut(&id) else { return };
+        for stream in self.store.streams() {
+            if peer.wants(stream) {
+                peer.view(stream, now);
+            }
+        }
+        let Some(peer) = self.peers.get(&id) else { return };
+        let queue = self.best_for(now, peer);
+        let Some(peer) = self.peers.get_mut(&id) else { return };
+        (peer.queue, peer.queue_stale) = (queue, false);
+    }
+
+    fn best_for(&self, now: Stamp, peer: &Peer) -> VecDeque<Item> {
         let (mut due, mut backlog, mut overdue) = (Vec::new(), Vec::new(), Vec::new());
         for stream in self.store.streams() {
             if !peer.wants(stream) {
@@ -36,7 +48,7 @@ impl Session {
             }
             // Without push, a request is answered with what there was when it came.
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
-            let Some(view) = peer.view(stream, now) else { continue };
+            let Some(view) = peer.views.get(&stream) else { continue };
             let upto = self.store.newest_known(stream);
             // What a present state brings that is under way is not sent beside it.
             let (since, after) = match &view.sending {
@@ -51,7 +63,6 @@ impl Session {
                 continue;
             }
             let Some(turn) = self.turn(peer, stream) else { continue };
-            let Some(view) = peer.views.get(&stream) else { continue };
             if turn > 0 {
                 let overdue = IntervalSet::from_intervals(0, missing).intersection(&view.overdue);
                 missing = overdue.intervals().to_vec();
@@ -95,6 +106,6 @@ impl Session {
             .chain(overdue)
             .map(|due| Item::Package { stream: due.stream, index: due.index });
         let tiles = self.plan_tiles(now, peer, QUEUE_MAX);
-        peer.queue = packages.chain(tiles).take(QUEUE_MAX).collect::<VecDeque<_>>();
+        packages.chain(tiles).take(QUEUE_MAX).collect()
     }
 }

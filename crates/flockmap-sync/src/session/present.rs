@@ -4,6 +4,7 @@ use super::peer::{Peer, Sending, VIEW_INTERVALS_MAX, has_no_robot};
 use super::{Event, Session};
 use crate::inbox::ABANDONED;
 use crate::item::Item;
+use crate::store::Missing;
 use crate::wire::CONTENTS_BYTES_MAX;
 use crate::{Cast, IntervalSet};
 use flockmap_codec::{ContentKind, Package};
@@ -90,14 +91,6 @@ impl Outgoing {
     }
 }
 
-/// What a peer misses of a stream up to some index.
-struct Missing {
-    bytes: u64,
-    /// Some of it is not stored any more.
-    unstored: bool,
-    range: u32,
-}
-
 impl Session {
     /// The answer to [`Event::PresentStateWanted`]: the layer of the stream, or what of it is newer, as tiles, all of one set, all with
     /// `since` and the index `upto` of the event. No tiles: there is none to give now; it is asked for again later.
@@ -116,10 +109,7 @@ impl Session {
         self.outbox.snapshots.push(outgoing);
         let ids: Vec<RobotId> = self.peers.keys().copied().collect();
         for id in ids {
-            if let Some(mut peer) = self.peers.remove(&id) {
-                self.review_present_state(now, &mut peer, stream);
-                self.peers.insert(id, peer);
-            }
+            self.review_present_state(now, id, stream);
         }
     }
 
@@ -173,19 +163,21 @@ impl Session {
     }
 
     /// Decides whether a peer gets the present state of a stream, or of a part of its history, instead of packages.
-    pub(super) fn review_present_state(&mut self, now: Stamp, peer: &mut Peer, stream: Stream) {
-        let Some(turn) = self.turn(peer, stream) else { return };
-        if !self.goes_on_with_parts(now, peer, stream) {
-            self.review_whole(now, peer, stream, turn);
-            self.review_parts(now, peer, stream, turn);
+    pub(super) fn review_present_state(&mut self, now: Stamp, id: RobotId, stream: Stream) {
+        let Some(turn) = self.peers.get(&id).and_then(|peer| self.turn(peer, stream)) else { return };
+        if !self.goes_on_with_parts(now, id, stream) {
+            self.review_whole(now, id, stream, turn);
+            self.review_parts(now, id, stream, turn);
         }
     }
 
     /// Whether a state of a history with gaps is on its way to a peer that still lacks some of it.
-    fn goes_on_with_parts(&self, now: Stamp, peer: &mut Peer, stream: Stream) -> bool {
-        let Some(view) = peer.view(stream, now) else { return false };
+    fn goes_on_with_parts(&mut self, now: Stamp, id: RobotId, stream: Stream) -> bool {
+        let Some(view) = self.peers.get_mut(&id).and_then(|peer| peer.view(stream, now)) else {
+            return false;
+        };
         let Some(sending) = &mut view.sending else { return false };
-        let of_set = self.outbox.snapshots.iter().find(|o| o.stream == stream && o.set == sending.set);
+        let of_set = self.outbox.snapshot(stream, sending.set);
         let Some(contents) = of_set.and_then(|outgoing| outgoing.contents.as_ref()) else { return false };
         let wanted = view.state_wanted.as_ref().map(|wanted| wanted.undecodable.intersection(contents));
         let goes_on = !contents.difference(&view.held).is_empty() || wanted.is_some_and(|w| !w.is_empty());
@@ -198,7 +190,7 @@ impl Session {
     }
 
     /// What is held beyond a gap that nobody fills comes as a state of all that is held, if it is not stored: of runs that have ended.
-    fn review_parts(&mut self, now: Stamp, peer: &mut Peer, stream: Stream, turn: u32) {
+    fn review_parts(&mut self, now: Stamp, id: RobotId, stream: Stream, turn: u32) {
         let Some(held) = self.store.held(stream) else { return };
         let beyond = held.within(held.prefix().saturating_add(2), u32::MAX);
         let (Some(upto), Some(touched)) = (beyond.last(), self.store.touched(stream)) else { return };
@@ -207,8 +199,7 @@ impl Session {
             return;
         }
         let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
-        let id = peer.stream.origin;
-        let Some(view) = peer.view(stream, now) else { return };
+        let Some(view) = self.peers.get(&id).and_then(|peer| peer.views.get(&stream)) else { return };
         if view.sending.is_some() {
             return;
         }
@@ -218,7 +209,7 @@ impl Session {
         }
         let wish = view.state_wanted.as_ref().filter(|wish| now.micros_since(wish.stated_since) >= delay);
         let wish = wish.map(|wish| wish.undecodable.intersection(&beyond));
-        if self.first_unstored(stream, &lacks).is_none() && wish.is_none_or(|wish| wish.is_empty()) {
+        if self.store.first_unstored(stream, &lacks).is_none() && wish.is_none_or(|wish| wish.is_empty()) {
             return;
         }
         let has_it = |o: &Outgoing| {
@@ -226,9 +217,7 @@ impl Session {
             o.stream == stream && rest.is_some_and(|rest| rest.is_empty())
         };
         if let Some(at) = self.outbox.snapshots.iter().rposition(has_it) {
-            self.outbox.snapshots[at].used_at = now;
-            view.sending = Some(self.outbox.snapshots[at].sending(now));
-            peer.queue_stale = true;
+            self.begin_to_send(now, id, at);
         } else {
             let (since, bytes_max) = (upto - 1, PARTS_TILE_BYTES_MAX);
             let wanted =
@@ -252,13 +241,13 @@ impl Session {
     }
 
     /// What is held without a gap from the first package on.
-    fn review_whole(&mut self, now: Stamp, peer: &mut Peer, stream: Stream, turn: u32) {
+    fn review_whole(&mut self, now: Stamp, id: RobotId, stream: Stream, turn: u32) {
         let Some(held) = self.store.held(stream) else { return };
         let prefix = held.prefix();
         if prefix == 0 {
             return;
         }
-        let id = peer.stream.origin;
+        let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(view) = peer.view(stream, now) else { return };
         // What of a wish lies beyond what is held here is somebody else's to fulfil.
         let wish = view.state_wanted.as_ref().and_then(|wish| {
@@ -267,7 +256,7 @@ impl Session {
         let wanted = wish.map(|(_, upto, _)| upto);
         let lacks = held.within(view.from.max(1), prefix).difference(&view.held);
         // All packages up to this one it has, or can get as they are.
-        let mut since_max = self.first_unstored(stream, &lacks).map_or(u32::MAX, |first| first - 1);
+        let mut since_max = self.store.first_unstored(stream, &lacks).map_or(u32::MAX, |first| first - 1);
         if let Some((since, ..)) = wish {
             since_max = since_max.min(since);
         }
@@ -293,23 +282,25 @@ impl Session {
         let Some(first) = missing.first().into_iter().chain(wanted).min() else { return };
         // Where packages are stored and cost less than the state, it is the part that they cannot bring that is wanted.
         since_max = if since_max == u32::MAX { first.saturating_sub(1) } else { since_max };
-        let newer_than = self.newer_than(stream, since_max);
+        let newer_than = self.store.newer_than(stream, since_max);
         let since = if newer_than.is_some() { since_max } else { 0 };
-        let all = self.weigh(stream, &missing, prefix);
+        let all = self.store.weigh(stream, &missing, prefix);
         // The newest state at hand that will do, if any, tells what one costs.
-        let estimate =
-            self.at_hand(stream, since_max).map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
+        let estimate = self
+            .outbox
+            .at_hand(stream, since_max)
+            .map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
         if wanted.is_none() && !self.config.present_state_is_worth(&all, estimate) {
             return;
         }
-        let at_hand = self.at_hand(stream, since_max).filter(|&at| {
+        let at_hand = self.outbox.at_hand(stream, since_max).filter(|&at| {
             // One that is on the air already costs nothing more; any other should not say much that is known.
             self.outbox.snapshots[at].is_near(since)
                 || self.is_on_air(stream, self.outbox.snapshots[at].set, id)
         });
         if let Some(at) = at_hand {
             let (upto, cost) = (self.outbox.snapshots[at].upto, self.outbox.snapshots[at].bytes as u64);
-            let covered = self.weigh(stream, &missing, upto);
+            let covered = self.store.weigh(stream, &missing, upto);
             let rest = all.bytes - covered.bytes;
             let is_enough = match wanted {
                 Some(wanted) => upto >= wanted,
@@ -319,10 +310,7 @@ impl Session {
                 && is_enough
                 && rest <= (cost / 2).max(u64::from(self.config.present_state_bytes_min.unwrap_or(0)))
             {
-                let Some(outgoing) = self.outbox.snapshots.get_mut(at) else { return };
-                outgoing.used_at = now;
-                view.sending = Some(outgoing.sending(now));
-                peer.queue_stale = true;
+                self.begin_to_send(now, id, at);
                 return;
             }
         }
@@ -332,17 +320,16 @@ impl Session {
         self.ask_for_state(now, stream, wanted);
     }
 
-    /// Below every stamp of the packages after `since`. `None` if that is not known: then only the whole state will do.
-    fn newer_than(&self, stream: Stream, since: u32) -> Option<Stamp> {
-        let next = since.checked_add(1).filter(|_| since > 0)?;
-        Some(Stamp(self.store.stamp_not_after(stream, next)?.0.checked_sub(1)?))
-    }
-
-    /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.
-    fn at_hand(&self, stream: Stream, since_max: u32) -> Option<usize> {
-        self.outbox.snapshots.iter().rposition(|outgoing| {
-            outgoing.stream == stream && outgoing.contents.is_none() && outgoing.since <= since_max
-        })
+    fn begin_to_send(&mut self, now: Stamp, id: RobotId, at: usize) {
+        let (Some(peer), Some(outgoing)) = (self.peers.get_mut(&id), self.outbox.snapshots.get_mut(at))
+        else {
+            return;
+        };
+        outgoing.used_at = now;
+        if let Some(view) = peer.views.get_mut(&outgoing.stream) {
+            view.sending = Some(outgoing.sending(now));
+        }
+        peer.queue_stale = true;
     }
 
     /// By broadcast: whether a set is on its way to somebody else, so that everyone hears it.
@@ -354,43 +341,10 @@ impl Session {
         self.config.cast == Cast::Broadcast && self.peers.values().any(gets_it)
     }
 
-    /// The first of these packages that is not stored.
-    fn first_unstored(&self, stream: Stream, missing: &IntervalSet) -> Option<u32> {
-        missing.intervals().iter().find_map(|&(low, high)| {
-            let mut stored = self.store.range(stream, low, high).map(|(index, _)| index);
-            (low..=high).find(|index| stored.next() != Some(*index))
-        })
-    }
-
-    fn weigh(&self, stream: Stream, missing: &IntervalSet, upto: u32) -> Missing {
-        let missing = missing.within(1, upto);
-        let (mut bytes, mut stored) = (0, 0);
-        for &(low, high) in missing.intervals() {
-            for (_, package) in self.store.range(stream, low, high) {
-                bytes += package.package.bytes().len() as u64;
-                stored += 1;
-            }
-        }
-        let range = match (missing.first(), missing.last()) {
-            (Some(first), Some(last)) => (last - first).saturating_add(1),
-            _ => 0,
-        };
-        Missing { bytes, unstored: stored < missing.count(), range }
-    }
-
-    pub(super) fn tile(&self, stream: Stream, set: u32, tile: u32) -> Option<&Package> {
-        self.outbox.snapshots.iter().find(|o| o.stream == stream && o.set == set)?.tiles.get(tile as usize)
-    }
-
     /// Tiles of the present state on its way to the peer that are neither accepted nor in flight.
     pub(super) fn tiles_to_send(&self, stream: Stream, sending: &Sending) -> impl Iterator<Item = Item> {
         let set = sending.set;
-        let count = self
-            .outbox
-            .snapshots
-            .iter()
-            .find(|outgoing| outgoing.stream == stream && outgoing.set == set)
-            .map_or(0, |outgoing| outgoing.tiles.len() as u32);
+        let count = self.outbox.snapshot(stream, set).map_or(0, |outgoing| outgoing.tiles.len() as u32);
         sending.covered.missing(1, count).flat_map(|(low, high)| low..=high).map(move |number| Item::Tile {
             stream,
             set,

@@ -5,8 +5,7 @@ use super::{Destination, Session, Transmit};
 use crate::Cast;
 use crate::item::Item;
 use crate::timers::Timer;
-use crate::wire::{Contents, Kind, PackagesWriter};
-use flockmap_codec::Package;
+use crate::wire::{Kind, PackagesWriter};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp};
 
@@ -114,10 +113,7 @@ impl Session {
             .copied()
             .collect();
         for id in ids {
-            let mut peer = self.peers.remove(&id)?;
-            let attempt = self.attempt(now, &mut peer);
-            self.peers.insert(id, peer);
-            match attempt {
+            match self.attempt(now, id) {
                 Attempt::Send { bytes, items } => {
                     self.outbox.served = id;
                     return Some(self.sent_to(now, id, bytes, &items));
@@ -146,23 +142,27 @@ impl Session {
         }
     }
 
-    fn attempt(&mut self, now: Stamp, peer: &mut Peer) -> Attempt {
+    fn attempt(&mut self, now: Stamp, id: RobotId) -> Attempt {
+        let own = self.identity.own.origin;
+        let Some(peer) = self.peers.get_mut(&id) else { return Attempt::Nothing };
         let overtaken = peer.overtaken.take();
-        if !peer.hears(self.identity.own.origin) || peer.is_silent(now) || !peer.path.is_open() {
+        if !peer.hears(own) || peer.is_silent(now) || !peer.path.is_open() {
             return Attempt::Nothing;
         }
         if peer.queue_stale {
-            self.plan(now, peer);
+            self.plan(now, id);
         }
-        let (writer, positions) = self.bundle(now, peer);
+        let (writer, positions) = self.bundle(now, id);
         if positions.is_empty() {
             return Attempt::Nothing;
         }
-        if peer.in_flight.len() >= self.config.in_flight_max && !mutation::is(Mutation::WindowIgnored) {
+        let window = self.peers.get(&id).map_or(0, |peer| peer.in_flight.len());
+        if window >= self.config.in_flight_max && !mutation::is(Mutation::WindowIgnored) {
             self.report.counters.delayed_by_window += 1;
             return Attempt::Nothing;
         }
         let cost = writer.bytes() + self.overhead(Kind::Packages);
+        let Some(peer) = self.peers.get_mut(&id) else { return Attempt::Nothing };
         let link = peer.pacer.as_mut().and_then(|pacer| pacer.wait(now, cost));
         let radio = self.outbox.radio.as_mut().and_then(|radio| radio.wait(now, cost));
         if let Some(ready) = link.max(radio) {
@@ -189,29 +189,31 @@ impl Session {
 
     /// Fills a datagram from the peer's queue; the places in the queue of what went in. Drops from the front of
     /// the queue what the peer does not miss any more.
-    fn bundle(&self, now: Stamp, peer: &mut Peer) -> (PackagesWriter, Vec<usize>) {
+    fn bundle(&mut self, now: Stamp, id: RobotId) -> (PackagesWriter, Vec<usize>) {
         let mut writer =
             PackagesWriter::new(self.header(now, Kind::Packages), self.plain_bytes_max(Kind::Packages));
         let mut positions = Vec::new();
-        while let Some(&item) = peer.queue.front()
-            && (!peer.lacks(item) || self.package(item).is_none())
+        while let Some(peer) = self.peers.get_mut(&id)
+            && let Some(&item) = peer.queue.front()
+            && (!peer.lacks(item) || self.outbox.package(item, &self.store).is_none())
         {
             peer.queue.pop_front();
         }
+        let Some(peer) = self.peers.get(&id) else { return (writer, positions) };
         let room = self.config.in_flight_max.saturating_sub(peer.in_flight.len()).max(1);
         let mut told = None;
         for (position, &item) in peer.queue.iter().enumerate().take(BUNDLE_LOOKAHEAD) {
             if positions.len() >= room || !peer.lacks(item) {
                 continue;
             }
-            let contents = self.contents(item).filter(|contents| told != Some(contents.set));
+            let contents = self.outbox.contents(item).filter(|contents| told != Some(contents.set));
             if let Some(contents) = &contents {
                 if !writer.push_contents(contents) {
                     continue;
                 }
                 told = Some(contents.set);
             }
-            if let Some(package) = self.package(item)
+            if let Some(package) = self.outbox.package(item, &self.store)
                 && writer.push(package)
             {
                 positions.push(position);
@@ -251,20 +253,6 @@ impl Session {
         self.note_sent(now);
         let path = self.peers.get(&id).and_then(|peer| peer.path.valid());
         Transmit { to, path: path.filter(|_| to != Destination::Everyone), bytes }
-    }
-
-    /// What a tile's set contains, where that has to be told.
-    fn contents(&self, item: Item) -> Option<Contents> {
-        let Item::Tile { stream, set, .. } = item else { return None };
-        let outgoing = self.outbox.snapshots.iter().find(|o| o.stream == stream && o.set == set)?;
-        Some(Contents { stream, set, held: outgoing.contents.clone()? })
-    }
-
-    pub(super) fn package(&self, item: Item) -> Option<&Package> {
-        match item {
-            Item::Package { stream, index } => self.store.get(stream, index).map(|stored| &stored.package),
-            Item::Tile { stream, set, tile } => self.tile(stream, set, tile),
-        }
     }
 }
 
