@@ -265,6 +265,8 @@ impl Swarm {
             assert!(transmit.bytes.len() <= 1_200);
             self.send(id, transmit.to, &transmit.bytes);
         }
+        let due = self.robots[&id].session.poll_timeout();
+        assert!(due.is_none_or(|due| due > now), "drained at {now:?}, and due again at {due:?}");
     }
 
     fn send(&mut self, from: u16, to: Destination, bytes: &[u8]) {

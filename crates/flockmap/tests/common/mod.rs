@@ -110,6 +110,8 @@ impl Swarm {
                 if self.robots[robot].poll_timeout().is_some_and(|at| at <= self.now) {
                     self.robots[robot].handle_timeout(self.now);
                     self.drain(robot);
+                    let due = self.robots[robot].poll_timeout();
+                    assert!(due.is_none_or(|due| due > self.now), "drained at {:?}, due at {due:?}", self.now);
                 }
             }
         }
