@@ -38,16 +38,13 @@
 #![forbid(unsafe_code)]
 
 mod config;
-mod cost;
 mod counters;
 mod event;
 mod events;
 mod memory;
-mod packer;
+mod publisher;
 mod readers;
-mod repair;
 mod robot;
-mod sent;
 
 pub use config::{CycleConfig, RobotConfig, RobotError};
 pub use counters::RobotCounters;
@@ -61,5 +58,4 @@ pub use flockmap_grid::{
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
-pub use packer::Packer;
 pub use robot::{RestoreError, Robot};

@@ -1,29 +1,27 @@
-//! One robot: mapper, packer, codec, session, layers and fusion joined. The way of the data, both directions.
+//! One robot: mapper, publisher, session, layers and fusion joined. The way of the data, both directions.
 
 mod begin;
-mod publish;
 mod receive;
 mod restore;
 
 pub use restore::RestoreError;
 
-use publish::{Held, believed_occupied};
-
 use std::collections::BTreeMap;
 
-use flockmap_codec::{Decoder, Encoder, Span};
+use std::borrow::Cow;
+
+use flockmap_codec::{Cycle, Decoder, Span};
+use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{
-    Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, Stream, Which,
+    Changes, Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
 };
 use flockmap_sync::wire::DatagramError;
 use flockmap_sync::{Path, Session, Transmit};
 
-use crate::cost::Cost;
 use crate::events::Events;
+use crate::publisher::Publisher;
 use crate::readers::Readers;
-use crate::repair::RepairDelay;
-use crate::sent::Sent;
-use crate::{Event, Packer, RobotConfig, RobotCounters, RobotError};
+use crate::{Event, RobotConfig, RobotCounters, RobotError};
 
 /// Team-mates whose positions are kept.
 const TEAMMATES_MAX: usize = 1_024;
@@ -36,30 +34,15 @@ const TEAMMATES_MAX: usize = 1_024;
 /// the next scan, the next datagram or [`poll_timeout`](Self::poll_timeout), whichever is first.
 pub struct Robot {
     config: RobotConfig,
-    own: Stream,
     /// The newest time that came with an input.
     now: Stamp,
     mapper: Mapper,
-    packer: Packer,
-    encoder: Encoder,
-    decoder: Decoder,
+    publisher: Publisher,
     session: Session,
+    readers: Readers,
+    decoder: Decoder,
     fusion: Fusion,
     teammates: BTreeMap<RobotId, Teammate>,
-    next_index: u32,
-    /// What cycles can refer to.
-    sent: Sent,
-    /// The own layer is what the others hold when all has arrived.
-    own_layer_is_whole: bool,
-    /// The own layer holds all that was published: a present state of it lacks nothing.
-    own_layer_has_all: bool,
-    repair: RepairDelay,
-    cost: Cost,
-    /// A cycle is due and waits for the budget.
-    held: Option<Held>,
-    readers: Readers,
-    /// Requests taken in when the repair delay was looked at last.
-    requests_seen: u64,
     events: Events,
     counters: RobotCounters,
 }
@@ -88,24 +71,14 @@ impl Robot {
         let own = Stream { origin: config.id, epoch: config.epoch };
         let resolution = config.mapper.resolution;
         Ok(Self {
-            own,
             now,
             mapper: Mapper::new(config.mapper.clone())?,
-            packer: Packer::new(config.cycle, own, resolution, now),
-            encoder: Encoder::new(),
+            publisher: Publisher::new(&config, own, now),
+            readers: Readers::new(config.fusion.layer_bytes_max),
             decoder: Decoder::new(),
             session: Session::new(own, config.session.clone(), config.seed)?,
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
             teammates: BTreeMap::new(),
-            next_index: 1,
-            sent: Sent::default(),
-            own_layer_is_whole: true,
-            own_layer_has_all: true,
-            repair: RepairDelay::new(config.repair_delay_max_ms),
-            cost: Cost::default(),
-            held: None,
-            readers: Readers::new(config.fusion.layer_bytes_max),
-            requests_seen: 0,
             events: Events::default(),
             counters: RobotCounters::default(),
             config,
@@ -142,7 +115,7 @@ impl Robot {
         });
         let masks: Vec<Sphere> = masks.collect();
         let report = self.mapper.insert_at(stamp, scan, T_map_sensor, &masks);
-        self.packer.note_scan(stamp, T_map_sensor);
+        self.publisher.note_scan(stamp, T_map_sensor);
         self.fusion.own_scan(&self.mapper, &report);
         self.counters.scans += 1;
         self.counters.scans_ahead += u64::from(scan.stamp > now);
@@ -156,7 +129,10 @@ impl Robot {
     pub fn handle_timeout(&mut self, now: Stamp) {
         let now = self.advance(now);
         self.session.handle_timeout(now);
-        while let Some((cycle, changes)) = self.close_due(now) {
+        while let Some((cycle, changes)) = {
+            let Self { publisher, session, mapper, fusion, counters, .. } = self;
+            publisher.poll(now, || session.pace(now), mapper, fusion, counters)
+        } {
             self.publish(now, cycle, changes);
         }
         self.answer_session(now);
@@ -192,17 +168,13 @@ impl Robot {
 
     fn after_datagram(&mut self, now: Stamp) {
         self.answer_session(now);
-        let requests = self.session.counters().requests_in.datagrams;
-        if requests != self.requests_seen {
-            self.requests_seen = requests;
-            self.repair.note_held(self.session.own_held_by_peers());
-        }
+        self.publisher.note_requests(&self.session);
     }
 
     /// Closes the cycle now, with whatever has changed.
     pub fn flush(&mut self, now: Stamp) {
         let now = self.advance(now);
-        if let Some((cycle, changes)) = self.packer.close(now, &mut self.mapper) {
+        if let Some((cycle, changes)) = self.publisher.flush(now, &mut self.mapper) {
             self.publish(now, cycle, changes);
         }
         self.answer_session(now);
@@ -259,13 +231,7 @@ impl Robot {
 
     /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once.
     pub fn poll_timeout(&self) -> Option<Stamp> {
-        let cycle =
-            self.packer.deadline(&self.mapper).map(|due| self.held.map_or(due, |held| due.max(held.until)));
-        let session = self.session.poll_timeout();
-        match (cycle, session) {
-            (Some(a), Some(b)) => Some(a.min(b)),
-            (a, b) => a.or(b),
-        }
+        [self.publisher.poll_timeout(&self.mapper), self.session.poll_timeout()].into_iter().flatten().min()
     }
 
     /// The next event.
@@ -303,10 +269,7 @@ impl Robot {
     /// Voxels that have changed and are still to be told. What a team-mate is believed to know better, where a budget made the own word late,
     /// is not among them: it is told when it is seen again, or by [`flush`](Self::flush). O(blocks with changes).
     pub fn untold(&self) -> usize {
-        match self.packer.is_behind() {
-            true => self.mapper.count_changes(Which::All, |block| believed_occupied(&self.fusion, block)),
-            false => self.mapper.pending(),
-        }
+        self.publisher.untold(&self.mapper, &self.fusion)
     }
 
     /// What was counted.
@@ -316,13 +279,13 @@ impl Robot {
 
     /// The stream of this run.
     pub const fn own_stream(&self) -> Stream {
-        self.own
+        self.publisher.stream()
     }
 
     /// Whether all that was published is in the own layer, [`Fusion::layer`] of [`Self::own_stream`]. Not once it was full
     /// (`fusion.own_layer_bytes_max`): then it says less than the packages, and a present state made of it would pass for all of them.
-    pub const fn own_layer_has_all(&self) -> bool {
-        self.own_layer_has_all
+    pub fn own_layer_has_all(&self) -> bool {
+        self.publisher.own_layer_has_all()
     }
 
     /// What it was told.
@@ -333,20 +296,45 @@ impl Robot {
     /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too much of it.
     fn provide_present_state(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
         let stream = span.stream;
-        let is_whole = stream != self.own || self.own_layer_has_all;
-        let state = self.fusion.layer(stream).filter(|_| is_whole);
-        let Some(state) = state.and_then(|layer| layer.present_voxels(newer_than)) else {
-            return self.session.provide_present_state(now, stream, Vec::new());
-        };
-        let resolution = self.config.mapper.resolution;
-        let coded = self.encoder.encode_span(self.config.codec, span, resolution, &state, bytes_max);
-        match coded {
+        let Self { publisher, fusion, config, .. } = self;
+        match publisher.encode_state(span, newer_than, fusion, config, bytes_max) {
             Ok(tiles) => {
-                self.counters.present_states += 1;
+                self.counters.present_states += u64::from(!tiles.is_empty());
                 self.session.provide_present_state(now, stream, tiles);
             }
             Err(error) => self.push_event(Event::EncodeFailed(error)),
         }
+    }
+
+    /// Codes a cycle, gives it to the session and takes it into the own layer.
+    fn publish(&mut self, now: Stamp, cycle: Cycle, changes: Changes) {
+        let mut coded = Cow::Borrowed(&changes);
+        if mutation::is(Mutation::BlockLeftOut) && changes.blocks().len() > 1 {
+            coded = Cow::Owned(Changes::from_blocks(changes.blocks()[1..].to_vec()));
+        }
+        let packages = match self.publisher.encode(now, &cycle, &coded, &self.fusion, &mut self.counters) {
+            Ok(packages) => packages,
+            Err(error) => return self.push_event(Event::EncodeFailed(error)),
+        };
+        self.counters.cycles += 1;
+        self.counters.changes += changes.len() as u64;
+        for package in &packages {
+            self.counters.packages += 1;
+            self.counters.package_bytes += package.bytes().len() as u64;
+            // Numbered and sized by us, so the session takes it.
+            let published = self.session.publish(now, package.clone());
+            debug_assert_eq!(published, Ok(()));
+        }
+        let own = self.own_stream();
+        if let Err(error) = self.fusion.apply(&self.mapper, own, &changes, cycle.end, now) {
+            self.publisher.note_own_layer_full();
+            self.counters.no_room += 1;
+            let index = packages.last().map_or(0, |package| package.header().index);
+            self.push_event(Event::Refused { stream: own, index, reason: error.into() });
+        }
+        self.fusion.note_sensor(own, cycle.end, cycle.sensor);
+        self.push_event(Event::CycleClosed { cycle, changes, packages });
+        self.answer_session(now);
     }
 
     /// The time of an input. A clock that is set back stands still until it has come up again.

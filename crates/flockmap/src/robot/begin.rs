@@ -5,8 +5,6 @@ use flockmap_grid::{Stamp, Stream, epoch, seconds_of_epoch};
 
 use super::Robot;
 use crate::Event;
-use crate::repair::RepairDelay;
-use crate::sent::Sent;
 
 impl Robot {
     /// Begins a run above an epoch, and publishes in it what the one before had published, with the same stamps: so nothing old looks
@@ -16,26 +14,22 @@ impl Robot {
             // The last one of all: nothing is above it.
             return self.push_event(Event::SameIdentity);
         };
-        let published = self.fusion.layer(self.own).and_then(|layer| layer.present_state());
+        let published = self.fusion.layer(self.own_stream()).and_then(|layer| layer.present_state());
         if !self.session.begin_run(now, above) {
             return;
         }
-        self.own = Stream { epoch: above, ..self.own };
-        self.fusion.begin_run(self.own);
-        self.packer.begin_run(self.own);
-        self.next_index = 1;
-        self.sent = Sent::default();
-        self.repair = RepairDelay::new(self.config.repair_delay_max_ms);
-        (self.own_layer_is_whole, self.own_layer_has_all) = (true, true);
+        let own = Stream { epoch: above, ..self.own_stream() };
+        self.fusion.begin_run(own);
+        self.publisher.begin_run(own);
         self.counters.runs_begun += 1;
-        self.push_event(Event::RunBegun(self.own));
+        self.push_event(Event::RunBegun(own));
         let Some(published) = published else { return };
         let mut start = published.parts.first().map_or(now, |(stamp, _)| *stamp);
         for (end, changes) in published.parts {
             let sensor =
                 published.sensors.iter().find(|(stamp, _)| *stamp == end).map_or([0; 3], |(_, at)| *at);
             let resolution = self.config.mapper.resolution;
-            self.publish(now, Cycle { stream: self.own, start, end, resolution, sensor }, changes);
+            self.publish(now, Cycle { stream: own, start, end, resolution, sensor }, changes);
             start = end;
         }
     }
@@ -46,7 +40,8 @@ impl Robot {
             self.config.session.salt.chunks(8).fold(0, |all, part| {
                 all ^ part.iter().fold(0u64, |number, byte| number << 8 | u64::from(*byte))
             });
-        let mut mixed = self.config.seed ^ salt ^ self.own.epoch.rotate_left(17) ^ used.rotate_left(43);
+        let mut mixed =
+            self.config.seed ^ salt ^ self.own_stream().epoch.rotate_left(17) ^ used.rotate_left(43);
         // The last steps of SplitMix64.
         mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

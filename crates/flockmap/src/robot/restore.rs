@@ -38,7 +38,7 @@ impl Robot {
     /// # Errors
     /// [`RestoreError`]; nothing is changed then. That one does not decode is an event, as for every package.
     pub fn restore(&mut self, now: Stamp, package: Package) -> Result<(), RestoreError> {
-        let (got, own) = (package.header().stream, self.own);
+        let (got, own) = (package.header().stream, self.own_stream());
         if got.origin == own.origin && got.epoch >= own.epoch {
             return Err(RestoreError::NotFormer { got, own });
         }
@@ -52,7 +52,7 @@ impl Robot {
     /// are held now: `false` if some tile of it is gone or damaged, or for the own stream. At most [`HELD_INTERVALS_MAX`] intervals count.
     pub fn restore_contents(&mut self, now: Stamp, stream: Stream, set: u32, held: &[(u32, u32)]) -> bool {
         let is_sound = held.iter().all(|&(low, high)| 0 < low && low <= high);
-        if stream == self.own || held.len() > HELD_INTERVALS_MAX || !is_sound {
+        if stream == self.own_stream() || held.len() > HELD_INTERVALS_MAX || !is_sound {
             return false;
         }
         let now = self.advance(now);

@@ -111,7 +111,11 @@ impl Swarm {
                     self.robots[robot].handle_timeout(self.now);
                     self.drain(robot);
                     let due = self.robots[robot].poll_timeout();
-                    assert!(due.is_none_or(|due| due > self.now), "drained at {:?}, due at {due:?}", self.now);
+                    assert!(
+                        due.is_none_or(|due| due > self.now),
+                        "drained at {:?}, due at {due:?}",
+                        self.now
+                    );
                 }
             }
         }

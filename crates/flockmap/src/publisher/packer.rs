@@ -3,15 +3,15 @@
 use flockmap_codec::Cycle;
 use flockmap_grid::{BlockIndex, Changes, Mapper, Plane, Pose, Resolution, Stamp, Stream, Which};
 
+use super::cost::Room;
 use crate::CycleConfig;
-use crate::cost::Room;
 
 /// Of a cycle that is told in parts, so many of obstacles alone come before one with free space, if there are as many.
 const OBSTACLES_IN_ROW: u32 = 3;
 
 /// Closes cycles: takes the net changes from the mapper when enough have come up or enough time has passed.
 #[derive(Clone, Debug)]
-pub struct Packer {
+pub(crate) struct Packer {
     config: CycleConfig,
     stream: Stream,
     resolution: Resolution,
@@ -37,7 +37,7 @@ pub struct Packer {
 
 impl Packer {
     /// The first cycle begins now.
-    pub const fn new(config: CycleConfig, stream: Stream, resolution: Resolution, now: Stamp) -> Self {
+    pub(crate) const fn new(config: CycleConfig, stream: Stream, resolution: Resolution, now: Stamp) -> Self {
         Self {
             config,
             stream,
@@ -56,13 +56,13 @@ impl Packer {
     }
 
     /// What is closed from now on is of another stream. Ends go on to increase.
-    pub const fn begin_run(&mut self, stream: Stream) {
+    pub(crate) const fn begin_run(&mut self, stream: Stream) {
         self.stream = stream;
     }
 
     /// Notes a scan that the mapper has taken in: it is the time of what has changed, and the place that it was seen from.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
+    pub(crate) fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
         // A cast to i32 clamps, and whatever comes of it is right: the codec codes better if it is near.
         let sixteenths = 16.0 / self.resolution.metres();
         self.newest_sensor = T_map_sensor.translation().map(|metres| (metres * sixteenths).round() as i32);
@@ -75,14 +75,14 @@ impl Packer {
     }
 
     /// When the next cycle is due if nothing more changes; `None` if nothing has changed.
-    pub fn deadline(&self, mapper: &Mapper) -> Option<Stamp> {
+    pub(crate) fn deadline(&self, mapper: &Mapper) -> Option<Stamp> {
         if mapper.pending() == 0 {
             return None;
         }
         if mapper.pending() >= self.config.changes_max {
             return Some(Stamp(i64::MIN));
         }
-        let free = self.closed_free.plus_micros(1_000 * i64::from(self.config.t_l_ms));
+        let free = self.closed_free.plus_micros(self.period());
         Some(match self.config.t_l_occupied_ms {
             None => free,
             Some(ms) => free.min(self.closed_occupied.plus_micros(1_000 * i64::from(ms))),
@@ -91,7 +91,7 @@ impl Packer {
 
     /// Closes the cycle that is due, if one is: with everything that has changed, or just the obstacles if only their
     /// time has come. Call it again until `None`.
-    pub fn close_due(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+    pub(crate) fn close_due(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
         if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
             return None;
         }
@@ -145,6 +145,11 @@ impl Packer {
         Some((self.cycle(start, end, middle), changes))
     }
 
+    /// The longest that a cycle with changes waits if nothing holds it back, in microseconds.
+    pub(crate) const fn period(&self) -> i64 {
+        1_000 * self.config.t_l_ms as i64
+    }
+
     /// Notes that a cycle was held back for so long that what it tells is late.
     pub(crate) const fn note_late(&mut self) {
         self.is_behind = true;
@@ -156,7 +161,7 @@ impl Packer {
     }
 
     fn everything_is_due(&self, now: Stamp, mapper: &Mapper) -> bool {
-        now >= self.closed_free.plus_micros(1_000 * i64::from(self.config.t_l_ms))
+        now >= self.closed_free.plus_micros(self.period())
             || mapper.pending() >= self.config.changes_max
             || self.config.t_l_occupied_ms.is_none()
     }
@@ -185,7 +190,7 @@ impl Packer {
     }
 
     /// Closes the cycle now, with everything that has changed. `None` if nothing has.
-    pub fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+    pub(crate) fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
         self.closed_occupied = now;
         self.closed_free = now;
         self.obstacles_in_row = 0;

@@ -1,0 +1,240 @@
+//! What goes out: when a cycle is told and how much of it, coded against what the others will hold.
+
+mod cost;
+mod packer;
+mod repair;
+mod sent;
+
+use flockmap_codec::{Codec, Cycle, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Reference, Span};
+use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Plane, Pose, Stamp, Stream, Which};
+use flockmap_sync::{Pace, Session};
+
+use crate::{RobotConfig, RobotCounters};
+use cost::Cost;
+use packer::Packer;
+use repair::RepairDelay;
+use sent::Sent;
+
+/// A cycle that the budget holds back is looked at again after so many microseconds.
+const HELD_PAUSE: i64 = 10_000;
+/// And where there was nothing to tell, after so many.
+const NOTHING_PAUSE: i64 = 50_000;
+
+/// Takes what has changed from the mapper, when and as far as the radio takes it, and makes packages of it.
+pub(crate) struct Publisher {
+    stream: Stream,
+    codec: Codec,
+    repair_delay_max_ms: u32,
+    packer: Packer,
+    encoder: Encoder,
+    next_index: u32,
+    /// What cycles can refer to.
+    sent: Sent,
+    own_layer: OwnLayer,
+    repair: RepairDelay,
+    /// Requests taken in when the repair delay was looked at last.
+    requests_seen: u64,
+    cost: Cost,
+    /// A cycle is due and waits for the budget.
+    held: Option<Held>,
+}
+
+/// What the own layer is good for.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum OwnLayer {
+    /// It lacks something that was published: a present state made of it would pass for all that was.
+    Lacks,
+    /// It holds all that was published, but not all that the map counts as told: the others do not hold what is told next against it.
+    HasAll,
+    /// It is what the others hold when all has arrived.
+    IsWhole,
+}
+
+/// A cycle that is due and is held back.
+#[derive(Clone, Copy)]
+struct Held {
+    since: Stamp,
+    /// When to look again.
+    until: Stamp,
+}
+
+impl Publisher {
+    pub(crate) fn new(config: &RobotConfig, stream: Stream, now: Stamp) -> Self {
+        Self {
+            stream,
+            codec: config.codec,
+            repair_delay_max_ms: config.repair_delay_max_ms,
+            packer: Packer::new(config.cycle, stream, config.mapper.resolution, now),
+            encoder: Encoder::new(),
+            next_index: 1,
+            sent: Sent::default(),
+            own_layer: OwnLayer::IsWhole,
+            repair: RepairDelay::new(config.repair_delay_max_ms),
+            requests_seen: 0,
+            cost: Cost::default(),
+            held: None,
+        }
+    }
+
+    /// What is published from now on is of another run, of which nothing is published yet.
+    pub(crate) fn begin_run(&mut self, stream: Stream) {
+        self.stream = stream;
+        self.packer.begin_run(stream);
+        self.next_index = 1;
+        self.sent = Sent::default();
+        self.repair = RepairDelay::new(self.repair_delay_max_ms);
+        self.own_layer = OwnLayer::IsWhole;
+    }
+
+    /// The stream of this run.
+    pub(crate) const fn stream(&self) -> Stream {
+        self.stream
+    }
+
+    /// Notes a scan that the mapper has taken in.
+    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
+    pub(crate) fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
+        self.packer.note_scan(stamp, T_map_sensor);
+    }
+
+    /// When to [`poll`](Self::poll) again, if nothing more changes.
+    pub(crate) fn poll_timeout(&self, mapper: &Mapper) -> Option<Stamp> {
+        let due = self.packer.deadline(mapper)?;
+        Some(self.held.map_or(due, |held| due.max(held.until)))
+    }
+
+    /// The cycle that is due, unless own packages still wait for the radio's budget: then what changes is merged in the map, which costs
+    /// less than packages that wait, and nothing builds on them. Of what is due, as much as the radio takes.
+    pub(crate) fn poll(
+        &mut self,
+        now: Stamp,
+        pace: impl FnOnce() -> Pace,
+        mapper: &mut Mapper,
+        fusion: &Fusion,
+        counters: &mut RobotCounters,
+    ) -> Option<(Cycle, Changes)> {
+        if self.packer.deadline(mapper).is_none_or(|due| due > now) {
+            return None;
+        }
+        let (bytes_per_s, waits) = match pace() {
+            Pace::Free => {
+                self.held = None;
+                return self.packer.close_due(now, mapper);
+            }
+            Pace::AllSent { bytes_per_s } => (bytes_per_s, false),
+            Pace::Waiting { bytes_per_s } => (bytes_per_s, true),
+        };
+        let room = self.cost.room(bytes_per_s);
+        let since = self.held.map_or(now, |held| held.since);
+        if waits && now.micros_since(since) < room.hold_max {
+            counters.cycles_held += u64::from(self.held.is_none());
+            self.held = Some(Held { since, until: now.plus_micros(HELD_PAUSE) });
+            if now.micros_since(since) >= self.packer.period() {
+                self.packer.note_late();
+            }
+            return None;
+        }
+        self.held = None;
+        let closed = self.packer.close_part(now, mapper, room, |block| believed_occupied(fusion, block));
+        if closed.is_none() {
+            // There may be nothing but what a team-mate knows better.
+            self.held = Some(Held { since: now, until: now.plus_micros(NOTHING_PAUSE) });
+        } else {
+            counters.cycles_in_parts += u64::from(self.packer.deadline(mapper).is_some_and(|due| due <= now));
+        }
+        closed
+    }
+
+    /// The cycle with whatever has changed, due or not.
+    pub(crate) fn flush(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+        self.packer.close(now, mapper)
+    }
+
+    /// The packages of a cycle, told against what the others will hold; without, if repair is slow.
+    pub(crate) fn encode(
+        &mut self,
+        now: Stamp,
+        cycle: &Cycle,
+        changes: &Changes,
+        fusion: &Fusion,
+        counters: &mut RobotCounters,
+    ) -> Result<Vec<Package>, EncodeError> {
+        let is_alone = self.own_layer != OwnLayer::IsWhole || self.repair.is_slow();
+        counters.cycles_without_reference += u64::from(is_alone && self.codec == Codec::Flock);
+        let layer = fusion.layer(self.stream).filter(|_| !is_alone);
+        let reference = Reference { layer, cycles: self.sent.cycles(), readers: self.sent.readers() };
+        let mut encode = |reference| {
+            let (codec, first) = (self.codec, self.next_index);
+            self.encoder.encode_cycle_against(
+                codec,
+                cycle,
+                first,
+                changes,
+                Some(reference),
+                PACKAGE_BYTES_MAX,
+            )
+        };
+        let coded = match encode(&reference) {
+            // The own layer holds something as new, which no cycle should meet: it can be told all the same.
+            Err(EncodeError::Overtaken(_)) => encode(&Reference { layer: None, ..reference }),
+            coded => coded,
+        };
+        // Else the map goes on without these changes, and what is told next counts on them.
+        let packages = coded.inspect_err(|_| self.own_layer = self.own_layer.min(OwnLayer::HasAll))?;
+        self.next_index += packages.len() as u32;
+        self.sent.note_cycle(&packages);
+        self.cost.note_cycle(changes, &packages);
+        self.repair.note_cycle(now, self.next_index - 1);
+        Ok(packages)
+    }
+
+    /// Notes that the own layer had no room for a cycle that was published. Only a present state of this stream would lack it; but the others hold more
+    /// from now on than the own layer, so that nothing can be told against it any more.
+    pub(crate) const fn note_own_layer_full(&mut self) {
+        self.own_layer = OwnLayer::Lacks;
+    }
+
+    /// Whether all that was published is in the own layer.
+    pub(crate) fn own_layer_has_all(&self) -> bool {
+        self.own_layer >= OwnLayer::HasAll
+    }
+
+    /// Takes in what the peers hold, after a datagram.
+    pub(crate) fn note_requests(&mut self, session: &Session) {
+        let requests = session.counters().requests_in.datagrams;
+        if requests != self.requests_seen {
+            self.requests_seen = requests;
+            self.repair.note_held(session.own_held_by_peers());
+        }
+    }
+
+    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too much of it. Nothing if it cannot be given.
+    pub(crate) fn encode_state(
+        &mut self,
+        span: Span,
+        newer_than: Option<Stamp>,
+        fusion: &Fusion,
+        config: &RobotConfig,
+        bytes_max: usize,
+    ) -> Result<Vec<Package>, EncodeError> {
+        let is_whole = span.stream != self.stream || self.own_layer_has_all();
+        let layer = fusion.layer(span.stream).filter(|_| is_whole);
+        let Some(state) = layer.and_then(|layer| layer.present_voxels(newer_than)) else {
+            return Ok(Vec::new());
+        };
+        self.encoder.encode_span(self.codec, span, config.mapper.resolution, &state, bytes_max)
+    }
+
+    /// Voxels that have changed and are still to be told.
+    pub(crate) fn untold(&self, mapper: &Mapper, fusion: &Fusion) -> usize {
+        match self.packer.is_behind() {
+            true => mapper.count_changes(Which::All, |block| believed_occupied(fusion, block)),
+            false => mapper.pending(),
+        }
+    }
+}
+
+/// The voxels of a block that are Occupied in the fused map.
+fn believed_occupied(fusion: &Fusion, block: BlockIndex) -> Plane {
+    fusion.map().block(block).map_or([0; 8], |states| *states.occupied())
+}
