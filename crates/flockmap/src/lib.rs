@@ -58,4 +58,5 @@ pub use flockmap_grid::{
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
+pub use publisher::Packer;
 pub use robot::{RestoreError, Robot};

@@ -11,7 +11,7 @@ use flockmap_sync::{Pace, Session};
 
 use crate::{RobotConfig, RobotCounters};
 use cost::Cost;
-use packer::Packer;
+pub use packer::Packer;
 use repair::RepairDelay;
 use sent::Sent;
 

@@ -11,7 +11,7 @@ const OBSTACLES_IN_ROW: u32 = 3;
 
 /// Closes cycles: takes the net changes from the mapper when enough have come up or enough time has passed.
 #[derive(Clone, Debug)]
-pub(crate) struct Packer {
+pub struct Packer {
     config: CycleConfig,
     stream: Stream,
     resolution: Resolution,
@@ -37,7 +37,7 @@ pub(crate) struct Packer {
 
 impl Packer {
     /// The first cycle begins now.
-    pub(crate) const fn new(config: CycleConfig, stream: Stream, resolution: Resolution, now: Stamp) -> Self {
+    pub const fn new(config: CycleConfig, stream: Stream, resolution: Resolution, now: Stamp) -> Self {
         Self {
             config,
             stream,
@@ -56,13 +56,13 @@ impl Packer {
     }
 
     /// What is closed from now on is of another stream. Ends go on to increase.
-    pub(crate) const fn begin_run(&mut self, stream: Stream) {
+    pub const fn begin_run(&mut self, stream: Stream) {
         self.stream = stream;
     }
 
     /// Notes a scan that the mapper has taken in: it is the time of what has changed, and the place that it was seen from.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub(crate) fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
+    pub fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
         // A cast to i32 clamps, and whatever comes of it is right: the codec codes better if it is near.
         let sixteenths = 16.0 / self.resolution.metres();
         self.newest_sensor = T_map_sensor.translation().map(|metres| (metres * sixteenths).round() as i32);
@@ -75,7 +75,7 @@ impl Packer {
     }
 
     /// When the next cycle is due if nothing more changes; `None` if nothing has changed.
-    pub(crate) fn deadline(&self, mapper: &Mapper) -> Option<Stamp> {
+    pub fn deadline(&self, mapper: &Mapper) -> Option<Stamp> {
         if mapper.pending() == 0 {
             return None;
         }
@@ -91,7 +91,7 @@ impl Packer {
 
     /// Closes the cycle that is due, if one is: with everything that has changed, or just the obstacles if only their
     /// time has come. Call it again until `None`.
-    pub(crate) fn close_due(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+    pub fn close_due(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
         if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
             return None;
         }
@@ -190,7 +190,7 @@ impl Packer {
     }
 
     /// Closes the cycle now, with everything that has changed. `None` if nothing has.
-    pub(crate) fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+    pub fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
         self.closed_occupied = now;
         self.closed_free = now;
         self.obstacles_in_row = 0;
