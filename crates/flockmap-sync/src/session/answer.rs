@@ -110,7 +110,7 @@ impl Session {
             } else if let Some(newest) = stated.held.last()
                 && self.store.note_newest(stated.stream, newest, now)
             {
-                self.note_gap(now, false);
+                self.note_gap_told_by(now, id);
             }
             let Some(peer) = self.peers.get_mut(&id) else { return };
             let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));

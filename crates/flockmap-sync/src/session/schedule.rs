@@ -113,23 +113,34 @@ impl Session {
 
     /// Something may be missing. `certain`: a later package has arrived, so it is late or lost.
     pub(super) fn note_gap(&mut self, now: Stamp, certain: bool) {
+        if certain && self.config.gap_requests {
+            self.schedule.gap_tries = 0;
+        }
+        self.expect_missing(now, None);
+    }
+
+    /// A request names packages that are missing here. They may be on their way from others.
+    pub(super) fn note_gap_told_by(&mut self, now: Stamp, asking: RobotId) {
+        self.expect_missing(now, Some(asking));
+    }
+
+    fn expect_missing(&mut self, now: Stamp, except: Option<RobotId>) {
         if !self.config.gap_requests {
             return;
         }
-        if certain {
-            self.schedule.gap_tries = 0;
-        }
-        let patience = self.peers.values().map(|peer| 2 * peer.round_trip.variation()).max().unwrap_or(0);
+        let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
+        let patience = others.map(|peer| 2 * peer.round_trip.variation()).max().unwrap_or(0);
         let patience = patience.clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
-        let at = now.plus_micros(patience).max(self.schedule.last.plus_micros(self.gap_pause()));
+        let at = now.plus_micros(patience).max(self.schedule.last.plus_micros(self.gap_pause(except)));
         self.schedule.timers.set_sooner(Timer::Gap, at);
     }
 
     /// Pause between two requests for gaps: an answer needs the round trip at least.
-    fn gap_pause(&self) -> i64 {
-        let round_trip = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
+    fn gap_pause(&self, except: Option<RobotId>) -> i64 {
+        let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
+        let tries = if others.clone().count() > SMALL_SWARM { GAP_TRIES_OF_MANY } else { GAP_TRIES };
+        let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
         let shortest = (i64::from(self.config.gap_request_pause_ms) * 1_000).max(round_trip);
-        let tries = if self.peers.len() > SMALL_SWARM { GAP_TRIES_OF_MANY } else { GAP_TRIES };
         let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
         (shortest << doublings).min(GAP_PAUSE_MAX).max(self.schedule.budget_pause)
     }
@@ -228,7 +239,7 @@ impl Session {
             if self.has_gap(now) { self.schedule.gap_tries.saturating_add(1) } else { 0 };
         if self.schedule.timers.get(Timer::Gap).is_some() {
             // The request has just said all that is missing; say it again after a pause that grows.
-            let pause = self.gap_pause();
+            let pause = self.gap_pause(None);
             let periodic = i64::from(self.config.request_period_active_ms) * 1_000;
             let periodic = periodic.max(self.schedule.budget_pause);
             match pause < periodic {
