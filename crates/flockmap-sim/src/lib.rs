@@ -29,6 +29,7 @@ mod flight;
 mod lattice;
 mod lidar;
 mod navigation;
+mod network;
 mod patrol;
 mod radio;
 mod random;
@@ -49,6 +50,7 @@ pub use navigation::{
     CellState, Motion, MotionLimits, NavigationConfig, NavigationError, NavigationGrid, NoRoute, RouteQuery,
     Router,
 };
+pub use network::{Addressees, Datagram, Network, Node, Watch};
 pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
 pub use radio::{Burst, Delivery, Faults, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
 pub use random::Random;

@@ -347,3 +347,16 @@ impl Robot {
         self.counters.events_dropped += self.events.push(event);
     }
 }
+
+/// For drivers of whatever holds a robot.
+impl AsRef<Self> for Robot {
+    fn as_ref(&self) -> &Self {
+        self
+    }
+}
+
+impl AsMut<Self> for Robot {
+    fn as_mut(&mut self) -> &mut Self {
+        self
+    }
+}

@@ -1,7 +1,7 @@
 //! Two robots with their maps, joined by an emulated radio in virtual time.
 
 use super::{ApplicationOptions, MapSync, RobotTraffic};
-use crate::{IN_THE_WORLD, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
+use crate::{IN_THE_WORLD, IP_UDP_BYTES, Link, Network, RadioConfig, Watch};
 use flockmap::{CycleConfig, Event, Robot, RobotConfig, RobotError, SessionConfig};
 use flockmap_grid::{Changes, Layer, Pose, RobotId, Scan, Stamp, State};
 
@@ -12,11 +12,15 @@ pub(super) const FOLLOWER: usize = 1;
 
 /// Leader and follower.
 pub(super) struct Pair {
-    robots: [Robot; 2],
-    radio: Option<RadioEmulator>,
+    network: Network<Robot>,
+    has_radio: bool,
     now: Stamp,
-    /// How often something was due that was due already.
-    stuck: u32,
+    meters: Meters,
+}
+
+/// What is measured of them.
+#[derive(Default)]
+struct Meters {
     /// When each voxel of the follower got the state that it has now in its own map.
     onset: Layer,
     /// From the scan that saw an obstacle to its presence in the leader's map, in microseconds.
@@ -57,122 +61,77 @@ impl Pair {
                 ..RadioConfig::default()
             }),
         };
-        Ok(Self {
-            robots: [Robot::new(config(LEADER), now)?, Robot::new(config(FOLLOWER), now)?],
-            radio: radio.map(|radio| RadioEmulator::new([id(LEADER), id(FOLLOWER)], radio)),
-            now,
-            stuck: 0,
-            onset: Layer::default(),
-            ages: Vec::new(),
-            sent: Default::default(),
-            received: Default::default(),
-        })
+        let robots = vec![Robot::new(config(LEADER), now)?, Robot::new(config(FOLLOWER), now)?];
+        let has_radio = radio.is_some();
+        let network = Network::new(robots, radio.unwrap_or_default(), now);
+        Ok(Self { network, has_radio, now, meters: Meters::default() })
     }
 
-    pub(super) const fn robot(&self, number: usize) -> &Robot {
-        &self.robots[number]
+    pub(super) fn robot(&self, number: usize) -> &Robot {
+        &self.network.nodes[number]
     }
 
     /// Takes in a scan of one of them. `other` is where the other one is.
     #[allow(non_snake_case)]
     pub(super) fn insert_scan(&mut self, number: usize, scan: &Scan, T_map_sensor: &Pose, other: [f64; 3]) {
-        let robot = &mut self.robots[number];
+        let robot = &mut self.network.nodes[number];
         robot.set_teammate(id(1 - number), other, self.now).expect(IN_THE_WORLD);
         let report = robot.insert_scan(self.now, scan, T_map_sensor).expect(IN_THE_WORLD);
         if number == FOLLOWER {
-            self.onset.apply(&Changes::from_blocks(report.changed), scan.stamp);
+            self.meters.onset.apply(&Changes::from_blocks(report.changed), scan.stamp);
         }
     }
 
     /// Lets everything happen that is due until then. Without a radio the robots only map.
     pub(super) fn advance(&mut self, until: Stamp) {
-        while let Some(next) = self.next_due().filter(|next| *next <= until) {
-            if next > self.now {
-                self.now = next;
-                self.stuck = 0;
-            } else {
-                // Due now again and again: let a millisecond pass, as a real clock would.
-                self.stuck += 1;
-                if self.stuck > 100 {
-                    self.now = self.now.plus_micros(1_000).min(until);
-                }
-                if self.stuck > 10_000 {
-                    break;
-                }
-            }
-            self.deliver();
-            for robot in &mut self.robots {
-                if robot.poll_timeout().is_some_and(|at| at <= self.now) {
-                    robot.handle_timeout(self.now);
-                }
-            }
-            self.note_events();
-            self.transmit();
+        if self.has_radio {
+            self.network.run_until(until, &mut self.meters);
         }
         self.now = until;
-        self.stuck = 0;
     }
 
     /// What each of them sent and received.
     pub(super) fn traffic(&self) -> [RobotTraffic; 2] {
         [LEADER, FOLLOWER].map(|number| RobotTraffic {
-            sent_bytes: self.sent[number].bytes,
-            sent_datagrams: self.sent[number].datagrams,
-            sent_bytes_per_s_max: self.sent[number].largest,
-            received_bytes: self.received[number].bytes,
-            received_datagrams: self.received[number].datagrams,
-            received_bytes_per_s_max: self.received[number].largest,
+            sent_bytes: self.meters.sent[number].bytes,
+            sent_datagrams: self.meters.sent[number].datagrams,
+            sent_bytes_per_s_max: self.meters.sent[number].largest,
+            received_bytes: self.meters.received[number].bytes,
+            received_datagrams: self.meters.received[number].datagrams,
+            received_bytes_per_s_max: self.meters.received[number].largest,
         })
     }
 
     /// Ages of obstacles in the leader's map when they came in, in microseconds, ascending.
     pub(super) fn into_ages(mut self) -> Vec<i64> {
-        self.ages.sort_unstable();
-        self.ages
+        self.meters.ages.sort_unstable();
+        self.meters.ages
+    }
+}
+
+impl Watch<Robot> for Meters {
+    fn delivered(&mut self, now: Stamp, number: usize, _robot: &mut Robot, bytes: usize) {
+        self.received[number].add(now, bytes);
     }
 
-    fn next_due(&self) -> Option<Stamp> {
-        let radio = self.radio.as_ref()?;
-        self.robots.iter().filter_map(Robot::poll_timeout).chain(radio.next_due()).min()
+    fn sent(&mut self, now: Stamp, number: usize, _robot: &mut Robot, bytes: usize, _copies: usize) {
+        self.sent[number].add(now, bytes);
     }
 
-    fn deliver(&mut self) {
-        let Some(radio) = &mut self.radio else { return };
-        while let Some(delivery) = radio.deliver_due(self.now) {
-            let number = usize::from(delivery.to == id(FOLLOWER));
-            self.received[number].add(self.now, delivery.bytes.len());
-            // Errors are counted by the session.
-            let _ = self.robots[number].handle_datagram(self.now, &delivery.bytes);
-        }
-    }
-
-    fn transmit(&mut self) {
-        let Some(radio) = &mut self.radio else { return };
-        for (number, robot) in self.robots.iter_mut().enumerate() {
-            while let Some(transmit) = robot.poll_transmit(self.now) {
-                self.sent[number].add(self.now, transmit.bytes.len());
-                // There is only one other: everyone is that one.
-                radio.send(self.now, id(number), To::Node(id(1 - number)), &transmit.bytes);
-            }
-        }
-    }
-
-    fn note_events(&mut self) {
-        let follower = self.robots[FOLLOWER].own_stream();
-        while let Some(event) = self.robots[LEADER].poll_event() {
+    fn called(&mut self, now: Stamp, number: usize, robot: &mut Robot) {
+        while let Some(event) = robot.poll_event() {
             let Event::Merged { stream, changes, .. } = event else { continue };
-            if stream != follower {
+            if number != LEADER || stream.origin != id(FOLLOWER) {
                 continue;
             }
             for (voxel, state) in changes.voxels().filter(|(_, state)| *state == State::Occupied) {
                 if let Some((still, since)) = self.onset.get(voxel)
                     && still == state
                 {
-                    self.ages.push(self.now.micros_since(since));
+                    self.ages.push(now.micros_since(since));
                 }
             }
         }
-        while self.robots[FOLLOWER].poll_event().is_some() {}
     }
 }
 

@@ -10,10 +10,10 @@ use super::{ExploreError, ExploreOptions, start};
 use crate::curve::distance;
 use crate::random::mix;
 use crate::{
-    Body, IN_THE_WORLD, Motion, RadioConfig, RadioEmulator, SCAN_PERIOD_MICROS, ScanOptions, Scanner, To,
-    World,
+    Body, IN_THE_WORLD, Motion, Network, RadioConfig, RadioEmulator, SCAN_PERIOD_MICROS, ScanOptions,
+    Scanner, World,
 };
-use flockmap::{Cast, Destination, Robot, RobotConfig};
+use flockmap::{Robot, RobotConfig};
 use flockmap_grid::{RobotId, Stamp};
 use flockmap_io::Frame;
 use std::sync::Arc;
@@ -104,13 +104,11 @@ pub struct RobotProgress {
 /// ```
 pub struct Explorer {
     options: ExploreOptions,
-    members: Vec<Member>,
-    radio: RadioEmulator,
+    network: Network<Member>,
     seeable: Seeable,
     /// When two robots last divided their regions.
     met: Vec<Vec<Option<Stamp>>>,
     steps: u64,
-    now: Stamp,
     ended: Option<Ended>,
 }
 
@@ -119,6 +117,18 @@ struct Member {
     pilot: Pilot,
     scanner: Scanner,
     frame: Option<Frame>,
+}
+
+impl AsRef<Robot> for Member {
+    fn as_ref(&self) -> &Robot {
+        &self.robot
+    }
+}
+
+impl AsMut<Robot> for Member {
+    fn as_mut(&mut self) -> &mut Robot {
+        &mut self.robot
+    }
 }
 
 impl Explorer {
@@ -192,11 +202,10 @@ impl Explorer {
             let scanner = Scanner::new(Arc::clone(&world), options.lidar, scan);
             members.push(Member { robot: Robot::new(config, Stamp(0))?, pilot, scanner, frame: None });
         }
-        let ids = members.iter().map(|member| member.robot.own_stream().origin);
         let radio = RadioConfig { seed: mix(options.seed) ^ options.radio.seed, ..options.radio };
-        let radio = RadioEmulator::new(ids, radio);
+        let network = Network::new(members, radio, Stamp(0));
         let met = vec![vec![None; options.robots]; options.robots];
-        Ok(Self { options, members, radio, seeable, met, steps: 0, now: Stamp(0), ended: None })
+        Ok(Self { options, network, seeable, met, steps: 0, ended: None })
     }
 
     /// Lets a tenth of a second pass: plans, flies, scans, maps, and carries what robots send. Gives the frame of each
@@ -205,12 +214,12 @@ impl Explorer {
         if self.ended.is_some() {
             return None;
         }
-        let mates: Vec<Mate> = self.members.iter().map(|member| member.pilot.mate()).collect();
+        let mates: Vec<Mate> = self.network.nodes.iter().map(|member| member.pilot.mate()).collect();
         if self.steps.is_multiple_of(MEETING_SCANS) {
             self.meet();
         }
-        let now = self.now;
-        spread(self.options.threads, &mut self.members, |number, member| {
+        let now = self.network.now();
+        spread(self.options.threads, &mut self.network.nodes, |number, member| {
             let others: Vec<Mate> = mates.iter().filter(|mate| mate.number != number).cloned().collect();
             member.pilot.plan(now, member.robot.map(), &others);
         });
@@ -221,10 +230,10 @@ impl Explorer {
         if self.steps > 0 {
             self.fly();
         }
-        let places: Vec<[f64; 3]> = self.members.iter().map(|m| m.pilot.motion.position()).collect();
-        let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
+        let places: Vec<[f64; 3]> = self.network.nodes.iter().map(|m| m.pilot.motion.position()).collect();
+        let ids: Vec<RobotId> = self.network.nodes.iter().map(|m| m.robot.own_stream().origin).collect();
         let limits = self.options.limits;
-        spread(self.options.threads, &mut self.members, |number, member| {
+        spread(self.options.threads, &mut self.network.nodes, |number, member| {
             let pose = member.pilot.motion.pose();
             // Where it will be when the scan ends, if nothing makes it brake meanwhile.
             let mut end = member.pilot.motion.clone();
@@ -239,15 +248,14 @@ impl Explorer {
             member.frame = Some(Frame { scan, t_map_sensor: pose, points_dropped: 0 });
         });
         let next = now.plus_micros(SCAN_PERIOD_MICROS);
-        self.carry_until(next);
+        self.network.run_before(next, &mut ());
         self.steps += 1;
-        self.now = next;
-        Some(self.members.iter_mut().filter_map(|member| member.frame.take()).collect())
+        Some(self.network.nodes.iter_mut().filter_map(|member| member.frame.take()).collect())
     }
 
     /// How far it has come. Costs a walk over what can be seen, about a millisecond for a forest.
     pub fn progress(&self) -> Progress {
-        let robots = self.members.iter().map(|member| {
+        let robots = self.network.nodes.iter().map(|member| {
             let pilot = &member.pilot;
             RobotProgress {
                 position: pilot.motion.position(),
@@ -257,14 +265,18 @@ impl Explorer {
                 is_idle: pilot.idle_since.is_some(),
             }
         });
-        Progress { seconds: self.now.seconds(), seen_share: self.seen_share(), robots: robots.collect() }
+        Progress {
+            seconds: self.network.now().seconds(),
+            seen_share: self.seen_share(),
+            robots: robots.collect(),
+        }
     }
 
     /// What came of it so far.
     pub fn outcome(&self) -> Outcome {
         let mut each = 0u64;
         let mut union = std::collections::BTreeMap::new();
-        for member in &self.members {
+        for member in &self.network.nodes {
             for (index, block) in member.robot.mapper().blocks() {
                 let known = block.known();
                 each += u64::from(block.known_count());
@@ -274,10 +286,10 @@ impl Explorer {
         }
         let once: u64 = union.values().flatten().map(|word| u64::from(word.count_ones())).sum();
         Outcome {
-            seconds: self.now.seconds(),
+            seconds: self.network.now().seconds(),
             seen_share: self.seen_share(),
             seeable_voxels: self.seeable.count(),
-            path_m: self.members.iter().map(|member| member.pilot.path_m).collect(),
+            path_m: self.network.nodes.iter().map(|member| member.pilot.path_m).collect(),
             overlap: each as f64 / once.max(1) as f64,
             ended: self.ended.unwrap_or(Ended::TimeOut),
         }
@@ -285,12 +297,12 @@ impl Explorer {
 
     /// The robots, in the order of the frames.
     pub fn robots(&self) -> impl Iterator<Item = &Robot> {
-        self.members.iter().map(|member| &member.robot)
+        self.network.nodes.iter().map(|member| &member.robot)
     }
 
     /// The radio, with what it has carried.
     pub const fn radio(&self) -> &RadioEmulator {
-        &self.radio
+        &self.network.radio
     }
 
     /// What it was told.
@@ -299,7 +311,7 @@ impl Explorer {
     }
 
     fn seen_share(&self) -> f64 {
-        self.seeable.share(self.members.iter().map(|member| member.robot.mapper()))
+        self.seeable.share(self.network.nodes.iter().map(|member| member.robot.mapper()))
     }
 
     /// Moves all robots on, one after the other. A robot stops where the path on which it could still come to rest would
@@ -307,17 +319,17 @@ impl Explorer {
     fn fly(&mut self) {
         let limits = self.options.limits;
         let dt = SCAN_PERIOD_MICROS as f64 * 1e-6;
-        for number in 0..self.members.len() {
-            let pilot = &self.members[number].pilot;
+        for number in 0..self.network.nodes.len() {
+            let pilot = &self.network.nodes[number].pilot;
             let yaw = pilot.yaw_target();
             let mut next: Motion = pilot.motion.clone();
             next.step(dt, yaw, &limits);
             let path = next.stopping_path(&limits);
-            let free = self.members.iter().all(|other| {
+            let free = self.network.nodes.iter().all(|other| {
                 other.pilot.number == number
                     || are_apart(&path, &other.pilot.motion.stopping_path(&limits), self.options.separation_m)
             });
-            let pilot = &mut self.members[number].pilot;
+            let pilot = &mut self.network.nodes[number].pilot;
             if !free {
                 pilot.motion.brake(&limits);
                 next = pilot.motion.clone();
@@ -330,115 +342,58 @@ impl Explorer {
 
     /// Robots that hear each other divide the regions that they have between them.
     fn meet(&mut self) {
-        for first in 0..self.members.len() {
+        for first in 0..self.network.nodes.len() {
             if !self.hears_anybody(first) {
-                self.members[first].pilot.own.fill(true);
+                self.network.nodes[first].pilot.own.fill(true);
             }
-            for second in first + 1..self.members.len() {
-                let rested = self.met[first][second].is_none_or(|at| self.now.micros_since(at) >= 1_000_000);
+            for second in first + 1..self.network.nodes.len() {
+                let rested =
+                    self.met[first][second].is_none_or(|at| self.network.now().micros_since(at) >= 1_000_000);
                 if !(rested && self.hears(first, second) && self.hears(second, first)) {
                     continue;
                 }
-                self.met[first][second] = Some(self.now);
-                let Ok([a, b]) = self.members.get_disjoint_mut([first, second]) else { continue };
+                self.met[first][second] = Some(self.network.now());
+                let Ok([a, b]) = self.network.nodes.get_disjoint_mut([first, second]) else { continue };
                 divide(&mut a.pilot, &mut b.pilot);
             }
         }
     }
 
     fn hears(&self, robot: usize, other: usize) -> bool {
-        let id = self.members[other].robot.own_stream().origin;
-        self.members[robot]
-            .robot
-            .session()
-            .peers()
-            .any(|peer| peer.stream.origin == id && self.now.micros_since(peer.last_heard) < ALONE_MICROS)
+        let id = self.network.nodes[other].robot.own_stream().origin;
+        self.network.nodes[robot].robot.session().peers().any(|peer| {
+            peer.stream.origin == id && self.network.now().micros_since(peer.last_heard) < ALONE_MICROS
+        })
     }
 
     fn hears_anybody(&self, robot: usize) -> bool {
-        (0..self.members.len()).any(|other| other != robot && self.hears(robot, other))
+        (0..self.network.nodes.len()).any(|other| other != robot && self.hears(robot, other))
     }
 
     fn has_ended(&self) -> Option<Ended> {
-        if self.now.seconds() >= self.options.seconds_max {
+        if self.network.now().seconds() >= self.options.seconds_max {
             return Some(Ended::TimeOut);
         }
-        let idle = self.members.iter().map(|m| m.pilot.idle_since.map(|since| self.now.micros_since(since)));
+        let idle = self
+            .network
+            .nodes
+            .iter()
+            .map(|m| m.pilot.idle_since.map(|since| self.network.now().micros_since(since)));
         let idle = idle.min().flatten()?;
         (idle >= IDLE_MAX_MICROS || (idle >= IDLE_MICROS && self.maps_agree())).then_some(Ended::Done)
     }
 
     /// Whether every robot has all packages of all robots that it hears.
     fn maps_agree(&self) -> bool {
-        let count = self.members.len();
+        let count = self.network.nodes.len();
         (0..count).all(|receiver| {
             (0..count).filter(|sender| *sender != receiver && self.hears(receiver, *sender)).all(|sender| {
-                let sender = &self.members[sender].robot;
+                let sender = &self.network.nodes[sender].robot;
                 let packages = sender.counters().packages;
-                let held = self.members[receiver].robot.session().held(sender.own_stream());
+                let held = self.network.nodes[receiver].robot.session().held(sender.own_stream());
                 packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
             })
         })
-    }
-
-    /// Lets robots and radio do what is due before `until`.
-    fn carry_until(&mut self, until: Stamp) {
-        let mut now = self.now;
-        let mut stuck = 0;
-        loop {
-            while let Some(delivery) = self.radio.deliver_due(now) {
-                let to = usize::from(delivery.to.0).wrapping_sub(1);
-                if let Some(member) = self.members.get_mut(to) {
-                    // Errors are counted by the session.
-                    let _ = member.robot.handle_datagram(now, &delivery.bytes);
-                }
-            }
-            for member in &mut self.members {
-                if member.robot.poll_timeout().is_some_and(|at| at <= now) {
-                    member.robot.handle_timeout(now);
-                }
-                while member.robot.poll_event().is_some() {}
-            }
-            self.transmit(now);
-            let timeouts = self.members.iter().filter_map(|member| member.robot.poll_timeout());
-            let Some(next) = timeouts.chain(self.radio.next_due()).min() else { return };
-            if next >= until {
-                return;
-            }
-            if next > now {
-                now = next;
-                stuck = 0;
-            } else {
-                // Due now again and again: let a millisecond pass, as a real clock would.
-                stuck += 1;
-                if stuck > 100 {
-                    now = now.plus_micros(1_000);
-                    if now >= until {
-                        return;
-                    }
-                }
-            }
-        }
-    }
-
-    fn transmit(&mut self, now: Stamp) {
-        let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
-        for member in &mut self.members {
-            let own = member.robot.own_stream().origin;
-            while let Some(transmit) = member.robot.poll_transmit(now) {
-                match transmit.to {
-                    Destination::Peer(peer) => self.radio.send(now, own, To::Node(peer), &transmit.bytes),
-                    Destination::Everyone if member.robot.config().session.cast == Cast::Broadcast => {
-                        self.radio.send(now, own, To::All, &transmit.bytes);
-                    }
-                    Destination::Everyone => {
-                        for peer in ids.iter().filter(|id| **id != own) {
-                            self.radio.send(now, own, To::Node(*peer), &transmit.bytes);
-                        }
-                    }
-                }
-            }
-        }
     }
 }
 

@@ -1,0 +1,236 @@
+//! Nodes joined by the emulated radio, in virtual time: whatever is due next happens next, and nothing waits.
+
+use crate::{Delivery, RadioConfig, RadioEmulator, To};
+use flockmap::{Cast, Destination, Robot};
+use flockmap_grid::{RobotId, Stamp};
+
+/// A robot, of Flockmap or of a rival, as a [`Network`] drives it.
+pub trait Node {
+    /// Its name on the radio.
+    fn id(&self) -> RobotId;
+    /// Takes in a datagram. What is wrong with it, the node counts itself.
+    fn handle_datagram(&mut self, now: Stamp, delivery: &Delivery);
+    /// Lets time pass.
+    fn handle_timeout(&mut self, now: Stamp);
+    /// When it wants to be called: later than when it was called last.
+    fn poll_timeout(&self) -> Option<Stamp>;
+    /// The next datagram to send, until `None`.
+    fn poll_transmit(&mut self, now: Stamp) -> Option<Datagram>;
+}
+
+/// A datagram that a node sends.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Datagram {
+    /// Whom to.
+    pub to: Addressees,
+    /// The payload.
+    pub bytes: Vec<u8>,
+}
+
+/// Whom a datagram goes to.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Addressees {
+    /// This node.
+    One(RobotId),
+    /// Every other node, each with a datagram of its own.
+    Each,
+    /// Every other node, with one datagram for all.
+    All,
+}
+
+/// Whatever holds a robot of Flockmap is a node.
+impl<T: AsRef<Robot> + AsMut<Robot>> Node for T {
+    fn id(&self) -> RobotId {
+        self.as_ref().own_stream().origin
+    }
+
+    fn handle_datagram(&mut self, now: Stamp, delivery: &Delivery) {
+        // Errors are counted by the session.
+        let _ = self.as_mut().handle_datagram(now, &delivery.bytes);
+    }
+
+    fn handle_timeout(&mut self, now: Stamp) {
+        self.as_mut().handle_timeout(now);
+    }
+
+    fn poll_timeout(&self) -> Option<Stamp> {
+        self.as_ref().poll_timeout()
+    }
+
+    fn poll_transmit(&mut self, now: Stamp) -> Option<Datagram> {
+        let transmit = self.as_mut().poll_transmit(now)?;
+        let to = match (transmit.to, self.as_ref().config().session.cast) {
+            (Destination::Peer(peer), _) => Addressees::One(peer),
+            (Destination::Everyone, Cast::Unicast) => Addressees::Each,
+            (Destination::Everyone, Cast::Broadcast) => Addressees::All,
+        };
+        Some(Datagram { to, bytes: transmit.bytes })
+    }
+}
+
+/// Sees what happens in a [`Network`], and takes the events of its nodes. Nodes have numbers from 0 on.
+pub trait Watch<N> {
+    /// A datagram is about to be handed to a node.
+    fn delivered(&mut self, _now: Stamp, _number: usize, _node: &mut N, _bytes: usize) {}
+    /// A node was called, with a datagram or because its time had come.
+    fn called(&mut self, _now: Stamp, _number: usize, _node: &mut N) {}
+    /// A node sent a datagram, so many copies of it.
+    fn sent(&mut self, _now: Stamp, _number: usize, _node: &mut N, _bytes: usize, _copies: usize) {}
+}
+
+/// Nobody watches.
+impl<N> Watch<N> for () {}
+
+/// Nodes and the radio between them.
+pub struct Network<N> {
+    /// The nodes. After giving one an input, call [`transmit`](Self::transmit).
+    pub nodes: Vec<N>,
+    /// The radio.
+    pub radio: RadioEmulator,
+    now: Stamp,
+}
+
+impl<N: Node> Network<N> {
+    /// Joins nodes by a radio.
+    pub fn new(nodes: Vec<N>, radio: RadioConfig, now: Stamp) -> Self {
+        let radio = RadioEmulator::new(nodes.iter().map(Node::id), radio);
+        Self { nodes, radio, now }
+    }
+
+    /// The time.
+    pub const fn now(&self) -> Stamp {
+        self.now
+    }
+
+    /// When something happens next by itself. O(nodes).
+    pub fn next_due(&self) -> Option<Stamp> {
+        self.nodes.iter().filter_map(Node::poll_timeout).chain(self.radio.next_due()).min()
+    }
+
+    /// Lets everything happen that is due up to a time; then it is that time.
+    pub fn run_until(&mut self, until: Stamp, watch: &mut impl Watch<N>) {
+        while self.next_due().is_some_and(|due| due <= until) {
+            self.step(Some(until), watch);
+        }
+        self.now = self.now.max(until);
+    }
+
+    /// Lets everything happen that is due before a time; then it is that time.
+    pub fn run_before(&mut self, until: Stamp, watch: &mut impl Watch<N>) {
+        while self.next_due().is_some_and(|due| due < until) {
+            self.step(None, watch);
+        }
+        self.now = self.now.max(until);
+    }
+
+    /// Goes on to the next thing that is due, but not beyond `until`, and lets everything happen that is due then. With nothing due and no
+    /// `until`, a tenth of a second passes.
+    pub fn step(&mut self, until: Option<Stamp>, watch: &mut impl Watch<N>) {
+        let next = self.next_due().into_iter().chain(until).min();
+        self.now = self.now.max(next.unwrap_or_else(|| self.now.plus_micros(100_000)));
+        while let Some(delivery) = self.radio.deliver_due(self.now) {
+            if let Some(number) = self.nodes.iter().position(|node| node.id() == delivery.to) {
+                let node = &mut self.nodes[number];
+                watch.delivered(self.now, number, node, delivery.bytes.len());
+                node.handle_datagram(self.now, &delivery);
+                watch.called(self.now, number, node);
+            }
+        }
+        for (number, node) in self.nodes.iter_mut().enumerate() {
+            if node.poll_timeout().is_some_and(|due| due <= self.now) {
+                node.handle_timeout(self.now);
+                watch.called(self.now, number, node);
+            }
+        }
+        self.transmit(watch);
+    }
+
+    /// Sends what the nodes have to send now.
+    pub fn transmit(&mut self, watch: &mut impl Watch<N>) {
+        let ids: Vec<RobotId> = self.nodes.iter().map(Node::id).collect();
+        for (number, node) in self.nodes.iter_mut().enumerate() {
+            let own = node.id();
+            while let Some(Datagram { to, bytes }) = node.poll_transmit(self.now) {
+                let to: Vec<To> = match to {
+                    Addressees::One(peer) => vec![To::Node(peer)],
+                    Addressees::All => vec![To::All],
+                    Addressees::Each => ids.iter().filter(|id| **id != own).map(|id| To::Node(*id)).collect(),
+                };
+                watch.sent(self.now, number, node, bytes.len(), to.len());
+                to.into_iter().for_each(|to| self.radio.send(self.now, own, to, &bytes));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Link;
+
+    /// Says a word every second to everybody else, and notes what it hears.
+    struct Talker {
+        id: RobotId,
+        next: Stamp,
+        due: bool,
+        heard: Vec<(Stamp, RobotId)>,
+    }
+
+    impl Node for Talker {
+        fn id(&self) -> RobotId {
+            self.id
+        }
+        fn handle_datagram(&mut self, now: Stamp, delivery: &Delivery) {
+            self.heard.push((now, delivery.from));
+        }
+        fn handle_timeout(&mut self, _now: Stamp) {
+            self.next = self.next.plus_micros(1_000_000);
+            self.due = true;
+        }
+        fn poll_timeout(&self) -> Option<Stamp> {
+            Some(self.next)
+        }
+        fn poll_transmit(&mut self, _now: Stamp) -> Option<Datagram> {
+            std::mem::take(&mut self.due).then(|| Datagram { to: Addressees::Each, bytes: vec![7; 10] })
+        }
+    }
+
+    #[derive(Default)]
+    struct Counts {
+        delivered: usize,
+        called: usize,
+        copies: usize,
+    }
+
+    impl Watch<Talker> for Counts {
+        fn delivered(&mut self, _now: Stamp, _number: usize, _node: &mut Talker, _bytes: usize) {
+            self.delivered += 1;
+        }
+        fn called(&mut self, _now: Stamp, _number: usize, _node: &mut Talker) {
+            self.called += 1;
+        }
+        fn sent(&mut self, _now: Stamp, _number: usize, _node: &mut Talker, _bytes: usize, copies: usize) {
+            self.copies += copies;
+        }
+    }
+
+    #[test]
+    fn what_is_sent_arrives_after_its_delay_and_the_watch_sees_all_of_it() {
+        let talkers = (1..=3).map(|id| Talker {
+            id: RobotId(id),
+            next: Stamp(i64::from(id) * 100_000),
+            due: false,
+            heard: Vec::new(),
+        });
+        let link = Link { delay_micros: 50_000, ..Link::default() };
+        let radio = RadioConfig { link, ..RadioConfig::default() };
+        let mut network = Network::new(talkers.collect(), radio, Stamp(0));
+        let mut counts = Counts::default();
+        network.run_until(Stamp(1_000_000), &mut counts);
+        assert_eq!(network.now(), Stamp(1_000_000));
+        let heard = [(Stamp(250_000), RobotId(2)), (Stamp(350_000), RobotId(3))];
+        assert_eq!(network.nodes[0].heard, heard);
+        assert_eq!((counts.delivered, counts.called, counts.copies), (6, 6 + 3, 6));
+        assert_eq!(network.next_due(), Some(Stamp(1_100_000)));
+    }
+}
