@@ -60,7 +60,9 @@ pub(in crate::swarm) fn pause_of_relays(robots: &[&Robot]) -> i64 {
 pub(in crate::swarm) fn superseded(robots: &[&Robot]) -> Option<(RobotId, String)> {
     robots.iter().find_map(|robot| {
         let own = robot.own_stream();
-        let known = robots.iter().flat_map(|other| other.session().streams());
+        // Who has heard a later run, and not taken anything of it yet, knows that run as its peer only.
+        let peers = robots.iter().flat_map(|other| other.session().peers().map(|peer| peer.stream));
+        let known = robots.iter().flat_map(|other| other.session().streams()).chain(peers);
         let newer = known.filter(|run| run.origin == own.origin).max()?;
         (newer > own).then(|| (own.origin, format!("a run above {newer:?}")))
     })

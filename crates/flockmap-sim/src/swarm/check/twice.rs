@@ -1,7 +1,7 @@
 //! Nothing is sent twice to a peer within a round trip, and nothing that the peer has said it holds.
 //!
 //! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
-//! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with, on its own clock.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
+//! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with, on its own clock; what it has found lost by then stays lost.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
 //! send are allowed, and counted as relayed. A tile that is broadcast for one peer while another one begins the same set may go
 //! out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions that compare successive requests (the paper's) measure no round trip and are
 //! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
@@ -25,6 +25,8 @@ struct Pair {
     sent: FxHashMap<Item, (i64, Stamp)>,
     /// The peer's newest request that arrived.
     request: Option<(Stamp, Request)>,
+    /// When a round trip to it was first measured, on the robot's clock.
+    measured: Option<Stamp>,
 }
 
 /// All that one run of a robot sent and was told.
@@ -49,9 +51,20 @@ impl Twice {
         }
     }
 
-    /// A request has arrived at the robot and was accepted.
-    pub(in crate::swarm) fn arrived(&mut self, header: &DatagramHeader, request: Request) {
+    /// A request has arrived at the robot, when its clock showed `now`, and was accepted.
+    pub(in crate::swarm) fn arrived(
+        &mut self,
+        robot: &Robot,
+        now: Stamp,
+        header: &DatagramHeader,
+        request: Request,
+    ) {
         let pair = self.peers.entry(header.sender.origin).or_default();
+        let mut peers = robot.session().peers();
+        let is_measured = peers.any(|p| p.stream == header.sender && p.round_trip_micros.is_some());
+        if is_measured {
+            pair.measured.get_or_insert(now);
+        }
         if pair.request.as_ref().is_none_or(|(stamp, _)| *stamp < header.stamp) {
             pair.request = Some((header.stamp, request));
         }
@@ -74,12 +87,11 @@ impl Twice {
         let peers = robot.session().peers();
         let peers = peers.filter(|peer| to.map_or(peer.hears_us, |to| to == peer.stream.origin));
         // As the robot knows them: a robot that began anew is sent its former run.
-        let peers: Vec<(Stream, i64, bool)> = peers
+        let peers: Vec<(Stream, bool)> = peers
             .map(|peer| {
-                let on_its_clock = if peer.round_trip_micros.is_some() { i64::MAX } else { initial };
                 // What finds no room in the ledger of one that it is not meant for is not noted.
                 let is_full = to.is_none() && peer.in_flight >= 2 * config.in_flight_max;
-                (peer.stream, on_its_clock, is_full)
+                (peer.stream, is_full)
             })
             .collect();
         for package in packages {
@@ -91,7 +103,7 @@ impl Twice {
             let item = (header.stream, header.index, tile);
             let is_noted = ledger && (tile.is_none() || to.is_some());
             let mut reasons = Vec::new();
-            for (stream, on_its_clock, is_full) in &peers {
+            for (stream, is_full) in &peers {
                 let peer = stream.origin;
                 if *stream == header.stream {
                     reasons.push(format!("it is {peer:?}'s own"));
@@ -109,9 +121,10 @@ impl Twice {
                 } else if let Some((before, shown)) = before
                     && is_noted
                     && now.0 - before < round_trip
-                    && now.1.micros_since(shown) < *on_its_clock
+                    // What was found lost until a round trip was measured stays lost.
+                    && pair.measured.unwrap_or(now.1).micros_since(shown) < initial
                 {
-                    let least = round_trip.min(*on_its_clock);
+                    let least = if pair.measured.is_some() { round_trip } else { round_trip.min(initial) };
                     let (ago, least) = ((now.0 - before) as f64 / 1e3, least as f64 / 1e3);
                     reasons.push(format!(
                         "sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"

@@ -43,7 +43,7 @@ impl Engine {
             }
             match read {
                 Some((header, Content::Request(request))) => {
-                    self.members[number].twice.arrived(&header, *request);
+                    self.members[number].twice.arrived(&robot, now, &header, *request);
                 }
                 Some((_, Content::Path(message))) => self.members[number].paths.arrived(&message),
                 _ => {}
