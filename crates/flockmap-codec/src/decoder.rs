@@ -1,7 +1,7 @@
 //! From a package back to its content.
 
 use flockmap_grid::Layer;
-use flockmap_grid::mutation::{self, Mutation};
+use flockmap_mutation::{self as mutation, Mutation};
 
 use crate::check::{check_changes, check_present};
 use crate::flock;

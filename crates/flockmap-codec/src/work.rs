@@ -1,7 +1,7 @@
 //! How much work a payload may ask of its reader: counted in steps before each is taken, so that a short payload is read in a short time
 //! whatever it says.
 
-use flockmap_grid::mutation::{self, Mutation};
+use flockmap_mutation::{self as mutation, Mutation};
 
 use crate::{Codec, PackageError};
 

@@ -115,7 +115,7 @@ impl Layer {
             block.keep_before(new, stamp, is_cycle);
             let mut mask = new.known();
             if block.stamps.newest() >= stamp
-                && !crate::mutation::is(crate::mutation::Mutation::StampCompareDropped)
+                && !flockmap_mutation::is(flockmap_mutation::Mutation::StampCompareDropped)
             {
                 block.keep_newer(&mut mask, new, stamp);
             }

@@ -12,7 +12,6 @@ mod layer;
 mod mapper;
 mod memory;
 #[doc(hidden)]
-pub mod mutation;
 mod origin;
 mod pose;
 mod present;

@@ -1,7 +1,7 @@
 //! Faults put into the library on purpose: the checkers of the swarm find each of them, by name.
 
 use flockmap::Cast;
-use flockmap_grid::mutation::{self, Mutation};
+use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sim::swarm::{Failure, SwarmOptions, fly};
 
 /// Seeds that are flown for each fault, at the most.

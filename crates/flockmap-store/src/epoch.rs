@@ -4,7 +4,7 @@ use std::io::{self, Read};
 use std::sync::Arc;
 
 use flockmap::RobotId;
-use flockmap::grid::mutation::{self, Mutation};
+use flockmap_mutation::{self as mutation, Mutation};
 
 use crate::Disk;
 

@@ -5,7 +5,7 @@
 //! in any T seconds at most one full datagram and the budget times T go out.
 
 use flockmap_grid::Stamp;
-use flockmap_grid::mutation::{self, Mutation};
+use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::VecDeque;
 
 const SECOND: i64 = 1_000_000;

@@ -3,8 +3,8 @@
 use crate::IntervalSet;
 use crate::milestones::Milestones;
 use flockmap_codec::Package;
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Intervals in the index list of one stream. Packages that would tear more holes than that are refused until

@@ -11,10 +11,10 @@ use std::collections::BTreeMap;
 use std::borrow::Cow;
 
 use flockmap_codec::{Cycle, Decoder, Span};
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{
     Changes, Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
 };
+use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::wire::DatagramError;
 use flockmap_sync::{Path, Session, Transmit};
 

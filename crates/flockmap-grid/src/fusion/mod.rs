@@ -262,7 +262,7 @@ impl Fusion {
             self.rebuild(mapper);
         } else if stream != self.own
             && !origin.is_muted
-            && !crate::mutation::is(crate::mutation::Mutation::FusionSkipped)
+            && !flockmap_mutation::is(flockmap_mutation::Mutation::FusionSkipped)
         {
             let reached = origin.alignment.reach(&taken);
             self.refresh(mapper, &reached);

@@ -12,7 +12,7 @@ use crate::random::Random;
 use flockmap::sync::Counters;
 use flockmap::sync::wire::Salt;
 use flockmap::{Pose, Robot, RobotCounters, RobotId, Stream};
-use flockmap_grid::mutation::{self, Mutation};
+use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_store::next_epoch;
 use std::collections::BTreeMap;
 

@@ -2,8 +2,8 @@
 
 use crate::IntervalSet;
 use crate::store::HELD_INTERVALS_MAX;
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 
 /// Silence after which a transfer is given up.
 pub(crate) const ABANDONED: i64 = 30_000_000;

@@ -6,8 +6,8 @@ use super::present::OFFER_PAUSE;
 use crate::item::Item;
 use crate::wire::{DatagramHeader, Request};
 use crate::{InFlight, IntervalSet, Relay};
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::BTreeSet;
 
 /// A stamp below an earlier one means that the datagram was overtaken on the way, since the clock of a run never goes back. But the earlier

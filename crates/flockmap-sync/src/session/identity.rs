@@ -4,8 +4,8 @@ use super::sealing::SealedCounters;
 use super::{Event, Session};
 use crate::replay::Replays;
 use crate::wire::Request;
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 
 /// After beginning anew, it is done again not before this time; each time twice as long, up to the longest. Two robots with the same
 /// id would else outdo each other without end.

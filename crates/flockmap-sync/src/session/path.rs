@@ -6,8 +6,8 @@ use super::{Destination, Session, Transmit};
 use crate::Cast;
 use crate::timers::Timer;
 use crate::wire::{Kind, PathMessage};
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp};
+use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::VecDeque;
 
 /// An address, as the driver numbers them: whatever arrives from one address has the same number.

@@ -8,8 +8,8 @@ use crate::store::Missing;
 use crate::wire::CONTENTS_BYTES_MAX;
 use crate::{Cast, IntervalSet};
 use flockmap_codec::{ContentKind, Package};
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 
 /// A set counts as ignored when tiles of it got lost four times and the peer has not spoken of it …
 const UNHEEDED_MAX: u8 = 5;

@@ -4,8 +4,8 @@ use super::{Destination, Session, Transmit};
 use crate::timers::Timer;
 use crate::wire::{ClockReport, Covered, Echo, Held, Kind, Request, StateWanted, TransferProgress};
 use crate::{Cast, IntervalSet};
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 
 /// A request to all takes at most one part in so many of a second's worth of a budget …
 const BUDGET_SHARE_AT_ONCE: usize = 2;

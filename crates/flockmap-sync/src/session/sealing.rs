@@ -5,8 +5,8 @@ use crate::replay::NotFresh;
 use crate::wire::{
     COUNTER_MAX, DatagramError, Kind, OpenedDatagram, Request, SealedDatagram, seal_bytes, seal_datagram,
 };
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::BTreeMap;
 
 /// The counters of the datagrams that this run has sealed. At most one for each robot that was ever a peer.

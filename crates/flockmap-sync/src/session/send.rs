@@ -6,8 +6,8 @@ use crate::Cast;
 use crate::item::Item;
 use crate::timers::Timer;
 use crate::wire::{Kind, PackagesWriter};
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{RobotId, Stamp};
+use flockmap_mutation::{self as mutation, Mutation};
 
 /// Items looked at to fill up a datagram.
 const BUNDLE_LOOKAHEAD: usize = 16;

@@ -1,8 +1,8 @@
 //! What comes in: packages of others are decoded and merged, and the session gets the verdict.
 
 use flockmap_codec::{Content, Header, Package, PackageError, Span};
-use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Changes, PresentState, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::Verdict;
 
 use super::Robot;

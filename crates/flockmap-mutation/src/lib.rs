@@ -1,7 +1,9 @@
 //! Faults put in on purpose, to prove that the checkers of the swarm simulator find them. For tests only.
 //!
-//! Each fault breaks one thing in one line, where [`is`] asks for it. Without the feature `mutations`, which no shipped program has,
+//! Each fault breaks one thing in one line, where [`is`] asks for it. Without the feature `active`, which no shipped program has,
 //! [`is`] is a constant `false` and nothing remains of it.
+
+#![forbid(unsafe_code)]
 
 /// A fault.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -87,26 +89,26 @@ impl Mutation {
     ];
 }
 
-#[cfg(feature = "mutations")]
+#[cfg(feature = "active")]
 thread_local! {
     static ACTIVE: core::cell::Cell<Option<Mutation>> = const { core::cell::Cell::new(None) };
 }
 
 /// Puts in a fault, or takes it out, on this thread.
-#[cfg(feature = "mutations")]
+#[cfg(feature = "active")]
 pub fn set(mutation: Option<Mutation>) {
     ACTIVE.set(mutation);
 }
 
 /// Whether this fault is put in on this thread.
-#[cfg(feature = "mutations")]
+#[cfg(feature = "active")]
 #[inline]
 pub fn is(mutation: Mutation) -> bool {
     ACTIVE.get() == Some(mutation)
 }
 
 /// Whether this fault is put in: never.
-#[cfg(not(feature = "mutations"))]
+#[cfg(not(feature = "active"))]
 #[inline(always)]
 pub const fn is(_: Mutation) -> bool {
     false
