@@ -70,12 +70,15 @@ impl<T: AsRef<Robot> + AsMut<Robot>> Node for T {
 
 /// Sees what happens in a [`Network`], and takes the events of its nodes. Nodes have numbers from 0 on.
 pub trait Watch<N> {
-    /// A datagram is about to be handed to a node.
-    fn delivered(&mut self, _now: Stamp, _number: usize, _node: &mut N, _bytes: usize) {}
-    /// A node was called, with a datagram or because its time had come.
+    /// A node is about to be called, with a datagram or because its time has come.
+    fn begins(&mut self, _now: Stamp, _number: usize, _node: &mut N, _delivery: Option<&Delivery>) {}
+    /// A node was called, and has not sent anything yet.
     fn called(&mut self, _now: Stamp, _number: usize, _node: &mut N) {}
-    /// A node sent a datagram, so many copies of it.
-    fn sent(&mut self, _now: Stamp, _number: usize, _node: &mut N, _bytes: usize, _copies: usize) {}
+    /// A node sends a datagram, so many copies of it. What is done to it here, the radio carries.
+    fn sent(&mut self, _now: Stamp, _number: usize, _node: &mut N, _datagram: &mut Datagram, _copies: usize) {
+    }
+    /// A node has sent all that it has to send now.
+    fn settled(&mut self, _now: Stamp, _number: usize, _node: &mut N) {}
 }
 
 /// Nobody watches.
@@ -83,23 +86,48 @@ impl<N> Watch<N> for () {}
 
 /// Nodes and the radio between them.
 pub struct Network<N> {
-    /// The nodes. After giving one an input, call [`transmit`](Self::transmit).
-    pub nodes: Vec<N>,
-    /// The radio.
-    pub radio: RadioEmulator,
+    nodes: Vec<N>,
+    ids: Vec<RobotId>,
+    radio: RadioEmulator,
     now: Stamp,
 }
 
 impl<N: Node> Network<N> {
     /// Joins nodes by a radio.
     pub fn new(nodes: Vec<N>, radio: RadioConfig, now: Stamp) -> Self {
-        let radio = RadioEmulator::new(nodes.iter().map(Node::id), radio);
-        Self { nodes, radio, now }
+        let ids: Vec<RobotId> = nodes.iter().map(Node::id).collect();
+        let radio = RadioEmulator::new(ids.iter().copied(), radio);
+        Self { nodes, ids, radio, now }
     }
 
     /// The time.
     pub const fn now(&self) -> Stamp {
         self.now
+    }
+
+    /// The nodes.
+    pub fn nodes(&self) -> &[N] {
+        &self.nodes
+    }
+
+    /// The nodes, for what is not an input: use [`call`](Self::call) for that.
+    pub fn nodes_mut(&mut self) -> &mut [N] {
+        &mut self.nodes
+    }
+
+    /// Their names.
+    pub fn ids(&self) -> &[RobotId] {
+        &self.ids
+    }
+
+    /// The radio.
+    pub const fn radio(&self) -> &RadioEmulator {
+        &self.radio
+    }
+
+    /// The radio, to close and open links.
+    pub const fn radio_mut(&mut self) -> &mut RadioEmulator {
+        &mut self.radio
     }
 
     /// When something happens next by itself. O(nodes).
@@ -112,7 +140,7 @@ impl<N: Node> Network<N> {
         while self.next_due().is_some_and(|due| due <= until) {
             self.step(Some(until), watch);
         }
-        self.now = self.now.max(until);
+        self.skip_to(until);
     }
 
     /// Lets everything happen that is due before a time; then it is that time.
@@ -120,46 +148,69 @@ impl<N: Node> Network<N> {
         while self.next_due().is_some_and(|due| due < until) {
             self.step(None, watch);
         }
-        self.now = self.now.max(until);
+        self.skip_to(until);
     }
 
     /// Goes on to the next thing that is due, but not beyond `until`, and lets everything happen that is due then. With nothing due and no
     /// `until`, a tenth of a second passes.
     pub fn step(&mut self, until: Option<Stamp>, watch: &mut impl Watch<N>) {
         let next = self.next_due().into_iter().chain(until).min();
-        self.now = self.now.max(next.unwrap_or_else(|| self.now.plus_micros(100_000)));
-        while let Some(delivery) = self.radio.deliver_due(self.now) {
-            if let Some(number) = self.nodes.iter().position(|node| node.id() == delivery.to) {
-                let node = &mut self.nodes[number];
-                watch.delivered(self.now, number, node, delivery.bytes.len());
-                node.handle_datagram(self.now, &delivery);
-                watch.called(self.now, number, node);
-            }
-        }
-        for (number, node) in self.nodes.iter_mut().enumerate() {
-            if node.poll_timeout().is_some_and(|due| due <= self.now) {
-                node.handle_timeout(self.now);
-                watch.called(self.now, number, node);
-            }
-        }
-        self.transmit(watch);
+        self.skip_to(next.unwrap_or_else(|| self.now.plus_micros(100_000)));
+        self.deliver_due(watch);
+        (0..self.nodes.len()).for_each(|number| self.call_if_due(number, watch));
     }
 
-    /// Sends what the nodes have to send now.
-    pub fn transmit(&mut self, watch: &mut impl Watch<N>) {
-        let ids: Vec<RobotId> = self.nodes.iter().map(Node::id).collect();
-        for (number, node) in self.nodes.iter_mut().enumerate() {
-            let own = node.id();
-            while let Some(Datagram { to, bytes }) = node.poll_transmit(self.now) {
-                let to: Vec<To> = match to {
-                    Addressees::One(peer) => vec![To::Node(peer)],
-                    Addressees::All => vec![To::All],
-                    Addressees::Each => ids.iter().filter(|id| **id != own).map(|id| To::Node(*id)).collect(),
-                };
-                watch.sent(self.now, number, node, bytes.len(), to.len());
-                to.into_iter().for_each(|to| self.radio.send(self.now, own, to, &bytes));
+    /// It is a later time, whatever was due before.
+    pub fn skip_to(&mut self, now: Stamp) {
+        self.now = self.now.max(now);
+    }
+
+    /// Hands over what arrives now.
+    pub fn deliver_due(&mut self, watch: &mut impl Watch<N>) {
+        while let Some(delivery) = self.radio.deliver_due(self.now) {
+            if let Some(number) = self.ids.iter().position(|id| *id == delivery.to) {
+                let node = &mut self.nodes[number];
+                watch.begins(self.now, number, node, Some(&delivery));
+                node.handle_datagram(self.now, &delivery);
+                self.settle(number, watch);
             }
         }
+    }
+
+    /// Calls a node if its time has come.
+    pub fn call_if_due(&mut self, number: usize, watch: &mut impl Watch<N>) {
+        if self.nodes[number].poll_timeout().is_some_and(|due| due <= self.now) {
+            self.call(number, watch, N::handle_timeout);
+        }
+    }
+
+    /// Gives a node an input from outside, and sends what it has to send then.
+    pub fn call<R>(
+        &mut self,
+        number: usize,
+        watch: &mut impl Watch<N>,
+        input: impl FnOnce(&mut N, Stamp) -> R,
+    ) -> R {
+        watch.begins(self.now, number, &mut self.nodes[number], None);
+        let result = input(&mut self.nodes[number], self.now);
+        self.settle(number, watch);
+        result
+    }
+
+    fn settle(&mut self, number: usize, watch: &mut impl Watch<N>) {
+        let (now, own, node) = (self.now, self.ids[number], &mut self.nodes[number]);
+        watch.called(now, number, node);
+        while let Some(mut datagram) = node.poll_transmit(now) {
+            let others = self.ids.iter().filter(|id| **id != own);
+            let to: Vec<To> = match datagram.to {
+                Addressees::One(peer) => vec![To::Node(peer)],
+                Addressees::All => vec![To::All],
+                Addressees::Each => others.map(|id| To::Node(*id)).collect(),
+            };
+            watch.sent(now, number, node, &mut datagram, to.len());
+            to.into_iter().for_each(|to| self.radio.send(now, own, to, &datagram.bytes));
+        }
+        watch.settled(now, number, node);
     }
 }
 
@@ -203,13 +254,13 @@ mod tests {
     }
 
     impl Watch<Talker> for Counts {
-        fn delivered(&mut self, _now: Stamp, _number: usize, _node: &mut Talker, _bytes: usize) {
-            self.delivered += 1;
+        fn begins(&mut self, _now: Stamp, _number: usize, _node: &mut Talker, delivery: Option<&Delivery>) {
+            self.delivered += usize::from(delivery.is_some());
         }
         fn called(&mut self, _now: Stamp, _number: usize, _node: &mut Talker) {
             self.called += 1;
         }
-        fn sent(&mut self, _now: Stamp, _number: usize, _node: &mut Talker, _bytes: usize, copies: usize) {
+        fn sent(&mut self, _now: Stamp, _number: usize, _node: &mut Talker, _: &mut Datagram, copies: usize) {
             self.copies += copies;
         }
     }
@@ -229,7 +280,7 @@ mod tests {
         network.run_until(Stamp(1_000_000), &mut counts);
         assert_eq!(network.now(), Stamp(1_000_000));
         let heard = [(Stamp(250_000), RobotId(2)), (Stamp(350_000), RobotId(3))];
-        assert_eq!(network.nodes[0].heard, heard);
+        assert_eq!(network.nodes()[0].heard, heard);
         assert_eq!((counts.delivered, counts.called, counts.copies), (6, 6 + 3, 6));
         assert_eq!(network.next_due(), Some(Stamp(1_100_000)));
     }

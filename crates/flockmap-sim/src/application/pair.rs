@@ -1,7 +1,7 @@
 //! Two robots with their maps, joined by an emulated radio in virtual time.
 
 use super::{ApplicationOptions, MapSync, RobotTraffic};
-use crate::{IN_THE_WORLD, IP_UDP_BYTES, Link, Network, RadioConfig, Watch};
+use crate::{Datagram, Delivery, IN_THE_WORLD, IP_UDP_BYTES, Link, Network, RadioConfig, Watch};
 use flockmap::{CycleConfig, Event, Robot, RobotConfig, RobotError, SessionConfig};
 use flockmap_grid::{Changes, Layer, Pose, RobotId, Scan, Stamp, State};
 
@@ -68,13 +68,13 @@ impl Pair {
     }
 
     pub(super) fn robot(&self, number: usize) -> &Robot {
-        &self.network.nodes[number]
+        &self.network.nodes()[number]
     }
 
     /// Takes in a scan of one of them. `other` is where the other one is.
     #[allow(non_snake_case)]
     pub(super) fn insert_scan(&mut self, number: usize, scan: &Scan, T_map_sensor: &Pose, other: [f64; 3]) {
-        let robot = &mut self.network.nodes[number];
+        let robot = &mut self.network.nodes_mut()[number];
         robot.set_teammate(id(1 - number), other, self.now).expect(IN_THE_WORLD);
         let report = robot.insert_scan(self.now, scan, T_map_sensor).expect(IN_THE_WORLD);
         if number == FOLLOWER {
@@ -110,12 +110,21 @@ impl Pair {
 }
 
 impl Watch<Robot> for Meters {
-    fn delivered(&mut self, now: Stamp, number: usize, _robot: &mut Robot, bytes: usize) {
-        self.received[number].add(now, bytes);
+    fn begins(&mut self, now: Stamp, number: usize, _robot: &mut Robot, delivery: Option<&Delivery>) {
+        if let Some(delivery) = delivery {
+            self.received[number].add(now, delivery.bytes.len());
+        }
     }
 
-    fn sent(&mut self, now: Stamp, number: usize, _robot: &mut Robot, bytes: usize, _copies: usize) {
-        self.sent[number].add(now, bytes);
+    fn sent(
+        &mut self,
+        now: Stamp,
+        number: usize,
+        _robot: &mut Robot,
+        datagram: &mut Datagram,
+        _copies: usize,
+    ) {
+        self.sent[number].add(now, datagram.bytes.len());
     }
 
     fn called(&mut self, now: Stamp, number: usize, robot: &mut Robot) {

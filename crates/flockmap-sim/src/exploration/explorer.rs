@@ -214,12 +214,12 @@ impl Explorer {
         if self.ended.is_some() {
             return None;
         }
-        let mates: Vec<Mate> = self.network.nodes.iter().map(|member| member.pilot.mate()).collect();
+        let mates: Vec<Mate> = self.network.nodes().iter().map(|member| member.pilot.mate()).collect();
         if self.steps.is_multiple_of(MEETING_SCANS) {
             self.meet();
         }
         let now = self.network.now();
-        spread(self.options.threads, &mut self.network.nodes, |number, member| {
+        spread(self.options.threads, self.network.nodes_mut(), |number, member| {
             let others: Vec<Mate> = mates.iter().filter(|mate| mate.number != number).cloned().collect();
             member.pilot.plan(now, member.robot.map(), &others);
         });
@@ -230,10 +230,10 @@ impl Explorer {
         if self.steps > 0 {
             self.fly();
         }
-        let places: Vec<[f64; 3]> = self.network.nodes.iter().map(|m| m.pilot.motion.position()).collect();
-        let ids: Vec<RobotId> = self.network.nodes.iter().map(|m| m.robot.own_stream().origin).collect();
+        let places: Vec<[f64; 3]> = self.network.nodes().iter().map(|m| m.pilot.motion.position()).collect();
+        let ids: Vec<RobotId> = self.network.nodes().iter().map(|m| m.robot.own_stream().origin).collect();
         let limits = self.options.limits;
-        spread(self.options.threads, &mut self.network.nodes, |number, member| {
+        spread(self.options.threads, self.network.nodes_mut(), |number, member| {
             let pose = member.pilot.motion.pose();
             // Where it will be when the scan ends, if nothing makes it brake meanwhile.
             let mut end = member.pilot.motion.clone();
@@ -250,12 +250,12 @@ impl Explorer {
         let next = now.plus_micros(SCAN_PERIOD_MICROS);
         self.network.run_before(next, &mut ());
         self.steps += 1;
-        Some(self.network.nodes.iter_mut().filter_map(|member| member.frame.take()).collect())
+        Some(self.network.nodes_mut().iter_mut().filter_map(|member| member.frame.take()).collect())
     }
 
     /// How far it has come. Costs a walk over what can be seen, about a millisecond for a forest.
     pub fn progress(&self) -> Progress {
-        let robots = self.network.nodes.iter().map(|member| {
+        let robots = self.network.nodes().iter().map(|member| {
             let pilot = &member.pilot;
             RobotProgress {
                 position: pilot.motion.position(),
@@ -276,7 +276,7 @@ impl Explorer {
     pub fn outcome(&self) -> Outcome {
         let mut each = 0u64;
         let mut union = std::collections::BTreeMap::new();
-        for member in &self.network.nodes {
+        for member in self.network.nodes() {
             for (index, block) in member.robot.mapper().blocks() {
                 let known = block.known();
                 each += u64::from(block.known_count());
@@ -289,7 +289,7 @@ impl Explorer {
             seconds: self.network.now().seconds(),
             seen_share: self.seen_share(),
             seeable_voxels: self.seeable.count(),
-            path_m: self.network.nodes.iter().map(|member| member.pilot.path_m).collect(),
+            path_m: self.network.nodes().iter().map(|member| member.pilot.path_m).collect(),
             overlap: each as f64 / once.max(1) as f64,
             ended: self.ended.unwrap_or(Ended::TimeOut),
         }
@@ -297,12 +297,12 @@ impl Explorer {
 
     /// The robots, in the order of the frames.
     pub fn robots(&self) -> impl Iterator<Item = &Robot> {
-        self.network.nodes.iter().map(|member| &member.robot)
+        self.network.nodes().iter().map(|member| &member.robot)
     }
 
     /// The radio, with what it has carried.
     pub const fn radio(&self) -> &RadioEmulator {
-        &self.network.radio
+        self.network.radio()
     }
 
     /// What it was told.
@@ -311,7 +311,7 @@ impl Explorer {
     }
 
     fn seen_share(&self) -> f64 {
-        self.seeable.share(self.network.nodes.iter().map(|member| member.robot.mapper()))
+        self.seeable.share(self.network.nodes().iter().map(|member| member.robot.mapper()))
     }
 
     /// Moves all robots on, one after the other. A robot stops where the path on which it could still come to rest would
@@ -319,17 +319,17 @@ impl Explorer {
     fn fly(&mut self) {
         let limits = self.options.limits;
         let dt = SCAN_PERIOD_MICROS as f64 * 1e-6;
-        for number in 0..self.network.nodes.len() {
-            let pilot = &self.network.nodes[number].pilot;
+        for number in 0..self.network.nodes().len() {
+            let pilot = &self.network.nodes()[number].pilot;
             let yaw = pilot.yaw_target();
             let mut next: Motion = pilot.motion.clone();
             next.step(dt, yaw, &limits);
             let path = next.stopping_path(&limits);
-            let free = self.network.nodes.iter().all(|other| {
+            let free = self.network.nodes().iter().all(|other| {
                 other.pilot.number == number
                     || are_apart(&path, &other.pilot.motion.stopping_path(&limits), self.options.separation_m)
             });
-            let pilot = &mut self.network.nodes[number].pilot;
+            let pilot = &mut self.network.nodes_mut()[number].pilot;
             if !free {
                 pilot.motion.brake(&limits);
                 next = pilot.motion.clone();
@@ -342,32 +342,32 @@ impl Explorer {
 
     /// Robots that hear each other divide the regions that they have between them.
     fn meet(&mut self) {
-        for first in 0..self.network.nodes.len() {
+        for first in 0..self.network.nodes().len() {
             if !self.hears_anybody(first) {
-                self.network.nodes[first].pilot.own.fill(true);
+                self.network.nodes_mut()[first].pilot.own.fill(true);
             }
-            for second in first + 1..self.network.nodes.len() {
+            for second in first + 1..self.network.nodes().len() {
                 let rested =
                     self.met[first][second].is_none_or(|at| self.network.now().micros_since(at) >= 1_000_000);
                 if !(rested && self.hears(first, second) && self.hears(second, first)) {
                     continue;
                 }
                 self.met[first][second] = Some(self.network.now());
-                let Ok([a, b]) = self.network.nodes.get_disjoint_mut([first, second]) else { continue };
+                let Ok([a, b]) = self.network.nodes_mut().get_disjoint_mut([first, second]) else { continue };
                 divide(&mut a.pilot, &mut b.pilot);
             }
         }
     }
 
     fn hears(&self, robot: usize, other: usize) -> bool {
-        let id = self.network.nodes[other].robot.own_stream().origin;
-        self.network.nodes[robot].robot.session().peers().any(|peer| {
+        let id = self.network.nodes()[other].robot.own_stream().origin;
+        self.network.nodes()[robot].robot.session().peers().any(|peer| {
             peer.stream.origin == id && self.network.now().micros_since(peer.last_heard) < ALONE_MICROS
         })
     }
 
     fn hears_anybody(&self, robot: usize) -> bool {
-        (0..self.network.nodes.len()).any(|other| other != robot && self.hears(robot, other))
+        (0..self.network.nodes().len()).any(|other| other != robot && self.hears(robot, other))
     }
 
     fn has_ended(&self) -> Option<Ended> {
@@ -376,7 +376,7 @@ impl Explorer {
         }
         let idle = self
             .network
-            .nodes
+            .nodes()
             .iter()
             .map(|m| m.pilot.idle_since.map(|since| self.network.now().micros_since(since)));
         let idle = idle.min().flatten()?;
@@ -385,12 +385,12 @@ impl Explorer {
 
     /// Whether every robot has all packages of all robots that it hears.
     fn maps_agree(&self) -> bool {
-        let count = self.network.nodes.len();
+        let count = self.network.nodes().len();
         (0..count).all(|receiver| {
             (0..count).filter(|sender| *sender != receiver && self.hears(receiver, *sender)).all(|sender| {
-                let sender = &self.network.nodes[sender].robot;
+                let sender = &self.network.nodes()[sender].robot;
                 let packages = sender.counters().packages;
-                let held = self.network.nodes[receiver].robot.session().held(sender.own_stream());
+                let held = self.network.nodes()[receiver].robot.session().held(sender.own_stream());
                 packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
             })
         })

@@ -7,14 +7,15 @@ use super::settings::{MemberSettings, Settings, purpose};
 use super::sim_disk::{self, SimDisk};
 use super::trouble::Boot;
 use super::world::{Course, SmallWorld};
-use crate::IN_THE_WORLD;
 use crate::random::Random;
+use crate::{Addressees, Datagram, Delivery, IN_THE_WORLD, Node};
 use flockmap::sync::Counters;
 use flockmap::sync::wire::Salt;
-use flockmap::{Pose, Robot, RobotCounters, RobotId, Stream};
+use flockmap::{Cast, Destination, Path, Pose, Robot, RobotCounters, RobotId, Stamp, Stream, Transmit};
 use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_store::next_epoch;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// No robot wants anything at this time.
 pub(super) const NEVER: i64 = i64::MAX;
@@ -28,6 +29,7 @@ pub(super) struct Run {
 
 pub(super) struct Member {
     pub(super) settings: MemberSettings,
+    has_paths: bool,
     pub(super) robot: Option<Robot>,
     /// When it wants to be called.
     pub(super) wake: i64,
@@ -55,6 +57,24 @@ pub(super) struct Member {
     epoch: Option<u64>,
     /// Microseconds by which the clock that tells the date is behind.
     behind: i64,
+    /// What it was called with last.
+    pub(super) input: Input,
+    /// Whom it sent something to last, and on which path.
+    pub(super) sent: (Destination, Option<Path>),
+}
+
+/// What a robot was called with.
+#[derive(Clone)]
+pub(super) enum Input {
+    Datagram {
+        bytes: Arc<[u8]>,
+        /// A robot sent it, as it is.
+        is_genuine: bool,
+        /// The robot took it for sound.
+        is_taken: bool,
+    },
+    /// Time, or a scan.
+    Other,
 }
 
 /// What a clock that tells the date shows when a flight begins, in seconds since 1970; and what one without a battery shows at each start.
@@ -74,6 +94,7 @@ impl Member {
         Self {
             figures: RobotFigures { id: own.config.id.0, ..RobotFigures::default() },
             settings: own,
+            has_paths: settings.has_paths,
             robot: None,
             wake: NEVER,
             next_scan,
@@ -94,11 +115,20 @@ impl Member {
             boot: trouble.boot,
             epoch: (!trouble.has_epochs_of_clocks()).then_some(0),
             behind: 0,
+            input: Input::Other,
+            sent: (Destination::Everyone, None),
         }
     }
 
-    pub(super) fn id(&self) -> RobotId {
-        self.settings.config.id
+    /// Takes in a datagram, on a path if addresses count.
+    pub(super) fn receive(&mut self, now: Stamp, bytes: Arc<[u8]>, path: Option<Path>, is_genuine: bool) {
+        let now = self.settings.clock.shows(now.0);
+        let is_taken = match (&mut self.robot, path) {
+            (Some(robot), Some(path)) => robot.handle_datagram_from(now, path, &bytes).is_ok(),
+            (Some(robot), None) => robot.handle_datagram(now, &bytes).is_ok(),
+            (None, _) => false,
+        };
+        self.input = Input::Datagram { bytes, is_genuine, is_taken };
     }
 
     /// Decides of a run before it begins: its epoch and its salt, as a node does.
@@ -181,6 +211,12 @@ impl Member {
         }
     }
 
+    /// Notes when it wants to be called next.
+    pub(super) fn note_wake(&mut self, now: i64) {
+        let due = self.robot.as_ref().and_then(Robot::poll_timeout);
+        self.wake = due.map_or(NEVER, |at| self.settings.clock.when(at).max(now));
+    }
+
     /// Ends the run. What it counted is kept.
     pub(super) fn crash(&mut self, counts: &mut impl FnMut(&Robot)) {
         if let Some(robot) = self.robot.take() {
@@ -209,6 +245,7 @@ impl Member {
             robot.insert_scan(stamp, &scan, &Pose::from_translation(place)).expect(IN_THE_WORLD);
         }
         self.next_scan = now + self.settings.scan_period;
+        self.input = Input::Other;
     }
 
     fn note_counters(&mut self, session: &Counters, robot: &RobotCounters) {
@@ -231,5 +268,44 @@ impl Member {
         (self.figures.age_median_s, self.figures.age_99_s) = median_and_99(&mut self.ages);
         self.figures.airtime_s = airtime_micros as f64 / 1e6;
         self.figures.clone()
+    }
+}
+
+impl Node for Member {
+    fn id(&self) -> RobotId {
+        self.settings.config.id
+    }
+
+    fn handle_datagram(&mut self, now: Stamp, delivery: &Delivery) {
+        let path = self.has_paths.then_some(Path(delivery.from.0.into()));
+        self.receive(now, Arc::clone(&delivery.bytes), path, true);
+    }
+
+    fn handle_timeout(&mut self, now: Stamp) {
+        self.input = Input::Other;
+        if let Some(robot) = &mut self.robot {
+            robot.handle_timeout(self.settings.clock.shows(now.0));
+        }
+    }
+
+    fn poll_timeout(&self) -> Option<Stamp> {
+        (self.wake != NEVER).then_some(Stamp(self.wake))
+    }
+
+    fn poll_transmit(&mut self, now: Stamp) -> Option<Datagram> {
+        let robot = self.robot.as_mut()?;
+        let Transmit { to, path, bytes } = robot.poll_transmit(self.settings.clock.shows(now.0))?;
+        self.sent = (to, path);
+        let to = match (to, path) {
+            // What goes to a path arrives there, whoever it is meant for.
+            (Destination::Peer(peer), path) => {
+                Addressees::One(path.map_or(peer, |path| RobotId(u16::try_from(path.0).unwrap_or(u16::MAX))))
+            }
+            (Destination::Everyone, _) if self.settings.config.session.cast == Cast::Broadcast => {
+                Addressees::All
+            }
+            (Destination::Everyone, _) => Addressees::Each,
+        };
+        Some(Datagram { to, bytes })
     }
 }

@@ -3,41 +3,47 @@
 use super::{Engine, LOOK_EVERY, LOOK_WHOLE_EVERY, Phase, QUIET_PERIODS};
 use crate::swarm::check::{self, Finding, names};
 use crate::swarm::preset::Topology;
-use crate::{Faults, Link};
+use crate::{Faults, Link, Node};
 use flockmap::{Robot, RobotId};
 use std::collections::BTreeMap;
 
 impl Engine {
     /// What is done now and then.
     pub(super) fn look(&mut self) {
-        self.next_look = self.now + LOOK_EVERY;
-        if self.next_whole_look <= self.now {
-            self.next_whole_look = self.now + LOOK_WHOLE_EVERY;
+        self.next_look = self.eyes.now + LOOK_EVERY;
+        if self.next_whole_look <= self.eyes.now {
+            self.next_whole_look = self.eyes.now + LOOK_WHOLE_EVERY;
             self.look_at_dirty_layers();
         }
         match self.phase {
-            Phase::Mapping if self.now >= self.settings.mapping => self.heal(),
+            Phase::Mapping if self.eyes.now >= self.eyes.settings.mapping => self.heal(),
             Phase::Mapping | Phase::Over => {
-                self.next_look = self.next_look.min(self.settings.mapping.max(self.now + 1))
+                self.next_look = self.next_look.min(self.eyes.settings.mapping.max(self.eyes.now + 1))
             }
             Phase::Healing { until } => self.look_for_agreement(until),
             Phase::Grace { until, grace, latest }
-                if self.now >= until && self.last_packages + grace > self.now && self.now < latest =>
+                if self.eyes.now >= until
+                    && self.eyes.last_packages + grace > self.eyes.now
+                    && self.eyes.now < latest =>
             {
-                let until = (self.last_packages + grace).min(latest);
+                let until = (self.eyes.last_packages + grace).min(latest);
                 self.phase = Phase::Grace { until, grace, latest };
                 self.next_look = until;
             }
-            Phase::Grace { until, .. } if self.now >= until => {
-                let longest =
-                    self.members.iter().map(|m| check::period_micros(&m.settings.config.session)).max();
-                let until = self.now + QUIET_PERIODS * longest.unwrap_or(0);
-                self.members.iter_mut().for_each(|member| member.quiet.begin(self.now));
+            Phase::Grace { until, .. } if self.eyes.now >= until => {
+                let longest = self
+                    .network
+                    .nodes()
+                    .iter()
+                    .map(|m| check::period_micros(&m.settings.config.session))
+                    .max();
+                let until = self.eyes.now + QUIET_PERIODS * longest.unwrap_or(0);
+                self.network.nodes_mut().iter_mut().for_each(|member| member.quiet.begin(self.eyes.now));
                 self.phase = Phase::Quiet { until };
                 self.next_look = until;
             }
             Phase::Grace { until, .. } => self.next_look = until,
-            Phase::Quiet { until } if self.now >= until => {
+            Phase::Quiet { until } if self.eyes.now >= until => {
                 self.look_at_everything();
                 self.phase = Phase::Over;
             }
@@ -47,58 +53,64 @@ impl Engine {
 
     /// Mapping ends, links heal.
     pub(super) fn heal(&mut self) {
-        let numbers = self.settings.radio;
+        let numbers = self.eyes.settings.radio;
         let link = Link {
             delay_micros: numbers.delay_micros,
             jitter_micros: numbers.jitter_micros,
             ..Link::default()
         };
-        for a in 0..self.members.len() {
-            for b in (0..self.members.len()).filter(|b| a != *b) {
-                let (from, to) = (self.members[a].id(), self.members[b].id());
-                self.radio.set_link(from, to, link);
-                self.radio.set_faults(from, to, Faults::default());
-                self.radio.set_open(from, to, numbers.is_linked(a, b, self.members.len()));
+        for a in 0..self.network.nodes().len() {
+            for b in (0..self.network.nodes().len()).filter(|b| a != *b) {
+                let (from, to) = (self.network.nodes()[a].id(), self.network.nodes()[b].id());
+                self.network.radio_mut().set_link(from, to, link);
+                self.network.radio_mut().set_faults(from, to, Faults::default());
+                let is_linked = numbers.is_linked(a, b, self.network.nodes().len());
+                self.network.radio_mut().set_open(from, to, is_linked);
             }
         }
-        self.next_action = self.settings.plan.len();
+        self.next_action = self.eyes.settings.plan.len();
         // Who is gone stays gone only where nobody is heard by way of it.
-        if numbers.topology != Topology::Full || self.settings.trouble.restarts > 0 {
-            for number in 0..self.members.len() {
-                if self.members[number].robot.is_none() {
-                    self.events
-                        .push((self.now as f64 / 1e6, format!("restart of {:?}", self.members[number].id())));
+        if numbers.topology != Topology::Full || self.eyes.settings.trouble.restarts > 0 {
+            for number in 0..self.network.nodes().len() {
+                if self.network.nodes()[number].robot.is_none() {
+                    self.eyes.events.push((
+                        self.eyes.now as f64 / 1e6,
+                        format!("restart of {:?}", self.network.nodes()[number].id()),
+                    ));
                     self.start(number);
                 }
             }
         }
         let told: Vec<(u64, u64)> = self
+            .eyes
             .truth
             .streams()
-            .map(|(stream, told)| (told.bytes, u64::from(self.truth.last(stream))))
+            .map(|(stream, told)| (told.bytes, u64::from(self.eyes.truth.last(stream))))
             .collect();
         let bytes: u64 = told.iter().map(|(bytes, _)| bytes).sum();
         let packages: u64 = told.iter().map(|(_, packages)| packages).sum();
-        let robots: Vec<&Robot> = self.members.iter().filter_map(|member| member.robot.as_ref()).collect();
-        let hops = numbers.hops(self.members.len());
-        let may_begin_anew = self.settings.trouble.has_epochs_of_clocks();
+        let robots: Vec<&Robot> =
+            self.network.nodes().iter().filter_map(|member| member.robot.as_ref()).collect();
+        let hops = numbers.hops(self.network.nodes().len());
+        let may_begin_anew = self.eyes.settings.trouble.has_epochs_of_clocks();
         // What is not packed yet is as much again at the most.
         self.agreement_within =
             check::bound(&robots, hops, 2 * bytes + 10_000, 2 * packages + 10, may_begin_anew);
-        if let Some(seconds) = self.settings.options.until_agreement_s {
+        if let Some(seconds) = self.eyes.settings.options.until_agreement_s {
             self.agreement_within = i64::from(seconds) * 1_000_000;
         }
-        self.phase = Phase::Healing { until: self.now + self.agreement_within };
-        self.events.push((self.now as f64 / 1e6, "mapping ends, links heal".to_owned()));
+        self.eyes.is_mapping = false;
+        self.phase = Phase::Healing { until: self.eyes.now + self.agreement_within };
+        self.eyes.events.push((self.eyes.now as f64 / 1e6, "mapping ends, links heal".to_owned()));
     }
 
     pub(super) fn robots(&self) -> Vec<&Robot> {
-        self.members.iter().filter_map(|member| member.robot.as_ref()).collect()
+        self.network.nodes().iter().filter_map(|member| member.robot.as_ref()).collect()
     }
 
     /// The runs that robots which fly have forgotten.
     fn forgotten(&self) -> check::Forgotten {
-        let members = self.members.iter().filter(|member| member.robot.is_some());
+        let members = self.network.nodes().iter().filter(|member| member.robot.is_some());
         members.flat_map(|member| member.forgotten.iter().map(|(run, is_cut)| (*run, *is_cut))).collect()
     }
 
@@ -109,43 +121,45 @@ impl Engine {
         let pending = pending.map(|robot| (robot.own_stream().origin, "its own newest cycle".to_owned()));
         let lacks = pending
             .or_else(|| check::superseded(&robots))
-            .or_else(|| check::disagreement(&self.truth, &robots, &self.forgotten()));
+            .or_else(|| check::disagreement(&self.eyes.truth, &robots, &self.forgotten()));
         if let Some((robot, lacks)) = lacks {
-            if self.now >= until && self.settings.options.until_agreement_s.is_some() {
+            if self.eyes.now >= until && self.eyes.settings.options.until_agreement_s.is_some() {
                 self.phase = Phase::Over;
-            } else if self.now >= until {
+            } else if self.eyes.now >= until {
                 let within = self.agreement_within as f64 / 1e6;
                 let expected = format!("all packages everywhere {within:.1} s after links healed");
                 let found = format!("it lacks {lacks}");
-                self.found(robot, Some(Finding { checker: names::AGREEMENT, expected, found }));
+                self.eyes.found(robot, Some(Finding { checker: names::AGREEMENT, expected, found }));
             }
             return;
         }
-        self.agreement = Some(self.now - self.settings.mapping);
-        self.events.push((self.now as f64 / 1e6, "all agree".to_owned()));
+        self.agreement = Some(self.eyes.now - self.eyes.settings.mapping);
+        self.eyes.events.push((self.eyes.now as f64 / 1e6, "all agree".to_owned()));
         self.look_at_everything();
-        if self.settings.options.until_agreement_s.is_some() {
+        if self.eyes.settings.options.until_agreement_s.is_some() {
             self.phase = Phase::Over;
             return;
         }
-        let grace = self.members.iter().map(|m| check::Quiet::grace_micros(&m.settings.config.session)).max();
+        let grace =
+            self.network.nodes().iter().map(|m| check::Quiet::grace_micros(&m.settings.config.session)).max();
         // What waits at the radio is sent first: who hears an old request answers it.
-        let waiting = self.radio.last_due().map_or(0, |last| (last.0 - self.now).max(0));
-        let travel = self.settings.radio.delay_micros + self.settings.radio.jitter_micros;
+        let waiting = self.network.radio().last_due().map_or(0, |last| (last.0 - self.eyes.now).max(0));
+        let travel = self.eyes.settings.radio.delay_micros + self.eyes.settings.radio.jitter_micros;
         let grace = grace.unwrap_or(0) + waiting + 4 * travel;
-        let leaves_out = check::leaves_out(&self.truth, &self.robots(), &self.forgotten());
+        let leaves_out = check::leaves_out(&self.eyes.truth, &self.robots(), &self.forgotten());
         let more = if leaves_out { self.agreement_within } else { 0 };
         let grace = if leaves_out { grace + check::pause_of_relays(&self.robots()) } else { grace };
-        self.phase = Phase::Grace { until: self.now + grace, grace, latest: self.now + grace + more };
+        self.phase =
+            Phase::Grace { until: self.eyes.now + grace, grace, latest: self.eyes.now + grace + more };
     }
 
     pub(super) fn look_at_dirty_layers(&mut self) {
-        for (number, stream) in core::mem::take(&mut self.dirty) {
-            let Some(robot) = &self.members[number].robot else { continue };
-            let found = check::whole_voxels(&self.truth, robot, stream)
-                .or_else(|| check::whole_layer(&self.truth, robot, stream));
+        for (number, stream) in core::mem::take(&mut self.eyes.dirty) {
+            let Some(robot) = &self.network.nodes()[number].robot else { continue };
+            let found = check::whole_voxels(&self.eyes.truth, robot, stream)
+                .or_else(|| check::whole_layer(&self.eyes.truth, robot, stream));
             let id = robot.own_stream().origin;
-            self.found(id, found);
+            self.eyes.found(id, found);
         }
     }
 
@@ -154,16 +168,16 @@ impl Engine {
         let robots = self.robots();
         let mut findings = Vec::new();
         let clocks: BTreeMap<RobotId, i64> =
-            self.members.iter().map(|member| (member.id(), member.settings.clock.offset)).collect();
+            self.network.nodes().iter().map(|member| (member.id(), member.settings.clock.offset)).collect();
         for robot in &robots {
             let own = robot.own_stream();
             for (stream, _) in robot.fusion().layers() {
-                let found = check::whole_voxels(&self.truth, robot, stream)
-                    .or_else(|| check::whole_layer(&self.truth, robot, stream));
+                let found = check::whole_voxels(&self.eyes.truth, robot, stream)
+                    .or_else(|| check::whole_layer(&self.eyes.truth, robot, stream));
                 findings.extend(found.map(|found| (own.origin, found)));
             }
             let ahead = |other: RobotId| {
-                let known = if self.settings.clocks_given { clocks.get(&other) } else { None };
+                let known = if self.eyes.settings.clocks_given { clocks.get(&other) } else { None };
                 known.map(|theirs| clocks[&own.origin] - theirs)
             };
             findings.extend(check::wrong_fused(robot, ahead).map(|found| (own.origin, found)));
@@ -173,7 +187,7 @@ impl Engine {
             findings.push((robot, Finding { checker: names::AGREEMENT, expected, found }));
         }
         for (robot, found) in findings {
-            self.found(robot, Some(found));
+            self.eyes.found(robot, Some(found));
         }
     }
 }
