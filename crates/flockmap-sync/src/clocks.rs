@@ -1,6 +1,6 @@
 //! The own clock, and how far those of others are off.
 
-use crate::session::Peer;
+use crate::peer::Peer;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::BTreeMap;
 

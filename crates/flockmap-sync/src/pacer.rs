@@ -99,6 +99,12 @@ impl Pacer {
     }
 }
 
+/// What of a budget may go out at once: a share of the second, but always a full datagram.
+pub(crate) fn burst_bytes(bytes_per_s: u32, burst_ms: u32) -> u32 {
+    let share = u64::from(bytes_per_s) * u64::from(burst_ms) / 1_000;
+    (share as u32).clamp(1_300, bytes_per_s.max(1_300))
+}
+
 const fn ceil_div(a: i64, b: i64) -> i64 {
     (a + b - 1) / b
 }

@@ -3,42 +3,34 @@
 
 mod answer;
 mod datagram;
-mod event;
-mod identity;
-mod load;
-mod outbox;
 mod pace;
-mod path;
-mod peer;
+mod paths;
 mod plan;
 mod present;
 mod receive;
 mod request;
-mod schedule;
+mod same_id;
 mod sealing;
 mod send;
 mod streams;
+mod timing;
 mod transfers;
 
-pub use event::{Destination, Event, PublishError, Transmit};
-pub use load::Load;
-pub use pace::Pace;
-pub use path::Path;
-pub(crate) use peer::Peer;
-pub use peer::PeerInfo;
-
 use crate::clocks::Clocks;
+use crate::event::{Destination, Event, PublishError, Transmit};
+use crate::identity::Identity;
 use crate::inbox::{Inbox, PENDING_MAX};
+use crate::outbox::Outbox;
+use crate::peer::Peer;
+use crate::report::{Load, PeerInfo, Report};
+use crate::schedule::Schedule;
 use crate::timers::Timer;
 use crate::wire::{Contents, DatagramHeader, Kind};
 use crate::{Cast, ConfigError, Counters, IntervalSet, SessionConfig, Store};
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
-use identity::Identity;
-use outbox::Outbox;
-use schedule::Schedule;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
 /// Events that wait for the driver; more are dropped, counted, and come again by a later request.
 const EVENTS_MAX: usize = PENDING_MAX;
@@ -87,13 +79,6 @@ pub struct Session {
     outbox: Outbox,
     schedule: Schedule,
     report: Report,
-}
-
-/// What the driver is told.
-#[derive(Debug, Default)]
-struct Report {
-    events: VecDeque<Event>,
-    counters: Counters,
 }
 
 impl Session {
@@ -287,6 +272,21 @@ impl Session {
             return Some(0);
         }
         self.clocks.of_run(stream, &self.peers)
+    }
+
+    /// What it holds at the moment. O(peers).
+    pub fn load(&self) -> Load {
+        let ((undecided, refused), (waiting, waiting_bytes)) = (self.inbox.load(), self.inbox.waiting());
+        Load {
+            peers: self.peers.len(),
+            streams: self.store.streams().count().saturating_sub(1),
+            undecided,
+            refused,
+            waiting,
+            waiting_bytes,
+            transfers: self.inbox.transfers.len(),
+            in_flight_most: self.peers.values().map(|peer| peer.in_flight.len()).max().unwrap_or(0),
+        }
     }
 
     /// What was counted so far.

@@ -1,9 +1,9 @@
 //! Requests that come in: what the peer holds, what of the packages sent to it is lost, whose turn it is to answer.
 
 use super::Session;
-use super::peer::{Peer, PeerWish, Sent, VIEW_INTERVALS_MAX, View};
 use super::present::OFFER_PAUSE;
 use crate::item::Item;
+use crate::peer::{Peer, PeerWish, Sent, VIEW_INTERVALS_MAX, View};
 use crate::wire::{DatagramHeader, Request};
 use crate::{InFlight, IntervalSet, Relay};
 use flockmap_grid::{RobotId, Stamp, Stream};

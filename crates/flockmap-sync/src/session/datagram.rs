@@ -1,7 +1,9 @@
 //! Datagrams that come in: what is wrong with them, and whom they make known.
 
-use super::peer::{Peer, VIEW_INTERVALS_MAX};
-use super::{Event, Path, Session};
+use super::Session;
+use crate::event::Event;
+use crate::path::Path;
+use crate::peer::{Peer, VIEW_INTERVALS_MAX};
 use crate::store::HELD_INTERVALS_MAX;
 use crate::wire::{
     Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, asks_for_word, is_sealed,

@@ -1,27 +1,11 @@
 //! How much of the own map the budget takes at the moment: what a driver needs to know to merge changes before they become packages.
 
 use super::Session;
-use super::peer::{Peer, View};
 use super::plan::BACKLOG_MIN;
 use crate::Cast;
+use crate::peer::{Peer, View};
+use crate::report::Pace;
 use flockmap_grid::Stamp;
-
-/// What a budget leaves for own packages.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Pace {
-    /// There is no budget, or nobody who listens: whatever is published waits for nothing.
-    Free,
-    /// Published packages have all been sent.
-    AllSent {
-        /// So much of own packages reaches everybody who listens, if nothing else is sent.
-        bytes_per_s: u32,
-    },
-    /// Published packages wait for the budget, for the first time or again. What is published now waits behind them, or builds on them.
-    Waiting {
-        /// As above.
-        bytes_per_s: u32,
-    },
-}
 
 impl Session {
     /// What the budget leaves for own packages.

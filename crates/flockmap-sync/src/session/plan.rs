@@ -1,8 +1,8 @@
 //! What a peer is sent next: the best of what it misses.
 
 use super::Session;
-use super::peer::Peer;
 use crate::item::Item;
+use crate::peer::Peer;
 use crate::store::Stored;
 use crate::{IntervalSet, Order};
 use flockmap_codec::Priority;

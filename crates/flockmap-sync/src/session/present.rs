@@ -1,34 +1,19 @@
 //! Present states: the map as it is, sent in place of the packages that made it.
 
-use super::peer::{Peer, Sending, VIEW_INTERVALS_MAX, has_no_robot};
-use super::{Event, Session};
-use crate::inbox::ABANDONED;
+use super::Session;
+use crate::Cast;
+use crate::event::Event;
 use crate::item::Item;
+use crate::outbox::Outgoing;
+use crate::peer::{Peer, Sending, has_no_robot};
 use crate::store::Missing;
 use crate::wire::CONTENTS_BYTES_MAX;
-use crate::{Cast, IntervalSet};
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
-/// A set counts as ignored when tiles of it got lost four times and the peer has not spoken of it …
-const UNHEEDED_MAX: u8 = 5;
-/// … and then single tiles of such sets are offered, with this pause: who has no place for a set is not to be sent it over and over.
+/// Of sets that a peer ignores single tiles of such sets are offered, with this pause: who has no place for a set is not to be sent it over and over.
 pub(super) const OFFER_PAUSE: i64 = 5_000_000;
-
-/// A present state that can be sent, to several peers if they need it.
-#[derive(Debug)]
-pub(super) struct Outgoing {
-    pub(super) stream: Stream,
-    pub(super) set: u32,
-    pub(super) since: u32,
-    pub(super) upto: u32,
-    /// What it contains, where that has gaps.
-    pub(super) contents: Option<IntervalSet>,
-    pub(super) tiles: Vec<Package>,
-    bytes: usize,
-    pub(super) used_at: Stamp,
-}
 
 /// Of a run that has ended, a gap is taken for one that nobody fills when nothing new has come for so long.
 const GAP_STANDS: i64 = 10_000_000;
@@ -39,57 +24,6 @@ const PARTS_TILE_BYTES_MAX: usize = flockmap_codec::PACKAGE_BYTES_MAX - CONTENTS
 const ASK_AGAIN: i64 = 2_000_000;
 const ASK_AGAIN_NO_ROOM: i64 = 5_000_000;
 const ASK_AGAIN_DECLINED: i64 = 30_000_000;
-
-impl Sending {
-    /// The peer does not take it: it has no place for it, or knows better. Or all that was sent of it got lost.
-    pub(super) const fn is_ignored(&self) -> bool {
-        self.unheeded >= UNHEEDED_MAX
-    }
-
-    /// Tiles got lost, and the peer does not speak of the set.
-    pub(super) fn note_unheeded(&mut self, now: Stamp) {
-        self.unheeded = self.unheeded.saturating_add(1).min(UNHEEDED_MAX);
-        self.lost_at = now;
-    }
-
-    /// A peer that does not speak of the set for long has forgotten it, or has not heard of it yet.
-    fn note_silence(&mut self, now: Stamp) {
-        if now.micros_since(self.named_at) > ABANDONED {
-            self.named_at = now;
-            self.unheeded = UNHEEDED_MAX;
-            self.accepted = IntervalSet::new(VIEW_INTERVALS_MAX);
-        }
-    }
-}
-
-impl Outgoing {
-    /// About what the part of it since a package would cost now, when `upto` is the newest one.
-    fn cost(&self, since: u32, upto: u32) -> u64 {
-        let part = u64::from(upto.saturating_sub(since.max(self.since)));
-        self.bytes as u64 * part / u64::from(self.upto - self.since).max(1)
-    }
-
-    /// Begins to send it to a peer.
-    fn sending(&self, now: Stamp) -> Sending {
-        let nothing = IntervalSet::new(VIEW_INTERVALS_MAX);
-        let (set, since, upto) = (self.set, self.since, self.upto);
-        Sending {
-            set,
-            since,
-            upto,
-            named_at: now,
-            unheeded: 1,
-            lost_at: now,
-            accepted: nothing.clone(),
-            covered: nothing,
-        }
-    }
-
-    /// Whether at most an eighth of it says what who knows packages 1 to `since` knows already.
-    const fn is_near(&self, since: u32) -> bool {
-        since.saturating_sub(self.since) <= (self.upto - self.since) / 8
-    }
-}
 
 impl Session {
     /// The answer to [`Event::PresentStateWanted`]: the layer of the stream, or what of it is newer, as tiles, all of one set, all with

@@ -1,6 +1,7 @@
 //! Packages that come in, and the driver's verdict on them.
 
-use super::{EVENTS_MAX, Event, Session};
+use super::{EVENTS_MAX, Session};
+use crate::event::Event;
 use crate::inbox::{Intake, Transfer, Turn, Verdict};
 use crate::item::Item;
 use crate::store::NoRoom;

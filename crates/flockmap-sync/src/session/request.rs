@@ -1,6 +1,7 @@
 //! Requests: what they say.
 
-use super::{Destination, Session, Transmit};
+use super::Session;
+use crate::event::{Destination, Transmit};
 use crate::timers::Timer;
 use crate::wire::{ClockReport, Covered, Echo, Held, Kind, Request, StateWanted, TransferProgress};
 use crate::{Cast, IntervalSet};

@@ -1,32 +1,13 @@
 //! What a swarm key changes in a session: datagrams are sealed as they go out, and proved before anything of them counts.
 
-use super::{Destination, Event, Session, Transmit};
+use super::Session;
+use crate::event::{Destination, Event, Transmit};
 use crate::replay::NotFresh;
 use crate::wire::{
     COUNTER_MAX, DatagramError, Kind, OpenedDatagram, Request, SealedDatagram, seal_bytes, seal_datagram,
 };
-use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_grid::{Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
-use std::collections::BTreeMap;
-
-/// The counters of the datagrams that this run has sealed. At most one for each robot that was ever a peer.
-#[derive(Debug, Default)]
-pub(super) struct SealedCounters {
-    for_all: u64,
-    for_one: BTreeMap<RobotId, u64>,
-    /// One of them has reached its end.
-    is_exhausted: bool,
-}
-
-impl SealedCounters {
-    /// The number of the last datagram that was sealed for this recipient.
-    fn last_mut(&mut self, recipient: Option<RobotId>) -> &mut u64 {
-        match recipient {
-            None => &mut self.for_all,
-            Some(robot) => self.for_one.entry(robot).or_default(),
-        }
-    }
-}
 
 impl Session {
     /// Whether some datagram cannot be sealed any more: one more would need a nonce that was used. Tells the driver, once.
@@ -133,8 +114,9 @@ impl Session {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::Path;
+    use crate::path::Path;
     use crate::{SessionConfig, SwarmKey};
+    use flockmap_grid::RobotId;
 
     fn session(id: u16, epoch: u64) -> Session {
         let swarm_key = Some(SwarmKey::from_bytes([9; 32]));

@@ -1,8 +1,8 @@
 //! Packages that go out: what each peer misses, in which order, within the budget.
 
-use super::peer::{Peer, Sent, View};
-use super::{Destination, Session, Transmit};
+use super::Session;
 use crate::Cast;
+use crate::event::{Destination, Transmit};
 use crate::item::Item;
 use crate::timers::Timer;
 use crate::wire::{Kind, PackagesWriter};
@@ -25,79 +25,6 @@ enum Attempt {
     Nothing,
     /// The radio's budget is spent: there is nothing for anybody now.
     RadioSpent,
-}
-
-impl View {
-    /// Notes that an item need not be sent now; whether that was news. A view that is too torn to note it says no.
-    /// Such an item is not sent either: it would be sent again and again.
-    pub(super) fn cover(&mut self, item: Item) -> bool {
-        match item {
-            Item::Package { index, .. } => self.covered.insert(index).unwrap_or(false),
-            Item::Tile { set, tile, .. } => match &mut self.sending {
-                Some(sending) if sending.set == set => sending.covered.insert(tile + 1).unwrap_or(false),
-                _ => false,
-            },
-        }
-    }
-}
-
-impl Peer {
-    /// Notes that an item goes out and is on its way to the peer: also one that it states to hold or has no place for, since it
-    /// may take back either before the item arrives. One that is on its way already counts from now. Of more than `in_flight_max` the oldest is
-    /// forgotten if it would count as lost by now; else the new one is not noted, and only kept back until the next request.
-    pub(super) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) {
-        let stream = item.stream();
-        if stream == self.stream || mutation::is(Mutation::LedgerIgnored) {
-            return;
-        }
-        let view = self.view(stream, now);
-        if let Item::Tile { set, .. } = item
-            && view.as_ref().and_then(|view| view.sending.as_ref()).is_none_or(|sending| sending.set != set)
-        {
-            // It is not sent this set.
-            return;
-        }
-        let is_new = view.is_some_and(|view| view.cover(item));
-        if let Some(at) = self.in_flight.iter().rposition(|sent| !is_new && sent.item == item) {
-            self.in_flight.remove(at);
-        }
-        let timeout = self.round_trip.timeout();
-        if self.in_flight.len() >= in_flight_max
-            && self.in_flight.front().is_some_and(|oldest| now.micros_since(oldest.at) >= timeout)
-        {
-            self.in_flight.pop_front();
-        }
-        if self.in_flight.len() < in_flight_max || mutation::is(Mutation::WindowIgnored) {
-            self.in_flight.push_back(Sent { item, at: now, requests: 0 });
-        }
-    }
-
-    /// Notes that the peer hears an item from another robot, if there is room; whether it was missing.
-    pub(super) fn cover_heard(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
-        if self.in_flight.len() >= in_flight_max
-            || !self.wants(item.stream())
-            || self.view(item.stream(), now).is_none()
-        {
-            return false;
-        }
-        let is_news = self.lacks(item);
-        self.cover(item, now, in_flight_max);
-        is_news
-    }
-
-    /// Whether an item is still missing and not on its way, and can be noted as being on its way.
-    fn lacks(&self, item: Item) -> bool {
-        let (covered, number) = match (self.views.get(&item.stream()), item) {
-            (Some(view), Item::Package { index, .. }) => (&view.covered, index),
-            (Some(View { sending: Some(sending), .. }), Item::Tile { set, tile, .. })
-                if sending.set == set =>
-            {
-                (&sending.covered, tile + 1)
-            }
-            _ => return false,
-        };
-        !covered.contains(number) && covered.has_room_for(number)
-    }
 }
 
 impl Session {
@@ -253,34 +180,5 @@ impl Session {
         self.note_sent(now);
         let path = self.peers.get(&id).and_then(|peer| peer.path.valid());
         Transmit { to, path: path.filter(|_| to != Destination::Everyone), bytes }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::SessionConfig;
-    use crate::wire::Covered;
-    use flockmap_grid::Stream;
-
-    #[test]
-    fn what_is_heard_from_others_pushes_nothing_that_was_sent_out_of_the_ledger() {
-        let robot = |id| Stream { origin: RobotId(id), epoch: 1 };
-        let item = |id, index| Item::Package { stream: robot(id), index };
-        let mut peer = Peer::new(robot(2), Stamp(0), &SessionConfig::default());
-        peer.takes_new_streams = true;
-        peer.note_covered(Covered::all_from(RobotId(0)));
-        peer.cover(item(1, 1), Stamp(0), 6);
-        for index in 1..=20 {
-            let is_noted = peer.cover_heard(item(3, index), Stamp(1), 6);
-            assert_eq!(is_noted, index <= 5, "the ledger has room for six");
-        }
-        assert_eq!((peer.in_flight.len(), peer.in_flight[0].item), (6, item(1, 1)));
-        // What goes out itself takes the place of what would count as lost by now, and no other.
-        peer.cover(item(1, 2), Stamp(2), 6);
-        assert_eq!((peer.in_flight.len(), peer.in_flight[0].item), (6, item(1, 1)));
-        assert!(!peer.lacks(item(1, 2)), "it is kept back until the next request");
-        peer.cover(item(1, 2), Stamp(peer.round_trip.timeout()), 6);
-        assert_eq!((peer.in_flight.len(), peer.in_flight[5].item), (6, item(1, 2)));
     }
 }

@@ -1,7 +1,8 @@
 //! Streams that get a place, and those that lose it.
 
-use super::peer::is_heard;
-use super::{Event, Session};
+use super::Session;
+use crate::event::Event;
+use crate::peer::is_heard;
 use crate::store::Opened;
 use flockmap_grid::Stream;
 

@@ -1,7 +1,8 @@
 //! Present states that come in, tile by tile.
 
-use super::{Event, Session};
+use super::Session;
 use crate::IntervalSet;
+use crate::event::Event;
 use crate::inbox::Transfer;
 use crate::item::Item;
 use flockmap_codec::Package;

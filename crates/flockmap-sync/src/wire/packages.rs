@@ -1,9 +1,9 @@
 //! PACKAGES datagrams: one or several whole map packages.
 
-use super::request::{put_list, put_stream, read_intervals, read_stream};
-use super::{
+use super::datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
 };
+use super::request::{put_list, put_stream, read_intervals, read_stream};
 use crate::IntervalSet;
 use crate::bytes::{Reader, put_varint};
 use flockmap_codec::Package;

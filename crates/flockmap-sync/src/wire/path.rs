@@ -1,6 +1,6 @@
 //! PATH datagrams: whether a robot is to be reached at an address, asked and answered.
 
-use super::{Datagram, DatagramError, DatagramHeader, Kind, put_record, seal};
+use super::datagram::{Datagram, DatagramError, DatagramHeader, Kind, put_record, seal};
 use crate::bytes::Reader;
 
 const CHALLENGE: u8 = 32;

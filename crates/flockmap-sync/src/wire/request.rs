@@ -1,6 +1,6 @@
 //! REQUEST datagrams: what the sender holds, whom it hears, how far its present-state transfers are.
 
-use super::{
+use super::datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
 };
 use crate::IntervalSet;

@@ -1,7 +1,7 @@
 //! Sealed datagrams: what a swarm with a key sends. XChaCha20-Poly1305 over everything but the few bytes by which a receiver
 //! finds the nonce; those are authenticated too.
 
-use super::{
+use super::datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, HEADER_BYTES, Kind, MAGIC, WIRE_VERSION, check_version, head,
 };
 use crate::SwarmKey;

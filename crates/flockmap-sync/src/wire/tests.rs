@@ -1,7 +1,8 @@
+use super::datagram::{CHECK, put_record, record_len, seal};
 use super::*;
 use crate::{IntervalSet, SwarmKey};
 use flockmap_codec::{Codec, Cycle, Encoder, Package};
-use flockmap_grid::{Changes, Resolution, State, Voxel};
+use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use proptest::prelude::*;
 
 const HEADER: DatagramHeader = DatagramHeader {

@@ -1,7 +1,7 @@
 //! What a session tells its driver.
 
-use super::Path;
 use crate::IntervalSet;
+use crate::path::Path;
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 
@@ -98,7 +98,7 @@ pub enum Destination {
 }
 
 impl Destination {
-    pub(super) fn includes(self, robot: RobotId) -> bool {
+    pub(crate) fn includes(self, robot: RobotId) -> bool {
         match self {
             Self::Peer(peer) => peer == robot,
             Self::Everyone => true,

@@ -1,18 +1,15 @@
 //! Where peers are reached: an address is used only after a round trip through it, as QUIC validates paths (RFC 9000, section 8.2). Else who
 //! copies a robot's datagrams from an address of its own would draw the traffic for that robot there.
 
-use super::peer::Peer;
-use super::{Destination, Session, Transmit};
+use super::Session;
 use crate::Cast;
+use crate::event::{Destination, Transmit};
+use crate::path::{Path, PeerPath};
+use crate::peer::Peer;
 use crate::timers::Timer;
 use crate::wire::{Kind, PathMessage};
 use flockmap_grid::{RobotId, Stamp};
 use flockmap_mutation::{self as mutation, Mutation};
-use std::collections::VecDeque;
-
-/// An address, as the driver numbers them: whatever arrives from one address has the same number.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub struct Path(pub u64);
 
 /// Challenges and answers that wait to be sent; more are dropped, and come again.
 const WAITING_MAX: usize = 64;
@@ -22,29 +19,6 @@ const CHALLENGE_PAUSE: i64 = 200_000;
 fn challenge_pause() -> i64 {
     if mutation::is(Mutation::PathAskedAtOnce) { 0 } else { CHALLENGE_PAUSE }
 }
-
-/// Where a peer is reached.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct PeerPath {
-    /// The last path through which an answer came back.
-    valid: Option<Path>,
-    /// One that it was heard from and that is being tried, with the number that has to come back, and when that was sent last.
-    tried: Option<(Path, u64, Stamp)>,
-}
-
-impl PeerPath {
-    /// Whether something may be sent to the peer alone: its path is known to be right, or the driver knows of none.
-    pub(super) const fn is_open(self) -> bool {
-        self.valid.is_some() || self.tried.is_none()
-    }
-
-    pub(super) const fn valid(self) -> Option<Path> {
-        self.valid
-    }
-}
-
-/// Challenges and answers that wait to be sent.
-pub(super) type Waiting = VecDeque<(RobotId, Path, PathMessage)>;
 
 impl Session {
     /// The paths on which peers are reached: where what is for everyone goes, beside the addresses that the driver is told.

@@ -1,8 +1,8 @@
-//! Which run of which robot this is, and what to do where another one has the same id.
+//! What to do where another run, or another robot, has the same id.
 
-use super::sealing::SealedCounters;
-use super::{Event, Session};
-use crate::replay::Replays;
+use super::Session;
+use crate::event::Event;
+use crate::identity::Anew;
 use crate::wire::Request;
 use flockmap_grid::{Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
@@ -11,37 +11,6 @@ use flockmap_mutation::{self as mutation, Mutation};
 /// id would else outdo each other without end.
 const ANEW_PAUSE: i64 = 10_000_000;
 const ANEW_PAUSE_MAX: i64 = 3_600_000_000;
-
-/// Which run of which robot this is, and what of its name is used up.
-#[derive(Debug)]
-pub(super) struct Identity {
-    pub(super) own: Stream,
-    anew: Anew,
-    same_identity_told: Option<Stamp>,
-    pub(super) sealed: SealedCounters,
-    pub(super) spent_told: bool,
-    pub(super) replays: Replays,
-}
-
-impl Identity {
-    pub(super) fn new(own: Stream) -> Self {
-        Self {
-            own,
-            anew: Anew::default(),
-            same_identity_told: None,
-            sealed: SealedCounters::default(),
-            spent_told: false,
-            replays: Replays::default(),
-        }
-    }
-}
-
-/// Whether and when this robot has begun anew.
-#[derive(Debug, Default)]
-struct Anew {
-    times: u32,
-    not_before: Option<Stamp>,
-}
 
 impl Session {
     /// Looks at a stream that somebody named. One of the own id with an epoch that is not below the own one: a run before this one had a

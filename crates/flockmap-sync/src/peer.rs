@@ -1,17 +1,19 @@
 //! What a session knows of one peer.
 
-use super::path::PeerPath;
+mod stream;
+
+pub(crate) use stream::{PeerWish, Sending, Sent, VIEW_INTERVALS_MAX, View};
+
 use crate::counters::Traffic;
 use crate::item::Item;
 use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
+use crate::path::PeerPath;
 use crate::wire::Covered;
 use crate::{IntervalSet, SessionConfig};
 use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-
-/// Intervals kept of what a peer states to hold of one stream; of more, the newest.
-pub(crate) const VIEW_INTERVALS_MAX: usize = 256;
 
 /// Intervals kept of the origins that a peer has covered.
 const COVERED_INTERVALS_MAX: usize = 256;
@@ -27,81 +29,6 @@ const SILENT_MIN: i64 = 1_500_000;
 
 /// A robot has heard those in reach, and said so, after this time.
 const ACQUAINTANCE: i64 = 1_000_000;
-
-/// Something sent and not yet confirmed.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Sent {
-    pub(crate) item: Item,
-    pub(crate) at: Stamp,
-    /// Requests of the peer since then in which it was still missing.
-    pub(crate) requests: u8,
-}
-
-/// A present state on its way to the peer.
-#[derive(Clone, Debug)]
-pub(crate) struct Sending {
-    pub(crate) set: u32,
-    pub(crate) since: u32,
-    pub(crate) upto: u32,
-    /// When the peer last spoke of the set, or it was begun.
-    pub(crate) named_at: Stamp,
-    /// 0: the peer spoke of the set. Else how often tiles got lost since then, or since it was begun, and one more.
-    pub(crate) unheeded: u8,
-    /// When tiles of it got lost last.
-    pub(crate) lost_at: Stamp,
-    /// Number + 1 of the tiles that the peer accepted.
-    pub(crate) accepted: IntervalSet,
-    /// Those and the ones in flight.
-    pub(crate) covered: IntervalSet,
-}
-
-/// What the peer holds of one stream, as far as it is known.
-#[derive(Clone, Debug)]
-pub(crate) struct View {
-    /// Nothing is known below this index.
-    pub(crate) from: u32,
-    /// What the peer stated to hold, or sent itself.
-    pub(crate) held: IntervalSet,
-    /// Those and the ones in flight: what need not be sent now. It has room for both; and those that a full ledger forgot since the last request.
-    pub(crate) covered: IntervalSet,
-    /// For a relay that is not first in line: what stayed missing for the whole relay delay.
-    pub(crate) overdue: IntervalSet,
-    /// What was missing at some earlier request, and when that was.
-    pub(crate) missing_then: (Stamp, IntervalSet),
-    pub(crate) sending: Option<Sending>,
-    pub(crate) state_wanted: Option<PeerWish>,
-}
-
-/// A present state that the peer wants.
-#[derive(Clone, Debug)]
-pub(crate) struct PeerWish {
-    /// Since this package, or an earlier one.
-    pub(crate) since: u32,
-    /// It should contain some of these.
-    pub(crate) undecodable: IntervalSet,
-    /// How long it has said so.
-    pub(crate) stated_since: Stamp,
-}
-
-impl View {
-    pub(crate) const fn new(from: u32, now: Stamp) -> Self {
-        Self {
-            from,
-            held: IntervalSet::new(VIEW_INTERVALS_MAX),
-            covered: IntervalSet::new(VIEW_INTERVALS_MAX),
-            overdue: IntervalSet::new(VIEW_INTERVALS_MAX),
-            missing_then: (now, IntervalSet::new(VIEW_INTERVALS_MAX)),
-            sending: None,
-            state_wanted: None,
-        }
-    }
-
-    /// The peer proved to hold this package. A view that is too fragmented to note it learns it from the next request.
-    pub(crate) fn note_held(&mut self, index: u32) {
-        let _ = self.held.insert(index);
-        let _ = self.covered.insert(index);
-    }
-}
 
 /// Whether there is a sign of life of a robot: it is heard here, or by a peer.
 pub(crate) fn is_heard(peers: &BTreeMap<RobotId, Peer>, robot: RobotId) -> bool {
@@ -188,7 +115,7 @@ impl Peer {
             loss: Loss::default(),
             pacer: config
                 .link_bytes_per_s
-                .map(|rate| Pacer::new(rate, super::outbox::burst_bytes(rate, config.burst_ms))),
+                .map(|rate| Pacer::new(rate, crate::pacer::burst_bytes(rate, config.burst_ms))),
             overtaken: None,
             path: PeerPath::default(),
             traffic_in: Traffic::default(),
@@ -272,26 +199,63 @@ impl Peer {
     }
 }
 
-/// What [`Session::peers`](crate::Session::peers) tells of a peer.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[non_exhaustive]
-pub struct PeerInfo {
-    /// The peer and its run.
-    pub stream: Stream,
-    /// When it was last heard, on the own clock.
-    pub last_heard: Stamp,
-    /// Whether it hears this robot, as far as its last request tells.
-    pub hears_us: bool,
-    /// Smoothed round trip in microseconds, once measured.
-    pub round_trip_micros: Option<i64>,
-    /// Its clock minus the own clock in microseconds: as given, else as measured.
-    pub clock_offset_micros: Option<i64>,
-    /// Packages sent to it and not yet confirmed.
-    pub in_flight: usize,
-    /// Heard from it.
-    pub traffic_in: Traffic,
-    /// Sent to it alone.
-    pub traffic_out: Traffic,
+impl Peer {
+    /// Notes that an item goes out and is on its way to the peer: also one that it states to hold or has no place for, since it
+    /// may take back either before the item arrives. One that is on its way already counts from now. Of more than `in_flight_max` the oldest is
+    /// forgotten if it would count as lost by now; else the new one is not noted, and only kept back until the next request.
+    pub(crate) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) {
+        let stream = item.stream();
+        if stream == self.stream || mutation::is(Mutation::LedgerIgnored) {
+            return;
+        }
+        let view = self.view(stream, now);
+        if let Item::Tile { set, .. } = item
+            && view.as_ref().and_then(|view| view.sending.as_ref()).is_none_or(|sending| sending.set != set)
+        {
+            // It is not sent this set.
+            return;
+        }
+        let is_new = view.is_some_and(|view| view.cover(item));
+        if let Some(at) = self.in_flight.iter().rposition(|sent| !is_new && sent.item == item) {
+            self.in_flight.remove(at);
+        }
+        let timeout = self.round_trip.timeout();
+        if self.in_flight.len() >= in_flight_max
+            && self.in_flight.front().is_some_and(|oldest| now.micros_since(oldest.at) >= timeout)
+        {
+            self.in_flight.pop_front();
+        }
+        if self.in_flight.len() < in_flight_max || mutation::is(Mutation::WindowIgnored) {
+            self.in_flight.push_back(Sent { item, at: now, requests: 0 });
+        }
+    }
+
+    /// Notes that the peer hears an item from another robot, if there is room; whether it was missing.
+    pub(crate) fn cover_heard(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
+        if self.in_flight.len() >= in_flight_max
+            || !self.wants(item.stream())
+            || self.view(item.stream(), now).is_none()
+        {
+            return false;
+        }
+        let is_news = self.lacks(item);
+        self.cover(item, now, in_flight_max);
+        is_news
+    }
+
+    /// Whether an item is still missing and not on its way, and can be noted as being on its way.
+    pub(crate) fn lacks(&self, item: Item) -> bool {
+        let (covered, number) = match (self.views.get(&item.stream()), item) {
+            (Some(view), Item::Package { index, .. }) => (&view.covered, index),
+            (Some(View { sending: Some(sending), .. }), Item::Tile { set, tile, .. })
+                if sending.set == set =>
+            {
+                (&sending.covered, tile + 1)
+            }
+            _ => return false,
+        };
+        !covered.contains(number) && covered.has_room_for(number)
+    }
 }
 
 #[cfg(test)]
@@ -316,5 +280,26 @@ mod tests {
         assert!(peer.view(run(8), now).is_some(), "not named any more");
         (0..2 * UNPLACED_MAX as u16).for_each(|id| peer.note_unplaced(run(id)));
         assert_eq!(peer.unplaced.len(), UNPLACED_MAX);
+    }
+
+    #[test]
+    fn what_is_heard_from_others_pushes_nothing_that_was_sent_out_of_the_ledger() {
+        let robot = |id| Stream { origin: RobotId(id), epoch: 1 };
+        let item = |id, index| Item::Package { stream: robot(id), index };
+        let mut peer = Peer::new(robot(2), Stamp(0), &SessionConfig::default());
+        peer.takes_new_streams = true;
+        peer.note_covered(Covered::all_from(RobotId(0)));
+        peer.cover(item(1, 1), Stamp(0), 6);
+        for index in 1..=20 {
+            let is_noted = peer.cover_heard(item(3, index), Stamp(1), 6);
+            assert_eq!(is_noted, index <= 5, "the ledger has room for six");
+        }
+        assert_eq!((peer.in_flight.len(), peer.in_flight[0].item), (6, item(1, 1)));
+        // What goes out itself takes the place of what would count as lost by now, and no other.
+        peer.cover(item(1, 2), Stamp(2), 6);
+        assert_eq!((peer.in_flight.len(), peer.in_flight[0].item), (6, item(1, 1)));
+        assert!(!peer.lacks(item(1, 2)), "it is kept back until the next request");
+        peer.cover(item(1, 2), Stamp(peer.round_trip.timeout()), 6);
+        assert_eq!((peer.in_flight.len(), peer.in_flight[5].item), (6, item(1, 2)));
     }
 }

@@ -1,63 +1,10 @@
 //! When requests go out.
 
-use super::{Destination, Session};
-use crate::session::peer::Peer;
-use crate::timers::{Timer, Timers};
+use super::Session;
+use crate::event::Destination;
+use crate::peer::Peer;
+use crate::timers::Timer;
 use flockmap_grid::{RobotId, Stamp, Stream};
-
-/// When requests are due, and where they begin.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Schedule {
-    pub(super) timers: Timers,
-    random: u64,
-    /// Requests for gaps since one was filled last, or a new one was seen.
-    pub(super) gap_tries: u32,
-    probes_left: u8,
-    last: Stamp,
-    /// Least pause after the last request, so that requests leave most of a small budget to packages.
-    pub(super) budget_pause: i64,
-    last_activity: Stamp,
-    /// Requests made: lists that do not fit begin at another place each time.
-    pub(super) count: usize,
-    /// The first origin that the next request covers; and how often all were.
-    pub(super) cursor: RobotId,
-    pub(super) rounds: u32,
-    /// A run of a robot that was heard in an earlier one: it should learn of it soon.
-    pub(super) superseded: Option<Stream>,
-    superseded_told: Option<Stamp>,
-}
-
-impl Schedule {
-    /// The first request is due at once.
-    pub(super) fn new(seed: u64) -> Self {
-        let never = Stamp(i64::MIN);
-        let mut timers = Timers::default();
-        timers.set(Timer::Request, never);
-        Self {
-            timers,
-            random: seed,
-            gap_tries: 0,
-            probes_left: 0,
-            last: never,
-            budget_pause: 0,
-            last_activity: never,
-            count: 0,
-            cursor: RobotId(0),
-            rounds: 0,
-            superseded: None,
-            superseded_told: None,
-        }
-    }
-
-    /// A number from 0 to `below` − 1 (SplitMix64).
-    pub(super) fn random(&mut self, below: u64) -> u64 {
-        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.random;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ (z >> 31)) % below.max(1)
-    }
-}
 
 /// New peers are greeted after at most so long, each robot at another time.
 const GREETING_JITTER: u64 = 20_000;

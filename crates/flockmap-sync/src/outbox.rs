@@ -1,0 +1,112 @@
+//! What is on its way out.
+
+use crate::IntervalSet;
+use crate::item::Item;
+use crate::pacer::{Pacer, burst_bytes};
+use crate::path::PathsWaiting;
+use crate::peer::{Sending, VIEW_INTERVALS_MAX};
+use crate::wire::Contents;
+use crate::{SessionConfig, Store};
+use flockmap_codec::Package;
+use flockmap_grid::{RobotId, Stamp, Stream};
+use std::collections::BTreeMap;
+
+/// What waits to be sent, and the budgets that let it go.
+#[derive(Debug)]
+pub(crate) struct Outbox {
+    /// Present states that can be sent.
+    pub(crate) snapshots: Vec<Outgoing>,
+    /// When the driver is asked again for a present state of a stream.
+    pub(crate) asked: BTreeMap<Stream, Stamp>,
+    pub(crate) path_waiting: PathsWaiting,
+    /// The peer that was served last.
+    pub(crate) served: RobotId,
+    pub(crate) radio: Option<Pacer>,
+    /// As [`Peer::overtaken`](crate::peer::Peer::overtaken), for a datagram that waits for the radio's budget.
+    pub(crate) overtaken: Option<u8>,
+    /// Budgets of the links to peers that fell silent. At most `peers_max`, 2 KiB each.
+    pub(crate) silent_links: BTreeMap<RobotId, Pacer>,
+}
+
+/// A present state that can be sent, to several peers if they need it.
+#[derive(Debug)]
+pub(crate) struct Outgoing {
+    pub(crate) stream: Stream,
+    pub(crate) set: u32,
+    pub(crate) since: u32,
+    pub(crate) upto: u32,
+    /// What it contains, where that has gaps.
+    pub(crate) contents: Option<IntervalSet>,
+    pub(crate) tiles: Vec<Package>,
+    pub(crate) bytes: usize,
+    pub(crate) used_at: Stamp,
+}
+
+impl Outgoing {
+    /// About what the part of it since a package would cost now, when `upto` is the newest one.
+    pub(crate) fn cost(&self, since: u32, upto: u32) -> u64 {
+        let part = u64::from(upto.saturating_sub(since.max(self.since)));
+        self.bytes as u64 * part / u64::from(self.upto - self.since).max(1)
+    }
+
+    /// Begins to send it to a peer.
+    pub(crate) fn sending(&self, now: Stamp) -> Sending {
+        let nothing = IntervalSet::new(VIEW_INTERVALS_MAX);
+        let (set, since, upto) = (self.set, self.since, self.upto);
+        Sending {
+            set,
+            since,
+            upto,
+            named_at: now,
+            unheeded: 1,
+            lost_at: now,
+            accepted: nothing.clone(),
+            covered: nothing,
+        }
+    }
+
+    /// Whether at most an eighth of it says what who knows packages 1 to `since` knows already.
+    pub(crate) const fn is_near(&self, since: u32) -> bool {
+        since.saturating_sub(self.since) <= (self.upto - self.since) / 8
+    }
+}
+
+impl Outbox {
+    pub(crate) fn new(config: &SessionConfig) -> Self {
+        Self {
+            snapshots: Vec::new(),
+            asked: BTreeMap::new(),
+            path_waiting: PathsWaiting::new(),
+            served: RobotId(0),
+            radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),
+            overtaken: None,
+            silent_links: BTreeMap::new(),
+        }
+    }
+
+    /// A present state that can be sent.
+    pub(crate) fn snapshot(&self, stream: Stream, set: u32) -> Option<&Outgoing> {
+        self.snapshots.iter().find(|outgoing| outgoing.stream == stream && outgoing.set == set)
+    }
+
+    /// What is sent for an item, if it is there.
+    pub(crate) fn package<'a>(&'a self, item: Item, store: &'a Store) -> Option<&'a Package> {
+        match item {
+            Item::Package { stream, index } => store.get(stream, index).map(|stored| &stored.package),
+            Item::Tile { stream, set, tile } => self.snapshot(stream, set)?.tiles.get(tile as usize),
+        }
+    }
+
+    /// What a tile's set contains, where that has to be told.
+    pub(crate) fn contents(&self, item: Item) -> Option<Contents> {
+        let Item::Tile { stream, set, .. } = item else { return None };
+        Some(Contents { stream, set, held: self.snapshot(stream, set)?.contents.clone()? })
+    }
+
+    /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.
+    pub(crate) fn at_hand(&self, stream: Stream, since_max: u32) -> Option<usize> {
+        self.snapshots.iter().rposition(|outgoing| {
+            outgoing.stream == stream && outgoing.contents.is_none() && outgoing.since <= since_max
+        })
+    }
+}

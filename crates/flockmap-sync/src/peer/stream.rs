@@ -1,0 +1,122 @@
+//! What a peer holds of one stream, as far as it is known, and what of it is on its way there.
+
+use crate::IntervalSet;
+use crate::inbox::ABANDONED;
+use crate::item::Item;
+use flockmap_grid::Stamp;
+
+/// Intervals kept of what a peer states to hold of one stream; of more, the newest.
+pub(crate) const VIEW_INTERVALS_MAX: usize = 256;
+
+/// A set counts as ignored when tiles of it got lost four times and the peer has not spoken of it .
+const UNHEEDED_MAX: u8 = 5;
+/// Something sent and not yet confirmed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sent {
+    pub(crate) item: Item,
+    pub(crate) at: Stamp,
+    /// Requests of the peer since then in which it was still missing.
+    pub(crate) requests: u8,
+}
+
+/// A present state on its way to the peer.
+#[derive(Clone, Debug)]
+pub(crate) struct Sending {
+    pub(crate) set: u32,
+    pub(crate) since: u32,
+    pub(crate) upto: u32,
+    /// When the peer last spoke of the set, or it was begun.
+    pub(crate) named_at: Stamp,
+    /// 0: the peer spoke of the set. Else how often tiles got lost since then, or since it was begun, and one more.
+    pub(crate) unheeded: u8,
+    /// When tiles of it got lost last.
+    pub(crate) lost_at: Stamp,
+    /// Number + 1 of the tiles that the peer accepted.
+    pub(crate) accepted: IntervalSet,
+    /// Those and the ones in flight.
+    pub(crate) covered: IntervalSet,
+}
+
+/// What the peer holds of one stream, as far as it is known.
+#[derive(Clone, Debug)]
+pub(crate) struct View {
+    /// Nothing is known below this index.
+    pub(crate) from: u32,
+    /// What the peer stated to hold, or sent itself.
+    pub(crate) held: IntervalSet,
+    /// Those and the ones in flight: what need not be sent now. It has room for both; and those that a full ledger forgot since the last request.
+    pub(crate) covered: IntervalSet,
+    /// For a relay that is not first in line: what stayed missing for the whole relay delay.
+    pub(crate) overdue: IntervalSet,
+    /// What was missing at some earlier request, and when that was.
+    pub(crate) missing_then: (Stamp, IntervalSet),
+    pub(crate) sending: Option<Sending>,
+    pub(crate) state_wanted: Option<PeerWish>,
+}
+
+/// A present state that the peer wants.
+#[derive(Clone, Debug)]
+pub(crate) struct PeerWish {
+    /// Since this package, or an earlier one.
+    pub(crate) since: u32,
+    /// It should contain some of these.
+    pub(crate) undecodable: IntervalSet,
+    /// How long it has said so.
+    pub(crate) stated_since: Stamp,
+}
+
+impl View {
+    pub(crate) const fn new(from: u32, now: Stamp) -> Self {
+        Self {
+            from,
+            held: IntervalSet::new(VIEW_INTERVALS_MAX),
+            covered: IntervalSet::new(VIEW_INTERVALS_MAX),
+            overdue: IntervalSet::new(VIEW_INTERVALS_MAX),
+            missing_then: (now, IntervalSet::new(VIEW_INTERVALS_MAX)),
+            sending: None,
+            state_wanted: None,
+        }
+    }
+
+    /// The peer proved to hold this package. A view that is too fragmented to note it learns it from the next request.
+    pub(crate) fn note_held(&mut self, index: u32) {
+        let _ = self.held.insert(index);
+        let _ = self.covered.insert(index);
+    }
+}
+
+impl View {
+    /// Notes that an item need not be sent now; whether that was news. A view that is too torn to note it says no.
+    /// Such an item is not sent either: it would be sent again and again.
+    pub(crate) fn cover(&mut self, item: Item) -> bool {
+        match item {
+            Item::Package { index, .. } => self.covered.insert(index).unwrap_or(false),
+            Item::Tile { set, tile, .. } => match &mut self.sending {
+                Some(sending) if sending.set == set => sending.covered.insert(tile + 1).unwrap_or(false),
+                _ => false,
+            },
+        }
+    }
+}
+
+impl Sending {
+    /// The peer does not take it: it has no place for it, or knows better. Or all that was sent of it got lost.
+    pub(crate) const fn is_ignored(&self) -> bool {
+        self.unheeded >= UNHEEDED_MAX
+    }
+
+    /// Tiles got lost, and the peer does not speak of the set.
+    pub(crate) fn note_unheeded(&mut self, now: Stamp) {
+        self.unheeded = self.unheeded.saturating_add(1).min(UNHEEDED_MAX);
+        self.lost_at = now;
+    }
+
+    /// A peer that does not speak of the set for long has forgotten it, or has not heard of it yet.
+    pub(crate) fn note_silence(&mut self, now: Stamp) {
+        if now.micros_since(self.named_at) > ABANDONED {
+            self.named_at = now;
+            self.unheeded = UNHEEDED_MAX;
+            self.accepted = IntervalSet::new(VIEW_INTERVALS_MAX);
+        }
+    }
+}
