@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockmap::codec::Codec;
 use flockmap::grid::Preset;
-use flockmap_sim::{Lidar, Rendering};
+use flockmap_worlds::{Lidar, Rendering};
 
 use crate::args_sim::SimCommand;
 use crate::bench_application::BenchApplicationArgs;

@@ -178,7 +178,7 @@ pub struct SimSwarmArgs {
     pub robots: Option<usize>,
     /// lan, wifi, wifi_lossy, wifi_congested, mesh_line, intermittent or lora [default: drawn]
     #[arg(long, value_name = "PRESET")]
-    pub radio: Option<flockmap_sim::swarm::RadioPreset>,
+    pub radio: Option<flockmap_netsim::swarm::RadioPreset>,
     /// Seconds of mapping before links heal [default: drawn, 2 to 8]
     #[arg(long, value_name = "T")]
     pub seconds: Option<f64>,

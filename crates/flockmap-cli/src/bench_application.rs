@@ -8,7 +8,7 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use flockmap::Resolution;
 use flockmap::codec::Codec;
-use flockmap_sim::application::{
+use flockmap_autonomy::application::{
     self, ApplicationOptions, ApplicationOutcome, Course, Ending, MapSync, RobotTraffic, Series,
     SeriesOptions,
 };

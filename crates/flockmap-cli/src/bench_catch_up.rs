@@ -7,7 +7,7 @@ use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::{Layer, PresentState};
 use flockmap::sync::wire::{Datagram, Kind, parse_packages};
 use flockmap::{Destination, Event, Robot, RobotConfig, RobotId, SessionConfig, Stamp, Stream};
-use flockmap_sim::{IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
+use flockmap_netsim::{IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
 use serde::Serialize;
 
 use crate::args::BenchCatchUpArgs;

@@ -10,7 +10,7 @@ use anyhow::{Context, bail, ensure};
 use flockmap::grid::Mapper;
 use flockmap::{Changes, MapperConfig, Preset, Resolution, State, Voxel};
 use flockmap_io::Frame;
-use flockmap_sim::{Flight, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_worlds::{Flight, Patrol, PatrolOptions, ScanOptions, World};
 use serde::Serialize;
 
 use crate::args::BenchMappingArgs;

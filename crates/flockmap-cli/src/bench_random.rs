@@ -9,7 +9,7 @@ use clap::Args;
 use flockmap::codec::{Codec, Content, Cycle, Decoder, Encoder, Package};
 use flockmap::grid::{BlockIndex, StateBlock, voxel_bit};
 use flockmap::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
-use flockmap_sim::Random;
+use flockmap_worlds::Random;
 use serde::Serialize;
 use serde_json::{Map, json};
 

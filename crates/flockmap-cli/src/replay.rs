@@ -2,7 +2,7 @@
 
 use anyhow::ensure;
 use flockmap::{RobotConfig, RobotId, SessionConfig};
-use flockmap_sim::{Link, RadioConfig};
+use flockmap_netsim::{Link, RadioConfig};
 
 use crate::args::ReplayArgs;
 use crate::report::Settings;

@@ -3,7 +3,7 @@
 use flockmap::grid::{BlockIndex, Changes, Layer, StateBlock};
 use flockmap::{RobotId, Stamp};
 use flockmap_baselines::racer_code::{RacerCast, RacerConfig, RacerEvent, RacerRobot, Topic};
-use flockmap_sim::{RadioConfig, RadioEmulator, To};
+use flockmap_netsim::{RadioConfig, RadioEmulator, To};
 use std::collections::BTreeMap;
 
 use crate::measure::{AgesByState, Comparison, Sent};
@@ -249,7 +249,8 @@ mod tests {
     use crate::sources::Frame;
     use flockmap::grid::{MapperConfig, Preset};
     use flockmap::{Pose, Resolution, Scan};
-    use flockmap_sim::{Link, Random};
+    use flockmap_netsim::Link;
+    use flockmap_worlds::Random;
 
     /// Robots that fly side by side through ever changing bushes: what is hit differs from scan to scan.
     fn bushes(robots: u64, scans: i64) -> Vec<Source> {

@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use anyhow::{Context, bail, ensure};
 use flockmap::{Pose, Resolution, Scan, Sphere, Stamp};
 use flockmap_io::{Record, RecordOptions, open_record};
-use flockmap_sim::{Flight, ObstacleOptions, Patrol, PatrolOptions, ScanOptions, Shape, Tracks, World};
+use flockmap_worlds::{Flight, ObstacleOptions, Patrol, PatrolOptions, ScanOptions, Shape, Tracks, World};
 
 use crate::args::SourceArgs;
 use crate::team::{Team, TeamMate};

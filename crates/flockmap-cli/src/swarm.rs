@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flockmap::{Cast, Destination, Event, PoseError, Robot, RobotConfig, RobotId, Stamp};
-use flockmap_sim::{RadioConfig, RadioEmulator, To};
+use flockmap_netsim::{RadioConfig, RadioEmulator, To};
 
 use crate::measure::Times;
 use crate::member::Measures;

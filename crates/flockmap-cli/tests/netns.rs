@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::Arc;
 
 use flockmap_io::RecordWriter;
-use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_worlds::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
 
 const SECONDS: f64 = 8.0;
 const KILL_AFTER_S: f64 = 4.0;

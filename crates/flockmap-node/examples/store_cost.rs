@@ -11,7 +11,7 @@ use anyhow::{Context, ensure};
 use flockmap::{Destination, Resolution, Robot, RobotConfig, RobotId, Stamp};
 use flockmap_node::store::{Identity, Store, StoreOptions};
 use flockmap_node::{Log, StoreWriter};
-use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_worlds::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
 
 const RANGE_M: f64 = 7.0;
 

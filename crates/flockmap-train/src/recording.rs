@@ -7,7 +7,7 @@ use flockmap::{
     Changes, Cycle, CycleConfig, Mapper, MapperConfig, Packer, Pose, Preset, Resolution, RobotId, Scan,
     Stamp, Stream,
 };
-use flockmap_sim::{Patrol, PatrolOptions, ScanOptions, Scanner, World};
+use flockmap_worlds::{Patrol, PatrolOptions, ScanOptions, Scanner, World};
 
 use crate::parallel::in_parallel;
 use crate::progress::Steps;

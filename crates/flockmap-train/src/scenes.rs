@@ -3,7 +3,7 @@
 //! Benchmarks fly with seed 1, so no seed here is 1: a codec must not be measured on what it has learned. Nothing recorded is used,
 //! so that anybody can make the tables again from the repository alone.
 
-use flockmap_sim::Lidar;
+use flockmap_worlds::Lidar;
 
 /// A kind of generated world.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -1,6 +1,6 @@
 //! The paper's application (Sec. V-B): a leader that looks backwards flies on its follower's map.
 
-use flockmap_sim::application::SeriesOptions;
+use flockmap_autonomy::application::SeriesOptions;
 
 use super::figures::TABLE_THREE;
 use crate::bench_application::{self, Row};

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use flockmap_sim::{Lidar, Rendering};
+use flockmap_worlds::{Lidar, Rendering};
 
 #[derive(Args, Debug)]
 pub struct BenchPaperArgs {

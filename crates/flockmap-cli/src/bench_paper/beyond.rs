@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Parser;
 use flockmap::{Codec, SessionConfig};
 use flockmap_baselines::Method;
-use flockmap_sim::Link;
+use flockmap_netsim::Link;
 
 use super::args::BenchPaperArgs;
 use super::figures::{CHANGES_MAX, T_L_S};

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use flockmap::{Codec, Stamp};
+use flockmap_autonomy::{Ended, ExploreOptions};
 use flockmap_io::{Record, RecordOptions, open_record};
-use flockmap_sim::{Ended, ExploreOptions, Lidar, Rendering, ScanOptions, World};
+use flockmap_worlds::{Lidar, Rendering, ScanOptions, World};
 
 use super::figures::{CHANGES_MAX, Scene, T_L_S};
 use crate::sim::explore;
@@ -175,7 +176,7 @@ impl Flown {
 mod tests {
     use super::*;
     use flockmap::{Resolution, Voxel};
-    use flockmap_sim::WorldError;
+    use flockmap_worlds::WorldError;
 
     /// A hall of 12 × 12 × 3 m with walls, floor and ceiling.
     fn hall() -> Result<World, WorldError> {

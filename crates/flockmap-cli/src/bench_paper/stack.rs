@@ -2,7 +2,7 @@
 
 use flockmap::grid::MapperConfig;
 use flockmap::{Codec, CycleConfig, RobotConfig, RobotId, SessionConfig};
-use flockmap_sim::{Link, RadioConfig};
+use flockmap_netsim::{Link, RadioConfig};
 
 use super::methods::MethodRow;
 use crate::measure::Sent;

@@ -3,7 +3,7 @@
 use flockmap::grid::MapperConfig;
 use flockmap::{Codec, SessionConfig};
 use flockmap_baselines::racer_code::{RacerCast, RacerConfig};
-use flockmap_sim::{Link, RadioConfig};
+use flockmap_netsim::{Link, RadioConfig};
 
 use super::figures::{CHANGES_MAX, T_L_S, TABLE_ONE, TableOneRow};
 use super::flown::Flown;

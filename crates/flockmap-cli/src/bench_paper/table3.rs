@@ -1,7 +1,7 @@
 //! Table III and Fig. 9: two nodes over an emulated Wi-Fi, sent and received over time.
 
 use flockmap::{Codec, SessionConfig};
-use flockmap_sim::Link;
+use flockmap_netsim::Link;
 
 use super::figures::{CHANGES_MAX, FLIGHT_T_L_S, FLIGHT_UPDATE_BOX_M, TABLE_THREE};
 use super::flown::{Flown, LIDAR_RANGE_M};

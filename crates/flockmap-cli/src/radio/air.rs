@@ -1,7 +1,8 @@
 //! What happens to datagrams between the robots: the emulated radio of `flockmap-sim`, in the time of the wall.
 
 use flockmap::{RobotId, Stamp};
-use flockmap_sim::{IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, Random, To, Traffic};
+use flockmap_netsim::{IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
+use flockmap_worlds::Random;
 
 use super::command::{LinkChange, Links, RadioCommand};
 

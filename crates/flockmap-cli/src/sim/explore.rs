@@ -5,9 +5,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{bail, ensure};
 use flockmap::SessionConfig;
-use flockmap_sim::{
-    Ended, ExploreError, ExploreOptions, Explorer, IP_UDP_BYTES, Link, RadioConfig, Traffic, World,
-};
+use flockmap_autonomy::{Ended, ExploreError, ExploreOptions, Explorer};
+use flockmap_netsim::{IP_UDP_BYTES, Link, RadioConfig, Traffic};
+use flockmap_worlds::World;
 use serde_json::{Value, json};
 
 use super::robot_record::{self, RecordFacts, RobotRecord};

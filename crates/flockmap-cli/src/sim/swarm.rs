@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use clap::Parser;
-use flockmap_sim::swarm::{Report, SwarmOptions, describe, fly};
+use flockmap_netsim::swarm::{Report, SwarmOptions, describe, fly};
 use serde_json::{Value, json};
 
 use crate::args_sim::SimSwarmArgs;

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
-use flockmap_sim::swarm::{RadioPreset, table};
+use flockmap_netsim::swarm::{RadioPreset, table};
 
 use crate::args_sim::SimTableArgs;
 use crate::progress::Progress;

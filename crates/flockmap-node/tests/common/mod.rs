@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use flockmap::{Pose, Resolution, RobotConfig, RobotId, Scan, Stamp};
 use flockmap_io::RecordWriter;
 use flockmap_node::{Frame, Frames, UdpOptions, UdpSockets};
-use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_worlds::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
 
 /// Far more than any step of a test takes.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);

@@ -1,0 +1,344 @@
+//! The application of the paper (Sec. V-B): two robots cross a dense thicket in line. The leader's LiDAR faces
+//! backwards, so it sees the way ahead only through the map of its follower.
+//!
+//! Both are real [`flockmap::Robot`]s. Each plans on its own fused map alone; unknown space counts as free. What
+//! becomes of them is judged in the world as it is.
+//!
+//! ```
+//! use flockmap_autonomy::application::{ApplicationOptions, Course, Ending, MapSync, fly};
+//!
+//! let options = ApplicationOptions { sync: MapSync::None, seconds_max: 1.0, ..ApplicationOptions::default() };
+//! let outcome = fly(&Course::thicket(1), &options)?;
+//! assert_eq!(outcome.ending, Ending::TimeOut);
+//! # Ok::<(), flockmap::RobotError>(())
+//! ```
+
+mod course;
+mod judge;
+mod pair;
+mod pilot;
+mod route;
+mod series;
+mod sight;
+mod slab;
+
+use crate::MotionLimits;
+use flockmap::RobotError;
+use flockmap::codec::Codec;
+use flockmap_grid::{Resolution, Stamp};
+use flockmap_worlds::{Lidar, SCAN_PERIOD_MICROS};
+
+pub use course::Course;
+pub use judge::BODY_RADIUS_M;
+pub use series::{Series, SeriesOptions, series};
+
+use pair::{FOLLOWER, LEADER, Pair};
+use pilot::{Flyer, Pilot, STEP_S, Surroundings};
+use sight::Sight;
+use slab::apart;
+
+/// How the two maps are kept in sync.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub enum MapSync {
+    /// Not at all: each robot has what it sees itself.
+    None,
+    /// Over an emulated radio.
+    Radio {
+        /// Bytes a second that each robot can send, 28 bytes of IP and UDP counted for each datagram. The session is told the same
+        /// budget. `None`: no limit (the session keeps its default of 2,000,000).
+        rate_bytes_per_s: Option<u32>,
+        /// Share of datagrams that are lost, 0 to 1.
+        loss: f64,
+        /// Time on the way in milliseconds.
+        delay_ms: u32,
+    },
+}
+
+/// How the robots see, map, tell and fly. The defaults are the paper's where it gives a value.
+#[derive(Clone, PartialEq, Debug)]
+pub struct ApplicationOptions {
+    /// Seed of the radio and the sessions. The course has its own.
+    pub seed: u64,
+    /// How the maps are kept in sync. Default a radio without limit or loss, 20 ms on the way.
+    pub sync: MapSync,
+    /// Side of a voxel. Default 0.1 m (paper).
+    pub resolution: Resolution,
+    /// Rays are cut at this length, in metres. Default 7.5.
+    pub range_m: f64,
+    /// Half extents of the update box of the mapper in metres. Default 7.5, 7.5, 1.5 (paper).
+    pub update_box_m: [f64; 3],
+    /// Milliseconds after which a cycle of mapping is sent. Default 200 (paper).
+    pub t_l_ms: u32,
+    /// The same for obstacles, ahead of free space. Default `None`: with everything else (paper).
+    pub t_l_occupied_ms: Option<u32>,
+    /// Codec of the packages. Default `paper`.
+    pub codec: Codec,
+    /// The LiDAR of both robots. Default Avia (paper). Every beam that meets nothing within `range_m` carves free space up to
+    /// there: the real device sees 190 m and more, and in a forest nearly every beam comes back from somewhere.
+    pub lidar: Lidar,
+    /// Highest speed in m/s. Default 1.5 (paper).
+    pub speed_m_s: f64,
+    /// Highest acceleration in m/s². Default 2.
+    pub acceleration_m_s2: f64,
+    /// How far behind the leader the follower keeps, in metres. Default 2.5.
+    pub distance_m: f64,
+    /// The flight ends after so many seconds. Default 90.
+    pub seconds_max: f64,
+}
+
+impl Default for ApplicationOptions {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            sync: MapSync::Radio { rate_bytes_per_s: None, loss: 0.0, delay_ms: 20 },
+            resolution: Resolution::from_micrometres(100_000).expect("0.1 m is a resolution"),
+            range_m: 7.5,
+            update_box_m: [7.5, 7.5, 1.5],
+            t_l_ms: 200,
+            t_l_occupied_ms: None,
+            codec: Codec::Paper,
+            lidar: Lidar::Avia,
+            speed_m_s: 1.5,
+            acceleration_m_s2: 2.0,
+            distance_m: 2.5,
+            seconds_max: 90.0,
+        }
+    }
+}
+
+/// How a flight ended.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Ending {
+    /// The leader reached the goal and nobody touched anything.
+    Goal,
+    /// The leader touched something solid: its centre came nearer than [`BODY_RADIUS_M`].
+    LeaderHit,
+    /// The follower touched something solid.
+    FollowerHit,
+    /// The robots touched each other.
+    RobotsTouched,
+    /// The time was over, or a robot found no way on until then.
+    TimeOut,
+}
+
+/// What one robot sent and received: UDP payload; IP and UDP headers take 28 bytes more for each datagram.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct RobotTraffic {
+    /// Bytes sent.
+    pub sent_bytes: u64,
+    /// Datagrams sent.
+    pub sent_datagrams: u64,
+    /// Most bytes sent within any second.
+    pub sent_bytes_per_s_max: u64,
+    /// Bytes received.
+    pub received_bytes: u64,
+    /// Datagrams received.
+    pub received_datagrams: u64,
+    /// Most bytes received within any second.
+    pub received_bytes_per_s_max: u64,
+}
+
+/// What became of a flight.
+#[derive(Clone, PartialEq, Debug)]
+pub struct ApplicationOutcome {
+    /// How it ended.
+    pub ending: Ending,
+    /// Virtual time from the first scan to the end, in seconds; the robots hover for the first two.
+    pub seconds: f64,
+    /// Where the leader was at the end, in metres.
+    pub leader_at: [f64; 3],
+    /// Metres that the leader flew.
+    pub leader_path_m: f64,
+    /// The leader's traffic (the paper's Table III and Fig. 9 are of this robot).
+    pub leader: RobotTraffic,
+    /// The follower's traffic.
+    pub follower: RobotTraffic,
+    /// Age of the follower's obstacle voxels when they came into the leader's map, from the scan that saw them: median, in
+    /// seconds. 0 if none came.
+    pub obstacle_age_median_s: f64,
+    /// The same: 99 of 100 are not older.
+    pub obstacle_age_p99_s: f64,
+}
+
+impl ApplicationOutcome {
+    /// Whether the leader reached the goal and nobody touched anything.
+    pub const fn is_success(&self) -> bool {
+        matches!(self.ending, Ending::Goal)
+    }
+}
+
+/// The robots hover so long before they set off, in seconds, so that they find each other and have a map.
+const HOVER_S: f64 = 2.0;
+/// The leader is there when it is this near to the goal.
+const GOAL_RADIUS_M: f64 = 0.5;
+/// The leader flies slower, down to standing still, while the follower is farther behind than it should be by this much
+/// more.
+const STRETCH_M: [f64; 2] = [0.8, 2.0];
+/// The follower looks at the point so far ahead on the leader's way of flight.
+const LOOK_AHEAD_M: f64 = 2.0;
+/// Turning rate of both robots.
+const YAW_RATE_RAD_S: f64 = 1.4;
+
+/// Flies one course. Deterministic: the same course and options give the same outcome on every machine.
+///
+/// # Errors
+/// [`RobotError`] names an option that cannot work.
+pub fn fly(course: &Course, options: &ApplicationOptions) -> Result<ApplicationOutcome, RobotError> {
+    let mut flight = Flight::new(course, options)?;
+    let mut ending = None;
+    while ending.is_none() && flight.seconds() < options.seconds_max {
+        flight.scan();
+        flight.plan();
+        ending = flight.fly_on();
+    }
+    Ok(flight.into_outcome(ending.unwrap_or(Ending::TimeOut)))
+}
+
+/// A flight under way.
+struct Flight<'a> {
+    course: &'a Course,
+    options: &'a ApplicationOptions,
+    pair: Pair,
+    now: Stamp,
+    limits: MotionLimits,
+    pilots: [Pilot; 2],
+    flyers: [Flyer; 2],
+    /// Where the leader was, each 10 cm, with the way to it from the follower's start.
+    trail: Vec<[f64; 2]>,
+    path_m: f64,
+}
+
+impl<'a> Flight<'a> {
+    fn new(course: &'a Course, options: &'a ApplicationOptions) -> Result<Self, RobotError> {
+        let limits = MotionLimits {
+            speed_m_s: options.speed_m_s,
+            acceleration_m_s2: options.acceleration_m_s2,
+            yaw_rate_rad_s: YAW_RATE_RAD_S,
+        };
+        let at = |start: [f64; 3], yaw| Flyer {
+            position: [start[0], start[1]],
+            velocity: [0.0; 2],
+            height: start[2],
+            yaw,
+        };
+        let (leader, follower) = (course.leader_start, course.follower_start);
+        let ahead = libm::atan2(leader[1] - follower[1], leader[0] - follower[0]);
+        Ok(Self {
+            course,
+            options,
+            pair: Pair::new(options, Stamp(0))?,
+            now: Stamp(0),
+            limits,
+            pilots: [Pilot::new(limits), Pilot::new(limits)],
+            flyers: [at(leader, ahead + core::f64::consts::PI), at(follower, ahead)],
+            trail: route::line([follower[0], follower[1]], [leader[0], leader[1]]).collect(),
+            path_m: 0.0,
+        })
+    }
+
+    fn seconds(&self) -> f64 {
+        self.now.seconds()
+    }
+
+    /// Both robots take a scan and map it.
+    fn scan(&mut self) {
+        let sight = Sight {
+            lidar: self.options.lidar,
+            range_m: self.options.range_m,
+            update_box_m: self.options.update_box_m,
+        };
+        for number in [LEADER, FOLLOWER] {
+            let pose = self.flyers[number].pose();
+            let other = self.flyers[1 - number].point();
+            let scan = sight.scan(&self.course.world, &pose, self.now, other);
+            self.pair.insert_scan(number, &scan, &pose, other);
+        }
+    }
+
+    /// Both robots plan on the maps that they have.
+    fn plan(&mut self) {
+        let hovers = self.seconds() < HOVER_S;
+        let [leader, follower] = self.flyers;
+        let gap = apart(leader.position, follower.position) - self.options.distance_m;
+        let stretch = (STRETCH_M[1] - gap) / (STRETCH_M[1] - STRETCH_M[0]);
+        let leader_speed = self.limits.speed_m_s * stretch.clamp(0.0, 1.0);
+        let targets = [self.course.goal, self.follower_target()];
+        // The follower may catch up.
+        let speeds = [leader_speed, self.limits.speed_m_s * 1.2];
+        for number in [LEADER, FOLLOWER] {
+            let around = Surroundings { fence: self.course.fence, other: self.flyers[1 - number].position };
+            let view = self.pair.robot(number).view();
+            let speed = if hovers { 0.0 } else { speeds[number] };
+            self.pilots[number].plan(&view, &self.flyers[number], targets[number], speed, &around);
+        }
+    }
+
+    /// A point on the leader's trail at the wanted distance behind it.
+    fn follower_target(&self) -> [f64; 2] {
+        let leader = self.flyers[LEADER].position;
+        let far_enough = |point: &&[f64; 2]| apart(**point, leader) >= self.options.distance_m;
+        let target = self.trail.iter().rev().find(far_enough);
+        target.copied().unwrap_or(self.flyers[FOLLOWER].position)
+    }
+
+    /// A tenth of a second of motion, while the radio works.
+    fn fly_on(&mut self) -> Option<Ending> {
+        let steps = (SCAN_PERIOD_MICROS as f64 / 1e6 / STEP_S).round() as i64;
+        for step in 1..=steps {
+            let before = self.flyers[LEADER].position;
+            for (pilot, flyer) in self.pilots.iter_mut().zip(&mut self.flyers) {
+                pilot.step(flyer);
+            }
+            let leader = self.flyers[LEADER].position;
+            self.path_m += apart(before, leader);
+            self.turn();
+            if self.trail.last().is_none_or(|last| apart(*last, leader) >= 0.1) {
+                self.trail.push(leader);
+            }
+            let at = self.now.plus_micros(SCAN_PERIOD_MICROS * step / steps);
+            let [leader_at, follower_at] = [LEADER, FOLLOWER].map(|number| self.flyers[number].point());
+            let ending = judge::collision(&self.course.world, leader_at, follower_at)
+                .or_else(|| (apart(leader, self.course.goal) <= GOAL_RADIUS_M).then_some(Ending::Goal));
+            if ending.is_some() || step == steps {
+                self.pair.advance(at);
+                self.now = at;
+                return ending;
+            }
+        }
+        None
+    }
+
+    /// The leader's LiDAR faces against its way of flight; the follower's looks along the leader's way ahead.
+    fn turn(&mut self) {
+        let leader = self.flyers[LEADER];
+        if let Some(heading) = self.pilots[LEADER].heading(&leader) {
+            self.flyers[LEADER].turn(heading + core::f64::consts::PI, &self.limits);
+        }
+        let look_at = self.pilots[LEADER].ahead(LOOK_AHEAD_M).unwrap_or(leader.position);
+        let follower = &mut self.flyers[FOLLOWER];
+        let d = [look_at[0] - follower.position[0], look_at[1] - follower.position[1]];
+        if d != [0.0; 2] {
+            follower.turn(libm::atan2(d[1], d[0]), &self.limits);
+        }
+    }
+
+    fn into_outcome(self, ending: Ending) -> ApplicationOutcome {
+        let [leader, follower] = self.pair.traffic();
+        let (seconds, leader_at) = (self.now.seconds(), self.flyers[LEADER].point());
+        let ages = self.pair.into_ages();
+        let age = |share: f64| {
+            let rank = (share * ages.len() as f64).ceil().max(1.0) as usize;
+            ages.get(rank - 1).map_or(0.0, |micros| *micros as f64 / 1e6)
+        };
+        ApplicationOutcome {
+            ending,
+            seconds,
+            leader_at,
+            leader_path_m: self.path_m,
+            leader,
+            follower,
+            obstacle_age_median_s: age(0.5),
+            obstacle_age_p99_s: age(0.99),
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! Robots keep out of each other's way.
+
+use crate::NavigationGrid;
+use flockmap_worlds::curve::distance;
+
+/// Metres added to distances between paths for the space between their samples.
+const SAMPLE_SLACK_M: f64 = 0.06;
+
+/// What a robot knows of another: where it is and where it is going.
+#[derive(Clone, Debug)]
+pub(super) struct Mate {
+    pub(super) number: usize,
+    /// Its path until it could come to rest, its position first.
+    pub(super) stopping_path: Vec<[f64; 3]>,
+    /// The way that it would go if nobody were in it.
+    pub(super) wish: Option<Vec<[f64; 3]>>,
+}
+
+/// Whether all points of two paths are at least this far apart.
+pub(super) fn are_apart(a: &[[f64; 3]], b: &[[f64; 3]], separation_m: f64) -> bool {
+    a.iter().all(|p| b.iter().all(|q| distance(*p, *q) >= separation_m + SAMPLE_SLACK_M))
+}
+
+/// Metres from a point to the nearest point of a path.
+pub(super) fn metres_to_path(point: [f64; 3], path: &[[f64; 3]]) -> f64 {
+    path.iter().map(|p| distance(point, *p)).fold(f64::INFINITY, f64::min)
+}
+
+/// Cells nearer than this to where others are and will be until they could stop, ascending.
+pub(super) fn cells_near(grid: &NavigationGrid, mates: &[Mate], wide_m: f64) -> Vec<u32> {
+    let reach = (wide_m / grid.cell_m()).ceil() as i32;
+    let mut cells = Vec::new();
+    for mate in mates {
+        let mut last: Option<[f64; 3]> = None;
+        for &point in &mate.stopping_path {
+            // Every 20 cm and the ends will do.
+            let is_end = mate.stopping_path.last() == Some(&point);
+            if !is_end && last.is_some_and(|last| distance(last, point) < 0.2) {
+                continue;
+            }
+            last = Some(point);
+            for z in -reach..=reach {
+                for y in -reach..=reach {
+                    for x in -reach..=reach {
+                        let d = [x, y, z].map(|i| f64::from(i) * grid.cell_m());
+                        let place = core::array::from_fn(|a| point[a] + d[a]);
+                        if let Some(cell) = grid.cell_at(place)
+                            && distance(grid.centre(cell), point) < wide_m
+                        {
+                            cells.push(cell as u32);
+                        }
+                    }
+                }
+            }
+        }
+    }
+    cells.sort_unstable();
+    cells.dedup();
+    cells
+}
+
+/// A polyline with points at most 10 cm apart.
+pub(super) fn dense(line: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let mut points: Vec<[f64; 3]> = line.first().copied().into_iter().collect();
+    for pair in line.windows(2) {
+        let steps = (distance(pair[0], pair[1]) / 0.1).ceil().max(1.0);
+        for step in 1..=steps as u32 {
+            let s = f64::from(step) / steps;
+            points.push(core::array::from_fn(|a| pair[0][a] + (pair[1][a] - pair[0][a]) * s));
+        }
+    }
+    points
+}

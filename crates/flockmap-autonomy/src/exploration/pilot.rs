@@ -1,0 +1,497 @@
+//! One robot's planner: what to look at next, and how to get there.
+
+use super::frontier::{DIRECTIONS_MAX, Frontiers, GAIN_MIN, Viewpoint};
+use super::mates::{Mate, cells_near, dense, metres_to_path};
+use super::regions::{Regions, tour, work};
+use super::sight::Sight;
+use super::start::ROOM_M;
+use crate::navigation::wrapped;
+use crate::{Motion, MotionLimits, NavigationConfig, NavigationError, NavigationGrid, RouteQuery, Router};
+use flockmap_grid::{MapView, Stamp};
+use flockmap_worlds::curve::distance;
+use libm::atan2;
+
+/// Time between two plans, at least.
+const PLAN_PAUSE_MICROS: i64 = 300_000;
+
+/// Time after which the goal is thought over even if nothing has happened.
+const PLAN_PERIOD_MICROS: i64 = 1_500_000;
+
+/// The same for a robot that has nothing to do.
+const IDLE_PAUSE_MICROS: i64 = 1_000_000;
+
+/// A robot that knows of something to look at but of no way for so long makes do with less clearance.
+const SHUT_IN_MICROS: i64 = 2_000_000;
+
+/// Metres by which it does, and the least clearance: that of its body.
+const CLEARANCE_STEP_M: f64 = 0.1;
+const CLEARANCE_MIN_M: f64 = 0.2;
+
+/// Time between two looks round that count.
+const LOOK_PERIOD_MICROS: i64 = 300_000;
+
+/// Time at a viewpoint: five scans.
+const STAY_MICROS: i64 = 500_000;
+
+/// A goal counts as seen when this share of its frontier is left, or this share of what was to be seen from there.
+const SEEN_SHARE: f64 = 0.3;
+
+/// Metres around the robot within which ways are searched first.
+const NEAR_M: f64 = 30.0;
+
+/// The present goal counts for so much more than others, and so do those in the region that comes first.
+const LOYALTY: f64 = 1.5;
+const FIRST_REGION: f64 = 1.5;
+
+/// Seconds that every goal costs beside the way.
+const STOP_S: f64 = 1.5;
+
+/// Seconds to turn by one radian in flight.
+const TURN_S: f64 = 0.6;
+
+/// Cells to be seen for each second of the way, at least: for less nobody sets out.
+const WORTH_MIN: f64 = 5.0;
+
+/// Goals whose gain is worked out anew before one is chosen.
+const SHORT_LIST: usize = 16;
+
+/// Metres ahead within which the path is watched.
+const WATCH_M: f64 = 8.0;
+
+/// Distance beyond the separation at which ways lead past others, in metres.
+const DETOUR_M: f64 = 0.3;
+
+/// Cells looked at by a search for one way.
+const EXPANSIONS_MAX: usize = 2_000_000;
+
+/// What a robot flies to.
+#[derive(Clone, Debug)]
+struct Goal {
+    place: [f64; 3],
+    yaw: f64,
+    /// The frontier that is to be seen; empty: it only makes way.
+    cells: Vec<u32>,
+    /// What was to be seen from there when it was chosen.
+    gain: f64,
+}
+
+/// Viewpoints and what is to be seen from them.
+type Gains = Vec<([f64; 3], f64)>;
+
+/// Plans and flies one robot.
+pub(super) struct Pilot {
+    pub(super) number: usize,
+    pub(super) motion: Motion,
+    start: [f64; 3],
+    navigation: NavigationConfig,
+    grid: NavigationGrid,
+    router: Router,
+    frontiers: Frontiers,
+    sight: Sight,
+    regions: Regions,
+    /// The regions that this robot takes for its own.
+    pub(super) own: Vec<bool>,
+    /// Seconds of work in each region, as far as it knows.
+    pub(super) work: Vec<f64>,
+    limits: MotionLimits,
+    heights_m: [f64; 2],
+    separation_m: f64,
+    goal: Option<Goal>,
+    wish: Option<Vec<[f64; 3]>>,
+    planned: Option<Stamp>,
+    looked: Option<Stamp>,
+    arrived: Option<Stamp>,
+    /// Since when it has found nothing to do.
+    pub(super) idle_since: Option<Stamp>,
+    pub(super) path_m: f64,
+    /// Whether there is something to look at and no way to any of it.
+    is_cut_off: bool,
+}
+
+/// What a pilot is made with.
+pub(super) struct PilotConfig {
+    pub(super) number: usize,
+    pub(super) start: [f64; 3],
+    pub(super) navigation: NavigationConfig,
+    pub(super) sight: Sight,
+    pub(super) regions: Regions,
+    pub(super) limits: MotionLimits,
+    pub(super) heights_m: [f64; 2],
+    pub(super) separation_m: f64,
+}
+
+impl Pilot {
+    pub(super) fn new(config: PilotConfig) -> Result<Self, NavigationError> {
+        let count = config.regions.count();
+        let mut grid = NavigationGrid::new(&config.navigation)?;
+        grid.assume_free(config.start, ROOM_M);
+        Ok(Self {
+            number: config.number,
+            motion: Motion::new(config.start, 0.0),
+            start: config.start,
+            navigation: config.navigation,
+            router: Router::new(&grid),
+            frontiers: Frontiers::new(&grid),
+            grid,
+            sight: config.sight,
+            regions: config.regions,
+            own: vec![true; count],
+            work: vec![0.0; count],
+            limits: config.limits,
+            heights_m: config.heights_m,
+            separation_m: config.separation_m,
+            goal: None,
+            wish: None,
+            planned: None,
+            looked: None,
+            arrived: None,
+            idle_since: None,
+            path_m: 0.0,
+            is_cut_off: false,
+        })
+    }
+
+    pub(super) fn mate(&self) -> Mate {
+        Mate {
+            number: self.number,
+            stopping_path: self.motion.stopping_path(&self.limits),
+            wish: self.wish.clone(),
+        }
+    }
+
+    pub(super) const fn regions(&self) -> &Regions {
+        &self.regions
+    }
+
+    /// Number of frontiers that it can look at from somewhere.
+    pub(super) fn frontier_count(&self) -> usize {
+        self.frontiers.list.iter().filter(|f| !f.viewpoints.is_empty()).count()
+    }
+
+    /// Takes in the map, and plans if it is time to.
+    pub(super) fn plan(&mut self, now: Stamp, map: &MapView, mates: &[Mate]) {
+        if self.is_shut_in(now) {
+            self.squeeze();
+        }
+        self.grid.update(map);
+        let looks = self.looked.is_none_or(|at| now.micros_since(at) >= LOOK_PERIOD_MICROS);
+        if looks {
+            self.looked = Some(now);
+            self.frontiers.look(&self.grid, &self.sight, self.motion.position(), self.motion.yaw());
+        }
+        let mut due = self.planned.is_none_or(|at| now.micros_since(at) >= PLAN_PERIOD_MICROS);
+        if !self.path_is_clear() {
+            self.motion.brake(&self.limits);
+            self.goal = None;
+            due = true;
+        }
+        if let Some(goal) = &self.goal {
+            let there = self.motion.is_at_end();
+            let reached = there && distance(self.motion.position(), goal.place) < 0.3;
+            if goal.cells.is_empty() {
+                due |= reached;
+            } else if looks && self.is_seen(goal) {
+                self.frontiers.count_visit(&self.grid, &goal.cells, 1);
+                self.goal = None;
+                due = true;
+            } else if reached {
+                let since = *self.arrived.get_or_insert(now);
+                // Nothing better to do than to stay until it has been looked at.
+                due = false;
+                if now.micros_since(since) >= STAY_MICROS {
+                    self.frontiers.count_visit(&self.grid, &goal.cells, DIRECTIONS_MAX);
+                    self.goal = None;
+                    due = true;
+                }
+            } else {
+                due |= there;
+            }
+        } else {
+            due = true;
+        }
+        let pause = if self.idle_since.is_some() { IDLE_PAUSE_MICROS } else { PLAN_PAUSE_MICROS };
+        let rested = self.planned.is_none_or(|at| now.micros_since(at) >= pause);
+        if due && rested {
+            self.planned = Some(now);
+            self.arrived = None;
+            self.choose(now, mates);
+        }
+    }
+
+    /// Where it looks while it flies: ahead, and near its goal to where there is something to see.
+    pub(super) fn yaw_target(&self) -> f64 {
+        let v = self.motion.velocity();
+        let flies = (v[0] * v[0] + v[1] * v[1]).sqrt() > 0.2;
+        match &self.goal {
+            Some(goal) if self.motion.remaining_m() < 1.5 => goal.yaw,
+            _ if flies => atan2(v[1], v[0]),
+            _ => self.motion.yaw(),
+        }
+    }
+
+    /// Whether there is something to look at in its regions, be there a way or not.
+    fn has_targets(&self) -> bool {
+        let is_own = |centre| self.own[self.regions.at(centre)];
+        self.frontiers.list.iter().any(|frontier| !frontier.viewpoints.is_empty() && is_own(frontier.centre))
+    }
+
+    /// Whether the last flood came to one of these.
+    fn reaches_any(&self) -> bool {
+        let is_own = |centre| self.own[self.regions.at(centre)];
+        let own = self.frontiers.list.iter().filter(|frontier| is_own(frontier.centre));
+        let mut cells = own.flat_map(|f| &f.viewpoints).filter_map(|v| self.grid.cell_at(v.place));
+        cells.any(|cell| self.router.metres_to(&self.grid, cell).is_some())
+    }
+
+    /// Whether it has had nothing to do for a while though there is something to look at in its regions.
+    fn is_shut_in(&self, now: Stamp) -> bool {
+        self.idle_since.is_some_and(|since| now.micros_since(since) >= SHUT_IN_MICROS)
+            && self.navigation.clearance_m - CLEARANCE_STEP_M >= CLEARANCE_MIN_M - 1e-9
+            && self.has_targets()
+    }
+
+    /// Makes do with less clearance from now on: what was a way when less of it was known may have turned out too
+    /// narrow.
+    fn squeeze(&mut self) {
+        self.navigation.clearance_m -= CLEARANCE_STEP_M;
+        // The same region as before, so it works, and cells keep their numbers.
+        if let Ok(mut grid) = NavigationGrid::new(&self.navigation) {
+            grid.assume_free(self.start, ROOM_M);
+            self.grid = grid;
+            self.idle_since = None;
+            self.planned = None;
+        }
+    }
+
+    /// Whether the path ahead leads through passable cells, once it has come to the first of them.
+    fn path_is_clear(&self) -> bool {
+        let mut entered = false;
+        let mut ahead = 0.0;
+        let path = self.motion.path();
+        for (i, &point) in path.iter().enumerate() {
+            if i > 0 {
+                ahead += distance(path[i - 1], point);
+            }
+            if ahead > WATCH_M {
+                break;
+            }
+            let open = self.grid.cell_at(point).is_some_and(|cell| self.grid.is_passable(cell, false));
+            if entered && !open {
+                return false;
+            }
+            entered |= open;
+        }
+        true
+    }
+
+    /// Chooses the next goal and sets out for it.
+    fn choose(&mut self, now: Stamp, mates: &[Mate]) {
+        let (grid, heights) = (&self.grid, self.heights_m);
+        self.frontiers.update(grid, &self.sight, |cell| {
+            grid.is_passable(cell, false) && !is_closed(grid, heights, &[], cell)
+        });
+        let mut cells = vec![0; self.regions.count()];
+        for frontier in self.frontiers.list.iter().filter(|f| !f.viewpoints.is_empty()) {
+            cells[self.regions.at(frontier.centre)] += frontier.cells.len();
+        }
+        self.work = work(&self.regions.unknown_shares(grid), &cells);
+
+        let from = self.motion.stopping_point(&self.limits);
+        let near_mates = cells_near(&self.grid, mates, self.separation_m + DETOUR_M);
+        self.wish = None;
+        let mut goal = None;
+        let has_targets = self.has_targets();
+        // Near first: most of the time that is enough, and far cheaper.
+        for metres_max in [NEAR_M, f64::INFINITY] {
+            if goal.is_none() && has_targets {
+                self.flood(from, metres_max, &near_mates);
+                goal = self.best_goal(from);
+            }
+        }
+        self.is_cut_off = goal.is_none() && has_targets && !self.reaches_any();
+        if let Some(goal) = goal {
+            self.idle_since = None;
+            self.go(from, goal, &near_mates);
+            return;
+        }
+        // Perhaps somebody is in the way.
+        if has_targets && !near_mates.is_empty() {
+            self.flood(from, f64::INFINITY, &[]);
+            if let Some(goal) = self.best_goal(from) {
+                self.idle_since = None;
+                let query = self.query(from, goal.place);
+                let (grid, heights) = (&self.grid, self.heights_m);
+                let wish = self.router.route(grid, &query, |cell| is_closed(grid, heights, &[], cell));
+                self.wish = wish.ok();
+            }
+        }
+        if self.wish.is_none() {
+            self.idle_since.get_or_insert(now);
+        }
+        self.goal = None;
+        self.make_way(from, mates, &near_mates);
+    }
+
+    /// Finds the ways to all places within a distance, clear of cells near others.
+    fn flood(&mut self, from: [f64; 3], metres_max: f64, near_mates: &[u32]) {
+        let (grid, heights) = (&self.grid, self.heights_m);
+        self.router.flood(grid, from, metres_max, false, |cell| is_closed(grid, heights, near_mates, cell));
+    }
+
+    fn is_seen(&self, goal: &Goal) -> bool {
+        self.frontiers.share_left(&self.grid, &goal.cells) <= SEEN_SHARE
+            || self.frontiers.gain(&self.grid, &self.sight, goal.place, goal.yaw) <= SEEN_SHARE * goal.gain
+    }
+
+    /// The goal in the own regions with the most to see for the time it takes; those in the first region of a tour
+    /// through all own regions count more. Only what the last flood reached. What turns out to have been seen
+    /// meanwhile is dropped.
+    fn best_goal(&mut self, from: [f64; 3]) -> Option<Goal> {
+        loop {
+            let (places, goal) = self.short_list(from)?;
+            for (place, gain) in places {
+                self.frontiers.note_gain(place, gain);
+            }
+            if goal.is_some() {
+                return goal;
+            }
+        }
+    }
+
+    /// The best goals by what was known of them, each with what is to be seen from there now, and the best of those.
+    /// `None` if there are none.
+    fn short_list(&self, from: [f64; 3]) -> Option<(Gains, Option<Goal>)> {
+        struct Candidate {
+            place: [f64; 3],
+            yaw: f64,
+            gain: f64,
+            seconds: f64,
+            frontier: usize,
+            region: usize,
+        }
+        let velocity = self.motion.velocity();
+        let heading = (self.motion.speed() > 0.3).then(|| atan2(velocity[1], velocity[0]));
+        let mut candidates: Vec<Candidate> = Vec::new();
+        for (number, frontier) in self.frontiers.list.iter().enumerate() {
+            let region = self.regions.at(frontier.centre);
+            if !self.own[region] {
+                continue;
+            }
+            for viewpoint in &frontier.viewpoints {
+                let cell = self.grid.cell_at(viewpoint.place);
+                let Some(metres) = cell.and_then(|cell| self.router.metres_to(&self.grid, cell)) else {
+                    continue;
+                };
+                let ahead = atan2(viewpoint.place[1] - from[1], viewpoint.place[0] - from[0]);
+                let turn = heading.map_or(0.0, |heading| wrapped(ahead - heading).abs());
+                let seconds = metres / self.limits.speed_m_s + TURN_S * turn + STOP_S;
+                let Viewpoint { place, yaw, gain } = *viewpoint;
+                if gain >= WORTH_MIN * seconds {
+                    candidates.push(Candidate { place, yaw, gain, seconds, frontier: number, region });
+                }
+            }
+        }
+        // Regions in the order in which they are to be visited.
+        let mut nearest: Vec<(usize, f64)> = Vec::new();
+        for candidate in &candidates {
+            match nearest.iter_mut().find(|(known, _)| *known == candidate.region) {
+                Some((_, seconds)) => *seconds = seconds.min(candidate.seconds),
+                None => nearest.push((candidate.region, candidate.seconds)),
+            }
+        }
+        let first: Vec<f64> = nearest.iter().map(|(_, seconds)| seconds * self.limits.speed_m_s).collect();
+        let centre = |i: usize| self.regions.centre(nearest[i].0);
+        let order = tour(&first, |a, b| 1.2 * distance(centre(a), centre(b)));
+        let first_region = nearest.get(*order.first()?)?.0;
+        let present = self.goal.as_ref().map(|goal| goal.place);
+        let worth = |candidate: &Candidate| {
+            let first = if candidate.region == first_region { FIRST_REGION } else { 1.0 };
+            let loyal = if present == Some(candidate.place) { LOYALTY } else { 1.0 };
+            // Less than in proportion to the gain: what is left behind has to be come back for.
+            candidate.gain.sqrt() * first * loyal / candidate.seconds
+        };
+        candidates.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
+        candidates.truncate(SHORT_LIST);
+        for candidate in &mut candidates {
+            candidate.gain = self.frontiers.gain(&self.grid, &self.sight, candidate.place, candidate.yaw);
+        }
+        let gains = candidates.iter().map(|candidate| (candidate.place, candidate.gain)).collect();
+        candidates.retain(|c| c.gain >= GAIN_MIN && c.gain >= WORTH_MIN * c.seconds);
+        let best = candidates.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)));
+        let goal = best.map(|best| {
+            let cells = self.frontiers.list[best.frontier].cells.clone();
+            Goal { place: best.place, yaw: best.yaw, cells, gain: best.gain }
+        });
+        Some((gains, goal))
+    }
+
+    fn go(&mut self, from: [f64; 3], goal: Goal, near_mates: &[u32]) {
+        let unchanged = self.goal.as_ref().is_some_and(|old| old.place == goal.place);
+        if unchanged && !self.motion.is_at_end() && !self.path_meets(near_mates) {
+            self.goal = Some(goal);
+            return;
+        }
+        let query = self.query(from, goal.place);
+        let (grid, heights) = (&self.grid, self.heights_m);
+        let is_closed = |cell: usize| is_closed(grid, heights, near_mates, cell);
+        match self.router.route(grid, &query, is_closed) {
+            Ok(line) => {
+                self.motion.follow(&line, &self.limits, |a, b| {
+                    grid.line_fits(a, b, |cell| grid.is_passable(cell, false) && !is_closed(cell))
+                });
+                self.goal = Some(goal);
+            }
+            Err(_) => {
+                self.motion.brake(&self.limits);
+                self.goal = None;
+            }
+        }
+    }
+
+    /// Flies out of the way of a robot that wants to pass and comes before this one, or finds this one idle.
+    fn make_way(&mut self, from: [f64; 3], mates: &[Mate], near_mates: &[u32]) {
+        let wide = self.separation_m + DETOUR_M;
+        let before = |mate: &&Mate| self.idle_since.is_some() || mate.number < self.number;
+        let wishes: Vec<&Vec<[f64; 3]>> =
+            mates.iter().filter(before).filter_map(|mate| mate.wish.as_ref()).collect();
+        let in_way =
+            |place: [f64; 3]| wishes.iter().any(|wish| metres_to_path(place, &dense(wish)) < wide + 0.2);
+        if !in_way(from) {
+            return;
+        }
+        self.flood(from, NEAR_M, near_mates);
+        let grid = &self.grid;
+        let mut best: Option<(f64, usize)> = None;
+        for cell in 0..grid.count() {
+            let Some(metres) = self.router.metres_to(grid, cell) else { continue };
+            if grid.is_passable(cell, false)
+                && best.is_none_or(|(least, _)| metres < least)
+                && !in_way(grid.centre(cell))
+            {
+                best = Some((metres, cell));
+            }
+        }
+        if let Some((_, cell)) = best {
+            let place = grid.centre(cell);
+            let goal = Goal { place, yaw: self.motion.yaw(), cells: Vec::new(), gain: 0.0 };
+            self.go(from, goal, near_mates);
+        }
+    }
+
+    const fn query(&self, from: [f64; 3], to: [f64; 3]) -> RouteQuery {
+        RouteQuery { from, to, unknown_ok: false, expansions_max: EXPANSIONS_MAX }
+    }
+
+    /// Whether the path ahead leads through these cells.
+    fn path_meets(&self, cells: &[u32]) -> bool {
+        self.motion.path().iter().any(|point| {
+            self.grid.cell_at(*point).is_some_and(|cell| cells.binary_search(&(cell as u32)).is_ok())
+        })
+    }
+}
+
+/// Whether a cell is not to be flown in for other reasons than the map: its height, or others (cells in ascending order).
+fn is_closed(grid: &NavigationGrid, heights_m: [f64; 2], near_mates: &[u32], cell: usize) -> bool {
+    let z = grid.centre(cell)[2];
+    z < heights_m[0] || z > heights_m[1] || near_mates.binary_search(&(cell as u32)).is_ok()
+}

@@ -1,0 +1,389 @@
+//! An emulated radio in virtual time.
+
+mod faults;
+
+pub use faults::{Burst, Faults};
+
+use core::cmp::Reverse;
+use faults::Weather;
+use flockmap_grid::{RobotId, Stamp};
+use flockmap_worlds::random::{Random, mix};
+use std::collections::{BTreeMap, BinaryHeap, VecDeque};
+use std::sync::Arc;
+
+/// Bytes that IPv4 and UDP put before each datagram.
+pub const IP_UDP_BYTES: usize = 28;
+
+/// What happens to datagrams on the way from one node to another. All draws are seeded; each link has random
+/// numbers of its own, so what happens on one does not depend on the traffic of another.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct Link {
+    /// Share of datagrams that are lost, 0 … 1. Default 0.
+    pub loss: f64,
+    /// Time on the way, in microseconds. Default 0. Negative times count as 0.
+    pub delay_micros: i64,
+    /// Further time on the way, uniform between 0 and this, in microseconds, drawn for each datagram: more
+    /// than the time between two datagrams puts them out of order. Default 0.
+    pub jitter_micros: i64,
+    /// Share of the datagrams that arrive twice, each copy with its own jitter, 0 … 1. Default 0.
+    pub duplication: f64,
+}
+
+impl Default for Link {
+    /// A perfect link: everything arrives at once.
+    fn default() -> Self {
+        Self { loss: 0.0, delay_micros: 0, jitter_micros: 0, duplication: 0.0 }
+    }
+}
+
+/// How the radio works.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct RadioConfig {
+    /// Seed of everything that is left to chance.
+    pub seed: u64,
+    /// All links that [`RadioEmulator::set_link`] does not change.
+    pub link: Link,
+    /// Bytes a second that each node can send; `None`: as many as it likes. What comes faster waits its turn.
+    pub rate_bytes_per_s: Option<u32>,
+    /// Most bytes that wait for their turn at a node; what comes on top is dropped. Default 256 KiB. Only
+    /// with a rate.
+    pub queue_bytes_max: usize,
+    /// Most bytes on the way in the whole radio, counted once for each receiver; what comes on top is
+    /// dropped. Default 64 MiB.
+    pub in_flight_bytes_max: usize,
+    /// Bytes counted for each datagram besides its payload, such as [`IP_UDP_BYTES`]. Default 0.
+    pub overhead_bytes: usize,
+    /// All nodes share one medium: while one sends, the others wait, each with its own queue, and who came first sends first.
+    /// Default: each node sends on its own. Only with a rate.
+    pub is_shared: bool,
+    /// Time that each datagram takes on the air beside its bytes: preamble, access to the medium, acknowledgement. Microseconds,
+    /// default 0. Only with a rate.
+    pub airtime_overhead_micros: i64,
+}
+
+impl Default for RadioConfig {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            link: Link::default(),
+            rate_bytes_per_s: None,
+            queue_bytes_max: 256 << 10,
+            in_flight_bytes_max: 64 << 20,
+            overhead_bytes: 0,
+            is_shared: false,
+            airtime_overhead_micros: 0,
+        }
+    }
+}
+
+/// Where a datagram goes.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum To {
+    /// To one node.
+    Node(RobotId),
+    /// To every other node, sent once.
+    All,
+}
+
+/// A datagram that arrives.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Delivery {
+    /// When.
+    pub at: Stamp,
+    /// Who sent it.
+    pub from: RobotId,
+    /// Who gets it.
+    pub to: RobotId,
+    /// Its payload.
+    pub bytes: Arc<[u8]>,
+}
+
+/// What a node sent and received.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct Traffic {
+    /// Datagrams put on the air; a broadcast is one.
+    pub sent: u64,
+    /// Bytes put on the air, with overhead.
+    pub sent_bytes: u64,
+    /// Datagrams that arrived, copies included.
+    pub received: u64,
+    /// Bytes that arrived, with overhead.
+    pub received_bytes: u64,
+    /// Datagrams lost on the way to this node, by chance or a partition.
+    pub lost: u64,
+    /// Datagrams of this node that found its queue full, or the whole radio.
+    pub dropped: u64,
+    /// Datagrams that arrived at this node with flipped bits.
+    pub damaged: u64,
+    /// Time that the datagrams of this node were on the air, in microseconds. Only with a rate.
+    pub airtime_micros: u64,
+}
+
+/// A radio between nodes that exists in virtual time only: stamps come in as arguments, nothing waits. The
+/// same seed and the same calls give the same deliveries on every machine.
+///
+/// ```
+/// use flockmap_grid::{RobotId, Stamp};
+/// use flockmap_netsim::{Link, RadioConfig, RadioEmulator, To};
+///
+/// let link = Link { delay_micros: 50_000, ..Link::default() };
+/// let mut radio = RadioEmulator::new([RobotId(1), RobotId(2)], RadioConfig { link, ..RadioConfig::default() });
+/// radio.send(Stamp(0), RobotId(1), To::All, b"hello");
+/// assert_eq!(radio.next_due(), Some(Stamp(50_000)));
+/// assert!(radio.deliver_due(Stamp(49_999)).is_none());
+/// assert_eq!(&*radio.deliver_due(Stamp(50_000)).unwrap().bytes, b"hello");
+/// ```
+#[derive(Clone, Debug)]
+pub struct RadioEmulator {
+    config: RadioConfig,
+    nodes: BTreeMap<RobotId, Node>,
+    links: BTreeMap<(RobotId, RobotId), Line>,
+    /// By time of arrival, then by order of sending.
+    queue: BinaryHeap<Reverse<InFlight>>,
+    in_flight_bytes: usize,
+    sequence: u64,
+    /// When a medium that all share is free.
+    medium_busy_until: Stamp,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Node {
+    traffic: Traffic,
+    /// When all that waits at this node will have been sent.
+    busy_until: Stamp,
+    /// On a shared medium: what waits or is being sent, with the time at which it will have been sent.
+    waiting: VecDeque<(Stamp, usize)>,
+    waiting_bytes: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Line {
+    link: Link,
+    cut: bool,
+    random: Random,
+    weather: Weather,
+}
+
+/// Ordered by its first two members, which no two share.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
+struct InFlight {
+    due: Stamp,
+    sequence: u64,
+    from: RobotId,
+    to: RobotId,
+    bytes: Arc<[u8]>,
+}
+
+impl RadioEmulator {
+    /// A radio between these nodes. Every node hears every other.
+    pub fn new(nodes: impl IntoIterator<Item = RobotId>, config: RadioConfig) -> Self {
+        let nodes: BTreeMap<RobotId, Node> = nodes.into_iter().map(|id| (id, Node::default())).collect();
+        let mut links = BTreeMap::new();
+        for &from in nodes.keys() {
+            for &to in nodes.keys() {
+                if from != to {
+                    let random = Random::new(config.seed, mix(u64::from(from.0) << 16 | u64::from(to.0)));
+                    let weather = Weather::new(config.seed, from, to);
+                    links.insert((from, to), Line { link: config.link, cut: false, random, weather });
+                }
+            }
+        }
+        Self {
+            config,
+            nodes,
+            links,
+            queue: BinaryHeap::new(),
+            in_flight_bytes: 0,
+            sequence: 0,
+            medium_busy_until: Stamp(i64::MIN),
+        }
+    }
+
+    /// Changes the link in one direction. Does nothing if there is no such link.
+    pub fn set_link(&mut self, from: RobotId, to: RobotId, link: Link) {
+        if let Some(line) = self.links.get_mut(&(from, to)) {
+            line.link = link;
+        }
+    }
+
+    /// Sets what else a link does to datagrams, in one direction. Does nothing if there is no such link.
+    pub fn set_faults(&mut self, from: RobotId, to: RobotId, faults: Faults) {
+        if let Some(line) = self.links.get_mut(&(from, to)) {
+            line.weather.faults = faults;
+        }
+    }
+
+    /// Opens a link, or lets nothing pass on it, in one direction. What is on the way arrives.
+    pub fn set_open(&mut self, from: RobotId, to: RobotId, is_open: bool) {
+        if let Some(line) = self.links.get_mut(&(from, to)) {
+            line.cut = !is_open;
+        }
+    }
+
+    /// Lets nothing pass between two nodes, in both directions, until [`Self::repair`]. What is on the way
+    /// arrives.
+    pub fn partition(&mut self, a: RobotId, b: RobotId) {
+        self.set_cut(a, b, true);
+    }
+
+    /// Ends a partition.
+    pub fn repair(&mut self, a: RobotId, b: RobotId) {
+        self.set_cut(a, b, false);
+    }
+
+    /// Sends a datagram. A node that does not exist sends and gets nothing.
+    pub fn send(&mut self, now: Stamp, from: RobotId, to: To, bytes: &[u8]) {
+        let size = bytes.len() + self.config.overhead_bytes;
+        let Some(node) = self.nodes.get_mut(&from) else { return };
+        let mut on_air = now;
+        if let Some(rate) = self.config.rate_bytes_per_s {
+            let rate = i128::from(rate.max(1));
+            let takes = (size as i128 * 1_000_000 + rate - 1) / rate;
+            let takes = i64::try_from(takes).unwrap_or(i64::MAX);
+            let takes = takes.saturating_add(self.config.airtime_overhead_micros.max(0));
+            let begins = if self.config.is_shared {
+                node.let_go(now);
+                if node.waiting_bytes + size > self.config.queue_bytes_max {
+                    node.traffic.dropped += 1;
+                    return;
+                }
+                self.medium_busy_until.max(now)
+            } else {
+                // Bytes that wait = time until the node is free × rate.
+                let begins = node.busy_until.max(now);
+                let waiting = i128::from(begins.micros_since(now)) * rate / 1_000_000;
+                if waiting + size as i128 > self.config.queue_bytes_max as i128 {
+                    node.traffic.dropped += 1;
+                    return;
+                }
+                begins
+            };
+            on_air = begins.plus_micros(takes);
+            node.traffic.airtime_micros += takes as u64;
+            if self.config.is_shared {
+                self.medium_busy_until = on_air;
+                node.waiting.push_back((on_air, size));
+                node.waiting_bytes += size;
+            } else {
+                node.busy_until = on_air;
+            }
+        }
+        node.traffic.sent += 1;
+        node.traffic.sent_bytes += size as u64;
+        let payload: Arc<[u8]> = Arc::from(bytes);
+        match to {
+            To::Node(to) => self.carry(on_air, from, to, &payload),
+            To::All => {
+                let others: Vec<RobotId> = self.nodes.keys().copied().filter(|id| *id != from).collect();
+                for other in others {
+                    self.carry(on_air, from, other, &payload);
+                }
+            }
+        }
+    }
+
+    /// When the next datagram arrives; `None` if none is on the way.
+    pub fn next_due(&self) -> Option<Stamp> {
+        self.queue.peek().map(|Reverse(next)| next.due)
+    }
+
+    /// When all that is on the way now has arrived; `None` if nothing is. O(datagrams on the way).
+    pub fn last_due(&self) -> Option<Stamp> {
+        self.queue.iter().map(|Reverse(datagram)| datagram.due).max()
+    }
+
+    /// The next datagram that has arrived by `now`. Call it until it gives `None`.
+    pub fn deliver_due(&mut self, now: Stamp) -> Option<Delivery> {
+        if self.next_due()? > now {
+            return None;
+        }
+        let Reverse(InFlight { due, from, to, bytes, .. }) = self.queue.pop()?;
+        let size = bytes.len() + self.config.overhead_bytes;
+        self.in_flight_bytes -= size;
+        if let Some(node) = self.nodes.get_mut(&to) {
+            node.traffic.received += 1;
+            node.traffic.received_bytes += size as u64;
+        }
+        Some(Delivery { at: due, from, to, bytes })
+    }
+
+    /// What a node sent and received so far; all zero for a node that does not exist.
+    pub fn traffic(&self, node: RobotId) -> Traffic {
+        self.nodes.get(&node).map_or_else(Traffic::default, |node| node.traffic)
+    }
+
+    /// What all nodes together sent and received so far.
+    pub fn traffic_total(&self) -> Traffic {
+        self.nodes.values().fold(Traffic::default(), |sum, node| {
+            let t = node.traffic;
+            Traffic {
+                sent: sum.sent + t.sent,
+                sent_bytes: sum.sent_bytes + t.sent_bytes,
+                received: sum.received + t.received,
+                received_bytes: sum.received_bytes + t.received_bytes,
+                lost: sum.lost + t.lost,
+                dropped: sum.dropped + t.dropped,
+                damaged: sum.damaged + t.damaged,
+                airtime_micros: sum.airtime_micros + t.airtime_micros,
+            }
+        })
+    }
+
+    fn set_cut(&mut self, a: RobotId, b: RobotId, cut: bool) {
+        for ends in [(a, b), (b, a)] {
+            if let Some(line) = self.links.get_mut(&ends) {
+                line.cut = cut;
+            }
+        }
+    }
+
+    fn carry(&mut self, on_air: Stamp, from: RobotId, to: RobotId, bytes: &Arc<[u8]>) {
+        let Some(line) = self.links.get_mut(&(from, to)) else { return };
+        // Every datagram takes the same draws, so that a change of one rate does not shift the others.
+        let lost = line.random.chance(line.link.loss);
+        let twice = line.random.chance(line.link.duplication);
+        let jitter_max = line.link.jitter_micros.max(0) as u64;
+        let jitters = [(); 2].map(|()| line.random.below(jitter_max.saturating_add(1)) as i64);
+        let delay = line.link.delay_micros.max(0);
+        let (faded, flips) = line.weather.draw(on_air);
+        if lost || faded || line.cut {
+            if let Some(node) = self.nodes.get_mut(&to) {
+                node.traffic.lost += 1;
+            }
+            return;
+        }
+        let damaged = flips.map(|flips| flips.applied_to(bytes));
+        if damaged.is_some()
+            && let Some(node) = self.nodes.get_mut(&to)
+        {
+            node.traffic.damaged += 1;
+        }
+        let bytes = damaged.as_ref().unwrap_or(bytes);
+        let size = bytes.len() + self.config.overhead_bytes;
+        for jitter in jitters.into_iter().take(1 + usize::from(twice)) {
+            if self.in_flight_bytes + size > self.config.in_flight_bytes_max {
+                if let Some(node) = self.nodes.get_mut(&from) {
+                    node.traffic.dropped += 1;
+                }
+                return;
+            }
+            self.in_flight_bytes += size;
+            let due = on_air.plus_micros(delay).plus_micros(jitter);
+            let bytes = Arc::clone(bytes);
+            self.queue.push(Reverse(InFlight { due, sequence: self.sequence, from, to, bytes }));
+            self.sequence += 1;
+        }
+    }
+}
+
+impl Node {
+    /// Forgets what has been sent by now.
+    fn let_go(&mut self, now: Stamp) {
+        while let Some(&(done, size)) = self.waiting.front()
+            && done <= now
+        {
+            self.waiting.pop_front();
+            self.waiting_bytes -= size;
+        }
+    }
+}

@@ -1,0 +1,355 @@
+//! The queue of events of a flight, and what each does to a robot.
+
+mod eyes;
+mod look;
+
+use super::check::{Failure, Finding, names};
+use super::clock::Clock;
+use super::costly::Costly;
+use super::member::{Member, NEVER};
+use super::outsider;
+use super::plan::Action;
+use super::report::Report;
+use super::settings::{Settings, purpose};
+use super::world::SmallWorld;
+use super::{SwarmOptions, seen};
+use crate::{Faults, IP_UDP_BYTES, Link, Network, Node, RadioConfig};
+use eyes::Eyes;
+use flockmap::{RobotId, Stamp};
+use flockmap_worlds::random::Random;
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// How often it is looked whether all agree, and what is wrong in whole layers, in microseconds.
+const LOOK_EVERY: i64 = 50_000;
+const LOOK_WHOLE_EVERY: i64 = 1_000_000;
+/// Quiet is watched for so many idle periods.
+const QUIET_PERIODS: i64 = 3;
+
+/// What a seed decides before the flight begins, in words.
+pub fn describe(options: &SwarmOptions) -> Vec<String> {
+    seen::settings(&Settings::draw(options))
+}
+
+/// Flies a swarm. The same options give the same report on every machine.
+pub fn fly(options: &SwarmOptions) -> Report {
+    let mut engine = Engine::new(Settings::draw(options));
+    let flown = catch_unwind(AssertUnwindSafe(|| engine.run()));
+    if let Err(panic) = flown {
+        let words = panic.downcast_ref::<&str>().map(|words| (*words).to_owned());
+        let words = words.or_else(|| panic.downcast_ref::<String>().cloned());
+        engine.eyes.failure = Some(Failure {
+            checker: names::CRASH,
+            robot: engine.eyes.at_work,
+            at_s: engine.eyes.now as f64 / 1e6,
+            expected: "no panic".to_owned(),
+            found: words.unwrap_or_else(|| "a panic".to_owned()),
+        });
+    }
+    engine.report()
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Phase {
+    Mapping,
+    /// Links are healed; until then all have to agree.
+    Healing {
+        until: i64,
+    },
+    /// All agree; quiet from then, to the end.
+    Grace {
+        until: i64,
+        grace: i64,
+        /// When it has to be quiet at the latest.
+        latest: i64,
+    },
+    Quiet {
+        until: i64,
+    },
+    Over,
+}
+
+struct Engine {
+    eyes: Eyes,
+    world: SmallWorld,
+    network: Network<Member>,
+    phase: Phase,
+    costly: Option<Costly>,
+    next_action: usize,
+    /// How often each directed link is closed.
+    closed: BTreeMap<(usize, usize), u32>,
+    next_look: i64,
+    next_whole_look: i64,
+    agreement: Option<i64>,
+    agreement_within: i64,
+}
+
+impl Engine {
+    fn new(settings: Settings) -> Self {
+        let seed = settings.options.seed;
+        // Where figures are asked for, more robots have more to see.
+        let is_table = settings.options.until_agreement_s.is_some();
+        let scale = if is_table { (settings.members.len() as f64 / 2.0).sqrt() } else { 1.0 };
+        let world = SmallWorld::draw(&mut Random::new(seed, purpose::WORLD), scale);
+        let members: Vec<Member> =
+            (0..settings.members.len()).map(|number| Member::new(number, &settings, &world)).collect();
+        let numbers = settings.radio;
+        let link = Link {
+            loss: numbers.loss,
+            delay_micros: numbers.delay_micros,
+            jitter_micros: numbers.jitter_micros,
+            duplication: numbers.duplication,
+        };
+        let config = RadioConfig {
+            seed,
+            link,
+            rate_bytes_per_s: numbers.rate_bytes_per_s,
+            queue_bytes_max: numbers.queue_bytes_max,
+            overhead_bytes: IP_UDP_BYTES,
+            is_shared: numbers.is_shared,
+            airtime_overhead_micros: numbers.airtime_overhead_micros,
+            ..RadioConfig::default()
+        };
+        let mut network = Network::new(members, config, Stamp(0));
+        let (ids, radio) = (network.ids().to_vec(), network.radio_mut());
+        let faults = Faults { burst: numbers.burst, damage: numbers.damage };
+        let mut closed = BTreeMap::new();
+        for (a, from) in ids.iter().enumerate() {
+            for (b, to) in ids.iter().enumerate().filter(|(b, _)| a != *b) {
+                radio.set_faults(*from, *to, faults);
+                if !numbers.is_linked(a, b, ids.len()) {
+                    radio.set_open(*from, *to, false);
+                    closed.insert((a, b), u32::MAX / 2);
+                }
+            }
+        }
+        // Where there is a key, nobody takes it for a robot.
+        let is_costly = settings.trouble.is_costly && settings.key.is_none();
+        let costly = is_costly.then(|| Costly::new(Random::new(seed, purpose::COSTLY)));
+        Self {
+            eyes: Eyes::new(settings),
+            world,
+            network,
+            phase: Phase::Mapping,
+            costly,
+            next_action: 0,
+            closed,
+            next_look: 0,
+            next_whole_look: LOOK_WHOLE_EVERY,
+            agreement: None,
+            agreement_within: 0,
+        }
+    }
+
+    fn run(&mut self) {
+        for number in 0..self.network.nodes().len() {
+            self.start(number);
+        }
+        while self.phase != Phase::Over && self.eyes.failure.is_none() {
+            let now = self.next_time();
+            self.network.skip_to(Stamp(now));
+            self.eyes.now = now;
+            self.act();
+            self.network.deliver_due(&mut self.eyes);
+            self.attack();
+            self.burden();
+            for number in 0..self.network.nodes().len() {
+                if self.phase == Phase::Mapping && self.network.nodes()[number].next_scan <= now {
+                    let world = &self.world;
+                    self.network.call(number, &mut self.eyes, |member, now| member.scan(world, now.0));
+                }
+                if self.eyes.failure.is_none() {
+                    self.network.call_if_due(number, &mut self.eyes);
+                }
+            }
+            if self.next_look <= now {
+                self.look();
+            }
+        }
+    }
+
+    fn next_time(&self) -> i64 {
+        let network = self.network.next_due().map_or(NEVER, |at| at.0);
+        let action = self.eyes.settings.plan.get(self.next_action).map_or(NEVER, |(at, _)| *at);
+        let outsider = self.eyes.outsider.as_ref().map_or(NEVER, |outsider| outsider.next);
+        let costly = self.costly.as_ref().map_or(NEVER, |costly| costly.next);
+        let mut next = network.min(action).min(self.next_look).min(outsider).min(costly);
+        if self.phase == Phase::Mapping {
+            next = self.network.nodes().iter().map(|member| member.next_scan).fold(next, i64::min);
+        }
+        next.max(self.eyes.now)
+    }
+
+    /// Does what the plan says for now.
+    fn act(&mut self) {
+        while let Some(&(at, action)) = self.eyes.settings.plan.get(self.next_action)
+            && at <= self.eyes.now
+        {
+            self.next_action += 1;
+            *self.eyes.seen.entry(action.name()).or_default() += 1;
+            let words = match action {
+                Action::Crash(n) | Action::Restart(n) => {
+                    format!("{} of {:?}", action.name(), self.network.nodes()[n].id())
+                }
+                Action::Close { from, to } | Action::Open { from, to } => {
+                    format!(
+                        "{}: {:?} to {:?}",
+                        action.name(),
+                        self.network.nodes()[from].id(),
+                        self.network.nodes()[to].id()
+                    )
+                }
+                Action::Part(_) | Action::Join(_) => action.name().to_owned(),
+            };
+            self.eyes.say(words);
+            match action {
+                Action::Crash(number) => {
+                    let seen = &mut self.eyes.seen;
+                    self.network.nodes_mut()[number].crash(&mut |robot| seen::add_counters(seen, robot));
+                }
+                Action::Restart(number) if self.network.nodes()[number].robot.is_none() => self.start(number),
+                Action::Restart(_) => {}
+                Action::Close { from, to } => self.close(from, to, true),
+                Action::Open { from, to } => self.close(from, to, false),
+                Action::Part(parts) => self.part(parts, true),
+                Action::Join(parts) => self.part(parts, false),
+            }
+        }
+    }
+
+    fn part(&mut self, parts: u64, is_closed: bool) {
+        let side = |number: usize| parts >> (number % 64) & 1;
+        for a in 0..self.network.nodes().len() {
+            for b in 0..self.network.nodes().len() {
+                if side(a) != side(b) {
+                    self.close(a, b, is_closed);
+                }
+            }
+        }
+    }
+
+    fn close(&mut self, from: usize, to: usize, is_closed: bool) {
+        let count = self.closed.entry((from, to)).or_default();
+        *count = if is_closed { count.saturating_add(1) } else { count.saturating_sub(1) };
+        let is_open = *count == 0;
+        let (from, to) = (self.network.ids()[from], self.network.ids()[to]);
+        self.network.radio_mut().set_open(from, to, is_open);
+    }
+
+    fn start(&mut self, number: usize) {
+        // Its own among them: a former run of its own had the same clock, and would be measured by way of others.
+        let clocks: Vec<_> = match self.eyes.settings.clocks_given {
+            true => self.network.nodes().iter().map(|member| (member.id(), member.settings.clock)).collect(),
+            false => Vec::new(),
+        };
+        let own = self.network.nodes()[number].id();
+        if let Err(error) = self.boot(number, &clocks) {
+            let expected = "settings that a robot takes".to_owned();
+            return self.eyes.fail(Some(own), Finding { checker: names::SETTINGS, expected, found: error });
+        }
+        self.network.call(number, &mut self.eyes, Member::handle_timeout);
+    }
+
+    fn boot(&mut self, number: usize, clocks: &[(RobotId, Clock)]) -> Result<(), String> {
+        let member = &mut self.network.nodes_mut()[number];
+        let run = member.boot(self.eyes.now)?;
+        let (stream, salt) = (run.stream, run.salt);
+        let clock = member.settings.clock;
+        let found = self.eyes.identities.started(stream, salt);
+        self.eyes.found(stream.origin, found);
+        self.eyes.keys.salts.insert(stream, salt);
+        self.eyes.clocks.insert(stream, clock);
+        if self.eyes.failure.is_some() {
+            return Ok(());
+        }
+        let member = &mut self.network.nodes_mut()[number];
+        member.start(self.eyes.now, run, clocks)?;
+        if let Some(robot) = &member.robot {
+            member.work.begin(robot);
+            // What came from a disk went past no checker yet.
+            self.eyes.dirty.extend(robot.fusion().layers().map(|(stream, _)| (number, stream)));
+        }
+        Ok(())
+    }
+
+    /// Lets the outsider send what is due.
+    fn attack(&mut self) {
+        let Some(outsider) = self.eyes.outsider.as_mut().filter(|outsider| outsider.next <= self.eyes.now)
+        else {
+            return;
+        };
+        if self.phase != Phase::Mapping {
+            outsider.next = NEVER;
+            return;
+        }
+        if let Some((number, attack)) = outsider.attack(self.eyes.now, self.network.nodes().len()) {
+            let path = self.eyes.settings.has_paths.then_some(outsider::PATH);
+            self.network.call(number, &mut self.eyes, |member, now| {
+                member.receive(now, attack.bytes.into(), path, attack.is_genuine);
+            });
+        }
+    }
+
+    /// Lets the faulty robot send what is due: in place of a package that the receiver lacks.
+    fn burden(&mut self) {
+        let Some(costly) = self.costly.as_mut().filter(|costly| costly.next <= self.eyes.now) else { return };
+        if self.phase != Phase::Mapping {
+            costly.next = NEVER;
+            return;
+        }
+        let (to, from) = costly.pair(self.eyes.now, self.network.nodes().len());
+        let (Some(receiver), Some(sender)) =
+            (&self.network.nodes()[to].robot, &self.network.nodes()[from].robot)
+        else {
+            return;
+        };
+        let stream = sender.own_stream();
+        let Some(held) = receiver.session().held(stream) else { return };
+        let missing = held.missing(1, self.eyes.truth.last(stream)).next();
+        let (Some((index, _)), true) =
+            (missing, receiver.session().peers().any(|peer| peer.stream == stream))
+        else {
+            return;
+        };
+        // It took as long on the way as any other: from the stamps of what comes at once a round trip of half the time would follow.
+        let sent_at = self.eyes.now - self.eyes.settings.radio.delay_micros.max(0);
+        let stamp = self.network.nodes()[from].settings.clock.shows(sent_at);
+        let resolution = sender.config().mapper.resolution;
+        if let Some(bytes) = costly.datagram(stream, index, stamp, resolution) {
+            *self.eyes.seen.entry("packages that cost too much").or_default() += 1;
+            self.network
+                .call(to, &mut self.eyes, |member, now| member.receive(now, bytes.into(), None, true));
+        }
+    }
+
+    fn report(mut self) -> Report {
+        let mut seen = core::mem::take(&mut self.eyes.seen);
+        let radio = self.network.radio().traffic_total();
+        for (name, count) in [
+            ("lost on the way", radio.lost),
+            ("damaged on the way", radio.damaged),
+            ("radio queue full", radio.dropped),
+        ] {
+            *seen.entry(name).or_default() += count;
+        }
+        let airtimes: Vec<u64> =
+            self.network.ids().iter().map(|id| self.network.radio().traffic(*id).airtime_micros).collect();
+        let robots = self.network.nodes_mut().iter_mut().zip(airtimes).map(|(member, airtime)| {
+            member.take_figures(airtime, &mut |robot| seen::add_counters(&mut seen, robot))
+        });
+        let robots = robots.collect();
+        Report {
+            robots,
+            command: self.eyes.settings.options.command(),
+            settings: seen::settings(&self.eyes.settings),
+            events: self.eyes.events,
+            mapping_s: self.eyes.settings.mapping as f64 / 1e6,
+            agreement_s: self.agreement.map(|micros| micros as f64 / 1e6),
+            agreement_within_s: self.agreement_within as f64 / 1e6,
+            seen,
+            flown_s: self.eyes.now as f64 / 1e6,
+            steps: self.eyes.steps,
+            failure: self.eyes.failure,
+        }
+    }
+}

@@ -1,0 +1,292 @@
+//! What a robot says and sends goes past the checkers.
+
+use crate::swarm::broken;
+use crate::swarm::check::{self, Failure, Finding, names};
+use crate::swarm::clock::Clock;
+use crate::swarm::datagram::{Content, Keys};
+use crate::swarm::member::{Input, Member};
+use crate::swarm::outsider::Outsider;
+use crate::swarm::settings::{Settings, purpose};
+use crate::swarm::truth::Truth;
+use crate::{Addressees, Datagram, Delivery, IP_UDP_BYTES, Watch};
+use flockmap::{Cast, Destination, Event, RobotId, Stamp, Stream};
+use flockmap_worlds::random::Random;
+use std::collections::BTreeMap;
+
+/// What the simulator knows of a flight, and what it has found.
+pub(super) struct Eyes {
+    pub(super) settings: Settings,
+    robots: usize,
+    pub(super) is_mapping: bool,
+    broken: Random,
+    pub(super) outsider: Option<Outsider>,
+    pub(super) keys: Keys,
+    /// What the clock of each run shows.
+    pub(super) clocks: BTreeMap<Stream, Clock>,
+    sealed: check::Sealed,
+    pub(super) identities: check::Identities,
+    pub(super) truth: Truth,
+    /// Layers with tiles of a present state in them, since they were looked at as a whole.
+    pub(super) dirty: Vec<(usize, Stream)>,
+    pub(super) at_work: Option<RobotId>,
+    pub(super) failure: Option<Failure>,
+    pub(super) events: Vec<(f64, String)>,
+    pub(super) seen: BTreeMap<&'static str, u64>,
+    pub(super) steps: u64,
+    /// When packages were sent last.
+    pub(super) last_packages: i64,
+    /// The time.
+    pub(super) now: i64,
+}
+
+impl Eyes {
+    pub(super) fn new(settings: Settings) -> Self {
+        let seed = settings.options.seed;
+        let outsider = settings.key.is_some().then(|| Outsider::new(Random::new(seed, purpose::OUTSIDER)));
+        Self {
+            robots: settings.members.len(),
+            is_mapping: true,
+            broken: Random::new(seed, purpose::BROKEN),
+            outsider,
+            keys: Keys { key: settings.key.clone(), ..Keys::default() },
+            clocks: BTreeMap::new(),
+            sealed: check::Sealed::default(),
+            identities: check::Identities::default(),
+            truth: Truth::default(),
+            dirty: Vec::new(),
+            at_work: None,
+            failure: None,
+            events: Vec::new(),
+            seen: BTreeMap::new(),
+            steps: 0,
+            last_packages: 0,
+            now: 0,
+            settings,
+        }
+    }
+
+    pub(super) fn say(&mut self, words: String) {
+        self.events.push((self.now as f64 / 1e6, words));
+    }
+
+    pub(super) fn found(&mut self, robot: RobotId, found: Option<Finding>) {
+        if let Some(found) = found {
+            self.fail(Some(robot), found);
+        }
+    }
+
+    /// The first finding counts.
+    pub(super) fn fail(&mut self, robot: Option<RobotId>, found: Finding) {
+        let Finding { checker, expected, found } = found;
+        let at_s = self.now as f64 / 1e6;
+        self.failure.get_or_insert(Failure { checker, robot, at_s, expected, found });
+    }
+
+    /// Takes what a robot tells.
+    fn drain(&mut self, number: usize, member: &mut Member) {
+        let id = member.settings.config.id;
+        let now = member.settings.clock.shows(self.now);
+        let Some(mut robot) = member.robot.take() else { return };
+        while let Some(event) = robot.poll_event() {
+            if let Some(disk) = &mut member.disk {
+                disk.note(now, &event);
+            }
+            match event {
+                Event::CycleClosed { changes, packages, .. } => {
+                    if let Err(found) = self.truth.note_cycle(&changes, &packages) {
+                        let expected = "packages that say what their cycle changed".to_owned();
+                        self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
+                    }
+                }
+                Event::Merged { stream, index, cycle_end, changes, .. } => {
+                    self.note_age(member, stream, cycle_end, now);
+                    if changes.is_empty() {
+                        if !self.dirty.contains(&(number, stream)) {
+                            self.dirty.push((number, stream));
+                        }
+                        continue;
+                    }
+                    let found = check::voxels_of_merge(&self.truth, stream, index, &changes, cycle_end);
+                    self.found(id, found);
+                    let found = check::layer_after(&self.truth, &robot, stream, &changes);
+                    self.found(id, found);
+                }
+                Event::CaughtUp { stream, .. } => {
+                    self.found(id, check::whole_voxels(&self.truth, &robot, stream));
+                    self.found(id, check::whole_layer(&self.truth, &robot, stream));
+                }
+                Event::RunBegun(run) => {
+                    let found = self.identities.begun(run);
+                    self.found(id, found);
+                    member.replaced = member.run.replace(run);
+                    self.keys.salts.insert(run, robot.session().config().salt);
+                    self.clocks.insert(run, member.settings.clock);
+                    self.say(format!("{run:?} begins while flying"));
+                    *self.seen.entry("run begun while flying").or_default() += 1;
+                }
+                Event::RunForgotten(run) => {
+                    // The own run that another one replaces while flying: older ones are wanted as before.
+                    let is_replaced = member.replaced.take_if(|replaced| *replaced == run).is_some();
+                    member.forgotten.insert(run, !is_replaced);
+                    member.twice.forget_run(run);
+                    *self.seen.entry("run forgotten").or_default() += 1;
+                }
+                Event::PeerSeen(peer) | Event::PeerLost(peer) => member.twice.forget(peer.origin),
+                Event::EncodeFailed(error) => {
+                    let expected = "changes that can be coded".to_owned();
+                    let found = error.to_string();
+                    self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
+                }
+                _ => {}
+            }
+        }
+        if let Some(disk) = &mut member.disk {
+            disk.go_on(&robot);
+        }
+        member.robot = Some(robot);
+    }
+
+    fn note_age(&self, member: &mut Member, stream: Stream, cycle_end: Stamp, now: Stamp) {
+        if let Some(clock) = self.clocks.get(&stream) {
+            let age = member.settings.clock.when(now) - clock.when(cycle_end);
+            member.ages.push(age.max(0));
+        }
+    }
+}
+
+impl Watch<Member> for Eyes {
+    fn begins(&mut self, now: Stamp, _number: usize, member: &mut Member, _delivery: Option<&Delivery>) {
+        self.now = now.0;
+        if member.robot.is_some() {
+            let id = member.settings.config.id;
+            self.at_work = Some(id);
+            self.steps += 1;
+            let found = member.still.called(self.now);
+            self.found(id, found);
+        }
+    }
+
+    fn called(&mut self, _now: Stamp, number: usize, member: &mut Member) {
+        let id = member.settings.config.id;
+        let now = member.settings.clock.shows(self.now);
+        let (Some(robot), input) = (&member.robot, std::mem::replace(&mut member.input, Input::Other)) else {
+            return;
+        };
+        if let Input::Datagram { bytes, is_genuine, is_taken } = input {
+            let read = if is_taken { self.keys.read(&bytes, id) } else { None };
+            let packages = match &read {
+                Some((_, Content::Packages(packages))) => packages.len(),
+                _ => 0,
+            };
+            let found = member.work.taken(robot, bytes.len(), packages);
+            self.found(id, found);
+            if is_taken && self.settings.key.is_some() {
+                let found = self.sealed.taken(robot.own_stream(), &bytes, is_genuine);
+                self.found(id, found);
+            }
+            match read {
+                Some((header, Content::Request(request))) => {
+                    member.twice.arrived(robot, now, &header, *request);
+                }
+                Some((_, Content::Path(message))) => member.paths.arrived(&message),
+                _ => {}
+            }
+        }
+        self.drain(number, member);
+    }
+
+    fn sent(
+        &mut self,
+        _now: Stamp,
+        _number: usize,
+        member: &mut Member,
+        datagram: &mut Datagram,
+        _copies: usize,
+    ) {
+        let id = member.settings.config.id;
+        let now = member.settings.clock.shows(self.now);
+        let (to, path) = member.sent;
+        let Some(robot) = &member.robot else { return };
+        let reader = match to {
+            Destination::Peer(peer) => peer,
+            Destination::Everyone => id,
+        };
+        let (packages, message) = match self.keys.read(&datagram.bytes, reader) {
+            Some((_, Content::Packages(packages))) => (Some(packages), None),
+            Some((_, Content::Path(message))) => (None, Some(message)),
+            _ => (None, None),
+        };
+        let is_request = packages.is_none();
+        if !is_request {
+            self.last_packages = self.now;
+        }
+        if self.settings.key.is_some() {
+            let found = self.sealed.sent(to, robot.session().config().salt, &datagram.bytes);
+            self.found(id, found);
+        }
+        if let Some(outsider) = &mut self.outsider {
+            outsider.hear(self.now + self.settings.radio.delay_micros.max(0), &datagram.bytes);
+        }
+        let config = robot.session().config();
+        let is_broadcast = config.cast == Cast::Broadcast;
+        let peers = || robot.session().peers().map(|peer| peer.stream.origin);
+        let counted: Vec<RobotId> = match to {
+            Destination::Peer(peer) => vec![peer],
+            Destination::Everyone => peers().collect(),
+        };
+        let bytes = datagram.bytes.len() + IP_UDP_BYTES;
+        let mut found = if is_broadcast {
+            // One datagram, whoever hears it.
+            member.budget.sent(config, now, 1, bytes, &[])
+        } else {
+            member.budget.sent(config, now, counted.len(), bytes, &counted)
+        };
+        // Those about paths have a checker of their own.
+        if message.is_none() {
+            found = found.or_else(|| member.quiet.sent(config, self.now, to, packages.as_deref()));
+        }
+        if let Some(packages) = &packages {
+            let one = match to {
+                Destination::Peer(peer) => Some(peer),
+                Destination::Everyone => None,
+            };
+            // There and back, at the least.
+            let round_trip = 2 * self.settings.radio.delay_micros.max(0);
+            found = found.or_else(|| member.twice.sent(robot, (self.now, now), one, packages, round_trip));
+        }
+        if self.settings.has_paths {
+            let paths = &mut member.paths;
+            let used = match (to, path) {
+                (Destination::Everyone, _) => robot.session().paths().find_map(|(_, path)| paths.used(path)),
+                (Destination::Peer(to), Some(path)) => {
+                    let run = robot.session().peers().find(|peer| peer.stream.origin == to);
+                    let run = run.map_or(Stream { origin: to, epoch: 0 }, |peer| peer.stream);
+                    paths.sent(self.now, run, path, message.as_ref())
+                }
+                (_, None) => None,
+            };
+            found = found.or(used);
+        }
+        self.found(id, found);
+        let broken = self.settings.broken;
+        if !is_request && self.is_mapping && broken > 0.0 && self.broken.chance(broken) {
+            let damaged = broken::damaged_inside(&datagram.bytes, &mut self.broken);
+            if let Some(damaged) = damaged.filter(|_| datagram.to != Addressees::Each) {
+                datagram.bytes = damaged;
+            }
+        }
+        let found = member.still.called(self.now);
+        self.found(id, found);
+    }
+
+    fn settled(&mut self, _now: Stamp, number: usize, member: &mut Member) {
+        self.drain(number, member);
+        if let Some(robot) = &member.robot
+            && (self.robots <= 8 || self.steps.is_multiple_of(16))
+        {
+            self.found(member.settings.config.id, check::limits(robot));
+        }
+        member.note_wake(self.now);
+        self.at_work = None;
+    }
+}

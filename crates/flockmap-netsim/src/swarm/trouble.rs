@@ -1,0 +1,163 @@
+//! Trouble that comes on top of what `settings` draws: a day in the field, small limits, clocks that step, repeat and rewind, disks that
+//! fail, paths, a faulty robot whose packages cost much. Drawn from random numbers of its own: where none is drawn, a flight is the one
+//! that it would be without this file.
+
+use super::SwarmOptions;
+use super::preset::{RadioNumbers, Topology};
+use super::settings::purpose;
+use flockmap::{Cast, SessionConfig};
+use flockmap_worlds::random::Random;
+
+/// Share of flights with each kind.
+const FIELD: f64 = 0.15;
+const LIMITS: f64 = 0.2;
+const CLOCKS: f64 = 0.2;
+const DISKS: f64 = 0.15;
+const PATHS: f64 = 0.8;
+const COSTLY: f64 = 0.1;
+
+/// What a clock shows when its robot starts again.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Boot {
+    /// The time, as ever.
+    GoesOn,
+    /// Every run begins at the same reading: a clock without a battery.
+    Repeats,
+    /// Less than it showed before, by up to an hour.
+    Rewinds,
+}
+
+/// What is drawn for a whole flight.
+#[derive(Clone, Debug)]
+pub(super) struct Trouble {
+    /// A day in the field: restarts by the dozen up to hundreds. So many.
+    pub(super) restarts: usize,
+    /// Limits of sessions drawn small.
+    pub(super) has_small_limits: bool,
+    /// What clocks show at a start.
+    pub(super) boot: Boot,
+    /// Scans are stamped by clocks that are stepped while flying.
+    pub(super) has_steps: bool,
+    /// Disks fail.
+    pub(super) has_faulty_disks: bool,
+    /// Robots hear by path, where there is a key and each is sent to on its own.
+    pub(super) has_paths: bool,
+    /// A faulty robot sends packages that cost more than they may.
+    pub(super) is_costly: bool,
+}
+
+impl Trouble {
+    pub(super) fn draw(options: &SwarmOptions) -> Self {
+        let mut random = Random::new(options.seed, purpose::TROUBLE);
+        let mut has = |share: f64| random.chance(share) && !options.is_calm;
+        let (is_field, has_small_limits) = (has(FIELD), has(LIMITS));
+        let (has_clocks, has_repeat, has_rewind, has_steps) = (has(CLOCKS), has(0.4), has(0.6), has(0.6));
+        let (has_faulty_disks, has_paths, is_costly) = (has(DISKS), has(PATHS), has(COSTLY));
+        let boot = match (has_clocks, has_repeat, has_rewind) {
+            (true, true, _) => Boot::Repeats,
+            (true, false, true) => Boot::Rewinds,
+            _ => Boot::GoesOn,
+        };
+        let mut random = Random::new(options.seed, purpose::FIELD);
+        // Seldom hundreds.
+        let restarts = 12 + (random.unit() * random.unit() * random.unit() * 288.0) as usize;
+        Self {
+            restarts: if is_field { restarts } else { 0 },
+            has_small_limits,
+            boot,
+            has_steps: has_clocks && has_steps,
+            has_faulty_disks,
+            has_paths,
+            is_costly,
+        }
+    }
+
+    /// Whether a run takes its epoch from what its clock shows, its disk and random bits, as a node does. Else epochs are counted.
+    pub(super) fn has_epochs_of_clocks(&self) -> bool {
+        self.restarts > 0 || self.boot != Boot::GoesOn || self.has_faulty_disks
+    }
+
+    /// Whether clocks are other ones after a restart, so that nobody can know them beforehand.
+    pub(super) fn has_other_clocks(&self) -> bool {
+        self.boot != Boot::GoesOn
+    }
+
+    /// Seconds of mapping that the restarts want.
+    pub(super) fn seconds(&self) -> f64 {
+        self.restarts as f64 / 12.0
+    }
+
+    pub(super) fn words(&self) -> Vec<String> {
+        let mut words = Vec::new();
+        if self.restarts > 0 {
+            words.push(format!("a day in the field: {} restarts", self.restarts));
+        }
+        match self.boot {
+            Boot::GoesOn => {}
+            Boot::Repeats => words.push("every run begins at the same reading of its clock".to_owned()),
+            Boot::Rewinds => words.push("clocks are set back at each start".to_owned()),
+        }
+        if self.has_steps {
+            words.push("clocks that stamp scans are stepped while flying".to_owned());
+        }
+        if self.has_faulty_disks {
+            words.push("disks fail".to_owned());
+        }
+        if self.is_costly {
+            words.push("packages that cost more than they may".to_owned());
+        }
+        words
+    }
+}
+
+/// Small limits of one session, and what they are in words. Never so small that a robot that is there cannot be heard, or has no place.
+pub(super) fn limit(
+    random: &mut Random,
+    session: &mut SessionConfig,
+    robots: usize,
+    cast: Cast,
+    radio: &RadioNumbers,
+) -> String {
+    let mut words = Vec::new();
+    let least_peers = match radio.topology {
+        Topology::Full | Topology::Star => robots - 1,
+        Topology::Line | Topology::Ring => (robots - 1).min(2),
+    };
+    if random.chance(0.8) {
+        session.streams_max = robots - 1 + random.below(4) as usize;
+        words.push(format!("{} streams", session.streams_max));
+    }
+    if random.chance(0.5) {
+        session.epochs_max = 1 + random.below(3) as usize;
+        words.push(format!("{} runs of a robot", session.epochs_max));
+    }
+    if random.chance(0.4) {
+        session.store_bytes_max = 1_000 + random.below(6_000) as usize;
+        words.push(format!("a store of {} bytes", session.store_bytes_max));
+    }
+    if random.chance(0.5) {
+        session.peers_max = least_peers + random.below(2) as usize;
+        words.push(format!("{} peers", session.peers_max));
+    }
+    if random.chance(0.4) {
+        let copies = if cast == Cast::Unicast { robots as u32 - 1 } else { 1 };
+        let small = (400 * copies).max(500) + random.below(600) as u32;
+        let budget = session.radio_bytes_per_s.map_or(small, |budget| budget.min(small));
+        session.radio_bytes_per_s = Some(budget);
+        words.push(format!("{budget} bytes/s"));
+    }
+    words.join(", ")
+}
+
+/// Steps of the clock that stamps a robot's scans: when, and by how many microseconds.
+pub(super) fn steps(random: &mut Random, mapping: i64) -> Vec<(i64, i64)> {
+    let mut steps: Vec<(i64, i64)> = (0..1 + random.below(3))
+        .map(|_| {
+            let at = random.below(mapping as u64) as i64;
+            let most = [50_000.0, 15e6, 3_600e6][random.below(3) as usize];
+            (at, random.range(-most, most) as i64)
+        })
+        .collect();
+    steps.sort_unstable();
+    steps
+}

@@ -1,0 +1,44 @@
+//! Worlds, LiDAR models, and trajectories through them without collision.
+//!
+//! Everything is deterministic: the same seed gives the same bytes on every machine. Only the basic
+//! operations and the square root of `f64`, which IEEE 754 fixes to the last bit, and the pure-Rust sines of
+//! `libm` are used.
+//!
+//! ```
+//! use flockmap_worlds::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+//! use std::sync::Arc;
+//!
+//! let world = Arc::new(World::indoor(1));
+//! let options = PatrolOptions { duration_s: 1.0, ..PatrolOptions::default() };
+//! let scan = ScanOptions { range_m: 7.0, ..ScanOptions::default() };
+//! for patrol in Patrol::plan(&world, 2, 1, &options)? {
+//!     let mut flight = Flight::new(Arc::clone(&world), Lidar::Mid360, scan, patrol);
+//!     let first = flight.next().expect("ten scans a second");
+//!     assert!(!first.scan.points.is_empty());
+//! }
+//! # Ok::<(), flockmap_worlds::PatrolError>(())
+//! ```
+#![forbid(unsafe_code)]
+
+mod cells;
+pub mod curve;
+mod flight;
+pub mod lattice;
+mod lidar;
+mod patrol;
+pub mod random;
+mod tracks;
+mod world;
+
+/// Why the place of a simulated robot is never refused.
+pub const IN_THE_WORLD: &str = "simulated robots are in their world, which is small";
+
+pub use flight::Flight;
+pub use lidar::{
+    Body, Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions, ScanOptionsError, Scanner, Shape, UnknownLidar,
+    UnknownRendering,
+};
+pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
+pub use random::Random;
+pub use tracks::{ObstacleOptions, Tracks, TracksError};
+pub use world::{Hit, OpenError, World, WorldError};
