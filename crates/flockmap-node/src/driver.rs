@@ -6,22 +6,13 @@ use flockmap::{Event, Path, Robot, Stamp};
 use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 
 use crate::clock::StepWatch;
-use crate::node::{NodeOptions, Observation};
+use crate::command::Command;
+use crate::options::{NodeOptions, Observation};
 use crate::sensor::Input;
 use crate::status::StatusLine;
 use crate::store_writer::StoreWriter;
 use crate::transport::is_unreachable;
 use crate::{Histogram, Level, NodeCounters, NodeStatus, Timings, Transport};
-
-/// Something to do with the robot at a time.
-pub(crate) type RobotCall = Box<dyn FnOnce(&mut Robot, Stamp) + Send>;
-
-/// What the hand on a node can ask.
-pub(crate) enum Command {
-    Robot(RobotCall),
-    Status(Box<dyn FnOnce(NodeStatus) + Send>),
-    Stop,
-}
 
 /// Room for a datagram; a longer one is cut and then refused by its length.
 const BUFFER_BYTES: usize = 2_048;

@@ -29,6 +29,7 @@
 
 mod advice;
 mod clock;
+mod command;
 mod config;
 mod driver;
 mod histogram;
@@ -36,6 +37,7 @@ mod kept;
 mod log;
 mod metrics;
 mod node;
+mod options;
 mod run;
 mod sensor;
 mod status;
@@ -53,7 +55,8 @@ pub use flockmap_io::{Frame, Frames};
 pub use flockmap_store as store;
 pub use histogram::Histogram;
 pub use log::{Level, Log};
-pub use node::{EndOptions, Ended, Node, NodeHandle, NodeOptions, Observation, Observer, StartError};
+pub use node::{Ended, Node, NodeHandle, StartError};
+pub use options::{EndOptions, NodeOptions, Observation, Observer};
 pub use run::run;
 pub use sensor::{MESSAGE_VERSION, MessageError, MessageLimits, Sensor, SensorMessage};
 pub use status::{GivenUp, NodeCounters, NodeStatus, StreamStatus, Timings};

@@ -13,7 +13,7 @@ use tokio::sync::oneshot;
 use tokio::task::{AbortHandle, JoinSet};
 
 use crate::advice::listen_error;
-use crate::driver::Command;
+use crate::command::Command;
 
 /// Clients that may be connected at once. Of more, the one that has been idle for longest gives way; if none is, more wait.
 /// Worst case held: a request and an answer for each.

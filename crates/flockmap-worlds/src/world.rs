@@ -80,27 +80,6 @@ pub enum WorldError {
 }
 
 impl World {
-    /// A generated forest, 60 × 25 × 10 m about the origin with z from 0, cells of 5 cm: gentle relief,
-    /// conifers and broad-leaved trees that lean and branch, undergrowth, rocks, stumps and fallen logs. The
-    /// same seed gives the same world on every machine. Takes about half a second in a release build.
-    pub fn forest(seed: u64) -> Self {
-        forest::forest(seed)
-    }
-
-    /// A generated office floor, 35 × 30 × 4 m about the origin with z from 0, cells of 5 cm: corridors,
-    /// rooms with doors and furniture, a hall with pillars. The same seed gives the same world on every
-    /// machine.
-    pub fn indoor(seed: u64) -> Self {
-        indoor::indoor(seed)
-    }
-
-    /// A generated thicket, 36 × 12 × 4 m with x from 0, y about 0 and z from 0, cells of 5 cm: level ground, stems of
-    /// 0.2 to 0.5 m and bushes, with gaps of at least 1.2 m between any two and nothing within 6.5 m of the low and 4 m
-    /// of the high end of x, where a flight begins and ends. The same seed gives the same world on every machine.
-    pub fn thicket(seed: u64) -> Self {
-        thicket::thicket(seed)
-    }
-
     /// A world from a point cloud: every cell that holds a point is solid. Coordinates in metres; of large
     /// ones (UTM) subtract an offset first, so that they stay within 2²⁸ cells of 0.
     pub fn from_points(

@@ -1,7 +1,6 @@
 //! What the mapper may be told: sensor model, range, limits; and the three presets.
 
-use super::{FORGET_BYTES, MAP_BLOCK_BYTES, POINT_BYTES, SCAN_BLOCK_BYTES, SCAN_STAMPS_BYTES};
-use crate::{BLOCK_SIDE, Resolution};
+use crate::Resolution;
 
 /// Log-odds are whole numbers: 1,024 units are one natural unit (nat). One miss of the `rog-map` preset is 41 units.
 pub const LOG_ODDS_UNITS_PER_NAT: f64 = 1024.0;
@@ -139,27 +138,6 @@ impl MapperConfig {
             sensor: SensorModel::preset(preset),
             memory_bytes_max: 512 << 20,
         }
-    }
-}
-
-impl MapperConfig {
-    /// The most bytes that a mapper holds on the heap at any moment, as asked of the allocator, with scans of so many points: the map, and what it needs
-    /// to take one in. A scan touches a block only if a ray runs through it, so a sensor in the open comes near to this, and one
-    /// between walls takes a small part of it.
-    pub fn memory_max(&self, points: usize) -> usize {
-        // Blocks from end to end of two rays in opposite directions, and one more since they need not begin at a face.
-        let side =
-            (2.0 * self.range_m / self.resolution.metres() / f64::from(BLOCK_SIDE)).ceil() as usize + 2;
-        self.memory_bytes_max.max(MAP_BLOCK_BYTES)
-            + side.saturating_pow(3).saturating_mul(SCAN_BLOCK_BYTES)
-            + self.blocks_max() * FORGET_BYTES
-            + points.saturating_mul(POINT_BYTES)
-            + SCAN_STAMPS_BYTES
-    }
-
-    /// Most blocks of the map.
-    pub(super) fn blocks_max(&self) -> usize {
-        (self.memory_bytes_max / MAP_BLOCK_BYTES).max(1)
     }
 }
 

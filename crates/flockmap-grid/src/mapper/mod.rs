@@ -2,6 +2,7 @@
 
 mod block;
 mod config;
+mod memory;
 mod rays;
 mod take;
 
@@ -12,6 +13,8 @@ use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, Voxel, voxe
 use block::MapBlock;
 use config::Rules;
 pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset, SensorModel};
+pub use memory::MAP_BLOCK_BYTES;
+use memory::{ENTRY_BYTES, FarKey, PENDING_BYTES};
 use rays::{Ray, RayCounts};
 
 /// A robot's own occupancy map, made from its own scans (paper Alg. 1, line 6 to 12).
@@ -72,27 +75,6 @@ pub enum Which {
     /// Only voxels that are Free now.
     Free,
 }
-
-/// The most bytes that one block of the map takes of the byte cap: itself, and its places in the table of blocks and in that of blocks with
-/// changes. A table is filled to no less than 7/32 while blocks come and go.
-pub const MAP_BLOCK_BYTES: usize = size_of::<MapBlock>() + (ENTRY_BYTES + 1 + PENDING_BYTES + 1) * 32 / 7;
-/// What a scan can take for a moment, for each block that it touches: the counts of the rays that pass and of those that end, each list a
-/// quarter too large and moved to a new place while it grows; its number and its place in the window; what is reported of it, and what is
-/// forgotten for it.
-const SCAN_BLOCK_BYTES: usize = (2 * 1_024 * 5 / 4 + 1_024) + 12 + 48 + REPORT_BYTES + FORGET_BYTES;
-/// In the report.
-const REPORT_BYTES: usize = size_of::<(BlockIndex, Plane)>() + size_of::<(BlockIndex, StateBlock)>();
-/// In the list of what may be forgotten, and in the report of it.
-const FORGET_BYTES: usize = size_of::<FarKey>() + size_of::<BlockIndex>();
-/// For each of its points: the ray, and the ray ready to walk, which is moved to a new place when a larger scan comes.
-const POINT_BYTES: usize = size_of::<Ray>() + 2 * 56;
-/// Stamps of scans, as long as voxels refer to them; moved to a new place while the list grows.
-const SCAN_STAMPS_BYTES: usize = (1 << 16) * size_of::<Stamp>() * 3 / 2;
-
-/// A block in its table.
-const ENTRY_BYTES: usize = size_of::<(BlockIndex, Box<MapBlock>)>();
-/// A block in the table of those with changes.
-const PENDING_BYTES: usize = size_of::<(BlockIndex, u32)>();
 
 impl Mapper {
     /// An empty map.
@@ -324,9 +306,6 @@ impl Mapper {
         Some(end)
     }
 }
-
-/// By which blocks are farther from the sensor than others: the square of the distance in blocks, and the index.
-type FarKey = (i64, BlockIndex);
 
 /// `start`: where the sensor is, in voxels.
 fn far_key(start: [f64; 3], index: BlockIndex) -> FarKey {

@@ -2,8 +2,9 @@
 
 use super::check::{Budget, Paths, Quiet, Still, Twice, Work};
 use super::clock::Clock;
+use super::purpose;
 use super::report::{RobotFigures, median_and_99};
-use super::settings::{MemberSettings, Settings, purpose};
+use super::settings::{MemberSettings, Settings};
 use super::sim_disk::{self, SimDisk};
 use super::trouble::Boot;
 use super::world::{Course, SmallWorld};

@@ -20,6 +20,7 @@ mod options;
 mod outsider;
 mod plan;
 mod preset;
+mod purpose;
 mod report;
 mod seen;
 mod session;

@@ -3,32 +3,13 @@
 use super::clock::Clock;
 use super::plan::{self, Action};
 use super::preset::{RadioNumbers, RadioPreset, Topology};
+use super::purpose;
 use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
 use crate::Burst;
 use flockmap::sync::SwarmKey;
 use flockmap::{Cast, Codec, CycleConfig, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::random::Random;
-
-/// Each part of the settings has random numbers of its own, so that an option given does not shift the others.
-pub(super) mod purpose {
-    pub(in crate::swarm) const SWARM: u64 = 0x5357_0001;
-    pub(in crate::swarm) const RADIO: u64 = 0x5357_0002;
-    pub(in crate::swarm) const SESSION: u64 = 0x5357_0003;
-    pub(in crate::swarm) const ROBOT: u64 = 0x5357_0004;
-    pub(in crate::swarm) const PLAN: u64 = 0x5357_0005;
-    pub(in crate::swarm) const WORLD: u64 = 0x5357_0006;
-    pub(in crate::swarm) const SCANS: u64 = 0x5357_0007;
-    pub(in crate::swarm) const BROKEN: u64 = 0x5357_0008;
-    pub(in crate::swarm) const OUTSIDER: u64 = 0x5357_0009;
-    pub(in crate::swarm) const TROUBLE: u64 = 0x5357_000a;
-    pub(in crate::swarm) const FIELD: u64 = 0x5357_000b;
-    pub(in crate::swarm) const LIMITS: u64 = 0x5357_000c;
-    pub(in crate::swarm) const CLOCKS: u64 = 0x5357_000d;
-    pub(in crate::swarm) const DISK: u64 = 0x5357_000e;
-    pub(in crate::swarm) const RUNS: u64 = 0x5357_000f;
-    pub(in crate::swarm) const COSTLY: u64 = 0x5357_0010;
-}
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
 const VOXEL_M: f64 = 0.5;

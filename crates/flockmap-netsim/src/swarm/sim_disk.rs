@@ -1,6 +1,6 @@
 //! The disk of a robot, with the node's own store and epoch file on it: in memory, failing as drawn, with the power cut where a run ends.
 
-use super::settings::purpose;
+use super::purpose;
 use flockmap::{Event, Robot, RobotConfig, Stamp};
 use flockmap_store::memory::{Faults, MemoryDisk, PowerCut};
 use flockmap_store::{Compaction, EpochFile, Identity, Store, StoreLog, StoreOptions};

@@ -4,7 +4,7 @@
 
 use super::SwarmOptions;
 use super::preset::{RadioNumbers, Topology};
-use super::settings::purpose;
+use super::purpose;
 use flockmap::{Cast, SessionConfig};
 use flockmap_worlds::random::Random;
 

@@ -1,6 +1,6 @@
 //! Where the beams of each LiDAR point.
 
-use super::{Lidar, SCAN_PERIOD_MICROS};
+use super::model::{Lidar, SCAN_PERIOD_MICROS};
 use core::f64::consts::TAU;
 use flockmap_grid::Stamp;
 use libm::{cos, sin};
@@ -13,6 +13,32 @@ pub(super) const VLP32_ROWS: (usize, f64, f64) = (32, -25.0, 1.2);
 
 /// Rows of the OS-128.
 pub(super) const OS128_ROWS: (usize, f64, f64) = (128, -22.5, 0.4);
+
+impl Lidar {
+    /// Number of beams in a scan.
+    pub const fn beams(self) -> usize {
+        match self {
+            Self::Avia => 24_000,
+            Self::Mid360 => 20_000,
+            Self::Vlp32 => VLP32_ROWS.0 * COLUMNS,
+            Self::Os128 => OS128_ROWS.0 * COLUMNS,
+        }
+    }
+
+    /// The beams of the scan that starts at `stamp`: unit vectors in the frame of the sensor, in the order
+    /// they are fired.
+    pub fn directions(self, stamp: Stamp) -> Vec<[f64; 3]> {
+        let mut beams = Vec::new();
+        aim(self, stamp, &mut beams);
+        beams
+    }
+
+    /// Microseconds from the start of a scan until this beam is fired, 0 … 99,999; never less than for the
+    /// beam before. `beam` counts from 0 to [`Self::beams`].
+    pub const fn fired_after_micros(self, beam: usize) -> i64 {
+        fired_after_micros(self, beam)
+    }
+}
 
 /// Puts the beams of the scan that starts at `stamp` into `beams`.
 pub(super) fn aim(lidar: Lidar, stamp: Stamp, beams: &mut Vec<[f64; 3]>) {

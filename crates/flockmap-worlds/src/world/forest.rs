@@ -13,23 +13,28 @@ const PURPOSE_PLACES: u64 = 1;
 const PURPOSE_TREE: u64 = 2;
 const PURPOSE_GROUND_COVER: u64 = 3;
 
-pub(super) fn forest(seed: u64) -> World {
-    let half = [SIZE[0] / 2.0, SIZE[1] / 2.0];
-    let mut canvas = Canvas::new([-half[0], -half[1], 0.0], [half[0], half[1], SIZE[2]]);
-    let ground = Ground { seed };
-    ground.draw(&mut canvas, half);
-    let trees = places(seed, half);
-    for (number, tree) in trees.iter().enumerate() {
-        let mut random = Random::new(seed, PURPOSE_TREE + (number as u64) * 256);
-        let base = [tree.x, tree.y, ground.height(tree.x, tree.y) - 0.1];
-        match tree.kind {
-            Kind::Conifer => conifer(&mut canvas, base, &mut random),
-            Kind::Broadleaf => broadleaf(&mut canvas, base, &mut random),
-            Kind::Snag => snag(&mut canvas, base, &mut random),
+impl World {
+    /// A generated forest, 60 × 25 × 10 m about the origin with z from 0, cells of 5 cm: gentle relief,
+    /// conifers and broad-leaved trees that lean and branch, undergrowth, rocks, stumps and fallen logs. The
+    /// same seed gives the same world on every machine. Takes about half a second in a release build.
+    pub fn forest(seed: u64) -> Self {
+        let half = [SIZE[0] / 2.0, SIZE[1] / 2.0];
+        let mut canvas = Canvas::new([-half[0], -half[1], 0.0], [half[0], half[1], SIZE[2]]);
+        let ground = Ground { seed };
+        ground.draw(&mut canvas, half);
+        let trees = places(seed, half);
+        for (number, tree) in trees.iter().enumerate() {
+            let mut random = Random::new(seed, PURPOSE_TREE + (number as u64) * 256);
+            let base = [tree.x, tree.y, ground.height(tree.x, tree.y) - 0.1];
+            match tree.kind {
+                Kind::Conifer => conifer(&mut canvas, base, &mut random),
+                Kind::Broadleaf => broadleaf(&mut canvas, base, &mut random),
+                Kind::Snag => snag(&mut canvas, base, &mut random),
+            }
         }
+        ground_cover(&mut canvas, &ground, seed, half, &trees);
+        canvas.into_world()
     }
-    ground_cover(&mut canvas, &ground, seed, half, &trees);
-    canvas.into_world()
 }
 
 /// Gentle relief: three octaves of value noise.

@@ -1,102 +1,33 @@
 //! The generated office floor.
 
 mod furniture;
+mod rooms;
 
 use super::World;
 use super::draw::Canvas;
 use crate::random::Random;
+use rooms::{CEILING, Door, FLOOR, HALF_WALL, OUTER_WALL, Rect, Room, SIZE, Use};
 
-/// Metres along x, y, z.
-const SIZE: [f64; 3] = [35.0, 30.0, 4.0];
-/// Top of the floor slab and bottom of the ceiling slab.
-const FLOOR: f64 = 0.1;
-const CEILING: f64 = 3.9;
-const OUTER_WALL: f64 = 0.25;
-/// Half the thickness of an inner wall.
-const HALF_WALL: f64 = 0.075;
 const DOOR_HEIGHT: f64 = 2.15;
 
 const PURPOSE_PLAN: u64 = 21;
 const PURPOSE_ROOM: u64 = 22;
 
-pub(super) fn indoor(seed: u64) -> World {
-    let (hx, hy) = (SIZE[0] / 2.0, SIZE[1] / 2.0);
-    let mut canvas = Canvas::new([-hx, -hy, 0.0], [hx, hy, SIZE[2]]);
-    let mut random = Random::new(seed, PURPOSE_PLAN);
-    let plan = Plan::new(&mut random);
-    plan.draw(&mut canvas, &mut random);
-    for (number, room) in plan.rooms.iter().enumerate() {
-        let mut random = Random::new(seed, PURPOSE_ROOM + (number as u64) * 256);
-        furniture::furnish(&mut canvas, room, &plan.doors, &mut random);
-    }
-    canvas.into_world()
-}
-
-/// A rectangle on the floor, in metres.
-#[derive(Clone, Copy, PartialEq, Debug)]
-struct Rect {
-    min: [f64; 2],
-    max: [f64; 2],
-}
-
-impl Rect {
-    fn size(&self) -> [f64; 2] {
-        [self.max[0] - self.min[0], self.max[1] - self.min[1]]
-    }
-
-    fn area(&self) -> f64 {
-        self.size()[0] * self.size()[1]
-    }
-
-    fn overlaps(&self, other: &Self) -> bool {
-        (0..2).all(|a| self.min[a] < other.max[a] && other.min[a] < self.max[a])
-    }
-
-    /// Smaller by `margin` on each side.
-    fn shrunk(&self, margin: f64) -> Self {
-        Self { min: self.min.map(|v| v + margin), max: self.max.map(|v| v - margin) }
-    }
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum Use {
-    Corridor,
-    Hall,
-    Office,
-    Meeting,
-    Storage,
-    Lounge,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Room {
-    rect: Rect,
-    kind: Use,
-}
-
-/// An opening in the wall that lies at `place` of axis `axis` (0: a wall of constant x), centred at `along`
-/// on the other axis.
-#[derive(Clone, Copy, Debug)]
-struct Door {
-    axis: usize,
-    place: f64,
-    along: f64,
-    width: f64,
-}
-
-impl Door {
-    /// What must stay free of furniture.
-    fn zone(&self) -> Rect {
-        let mut centre = [0.0; 2];
-        centre[self.axis] = self.place;
-        centre[1 - self.axis] = self.along;
-        let mut reach = [0.0; 2];
-        reach[self.axis] = 1.3;
-        reach[1 - self.axis] = self.width / 2.0 + 0.25;
-        Rect {
-            min: [centre[0] - reach[0], centre[1] - reach[1]],
-            max: [centre[0] + reach[0], centre[1] + reach[1]],
+impl World {
+    /// A generated office floor, 35 × 30 × 4 m about the origin with z from 0, cells of 5 cm: corridors,
+    /// rooms with doors and furniture, a hall with pillars. The same seed gives the same world on every
+    /// machine.
+    pub fn indoor(seed: u64) -> Self {
+        let (hx, hy) = (SIZE[0] / 2.0, SIZE[1] / 2.0);
+        let mut canvas = Canvas::new([-hx, -hy, 0.0], [hx, hy, SIZE[2]]);
+        let mut random = Random::new(seed, PURPOSE_PLAN);
+        let plan = Plan::new(&mut random);
+        plan.draw(&mut canvas, &mut random);
+        for (number, room) in plan.rooms.iter().enumerate() {
+            let mut random = Random::new(seed, PURPOSE_ROOM + (number as u64) * 256);
+            furniture::furnish(&mut canvas, room, &plan.doors, &mut random);
         }
+        canvas.into_world()
     }
 }
 

@@ -19,19 +19,24 @@ const GROUND_M: f64 = 0.1;
 
 const PURPOSE: u64 = 0x7c1;
 
-pub(super) fn thicket(seed: u64) -> World {
-    let half = SIZE[1] / 2.0;
-    let mut canvas = Canvas::new([0.0, -half, 0.0], [SIZE[0], half, SIZE[2]]);
-    canvas.slab([0.0, -half, 0.0], [SIZE[0], half, GROUND_M]);
-    let mut random = Random::new(seed, PURPOSE);
-    for plant in plants(&mut random) {
-        if plant.is_bush {
-            bush(&mut canvas, &plant, &mut random);
-        } else {
-            stem(&mut canvas, &plant, &mut random);
+impl World {
+    /// A generated thicket, 36 × 12 × 4 m with x from 0, y about 0 and z from 0, cells of 5 cm: level ground, stems of
+    /// 0.2 to 0.5 m and bushes, with gaps of at least 1.2 m between any two and nothing within 6.5 m of the low and 4 m
+    /// of the high end of x, where a flight begins and ends. The same seed gives the same world on every machine.
+    pub fn thicket(seed: u64) -> Self {
+        let half = SIZE[1] / 2.0;
+        let mut canvas = Canvas::new([0.0, -half, 0.0], [SIZE[0], half, SIZE[2]]);
+        canvas.slab([0.0, -half, 0.0], [SIZE[0], half, GROUND_M]);
+        let mut random = Random::new(seed, PURPOSE);
+        for plant in plants(&mut random) {
+            if plant.is_bush {
+                bush(&mut canvas, &plant, &mut random);
+            } else {
+                stem(&mut canvas, &plant, &mut random);
+            }
         }
+        canvas.into_world()
     }
-    canvas.into_world()
 }
 
 struct Plant {

@@ -1,6 +1,6 @@
 //! What stands, hangs and lies in the rooms.
 
-use super::{CEILING, Door, FLOOR, HALF_WALL, OUTER_WALL, Rect, Room, SIZE, Use};
+use super::rooms::{CEILING, Door, FLOOR, HALF_WALL, OUTER_WALL, Rect, Room, SIZE, Use};
 use crate::random::Random;
 use crate::world::draw::Canvas;
 
