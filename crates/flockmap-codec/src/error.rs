@@ -2,7 +2,8 @@
 
 use flockmap_grid::Overtaken;
 
-use crate::{BOX_VOXELS_MAX, Codec, PACKAGE_BYTES_MIN};
+use crate::codec::Codec;
+use crate::limits::{BOX_VOXELS_MAX, FORMAT_VERSION, PACKAGE_BYTES_MIN};
 
 /// Bytes that are no package, or a package that does not decode to what was encoded. Its sender or the way is at
 /// fault, or it is of a newer Flockmap; nothing of it may be used. Ask for it again.
@@ -18,7 +19,7 @@ pub enum PackageError {
         offset: usize,
     },
     /// Another version of the format.
-    #[error("package format version {found}, this program reads version {}", crate::FORMAT_VERSION)]
+    #[error("package format version {found}, this program reads version {FORMAT_VERSION}")]
     Version {
         /// The first byte of the package.
         found: u8,

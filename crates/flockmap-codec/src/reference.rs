@@ -1,11 +1,6 @@
 //! What a package of changes is coded against.
 
-use core::cell::Cell;
-
-use flockmap_grid::{
-    BLOCK_SIDE, BlockIndex, Layer, Overtaken, Stamp, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox,
-};
-use rustc_hash::FxHashMap;
+use flockmap_grid::{BLOCK_SIDE, Layer, Stamp, VOXEL_LIMIT, Voxel, VoxelBox};
 
 /// What every receiver of a cycle will hold of its stream: all packages before it. [`Codec::Flock`](crate::Codec::Flock)
 /// tells a cycle against that in fewer bytes; the other codecs do not look at it.
@@ -44,53 +39,6 @@ impl Reference<'_> {
         let later = self.cycles.partition_point(|(end, _)| *end <= stamp);
         let (_, last) = self.cycles.get(later.saturating_sub(1)).copied().unwrap_or((stamp, u32::MAX));
         last.min(first_index - 1)
-    }
-}
-
-/// The states before a cycle, block by block.
-#[derive(Clone, Debug)]
-pub(crate) struct Known<'a> {
-    before: Before<'a>,
-    newest: Cell<Option<Stamp>>,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Before<'a> {
-    Nothing,
-    /// What a layer knew before the cycle with this end.
-    Cycle(&'a Layer, Stamp),
-    /// These states, whose stamps do not matter.
-    States(&'a FxHashMap<BlockIndex, StateBlock>),
-}
-
-impl<'a> Known<'a> {
-    /// Nothing is known without a layer.
-    pub(crate) fn new(layer: Option<&'a Layer>, cycle_end: Stamp) -> Self {
-        let before = layer.map_or(Before::Nothing, |layer| Before::Cycle(layer, cycle_end));
-        Self { before, newest: Cell::new(None) }
-    }
-
-    /// Exactly these states are known.
-    pub(crate) const fn of_states(states: &'a FxHashMap<BlockIndex, StateBlock>) -> Self {
-        Self { before: Before::States(states), newest: Cell::new(None) }
-    }
-
-    /// What was known of a block before the cycle.
-    pub(crate) fn block(&self, index: BlockIndex) -> Result<Option<&'a StateBlock>, Overtaken> {
-        let (layer, cycle_end) = match self.before {
-            Before::Nothing => return Ok(None),
-            Before::States(states) => return Ok(states.get(&index)),
-            Before::Cycle(layer, cycle_end) => (layer, cycle_end),
-        };
-        Ok(layer.known_before(index, cycle_end)?.map(|(states, newest)| {
-            self.newest.set(self.newest.get().max(Some(newest)));
-            states
-        }))
-    }
-
-    /// The newest stamp in the blocks asked for since this was called last. Before the cycle, if nothing of it was applied.
-    pub(crate) fn take_newest(&self) -> Option<Stamp> {
-        self.newest.take()
     }
 }
 

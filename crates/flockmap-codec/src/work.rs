@@ -3,7 +3,8 @@
 
 use flockmap_grid::mutation::{self, Mutation};
 
-use crate::{Codec, PackageError};
+use crate::codec::Codec;
+use crate::error::PackageError;
 
 /// Steps for each byte of payload. A step is two to four nanoseconds of a core that runs at 3 GHz. Real flights ask for 60 to 240, and what asks for more is filled up or cut.
 const STEPS_PER_BYTE: u64 = 192;
@@ -25,9 +26,9 @@ pub(crate) const TAKEN_IN_STEPS: u64 = 24;
 /// A decision by itself; a row whose unknown voxels are decided one by one, beside one step for each decision of these.
 pub(crate) const DECISION_STEPS: u64 = 2;
 pub(crate) const ROW_STEPS: u64 = 6;
-/// A change in noise, and a block with changes: there are many that were not known, which takes longer to merge than to read.
+/// A change that is gap coded, and a block with changes: there are many that were not known, which takes longer to merge than to read.
 pub(crate) const CHANGE_STEPS: u64 = 16;
-pub(crate) const NOISE_BLOCK_STEPS: u64 = 320;
+pub(crate) const GAP_CODED_BLOCK_STEPS: u64 = 320;
 /// Places of blocks, those round a box with it, for one step: `flock` has a table of them.
 const PLACES_PER_STEP: u64 = 4;
 /// Voxels of a zlib stream for one step.

@@ -2,15 +2,15 @@
 
 use flockmap_grid::Overtaken;
 
-use super::block::{self, TurnedChanges};
-use super::cells::{Bits, Neighbourhood};
+use super::block_box::BlockBox;
+use super::cells::Bits;
 use super::coder::Chance;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
-use super::field::Field;
-use super::order::BlockBox;
-use super::package::{Changed, view};
+use super::known::Known;
+use super::model::Model;
+use super::order::Changed;
+use super::orientation::Orientation;
 use super::tables::{TableSet, Tables, voxel_chance};
-use crate::reference::Known;
 
 /// Blocks that are looked at: so many from the front and so many from the middle, at most one in `SAMPLE_PART`.
 const SAMPLE_BLOCKS: usize = 16;
@@ -22,8 +22,7 @@ const LEAD_BITS: u64 = 32;
 
 /// The set with which some of `blocks` take the fewest bits; as few as are needed to tell.
 pub(crate) fn choose(
-    field: &mut Field,
-    cells: &mut Neighbourhood,
+    model: &mut Model,
     known: &Known<'_>,
     sets: &[TableSet],
     sensor: [i32; 3],
@@ -31,21 +30,16 @@ pub(crate) fn choose(
 ) -> Result<TableSet, Overtaken> {
     let mut trial = Trial { sets: sets.iter().map(|set| (0, *set, set.tables())).collect() };
     let sample = sample(blocks);
-    let region = sample.iter().map(|(index, _)| BlockBox::of(*index)).reduce(|all, block| all.union(&block));
+    let region = sample.iter().map(|(index, _)| BlockBox::of(*index)).reduce(BlockBox::union);
     if let Some(region) = region.filter(|region| region.volume() <= REACH_MAX) {
-        field.clear(region);
+        model.clear(region);
         for (index, states) in sample {
             if trial.is_decided() {
                 break;
             }
-            let (turn, distance) = view(*index, sensor);
-            let slot = field.ask(known, *index, turn)?;
-            let slots = field.around(known, *index, turn)?;
-            cells.gather(turn, &slots, field.cells());
-            let turns = block::turns(known.block(*index)?, states);
-            let truth = TurnedChanges::of(states, turn);
-            block::code(&mut trial, cells, distance, field.counts(slot), &truth, turns);
-            field.tell(slot, *index, turn, &truth);
+            let classes = model.field.classes(known, *index)?;
+            let view = Orientation::of(*index, sensor);
+            model.code(&mut trial, known, *index, view, classes, Some(states))?;
         }
     }
     let best = trial.sets.iter().min_by_key(|(cost, ..)| *cost);
@@ -102,12 +96,12 @@ impl Decide for Trial {
 
 impl DecideVoxel for Trial {
     fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.voxel[voxel_chance(kind, tables.lookup().level(contexts))]);
+        self.pay(truth, |tables| tables.start.voxel[voxel_chance(kind, tables.voxel.of(contexts))]);
         truth
     }
 
     fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.kind[tables.lookup().kind(contexts)]);
+        self.pay(truth, |tables| tables.start.kind[usize::from(tables.kind.of(contexts))]);
         truth
     }
 }

@@ -3,7 +3,7 @@
 use super::cells::Bits;
 use super::coder::{Chance, CodeBit};
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
-use super::tables::{Chances, KIND_CHANCES, Lookup, Tables, VOXEL_CHANCES, voxel_chance};
+use super::tables::{Chances, KIND_CHANCES, Levels, Tables, VOXEL_CHANCES, voxel_chance};
 use crate::work;
 
 /// How fast a chance follows what happens: a step of one in 2ⁿ.
@@ -40,9 +40,9 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     #[inline]
     fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
         let Chances { voxel, kind, .. } = &mut *self.chances;
-        let lookup = self.tables.lookup();
+        let levels = [&*self.tables.voxel, &self.tables.kind];
         let told =
-            self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, lookup, bits }, row, truth));
+            self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, levels, bits }, row, truth));
         let made = row.voxels.count_ones() + (told.free | told.occupied).count_ones();
         self.steps += work::ROW_STEPS + u64::from(made);
         told
@@ -52,19 +52,20 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
 struct RowCoding<'a, B> {
     voxel: &'a mut [Chance; VOXEL_CHANCES],
     kind: &'a mut [Chance; KIND_CHANCES],
-    lookup: Lookup<'static>,
+    /// Of a voxel that may have been seen, and of one that was.
+    levels: [&'static Levels; 2],
     bits: &'a mut B,
 }
 
 impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
     #[inline(always)]
     fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        let chance = &mut self.voxel[voxel_chance(kind, self.lookup.level(contexts))];
+        let chance = &mut self.voxel[voxel_chance(kind, self.levels[0].of(contexts))];
         self.bits.code(chance, truth, VOXEL_RATE)
     }
 
     #[inline(always)]
     fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
-        self.bits.code(&mut self.kind[self.lookup.kind(contexts)], truth, KIND_RATE)
+        self.bits.code(&mut self.kind[usize::from(self.levels[1].of(contexts))], truth, KIND_RATE)
     }
 }

@@ -18,7 +18,7 @@ pub(crate) const NEAR_CONTEXTS: usize = 1 << 16;
 pub(crate) const RAY_CONTEXTS: usize = 1 << 15;
 /// Kinds of rows with unknown voxels: ordinary, a surprise in which nothing was found yet, one in which something was.
 pub(crate) const ROW_KINDS: usize = 3;
-pub(crate) const VOXEL_CHANCES: usize = ROW_KINDS * LEVELS * LEVELS;
+pub(crate) const VOXEL_CHANCES: usize = ROW_KINDS * KIND_CHANCES;
 pub(crate) const KIND_CHANCES: usize = LEVELS * LEVELS;
 /// Contexts of flags, see `block.rs`.
 pub(crate) const FLAG_CONTEXTS: usize = 2_816;
@@ -36,8 +36,8 @@ pub(crate) struct Chances {
 impl Chances {
     pub(crate) fn even() -> Box<Self> {
         Box::new(Self {
-            voxel: [1 << 15; ROW_KINDS * LEVELS * LEVELS],
-            kind: [1 << 15; LEVELS * LEVELS],
+            voxel: [1 << 15; VOXEL_CHANCES],
+            kind: [1 << 15; KIND_CHANCES],
             flag: [1 << 15; FLAG_CONTEXTS],
         })
     }
@@ -58,7 +58,7 @@ impl Levels {
 
     /// The levels of both contexts as one number, below `LEVELS`².
     #[inline(always)]
-    fn together(&self, [near, ray]: [u16; 2]) -> u16 {
+    pub(crate) fn of(&self, [near, ray]: [u16; 2]) -> u16 {
         let (near, ray) = (self.near[usize::from(near)], self.ray[usize::from(ray) % RAY_CONTEXTS]);
         u16::from(near) * LEVELS as u16 + u16::from(ray)
     }
@@ -94,11 +94,7 @@ impl TableSet {
     }
 
     pub(crate) const fn id(self) -> u8 {
-        match self {
-            Self::Dense => 0,
-            Self::Sparse => 1,
-            Self::Obstacles => 2,
-        }
+        self as u8
     }
 
     /// The tables that are shipped.
@@ -110,11 +106,8 @@ impl TableSet {
 }
 
 /// Bytes of one set, as they are before zlib.
-pub(crate) const SET_BYTES: usize = NEAR_CONTEXTS
-    + RAY_CONTEXTS
-    + NEAR_CONTEXTS
-    + RAY_CONTEXTS
-    + 2 * ((ROW_KINDS + 1) * LEVELS * LEVELS + FLAG_CONTEXTS);
+pub(crate) const SET_BYTES: usize =
+    2 * (NEAR_CONTEXTS + RAY_CONTEXTS + VOXEL_CHANCES + KIND_CHANCES + FLAG_CONTEXTS);
 
 /// The tables that are shipped, one zlib stream of all sets in their order. Anything else would be another codec.
 pub(crate) const FILE: &[u8] = include_bytes!("tables.bin");
@@ -132,33 +125,7 @@ pub(crate) fn voxel_chance(kind: RowKind, level: u16) -> usize {
     kind as usize * KIND_CHANCES + usize::from(level)
 }
 
-/// From contexts to chances.
-#[derive(Clone, Copy)]
-pub(crate) struct Lookup<'a> {
-    voxel: &'a Levels,
-    kind: &'a Levels,
-}
-
-impl Lookup<'_> {
-    /// What the contexts of an unknown voxel say of it.
-    #[inline(always)]
-    pub(crate) fn level(&self, contexts: [u16; 2]) -> u16 {
-        self.voxel.together(contexts)
-    }
-
-    /// Which chance a voxel has that was seen.
-    #[inline(always)]
-    pub(crate) fn kind(&self, contexts: [u16; 2]) -> usize {
-        usize::from(self.kind.together(contexts))
-    }
-}
-
 impl Tables {
-    #[inline(always)]
-    pub(crate) fn lookup(&self) -> Lookup<'_> {
-        Lookup { voxel: &self.voxel, kind: &self.kind }
-    }
-
     /// A set from its [`SET_BYTES`] bytes. What is out of range is brought into range.
     pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
         let mut rest = bytes;
@@ -179,8 +146,8 @@ impl Tables {
             levels.iter_mut().zip(bytes).for_each(|(to, level)| *to = (*level).min(LEVELS as u8 - 1));
         }
         let start = Box::new(Chances {
-            voxel: chances(take(2 * ROW_KINDS * LEVELS * LEVELS)),
-            kind: chances(take(2 * LEVELS * LEVELS)),
+            voxel: chances(take(2 * VOXEL_CHANCES)),
+            kind: chances(take(2 * KIND_CHANCES)),
             flag: chances(take(2 * FLAG_CONTEXTS)),
         });
         Self { voxel, kind, start }

@@ -6,20 +6,21 @@
 
 use flockmap_grid::{Changes, Layer};
 
-use super::block::{self, TurnedChanges};
-use super::cells::{Bits, Neighbourhood};
+use super::block_box::BlockBox;
+use super::cells::Bits;
 use super::coder::Chance;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
-use super::field::Field;
-use super::order::{self, BlockBox};
-use super::package::{Changed, Flags, in_order, view};
+use super::flags::Flags;
+use super::known::Known;
+use super::model::Model;
+use super::order::{self, Changed, in_order};
+use super::orientation::Orientation;
 use super::tables::{
-    self, Chances, FLAG_CONTEXTS, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, ROW_KINDS, SET_BYTES,
-    TableSet, Tables, voxel_chance,
+    self, Chances, FLAG_CONTEXTS, KIND_CHANCES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES,
+    TableSet, Tables, VOXEL_CHANCES, voxel_chance,
 };
-use crate::Cycle;
 use crate::deflate::{Deflater, inflate_exact};
-use crate::reference::Known;
+use crate::source::Cycle;
 
 /// Changed voxels in a package of usual size. The voxels at its rim have less beside them.
 const PACKAGE_VOXELS: usize = 1_500;
@@ -75,8 +76,7 @@ type Counts = [u64; 2];
 /// Trains one set of tables.
 pub struct Trainer {
     counting: Counting,
-    field: Field,
-    cells: Neighbourhood,
+    model: Model,
     told: Vec<u8>,
 }
 
@@ -92,12 +92,7 @@ pub const ROUNDS: usize = 2;
 impl Trainer {
     /// Before the first round.
     pub fn new() -> Self {
-        Self {
-            counting: Counting::new(None),
-            field: Field::default(),
-            cells: Neighbourhood::new(),
-            told: Vec::new(),
-        }
+        Self { counting: Counting::new(None), model: Model::default(), told: Vec::new() }
     }
 
     /// Learns from a cycle; `layer` is what was known before it. Each round has to be given the same cycles.
@@ -120,38 +115,27 @@ impl Trainer {
 
     fn package(&mut self, known: &Known<'_>, sensor: [i32; 3], blocks: &[Changed<'_>]) {
         let Some((first, _)) = blocks.first() else { return };
-        let region = blocks.iter().fold(BlockBox::of(*first), |region, (index, _)| region.with(*index));
-        self.field.clear(region);
+        let all = blocks.iter().map(|(index, _)| BlockBox::of(*index));
+        let region = all.fold(BlockBox::of(*first), BlockBox::union);
+        self.model.clear(region);
         let mut flags = Flags::new(region, &mut self.told);
         let mut left = blocks.iter().peekable();
         for index in order::blocks(region, order::sensor_block(sensor), 0).skip_while(|index| index != first)
         {
-            let Some((next, states)) = left.peek() else { break };
-            let is_changed = *next == index;
-            // A layer of whole cycles, in order, has not been overtaken.
-            let (turn, distance) = view(index, sensor);
-            let Ok(slot) = self.field.ask(known, index, turn) else { return };
-            let counts = self.field.counts(slot);
-            let context = flags.context(index, turn, counts);
-            self.counting.flag(context, is_changed);
-            flags.tell(index, is_changed);
-            if !is_changed {
-                continue;
+            if left.peek().is_none() {
+                break;
             }
-            let Ok(slots) = self.field.around(known, index, turn) else { return };
-            self.cells.gather(turn, &slots, self.field.cells());
-            let before = known.block(index).ok().flatten();
-            let truth = TurnedChanges::of(states, turn);
-            block::code(
-                &mut self.counting,
-                &mut self.cells,
-                distance,
-                counts,
-                &truth,
-                block::turns(before, states),
-            );
-            self.field.tell(slot, index, turn, &truth);
-            left.next();
+            let changes = left.next_if(|(next, _)| *next == index).map(|(_, states)| states);
+            let view = Orientation::of(index, sensor);
+            // A layer of whole cycles, in order, has not been overtaken.
+            let Ok(classes) = self.model.field.classes(known, index) else { return };
+            self.counting.flag(flags.context(index, view.0, classes), changes.is_some());
+            flags.tell(index, changes.is_some());
+            if changes.is_some()
+                && self.model.code(&mut self.counting, known, index, view, classes, changes).is_err()
+            {
+                return;
+            }
         }
     }
 
@@ -191,8 +175,8 @@ impl Counting {
             ray: none(RAY_CONTEXTS),
             kind_near: none(NEAR_CONTEXTS),
             kind_ray: none(RAY_CONTEXTS),
-            voxel_chance: none(ROW_KINDS * LEVELS * LEVELS),
-            kind_chance: none(LEVELS * LEVELS),
+            voxel_chance: none(VOXEL_CHANCES),
+            kind_chance: none(KIND_CHANCES),
             flag: none(FLAG_CONTEXTS),
         }
     }
@@ -285,7 +269,7 @@ impl Decide for Counting {
 impl DecideVoxel for Counting {
     fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
         let [near, ray] = contexts.map(usize::from);
-        let level = self.tables.as_ref().map_or(0, |tables| tables.lookup().level(contexts));
+        let level = self.tables.as_ref().map_or(0, |tables| tables.voxel.of(contexts));
         self.near[near][usize::from(truth)] += 1;
         self.ray[ray][usize::from(truth)] += 1;
         self.voxel_chance[voxel_chance(kind, level)][usize::from(truth)] += 1;
@@ -297,7 +281,7 @@ impl DecideVoxel for Counting {
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;
         if let Some(tables) = &self.tables {
-            self.kind_chance[tables.lookup().kind(contexts)][usize::from(truth)] += 1;
+            self.kind_chance[usize::from(tables.kind.of(contexts))][usize::from(truth)] += 1;
         }
         truth
     }

@@ -4,7 +4,7 @@
 //! or more has the chance (1 − p)^g. Powers of 1 − p by squaring give the chances of the bits of g: first, in groups of 2ⁿ
 //! voxels, whether the gap goes beyond the next group, then the place in the group from the highest bit to the lowest.
 
-use super::fine::FineBits;
+use crate::flock::coder::FineBits;
 
 /// Groups of so many voxels, as a power of two, are enough for one change in 2²⁷ voxels: (1 − 2⁻²⁷)^(2²⁷) < ½.
 const GROUP_LOG_MAX: usize = 27;

@@ -1,10 +1,16 @@
-//! The mode as a whole: what comes back, what it costs, what it makes of any bytes.
+//! Gap coding as a whole: what comes back, what it costs, what it makes of any bytes.
 
-use super::cut::estimate;
 use flockmap_grid::{BLOCK_VOXELS, Changes, State, StateBlock, Voxel, VoxelBox, bit_of};
 use proptest::prelude::*;
 
-use super::*;
+use super::cut::{cut, estimate};
+use super::judge::has_no_pattern;
+use super::limits::{bytes_min, changes_max};
+use super::payload::{encode, number};
+use crate::codec::Codec;
+use crate::error::PackageError;
+use crate::flock::coder::BitWriter;
+use crate::work::Work;
 
 #[path = "../../../tests/common/random.rs"]
 mod random;
@@ -155,12 +161,12 @@ fn encoded(changes: &Changes, region: &VoxelBox) -> Vec<u8> {
     payload.split_off(3)
 }
 
-fn decode(payload: &[u8], region: &VoxelBox, at_most: usize) -> Result<Changes, PackageError> {
-    super::decode(payload, region, at_most, &mut Work::new(Codec::Flock, payload.len()))
+fn decode(payload: &[u8], region: &VoxelBox) -> Result<Changes, PackageError> {
+    super::decode(payload, region, &mut Work::new(Codec::Flock, payload.len()))
 }
 
-fn is_refused(payload: &[u8], region: &VoxelBox, at_most: usize) -> bool {
-    decode(payload, region, at_most).is_err()
+fn is_refused(payload: &[u8], region: &VoxelBox) -> bool {
+    decode(payload, region).is_err()
 }
 
 /// The bytes of a payload that says there are so many changes, and ends there.
@@ -177,7 +183,7 @@ proptest! {
     fn what_was_encoded_comes_back(changes in any_changes()) {
         let region = changes.bounding_box().unwrap();
         let payload = encoded(&changes, &region);
-        prop_assert_eq!(decode(&payload, &region, changes.len()), Ok(changes));
+        prop_assert_eq!(decode(&payload, &region), Ok(changes));
     }
 
     #[test]
@@ -186,7 +192,7 @@ proptest! {
         let size = core::array::from_fn(|axis| region.size()[axis] + wider[axis]);
         let Some(region) = VoxelBox::new(region.min(), size) else { return Ok(()) };
         let payload = encoded(&changes, &region);
-        prop_assert_eq!(decode(&payload, &region, usize::MAX), Ok(changes));
+        prop_assert_eq!(decode(&payload, &region), Ok(changes));
     }
 
     #[test]
@@ -194,12 +200,11 @@ proptest! {
         draw in any_draw(),
         total in prop_oneof![1..200u32, 1..1u32 << 28],
         bytes in prop::collection::vec(prop_oneof![any::<u8>(), Just(0), Just(0xff)], 0..80),
-        at_most in prop_oneof![0..300usize, Just(usize::MAX)],
     ) {
         for payload in [bytes.clone(), [numbered(total), bytes].concat()] {
             let payload = &payload;
-            if let Ok(changes) = decode(payload, &draw.region, at_most) {
-                prop_assert!(changes.len() <= at_most.min(changes_max(payload.len())));
+            if let Ok(changes) = decode(payload, &draw.region) {
+                prop_assert!(changes.len() <= changes_max(payload.len()));
                 let inside = changes.bounding_box().is_none_or(|b| b.union(&draw.region) == draw.region);
                 prop_assert!(inside);
             }
@@ -215,7 +220,7 @@ proptest! {
         let at = at.index(payload.len().max(1));
         payload.iter_mut().skip(at).take(1).for_each(|byte| *byte ^= flip);
         for payload in [&payload[..], &payload[..cut.index(payload.len() + 1)]] {
-            if let Ok(decoded) = decode(payload, &region, usize::MAX) {
+            if let Ok(decoded) = decode(payload, &region) {
                 prop_assert!(!decoded.is_empty() && decoded.len() <= changes_max(payload.len()));
                 prop_assert_eq!(decoded.bounding_box().map(|b| b.union(&region)), Some(region));
             }
@@ -267,9 +272,9 @@ fn a_full_box_of_one_state_is_filled_up_to_the_limit_of_the_decoder() {
         let payload = encoded(&changes, &region);
         assert_eq!(payload.len(), bytes_min(changes.len(), changes.blocks().len()));
         assert!(changes_max(payload.len()) >= changes.len());
-        assert_eq!(decode(&payload, &region, usize::MAX), Ok(changes.clone()));
+        assert_eq!(decode(&payload, &region), Ok(changes.clone()));
         let short = &payload[..payload.len() - 1];
-        assert!(is_refused(short, &region, usize::MAX));
+        assert!(is_refused(short, &region));
     }
 }
 
@@ -278,12 +283,11 @@ fn too_many_changes_are_refused_before_anything_is_read() {
     let mut payload = numbered(500);
     payload.resize(40, 0x5a);
     let region = |side| VoxelBox::new(Voxel::new(0, 0, 0), [side; 3]).unwrap();
-    assert_eq!(decode(&payload, &region(8), 500).map(|c| c.len()), Ok(500));
-    assert!(is_refused(&payload, &region(8), 499), "more than was asked for");
-    assert!(is_refused(&payload, &region(7), 500), "more than the box has voxels");
-    assert!(is_refused(&payload[..36], &region(8), 500), "more than so few bytes may hold");
-    assert!(is_refused(&payload, &region(513), 500), "a box that is too large");
-    assert!(is_refused(&[], &region(8), 500), "nothing");
+    assert_eq!(decode(&payload, &region(8)).map(|c| c.len()), Ok(500));
+    assert!(is_refused(&payload, &region(7)), "more than the box has voxels");
+    assert!(is_refused(&payload[..36], &region(8)), "more than so few bytes may hold");
+    assert!(is_refused(&payload, &region(513)), "a box that is too large");
+    assert!(is_refused(&[], &region(8)), "nothing");
 }
 
 #[test]
@@ -302,7 +306,7 @@ fn the_largest_boxes_come_back() {
             let changes = Changes::from_voxels(voxels.iter().map(|v| (*v, State::Occupied)));
             let payload = encoded(&changes, &region);
             assert!(payload.len() <= estimate(&changes, &region));
-            assert_eq!(decode(&payload, &region, 3), Ok(changes));
+            assert_eq!(decode(&payload, &region), Ok(changes));
         }
     }
 }
@@ -370,10 +374,10 @@ fn noise_figures() {
                     encode(&changes, &d.region, &mut payload);
                 });
                 let mut decoded = None;
-                timed(1, &mut || decoded = decode(&payload, &d.region, usize::MAX).ok());
+                timed(1, &mut || decoded = decode(&payload, &d.region).ok());
                 assert_eq!(decoded.as_ref(), Some(&changes));
                 let mut says = false;
-                timed(2, &mut || says = is_noise(&changes, &d.region));
+                timed(2, &mut || says = has_no_pattern(&changes, &d.region));
                 noise += usize::from(says);
                 bytes += payload.len();
                 limit += d.limit();

@@ -1,60 +1,16 @@
-//! Noise mode: changes that lie anywhere in a box, each told by how far it is from the one before.
-//!
-//! A set of changes without any pattern cannot cost less than h(r) + h(s) · r bits a voxel, where r is the share of voxels that
-//! changed, s the share of these that became Occupied and h the binary entropy. No context helps there and each one costs time, so
-//! this mode has none: the number of changes, then for each the voxels between it and the one before ([`gap`]), along a fixed
-//! order of the box ([`order`]), and its state, with a chance that follows from the states before it.
-//!
-//! Time goes with the number of changes, whatever the box; decoding takes memory for the blocks it has found and nothing else. What
-//! the receiver holds already is not looked at.
-//!
 //! Payload: the bytes of one arithmetic coder, which tell the number of changes and then each of them, and zeros up to the length
 //! that [`changes_max`] asks for.
 
-mod cut;
-mod fine;
-mod gap;
-mod judge;
-mod order;
-#[cfg(test)]
-mod tests;
-
 use flockmap_grid::{BlockIndex, Changes, StateBlock, VoxelBox};
 
-use self::fine::FineBits;
-use self::gap::Gaps;
-use self::order::Order;
-use super::coder::{BitReader, BitWriter};
+use super::law::Gaps;
+use super::limits::{bytes_min, changes_max};
+use super::places::Order;
+use crate::codec::Codec;
+use crate::error::PackageError;
+use crate::flock::coder::{BitReader, BitWriter, FineBits};
+use crate::limits::BOX_VOXELS_MAX;
 use crate::work::{self, Work};
-use crate::{BOX_VOXELS_MAX, Codec, PackageError};
-
-pub(crate) use self::cut::cut;
-pub(crate) use self::judge::is_noise;
-
-/// The most changes in a payload of this many bytes: 12 for each byte, and 64.
-///
-/// Changes drawn at random cost two thirds of a bit or more, unless nearly all of a box changed to one state. Payloads that would be
-/// shorter (a full box that became Free costs next to nothing) are filled up with zeros, so that a short payload never
-/// makes a receiver hold a large map. A change takes a block of 144 bytes at most, hence 1.7 KB for each byte of payload, and
-/// three times that while the list of blocks grows.
-pub(crate) const fn changes_max(payload_bytes: usize) -> usize {
-    payload_bytes.saturating_mul(CHANGES_PER_BYTE).saturating_add(CHANGES_FREE)
-}
-
-const CHANGES_PER_BYTE: usize = 12;
-const CHANGES_FREE: usize = 64;
-
-/// The fewest bytes of payload that may hold so many changes in so many blocks.
-const fn bytes_min(changes: usize, blocks: usize) -> usize {
-    let for_changes = changes.saturating_sub(CHANGES_FREE).div_ceil(CHANGES_PER_BYTE);
-    let for_work = work::bytes_min(steps(changes, blocks));
-    if for_changes > for_work { for_changes } else { for_work }
-}
-
-/// Steps of work for so many changes in so many blocks.
-pub(crate) const fn steps(changes: usize, blocks: usize) -> u64 {
-    changes as u64 * work::CHANGE_STEPS + blocks as u64 * work::NOISE_BLOCK_STEPS
-}
 
 /// Appends the payload for `changes`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels. No changes: no bytes.
 pub(crate) fn encode(changes: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
@@ -83,18 +39,13 @@ pub(crate) fn encode(changes: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
     out.resize(start + length, 0);
 }
 
-/// The changes in `payload`, at most `at_most` of them; the inverse of [`encode`]. The number is checked against the box,
-/// `at_most` and [`changes_max`] before memory is taken. Any other bytes give some changes inside the box: whether they are
+/// The changes in `payload`; the inverse of [`encode`]. The number is checked against the box and [`changes_max`] before memory is
+/// taken. Any other bytes give some changes inside the box: whether they are
 /// right is for the check of the package to say.
 ///
 /// # Errors
 /// [`PackageError::BoxTooLarge`] for more than [`BOX_VOXELS_MAX`] voxels, [`PackageError::Payload`] for too many changes.
-pub(crate) fn decode(
-    payload: &[u8],
-    region: &VoxelBox,
-    at_most: usize,
-    work: &mut Work,
-) -> Result<Changes, PackageError> {
+pub(crate) fn decode(payload: &[u8], region: &VoxelBox, work: &mut Work) -> Result<Changes, PackageError> {
     let (codec, voxels) = (Codec::Flock, region.volume());
     if voxels > u128::from(BOX_VOXELS_MAX) {
         return Err(PackageError::BoxTooLarge {
@@ -104,7 +55,7 @@ pub(crate) fn decode(
             limit: BOX_VOXELS_MAX,
         });
     }
-    let limit = (voxels as usize).min(at_most).min(changes_max(payload.len()));
+    let limit = (voxels as usize).min(changes_max(payload.len()));
     let mut bits = BitReader::new(payload);
     let total = number(&mut bits, 0);
     if total as usize > limit {
@@ -122,7 +73,7 @@ pub(crate) fn decode(
         let part = match current {
             Some(part) if order.reaches(&part, place) => part,
             _ => {
-                work.take(work::NOISE_BLOCK_STEPS)?;
+                work.take(work::GAP_CODED_BLOCK_STEPS)?;
                 let next = order.part_at(place);
                 if let Some(part) = current.replace(next) {
                     blocks.push((part.index, StateBlock::new(free, occupied)));
@@ -142,7 +93,7 @@ pub(crate) fn decode(
 
 /// Writes or reads a number of 1 … 2²⁸ − 1: how many bits follow the highest one, each with a chance of ¾ that there are more,
 /// then these as they are. A reader's `truth` means nothing.
-fn number(bits: &mut impl FineBits, truth: u32) -> u32 {
+pub(super) fn number(bits: &mut impl FineBits, truth: u32) -> u32 {
     let mut length = 0;
     while length < 27 && bits.bit(3 << 30, truth >> length > 1) {
         length += 1;

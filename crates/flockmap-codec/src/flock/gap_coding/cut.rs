@@ -1,12 +1,12 @@
-//! What noise mode costs, and cutting to a size.
+//! What gap coding costs, and cutting to a size.
 //!
 //! The cost follows from three numbers, wherever the changes lie: voxels, changes, changes to Occupied.
 
 use flockmap_grid::{Changes, VoxelBox};
 
-use super::super::order::BlockBox;
-use super::bytes_min;
-use crate::BOX_VOXELS_MAX;
+use super::limits::bytes_min;
+use crate::flock::block_box::BlockBox;
+use crate::limits::BOX_VOXELS_MAX;
 use crate::piece::{Measure, Piece};
 
 /// The most bytes that [`encode`](super::encode) takes for `changes` in `region`, and seldom five more than it takes;
@@ -84,7 +84,7 @@ pub(crate) fn cut(changes: &Changes, payload_max: usize) -> Vec<(VoxelBox, Chang
 
 #[cfg(test)]
 mod tests {
-    use super::super::encode;
+    use super::super::payload::encode;
     use super::super::tests::{Draw, any_changes, draw};
     use super::*;
     use proptest::prelude::*;

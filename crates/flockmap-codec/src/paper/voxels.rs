@@ -1,55 +1,13 @@
 //! The voxels that a box of codes tells of: found group by group, so that what says nothing costs next to nothing.
 
-use flockmap_grid::{BlockIndex, Changes, StateBlock, Voxel, VoxelBox, voxel_bit};
-use rustc_hash::FxHashMap;
+use flockmap_grid::{Changes, StateBlock, VoxelBox};
 
-use crate::hilbert::{Leaf, Pick, Places, walk_some};
-use crate::pack::{FREE, OCCUPIED};
-use crate::work::{self, Work};
-use crate::{Codec, PackageError};
-
-/// Bytes of codes that are looked at as one.
-const GROUP_BYTES: usize = 128;
-/// Codes in a byte.
-const PER_BYTE: usize = 4;
-
-/// Packed codes, in the order of their codec.
-#[derive(Clone, Copy)]
-pub(crate) struct Codes<'a> {
-    packed: &'a [u8],
-    /// A byte of codes that tell of no voxel.
-    nothing: u8,
-}
-
-impl<'a> Codes<'a> {
-    /// `background` is the code of a voxel that is not told of; the bits after the last code are the same as if there were more of these.
-    pub(crate) const fn new(packed: &'a [u8], background: u8) -> Self {
-        Self { packed, nothing: background * 0b0101_0101 }
-    }
-
-    /// The bytes of each group that tells of a voxel, with the number of the first.
-    fn groups(self) -> impl Iterator<Item = (usize, &'a [u8])> {
-        let nothing = u64::from_le_bytes([self.nothing; 8]);
-        let firsts = (0..self.packed.len()).step_by(GROUP_BYTES);
-        firsts.zip(self.packed.chunks(GROUP_BYTES)).filter(move |(_, group)| {
-            let (words, rest) = group.as_chunks::<8>();
-            let words = words.iter().fold(0, |all, word| all | (u64::from_le_bytes(*word) ^ nothing));
-            words != 0 || rest.iter().any(|byte| *byte != self.nothing)
-        })
-    }
-
-    /// Groups that tell of a voxel, and bytes that do.
-    fn count(self) -> (u64, u64) {
-        let tells = |group: &[u8]| group.iter().filter(|byte| **byte != self.nothing).count() as u64;
-        self.groups().fold((0, 0), |(groups, bytes), (_, group)| (groups + 1, bytes + tells(group)))
-    }
-
-    /// The steps that it takes to find the voxels.
-    pub(crate) fn steps(self) -> u64 {
-        let (groups, bytes) = self.count();
-        work::of_codes(groups, bytes)
-    }
-}
+use super::blocks::Blocks;
+use super::codes::{Codes, FREE, GROUP_BYTES, OCCUPIED, PER_BYTE};
+use super::hilbert::{Leaf, Pick, Places, walk_some};
+use crate::codec::Codec;
+use crate::error::PackageError;
+use crate::work::Work;
 
 /// The voxels of `codes`, in the order of a codec: that of the paper along the Hilbert walk, the others nested.
 pub(crate) fn voxels(
@@ -61,10 +19,11 @@ pub(crate) fn voxels(
 ) -> Result<Changes, PackageError> {
     work.take(codes.steps())?;
     let size = region.size().map(|side| side as usize);
-    let mut blocks = Blocks::new(codec, *region, work, rule);
+    let wrong = PackageError::Payload { codec, rule };
+    let mut found = Found { blocks: Blocks::new(region, work), wrong };
     if codec == Codec::Paper {
         let groups: Vec<usize> = codes.groups().map(|(first, _)| first * PER_BYTE).collect();
-        walk_some(size, &mut Found { codes, groups: &groups, places: Places::of(size), blocks: &mut blocks });
+        walk_some(size, &mut Walk { codes, groups: &groups, places: Places::of(size), found: &mut found });
     } else {
         let [_, depth, height] = size.map(|side| side as u32);
         for (byte, at) in codes.groups().flat_map(|(first, group)| group.iter().zip(first..)) {
@@ -77,7 +36,7 @@ pub(crate) fn voxels(
             for at in 0..PER_BYTE {
                 let code = byte >> (2 * at) & 3;
                 if code != codes.nothing & 3 {
-                    blocks.set([xy / depth, xy % depth, z].map(|at| at as i32), code);
+                    found.set([xy / depth, xy % depth, z].map(|at| at as i32), code);
                 }
                 z += 1;
                 if z == height {
@@ -86,24 +45,51 @@ pub(crate) fn voxels(
             }
         }
     }
-    blocks.finish()
+    let blocks = found.blocks.finish()?.into_iter();
+    Ok(Changes::from_blocks(
+        blocks.map(|((_, index), [free, occupied])| (index, StateBlock::new(free, occupied))).collect(),
+    ))
+}
+
+/// What was found.
+struct Found<'w> {
+    blocks: Blocks<'w, ()>,
+    /// What codes that are no states are refused with.
+    wrong: PackageError,
+}
+
+impl Found<'_> {
+    /// `place` is in the box.
+    #[inline]
+    fn set(&mut self, place: [i32; 3], code: u8) {
+        let Some((planes, bit)) = self.blocks.at((), place) else { return };
+        let plane = match code {
+            FREE => 0,
+            OCCUPIED => 1,
+            _ => {
+                self.blocks.fault.get_or_insert_with(|| self.wrong.clone());
+                return;
+            }
+        };
+        planes[plane][bit >> 6 & 7] |= 1 << (bit & 63);
+    }
 }
 
 /// Voxels with a code, along the Hilbert walk.
-struct Found<'a, 'b, 'w> {
+struct Walk<'a, 'b, 'w> {
     codes: Codes<'a>,
     /// The first code of each group that tells of a voxel, from the one that comes next.
     groups: &'a [usize],
     places: Places,
-    blocks: &'b mut Blocks<'w>,
+    found: &'b mut Found<'w>,
 }
 
-impl Pick for Found<'_, '_, '_> {
+impl Pick for Walk<'_, '_, '_> {
     #[inline]
     fn next(&mut self, step: usize) -> usize {
         while let Some((first, later)) = self.groups.split_first() {
             if first + GROUP_BYTES * PER_BYTE > step {
-                return if self.blocks.fault.is_some() { usize::MAX } else { *first.max(&step) };
+                return if self.found.blocks.fault.is_some() { usize::MAX } else { *first.max(&step) };
             }
             self.groups = later;
         }
@@ -126,7 +112,7 @@ impl Pick for Found<'_, '_, '_> {
                 for at in at..next {
                     let code = byte >> (2 * (at % PER_BYTE)) & 3;
                     if code != nothing & 3 {
-                        self.blocks.set(self.places.place(leaf.voxel(at - step)), code);
+                        self.found.set(self.places.place(leaf.voxel(at - step)), code);
                     }
                 }
             }
@@ -135,95 +121,12 @@ impl Pick for Found<'_, '_, '_> {
     }
 }
 
-/// The blocks of a box in which voxels were found.
-struct Blocks<'w> {
-    codec: Codec,
-    min: Voxel,
-    found: Vec<(BlockIndex, [[u64; 8]; 2])>,
-    number_of: FxHashMap<BlockIndex, usize>,
-    /// Where the last blocks are in `found`, one for each that is even or odd along the axes: so that neighbours are all here.
-    last: [usize; 8],
-    work: &'w mut Work,
-    /// What codes that are no states are refused with.
-    rule: &'static str,
-    fault: Option<PackageError>,
-}
-
-impl<'w> Blocks<'w> {
-    fn new(codec: Codec, region: VoxelBox, work: &'w mut Work, rule: &'static str) -> Self {
-        Self {
-            codec,
-            min: region.min(),
-            found: Vec::new(),
-            number_of: FxHashMap::default(),
-            last: [usize::MAX; 8],
-            work,
-            rule,
-            fault: None,
-        }
-    }
-
-    /// `place` is in the box.
-    #[inline]
-    fn set(&mut self, [x, y, z]: [i32; 3], code: u8) {
-        let voxel = Voxel::new(self.min.x + x, self.min.y + y, self.min.z + z);
-        let (index, bit) = (voxel.block(), voxel_bit(voxel));
-        let last = ((index.x & 1) | (index.y & 1) << 1 | (index.z & 1) << 2) as usize;
-        let mut number = self.last[last & 7];
-        if self.found.get(number).is_none_or(|(found, _)| *found != index) {
-            match self.number(index) {
-                Some(found) => number = found,
-                None => return,
-            }
-            self.last[last & 7] = number;
-        }
-        let plane = match code {
-            FREE => 0,
-            OCCUPIED => 1,
-            _ => {
-                self.fault.get_or_insert(PackageError::Payload { codec: self.codec, rule: self.rule });
-                return;
-            }
-        };
-        if let Some((_, planes)) = self.found.get_mut(number) {
-            planes[plane][bit >> 6 & 7] |= 1 << (bit & 63);
-        }
-    }
-
-    /// The number of a block, which is counted when it is new.
-    #[inline(never)]
-    fn number(&mut self, index: BlockIndex) -> Option<usize> {
-        if self.fault.is_some() {
-            return None;
-        }
-        let new = self.found.len();
-        let number = *self.number_of.entry(index).or_insert(new);
-        if number == new {
-            if let Err(fault) = self.work.take(work::BLOCK_STEPS) {
-                self.fault = Some(fault);
-                return None;
-            }
-            self.found.push((index, [[0; 8]; 2]));
-        }
-        Some(number)
-    }
-
-    fn finish(self) -> Result<Changes, PackageError> {
-        if let Some(fault) = self.fault {
-            return Err(fault);
-        }
-        let blocks =
-            self.found.into_iter().map(|(index, [free, occupied])| (index, StateBlock::new(free, occupied)));
-        Ok(Changes::from_blocks(blocks.collect()))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hilbert_order;
-    use crate::pack::{UNCHANGED, UNKNOWN, pack};
-    use flockmap_grid::State;
+    use crate::paper::codes::{UNCHANGED, UNKNOWN, pack};
+    use crate::paper::hilbert::hilbert_order;
+    use flockmap_grid::{State, Voxel};
     use proptest::prelude::*;
 
     /// The codes of a box in some order of its voxels, most of them `background`.

@@ -1,14 +1,16 @@
-//! The codecs: the states of the voxels of a box as bytes. A new codec is a new arm here.
+//! The states of the voxels of a box as bytes, in each of these codecs.
 
-use flockmap_grid::{Changes, State, Voxel, VoxelBox};
+use flockmap_grid::{Changes, VoxelBox};
 
-use crate::code_grid::{CodeGrid, nested_columns};
+use super::codes::{Codes, UNCHANGED, UNKNOWN, pack, packed_len};
+use super::grid::{CodeGrid, nested_columns};
+use super::hilbert::walk;
+use super::{addresses, voxels};
+use crate::codec::Codec;
 use crate::deflate::{Deflater, EXPANSION_MAX, inflate_exact};
-use crate::hilbert::walk;
-use crate::pack::{UNCHANGED, UNKNOWN, pack, packed_len};
-use crate::told::{self, Codes};
+use crate::error::PackageError;
+use crate::limits::BOX_VOXELS_MAX;
 use crate::work::{self, Work};
-use crate::{BOX_VOXELS_MAX, Codec, PackageError};
 
 /// What holds for the voxels of the box that are in no state.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -64,7 +66,7 @@ pub(crate) fn encode(
 ) -> u64 {
     let blocks = states.blocks().len();
     if codec == Codec::Racer {
-        encode_addresses(states, region, out);
+        addresses::encode(states, region, out);
         return steps(codec, 0, 0, &mut [], blocks);
     }
     let Scratch { grid, sequence, packed } = scratch;
@@ -113,17 +115,17 @@ pub(crate) fn decode(
     work: &mut Work,
 ) -> Result<Changes, PackageError> {
     let limit = voxels_max(codec, payload.len(), others);
-    let voxels = region.volume();
-    if voxels > u128::from(limit) {
-        return Err(PackageError::BoxTooLarge { voxels, payload: payload.len(), codec, limit });
+    let volume = region.volume();
+    if volume > u128::from(limit) {
+        return Err(PackageError::BoxTooLarge { voxels: volume, payload: payload.len(), codec, limit });
     }
     if codec == Codec::Racer {
-        let states = decode_addresses(payload, region)?;
+        let states = addresses::decode(payload, region)?;
         work.take(work::BLOCK_STEPS * states.blocks().len() as u64)?;
         return Ok(states);
     }
     let wrong = |rule| PackageError::Payload { codec, rule };
-    let volume = voxels as usize;
+    let volume = volume as usize;
     let length = packed_len(volume);
     // What is there already is written over.
     if scratch.packed.len() < length {
@@ -147,7 +149,7 @@ pub(crate) fn decode(
         Others::Unchanged => "no voxel changes to Unknown (code 10)",
         Others::Unknown => "no voxel of a present state is Unchanged (code 11)",
     };
-    told::voxels(codec, codes, region, work, rule)
+    voxels::voxels(codec, codes, region, work, rule)
 }
 
 const FILLED: &str = "two bits for each voxel of the box, zeros after the last";
@@ -177,52 +179,4 @@ fn steps(codec: Codec, volume: usize, background: u8, packed: &mut [u8], blocks:
         }
     };
     codes + work::BLOCK_STEPS * blocks as u64
-}
-
-/// Bytes for each voxel in the list of addresses.
-const ADDRESS_BYTES: usize = 5;
-
-/// For each voxel of `states`, ascending: the place in nested order as `u32`, then 0 for Free or 1 for Occupied.
-fn encode_addresses(states: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
-    let (min, [_, ny, nz]) = (region.min(), region.size());
-    let mut list: Vec<(u32, u8)> = states
-        .voxels()
-        .map(|(v, state)| {
-            let [x, y, z] = [v.x - min.x, v.y - min.y, v.z - min.z].map(|d| d as u32);
-            ((x * ny + y) * nz + z, u8::from(state == State::Occupied))
-        })
-        .collect();
-    list.sort_unstable();
-    out.reserve(list.len() * ADDRESS_BYTES);
-    for (address, state) in list {
-        out.extend_from_slice(&address.to_le_bytes());
-        out.push(state);
-    }
-}
-
-fn decode_addresses(payload: &[u8], region: &VoxelBox) -> Result<Changes, PackageError> {
-    let wrong = |rule| PackageError::Payload { codec: Codec::Racer, rule };
-    let (entries, rest) = payload.as_chunks::<ADDRESS_BYTES>();
-    if !rest.is_empty() {
-        return Err(wrong("five bytes for each voxel"));
-    }
-    let (min, [nx, ny, nz]) = (region.min(), region.size());
-    let mut next = 0u32;
-    let mut voxels = Vec::with_capacity(entries.len());
-    for &[a, b, c, d, state] in entries {
-        let address = u32::from_le_bytes([a, b, c, d]);
-        let (xy, z) = (address / nz, address % nz);
-        let (x, y) = (xy / ny, xy % ny);
-        if address < next || x >= nx {
-            return Err(wrong("addresses ascend and lie in the box"));
-        }
-        next = address + 1;
-        let state = match state {
-            0 => State::Free,
-            1 => State::Occupied,
-            _ => return Err(wrong("a state is 0 for Free or 1 for Occupied")),
-        };
-        voxels.push((Voxel::new(min.x + x as i32, min.y + y as i32, min.z + z as i32), state));
-    }
-    Ok(Changes::from_voxels(voxels))
 }

@@ -1,37 +1,40 @@
-//! Whether changes look like noise.
+//! Whether changes have a pattern.
 
-use flockmap_grid::{BLOCK_SIDE, Changes, VoxelBox};
+use flockmap_grid::{BLOCK_SIDE, Changes, Plane, StateBlock, VoxelBox};
 
-use super::changes_max;
 use super::cut::estimate_of;
+use super::limits::changes_max;
 
-/// Whether noise mode is worth trying: neither the places of the changes nor their states hang together. `region` is the tight
+/// Whether gap coding is worth trying: neither the places of the changes nor their states hang together. `region` is the tight
 /// box of `changes`. Compares neighbours along x, y and z with what changes thrown anywhere into the box would show.
 ///
 /// Of a few dozen changes nothing certain can be said, and the answer is often yes, as it is for sparse obstacles: compare
-/// [`estimate`](super::estimate) with what another mode took, and code only the smaller. For what noise mode would say in less than
+/// [`estimate`](super::cut::estimate) with what another mode took, and code only the smaller. For what it would say in less than
 /// two thirds of a bit a change (a full box of one state), the answer is no. O(blocks), two passes over their words at most.
-pub(crate) fn is_noise(changes: &Changes, region: &VoxelBox) -> bool {
-    let counts = Counts::of(changes);
-    let (voxels, changed) = (region.volume() as i128, i128::from(counts.changed));
+pub(crate) fn has_no_pattern(changes: &Changes, region: &VoxelBox) -> bool {
+    let blocks = changes.blocks().iter();
+    let count =
+        |of: fn(&StateBlock) -> u64| i128::from(blocks.clone().map(|(_, block)| of(block)).sum::<u64>());
+    let occupied = count(|block| ones(block.occupied().iter().copied()));
+    let (voxels, changed) = (region.volume() as i128, changes.len() as i128);
     // Of all pairs of neighbours in the box: how many would be changed both if it were by chance, and how many more are?
-    let pairs = i128::from(counts.pairs);
+    let pairs = count(|block| pairs_in(&block.known()));
     let by_chance = pairs_of(region) * changed / voxels * changed / voxels;
-    // All pairs of a pattern without noise.
+    // All pairs of a pure pattern.
     let most = pairs_of(region) * changed / voxels;
     if pairs - by_chance > (most - by_chance) / 20 + luck(by_chance) {
         return false;
     }
     // The same for the states of the pairs.
-    let equal = i128::from(counts.equal(changes));
-    let [free, occupied] = [counts.changed - counts.occupied, counts.occupied].map(i128::from);
+    let equal = count(|block| pairs_in(block.free()) + pairs_in(block.occupied()));
+    let free = changed - occupied;
     let by_chance = pairs * (free * free + occupied * occupied) / (changed * changed).max(1);
     if equal - by_chance > (pairs - by_chance) / 10 + luck(pairs - by_chance) {
         return false;
     }
-    // Without zeros for the work of its blocks: what needs them is no noise.
-    let payload = estimate_of(region, 0, counts.changed as usize, counts.occupied as usize);
-    counts.changed as usize <= changes_max(payload.saturating_sub(8))
+    // Without zeros for the work of its blocks: what needs them has a pattern.
+    let payload = estimate_of(region, 0, changes.len(), occupied as usize);
+    changes.len() <= changes_max(payload.saturating_sub(8))
 }
 
 /// How far a count of independent things that is so large on average hardly ever strays.
@@ -52,36 +55,11 @@ fn pairs_of(region: &VoxelBox) -> i128 {
 const HAS_NEXT_X: u64 = 0x7f7f_7f7f_7f7f_7f7f;
 const HAS_NEXT_Y: u64 = u64::MAX >> BLOCK_SIDE;
 
-struct Counts {
-    changed: u64,
-    occupied: u64,
-    /// Neighbours in a block that changed both.
-    pairs: u64,
-}
-
-impl Counts {
-    fn of(changes: &Changes) -> Self {
-        let mut counts = Self { changed: 0, occupied: 0, pairs: 0 };
-        for (_, block) in changes.blocks() {
-            let known = block.known();
-            counts.changed += ones(known.into_iter());
-            counts.occupied += ones(block.occupied().iter().copied());
-            counts.pairs += ones(known.into_iter().map(|word| word & word >> 1 & HAS_NEXT_X));
-            counts.pairs += ones(known.into_iter().map(|word| word & word >> 8 & HAS_NEXT_Y));
-            counts.pairs += ones(known.iter().zip(known.iter().skip(1)).map(|(word, next)| word & next));
-        }
-        counts
-    }
-
-    /// Pairs that have the same state.
-    fn equal(&self, changes: &Changes) -> u64 {
-        let of_plane = |plane: &[u64; 8]| {
-            ones(plane.iter().map(|word| word & word >> 1 & HAS_NEXT_X))
-                + ones(plane.iter().map(|word| word & word >> 8 & HAS_NEXT_Y))
-                + ones(plane.iter().zip(plane.iter().skip(1)).map(|(word, next)| word & next))
-        };
-        changes.blocks().iter().map(|(_, block)| of_plane(block.free()) + of_plane(block.occupied())).sum()
-    }
+/// Neighbours in a block that are set both.
+fn pairs_in(plane: &Plane) -> u64 {
+    let along_x = ones(plane.iter().map(|word| word & word >> 1 & HAS_NEXT_X));
+    let along_y = ones(plane.iter().map(|word| word & word >> 8 & HAS_NEXT_Y));
+    along_x + along_y + ones(plane.iter().zip(plane.iter().skip(1)).map(|(word, next)| word & next))
 }
 
 fn ones(words: impl Iterator<Item = u64>) -> u64 {
@@ -95,11 +73,11 @@ mod tests {
     use flockmap_grid::{State, Voxel};
 
     fn judged(changes: &Changes) -> bool {
-        is_noise(changes, &changes.bounding_box().unwrap())
+        has_no_pattern(changes, &changes.bounding_box().unwrap())
     }
 
     #[test]
-    fn random_draws_are_noise() {
+    fn random_draws_have_none() {
         for seed in 0..200u64 {
             let mut random = Random(seed);
             let size = core::array::from_fn(|_| 1 + random.below(70) as u32);
@@ -115,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_sensor_sees_is_not() {
+    fn what_a_sensor_sees_has_one() {
         for seed in 0..10 {
             for radius in [6, 12, 25] {
                 assert!(!judged(&ball(radius, seed)), "ball of {radius}");
@@ -140,6 +118,6 @@ mod tests {
             judged(&Changes::from_voxels(voxels.iter().map(|v| (*v, State::Free))));
         }
         let nothing = VoxelBox::new(Voxel::new(0, 0, 0), [1; 3]).unwrap();
-        is_noise(&Changes::default(), &nothing);
+        has_no_pattern(&Changes::default(), &nothing);
     }
 }

@@ -4,16 +4,18 @@
 //! the differences from each stamp to the next; then for each known voxel along the Hilbert walk of the box the number
 //! of its stamp, the low bytes of all voxels first, and the high bytes after them if there are more than 256 stamps.
 
-use flockmap_grid::{BlockIndex, Changes, PresentState, Stamp, StateBlock, Voxel, VoxelBox, voxel_bit};
-use rustc_hash::FxHashMap;
+use flockmap_grid::{Changes, PresentState, Stamp, StateBlock, VoxelBox};
 
-use crate::code_grid::CodeGrid;
+use super::blocks::Blocks;
+use super::codes::{FREE, OCCUPIED, UNKNOWN};
+use super::grid::{CodeGrid, place};
+use super::hilbert::{Places, walk, walk_places};
+use crate::bytes::put_varint;
+use crate::codec::Codec;
 use crate::deflate::{Deflater, inflate_up_to};
-use crate::hilbert::{Places, walk, walk_places};
-use crate::pack::{FREE, OCCUPIED, UNKNOWN};
-use crate::varint::{self, Reader};
+use crate::error::PackageError;
+use crate::fields::Fields;
 use crate::work::{self, Work};
-use crate::{Codec, PackageError};
 
 /// Most distinct stamps in a tile.
 pub(crate) const STAMPS_MAX: usize = 1 << 16;
@@ -29,10 +31,10 @@ pub(crate) fn encode(
         return;
     }
     let mut bytes = Vec::new();
-    varint::write(&mut bytes, parts.len() as u64);
+    put_varint(&mut bytes, parts.len() as u64);
     for pair in parts.windows(2) {
         if let [(earlier, _), (later, _)] = pair {
-            varint::write(&mut bytes, later.0.wrapping_sub(earlier.0) as u64);
+            put_varint(&mut bytes, later.0.wrapping_sub(earlier.0) as u64);
         }
     }
     // Numbers from 1; 0 stands for voxels that are not known.
@@ -76,7 +78,7 @@ pub(crate) fn decode(
     codec: Codec,
     bytes: &[u8],
     states: Changes,
-    region: VoxelBox,
+    region: &VoxelBox,
     [first, last]: [Stamp; 2],
     work: &mut Work,
     grid: &mut CodeGrid,
@@ -87,7 +89,7 @@ pub(crate) fn decode(
             return Err(wrong("a tile without stamps of its own has one stamp"));
         }
         let parts = if states.is_empty() { Vec::new() } else { vec![(first, states)] };
-        return Ok(PresentState { region, parts, sensors: Vec::new() });
+        return Ok(PresentState { region: *region, parts, sensors: Vec::new() });
     }
     let known = states.len();
     work.take(work::of_stamps(region.volume() as u64, known as u64))?;
@@ -95,7 +97,7 @@ pub(crate) fn decode(
     let inflated = inflate_up_to(bytes, 10 * (stamps_max + 1) + 2 * known)
         .ok_or_else(|| wrong("stamps are one whole zlib stream and nothing after it"))?;
 
-    let mut reader = Reader::new(&inflated);
+    let mut reader = Fields::new(&inflated);
     let count = reader.number("number of stamps", stamps_max as u64)? as usize;
     let mut stamps = vec![first];
     for _ in 1..count {
@@ -114,67 +116,42 @@ pub(crate) fn decode(
     }
     let mut numbers = low.iter().zip(high.iter().copied().chain(core::iter::repeat(0)));
 
-    grid.fill(&states, &region, UNKNOWN);
+    grid.fill(&states, region, UNKNOWN);
     let codes = grid.codes();
     let size = region.size().map(|side| side as usize);
-    let (min, places) = (region.min(), Places::of(size));
-    let mut blocks: Vec<(u16, (BlockIndex, StateBlock))> = Vec::new();
-    let mut place_of = FxHashMap::<(u16, BlockIndex), usize>::default();
-    // Voxels one after the other are of one block and stamp as a rule.
-    let mut last = usize::MAX;
-    let mut fault = None;
+    let places = Places::of(size);
+    let mut blocks = Blocks::new(region, work);
     walk_places(size, |leaf| {
-        leaf.for_each(|number| {
-            let [x, y, z] = places.place(number);
+        leaf.for_each(|at| {
+            let [x, y, z] = places.place(at);
             let index = (z as usize * size[1] + y as usize) * size[0] + x as usize;
-            let state = match codes.get(index) {
-                Some(&FREE) => flockmap_grid::State::Free,
-                Some(&OCCUPIED) => flockmap_grid::State::Occupied,
+            let plane = match codes.get(index) {
+                Some(&FREE) => 0,
+                Some(&OCCUPIED) => 1,
                 _ => return,
             };
             let Some((low, high)) = numbers.next() else { return };
             let number = u16::from_le_bytes([*low, high]);
-            if fault.is_some() {
-                return;
-            }
             if usize::from(number) >= count {
-                fault = Some(wrong("a voxel has one of the stamps that there are"));
-                return;
-            }
-            let voxel = Voxel::new(min.x + x, min.y + y, min.z + z);
-            let block = voxel.block();
-            if blocks.get(last).is_none_or(|(of, (found, _))| *of != number || *found != block) {
-                last = *place_of.entry((number, block)).or_insert(blocks.len());
-                if last == blocks.len() {
-                    fault = work.take(work::BLOCK_STEPS).err();
-                    blocks.push((number, (block, StateBlock::default())));
-                }
-            }
-            if let Some((_, (_, states))) = blocks.get_mut(last) {
-                states.set(voxel_bit(voxel), state);
+                blocks.fault.get_or_insert_with(|| wrong("a voxel has one of the stamps that there are"));
+            } else if let Some((planes, bit)) = blocks.at(number, [x, y, z]) {
+                planes[plane][bit >> 6 & 7] |= 1 << (bit & 63);
             }
         });
     });
-    if let Some(fault) = fault {
-        return Err(fault);
-    }
-
-    blocks.sort_unstable_by_key(|(number, (index, _))| (*number, *index));
+    let mut blocks = blocks.finish()?;
+    blocks.sort_unstable_by_key(|(of, _)| *of);
     let parts: Vec<(Stamp, Changes)> = blocks
-        .chunk_by(|a, b| a.0 == b.0)
+        .chunk_by(|((a, _), _), ((b, _), _)| a == b)
         .filter_map(|part| {
-            let stamp = stamps.get(usize::from(part.first()?.0))?;
-            Some((*stamp, Changes::from_blocks(part.iter().map(|(_, block)| *block).collect())))
+            let ((number, _), _) = part.first()?;
+            let blocks =
+                part.iter().map(|((_, index), [free, occupied])| (*index, StateBlock::new(*free, *occupied)));
+            Some((*stamps.get(usize::from(*number))?, Changes::from_blocks(blocks.collect())))
         })
         .collect();
     if parts.len() < count {
         return Err(wrong("every stamp has a voxel"));
     }
-    Ok(PresentState { region, parts, sensors: Vec::new() })
-}
-
-fn place(region: &VoxelBox, voxel: Voxel) -> usize {
-    let (min, size) = (region.min(), region.size().map(|s| s as usize));
-    let [x, y, z] = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as usize);
-    (z * size[1] + y) * size[0] + x
+    Ok(PresentState { region: *region, parts, sensors: Vec::new() })
 }

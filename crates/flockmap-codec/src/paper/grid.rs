@@ -2,7 +2,7 @@
 
 use flockmap_grid::{Changes, Plane, Voxel, VoxelBox};
 
-use crate::pack::{FREE, OCCUPIED};
+use super::codes::{FREE, OCCUPIED};
 
 /// The codes of a box, x fastest, then y, then z (the order of the bits of a block). Keeps its memory between
 /// uses: one byte for each voxel of the largest box so far.
@@ -17,15 +17,10 @@ impl CodeGrid {
         &self.codes
     }
 
-    /// `volume` codes, all `background`.
-    fn clear(&mut self, volume: usize, background: u8) {
-        self.codes.clear();
-        self.codes.resize(volume, background);
-    }
-
     /// The codes of `states`, all inside `region`; `background` for the voxels that are in no state.
     pub(crate) fn fill(&mut self, states: &Changes, region: &VoxelBox, background: u8) {
-        self.clear(region.volume() as usize, background);
+        self.codes.clear();
+        self.codes.resize(region.volume() as usize, background);
         for (index, block) in states.blocks() {
             let corner = index.corner();
             let known = block.known();
@@ -58,7 +53,7 @@ impl CodeGrid {
 }
 
 /// The place of a voxel of `region` among its codes.
-fn place(region: &VoxelBox, voxel: Voxel) -> usize {
+pub(crate) fn place(region: &VoxelBox, voxel: Voxel) -> usize {
     let (min, size) = (region.min(), region.size().map(|s| s as usize));
     let [x, y, z] = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as usize);
     (z * size[1] + y) * size[0] + x
