@@ -20,8 +20,8 @@ pub use sealed::{
     seal_datagram,
 };
 
-use crate::bytes::{Reader, put_varint, varint_len};
 use flockmap_codec::PackageError;
+use flockmap_codec::bytes::{Reader, put_varint, varint_len};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 /// No datagram is longer: UDP payload in bytes. Longer ones are refused unread.

@@ -5,8 +5,8 @@ use super::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
 };
 use crate::IntervalSet;
-use crate::bytes::{Reader, put_varint};
 use flockmap_codec::Package;
+use flockmap_codec::bytes::{Reader, put_varint};
 use flockmap_grid::Stream;
 
 const PACKAGE: u8 = 16;
