@@ -1,7 +1,8 @@
-//! Reading and writing bytes: little-endian integers, and whole numbers in as few bytes as they need (LEB128, zigzag for signed ones).
+//! Reading and writing bytes: little-endian integers, and whole numbers in as few bytes as they need (LEB128,
+//! zigzag for signed ones).
 //!
-//! One reader and writer for packages, for the datagrams that carry them, and for the messages that they are measured against. Nothing
-//! here panics, whatever the bytes.
+//! One reader and writer for packages, for the datagrams that carry them, and for the messages that they are
+//! measured against. Nothing here panics, whatever the bytes.
 
 /// Reads from the front. Every read is `None` once too few bytes are left.
 #[derive(Clone, Copy, Debug)]

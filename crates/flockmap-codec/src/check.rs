@@ -1,13 +1,13 @@
-//! The check of a package: CRC-32 (the one of zlib) over its header, the length of its payload, and its decoded content in one fixed
-//! form.
+//! The check of a package: CRC-32 (the one of zlib) over its header, the length of its payload, and its
+//! decoded content in one fixed form.
 
 use crc32fast::Hasher;
 use flockmap_grid::{Changes, PresentVoxels, Stamp};
 
 use crate::codec::Codec;
 
-/// The check of a package. `header` is its bytes up to the check. With the length of the payload a package that lost its end, or got
-/// another, is damaged for every codec.
+/// The check of a package. `header` is its bytes up to the check. With the length of the payload a package
+/// that lost its end, or got another, is damaged for every codec.
 pub(crate) fn of_package(header: &[u8], payload: &[u8], content: &Hasher) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(header);
@@ -32,8 +32,8 @@ pub(crate) fn of_chunk(parts: &[(Stamp, Changes)], sensors: &[(Stamp, [i32; 3])]
     hasher
 }
 
-/// Tells sets of chunks apart: the check of a whole snapshot, of the packages that it contains, and of all that decides how it is cut and
-/// coded, since chunks may be told against each other.
+/// Tells sets of chunks apart: the check of a whole snapshot, of the packages that it contains, and of all
+/// that decides how it is cut and coded, since chunks may be told against each other.
 pub(crate) fn of_set(codec: Codec, bytes_max: usize, [since, upto]: [u32; 2], state: &PresentVoxels) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(&[codec.id()]);

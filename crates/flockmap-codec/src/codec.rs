@@ -11,12 +11,13 @@ pub enum Codec {
     Raw = 0,
     /// As `Raw`, then zlib level 6: the other half of the paper's Table II.
     NestedZlib = 1,
-    /// The paper's method (Sec. III): 2 bits for each voxel of the box along a Hilbert walk, then zlib level 6.
+    /// The paper's method (Sec. III): 2 bits for each voxel of the box along a Hilbert walk, then zlib level
+    /// 6.
     Paper = 2,
     /// The paper's baseline: for each changed voxel a 32-bit address in the box and a byte of state.
     Racer = 3,
-    /// Flockmap's own: decisions of an arithmetic coder with trained contexts, told against what the receivers hold
-    /// (`docs/codec.md`). A third of the bytes of `Paper` and less.
+    /// Flockmap's own: decisions of an arithmetic coder with trained contexts, told against what the
+    /// receivers hold (`docs/codec.md`). A third of the bytes of `Paper` and less.
     Flock = 4,
 }
 

@@ -12,10 +12,11 @@ use crate::priority::Priority;
 use crate::work::{self, Work};
 use crate::{flock, paper};
 
-/// Decodes packages and keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box
-/// so far. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package and each known one in its box or beside
-/// it, 45 bytes at most for each block of the box (of which there are at most 2¹⁸), and 40 KB. The tables of that codec, 690 KB, are one
-/// for the whole process. One for each thread.
+/// Decodes packages and keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest
+/// box so far. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package and
+/// each known one in its box or beside it, 45 bytes at most for each block of the box (of which there are at
+/// most 2¹⁸), and 40 KB. The tables of that codec, 690 KB, are one for the whole process. One for each
+/// thread.
 #[derive(Default)]
 pub struct Decoder {
     paper: paper::Scratch,
@@ -35,12 +36,14 @@ impl Decoder {
         self.decode_against(package, None)
     }
 
-    /// The content of a package that was coded against what earlier ones said: `layer` is that of its stream and must hold all
-    /// packages up to `reference` of the header. Packages of the same cycle may have been applied to it already.
+    /// The content of a package that was coded against what earlier ones said: `layer` is that of its stream
+    /// and must hold all packages up to `reference` of the header. Packages of the same cycle may have been
+    /// applied to it already.
     ///
     /// # Errors
-    /// [`PackageError::Overtaken`] if a later cycle or a present state has been applied to a block that the package builds on:
-    /// what it was before is gone, and the package can only be replaced by a present state.
+    /// [`PackageError::Overtaken`] if a later cycle or a present state has been applied to a block that the
+    /// package builds on: what it was before is gone, and the package can only be replaced by a present
+    /// state.
     pub fn decode_against(
         &mut self,
         package: &Package,
@@ -98,8 +101,9 @@ impl Decoder {
     /// The content of a tile of [`Codec::Flock`] that continues those read before; it then counts among them.
     ///
     /// # Errors
-    /// [`PackageError::TileMissing`] if it is not the tile that comes next; then nothing has changed. After any other error
-    /// `before` is as if nothing had been read: what the tiles said is safe, but all of them are needed again to go on.
+    /// [`PackageError::TileMissing`] if it is not the tile that comes next; then nothing has changed. After
+    /// any other error `before` is as if nothing had been read: what the tiles said is safe, but all of them
+    /// are needed again to go on.
     pub fn decode_tile(
         &mut self,
         package: &Package,
@@ -123,7 +127,8 @@ impl Decoder {
         Ok(state)
     }
 
-    /// Steps of work that the last package took, as `WIRE.md` counts them; of a refused one those up to its refusal.
+    /// Steps of work that the last package took, as `WIRE.md` counts them; of a refused one those up to its
+    /// refusal.
     pub const fn steps(&self) -> u64 {
         self.steps
     }
@@ -134,8 +139,9 @@ impl Decoder {
     }
 }
 
-/// The tiles of one set that have been read, from the first on. In [`Codec::Flock`] each tile is told against those before it;
-/// in the other codecs each can be read alone. Holds as much as a [`Layer`] of what was read.
+/// The tiles of one set that have been read, from the first on. In [`Codec::Flock`] each tile is told against
+/// those before it; in the other codecs each can be read alone. Holds as much as a [`Layer`] of what was
+/// read.
 #[derive(Clone, Debug, Default)]
 pub struct TilesRead {
     told: Layer,
@@ -158,8 +164,8 @@ impl TilesRead {
         self.told.memory_bytes()
     }
 
-    /// Bytes that it may hold at most while and after this tile is read, beside the stamps of the voxels of the tile: it adds at most as many
-    /// blocks as its bytes may ask for. O(1).
+    /// Bytes that it may hold at most while and after this tile is read, beside the stamps of the voxels of
+    /// the tile: it adds at most as many blocks as its bytes may ask for. O(1).
     pub fn memory_bytes_with(&self, tile: &Package) -> usize {
         let blocks = work::limit(tile.payload().len()) / work::BLOCK_STEPS;
         self.told.memory_bytes_with(usize::try_from(blocks).unwrap_or(usize::MAX))
@@ -167,17 +173,18 @@ impl TilesRead {
 }
 
 impl Package {
-    /// The content. An error means that the package is damaged, or is not of this version: none of it may be used.
+    /// The content. An error means that the package is damaged, or is not of this version: none of it may be
+    /// used.
     ///
-    /// Takes at most 2.5 bytes of memory for each voxel of the box while it works, and the box is refused before
-    /// that if the payload could not fill it: 12 MB for a package of 1,150 bytes, twice that for a present state. To
-    /// decode many packages use a [`Decoder`], which keeps its memory.
+    /// Takes at most 2.5 bytes of memory for each voxel of the box while it works, and the box is refused
+    /// before that if the payload could not fill it: 12 MB for a package of 1,150 bytes, twice that for a
+    /// present state. To decode many packages use a [`Decoder`], which keeps its memory.
     pub fn decode(&self) -> Result<Content, PackageError> {
         Decoder::new().decode(self)
     }
 
-    /// From where the changes were seen, in sixteenths of a voxel, if the package says so: packages of changes in
-    /// [`Codec::Flock`] do. What [`Layer::note_sensor`] wants to know.
+    /// From where the changes were seen, in sixteenths of a voxel, if the package says so: packages of
+    /// changes in [`Codec::Flock`] do. What [`Layer::note_sensor`] wants to know.
     pub fn sensor(&self) -> Option<[i32; 3]> {
         let header = self.header();
         let is_told = header.codec == Codec::Flock && header.content == ContentKind::Changes;

@@ -14,10 +14,10 @@ use crate::reference::Reference;
 use crate::source::{Cycle, Span};
 use crate::{flock, paper};
 
-/// Makes packages. Keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box so
-/// far, and 300 KB. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package and each known one in its box
-/// or beside it, 45 bytes at most for each block of the box, and 40 KB. One for each thread. The same input gives the same packages,
-/// whatever was encoded before.
+/// Makes packages. Keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box
+/// so far, and 300 KB. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package
+/// and each known one in its box or beside it, 45 bytes at most for each block of the box, and 40 KB. One for
+/// each thread. The same input gives the same packages, whatever was encoded before.
 #[derive(Default)]
 pub struct Encoder {
     paper: paper::Writer,
@@ -31,8 +31,8 @@ impl Encoder {
         Self::default()
     }
 
-    /// One package for all changes, whatever its size, as the paper sends it (Sec. III). For benchmarks: what goes
-    /// over a radio is better cut to its datagrams by [`Self::encode_cycle`].
+    /// One package for all changes, whatever its size, as the paper sends it (Sec. III). For benchmarks: what
+    /// goes over a radio is better cut to its datagrams by [`Self::encode_cycle`].
     pub fn encode_whole(
         &mut self,
         codec: Codec,
@@ -55,11 +55,11 @@ impl Encoder {
         Ok(seal_changes(&header, cycle, &draft))
     }
 
-    /// The changes of a cycle as packages of at most `bytes_max` bytes each, numbered from `first_index`. Each has a
-    /// tight box of its own and is useful alone; no two share a voxel. No changes: no packages.
+    /// The changes of a cycle as packages of at most `bytes_max` bytes each, numbered from `first_index`.
+    /// Each has a tight box of its own and is useful alone; no two share a voxel. No changes: no packages.
     ///
-    /// The changes are cut in two across the longest side of their box until each piece fits. What a piece will
-    /// take is foretold from the pieces before it, so that few are encoded in vain.
+    /// The changes are cut in two across the longest side of their box until each piece fits. What a piece
+    /// will take is foretold from the pieces before it, so that few are encoded in vain.
     pub fn encode_cycle(
         &mut self,
         codec: Codec,
@@ -71,8 +71,9 @@ impl Encoder {
         self.encode_cycle_against(codec, cycle, first_index, changes, None, bytes_max)
     }
 
-    /// As [`Self::encode_cycle`], told against what the receivers hold already. Their headers say in `reference` which packages a
-    /// receiver must have before it can decode them, with [`Decoder::decode_against`](crate::Decoder::decode_against).
+    /// As [`Self::encode_cycle`], told against what the receivers hold already. Their headers say in
+    /// `reference` which packages a receiver must have before it can decode them, with
+    /// [`Decoder::decode_against`](crate::Decoder::decode_against).
     pub fn encode_cycle_against(
         &mut self,
         codec: Codec,
@@ -119,12 +120,13 @@ impl Encoder {
         packages.collect()
     }
 
-    /// The state of a layer as tiles of at most `bytes_max` bytes each, codes `00 01 10` (Sec. IV-B of the paper), with
-    /// the stamp of every voxel. `upto_index` is the newest package whose changes, with those of all before it, are in
-    /// `state`. Always at least one tile: where nothing is known, one that says so of a single voxel.
+    /// The state of a layer as tiles of at most `bytes_max` bytes each, codes `00 01 10` (Sec. IV-B of the
+    /// paper), with the stamp of every voxel. `upto_index` is the newest package whose changes, with those of
+    /// all before it, are in `state`. Always at least one tile: where nothing is known, one that says so of a
+    /// single voxel.
     ///
-    /// Tiles of [`Codec::Flock`] are told one against the other, see [`TilesRead`](crate::TilesRead). They are those of
-    /// [`Codec::Paper`] where that takes fewer bytes.
+    /// Tiles of [`Codec::Flock`] are told one against the other, see [`TilesRead`](crate::TilesRead). They
+    /// are those of [`Codec::Paper`] where that takes fewer bytes.
     pub fn encode_present(
         &mut self,
         codec: Codec,
@@ -141,9 +143,10 @@ impl Encoder {
         self.encode_span(codec, span, resolution, &voxels, bytes_max)
     }
 
-    /// The same of a state in less memory, that need not be whole: see [`Layer::present_voxels`](flockmap_grid::Layer::present_voxels).
-    /// Takes at most some 20 bytes for each voxel of a map of dense blocks while it works, beside what the encoder keeps: 140 to 300 for
-    /// each block, the tiles, and 15 MB where they are of another codec than [`Codec::Flock`].
+    /// The same of a state in less memory, that need not be whole: see
+    /// [`Layer::present_voxels`](flockmap_grid::Layer::present_voxels). Takes at most some 20 bytes for each
+    /// voxel of a map of dense blocks while it works, beside what the encoder keeps: 140 to 300 for each
+    /// block, the tiles, and 15 MB where they are of another codec than [`Codec::Flock`].
     pub fn encode_span(
         &mut self,
         codec: Codec,
@@ -218,7 +221,8 @@ impl Encoder {
 /// No package comes near this: those of the largest box have some 50 MB.
 const WHOLE_BYTES_MAX: usize = 1 << 30;
 
-/// Bits of a voxel from which on a snapshot in `flock` is compared with one of the paper. Maps of real flights take one or less.
+/// Bits of a voxel from which on a snapshot in `flock` is compared with one of the paper. Maps of real
+/// flights take one or less.
 const FLOCK_BITS_MAX: usize = 3;
 
 fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> Header {

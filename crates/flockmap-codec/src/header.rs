@@ -14,19 +14,20 @@ use crate::priority::Priority;
 pub struct Header {
     /// Whose observations these are.
     pub stream: Stream,
-    /// Changes: the number of this package in its stream, from 1.
-    /// Present state: the newest package of the stream that is contained, together with all before it; from 1.
+    /// Changes: the number of this package in its stream, from 1. Present state: the newest package of the
+    /// stream that is contained, together with all before it; from 1.
     pub index: u32,
     /// Changes: when the cycle began. Present state: the oldest stamp in the package. On the origin's clock.
     pub cycle_start: Stamp,
-    /// Changes: when the cycle was closed; the stamp of every voxel in the package, the same in all packages of
-    /// one cycle. Present state: the newest stamp in the package. Never before `cycle_start`.
+    /// Changes: when the cycle was closed; the stamp of every voxel in the package, the same in all packages
+    /// of one cycle. Present state: the newest stamp in the package. Never before `cycle_start`.
     pub cycle_end: Stamp,
-    /// The newest package that this one builds on: who is to decode it must hold packages 1 to `reference` of the stream. 0: none is
-    /// needed. Always below `index`; 0 in a present state.
+    /// The newest package that this one builds on: who is to decode it must hold packages 1 to `reference` of
+    /// the stream. 0: none is needed. Always below `index`; 0 in a present state.
     pub reference: u32,
-    /// Whether the payload can be decoded without what earlier packages said. Its `reference` is then only what has to be merged
-    /// first: an earlier package that is told against what this one changes. True for a present state, and where `reference` is 0.
+    /// Whether the payload can be decoded without what earlier packages said. Its `reference` is then only
+    /// what has to be merged first: an earlier package that is told against what this one changes. True for a
+    /// present state, and where `reference` is 0.
     pub is_alone: bool,
     /// Side of a voxel.
     pub resolution: Resolution,
@@ -45,11 +46,12 @@ pub struct Header {
 pub enum ContentKind {
     /// What changed in one cycle; voxels of the box that are not named stay as they are.
     Changes,
-    /// One tile of the state of the stream after packages 1 to `index`, or of the part of it that packages after `since` made. Who has
-    /// packages 1 to `since` and all tiles of the set knows all that packages 1 to `index` said.
+    /// One tile of the state of the stream after packages 1 to `index`, or of the part of it that packages
+    /// after `since` made. Who has packages 1 to `since` and all tiles of the set knows all that packages 1
+    /// to `index` said.
     Present {
-        /// 0: the whole state. Else the tiles hold every voxel whose newest change is in the packages from `since` + 1 to
-        /// `index`, and may hold others. Below `index`.
+        /// 0: the whole state. Else the tiles hold every voxel whose newest change is in the packages from
+        /// `since` + 1 to `index`, and may hold others. Below `index`.
         since: u32,
         /// Tells sets apart: a check of the whole state that was cut into tiles. Tiles of different sets must
         /// not be counted together.
@@ -77,8 +79,8 @@ const KIND_CHANGES: u8 = 0;
 const KIND_PRESENT: u8 = 1;
 /// Changes that are told without what was before, and are to be merged after their reference.
 const KIND_ALONE: u8 = 2;
-/// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority; bit 7: the box is made of whole
-/// blocks, and counted in these.
+/// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority; bit 7:
+/// the box is made of whole blocks, and counted in these.
 const BOX_IN_BLOCKS: u8 = 1 << 7;
 const KIND_SHIFT: u32 = 3;
 const PRIORITY_SHIFT: u32 = 5;
@@ -88,8 +90,8 @@ pub(crate) const STREAM_AT: usize = 2;
 const BLOCK_SIDE: u32 = 8;
 
 impl Header {
-    /// Appends everything up to the check. The length goes with the values: `reference` takes less the nearer it is to `index`,
-    /// and the box takes less if it is made of whole blocks.
+    /// Appends everything up to the check. The length goes with the values: `reference` takes less the nearer
+    /// it is to `index`, and the box takes less if it is made of whole blocks.
     pub(crate) fn write(&self, out: &mut Vec<u8>) {
         let kind = match self.content {
             ContentKind::Changes if self.is_alone && self.reference != 0 => KIND_ALONE,
@@ -126,6 +128,7 @@ impl Header {
 
     /// Reads header and check from the front of `bytes`; returns the payload, which is all of the rest.
     pub(crate) fn read(bytes: &[u8]) -> Result<(Self, Tail, &[u8]), PackageError> {
+        let wrong = |rule| PackageError::Header { rule };
         let mut reader = Fields::new(bytes);
         let version = reader.byte("version")?;
         if version != FORMAT_VERSION {
@@ -139,26 +142,25 @@ impl Header {
             return Err(PackageError::ContentKind { found: kind });
         }
         let priority = Priority::ALL.get(usize::from(priority)).copied();
-        let priority = priority.ok_or(PackageError::Header { rule: "priorities are 0 to 2" })?;
+        let priority = priority.ok_or(wrong("priorities are 0 to 2"))?;
         if kind == KIND_PRESENT && priority != Priority::Obstacles {
-            return Err(PackageError::Header { rule: "a present state has priority 0" });
+            return Err(wrong("a present state has priority 0"));
         }
         let u32_max = u64::from(u32::MAX);
         let origin = RobotId(reader.number("origin", u64::from(u16::MAX))? as u16);
         let epoch = reader.number("epoch", u64::MAX)?;
         let index = reader.number("index", u32_max)? as u32;
         if index == 0 {
-            return Err(PackageError::Header { rule: "indices begin at 1" });
+            return Err(wrong("indices begin at 1"));
         }
         let cycle_end = Stamp(reader.signed("cycle end")?.wrapping_add(epoch_micros(epoch)));
         let duration = reader.number("cycle duration", u64::MAX)?;
         let cycle_start = cycle_end.0.checked_sub_unsigned(duration).map(Stamp);
-        let cycle_start = cycle_start
-            .ok_or(PackageError::Header { rule: "the cycle starts within the range of 64-bit stamps" })?;
+        let cycle_start = cycle_start.ok_or(wrong("the cycle starts within the range of 64-bit stamps"))?;
         let resolution = read_resolution(&mut reader)?;
         let region = read_box(&mut reader, unit)?;
         if unit == 1 && is_in_blocks(&region) {
-            return Err(PackageError::Header { rule: "a box of whole blocks is counted in blocks" });
+            return Err(wrong("a box of whole blocks is counted in blocks"));
         }
         let (content, reference) = if kind == KIND_PRESENT {
             let since = read_back(&mut reader, index, "since", "a span begins after an earlier package")?;
@@ -166,13 +168,13 @@ impl Header {
             let tile = reader.number("tile", u32_max)? as u32;
             let tiles = reader.number("tiles", u32_max)? as u32;
             if tile >= tiles {
-                return Err(PackageError::Header { rule: "a tile number is below the number of tiles" });
+                return Err(wrong("a tile number is below the number of tiles"));
             }
             (ContentKind::Present { since, set, tile, tiles }, 0)
         } else {
             let reference = read_back(&mut reader, index, "reference", "a reference is an earlier package")?;
             if reference == 0 && kind == KIND_ALONE {
-                return Err(PackageError::Header { rule: "who is to be merged after another names it" });
+                return Err(wrong("who is to be merged after another names it"));
             }
             (ContentKind::Changes, reference)
         };
@@ -216,8 +218,8 @@ fn read_back(
     }
 }
 
-/// Real robots take the seconds since 1970 for their epoch, and their clocks tell the microseconds: what is left of a stamp is
-/// the time since the run began, which is short. Any other epoch does no harm.
+/// Real robots take the seconds since 1970 for their epoch, and their clocks tell the microseconds: what is
+/// left of a stamp is the time since the run began, which is short. Any other epoch does no harm.
 fn epoch_micros(epoch: u64) -> i64 {
     i64::from(seconds_of_epoch(epoch)) * 1_000_000
 }

@@ -19,8 +19,8 @@
 //! | `flock/` | decisions of an arithmetic coder with trained contexts |
 //! | `encoder`, `decoder` | the way in and out: both codecs behind one face |
 //!
-//! `paper/` and `flock/` have the same shape: encode a cycle, decode a cycle, encode a snapshot (a present state), decode
-//! a chunk (a tile) of one. They know payloads and no headers.
+//! `paper/` and `flock/` have the same shape: encode a cycle, decode a cycle, encode a snapshot (a present
+//! state), decode a chunk (a tile) of one. They know payloads and no headers.
 //!
 //! ```
 //! use flockmap_codec::{Codec, Content, Cycle, Encoder, PACKAGE_BYTES_MAX, Package};

@@ -30,15 +30,16 @@ pub enum Content {
 }
 
 impl Package {
-    /// Takes the bytes of exactly one package, no more and no less: where it ends is told by what carries it. Reads its header; the
-    /// payload is not looked at, and only [`Self::decode`] tells whether the package is whole. Holds a copy of `bytes` and about 150
-    /// bytes more.
+    /// Takes the bytes of exactly one package, no more and no less: where it ends is told by what carries it.
+    /// Reads its header; the payload is not looked at, and only [`Self::decode`] tells whether the package is
+    /// whole. Holds a copy of `bytes` and about 150 bytes more.
     pub fn parse(bytes: &[u8]) -> Result<Self, PackageError> {
         let (header, tail, _) = Header::read(bytes)?;
         Ok(Self { bytes: bytes.into(), header, tail })
     }
 
-    /// The same bytes in two parts without the stream between them, for who knows the stream: [`Self::parse_without_stream`].
+    /// The same bytes in two parts without the stream between them, for who knows the stream:
+    /// [`Self::parse_without_stream`].
     pub fn without_stream(&self) -> [&[u8]; 2] {
         let Stream { origin, epoch } = self.header.stream;
         let stream_end = STREAM_AT + varint_len(origin.0.into()) + varint_len(epoch);
@@ -46,7 +47,8 @@ impl Package {
         [part(0..STREAM_AT), part(stream_end..self.bytes.len())]
     }
 
-    /// Takes the bytes of exactly one package of this stream, which stands in them no more. Otherwise as [`Self::parse`].
+    /// Takes the bytes of exactly one package of this stream, which stands in them no more. Otherwise as
+    /// [`Self::parse`].
     pub fn parse_without_stream(stream: Stream, bytes: &[u8]) -> Result<Self, PackageError> {
         let (front, back) = bytes.split_at(bytes.len().min(STREAM_AT));
         let mut whole = Vec::with_capacity(bytes.len() + 13);

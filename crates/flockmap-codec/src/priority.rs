@@ -20,7 +20,8 @@ impl Priority {
     /// All priorities, the most urgent first.
     pub const ALL: [Self; 3] = [Self::Obstacles, Self::NearFree, Self::FarFree];
 
-    /// The priority of changes in a box, seen from `sensor`, in sixteenths of a voxel from the corner of voxel (0, 0, 0).
+    /// The priority of changes in a box, seen from `sensor`, in sixteenths of a voxel from the corner of
+    /// voxel (0, 0, 0).
     pub(crate) fn of(changes: &Changes, region: &VoxelBox, sensor: [i32; 3], resolution: Resolution) -> Self {
         if changes.has_occupied() {
             Self::Obstacles

@@ -2,18 +2,20 @@
 
 use flockmap_grid::{BLOCK_SIDE, Layer, Stamp, VOXEL_LIMIT, Voxel, VoxelBox};
 
-/// What every receiver of a cycle will hold of its stream: all packages before it. [`Codec::Flock`](crate::Codec::Flock)
-/// tells a cycle against that in fewer bytes; the other codecs do not look at it.
+/// What every receiver of a cycle will hold of its stream: all packages before it.
+/// [`Codec::Flock`](crate::Codec::Flock) tells a cycle against that in fewer bytes; the other codecs do not
+/// look at it.
 #[derive(Clone, Copy, Debug)]
 pub struct Reference<'a> {
-    /// What the packages before the cycle said, all of them. `None`: the cycle is told without, so that nobody has to wait for what is
-    /// still to be repaired. It takes more bytes.
+    /// What the packages before the cycle said, all of them. `None`: the cycle is told without, so that
+    /// nobody has to wait for what is still to be repaired. It takes more bytes.
     pub layer: Option<&'a Layer>,
-    /// End of each cycle before and the index of its last package, ascending. May begin with the first cycle that is still
-    /// remembered; may be empty, then packages name the one before their cycle.
+    /// End of each cycle before and the index of its last package, ascending. May begin with the first cycle
+    /// that is still remembered; may be empty, then packages name the one before their cycle.
     pub cycles: &'a [(Stamp, u32)],
-    /// Index and box of the newest packages before that were told against a layer, ascending. A package of the cycle that changes
-    /// what one of them looked at names it too: a receiver that merged it first could not decode the other any more.
+    /// Index and box of the newest packages before that were told against a layer, ascending. A package of
+    /// the cycle that changes what one of them looked at names it too: a receiver that merged it first could
+    /// not decode the other any more.
     pub readers: &'a [(u32, VoxelBox)],
 }
 

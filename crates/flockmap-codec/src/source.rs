@@ -13,8 +13,9 @@ pub struct Cycle {
     pub end: Stamp,
     /// Side of a voxel.
     pub resolution: Resolution,
-    /// Where the sensor was in the middle of the cycle, in sixteenths of a voxel from the corner of voxel (0, 0, 0). Only
-    /// [`Codec::Flock`](crate::Codec::Flock) makes use of it: whatever it is, the changes come out right, in fewer bytes the nearer it is.
+    /// Where the sensor was in the middle of the cycle, in sixteenths of a voxel from the corner of voxel (0,
+    /// 0, 0). Only [`Codec::Flock`](crate::Codec::Flock) makes use of it: whatever it is, the changes come
+    /// out right, in fewer bytes the nearer it is.
     pub sensor: [i32; 3],
 }
 
@@ -23,7 +24,8 @@ pub struct Cycle {
 pub struct Span {
     /// The stream.
     pub stream: Stream,
-    /// 0: the whole state. Else it has at least the voxels whose newest change is in a package after this one. Below `upto`.
+    /// 0: the whole state. Else it has at least the voxels whose newest change is in a package after this
+    /// one. Below `upto`.
     pub since: u32,
     /// The newest package whose changes, with those of all before it, are in the state; from 1.
     pub upto: u32,

@@ -1,9 +1,9 @@
 //! The changes of one block as decisions.
 //!
-//! Rows of eight voxels go from the slice that is farthest from the sensor to the nearest, see `neighbourhood.rs`. What is known
-//! already is settled eight voxels at a time; each unknown voxel beside a change is a decision with two contexts: the cells
-//! around it, and the cells along the ray from the sensor through it. Where nothing has changed beyond a slice, one decision
-//! is for its 64 voxels.
+//! Rows of eight voxels go from the slice that is farthest from the sensor to the nearest, see
+//! `neighbourhood.rs`. What is known already is settled eight voxels at a time; each unknown voxel beside a
+//! change is a decision with two contexts: the cells around it, and the cells along the ray from the sensor
+//! through it. Where nothing has changed beyond a slice, one decision is for its 64 voxels.
 
 use super::cells::{Bits, Row, STATES, free, new, occupied, unknown};
 use super::decide::{Decide, RowKind, UnknownRow};
@@ -25,8 +25,9 @@ const SURE_ROW: usize = 2_580;
 const COLD_ROW: usize = 2_600;
 const COLD_SLICE: usize = 2_640;
 
-/// Makes the decisions of a block that has changes; `truth` is what a writer wants to tell, and `flips` whether any Free voxel becomes
-/// Occupied by it and any Occupied one Free. Returns what was told, and leaves it in `cells`.
+/// Makes the decisions of a block that has changes; `truth` is what a writer wants to tell, and `flips`
+/// whether any Free voxel becomes Occupied by it and any Occupied one Free. Returns what was told, and leaves
+/// it in `cells`.
 pub(crate) fn code<D: Decide>(
     decide: &mut D,
     cells: &mut Neighbourhood,
@@ -275,7 +276,8 @@ impl<D: Decide> Block<'_, D> {
     }
 }
 
-/// For each of eight voxels: its bits in eight bytes, and in eight others, those that are the same for all added.
+/// For each of eight voxels: its bits in eight bytes, and in eight others, those that are the same for all
+/// added.
 #[inline(always)]
 fn by_voxel(low: u64, high: u64, all: u8) -> [[u8; 8]; 2] {
     let all = u64::from(all) * 0x0101_0101_0101_0101;

@@ -1,14 +1,14 @@
 //! What is known of each voxel of a block, and what this package says of it.
 //!
-//! A cell is four bits: what a voxel is known to be, and whether this package changed it. A row is a word with a lane of sixteen
-//! bits for each of the four, so that one operation looks at all cells of a row.
+//! A cell is four bits: what a voxel is known to be, and whether this package changed it. A row is a word
+//! with a lane of sixteen bits for each of the four, so that one operation looks at all cells of a row.
 
 use flockmap_grid::{Plane, StateBlock};
 
 use super::planes::mirrored_bytes;
 
-/// Four lanes. The first two are a state: 0 unknown, 1 freed by this package, 2 Free before it, 3 Occupied. The third: changed by this
-/// package. The last: Occupied.
+/// Four lanes. The first two are a state: 0 unknown, 1 freed by this package, 2 Free before it, 3 Occupied.
+/// The third: changed by this package. The last: Occupied.
 pub(crate) type Row = u64;
 
 /// The lowest bit of each lane.

@@ -4,15 +4,16 @@ use flockmap_grid::Overtaken;
 
 use super::block_box::BlockBox;
 use super::cells::Bits;
-use super::coder::Chance;
+use super::coder::Probability;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::known::Known;
 use super::model::Model;
 use super::order::Changed;
 use super::orientation::Orientation;
-use super::tables::{TableSet, Tables, voxel_chance};
+use super::tables::{TableSet, Tables, voxel_probability};
 
-/// Blocks that are looked at: so many from the front and so many from the middle, at most one in `SAMPLE_PART`.
+/// Blocks that are looked at: so many from the front and so many from the middle, at most one in
+/// `SAMPLE_PART`.
 const SAMPLE_BLOCKS: usize = 16;
 const SAMPLE_PART: usize = 6;
 /// So many in a row, from one and from the other place in turns.
@@ -62,23 +63,24 @@ fn sample<'a>(blocks: &[Changed<'a>]) -> Vec<Changed<'a>> {
 /// Blocks in the box of a sample, at most.
 const REACH_MAX: u128 = 1 << 15;
 
-/// What decisions cost with the chances that packages begin with.
+/// What decisions cost with the probabilities that packages begin with.
 struct Trial {
     /// In 256ths of a bit.
     sets: Vec<(u64, TableSet, &'static Tables)>,
 }
 
 impl Trial {
-    /// Whether one set is ahead by so much that more blocks would hardly change it; it is if there is but one.
+    /// Whether one set is ahead by so much that more blocks would hardly change it; it is if there is but
+    /// one.
     fn is_decided(&self) -> bool {
         let best = self.sets.iter().map(|(cost, ..)| *cost).min().unwrap_or(0);
         self.sets.iter().filter(|(cost, ..)| *cost < best + LEAD_BITS * 256).count() == 1
     }
 
-    fn pay(&mut self, bit: bool, chance: impl Fn(&Tables) -> Chance) {
+    fn pay(&mut self, bit: bool, probability: impl Fn(&Tables) -> Probability) {
         for (cost, _, tables) in &mut self.sets {
-            let chance = chance(tables);
-            *cost += u64::from(COST[usize::from(if bit { chance } else { !chance } >> 8)]);
+            let probability = probability(tables);
+            *cost += u64::from(COST[usize::from(if bit { probability } else { !probability } >> 8)]);
         }
     }
 }
@@ -96,7 +98,7 @@ impl Decide for Trial {
 
 impl DecideVoxel for Trial {
     fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.voxel[voxel_chance(kind, tables.voxel.of(contexts))]);
+        self.pay(truth, |tables| tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))]);
         truth
     }
 
@@ -106,7 +108,7 @@ impl DecideVoxel for Trial {
     }
 }
 
-/// What a bit of this chance (in 256ths) costs, in 256ths of a bit.
+/// What a bit of this probability (in 256ths) costs, in 256ths of a bit.
 static COST: [u16; 256] = {
     let mut table = [0; 256];
     let mut n = 0;

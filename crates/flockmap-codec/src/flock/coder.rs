@@ -1,22 +1,24 @@
-//! A binary arithmetic coder: 64-bit range with carry, chances of 16 bits, and of 32 where that is too coarse.
+//! A binary arithmetic coder: 64-bit range with carry, probabilities of 16 bits, and of 32 where that is too
+//! coarse.
 //!
-//! The writer keeps an interval of numbers, `low` and `range`. Each bit takes a share of it that is as large as the bit is
-//! likely; when the range falls below 2³², the four leading bytes go out. Integers only, so that every machine agrees.
+//! The writer keeps an interval of numbers, `low` and `range`. Each bit takes a share of it that is as large
+//! as the bit is likely; when the range falls below 2³², the four leading bytes go out. Integers only, so
+//! that every machine agrees.
 
 /// How likely a bit is set, in 65,536ths: 1 … 65,535.
-pub(crate) type Chance = u16;
+pub(crate) type Probability = u16;
 
 const REFILL_BELOW: u64 = 1 << 32;
 
-/// Moves a chance towards what has happened, by one in 2ʳᵃᵗᵉ. It stays in 1 … 65,535.
+/// Moves a probability towards what has happened, by one in 2ʳᵃᵗᵉ. It stays in 1 … 65,535.
 #[inline(always)]
-fn learn(chance: &mut Chance, bit: bool, rate: u32) {
+fn learn(probability: &mut Probability, bit: bool, rate: u32) {
     if bit {
-        *chance += (65_535 - *chance) >> rate;
+        *probability += (65_535 - *probability) >> rate;
     } else {
-        *chance -= *chance >> rate;
+        *probability -= *probability >> rate;
     }
-    debug_assert!(*chance > 0);
+    debug_assert!(*probability > 0);
 }
 
 /// A way that bits go: to bytes or from bytes.
@@ -24,8 +26,8 @@ pub(crate) trait CodeBit {
     /// Whether it looks at `truth`: it writes.
     const KNOWS: bool;
 
-    /// Passes a bit, which is set with this chance; the chance learns by one in 2ʳᵃᵗᵉ.
-    fn code(&mut self, chance: &mut Chance, truth: bool, rate: u32) -> bool;
+    /// Passes a bit, which is set with this probability; the probability learns by one in 2ʳᵃᵗᵉ.
+    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool;
 
     /// The same way.
     type Own<'b>: CodeBit
@@ -36,10 +38,11 @@ pub(crate) trait CodeBit {
     fn in_registers<R>(&mut self, pass: impl FnOnce(&mut Self::Own<'_>) -> R) -> R;
 }
 
-/// The same for chances of 32 bits: one change among 100 million voxels is too unlikely for 16.
+/// The same for probabilities of 32 bits: one change among 100 million voxels is too unlikely for 16.
 pub(crate) trait FineBits {
-    /// A bit that is set with this chance, in 2⁻³²: 1 … 2³² − 1. A reader does not look at `truth`. Returns the bit.
-    fn bit(&mut self, chance: u32, truth: bool) -> bool;
+    /// A bit that is set with this probability, in 2⁻³²: 1 … 2³² − 1. A reader does not look at `truth`.
+    /// Returns the bit.
+    fn bit(&mut self, probability: u32, truth: bool) -> bool;
 }
 
 /// Appends bits to some bytes.
@@ -56,10 +59,10 @@ impl<'a> BitWriter<'a> {
         Self { low: 0, range: u64::MAX, start: out.len(), out }
     }
 
-    /// Writes a bit that is set with this chance.
+    /// Writes a bit that is set with this probability.
     #[cfg(test)]
-    pub(crate) fn put(&mut self, chance: Chance, bit: bool) {
-        self.take((self.range >> 16) * u64::from(chance), bit);
+    pub(crate) fn put(&mut self, probability: Probability, bit: bool) {
+        self.take((self.range >> 16) * u64::from(probability), bit);
     }
 
     /// `share` of the range is for a bit that is set; something is left for either.
@@ -103,7 +106,8 @@ impl<'a> BitWriter<'a> {
         }
     }
 
-    /// The last bytes: a number in the interval with as few as possible, and how many. What a reader finds beyond the end is zeros.
+    /// The last bytes: a number in the interval with as few as possible, and how many. What a reader finds
+    /// beyond the end is zeros.
     fn end(&self) -> (u128, usize) {
         let (low, end) = (u128::from(self.low), u128::from(self.low) + u128::from(self.range));
         let mut numbers = (0..=8usize).map(|length| {
@@ -136,14 +140,14 @@ impl CodeBit for BitWriter<'_> {
     const KNOWS: bool = true;
 
     #[inline(always)]
-    fn code(&mut self, chance: &mut Chance, truth: bool, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*chance);
+    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(*probability);
         // Two ways, as in reading.
         if truth {
-            learn(chance, true, rate);
+            learn(probability, true, rate);
             self.take(share, true);
         } else {
-            learn(chance, false, rate);
+            learn(probability, false, rate);
             self.take(share, false);
         }
         truth
@@ -190,7 +194,8 @@ pub(crate) struct Mark {
     last: Option<u8>,
 }
 
-/// Reads what a [`BitWriter`] wrote, with the same chances. Any bytes give some bits; no bytes give bits too.
+/// Reads what a [`BitWriter`] wrote, with the same probabilities. Any bytes give some bits; no bytes give
+/// bits too.
 #[derive(Clone, Debug)]
 pub(crate) struct BitReader<'a> {
     range: u64,
@@ -206,10 +211,10 @@ impl<'a> BitReader<'a> {
         Self { range: u64::MAX, code: u64::from(high) << 32 | u64::from(low), bytes: rest }
     }
 
-    /// The next bit, which was written with this chance.
+    /// The next bit, which was written with this probability.
     #[cfg(test)]
-    pub(crate) fn get(&mut self, chance: Chance) -> bool {
-        self.take((self.range >> 16) * u64::from(chance))
+    pub(crate) fn get(&mut self, probability: Probability) -> bool {
+        self.take((self.range >> 16) * u64::from(probability))
     }
 
     #[inline(always)]
@@ -239,20 +244,20 @@ impl<'a> BitReader<'a> {
 impl<'a> CodeBit for BitReader<'a> {
     const KNOWS: bool = false;
 
-    /// Two ways for the two bits, which leaves it to the processor to guess the bit and go on; choosing values by the bit would have
-    /// to wait for it.
+    /// Two ways for the two bits, which leaves it to the processor to guess the bit and go on; choosing
+    /// values by the bit would have to wait for it.
     #[inline(always)]
-    fn code(&mut self, chance: &mut Chance, _: bool, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*chance);
+    fn code(&mut self, probability: &mut Probability, _: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(*probability);
         if self.code < share {
             self.range = share;
-            learn(chance, true, rate);
+            learn(probability, true, rate);
             self.refill();
             true
         } else {
             self.code -= share;
             self.range -= share;
-            learn(chance, false, rate);
+            learn(probability, false, rate);
             self.refill();
             false
         }
@@ -285,24 +290,24 @@ fn next_four(bytes: &[u8]) -> (u32, &[u8]) {
     }
 }
 
-/// The part of a range of at least 2³² that belongs to a chance in 2⁻³².
+/// The part of a range of at least 2³² that belongs to a probability in 2⁻³².
 #[inline]
-const fn fine_share(range: u64, chance: u32) -> u64 {
-    ((range as u128 * chance as u128) >> 32) as u64
+const fn fine_share(range: u64, probability: u32) -> u64 {
+    ((range as u128 * probability as u128) >> 32) as u64
 }
 
 impl FineBits for BitWriter<'_> {
     #[inline]
-    fn bit(&mut self, chance: u32, truth: bool) -> bool {
-        self.take(fine_share(self.range, chance), truth);
+    fn bit(&mut self, probability: u32, truth: bool) -> bool {
+        self.take(fine_share(self.range, probability), truth);
         truth
     }
 }
 
 impl FineBits for BitReader<'_> {
     #[inline]
-    fn bit(&mut self, chance: u32, _: bool) -> bool {
-        self.take(fine_share(self.range, chance))
+    fn bit(&mut self, probability: u32, _: bool) -> bool {
+        self.take(fine_share(self.range, probability))
     }
 }
 

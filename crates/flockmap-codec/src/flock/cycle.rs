@@ -19,14 +19,16 @@ use crate::limits::BOX_VOXELS_MAX;
 use crate::source::Cycle;
 use crate::work::{self, Work};
 
-/// The first byte of a payload that is gap coded. Others tell a set of tables, of which there is none with this number.
+/// The first byte of a payload that is gap coded. Others tell a set of tables, of which there is none with
+/// this number.
 const GAP_CODED: u8 = 3;
 
 /// Up to so many changes the model is tried even if there seems to be no pattern.
 const TRY_BOTH_MAX: usize = 4_096;
 
-/// Codes all changes of a cycle, of which there is at least one, against what `layer` held before it. `room` says how many bytes of payload
-/// the package of a number, from 0, and with a certain box may have; a payload of a single voxel may be longer.
+/// Codes all changes of a cycle, of which there is at least one, against what `layer` held before it. `room`
+/// says how many bytes of payload the package of a number, from 0, and with a certain box may have; a payload
+/// of a single voxel may be longer.
 pub(crate) fn encode_cycle(
     workspace: &mut Workspace,
     layer: Option<&Layer>,
@@ -57,7 +59,8 @@ pub(crate) fn encode_cycle(
 /// What a package takes beside its payload, about.
 const HEADER_BYTES: usize = 32;
 
-/// Whether a voxel changes to what it was before the cycle that ended at `end`. Not so in net changes, if `layer` holds all before.
+/// Whether a voxel changes to what it was before the cycle that ended at `end`. Not so in net changes, if
+/// `layer` holds all before.
 fn repeats(changes: &Changes, layer: &Layer, end: Stamp) -> bool {
     changes.blocks().iter().any(|(index, block)| match layer.block_before(*index, end) {
         Ok(Some(before)) => meet(block.free(), before.free()) || meet(block.occupied(), before.occupied()),
@@ -111,8 +114,8 @@ fn gap_coded(changes: &Changes, room: impl Fn(usize, &VoxelBox) -> usize) -> Vec
     drafts.collect()
 }
 
-/// What a payload says that was coded against what `layer` held before the cycle. Takes no memory before it is sure that the box is not too
-/// large.
+/// What a payload says that was coded against what `layer` held before the cycle. Takes no memory before it
+/// is sure that the box is not too large.
 pub(crate) fn decode_cycle(
     workspace: &mut Option<Box<Workspace>>,
     layer: Option<&Layer>,
@@ -137,7 +140,8 @@ pub(crate) fn decode_cycle(
     }
 }
 
-/// From where the changes in a payload were seen, in sixteenths of a voxel. `None` if they were told without that.
+/// From where the changes in a payload were seen, in sixteenths of a voxel. `None` if they were told without
+/// that.
 pub(crate) fn sensor(payload: &[u8], region: &VoxelBox) -> Option<[i32; 3]> {
     let blocks = BlockBox::of_voxels(region)?;
     if payload.first() == Some(&GAP_CODED) {

@@ -1,4 +1,5 @@
-//! What both sides know of the blocks round a package: the states before its cycle, and what the package has told so far.
+//! What both sides know of the blocks round a package: the states before its cycle, and what the package has
+//! told so far.
 
 use flockmap_grid::{BlockIndex, Overtaken, StateBlock};
 
@@ -8,8 +9,8 @@ use super::known::{Known, KnownClasses};
 use super::neighbourhood::NOTHING;
 use super::orientation::{Orientation, TurnedChanges};
 
-/// The blocks that a package has looked at. 520 bytes for each that is known or was told of, and four for each block in
-/// reach.
+/// The blocks that a package has looked at. 520 bytes for each that is known or was told of, and four for
+/// each block in reach.
 #[derive(Default)]
 pub(crate) struct Field {
     places: Places,
@@ -49,12 +50,14 @@ impl Field {
         &self.cells
     }
 
-    /// How many blocks have been taken in so far: those of which something was known, and those that were told of.
+    /// How many blocks have been taken in so far: those of which something was known, and those that were
+    /// told of.
     pub(crate) fn taken_in(&self) -> u64 {
         (self.classes.len() - FIRST_SLOT) as u64
     }
 
-    /// How much was known of a block of the package before, without taking it in: most blocks that are asked for do not change.
+    /// How much was known of a block of the package before, without taking it in: most blocks that are asked
+    /// for do not change.
     pub(crate) fn classes(&self, known: &Known<'_>, block: BlockIndex) -> Result<KnownClasses, Overtaken> {
         match self.slots.get(self.places.of(block)) {
             Some(&slot) if slot != NOT_ASKED => Ok(self.classes_in(slot)),
@@ -62,8 +65,8 @@ impl Field {
         }
     }
 
-    /// The same of many blocks, in their order: all are looked up before any is looked at, so that the processor can wait for several at
-    /// once.
+    /// The same of many blocks, in their order: all are looked up before any is looked at, so that the
+    /// processor can wait for several at once.
     pub(crate) fn classes_of(
         &self,
         known: &Known<'_>,
@@ -91,8 +94,9 @@ impl Field {
         self.classes.get(slot as usize).copied().unwrap_or_default()
     }
 
-    /// The slots of a block and its neighbours, all mirrored as the orientation says. Only of those that contexts look at: the
-    /// neighbours beyond it along one to three axes, and those before it along one to three.
+    /// The slots of a block and its neighbours, all mirrored as the orientation says. Only of those that
+    /// contexts look at: the neighbours beyond it along one to three axes, and those before it along one to
+    /// three.
     pub(crate) fn around(
         &mut self,
         known: &Known<'_>,
@@ -137,7 +141,8 @@ impl Field {
     #[inline(never)]
     fn admit(&mut self, place: usize, known: Option<&StateBlock>, orientation: Orientation) -> u32 {
         let is_mirrored = orientation.is_up[0];
-        // A block that only this cycle told of was there before it too, without a voxel, where some of the cycle has been merged already.
+        // A block that only this cycle told of was there before it too, without a voxel, where some of the
+        // cycle has been merged already.
         let known = known.map(|states| (states, KnownClasses::of(states)));
         let slot = match known.filter(|(_, classes)| classes.is_any()) {
             None => NOTHING,

@@ -22,7 +22,8 @@ impl<'a> Flags<'a> {
         Self { places, told }
     }
 
-    /// The context of the flag of a block of the box: how much of it was known, and which of its neighbours beyond have changes.
+    /// The context of the flag of a block of the box: how much of it was known, and which of its neighbours
+    /// beyond have changes.
     pub(crate) fn context(&self, block: BlockIndex, orientation: Orientation, known: KnownClasses) -> usize {
         let (place, steps) = (self.places.of(block), self.places.steps);
         let [x, y, z]: [usize; 3] =

@@ -1,4 +1,5 @@
-//! What a payload, or a section of a chunk, begins with: the set of tables, from where it was seen, and where in its box it begins.
+//! What a payload, or a section of a chunk, begins with: the set of tables, from where it was seen, and where
+//! in its box it begins.
 
 use super::block_box::{BOX_BLOCKS_MAX, BlockBox};
 use super::tables::TableSet;

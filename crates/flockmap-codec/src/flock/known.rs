@@ -46,7 +46,8 @@ impl<'a> Known<'a> {
         }))
     }
 
-    /// The newest stamp in the blocks asked for since this was called last. Before the cycle, if nothing of it was applied.
+    /// The newest stamp in the blocks asked for since this was called last. Before the cycle, if nothing of
+    /// it was applied.
     pub(crate) fn take_newest(&self) -> Option<Stamp> {
         self.newest.take()
     }

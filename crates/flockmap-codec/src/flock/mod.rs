@@ -1,8 +1,10 @@
-//! The codec `flock`: map changes as decisions of an arithmetic coder that learns. Explained in `docs/codec.md`.
+//! The codec `flock`: map changes as decisions of an arithmetic coder that learns. Explained in
+//! `docs/codec.md`.
 //!
-//! From the bottom: `coder` turns bits into bytes, `tables` and `coding` give each decision its chance. `planes`, `cells`, `orientation` and
-//! `neighbourhood` lay out what is known of a block and round it; `block` asks the decisions of one. `known`, `field`, `flags` and `order`
-//! are about many blocks; `model` has all that a decision may look at. `section` is the payload; `cycle` and `snapshot` are made of it, or
+//! From the bottom: `coder` turns bits into bytes, `tables` and `coding` give each decision its probability.
+//! `planes`, `cells`, `orientation` and `neighbourhood` lay out what is known of a block and round it;
+//! `block` asks the decisions of one. `known`, `field`, `flags` and `order` are about many blocks; `model`
+//! has all that a decision may look at. `section` is the payload; `cycle` and `snapshot` are made of it, or
 //! where there is no pattern of `gap_coding`.
 
 mod block;

@@ -29,7 +29,8 @@ impl Model {
         self.field.clear(region);
     }
 
-    /// Makes the decisions of a block that has changes, of which so much was known. A writer knows them; a reader gets them.
+    /// Makes the decisions of a block that has changes, of which so much was known. A writer knows them; a
+    /// reader gets them.
     #[inline]
     pub(crate) fn code<D: Decide>(
         &mut self,

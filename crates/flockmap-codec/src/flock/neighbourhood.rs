@@ -1,7 +1,8 @@
 //! A block and what is around it, turned.
 //!
-//! The rows of a block and of three voxels around it are laid out so that its farthest slice from the sensor comes first, and in each slice
-//! the farthest row and voxel. So the voxel behind another always has the lower number, and one piece of code serves all directions.
+//! The rows of a block and of three voxels around it are laid out so that its farthest slice from the sensor
+//! comes first, and in each slice the farthest row and voxel. So the voxel behind another always has the
+//! lower number, and one piece of code serves all directions.
 
 use super::cells::{Bits, BlockCells, LANES, Row, changed};
 use super::orientation::Orientation;
@@ -60,10 +61,11 @@ impl Neighbourhood {
         *row = changed(*row, bits, MARGIN);
     }
 
-    /// Takes in a block and its 26 neighbours, which `slots` gives by x + 3·y + 9·z, each −1 … 1 plus one; they are mirrored as
-    /// the orientation says.
+    /// Takes in a block and its 26 neighbours, which `slots` gives by x + 3·y + 9·z, each −1 … 1 plus one;
+    /// they are mirrored as the orientation says.
     pub(crate) fn gather(&mut self, orientation: Orientation, slots: &[u32; 27], cells: &[BlockCells]) {
-        // Rows go straight to where they belong, unless x itself is the slow axis: then slices are turned afterwards.
+        // Rows go straight to where they belong, unless x itself is the slow axis: then slices are turned
+        // afterwards.
         match (orientation.major == 1, orientation.is_up[1]) {
             (false, false) => self.gather_rows::<SLICE, ROW, false>(orientation, slots, cells),
             (false, true) => self.gather_rows::<SLICE, ROW, true>(orientation, slots, cells),
@@ -75,7 +77,8 @@ impl Neighbourhood {
         }
     }
 
-    /// `FAST` from row to row and `SLOW` from slice to slice, as blocks are stored; rows from the highest to the lowest if `IS_UP`.
+    /// `FAST` from row to row and `SLOW` from slice to slice, as blocks are stored; rows from the highest to
+    /// the lowest if `IS_UP`.
     fn gather_rows<const SLOW: usize, const FAST: usize, const IS_UP: bool>(
         &mut self,
         orientation: Orientation,
@@ -144,8 +147,8 @@ const fn joined(before: Row, own: Row, after: Row) -> Row {
     before >> 5 & THREE | own << MARGIN | (after & THREE) << (MARGIN + 8)
 }
 
-/// Along an axis, for the neighbour on the lower side, the block itself, or the neighbour on the upper side: the places in that block and
-/// where they come to lie in the neighbourhood.
+/// Along an axis, for the neighbour on the lower side, the block itself, or the neighbour on the upper side:
+/// the places in that block and where they come to lie in the neighbourhood.
 #[inline]
 fn places(part: usize, is_up: bool) -> impl Iterator<Item = (usize, usize)> + Clone {
     let block = 8;

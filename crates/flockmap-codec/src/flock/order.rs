@@ -1,7 +1,7 @@
 //! The order of blocks: octant by octant round the sensor, in each from far to near.
 //!
-//! What lies behind a voxel is told before it. If a far voxel was freed, then the ray that freed it went through the near ones,
-//! which tells more than the near ones tell of the far.
+//! What lies behind a voxel is told before it. If a far voxel was freed, then the ray that freed it went
+//! through the near ones, which tells more than the near ones tell of the far.
 
 use flockmap_grid::{BlockIndex, Changes, StateBlock};
 
@@ -38,7 +38,8 @@ fn key(block: BlockIndex, sensor_block: [i32; 3]) -> (u8, [i32; 3]) {
     (octant, [along(2), along(1), along(0)])
 }
 
-/// The blocks of a box in order, without so many from the front. O(1) for each, and for those that are left out.
+/// The blocks of a box in order, without so many from the front. O(1) for each, and for those that are left
+/// out.
 pub(crate) fn blocks(
     region: BlockBox,
     sensor_block: [i32; 3],

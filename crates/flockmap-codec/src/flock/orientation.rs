@@ -1,5 +1,6 @@
-//! How a block is turned, so that coding always goes the same way: from the farthest slice from the sensor to the nearest, along the axis
-//! on which the sensor is farthest away, and in each slice from the farthest row and voxel.
+//! How a block is turned, so that coding always goes the same way: from the farthest slice from the sensor to
+//! the nearest, along the axis on which the sensor is farthest away, and in each slice from the farthest row
+//! and voxel.
 
 use flockmap_grid::{BlockIndex, Plane, StateBlock};
 
@@ -16,8 +17,8 @@ pub(crate) struct Orientation {
     pub(crate) is_up: [bool; 3],
 }
 
-/// Where the sensor is, seen from the middle of a block: along the axes as turned, in sixteenths of a voxel, towards the side on
-/// which it is, so never negative.
+/// Where the sensor is, seen from the middle of a block: along the axes as turned, in sixteenths of a voxel,
+/// towards the side on which it is, so never negative.
 pub(crate) type Distance = [i32; 3];
 
 impl Orientation {

@@ -1,5 +1,5 @@
-//! Bits of a block that are moved many at a time. A [`Plane`] has a bit for each voxel: words are slices along z, bytes of a word rows
-//! along y, bits of a byte voxels along x.
+//! Bits of a block that are moved many at a time. A [`Plane`] has a bit for each voxel: words are slices
+//! along z, bytes of a word rows along y, bits of a byte voxels along x.
 
 use flockmap_grid::Plane;
 

@@ -1,9 +1,10 @@
-//! A section: blocks in order, cut where there is no more room. The payload of a package of changes is one; a chunk of a snapshot has one
-//! for each of its stamps.
+//! A section: blocks in order, cut where there is no more room. The payload of a package of changes is one; a
+//! chunk of a snapshot has one for each of its stamps.
 //!
-//! The payload: a varint, the number of blocks of the box before the first that is told of times four, plus the set of tables; the
-//! sensor's position, three signed varints, in quarters of a voxel from the middle of the box; a varint, the number of blocks from the
-//! first to the last that is told of; the decisions. Blocks are counted in the order of `order.rs`.
+//! The payload: a varint, the number of blocks of the box before the first that is told of times four, plus
+//! the set of tables; the sensor's position, three signed varints, in quarters of a voxel from the middle of
+//! the box; a varint, the number of blocks from the first to the last that is told of; the decisions. Blocks
+//! are counted in the order of `order.rs`.
 
 use flockmap_grid::{BLOCK_SIDE, Changes, Overtaken, VOXEL_LIMIT, VoxelBox};
 
@@ -19,21 +20,22 @@ use super::known::Known;
 use super::model::Model;
 use super::order::{self, Changed};
 use super::orientation::Orientation;
-use super::tables::{Chances, TableSet};
+use super::tables::{Probabilities, TableSet};
 use crate::bytes::{put_varint, varint_len};
 use crate::codec::Codec;
 use crate::error::PackageError;
 use crate::fields::Fields;
 use crate::work::{self, CHANGED_STEPS, TAKEN_IN_STEPS, Work};
 
-/// Zeros at the end of a payload that is short for its work, at most, unless it tells of one block: another package takes no more.
+/// Zeros at the end of a payload that is short for its work, at most, unless it tells of one block: another
+/// package takes no more.
 const PADDING_MAX: usize = 40;
 
-/// Memory that is used again from package to package: 550 bytes for each block of the largest package so far and for each known
-/// block next to it, and five bytes for each block of its box and round it.
+/// Memory that is used again from package to package: 550 bytes for each block of the largest package so far
+/// and for each known block next to it, and five bytes for each block of its box and round it.
 pub(crate) struct Workspace {
     model: Model,
-    chances: Box<Chances>,
+    probabilities: Box<Probabilities>,
     body: Vec<u8>,
     /// Of each block of the box, whether it is told of and changed.
     told: Vec<u8>,
@@ -41,7 +43,12 @@ pub(crate) struct Workspace {
 
 impl Default for Workspace {
     fn default() -> Self {
-        Self { model: Model::default(), chances: Chances::even(), body: Vec::new(), told: Vec::new() }
+        Self {
+            model: Model::default(),
+            probabilities: Probabilities::even(),
+            body: Vec::new(),
+            told: Vec::new(),
+        }
     }
 }
 
@@ -54,9 +61,9 @@ pub(crate) struct Section {
     pub(crate) steps: u64,
 }
 
-/// Codes as many blocks from the front of `blocks`, which are in order, as go into `room` bytes; `room` says how many there are for a
-/// payload of a certain box. Returns the number of blocks too. At least one, even if that takes more. `spare` are steps of work that the
-/// payload may ask for beside those for its bytes.
+/// Codes as many blocks from the front of `blocks`, which are in order, as go into `room` bytes; `room` says
+/// how many there are for a payload of a certain box. Returns the number of blocks too. At least one, even if
+/// that takes more. `spare` are steps of work that the payload may ask for beside those for its bytes.
 pub(crate) fn encode(
     workspace: &mut Workspace,
     known: &Known<'_>,
@@ -94,8 +101,8 @@ pub(crate) fn encode(
     }
 }
 
-/// The boxes of one, two, … blocks from the front, as many as a package may span that asks for no more than this work for its box. One at
-/// least.
+/// The boxes of one, two, … blocks from the front, as many as a package may span that asks for no more than
+/// this work for its box. One at least.
 fn boxes(blocks: &[Changed<'_>], work: u64) -> impl Iterator<Item = BlockBox> {
     let boxes = blocks.iter().scan(None, |region: &mut Option<BlockBox>, (index, _)| {
         *region = Some(region.map_or(BlockBox::of(*index), |region| region.union(BlockBox::of(*index))));
@@ -107,7 +114,8 @@ fn boxes(blocks: &[Changed<'_>], work: u64) -> impl Iterator<Item = BlockBox> {
     })
 }
 
-/// Writes as many blocks as there is room for, at least one; `region` is the box of all. Returns how many, and the steps for them.
+/// Writes as many blocks as there is room for, at least one; `region` is the box of all. Returns how many,
+/// and the steps for them.
 #[expect(clippy::too_many_arguments, reason = "all of a package, from one place")]
 fn write(
     workspace: &mut Workspace,
@@ -119,7 +127,7 @@ fn write(
     spare: u64,
     room: usize,
 ) -> Result<(Vec<u8>, usize, u64), Overtaken> {
-    let Workspace { model, chances, body, told } = workspace;
+    let Workspace { model, probabilities, body, told } = workspace;
     let sensor_block = order::sensor_block(sensor);
     let first = blocks.first().map(|(index, _)| *index);
     let before = order::blocks(region, sensor_block, 0).take_while(|index| Some(*index) != first).count();
@@ -128,7 +136,7 @@ fn write(
     Head { set, sensor, before: before as u64 }.write(&region, &mut payload);
     model.clear(region);
     body.clear();
-    let mut decisions = Coding::new(set.tables(), chances, BitWriter::new(body));
+    let mut decisions = Coding::new(set.tables(), probabilities, BitWriter::new(body));
     let mut flags = Flags::new(region, told);
     let mut left = blocks.iter();
     let mut next = left.next();
@@ -183,10 +191,10 @@ pub(crate) fn decode(
     let length = reader.number("blocks told of", volume - before)?;
     work.take(work::of_box(region.size()))?;
 
-    let Workspace { model, chances, told, .. } = workspace;
+    let Workspace { model, probabilities, told, .. } = workspace;
     model.clear(region);
     let mut flags = Flags::new(region, told);
-    let mut decisions = Coding::new(set.tables(), chances, BitReader::new(reader.rest()));
+    let mut decisions = Coding::new(set.tables(), probabilities, BitReader::new(reader.rest()));
     let mut changed = Vec::new();
     // Steps of what was taken in and decided, as far as they have been counted.
     let mut counted = 0;

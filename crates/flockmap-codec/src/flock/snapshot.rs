@@ -1,12 +1,13 @@
-//! A snapshot as its own history: part by part in the order of their stamps, each told as a cycle against the older ones.
+//! A snapshot as its own history: part by part in the order of their stamps, each told as a cycle against the
+//! older ones.
 //!
-//! So the stamps cost next to nothing, and what a later cycle left of an earlier one is told where that cycle told it. A chunk holds
-//! sections, each a part or a piece of one. Who has read the chunks before knows what the next one is told against. A chunk without
-//! sections says that nothing is known.
+//! So the stamps cost next to nothing, and what a later cycle left of an earlier one is told where that cycle
+//! told it. A chunk holds sections, each a part or a piece of one. Who has read the chunks before knows what
+//! the next one is told against. A chunk without sections says that nothing is known.
 //!
-//! A section: the stamp, a varint, as the difference to the section before (the first: to the start in the header); the box in
-//! blocks, three varints for its lowest block as the difference to that of the chunk, three for its size less one; the length of
-//! the rest, a varint; the rest, as in a package of changes.
+//! A section: the stamp, a varint, as the difference to the section before (the first: to the start in the
+//! header); the box in blocks, three varints for its lowest block as the difference to that of the chunk,
+//! three for its size less one; the length of the rest, a varint; the rest, as in a package of changes.
 
 use flockmap_grid::{BlockIndex, Changes, Layer, PresentState, PresentVoxels, Stamp, StateBlock, VoxelBox};
 use rustc_hash::FxHashMap;
@@ -38,8 +39,8 @@ const SECTION_BYTES_MIN: usize = 100;
 /// What the head of a section takes at most: stamp, corner, size, length.
 const SECTION_HEAD_MAX: usize = 10 + 3 * 5 + 3 * 5 + 3;
 
-/// Codes the parts of a state. `room` says how many bytes the payload of a chunk may have that spans a box and some stamps. A chunk of a
-/// single block may be longer.
+/// Codes the parts of a state. `room` says how many bytes the payload of a chunk may have that spans a box
+/// and some stamps. A chunk of a single block may be longer.
 pub(crate) fn encode_snapshot(
     workspace: &mut Workspace,
     state: &PresentVoxels,
@@ -66,7 +67,8 @@ pub(crate) fn encode_snapshot(
         let mut rest = blocks.as_slice();
         while !rest.is_empty() {
             let mut left = left_in(&chunk, stamp);
-            // Where chunks are this small, one that was begun for want of room may be left empty: bytes that stay as they are.
+            // Where chunks are this small, one that was begun for want of room may be left empty: bytes that
+            // stay as they are.
             if left < SECTION_BYTES_MIN && is_begun {
                 done.push(core::mem::take(&mut chunk).draft(largest)?);
                 left = left_in(&chunk, stamp);
@@ -188,7 +190,8 @@ fn add_sensor(sensors: &mut Sensors, stamp: Stamp, sensor: [i32; 3]) {
     }
 }
 
-/// What a chunk says; `told` is what the chunks before it said, and holds this one too afterwards. After an error it is of no use.
+/// What a chunk says; `told` is what the chunks before it said, and holds this one too afterwards. After an
+/// error it is of no use.
 pub(crate) fn decode_chunk(
     workspace: &mut Option<Box<Workspace>>,
     told: &mut Layer,

@@ -1,14 +1,15 @@
-//! Makes the tables of the `flock` codec from cycles of mapping. Integers only, so that the same cycles give the same tables on
-//! every machine.
+//! Makes the tables of the `flock` codec from cycles of mapping. Integers only, so that the same cycles give
+//! the same tables on every machine.
 //!
-//! Two rounds over the same cycles: the first counts how often an unknown voxel in each context was seen, which gives the levels; the
-//! second counts by levels, which gives the chances that packages begin with.
+//! Two rounds over the same cycles: the first counts how often an unknown voxel in each context was seen,
+//! which gives the levels; the second counts by levels, which gives the probabilities that packages begin
+//! with.
 
 use flockmap_grid::{Changes, Layer};
 
 use super::block_box::BlockBox;
 use super::cells::Bits;
-use super::coder::Chance;
+use super::coder::Probability;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::flags::Flags;
 use super::known::Known;
@@ -16,8 +17,8 @@ use super::model::Model;
 use super::order::{self, Changed, in_order};
 use super::orientation::Orientation;
 use super::tables::{
-    self, Chances, FLAG_CONTEXTS, KIND_CHANCES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES,
-    TableSet, Tables, VOXEL_CHANCES, voxel_chance,
+    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, Probabilities, RAY_CONTEXTS,
+    SET_BYTES, TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
 use crate::deflate::{Deflater, inflate_exact};
 use crate::source::Cycle;
@@ -26,7 +27,7 @@ use crate::source::Cycle;
 const PACKAGE_VOXELS: usize = 1_500;
 
 /// How likely a bit of each level is, in 65,536ths.
-const LEVEL_CHANCES: [u32; LEVELS] = [
+const LEVEL_PROBABILITIES: [u32; LEVELS] = [
     22, 28, 36, 47, 60, 77, 98, 126, 162, 208, 267, 342, 439, 562, 720, 922, 1179, 1506, 1921, 2446, 3108,
     3938, 4971, 6249, 7812, 9702, 11955, 14595, 17625, 21025, 24743, 28693, 32768, 36843, 40793, 44511,
     47911, 50941, 53581, 55834, 57724, 59287, 60565, 61598, 62428, 63090, 63615, 64030, 64357, 64614, 64816,
@@ -144,7 +145,7 @@ impl Trainer {
         let Counting { tables, .. } = &self.counting;
         let tables = match tables {
             None => self.counting.with_levels(),
-            Some(tables) => self.counting.with_chances(tables.clone()),
+            Some(tables) => self.counting.with_probabilities(tables.clone()),
         };
         self.counting = Counting::new(Some(tables));
     }
@@ -161,8 +162,8 @@ struct Counting {
     ray: Vec<Counts>,
     kind_near: Vec<Counts>,
     kind_ray: Vec<Counts>,
-    voxel_chance: Vec<Counts>,
-    kind_chance: Vec<Counts>,
+    voxel_probability: Vec<Counts>,
+    kind_probability: Vec<Counts>,
     flag: Vec<Counts>,
 }
 
@@ -175,8 +176,8 @@ impl Counting {
             ray: none(RAY_CONTEXTS),
             kind_near: none(NEAR_CONTEXTS),
             kind_ray: none(RAY_CONTEXTS),
-            voxel_chance: none(VOXEL_CHANCES),
-            kind_chance: none(KIND_CHANCES),
+            voxel_probability: none(VOXEL_PROBABILITIES),
+            kind_probability: none(KIND_PROBABILITIES),
             flag: none(FLAG_CONTEXTS),
         }
     }
@@ -193,7 +194,7 @@ impl Counting {
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
         let ray_group = |context: usize| context & 255;
-        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Chances::even() };
+        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Probabilities::even() };
         for (to, near, ray, prior) in [
             (&mut tables.voxel, &self.near, &self.ray, EVEN_ODDS),
             (&mut tables.kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
@@ -204,22 +205,22 @@ impl Counting {
         tables
     }
 
-    fn with_chances(&self, mut tables: Tables) -> Tables {
+    fn with_probabilities(&self, mut tables: Tables) -> Tables {
         let start = &mut tables.start;
-        for (chances, counts) in
-            [(&mut start.voxel[..], &self.voxel_chance), (&mut start.kind[..], &self.kind_chance)]
+        for (probabilities, counts) in
+            [(&mut start.voxel[..], &self.voxel_probability), (&mut start.kind[..], &self.kind_probability)]
         {
-            for (index, (chance, counts)) in chances.iter_mut().zip(counts).enumerate() {
+            for (index, (probability, counts)) in probabilities.iter_mut().zip(counts).enumerate() {
                 let (near, ray) = (index / LEVELS % LEVELS, index % LEVELS);
                 // What the two levels say together where there is no experience: 0.6 of their sum.
                 let middle = LEVELS as i64 / 2;
                 let level = middle + (6 * (near as i64 + ray as i64 - 2 * middle)).div_euclid(10);
-                let prior = LEVEL_CHANCES[level.clamp(0, LEVELS as i64 - 1) as usize];
-                *chance = to_chance(share(*counts, prior, 4));
+                let prior = LEVEL_PROBABILITIES[level.clamp(0, LEVELS as i64 - 1) as usize];
+                *probability = to_probability(share(*counts, prior, 4));
             }
         }
-        for (chance, counts) in start.flag.iter_mut().zip(&self.flag) {
-            *chance = to_chance(share(*counts, THREE_IN_TEN, 1));
+        for (probability, counts) in start.flag.iter_mut().zip(&self.flag) {
+            *probability = to_probability(share(*counts, THREE_IN_TEN, 1));
         }
         tables
     }
@@ -235,8 +236,8 @@ fn share(counts: Counts, prior: u32, weight: u64) -> u32 {
 }
 
 /// Never so sure that a surprise costs more than 10 bits.
-fn to_chance(share: u32) -> Chance {
-    share.clamp(48, 65_536 - 48) as Chance
+fn to_probability(share: u32) -> Probability {
+    share.clamp(48, 65_536 - 48) as Probability
 }
 
 /// Levels of contexts; the prior of a context is what its group met.
@@ -272,7 +273,7 @@ impl DecideVoxel for Counting {
         let level = self.tables.as_ref().map_or(0, |tables| tables.voxel.of(contexts));
         self.near[near][usize::from(truth)] += 1;
         self.ray[ray][usize::from(truth)] += 1;
-        self.voxel_chance[voxel_chance(kind, level)][usize::from(truth)] += 1;
+        self.voxel_probability[voxel_probability(kind, level)][usize::from(truth)] += 1;
         truth
     }
 
@@ -281,7 +282,7 @@ impl DecideVoxel for Counting {
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;
         if let Some(tables) = &self.tables {
-            self.kind_chance[usize::from(tables.kind.of(contexts))][usize::from(truth)] += 1;
+            self.kind_probability[usize::from(tables.kind.of(contexts))][usize::from(truth)] += 1;
         }
         truth
     }

@@ -119,7 +119,8 @@ fn a_usual_header_takes_few_bytes() {
 #[test]
 fn numbers_out_of_range_are_refused() {
     let refused = |edit: &dyn Fn(&mut Vec<u8>)| {
-        // Version, kind and codec, origin, epoch, index 5, cycle end, duration, resolution 0.1 m, box, reference.
+        // Version, kind and codec, origin, epoch, index 5, cycle end, duration, resolution 0.1 m, box,
+        // reference.
         let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
         assert!(Header::read(&bytes).is_ok());
         edit(&mut bytes);

@@ -8,7 +8,8 @@ use crate::error::PackageError;
 /// Bytes for each voxel in the list of addresses.
 const ADDRESS_BYTES: usize = 5;
 
-/// Appends for each voxel of `states`, ascending: the place in nested order as `u32`, then 0 for Free or 1 for Occupied.
+/// Appends for each voxel of `states`, ascending: the place in nested order as `u32`, then 0 for Free or 1
+/// for Occupied.
 pub(crate) fn encode(states: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
     let (min, [_, ny, nz]) = (region.min(), region.size());
     let mut list: Vec<(u32, u8)> = states

@@ -16,7 +16,8 @@ pub(crate) struct Blocks<'w, K> {
     min: Voxel,
     found: Vec<((K, BlockIndex), Planes)>,
     number_of: FxHashMap<(K, BlockIndex), usize>,
-    /// Where the last blocks are in `found`, one for each that is even or odd along the axes: so that neighbours are all here.
+    /// Where the last blocks are in `found`, one for each that is even or odd along the axes: so that
+    /// neighbours are all here.
     last: [usize; 8],
     work: &'w mut Work,
     /// Why nothing is taken in any more.

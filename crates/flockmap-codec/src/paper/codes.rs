@@ -1,5 +1,5 @@
-//! Codes of two bits, four to a byte, the first in the lowest two bits; and where among many of them those are that tell of a voxel, so
-//! that what says nothing costs next to nothing.
+//! Codes of two bits, four to a byte, the first in the lowest two bits; and where among many of them those
+//! are that tell of a voxel, so that what says nothing costs next to nothing.
 
 use crate::work;
 
@@ -42,7 +42,8 @@ pub(crate) struct Codes<'a> {
 }
 
 impl<'a> Codes<'a> {
-    /// `background` is the code of a voxel that is not told of; the bits after the last code are the same as if there were more of these.
+    /// `background` is the code of a voxel that is not told of; the bits after the last code are the same as
+    /// if there were more of these.
     pub(crate) const fn new(packed: &'a [u8], background: u8) -> Self {
         Self { packed, nothing: background * 0b0101_0101 }
     }

@@ -29,8 +29,8 @@ pub(crate) fn encode_whole(
     Ok(draft(piece, writer.payload.clone()))
 }
 
-/// All changes as packages. `room` says how many bytes of payload the package of a number, from 0, and with a certain box may have; a
-/// payload of a single voxel may be longer.
+/// All changes as packages. `room` says how many bytes of payload the package of a number, from 0, and with a
+/// certain box may have; a payload of a single voxel may be longer.
 pub(crate) fn encode_cycle(
     writer: &mut Writer,
     codec: Codec,

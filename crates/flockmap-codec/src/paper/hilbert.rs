@@ -1,14 +1,14 @@
 //! The Hilbert walk over a box of any size (Sec. III-C of the paper): every voxel once, each step to a direct
 //! neighbour, no enclosing cube of a power of two.
 //!
-//! The paper does not say how its curve fits a box whose sides are no powers of two. This is the subdivision of
-//! "gilbert++", the generalised Hilbert curve by Jakub Červený and abetusk (github.com/jakubcerveny/gilbert), with the
-//! axes ordered so that a walk without jumps exists ("Hamiltonian"): the walk goes from one corner to
-//! the next along its first axis, and by the colours of a chessboard that is possible only if this side is even
-//! or all sides are odd.
+//! The paper does not say how its curve fits a box whose sides are no powers of two. This is the subdivision
+//! of "gilbert++", the generalised Hilbert curve by Jakub Červený and abetusk
+//! (github.com/jakubcerveny/gilbert), with the axes ordered so that a walk without jumps exists
+//! ("Hamiltonian"): the walk goes from one corner to the next along its first axis, and by the colours of a
+//! chessboard that is possible only if this side is even or all sides are odd.
 //!
-//! Written for speed: positions are linear indices into a dense grid, directions are index strides, and where all
-//! sides are at most [`LEAF_SIDE`] the steps come from a table.
+//! Written for speed: positions are linear indices into a dense grid, directions are index strides, and where
+//! all sides are at most [`LEAF_SIDE`] the steps come from a table.
 
 use std::sync::OnceLock;
 
@@ -37,7 +37,8 @@ pub fn hilbert_order(size: [u32; 3]) -> Vec<[u32; 3]> {
     order
 }
 
-/// A piece of the walk: a first voxel and the steps from it, in linear indices with x fastest, then y, then z.
+/// A piece of the walk: a first voxel and the steps from it, in linear indices with x fastest, then y, then
+/// z.
 #[derive(Clone, Copy)]
 pub(crate) struct Leaf<'t> {
     first: usize,
@@ -84,8 +85,8 @@ pub(crate) fn walk_places(size: [usize; 3], visit: impl FnMut(Leaf<'_>)) {
     walk_with(size, Places::of(size).strides(), &mut All(visit));
 }
 
-/// Walks the parts of a box in which `pick` wants a voxel; it gets the pieces of the walk in order, with voxels as [`Places`] has
-/// them. What lies between takes no time that goes with its size.
+/// Walks the parts of a box in which `pick` wants a voxel; it gets the pieces of the walk in order, with
+/// voxels as [`Places`] has them. What lies between takes no time that goes with its size.
 pub(crate) fn walk_some(size: [usize; 3], pick: &mut impl Pick) {
     walk_with(size, Places::of(size).strides(), pick);
 }
@@ -122,7 +123,8 @@ impl<F: FnMut(Leaf<'_>)> Pick for All<F> {
     }
 }
 
-/// The voxels of a box as numbers from which their places are read without dividing: x in the lowest bits, above it y, then z.
+/// The voxels of a box as numbers from which their places are read without dividing: x in the lowest bits,
+/// above it y, then z.
 #[derive(Clone, Copy)]
 pub(crate) struct Places {
     bits: [u32; 2],
@@ -145,8 +147,8 @@ impl Places {
     }
 }
 
-/// Puts the axis along which the walk as a whole goes first: the longest even one, else (all odd) the longest.
-/// Of the others the longer one comes first. Ties: x before y before z.
+/// Puts the axis along which the walk as a whole goes first: the longest even one, else (all odd) the
+/// longest. Of the others the longer one comes first. Ties: x before y before z.
 fn order_axes(mut axes: [Axis; 3]) -> [Axis; 3] {
     axes.sort_by_key(|axis| core::cmp::Reverse(axis.len));
     if let Some(even) = axes.iter().position(|axis| axis.is_even()) {
@@ -154,6 +156,9 @@ fn order_axes(mut axes: [Axis; 3]) -> [Axis; 3] {
     }
     axes
 }
+
+/// No side.
+const POINT: Axis = Axis { len: 1, stride: 0 };
 
 /// A side of a sub-box: how many voxels, and the index difference of a step along it. The walk begins at the
 /// corner from which all three strides lead into the sub-box, and ends at the far end of the first axis.
@@ -194,22 +199,22 @@ impl Axis {
     }
 }
 
-/// About half, even where it can be.
+/// About one of so many parts, with this remainder by two where it can be.
+fn part(len: usize, parts: usize, parity: usize) -> usize {
+    let part = len / parts;
+    if len > 2 && part % 2 != parity { part + 1 } else { part }
+}
+
 fn half_even(len: usize) -> usize {
-    let half = len / 2;
-    if len > 2 { half + half % 2 } else { half }
+    part(len, 2, 0)
 }
 
-/// About half, odd where it can be.
 fn half_odd(len: usize) -> usize {
-    let half = len / 2;
-    if len > 2 { half + 1 - half % 2 } else { half }
+    part(len, 2, 1)
 }
 
-/// About a third, even where it can be.
 fn third_even(len: usize) -> usize {
-    let third = len / 3;
-    if len > 2 { third + third % 2 } else { third }
+    part(len, 3, 0)
 }
 
 struct Walker<'t, 'p, P> {
@@ -325,7 +330,6 @@ impl<P: Pick> Walker<'_, '_, P> {
 
     /// A sub-box with one side of 1: the walk in the plane of the other two.
     fn flat(&mut self, from: isize, a: Axis, b: Axis) {
-        const POINT: Axis = Axis { len: 1, stride: 0 };
         if self.passes(a.len * b.len) {
             return;
         }
@@ -351,7 +355,6 @@ impl<P: Pick> Walker<'_, '_, P> {
     }
 
     fn line(&mut self, from: isize, a: Axis) {
-        const POINT: Axis = Axis { len: 1, stride: 0 };
         let mut start = 0;
         while start < a.len {
             // Straight to the next that is wanted: a line may be as long as the largest box.
@@ -377,7 +380,8 @@ struct Tables {
 
 /// A walk of a small box.
 struct Way {
-    /// From each voxel to the next: 0, 1 forward and back along the first axis, 2, 3 along the second, 4, 5 along the third.
+    /// From each voxel to the next: 0, 1 forward and back along the first axis, 2, 3 along the second, 4, 5
+    /// along the third.
     steps: Box<[u8]>,
     /// Each voxel: its places along the three axes, three bits each, that of the first lowest.
     places: Box<[u16]>,
@@ -410,7 +414,8 @@ impl Tables {
         tables
     }
 
-    /// `None` for the sizes that have no walk without jumps; no such part is ever cut from a box that has one.
+    /// `None` for the sizes that have no walk without jumps; no such part is ever cut from a box that has
+    /// one.
     fn make(&self, size: [usize; 3]) -> Option<Way> {
         const STRIDES: [isize; 3] = [1, 64, 64 * 64];
         let [a, b, c] = [0, 1, 2].map(|axis| Axis { len: size[axis], stride: STRIDES[axis] });

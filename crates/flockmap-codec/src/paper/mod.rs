@@ -1,5 +1,6 @@
-//! The paper's codec (Sec. III): the states of all voxels of a box, two bits each along a Hilbert walk, then zlib. And those that it is
-//! compared with: the same in nested order, with zlib and without, and a list of addresses.
+//! The paper's codec (Sec. III): the states of all voxels of a box, two bits each along a Hilbert walk, then
+//! zlib. And those that it is compared with: the same in nested order, with zlib and without, and a list of
+//! addresses.
 //!
 //! Changes are cut in space until each piece fits. A snapshot has the stamp of every voxel beside its states.
 

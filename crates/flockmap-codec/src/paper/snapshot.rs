@@ -16,8 +16,8 @@ use crate::work::Work;
 /// Voxels of a snapshot that are cut at once: their parts take up to 144 bytes a voxel, some of them twice.
 const RUN_VOXELS_MAX: usize = 1 << 15;
 
-/// The state as chunks, at least one. `room` says how many bytes the payload of a chunk may have that spans a box and some stamps; a
-/// payload of a single voxel may be longer.
+/// The state as chunks, at least one. `room` says how many bytes the payload of a chunk may have that spans a
+/// box and some stamps; a payload of a single voxel may be longer.
 pub(crate) fn encode_snapshot(
     writer: &mut Writer,
     codec: Codec,

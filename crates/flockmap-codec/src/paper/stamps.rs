@@ -1,8 +1,9 @@
 //! The stamps of a present state, after its states and the same for all codecs.
 //!
-//! Nothing if all known voxels have one stamp, which the header has. Else one zlib stream of: the number of stamps;
-//! the differences from each stamp to the next; then for each known voxel along the Hilbert walk of the box the number
-//! of its stamp, the low bytes of all voxels first, and the high bytes after them if there are more than 256 stamps.
+//! Nothing if all known voxels have one stamp, which the header has. Else one zlib stream of: the number of
+//! stamps; the differences from each stamp to the next; then for each known voxel along the Hilbert walk of
+//! the box the number of its stamp, the low bytes of all voxels first, and the high bytes after them if there
+//! are more than 256 stamps.
 
 use flockmap_grid::{Changes, PresentState, Stamp, StateBlock, VoxelBox};
 
@@ -72,8 +73,8 @@ pub(crate) fn steps(parts: &[(Stamp, Changes)], region: &VoxelBox) -> u64 {
     work::of_stamps(region.volume() as u64, known as u64) + work::BLOCK_STEPS * blocks as u64
 }
 
-/// Joins `states`, what is known in `region`, with the stamps in `bytes`. `first` and `last` are the oldest and the
-/// newest stamp by the header. What it takes counts as `work` of the whole payload.
+/// Joins `states`, what is known in `region`, with the stamps in `bytes`. `first` and `last` are the oldest
+/// and the newest stamp by the header. What it takes counts as `work` of the whole payload.
 pub(crate) fn decode(
     codec: Codec,
     bytes: &[u8],

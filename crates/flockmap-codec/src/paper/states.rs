@@ -30,7 +30,8 @@ impl Others {
     }
 }
 
-/// Memory that is used again from package to package: up to 2.25 bytes for each voxel of the largest box so far.
+/// Memory that is used again from package to package: up to 2.25 bytes for each voxel of the largest box so
+/// far.
 #[derive(Default)]
 pub(crate) struct Scratch {
     /// The codes by place in the box.
@@ -54,7 +55,8 @@ pub(crate) fn voxels_max(codec: Codec, payload_bytes: usize, others: Others) -> 
     filled.min(BOX_VOXELS_MAX)
 }
 
-/// Appends `states`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels. Returns the steps that [`decode`] takes for them.
+/// Appends `states`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels. Returns the steps that
+/// [`decode`] takes for them.
 pub(crate) fn encode(
     codec: Codec,
     states: &Changes,
@@ -104,8 +106,8 @@ pub(crate) fn encode(
     steps(codec, codes.len(), others.code(), packed, blocks)
 }
 
-/// The states in `payload`; the inverse of [`encode`]. Takes no memory before it is sure that `payload` can fill
-/// the box, see [`voxels_max`], and counts its work.
+/// The states in `payload`; the inverse of [`encode`]. Takes no memory before it is sure that `payload` can
+/// fill the box, see [`voxels_max`], and counts its work.
 pub(crate) fn decode(
     codec: Codec,
     payload: &[u8],

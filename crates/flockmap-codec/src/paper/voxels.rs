@@ -1,4 +1,5 @@
-//! The voxels that a box of codes tells of: found group by group, so that what says nothing costs next to nothing.
+//! The voxels that a box of codes tells of: found group by group, so that what says nothing costs next to
+//! nothing.
 
 use flockmap_grid::{Changes, StateBlock, VoxelBox};
 
@@ -9,7 +10,8 @@ use crate::codec::Codec;
 use crate::error::PackageError;
 use crate::work::Work;
 
-/// The voxels of `codes`, in the order of a codec: that of the paper along the Hilbert walk, the others nested.
+/// The voxels of `codes`, in the order of a codec: that of the paper along the Hilbert walk, the others
+/// nested.
 pub(crate) fn voxels(
     codec: Codec,
     codes: Codes<'_>,

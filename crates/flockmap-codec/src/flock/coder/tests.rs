@@ -3,35 +3,35 @@
 use super::*;
 use proptest::prelude::*;
 
-fn chance() -> impl Strategy<Value = Chance> {
+fn probability() -> impl Strategy<Value = Probability> {
     prop_oneof![1..=65_535u16, Just(1), Just(65_535), 1..=40u16, 65_500..=65_535u16]
 }
 
-fn written(bits: &[(Chance, bool)]) -> Vec<u8> {
+fn written(bits: &[(Probability, bool)]) -> Vec<u8> {
     let mut out = vec![0xff, 0xff];
     let mut writer = BitWriter::new(&mut out);
-    for (chance, bit) in bits {
-        writer.put(*chance, *bit);
+    for (probability, bit) in bits {
+        writer.put(*probability, *bit);
     }
     writer.finish();
     assert_eq!(out[..2], [0xff, 0xff], "what stood before is left alone");
     out.split_off(2)
 }
 
-fn read_back(bits: &[(Chance, bool)]) -> bool {
+fn read_back(bits: &[(Probability, bool)]) -> bool {
     let bytes = written(bits);
     let mut reader = BitReader::new(&bytes);
-    bits.iter().all(|(chance, bit)| reader.get(*chance) == *bit)
+    bits.iter().all(|(probability, bit)| reader.get(*probability) == *bit)
 }
 
 proptest! {
     #[test]
-    fn what_was_written_is_read(bits in prop::collection::vec((chance(), any::<bool>()), 0..3000)) {
+    fn what_was_written_is_read(bits in prop::collection::vec((probability(), any::<bool>()), 0..3000)) {
         prop_assert!(read_back(&bits));
     }
 
     #[test]
-    fn unlikely_bits_carry_far(head in prop::collection::vec((chance(), any::<bool>()), 0..40), length in 0..2_000usize) {
+    fn unlikely_bits_carry_far(head in prop::collection::vec((probability(), any::<bool>()), 0..40), length in 0..2_000usize) {
         // The lowest bit of the interval over and over makes bytes of 255, then one step more carries.
         let mut bits = head;
         bits.extend(core::iter::repeat_n((1, false), length));
@@ -41,12 +41,12 @@ proptest! {
 
     #[test]
     fn likely_bits_cost_what_they_must(
-        seeds in prop::collection::vec((chance(), any::<u16>()), 2_000..4_000),
+        seeds in prop::collection::vec((probability(), any::<u16>()), 2_000..4_000),
     ) {
-        // Bits drawn with the chances that they are coded with.
-        let bits: Vec<_> = seeds.iter().map(|(chance, draw)| (*chance, draw < chance)).collect();
-        let cost = |(chance, bit): &(Chance, bool)| {
-            let set = f64::from(*chance) / 65_536.0;
+        // Bits drawn with the probabilities that they are coded with.
+        let bits: Vec<_> = seeds.iter().map(|(probability, draw)| (*probability, draw < probability)).collect();
+        let cost = |(probability, bit): &(Probability, bool)| {
+            let set = f64::from(*probability) / 65_536.0;
             -(if *bit { set } else { 1.0 - set }).log2()
         };
         let limit = bits.iter().map(cost).sum::<f64>() / 8.0;
@@ -56,19 +56,19 @@ proptest! {
 
     #[test]
     fn what_is_taken_back_leaves_no_trace(
-        bits in prop::collection::vec((chance(), any::<bool>()), 0..300),
-        more in prop::collection::vec((chance(), any::<bool>()), 0..300),
+        bits in prop::collection::vec((probability(), any::<bool>()), 0..300),
+        more in prop::collection::vec((probability(), any::<bool>()), 0..300),
         carries in 0..40usize,
     ) {
         let mut out = vec![0xff, 0xff];
         let mut writer = BitWriter::new(&mut out);
-        bits.iter().for_each(|(chance, bit)| writer.put(*chance, *bit));
+        bits.iter().for_each(|(probability, bit)| writer.put(*probability, *bit));
         // Up to the highest number in the interval, so that a step further carries.
         (0..carries).for_each(|_| writer.put(1, false));
         let mark = writer.mark();
         let length = writer.finished_len();
         (0..carries).for_each(|_| writer.put(65_535, false));
-        more.iter().for_each(|(chance, bit)| writer.put(*chance, *bit));
+        more.iter().for_each(|(probability, bit)| writer.put(*probability, *bit));
         writer.back_to(&mark);
         writer.finish();
         let mut straight = bits;
@@ -78,25 +78,25 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_can_be_read(bytes in prop::collection::vec(any::<u8>(), 0..40), chance in chance()) {
+    fn any_bytes_can_be_read(bytes in prop::collection::vec(any::<u8>(), 0..40), probability in probability()) {
         let mut reader = BitReader::new(&bytes);
         for _ in 0..2_000 {
-            reader.get(chance);
+            reader.get(probability);
         }
     }
 }
 
 #[test]
 fn the_end_is_right_wherever_the_interval_lies() {
-    let chances = [1, 255, 256, 32_767, 32_768, 65_280, 65_535];
+    let probabilities = [1, 255, 256, 32_767, 32_768, 65_280, 65_535];
     for length in 0..5usize {
-        for case in 0..(2 * chances.len()).pow(length as u32) {
+        for case in 0..(2 * probabilities.len()).pow(length as u32) {
             let mut rest = case;
-            let bits: Vec<(Chance, bool)> = (0..length)
+            let bits: Vec<(Probability, bool)> = (0..length)
                 .map(|_| {
-                    let choice = rest % (2 * chances.len());
-                    rest /= 2 * chances.len();
-                    (chances[choice / 2], choice % 2 == 1)
+                    let choice = rest % (2 * probabilities.len());
+                    rest /= 2 * probabilities.len();
+                    (probabilities[choice / 2], choice % 2 == 1)
                 })
                 .collect();
             assert!(read_back(&bits), "{bits:?}");
@@ -105,13 +105,13 @@ fn the_end_is_right_wherever_the_interval_lies() {
 }
 
 #[test]
-fn chances_never_leave_their_range() {
+fn probabilities_never_leave_their_range() {
     for rate in [5, 6] {
         for bit in [false, true] {
-            let mut chance = 1 << 15;
+            let mut probability = 1 << 15;
             for _ in 0..1_000 {
-                learn(&mut chance, bit, rate);
-                assert!(chance > 0);
+                learn(&mut probability, bit, rate);
+                assert!(probability > 0);
             }
             let mut least = 1;
             learn(&mut least, false, rate);
@@ -120,15 +120,15 @@ fn chances_never_leave_their_range() {
     }
 }
 
-fn fine_chance() -> impl Strategy<Value = u32> {
+fn fine_probability() -> impl Strategy<Value = u32> {
     prop_oneof![1..=u32::MAX, Just(1), Just(u32::MAX), 1..=40u32, u32::MAX - 40..=u32::MAX]
 }
 
 fn written_fine(bits: &[(u32, bool)]) -> Vec<u8> {
     let mut out = Vec::new();
     let mut writer = BitWriter::new(&mut out);
-    for (chance, bit) in bits {
-        writer.bit(*chance, *bit);
+    for (probability, bit) in bits {
+        writer.bit(*probability, *bit);
     }
     writer.finish();
     out
@@ -136,25 +136,25 @@ fn written_fine(bits: &[(u32, bool)]) -> Vec<u8> {
 
 proptest! {
     #[test]
-    fn fine_bits_are_read_and_cost_what_they_must(seeds in prop::collection::vec((fine_chance(), any::<u32>()), 0..3_000)) {
-        // Bits drawn with the chances that they are coded with.
-        let bits: Vec<_> = seeds.iter().map(|(chance, draw)| (*chance, draw < chance)).collect();
-        let cost = |(chance, bit): &(u32, bool)| {
-            let set = f64::from(*chance) / 4_294_967_296.0;
+    fn fine_bits_are_read_and_cost_what_they_must(seeds in prop::collection::vec((fine_probability(), any::<u32>()), 0..3_000)) {
+        // Bits drawn with the probabilities that they are coded with.
+        let bits: Vec<_> = seeds.iter().map(|(probability, draw)| (*probability, draw < probability)).collect();
+        let cost = |(probability, bit): &(u32, bool)| {
+            let set = f64::from(*probability) / 4_294_967_296.0;
             -(if *bit { set } else { 1.0 - set }).log2()
         };
         let limit = bits.iter().map(cost).sum::<f64>() / 8.0;
         let bytes = written_fine(&bits);
         prop_assert!(bytes.len() as f64 <= limit * 1.0001 + 1.01, "{} bytes, {:.1} at best", bytes.len(), limit);
         let mut reader = BitReader::new(&bytes);
-        prop_assert!(bits.iter().all(|(chance, bit)| reader.bit(*chance, false) == *bit));
+        prop_assert!(bits.iter().all(|(probability, bit)| reader.bit(*probability, false) == *bit));
     }
 
     #[test]
-    fn unlikely_fine_bits_are_read(bits in prop::collection::vec((fine_chance(), any::<bool>()), 0..3_000)) {
+    fn unlikely_fine_bits_are_read(bits in prop::collection::vec((fine_probability(), any::<bool>()), 0..3_000)) {
         let bytes = written_fine(&bits);
         let mut reader = BitReader::new(&bytes);
-        prop_assert!(bits.iter().all(|(chance, bit)| reader.bit(*chance, false) == *bit));
+        prop_assert!(bits.iter().all(|(probability, bit)| reader.bit(*probability, false) == *bit));
     }
 }
 

@@ -9,8 +9,8 @@ use crate::flock::block_box::BlockBox;
 use crate::limits::BOX_VOXELS_MAX;
 use crate::piece::{Measure, Piece};
 
-/// The most bytes that [`encode`](super::encode) takes for `changes` in `region`, and seldom five more than it takes;
-/// `usize::MAX` if the box has more than [`BOX_VOXELS_MAX`] voxels. O(blocks).
+/// The most bytes that [`encode`](super::encode) takes for `changes` in `region`, and seldom five more than
+/// it takes; `usize::MAX` if the box has more than [`BOX_VOXELS_MAX`] voxels. O(blocks).
 pub(crate) fn estimate(changes: &Changes, region: &VoxelBox) -> usize {
     let occupied = changes
         .blocks()
@@ -26,8 +26,8 @@ pub(super) fn estimate_of(region: &VoxelBox, blocks: usize, changes: usize, occu
     if voxels > u128::from(BOX_VOXELS_MAX) {
         return usize::MAX;
     }
-    // What the varying chance of a state costs beyond the entropy, and what the law of the gaps, which is the true one for many
-    // changes only, and the unused part of the last byte can cost.
+    // What the varying probability of a state costs beyond the entropy, and what the law of the gaps, which
+    // is the true one for many changes only, and the unused part of the last byte can cost.
     let slack = u128::from(log2(changes as u64 + 1)) + (8 << 32);
     // Three bits for each two of the number of changes, and two for their end.
     let number = (u128::from(3 * changes.checked_ilog2().unwrap_or(0)) << 31) + (2 << 32);
@@ -57,10 +57,11 @@ fn log2(value: u64) -> u64 {
     log
 }
 
-/// The changes in pieces of at most `payload_max` bytes each, with the tight box of each. No two share a voxel. A voxel that does
-/// not fit is a piece all the same (it takes 3 bytes).
+/// The changes in pieces of at most `payload_max` bytes each, with the tight box of each. No two share a
+/// voxel. A voxel that does not fit is a piece all the same (it takes 3 bytes).
 ///
-/// Cuts across the longest side of the box until each piece fits by [`estimate`] in a box of whole blocks; nothing is coded on the way.
+/// Cuts across the longest side of the box until each piece fits by [`estimate`] in a box of whole blocks;
+/// nothing is coded on the way.
 pub(crate) fn cut(changes: &Changes, payload_max: usize) -> Vec<(VoxelBox, Changes)> {
     let mut done = Vec::new();
     let mut waiting: Vec<Piece> = Piece::new(changes.clone(), Vec::new()).into_iter().collect();

@@ -5,19 +5,22 @@ use flockmap_grid::{BLOCK_SIDE, Changes, Plane, StateBlock, VoxelBox};
 use super::cut::estimate_of;
 use super::limits::changes_max;
 
-/// Whether gap coding is worth trying: neither the places of the changes nor their states hang together. `region` is the tight
-/// box of `changes`. Compares neighbours along x, y and z with what changes thrown anywhere into the box would show.
+/// Whether gap coding is worth trying: neither the places of the changes nor their states hang together.
+/// `region` is the tight box of `changes`. Compares neighbours along x, y and z with what changes thrown
+/// anywhere into the box would show.
 ///
-/// Of a few dozen changes nothing certain can be said, and the answer is often yes, as it is for sparse obstacles: compare
-/// [`estimate`](super::cut::estimate) with what another mode took, and code only the smaller. For what it would say in less than
-/// two thirds of a bit a change (a full box of one state), the answer is no. O(blocks), two passes over their words at most.
+/// Of a few dozen changes nothing certain can be said, and the answer is often yes, as it is for sparse
+/// obstacles: compare [`estimate`](super::cut::estimate) with what another mode took, and code only the
+/// smaller. For what it would say in less than two thirds of a bit a change (a full box of one state), the
+/// answer is no. O(blocks), two passes over their words at most.
 pub(crate) fn has_no_pattern(changes: &Changes, region: &VoxelBox) -> bool {
     let blocks = changes.blocks().iter();
     let count =
         |of: fn(&StateBlock) -> u64| i128::from(blocks.clone().map(|(_, block)| of(block)).sum::<u64>());
     let occupied = count(|block| ones(block.occupied().iter().copied()));
     let (voxels, changed) = (region.volume() as i128, changes.len() as i128);
-    // Of all pairs of neighbours in the box: how many would be changed both if it were by chance, and how many more are?
+    // Of all pairs of neighbours in the box: how many would be changed both if it were by chance, and how
+    // many more are?
     let pairs = count(|block| pairs_in(&block.known()));
     let by_chance = pairs_of(region) * changed / voxels * changed / voxels;
     // All pairs of a pure pattern.

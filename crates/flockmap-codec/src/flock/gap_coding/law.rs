@@ -1,12 +1,14 @@
 //! How many unchanged voxels lie between two changes.
 //!
-//! If `left` of the `rest` voxels to come are changes, in no order, then each is one with chance p = left / rest, and a gap of g
-//! or more has the chance (1 − p)^g. Powers of 1 − p by squaring give the chances of the bits of g: first, in groups of 2ⁿ
-//! voxels, whether the gap goes beyond the next group, then the place in the group from the highest bit to the lowest.
+//! If `left` of the `rest` voxels to come are changes, in no order, then each is one with probability p =
+//! left / rest, and a gap of g or more has the probability (1 − p)^g. Powers of 1 − p by squaring give the
+//! probabilities of the bits of g: first, in groups of 2ⁿ voxels, whether the gap goes beyond the next group,
+//! then the place in the group from the highest bit to the lowest.
 
 use crate::flock::coder::FineBits;
 
-/// Groups of so many voxels, as a power of two, are enough for one change in 2²⁷ voxels: (1 − 2⁻²⁷)^(2²⁷) < ½.
+/// Groups of so many voxels, as a power of two, are enough for one change in 2²⁷ voxels: (1 − 2⁻²⁷)^(2²⁷) <
+/// ½.
 const GROUP_LOG_MAX: usize = 27;
 
 /// The law of one gap.
@@ -27,7 +29,8 @@ impl Gaps {
         // At least 2⁵, unless `most` is 0, where nothing is told; below 2³².
         let mut power = (u64::from(most) << 32) / u64::from(rest);
         gaps.beyond[0] = power as u32;
-        // The smallest groups that a gap goes beyond in less than half of the cases. A power is then at least 2³⁰.
+        // The smallest groups that a gap goes beyond in less than half of the cases. A power is then at least
+        // 2³⁰.
         while power >= 1 << 31 && gaps.group_log < GROUP_LOG_MAX {
             power = (power * power) >> 32;
             gaps.group_log += 1;
@@ -36,7 +39,8 @@ impl Gaps {
         gaps
     }
 
-    /// Writes or reads the gap, at most `rest - left`. What follows from that is not told. A reader's `gap` means nothing.
+    /// Writes or reads the gap, at most `rest - left`. What follows from that is not told. A reader's `gap`
+    /// means nothing.
     #[inline]
     pub(crate) fn code(&self, bits: &mut impl FineBits, gap: u32) -> u32 {
         let group = 1u32 << self.group_log;
@@ -47,10 +51,11 @@ impl Gaps {
         for log in (0..self.group_log).rev() {
             let half = 1u32 << log;
             if base + half <= self.most {
-                // Of a group of 2·half voxels: with q = (1 − p)^half the first half has 1 parts and the second q.
+                // Of a group of 2·half voxels: with q = (1 − p)^half the first half has 1 parts and the
+                // second q.
                 let q = u64::from(self.beyond[log]);
-                let chance = (q << 31) / ((1 << 31) + (q >> 1));
-                if bits.bit(chance as u32, gap >= base + half) {
+                let probability = (q << 31) / ((1 << 31) + (q >> 1));
+                if bits.bit(probability as u32, gap >= base + half) {
                     base += half;
                 }
             }
@@ -68,16 +73,16 @@ mod tests {
     struct Cost(f64);
 
     impl FineBits for Cost {
-        fn bit(&mut self, chance: u32, truth: bool) -> bool {
-            assert!(chance > 0);
-            let set = f64::from(chance) / 4_294_967_296.0;
+        fn bit(&mut self, probability: u32, truth: bool) -> bool {
+            assert!(probability > 0);
+            let set = f64::from(probability) / 4_294_967_296.0;
             self.0 -= (if truth { set } else { 1.0 - set }).log2();
             truth
         }
     }
 
     #[test]
-    fn a_gap_costs_what_its_chance_says() {
+    fn a_gap_costs_what_its_probability_says() {
         for (left, rest) in
             [(1, 1 << 27), (7, 1 << 20), (900, 100_000), (3, 10), (1, 2), (999, 1000), (500, 1000)]
         {

@@ -4,10 +4,10 @@ use crate::work;
 
 /// The most changes in a payload of this many bytes: 12 for each byte, and 64.
 ///
-/// Changes drawn at random cost two thirds of a bit or more, unless nearly all of a box changed to one state. Payloads that would be
-/// shorter (a full box that became Free costs next to nothing) are filled up with zeros, so that a short payload never
-/// makes a receiver hold a large map. A change takes a block of 144 bytes at most, hence 1.7 KB for each byte of payload, and
-/// three times that while the list of blocks grows.
+/// Changes drawn at random cost two thirds of a bit or more, unless nearly all of a box changed to one state.
+/// Payloads that would be shorter (a full box that became Free costs next to nothing) are filled up with
+/// zeros, so that a short payload never makes a receiver hold a large map. A change takes a block of 144
+/// bytes at most, hence 1.7 KB for each byte of payload, and three times that while the list of blocks grows.
 pub(crate) const fn changes_max(payload_bytes: usize) -> usize {
     payload_bytes.saturating_mul(CHANGES_PER_BYTE).saturating_add(CHANGES_FREE)
 }

@@ -1,5 +1,5 @@
-//! Payload: the bytes of one arithmetic coder, which tell the number of changes and then each of them, and zeros up to the length
-//! that [`changes_max`] asks for.
+//! Payload: the bytes of one arithmetic coder, which tell the number of changes and then each of them, and
+//! zeros up to the length that [`changes_max`] asks for.
 
 use flockmap_grid::{BlockIndex, Changes, StateBlock, VoxelBox};
 
@@ -12,7 +12,8 @@ use crate::flock::coder::{BitReader, BitWriter, FineBits};
 use crate::limits::BOX_VOXELS_MAX;
 use crate::work::{self, Work};
 
-/// Appends the payload for `changes`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels. No changes: no bytes.
+/// Appends the payload for `changes`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels. No
+/// changes: no bytes.
 pub(crate) fn encode(changes: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
     debug_assert!(region.volume() <= u128::from(BOX_VOXELS_MAX));
     let (start, total) = (out.len(), changes.len());
@@ -39,12 +40,13 @@ pub(crate) fn encode(changes: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
     out.resize(start + length, 0);
 }
 
-/// The changes in `payload`; the inverse of [`encode`]. The number is checked against the box and [`changes_max`] before memory is
-/// taken. Any other bytes give some changes inside the box: whether they are
+/// The changes in `payload`; the inverse of [`encode`]. The number is checked against the box and
+/// [`changes_max`] before memory is taken. Any other bytes give some changes inside the box: whether they are
 /// right is for the check of the package to say.
 ///
 /// # Errors
-/// [`PackageError::BoxTooLarge`] for more than [`BOX_VOXELS_MAX`] voxels, [`PackageError::Payload`] for too many changes.
+/// [`PackageError::BoxTooLarge`] for more than [`BOX_VOXELS_MAX`] voxels, [`PackageError::Payload`] for too
+/// many changes.
 pub(crate) fn decode(payload: &[u8], region: &VoxelBox, work: &mut Work) -> Result<Changes, PackageError> {
     let (codec, voxels) = (Codec::Flock, region.volume());
     if voxels > u128::from(BOX_VOXELS_MAX) {
@@ -91,8 +93,8 @@ pub(crate) fn decode(payload: &[u8], region: &VoxelBox, work: &mut Work) -> Resu
     Ok(Changes::from_blocks(blocks))
 }
 
-/// Writes or reads a number of 1 … 2²⁸ − 1: how many bits follow the highest one, each with a chance of ¾ that there are more,
-/// then these as they are. A reader's `truth` means nothing.
+/// Writes or reads a number of 1 … 2²⁸ − 1: how many bits follow the highest one, each with a probability of
+/// ¾ that there are more, then these as they are. A reader's `truth` means nothing.
 pub(super) fn number(bits: &mut impl FineBits, truth: u32) -> u32 {
     let mut length = 0;
     while length < 27 && bits.bit(3 << 30, truth >> length > 1) {
@@ -119,13 +121,15 @@ impl Walk {
         Self { left: changes, rest: voxels, next: 0, seen: 0, occupied: 0 }
     }
 
-    /// Writes or reads the next change: its place and whether it is Occupied. A reader's arguments mean nothing.
+    /// Writes or reads the next change: its place and whether it is Occupied. A reader's arguments mean
+    /// nothing.
     #[inline]
     fn step(&mut self, bits: &mut impl FineBits, place: u32, is_occupied: bool) -> (u32, bool) {
         let gap = Gaps::new(self.left, self.rest).code(bits, place.wrapping_sub(self.next));
-        // As if one of each had come before the first: this costs as much as to tell the number of Occupied, and no more.
-        let chance = (u64::from(self.occupied + 1) << 32) / u64::from(self.seen + 2);
-        let is_occupied = bits.bit(chance as u32, is_occupied);
+        // As if one of each had come before the first: this costs as much as to tell the number of Occupied,
+        // and no more.
+        let probability = (u64::from(self.occupied + 1) << 32) / u64::from(self.seen + 2);
+        let is_occupied = bits.bit(probability as u32, is_occupied);
         let place = self.next + gap;
         self.left -= 1;
         self.rest -= gap + 1;

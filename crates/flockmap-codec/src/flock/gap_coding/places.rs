@@ -1,7 +1,9 @@
-//! The order of the voxels of a box: block by block, by x, then y, then z of the block, as [`Changes`](flockmap_grid::Changes) has
-//! them; in a block slice by slice of z, then y, then x. Only voxels inside the box have a place: 0 … volume − 1.
+//! The order of the voxels of a box: block by block, by x, then y, then z of the block, as
+//! [`Changes`](flockmap_grid::Changes) has them; in a block slice by slice of z, then y, then x. Only voxels
+//! inside the box have a place: 0 … volume − 1.
 //!
-//! Places follow from the sides of the box in O(1), so that nothing has to walk through blocks in which nothing changed.
+//! Places follow from the sides of the box in O(1), so that nothing has to walk through blocks in which
+//! nothing changed.
 
 use flockmap_grid::{BLOCK_SIDE, BlockIndex, VoxelBox};
 
@@ -73,7 +75,8 @@ impl Order {
 
     /// The part in which a place is.
     pub(crate) fn part_at(&self, place: u32) -> Part {
-        // Before the block along x lie whole slabs of y and z, then columns along z as thick as the block is along x, and so on.
+        // Before the block along x lie whole slabs of y and z, then columns along z as thick as the block is
+        // along x, and so on.
         let slab = self.side_y * self.side_z;
         let x = self.span_at(0, place / slab);
         let place = place - x.before * slab;

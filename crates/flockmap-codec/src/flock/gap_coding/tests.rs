@@ -35,7 +35,8 @@ impl Draw {
         Self { region, count, occupied_of_four: 2, seed }
     }
 
-    /// What no code can go below on average, in bytes: (h(r) + r) bits a voxel, if half of the changes are Occupied.
+    /// What no code can go below on average, in bytes: (h(r) + r) bits a voxel, if half of the changes are
+    /// Occupied.
     fn limit(&self) -> f64 {
         let (voxels, count) = (self.region.volume() as f64, self.count as f64);
         let part = |n: f64| if n > 0.0 { n * (voxels / n).log2() } else { 0.0 };
@@ -49,7 +50,7 @@ pub(super) fn draw(draw: &Draw) -> Changes {
     let corners = [region.min(), region.max()];
     let corner_count = if corners[0] == corners[1] { 1 } else { 2 };
     let voxels = region.volume() as u64;
-    // Selection sampling (Knuth, vol. 2, algorithm S): every set of voxels has the same chance.
+    // Selection sampling (Knuth, vol. 2, algorithm S): every set of voxels has the same probability.
     let (mut left, mut wanted) = (voxels - corner_count, (*count).min(voxels).saturating_sub(corner_count));
     let mut blocks = Vec::new();
     for index in region.blocks() {
@@ -331,7 +332,8 @@ fn bytes_are_the_same_on_every_machine() {
 }
 const GOLDEN: u32 = 3_963_041_922;
 
-/// Prints what is in the diary: `cargo test --release -p flockmap-codec -- --ignored --nocapture noise_figures`
+/// Prints what is in the diary: `cargo test --release -p flockmap-codec -- --ignored --nocapture
+/// noise_figures`
 #[test]
 #[ignore = "prints figures"]
 fn noise_figures() {
