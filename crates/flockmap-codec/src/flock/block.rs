@@ -131,10 +131,7 @@ impl<D: Decide> Block<'_, D> {
         if !self.decide.flag(FREE_TO_OCCUPIED_IN_ROW + class, truth.occupied & voxels != 0) {
             return;
         }
-        let mut left = voxels;
-        while left != 0 {
-            let bit = left & left.wrapping_neg();
-            left ^= bit;
+        for bit in bits_of(voxels) {
             let shifted = |at: usize, by: isize| self.cells.shifted(at, by);
             let beyond = [shifted(at, -1), shifted(at - ROW, 0), shifted(at - SLICE, 0)];
             let within = [shifted(at, 1), shifted(at + ROW, 0), shifted(at + SLICE, 0)];
@@ -152,10 +149,7 @@ impl<D: Decide> Block<'_, D> {
     fn occupied_to_free(&mut self, at: usize, own: Row, truth: Bits) {
         let voxels = occupied(own);
         if self.decide.flag(OCCUPIED_TO_FREE_IN_ROW, truth.free & voxels != 0) {
-            let mut left = voxels;
-            while left != 0 {
-                let bit = left & left.wrapping_neg();
-                left ^= bit;
+            for bit in bits_of(voxels) {
                 if self.decide.flag(OCCUPIED_TO_FREE, truth.free & bit != 0) {
                     self.tell(at, Bits { free: bit, occupied: 0 });
                 }
@@ -274,6 +268,11 @@ impl<D: Decide> Block<'_, D> {
         self.told.free[z] |= u64::from(bits.free) << shift;
         self.told.occupied[z] |= u64::from(bits.occupied) << shift;
     }
+}
+
+/// The bits that are set, each alone.
+fn bits_of(byte: u8) -> impl Iterator<Item = u8> {
+    (0..8).map(|x| 1 << x).filter(move |bit| byte & bit != 0)
 }
 
 /// For each of eight voxels: its bits in eight bytes, and in eight others, those that are the same for all

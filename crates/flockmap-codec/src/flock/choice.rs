@@ -33,7 +33,7 @@ pub(crate) fn choose(
     let sample = sample(blocks);
     let region = sample.iter().map(|(index, _)| BlockBox::of(*index)).reduce(BlockBox::union);
     if let Some(region) = region.filter(|region| region.volume() <= REACH_MAX) {
-        model.clear(region);
+        model.field.clear(region);
         for (index, states) in sample {
             if trial.is_decided() {
                 break;

@@ -3,7 +3,6 @@
 use flockmap_grid::{BlockIndex, Overtaken, StateBlock};
 
 use super::block;
-use super::block_box::BlockBox;
 use super::decide::Decide;
 use super::field::Field;
 use super::known::{Known, KnownClasses};
@@ -12,23 +11,13 @@ use super::orientation::{Distance, Orientation, TurnedChanges};
 use super::planes::meet;
 
 /// The blocks that a package has looked at, and the one under way.
+#[derive(Default)]
 pub(crate) struct Model {
     pub(crate) field: Field,
     cells: Neighbourhood,
 }
 
-impl Default for Model {
-    fn default() -> Self {
-        Self { field: Field::default(), cells: Neighbourhood::new() }
-    }
-}
-
 impl Model {
-    /// Forgets everything, for a package whose blocks lie in `region`.
-    pub(crate) fn clear(&mut self, region: BlockBox) {
-        self.field.clear(region);
-    }
-
     /// Makes the decisions of a block that has changes, of which so much was known. A writer knows them; a
     /// reader gets them.
     #[inline]

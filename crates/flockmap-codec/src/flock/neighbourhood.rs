@@ -31,11 +31,13 @@ pub(crate) struct Neighbourhood {
     rows: [Row; 256],
 }
 
-impl Neighbourhood {
-    pub(crate) fn new() -> Self {
+impl Default for Neighbourhood {
+    fn default() -> Self {
         Self { rows: [0; 256] }
     }
+}
 
+impl Neighbourhood {
     /// The place of the row (y, z) of the block.
     #[inline]
     pub(crate) const fn place(y: usize, z: usize) -> usize {
@@ -202,7 +204,7 @@ mod tests {
                 cells.push(block);
             }
             let orientation = Orientation { major, is_up };
-            let mut neighbourhood = Neighbourhood::new();
+            let mut neighbourhood = Neighbourhood::default();
             neighbourhood.gather(orientation, &slots, &cells);
             for z in -3..11i32 {
                 for y in -3..11i32 {

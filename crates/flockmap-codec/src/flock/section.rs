@@ -33,23 +33,13 @@ const PADDING_MAX: usize = 40;
 
 /// Memory that is used again from package to package: 550 bytes for each block of the largest package so far
 /// and for each known block next to it, and five bytes for each block of its box and round it.
+#[derive(Default)]
 pub(crate) struct Workspace {
     model: Model,
     probabilities: Box<Probabilities>,
     body: Vec<u8>,
     /// Of each block of the box, whether it is told of and changed.
     told: Vec<u8>,
-}
-
-impl Default for Workspace {
-    fn default() -> Self {
-        Self {
-            model: Model::default(),
-            probabilities: Probabilities::even(),
-            body: Vec::new(),
-            told: Vec::new(),
-        }
-    }
 }
 
 /// What became one section.
@@ -134,7 +124,7 @@ fn write(
 
     let mut payload = Vec::with_capacity(1_200);
     Head { set, sensor, before: before as u64 }.write(&region, &mut payload);
-    model.clear(region);
+    model.field.clear(region);
     body.clear();
     let mut decisions = Coding::new(set.tables(), probabilities, BitWriter::new(body));
     let mut flags = Flags::new(region, told);
@@ -192,7 +182,7 @@ pub(crate) fn decode(
     work.take(work::of_box(region.size()))?;
 
     let Workspace { model, probabilities, told, .. } = workspace;
-    model.clear(region);
+    model.field.clear(region);
     let mut flags = Flags::new(region, told);
     let mut decisions = Coding::new(set.tables(), probabilities, BitReader::new(reader.rest()));
     let mut changed = Vec::new();

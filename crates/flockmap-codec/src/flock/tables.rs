@@ -34,13 +34,15 @@ pub(crate) struct Probabilities {
     pub(crate) flag: [Probability; FLAG_CONTEXTS],
 }
 
-impl Probabilities {
-    pub(crate) fn even() -> Box<Self> {
-        Box::new(Self {
-            voxel: [1 << 15; VOXEL_PROBABILITIES],
-            kind: [1 << 15; KIND_PROBABILITIES],
-            flag: [1 << 15; FLAG_CONTEXTS],
-        })
+impl Default for Probabilities {
+    /// All are even.
+    fn default() -> Self {
+        let even = 1 << 15;
+        Self {
+            voxel: [even; VOXEL_PROBABILITIES],
+            kind: [even; KIND_PROBABILITIES],
+            flag: [even; FLAG_CONTEXTS],
+        }
     }
 }
 

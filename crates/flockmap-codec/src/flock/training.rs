@@ -17,8 +17,8 @@ use super::model::Model;
 use super::order::{self, Changed, in_order};
 use super::orientation::Orientation;
 use super::tables::{
-    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, Probabilities, RAY_CONTEXTS,
-    SET_BYTES, TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
+    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES,
+    TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
 use crate::deflate::{Deflater, inflate_exact};
 use crate::source::Cycle;
@@ -118,7 +118,7 @@ impl Trainer {
         let Some((first, _)) = blocks.first() else { return };
         let all = blocks.iter().map(|(index, _)| BlockBox::of(*index));
         let region = all.fold(BlockBox::of(*first), BlockBox::union);
-        self.model.clear(region);
+        self.model.field.clear(region);
         let mut flags = Flags::new(region, &mut self.told);
         let mut left = blocks.iter().peekable();
         for index in order::blocks(region, order::sensor_block(sensor), 0).skip_while(|index| index != first)
@@ -194,7 +194,7 @@ impl Counting {
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
         let ray_group = |context: usize| context & 255;
-        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Probabilities::even() };
+        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Box::default() };
         for (to, near, ray, prior) in [
             (&mut tables.voxel, &self.near, &self.ray, EVEN_ODDS),
             (&mut tables.kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
