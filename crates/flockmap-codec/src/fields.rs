@@ -25,11 +25,11 @@ impl<'a> Fields<'a> {
     }
 
     pub(crate) fn byte(&mut self, field: &'static str) -> Result<u8, PackageError> {
-        self.reader.u8().ok_or(PackageError::Truncated { field, offset: self.offset() })
+        self.reader.u8().ok_or_else(|| PackageError::Truncated { field, offset: self.offset() })
     }
 
     pub(crate) fn u32_le(&mut self, field: &'static str) -> Result<u32, PackageError> {
-        self.reader.u32().ok_or(PackageError::Truncated { field, offset: self.offset() })
+        self.reader.u32().ok_or_else(|| PackageError::Truncated { field, offset: self.offset() })
     }
 
     /// A number of at most `max` in its shortest form.

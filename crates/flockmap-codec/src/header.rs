@@ -142,7 +142,7 @@ impl Header {
             return Err(PackageError::ContentKind { found: kind });
         }
         let priority = Priority::ALL.get(usize::from(priority)).copied();
-        let priority = priority.ok_or(wrong("priorities are 0 to 2"))?;
+        let priority = priority.ok_or_else(|| wrong("priorities are 0 to 2"))?;
         if kind == KIND_PRESENT && priority != Priority::Obstacles {
             return Err(wrong("a present state has priority 0"));
         }
@@ -156,7 +156,8 @@ impl Header {
         let cycle_end = Stamp(reader.signed("cycle end")?.wrapping_add(epoch_micros(epoch)));
         let duration = reader.number("cycle duration", u64::MAX)?;
         let cycle_start = cycle_end.0.checked_sub_unsigned(duration).map(Stamp);
-        let cycle_start = cycle_start.ok_or(wrong("the cycle starts within the range of 64-bit stamps"))?;
+        let cycle_start =
+            cycle_start.ok_or_else(|| wrong("the cycle starts within the range of 64-bit stamps"))?;
         let resolution = read_resolution(&mut reader)?;
         let region = read_box(&mut reader, unit)?;
         if unit == 1 && is_in_blocks(&region) {

@@ -11,10 +11,13 @@ use crate::work::{self, Work};
 /// Voxels of a block by plane: Free ones and Occupied ones.
 pub(crate) type Planes = [[u64; 8]; 2];
 
+/// Blocks as they were found, each of the voxels with one key.
+pub(crate) type Found<K> = Vec<((K, BlockIndex), Planes)>;
+
 /// Blocks by their index and a key of each voxel.
 pub(crate) struct Blocks<'w, K> {
     min: Voxel,
-    found: Vec<((K, BlockIndex), Planes)>,
+    found: Found<K>,
     number_of: FxHashMap<(K, BlockIndex), usize>,
     /// Where the last blocks are in `found`, one for each that is even or odd along the axes: so that
     /// neighbours are all here.
@@ -63,7 +66,7 @@ impl<'w, K: Copy + Eq + Hash> Blocks<'w, K> {
     }
 
     /// The blocks as they were found.
-    pub(crate) fn finish(self) -> Result<Vec<((K, BlockIndex), Planes)>, PackageError> {
+    pub(crate) fn finish(self) -> Result<Found<K>, PackageError> {
         self.fault.map_or(Ok(self.found), Err)
     }
 }
