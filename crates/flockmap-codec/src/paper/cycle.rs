@@ -39,7 +39,8 @@ pub(crate) fn encode_cycle(
 ) -> Result<Vec<CycleDraft>, EncodeError> {
     let piece = Piece::new(changes.clone(), Vec::new()).ok_or(EncodeError::OutsideGrid)?;
     // There are no more packages than voxels, which bounds the index and with it the header.
-    let pieces = fit(writer, codec, Others::Unchanged, piece, |piece| room(changes.len(), &piece.region));
+    let most = changes.len();
+    let pieces = fit(writer, codec, Others::Unchanged, piece, |piece| room(most, &piece.region));
     Ok(pieces.into_iter().map(|(piece, payload)| draft(piece, payload)).collect())
 }
 
