@@ -7,9 +7,10 @@
 //! 1; then lengths of runs of one state along the list, free first.
 
 use flockmap_codec::Cycle;
+use flockmap_codec::bytes::put_varint;
 use flockmap_grid::{Changes, Mapper, Stamp, State, Voxel, VoxelBox};
 
-use crate::bytes::{MESSAGE_VOXELS_MAX, Packer, Reader, unpack, write_varint};
+use crate::bytes::{MESSAGE_VOXELS_MAX, Packer, Reader, unpack};
 use crate::morton::{interleave, separate};
 use crate::{ReceiveError, SendError, Sender, StateMap};
 
@@ -63,7 +64,7 @@ impl Sender for AddressDeltaSender {
             message.extend_from_slice(&index.to_le_bytes());
         }
         for side in region.size() {
-            write_varint(&mut message, u64::from(side));
+            put_varint(&mut message, u64::from(side));
         }
         message.extend_from_slice(&packed);
         out.push(message);
@@ -117,10 +118,10 @@ impl Order {
 
 fn singles(list: &[(u64, State)]) -> Vec<u8> {
     let mut out = Vec::with_capacity(2 * list.len());
-    write_varint(&mut out, list.len() as u64);
+    put_varint(&mut out, list.len() as u64);
     let mut next = 0;
     for (address, _) in list {
-        write_varint(&mut out, address - next);
+        put_varint(&mut out, address - next);
         next = address + 1;
     }
     out.extend(list.chunks(8).map(|eight| {
@@ -137,20 +138,20 @@ fn runs(list: &[(u64, State)]) -> Vec<u8> {
     let mut next = 0;
     for run in list.chunk_by(|(a, _), (b, _)| a + 1 == *b) {
         let Some((first, _)) = run.first() else { continue };
-        write_varint(&mut gaps, first - next);
-        write_varint(&mut lengths, run.len() as u64 - 1);
+        put_varint(&mut gaps, first - next);
+        put_varint(&mut lengths, run.len() as u64 - 1);
         next = first + run.len() as u64;
         count += 1;
     }
     let mut out = Vec::with_capacity(2 * gaps.len());
-    write_varint(&mut out, count);
+    put_varint(&mut out, count);
     out.extend_from_slice(&gaps);
     out.extend_from_slice(&lengths);
     if list.first().is_some_and(|(_, state)| *state == State::Occupied) {
         out.push(0);
     }
     for run in list.chunk_by(|(_, a), (_, b)| a == b) {
-        write_varint(&mut out, run.len() as u64);
+        put_varint(&mut out, run.len() as u64);
     }
     out
 }

@@ -6,11 +6,12 @@
 //! the other, each in nested order. Numbers are varints.
 
 use flockmap_codec::Cycle;
+use flockmap_codec::bytes::put_varint;
 use flockmap_grid::{
     BLOCK_VOXELS, Changes, Mapper, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox, bit_of, voxel_bit,
 };
 
-use crate::bytes::{Reader, write_varint};
+use crate::bytes::Reader;
 use crate::{ReceiveError, SendError, Sender, StateMap};
 
 /// What the region is.
@@ -60,7 +61,7 @@ impl Sender for ColagSender {
             return Err(SendError::Limit { method: METHOD, limit: "a region has at most 2²⁶ voxels" });
         }
         let mut message = Vec::new();
-        write_varint(&mut message, boxes.len() as u64);
+        put_varint(&mut message, boxes.len() as u64);
         let (mut occupied, mut unknown) = (Vec::new(), Vec::new());
         let mut first = 0u32;
         for region in &boxes {
@@ -69,12 +70,12 @@ impl Sender for ColagSender {
                 message.extend_from_slice(&index.to_le_bytes());
             }
             for side in region.size() {
-                write_varint(&mut message, u64::from(side));
+                put_varint(&mut message, u64::from(side));
             }
             self.list(region, first, &mut occupied, &mut unknown);
             first += region.volume() as u32;
         }
-        write_varint(&mut message, occupied.len() as u64);
+        put_varint(&mut message, occupied.len() as u64);
         for address in occupied.iter().chain(&unknown) {
             message.extend_from_slice(&address.to_le_bytes());
         }

@@ -8,7 +8,9 @@
 //! varints. Layout 3: octrees, level by level from the root: for each node a byte with a bit for each child that holds points;
 //! after 20 levels, for each leaf the number of its points less 1, as varints. Empty lists have no tree.
 
-use crate::bytes::{Reader, write_varint};
+use flockmap_codec::bytes::put_varint;
+
+use crate::bytes::Reader;
 use crate::morton::{interleave, separate};
 use crate::{Observation, ReceiveError};
 
@@ -112,7 +114,7 @@ pub(crate) fn write(layout: u8, scans: &[ScanPoints], out: &mut Vec<u8>) {
             for list in lists() {
                 let mut before = 0;
                 for code in list.iter().map(code) {
-                    write_varint(out, code - before);
+                    put_varint(out, code - before);
                     before = code;
                 }
             }
@@ -150,7 +152,7 @@ fn write_octrees(lists: Vec<Vec<u64>>, out: &mut Vec<u8>) {
         }
     }
     for leaf in lists.iter().flat_map(|list| list.chunk_by(|a, b| a == b)) {
-        write_varint(out, leaf.len() as u64 - 1);
+        put_varint(out, leaf.len() as u64 - 1);
     }
 }
 

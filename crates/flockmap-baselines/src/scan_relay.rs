@@ -8,12 +8,13 @@
 //! points; number of rays without a return. A 0 ends the scans; then come the points of all scans, as the module `relay_points` says.
 
 use flockmap_codec::Cycle;
+use flockmap_codec::bytes::put_varint;
 use flockmap_grid::{
     BlockIndex, Changes, ConfigError, Mapper, MapperConfig, Pose, Scan, Sphere, Stamp, State, StateBlock,
     Voxel, Which,
 };
 
-use crate::bytes::{Packer, Reader, unpack, write_varint};
+use crate::bytes::{Packer, Reader, unpack};
 use crate::relay_points::{self, Points};
 use crate::{Observation, ReceiveError, Receiver, SendError, Sender, StateMap};
 
@@ -77,13 +78,13 @@ impl Sender for RelaySender {
         self.heads.extend_from_slice(&seen.scan.stamp.0.to_le_bytes());
         let numbers = seen.pose.translation().into_iter().chain(seen.pose.quaternion_xyzw());
         self.heads.extend(numbers.flat_map(f64::to_le_bytes));
-        write_varint(&mut self.heads, masks.len() as u64);
+        put_varint(&mut self.heads, masks.len() as u64);
         for mask in masks {
             let numbers = mask.centre.into_iter().chain([mask.radius]);
             self.heads.extend(numbers.flat_map(f64::to_le_bytes));
         }
         for count in points.counts() {
-            write_varint(&mut self.heads, count as u64);
+            put_varint(&mut self.heads, count as u64);
         }
         self.scans.push(points);
         Ok(())

@@ -14,8 +14,7 @@ fn root() -> PathBuf {
 
 /// The crates of the workspace, in its order.
 fn crates() -> Vec<String> {
-    let manifest: toml::Table =
-        std::fs::read_to_string(root().join("Cargo.toml")).unwrap().parse().unwrap();
+    let manifest: toml::Table = std::fs::read_to_string(root().join("Cargo.toml")).unwrap().parse().unwrap();
     let members = manifest["workspace"]["members"].as_array().unwrap();
     members.iter().map(|member| member.as_str().unwrap().trim_start_matches("crates/").to_owned()).collect()
 }
@@ -195,10 +194,15 @@ fn a_crate_imports_only_crates_that_stand_above_it() {
     for (at, name) in names.iter().enumerate() {
         let path = root().join("crates").join(name).join("Cargo.toml");
         let manifest: toml::Table = std::fs::read_to_string(path).unwrap().parse().unwrap();
-        let Some(dependencies) = manifest.get("dependencies").and_then(toml::Value::as_table) else { continue };
+        let Some(dependencies) = manifest.get("dependencies").and_then(toml::Value::as_table) else {
+            continue;
+        };
         for dependency in dependencies.keys().filter(|name| name.starts_with("flockmap")) {
             let above = names.iter().position(|other| other == dependency);
-            assert!(above.is_some_and(|above| above < at), "{name} imports {dependency}, which stands below it");
+            assert!(
+                above.is_some_and(|above| above < at),
+                "{name} imports {dependency}, which stands below it"
+            );
         }
     }
 }

@@ -1,47 +1,40 @@
-//! The check of a package: CRC-32 (the one of zlib) over its header and its decoded content in one fixed form.
+//! The check of a package: CRC-32 (the one of zlib) over its header, the length of its payload, and its
+//! decoded content in one fixed form.
 
 use crc32fast::Hasher;
-use flockmap_grid::{Changes, PresentState, PresentVoxels, Stamp};
+use flockmap_grid::{Changes, PresentVoxels, Stamp};
 
-use crate::Codec;
+use crate::codec::Codec;
 
-/// The check of a package of changes. `header` is its bytes up to the check field.
-pub(crate) fn check_changes(header: &[u8], changes: &Changes) -> u32 {
+/// The check of a package. `header` is its bytes up to the check. With the length of the payload a package
+/// that lost its end, or got another, is damaged for every codec.
+pub(crate) fn of_package(header: &[u8], payload: &[u8], content: &Hasher) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(header);
-    hash_changes(&mut hasher, changes);
-    hasher.finalize()
-}
-
-/// The check of a tile of a present state.
-pub(crate) fn check_present(header: &[u8], state: &PresentState) -> u32 {
-    check_hashed(header, &hash_present(&state.parts, &state.sensors))
-}
-
-/// The check of a package whose content was hashed before its header was known.
-pub(crate) fn check_hashed(header: &[u8], content: &Hasher) -> u32 {
-    let mut hasher = Hasher::new();
-    hasher.update(header);
+    // No payload comes near the end of a `u32`: the box of the largest is told in 2²⁷ times a few bytes.
+    hasher.update(&(payload.len() as u32).to_le_bytes());
     hasher.combine(content);
     hasher.finalize()
 }
 
-/// The content of a tile of a present state.
-pub(crate) fn hash_present(parts: &[(Stamp, Changes)], sensors: &[(Stamp, [i32; 3])]) -> Hasher {
+/// The content of a package of changes.
+pub(crate) fn of_changes(changes: &Changes) -> Hasher {
+    let mut hasher = Hasher::new();
+    hash_changes(&mut hasher, changes);
+    hasher
+}
+
+/// The content of a chunk of a snapshot.
+pub(crate) fn of_chunk(parts: &[(Stamp, Changes)], sensors: &[(Stamp, [i32; 3])]) -> Hasher {
     let mut hasher = Hasher::new();
     parts.iter().for_each(|(stamp, changes)| hash_part(&mut hasher, *stamp, changes));
     hash_sensors(&mut hasher, sensors);
     hasher
 }
 
-/// Tells sets of tiles apart: the check of a whole present state, of the packages that it contains, and of all that decides how it is
-/// cut and coded, since tiles may be told against each other.
-pub(crate) fn set_check(
-    codec: Codec,
-    bytes_max: usize,
-    [since, upto]: [u32; 2],
-    state: &PresentVoxels,
-) -> u32 {
+/// Tells sets of chunks apart: the check of a whole snapshot, of the packages that it contains, and of all
+/// that decides how it is cut and coded, since chunks may be told against each other.
+pub(crate) fn of_set(codec: Codec, bytes_max: usize, [since, upto]: [u32; 2], state: &PresentVoxels) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(&[codec.id()]);
     hasher.update(&(bytes_max as u64).to_le_bytes());

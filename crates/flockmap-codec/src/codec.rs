@@ -8,16 +8,17 @@ use core::str::FromStr;
 #[non_exhaustive]
 pub enum Codec {
     /// 2 bits for each voxel of the box in nested order. The floor that the others are measured from.
-    Raw,
+    Raw = 0,
     /// As `Raw`, then zlib level 6: the other half of the paper's Table II.
-    NestedZlib,
-    /// The paper's method (Sec. III): 2 bits for each voxel of the box along a Hilbert walk, then zlib level 6.
-    Paper,
+    NestedZlib = 1,
+    /// The paper's method (Sec. III): 2 bits for each voxel of the box along a Hilbert walk, then zlib level
+    /// 6.
+    Paper = 2,
     /// The paper's baseline: for each changed voxel a 32-bit address in the box and a byte of state.
-    Racer,
-    /// Flockmap's own: decisions of an arithmetic coder with trained contexts, told against what the receivers hold
-    /// (`docs/codec.md`). A third of the bytes of `Paper` and less.
-    Flock,
+    Racer = 3,
+    /// Flockmap's own: decisions of an arithmetic coder with trained contexts, told against what the
+    /// receivers hold (`docs/codec.md`). A third of the bytes of `Paper` and less.
+    Flock = 4,
 }
 
 impl Codec {
@@ -26,13 +27,7 @@ impl Codec {
 
     /// The number that stands for the codec in a package.
     pub const fn id(self) -> u8 {
-        match self {
-            Self::Raw => 0,
-            Self::NestedZlib => 1,
-            Self::Paper => 2,
-            Self::Racer => 3,
-            Self::Flock => 4,
-        }
+        self as u8
     }
 
     /// The codec with this number.

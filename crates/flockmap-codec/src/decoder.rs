@@ -1,26 +1,28 @@
 //! From a package back to its content.
 
-use flockmap_grid::Layer;
+use flockmap_grid::{Layer, PresentState};
 use flockmap_mutation::{self as mutation, Mutation};
 
-use crate::check::{check_changes, check_present};
-use crate::flock;
-use crate::reference::Known;
-use crate::states::{self, Others, Scratch};
-use crate::varint::Reader;
-use crate::work::Work;
-use crate::{Codec, Content, ContentKind, Package, PackageError, Priority, TilesRead, stamps};
+use crate::check;
+use crate::codec::Codec;
+use crate::error::PackageError;
+use crate::header::ContentKind;
+use crate::package::{Content, Package};
+use crate::priority::Priority;
+use crate::work::{self, Work};
+use crate::{flock, paper};
 
-/// Decodes packages and keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box
-/// so far. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package and each known one in its box or beside
-/// it, 45 bytes at most for each block of the box (of which there are at most 2¹⁸), and 40 KB. The tables of that codec, 690 KB, are one
-/// for the whole process. One for each thread.
+/// Decodes packages and keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest
+/// box so far. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package and
+/// each known one in its box or beside it, 45 bytes at most for each block of the box (of which there are at
+/// most 2¹⁸), and 40 KB. The tables of that codec, 690 KB, are one for the whole process. One for each
+/// thread.
 #[derive(Default)]
 pub struct Decoder {
-    scratch: Scratch,
-    steps: u64,
+    paper: paper::Scratch,
     /// Made with the first package in that codec.
-    pub(crate) flock: Option<Box<flock::Workspace>>,
+    flock: Option<Box<flock::Workspace>>,
+    steps: u64,
 }
 
 impl Decoder {
@@ -34,55 +36,41 @@ impl Decoder {
         self.decode_against(package, None)
     }
 
-    /// The content of a package that was coded against what earlier ones said: `layer` is that of its stream and must hold all
-    /// packages up to `reference` of the header. Packages of the same cycle may have been applied to it already.
+    /// The content of a package that was coded against what earlier ones said: `layer` is that of its stream
+    /// and must hold all packages up to `reference` of the header. Packages of the same cycle may have been
+    /// applied to it already.
     ///
     /// # Errors
-    /// [`PackageError::Overtaken`] if a later cycle or a present state has been applied to a block that the package builds on:
-    /// what it was before is gone, and the package can only be replaced by a present state.
+    /// [`PackageError::Overtaken`] if a later cycle or a present state has been applied to a block that the
+    /// package builds on: what it was before is gone, and the package can only be replaced by a present
+    /// state.
     pub fn decode_against(
         &mut self,
         package: &Package,
         layer: Option<&Layer>,
     ) -> Result<Content, PackageError> {
         let header = package.header();
-        let codec = header.codec;
-        if codec == Codec::Flock && matches!(header.content, ContentKind::Present { .. }) {
+        if header.codec == Codec::Flock && matches!(header.content, ContentKind::Present { .. }) {
             return self.decode_tile(package, &mut TilesRead::default()).map(Content::Present);
         }
-        let mut work = Work::new(codec, package.payload().len());
+        let mut work = Work::new(header.codec, package.payload().len());
         let content = self.content(package, layer, &mut work);
         self.steps = work.taken();
         let content = content?;
-        let found = match &content {
-            Content::Changes(changes) => check_changes(&package.checked(), changes),
-            Content::Present(state) => check_present(&package.checked(), state),
+        let hash = match &content {
+            Content::Changes(changes) => {
+                if changes.has_occupied() != (header.priority == Priority::Obstacles) {
+                    let rule = "the priority of obstacles is that of changes to Occupied";
+                    return Err(PackageError::Header { rule });
+                }
+                check::of_changes(changes)
+            }
+            Content::Present(state) => check::of_chunk(&state.parts, &state.sensors),
         };
-        if let Content::Changes(changes) = &content
-            && changes.has_occupied() != (header.priority == Priority::Obstacles)
-        {
-            return Err(PackageError::Header {
-                rule: "the priority of obstacles is that of changes to Occupied",
-            });
-        }
-        if found != package.check() && !mutation::is(Mutation::CheckSkipped) {
-            return Err(PackageError::Check { stated: package.check(), found });
+        if !mutation::is(Mutation::CheckSkipped) {
+            package.verify(&hash)?;
         }
         Ok(content)
-    }
-
-    /// Steps of work that the last package took, as `WIRE.md` counts them; of a refused one those up to its refusal.
-    pub const fn steps(&self) -> u64 {
-        self.steps
-    }
-
-    /// The same, and none from then on until the next package.
-    pub const fn take_steps(&mut self) -> u64 {
-        core::mem::replace(&mut self.steps, 0)
-    }
-
-    pub(crate) fn note_steps(&mut self, steps: u64) {
-        self.steps = steps;
     }
 
     /// What the payload says, before it is checked.
@@ -93,32 +81,113 @@ impl Decoder {
         work: &mut Work,
     ) -> Result<Content, PackageError> {
         let (header, payload) = (package.header(), package.payload());
-        let (codec, region) = (header.codec, header.region);
-        match header.content {
-            ContentKind::Changes if codec == Codec::Flock => {
-                let layer = if header.is_alone { None } else { layer };
-                if !header.is_alone && layer.is_none() {
-                    return Err(PackageError::ReferenceMissing { reference: header.reference });
-                }
-                let known = Known::new(layer, header.cycle_end);
-                flock::decode(&mut self.flock, &known, payload, &region, work).map(Content::Changes)
-            }
-            ContentKind::Changes => {
-                let others = Others::Unchanged;
-                states::decode(codec, payload, &region, others, &mut self.scratch, work).map(Content::Changes)
-            }
-            ContentKind::Present { .. } => {
-                let rule = "the length of the states, the states, the stamps";
-                let mut reader = Reader::new(payload);
-                let length = reader.number("length of states", payload.len() as u64)? as usize;
-                let (states, stamps) =
-                    reader.rest().split_at_checked(length).ok_or(PackageError::Payload { codec, rule })?;
-                let states =
-                    states::decode(codec, states, &region, Others::Unknown, &mut self.scratch, work)?;
-                let ends = [header.cycle_start, header.cycle_end];
-                let grid = &mut self.scratch.grid;
-                stamps::decode(codec, stamps, states, region, ends, work, grid).map(Content::Present)
-            }
+        let (codec, region) = (header.codec, &header.region);
+        if header.content != ContentKind::Changes {
+            let ends = [header.cycle_start, header.cycle_end];
+            let state = paper::decode_chunk(&mut self.paper, codec, payload, region, ends, work);
+            return state.map(Content::Present);
         }
+        if codec != Codec::Flock {
+            return paper::decode_cycle(&mut self.paper, codec, payload, region, work).map(Content::Changes);
+        }
+        let layer = layer.filter(|_| !header.is_alone);
+        if !header.is_alone && layer.is_none() {
+            return Err(PackageError::ReferenceMissing { reference: header.reference });
+        }
+        let changes = flock::decode_cycle(&mut self.flock, layer, header.cycle_end, payload, region, work);
+        changes.map(Content::Changes)
+    }
+
+    /// The content of a tile of [`Codec::Flock`] that continues those read before; it then counts among them.
+    ///
+    /// # Errors
+    /// [`PackageError::TileMissing`] if it is not the tile that comes next; then nothing has changed. After
+    /// any other error `before` is as if nothing had been read: what the tiles said is safe, but all of them
+    /// are needed again to go on.
+    pub fn decode_tile(
+        &mut self,
+        package: &Package,
+        before: &mut TilesRead,
+    ) -> Result<PresentState, PackageError> {
+        let header = package.header();
+        let ContentKind::Present { tile, .. } = header.content else {
+            return Err(PackageError::Header { rule: "a tile is of a present state" });
+        };
+        if tile != before.next || header.codec != Codec::Flock {
+            return Err(PackageError::TileMissing { tile: before.next });
+        }
+        let TilesRead { mut told, next } = core::mem::take(before);
+        let (payload, ends) = (package.payload(), [header.cycle_start, header.cycle_end]);
+        let mut work = Work::new(header.codec, payload.len());
+        let state = flock::decode_chunk(&mut self.flock, &mut told, payload, &header.region, ends, &mut work);
+        self.steps = work.taken();
+        let state = state?;
+        package.verify(&check::of_chunk(&state.parts, &state.sensors))?;
+        *before = TilesRead { told, next: next.saturating_add(1) };
+        Ok(state)
+    }
+
+    /// Steps of work that the last package took, as `WIRE.md` counts them; of a refused one those up to its
+    /// refusal.
+    pub const fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// The same, and none from then on until the next package.
+    pub const fn take_steps(&mut self) -> u64 {
+        core::mem::replace(&mut self.steps, 0)
+    }
+}
+
+/// The tiles of one set that have been read, from the first on. In [`Codec::Flock`] each tile is told against
+/// those before it; in the other codecs each can be read alone. Holds as much as a [`Layer`] of what was
+/// read.
+#[derive(Clone, Debug, Default)]
+pub struct TilesRead {
+    told: Layer,
+    next: u32,
+}
+
+impl TilesRead {
+    /// The number of the tile that can be read now.
+    pub const fn next(&self) -> u32 {
+        self.next
+    }
+
+    /// Blocks told of so far.
+    pub fn block_count(&self) -> usize {
+        self.told.block_count()
+    }
+
+    /// Bytes that it holds. O(1).
+    pub fn memory_bytes(&self) -> usize {
+        self.told.memory_bytes()
+    }
+
+    /// Bytes that it may hold at most while and after this tile is read, beside the stamps of the voxels of
+    /// the tile: it adds at most as many blocks as its bytes may ask for. O(1).
+    pub fn memory_bytes_with(&self, tile: &Package) -> usize {
+        let blocks = work::limit(tile.payload().len()) / work::BLOCK_STEPS;
+        self.told.memory_bytes_with(usize::try_from(blocks).unwrap_or(usize::MAX))
+    }
+}
+
+impl Package {
+    /// The content. An error means that the package is damaged, or is not of this version: none of it may be
+    /// used.
+    ///
+    /// Takes at most 2.5 bytes of memory for each voxel of the box while it works, and the box is refused
+    /// before that if the payload could not fill it: 12 MB for a package of 1,150 bytes, twice that for a
+    /// present state. To decode many packages use a [`Decoder`], which keeps its memory.
+    pub fn decode(&self) -> Result<Content, PackageError> {
+        Decoder::new().decode(self)
+    }
+
+    /// From where the changes were seen, in sixteenths of a voxel, if the package says so: packages of
+    /// changes in [`Codec::Flock`] do. What [`Layer::note_sensor`] wants to know.
+    pub fn sensor(&self) -> Option<[i32; 3]> {
+        let header = self.header();
+        let is_told = header.codec == Codec::Flock && header.content == ContentKind::Changes;
+        if is_told { flock::sensor(self.payload(), &header.region) } else { None }
     }
 }

@@ -10,12 +10,14 @@ pub(crate) struct Deflater {
     state: Compress,
 }
 
-impl Deflater {
+impl Default for Deflater {
     /// Level 6, for packages.
-    pub(crate) fn new() -> Self {
+    fn default() -> Self {
         Self::with_level(6)
     }
+}
 
+impl Deflater {
     /// A level from 0, the fastest, to 9.
     pub(crate) fn with_level(level: u32) -> Self {
         Self { state: Compress::new(Compression::new(level), true) }

@@ -1,64 +1,38 @@
 //! From changes, or from the state of a layer, to packages.
 
-mod present;
+use flockmap_grid::{Changes, PresentState, PresentVoxels, Resolution, Stamp, Stream, VoxelBox};
 
-pub use present::Span;
+use crate::check;
+use crate::codec::Codec;
+use crate::draft::CycleDraft;
+use crate::error::EncodeError;
+use crate::header::{ContentKind, Header};
+use crate::limits::PACKAGE_BYTES_MIN;
+use crate::package::Package;
+use crate::priority::Priority;
+use crate::reference::Reference;
+use crate::source::{Cycle, Span};
+use crate::{flock, paper};
 
-use flockmap_grid::{Changes, Layer, Plane, Resolution, Stamp, Stream, VoxelBox};
-
-use crate::check::check_changes;
-use crate::deflate::Deflater;
-use crate::flock;
-use crate::piece::{Measure, Piece};
-use crate::reference::Known;
-use crate::states::{self, Others, Scratch};
-use crate::{
-    BOX_VOXELS_MAX, Codec, ContentKind, EncodeError, Header, PACKAGE_BYTES_MIN, Package, Priority, Reference,
-    stamps, varint, work,
-};
-
-/// One cycle of mapping: all changes from `start` to `end`.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Cycle {
-    /// Whose observations these are.
-    pub stream: Stream,
-    /// When the cycle began, on the origin's clock.
-    pub start: Stamp,
-    /// When it was closed: the stamp of every change in it. Cycles of a stream have strictly increasing ends.
-    pub end: Stamp,
-    /// Side of a voxel.
-    pub resolution: Resolution,
-    /// Where the sensor was in the middle of the cycle, in sixteenths of a voxel from the corner of voxel (0, 0, 0). Only
-    /// [`Codec::Flock`] makes use of it: whatever it is, the changes come out right, in fewer bytes the nearer it is.
-    pub sensor: [i32; 3],
-}
-
-/// Makes packages. Keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box so
-/// far, and 300 KB. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package and each known one in its box
-/// or beside it, 45 bytes at most for each block of the box, and 40 KB. One for each thread. The same input gives the same packages,
-/// whatever was encoded before.
+/// Makes packages. Keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box
+/// so far, and 300 KB. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package
+/// and each known one in its box or beside it, 45 bytes at most for each block of the box, and 40 KB. One for
+/// each thread. The same input gives the same packages, whatever was encoded before.
+#[derive(Default)]
 pub struct Encoder {
-    scratch: Scratch,
-    deflater: Deflater,
-    payload: Vec<u8>,
+    paper: paper::Writer,
     /// Made with the first package in that codec.
     flock: Option<Box<flock::Workspace>>,
-}
-
-impl Default for Encoder {
-    fn default() -> Self {
-        Self::new()
-    }
 }
 
 impl Encoder {
     /// An encoder.
     pub fn new() -> Self {
-        Self { scratch: Scratch::default(), deflater: Deflater::new(), payload: Vec::new(), flock: None }
+        Self::default()
     }
 
-    /// One package for all changes, whatever its size, as the paper sends it (Sec. III). For benchmarks: what goes
-    /// over a radio is better cut to its datagrams by [`Self::encode_cycle`].
+    /// One package for all changes, whatever its size, as the paper sends it (Sec. III). For benchmarks: what
+    /// goes over a radio is better cut to its datagrams by [`Self::encode_cycle`].
     pub fn encode_whole(
         &mut self,
         codec: Codec,
@@ -68,7 +42,7 @@ impl Encoder {
     ) -> Result<Package, EncodeError> {
         check_cycle(cycle, index, changes)?;
         if codec == Codec::Flock {
-            let mut packages = self.flock_cycle(cycle, index, changes, None, WHOLE_BYTES_MAX)?;
+            let mut packages = self.encode_cycle(codec, cycle, index, changes, WHOLE_BYTES_MAX)?;
             return match packages.len() {
                 1 => packages.pop().ok_or(EncodeError::Empty),
                 _ => Err(EncodeError::BoxTooLarge {
@@ -76,25 +50,16 @@ impl Encoder {
                 }),
             };
         }
-        let region = changes.bounding_box().ok_or(EncodeError::OutsideGrid)?;
-        let voxels = region.volume();
-        if voxels > u128::from(BOX_VOXELS_MAX) {
-            return Err(EncodeError::BoxTooLarge { voxels });
-        }
-        self.payload.clear();
-        let steps = self.encode_states(codec, changes, &region, Others::Unchanged);
-        if steps > work::limit(self.payload.len()) {
-            return Err(EncodeError::TooMuchWork);
-        }
-        let header = changes_header(codec, cycle, index, region).with_priority(cycle, changes);
-        Ok(Package::seal(&header, &self.payload, |header| check_changes(header, changes)))
+        let draft = paper::encode_whole(&mut self.paper, codec, changes)?;
+        let header = changes_header(codec, cycle, index, draft.region);
+        Ok(seal_changes(&header, cycle, &draft))
     }
 
-    /// The changes of a cycle as packages of at most `bytes_max` bytes each, numbered from `first_index`. Each has a
-    /// tight box of its own and is useful alone; no two share a voxel. No changes: no packages.
+    /// The changes of a cycle as packages of at most `bytes_max` bytes each, numbered from `first_index`.
+    /// Each has a tight box of its own and is useful alone; no two share a voxel. No changes: no packages.
     ///
-    /// The changes are cut in two across the longest side of their box until each piece fits. What a piece will
-    /// take is foretold from the pieces before it, so that few are encoded in vain.
+    /// The changes are cut in two across the longest side of their box until each piece fits. What a piece
+    /// will take is foretold from the pieces before it, so that few are encoded in vain.
     pub fn encode_cycle(
         &mut self,
         codec: Codec,
@@ -106,8 +71,9 @@ impl Encoder {
         self.encode_cycle_against(codec, cycle, first_index, changes, None, bytes_max)
     }
 
-    /// As [`Self::encode_cycle`], told against what the receivers hold already. Their headers say in `reference` which packages a
-    /// receiver must have before it can decode them, with [`Decoder::decode_against`](crate::Decoder::decode_against).
+    /// As [`Self::encode_cycle`], told against what the receivers hold already. Their headers say in
+    /// `reference` which packages a receiver must have before it can decode them, with
+    /// [`Decoder::decode_against`](crate::Decoder::decode_against).
     pub fn encode_cycle_against(
         &mut self,
         codec: Codec,
@@ -121,191 +87,143 @@ impl Encoder {
             return Ok(Vec::new());
         }
         check_cycle(cycle, first_index, changes)?;
-        if codec == Codec::Flock {
-            return self.flock_cycle(cycle, first_index, changes, reference, bytes_max);
-        }
-        let piece = Piece::new(changes.clone(), Vec::new()).ok_or(EncodeError::OutsideGrid)?;
-        // There are no more packages than voxels, which bounds the index and with it the header.
-        let last_index = first_index.saturating_add(u32::try_from(changes.len()).unwrap_or(u32::MAX));
-        let last_index = changes_header(codec, cycle, last_index, piece.region);
-        let pieces = self.fit(codec, piece, &last_index, bytes_max)?;
-        let count = pieces.len();
-        check_indices(first_index, count)?;
-        let packages = (first_index..=u32::MAX).zip(&pieces).map(|(index, (piece, payload))| {
-            let header =
-                changes_header(codec, cycle, index, piece.region).with_priority(cycle, &piece.states);
-            Package::seal(&header, payload, |header| check_changes(header, &piece.states))
-        });
-        Ok(packages.collect())
-    }
-
-    /// A cycle in the codec `flock`: cut along its own order.
-    fn flock_cycle(
-        &mut self,
-        cycle: &Cycle,
-        first_index: u32,
-        changes: &Changes,
-        reference: Option<&Reference<'_>>,
-        bytes_max: usize,
-    ) -> Result<Vec<Package>, EncodeError> {
         check_limit(bytes_max)?;
-        // Before the first package there is nothing to refer to.
-        let reference = reference.filter(|_| first_index > 1);
-        changes.bounding_box().ok_or(EncodeError::OutsideGrid)?;
-        let layer = reference.and_then(|reference| reference.layer);
-        // The codec has no words for a voxel that is told again what it is: such a cycle is told alone.
-        let layer = layer.filter(|layer| !repeats(changes, layer, cycle.end));
-        let known = Known::new(layer, cycle.end);
-        let header = |index, region| changes_header(Codec::Flock, cycle, index, region);
+        // Only `flock` builds on what was before, and there is nothing before the first package.
+        let may_refer = codec == Codec::Flock && first_index > 1;
+        let reference = reference.filter(|_| may_refer);
         let room = |number: usize, region: &VoxelBox| {
             let index = u32::try_from(number).map_or(u32::MAX, |number| first_index.saturating_add(number));
             // The reference is not known yet: one to the first package takes most.
-            let longest = Header { reference: u32::from(first_index > 1), ..header(index, *region) };
-            bytes_max.saturating_sub(header_length(&longest))
+            let longest =
+                Header { reference: may_refer.into(), ..changes_header(codec, cycle, index, *region) };
+            bytes_max.saturating_sub(longest.byte_len())
         };
-        let all = flock::encode(self.flock.get_or_insert_default(), &known, cycle.sensor, changes, room)?;
-        check_indices(first_index, all.len())?;
-        let mut packages = Vec::with_capacity(all.len());
-        for (index, flock::Told { piece, reference: newest }) in (first_index..=u32::MAX).zip(all) {
-            let written = newest.zip(reference);
-            let written = written.map_or(0, |(stamp, to)| to.newest_package(stamp, first_index));
-            let read = reference.map_or(0, |reference| reference.newest_reader(&piece.region));
-            let reference = written.max(read).min(first_index - 1);
-            let header = header(index, piece.region).with_priority(cycle, &piece.changes);
-            let header = Header { reference, is_alone: written == 0, ..header };
-            let package =
-                Package::seal(&header, &piece.payload, |header| check_changes(header, &piece.changes));
-            if package.bytes().len() > bytes_max {
-                return Err(EncodeError::BytesMaxTooSmall { bytes_max });
-            }
-            packages.push(package);
+        let drafts = if codec == Codec::Flock {
+            let layer = reference.and_then(|reference| reference.layer);
+            flock::encode_cycle(self.flock.get_or_insert_default(), layer, cycle, changes, room)?
+        } else {
+            paper::encode_cycle(&mut self.paper, codec, changes, room)?
+        };
+        let count = drafts.len();
+        if u64::from(first_index) + count as u64 - 1 > u64::from(u32::MAX) {
+            return Err(EncodeError::IndexOutOfRange { first: first_index, count });
         }
-        Ok(packages)
+        let packages = (first_index..=u32::MAX).zip(drafts).map(|(index, draft)| {
+            let written = draft.base.zip(reference);
+            let written = written.map_or(0, |(stamp, to)| to.newest_package(stamp, first_index));
+            let read = reference.map_or(0, |reference| reference.newest_reader(&draft.region));
+            let reference = written.max(read).min(first_index - 1);
+            let header = changes_header(codec, cycle, index, draft.region);
+            let header = Header { reference, is_alone: written == 0, ..header };
+            check_length(seal_changes(&header, cycle, &draft), bytes_max)
+        });
+        packages.collect()
     }
 
-    /// Cuts `whole` until each piece fits into `bytes_max` with a header like `longest`, whose box and stamps are
-    /// replaced by those of the piece.
-    fn fit(
+    /// The state of a layer as tiles of at most `bytes_max` bytes each, codes `00 01 10` (Sec. IV-B of the
+    /// paper), with the stamp of every voxel. `upto_index` is the newest package whose changes, with those of
+    /// all before it, are in `state`. Always at least one tile: where nothing is known, one that says so of a
+    /// single voxel.
+    ///
+    /// Tiles of [`Codec::Flock`] are told one against the other, see [`TilesRead`](crate::TilesRead). They
+    /// are those of [`Codec::Paper`] where that takes fewer bytes.
+    pub fn encode_present(
         &mut self,
         codec: Codec,
-        whole: Piece,
-        longest: &Header,
+        stream: Stream,
+        upto_index: u32,
+        resolution: Resolution,
+        state: &PresentState,
         bytes_max: usize,
-    ) -> Result<Vec<(Piece, Vec<u8>)>, EncodeError> {
+    ) -> Result<Vec<Package>, EncodeError> {
+        check_rules(state)?;
+        let voxels = PresentVoxels::from_state(state);
+        let voxels = voxels.ok_or(EncodeError::PresentState { rule: "at most 2²⁷ stamps and blocks" })?;
+        let span = Span { stream, since: 0, upto: upto_index };
+        self.encode_span(codec, span, resolution, &voxels, bytes_max)
+    }
+
+    /// The same of a state in less memory, that need not be whole: see
+    /// [`Layer::present_voxels`](flockmap_grid::Layer::present_voxels). Takes at most some 20 bytes for each
+    /// voxel of a map of dense blocks while it works, beside what the encoder keeps: 140 to 300 for each
+    /// block, the tiles, and 15 MB where they are of another codec than [`Codec::Flock`].
+    pub fn encode_span(
+        &mut self,
+        codec: Codec,
+        span: Span,
+        resolution: Resolution,
+        state: &PresentVoxels,
+        bytes_max: usize,
+    ) -> Result<Vec<Package>, EncodeError> {
+        if span.upto == 0 || span.since >= span.upto {
+            return Err(EncodeError::IndexOutOfRange { first: span.since, count: 1 });
+        }
         check_limit(bytes_max)?;
-        let others = match longest.content {
-            ContentKind::Changes => Others::Unchanged,
-            ContentKind::Present { .. } => Others::Unknown,
+        let mut encode = |codec| self.chunks(codec, span, resolution, state, bytes_max);
+        let bytes = |chunks: &[Package]| chunks.iter().map(|chunk| chunk.bytes().len()).sum::<usize>();
+        let chunks = match encode(codec) {
+            // Not even a block fits; the paper's chunks can be cut further.
+            Err(EncodeError::BytesMaxTooSmall { .. }) if codec == Codec::Flock => Vec::new(),
+            chunks => chunks?,
         };
-        let mut forecast = Forecast::new(codec, others);
-        let mut done = Vec::new();
-        let mut waiting = vec![whole];
-        while let Some(piece) = waiting.pop() {
-            let room = bytes_max.saturating_sub(header_bytes(longest, &piece));
-            let needed = if piece.region.volume() > u128::from(BOX_VOXELS_MAX) {
-                usize::MAX
-            } else {
-                let expected = forecast.payload_bytes(&piece);
-                // What cannot be cut is tried in any case.
-                if expected > room + room / 10 && piece.states.len() > 1 {
-                    expected
-                } else {
-                    let steps = self.encode_piece(codec, &piece, others);
-                    forecast.learn(&piece, self.payload.len());
-                    if self.is_decodable(codec, &piece, others, steps) {
-                        self.payload.len()
-                    } else {
-                        usize::MAX
-                    }
-                }
-            };
-            if needed <= room {
-                done.push((piece, self.payload.clone()));
-                continue;
-            }
-            // Aimed a little below full, since a piece that is just too large costs two half-full ones.
-            let pieces = match needed {
-                usize::MAX => 2,
-                _ => needed.div_ceil((room * 19 / 20).max(1)).max(2),
-            };
-            let [head, tail] = piece
-                .cut(pieces / 2, pieces, forecast.measure())
-                .ok_or(EncodeError::BytesMaxTooSmall { bytes_max })?;
-            waiting.push(tail);
-            waiting.push(head);
+        let is_settled = !chunks.is_empty() && bytes(&chunks) * 8 <= FLOCK_BITS_MAX * state.len();
+        if codec != Codec::Flock || is_settled {
+            return Ok(chunks);
         }
-        Ok(done)
+        // A history without a pattern: the paper's way may be shorter.
+        let paper = encode(Codec::Paper)?;
+        Ok(if chunks.is_empty() || bytes(&paper) < bytes(&chunks) { paper } else { chunks })
     }
 
-    /// The payload of a piece into `self.payload`. Returns the steps that it takes to decode it.
-    fn encode_piece(&mut self, codec: Codec, piece: &Piece, others: Others) -> u64 {
-        self.payload.clear();
-        let steps = self.encode_states(codec, &piece.states, &piece.region, others);
-        if others == Others::Unknown {
-            let mut length = Vec::new();
-            varint::write(&mut length, self.payload.len() as u64);
-            self.payload.splice(..0, length);
-            stamps::encode(&piece.parts, &piece.region, &mut self.deflater, &mut self.payload);
-        }
-        steps + stamps::steps(&piece.parts, &piece.region)
-    }
-
-    fn encode_states(&mut self, codec: Codec, states: &Changes, region: &VoxelBox, others: Others) -> u64 {
-        let Self { scratch, deflater, payload, .. } = self;
-        states::encode(codec, states, region, others, scratch, deflater, payload)
-    }
-
-    /// Whether the payload just made respects the limits that a decoder holds it to beyond its length.
-    fn is_decodable(&self, codec: Codec, piece: &Piece, others: Others, steps: u64) -> bool {
-        let length = self.payload.len();
-        let box_limit = match others {
-            Others::Unchanged => BOX_VOXELS_MAX,
-            // The states are a part of the payload; what the rest takes is left out to be safe.
-            Others::Unknown => states::voxels_max(codec, length / 2, others),
+    /// A state in one codec.
+    fn chunks(
+        &mut self,
+        codec: Codec,
+        Span { stream, since, upto }: Span,
+        resolution: Resolution,
+        state: &PresentVoxels,
+        bytes_max: usize,
+    ) -> Result<Vec<Package>, EncodeError> {
+        let set = check::of_set(codec, bytes_max, [since, upto], state);
+        let header = |region: VoxelBox, [cycle_start, cycle_end]: [Stamp; 2], tile, tiles| Header {
+            stream,
+            index: upto,
+            cycle_start,
+            cycle_end,
+            reference: 0,
+            is_alone: true,
+            resolution,
+            region,
+            codec,
+            content: ContentKind::Present { since, set, tile, tiles },
+            priority: Priority::Obstacles,
         };
-        let fills = codec == Codec::Raw || piece.region.volume() <= u128::from(box_limit);
-        fills && piece.parts.len() <= stamps::STAMPS_MAX && steps <= work::limit(length)
+        // There are no more chunks than voxels, or than blocks where these are not cut.
+        let most = if codec == Codec::Flock { state.part_blocks() } else { state.len() };
+        let most = u32::try_from(most).unwrap_or(u32::MAX);
+        let room = |region: &VoxelBox, ends: [Stamp; 2]| {
+            bytes_max.saturating_sub(header(*region, ends, most, most).byte_len())
+        };
+        let drafts = if codec == Codec::Flock {
+            flock::encode_snapshot(self.flock.get_or_insert_default(), state, room)?
+        } else {
+            paper::encode_snapshot(&mut self.paper, codec, state, room)?
+        };
+        let count = u32::try_from(drafts.len()).unwrap_or(u32::MAX);
+        let packages = (0..count).zip(drafts).map(|(number, draft)| {
+            let header = header(draft.region, draft.ends, number, count);
+            check_length(Package::seal(&header, &draft.payload, &draft.content), bytes_max)
+        });
+        packages.collect()
     }
 }
 
 /// No package comes near this: those of the largest box have some 50 MB.
 const WHOLE_BYTES_MAX: usize = 1 << 30;
 
-/// What the payload of a piece will take, judged by the pieces before it.
-struct Forecast {
-    codec: Codec,
-    others: Others,
-    /// For the codecs whose size depends on the pattern: bytes for 1,024 edges.
-    bytes_per_1024: usize,
-}
-
-impl Forecast {
-    /// What a zlib stream takes however short it is.
-    const OVERHEAD: usize = 10;
-
-    fn new(codec: Codec, others: Others) -> Self {
-        Self { codec, others, bytes_per_1024: 210 }
-    }
-
-    /// What the size goes with, so that pieces come out of even size.
-    fn measure(&self) -> Measure {
-        if self.codec == Codec::Racer { Measure::Voxels } else { Measure::Edges }
-    }
-
-    fn payload_bytes(&self, piece: &Piece) -> usize {
-        match (self.codec, self.others) {
-            // At least; stamps come on top.
-            (Codec::Raw, _) => piece.region.volume().div_ceil(4) as usize,
-            (Codec::Racer, Others::Unchanged) => piece.states.len() * 5,
-            _ => Self::OVERHEAD + piece.edges * self.bytes_per_1024 / 1024,
-        }
-    }
-
-    fn learn(&mut self, piece: &Piece, payload_bytes: usize) {
-        let bytes_per_1024 = payload_bytes.saturating_sub(Self::OVERHEAD) * 1024 / piece.edges.max(1);
-        self.bytes_per_1024 = (3 * self.bytes_per_1024 + bytes_per_1024).div_ceil(4);
-    }
-}
+/// Bits of a voxel from which on a snapshot in `flock` is compared with one of the paper. Maps of real
+/// flights take one or less.
+const FLOCK_BITS_MAX: usize = 3;
 
 fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> Header {
     Header {
@@ -323,26 +241,10 @@ fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> 
     }
 }
 
-impl Header {
-    fn with_priority(self, cycle: &Cycle, changes: &Changes) -> Self {
-        Self { priority: Priority::of(changes, &self.region, cycle.sensor, cycle.resolution), ..self }
-    }
-}
-
-/// Bytes of the header of `piece`, with the check, if it is otherwise like `longest`.
-fn header_bytes(longest: &Header, piece: &Piece) -> usize {
-    let mut header = Header { region: piece.region, ..*longest };
-    if let (Some((first, _)), Some((last, _))) = (piece.parts.first(), piece.parts.last()) {
-        (header.cycle_start, header.cycle_end) = (*first, *last);
-    }
-    header_length(&header)
-}
-
-/// Bytes of a header with the check.
-fn header_length(header: &Header) -> usize {
-    let mut bytes = Vec::with_capacity(96);
-    header.write(&mut bytes);
-    bytes.len() + 4
+/// `header` but for the priority.
+fn seal_changes(header: &Header, cycle: &Cycle, draft: &CycleDraft) -> Package {
+    let priority = Priority::of(&draft.changes, &draft.region, cycle.sensor, cycle.resolution);
+    Package::seal(&Header { priority, ..*header }, &draft.payload, &check::of_changes(&draft.changes))
 }
 
 fn check_cycle(cycle: &Cycle, index: u32, changes: &Changes) -> Result<(), EncodeError> {
@@ -358,22 +260,37 @@ fn check_cycle(cycle: &Cycle, index: u32, changes: &Changes) -> Result<(), Encod
     Ok(())
 }
 
-/// Whether a voxel changes to what it was before the cycle that ended at `end`. Not so in net changes, if `layer` holds all before.
-fn repeats(changes: &Changes, layer: &Layer, end: Stamp) -> bool {
-    let share = |a: &Plane, b: &Plane| a.iter().zip(b).any(|(a, b)| a & b != 0);
-    changes.blocks().iter().any(|(index, block)| match layer.block_before(*index, end) {
-        Ok(Some(before)) => share(block.free(), before.free()) || share(block.occupied(), before.occupied()),
-        // Nothing was known; or it is gone, as the encoder will find.
-        _ => false,
-    })
-}
-
-/// Whether there are so many indices left.
-fn check_indices(first: u32, count: usize) -> Result<(), EncodeError> {
-    let last = u64::from(first) + count as u64 - 1;
-    if last > u64::from(u32::MAX) { Err(EncodeError::IndexOutOfRange { first, count }) } else { Ok(()) }
-}
-
 fn check_limit(bytes_max: usize) -> Result<(), EncodeError> {
     if bytes_max < PACKAGE_BYTES_MIN { Err(EncodeError::BytesMaxTooSmall { bytes_max }) } else { Ok(()) }
+}
+
+/// What could not be cut further may be too long.
+fn check_length(package: Package, bytes_max: usize) -> Result<Package, EncodeError> {
+    if package.bytes().len() > bytes_max {
+        Err(EncodeError::BytesMaxTooSmall { bytes_max })
+    } else {
+        Ok(package)
+    }
+}
+
+/// Whether a present state is one.
+fn check_rules(state: &PresentState) -> Result<(), EncodeError> {
+    let wrong = |rule| Err(EncodeError::PresentState { rule });
+    if !state.parts.is_sorted_by(|a, b| a.0 < b.0) {
+        return wrong("the stamps of the parts ascend");
+    }
+    let parts = || state.parts.iter().map(|(_, part)| part);
+    if parts().any(Changes::is_empty) {
+        return wrong("no part is empty");
+    }
+    let inside = |part: &Changes| part.bounding_box().is_some_and(|b| b.union(&state.region) == state.region);
+    if !parts().all(inside) {
+        return wrong("all voxels lie in the region");
+    }
+    let blocks = parts().flat_map(|part| part.blocks().iter().copied()).collect();
+    let all = Changes::from_blocks(blocks);
+    if all.len() != parts().map(Changes::len).sum::<usize>() {
+        return wrong("no voxel is in two parts");
+    }
+    Ok(())
 }

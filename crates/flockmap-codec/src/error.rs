@@ -2,10 +2,11 @@
 
 use flockmap_grid::Overtaken;
 
-use crate::{BOX_VOXELS_MAX, Codec, PACKAGE_BYTES_MIN};
+use crate::codec::Codec;
+use crate::limits::{BOX_VOXELS_MAX, FORMAT_VERSION, PACKAGE_BYTES_MIN};
 
-/// Bytes that are no package, or a package that does not decode to what was encoded. Its sender or the way is at
-/// fault, or it is of a newer Flockmap; nothing of it may be used. Ask for it again.
+/// Bytes that are no package, or a package that does not decode to what was encoded. Its sender or the way is
+/// at fault, or it is of a newer Flockmap; nothing of it may be used. Ask for it again.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PackageError {
@@ -18,7 +19,7 @@ pub enum PackageError {
         offset: usize,
     },
     /// Another version of the format.
-    #[error("package format version {found}, this program reads version {}", crate::FORMAT_VERSION)]
+    #[error("package format version {found}, this program reads version {FORMAT_VERSION}")]
     Version {
         /// The first byte of the package.
         found: u8,
@@ -29,8 +30,8 @@ pub enum PackageError {
         /// The number of the codec.
         found: u8,
     },
-    /// A kind of content, or a flag beside it, that this version does not know. It is refused and not skipped,
-    /// since it may change what the rest means.
+    /// A kind of content, or a flag beside it, that this version does not know. It is refused and not
+    /// skipped, since it may change what the rest means.
     #[error("package content kind {found:#x} is not known; the sender may be newer")]
     ContentKind {
         /// The number of the kind, flags included.
@@ -90,7 +91,8 @@ pub enum PackageError {
         /// The number of the tile that comes next.
         tile: u32,
     },
-    /// What the package was coded against is gone: something newer has been applied. Only a present state can bring what it says.
+    /// What the package was coded against is gone: something newer has been applied. Only a present state can
+    /// bring what it says.
     #[error(transparent)]
     Overtaken(#[from] Overtaken),
     /// The payload breaks a rule of its codec.

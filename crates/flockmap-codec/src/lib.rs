@@ -5,6 +5,23 @@
 //! header or a wrong decode is always an error and never a wrong voxel. The bytes are specified in `WIRE.md`,
 //! section "Map packages".
 //!
+//! The modules, each of which knows only those above it:
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`bytes`] | little-endian integers and varints, read and written |
+//! | `limits`, `codec`, `error` | bounds of a package, the codecs by number, what can be wrong |
+//! | `fields`, `work` | bytes as fields with errors that name them; the steps that a payload may ask for |
+//! | `priority`, `header`, `check`, `package` | the parts of a package, and the whole |
+//! | `source`, `reference` | what is encoded: a cycle or a span, and what it builds on |
+//! | `piece`, `draft`, `deflate` | changes cut in two; what has no header yet; zlib |
+//! | `paper/` | two bits for each voxel along a Hilbert walk, then zlib; and what the paper compares with |
+//! | `flock/` | decisions of an arithmetic coder with trained contexts |
+//! | `encoder`, `decoder` | the way in and out: both codecs behind one face |
+//!
+//! `paper/` and `flock/` have the same shape: encode a cycle, decode a cycle, encode a snapshot (a present
+//! state), decode a chunk (a tile) of one. They know payloads and no headers.
+//!
 //! ```
 //! use flockmap_codec::{Codec, Content, Cycle, Encoder, PACKAGE_BYTES_MAX, Package};
 //! use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
@@ -32,47 +49,37 @@
 #![forbid(unsafe_code)]
 
 mod check;
-mod code_grid;
 mod codec;
 mod decoder;
 mod deflate;
+mod draft;
 mod encoder;
 mod error;
+mod fields;
 mod flock;
 mod header;
-mod hilbert;
-mod pack;
+mod limits;
 mod package;
+mod paper;
 mod piece;
+mod priority;
 mod reference;
-mod stamps;
-mod states;
-mod tiles;
-mod told;
-mod varint;
+mod source;
 mod work;
+
+pub mod bytes;
 
 #[cfg(feature = "training")]
 pub use flock::training;
 
 pub use codec::{Codec, UnknownCodec};
-pub use decoder::Decoder;
-pub use encoder::{Cycle, Encoder, Span};
+pub use decoder::{Decoder, TilesRead};
+pub use encoder::Encoder;
 pub use error::{EncodeError, PackageError};
-pub use header::{ContentKind, FAR_METRES, FORMAT_VERSION, Header, Priority};
-pub use hilbert::hilbert_order;
+pub use header::{ContentKind, Header};
+pub use limits::{BOX_VOXELS_MAX, FORMAT_VERSION, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN};
 pub use package::{Content, Package};
+pub use paper::hilbert_order;
+pub use priority::{FAR_METRES, Priority};
 pub use reference::Reference;
-pub use tiles::TilesRead;
-
-/// Largest package that goes into one datagram: a datagram header and an authentication tag still fit beside it
-/// in 1,200 bytes of UDP payload, which no ordinary link fragments.
-pub const PACKAGE_BYTES_MAX: usize = 1150;
-
-/// Smallest size limit that [`Encoder`] takes: one voxel fits in it whatever the header holds.
-pub const PACKAGE_BYTES_MIN: usize = 192;
-
-/// Most voxels in the box of one package, 2²⁷. A larger box is refused before memory is taken for it, and so is one
-/// that the payload could not fill: under 2²³ voxels for a package of [`PACKAGE_BYTES_MAX`] bytes. ([`Codec::Racer`]
-/// takes memory for the voxels it lists, not for its box.)
-pub const BOX_VOXELS_MAX: u64 = 1 << 27;
+pub use source::{Cycle, Span};

@@ -24,8 +24,8 @@ impl Piece {
         Some(Self { states, parts, region, edges })
     }
 
-    /// Cuts across the longest side of the box, so that `head / of` of the voxels, or of the edges, come first, or as
-    /// near to that as whole slices allow. `None` if there is but one voxel.
+    /// Cuts across the longest side of the box, so that `head / of` of the voxels, or of the edges, come
+    /// first, or as near to that as whole slices allow. `None` if there is but one voxel.
     pub(crate) fn cut(&self, head: usize, of: usize, measure: Measure) -> Option<[Self; 2]> {
         let size = self.region.size();
         let axis = (0..3).rev().max_by_key(|&axis| size[axis])?;
@@ -67,7 +67,8 @@ pub(crate) enum Measure {
     Edges,
 }
 
-/// Counts the neighbours along x, y and z in the block of which one is known, or Occupied, and the other is not.
+/// Counts the neighbours along x, y and z in the block of which one is known, or Occupied, and the other is
+/// not.
 fn edges(block: &StateBlock) -> usize {
     let of_plane = |plane: &Plane| -> u32 {
         let mut below = 0;
@@ -91,8 +92,8 @@ fn coordinate(voxel: &mut Voxel, axis: usize) -> &mut i32 {
     }
 }
 
-/// How many voxels or edges there are in each slice across `axis` that has voxels, however far apart they are; in ascending order. The
-/// edges of a block are shared out among its slices by their voxels.
+/// How many voxels or edges there are in each slice across `axis` that has voxels, however far apart they
+/// are; in ascending order. The edges of a block are shared out among its slices by their voxels.
 fn slice_counts(states: &Changes, axis: usize, measure: Measure) -> Vec<(i32, usize)> {
     // By blocks, of which there are fewer than slices.
     let mut counts = BTreeMap::<i32, [Option<usize>; 8]>::new();

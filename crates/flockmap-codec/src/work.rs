@@ -1,11 +1,13 @@
-//! How much work a payload may ask of its reader: counted in steps before each is taken, so that a short payload is read in a short time
-//! whatever it says.
+//! How much work a payload may ask of its reader: counted in steps before each is taken, so that a short
+//! payload is read in a short time whatever it says.
 
 use flockmap_mutation::{self as mutation, Mutation};
 
-use crate::{Codec, PackageError};
+use crate::codec::Codec;
+use crate::error::PackageError;
 
-/// Steps for each byte of payload. A step is two to four nanoseconds of a core that runs at 3 GHz. Real flights ask for 60 to 240, and what asks for more is filled up or cut.
+/// Steps for each byte of payload. A step is two to four nanoseconds of a core that runs at 3 GHz. Real
+/// flights ask for 60 to 240, and what asks for more is filled up or cut.
 const STEPS_PER_BYTE: u64 = 192;
 /// Steps that a payload may ask for beside, however short it is: its header has about as many bytes.
 pub(crate) const STEPS_FREE: u64 = 6_144;
@@ -18,16 +20,19 @@ pub(crate) const SECTION_STEPS: u64 = 1_024;
 const FLAG_STEPS: u64 = 8;
 /// More for one of which something was known before: it is fetched from a large table, several at once.
 const KNOWN_STEPS: u64 = 8;
-/// A block that `flock` says has changed: its surroundings are put together, its rows gone through and put back.
+/// A block that `flock` says has changed: its surroundings are put together, its rows gone through and put
+/// back.
 pub(crate) const CHANGED_STEPS: u64 = 128;
 /// A block whose cells are taken in, of which something was known or is told: once, whatever looks at it.
 pub(crate) const TAKEN_IN_STEPS: u64 = 24;
-/// A decision by itself; a row whose unknown voxels are decided one by one, beside one step for each decision of these.
+/// A decision by itself; a row whose unknown voxels are decided one by one, beside one step for each decision
+/// of these.
 pub(crate) const DECISION_STEPS: u64 = 2;
 pub(crate) const ROW_STEPS: u64 = 6;
-/// A change in noise, and a block with changes: there are many that were not known, which takes longer to merge than to read.
+/// A change that is gap coded, and a block with changes: there are many that were not known, which takes
+/// longer to merge than to read.
 pub(crate) const CHANGE_STEPS: u64 = 16;
-pub(crate) const NOISE_BLOCK_STEPS: u64 = 320;
+pub(crate) const GAP_CODED_BLOCK_STEPS: u64 = 320;
 /// Places of blocks, those round a box with it, for one step: `flock` has a table of them.
 const PLACES_PER_STEP: u64 = 4;
 /// Voxels of a zlib stream for one step.

@@ -6,7 +6,6 @@
 //! on the wire is in [`wire`] and, byte by byte, in `WIRE.md`; how it behaves is set by a [`SessionConfig`].
 #![forbid(unsafe_code)]
 
-mod bytes;
 mod clocks;
 mod config;
 mod counters;

@@ -1,18 +1,19 @@
 //! The changes of one block as decisions.
 //!
-//! Rows of eight voxels go from the slice that is farthest from the sensor to the nearest, see `cells.rs`. What is known
-//! already is settled eight voxels at a time; each unknown voxel beside a change is a decision with two contexts: the cells
-//! around it, and the cells along the ray from the sensor through it. Where nothing has changed beyond a slice, one decision
-//! is for its 64 voxels.
+//! Rows of eight voxels go from the slice that is farthest from the sensor to the nearest, see
+//! `neighbourhood.rs`. What is known already is settled eight voxels at a time; each unknown voxel beside a
+//! change is a decision with two contexts: the cells around it, and the cells along the ray from the sensor
+//! through it. Where nothing has changed beyond a slice, one decision is for its 64 voxels.
 
-use flockmap_grid::StateBlock;
-
-use super::cells::{
-    Bits, Neighbourhood, Plane, ROW, Row, SLICE, STATES, Turn, free, middle, new, occupied, unknown,
-};
+use super::cells::{Bits, Row, STATES, free, new, occupied, unknown};
 use super::decide::{Decide, RowKind, UnknownRow};
+use super::known::KnownClasses;
+use super::neighbourhood::{Neighbourhood, ROW, SLICE, middle};
+use super::orientation::{Distance, TurnedChanges};
+use super::planes::swapped_in_word;
+use super::rays::Rays;
 
-// Contexts of flags. The first 2,268 are for the flag of a block, see `block_flag`.
+// Contexts of flags. The first 2,268 are for the flag of a block, see `flags.rs`.
 const FREE_TO_OCCUPIED_IN_BLOCK: usize = 2_300;
 const OCCUPIED_TO_FREE_IN_BLOCK: usize = 2_400;
 const FREE_TO_OCCUPIED: usize = 2_500;
@@ -24,93 +25,20 @@ const SURE_ROW: usize = 2_580;
 const COLD_ROW: usize = 2_600;
 const COLD_SLICE: usize = 2_640;
 
-/// The context of the flag that says whether a block has changes. `beyond` says of the neighbours beyond it along x, y and z, and along
-/// two or three axes, whether they have: 0 not told, 1 no, 2 yes.
-pub(crate) fn block_flag(beyond: [u8; 3], diagonal: [u8; 4], known: KnownClasses) -> usize {
-    let [x, y, z] = beyond.map(usize::from);
-    let is_changed = |state: u8| usize::from(state == 2);
-    let [xy, xz, yz, xyz] = diagonal.map(is_changed);
-    ((x + 3 * y + 9 * z) * 4 + (xy + xz + yz).min(2) + xyz) * 21 + known.free_class * 3 + known.occupied_class
-}
-
-/// How much of a block is known, in classes.
-#[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
-pub(crate) struct KnownClasses {
-    /// 0 … 6.
-    free_class: usize,
-    /// 0 … 2.
-    occupied_class: usize,
-    has_free: bool,
-    has_occupied: bool,
-}
-
-impl KnownClasses {
-    pub(crate) fn of(states: &StateBlock) -> Self {
-        let (free, occupied) = (states.free(), states.occupied());
-        let touched = free.iter().filter(|slice| **slice != 0).count();
-        let full = free.iter().zip(occupied).filter(|(f, o)| **f | **o == u64::MAX).count();
-        let free_class = match (touched, full) {
-            (0, _) => 0,
-            (1..=2, 0) => 1,
-            (3..=6, 0) => 2,
-            (_, 0) => 3,
-            (_, 1..=4) => 4,
-            (_, 5..=7) => 5,
-            (_, _) => 6,
-        };
-        let occupied_class = match occupied.iter().filter(|slice| **slice != 0).count() {
-            0 => 0,
-            1..=2 => 1,
-            _ => 2,
-        };
-        Self { free_class, occupied_class, has_free: touched != 0, has_occupied: occupied_class != 0 }
-    }
-
-    /// Whether anything is known.
-    pub(crate) const fn is_any(&self) -> bool {
-        self.has_free || self.has_occupied
-    }
-
-    fn class(&self) -> usize {
-        self.free_class * 8 + self.occupied_class
-    }
-}
-
-/// New states of a block in turned planes.
-#[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
-pub(crate) struct TurnedChanges {
-    pub(crate) free: Plane,
-    pub(crate) occupied: Plane,
-}
-
-impl TurnedChanges {
-    pub(crate) fn of(changes: &StateBlock, turn: Turn) -> Self {
-        Self { free: turn.turned(changes.free()), occupied: turn.turned(changes.occupied()) }
-    }
-
-    #[inline]
-    fn row(&self, y: usize, z: usize) -> Bits {
-        let of = |plane: &Plane| (plane[z & 7] >> (8 * (y & 7))) as u8;
-        Bits { free: of(&self.free), occupied: of(&self.occupied) }
-    }
-}
-
-/// Where the sensor is, seen from the middle of a block: along the axes as turned, in sixteenths of a voxel, towards the side on
-/// which it is, so never negative.
-pub(crate) type Distance = [i32; 3];
-
-/// Makes the decisions of a block that has changes; `truth` is what a writer wants to tell, and `turns` whether any Free voxel becomes
-/// Occupied by it and any Occupied one Free. Returns what was told, and leaves it in `cells`.
+/// Makes the decisions of a block that has changes; `truth` is what a writer wants to tell, and `flips`
+/// whether any Free voxel becomes Occupied by it and any Occupied one Free. Returns what was told, and leaves
+/// it in `cells`.
 pub(crate) fn code<D: Decide>(
     decide: &mut D,
     cells: &mut Neighbourhood,
     distance: Distance,
     before: KnownClasses,
     truth: &TurnedChanges,
-    turns: [bool; 2],
+    flips: [bool; 2],
 ) -> TurnedChanges {
-    let to_occupied = before.has_free && decide.flag(FREE_TO_OCCUPIED_IN_BLOCK + before.class(), turns[0]);
-    let to_free = before.has_occupied && decide.flag(OCCUPIED_TO_FREE_IN_BLOCK + before.class(), turns[1]);
+    let class = before.free * 8 + before.occupied;
+    let to_occupied = before.free != 0 && decide.flag(FREE_TO_OCCUPIED_IN_BLOCK + class, flips[0]);
+    let to_free = before.occupied != 0 && decide.flag(OCCUPIED_TO_FREE_IN_BLOCK + class, flips[1]);
     let mut block = Block {
         decide,
         cells,
@@ -141,51 +69,6 @@ pub(crate) fn code<D: Decide>(
         }
     }
     block.told
-}
-
-/// The rays from the sensor through the voxels of a block.
-struct Rays {
-    distance: Distance,
-    /// Whether the axis of a slice along which the sensor is farther away is the one from row to row.
-    is_by_rows: bool,
-    /// Of the slice under way.
-    reciprocal: u64,
-    slope_x: usize,
-}
-
-/// 65,536 / (8·n + 4): one divided by a distance of n half voxels.
-static RECIPROCAL: [u32; 1024] = {
-    let mut table = [0; 1024];
-    let mut n = 0;
-    while n < 1024 {
-        table[n] = 65_536 / (8 * n as u32 + 4);
-        n += 1;
-    }
-    table
-};
-
-impl Rays {
-    fn of(distance: Distance) -> Self {
-        Self { distance, is_by_rows: distance[1] >= distance[0], reciprocal: 0, slope_x: 0 }
-    }
-
-    #[inline]
-    fn enter(&mut self, z: usize) {
-        let along = (self.distance[2] + 56 - 16 * z as i32).max(0);
-        self.reciprocal = u64::from(RECIPROCAL[((along >> 3) as usize).min(1023)]);
-        self.slope_x = self.slope(self.distance[0]);
-    }
-
-    /// How far the rays through the middle of a row move along an axis with each slice, in sixteenths of a voxel: 0 … 16.
-    #[inline]
-    fn slope(&self, along: i32) -> usize {
-        ((along.max(0) as u64 * self.reciprocal) >> 12).min(16) as usize
-    }
-
-    #[inline]
-    fn slope_y(&self, y: usize) -> usize {
-        self.slope(self.distance[1] + 56 - 16 * y as i32)
-    }
 }
 
 struct Block<'a, D> {
@@ -248,10 +131,7 @@ impl<D: Decide> Block<'_, D> {
         if !self.decide.flag(FREE_TO_OCCUPIED_IN_ROW + class, truth.occupied & voxels != 0) {
             return;
         }
-        let mut left = voxels;
-        while left != 0 {
-            let bit = left & left.wrapping_neg();
-            left ^= bit;
+        for bit in bits_of(voxels) {
             let shifted = |at: usize, by: isize| self.cells.shifted(at, by);
             let beyond = [shifted(at, -1), shifted(at - ROW, 0), shifted(at - SLICE, 0)];
             let within = [shifted(at, 1), shifted(at + ROW, 0), shifted(at + SLICE, 0)];
@@ -269,10 +149,7 @@ impl<D: Decide> Block<'_, D> {
     fn occupied_to_free(&mut self, at: usize, own: Row, truth: Bits) {
         let voxels = occupied(own);
         if self.decide.flag(OCCUPIED_TO_FREE_IN_ROW, truth.free & voxels != 0) {
-            let mut left = voxels;
-            while left != 0 {
-                let bit = left & left.wrapping_neg();
-                left ^= bit;
+            for bit in bits_of(voxels) {
                 if self.decide.flag(OCCUPIED_TO_FREE, truth.free & bit != 0) {
                     self.tell(at, Bits { free: bit, occupied: 0 });
                 }
@@ -393,22 +270,17 @@ impl<D: Decide> Block<'_, D> {
     }
 }
 
-/// For each of eight voxels: its bits in eight bytes, and in eight others, those that are the same for all added.
+/// The bits that are set, each alone.
+fn bits_of(byte: u8) -> impl Iterator<Item = u8> {
+    (0..8).map(|x| 1 << x).filter(move |bit| byte & bit != 0)
+}
+
+/// For each of eight voxels: its bits in eight bytes, and in eight others, those that are the same for all
+/// added.
 #[inline(always)]
 fn by_voxel(low: u64, high: u64, all: u8) -> [[u8; 8]; 2] {
     let all = u64::from(all) * 0x0101_0101_0101_0101;
-    [transposed(low).to_le_bytes(), (transposed(high) | all).to_le_bytes()]
-}
-
-/// Swaps the bits of bytes with the bytes.
-#[inline]
-const fn transposed(word: u64) -> u64 {
-    let differ = (word ^ word >> 7) & 0x00aa_00aa_00aa_00aa;
-    let word = word ^ differ ^ differ << 7;
-    let differ = (word ^ word >> 14) & 0x0000_cccc_0000_cccc;
-    let word = word ^ differ ^ differ << 14;
-    let differ = (word ^ word >> 28) & 0x0000_0000_f0f0_f0f0;
-    word ^ differ ^ differ << 28
+    [swapped_in_word(low).to_le_bytes(), (swapped_in_word(high) | all).to_le_bytes()]
 }
 
 enum RowClass {
@@ -417,12 +289,4 @@ enum RowClass {
     /// All that is beyond it is Free, and some of it has just been seen.
     Sure(usize),
     Hot,
-}
-
-/// Whether changes make any Free voxel Occupied, and any Occupied one Free.
-pub(crate) fn turns(before: Option<&StateBlock>, changes: &StateBlock) -> [bool; 2] {
-    let meet = |a: &[u64; 8], b: &[u64; 8]| a.iter().zip(b).any(|(a, b)| a & b != 0);
-    before.map_or([false; 2], |before| {
-        [meet(before.free(), changes.occupied()), meet(before.occupied(), changes.free())]
-    })
 }

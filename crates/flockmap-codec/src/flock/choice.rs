@@ -2,17 +2,18 @@
 
 use flockmap_grid::Overtaken;
 
-use super::block::{self, TurnedChanges};
-use super::cells::{Bits, Neighbourhood};
-use super::coder::Chance;
+use super::block_box::BlockBox;
+use super::cells::Bits;
+use super::coder::Probability;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
-use super::field::Field;
-use super::order::BlockBox;
-use super::package::{Changed, view};
-use super::tables::{TableSet, Tables, voxel_chance};
-use crate::reference::Known;
+use super::known::Known;
+use super::model::Model;
+use super::order::Changed;
+use super::orientation::Orientation;
+use super::tables::{TableSet, Tables, voxel_probability};
 
-/// Blocks that are looked at: so many from the front and so many from the middle, at most one in `SAMPLE_PART`.
+/// Blocks that are looked at: so many from the front and so many from the middle, at most one in
+/// `SAMPLE_PART`.
 const SAMPLE_BLOCKS: usize = 16;
 const SAMPLE_PART: usize = 6;
 /// So many in a row, from one and from the other place in turns.
@@ -22,8 +23,7 @@ const LEAD_BITS: u64 = 32;
 
 /// The set with which some of `blocks` take the fewest bits; as few as are needed to tell.
 pub(crate) fn choose(
-    field: &mut Field,
-    cells: &mut Neighbourhood,
+    model: &mut Model,
     known: &Known<'_>,
     sets: &[TableSet],
     sensor: [i32; 3],
@@ -31,21 +31,16 @@ pub(crate) fn choose(
 ) -> Result<TableSet, Overtaken> {
     let mut trial = Trial { sets: sets.iter().map(|set| (0, *set, set.tables())).collect() };
     let sample = sample(blocks);
-    let region = sample.iter().map(|(index, _)| BlockBox::of(*index)).reduce(|all, block| all.union(&block));
+    let region = sample.iter().map(|(index, _)| BlockBox::of(*index)).reduce(BlockBox::union);
     if let Some(region) = region.filter(|region| region.volume() <= REACH_MAX) {
-        field.clear(region);
+        model.field.clear(region);
         for (index, states) in sample {
             if trial.is_decided() {
                 break;
             }
-            let (turn, distance) = view(*index, sensor);
-            let slot = field.ask(known, *index, turn)?;
-            let slots = field.around(known, *index, turn)?;
-            cells.gather(turn, &slots, field.cells());
-            let turns = block::turns(known.block(*index)?, states);
-            let truth = TurnedChanges::of(states, turn);
-            block::code(&mut trial, cells, distance, field.counts(slot), &truth, turns);
-            field.tell(slot, *index, turn, &truth);
+            let classes = model.field.classes(known, *index)?;
+            let view = Orientation::of(*index, sensor);
+            model.code(&mut trial, known, *index, view, classes, Some(states))?;
         }
     }
     let best = trial.sets.iter().min_by_key(|(cost, ..)| *cost);
@@ -68,23 +63,24 @@ fn sample<'a>(blocks: &[Changed<'a>]) -> Vec<Changed<'a>> {
 /// Blocks in the box of a sample, at most.
 const REACH_MAX: u128 = 1 << 15;
 
-/// What decisions cost with the chances that packages begin with.
+/// What decisions cost with the probabilities that packages begin with.
 struct Trial {
     /// In 256ths of a bit.
     sets: Vec<(u64, TableSet, &'static Tables)>,
 }
 
 impl Trial {
-    /// Whether one set is ahead by so much that more blocks would hardly change it; it is if there is but one.
+    /// Whether one set is ahead by so much that more blocks would hardly change it; it is if there is but
+    /// one.
     fn is_decided(&self) -> bool {
         let best = self.sets.iter().map(|(cost, ..)| *cost).min().unwrap_or(0);
         self.sets.iter().filter(|(cost, ..)| *cost < best + LEAD_BITS * 256).count() == 1
     }
 
-    fn pay(&mut self, bit: bool, chance: impl Fn(&Tables) -> Chance) {
+    fn pay(&mut self, bit: bool, probability: impl Fn(&Tables) -> Probability) {
         for (cost, _, tables) in &mut self.sets {
-            let chance = chance(tables);
-            *cost += u64::from(COST[usize::from(if bit { chance } else { !chance } >> 8)]);
+            let probability = probability(tables);
+            *cost += u64::from(COST[usize::from(if bit { probability } else { !probability } >> 8)]);
         }
     }
 }
@@ -102,17 +98,17 @@ impl Decide for Trial {
 
 impl DecideVoxel for Trial {
     fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.voxel[voxel_chance(kind, tables.lookup().level(contexts))]);
+        self.pay(truth, |tables| tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))]);
         truth
     }
 
     fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.kind[tables.lookup().kind(contexts)]);
+        self.pay(truth, |tables| tables.start.kind[usize::from(tables.kind.of(contexts))]);
         truth
     }
 }
 
-/// What a bit of this chance (in 256ths) costs, in 256ths of a bit.
+/// What a bit of this probability (in 256ths) costs, in 256ths of a bit.
 static COST: [u16; 256] = {
     let mut table = [0; 256];
     let mut n = 0;

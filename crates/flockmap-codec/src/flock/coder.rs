@@ -1,22 +1,24 @@
-//! A binary arithmetic coder: 64-bit range with carry, chances of 16 bits, and of 32 where that is too coarse.
+//! A binary arithmetic coder: 64-bit range with carry, probabilities of 16 bits, and of 32 where that is too
+//! coarse.
 //!
-//! The writer keeps an interval of numbers, `low` and `range`. Each bit takes a share of it that is as large as the bit is
-//! likely; when the range falls below 2³², the four leading bytes go out. Integers only, so that every machine agrees.
+//! The writer keeps an interval of numbers, `low` and `range`. Each bit takes a share of it that is as large
+//! as the bit is likely; when the range falls below 2³², the four leading bytes go out. Integers only, so
+//! that every machine agrees.
 
 /// How likely a bit is set, in 65,536ths: 1 … 65,535.
-pub(crate) type Chance = u16;
+pub(crate) type Probability = u16;
 
 const REFILL_BELOW: u64 = 1 << 32;
 
-/// Moves a chance towards what has happened, by one in 2ʳᵃᵗᵉ. It stays in 1 … 65,535.
+/// Moves a probability towards what has happened, by one in 2ʳᵃᵗᵉ. It stays in 1 … 65,535.
 #[inline(always)]
-fn learn(chance: &mut Chance, bit: bool, rate: u32) {
+fn learn(probability: &mut Probability, bit: bool, rate: u32) {
     if bit {
-        *chance += (65_535 - *chance) >> rate;
+        *probability += (65_535 - *probability) >> rate;
     } else {
-        *chance -= *chance >> rate;
+        *probability -= *probability >> rate;
     }
-    debug_assert!(*chance > 0);
+    debug_assert!(*probability > 0);
 }
 
 /// A way that bits go: to bytes or from bytes.
@@ -24,8 +26,8 @@ pub(crate) trait CodeBit {
     /// Whether it looks at `truth`: it writes.
     const KNOWS: bool;
 
-    /// Passes a bit, which is set with this chance; the chance learns by one in 2ʳᵃᵗᵉ.
-    fn code(&mut self, chance: &mut Chance, truth: bool, rate: u32) -> bool;
+    /// Passes a bit, which is set with this probability; the probability learns by one in 2ʳᵃᵗᵉ.
+    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool;
 
     /// The same way.
     type Own<'b>: CodeBit
@@ -34,6 +36,13 @@ pub(crate) trait CodeBit {
 
     /// Lets many bits pass in a variable of their own, which can stay in registers.
     fn in_registers<R>(&mut self, pass: impl FnOnce(&mut Self::Own<'_>) -> R) -> R;
+}
+
+/// The same for probabilities of 32 bits: one change among 100 million voxels is too unlikely for 16.
+pub(crate) trait FineBits {
+    /// A bit that is set with this probability, in 2⁻³²: 1 … 2³² − 1. A reader does not look at `truth`.
+    /// Returns the bit.
+    fn bit(&mut self, probability: u32, truth: bool) -> bool;
 }
 
 /// Appends bits to some bytes.
@@ -50,16 +59,10 @@ impl<'a> BitWriter<'a> {
         Self { low: 0, range: u64::MAX, start: out.len(), out }
     }
 
-    /// Writes a bit that is set with this chance.
+    /// Writes a bit that is set with this probability.
     #[cfg(test)]
-    pub(crate) fn put(&mut self, chance: Chance, bit: bool) {
-        self.take((self.range >> 16) * u64::from(chance), bit);
-    }
-
-    /// As [`Self::put`], the chance in 2⁻³²: 1 … 2³² − 1.
-    #[inline]
-    pub(crate) fn put_fine(&mut self, chance: u32, bit: bool) {
-        self.take(fine_share(self.range, chance), bit);
+    pub(crate) fn put(&mut self, probability: Probability, bit: bool) {
+        self.take((self.range >> 16) * u64::from(probability), bit);
     }
 
     /// `share` of the range is for a bit that is set; something is left for either.
@@ -103,7 +106,8 @@ impl<'a> BitWriter<'a> {
         }
     }
 
-    /// The last bytes: a number in the interval with as few as possible, and how many. What a reader finds beyond the end is zeros.
+    /// The last bytes: a number in the interval with as few as possible, and how many. What a reader finds
+    /// beyond the end is zeros.
     fn end(&self) -> (u128, usize) {
         let (low, end) = (u128::from(self.low), u128::from(self.low) + u128::from(self.range));
         let mut numbers = (0..=8usize).map(|length| {
@@ -136,14 +140,14 @@ impl CodeBit for BitWriter<'_> {
     const KNOWS: bool = true;
 
     #[inline(always)]
-    fn code(&mut self, chance: &mut Chance, truth: bool, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*chance);
+    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(*probability);
         // Two ways, as in reading.
         if truth {
-            learn(chance, true, rate);
+            learn(probability, true, rate);
             self.take(share, true);
         } else {
-            learn(chance, false, rate);
+            learn(probability, false, rate);
             self.take(share, false);
         }
         truth
@@ -190,7 +194,8 @@ pub(crate) struct Mark {
     last: Option<u8>,
 }
 
-/// Reads what a [`BitWriter`] wrote, with the same chances. Any bytes give some bits; no bytes give bits too.
+/// Reads what a [`BitWriter`] wrote, with the same probabilities. Any bytes give some bits; no bytes give
+/// bits too.
 #[derive(Clone, Debug)]
 pub(crate) struct BitReader<'a> {
     range: u64,
@@ -206,16 +211,10 @@ impl<'a> BitReader<'a> {
         Self { range: u64::MAX, code: u64::from(high) << 32 | u64::from(low), bytes: rest }
     }
 
-    /// The next bit, which was written with this chance.
+    /// The next bit, which was written with this probability.
     #[cfg(test)]
-    pub(crate) fn get(&mut self, chance: Chance) -> bool {
-        self.take((self.range >> 16) * u64::from(chance))
-    }
-
-    /// The next bit, which was written by [`BitWriter::put_fine`] with this chance.
-    #[inline]
-    pub(crate) fn get_fine(&mut self, chance: u32) -> bool {
-        self.take(fine_share(self.range, chance))
+    pub(crate) fn get(&mut self, probability: Probability) -> bool {
+        self.take((self.range >> 16) * u64::from(probability))
     }
 
     #[inline(always)]
@@ -245,20 +244,20 @@ impl<'a> BitReader<'a> {
 impl<'a> CodeBit for BitReader<'a> {
     const KNOWS: bool = false;
 
-    /// Two ways for the two bits, which leaves it to the processor to guess the bit and go on; choosing values by the bit would have
-    /// to wait for it.
+    /// Two ways for the two bits, which leaves it to the processor to guess the bit and go on; choosing
+    /// values by the bit would have to wait for it.
     #[inline(always)]
-    fn code(&mut self, chance: &mut Chance, _: bool, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*chance);
+    fn code(&mut self, probability: &mut Probability, _: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(*probability);
         if self.code < share {
             self.range = share;
-            learn(chance, true, rate);
+            learn(probability, true, rate);
             self.refill();
             true
         } else {
             self.code -= share;
             self.range -= share;
-            learn(chance, false, rate);
+            learn(probability, false, rate);
             self.refill();
             false
         }
@@ -291,177 +290,26 @@ fn next_four(bytes: &[u8]) -> (u32, &[u8]) {
     }
 }
 
-/// The part of a range of at least 2³² that belongs to a chance in 2⁻³².
+/// The part of a range of at least 2³² that belongs to a probability in 2⁻³².
 #[inline]
-const fn fine_share(range: u64, chance: u32) -> u64 {
-    ((range as u128 * chance as u128) >> 32) as u64
+const fn fine_share(range: u64, probability: u32) -> u64 {
+    ((range as u128 * probability as u128) >> 32) as u64
+}
+
+impl FineBits for BitWriter<'_> {
+    #[inline]
+    fn bit(&mut self, probability: u32, truth: bool) -> bool {
+        self.take(fine_share(self.range, probability), truth);
+        truth
+    }
+}
+
+impl FineBits for BitReader<'_> {
+    #[inline]
+    fn bit(&mut self, probability: u32, _: bool) -> bool {
+        self.take(fine_share(self.range, probability))
+    }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn chance() -> impl Strategy<Value = Chance> {
-        prop_oneof![1..=65_535u16, Just(1), Just(65_535), 1..=40u16, 65_500..=65_535u16]
-    }
-
-    fn written(bits: &[(Chance, bool)]) -> Vec<u8> {
-        let mut out = vec![0xff, 0xff];
-        let mut writer = BitWriter::new(&mut out);
-        for (chance, bit) in bits {
-            writer.put(*chance, *bit);
-        }
-        writer.finish();
-        assert_eq!(out[..2], [0xff, 0xff], "what stood before is left alone");
-        out.split_off(2)
-    }
-
-    fn read_back(bits: &[(Chance, bool)]) -> bool {
-        let bytes = written(bits);
-        let mut reader = BitReader::new(&bytes);
-        bits.iter().all(|(chance, bit)| reader.get(*chance) == *bit)
-    }
-
-    proptest! {
-        #[test]
-        fn what_was_written_is_read(bits in prop::collection::vec((chance(), any::<bool>()), 0..3000)) {
-            prop_assert!(read_back(&bits));
-        }
-
-        #[test]
-        fn unlikely_bits_carry_far(head in prop::collection::vec((chance(), any::<bool>()), 0..40), length in 0..2_000usize) {
-            // The lowest bit of the interval over and over makes bytes of 255, then one step more carries.
-            let mut bits = head;
-            bits.extend(core::iter::repeat_n((1, false), length));
-            bits.push((65_535, false));
-            prop_assert!(read_back(&bits));
-        }
-
-        #[test]
-        fn likely_bits_cost_what_they_must(
-            seeds in prop::collection::vec((chance(), any::<u16>()), 2_000..4_000),
-        ) {
-            // Bits drawn with the chances that they are coded with.
-            let bits: Vec<_> = seeds.iter().map(|(chance, draw)| (*chance, draw < chance)).collect();
-            let cost = |(chance, bit): &(Chance, bool)| {
-                let set = f64::from(*chance) / 65_536.0;
-                -(if *bit { set } else { 1.0 - set }).log2()
-            };
-            let limit = bits.iter().map(cost).sum::<f64>() / 8.0;
-            let bytes = written(&bits).len() as f64;
-            prop_assert!(bytes <= limit * 1.0002 + 1.01, "{} bytes, {:.1} at best", bytes, limit);
-        }
-
-        #[test]
-        fn what_is_taken_back_leaves_no_trace(
-            bits in prop::collection::vec((chance(), any::<bool>()), 0..300),
-            more in prop::collection::vec((chance(), any::<bool>()), 0..300),
-            carries in 0..40usize,
-        ) {
-            let mut out = vec![0xff, 0xff];
-            let mut writer = BitWriter::new(&mut out);
-            bits.iter().for_each(|(chance, bit)| writer.put(*chance, *bit));
-            // Up to the highest number in the interval, so that a step further carries.
-            (0..carries).for_each(|_| writer.put(1, false));
-            let mark = writer.mark();
-            let length = writer.finished_len();
-            (0..carries).for_each(|_| writer.put(65_535, false));
-            more.iter().for_each(|(chance, bit)| writer.put(*chance, *bit));
-            writer.back_to(&mark);
-            writer.finish();
-            let mut straight = bits;
-            straight.extend(core::iter::repeat_n((1, false), carries));
-            prop_assert_eq!(&out[2..], written(&straight));
-            prop_assert!(out.len() <= length);
-        }
-
-        #[test]
-        fn any_bytes_can_be_read(bytes in prop::collection::vec(any::<u8>(), 0..40), chance in chance()) {
-            let mut reader = BitReader::new(&bytes);
-            for _ in 0..2_000 {
-                reader.get(chance);
-            }
-        }
-    }
-
-    #[test]
-    fn the_end_is_right_wherever_the_interval_lies() {
-        let chances = [1, 255, 256, 32_767, 32_768, 65_280, 65_535];
-        for length in 0..5usize {
-            for case in 0..(2 * chances.len()).pow(length as u32) {
-                let mut rest = case;
-                let bits: Vec<(Chance, bool)> = (0..length)
-                    .map(|_| {
-                        let choice = rest % (2 * chances.len());
-                        rest /= 2 * chances.len();
-                        (chances[choice / 2], choice % 2 == 1)
-                    })
-                    .collect();
-                assert!(read_back(&bits), "{bits:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn chances_never_leave_their_range() {
-        for rate in [5, 6] {
-            for bit in [false, true] {
-                let mut chance = 1 << 15;
-                for _ in 0..1_000 {
-                    learn(&mut chance, bit, rate);
-                    assert!(chance > 0);
-                }
-                let mut least = 1;
-                learn(&mut least, false, rate);
-                assert_eq!(least, 1);
-            }
-        }
-    }
-
-    fn fine_chance() -> impl Strategy<Value = u32> {
-        prop_oneof![1..=u32::MAX, Just(1), Just(u32::MAX), 1..=40u32, u32::MAX - 40..=u32::MAX]
-    }
-
-    fn written_fine(bits: &[(u32, bool)]) -> Vec<u8> {
-        let mut out = Vec::new();
-        let mut writer = BitWriter::new(&mut out);
-        for (chance, bit) in bits {
-            writer.put_fine(*chance, *bit);
-        }
-        writer.finish();
-        out
-    }
-
-    proptest! {
-        #[test]
-        fn fine_bits_are_read_and_cost_what_they_must(seeds in prop::collection::vec((fine_chance(), any::<u32>()), 0..3_000)) {
-            // Bits drawn with the chances that they are coded with.
-            let bits: Vec<_> = seeds.iter().map(|(chance, draw)| (*chance, draw < chance)).collect();
-            let cost = |(chance, bit): &(u32, bool)| {
-                let set = f64::from(*chance) / 4_294_967_296.0;
-                -(if *bit { set } else { 1.0 - set }).log2()
-            };
-            let limit = bits.iter().map(cost).sum::<f64>() / 8.0;
-            let bytes = written_fine(&bits);
-            prop_assert!(bytes.len() as f64 <= limit * 1.0001 + 1.01, "{} bytes, {:.1} at best", bytes.len(), limit);
-            let mut reader = BitReader::new(&bytes);
-            prop_assert!(bits.iter().all(|(chance, bit)| reader.get_fine(*chance) == *bit));
-        }
-
-        #[test]
-        fn unlikely_fine_bits_are_read(bits in prop::collection::vec((fine_chance(), any::<bool>()), 0..3_000)) {
-            let bytes = written_fine(&bits);
-            let mut reader = BitReader::new(&bytes);
-            prop_assert!(bits.iter().all(|(chance, bit)| reader.get_fine(*chance) == *bit));
-        }
-    }
-
-    #[test]
-    fn bytes_are_the_same_on_every_machine() {
-        let bits = [(40_000, true), (1, false), (65_535, true), (100, true), (32_768, false), (9_000, true)];
-        let many: Vec<_> = bits.iter().cycle().take(60).copied().collect();
-        assert_eq!(crc32fast::hash(&written(&many)), GOLDEN);
-    }
-    const GOLDEN: u32 = 791_726_009;
-}
+mod tests;

@@ -1,12 +1,14 @@
 //! Decisions to bytes, and bytes to decisions: one piece of code, so that both learn in the same way.
 
 use super::cells::Bits;
-use super::coder::{Chance, CodeBit};
+use super::coder::{CodeBit, Probability};
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
-use super::tables::{Chances, KIND_CHANCES, Lookup, Tables, VOXEL_CHANCES, voxel_chance};
+use super::tables::{
+    KIND_PROBABILITIES, Levels, Probabilities, Tables, VOXEL_PROBABILITIES, voxel_probability,
+};
 use crate::work;
 
-/// How fast a chance follows what happens: a step of one in 2ⁿ.
+/// How fast a probability follows what happens: a step of one in 2ⁿ.
 const VOXEL_RATE: u32 = 5;
 const KIND_RATE: u32 = 4;
 const FLAG_RATE: u32 = 6;
@@ -14,7 +16,7 @@ const FLAG_RATE: u32 = 6;
 /// The decisions of one package. With a [`BitWriter`](super::coder::BitWriter) they are written; with a
 /// [`BitReader`](super::coder::BitReader) they are read, and any bytes give some.
 pub(crate) struct Coding<'a, B> {
-    chances: &'a mut Chances,
+    probabilities: &'a mut Probabilities,
     tables: &'static Tables,
     pub(crate) bits: B,
     /// Steps of work for those that have been made.
@@ -22,9 +24,9 @@ pub(crate) struct Coding<'a, B> {
 }
 
 impl<'a, B> Coding<'a, B> {
-    pub(crate) fn new(tables: &'static Tables, chances: &'a mut Chances, bits: B) -> Self {
-        chances.clone_from(&tables.start);
-        Self { chances, tables, bits, steps: 0 }
+    pub(crate) fn new(tables: &'static Tables, probabilities: &'a mut Probabilities, bits: B) -> Self {
+        probabilities.clone_from(&tables.start);
+        Self { probabilities, tables, bits, steps: 0 }
     }
 }
 
@@ -34,15 +36,15 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     #[inline]
     fn flag(&mut self, context: usize, truth: bool) -> bool {
         self.steps += work::DECISION_STEPS;
-        self.bits.code(&mut self.chances.flag[context], truth, FLAG_RATE)
+        self.bits.code(&mut self.probabilities.flag[context], truth, FLAG_RATE)
     }
 
     #[inline]
     fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
-        let Chances { voxel, kind, .. } = &mut *self.chances;
-        let lookup = self.tables.lookup();
+        let Probabilities { voxel, kind, .. } = &mut *self.probabilities;
+        let levels = [&*self.tables.voxel, &self.tables.kind];
         let told =
-            self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, lookup, bits }, row, truth));
+            self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, levels, bits }, row, truth));
         let made = row.voxels.count_ones() + (told.free | told.occupied).count_ones();
         self.steps += work::ROW_STEPS + u64::from(made);
         told
@@ -50,21 +52,22 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
 }
 
 struct RowCoding<'a, B> {
-    voxel: &'a mut [Chance; VOXEL_CHANCES],
-    kind: &'a mut [Chance; KIND_CHANCES],
-    lookup: Lookup<'static>,
+    voxel: &'a mut [Probability; VOXEL_PROBABILITIES],
+    kind: &'a mut [Probability; KIND_PROBABILITIES],
+    /// Of a voxel that may have been seen, and of one that was.
+    levels: [&'static Levels; 2],
     bits: &'a mut B,
 }
 
 impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
     #[inline(always)]
     fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        let chance = &mut self.voxel[voxel_chance(kind, self.lookup.level(contexts))];
-        self.bits.code(chance, truth, VOXEL_RATE)
+        let probability = &mut self.voxel[voxel_probability(kind, self.levels[0].of(contexts))];
+        self.bits.code(probability, truth, VOXEL_RATE)
     }
 
     #[inline(always)]
     fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
-        self.bits.code(&mut self.kind[self.lookup.kind(contexts)], truth, KIND_RATE)
+        self.bits.code(&mut self.kind[usize::from(self.levels[1].of(contexts))], truth, KIND_RATE)
     }
 }

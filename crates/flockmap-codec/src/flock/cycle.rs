@@ -1,51 +1,56 @@
-//! A cycle as payloads: with the model, or as noise where that is shorter.
+//! A cycle as payloads: with the model, or gap coded where that is shorter.
 
-use flockmap_grid::{Changes, Overtaken, Stamp, VoxelBox};
+use flockmap_grid::{Changes, Layer, Stamp, VoxelBox};
 
-use super::noise;
-use super::order::BlockBox;
-use super::package::{self, Habits, Piece, Workspace};
+use super::block_box::{BOX_BLOCKS_MAX, BlockBox};
+use super::gap_coding;
+use super::habits::Habits;
+use super::head::{Head, whole};
+use super::known::Known;
+use super::order;
+use super::planes::meet;
+use super::section::{self, Workspace};
 use super::tables::TableSet;
-use crate::reference::Known;
-use crate::varint::Reader;
+use crate::codec::Codec;
+use crate::draft::CycleDraft;
+use crate::error::{EncodeError, PackageError};
+use crate::fields::Fields;
+use crate::limits::BOX_VOXELS_MAX;
+use crate::source::Cycle;
 use crate::work::{self, Work};
-use crate::{BOX_VOXELS_MAX, Codec, PackageError};
 
-/// The first byte of a payload of noise. Others tell a set of tables, of which there is none with this number.
-const NOISE: u8 = 3;
+/// The first byte of a payload that is gap coded. Others tell a set of tables, of which there is none with
+/// this number.
+const GAP_CODED: u8 = 3;
 
-/// Up to so many changes the model is tried even if they look like noise.
+/// Up to so many changes the model is tried even if there seems to be no pattern.
 const TRY_BOTH_MAX: usize = 4_096;
 
-/// A payload, and the newest stamp in the blocks that it was coded against; `None` if it was coded against nothing.
-pub(crate) struct Told {
-    pub(crate) piece: Piece,
-    pub(crate) reference: Option<Stamp>,
-}
-
-/// Codes all changes of a cycle, of which there is at least one. `room` says how many bytes of payload the package of a
-/// number, from 0, and with a certain box may have; a payload of a single voxel may be longer.
-pub(crate) fn encode(
+/// Codes all changes of a cycle, of which there is at least one, against what `layer` held before it. `room`
+/// says how many bytes of payload the package of a number, from 0, and with a certain box may have; a payload
+/// of a single voxel may be longer.
+pub(crate) fn encode_cycle(
     workspace: &mut Workspace,
-    known: &Known<'_>,
-    sensor: [i32; 3],
+    layer: Option<&Layer>,
+    cycle: &Cycle,
     changes: &Changes,
     room: impl Fn(usize, &VoxelBox) -> usize,
-) -> Result<Vec<Told>, Overtaken> {
-    let sensor = package::whole(sensor);
-    let tight = changes.bounding_box();
-    let tight = tight.filter(|region| region.volume() <= u128::from(BOX_VOXELS_MAX));
-    let is_noise = tight.is_some_and(|region| noise::is_noise(changes, &region));
-    if is_noise && changes.len() > TRY_BOTH_MAX {
-        return Ok(as_noise(changes, &room));
+) -> Result<Vec<CycleDraft>, EncodeError> {
+    let tight = changes.bounding_box().ok_or(EncodeError::OutsideGrid)?;
+    let is_small = tight.volume() <= u128::from(BOX_VOXELS_MAX);
+    let has_no_pattern = is_small && gap_coding::has_no_pattern(changes, &tight);
+    if has_no_pattern && changes.len() > TRY_BOTH_MAX {
+        return Ok(gap_coded(changes, &room));
     }
-    let modelled = with_model(workspace, known, sensor, changes, &room)?;
-    if is_noise {
-        let noise = as_noise(changes, &room);
+    // The model has no words for a voxel that is told again what it is: such a cycle is told alone.
+    let layer = layer.filter(|layer| !repeats(changes, layer, cycle.end));
+    let modelled = modelled(workspace, &Known::new(layer, cycle.end), cycle.sensor, changes, &room)?;
+    if has_no_pattern {
+        let gap_coded = gap_coded(changes, &room);
         let bytes =
-            |all: &[Told]| all.iter().map(|told| told.piece.payload.len() + HEADER_BYTES).sum::<usize>();
-        if bytes(&noise) < bytes(&modelled) {
-            return Ok(noise);
+            |all: &[CycleDraft]| all.iter().map(|draft| draft.payload.len() + HEADER_BYTES).sum::<usize>();
+        if bytes(&gap_coded) < bytes(&modelled) {
+            return Ok(gap_coded);
         }
     }
     Ok(modelled)
@@ -54,57 +59,67 @@ pub(crate) fn encode(
 /// What a package takes beside its payload, about.
 const HEADER_BYTES: usize = 32;
 
-fn with_model(
+/// Whether a voxel changes to what it was before the cycle that ended at `end`. Not so in net changes, if
+/// `layer` holds all before.
+fn repeats(changes: &Changes, layer: &Layer, end: Stamp) -> bool {
+    changes.blocks().iter().any(|(index, block)| match layer.block_before(*index, end) {
+        Ok(Some(before)) => meet(block.free(), before.free()) || meet(block.occupied(), before.occupied()),
+        // Nothing was known; or it is gone, as the model will find.
+        _ => false,
+    })
+}
+
+fn modelled(
     workspace: &mut Workspace,
     known: &Known<'_>,
     sensor: [i32; 3],
     changes: &Changes,
     room: impl Fn(usize, &VoxelBox) -> usize,
-) -> Result<Vec<Told>, Overtaken> {
+) -> Result<Vec<CycleDraft>, EncodeError> {
+    let sensor = whole(sensor);
     let is_obstacles = changes.blocks().iter().all(|(_, block)| *block.free() == [0; 8]);
     let sets: &[_] = if is_obstacles { &[TableSet::Obstacles] } else { &[TableSet::Dense, TableSet::Sparse] };
     let mut habits = Habits::new(sets);
-    let blocks = package::in_order(changes, sensor);
+    let blocks = order::in_order(changes, sensor);
     let mut rest = blocks.as_slice();
-    let mut all = Vec::new();
+    let mut drafts = Vec::new();
     while !rest.is_empty() {
         known.take_newest();
-        let number = all.len();
-        let (piece, count) =
-            package::encode(workspace, known, &mut habits, sensor, rest, work::STEPS_FREE, |region| {
-                room(number, region)
-            })?;
-        let (told, left) = rest.split_at(count.min(rest.len()));
-        rest = left;
-        if piece.payload.len() <= room(number, &piece.region) {
-            all.push(Told { piece, reference: known.take_newest() });
+        let number = drafts.len();
+        let room_here = |region: &VoxelBox| room(number, region);
+        let (section, count) =
+            section::encode(workspace, known, &mut habits, sensor, rest, work::STEPS_FREE, room_here)?;
+        rest = rest.get(count..).unwrap_or_default();
+        let section::Section { changes, region, payload, .. } = section;
+        if payload.len() <= room_here(&region) {
+            drafts.push(CycleDraft { changes, region, payload, base: known.take_newest() });
         } else {
             // A single block that takes more than a package, against all that the model expects.
-            let block = package::changes_of(told);
-            all.extend(as_noise(&block, |_, region| room(number + block.len(), region)));
+            drafts.extend(gap_coded(&changes, |most, region| room(number + most, region)));
         }
     }
-    Ok(all)
+    Ok(drafts)
 }
 
-fn as_noise(changes: &Changes, room: impl Fn(usize, &VoxelBox) -> usize) -> Vec<Told> {
+fn gap_coded(changes: &Changes, room: impl Fn(usize, &VoxelBox) -> usize) -> Vec<CycleDraft> {
     // The longest header is that of the last package, with the largest box.
     let longest = changes.bounding_box().map_or(0, |region| room(changes.len(), &region));
-    let pieces = noise::cut(changes, longest.saturating_sub(1));
-    let told = pieces.into_iter().filter_map(|(region, changes)| {
+    let pieces = gap_coding::cut(changes, longest.saturating_sub(1));
+    let drafts = pieces.into_iter().filter_map(|(region, changes)| {
         let region = BlockBox::around(&region).voxels()?;
-        let mut payload = vec![NOISE];
-        noise::encode(&changes, &region, &mut payload);
-        let steps = noise::steps(changes.len(), changes.blocks().len());
-        Some(Told { piece: Piece { changes, region, payload, steps }, reference: None })
+        let mut payload = vec![GAP_CODED];
+        gap_coding::encode(&changes, &region, &mut payload);
+        Some(CycleDraft { changes, region, payload, base: None })
     });
-    told.collect()
+    drafts.collect()
 }
 
-/// What a payload says; `region` is made of whole blocks. Takes no memory before it is sure that the box is not too large.
-pub(crate) fn decode(
+/// What a payload says that was coded against what `layer` held before the cycle. Takes no memory before it
+/// is sure that the box is not too large.
+pub(crate) fn decode_cycle(
     workspace: &mut Option<Box<Workspace>>,
-    known: &Known<'_>,
+    layer: Option<&Layer>,
+    cycle_end: Stamp,
     payload: &[u8],
     region: &VoxelBox,
     work: &mut Work,
@@ -112,21 +127,25 @@ pub(crate) fn decode(
     let codec = Codec::Flock;
     let blocks = BlockBox::of_voxels(region);
     let blocks = blocks.ok_or(PackageError::Payload { codec, rule: "the box is made of whole blocks" })?;
-    if blocks.volume() > package::BOX_BLOCKS_MAX {
+    if blocks.volume() > BOX_BLOCKS_MAX {
         let (payload, limit) = (payload.len(), BOX_VOXELS_MAX);
         return Err(PackageError::BoxTooLarge { voxels: region.volume(), payload, codec, limit });
     }
     match payload.split_first() {
-        Some((&NOISE, rest)) => noise::decode(rest, region, noise::changes_max(rest.len()), work),
-        _ => package::decode(workspace.get_or_insert_default(), known, payload, blocks, work),
+        Some((&GAP_CODED, rest)) => gap_coding::decode(rest, region, work),
+        _ => {
+            let known = Known::new(layer, cycle_end);
+            section::decode(workspace.get_or_insert_default(), &known, payload, blocks, work)
+        }
     }
 }
 
-/// From where the changes in a payload were seen, in sixteenths of a voxel. `None` if they were told without that.
+/// From where the changes in a payload were seen, in sixteenths of a voxel. `None` if they were told without
+/// that.
 pub(crate) fn sensor(payload: &[u8], region: &VoxelBox) -> Option<[i32; 3]> {
     let blocks = BlockBox::of_voxels(region)?;
-    if payload.first() == Some(&NOISE) {
+    if payload.first() == Some(&GAP_CODED) {
         return None;
     }
-    package::Head::read(&blocks, &mut Reader::new(payload)).ok().map(|head| head.sensor)
+    Head::read(&blocks, &mut Fields::new(payload)).ok().map(|head| head.sensor)
 }

@@ -7,7 +7,7 @@ pub(crate) trait Decide {
     /// Whether it looks at `truth`.
     const KNOWS: bool = true;
 
-    /// A bit with a chance of its own.
+    /// A bit with a probability of its own.
     fn flag(&mut self, context: usize, truth: bool) -> bool;
     /// The unknown voxels of a row.
     fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits;
@@ -17,7 +17,8 @@ pub(crate) trait Decide {
 pub(crate) struct UnknownRow {
     pub(crate) voxels: u8,
     pub(crate) kind: RowKind,
-    /// By voxel: the cells around it, without those that are told of with this row; the lower and the higher byte.
+    /// By voxel: the cells around it, without those that are told of with this row; the lower and the higher
+    /// byte.
     pub(crate) near: [[u8; 8]; 2],
     /// By voxel: the cells along the ray from the sensor through it; the lower and the higher byte.
     pub(crate) ray: [[u8; 8]; 2],

@@ -1,6 +1,14 @@
-//! The `flock` codec: map changes as decisions of an arithmetic coder that learns. Explained in `docs/codec.md`.
+//! The codec `flock`: map changes as decisions of an arithmetic coder that learns. Explained in
+//! `docs/codec.md`.
+//!
+//! From the bottom: `coder` turns bits into bytes, `tables` and `coding` give each decision its probability.
+//! `planes`, `cells`, `orientation` and `neighbourhood` lay out what is known of a block and round it;
+//! `block` asks the decisions of one. `known`, `field`, `flags` and `order` are about many blocks; `model`
+//! has all that a decision may look at. `section` is the payload; `cycle` and `snapshot` are made of it, or
+//! where there is no pattern of `gap_coding`.
 
 mod block;
+mod block_box;
 mod cells;
 mod choice;
 mod coder;
@@ -8,13 +16,23 @@ mod coding;
 mod cycle;
 mod decide;
 mod field;
-mod noise;
+mod flags;
+mod gap_coding;
+mod habits;
+mod head;
+mod known;
+mod model;
+mod neighbourhood;
 mod order;
-mod package;
-pub(crate) mod present;
+mod orientation;
+mod planes;
+mod rays;
+mod section;
+mod snapshot;
 mod tables;
 #[cfg(feature = "training")]
 pub mod training;
 
-pub(crate) use cycle::{Told, decode, encode, sensor};
-pub(crate) use package::Workspace;
+pub(crate) use cycle::{decode_cycle, encode_cycle, sensor};
+pub(crate) use section::Workspace;
+pub(crate) use snapshot::{decode_chunk, encode_snapshot};

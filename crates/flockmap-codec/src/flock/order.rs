@@ -1,55 +1,26 @@
 //! The order of blocks: octant by octant round the sensor, in each from far to near.
 //!
-//! What lies behind a voxel is told before it. If a far voxel was freed, then the ray that freed it went through the near ones,
-//! which tells more than the near ones tell of the far.
+//! What lies behind a voxel is told before it. If a far voxel was freed, then the ray that freed it went
+//! through the near ones, which tells more than the near ones tell of the far.
 
-use flockmap_grid::BlockIndex;
+use flockmap_grid::{BlockIndex, Changes, StateBlock};
 
-/// Sixteenths of a voxel along a side of a block.
-pub(crate) const BLOCK_UNITS: i64 = 128;
+use super::block_box::{BLOCK_UNITS, BlockBox};
 
-/// Blocks along the sides of a box of blocks, and its lowest block.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) struct BlockBox {
-    pub(crate) min: [i32; 3],
-    pub(crate) max: [i32; 3],
+/// A block with its changes.
+pub(crate) type Changed<'a> = &'a (BlockIndex, StateBlock);
+
+/// The blocks of a cycle in the order.
+pub(crate) fn in_order(changes: &Changes, sensor: [i32; 3]) -> Vec<Changed<'_>> {
+    let sensor = sensor_block(sensor);
+    let mut blocks: Vec<_> = changes.blocks().iter().collect();
+    blocks.sort_by_cached_key(|(index, _)| key(*index, sensor));
+    blocks
 }
 
-impl BlockBox {
-    pub(crate) fn of(block: BlockIndex) -> Self {
-        let at = [block.x, block.y, block.z];
-        Self { min: at, max: at }
-    }
-
-    /// The smallest box that holds this one and a block.
-    pub(crate) fn with(self, block: BlockIndex) -> Self {
-        let at = [block.x, block.y, block.z];
-        Self {
-            min: core::array::from_fn(|a| self.min[a].min(at[a])),
-            max: core::array::from_fn(|a| self.max[a].max(at[a])),
-        }
-    }
-
-    /// The smallest box that holds both.
-    pub(crate) fn union(&self, other: &Self) -> Self {
-        Self {
-            min: core::array::from_fn(|a| self.min[a].min(other.min[a])),
-            max: core::array::from_fn(|a| self.max[a].max(other.max[a])),
-        }
-    }
-
-    /// Its middle, in sixteenths of a voxel.
-    pub(crate) fn middle(&self) -> [i64; 3] {
-        core::array::from_fn(|a| (i64::from(self.min[a]) + i64::from(self.max[a]) + 1) * BLOCK_UNITS / 2)
-    }
-
-    pub(crate) fn size(&self) -> [u64; 3] {
-        core::array::from_fn(|a| (i64::from(self.max[a]) - i64::from(self.min[a]) + 1) as u64)
-    }
-
-    pub(crate) fn volume(&self) -> u128 {
-        self.size().iter().map(|side| u128::from(*side)).product()
-    }
+/// Some of these blocks as changes again.
+pub(crate) fn changes_of(blocks: &[Changed<'_>]) -> Changes {
+    Changes::from_blocks(blocks.iter().map(|block| **block).collect())
 }
 
 /// The block in which the sensor is.
@@ -58,7 +29,7 @@ pub(crate) fn sensor_block(sensor: [i32; 3]) -> [i32; 3] {
 }
 
 /// Sorts blocks into the order.
-pub(crate) fn key(block: BlockIndex, sensor_block: [i32; 3]) -> (u8, [i32; 3]) {
+fn key(block: BlockIndex, sensor_block: [i32; 3]) -> (u8, [i32; 3]) {
     let at = [block.x, block.y, block.z];
     let is_above: [bool; 3] = core::array::from_fn(|a| at[a] > sensor_block[a]);
     let octant = u8::from(is_above[0]) | u8::from(is_above[1]) << 1 | u8::from(is_above[2]) << 2;
@@ -67,7 +38,8 @@ pub(crate) fn key(block: BlockIndex, sensor_block: [i32; 3]) -> (u8, [i32; 3]) {
     (octant, [along(2), along(1), along(0)])
 }
 
-/// The blocks of a box in order, without so many from the front. O(1) for each, and for those that are left out.
+/// The blocks of a box in order, without so many from the front. O(1) for each, and for those that are left
+/// out.
 pub(crate) fn blocks(
     region: BlockBox,
     sensor_block: [i32; 3],
@@ -176,7 +148,7 @@ mod tests {
             let all: Vec<_> = blocks(region, sensor, 0).collect();
             prop_assert_eq!(all.len() as u128, region.volume());
             prop_assert!(all.is_sorted_by(|a, b| key(*a, sensor) < key(*b, sensor)));
-            prop_assert!(all.iter().all(|block| region.with(*block) == region));
+            prop_assert!(all.iter().all(|block| region.union(BlockBox::of(*block)) == region));
             for before in 0..=all.len() + 1 {
                 let rest: Vec<_> = blocks(region, sensor, before as u64).collect();
                 prop_assert_eq!(&rest, all.get(before..).unwrap_or_default(), "{} left out", before);

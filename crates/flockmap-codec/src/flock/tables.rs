@@ -1,12 +1,12 @@
-//! The tables of the model: what a context is worth, and where the chances of a package begin.
+//! The tables of the model: what a context is worth, and where the probabilities of a package begin.
 //!
-//! They are made by a program from generated scenes alone (`docs/codec.md`) and shipped with the codec, so that every
-//! package can be read alone. The static part says of each context how likely a bit is, in 64 levels; the chances
-//! proper belong to levels, not to contexts, and are learned anew in every package.
+//! They are made by a program from generated scenes alone (`docs/codec.md`) and shipped with the codec, so
+//! that every package can be read alone. The static part says of each context how likely a bit is, in 64
+//! levels; the probabilities proper belong to levels, not to contexts, and are learned anew in every package.
 
 use std::sync::OnceLock;
 
-use super::coder::Chance;
+use super::coder::Probability;
 use super::decide::RowKind;
 use crate::deflate::inflate_exact;
 
@@ -16,34 +16,38 @@ pub(crate) const LEVELS: usize = 64;
 pub(crate) const NEAR_CONTEXTS: usize = 1 << 16;
 /// Contexts of an unknown voxel by the cells along its ray.
 pub(crate) const RAY_CONTEXTS: usize = 1 << 15;
-/// Kinds of rows with unknown voxels: ordinary, a surprise in which nothing was found yet, one in which something was.
+/// Kinds of rows with unknown voxels: ordinary, a surprise in which nothing was found yet, one in which
+/// something was.
 pub(crate) const ROW_KINDS: usize = 3;
-pub(crate) const VOXEL_CHANCES: usize = ROW_KINDS * LEVELS * LEVELS;
-pub(crate) const KIND_CHANCES: usize = LEVELS * LEVELS;
+pub(crate) const VOXEL_PROBABILITIES: usize = ROW_KINDS * KIND_PROBABILITIES;
+pub(crate) const KIND_PROBABILITIES: usize = LEVELS * LEVELS;
 /// Contexts of flags, see `block.rs`.
 pub(crate) const FLAG_CONTEXTS: usize = 2_816;
 
 /// What is learned: copied for every package, 39 KB.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub(crate) struct Chances {
+pub(crate) struct Probabilities {
     /// By kind of row, level of the near context and level of the ray context.
-    pub(crate) voxel: [Chance; VOXEL_CHANCES],
+    pub(crate) voxel: [Probability; VOXEL_PROBABILITIES],
     /// By level of the near context and level of the ray context.
-    pub(crate) kind: [Chance; KIND_CHANCES],
-    pub(crate) flag: [Chance; FLAG_CONTEXTS],
+    pub(crate) kind: [Probability; KIND_PROBABILITIES],
+    pub(crate) flag: [Probability; FLAG_CONTEXTS],
 }
 
-impl Chances {
-    pub(crate) fn even() -> Box<Self> {
-        Box::new(Self {
-            voxel: [1 << 15; ROW_KINDS * LEVELS * LEVELS],
-            kind: [1 << 15; LEVELS * LEVELS],
-            flag: [1 << 15; FLAG_CONTEXTS],
-        })
+impl Default for Probabilities {
+    /// All are even.
+    fn default() -> Self {
+        let even = 1 << 15;
+        Self {
+            voxel: [even; VOXEL_PROBABILITIES],
+            kind: [even; KIND_PROBABILITIES],
+            flag: [even; FLAG_CONTEXTS],
+        }
     }
 }
 
-/// What each context is worth for one sort of decision: levels below [`LEVELS`]. A byte each, so that much of it stays in the caches.
+/// What each context is worth for one sort of decision: levels below [`LEVELS`]. A byte each, so that much of
+/// it stays in the caches.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Levels {
     pub(crate) near: [u8; NEAR_CONTEXTS],
@@ -58,7 +62,7 @@ impl Levels {
 
     /// The levels of both contexts as one number, below `LEVELS`².
     #[inline(always)]
-    fn together(&self, [near, ray]: [u16; 2]) -> u16 {
+    pub(crate) fn of(&self, [near, ray]: [u16; 2]) -> u16 {
         let (near, ray) = (self.near[usize::from(near)], self.ray[usize::from(ray) % RAY_CONTEXTS]);
         u16::from(near) * LEVELS as u16 + u16::from(ray)
     }
@@ -71,7 +75,7 @@ pub(crate) struct Tables {
     pub(crate) voxel: Box<Levels>,
     /// How likely a voxel that was seen is Occupied.
     pub(crate) kind: Box<Levels>,
-    pub(crate) start: Box<Chances>,
+    pub(crate) start: Box<Probabilities>,
 }
 
 /// Sets of tables, in the order in which they are shipped.
@@ -94,11 +98,7 @@ impl TableSet {
     }
 
     pub(crate) const fn id(self) -> u8 {
-        match self {
-            Self::Dense => 0,
-            Self::Sparse => 1,
-            Self::Obstacles => 2,
-        }
+        self as u8
     }
 
     /// The tables that are shipped.
@@ -110,13 +110,11 @@ impl TableSet {
 }
 
 /// Bytes of one set, as they are before zlib.
-pub(crate) const SET_BYTES: usize = NEAR_CONTEXTS
-    + RAY_CONTEXTS
-    + NEAR_CONTEXTS
-    + RAY_CONTEXTS
-    + 2 * ((ROW_KINDS + 1) * LEVELS * LEVELS + FLAG_CONTEXTS);
+pub(crate) const SET_BYTES: usize =
+    2 * (NEAR_CONTEXTS + RAY_CONTEXTS + VOXEL_PROBABILITIES + KIND_PROBABILITIES + FLAG_CONTEXTS);
 
-/// The tables that are shipped, one zlib stream of all sets in their order. Anything else would be another codec.
+/// The tables that are shipped, one zlib stream of all sets in their order. Anything else would be another
+/// codec.
 pub(crate) const FILE: &[u8] = include_bytes!("tables.bin");
 
 fn shipped(file: &[u8]) -> Vec<Tables> {
@@ -126,39 +124,13 @@ fn shipped(file: &[u8]) -> Vec<Tables> {
     bytes.chunks_exact(SET_BYTES).map(Tables::from_bytes).collect()
 }
 
-/// Which chance an unknown voxel of a certain level has.
+/// Which probability an unknown voxel of a certain level has.
 #[inline(always)]
-pub(crate) fn voxel_chance(kind: RowKind, level: u16) -> usize {
-    kind as usize * KIND_CHANCES + usize::from(level)
-}
-
-/// From contexts to chances.
-#[derive(Clone, Copy)]
-pub(crate) struct Lookup<'a> {
-    voxel: &'a Levels,
-    kind: &'a Levels,
-}
-
-impl Lookup<'_> {
-    /// What the contexts of an unknown voxel say of it.
-    #[inline(always)]
-    pub(crate) fn level(&self, contexts: [u16; 2]) -> u16 {
-        self.voxel.together(contexts)
-    }
-
-    /// Which chance a voxel has that was seen.
-    #[inline(always)]
-    pub(crate) fn kind(&self, contexts: [u16; 2]) -> usize {
-        usize::from(self.kind.together(contexts))
-    }
+pub(crate) fn voxel_probability(kind: RowKind, level: u16) -> usize {
+    kind as usize * KIND_PROBABILITIES + usize::from(level)
 }
 
 impl Tables {
-    #[inline(always)]
-    pub(crate) fn lookup(&self) -> Lookup<'_> {
-        Lookup { voxel: &self.voxel, kind: &self.kind }
-    }
-
     /// A set from its [`SET_BYTES`] bytes. What is out of range is brought into range.
     pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
         let mut rest = bytes;
@@ -167,21 +139,24 @@ impl Tables {
             rest = tail;
             head
         };
-        fn chances<const N: usize>(bytes: &[u8]) -> [Chance; N] {
-            let mut chances = [1 << 15; N];
+        fn probabilities<const N: usize>(bytes: &[u8]) -> [Probability; N] {
+            let mut probabilities = [1 << 15; N];
             let pairs = bytes.as_chunks::<2>().0;
-            chances.iter_mut().zip(pairs).for_each(|(to, pair)| *to = Chance::from_le_bytes(*pair).max(1));
-            chances
+            probabilities
+                .iter_mut()
+                .zip(pairs)
+                .for_each(|(to, pair)| *to = Probability::from_le_bytes(*pair).max(1));
+            probabilities
         }
         let (mut voxel, mut kind) = (Levels::even(), Levels::even());
         for levels in [&mut voxel.near[..], &mut kind.near, &mut voxel.ray, &mut kind.ray] {
             let bytes = take(levels.len());
             levels.iter_mut().zip(bytes).for_each(|(to, level)| *to = (*level).min(LEVELS as u8 - 1));
         }
-        let start = Box::new(Chances {
-            voxel: chances(take(2 * ROW_KINDS * LEVELS * LEVELS)),
-            kind: chances(take(2 * LEVELS * LEVELS)),
-            flag: chances(take(2 * FLAG_CONTEXTS)),
+        let start = Box::new(Probabilities {
+            voxel: probabilities(take(2 * VOXEL_PROBABILITIES)),
+            kind: probabilities(take(2 * KIND_PROBABILITIES)),
+            flag: probabilities(take(2 * FLAG_CONTEXTS)),
         });
         Self { voxel, kind, start }
     }
@@ -193,9 +168,9 @@ impl Tables {
         for levels in [&self.voxel.near[..], &self.kind.near, &self.voxel.ray, &self.kind.ray] {
             bytes.extend_from_slice(levels);
         }
-        let Chances { voxel, kind, flag } = &*self.start;
-        for chance in voxel.iter().chain(kind).chain(flag) {
-            bytes.extend_from_slice(&chance.to_le_bytes());
+        let Probabilities { voxel, kind, flag } = &*self.start;
+        for probability in voxel.iter().chain(kind).chain(flag) {
+            bytes.extend_from_slice(&probability.to_le_bytes());
         }
         bytes
     }

@@ -1,31 +1,33 @@
-//! Makes the tables of the `flock` codec from cycles of mapping. Integers only, so that the same cycles give the same tables on
-//! every machine.
+//! Makes the tables of the `flock` codec from cycles of mapping. Integers only, so that the same cycles give
+//! the same tables on every machine.
 //!
-//! Two rounds over the same cycles: the first counts how often an unknown voxel in each context was seen, which gives the levels; the
-//! second counts by levels, which gives the chances that packages begin with.
+//! Two rounds over the same cycles: the first counts how often an unknown voxel in each context was seen,
+//! which gives the levels; the second counts by levels, which gives the probabilities that packages begin
+//! with.
 
 use flockmap_grid::{Changes, Layer};
 
-use super::block::{self, TurnedChanges};
-use super::cells::{Bits, Neighbourhood};
-use super::coder::Chance;
+use super::block_box::BlockBox;
+use super::cells::Bits;
+use super::coder::Probability;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
-use super::field::Field;
-use super::order::{self, BlockBox};
-use super::package::{Changed, Flags, in_order, view};
+use super::flags::Flags;
+use super::known::Known;
+use super::model::Model;
+use super::order::{self, Changed, in_order};
+use super::orientation::Orientation;
 use super::tables::{
-    self, Chances, FLAG_CONTEXTS, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, ROW_KINDS, SET_BYTES,
-    TableSet, Tables, voxel_chance,
+    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES,
+    TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
-use crate::Cycle;
 use crate::deflate::{Deflater, inflate_exact};
-use crate::reference::Known;
+use crate::source::Cycle;
 
 /// Changed voxels in a package of usual size. The voxels at its rim have less beside them.
 const PACKAGE_VOXELS: usize = 1_500;
 
 /// How likely a bit of each level is, in 65,536ths.
-const LEVEL_CHANCES: [u32; LEVELS] = [
+const LEVEL_PROBABILITIES: [u32; LEVELS] = [
     22, 28, 36, 47, 60, 77, 98, 126, 162, 208, 267, 342, 439, 562, 720, 922, 1179, 1506, 1921, 2446, 3108,
     3938, 4971, 6249, 7812, 9702, 11955, 14595, 17625, 21025, 24743, 28693, 32768, 36843, 40793, 44511,
     47911, 50941, 53581, 55834, 57724, 59287, 60565, 61598, 62428, 63090, 63615, 64030, 64357, 64614, 64816,
@@ -75,8 +77,7 @@ type Counts = [u64; 2];
 /// Trains one set of tables.
 pub struct Trainer {
     counting: Counting,
-    field: Field,
-    cells: Neighbourhood,
+    model: Model,
     told: Vec<u8>,
 }
 
@@ -92,12 +93,7 @@ pub const ROUNDS: usize = 2;
 impl Trainer {
     /// Before the first round.
     pub fn new() -> Self {
-        Self {
-            counting: Counting::new(None),
-            field: Field::default(),
-            cells: Neighbourhood::new(),
-            told: Vec::new(),
-        }
+        Self { counting: Counting::new(None), model: Model::default(), told: Vec::new() }
     }
 
     /// Learns from a cycle; `layer` is what was known before it. Each round has to be given the same cycles.
@@ -120,38 +116,27 @@ impl Trainer {
 
     fn package(&mut self, known: &Known<'_>, sensor: [i32; 3], blocks: &[Changed<'_>]) {
         let Some((first, _)) = blocks.first() else { return };
-        let region = blocks.iter().fold(BlockBox::of(*first), |region, (index, _)| region.with(*index));
-        self.field.clear(region);
+        let all = blocks.iter().map(|(index, _)| BlockBox::of(*index));
+        let region = all.fold(BlockBox::of(*first), BlockBox::union);
+        self.model.field.clear(region);
         let mut flags = Flags::new(region, &mut self.told);
         let mut left = blocks.iter().peekable();
         for index in order::blocks(region, order::sensor_block(sensor), 0).skip_while(|index| index != first)
         {
-            let Some((next, states)) = left.peek() else { break };
-            let is_changed = *next == index;
-            // A layer of whole cycles, in order, has not been overtaken.
-            let (turn, distance) = view(index, sensor);
-            let Ok(slot) = self.field.ask(known, index, turn) else { return };
-            let counts = self.field.counts(slot);
-            let context = flags.context(index, turn, counts);
-            self.counting.flag(context, is_changed);
-            flags.tell(index, is_changed);
-            if !is_changed {
-                continue;
+            if left.peek().is_none() {
+                break;
             }
-            let Ok(slots) = self.field.around(known, index, turn) else { return };
-            self.cells.gather(turn, &slots, self.field.cells());
-            let before = known.block(index).ok().flatten();
-            let truth = TurnedChanges::of(states, turn);
-            block::code(
-                &mut self.counting,
-                &mut self.cells,
-                distance,
-                counts,
-                &truth,
-                block::turns(before, states),
-            );
-            self.field.tell(slot, index, turn, &truth);
-            left.next();
+            let changes = left.next_if(|(next, _)| *next == index).map(|(_, states)| states);
+            let view = Orientation::of(index, sensor);
+            // A layer of whole cycles, in order, has not been overtaken.
+            let Ok(classes) = self.model.field.classes(known, index) else { return };
+            self.counting.flag(flags.context(index, view.0, classes), changes.is_some());
+            flags.tell(index, changes.is_some());
+            if changes.is_some()
+                && self.model.code(&mut self.counting, known, index, view, classes, changes).is_err()
+            {
+                return;
+            }
         }
     }
 
@@ -160,7 +145,7 @@ impl Trainer {
         let Counting { tables, .. } = &self.counting;
         let tables = match tables {
             None => self.counting.with_levels(),
-            Some(tables) => self.counting.with_chances(tables.clone()),
+            Some(tables) => self.counting.with_probabilities(tables.clone()),
         };
         self.counting = Counting::new(Some(tables));
     }
@@ -177,8 +162,8 @@ struct Counting {
     ray: Vec<Counts>,
     kind_near: Vec<Counts>,
     kind_ray: Vec<Counts>,
-    voxel_chance: Vec<Counts>,
-    kind_chance: Vec<Counts>,
+    voxel_probability: Vec<Counts>,
+    kind_probability: Vec<Counts>,
     flag: Vec<Counts>,
 }
 
@@ -191,8 +176,8 @@ impl Counting {
             ray: none(RAY_CONTEXTS),
             kind_near: none(NEAR_CONTEXTS),
             kind_ray: none(RAY_CONTEXTS),
-            voxel_chance: none(ROW_KINDS * LEVELS * LEVELS),
-            kind_chance: none(LEVELS * LEVELS),
+            voxel_probability: none(VOXEL_PROBABILITIES),
+            kind_probability: none(KIND_PROBABILITIES),
             flag: none(FLAG_CONTEXTS),
         }
     }
@@ -209,7 +194,7 @@ impl Counting {
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
         let ray_group = |context: usize| context & 255;
-        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Chances::even() };
+        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Box::default() };
         for (to, near, ray, prior) in [
             (&mut tables.voxel, &self.near, &self.ray, EVEN_ODDS),
             (&mut tables.kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
@@ -220,22 +205,22 @@ impl Counting {
         tables
     }
 
-    fn with_chances(&self, mut tables: Tables) -> Tables {
+    fn with_probabilities(&self, mut tables: Tables) -> Tables {
         let start = &mut tables.start;
-        for (chances, counts) in
-            [(&mut start.voxel[..], &self.voxel_chance), (&mut start.kind[..], &self.kind_chance)]
+        for (probabilities, counts) in
+            [(&mut start.voxel[..], &self.voxel_probability), (&mut start.kind[..], &self.kind_probability)]
         {
-            for (index, (chance, counts)) in chances.iter_mut().zip(counts).enumerate() {
+            for (index, (probability, counts)) in probabilities.iter_mut().zip(counts).enumerate() {
                 let (near, ray) = (index / LEVELS % LEVELS, index % LEVELS);
                 // What the two levels say together where there is no experience: 0.6 of their sum.
                 let middle = LEVELS as i64 / 2;
                 let level = middle + (6 * (near as i64 + ray as i64 - 2 * middle)).div_euclid(10);
-                let prior = LEVEL_CHANCES[level.clamp(0, LEVELS as i64 - 1) as usize];
-                *chance = to_chance(share(*counts, prior, 4));
+                let prior = LEVEL_PROBABILITIES[level.clamp(0, LEVELS as i64 - 1) as usize];
+                *probability = to_probability(share(*counts, prior, 4));
             }
         }
-        for (chance, counts) in start.flag.iter_mut().zip(&self.flag) {
-            *chance = to_chance(share(*counts, THREE_IN_TEN, 1));
+        for (probability, counts) in start.flag.iter_mut().zip(&self.flag) {
+            *probability = to_probability(share(*counts, THREE_IN_TEN, 1));
         }
         tables
     }
@@ -251,8 +236,8 @@ fn share(counts: Counts, prior: u32, weight: u64) -> u32 {
 }
 
 /// Never so sure that a surprise costs more than 10 bits.
-fn to_chance(share: u32) -> Chance {
-    share.clamp(48, 65_536 - 48) as Chance
+fn to_probability(share: u32) -> Probability {
+    share.clamp(48, 65_536 - 48) as Probability
 }
 
 /// Levels of contexts; the prior of a context is what its group met.
@@ -285,10 +270,10 @@ impl Decide for Counting {
 impl DecideVoxel for Counting {
     fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
         let [near, ray] = contexts.map(usize::from);
-        let level = self.tables.as_ref().map_or(0, |tables| tables.lookup().level(contexts));
+        let level = self.tables.as_ref().map_or(0, |tables| tables.voxel.of(contexts));
         self.near[near][usize::from(truth)] += 1;
         self.ray[ray][usize::from(truth)] += 1;
-        self.voxel_chance[voxel_chance(kind, level)][usize::from(truth)] += 1;
+        self.voxel_probability[voxel_probability(kind, level)][usize::from(truth)] += 1;
         truth
     }
 
@@ -297,7 +282,7 @@ impl DecideVoxel for Counting {
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;
         if let Some(tables) = &self.tables {
-            self.kind_chance[tables.lookup().kind(contexts)][usize::from(truth)] += 1;
+            self.kind_probability[usize::from(tables.kind.of(contexts))][usize::from(truth)] += 1;
         }
         truth
     }

@@ -1,7 +1,7 @@
 //! The frame of every datagram: header, records, check; and what can be wrong with one.
 
-use crate::bytes::{Reader, put_varint, varint_len};
 use flockmap_codec::PackageError;
+use flockmap_codec::bytes::{Reader, put_varint, varint_len};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 /// No datagram is longer: UDP payload in bytes. Longer ones are refused unread.

@@ -5,8 +5,8 @@ use super::datagram::{
 };
 use super::request::{put_list, put_stream, read_intervals, read_stream};
 use crate::IntervalSet;
-use crate::bytes::{Reader, put_varint};
 use flockmap_codec::Package;
+use flockmap_codec::bytes::{Reader, put_varint};
 use flockmap_grid::Stream;
 
 const PACKAGE: u8 = 16;

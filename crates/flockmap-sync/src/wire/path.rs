@@ -1,7 +1,7 @@
 //! PATH datagrams: whether a robot is to be reached at an address, asked and answered.
 
 use super::datagram::{Datagram, DatagramError, DatagramHeader, Kind, put_record, seal};
-use crate::bytes::Reader;
+use flockmap_codec::bytes::Reader;
 
 const CHALLENGE: u8 = 32;
 const ANSWER: u8 = 33;

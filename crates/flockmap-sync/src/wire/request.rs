@@ -4,7 +4,7 @@ use super::datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
 };
 use crate::IntervalSet;
-use crate::bytes::{Reader, put_varint, put_zigzag, varint_len};
+use flockmap_codec::bytes::{Reader, put_varint, put_zigzag, varint_len};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 const ECHOES: u8 = 1;

@@ -5,9 +5,9 @@ use super::datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, HEADER_BYTES, Kind, MAGIC, WIRE_VERSION, check_version, head,
 };
 use crate::SwarmKey;
-use crate::bytes::Reader;
 use chacha20poly1305::aead::AeadInOut;
 use chacha20poly1305::{KeyInit, Tag, XChaCha20Poly1305, XNonce};
+use flockmap_codec::bytes::Reader;
 use flockmap_grid::{RobotId, Stream};
 
 /// Set in the kind of a datagram that is sealed.

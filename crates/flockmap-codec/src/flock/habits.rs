@@ -1,0 +1,64 @@
+//! What the packages of a cycle so far have taught the writer.
+
+use flockmap_grid::Overtaken;
+
+use super::choice::choose;
+use super::known::Known;
+use super::model::Model;
+use super::order::Changed;
+use super::tables::TableSet;
+
+/// Which tables suit, and how many bytes changes take.
+pub(crate) struct Habits {
+    /// The sets of tables to choose from; one that was chosen.
+    sets: Vec<TableSet>,
+    /// Bytes for each 1,024 changes.
+    rate: usize,
+}
+
+impl Habits {
+    pub(crate) fn new(sets: &[TableSet]) -> Self {
+        Self { sets: sets.to_vec(), rate: 0 }
+    }
+
+    /// Chooses tables when it sees the first blocks of a cycle.
+    pub(crate) fn tables(
+        &mut self,
+        model: &mut Model,
+        known: &Known<'_>,
+        sensor: [i32; 3],
+        blocks: &[Changed<'_>],
+    ) -> Result<TableSet, Overtaken> {
+        let set = match *self.sets {
+            [set] => set,
+            _ => choose(model, known, &self.sets, sensor, blocks)?,
+        };
+        if self.rate == 0 {
+            self.sets = vec![set];
+            self.rate = match set {
+                TableSet::Dense => 180,
+                TableSet::Sparse => 380,
+                TableSet::Obstacles => 900,
+            };
+        }
+        Ok(set)
+    }
+
+    /// Learns from a payload with so many changes.
+    pub(crate) fn learn(&mut self, payload_bytes: usize, changes: usize) {
+        self.rate = (payload_bytes * 1_024 / changes.max(1)).max(1);
+    }
+
+    /// How many blocks from the front are sure to fill so many bytes, if there are as many.
+    pub(crate) fn reach(&self, blocks: &[Changed<'_>], room: usize) -> usize {
+        let changes = room.saturating_mul(1_024 + 1_024 / 4) / self.rate.max(1);
+        let mut left = u32::try_from(changes.max(1)).unwrap_or(u32::MAX);
+        let full = blocks.iter().position(|(_, states)| {
+            let changes = states.known_count();
+            let is_full = changes >= left;
+            left = left.saturating_sub(changes);
+            is_full
+        });
+        full.map_or(blocks.len(), |last| last + 1)
+    }
+}

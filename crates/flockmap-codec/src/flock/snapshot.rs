@@ -1,0 +1,256 @@
+//! A snapshot as its own history: part by part in the order of their stamps, each told as a cycle against the
+//! older ones.
+//!
+//! So the stamps cost next to nothing, and what a later cycle left of an earlier one is told where that cycle
+//! told it. A chunk holds sections, each a part or a piece of one. Who has read the chunks before knows what
+//! the next one is told against. A chunk without sections says that nothing is known.
+//!
+//! A section: the stamp, a varint, as the difference to the section before (the first: to the start in the
+//! header); the box in blocks, three varints for its lowest block as the difference to that of the chunk,
+//! three for its size less one; the length of the rest, a varint; the rest, as in a package of changes.
+
+use flockmap_grid::{BlockIndex, Changes, Layer, PresentState, PresentVoxels, Stamp, StateBlock, VoxelBox};
+use rustc_hash::FxHashMap;
+
+use super::block_box::{BLOCK_UNITS, BOX_BLOCKS_MAX, BlockBox};
+use super::habits::Habits;
+use super::head::{Head, whole};
+use super::known::Known;
+use super::order;
+use super::planes::meet;
+use super::section::{self, Section, Workspace};
+use super::tables::TableSet;
+use crate::bytes::put_varint;
+use crate::check;
+use crate::codec::Codec;
+use crate::draft::ChunkDraft;
+use crate::error::{EncodeError, PackageError};
+use crate::fields::Fields;
+use crate::work::{self, Work};
+
+/// The changes of a stamp, by stamp.
+type Parts = Vec<(Stamp, Changes)>;
+/// From where the changes of a stamp were seen.
+type Sensors = Vec<(Stamp, [i32; 3])>;
+
+/// Room that is not worth beginning a section in.
+const SECTION_BYTES_MIN: usize = 100;
+
+/// What the head of a section takes at most: stamp, corner, size, length.
+const SECTION_HEAD_MAX: usize = 10 + 3 * 5 + 3 * 5 + 3;
+
+/// Codes the parts of a state. `room` says how many bytes the payload of a chunk may have that spans a box
+/// and some stamps. A chunk of a single block may be longer.
+pub(crate) fn encode_snapshot(
+    workspace: &mut Workspace,
+    state: &PresentVoxels,
+    room: impl Fn(&VoxelBox, [Stamp; 2]) -> usize,
+) -> Result<Vec<ChunkDraft>, EncodeError> {
+    let mut told = FxHashMap::<BlockIndex, StateBlock>::default();
+    told.reserve(state.block_count());
+    let mut habits = Habits::new(&[TableSet::Dense, TableSet::Sparse]);
+    // A chunk can grow to this as sections are added, and its header with it.
+    let largest = BlockBox::around(&state.region());
+    let left_in = |chunk: &Chunk, stamp: Stamp| {
+        let first = chunk.sections.first().map_or(stamp, |section| section.stamp);
+        let room = largest.voxels().map_or(0, |region| room(&region, [first, stamp]));
+        // Corners are the longer the larger the chunk.
+        room.saturating_sub(chunk.payload(largest).len() + SECTION_HEAD_MAX)
+    };
+    let (mut done, mut chunk, mut is_begun) = (Vec::new(), Chunk::default(), false);
+    for (stamp, part) in state.parts() {
+        let at = state.sensors().binary_search_by_key(&stamp, |(stamp, _)| *stamp).ok();
+        let sensor = at.and_then(|at| state.sensors().get(at)).map_or_else(|| middle(&part), |(_, at)| *at);
+        let sensor = whole(sensor);
+        let known = Known::of_states(&told);
+        let blocks = order::in_order(&part, sensor);
+        let mut rest = blocks.as_slice();
+        while !rest.is_empty() {
+            let mut left = left_in(&chunk, stamp);
+            // Where chunks are this small, one that was begun for want of room may be left empty: bytes that
+            // stay as they are.
+            if left < SECTION_BYTES_MIN && is_begun {
+                done.push(core::mem::take(&mut chunk).draft(largest)?);
+                left = left_in(&chunk, stamp);
+            }
+            is_begun = true;
+            let coded =
+                section::encode(workspace, &known, &mut habits, sensor, rest, chunk.spare(), |_| left);
+            // Parts come in the order of their stamps, so that nothing in `told` is as new.
+            let Ok((section, count)) = coded else {
+                unreachable!("what is known before a part is never gone")
+            };
+            let blocks = chunk.blocks() + BlockBox::around(&section.region).volume();
+            if !chunk.sections.is_empty() && (section.payload.len() > left || blocks > BOX_BLOCKS_MAX) {
+                // Not even one block goes in any more, or no box as large as this.
+                done.push(core::mem::take(&mut chunk).draft(largest)?);
+                continue;
+            }
+            rest = rest.get(count..).unwrap_or_default();
+            chunk.add(stamp, sensor, section);
+        }
+        part.blocks().iter().for_each(|(index, block)| told.entry(*index).or_default().overlay(block));
+    }
+    if !chunk.sections.is_empty() || done.is_empty() {
+        done.push(chunk.draft(largest)?);
+    }
+    Ok(done)
+}
+
+/// The middle of some changes, in sixteenths of a voxel.
+fn middle(changes: &Changes) -> [i32; 3] {
+    let count = changes.blocks().len().max(1) as i64;
+    let sum = changes.blocks().iter().fold([0i64; 3], |sum, (block, _)| {
+        [sum[0] + i64::from(block.x), sum[1] + i64::from(block.y), sum[2] + i64::from(block.z)]
+    });
+    let middle = sum.map(|sum| sum * BLOCK_UNITS / count + BLOCK_UNITS / 2);
+    middle.map(|at| at.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32)
+}
+
+/// A chunk that is being filled.
+#[derive(Default)]
+struct Chunk {
+    sections: Vec<Stamped>,
+    /// What the sections say.
+    parts: Parts,
+    sensors: Sensors,
+    /// What it takes to decode the sections.
+    steps: u64,
+}
+
+/// A section in its box.
+struct Stamped {
+    stamp: Stamp,
+    region: BlockBox,
+    payload: Vec<u8>,
+}
+
+impl Chunk {
+    /// Blocks in the boxes of its sections, counted together: what it takes to read it goes with them.
+    fn blocks(&self) -> u128 {
+        self.sections.iter().map(|section| section.region.volume()).sum()
+    }
+
+    /// Steps of work that the sections so far leave of those that the chunk may ask for.
+    fn spare(&self) -> u64 {
+        let bytes: usize = self.sections.iter().map(|section| section.payload.len()).sum();
+        work::limit(bytes).saturating_sub(self.steps)
+    }
+
+    fn add(&mut self, stamp: Stamp, sensor: [i32; 3], section: Section) {
+        add_sensor(&mut self.sensors, stamp, sensor);
+        let Section { changes, region, payload, steps } = section;
+        self.steps += steps;
+        self.sections.push(Stamped { stamp, region: BlockBox::around(&region), payload });
+        match self.parts.last_mut() {
+            Some((last, part)) if *last == stamp => {
+                *part = Changes::from_blocks([part.blocks(), changes.blocks()].concat());
+            }
+            _ => self.parts.push((stamp, changes)),
+        }
+    }
+
+    /// The payload of a chunk with this box.
+    fn payload(&self, region: BlockBox) -> Vec<u8> {
+        let mut payload = Vec::new();
+        let mut before = self.sections.first().map_or(Stamp(0), |section| section.stamp);
+        for Stamped { stamp, region: section, payload: rest } in &self.sections {
+            put_varint(&mut payload, stamp.0.wrapping_sub(before.0) as u64);
+            before = *stamp;
+            for (at, of_chunk) in section.min.into_iter().zip(region.min) {
+                put_varint(&mut payload, i64::from(at).abs_diff(i64::from(of_chunk)));
+            }
+            for side in section.size() {
+                put_varint(&mut payload, side - 1);
+            }
+            put_varint(&mut payload, rest.len() as u64);
+            payload.extend_from_slice(rest);
+        }
+        payload
+    }
+
+    /// The whole chunk. Its box is that of its sections; `largest` without any.
+    fn draft(self, largest: BlockBox) -> Result<ChunkDraft, EncodeError> {
+        let region = self.sections.iter().map(|section| section.region).reduce(BlockBox::union);
+        let region = region.unwrap_or(largest);
+        let ends = [self.sections.first(), self.sections.last()];
+        Ok(ChunkDraft {
+            region: region.voxels().ok_or(EncodeError::OutsideGrid)?,
+            ends: ends.map(|section| section.map_or(Stamp(0), |section| section.stamp)),
+            payload: self.payload(region),
+            content: check::of_chunk(&self.parts, &self.sensors),
+        })
+    }
+}
+
+/// Adds the sensor of a part, if it is not there yet.
+fn add_sensor(sensors: &mut Sensors, stamp: Stamp, sensor: [i32; 3]) {
+    if sensors.last().is_none_or(|(last, _)| *last != stamp) {
+        sensors.push((stamp, sensor));
+    }
+}
+
+/// What a chunk says; `told` is what the chunks before it said, and holds this one too afterwards. After an
+/// error it is of no use.
+pub(crate) fn decode_chunk(
+    workspace: &mut Option<Box<Workspace>>,
+    told: &mut Layer,
+    payload: &[u8],
+    region: &VoxelBox,
+    [first, last]: [Stamp; 2],
+    work: &mut Work,
+) -> Result<PresentState, PackageError> {
+    let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
+    let blocks = BlockBox::of_voxels(region).ok_or_else(|| wrong("the box is made of whole blocks"))?;
+    let (mut parts, mut sensors) = (Vec::<(Stamp, Vec<(BlockIndex, StateBlock)>)>::new(), Sensors::new());
+    let mut stamp = first;
+    let mut blocks_left = BOX_BLOCKS_MAX;
+    let mut rest = payload;
+    while !rest.is_empty() {
+        let mut fields = Fields::new(rest);
+        let later = fields.number("difference of stamps", u64::MAX)?;
+        let next = stamp.0.checked_add_unsigned(later).map(Stamp).filter(|stamp| *stamp <= last);
+        stamp = next.ok_or_else(|| wrong("stamps ascend to the newest in the header"))?;
+        let section = read_box(&mut fields, &blocks)?;
+        let length = fields.number("section length", u64::MAX)?;
+        let split = usize::try_from(length).ok().and_then(|length| fields.rest().split_at_checked(length));
+        let (body, after) = split.ok_or_else(|| wrong("a section ends within its tile"))?;
+        rest = after;
+        blocks_left = blocks_left
+            .checked_sub(section.volume())
+            .ok_or_else(|| wrong("the boxes of its sections have at most 2¹⁸ blocks together"))?;
+        section.voxels().ok_or_else(|| wrong("a section lies in the grid"))?;
+        let known = Known::new(Some(told), stamp);
+        let changes = section::decode(workspace.get_or_insert_default(), &known, body, section, work)?;
+        let is_told = |(at, block): &(BlockIndex, StateBlock)| {
+            told.block(*at).is_some_and(|known| meet(&block.known(), &known.known()))
+        };
+        if changes.blocks().iter().any(is_told) {
+            return Err(wrong("every voxel has one stamp"));
+        }
+        told.apply(&changes, stamp);
+        add_sensor(&mut sensors, stamp, Head::read(&section, &mut Fields::new(body))?.sensor);
+        match parts.last_mut() {
+            Some((last, part)) if *last == stamp => part.extend_from_slice(changes.blocks()),
+            // Bytes can be made that say nothing; a part is never empty.
+            _ if changes.is_empty() => {}
+            _ => parts.push((stamp, changes.blocks().to_vec())),
+        }
+    }
+    let parts = parts.into_iter().map(|(stamp, part)| (stamp, Changes::from_blocks(part))).collect();
+    Ok(PresentState { region: *region, parts, sensors })
+}
+
+/// The box of a section in that of its chunk.
+fn read_box(fields: &mut Fields<'_>, of_chunk: &BlockBox) -> Result<BlockBox, PackageError> {
+    let mut section = *of_chunk;
+    for (min, max) in section.min.iter_mut().zip(of_chunk.max) {
+        let at = fields.number("section corner", max.abs_diff(*min).into())?;
+        *min = (i64::from(*min) + at as i64) as i32;
+    }
+    for (max, min) in section.max.iter_mut().zip(section.min) {
+        let side = fields.number("section size", max.abs_diff(min).into())?;
+        *max = (i64::from(min) + side as i64) as i32;
+    }
+    Ok(section)
+}

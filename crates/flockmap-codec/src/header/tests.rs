@@ -1,0 +1,159 @@
+//! What is written is read, and nothing else.
+
+use super::*;
+use proptest::prelude::*;
+
+fn header() -> impl Strategy<Value = Header> {
+    let stamp = prop_oneof![any::<i64>(), 0..1_800_000_000_000_000i64];
+    let numbers = (any::<u16>(), any::<u64>(), 1..=u32::MAX, any::<u32>(), 1_000..=100_000_000u32);
+    let side = prop_oneof![1..200u32, Just(1 << 28)];
+    let corner = -(1 << 28)..=1i32;
+    let corners = [corner.clone(), corner.clone(), corner];
+    let region = (corners, [side.clone(), side.clone(), side], any::<bool>());
+    let region = region.prop_map(|(corner, size, is_in_blocks)| match is_in_blocks {
+        true => (corner.map(|c| c & !7), size.map(|s| (s + 7) & !7)),
+        false => (corner, size),
+    });
+    let content = prop_oneof![
+        Just(ContentKind::Changes),
+        (any::<u32>(), any::<u32>(), 0..9u32, 9..2_000u32)
+            .prop_map(|(since, set, tile, tiles)| ContentKind::Present { since, set, tile, tiles }),
+    ];
+    let content = (content, 0..Priority::ALL.len());
+    let codec = (0..Codec::ALL.len()).prop_map(|at| Codec::ALL[at]);
+    (numbers, [stamp.clone(), stamp], region, codec, content).prop_map(
+        |(
+            (origin, epoch, index, reference, resolution),
+            stamps,
+            (corner, size),
+            codec,
+            (mut content, priority),
+        )| {
+            if let ContentKind::Present { since, .. } = &mut content {
+                *since %= index;
+            }
+            let priority = if content == ContentKind::Changes { priority } else { 0 };
+            Header {
+                priority: Priority::ALL[priority],
+                stream: Stream { origin: RobotId(origin), epoch },
+                index,
+                cycle_start: Stamp(stamps[0].min(stamps[1])),
+                cycle_end: Stamp(stamps[0].max(stamps[1])),
+                reference: if content == ContentKind::Changes { reference % index } else { 0 },
+                is_alone: content != ContentKind::Changes || reference % index == 0 || epoch % 2 == 0,
+                // One of three in whole millimetres.
+                resolution: Resolution::from_micrometres(match resolution % 3 {
+                    0 => resolution / 1_000 * 1_000,
+                    _ => resolution,
+                })
+                .unwrap(),
+                region: VoxelBox::new(Voxel::new(corner[0], corner[1], corner[2]), size).unwrap(),
+                codec,
+                content,
+            }
+        },
+    )
+}
+
+fn written(header: &Header) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    header.write(&mut bytes);
+    bytes.extend_from_slice(&[1, 2, 3, 4]);
+    bytes
+}
+
+proptest! {
+    #[test]
+    fn every_header_comes_back_and_has_one_form(header in header()) {
+        let bytes = written(&header);
+        let payload = [&bytes[..], &[9; 5]].concat();
+        let (read, tail, rest) = Header::read(&payload).unwrap();
+        prop_assert_eq!(read, header);
+        prop_assert_eq!((tail.checked, tail.check, rest), (bytes.len() - 4, 0x0403_0201, &[9u8; 5][..]));
+        for length in 0..bytes.len() {
+            prop_assert!(Header::read(&bytes[..length]).is_err());
+        }
+    }
+
+    #[test]
+    fn whatever_is_read_is_written_the_same(mut bytes in prop::collection::vec(any::<u8>(), 20..80), codec in 0..5u8, kind in 0..32u8) {
+        bytes[0] = FORMAT_VERSION;
+        bytes[1] = kind << KIND_SHIFT | codec;
+        // Low bytes end numbers: more of the fields are in range.
+        bytes[2..].iter_mut().filter(|byte| **byte % 3 > 0).for_each(|byte| *byte &= 0x7f);
+        if let Ok((header, tail, _)) = Header::read(&bytes) {
+            prop_assert_eq!(&written(&header)[..tail.checked], &bytes[..tail.checked]);
+        }
+    }
+
+    #[test]
+    fn boxes_in_blocks_come_back(corner in prop::array::uniform3(-(1 << 25)..0i32), size in prop::array::uniform3(1..300u32)) {
+        let min = Voxel::new(corner[0] * 8, corner[1] * 8, corner[2] * 8);
+        let region = VoxelBox::new(min, size.map(|side| side * 8)).unwrap();
+        let mut bytes = Vec::new();
+        write_box(&region, 8, &mut bytes);
+        prop_assert_eq!(read_box(&mut Fields::new(&bytes), 8), Ok(region));
+    }
+}
+
+#[test]
+fn a_usual_header_takes_few_bytes() {
+    let epoch = flockmap_grid::epoch(1_700_000_000, 0x8765_4321);
+    let end = Stamp(epoch_micros(epoch) + 10 * 60 * 1_000_000);
+    let header = Header {
+        stream: Stream { origin: RobotId(3), epoch },
+        index: 12_000,
+        cycle_start: end.plus_micros(-500_000),
+        cycle_end: end,
+        reference: 11_970,
+        is_alone: false,
+        resolution: Resolution::from_metres(0.1).unwrap(),
+        region: VoxelBox::new(Voxel::new(-200, 310, -8), [60, 40, 24]).unwrap(),
+        codec: Codec::Paper,
+        content: ContentKind::Changes,
+        priority: Priority::NearFree,
+    };
+    assert_eq!(written(&header).len(), 37);
+}
+
+#[test]
+fn numbers_out_of_range_are_refused() {
+    let refused = |edit: &dyn Fn(&mut Vec<u8>)| {
+        // Version, kind and codec, origin, epoch, index 5, cycle end, duration, resolution 0.1 m, box,
+        // reference.
+        let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
+        assert!(Header::read(&bytes).is_ok());
+        edit(&mut bytes);
+        Header::read(&bytes).unwrap_err().to_string()
+    };
+    assert_eq!(refused(&|b| b[4] = 0), "package header: indices begin at 1");
+    // One block, told as 8 × 8 × 8 voxels.
+    let blocks = refused(&|b| b[12..15].copy_from_slice(&[7; 3]));
+    assert_eq!(blocks, "package header: a box of whole blocks is counted in blocks");
+    assert_eq!(refused(&|b| b[15] = 5), "package header: a reference is an earlier package");
+    assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
+    let urgent_state = refused(&|b| b[1] |= KIND_PRESENT << KIND_SHIFT | 1 << 5);
+    assert_eq!(urgent_state, "package header: a present state has priority 0");
+    assert_eq!(
+        refused(&|b| b[1] |= 3 << 3),
+        "package content kind 0x3 is not known; the sender may be newer"
+    );
+    assert_eq!(refused(&|b| b[1] = 7), "package codec 7 is not known; the sender may be newer");
+    let late = refused(&|b| {
+        b[1] |= KIND_PRESENT << KIND_SHIFT;
+        b[15] = 5;
+    });
+    assert_eq!(late, "package header: a span begins after an earlier package");
+    let resolution = "package header: the resolution is 1,000 to 100,000,000 micrometres in its shorter form";
+    // 100 mm as micrometres; 0 mm; 100,001 mm.
+    for code in [&[0xc1, 0x9a, 0x0c][..], &[0], &[0xc2, 0x9a, 0x0c]] {
+        let refused = refused(&|bytes| drop(bytes.splice(7..9, code.iter().copied())));
+        assert_eq!(refused, resolution);
+    }
+    let mut far = Vec::new();
+    put_zigzag(&mut far, i64::MAX);
+    assert!(read_box(&mut Fields::new(&[&far[..], &[0; 5]].concat()), 8).is_err());
+    let mut wide = vec![0; 3];
+    put_varint(&mut wide, u64::from(u32::MAX) - 1);
+    assert!(read_box(&mut Fields::new(&[&wide[..], &[0; 2]].concat()), 8).is_err());
+}

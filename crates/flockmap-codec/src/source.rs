@@ -1,0 +1,32 @@
+//! What is encoded: the changes of a cycle, or the state of a span of packages.
+
+use flockmap_grid::{Resolution, Stamp, Stream};
+
+/// One cycle of mapping: all changes from `start` to `end`.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Cycle {
+    /// Whose observations these are.
+    pub stream: Stream,
+    /// When the cycle began, on the origin's clock.
+    pub start: Stamp,
+    /// When it was closed: the stamp of every change in it. Cycles of a stream have strictly increasing ends.
+    pub end: Stamp,
+    /// Side of a voxel.
+    pub resolution: Resolution,
+    /// Where the sensor was in the middle of the cycle, in sixteenths of a voxel from the corner of voxel (0,
+    /// 0, 0). Only [`Codec::Flock`](crate::Codec::Flock) makes use of it: whatever it is, the changes come
+    /// out right, in fewer bytes the nearer it is.
+    pub sensor: [i32; 3],
+}
+
+/// Which packages a present state contains.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Span {
+    /// The stream.
+    pub stream: Stream,
+    /// 0: the whole state. Else it has at least the voxels whose newest change is in a package after this
+    /// one. Below `upto`.
+    pub since: u32,
+    /// The newest package whose changes, with those of all before it, are in the state; from 1.
+    pub upto: u32,
+}
