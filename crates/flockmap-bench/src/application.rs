@@ -17,6 +17,7 @@ use flockmap_sim::application::{
     SeriesOptions,
 };
 use serde::Serialize;
+use serde_json::{Value, json};
 
 /// A leader that looks backwards crosses a thicket on its follower's map: the paper's Sec. V-B
 #[derive(Args, Debug)]
@@ -100,22 +101,7 @@ pub struct Row {
     pub obstacle_age_median_s: Option<f64>,
     pub obstacle_age_p99_s: Option<f64>,
     /// Every flight, by seed from 1 on.
-    pub outcomes: Vec<Flight>,
-}
-
-/// One flight.
-#[derive(Serialize, Clone, Debug)]
-pub struct Flight {
-    pub ending: &'static str,
-    pub seconds: f64,
-    pub leader_at_m: [f64; 3],
-    pub leader_path_m: f64,
-    pub leader_sent_bytes: u64,
-    pub leader_sent_datagrams: u64,
-    pub follower_sent_bytes: u64,
-    pub follower_sent_datagrams: u64,
-    pub obstacle_age_median_s: f64,
-    pub obstacle_age_p99_s: f64,
+    pub outcomes: Vec<Value>,
 }
 
 #[derive(Serialize)]
@@ -179,29 +165,29 @@ fn options(args: &ApplicationArgs) -> anyhow::Result<SeriesOptions> {
         args.speed
     );
     ensure!(args.delay_ms <= 60_000, "--delay-ms is {}, expected at most 60,000", args.delay_ms);
-    let rates = match (args.rates.as_slice(), args.quick) {
-        ([], true) => &[5.0, 25.0],
-        ([], false) => &[1.0, 5.0, 25.0, 100.0][..],
-        (rates, _) => rates,
+    let or_else = |given: &[f64], quick: &[f64], all: &[f64]| {
+        let chosen = if !given.is_empty() {
+            given
+        } else if args.quick {
+            quick
+        } else {
+            all
+        };
+        chosen.to_vec()
     };
-    let losses = match (args.losses.as_slice(), args.quick) {
-        ([], true) => &[0.0, 0.4],
-        ([], false) => &[0.0, 0.2, 0.4][..],
-        (losses, _) => losses,
-    };
-    let obstacles_first = match (args.obstacles_first.as_slice(), args.quick) {
-        ([], true) => &[5.0],
-        ([], false) => &[1.0, 5.0][..],
-        ([none], _) if *none == 0.0 => &[],
-        (rates, _) => rates,
-    };
-    for rate in rates.iter().chain(obstacles_first) {
+    let rates = or_else(&args.rates, &[5.0, 25.0], &[1.0, 5.0, 25.0, 100.0]);
+    let losses = or_else(&args.losses, &[0.0, 0.4], &[0.0, 0.2, 0.4]);
+    let mut obstacles_first = or_else(&args.obstacles_first, &[5.0], &[1.0, 5.0]);
+    if obstacles_first == [0.0] {
+        obstacles_first.clear();
+    }
+    for rate in rates.iter().chain(&obstacles_first) {
         ensure!(
             (0.5..=100_000.0).contains(rate),
             "--rates or --obstacles-first has {rate}, expected 0.5 to 100,000 KB/s"
         );
     }
-    for loss in losses {
+    for loss in &losses {
         ensure!((0.0..=1.0).contains(loss), "--losses has {loss}, expected 0 to 1");
     }
     let resolution = Resolution::from_metres(args.resolution)
@@ -210,9 +196,9 @@ fn options(args: &ApplicationArgs) -> anyhow::Result<SeriesOptions> {
     let bytes = |rates: &[f64]| rates.iter().map(|rate| (rate * KB).round() as u32).collect();
     Ok(SeriesOptions {
         seeds,
-        rates_bytes_per_s: bytes(rates),
-        losses: losses.to_vec(),
-        obstacles_first_rates_bytes_per_s: bytes(obstacles_first),
+        rates_bytes_per_s: bytes(&rates),
+        losses,
+        obstacles_first_rates_bytes_per_s: bytes(&obstacles_first),
         delay_ms: args.delay_ms,
         threads: args.threads,
         application: ApplicationOptions {
@@ -281,33 +267,31 @@ impl Row {
             follower_sent_kb_s: kb_s(|outcome| outcome.follower.sent_bytes),
             obstacle_age_median_s: heard.then(|| series.mean(|outcome| outcome.obstacle_age_median_s)),
             obstacle_age_p99_s: heard.then(|| series.mean(|outcome| outcome.obstacle_age_p99_s)),
-            outcomes: series.outcomes.iter().map(Flight::new).collect(),
+            outcomes: series.outcomes.iter().map(flight).collect(),
         }
     }
 }
 
-impl Flight {
-    fn new(outcome: &ApplicationOutcome) -> Self {
-        let ending = match outcome.ending {
+/// One flight.
+fn flight(outcome: &ApplicationOutcome) -> Value {
+    json!({
+        "ending": match outcome.ending {
             Ending::Goal => "goal",
             Ending::LeaderHit => "leader-hit",
             Ending::FollowerHit => "follower-hit",
             Ending::RobotsTouched => "robots-touched",
             Ending::TimeOut => "time-out",
-        };
-        Self {
-            ending,
-            seconds: outcome.seconds,
-            leader_at_m: outcome.leader_at,
-            leader_path_m: outcome.leader_path_m,
-            leader_sent_bytes: outcome.leader.sent_bytes,
-            leader_sent_datagrams: outcome.leader.sent_datagrams,
-            follower_sent_bytes: outcome.follower.sent_bytes,
-            follower_sent_datagrams: outcome.follower.sent_datagrams,
-            obstacle_age_median_s: outcome.obstacle_age_median_s,
-            obstacle_age_p99_s: outcome.obstacle_age_p99_s,
-        }
-    }
+        },
+        "seconds": outcome.seconds,
+        "leader_at_m": outcome.leader_at,
+        "leader_path_m": outcome.leader_path_m,
+        "leader_sent_bytes": outcome.leader.sent_bytes,
+        "leader_sent_datagrams": outcome.leader.sent_datagrams,
+        "follower_sent_bytes": outcome.follower.sent_bytes,
+        "follower_sent_datagrams": outcome.follower.sent_datagrams,
+        "obstacle_age_median_s": outcome.obstacle_age_median_s,
+        "obstacle_age_p99_s": outcome.obstacle_age_p99_s,
+    })
 }
 
 fn table(rows: &[Row]) -> Table {

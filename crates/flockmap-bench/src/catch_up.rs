@@ -134,9 +134,7 @@ pub fn run(args: &CatchUpArgs) -> anyhow::Result<bool> {
         agreement,
     };
     output.print();
-    if let Some(path) = &args.json {
-        json_file::write(path, &output)?;
-    }
+    json_file::write_asked(args.json.as_deref(), &output)?;
     Ok(agreement)
 }
 

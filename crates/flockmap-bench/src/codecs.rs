@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use clap::Args;
 use flockmap::codec::Codec;
 use flockmap_cli::measure::KB;
+use flockmap_cli::member::IP_UDP_BYTES;
 use flockmap_cli::options::{MapArgs, SourceArgs};
 use flockmap_cli::progress::Progress;
 use flockmap_cli::table::{Table, kb, percent, thousands};
@@ -14,7 +15,7 @@ use flockmap_cli::{json_file, sources, stop};
 use serde::Serialize;
 
 use crate::baselines::{Method, UnknownMethod};
-use crate::codec_run::{self, CodecRun, Outcome};
+use crate::codec_run::{CodecRun, Outcome, Row};
 use crate::present_run::{self, PresentRow};
 
 /// All codecs on the same cycles of mapping: bytes, time, agreement
@@ -96,51 +97,17 @@ fn methods(names: &[MethodName]) -> Vec<Method> {
 }
 
 /// What the JSON holds.
-#[derive(Serialize, Debug)]
-struct Output {
+#[derive(Serialize)]
+struct Output<'a> {
     records: Vec<String>,
     resolution_m: f64,
     range_m: f64,
     t_l_s: f64,
     d: usize,
     changed_voxels: u64,
-    methods: Vec<Row>,
+    methods: &'a [Row],
     /// The final maps, as a late joiner gets them. Only of methods that make map packages.
     present_states: Vec<PresentRow>,
-}
-
-#[derive(Serialize, Debug)]
-struct Row {
-    name: String,
-    /// Of all records together: packages with their headers, without IP and UDP.
-    total_bytes: u64,
-    /// Total by the length of all records together, so per robot.
-    avg_kb_s: f64,
-    /// Largest window of one second of any record.
-    max_kb_s: f64,
-    packages: u64,
-    /// Times are for all packages of a cycle.
-    encode_ms_mean: f64,
-    encode_ms_p99: f64,
-    decode_ms_mean: f64,
-    /// Share of voxels that the receiver has as they were packed; less than 1 is a fault of a lossless method.
-    agreement: f64,
-}
-
-impl From<&codec_run::Row> for Row {
-    fn from(row: &codec_run::Row) -> Self {
-        Self {
-            name: row.method.to_string(),
-            total_bytes: row.total_bytes,
-            avg_kb_s: row.avg_kb_s,
-            max_kb_s: row.max_kb_s,
-            packages: row.packages,
-            encode_ms_mean: row.encode.mean_ms,
-            encode_ms_p99: row.encode.p99_ms,
-            decode_ms_mean: row.decode.mean_ms,
-            agreement: row.compared.share(),
-        }
-    }
 }
 
 /// Runs the command. Whether every lossless method is lossless.
@@ -169,13 +136,11 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
         t_l_s: args.map.t_l,
         d: args.map.d,
         changed_voxels: outcome.changed_voxels,
-        methods: outcome.rows.iter().map(Row::from).collect(),
+        methods: &outcome.rows,
         present_states,
     };
     print(&output, &sources.title, &outcome);
-    if let Some(path) = &args.json {
-        json_file::write(path, &output)?;
-    }
+    json_file::write_asked(args.json.as_deref(), &output)?;
     let broken: Vec<String> =
         outcome.rows.iter().filter(|row| !row.is_as_promised()).map(|row| row.method.to_string()).collect();
     if !broken.is_empty() {
@@ -187,9 +152,9 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
     Ok(broken.is_empty())
 }
 
-fn print(output: &Output, title: &str, outcome: &Outcome) {
+fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
     let Output { resolution_m, range_m, t_l_s, d, changed_voxels, methods, .. } = output;
-    let Outcome { seconds, cycles, rows, .. } = outcome;
+    let Outcome { seconds, cycles, .. } = outcome;
     println!("{title}");
     println!(
         "  {resolution_m} m voxels, {range_m} m range, t_l {t_l_s} s, d {}; {seconds:.1} s in all, {} cycles, {} changed voxels{}\n",
@@ -198,31 +163,28 @@ fn print(output: &Output, title: &str, outcome: &Outcome) {
         thousands(*changed_voxels),
         if stop::requested() { " (partial: ended by Ctrl-C)" } else { "" }
     );
-    let reference = methods.iter().find(|row| row.name == "paper").map(|row| row.total_bytes);
+    let reference =
+        methods.iter().find(|row| row.method == Method::Whole(Codec::Paper)).map(|row| row.total_bytes);
     let vs_paper = |row: &Row| {
         let ratio = |paper: u64| format!("×{:.2}", row.total_bytes as f64 / paper.max(1) as f64);
         reference.map_or_else(String::new, ratio)
     };
     let bits = |row: &Row| row.total_bytes as f64 * 8.0 / (*changed_voxels).max(1) as f64;
-    let rows: Vec<(&Row, &codec_run::Row)> = methods.iter().zip(rows).collect();
     let table = Table::of(
-        &rows,
+        methods,
         &[
-            ("method", &|(row, _)| row.name.clone()),
-            ("total bytes", &|(row, _)| thousands(row.total_bytes)),
-            ("vs paper", &|(row, _)| vs_paper(row)),
-            ("bits/voxel", &|(row, _)| format!("{:.2}", bits(row))),
-            ("avg KB/s", &|(row, _)| kb(row.avg_kb_s * KB)),
-            ("max KB/s", &|(row, _)| kb(row.max_kb_s * KB)),
-            ("packages", &|(row, _)| thousands(row.packages)),
-            ("IP + UDP", &|(_, run)| thousands(run.datagrams * 28)),
-            ("encode ms", &|(row, _)| format!("{:.2}", row.encode_ms_mean)),
-            ("99 %", &|(row, _)| format!("{:.2}", row.encode_ms_p99)),
-            ("decode ms", &|(row, _)| format!("{:.2}", row.decode_ms_mean)),
-            ("agreement", &|(row, run)| {
-                let mark = if run.method.is_lossless() { "" } else { " *" };
-                percent(row.agreement) + mark
-            }),
+            ("method", &|row| row.method.to_string()),
+            ("total bytes", &|row| thousands(row.total_bytes)),
+            ("vs paper", &|row| vs_paper(row)),
+            ("bits/voxel", &|row| format!("{:.2}", bits(row))),
+            ("avg KB/s", &|row| kb(row.avg_kb_s * KB)),
+            ("max KB/s", &|row| kb(row.max_kb_s * KB)),
+            ("packages", &|row| thousands(row.packages)),
+            ("IP + UDP", &|row| thousands(row.datagrams * IP_UDP_BYTES)),
+            ("encode ms", &|row| format!("{:.2}", row.encode_ms_mean)),
+            ("99 %", &|row| format!("{:.2}", row.encode_ms_p99)),
+            ("decode ms", &|row| format!("{:.2}", row.decode_ms_mean)),
+            ("agreement", &|row| percent(row.agreement) + if row.method.is_lossless() { "" } else { " *" }),
         ],
     );
     print!("{table}");
@@ -233,7 +195,7 @@ fn print(output: &Output, title: &str, outcome: &Outcome) {
   voxel in one package a cycle; its own messages of 200 voxels add 52 bytes each. Agreement: voxels equal to those packed, of
   all that either side knows, when everything has arrived."
     );
-    for method in rows.iter().map(|(_, run)| run.method).filter(|method| !method.is_lossless()) {
+    for method in methods.iter().map(|row| row.method).filter(|method| !method.is_lossless()) {
         println!("  * {method}: {}", method.about());
     }
     print_present_states(&output.present_states);

@@ -17,7 +17,6 @@ const SETTLE_SECONDS_MAX: f64 = 600.0;
 
 /// One robot with what is measured of it.
 pub struct RivalMember {
-    pub name: String,
     pub robot: RacerRobot,
     /// Messages that went out; a copy to each of several robots counts each.
     pub sent: Sent,
@@ -39,6 +38,7 @@ pub struct RivalRun {
     /// Time of the last scan.
     pub last_scan: Stamp,
     /// When every chunk had arrived everywhere; `None` if it has not.
+    #[cfg_attr(not(test), expect(dead_code, reason = "tests look at it"))]
     pub arrived: Option<Stamp>,
 }
 
@@ -66,7 +66,6 @@ pub fn run(
     for (number, source) in sources.into_iter().enumerate() {
         let mut frames = source.frames;
         members.push(RivalMember {
-            name: source.name,
             robot: RacerRobot::new(config(RobotId(number as u16 + 1)), Stamp(0))?,
             sent: Sent::default(),
             announced: Sent::default(),

@@ -12,7 +12,8 @@ use flockmap::grid::{Changes, Stamp, State, Voxel, VoxelBox};
 
 use crate::baselines::bytes::{MESSAGE_VOXELS_MAX, Packer, Reader, unpack, write_box, write_varint};
 use crate::baselines::morton::{interleave, separate};
-use crate::baselines::{Messages, Sender, StateMap};
+use crate::baselines::state_map::StateMap;
+use crate::baselines::traits::{Messages, Sender};
 
 const METHOD: &str = "address-delta-zstd";
 

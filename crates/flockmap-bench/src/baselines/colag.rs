@@ -12,7 +12,8 @@ use flockmap::grid::{
 };
 
 use crate::baselines::bytes::{Reader, write_box, write_varint};
-use crate::baselines::{Messages, Sender, StateMap};
+use crate::baselines::state_map::StateMap;
+use crate::baselines::traits::{Messages, Sender};
 
 /// What the region is.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -13,7 +13,8 @@ use flockmap::grid::{BLOCK_VOXELS, BlockIndex, Changes, Plane, Stamp, State, Sta
 use rustc_hash::FxHashMap;
 
 use crate::baselines::bytes::Reader;
-use crate::baselines::{Messages, Sender, StateMap};
+use crate::baselines::state_map::StateMap;
+use crate::baselines::traits::{Messages, Sender};
 
 /// Waits so long before it sends a sub-block that is not nearly whole.
 const WAIT_MICROS: i64 = 2_000_000;

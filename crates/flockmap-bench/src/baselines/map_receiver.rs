@@ -3,7 +3,8 @@
 use anyhow::Result;
 use flockmap::grid::{BlockIndex, StateBlock};
 
-use crate::baselines::{Receiver, StateMap};
+use crate::baselines::state_map::StateMap;
+use crate::baselines::traits::Receiver;
 
 /// Applies messages with the function of the method.
 pub(crate) struct MapReceiver {

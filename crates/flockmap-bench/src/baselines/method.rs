@@ -1,11 +1,12 @@
 //! The methods by name.
 
-use anyhow::Result;
 use core::fmt;
 use core::str::FromStr;
 
+use anyhow::Result;
 use flockmap::codec::Codec;
 use flockmap::grid::MapperConfig;
+use serde::{Serialize, Serializer};
 
 use crate::baselines::address_delta::AddressDeltaSender;
 use crate::baselines::colag::{ColagSender, Region};
@@ -15,7 +16,8 @@ use crate::baselines::octomap_diff::OctomapDiffSender;
 use crate::baselines::package::{PackageReceiver, PackageSender};
 use crate::baselines::relay_points::Points;
 use crate::baselines::scan_relay::{RelayReceiver, RelaySender};
-use crate::baselines::{Receiver, Sender, address_delta, colag, gvp, octomap_diff};
+use crate::baselines::traits::{Receiver, Sender};
+use crate::baselines::{address_delta, colag, gvp, octomap_diff};
 
 /// A way of telling others what a robot maps. Every one is given the same cycles of the same map.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
@@ -159,6 +161,12 @@ impl Method {
                 "The scans of a cycle with points cut at the range and rounded to a centimetre (Morton order or octree, zstd 19), cast again at the receiver with an equal mapper: rounding moves rays into other voxels, so some differ."
             }
         }
+    }
+}
+
+impl Serialize for Method {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
     }
 }
 

@@ -22,5 +22,4 @@ mod tests;
 mod traits;
 
 pub use method::{Method, UnknownMethod};
-pub use state_map::{BLOCKS_MAX, StateMap};
 pub use traits::{Messages, Observation, Receiver, Sender};

@@ -10,7 +10,8 @@ use flockmap::grid::{BLOCK_VOXELS, BlockIndex, Changes, Stamp, State, StateBlock
 use rustc_hash::FxHashMap;
 
 use crate::baselines::bytes::{MESSAGE_VOXELS_MAX, Reader};
-use crate::baselines::{Messages, Sender, StateMap};
+use crate::baselines::state_map::StateMap;
+use crate::baselines::traits::{Messages, Sender};
 
 const METHOD: &str = "octomap-diff";
 

@@ -4,7 +4,8 @@ use anyhow::{Result, ensure};
 use flockmap::codec::{Codec, Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, Package, Reference};
 use flockmap::grid::{BlockIndex, Changes, Layer, Stamp, StateBlock};
 
-use crate::baselines::{BLOCKS_MAX, Messages, Receiver, Sender};
+use crate::baselines::state_map::BLOCKS_MAX;
+use crate::baselines::traits::{Messages, Receiver, Sender};
 
 pub(crate) struct PackageSender {
     codec: Codec,

@@ -8,10 +8,11 @@
 //! varints. Layout 3: octrees, level by level from the root: for each node a byte with a bit for each child that holds points;
 //! after 20 levels, for each leaf the number of its points less 1, as varints. Empty lists have no tree.
 
-use crate::baselines::Observation;
+use anyhow::Result;
+
 use crate::baselines::bytes::{Reader, write_varint};
 use crate::baselines::morton::{interleave, separate};
-use anyhow::Result;
+use crate::baselines::traits::Observation;
 
 /// Most points in a message, 2²²: 48 MiB as points.
 pub(crate) const POINTS_MAX: usize = 1 << 22;

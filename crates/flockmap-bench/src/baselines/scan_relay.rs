@@ -15,7 +15,8 @@ use flockmap::grid::{
 
 use crate::baselines::bytes::{Packer, Reader, unpack, write_varint};
 use crate::baselines::relay_points::{self, Points};
-use crate::baselines::{Messages, Observation, Receiver, Sender, StateMap};
+use crate::baselines::state_map::StateMap;
+use crate::baselines::traits::{Messages, Observation, Receiver, Sender};
 
 /// Most masks of a scan.
 const MASKS_MAX: u64 = 4_096;

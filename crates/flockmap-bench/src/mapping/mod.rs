@@ -3,7 +3,6 @@
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
@@ -11,11 +10,12 @@ use clap::Args;
 use flockmap::grid::Mapper;
 use flockmap::{Changes, MapperConfig, Preset, Resolution, State, Voxel};
 use flockmap_cli::measure::{Comparison, TimeSummary, Times};
+use flockmap_cli::options::SourceArgs;
 use flockmap_cli::progress::Progress;
+use flockmap_cli::sources::{self, Frame};
 use flockmap_cli::table::{Table, percent, thousands};
 use flockmap_cli::{json_file, stop};
-use flockmap_io::Frame;
-use flockmap_sim::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_sim::Lidar;
 use serde::Serialize;
 
 /// The mapper beside OctoMap, on the same scans
@@ -136,25 +136,25 @@ pub fn run(args: &MappingArgs) -> anyhow::Result<bool> {
         differences,
     };
     print(&output);
-    if let Some(path) = &args.json {
-        json_file::write(path, &output)?;
-    }
+    json_file::write_asked(args.json.as_deref(), &output)?;
     Ok(true)
 }
 
 fn fly(args: &MappingArgs) -> anyhow::Result<Vec<Frame>> {
-    let world = match args.scene.to_str() {
-        Some("forest") => World::forest(args.seed),
-        Some("indoor") => World::indoor(args.seed),
-        _ => World::open(&args.scene, None)?,
+    let source = SourceArgs {
+        lidar: args.lidar,
+        lidar_range: Some(LIDAR_RANGE_M),
+        // Every beam counts, also one that meets nothing: a scan is then as large as the LiDAR makes it.
+        no_returns: true,
+        seed: args.seed,
+        robots: 1,
+        seconds: Some((args.scans as f64 / 10.0).max(0.1)),
+        ..SourceArgs::default()
     };
-    let world = Arc::new(world);
-    let duration_s = (args.scans as f64 / 10.0).max(0.1);
-    let options = PatrolOptions { duration_s, ..PatrolOptions::default() };
-    let patrol = Patrol::plan(&world, 1, args.seed, &options)?.into_iter().next().context("no flight")?;
-    // Every beam counts, also one that meets nothing: a scan is then as large as the LiDAR makes it.
-    let scan = ScanOptions { range_m: LIDAR_RANGE_M, no_returns: true, ..ScanOptions::default() };
-    let frames: Vec<Frame> = Flight::new(world, args.lidar, scan, patrol).take(args.scans).collect();
+    sources::check_scene(&args.scene)?;
+    let flight = sources::open(std::slice::from_ref(&args.scene), &source, args.range, false)?;
+    let frames: Vec<Frame> =
+        flight.robots.into_iter().flat_map(|robot| robot.frames).take(args.scans).collect();
     ensure!(!frames.is_empty(), "the flight has no scan");
     Ok(frames)
 }
@@ -164,7 +164,7 @@ fn map(frames: &[Frame], config: MapperConfig) -> anyhow::Result<Mapped> {
     let mut times = Times::default();
     for frame in frames {
         let started = Instant::now();
-        mapper.insert(&frame.scan, &frame.t_map_sensor, &[]);
+        mapper.insert(&frame.scan, &frame.pose, &[]);
         times.add(started.elapsed());
     }
     let map = Changes::from_blocks(mapper.blocks().map(|(index, block)| (index, *block)).collect());
@@ -258,11 +258,11 @@ fn write_scans(path: &Path, frames: &[Frame]) -> anyhow::Result<()> {
         let mut write = |point: [f64; 3]| -> std::io::Result<()> {
             point.iter().try_for_each(|v| out.write_all(&(*v as f32).to_le_bytes()))
         };
-        write(frame.t_map_sensor.translation())?;
+        write(frame.pose.translation())?;
         out.write_all(&((frame.scan.points.len() + frame.scan.no_returns.len()) as u32).to_le_bytes())?;
         // OctoMap cuts what lies beyond the range by itself.
         for point in frame.scan.points.iter().chain(&frame.scan.no_returns) {
-            let point = frame.t_map_sensor.transform(point.map(f64::from));
+            let point = frame.pose.transform(point.map(f64::from));
             point.iter().try_for_each(|v| out.write_all(&(*v as f32).to_le_bytes()))?;
         }
     }

@@ -66,24 +66,17 @@ pub struct PaperArgs {
 #[derive(ValueEnum, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub enum Stage {
     /// Changes drawn at random
-    #[value(name = "fig5")]
     Fig5,
     /// Bandwidth on four explorations, all methods; the map over time (Fig. 6)
-    #[value(name = "table1")]
     Table1,
     /// Hilbert walk against nested order
-    #[value(name = "table2")]
     Table2,
     /// Two nodes over an emulated Wi-Fi with loss, over time (Fig. 9)
-    #[value(name = "table3")]
     Table3,
     /// Times to pack and to merge
-    #[value(name = "table4")]
     Table4,
     /// Flying on a team-mate's map (Sec. V-B)
-    #[value(name = "application")]
     Application,
     /// The same methods on recordings
-    #[value(name = "beyond")]
     Beyond,
 }

@@ -9,8 +9,8 @@ use flockmap_cli::table::thousands;
 
 use super::args::PaperArgs;
 use super::figures::T_L_S;
-use super::mapper;
 use super::methods::{self, MethodRows};
+use super::settings::mapper;
 use super::team::{self, Team};
 
 /// What was measured, or why nothing was.

@@ -13,6 +13,7 @@ use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_sim::{Ended, ExploreOptions, Lidar, Rendering, ScanOptions, World};
 
 use super::figures::{CHANGES_MAX, Scene, T_L_S};
+use super::settings::cycle;
 
 /// The LiDAR sees as far as the longest range of the paper's rows needs.
 pub const LIDAR_RANGE_M: f64 = 20.0;
@@ -82,7 +83,7 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Option<Flown>> {
             ..ScanOptions::default()
         },
         seconds_max: plan.seconds_max,
-        cycle: super::cycle(T_L_S, CHANGES_MAX),
+        cycle: cycle(T_L_S, CHANGES_MAX),
         threads: plan.threads.min(scene.robots()),
         // As the paper's robots, so that the flights are those of all earlier reports.
         codec: Codec::Paper,
@@ -137,6 +138,15 @@ pub fn open(scene: Scene, folder: &Path) -> anyhow::Result<Flown> {
         explored: None,
         ended: "recorded before",
     })
+}
+
+/// Flights that were made, by scene.
+pub struct Flights(pub Vec<Flown>);
+
+impl Flights {
+    pub fn get(&self, scene: Scene) -> Option<&Flown> {
+        self.0.iter().find(|flown| flown.scene == scene)
+    }
 }
 
 impl Flown {

@@ -9,7 +9,7 @@ use flockmap_cli::table::percent_short;
 use maud::{Markup, html};
 
 use crate::baselines::Method;
-use crate::codec_run::Outcome;
+use crate::codec_run::{self, Outcome};
 
 /// What a method cost on one record, all robots together.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,11 +65,10 @@ impl MethodRows {
             let total_bytes = of_robots().map(|row| row.total_bytes).sum();
             let (known, equal) =
                 of_robots().fold((0, 0), |(k, e), row| (k + row.compared.known, e + row.compared.equal));
-            let mean_ms = |of: &dyn Fn(&crate::codec_run::Row) -> flockmap_cli::measure::TimeSummary| {
-                let (sum, count) = of_robots()
-                    .map(of)
-                    .fold((0.0, 0), |(s, n), time| (s + time.mean_ms * time.count as f64, n + time.count));
-                (count > 0).then(|| sum / count as f64)
+            let timed: usize = of_robots().map(|row| row.timed).sum();
+            let mean_ms = |of: fn(&codec_run::Row) -> f64| {
+                let sum: f64 = of_robots().map(|row| of(row) * row.timed as f64).sum();
+                (timed > 0).then(|| sum / timed as f64)
             };
             let method = outcomes[0].rows[number].method;
             MethodRow {
@@ -83,9 +82,9 @@ impl MethodRows {
                 max_kb_s: of_robots().map(|row| row.max_kb_s).fold(0.0, f64::max),
                 agreement: if known == 0 { 1.0 } else { equal as f64 / known as f64 },
                 is_lossless: method.is_lossless(),
-                is_as_promised: of_robots().all(crate::codec_run::Row::is_as_promised),
-                encode_ms: mean_ms(&|row| row.encode),
-                decode_ms: mean_ms(&|row| row.decode),
+                is_as_promised: of_robots().all(codec_run::Row::is_as_promised),
+                encode_ms: mean_ms(|row| row.encode_ms_mean),
+                decode_ms: mean_ms(|row| row.decode_ms_mean),
             }
         });
         Self { rows: rows.collect(), changed_voxels, receivers: receivers.max(1) as u64, seconds }

@@ -7,6 +7,7 @@ mod figures;
 mod flown;
 mod jobs;
 mod methods;
+mod settings;
 mod stack;
 mod table1;
 mod table2;
@@ -19,8 +20,6 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
-use flockmap::grid::{MapperConfig, Preset};
-use flockmap::{Codec, CycleConfig, Resolution, RobotConfig, RobotId};
 use flockmap_cli::document::{Cell, DataTable, Document, Part, Section};
 use flockmap_cli::measure::KB;
 use flockmap_cli::parallel::cores;
@@ -33,7 +32,7 @@ use crate::random;
 pub use args::PaperArgs;
 use args::Stage;
 use figures::Scene;
-use flown::{Explored, FlightPlan, Flown};
+use flown::{Explored, FlightPlan, Flights, Flown};
 use jobs::Job;
 
 /// Of what can be seen an exploration must see this share.
@@ -49,33 +48,6 @@ const ORDER: [Stage; 7] = [
     Stage::Application,
     Stage::Beyond,
 ];
-
-/// Flights that were made, by scene.
-pub struct Flights(Vec<Flown>);
-
-impl Flights {
-    pub fn get(&self, scene: Scene) -> Option<&Flown> {
-        self.0.iter().find(|flown| flown.scene == scene)
-    }
-}
-
-/// The mapper of all rows: ROG-Map's rules, as on the paper's robots.
-pub fn mapper(resolution_m: f64, range_m: f64) -> anyhow::Result<MapperConfig> {
-    let resolution = Resolution::from_metres(resolution_m)
-        .with_context(|| format!("a voxel side of {resolution_m} m, expected 0.001 to 100 m"))?;
-    Ok(MapperConfig::preset(Preset::RogMap, resolution, range_m))
-}
-
-/// Cycles that close after so many seconds, or so many changed voxels.
-pub fn cycle(t_l_s: f64, changes_max: usize) -> CycleConfig {
-    CycleConfig { t_l_ms: (t_l_s * 1e3).round() as u32, changes_max, ..CycleConfig::default() }
-}
-
-/// A robot of the whole stack. Its id is still to be given.
-pub fn robot(mapper: MapperConfig, cycle: CycleConfig, seed: u64) -> RobotConfig {
-    let config = RobotConfig::new(RobotId(1), mapper.resolution, mapper.range_m);
-    RobotConfig { mapper, cycle, codec: Codec::Flock, seed, ..config }
-}
 
 /// A report in the making.
 struct Bench<'a> {

@@ -7,10 +7,10 @@ use flockmap_cli::table::{percent_short, thousands};
 use maud::html;
 
 use super::figures::{TABLE_ONE, TableOneRow};
-use super::flown::Flown;
-use super::methods::{MethodRow, MethodRows};
+use super::flown::{Flights, Flown};
+use super::methods::{self, MethodRow, MethodRows};
+use super::settings::mapper;
 use super::team::{self, RACER_CODE, Team};
-use super::{Flights, mapper, methods};
 
 const ABOUT_STACK: &str = "What Flockmap really puts on the wire with the codec `flock`: datagrams of at most 1,200 bytes with all headers, requests and \
      repairs, over a perfect radio.";

@@ -7,7 +7,8 @@ use super::figures::{Scene, TABLE_TWO, TABLE_TWO_RANGE_M};
 use super::flown::Flown;
 use super::jobs::{self, Job};
 use super::methods::MethodRows;
-use super::{mapper, team};
+use super::settings::mapper;
+use super::team;
 use crate::baselines::Method;
 
 /// Measures both orders on the forest.

@@ -11,8 +11,8 @@ use maud::{Markup, html};
 use super::figures::{CHANGES_MAX, FLIGHT_T_L_S, FLIGHT_UPDATE_BOX_M, TABLE_THREE};
 use super::flown::{Flown, LIDAR_RANGE_M};
 use super::jobs::{self, Job};
+use super::settings::{cycle, mapper, robot};
 use super::stack::{self, Stack, StackPlan, Traffic};
-use super::{cycle, mapper, robot};
 
 /// The emulated Wi-Fi: every tenth datagram is lost.
 pub const WIFI: Link = Link { loss: 0.1, delay_micros: 10_000, jitter_micros: 10_000, duplication: 0.0 };

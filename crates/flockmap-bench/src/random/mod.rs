@@ -64,9 +64,7 @@ pub fn run(args: &RandomArgs) -> anyhow::Result<bool> {
         ..Document::default()
     };
     document.print(true);
-    if let Some(path) = &args.json {
-        json_file::write(path, &document.json())?;
-    }
+    json_file::write_asked(args.json.as_deref(), &document.json())?;
     if let Some(path) = &args.csv {
         document.write_csv(TABLE, path)?;
     }

@@ -56,9 +56,7 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<bool> {
         package(args)?
     };
     print!("{text}");
-    if let Some(path) = &args.json {
-        json_file::write(path, &facts)?;
-    }
+    json_file::write_asked(args.json.as_deref(), &facts)?;
     Ok(true)
 }
 

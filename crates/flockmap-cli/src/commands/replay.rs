@@ -91,9 +91,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     let report = run.report(title, settings)?;
     let document = report.document();
     document.print(false);
-    if let Some(path) = &args.json {
-        json_file::write(path, &report)?;
-    }
+    json_file::write_asked(args.json.as_deref(), &report)?;
     if let Some(folder) = &args.out {
         document.write(folder, &report)?;
     }

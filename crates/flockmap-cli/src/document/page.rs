@@ -2,7 +2,8 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::{Cell, DataTable, Document, Part};
+use super::data_table::{Cell, DataTable};
+use super::model::{Document, Part};
 use crate::program::command_line;
 
 const STYLE: &str = include_str!("page.css");

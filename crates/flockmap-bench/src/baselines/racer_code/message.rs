@@ -3,7 +3,7 @@
 use anyhow::{Error, Result, anyhow};
 use flockmap::sync::IntervalSet;
 
-use super::CHUNK_VOXELS;
+use super::config::CHUNK_VOXELS;
 use crate::baselines::bytes::Reader;
 
 const NAME: &str = "racer-code";

@@ -1,16 +1,16 @@
 //! One robot that shares its map as RACER's code does.
 
-use anyhow::{Result, ensure};
 use std::collections::{BTreeMap, VecDeque};
 
+use anyhow::{Result, ensure};
 use flockmap::grid::{
     Changes, Mapper, Plane, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, State, Voxel, bit_of,
 };
 use flockmap::sync::IntervalSet;
 
+use super::config::{ANSWER_PAUSE_S, BEAT_MICROS, CHUNK_VOXELS, QUEUE_CHUNKS_MAX, RacerCast, RacerConfig};
 use super::message::{ChunkData, ChunkStamps, Topic, broken};
-use super::{ANSWER_PAUSE_S, BEAT_MICROS, CHUNK_VOXELS, QUEUE_CHUNKS_MAX, RacerCast, RacerConfig};
-use crate::baselines::StateMap;
+use crate::baselines::state_map::StateMap;
 
 /// Chunks held of all owners together: 52 million voxels, about 300 MB. More are not taken in.
 const CHUNKS_MAX: usize = 1 << 18;
@@ -223,6 +223,7 @@ impl RacerRobot {
     // Queries.
 
     /// What the one map says of a voxel.
+    #[cfg(test)]
     pub fn state(&self, voxel: Voxel) -> State {
         self.map.state(voxel)
     }
@@ -233,6 +234,7 @@ impl RacerRobot {
     }
 
     /// The own map, of own scans alone.
+    #[cfg(test)]
     pub const fn mapper(&self) -> &Mapper {
         &self.mapper
     }
@@ -251,11 +253,13 @@ impl RacerRobot {
     }
 
     /// Own voxels that are listed and in no chunk: nobody will hear of them unless more than 200 come together.
+    #[cfg(test)]
     pub fn left_behind(&self) -> usize {
         self.pending.len()
     }
 
     /// What was counted.
+    #[cfg(test)]
     pub const fn counters(&self) -> &RacerCounters {
         &self.counters
     }

@@ -1,10 +1,12 @@
 //! What RACER's map sharing does, and what comes of it.
 
-use flockmap::grid::{MapperConfig, Pose, Preset, Resolution, RobotId, Scan, Stamp, State, Voxel};
+use flockmap::grid::{MapperConfig, Pose, Preset, Resolution, RobotId, Scan, Stamp, State, Voxel, VoxelBox};
 use flockmap::sync::IntervalSet;
 use proptest::prelude::*;
 
-use super::*;
+use super::config::*;
+use super::message::*;
+use super::robot::*;
 
 const MS: i64 = 1_000;
 

@@ -75,9 +75,7 @@ pub fn run(args: &RadioArgs) -> anyhow::Result<bool> {
     println!("the radio is on");
     radio.work(args, &inputs);
     println!("{}", radio.table());
-    if let Some(path) = &args.json {
-        json_file::write(path, &radio.report())?;
-    }
+    json_file::write_asked(args.json.as_deref(), &radio.report())?;
     Ok(true)
 }
 

@@ -27,7 +27,7 @@ Examples:
 
 Each robot looks for frontiers in its own fused map, which holds what came over the radio: a slow or lossy radio costs time, and without one
 (--no-sync) everybody sees everything. The files are as those of `sim fly`, with pictures of the fused map.",
-    mut_args(super::hide_foreign_to_exploration)
+    mut_args(super::hidden::hide_foreign_to_exploration)
 )]
 pub struct SimExploreArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
@@ -79,9 +79,7 @@ pub fn run(args: &SimExploreArgs) -> anyhow::Result<bool> {
     let records = explore::record(&mut explorer, &args.out, !args.no_view, "exploring: seconds")?;
     robot_record::print_table(&records);
     print_outcome(&explorer, args);
-    if let Some(path) = &args.json {
-        json_file::write(path, &facts(&explorer, args, &records))?;
-    }
+    json_file::write_asked(args.json.as_deref(), &facts(&explorer, args, &records))?;
     Ok(true)
 }
 

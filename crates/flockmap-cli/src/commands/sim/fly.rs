@@ -29,7 +29,7 @@ made and of its way; ROS 2, Foxglove and Rerun open it as it is. The same comman
 A replay of the files is the replay of the flight itself: `replay forest --see-team-mates` gives the same bytes. Robots are in each other's scans;
 --see-team-mates leaves them out of the maps again.",
         // What says how to read records, or when to send, says nothing here.
-        mut_args(super::hide_foreign)
+        mut_args(super::hidden::hide_foreign)
     )]
 pub struct SimFlyArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)

@@ -167,9 +167,7 @@ fn one(args: &SimSwarmArgs) -> anyhow::Result<bool> {
     let _ = std::io::stdout().flush();
     let report = fly(&options);
     print!("{}", account(&report));
-    if let Some(path) = &args.json {
-        json_file::write(path, &one_as_json(&report))?;
-    }
+    json_file::write_asked(args.json.as_deref(), &one_as_json(&report))?;
     Ok(report.is_good())
 }
 
@@ -218,9 +216,7 @@ fn many(args: &SimSwarmArgs, seeds: u64) -> anyhow::Result<bool> {
     let mut sum = sum.into_inner().unwrap_or_else(PoisonError::into_inner);
     sum.failures.sort_by_key(|(seed, _)| *seed);
     print!("{}", summary(&mut sum, began.elapsed(), threads));
-    if let Some(path) = &args.json {
-        json_file::write(path, &many_as_json(args, &sum))?;
-    }
+    json_file::write_asked(args.json.as_deref(), &many_as_json(args, &sum))?;
     Ok(sum.failures.is_empty())
 }
 
