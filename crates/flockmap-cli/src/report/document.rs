@@ -247,6 +247,7 @@ impl Report {
             [r.name.clone(), free, occupied, layers]
         });
         DataTable::unnamed(["map", "free", "occupied", "layers held (robot: voxels)"], rows)
+            .with_note("Voxels of each robot's fused map, and of each layer that it holds.")
     }
 
     /// Each layer beside the original.
