@@ -29,7 +29,7 @@ readme() {
     out=$(mktemp -d)
     cargo run --release --locked -- demo --out "$out"
     test -s "$out/report.html" -a -s "$out/report.json"
-    cargo run --release --locked -- bench codecs forest --json "$out/codecs.json"
+    cargo run --release --locked -p flockmap-bench -- codecs forest --json "$out/codecs.json"
     test -s "$out/codecs.json"
     rm -r "$out"
 }

@@ -1,6 +1,6 @@
 //! Lines over an axis as SVG and bars as HTML, coloured by the page that they stand in.
 
-use core::fmt::Write;
+use maud::{Markup, html};
 
 /// How values lie along an axis.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -38,7 +38,7 @@ impl<'a> Line<'a> {
 /// A bar: name, class, length, and the length in words.
 pub struct Bar {
     pub name: String,
-    pub class: String,
+    pub class: &'static str,
     pub value: f64,
     pub text: String,
 }
@@ -57,7 +57,7 @@ const DECADES_MAX: f64 = 9.0;
 
 /// KB in each second on a logarithmic axis, so that lines a factor of ten apart can both be read. A second with nothing lies on the
 /// floor of the axis.
-pub fn kb_per_second(lines: &[Line<'_>]) -> String {
+pub fn kb_per_second(lines: &[Line<'_>]) -> Markup {
     let (x, y) = (
         Axis { label: "time in s", scale: Scale::Linear },
         Axis { label: "KB sent in each second", scale: Scale::Log },
@@ -66,75 +66,54 @@ pub fn kb_per_second(lines: &[Line<'_>]) -> String {
 }
 
 /// The chart and its legend.
-pub fn svg(x_axis: Axis<'_>, y_axis: Axis<'_>, lines: &[Line<'_>]) -> String {
+pub fn svg(x_axis: Axis<'_>, y_axis: Axis<'_>, lines: &[Line<'_>]) -> Markup {
     let x_range = Range::of(x_axis.scale, lines.iter().flat_map(|line| &line.points).map(|point| point.0));
     let y_range = Range::of(y_axis.scale, lines.iter().flat_map(|line| &line.points).map(|point| point.1));
     // Time and the like fill the width; heights end at a round number.
     let y_range = y_range.rounded();
     let x = |value: f64| LEFT + x_range.share(value) * (WIDTH - LEFT - RIGHT);
     let y = |value: f64| HEIGHT - BOTTOM - y_range.share(value) * (HEIGHT - TOP - BOTTOM);
-    let mut svg = format!(
-        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{} over {}\">",
-        y_axis.label, x_axis.label
-    );
-    for value in y_range.ticks(5.0) {
-        let (at, text) = (y(value), label(value));
-        let _ = write!(
-            svg,
-            "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text class=\"axis end\" x=\"{}\" y=\"{:.1}\">{text}</text>",
-            WIDTH - RIGHT,
-            LEFT - 8.0,
-            at + 5.0
-        );
-    }
-    for value in x_range.ticks(6.0) {
-        let _ = write!(
-            svg,
-            "<text class=\"axis mid\" x=\"{:.1}\" y=\"{}\">{}</text>",
-            x(value),
-            HEIGHT - BOTTOM + 24.0,
-            label(value)
-        );
-    }
-    let _ = write!(
-        svg,
-        "<text class=\"axis mid\" x=\"{}\" y=\"{}\">{}</text>",
-        (LEFT + WIDTH - RIGHT) / 2.0,
-        HEIGHT - 4.0,
-        x_axis.label
-    );
-    for line in lines {
-        let mut points = String::new();
-        for (at, value) in &line.points {
-            let _ = write!(points, "{:.1},{:.1} ", x(*at), y(*value));
+    let tenths = |at: f64| format!("{at:.1}");
+    let points = |line: &Line<'_>| {
+        let points = line.points.iter().map(|(at, value)| format!("{:.1},{:.1}", x(*at), y(*value)));
+        points.collect::<Vec<_>>().join(" ")
+    };
+    html! {
+        svg.chart viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img"
+            aria-label={ (y_axis.label) " over " (x_axis.label) } {
+            @for value in y_range.ticks(5.0) {
+                @let at = tenths(y(value));
+                line.grid x1=(LEFT) x2=(WIDTH - RIGHT) y1=(at) y2=(at) {}
+                text.axis.end x=(LEFT - 8.0) y=(tenths(y(value) + 5.0)) { (label(value)) }
+            }
+            @for value in x_range.ticks(6.0) {
+                text.axis.mid x=(tenths(x(value))) y=(HEIGHT - BOTTOM + 24.0) { (label(value)) }
+            }
+            text.axis.mid x=((LEFT + WIDTH - RIGHT) / 2.0) y=(HEIGHT - 4.0) { (x_axis.label) }
+            @for line in lines { polyline class={ "line " (line.class) } points=(points(line)) {} }
         }
-        let _ = write!(svg, "<polyline class=\"line {}\" points=\"{}\"/>", line.class, points.trim_end());
+        p.legend {
+            "Upwards: " (y_axis.label) ". "
+            @for line in lines {
+                span.entry { span class={ "key " (line.class) } {} (line.name) } " "
+            }
+        }
     }
-    let _ = write!(svg, "</svg><p class=\"legend\">Upwards: {}. ", y_axis.label);
-    for line in lines {
-        let _ = write!(
-            svg,
-            "<span class=\"entry\"><span class=\"key {}\"></span>{}</span> ",
-            line.class, line.name
-        );
-    }
-    svg += "</p>";
-    svg
 }
 
-/// Bars from the left, the longest over the whole width. Names and texts must be fit for HTML.
-pub fn bars(bars: &[Bar]) -> String {
+/// Bars from the left, the longest over the whole width.
+pub fn bars(bars: &[Bar]) -> Markup {
     let largest = bars.iter().fold(0.0f64, |a, b| a.max(b.value)).max(1e-300);
-    let mut html = String::from("<div class=\"bars\">");
-    for bar in bars {
-        let share = (bar.value / largest * 100.0).clamp(0.0, 100.0);
-        let _ = write!(
-            html,
-            "<span>{}</span><div class=\"track\"><i class=\"key {}\" style=\"width:{share:.2}%\"></i></div><b>{}</b>",
-            bar.name, bar.class, bar.text
-        );
+    let width = |bar: &Bar| format!("width:{:.2}%", (bar.value / largest * 100.0).clamp(0.0, 100.0));
+    html! {
+        div.bars {
+            @for bar in bars {
+                span { (bar.name) }
+                div.track { i class={ "key " (bar.class) } style=(width(bar)) {} }
+                b { (bar.text) }
+            }
+        }
     }
-    html + "</div>"
 }
 
 /// What an axis spans.
@@ -246,12 +225,12 @@ mod tests {
     #[test]
     fn a_chart_of_nothing_is_still_a_chart() {
         for values in [&[][..], &[0.0], &[0.0, 0.0, 1e9], &[f64::NAN, f64::INFINITY]] {
-            let svg = kb_per_second(&[Line::per_second("a", "ours", values)]);
+            let svg = kb_per_second(&[Line::per_second("a", "ours", values)]).into_string();
             assert!(svg.starts_with("<svg") && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
         }
-        let bar = |value| Bar { name: String::new(), class: String::new(), value, text: String::new() };
-        assert!(bars(&[bar(0.0)]).contains("width:0.00%"));
-        assert!(bars(&[bar(2.0), bar(4.0)]).contains("width:50.00%"));
+        let bar = |value| Bar { name: String::new(), class: "c1", value, text: String::new() };
+        assert!(bars(&[bar(0.0)]).into_string().contains("width:0.00%"));
+        assert!(bars(&[bar(2.0), bar(4.0)]).into_string().contains("width:50.00%"));
     }
 
     #[test]

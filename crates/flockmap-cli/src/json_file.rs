@@ -13,3 +13,8 @@ pub fn write(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
         format!("cannot write {}: does its folder exist, and may you write there?", path.display())
     })
 }
+
+/// The same, if a file was asked for.
+pub fn write_asked(path: Option<&Path>, value: &impl Serialize) -> anyhow::Result<()> {
+    path.map_or(Ok(()), |path| write(path, value))
+}

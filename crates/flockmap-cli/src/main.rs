@@ -2,93 +2,110 @@
 #![forbid(unsafe_code)]
 #![allow(unreachable_pub, reason = "a program has no outside")]
 
-mod args;
-mod args_sim;
-mod bench_application;
-mod bench_catch_up;
-mod bench_codecs;
-mod bench_mapping;
-mod bench_paper;
-mod bench_random;
-mod chart;
-mod codec_run;
-mod demo;
-mod document;
-mod export;
-mod html;
-mod info;
-mod json_file;
-mod key;
-mod measure;
-mod member;
-mod options;
-mod picture;
-mod present_run;
-mod progress;
-mod radio;
-mod replay;
-mod report;
-#[allow(dead_code, reason = "made for the comparison with the paper; its tests run it")]
-mod rival_swarm;
-mod sim;
-mod sources;
-mod stop;
-mod swarm;
-mod table;
-mod team;
+mod commands;
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{Parser, Subcommand};
+use commands::{demo, export, info, key, moved, node, radio, replay, sim};
+use flockmap_cli::{program, stop};
 
-use args::{BenchCommand, Cli, Command};
+/// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
+#[derive(Parser, Debug)]
+#[command(name = "flockmap", version, arg_required_else_help = true, after_help = START_HERE)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
 
-/// The result is not what it must be: robots disagree, a codec is not lossless.
-const EXIT_DISAGREEMENT: u8 = 1;
-/// The work could not be done; the same code as for a wrong command line.
-const EXIT_FAILED: u8 = 2;
+const START_HERE: &str = "\
+Start here:
+  flockmap demo                                 two robots, a forest, real sockets, one minute
+  flockmap replay forest --loss 0.2             two simulated robots, every fifth datagram lost
+  flockmap replay robot1.mcap robot2.mcap       your own records
+
+`flockmap COMMAND --help` says more, with examples. What it costs beside other methods is measured by a program of its own, `flockmap-bench`.";
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    Demo(demo::DemoArgs),
+    Node(node::NodeArgs),
+    Key(key::KeyArgs),
+    Radio(radio::RadioArgs),
+    Replay(replay::ReplayArgs),
+    #[command(subcommand)]
+    Sim(sim::SimCommand),
+    Info(info::InfoArgs),
+    Export(export::ExportArgs),
+    #[command(hide = true)]
+    Bench(moved::BenchArgs),
+}
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
+    // A node listens by itself.
     if !matches!(cli.command, Command::Node(_)) {
         stop::listen();
     }
-    let result = match &cli.command {
-        Command::Bench(BenchCommand::Codecs(args)) => bench_codecs::run(args),
-        Command::Bench(BenchCommand::CatchUp(args)) => bench_catch_up::run(args),
-        Command::Bench(BenchCommand::Mapping(args)) => bench_mapping::run(args),
-        Command::Bench(BenchCommand::Paper(args)) => bench_paper::run(args),
-        Command::Bench(BenchCommand::Application(args)) => bench_application::run(args),
-        Command::Bench(BenchCommand::Random(args)) => bench_random::run(args),
-        Command::Replay(args) => replay::run(args),
-        Command::Sim(command) => sim::run(command),
+    program::exit_code(match &cli.command {
         Command::Demo(args) => demo::run(args),
-        Command::Node(args) => flockmap_node::run(&args.config).map(|()| true),
+        Command::Node(args) => node::run(args),
         Command::Key(args) => key::run(args),
         Command::Radio(args) => radio::run(args),
+        Command::Replay(args) => replay::run(args),
+        Command::Sim(command) => sim::run(command),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
-    };
-    match result {
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::from(EXIT_FAILED)
-        }
-        Ok(_) if stop::requested() => ExitCode::from(stop::EXIT_CODE),
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::from(EXIT_DISAGREEMENT),
-    }
+        Command::Bench(args) => moved::run(args),
+    })
 }
 
-/// The command as it was given, for reports: the same words make the same run again.
-fn command_line() -> String {
-    let quoted = |word: String| {
-        if word.contains(|c: char| c.is_whitespace() || "'\"$`\\&;|<>()".contains(c)) {
-            format!("'{}'", word.replace('\'', "'\\''"))
-        } else {
-            word
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+    use flockmap_cli::options::CastName;
+
+    fn parse(line: &str) -> Result<Cli, clap::Error> {
+        Cli::try_parse_from(line.split_whitespace())
+    }
+
+    #[test]
+    fn the_definition_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_shows_examples() {
+        fn check(command: &clap::Command) {
+            if command.has_subcommands() {
+                command.get_subcommands().for_each(check);
+            } else {
+                let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+                assert!(help.contains("Example"), "`{}` has no example", command.get_name());
+                assert!(help.contains("flockmap "), "{help}");
+                assert!(command.get_about().is_some(), "`{}` says nothing", command.get_name());
+            }
         }
-    };
-    let words = std::env::args_os().skip(1).map(|word| quoted(word.to_string_lossy().into_owned()));
-    std::iter::once("flockmap".to_owned()).chain(words).collect::<Vec<_>>().join(" ")
+        Cli::command().get_subcommands().filter(|command| !command.is_hide_set()).for_each(check);
+    }
+
+    #[test]
+    fn replay_takes_records_and_the_radio() {
+        let cli =
+            parse("flockmap replay a.mcap b.mcap --loss 0.2 --delay-ms 50 --cast broadcast --d 100").unwrap();
+        let Command::Replay(args) = cli.command else { panic!("{cli:?}") };
+        assert_eq!(args.records.len(), 2);
+        assert_eq!((args.loss, args.delay_ms, args.map.d), (0.2, 50.0, 100));
+        assert_eq!(args.cast, CastName::Broadcast);
+        assert_eq!((args.map.resolution, args.map.range, args.map.t_l), (0.1, 7.0, 0.5));
+    }
+
+    #[test]
+    fn wrong_words_are_named() {
+        let error = parse("flockmap replay forest --mapper octo").unwrap_err().to_string();
+        assert!(error.contains("octo") && error.contains("rog-map"), "{error}");
+        assert!(parse("flockmap replay").is_err());
+        assert!(parse("flockmap replay forest --looss 0.2").unwrap_err().to_string().contains("--loss"));
+    }
 }

@@ -18,6 +18,7 @@ const RACER_MESSAGE_VOXELS: u64 = 200;
 const RACER_MESSAGE_BYTES: u64 = 52;
 
 /// All that is measured of one robot.
+#[derive(Default)]
 pub struct Measures {
     /// UDP payload that went out; a copy to each of several robots counts each.
     pub sent: Sent,
@@ -30,8 +31,6 @@ pub struct Measures {
     /// What the paper's method would have sent for the same cycles, each as one whole package, once.
     pub paper: Sent,
     pub paper_packages: u64,
-    pub cycles: u64,
-    pub changes: u64,
     /// Own changes closed into packages.
     pub pack: Times,
     /// A datagram of others decoded, merged and fused.
@@ -45,7 +44,6 @@ pub struct Measures {
     encoder: Encoder,
     /// Time of the input whose events come next, and what it was.
     input: Option<(Input, Duration)>,
-    first_index: u32,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -55,28 +53,6 @@ enum Input {
 }
 
 impl Measures {
-    pub fn new() -> Self {
-        Self {
-            sent: Sent::default(),
-            datagrams: 0,
-            received: Sent::default(),
-            racer: Sent::default(),
-            racer_messages: 0,
-            paper: Sent::default(),
-            paper_packages: 0,
-            cycles: 0,
-            changes: 0,
-            pack: Times::default(),
-            insert: Times::default(),
-            map: Times::default(),
-            ages: AgesByState::default(),
-            onset: Layer::default(),
-            encoder: Encoder::new(),
-            input: None,
-            first_index: 1,
-        }
-    }
-
     /// A scan was mapped; `took` if it was measured here.
     pub fn scan(&mut self, took: Option<Duration>, report: &ScanReport, stamp: Stamp) {
         if let Some(took) = took {
@@ -114,13 +90,11 @@ impl Measures {
                     self.pack.add(took);
                 }
                 let voxels = changes.len() as u64;
-                self.cycles += 1;
-                self.changes += voxels;
                 let messages = voxels.div_ceil(RACER_MESSAGE_VOXELS);
                 self.racer_messages += messages;
                 self.racer.add(now, voxels * RACER_VOXEL_BYTES + messages * RACER_MESSAGE_BYTES);
-                if let Ok(whole) = self.encoder.encode_whole(Codec::Paper, cycle, self.first_index, changes) {
-                    self.first_index += 1;
+                let index = self.paper_packages as u32 + 1;
+                if let Ok(whole) = self.encoder.encode_whole(Codec::Paper, cycle, index, changes) {
                     self.paper_packages += 1;
                     self.paper.add(now, whole.bytes().len() as u64);
                 }

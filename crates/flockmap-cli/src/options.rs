@@ -1,10 +1,122 @@
-//! From the command line to what the library takes.
+//! Options that several commands share, and what the library takes in their place.
+
+use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use flockmap::grid::MapperConfig;
-use flockmap::{Cast, CycleConfig, Resolution};
+use clap::{Args, ValueEnum};
+use flockmap::grid::{MapperConfig, Preset};
+use flockmap::{Cast, Codec, CycleConfig, Resolution, RobotConfig, RobotId};
+use flockmap_worlds::{Lidar, Rendering};
 
-use crate::args::{CastName, MapArgs};
+/// How robots map and pack.
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Mapping and packing")]
+pub struct MapArgs {
+    /// Side of a voxel in metres
+    #[arg(long, value_name = "M", default_value_t = 0.1)]
+    pub resolution: f64,
+    /// Rays longer than this many metres are cut there
+    #[arg(long, value_name = "M", default_value_t = 7.0)]
+    pub range: f64,
+    /// A cycle of mapping is sent after so many seconds
+    #[arg(long, value_name = "S", default_value_t = 0.5)]
+    pub t_l: f64,
+    /// Obstacles are sent after so many seconds, ahead of free space [default: with everything else]
+    #[arg(long, value_name = "S")]
+    pub t_l_occupied: Option<f64>,
+    /// A cycle of mapping is sent once so many voxels have changed
+    #[arg(long, value_name = "N", default_value_t = 50_000)]
+    pub d: usize,
+    /// Rules of the mapper: rog-map, racer or octomap
+    #[arg(long, value_name = "NAME", default_value_t = Preset::RogMap)]
+    pub mapper: Preset,
+}
+
+/// What the robots see.
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Simulated flights and records")]
+pub struct SourceArgs {
+    /// LiDAR of simulated robots: avia (as on the paper's robots) or mid360
+    #[arg(long, value_name = "NAME", default_value_t = Lidar::Avia)]
+    pub lidar: Lidar,
+    /// How far the simulated LiDAR sees, in metres. Returns from beyond --range carve free space up to there
+    /// [default: --range, as in the paper's simulation: what is farther gives no return]
+    #[arg(long, value_name = "M")]
+    pub lidar_range: Option<f64>,
+    /// Rays of the simulated LiDAR that hit nothing carve free space too
+    #[arg(long)]
+    pub no_returns: bool,
+    /// How beams meet the world: cast (exact) or polar (an image of ranges from points, as the MARSIM simulator does)
+    #[arg(long, value_name = "NAME", default_value_t = Rendering::Cast)]
+    pub rendering: Rendering,
+    /// Standard deviation of the noise on the range of a return, in metres (0.02 is that of real devices)
+    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    pub range_noise: f64,
+    /// Share of the returns that are lost, 0 to 1
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    pub drop_out: f64,
+    /// The simulated robot moves during a scan, and its points are not corrected for it
+    #[arg(long)]
+    pub scan_motion: bool,
+    /// Spheres and boxes of 0.6 to 0.8 m that move about at 1 to 3 m/s and are seen by simulated robots
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub moving_obstacles: usize,
+    /// Robots are seen in each other's scans, and leave each other out of their maps. With records: they were seen, so leave
+    /// them out (poses in one common frame)
+    #[arg(long)]
+    pub see_team_mates: bool,
+    /// Seed of generated worlds, flights, and of the radio
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Simulated robots; `replay` of a single record cuts it by time into as many
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    pub robots: usize,
+    /// Length of simulated flights, and where records are cut, in seconds [default: flights 60, records whole]
+    #[arg(long, value_name = "S")]
+    pub seconds: Option<f64>,
+    /// Highest speed of simulated robots in m/s [default: 1.5; robots that explore: 2]
+    #[arg(long, value_name = "M_S")]
+    pub speed: Option<f64>,
+    /// Side of the solid cells of a world made from a point cloud, in metres [default: 0.1, and 0.2 for .las and .laz]
+    #[arg(long, value_name = "M")]
+    pub world_resolution: Option<f64>,
+    /// Pose file of a folder of scans, in KITTI's form [default: optimized_poses.txt, odom_poses.txt or poses.txt in it]
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    /// Time between scans of a folder without times.txt, in seconds
+    #[arg(long, value_name = "S")]
+    pub scan_period: Option<f64>,
+    /// Topic of the scans in an .mcap [default: the only one with PointCloud2]
+    #[arg(long, value_name = "TOPIC")]
+    pub points_topic: Option<String>,
+    /// Topic of the odometry in an .mcap [default: the one that tells of the frame of the scans]
+    #[arg(long, value_name = "TOPIC")]
+    pub odometry_topic: Option<String>,
+    /// Frame of the map in an .mcap [default: parent frame of the odometry, or root of tf]
+    #[arg(long, value_name = "FRAME")]
+    pub map_frame: Option<String>,
+}
+
+impl Default for SourceArgs {
+    /// As when nothing is said.
+    fn default() -> Self {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            source: SourceArgs,
+        }
+        <Line as clap::Parser>::parse_from(["flockmap"]).source
+    }
+}
+
+/// How datagrams go out.
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CastName {
+    /// To each robot on its own; every copy counts
+    Unicast,
+    /// Once for all, as on a shared radio
+    Broadcast,
+}
 
 impl MapArgs {
     /// The side of a voxel.
@@ -16,6 +128,12 @@ impl MapArgs {
     /// The mapper's configuration.
     pub fn mapper(&self) -> anyhow::Result<MapperConfig> {
         Ok(MapperConfig::preset(self.mapper, self.resolution()?, self.range))
+    }
+
+    /// A robot that maps and packs like this. Its id is still to be given.
+    pub fn robot(&self, codec: Codec, seed: u64) -> anyhow::Result<RobotConfig> {
+        let config = RobotConfig::new(RobotId(1), self.resolution()?, self.range);
+        Ok(RobotConfig { mapper: self.mapper()?, cycle: self.cycle()?, codec, seed, ..config })
     }
 
     /// When cycles close.
@@ -33,20 +151,34 @@ pub fn milliseconds(option: &str, seconds: f64) -> anyhow::Result<u32> {
     Ok((seconds * 1e3).round() as u32)
 }
 
+/// A share of datagrams from the command line.
+pub fn share(option: &str, share: f64) -> anyhow::Result<f64> {
+    let fits = (0.0..=1.0).contains(&share);
+    ensure!(fits, "{option} is {share}, expected 0 to 1 (0.2 loses every fifth datagram)");
+    Ok(share)
+}
+
+/// A delay from the command line, in microseconds.
+pub fn delay_micros(option: &str, ms: f64) -> anyhow::Result<i64> {
+    ensure!((0.0..=60_000.0).contains(&ms), "{option} is {ms}, expected 0 to 60,000");
+    Ok((ms * 1e3) as i64)
+}
+
+/// `--budget-kb-s` in bytes a second.
+pub fn budget(kb_s: f64) -> anyhow::Result<u32> {
+    let bytes = kb_s * 1024.0;
+    ensure!(
+        (500.0..=4e9).contains(&bytes),
+        "--budget-kb-s is {kb_s}, expected at least 0.49 (500 bytes a second: a datagram in two and a half seconds)"
+    );
+    Ok(bytes as u32)
+}
+
 impl From<CastName> for Cast {
     fn from(name: CastName) -> Self {
         match name {
             CastName::Unicast => Self::Unicast,
             CastName::Broadcast => Self::Broadcast,
-        }
-    }
-}
-
-impl CastName {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unicast => "unicast",
-            Self::Broadcast => "broadcast",
         }
     }
 }

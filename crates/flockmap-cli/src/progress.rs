@@ -2,7 +2,8 @@
 
 use std::cell::RefCell;
 use std::io::IsTerminal;
-use std::sync::LazyLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
@@ -34,14 +35,19 @@ pub fn line(words: &str) {
     }
 }
 
-/// Progress towards a number of steps.
+/// Progress towards a number of steps, for as many threads as work on them.
 pub struct Progress {
     within: String,
-    what: String,
     total: u64,
-    done: u64,
+    done: AtomicU64,
     bar: Option<ProgressBar>,
-    last_line: Instant,
+    line: Mutex<Line>,
+}
+
+/// What is said where there is no bar.
+struct Line {
+    what: String,
+    last: Instant,
 }
 
 impl Progress {
@@ -62,35 +68,45 @@ impl Progress {
             bar.set_message(format!("{within}{what}"));
             bar
         });
-        Self { within, what: what.to_owned(), total, done: 0, bar, last_line: Instant::now() }
+        let line = Mutex::new(Line { what: what.to_owned(), last: Instant::now() });
+        Self { within, total, done: AtomicU64::new(0), bar, line }
     }
 
     /// One step more.
-    pub fn step(&mut self) {
-        self.set(self.done + 1);
+    pub fn step(&self) {
+        self.add(1);
+    }
+
+    /// So many steps more.
+    pub fn add(&self, steps: u64) {
+        self.show(self.done.fetch_add(steps, Ordering::Relaxed) + steps);
     }
 
     /// So many steps are done.
-    pub fn set(&mut self, done: u64) {
-        self.done = done;
+    pub fn set(&self, done: u64) {
+        self.done.store(done, Ordering::Relaxed);
+        self.show(done);
+    }
+
+    fn show(&self, done: u64) {
         if let Some(bar) = &self.bar {
             bar.set_position(done);
-        } else if self.last_line.elapsed() >= LINE_EVERY {
-            self.last_line = Instant::now();
-            if self.total > 0 {
-                eprintln!("{}{}: {} of {}", self.within, self.what, done, self.total);
-            } else {
-                eprintln!("{}{}: {}", self.within, self.what, done);
-            }
+            return;
+        }
+        let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
+        if line.last.elapsed() >= LINE_EVERY {
+            line.last = Instant::now();
+            let of = if self.total > 0 { format!(" of {}", self.total) } else { String::new() };
+            eprintln!("{}{}: {done}{of}", self.within, line.what);
         }
     }
 
     /// Changes what the bar, or the next line, says.
-    pub fn say(&mut self, what: String) {
+    pub fn say(&self, what: String) {
         if let Some(bar) = &self.bar {
             bar.set_message(format!("{}{what}", self.within));
         }
-        self.what = what;
+        self.line.lock().unwrap_or_else(PoisonError::into_inner).what = what;
     }
 }
 

@@ -10,7 +10,7 @@ use flockmap::{Pose, Resolution, Scan, Sphere, Stamp};
 use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_worlds::{Flight, ObstacleOptions, Patrol, PatrolOptions, ScanOptions, Shape, Tracks, World};
 
-use crate::args::SourceArgs;
+use crate::options::SourceArgs;
 use crate::team::{Team, TeamMate};
 
 /// A scan and `T_map_sensor`, the pose that it was taken at.
@@ -132,6 +132,23 @@ pub fn open(
             open_records(paths, source, real_stamps)
         }
     }
+}
+
+/// Simulated robots that fly through the world that `--scene` names.
+pub fn open_scene(scene: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources> {
+    check_scene(scene)?;
+    eprintln!("making the world and planning the flights ...");
+    open(&[scene.to_owned()], source, range_m, false)
+}
+
+/// Whether `--scene` names a world.
+pub fn check_scene(scene: &Path) -> anyhow::Result<()> {
+    ensure!(
+        is_world(scene),
+        "--scene {}: expected forest, indoor, or a .bt, .pcd, .ply, .las or .laz file",
+        scene.display()
+    );
+    Ok(())
 }
 
 /// Whether this names a world to fly through.
@@ -315,12 +332,9 @@ pub fn open_world(path: &Path, source: &SourceArgs) -> anyhow::Result<World> {
     if path == Path::new("indoor") {
         return Ok(World::indoor(source.seed));
     }
-    let resolution = match source.world_resolution {
-        None => None,
-        Some(side) => Some(
-            Resolution::from_metres(side)
-                .with_context(|| format!("--world-resolution is {side}, expected 0.001 to 100 m"))?,
-        ),
+    let resolution = |side| {
+        Resolution::from_metres(side)
+            .with_context(|| format!("--world-resolution is {side}, expected 0.001 to 100 m"))
     };
-    Ok(World::open(path, resolution)?)
+    Ok(World::open(path, source.world_resolution.map(resolution).transpose()?)?)
 }

@@ -9,10 +9,11 @@ use flockmap_netsim::{RadioConfig, RadioEmulator, To};
 use crate::measure::Times;
 use crate::member::Measures;
 use crate::picture::Snapshot;
+use crate::program::command_line;
 use crate::progress::Progress;
 use crate::report::{Course, Finished, Report, Settings};
 use crate::sources::{Frames, Source};
-use crate::{command_line, stop};
+use crate::stop;
 
 /// After the last scan, virtual time runs on for at most this long until everything has arrived.
 const SETTLE_SECONDS_MAX: f64 = 600.0;
@@ -76,7 +77,7 @@ pub fn run(
     radio: RadioConfig,
 ) -> anyhow::Result<Run> {
     let expected = sources.iter().map(|source| source.frames_expected).sum();
-    let mut progress = Progress::new("scans", expected);
+    let progress = Progress::new("scans", expected);
     let moments = moments(&sources);
     let mut members = Vec::new();
     for (number, source) in sources.into_iter().enumerate() {
@@ -85,7 +86,7 @@ pub fn run(
         members.push(Member {
             name: source.name,
             robot: Robot::new(config, Stamp(0))?,
-            measures: Measures::new(),
+            measures: Measures::default(),
             snapshots: Vec::new(),
             frames_damaged: 0,
             next_scan: frames.next_stamp(),

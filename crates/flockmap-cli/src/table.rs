@@ -8,10 +8,20 @@ pub struct Table {
     rows: Vec<Vec<String>>,
 }
 
+/// One column of rows of `R`: its heading, and its cell in a row.
+pub type Column<'a, R> = (&'static str, &'a dyn Fn(&R) -> String);
+
 impl Table {
     /// A table with these headings.
     pub fn new<S: Into<String>>(headings: impl IntoIterator<Item = S>) -> Self {
         Self { rows: vec![headings.into_iter().map(Into::into).collect()] }
+    }
+
+    /// A table with a row for each of these: headings, and what stands below them.
+    pub fn of<R>(rows: &[R], columns: &[Column<'_, R>]) -> Self {
+        let mut table = Self::new(columns.iter().map(|(heading, _)| *heading));
+        rows.iter().for_each(|row| table.row(columns.iter().map(|(_, cell)| cell(row))));
+        table
     }
 
     /// One row more.

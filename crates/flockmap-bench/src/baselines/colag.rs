@@ -1,0 +1,147 @@
+//! ColAG (the paper's [6]): the addresses of the occupied and of the unknown voxels in a region around the robot; all
+//! else in the region is free.
+//!
+//! A message: number of boxes; each box as its lowest voxel (3 × i32) and its sides (3 numbers); number of occupied voxels; their
+//! addresses; then the addresses of the unknown voxels up to the end. An address is 4 bytes: the place in the boxes one after
+//! the other, each in nested order. Numbers are varints.
+
+use anyhow::{Result, ensure};
+use flockmap::codec::Cycle;
+use flockmap::grid::{
+    BLOCK_VOXELS, Changes, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox, bit_of, voxel_bit,
+};
+
+use crate::baselines::bytes::{Reader, write_box};
+use crate::baselines::state_map::StateMap;
+use crate::baselines::traits::{Messages, Sender};
+use flockmap::codec::bytes::put_varint;
+
+/// What the region is.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Region {
+    /// The box of the cycle's changes: a box round the robot, and none larger than it has to be.
+    Box,
+    /// The box of the changes in each block of 8³ voxels: as little as any region could be.
+    Blocks,
+}
+
+pub(crate) struct ColagSender {
+    region: Region,
+    told: StateMap,
+}
+
+impl ColagSender {
+    pub(crate) fn new(region: Region) -> Self {
+        Self { region, told: StateMap::default() }
+    }
+}
+
+const METHOD: &str = "colag";
+
+/// Most voxels in the region of a message.
+const REGION_VOXELS_MAX: u64 = 1 << 26;
+
+impl Sender for ColagSender {
+    fn cycle(&mut self, _now: Stamp, _cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()> {
+        self.told.apply(changes)?;
+        let boxes: Vec<VoxelBox> = match self.region {
+            Region::Box => changes.bounding_box().into_iter().collect(),
+            Region::Blocks => {
+                let one = |pair| Changes::from_blocks(vec![pair]).bounding_box();
+                changes.blocks().iter().filter_map(|pair| one(*pair)).collect()
+            }
+        };
+        let volume: u128 = boxes.iter().map(VoxelBox::volume).sum();
+        let fits = volume <= u128::from(REGION_VOXELS_MAX);
+        ensure!(fits, "{METHOD} cannot send this: a region has at most 2²⁶ voxels");
+        let mut message = Vec::new();
+        put_varint(&mut message, boxes.len() as u64);
+        let (mut occupied, mut unknown) = (Vec::new(), Vec::new());
+        let mut first = 0u32;
+        for region in &boxes {
+            write_box(&mut message, region);
+            self.list(region, first, &mut occupied, &mut unknown);
+            first += region.volume() as u32;
+        }
+        put_varint(&mut message, occupied.len() as u64);
+        for address in occupied.iter().chain(&unknown) {
+            message.extend_from_slice(&address.to_le_bytes());
+        }
+        out.push(message);
+        Ok(())
+    }
+}
+
+impl ColagSender {
+    fn list(&self, region: &VoxelBox, first: u32, occupied: &mut Vec<u32>, unknown: &mut Vec<u32>) {
+        let (min, [_, ny, nz]) = (region.min(), region.size());
+        for index in region.blocks() {
+            let block = self.told.block(index);
+            let corner = index.corner();
+            for bit in 0..BLOCK_VOXELS {
+                let list = match block.get(bit) {
+                    State::Free => continue,
+                    State::Occupied => &mut *occupied,
+                    State::Unknown => &mut *unknown,
+                };
+                let [x, y, z] = bit_of(bit);
+                let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
+                if region.contains(voxel) {
+                    let [x, y, z] = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as u32);
+                    list.push(first + (x * ny + y) * nz + z);
+                }
+            }
+        }
+    }
+}
+
+/// Takes in a message. Memory: 160 bytes for each block of the region, at most 2²⁶ voxels.
+pub(crate) fn apply(message: &[u8], map: &mut StateMap) -> Result<()> {
+    let mut reader = Reader::new(METHOD, message);
+    let rule = "a list of boxes within the grid, of 2²⁶ voxels at most together";
+    // A box takes 15 bytes at least.
+    let count = reader.varint(message.len() as u64 / 15, rule)?;
+    let mut boxes = Vec::with_capacity(count as usize);
+    let mut volume = 0u64;
+    for _ in 0..count {
+        let region = reader.voxel_box(VOXEL_LIMIT as u64, rule)?;
+        if region.volume() > u128::from(REGION_VOXELS_MAX - volume) {
+            return Err(reader.wrong(rule));
+        }
+        boxes.push((volume, region));
+        volume += region.volume() as u64;
+    }
+    let rule = "4-byte addresses of occupied, then of unknown voxels in the boxes";
+    let occupied = reader.varint(reader.rest().len() as u64 / 4, rule)? as usize;
+    let (addresses, rest) = reader.rest().as_chunks::<4>();
+    let (occupied, unknown) = addresses.split_at_checked(occupied).ok_or_else(|| reader.wrong(rule))?;
+    if !rest.is_empty() {
+        return Err(reader.wrong(rule));
+    }
+
+    let all_free = StateBlock::new([!0; 8], [0; 8]);
+    let mut said = StateMap::default();
+    for (_, region) in &boxes {
+        let blocks = region.blocks().map(|index| (index, all_free)).collect();
+        said.apply(&Changes::from_blocks(blocks).within(region))?;
+    }
+    let lists = [(occupied, State::Occupied), (unknown, State::Unknown)];
+    for (address, state) in lists.iter().flat_map(|(list, state)| list.iter().map(move |a| (a, *state))) {
+        let address = u64::from(u32::from_le_bytes(*address));
+        let at = boxes.partition_point(|(first, _)| *first <= address);
+        let (first, region) =
+            at.checked_sub(1).and_then(|at| boxes.get(at)).ok_or_else(|| reader.wrong(rule))?;
+        let (min, [nx, ny, nz]) = (region.min(), region.size().map(u64::from));
+        let place = address - first;
+        let (xy, z) = (place / nz, place % nz);
+        let (x, y) = (xy / ny, xy % ny);
+        if x >= nx {
+            return Err(reader.wrong(rule));
+        }
+        let voxel = Voxel::new(min.x + x as i32, min.y + y as i32, min.z + z as i32);
+        said.set(voxel.block(), voxel_bit(voxel), state);
+    }
+    // What is said to be unknown stays as it was told before.
+    said.blocks().try_for_each(|(index, block)| map.overlay(index, &block))?;
+    Ok(())
+}

@@ -1,0 +1,234 @@
+//! The scans themselves, cast again at the receiver with an equal mapper.
+//!
+//! At the end of each cycle all its scans go out in one message, since a mapper gives an equal map only if it takes the same
+//! changes at the same times. The order of the points of a scan makes no difference to a mapper, so a relay may choose it.
+//!
+//! A message: what the cycle took, 0 all changes, 1 occupied voxels alone, 2 nothing since it goes on; layout (u8); then length and zstd frame of the scans. For each scan: a 1;
+//! stamp (i64); pose (translation and quaternion, 7 × f64); number of masks; their centres and radii (4 × f64); number of
+//! points; number of rays without a return. A 0 ends the scans; then come the points of all scans, as the module `relay_points` says.
+
+use anyhow::{Result, ensure};
+use flockmap::codec::Cycle;
+use flockmap::grid::{
+    BlockIndex, Changes, Mapper, MapperConfig, Pose, Scan, Sphere, Stamp, StateBlock, Which,
+};
+
+use crate::baselines::bytes::{Packer, Reader, unpack};
+use crate::baselines::relay_points::{self, Points};
+use crate::baselines::state_map::StateMap;
+use crate::baselines::traits::{Messages, Observation, Receiver, Sender};
+use flockmap::codec::bytes::put_varint;
+
+/// Most masks of a scan.
+const MASKS_MAX: u64 = 4_096;
+
+/// Most bytes of stamps, poses and masks that wait for the end of a cycle.
+const HEADS_BYTES_MAX: usize = 1 << 20;
+
+const TOOK_ALL: u8 = 0;
+const TOOK_OCCUPIED: u8 = 1;
+const GOES_ON: u8 = 2;
+
+/// Keeps the scans of a cycle and sends them at its end.
+pub(crate) struct RelaySender {
+    points: Points,
+    /// Beyond this, and nearer than this, points mean nothing to the mapper.
+    range_m: [f64; 2],
+    heads: Vec<u8>,
+    scans: Vec<relay_points::ScanPoints>,
+    /// Points in `scans`, and most that may wait for the end of a cycle: of a still scene there is no end.
+    waiting: usize,
+    waiting_max: usize,
+    /// Quick, to choose the layout by.
+    trial: Packer,
+    packer: Packer,
+}
+
+impl RelaySender {
+    pub(crate) fn new(points: Points, config: &MapperConfig) -> Self {
+        Self {
+            points,
+            range_m: [config.range_min_m, config.range_m],
+            heads: Vec::new(),
+            scans: Vec::new(),
+            waiting: 0,
+            waiting_max: relay_points::POINTS_MAX,
+            trial: Packer::new(points.method(), 3),
+            packer: Packer::new(points.method(), 19),
+        }
+    }
+}
+
+impl Sender for RelaySender {
+    fn scan(&mut self, seen: &Observation<'_>, out: &mut Messages) -> Result<()> {
+        let points = self.points.of_scan(seen, self.range_m);
+        // A relay that cuts points has applied the masks itself.
+        let masks = if self.points == Points::Exact { seen.masks } else { &[] };
+        let method = self.points.method();
+        ensure!(masks.len() as u64 <= MASKS_MAX, "{method} cannot send this: a scan has at most 4,096 masks");
+        let count: usize = points.counts().iter().sum();
+        if self.waiting + count > self.waiting_max || self.heads.len() > HEADS_BYTES_MAX {
+            self.flush(GOES_ON, out)?;
+        }
+        self.waiting += count;
+        self.heads.push(1);
+        self.heads.extend_from_slice(&seen.scan.stamp.0.to_le_bytes());
+        let numbers = seen.pose.translation().into_iter().chain(seen.pose.quaternion_xyzw());
+        self.heads.extend(numbers.flat_map(f64::to_le_bytes));
+        put_varint(&mut self.heads, masks.len() as u64);
+        for mask in masks {
+            let numbers = mask.centre.into_iter().chain([mask.radius]);
+            self.heads.extend(numbers.flat_map(f64::to_le_bytes));
+        }
+        for count in points.counts() {
+            put_varint(&mut self.heads, count as u64);
+        }
+        self.scans.push(points);
+        Ok(())
+    }
+
+    fn cycle(&mut self, _now: Stamp, _cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()> {
+        // With no free voxel among the changes, taking all or just the occupied ones is the same.
+        let any_free = changes.blocks().iter().any(|(_, block)| *block.free() != [0; 8]);
+        self.flush(if any_free { TOOK_ALL } else { TOOK_OCCUPIED }, out)
+    }
+}
+
+impl RelaySender {
+    /// Sends the scans that wait.
+    fn flush(&mut self, took: u8, out: &mut Messages) -> Result<()> {
+        let mut plain = core::mem::take(&mut self.heads);
+        let scans = core::mem::take(&mut self.scans);
+        self.waiting = 0;
+        plain.push(0);
+        let head = plain.len();
+        let mut best = None;
+        for layout in self.points.layouts() {
+            relay_points::write(*layout, &scans, &mut plain);
+            let length = self.trial.pack(&plain)?.len();
+            plain.truncate(head);
+            if best.is_none_or(|(smallest, _)| length < smallest) {
+                best = Some((length, *layout));
+            }
+        }
+        let Some((_, layout)) = best else { return Ok(()) };
+        relay_points::write(layout, &scans, &mut plain);
+        let mut message = vec![took, layout];
+        message.extend_from_slice(&self.packer.pack(&plain)?);
+        out.push(message);
+        Ok(())
+    }
+}
+
+/// Casts the scans into a mapper of its own.
+pub(crate) struct RelayReceiver {
+    method: &'static str,
+    mapper: Mapper,
+    map: StateMap,
+}
+
+impl RelayReceiver {
+    pub(crate) fn new(points: Points, config: &MapperConfig) -> Result<Self> {
+        Ok(Self { method: points.method(), mapper: Mapper::new(config.clone())?, map: StateMap::default() })
+    }
+}
+
+struct Head {
+    scan: Scan,
+    pose: Pose,
+    masks: Vec<Sphere>,
+}
+
+impl Receiver for RelayReceiver {
+    fn receive(&mut self, message: &[u8]) -> Result<()> {
+        let mut reader = Reader::new(self.method, message);
+        let which = match reader.u8("what the cycle took")? {
+            TOOK_ALL => Some(Which::All),
+            TOOK_OCCUPIED => Some(Which::Occupied),
+            GOES_ON => None,
+            _ => return Err(reader.wrong("0, 1 or 2 for what the cycle took")),
+        };
+        let layout = reader.u8("a layout")?;
+        let plain = unpack(&mut reader)?;
+        let mut plain = Reader::new(self.method, &plain);
+        let mut heads = Vec::new();
+        let mut counts = Vec::new();
+        while plain.u8("a 1 before each scan, a 0 after the last")? == 1 {
+            let (head, count) = read_head(&mut plain)?;
+            heads.push(head);
+            counts.push(count);
+        }
+        for (head, [returns, no_returns]) in
+            heads.iter_mut().zip(relay_points::read(layout, &counts, &mut plain)?)
+        {
+            head.scan.points = returns;
+            head.scan.no_returns = no_returns;
+        }
+        if !plain.is_empty() {
+            return Err(plain.wrong("nothing after the points"));
+        }
+        for head in &heads {
+            self.mapper.insert(&head.scan, &head.pose, &head.masks);
+        }
+        if let Some(which) = which {
+            self.map.apply(&self.mapper.take_changes(which))?;
+        }
+        Ok(())
+    }
+
+    fn states(&self) -> Box<dyn Iterator<Item = (BlockIndex, StateBlock)> + '_> {
+        Box::new(self.map.blocks())
+    }
+}
+
+fn read_head(plain: &mut Reader<'_>) -> Result<(Head, [usize; 2])> {
+    let stamp = Stamp(i64::from_le_bytes(plain.array("a stamp")?));
+    let rule = "a pose: 7 numbers";
+    let mut pose = [0.0; 7];
+    for number in &mut pose {
+        *number = plain.f64(rule)?;
+    }
+    let [x, y, z, qx, qy, qz, qw] = pose;
+    let pose = Pose::new([x, y, z], [qx, qy, qz, qw]).ok_or_else(|| plain.wrong(rule))?;
+    let rule = "at most 4,096 masks";
+    let masks = plain.varint(MASKS_MAX, rule)?;
+    let masks = (0..masks).map(|_| {
+        let centre = [plain.f64(rule)?, plain.f64(rule)?, plain.f64(rule)?];
+        Ok(Sphere { centre, radius: plain.f64(rule)? })
+    });
+    let masks = masks.collect::<Result<Vec<_>>>()?;
+    let rule = "numbers of points and of rays without a return";
+    let max = relay_points::POINTS_MAX as u64;
+    let counts = [plain.varint(max, rule)? as usize, plain.varint(max, rule)? as usize];
+    Ok((Head { scan: Scan { stamp, ..Scan::default() }, pose, masks }, counts))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::grid::{Preset, Resolution, RobotId, Stream};
+
+    #[test]
+    fn a_cycle_without_an_end_goes_out_in_parts() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let config = MapperConfig::preset(Preset::RogMap, resolution, 5.0);
+        let mut mapper = Mapper::new(config.clone()).unwrap();
+        let mut sender = RelaySender { waiting_max: 100, ..RelaySender::new(Points::Exact, &config) };
+        let mut receiver = RelayReceiver::new(Points::Exact, &config).unwrap();
+        let mut out = Vec::new();
+        for number in 0..10u8 {
+            let point = |n: u8| [2.0, f32::from(n) * 0.1 - 1.0, f32::from(number) * 0.1];
+            let scan = Scan { points: (0..30).map(point).collect(), ..Scan::default() };
+            mapper.insert(&scan, &Pose::IDENTITY, &[]);
+            let seen = Observation { scan: &scan, pose: &Pose::IDENTITY, masks: &[] };
+            sender.scan(&seen, &mut out).unwrap();
+        }
+        assert_eq!(out.len(), 3, "three scans fit into 100 points");
+        let stream = Stream { origin: RobotId(1), epoch: 1 };
+        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(0), resolution, sensor: [0; 3] };
+        let changes = mapper.take_changes(Which::All);
+        sender.cycle(Stamp(0), &cycle, &changes, &mut out).unwrap();
+        out.iter().for_each(|message| receiver.receive(message).unwrap());
+        assert_eq!(Changes::from_blocks(receiver.states().collect()), changes);
+    }
+}

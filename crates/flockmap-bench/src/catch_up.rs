@@ -1,0 +1,502 @@
+//! `flockmap-bench catch-up`: what an outage and a late joiner cost, beside the map coded once.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use clap::Args;
+use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
+use flockmap::grid::{Layer, PresentState};
+use flockmap::sync::wire::{Datagram, Kind, parse_packages};
+use flockmap::{Codec, Destination, Event, Robot, RobotConfig, RobotId, SessionConfig, Stamp, Stream};
+use flockmap_cli::measure::Sent;
+use flockmap_cli::options::{MapArgs, SourceArgs, budget};
+use flockmap_cli::progress::Progress;
+use flockmap_cli::sources::{Frames, Source};
+use flockmap_cli::table::{Table, thousands};
+use flockmap_cli::{json_file, sources, stop};
+use flockmap_netsim::{IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
+use serde::Serialize;
+
+/// What an outage and a late joiner cost, beside the map coded once
+#[derive(Args, Debug)]
+#[command(after_help = "\
+Examples:
+  flockmap-bench catch-up forest --seconds 600 --outage 60
+  flockmap-bench catch-up robot1.mcap robot2.mcap --resolution 0.2 --range 30 --seconds 100 --outage 20
+
+In the middle of the flight the first robot hears nobody and is heard by nobody. When the flight is over and everything has arrived, one
+robot more comes with an empty map. Everything on the wire is counted, requests and headers of IP and UDP too. Exit code 1 if layers differ
+at the end.")]
+pub struct CatchUpArgs {
+    /// Records, one for each robot; or one world: forest, indoor, or a .bt .pcd .ply .las .laz file
+    #[arg(value_name = "RECORD", required = true)]
+    pub records: Vec<PathBuf>,
+    /// Length of the outage in seconds; 0: none
+    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    pub outage: f64,
+    /// Most kilobytes (1,024 bytes) that a robot sends in a second, IP and UDP headers counted
+    #[arg(long, value_name = "B", default_value_t = 20.0)]
+    pub budget_kb_s: f64,
+    /// Share of datagrams that the radio loses, 0 to less than 1
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    pub loss: f64,
+    /// Delay of the radio in milliseconds
+    #[arg(long, value_name = "D", default_value_t = 20.0)]
+    pub delay_ms: f64,
+    /// Codec of the packages: flock, paper, nested-zlib, raw or racer
+    #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
+    pub codec: Codec,
+    /// Write what the table shows as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub map: MapArgs,
+    #[command(flatten)]
+    pub source: SourceArgs,
+}
+
+/// Virtual time that may pass until everything has arrived.
+const SETTLE_MICROS_MAX: i64 = 3_600_000_000;
+
+/// What the JSON holds.
+#[derive(Serialize, Debug)]
+struct Output {
+    title: String,
+    seconds: f64,
+    budget_kb_s: f64,
+    loss: f64,
+    delay_ms: f64,
+    outage: Option<Outage>,
+    joiner: Joiner,
+    /// Whether everyone holds the same layers at the end.
+    agreement: bool,
+}
+
+/// One robot hears nobody for a while, and nobody hears it.
+#[derive(Serialize, Debug)]
+struct Outage {
+    seconds: f64,
+    /// Packages of that time: sent in vain while it was not noticed.
+    vain_bytes: u64,
+    /// Packages of that time: sent after it.
+    repair_bytes: u64,
+    /// Requests from its end until all of that was held.
+    request_bytes: u64,
+    total_bytes: u64,
+    /// What changed meanwhile and stayed so, coded once for each robot that missed it.
+    coded_once_bytes: u64,
+    ratio: f64,
+    /// From its end until all of that was held.
+    repair_s: f64,
+}
+
+/// A robot without a sensor and with an empty map comes when the flight is over.
+#[derive(Serialize, Debug)]
+struct Joiner {
+    /// Everything on the wire, requests of all among them, until it held all.
+    total_bytes: u64,
+    request_bytes: u64,
+    /// The final maps with the stamp of every voxel, coded once.
+    coded_once_bytes: u64,
+    ratio: f64,
+    /// The same without stamps: a floor that nobody who merges by stamps can reach.
+    coded_without_stamps_bytes: u64,
+    seconds: f64,
+    /// Most that one robot sent in any second.
+    max_kb_s: f64,
+    caught_up_by_states: u64,
+}
+
+/// Runs the command. Whether all layers agree at the end.
+pub fn run(args: &CatchUpArgs) -> anyhow::Result<bool> {
+    ensure!((0.0..1.0).contains(&args.loss), "--loss is {}, expected 0 to less than 1", args.loss);
+    let session =
+        SessionConfig { radio_bytes_per_s: Some(budget(args.budget_kb_s)?), ..SessionConfig::default() };
+    let base = RobotConfig { session, ..args.map.robot(args.codec, args.source.seed)? };
+    let sources = sources::open(&args.records, &args.source, args.map.range, false)?;
+    ensure!(sources.robots.len() >= 2, "an outage needs at least two robots: --robots 2");
+    let title = format!("catching up: {}", sources.title);
+    let link = Link { loss: args.loss, delay_micros: (args.delay_ms * 1e3) as i64, ..Link::default() };
+    let mut flight = Flight::new(sources.robots, &base, link, args)?;
+    let outage = flight.fly(args)?;
+    let joiner = flight.join(&base)?;
+    let agreement = flight.agrees();
+    let seconds = flight.length.seconds();
+    let output = Output {
+        title,
+        seconds,
+        budget_kb_s: args.budget_kb_s,
+        loss: args.loss,
+        delay_ms: args.delay_ms,
+        outage,
+        joiner,
+        agreement,
+    };
+    output.print();
+    json_file::write_asked(args.json.as_deref(), &output)?;
+    Ok(agreement)
+}
+
+impl Output {
+    fn print(&self) {
+        println!("\n{}, {:.0} s, at most {} KB/s a robot", self.title, self.seconds, self.budget_kb_s);
+        let mut table = Table::new(["", "bytes", "coded once", "ratio", "took s"]);
+        if let Some(outage) = &self.outage {
+            table.row([
+                format!("outage of {:.0} s", outage.seconds),
+                thousands(outage.total_bytes),
+                thousands(outage.coded_once_bytes),
+                format!("{:.2}", outage.ratio),
+                format!("{:.1}", outage.repair_s),
+            ]);
+        }
+        let joiner = &self.joiner;
+        table.row([
+            "late joiner".to_owned(),
+            thousands(joiner.total_bytes),
+            thousands(joiner.coded_once_bytes),
+            format!("{:.2}", joiner.ratio),
+            format!("{:.1}", joiner.seconds),
+        ]);
+        println!("{table}");
+        if let Some(outage) = &self.outage {
+            println!(
+                "  outage: {} bytes sent in vain, {} to repair, {} of requests",
+                thousands(outage.vain_bytes),
+                thousands(outage.repair_bytes),
+                thousands(outage.request_bytes)
+            );
+        }
+        println!(
+            "  joiner: {} bytes of requests; largest second of a robot {:.1} KB; without stamps the maps take {} bytes",
+            thousands(joiner.request_bytes),
+            joiner.max_kb_s,
+            thousands(joiner.coded_without_stamps_bytes)
+        );
+        println!("  layers at the end: {}", if self.agreement { "all equal" } else { "THEY DIFFER" });
+    }
+}
+
+struct Flight {
+    robots: Vec<Robot>,
+    frames: Vec<Frames>,
+    radio: RadioEmulator,
+    now: Stamp,
+    stuck: u32,
+    length: Stamp,
+    expected: u64,
+    meter: Meter,
+    /// End of the newest cycle of each robot.
+    cycle_ends: BTreeMap<Stream, Stamp>,
+}
+
+/// Bytes on the wire with IP and UDP headers, every copy counted.
+#[derive(Default)]
+struct Meter {
+    requests: u64,
+    packages: u64,
+    /// Datagrams with packages of these indices.
+    marked: u64,
+    marks: BTreeMap<Stream, (u32, u32)>,
+    by_robot: BTreeMap<RobotId, Sent>,
+}
+
+impl Meter {
+    fn clear(&mut self) {
+        (self.requests, self.packages, self.marked) = (0, 0, 0);
+        self.by_robot.clear();
+    }
+
+    fn add(&mut self, now: Stamp, from: RobotId, bytes: &[u8], copies: u64) -> anyhow::Result<()> {
+        let all = (bytes.len() + IP_UDP_BYTES) as u64 * copies;
+        self.by_robot.entry(from).or_default().add(now, all);
+        let datagram = Datagram::new_checked(bytes)?;
+        if datagram.header().kind == Kind::Request {
+            self.requests += all;
+            return Ok(());
+        }
+        self.packages += all;
+        let is_marked = parse_packages(&datagram)?.iter().any(|package| {
+            let header = package.header();
+            self.marks.get(&header.stream).is_some_and(|(low, high)| (*low..=*high).contains(&header.index))
+        });
+        self.marked += if is_marked { all } else { 0 };
+        Ok(())
+    }
+}
+
+impl Flight {
+    fn new(sources: Vec<Source>, base: &RobotConfig, link: Link, args: &CatchUpArgs) -> anyhow::Result<Self> {
+        let expected = sources.iter().map(|source| source.frames_expected).sum();
+        let (mut robots, mut frames) = (Vec::new(), Vec::new());
+        for (number, source) in sources.into_iter().enumerate() {
+            let config = RobotConfig { id: RobotId(number as u16 + 1), ..base.clone() };
+            robots.push(Robot::new(config, Stamp(0))?);
+            frames.push(source.frames);
+        }
+        let ids = (1..=robots.len() as u16 + 1).map(RobotId);
+        let radio =
+            RadioEmulator::new(ids, RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() });
+        Ok(Self {
+            robots,
+            frames,
+            radio,
+            now: Stamp(0),
+            stuck: 0,
+            length: Stamp(0),
+            expected,
+            meter: Meter::default(),
+            cycle_ends: BTreeMap::new(),
+        })
+    }
+
+    /// Flies all scans, with the outage in the middle.
+    fn fly(&mut self, args: &CatchUpArgs) -> anyhow::Result<Option<Outage>> {
+        let progress = Progress::new("scans", self.expected);
+        let total = args.source.seconds.unwrap_or(60.0);
+        let begins = Stamp::from_seconds((total - args.outage) / 2.0);
+        let ends = begins.plus_micros((args.outage * 1e6) as i64);
+        ensure!(
+            args.outage == 0.0 || (args.outage > 0.0 && args.outage < total),
+            "--outage is {} s of a flight of {total} s; expected less, or 0 for none",
+            args.outage
+        );
+        let mut plan = (args.outage > 0.0).then_some([begins, ends]).into_iter().flatten().peekable();
+        let mut repair: Option<Repair> = None;
+        let mut done = None;
+        while let Some(next) = self.frames.iter_mut().filter_map(Frames::next_stamp).min() {
+            ensure!(!stop::requested(), "interrupted");
+            self.advance(Some(next.min(plan.peek().copied().unwrap_or(next))))?;
+            if plan.next_if(|at| *at <= self.now).is_some() {
+                match &mut repair {
+                    None => repair = Some(self.cut(args.outage)),
+                    Some(repair) => self.heal(repair)?,
+                }
+            }
+            if let Some(repair) = repair.as_ref().filter(|r| done.is_none() && r.healed.is_some())
+                && self.is_repaired(repair)
+            {
+                done = Some(self.outage_of(repair));
+            }
+            for number in 0..self.robots.len() {
+                while self.frames[number].next_stamp().is_some_and(|at| at <= self.now) {
+                    if let Some(frame) = self.frames[number].next() {
+                        self.robots[number].insert_scan(self.now, &frame.scan, &frame.pose)?;
+                    }
+                    progress.step();
+                }
+            }
+            self.length = self.length.max(self.now);
+        }
+        self.robots.iter_mut().for_each(|robot| robot.flush(self.now));
+        self.settle()?;
+        if let Some(repair) = repair.filter(|_| done.is_none()) {
+            done = Some(self.outage_of(&repair));
+        }
+        Ok(done)
+    }
+
+    /// Cuts the first robot off.
+    fn cut(&mut self, seconds: f64) -> Repair {
+        for robot in &self.robots[1..] {
+            self.radio.partition(RobotId(1), robot.own_stream().origin);
+        }
+        let from = self.newest();
+        self.meter.clear();
+        self.meter.marks = from.iter().map(|(stream, newest)| (*stream, (newest + 1, u32::MAX))).collect();
+        Repair {
+            seconds,
+            from,
+            cycle_ends: self.cycle_ends.clone(),
+            upto: BTreeMap::new(),
+            vain: 0,
+            coded_once: 0,
+            healed: None,
+        }
+    }
+
+    /// Ends the outage, and weighs what was missed.
+    fn heal(&mut self, repair: &mut Repair) -> anyhow::Result<()> {
+        let others: Vec<RobotId> = self.robots[1..].iter().map(|robot| robot.own_stream().origin).collect();
+        for other in &others {
+            self.radio.repair(RobotId(1), *other);
+        }
+        // What the others sent each other of that time was no loss.
+        repair.vain = if others.len() == 1 { self.meter.marked } else { 0 };
+        repair.upto = self.newest();
+        for robot in &self.robots {
+            let own = robot.own_stream();
+            let since = repair.cycle_ends.get(&own).copied().unwrap_or(Stamp(i64::MIN));
+            let state = robot.fusion().layer(own).and_then(|layer| layer.present_state_since(since));
+            let copies = if own.origin == RobotId(1) { others.len() } else { 1 };
+            repair.coded_once += copies as u64 * coded_bytes(robot, own, state)?;
+        }
+        self.meter.clear();
+        self.meter.marks = repair
+            .from
+            .iter()
+            .map(|(stream, newest)| (*stream, (newest + 1, repair.upto.get(stream).copied().unwrap_or(0))))
+            .collect();
+        repair.healed = Some(self.now);
+        Ok(())
+    }
+
+    fn is_repaired(&self, repair: &Repair) -> bool {
+        self.robots.iter().all(|robot| {
+            repair.upto.iter().all(|(stream, newest)| {
+                *newest == 0
+                    || robot.session().held(*stream).is_some_and(|held| held.contains_range(1, *newest))
+            })
+        })
+    }
+
+    fn outage_of(&self, repair: &Repair) -> Outage {
+        let total = repair.vain + self.meter.marked + self.meter.requests;
+        Outage {
+            seconds: repair.seconds,
+            vain_bytes: repair.vain,
+            repair_bytes: self.meter.marked,
+            request_bytes: self.meter.requests,
+            total_bytes: total,
+            coded_once_bytes: repair.coded_once,
+            ratio: total as f64 / repair.coded_once.max(1) as f64,
+            repair_s: repair.healed.map_or(0.0, |at| self.now.micros_since(at) as f64 / 1e6),
+        }
+    }
+
+    /// The newest package of each robot.
+    fn newest(&self) -> BTreeMap<Stream, u32> {
+        let newest = |robot: &Robot| robot.session().store().newest_known(robot.own_stream());
+        self.robots.iter().map(|robot| (robot.own_stream(), newest(robot))).collect()
+    }
+
+    /// One robot more, with an empty map.
+    fn join(&mut self, base: &RobotConfig) -> anyhow::Result<Joiner> {
+        let id = RobotId(self.robots.len() as u16 + 1);
+        self.meter.clear();
+        self.meter.marks.clear();
+        let began = self.now;
+        self.robots.push(Robot::new(RobotConfig { id, ..base.clone() }, self.now)?);
+        self.settle()?;
+        let (mut coded_once, mut without_stamps) = (0, 0);
+        for robot in &self.robots {
+            let own = robot.own_stream();
+            let Some(layer) = robot.fusion().layer(own) else { continue };
+            coded_once += coded_bytes(robot, own, layer.present_state())?;
+            let mut flat = Layer::default();
+            for (_, part) in layer.present_state().into_iter().flat_map(|state| state.parts) {
+                flat.apply(&part, Stamp(0));
+            }
+            without_stamps += coded_bytes(robot, own, flat.present_state())?;
+        }
+        let total = self.meter.requests + self.meter.packages;
+        let largest = self.meter.by_robot.values().map(Sent::largest_second).max().unwrap_or(0);
+        Ok(Joiner {
+            total_bytes: total,
+            request_bytes: self.meter.requests,
+            coded_once_bytes: coded_once,
+            ratio: total as f64 / coded_once.max(1) as f64,
+            coded_without_stamps_bytes: without_stamps,
+            seconds: self.now.micros_since(began) as f64 / 1e6,
+            max_kb_s: largest as f64 / 1024.0,
+            caught_up_by_states: self.robots.last().map_or(0, |robot| robot.session().counters().caught_up),
+        })
+    }
+
+    /// Lets time pass until everyone holds everything.
+    fn settle(&mut self) -> anyhow::Result<()> {
+        let until = self.now.plus_micros(SETTLE_MICROS_MAX);
+        loop {
+            self.transmit()?;
+            let newest = self.newest();
+            let missing = |robot: &Robot| {
+                newest.iter().any(|(stream, newest)| {
+                    *newest > 0
+                        && !robot.session().held(*stream).is_some_and(|held| held.contains_range(1, *newest))
+                })
+            };
+            if !self.robots.iter().any(missing) {
+                return Ok(());
+            }
+            ensure!(!stop::requested(), "interrupted");
+            ensure!(self.now < until, "not everything had arrived an hour later; is the budget too small?");
+            self.advance(None)?;
+        }
+    }
+
+    /// Goes on to the next thing that is due, but not beyond `until`.
+    fn advance(&mut self, until: Option<Stamp>) -> anyhow::Result<()> {
+        let timeout = self.robots.iter().filter_map(Robot::poll_timeout).min();
+        let next = [until, timeout, self.radio.next_due()].into_iter().flatten().min();
+        let next = next.unwrap_or_else(|| self.now.plus_micros(100_000));
+        self.stuck = if next > self.now { 0 } else { self.stuck + 1 };
+        // Due now again and again: let a millisecond pass, as a real clock would.
+        self.now = if self.stuck > 100 { self.now.plus_micros(1_000) } else { self.now.max(next) };
+        while let Some(delivery) = self.radio.deliver_due(self.now) {
+            if let Some(robot) = self.robots.get_mut(usize::from(delivery.to.0) - 1) {
+                // Errors are counted by the session.
+                let _ = robot.handle_datagram(self.now, &delivery.bytes);
+            }
+        }
+        for robot in &mut self.robots {
+            if robot.poll_timeout().is_some_and(|at| at <= self.now) {
+                robot.handle_timeout(self.now);
+            }
+        }
+        self.transmit()
+    }
+
+    fn transmit(&mut self) -> anyhow::Result<()> {
+        let count = self.robots.len() as u16;
+        for robot in &mut self.robots {
+            let own = robot.own_stream();
+            while let Some(event) = robot.poll_event() {
+                if let Event::CycleClosed { cycle, .. } = event {
+                    self.cycle_ends.insert(own, cycle.end);
+                }
+            }
+            while let Some(transmit) = robot.poll_transmit(self.now) {
+                let peers = (1..=count).map(RobotId).filter(|id| *id != own.origin);
+                let to: Vec<RobotId> = match transmit.to {
+                    Destination::Peer(peer) => vec![peer],
+                    Destination::Everyone => peers.collect(),
+                };
+                self.meter.add(self.now, own.origin, &transmit.bytes, to.len() as u64)?;
+                for peer in to {
+                    self.radio.send(self.now, own.origin, To::Node(peer), &transmit.bytes);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn agrees(&self) -> bool {
+        self.robots.iter().all(|sender| {
+            let own = sender.own_stream();
+            let digest = |robot: &Robot| robot.fusion().layer(own).map(Layer::digest);
+            self.robots.iter().all(|robot| digest(robot) == digest(sender))
+        })
+    }
+}
+
+/// What has to be repaired after an outage.
+struct Repair {
+    seconds: f64,
+    from: BTreeMap<Stream, u32>,
+    cycle_ends: BTreeMap<Stream, Stamp>,
+    upto: BTreeMap<Stream, u32>,
+    vain: u64,
+    coded_once: u64,
+    healed: Option<Stamp>,
+}
+
+/// Bytes of the packages that tell a state.
+fn coded_bytes(robot: &Robot, stream: Stream, state: Option<PresentState>) -> anyhow::Result<u64> {
+    let Some(state) = state else { return Ok(0) };
+    let config = robot.config();
+    let tiles = Encoder::new()
+        .encode_present(config.codec, stream, 1, config.mapper.resolution, &state, PACKAGE_BYTES_MAX)
+        .context("a state cannot be coded")?;
+    Ok(tiles.iter().map(|tile| tile.bytes().len() as u64).sum())
+}

@@ -1,0 +1,340 @@
+//! Methods of telling a map, side by side on the same cycles of the same records.
+
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use flockmap::codec::Cycle;
+use flockmap::grid::{Layer, Mapper, MapperConfig};
+use flockmap::{Changes, CycleConfig, Packer, RobotId, Stamp, Stream};
+use flockmap_cli::measure::{Comparison, KB, Sent, Times};
+use flockmap_cli::sources::Frame;
+use flockmap_cli::stop;
+use serde::Serialize;
+
+use crate::baselines::{Messages, Method, Observation, Receiver, Sender};
+
+/// All methods at work. One record after another; each is a robot that all the others listen to.
+pub struct CodecRun {
+    mapper: MapperConfig,
+    cycle: CycleConfig,
+    receivers: u64,
+    benches: Vec<Bench>,
+    seconds: f64,
+    cycles: u64,
+    changed_voxels: u64,
+}
+
+/// What came out.
+pub struct Outcome {
+    /// Of all records together.
+    pub seconds: f64,
+    /// Of all records together.
+    pub cycles: u64,
+    /// Voxels in all cycles together.
+    pub changed_voxels: u64,
+    /// One for each method, in the order asked for.
+    pub rows: Vec<Row>,
+}
+
+/// What a method cost and how far it is right. What is skipped is not in the JSON of `codecs`.
+#[derive(Serialize)]
+pub struct Row {
+    #[serde(rename = "name")]
+    pub method: Method,
+    /// Of all robots together, each message once for each receiver: with its own headers, without IP and UDP.
+    pub total_bytes: u64,
+    /// Total by the length of all records together, so the mean of the robots.
+    pub avg_kb_s: f64,
+    /// Largest window of one second of any robot.
+    pub max_kb_s: f64,
+    /// Messages, each once for each receiver.
+    pub packages: u64,
+    /// Datagrams of at most 1,472 bytes that carry them: 28 bytes of IP and UDP each come on top.
+    #[serde(skip)]
+    pub datagrams: u64,
+    /// Time for all messages of a cycle with its scans, on the sender, and for a cycle on one receiver.
+    pub encode_ms_mean: f64,
+    pub encode_ms_p99: f64,
+    pub decode_ms_mean: f64,
+    /// Cycles that these times are means of.
+    #[serde(skip)]
+    pub timed: usize,
+    /// Share of the voxels known to the sender, as packed, or to a receiver, when all has arrived, that are equal; less than 1 is a
+    /// fault of a lossless method.
+    pub agreement: f64,
+    #[serde(skip)]
+    pub compared: Comparison,
+    #[serde(skip)]
+    stamps_agree: bool,
+}
+
+impl Row {
+    /// Whether the method does what it says: a lossless one has every voxel, and every stamp that it sends, right.
+    pub fn is_as_promised(&self) -> bool {
+        !self.method.is_lossless() || (self.compared.known == self.compared.equal && self.stamps_agree)
+    }
+}
+
+impl CodecRun {
+    /// Nothing measured yet. Each robot's messages go to so many `receivers`, one by one (unicast: N − 1).
+    pub fn new(mapper: MapperConfig, cycle: CycleConfig, methods: &[Method], receivers: usize) -> Self {
+        let benches = methods.iter().map(|method| Bench::new(*method)).collect();
+        let receivers = receivers.max(1) as u64;
+        Self { mapper, cycle, receivers, benches, seconds: 0.0, cycles: 0, changed_voxels: 0 }
+    }
+
+    /// The record of one robot: maps it, closes cycles, and gives each cycle to every method. Stamps must begin near 0.
+    /// Calls `progress` after each scan. Ends early if the user asks for it. Returns what was told in the end.
+    pub fn record(
+        &mut self,
+        frames: impl IntoIterator<Item = Frame>,
+        mut progress: impl FnMut(),
+    ) -> anyhow::Result<Layer> {
+        let number = self.benches.first().map_or(0, |bench| bench.robots);
+        let stream = Stream { origin: RobotId(number as u16 + 1), epoch: 1 };
+        let mut mapper = Mapper::new(self.mapper.clone())?;
+        let mut packer = Packer::new(self.cycle, stream, self.mapper.resolution, Stamp(0));
+        let mut truth = Layer::default();
+        let mut lanes = self
+            .benches
+            .iter_mut()
+            .map(|bench| bench.lane(&self.mapper, self.receivers))
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let (cycles, changed_voxels) = (&mut self.cycles, &mut self.changed_voxels);
+        let mut close = |now, lanes: &mut [Lane<'_>], (cycle, changes): (Cycle, Changes)| {
+            *cycles += 1;
+            *changed_voxels += changes.len() as u64;
+            truth.apply(&changes, cycle.end);
+            truth.note_sensor(cycle.end, cycle.sensor);
+            lanes.iter_mut().try_for_each(|lane| lane.cycle(now, &cycle, &changes))
+        };
+        let mut last = Stamp(0);
+        for frame in frames {
+            if stop::requested() {
+                break;
+            }
+            let masks = frame.masks();
+            let Frame { scan, pose, .. } = frame;
+            // The deadline of a cycle may pass between two scans.
+            while let Some(deadline) = packer.deadline(&mapper).filter(|at| *at < scan.stamp) {
+                let now = deadline.max(last);
+                match packer.close_due(now, &mut mapper) {
+                    Some(cycle) => close(now, &mut lanes, cycle)?,
+                    None => break,
+                }
+            }
+            last = scan.stamp;
+            mapper.insert(&scan, &pose, &masks);
+            packer.note_scan(last, &pose);
+            let seen = Observation { scan: &scan, pose: &pose, masks: &masks };
+            lanes.iter_mut().try_for_each(|lane| lane.scan(last, &seen))?;
+            while let Some(cycle) = packer.close_due(last, &mut mapper) {
+                close(last, &mut lanes, cycle)?;
+            }
+            progress();
+        }
+        if let Some(cycle) = packer.close(last, &mut mapper) {
+            close(last, &mut lanes, cycle)?;
+        }
+        lanes.into_iter().for_each(|lane| lane.end(&truth));
+        self.seconds += last.seconds();
+        Ok(truth)
+    }
+
+    /// What came out of all records so far.
+    pub fn finish(self) -> Outcome {
+        let Self { seconds, cycles, changed_voxels, .. } = self;
+        let rows = self.benches.into_iter().map(|bench| bench.row(seconds)).collect();
+        Outcome { seconds, cycles, changed_voxels, rows }
+    }
+}
+
+/// One method over all records.
+struct Bench {
+    method: Method,
+    packages: u64,
+    datagrams: u64,
+    encode: Times,
+    decode: Times,
+    compared: Comparison,
+    stamps_agree: bool,
+    /// Robots so far, what they sent, and most that one sent in a second.
+    robots: usize,
+    total_bytes: u64,
+    second_bytes_max: u64,
+}
+
+/// One method on one record.
+struct Lane<'a> {
+    bench: &'a mut Bench,
+    sender: Box<dyn Sender>,
+    receiver: Box<dyn Receiver>,
+    receivers: u64,
+    sent: Sent,
+    /// Time that the sender took since the last cycle.
+    took: Duration,
+    messages: Messages,
+}
+
+/// Most bytes of UDP payload in an Ethernet frame.
+const DATAGRAM_BYTES: usize = 1_472;
+
+impl Bench {
+    fn new(method: Method) -> Self {
+        Self {
+            method,
+            packages: 0,
+            datagrams: 0,
+            encode: Times::default(),
+            decode: Times::default(),
+            compared: Comparison::default(),
+            stamps_agree: true,
+            robots: 0,
+            total_bytes: 0,
+            second_bytes_max: 0,
+        }
+    }
+
+    fn lane(&mut self, mapper: &MapperConfig, receivers: u64) -> anyhow::Result<Lane<'_>> {
+        Ok(Lane {
+            sender: self.method.sender(mapper),
+            receiver: self.method.receiver(mapper)?,
+            bench: self,
+            receivers,
+            sent: Sent::default(),
+            took: Duration::ZERO,
+            messages: Vec::new(),
+        })
+    }
+
+    fn row(self, seconds: f64) -> Row {
+        let total_bytes = self.total_bytes;
+        let encode = self.encode.summary();
+        Row {
+            method: self.method,
+            total_bytes,
+            avg_kb_s: total_bytes as f64 / KB / seconds.max(1e-3),
+            max_kb_s: self.second_bytes_max as f64 / KB,
+            packages: self.packages,
+            datagrams: self.datagrams,
+            encode_ms_mean: encode.mean_ms,
+            encode_ms_p99: encode.p99_ms,
+            decode_ms_mean: self.decode.summary().mean_ms,
+            timed: encode.count,
+            agreement: self.compared.share(),
+            compared: self.compared,
+            stamps_agree: self.stamps_agree,
+        }
+    }
+}
+
+impl Lane<'_> {
+    fn scan(&mut self, now: Stamp, seen: &Observation<'_>) -> anyhow::Result<()> {
+        let started = Instant::now();
+        self.sender.scan(seen, &mut self.messages).with_context(|| self.bench.method.to_string())?;
+        self.took += started.elapsed();
+        if self.messages.is_empty() { Ok(()) } else { self.deliver(now).map(|_| ()) }
+    }
+
+    fn cycle(&mut self, now: Stamp, cycle: &Cycle, changes: &Changes) -> anyhow::Result<()> {
+        let started = Instant::now();
+        self.sender
+            .cycle(now, cycle, changes, &mut self.messages)
+            .with_context(|| self.bench.method.to_string())?;
+        self.bench.encode.add(core::mem::take(&mut self.took) + started.elapsed());
+        self.sender.told(cycle, changes);
+        let took = self.deliver(now)?;
+        self.bench.decode.add(took);
+        Ok(())
+    }
+
+    /// Counts the messages and gives them to the receiver. Returns the time that it took.
+    fn deliver(&mut self, now: Stamp) -> anyhow::Result<Duration> {
+        let mut took = Duration::ZERO;
+        for message in self.messages.drain(..) {
+            self.sent.add(now, message.len() as u64 * self.receivers);
+            self.bench.packages += self.receivers;
+            self.bench.datagrams += message.len().div_ceil(DATAGRAM_BYTES) as u64 * self.receivers;
+            let started = Instant::now();
+            self.receiver.receive(&message).with_context(|| self.bench.method.to_string())?;
+            took += started.elapsed();
+        }
+        Ok(took)
+    }
+
+    /// The record is over: compares with what the cycles said.
+    fn end(self, truth: &Layer) {
+        let compared = compare(&*self.receiver, truth);
+        let bench = self.bench;
+        bench.compared.known += compared.known;
+        bench.compared.equal += compared.equal;
+        bench.stamps_agree &= self.receiver.layer().is_none_or(|layer| layer.digest() == truth.digest());
+        bench.robots += 1;
+        bench.total_bytes += self.sent.total();
+        bench.second_bytes_max = bench.second_bytes_max.max(self.sent.largest_second());
+    }
+}
+
+fn compare(receiver: &dyn Receiver, truth: &Layer) -> Comparison {
+    let received: HashMap<_, _> = receiver.states().collect();
+    let mut compared = Comparison::default();
+    for (index, block) in &received {
+        compared.add(Some(block), truth.block(*index));
+    }
+    for (_, block) in truth.blocks().filter(|(index, _)| !received.contains_key(index)) {
+        compared.add(None, Some(block));
+    }
+    compared
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::{Pose, Preset, Resolution, Scan};
+
+    fn frames() -> impl Iterator<Item = Frame> {
+        (1..30i64).map(|number| {
+            let wall = |y: i32| [2.0 + number as f32 * 0.03, y as f32 * 0.05, 0.02 * y as f32];
+            let scan = Scan {
+                stamp: Stamp(number * 100_000),
+                points: (-30..30).map(wall).collect(),
+                ..Scan::default()
+            };
+            Frame { scan, pose: Pose::IDENTITY, team_mates: Vec::new() }
+        })
+    }
+
+    fn run(receivers: usize) -> Outcome {
+        let mapper = MapperConfig::preset(Preset::RogMap, Resolution::from_metres(0.1).unwrap(), 7.0);
+        let methods = ["paper", "scan-relay", "gvp", "octomap-diff-10s"].map(|name| name.parse().unwrap());
+        let mut run = CodecRun::new(mapper, CycleConfig::default(), &methods, receivers);
+        for _ in 0..2 {
+            run.record(frames(), || ()).unwrap();
+        }
+        run.finish()
+    }
+
+    #[test]
+    fn every_receiver_costs_the_same_again() {
+        let (one, three) = (run(1), run(3));
+        for (one, three) in one.rows.iter().zip(&three.rows) {
+            assert_eq!(3 * one.total_bytes, three.total_bytes, "{}", one.method);
+            assert_eq!(3 * one.packages, three.packages);
+            assert_eq!(one.compared, three.compared, "one receiver is decoded for all");
+        }
+    }
+
+    #[test]
+    fn what_a_method_leaves_unsent_counts_against_it() {
+        let outcome = run(1);
+        let agreement = |name: &str| {
+            let row = outcome.rows.iter().find(|row| row.method.to_string() == name).unwrap();
+            assert!(row.is_as_promised(), "{name}");
+            row.compared.share()
+        };
+        assert_eq!((agreement("paper"), agreement("scan-relay")), (1.0, 1.0));
+        assert_eq!(agreement("octomap-diff-10s"), 0.0, "the record is shorter than its period");
+        assert!(agreement("gvp") < 1.0);
+    }
+}

@@ -1,0 +1,245 @@
+//! `flockmap-bench codecs`: all methods on the same cycles.
+
+use core::fmt;
+use core::str::FromStr;
+use std::path::PathBuf;
+
+use clap::Args;
+use flockmap::codec::Codec;
+use flockmap_cli::measure::KB;
+use flockmap_cli::member::IP_UDP_BYTES;
+use flockmap_cli::options::{MapArgs, SourceArgs};
+use flockmap_cli::progress::Progress;
+use flockmap_cli::table::{Table, kb, percent, thousands};
+use flockmap_cli::{json_file, sources, stop};
+use serde::Serialize;
+
+use crate::baselines::{Method, UnknownMethod};
+use crate::codec_run::{CodecRun, Outcome, Row};
+use crate::present_run::{self, PresentRow};
+
+/// All codecs on the same cycles of mapping: bytes, time, agreement
+#[derive(Args, Debug)]
+#[command(after_help = "\
+Examples:
+  flockmap-bench codecs forest --lidar avia
+  flockmap-bench codecs robot1.mcap robot2.mcap --resolution 0.2 --range 30 --json codecs.json
+  flockmap-bench codecs forest --codec paper,flock
+  flockmap-bench codecs forest --codec paper,flock --t-l-occupied 0.1 --t-l 2
+  flockmap-bench codecs forest --codec all
+
+A method is `flock`, Flockmap's own codec, in packages of at most 1,150 bytes; or another codec (raw, nested-zlib, paper,
+racer), which codes each cycle as one package, or with `-datagrams` in such packages as well; or a rival. Some rivals are
+lossy or stale: they are marked, and their agreement is what they reach.
+Exit code 1 if a lossless method gets a voxel wrong.")]
+pub struct CodecsArgs {
+    /// Records, or one world: forest, indoor, or a .bt .pcd .ply .las .laz file
+    #[arg(value_name = "RECORD", required = true)]
+    pub records: Vec<PathBuf>,
+    /// Methods, separated by commas, or all [default: raw,nested-zlib,paper,racer,paper-datagrams,flock]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub codec: Vec<MethodName>,
+    /// Write the table as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub map: MapArgs,
+    #[command(flatten)]
+    pub source: SourceArgs,
+}
+
+/// What `--codec` takes: a method, or all of them.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum MethodName {
+    One(Method),
+    All,
+}
+
+impl FromStr for MethodName {
+    type Err = UnknownMethod;
+
+    fn from_str(name: &str) -> Result<Self, UnknownMethod> {
+        if name == "all" { Ok(Self::All) } else { name.parse().map(Self::One) }
+    }
+}
+
+impl fmt::Display for MethodName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::One(method) => method.fmt(f),
+            Self::All => f.pad("all"),
+        }
+    }
+}
+
+/// The methods that are named, each once. Named none: the short list.
+fn methods(names: &[MethodName]) -> Vec<Method> {
+    if names.is_empty() {
+        let others = Codec::ALL.into_iter().filter(|codec| *codec != Codec::Flock);
+        let mut methods: Vec<Method> = others.map(Method::Whole).collect();
+        methods.push(Method::Datagrams(Codec::Paper));
+        methods.push(Method::Datagrams(Codec::Flock));
+        return methods;
+    }
+    let mut methods: Vec<Method> = Vec::new();
+    for name in names {
+        let named = match name {
+            MethodName::One(method) => core::slice::from_ref(method),
+            MethodName::All => Method::ALL.as_slice(),
+        };
+        for method in named {
+            if !methods.contains(method) {
+                methods.push(*method);
+            }
+        }
+    }
+    methods
+}
+
+/// What the JSON holds.
+#[derive(Serialize)]
+struct Output<'a> {
+    records: Vec<String>,
+    resolution_m: f64,
+    range_m: f64,
+    t_l_s: f64,
+    d: usize,
+    changed_voxels: u64,
+    methods: &'a [Row],
+    /// The final maps, as a late joiner gets them. Only of methods that make map packages.
+    present_states: Vec<PresentRow>,
+}
+
+/// Runs the command. Whether every lossless method is lossless.
+pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
+    let (mapper, cycle) = (args.map.mapper()?, args.map.cycle()?);
+    let sources = sources::open(&args.records, &args.source, args.map.range, false)?;
+    let methods = methods(&args.codec);
+    let resolution = mapper.resolution;
+    let mut run = CodecRun::new(mapper, cycle, &methods, 1);
+    let mut layers = Vec::new();
+    let expected = sources.robots.iter().map(|source| source.frames_expected).sum();
+    let progress = Progress::new("scans", expected);
+    let mut names = Vec::new();
+    for source in sources.robots {
+        progress.say(format!("{}: scans", source.name));
+        names.push(source.name);
+        layers.push(run.record(source.frames, || progress.step())?);
+    }
+    drop(progress);
+    let outcome = run.finish();
+    let present_states = present_run::run(&layers, resolution, &methods)?;
+    let output = Output {
+        records: names,
+        resolution_m: args.map.resolution,
+        range_m: args.map.range,
+        t_l_s: args.map.t_l,
+        d: args.map.d,
+        changed_voxels: outcome.changed_voxels,
+        methods: &outcome.rows,
+        present_states,
+    };
+    print(&output, &sources.title, &outcome);
+    json_file::write_asked(args.json.as_deref(), &output)?;
+    let broken: Vec<String> =
+        outcome.rows.iter().filter(|row| !row.is_as_promised()).map(|row| row.method.to_string()).collect();
+    if !broken.is_empty() {
+        eprintln!(
+            "error: {} should give back what went in and does not: this is a fault of flockmap, please report it",
+            broken.join(", ")
+        );
+    }
+    Ok(broken.is_empty())
+}
+
+fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
+    let Output { resolution_m, range_m, t_l_s, d, changed_voxels, methods, .. } = output;
+    let Outcome { seconds, cycles, .. } = outcome;
+    println!("{title}");
+    println!(
+        "  {resolution_m} m voxels, {range_m} m range, t_l {t_l_s} s, d {}; {seconds:.1} s in all, {} cycles, {} changed voxels{}\n",
+        thousands(*d as u64),
+        thousands(*cycles),
+        thousands(*changed_voxels),
+        if stop::requested() { " (partial: ended by Ctrl-C)" } else { "" }
+    );
+    let reference =
+        methods.iter().find(|row| row.method == Method::Whole(Codec::Paper)).map(|row| row.total_bytes);
+    let vs_paper = |row: &Row| {
+        let ratio = |paper: u64| format!("×{:.2}", row.total_bytes as f64 / paper.max(1) as f64);
+        reference.map_or_else(String::new, ratio)
+    };
+    let bits = |row: &Row| row.total_bytes as f64 * 8.0 / (*changed_voxels).max(1) as f64;
+    let table = Table::of(
+        methods,
+        &[
+            ("method", &|row| row.method.to_string()),
+            ("total bytes", &|row| thousands(row.total_bytes)),
+            ("vs paper", &|row| vs_paper(row)),
+            ("bits/voxel", &|row| format!("{:.2}", bits(row))),
+            ("avg KB/s", &|row| kb(row.avg_kb_s * KB)),
+            ("max KB/s", &|row| kb(row.max_kb_s * KB)),
+            ("packages", &|row| thousands(row.packages)),
+            ("IP + UDP", &|row| thousands(row.datagrams * IP_UDP_BYTES)),
+            ("encode ms", &|row| format!("{:.2}", row.encode_ms_mean)),
+            ("99 %", &|row| format!("{:.2}", row.encode_ms_p99)),
+            ("decode ms", &|row| format!("{:.2}", row.decode_ms_mean)),
+            ("agreement", &|row| percent(row.agreement) + if row.method.is_lossless() { "" } else { " *" }),
+        ],
+    );
+    print!("{table}");
+    println!(
+        "
+  Bytes of packages with their headers; IP and UDP come on top with 28 bytes for each datagram of at most 1,472 bytes. KB = 1,024
+  bytes. Average: a robot's, over the whole record; max: largest second of any robot. Times: all packages of a cycle, one core. `racer` is its 4 + 1 bytes a
+  voxel in one package a cycle; its own messages of 200 voxels add 52 bytes each. Agreement: voxels equal to those packed, of
+  all that either side knows, when everything has arrived."
+    );
+    for method in methods.iter().map(|row| row.method).filter(|method| !method.is_lossless()) {
+        println!("  * {method}: {}", method.about());
+    }
+    print_present_states(&output.present_states);
+}
+
+fn print_present_states(rows: &[PresentRow]) {
+    if rows.is_empty() {
+        return;
+    }
+    println!("\n  The final map as a present state, with all its stamps: what a late joiner gets.\n");
+    let reference = rows.iter().find(|row| row.name == "paper").map(|row| row.total_bytes);
+    let vs_paper = |row: &PresentRow| {
+        let ratio = |paper: u64| format!("×{:.3}", row.total_bytes as f64 / paper.max(1) as f64);
+        reference.map_or_else(String::new, ratio)
+    };
+    let table = Table::of(
+        rows,
+        &[
+            ("method", &|row| row.name.clone()),
+            ("total bytes", &|row| thousands(row.total_bytes)),
+            ("vs paper", &|row| vs_paper(row)),
+            ("tiles", &|row| thousands(row.tiles)),
+            ("encode ms", &|row| format!("{:.1}", row.encode_ms)),
+            ("decode ms", &|row| format!("{:.1}", row.decode_ms)),
+        ],
+    );
+    print!("{table}");
+    println!(
+        "  Tiles of at most 1,150 bytes; where the changes are not cut, of at most 1 MiB. Decoding includes merging."
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn methods_are_named_once_each() {
+        let named = |list: &str| {
+            methods(&list.split(',').map(|name| name.parse().unwrap()).collect::<Vec<MethodName>>())
+        };
+        assert_eq!(methods(&[]).len(), 6);
+        assert_eq!(named("paper,racer,paper"), [Method::Whole(Codec::Paper), Method::Whole(Codec::Racer)]);
+        assert_eq!(named("racer,all").len(), Method::ALL.len());
+        assert!("datagrams".parse::<MethodName>().is_err());
+    }
+}

@@ -1,0 +1,80 @@
+//! The same methods on recordings of real sensors.
+
+use std::path::{Path, PathBuf};
+
+use flockmap_cli::document::{Part, Section};
+use flockmap_cli::options::SourceArgs;
+use flockmap_cli::sources::{self, Sources};
+use flockmap_cli::table::thousands;
+
+use super::args::PaperArgs;
+use super::figures::T_L_S;
+use super::methods::{self, MethodRows};
+use super::settings::mapper;
+use super::team::{self, Team};
+
+/// What was measured, or why nothing was.
+pub struct Measured {
+    pub title: String,
+    pub methods: MethodRows,
+}
+
+/// The records that the command line names, or those in the data folder.
+pub fn records(args: &PaperArgs) -> Vec<PathBuf> {
+    if !args.records.is_empty() {
+        return args.records.clone();
+    }
+    let Some(folder) = std::env::var_os("FLOCKMAP_DATA") else { return Vec::new() };
+    let files = [1, 2].map(|number| Path::new(&folder).join(format!("hku_mb/robot{number}.mcap")));
+    if files.iter().all(|file| file.is_file()) { files.to_vec() } else { Vec::new() }
+}
+
+/// All methods, and our own stack, on the records as robots.
+pub fn measure(args: &PaperArgs, records: &[PathBuf], threads: usize) -> anyhow::Result<Option<Measured>> {
+    let source = SourceArgs { seconds: args.quick.then_some(20.0), ..SourceArgs::default() };
+    let open = || -> anyhow::Result<Sources> {
+        match records {
+            [record] => sources::open_parts(record, &source),
+            records => sources::open(records, &source, args.beyond_range, false),
+        }
+    };
+    let Sources { robots, title } = open()?;
+    let team = Team {
+        name: "recordings".to_owned(),
+        title: title.clone(),
+        about_stack: "As in Table I.",
+        mapper: mapper(args.beyond_resolution, args.beyond_range)?,
+        robots: robots.len(),
+        open: Box::new(|| Ok(open()?.robots)),
+        // A scan of these recordings is a quarter of a simulated one: there is time for more of them.
+        relayed_s: 3.0 * methods::relayed_s(args.quick),
+        is_within: |_, frame, seconds| frame.scan.stamp.seconds() < seconds,
+    };
+    drop(robots);
+    let measured = team::measure(&[team], args.seed, threads)?.pop().flatten();
+    Ok(measured.map(|measured| Measured { title, methods: measured.methods }))
+}
+
+pub fn section(args: &PaperArgs, measured: Option<&Measured>) -> Section {
+    let mut parts = Vec::new();
+    match measured {
+        Some(Measured { title, methods }) => {
+            let note = format!(
+                "{title}: {} m voxels, {} m range, t_l {T_L_S} s; {} voxels changed.",
+                args.beyond_resolution,
+                args.beyond_range,
+                thousands(methods.changed_voxels)
+            );
+            parts.push(Part::Words(
+                "The paper has no recordings to repeat. These are of a real sensor, and none was used to choose anything.".to_owned(),
+            ));
+            parts.push(Part::Figure(methods.bars()));
+            parts.push(Part::Table(methods.table("beyond").with_note(note)));
+        }
+        None => parts.push(Part::Words(
+            "Skipped: no recording was named, and there is none in the folder that FLOCKMAP_DATA names (hku_mb/robot1.mcap, robot2.mcap)."
+                .to_owned(),
+        )),
+    }
+    Section::new("beyond", "Beyond the paper: recordings", parts)
+}

@@ -1,0 +1,410 @@
+//! `flockmap-bench paper`: the paper's Section V, from its explorations to its application, in one report.
+
+mod application;
+mod args;
+mod beyond;
+mod figures;
+mod flown;
+mod jobs;
+mod methods;
+mod settings;
+mod stack;
+mod table1;
+mod table2;
+mod table3;
+mod table4;
+mod team;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Context;
+use flockmap_cli::document::{Cell, DataTable, Document, Part, Section};
+use flockmap_cli::measure::KB;
+use flockmap_cli::parallel::cores;
+use flockmap_cli::robot_record::RecordFacts;
+use flockmap_cli::table::percent_short;
+use flockmap_cli::{progress, stop};
+use serde_json::{Map, json};
+
+use crate::random;
+pub use args::PaperArgs;
+use args::Stage;
+use figures::Scene;
+use flown::{Explored, FlightPlan, Flights, Flown};
+use jobs::Job;
+
+/// Of what can be seen an exploration must see this share.
+const SEEN_SHARE: f64 = 0.95;
+
+/// The order in which stages are done, and in which they stand in the report.
+const ORDER: [Stage; 7] = [
+    Stage::Table1,
+    Stage::Table2,
+    Stage::Table3,
+    Stage::Table4,
+    Stage::Fig5,
+    Stage::Application,
+    Stage::Beyond,
+];
+
+/// A report in the making.
+struct Bench<'a> {
+    args: &'a PaperArgs,
+    threads: usize,
+    stages: Vec<Stage>,
+    /// Stages begun so far, and what they take, as far as it can be foretold.
+    begun: usize,
+    expected_s: Vec<f64>,
+    started: Instant,
+    sections: Vec<Section>,
+    verdicts: Vec<(bool, String)>,
+    facts: Map<String, serde_json::Value>,
+    skipped: Vec<&'static str>,
+    is_good: bool,
+    timings: Vec<(String, f64)>,
+}
+
+/// Runs the command. Whether every lossless method is lossless.
+pub fn run(args: &PaperArgs) -> anyhow::Result<bool> {
+    let stages = if args.only.is_empty() { ORDER.to_vec() } else { args.only.clone() };
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let temporary;
+    let records: &Path = if args.keep_records {
+        &args.out.join("records")
+    } else {
+        // Beside the report: a folder for temporary files may be in memory, and flights are large.
+        temporary = tempfile::Builder::new().prefix(".flights").tempdir_in(&args.out)?;
+        temporary.path()
+    };
+    let mut bench = Bench {
+        args,
+        threads: args.threads.unwrap_or_else(cores).max(1),
+        begun: 0,
+        expected_s: Vec::new(),
+        started: Instant::now(),
+        sections: Vec::new(),
+        verdicts: Vec::new(),
+        facts: Map::new(),
+        skipped: Vec::new(),
+        is_good: true,
+        stages,
+        timings: Vec::new(),
+    };
+    bench.expected_s = bench.expected();
+    bench.all(records)?;
+    let document = bench.document();
+    document.print(false);
+    document.write(&args.out, &document.json())?;
+    Ok(bench.is_good)
+}
+
+impl Bench<'_> {
+    /// Scenes that the wanted stages need.
+    fn scenes(&self) -> Vec<Scene> {
+        let needs = |stages: &[Stage]| self.stages.iter().any(|stage| stages.contains(stage));
+        let mut scenes = Vec::new();
+        if needs(&[Stage::Table1, Stage::Table2, Stage::Table3, Stage::Table4]) {
+            scenes.push(Scene::Forest);
+        }
+        if needs(&[Stage::Table1]) {
+            scenes.push(Scene::Indoor);
+        }
+        scenes
+    }
+
+    /// Seconds that each stage took on two cores, in the order of the stages. For the time left: only their proportions count.
+    fn expected(&self) -> Vec<f64> {
+        let quick = self.args.quick;
+        let flights = match self.scenes().len() {
+            0 => None,
+            1 => Some([130.0, 20.0]),
+            _ => Some([300.0, 40.0]),
+        };
+        let stage = |stage: Stage| match stage {
+            Stage::Table1 => [400.0, 45.0],
+            Stage::Table2 => [20.0, 1.0],
+            Stage::Table3 => [60.0, 4.0],
+            Stage::Table4 => [15.0, 2.0],
+            Stage::Fig5 => [40.0, 6.0],
+            Stage::Application => [500.0, 35.0],
+            Stage::Beyond => [60.0, 10.0],
+        };
+        let stages = ORDER.into_iter().filter(|stage| self.stages.contains(stage)).map(stage);
+        flights.into_iter().chain(stages).map(|seconds| seconds[usize::from(quick)]).collect()
+    }
+
+    /// About how many seconds are left before the stage that begins now, in words.
+    fn left(&self) -> String {
+        let done: f64 = self.expected_s.iter().take(self.begun - 1).sum();
+        let left: f64 = self.expected_s.iter().skip(self.begun - 1).sum();
+        let passed = self.started.elapsed().as_secs_f64();
+        // Until something is done, as fast as where the figures are from.
+        let pace = if done > 0.0 { passed / done } else { 1.0 };
+        let left = left * pace;
+        if left < 90.0 {
+            format!("about {left:.0} s left")
+        } else {
+            format!("about {:.0} min left", left / 60.0)
+        }
+    }
+
+    /// Does a stage, unless it is not wanted or the user wants an end. `None` if it was not done, or not to its end.
+    fn stage<T>(
+        &mut self,
+        stage: Option<Stage>,
+        name: &'static str,
+        work: impl FnOnce(&mut Self) -> anyhow::Result<T>,
+    ) -> anyhow::Result<Option<T>> {
+        if stage.is_some_and(|stage| !self.stages.contains(&stage)) {
+            return Ok(None);
+        }
+        self.begun += 1;
+        if stop::requested() {
+            self.skipped.push(name);
+            return Ok(None);
+        }
+        progress::line(&format!(
+            "stage {} of {}: {name} ({:.0} s so far, {})",
+            self.begun,
+            self.expected_s.len(),
+            self.started.elapsed().as_secs_f64(),
+            self.left()
+        ));
+        let started = Instant::now();
+        let done = work(self).with_context(|| name.to_owned())?;
+        self.timings.push((name.to_owned(), started.elapsed().as_secs_f64()));
+        if stop::requested() {
+            self.skipped.push(name);
+        }
+        Ok(Some(done))
+    }
+
+    fn all(&mut self, records: &Path) -> anyhow::Result<()> {
+        let flights = Flights(self.flights(records)?);
+        if !flights.0.is_empty() {
+            self.verdicts.extend(flights.0.iter().filter_map(seen_verdict));
+            self.sections.push(flights_section(&flights));
+        }
+        self.tables(&flights)?;
+        let plan = random::Plan::new(self.args.quick, self.args.seed);
+        if let Some(figure) =
+            self.stage(Some(Stage::Fig5), "Fig. 5, changes drawn at random", |_| random::measure(&plan))?
+        {
+            self.is_good &= figure.lossless;
+            self.sections.push(random::section(&figure, &plan));
+        }
+        let (args, threads) = (self.args, self.threads);
+        let seeds = u64::from(args.seeds.unwrap_or(if args.quick { 2 } else { 20 }));
+        if let Some(rows) =
+            self.stage(Some(Stage::Application), "the application, flying on a team-mate's map", |_| {
+                application::measure(seeds, args.quick, threads)
+            })?
+        {
+            self.verdicts.extend(application::verdicts(&rows));
+            self.sections.push(application::section(&rows));
+        }
+        let records: Vec<PathBuf> = beyond::records(self.args);
+        if let Some(measured) = self.stage(Some(Stage::Beyond), "recordings", |bench| {
+            if records.is_empty() { Ok(None) } else { beyond::measure(bench.args, &records, bench.threads) }
+        })? {
+            self.is_good &= measured.iter().flat_map(|m| &m.methods.rows).all(|row| row.is_as_promised);
+            self.sections.push(beyond::section(self.args, measured.as_ref()));
+        }
+        Ok(())
+    }
+
+    /// The flights that the wanted stages need: opened, or flown and recorded, several at the same time.
+    fn flights(&mut self, records: &Path) -> anyhow::Result<Vec<Flown>> {
+        let scenes = self.scenes();
+        if scenes.is_empty() {
+            return Ok(Vec::new());
+        }
+        if let Some(folder) = &self.args.flights {
+            let flown = self.stage(None, "opening the flights", |_| {
+                scenes.iter().map(|scene| flown::open(*scene, folder)).collect()
+            })?;
+            return Ok(flown.unwrap_or_default());
+        }
+        let flown = self.stage(None, "exploring", |bench| {
+            // What robots do between their scans is done one after the other: two flights side by side leave no core idle.
+            let threads = (bench.threads / scenes.len()).max(1);
+            let args = bench.args;
+            let job = |scene: Scene| {
+                Job::new(
+                    format!("exploring the {} with {} robots", scene.words(), scene.robots()),
+                    move || {
+                        let plan = FlightPlan {
+                            scene,
+                            world: Arc::new(scene.world(args.seed)),
+                            seed: args.seed,
+                            lidar: args.lidar,
+                            rendering: args.rendering,
+                            seconds_max: args.seconds.unwrap_or(if args.quick { 10.0 } else { 400.0 }),
+                            threads,
+                        };
+                        flown::fly(&plan, records)
+                    },
+                )
+            };
+            jobs::run(bench.threads, scenes.iter().map(|scene| job(*scene)).collect())
+        })?;
+        // Whatever Ctrl-C kept from being flown, in part or at all, is left out.
+        Ok(flown.into_iter().flatten().flatten().flatten().collect())
+    }
+
+    fn tables(&mut self, flights: &Flights) -> anyhow::Result<()> {
+        let seed = self.args.seed;
+        let forest = flights.get(Scene::Forest);
+        if let Some(measured) =
+            self.stage(Some(Stage::Table1), "Table I, all methods on four explorations", |bench| {
+                table1::measure(flights, seed, bench.args.quick, bench.threads)
+            })?
+        {
+            self.is_good &= measured.iter().flat_map(|row| &row.methods.rows).all(|row| row.is_as_promised);
+            self.verdicts.extend(table1::verdicts(&measured));
+            self.sections.push(table1::section(&measured));
+            self.sections.extend(table1::fig6(&measured));
+        }
+        let Some(forest) = forest else { return Ok(()) };
+        if let Some(Some(rows)) =
+            self.stage(Some(Stage::Table2), "Table II, Hilbert walk against nested order", |bench| {
+                table2::measure(forest, bench.threads)
+            })?
+        {
+            self.sections.push(table2::section(&rows));
+        }
+        if let Some(Some(measured)) =
+            self.stage(Some(Stage::Table3), "Table III, an emulated Wi-Fi", |bench| {
+                table3::measure(forest, seed, bench.threads)
+            })?
+        {
+            self.is_good &= measured.ours.report.is_good() && measured.paper.report.is_good();
+            self.sections.push(table3::section(&measured));
+        }
+        if let Some(measured) =
+            self.stage(Some(Stage::Table4), "Table IV, times, one core", |_| table4::measure(forest))?
+            && measured.cycles > 0
+        {
+            self.sections.push(table4::section(&measured));
+        }
+        Ok(())
+    }
+
+    fn document(&mut self) -> Document {
+        let mut verdicts = Vec::new();
+        if stop::requested() {
+            let skipped = self.skipped.join("; ");
+            verdicts.push((false, format!("Partial: ended by Ctrl-C. Missing or incomplete: {skipped}.")));
+        }
+        if self.args.quick {
+            verdicts.push((
+                false,
+                "A quick run: short flights, few draws and seeds. It shows that everything works; the figures are not the paper's."
+                    .to_owned(),
+            ));
+        }
+        verdicts.append(&mut self.verdicts);
+        let mut sections = core::mem::take(&mut self.sections);
+        sections.push(deviations(self.args));
+        sections.push(self.effort());
+        self.facts.extend([
+            ("seed".to_owned(), json!(self.args.seed)),
+            ("quick".to_owned(), json!(self.args.quick)),
+            ("interrupted".to_owned(), json!(stop::requested())),
+            ("missing".to_owned(), json!(self.skipped)),
+        ]);
+        Document {
+            title: "The paper's evaluation, repeated".to_owned(),
+            verdicts,
+            sections,
+            facts: core::mem::take(&mut self.facts),
+            ..Document::default()
+        }
+    }
+
+    /// How long it took.
+    fn effort(&self) -> Section {
+        let mut timings = self.timings.clone();
+        timings.push(("all".to_owned(), self.started.elapsed().as_secs_f64()));
+        let table = DataTable::of(
+            "effort",
+            &timings,
+            &[
+                ("stage", "stage", &|(name, _)| Cell::text(name)),
+                ("seconds", "seconds", &|(_, seconds)| Cell::Number(*seconds, 1)),
+            ],
+        );
+        let table = table.with_note(format!("{} threads.", self.threads));
+        Section::new("effort", "How long it took", vec![Part::Table(table)])
+    }
+}
+
+fn flights_section(flights: &Flights) -> Section {
+    fn explored(flown: &Flown, cell: impl Fn(&Explored) -> Cell) -> Cell {
+        flown.explored.as_ref().map_or(Cell::Missing, cell)
+    }
+    let sum = |flown: &Flown, of: fn(&RecordFacts) -> u64| flown.records.iter().map(of).sum::<u64>();
+    let table = DataTable::of(
+        "flights",
+        &flights.0,
+        &[
+            ("scene", "scene", &|f| Cell::text(f.scene.name())),
+            ("robots", "robots", &|f| Cell::count(f.records.len())),
+            ("seconds", "seconds", &|f| Cell::Number(f.seconds, 1)),
+            ("seen_share", "seen of what can be", &|f| explored(f, |e| Cell::Share(e.seen_share))),
+            ("overlap", "robots a voxel", &|f| explored(f, |e| Cell::Number(e.overlap, 2))),
+            ("path_m", "metres flown, all", &|f| Cell::Number(f.records.iter().map(|r| r.path_m).sum(), 1)),
+            ("scans", "scans", &|f| Cell::Whole(sum(f, |r| r.scans))),
+            ("points", "points", &|f| Cell::Whole(sum(f, |r| r.points))),
+            ("file_mb", "MB on disk", &|f| Cell::Number(sum(f, |r| r.file_bytes) as f64 / KB / KB, 1)),
+            ("sent_bytes", "sent meanwhile, bytes", &|f| explored(f, |e| Cell::Whole(e.sent_bytes))),
+            ("ended", "ended because", &|f| Cell::text(f.ended)),
+        ],
+    );
+    Section::new("flights", "The explorations", vec![Part::Table(table)])
+}
+
+/// Whether an exploration has seen what there is.
+fn seen_verdict(flown: &Flown) -> Option<(bool, String)> {
+    let seen_share = flown.explored?.seen_share;
+    let words = format!(
+        "{} robots have seen {} of what can be seen of the {} in {:.0} s ({}).",
+        flown.records.len(),
+        percent_short(seen_share),
+        flown.scene.words(),
+        flown.seconds,
+        flown.ended
+    );
+    Some((seen_share >= SEEN_SHARE, words))
+}
+
+/// What is not as in the paper.
+fn deviations(args: &PaperArgs) -> Section {
+    let points = vec![
+        "Scenes: the paper's forest and office are not published. Ours are generated, of the same size (60 × 25 × 10 m and 35 × 30 × 4 m), from --seed."
+            .to_owned(),
+        format!(
+            "LiDAR: the paper does not say which one its simulation had; its real robots carry an Avia. Ours is the {}, 10 scans a second, without noise, seeing \
+             {} m far, rendered as `{}`. For each row returns from beyond the row's sensing range are left out, as if there was no return.",
+            args.lidar,
+            flown::LIDAR_RANGE_M,
+            args.rendering
+        ),
+        "Exploration: a small relative of RACER's planner (frontiers, viewpoints, regions divided pairwise), in which each robot plans on its own fused map, over \
+         a perfect radio, and is told of rays that hit nothing, so that it need not go on looking at the open sky; the tables leave these rays out. One flight for each scene serves both of its rows and Table II, as the paper's one record does; it is flown with the maps of the first of them."
+            .to_owned(),
+        "Team-mates are seen in the scans and left out of the maps. The paper does not say what it does with them.".to_owned(),
+        "Mapper: ROG-Map's rules and published values. The paper uses it on its robots and does not say what its simulation used.".to_owned(),
+        "Averages: ours all divide by the length of the record. The paper's are over different times for its two methods (127 and 101 s in row 1, from \
+         its totals); by its totals the saving in row 1 is 9.6 times, not the 12 times of the averages."
+            .to_owned(),
+        "`paper` carries our header of about 26 bytes a package (stream, index, times, box, check) in place of two 32-bit addresses, which cannot be decoded \
+         without the sender's window."
+            .to_owned(),
+        "Wi-Fi: emulated, each datagram lost independently of the others.".to_owned(),
+    ];
+    Section::new("deviations", "What is not as in the paper", vec![Part::Points(points)])
+}

@@ -1,0 +1,170 @@
+//! Table IV: the time to pack a cycle, and from receiving it to the fused map. Runs alone on one core.
+
+use std::time::{Duration, Instant};
+
+use flockmap::codec::{Codec, Content, Decoder, Encoder, PACKAGE_BYTES_MAX, Package};
+use flockmap::{Changes, Cycle, Fusion, FusionConfig, Mapper, Packer, RobotId, SessionConfig, Stamp, Stream};
+use flockmap_cli::document::{Cell, DataTable, Part, Section};
+use flockmap_cli::measure::Times;
+use flockmap_cli::progress::Progress;
+use flockmap_cli::stop;
+
+use super::figures::{T_PACK_MS, T_RECV2INSERT_MS};
+use super::flown::{Flown, LIDAR_RANGE_M};
+use super::table3;
+
+/// More of the flight says nothing new.
+const SECONDS_MAX: f64 = 60.0;
+
+/// The same cycles, packed whole and cut to datagrams.
+#[derive(Default)]
+pub struct Measured {
+    pub whole: Pair,
+    pub datagrams: Pair,
+    pub changes: u64,
+    pub cycles: u64,
+    pub packages: u64,
+}
+
+#[derive(Default)]
+pub struct Pair {
+    pub t_pack: Times,
+    /// All packages of a cycle.
+    pub t_recv2insert: Times,
+}
+
+/// One robot: what it maps, and how it holds its team-mate's map.
+struct Node {
+    mapper: Mapper,
+    packer: Packer,
+    fusions: [Fusion; 2],
+}
+
+/// Measures both robots of the forest, one after the other, on this thread.
+pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
+    let plan = table3::plan(Codec::Paper, SessionConfig::default(), 0)?;
+    let resolution = plan.robot.mapper.resolution;
+    let mut sources = flown.sources(LIDAR_RANGE_M)?;
+    sources.truncate(2);
+    let stream = |number: usize| Stream { origin: RobotId(number as u16 + 1), epoch: 1 };
+    let mut nodes = Vec::new();
+    for number in 0..sources.len() {
+        let fusion = || Fusion::new(stream(number), resolution, FusionConfig::default());
+        nodes.push(Node {
+            mapper: Mapper::new(plan.robot.mapper.clone())?,
+            packer: Packer::new(plan.robot.cycle, stream(number), resolution, Stamp(0)),
+            fusions: [fusion(), fusion()],
+        });
+    }
+    let mut measured = Measured::default();
+    let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
+    let progress =
+        Progress::new("scans", (flown.seconds.min(SECONDS_MAX) * 10.0) as u64 * sources.len() as u64);
+    let mut index = 1;
+    'flight: while !stop::requested() {
+        for number in 0..nodes.len() {
+            let Some(frame) = sources[number].frames.next() else { break 'flight };
+            let now = frame.scan.stamp;
+            if now.seconds() > SECONDS_MAX {
+                break 'flight;
+            }
+            let node = &mut nodes[number];
+            let report = node.mapper.insert(&frame.scan, &frame.pose, &frame.masks());
+            node.packer.note_scan(now, &frame.pose);
+            node.fusions.iter_mut().for_each(|fusion| fusion.own_scan(&node.mapper, &report));
+            loop {
+                let started = Instant::now();
+                let Node { packer, mapper, .. } = &mut nodes[number];
+                let Some((cycle, changes)) = packer.close_due(now, mapper) else { break };
+                let took = started.elapsed();
+                measured.cycles += 1;
+                measured.changes += changes.len() as u64;
+                let other = 1 - number;
+                if other < nodes.len() {
+                    let of = (&cycle, &changes, index);
+                    index +=
+                        one_cycle(&mut measured, &mut encoder, &mut decoder, &mut nodes[other], took, of)?;
+                }
+            }
+            progress.step();
+        }
+    }
+    Ok(measured)
+}
+
+/// Packs a cycle both ways and merges it at the receiver. Returns how many packages it came to.
+fn one_cycle(
+    measured: &mut Measured,
+    encoder: &mut Encoder,
+    decoder: &mut Decoder,
+    receiver: &mut Node,
+    taken: Duration,
+    (cycle, changes, index): (&Cycle, &Changes, u32),
+) -> anyhow::Result<u32> {
+    let mut count = 0;
+    for (number, is_whole) in [(0, true), (1, false)] {
+        let started = Instant::now();
+        let packages = if is_whole {
+            vec![encoder.encode_whole(Codec::Paper, cycle, index, changes)?]
+        } else {
+            encoder.encode_cycle(Codec::Paper, cycle, index, changes, PACKAGE_BYTES_MAX)?
+        };
+        let pair = if is_whole { &mut measured.whole } else { &mut measured.datagrams };
+        pair.t_pack.add(taken + started.elapsed());
+        let started = Instant::now();
+        for package in &packages {
+            let received = Package::parse(package.bytes())?;
+            if let Content::Changes(decoded) = decoder.decode(&received)? {
+                let header = received.header();
+                receiver.fusions[number].apply(
+                    &receiver.mapper,
+                    header.stream,
+                    &decoded,
+                    header.cycle_end,
+                    header.cycle_end,
+                )?;
+            }
+        }
+        pair.t_recv2insert.add(started.elapsed());
+        count = packages.len() as u32;
+    }
+    measured.packages += u64::from(count);
+    Ok(count)
+}
+
+pub fn section(measured: &Measured) -> Section {
+    let Measured { whole, datagrams, .. } = measured;
+    let steps = [
+        ("t_pack, one package a cycle, as the paper", whole.t_pack.summary(), T_PACK_MS),
+        ("t_pack, cut to datagrams", datagrams.t_pack.summary(), T_PACK_MS),
+        ("t_recv2insert, one package", whole.t_recv2insert.summary(), T_RECV2INSERT_MS),
+        ("t_recv2insert, all datagrams of a cycle", datagrams.t_recv2insert.summary(), T_RECV2INSERT_MS),
+    ];
+    let table = DataTable::of(
+        "table4",
+        &steps,
+        &[
+            ("step", "step", &|(name, ..)| Cell::text(*name)),
+            ("cycles", "cycles", &|(_, time, _)| Cell::count(time.count)),
+            ("mean_ms", "mean, ms", &|(_, time, _)| Cell::Number(time.mean_ms, 2)),
+            ("median_ms", "median, ms", &|(_, time, _)| Cell::Number(time.median_ms, 2)),
+            ("p99_ms", "99 %, ms", &|(_, time, _)| Cell::Number(time.p99_ms, 2)),
+            ("in_paper_ms", "in the paper, ms", &|(.., paper)| Cell::Number(*paper, 2)),
+        ],
+    );
+    let cycles = measured.cycles.max(1) as f64;
+    let note = format!(
+        "Codec `paper`, one core of this machine, nothing else running in this program. {:.0} changed voxels and {:.1} datagrams a cycle on average. \
+         t_pack: changes taken, boxes found, encoded. t_recv2insert: parsed, checked, decoded, merged, fused.",
+        measured.changes as f64 / cycles,
+        measured.packages as f64 / cycles
+    );
+    let parts = vec![
+        Part::Words(format!(
+            "The forest with the settings of Table III, first {SECONDS_MAX:.0} s. The paper's times are of the computers on its drones, which it does not \
+             name: a scale, not a race."
+        )),
+        Part::Table(table.with_note(note)),
+    ];
+    Section::new("table4", "Table IV: time", parts)
+}

@@ -1,0 +1,319 @@
+//! `flockmap demo`: a swarm over real UDP sockets on this machine, each robot a node of its own.
+
+use std::io;
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use clap::Args;
+use flockmap::{Codec, Event, Path, RobotConfig, RobotId, ScanReport, Stamp, Stream, Transmit};
+use flockmap_cli::measure::TimeSummary;
+use flockmap_cli::member::Measures;
+use flockmap_cli::options::{MapArgs, SourceArgs};
+use flockmap_cli::picture::Snapshot;
+use flockmap_cli::program::command_line;
+use flockmap_cli::progress::Progress;
+use flockmap_cli::report::{Course, Finished, Report, Settings};
+use flockmap_cli::{sources, stop, team};
+use flockmap_node::{
+    Clock, Node, NodeHandle, NodeOptions, Observation, Sensor, Sent, Transport, UdpOptions, UdpSockets,
+};
+
+/// Fly a swarm over real UDP sockets on this machine and report what it cost
+#[derive(Args, Debug)]
+#[command(after_help = "\
+Examples:
+  flockmap demo
+  flockmap demo --scene indoor --robots 5 --seconds 30 --out /tmp/indoor
+
+Each robot is a node of its own with its own socket. At the end there are a table here, and report.html and report.json
+in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.")]
+pub struct DemoArgs {
+    /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
+    #[arg(long, value_name = "SCENE", default_value = "forest")]
+    pub scene: PathBuf,
+    /// Codec of the packages: flock, paper, nested-zlib, raw or racer
+    #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
+    pub codec: Codec,
+    /// Folder for report.html and report.json
+    #[arg(long, value_name = "DIR", default_value = "flockmap-demo")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub map: MapArgs,
+    #[command(flatten)]
+    pub source: SourceArgs,
+}
+
+/// Time for all nodes to start before the first scan.
+const BEGIN: Stamp = Stamp(500_000);
+/// After the last scan, repairs may take at most this long.
+const SETTLE_MAX: Duration = Duration::from_secs(20);
+/// How often nodes are asked how they do.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+
+/// What a node tells of itself while it runs. It is counted on the thread of the demo, so that counting costs the nodes nothing.
+enum Told {
+    Scan { stamp: Stamp, report: ScanReport },
+    Event { now: Stamp, event: Event },
+    Sent { now: Stamp, bytes: usize, copies: u32 },
+}
+
+/// A robot of the demo.
+struct Member {
+    name: String,
+    stream: Stream,
+    measures: Measures,
+    snapshots: Vec<Snapshot>,
+    last_scan: Option<Stamp>,
+}
+
+/// Runs the command. Whether everything arrived and every voxel is equal.
+pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
+    let base = args.map.robot(args.codec, args.source.seed)?;
+    let sources = sources::open_scene(&args.scene, &args.source, args.map.range)?;
+    let title = format!("demo: {}, over UDP sockets", sources.title);
+    let seconds = sources.robots.iter().map(|s| s.seconds_expected).fold(0.0, f64::max);
+
+    let clock = Clock::at(Stamp(0));
+    let (tell, told) = channel();
+    let (mut members, nodes) = start(sources.robots, &base, clock, &tell)?;
+    drop(tell);
+    let interrupted = fly(&mut members, &nodes, clock, &told, seconds);
+    let arrived = settle(&mut members, &nodes, clock, &told)?;
+    for (member, node) in members.iter_mut().zip(&nodes) {
+        let snapshot = node.with_robot(|robot, now| Snapshot::take(robot, since_begin(now)));
+        member.snapshots.extend(snapshot);
+        node.stop();
+    }
+    let mut ended = Vec::new();
+    for node in nodes {
+        ended.push(node.join().context("a node ended with an error")?);
+    }
+    told.try_iter().for_each(|news| take_in(&mut members, news));
+
+    let times = |of: fn(&flockmap_node::Timings) -> &flockmap_node::Histogram| {
+        TimeSummary::of_histograms(ended.iter().map(|e| of(&e.status.timings)))
+    };
+    let course = Course {
+        command: command_line(),
+        title,
+        record_s: last_scan(&members).micros_since(BEGIN) as f64 / 1e6,
+        settle_s: arrived.map(|at| at.micros_since(last_scan(&members)).max(0) as f64 / 1e6),
+        interrupted,
+        t_map: times(|t| &t.insert_scan),
+        t_pack: times(|t| &t.pack),
+        t_recv2insert: times(|t| &t.receive_to_insert),
+    };
+    let radio = "UDP sockets on the loopback of this machine, in real time";
+    let settings = Settings::new(&base, args.map.mapper, radio);
+    let finished: Vec<Finished<'_>> = members
+        .iter()
+        .zip(&ended)
+        .map(|(member, ended)| Finished {
+            name: &member.name,
+            robot: &ended.robot,
+            measures: &member.measures,
+            snapshots: &member.snapshots,
+            scans_damaged: 0,
+        })
+        .collect();
+    let report = Report::new(course, settings, &finished)?;
+    let document = report.document();
+    document.print(false);
+    document.write(&args.out, &report)?;
+    Ok(report.is_good())
+}
+
+type Tell = Sender<(usize, Told)>;
+
+fn start(
+    robots: Vec<sources::Source>,
+    base: &RobotConfig,
+    clock: Clock,
+    tell: &Tell,
+) -> anyhow::Result<(Vec<Member>, Vec<NodeHandle>)> {
+    let options = UdpOptions::new("127.0.0.1:0".parse()?);
+    let mut sockets = Vec::new();
+    for _ in &robots {
+        sockets.push(UdpSockets::bind(&options)?);
+    }
+    let addresses = sockets.iter().map(UdpSockets::local_addr).collect::<io::Result<Vec<_>>>()?;
+    let (mut members, mut nodes) = (Vec::new(), Vec::new());
+    for (number, (source, mut sockets)) in robots.into_iter().zip(sockets).enumerate() {
+        for (_, address) in addresses.iter().enumerate().filter(|(other, _)| *other != number) {
+            sockets.add_peer(*address);
+        }
+        let config = RobotConfig { id: RobotId(number as u16 + 1), ..base.clone() };
+        let stream = Stream { origin: config.id, epoch: config.epoch };
+        let mut options = NodeOptions::new(config);
+        options.name.clone_from(&source.name);
+        options.clock = clock;
+        let frames = source.frames.map(|mut frame| {
+            // A node is told of team-mates over its socket; here the scans come without them.
+            let masks = frame.masks();
+            team::cut_out(&mut frame.scan, &frame.pose, &masks);
+            Ok(flockmap_node::Frame { scan: frame.scan, t_map_sensor: frame.pose, points_dropped: 0 })
+        });
+        options.sensor = Sensor::Play {
+            frames: flockmap_node::Frames::new(frames),
+            speed: 1.0,
+            skip: Duration::ZERO,
+            begin: Some(BEGIN),
+        };
+        let observe = tell.clone();
+        options.observer = Some(Box::new(move |now, _robot, observation| {
+            let told = match observation {
+                Observation::Scan { scan, report } => {
+                    Told::Scan { stamp: scan.stamp, report: report.clone() }
+                }
+                Observation::Event(event) => Told::Event { now, event: event.clone() },
+                _ => return,
+            };
+            // The demo is over if nobody listens.
+            let _ = observe.send((number, told));
+        }));
+        let meter = tell.clone();
+        let make = move || Ok(Metered { inner: sockets.into_transport()?, clock, number, tell: meter });
+        nodes.push(Node::start(options, make)?);
+        members.push(Member {
+            name: source.name,
+            stream,
+            measures: Measures::default(),
+            snapshots: Vec::new(),
+            last_scan: None,
+        });
+    }
+    Ok((members, nodes))
+}
+
+/// Waits until the last robot has played its last scan. Whether Ctrl-C ended it early.
+fn fly(
+    members: &mut [Member],
+    nodes: &[NodeHandle],
+    clock: Clock,
+    told: &Receiver<(usize, Told)>,
+    seconds: f64,
+) -> bool {
+    let progress = Progress::new("flying", seconds.ceil() as u64);
+    let mut moments = [seconds / 3.0, seconds * 2.0 / 3.0].into_iter().peekable();
+    loop {
+        let look_at = Instant::now() + LOOK_EVERY;
+        while let Ok(news) = told.recv_timeout(look_at.saturating_duration_since(Instant::now())) {
+            take_in(members, news);
+        }
+        let flown = clock.now().micros_since(BEGIN) as f64 / 1e6;
+        if moments.next_if(|moment| *moment <= flown).is_some() {
+            for (member, node) in members.iter_mut().zip(nodes) {
+                let take = |robot: &mut flockmap::Robot, now: Stamp| Snapshot::take(robot, since_begin(now));
+                member.snapshots.extend(node.with_robot(take));
+            }
+        }
+        let statuses: Vec<_> = nodes.iter().filter_map(NodeHandle::status).collect();
+        let bytes: u64 = members.iter().map(|m| m.measures.sent.total()).sum();
+        let voxels: usize = statuses.iter().map(|s| s.map_voxels.0 + s.map_voxels.1).max().unwrap_or(0);
+        progress.say(format!(
+            "flying ({:.1} KB/s, {:.2} million voxels known)",
+            bytes as f64 / 1024.0 / flown.max(1.0),
+            voxels as f64 / 1e6
+        ));
+        progress.set(flown.clamp(0.0, seconds) as u64);
+        if stop::requested() {
+            return true;
+        }
+        if statuses.iter().all(|status| status.sensor_ended) {
+            return false;
+        }
+    }
+}
+
+/// Closes the last cycles and waits until everything has arrived everywhere. When it had; `None` if it did not
+/// happen.
+fn settle(
+    members: &mut [Member],
+    nodes: &[NodeHandle],
+    clock: Clock,
+    told: &Receiver<(usize, Told)>,
+) -> anyhow::Result<Option<Stamp>> {
+    let began = Instant::now();
+    for node in nodes {
+        node.with_robot(|robot, now| robot.flush(now)).context("a node has ended too early")?;
+    }
+    let streams: Vec<Stream> = members.iter().map(|m| m.stream).collect();
+    while began.elapsed() < SETTLE_MAX {
+        let mut packages = Vec::new();
+        let mut held = Vec::new();
+        for node in nodes {
+            let streams = streams.clone();
+            let state = node.with_robot(move |robot, _| {
+                let held = |s: &Stream| robot.session().held(*s).map_or(0, |held| u64::from(held.prefix()));
+                (robot.counters().packages, streams.iter().map(held).collect::<Vec<_>>())
+            });
+            let (own, of_each) = state.context("a node has ended too early")?;
+            packages.push(own);
+            held.push(of_each);
+        }
+        told.try_iter().for_each(|news| take_in(members, news));
+        if held.iter().all(|of_each| of_each.iter().zip(&packages).all(|(held, packages)| held >= packages)) {
+            return Ok(Some(clock.now()));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Ok(None)
+}
+
+/// Counts what a node told. A node tells of a scan before it sends what came of it, so the scan is always counted first.
+fn take_in(members: &mut [Member], (number, news): (usize, Told)) {
+    // The age counts from the scan that the sender made the voxel of.
+    if let Told::Event { now, event: Event::Merged { stream, changes, .. } } = &news
+        && let Some(sender) = members.iter().position(|m| m.stream == *stream)
+        && let Ok([receiver, sender]) = members.get_disjoint_mut([number, sender])
+    {
+        receiver.measures.ages.add(*now, changes, &sender.measures.onset);
+    }
+    let Some(member) = members.get_mut(number) else { return };
+    match news {
+        Told::Scan { stamp, report } => {
+            member.measures.scan(None, &report, stamp);
+            member.last_scan = member.last_scan.max(Some(stamp));
+        }
+        Told::Event { now, event } => member.measures.event(since_begin(now), &event),
+        Told::Sent { now, bytes, copies } => {
+            member.measures.datagram_sent(since_begin(now), bytes, u64::from(copies));
+        }
+    }
+}
+
+fn since_begin(now: Stamp) -> Stamp {
+    Stamp(now.micros_since(BEGIN))
+}
+
+fn last_scan(members: &[Member]) -> Stamp {
+    members.iter().filter_map(|m| m.last_scan).max().unwrap_or(BEGIN)
+}
+
+/// UDP sockets that tell of every datagram sent.
+struct Metered<T> {
+    inner: T,
+    clock: Clock,
+    number: usize,
+    tell: Tell,
+}
+
+impl<T: Transport> Transport for Metered<T> {
+    async fn receive(&mut self, buffer: &mut [u8]) -> io::Result<(usize, Path)> {
+        self.inner.receive(buffer).await
+    }
+
+    fn set_paths(&mut self, paths: &[Path]) {
+        self.inner.set_paths(paths);
+    }
+
+    async fn send(&mut self, transmit: &Transmit) -> Sent {
+        let sent = self.inner.send(transmit).await;
+        let told = Told::Sent { now: self.clock.now(), bytes: transmit.bytes.len(), copies: sent.copies };
+        // The demo is over if nobody listens.
+        let _ = self.tell.send((self.number, told));
+        sent
+    }
+}

@@ -1,0 +1,96 @@
+//! `flockmap export`: a map taken elsewhere.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use clap::Args;
+use flockmap::grid::{Changes, Mapper};
+use flockmap::{Resolution, State, Voxel};
+use flockmap_cli::options::{MapArgs, SourceArgs};
+use flockmap_cli::progress::Progress;
+use flockmap_cli::table::thousands;
+use flockmap_cli::{sources, stop};
+use flockmap_io::{ExportOptions, OctoMap, export_map, read_cloud};
+
+/// Map a record and take the map elsewhere, or convert a map or cloud
+#[derive(Args, Debug)]
+#[command(after_help = "\
+Examples:
+  flockmap export robot1.mcap --to map.bt --resolution 0.2 --range 30
+  flockmap export robot1.mcap --to map.ply --free
+  flockmap export fr_079.bt --to map.pcd
+  flockmap export TLS_Clip.laz --to map.bt --resolution 0.2
+
+A record is mapped with the mapper options. An OctoMap keeps its own resolution. Of a cloud every voxel with a point is
+occupied. The ending of --to decides the format: .ply, .pcd or .bt.")]
+pub struct ExportArgs {
+    /// A record, an OctoMap, or a point cloud
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// Where to: a path that ends in .ply, .pcd or .bt
+    #[arg(long, value_name = "MAP")]
+    pub to: PathBuf,
+    /// Write free voxels too (a .bt always holds them)
+    #[arg(long)]
+    pub free: bool,
+    #[command(flatten)]
+    pub map: MapArgs,
+    #[command(flatten)]
+    pub source: SourceArgs,
+}
+
+/// Runs the command.
+pub fn run(args: &ExportArgs) -> anyhow::Result<bool> {
+    let ending = args.to.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    if !matches!(ending.as_deref(), Some("ply" | "pcd" | "bt")) {
+        bail!("--to {}: expected a path that ends in .ply, .pcd or .bt", args.to.display());
+    }
+    let extension = args.file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    let (resolution, voxels): (Resolution, Box<dyn Iterator<Item = (Voxel, State)>>) = match extension
+        .as_deref()
+    {
+        Some("bt") => {
+            let map = OctoMap::read(&args.file)?;
+            let voxels =
+                map.cubes().to_vec().into_iter().flat_map(|c| c.voxels().map(move |voxel| (voxel, c.state)));
+            (map.resolution(), Box::new(voxels))
+        }
+        Some("pcd" | "ply" | "las" | "laz") => {
+            let resolution = args.map.resolution()?;
+            let cloud = read_cloud(&args.file)?;
+            if cloud.origin != [0.0; 3] {
+                println!("  coordinates are seen from {:?} m, the lowest corner of the cloud", cloud.origin);
+            }
+            let voxel = |p: &[f32; 3]| Some((resolution.voxel_at(p.map(f64::from))?, State::Occupied));
+            let changes = Changes::from_voxels(cloud.points.iter().filter_map(voxel));
+            (resolution, Box::new(changes.into_voxels()))
+        }
+        _ => (args.map.resolution()?, Box::new(map_sources(args)?.into_voxels())),
+    };
+    let count = export_map(&args.to, resolution, voxels, &ExportOptions { free: args.free })?;
+    println!("{}: {} voxels of {} m", args.to.display(), thousands(count), resolution.metres());
+    Ok(true)
+}
+
+/// The map that a record, or a simulated flight, makes.
+fn map_sources(args: &ExportArgs) -> anyhow::Result<Changes> {
+    let mut mapper = Mapper::new(args.map.mapper()?)?;
+    let sources = sources::open(std::slice::from_ref(&args.file), &args.source, args.map.range, false)?;
+    let progress = Progress::new("scans", sources.robots.iter().map(|source| source.frames_expected).sum());
+    // Several simulated robots share one frame, so one map holds what all have seen.
+    for frame in sources.robots.into_iter().flat_map(|source| source.frames) {
+        if stop::requested() {
+            eprintln!("warning: ended by Ctrl-C: the map holds what was seen so far");
+            break;
+        }
+        mapper.insert(&frame.scan, &frame.pose, &frame.masks());
+        progress.step();
+    }
+    let blocks = mapper.blocks().map(|(index, block)| (index, *block)).collect();
+    let changes = Changes::from_blocks(blocks);
+    if changes.is_empty() {
+        return Err(anyhow::anyhow!("no voxel is known"))
+            .with_context(|| format!("{}: nothing to export", args.file.display()));
+    }
+    Ok(changes)
+}

@@ -1,0 +1,11 @@
+//! The commands of `flockmap`, each with its options.
+
+pub mod demo;
+pub mod export;
+pub mod info;
+pub mod key;
+pub mod moved;
+pub mod node;
+pub mod radio;
+pub mod replay;
+pub mod sim;

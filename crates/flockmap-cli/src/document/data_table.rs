@@ -1,0 +1,162 @@
+//! Tables whose cells keep their values, so that every form of them says the same.
+
+use serde_json::{Value, json};
+
+use crate::table::{Table, percent, thousands};
+
+/// A table of values.
+#[derive(Default)]
+pub struct DataTable {
+    /// Name of the CSV file, and of the table in the JSON. Without one it is in neither: what it shows is among the facts.
+    pub id: String,
+    /// Name in CSV and JSON, with unit, and heading for people.
+    pub columns: Vec<(&'static str, &'static str)>,
+    /// As many cells in each as there are columns.
+    pub rows: Vec<Vec<Cell>>,
+    /// The row that sums up.
+    pub sum: Option<usize>,
+    /// What the figures mean.
+    pub note: String,
+    /// Too long for the text.
+    pub is_long: bool,
+}
+
+/// One column of rows of `R`: its name in CSV and JSON, with unit; its heading for people; its cell in a row.
+pub type Column<'a, R> = (&'static str, &'static str, &'a dyn Fn(&R) -> Cell);
+
+/// One value.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cell {
+    /// Words.
+    Text(String),
+    /// A whole number.
+    Whole(u64),
+    /// A number, and digits after the point for people.
+    Number(f64, usize),
+    /// A share of 1, shown as per cent.
+    Share(f64),
+    /// Not known, or not said.
+    Missing,
+}
+
+impl DataTable {
+    /// A table without rows.
+    pub fn new(id: impl Into<String>, columns: &[(&'static str, &'static str)]) -> Self {
+        Self { id: id.into(), columns: columns.to_vec(), ..Self::default() }
+    }
+
+    /// A table with a row for each of these.
+    pub fn of<R>(id: impl Into<String>, rows: &[R], columns: &[Column<'_, R>]) -> Self {
+        let names = columns.iter().map(|(key, heading, _)| (*key, *heading)).collect();
+        let row = |row: &R| columns.iter().map(|(.., cell)| cell(row)).collect();
+        Self { id: id.into(), columns: names, rows: rows.iter().map(row).collect(), ..Self::default() }
+    }
+
+    /// A table without a name, of cells that are ready.
+    pub fn unnamed<const N: usize>(
+        headings: [&'static str; N],
+        rows: impl IntoIterator<Item = [String; N]>,
+    ) -> Self {
+        let rows = rows.into_iter().map(|row| row.into_iter().map(Cell::Text).collect());
+        Self {
+            columns: headings.map(|heading| ("", heading)).to_vec(),
+            rows: rows.collect(),
+            ..Self::default()
+        }
+    }
+
+    /// The same with a note.
+    #[must_use]
+    pub fn with_note(self, note: impl Into<String>) -> Self {
+        Self { note: note.into(), ..self }
+    }
+
+    /// One row more.
+    pub fn row(&mut self, cells: impl IntoIterator<Item = Cell>) {
+        self.rows.push(cells.into_iter().collect());
+    }
+
+    pub(super) fn csv(&self) -> String {
+        let line = |cells: Vec<String>| cells.join(",") + "\n";
+        let mut csv = line(self.columns.iter().map(|(key, _)| quoted(key)).collect());
+        for row in &self.rows {
+            csv += &line(row.iter().map(|cell| quoted(&cell.plain())).collect());
+        }
+        csv
+    }
+
+    pub(super) fn json(&self) -> Value {
+        let row = |row: &Vec<Cell>| {
+            let fields =
+                self.columns.iter().zip(row).map(|((key, _), cell)| ((*key).to_owned(), cell.json()));
+            Value::Object(fields.collect())
+        };
+        self.rows.iter().map(row).collect()
+    }
+
+    pub(super) fn text(&self) -> Table {
+        let mut table = Table::new(self.columns.iter().map(|(_, heading)| *heading));
+        self.rows.iter().for_each(|row| table.row(row.iter().map(Cell::shown)));
+        table
+    }
+}
+
+impl Cell {
+    /// Words.
+    pub fn text(text: impl Into<String>) -> Self {
+        Self::Text(text.into())
+    }
+
+    /// How many there are.
+    pub const fn count(count: usize) -> Self {
+        Self::Whole(count as u64)
+    }
+
+    /// A number that may not be known.
+    pub fn maybe(number: Option<f64>, digits: usize) -> Self {
+        number.map_or(Self::Missing, |number| Self::Number(number, digits))
+    }
+
+    /// For people.
+    pub(super) fn shown(&self) -> String {
+        match self {
+            Self::Text(text) => text.clone(),
+            Self::Whole(number) => thousands(*number),
+            Self::Number(number, 0) if number.is_finite() && *number >= 1_000.0 => {
+                thousands(number.round() as u64)
+            }
+            Self::Number(number, digits) if number.is_finite() => format!("{number:.digits$}"),
+            Self::Share(share) => percent(*share),
+            Self::Number(..) | Self::Missing => "–".to_owned(),
+        }
+    }
+
+    /// For CSV: whole precision, no separators, nothing where nothing is known.
+    fn plain(&self) -> String {
+        match self {
+            Self::Text(text) => text.clone(),
+            Self::Whole(number) => number.to_string(),
+            Self::Number(number, _) | Self::Share(number) if number.is_finite() => number.to_string(),
+            _ => String::new(),
+        }
+    }
+
+    fn json(&self) -> Value {
+        match self {
+            Self::Text(text) => json!(text),
+            Self::Whole(number) => json!(number),
+            // Not a number and infinity become null.
+            Self::Number(number, _) | Self::Share(number) => json!(number),
+            Self::Missing => Value::Null,
+        }
+    }
+}
+
+/// A field of a CSV file (RFC 4180).
+fn quoted(field: &str) -> String {
+    if field.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", field.replace('"', "\"\""))
+    } else {
+        field.to_owned()
+    }
+}

@@ -1,0 +1,53 @@
+//! A report of tables, charts and words: said once, then printed, and written as a page, as CSV and as JSON.
+
+mod data_table;
+mod files;
+mod model;
+mod page;
+mod text;
+
+pub use data_table::{Cell, Column, DataTable};
+pub use model::{Document, Part, Section};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Map, Value, json};
+
+    fn document() -> Document {
+        let mut table =
+            DataTable::new("bytes", &[("name", "who"), ("total_bytes", "bytes"), ("kb_s", "KB/s")]);
+        table.row([Cell::text("a, \"b\" <c>"), Cell::Whole(1_234_567), Cell::Number(2.345_6, 2)]);
+        table.row([Cell::text("d"), Cell::Missing, Cell::Number(f64::NAN, 2)]);
+        table.note = "a `b<` & `c`".to_owned();
+        Document {
+            title: "T".to_owned(),
+            verdicts: vec![(true, "fine".to_owned())],
+            sections: vec![Section::new("s", "A & B", vec![Part::Table(table)])],
+            facts: Map::from_iter([("seed".to_owned(), json!(7))]),
+            ..Document::default()
+        }
+    }
+
+    #[test]
+    fn every_form_says_the_same() {
+        let document = document();
+        let table = document.tables().next().unwrap();
+        assert_eq!(table.csv(), "name,total_bytes,kb_s\n\"a, \"\"b\"\" <c>\",1234567,2.3456\nd,,\n");
+        let json = document.json();
+        assert_eq!(json["tables"]["bytes"][0]["total_bytes"], 1_234_567);
+        assert_eq!(json["tables"]["bytes"][1]["kb_s"], Value::Null);
+        assert_eq!(json["seed"], 7);
+        let page = page::render(&document);
+        for expected in ["a, &quot;b&quot; &lt;c&gt;", "1,234,567", "2.35"] {
+            assert!(page.contains(expected), "{page}");
+        }
+        assert!(table.text().to_string().contains("1,234,567"));
+    }
+
+    #[test]
+    fn backticks_are_code_and_nothing_else_is_markup() {
+        let page = page::render(&document());
+        assert!(page.contains("a <code>b&lt;</code> &amp; <code>c</code>"), "{page}");
+    }
+}

@@ -1,0 +1,74 @@
+//! What a report says.
+
+use maud::Markup;
+use serde_json::{Map, Value, json};
+
+use super::data_table::DataTable;
+use crate::program::command_line;
+
+/// A report.
+#[derive(Default)]
+pub struct Document {
+    /// What it is of.
+    pub title: String,
+    /// How it was made, in a line under the title of the text.
+    pub about: String,
+    /// Verdicts at the top of the page and the end of the text: whether it is good, and in what words.
+    pub verdicts: Vec<(bool, String)>,
+    /// Its parts.
+    pub sections: Vec<Section>,
+    /// The text leaves out the titles of sections: its tables say by themselves what they are.
+    pub is_plain: bool,
+    /// What the JSON holds beside the tables.
+    pub facts: Map<String, Value>,
+}
+
+/// One part of a report. The id is its anchor in the page.
+pub struct Section {
+    pub id: &'static str,
+    pub title: String,
+    pub parts: Vec<Part>,
+}
+
+/// What a section is made of.
+pub enum Part {
+    /// A paragraph.
+    Words(String),
+    /// Words, one point each.
+    Points(Vec<String>),
+    /// A table with its note.
+    Table(DataTable),
+    /// Charts and pictures, for the page alone.
+    Figure(Markup),
+}
+
+impl Section {
+    /// A section.
+    pub fn new(id: &'static str, title: impl Into<String>, parts: Vec<Part>) -> Self {
+        Self { id, title: title.into(), parts }
+    }
+}
+
+impl Document {
+    /// The tables that have a name.
+    pub(super) fn tables(&self) -> impl Iterator<Item = &DataTable> {
+        let parts = self.sections.iter().flat_map(|section| &section.parts);
+        let tables = parts.filter_map(|part| if let Part::Table(table) = part { Some(table) } else { None });
+        tables.filter(|table| !table.id.is_empty())
+    }
+
+    /// Facts, and every table as an array of objects.
+    pub fn json(&self) -> Value {
+        let mut value = self.facts.clone();
+        let verdicts = self.verdicts.iter().map(|(good, words)| json!({"good": good, "words": words}));
+        let tables = self.tables().map(|table| (table.id.clone(), table.json()));
+        value.extend([
+            ("title".to_owned(), json!(self.title)),
+            ("command".to_owned(), json!(command_line())),
+            ("version".to_owned(), json!(env!("CARGO_PKG_VERSION"))),
+            ("verdicts".to_owned(), verdicts.collect()),
+            ("tables".to_owned(), Value::Object(tables.collect())),
+        ]);
+        Value::Object(value)
+    }
+}
