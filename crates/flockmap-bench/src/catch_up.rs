@@ -8,14 +8,14 @@ use clap::Args;
 use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::{Layer, PresentState};
 use flockmap::sync::wire::{Datagram, Kind, parse_packages};
-use flockmap::{Codec, Destination, Event, Robot, RobotConfig, RobotId, SessionConfig, Stamp, Stream};
+use flockmap::{Codec, Event, Robot, RobotConfig, RobotId, SessionConfig, Stamp, Stream};
 use flockmap_cli::measure::Sent;
 use flockmap_cli::options::{MapArgs, SourceArgs, budget};
 use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{Frames, Source};
 use flockmap_cli::table::{Table, thousands};
 use flockmap_cli::{json_file, sources, stop};
-use flockmap_netsim::{IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To};
+use flockmap_netsim::{Datagram as Sending, IP_UDP_BYTES, Link, Network, RadioConfig, Watch};
 use serde::Serialize;
 
 /// What an outage and a late joiner cost, beside the map coded once
@@ -179,16 +179,11 @@ impl Output {
 }
 
 struct Flight {
-    robots: Vec<Robot>,
+    network: Network<Robot>,
     frames: Vec<Frames>,
-    radio: RadioEmulator,
-    now: Stamp,
-    stuck: u32,
     length: Stamp,
     expected: u64,
     meter: Meter,
-    /// End of the newest cycle of each robot.
-    cycle_ends: BTreeMap<Stream, Stamp>,
 }
 
 /// Bytes on the wire with IP and UDP headers, every copy counted.
@@ -200,6 +195,8 @@ struct Meter {
     marked: u64,
     marks: BTreeMap<Stream, (u32, u32)>,
     by_robot: BTreeMap<RobotId, Sent>,
+    /// End of the newest cycle of each robot.
+    cycle_ends: BTreeMap<Stream, Stamp>,
 }
 
 impl Meter {
@@ -207,24 +204,36 @@ impl Meter {
         (self.requests, self.packages, self.marked) = (0, 0, 0);
         self.by_robot.clear();
     }
+}
 
-    fn add(&mut self, now: Stamp, from: RobotId, bytes: &[u8], copies: u64) -> anyhow::Result<()> {
-        let all = (bytes.len() + IP_UDP_BYTES) as u64 * copies;
-        self.by_robot.entry(from).or_default().add(now, all);
-        let datagram = Datagram::new_checked(bytes)?;
+impl Watch<Robot> for Meter {
+    fn called(&mut self, _now: Stamp, _number: usize, robot: &mut Robot) {
+        while let Some(event) = robot.poll_event() {
+            if let Event::CycleClosed { cycle, .. } = event {
+                self.cycle_ends.insert(cycle.stream, cycle.end);
+            }
+        }
+    }
+
+    fn sent(&mut self, now: Stamp, _: usize, robot: &mut Robot, datagram: &mut Sending, copies: usize) {
+        let all = ((datagram.bytes.len() + IP_UDP_BYTES) * copies) as u64;
+        self.by_robot.entry(robot.own_stream().origin).or_default().add(now, all);
+        let datagram = Datagram::new_checked(&datagram.bytes).expect(OWN);
         if datagram.header().kind == Kind::Request {
             self.requests += all;
-            return Ok(());
+            return;
         }
         self.packages += all;
-        let is_marked = parse_packages(&datagram)?.iter().any(|package| {
+        let is_marked = parse_packages(&datagram).expect(OWN).iter().any(|package| {
             let header = package.header();
             self.marks.get(&header.stream).is_some_and(|(low, high)| (*low..=*high).contains(&header.index))
         });
         self.marked += if is_marked { all } else { 0 };
-        Ok(())
     }
 }
+
+/// What a robot sends, it can read.
+const OWN: &str = "a robot sends sound datagrams";
 
 impl Flight {
     fn new(sources: Vec<Source>, base: &RobotConfig, link: Link, args: &CatchUpArgs) -> anyhow::Result<Self> {
@@ -235,20 +244,9 @@ impl Flight {
             robots.push(Robot::new(config, Stamp(0))?);
             frames.push(source.frames);
         }
-        let ids = (1..=robots.len() as u16 + 1).map(RobotId);
-        let radio =
-            RadioEmulator::new(ids, RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() });
-        Ok(Self {
-            robots,
-            frames,
-            radio,
-            now: Stamp(0),
-            stuck: 0,
-            length: Stamp(0),
-            expected,
-            meter: Meter::default(),
-            cycle_ends: BTreeMap::new(),
-        })
+        let radio = RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() };
+        let network = Network::new(robots, radio, Stamp(0));
+        Ok(Self { network, frames, length: Stamp(0), expected, meter: Meter::default() })
     }
 
     /// Flies all scans, with the outage in the middle.
@@ -267,8 +265,10 @@ impl Flight {
         let mut done = None;
         while let Some(next) = self.frames.iter_mut().filter_map(Frames::next_stamp).min() {
             ensure!(!stop::requested(), "interrupted");
-            self.advance(Some(next.min(plan.peek().copied().unwrap_or(next))))?;
-            if plan.next_if(|at| *at <= self.now).is_some() {
+            let until = next.min(plan.peek().copied().unwrap_or(next));
+            self.network.step(Some(until), &mut self.meter);
+            let now = self.network.now();
+            if plan.next_if(|at| *at <= now).is_some() {
                 match &mut repair {
                     None => repair = Some(self.cut(args.outage)),
                     Some(repair) => self.heal(repair)?,
@@ -279,17 +279,19 @@ impl Flight {
             {
                 done = Some(self.outage_of(repair));
             }
-            for number in 0..self.robots.len() {
-                while self.frames[number].next_stamp().is_some_and(|at| at <= self.now) {
-                    if let Some(frame) = self.frames[number].next() {
-                        self.robots[number].insert_scan(self.now, &frame.scan, &frame.pose)?;
+            for (frames, robot) in self.frames.iter_mut().zip(self.network.nodes_mut()) {
+                while frames.next_stamp().is_some_and(|at| at <= now) {
+                    if let Some(frame) = frames.next() {
+                        robot.insert_scan(now, &frame.scan, &frame.pose)?;
                     }
                     progress.step();
                 }
             }
-            self.length = self.length.max(self.now);
+            self.length = self.length.max(now);
         }
-        self.robots.iter_mut().for_each(|robot| robot.flush(self.now));
+        for number in 0..self.network.nodes().len() {
+            self.network.call(number, &mut self.meter, Robot::flush);
+        }
         self.settle()?;
         if let Some(repair) = repair.filter(|_| done.is_none()) {
             done = Some(self.outage_of(&repair));
@@ -299,8 +301,9 @@ impl Flight {
 
     /// Cuts the first robot off.
     fn cut(&mut self, seconds: f64) -> Repair {
-        for robot in &self.robots[1..] {
-            self.radio.partition(RobotId(1), robot.own_stream().origin);
+        let others = self.network.ids()[1..].to_vec();
+        for robot in others {
+            self.network.radio_mut().partition(RobotId(1), robot);
         }
         let from = self.newest();
         self.meter.clear();
@@ -308,7 +311,7 @@ impl Flight {
         Repair {
             seconds,
             from,
-            cycle_ends: self.cycle_ends.clone(),
+            cycle_ends: self.meter.cycle_ends.clone(),
             upto: BTreeMap::new(),
             vain: 0,
             coded_once: 0,
@@ -318,14 +321,14 @@ impl Flight {
 
     /// Ends the outage, and weighs what was missed.
     fn heal(&mut self, repair: &mut Repair) -> anyhow::Result<()> {
-        let others: Vec<RobotId> = self.robots[1..].iter().map(|robot| robot.own_stream().origin).collect();
+        let others = self.network.ids()[1..].to_vec();
         for other in &others {
-            self.radio.repair(RobotId(1), *other);
+            self.network.radio_mut().repair(RobotId(1), *other);
         }
         // What the others sent each other of that time was no loss.
         repair.vain = if others.len() == 1 { self.meter.marked } else { 0 };
         repair.upto = self.newest();
-        for robot in &self.robots {
+        for robot in self.network.nodes() {
             let own = robot.own_stream();
             let since = repair.cycle_ends.get(&own).copied().unwrap_or(Stamp(i64::MIN));
             let state = robot.fusion().layer(own).and_then(|layer| layer.present_state_since(since));
@@ -338,12 +341,12 @@ impl Flight {
             .iter()
             .map(|(stream, newest)| (*stream, (newest + 1, repair.upto.get(stream).copied().unwrap_or(0))))
             .collect();
-        repair.healed = Some(self.now);
+        repair.healed = Some(self.network.now());
         Ok(())
     }
 
     fn is_repaired(&self, repair: &Repair) -> bool {
-        self.robots.iter().all(|robot| {
+        self.network.nodes().iter().all(|robot| {
             repair.upto.iter().all(|(stream, newest)| {
                 *newest == 0
                     || robot.session().held(*stream).is_some_and(|held| held.contains_range(1, *newest))
@@ -361,26 +364,26 @@ impl Flight {
             total_bytes: total,
             coded_once_bytes: repair.coded_once,
             ratio: total as f64 / repair.coded_once.max(1) as f64,
-            repair_s: repair.healed.map_or(0.0, |at| self.now.micros_since(at) as f64 / 1e6),
+            repair_s: repair.healed.map_or(0.0, |at| self.network.now().micros_since(at) as f64 / 1e6),
         }
     }
 
     /// The newest package of each robot.
     fn newest(&self) -> BTreeMap<Stream, u32> {
         let newest = |robot: &Robot| robot.session().store().newest_known(robot.own_stream());
-        self.robots.iter().map(|robot| (robot.own_stream(), newest(robot))).collect()
+        self.network.nodes().iter().map(|robot| (robot.own_stream(), newest(robot))).collect()
     }
 
     /// One robot more, with an empty map.
     fn join(&mut self, base: &RobotConfig) -> anyhow::Result<Joiner> {
-        let id = RobotId(self.robots.len() as u16 + 1);
+        let id = RobotId(self.network.nodes().len() as u16 + 1);
         self.meter.clear();
         self.meter.marks.clear();
-        let began = self.now;
-        self.robots.push(Robot::new(RobotConfig { id, ..base.clone() }, self.now)?);
+        let began = self.network.now();
+        self.network.join(Robot::new(RobotConfig { id, ..base.clone() }, began)?);
         self.settle()?;
         let (mut coded_once, mut without_stamps) = (0, 0);
-        for robot in &self.robots {
+        for robot in self.network.nodes() {
             let own = robot.own_stream();
             let Some(layer) = robot.fusion().layer(own) else { continue };
             coded_once += coded_bytes(robot, own, layer.present_state())?;
@@ -398,17 +401,20 @@ impl Flight {
             coded_once_bytes: coded_once,
             ratio: total as f64 / coded_once.max(1) as f64,
             coded_without_stamps_bytes: without_stamps,
-            seconds: self.now.micros_since(began) as f64 / 1e6,
+            seconds: self.network.now().micros_since(began) as f64 / 1e6,
             max_kb_s: largest as f64 / 1024.0,
-            caught_up_by_states: self.robots.last().map_or(0, |robot| robot.session().counters().caught_up),
+            caught_up_by_states: self
+                .network
+                .nodes()
+                .last()
+                .map_or(0, |robot| robot.session().counters().caught_up),
         })
     }
 
     /// Lets time pass until everyone holds everything.
     fn settle(&mut self) -> anyhow::Result<()> {
-        let until = self.now.plus_micros(SETTLE_MICROS_MAX);
+        let until = self.network.now().plus_micros(SETTLE_MICROS_MAX);
         loop {
-            self.transmit()?;
             let newest = self.newest();
             let missing = |robot: &Robot| {
                 newest.iter().any(|(stream, newest)| {
@@ -416,66 +422,23 @@ impl Flight {
                         && !robot.session().held(*stream).is_some_and(|held| held.contains_range(1, *newest))
                 })
             };
-            if !self.robots.iter().any(missing) {
+            if !self.network.nodes().iter().any(missing) {
                 return Ok(());
             }
             ensure!(!stop::requested(), "interrupted");
-            ensure!(self.now < until, "not everything had arrived an hour later; is the budget too small?");
-            self.advance(None)?;
+            ensure!(
+                self.network.now() < until,
+                "not everything had arrived an hour later; is the budget too small?"
+            );
+            self.network.step(None, &mut self.meter);
         }
-    }
-
-    /// Goes on to the next thing that is due, but not beyond `until`.
-    fn advance(&mut self, until: Option<Stamp>) -> anyhow::Result<()> {
-        let timeout = self.robots.iter().filter_map(Robot::poll_timeout).min();
-        let next = [until, timeout, self.radio.next_due()].into_iter().flatten().min();
-        let next = next.unwrap_or_else(|| self.now.plus_micros(100_000));
-        self.stuck = if next > self.now { 0 } else { self.stuck + 1 };
-        // Due now again and again: let a millisecond pass, as a real clock would.
-        self.now = if self.stuck > 100 { self.now.plus_micros(1_000) } else { self.now.max(next) };
-        while let Some(delivery) = self.radio.deliver_due(self.now) {
-            if let Some(robot) = self.robots.get_mut(usize::from(delivery.to.0) - 1) {
-                // Errors are counted by the session.
-                let _ = robot.handle_datagram(self.now, &delivery.bytes);
-            }
-        }
-        for robot in &mut self.robots {
-            if robot.poll_timeout().is_some_and(|at| at <= self.now) {
-                robot.handle_timeout(self.now);
-            }
-        }
-        self.transmit()
-    }
-
-    fn transmit(&mut self) -> anyhow::Result<()> {
-        let count = self.robots.len() as u16;
-        for robot in &mut self.robots {
-            let own = robot.own_stream();
-            while let Some(event) = robot.poll_event() {
-                if let Event::CycleClosed { cycle, .. } = event {
-                    self.cycle_ends.insert(own, cycle.end);
-                }
-            }
-            while let Some(transmit) = robot.poll_transmit(self.now) {
-                let peers = (1..=count).map(RobotId).filter(|id| *id != own.origin);
-                let to: Vec<RobotId> = match transmit.to {
-                    Destination::Peer(peer) => vec![peer],
-                    Destination::Everyone => peers.collect(),
-                };
-                self.meter.add(self.now, own.origin, &transmit.bytes, to.len() as u64)?;
-                for peer in to {
-                    self.radio.send(self.now, own.origin, To::Node(peer), &transmit.bytes);
-                }
-            }
-        }
-        Ok(())
     }
 
     fn agrees(&self) -> bool {
-        self.robots.iter().all(|sender| {
+        self.network.nodes().iter().all(|sender| {
             let own = sender.own_stream();
             let digest = |robot: &Robot| robot.fusion().layer(own).map(Layer::digest);
-            self.robots.iter().all(|robot| digest(robot) == digest(sender))
+            self.network.nodes().iter().all(|robot| digest(robot) == digest(sender))
         })
     }
 }

@@ -8,7 +8,7 @@ use flockmap_cli::measure::{AgesByState, Comparison, Sent};
 use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{Frames, Source};
 use flockmap_cli::stop;
-use flockmap_netsim::{RadioConfig, RadioEmulator, To};
+use flockmap_netsim::{Addressees, Datagram, Delivery, Network, Node, RadioConfig, Watch};
 
 use crate::baselines::racer_code::{RacerCast, RacerConfig, RacerEvent, RacerRobot, Topic};
 
@@ -21,15 +21,14 @@ pub struct RivalMember {
     /// Messages that went out; a copy to each of several robots counts each.
     pub sent: Sent,
     /// Of these, announcements of what is held.
+    #[cfg_attr(not(test), expect(dead_code, reason = "tests look at it"))]
     pub announced: Sent,
     pub datagrams: u64,
     /// Ages of what was taken in of others.
+    #[cfg_attr(not(test), expect(dead_code, reason = "tests look at it"))]
     pub ages: AgesByState,
     /// State and stamp of the scan that set it, of every voxel that the own sensor has seen.
     pub onset: Layer,
-    pub frames_damaged: u64,
-    frames: Frames,
-    next_scan: Option<Stamp>,
 }
 
 /// How a run went.
@@ -62,48 +61,50 @@ pub fn run(
 ) -> anyhow::Result<RivalRun> {
     let progress =
         Progress::new("scans of racer-code", sources.iter().map(|source| source.frames_expected).sum());
-    let mut members = Vec::new();
+    let (mut robots, mut frames) = (Vec::new(), Vec::new());
     for (number, source) in sources.into_iter().enumerate() {
-        let mut frames = source.frames;
-        members.push(RivalMember {
-            robot: RacerRobot::new(config(RobotId(number as u16 + 1)), Stamp(0))?,
-            sent: Sent::default(),
-            announced: Sent::default(),
-            datagrams: 0,
-            ages: AgesByState::default(),
-            onset: Layer::default(),
-            frames_damaged: 0,
-            next_scan: frames.next_stamp(),
-            frames,
-        });
+        robots.push(RacerRobot::new(config(RobotId(number as u16 + 1)), Stamp(0))?);
+        frames.push(source.frames);
     }
-    let radio = RadioEmulator::new(members.iter().map(|m| m.robot.config().id), radio);
-    let mut swarm = Swarm { members, radio, now: Stamp(0) };
+    let mut meters = Meters((0..robots.len()).map(|_| Meter::default()).collect());
+    let mut network = Network::new(robots, radio, Stamp(0));
     let mut last_scan = Stamp(0);
-    while let Some(next) = swarm.members.iter().filter_map(|m| m.next_scan).min() {
+    while let Some(next) = frames.iter_mut().filter_map(Frames::next_stamp).min() {
         if stop::requested() {
             break;
         }
-        swarm.advance(Some(next));
-        if next <= swarm.now {
-            last_scan = swarm.now;
-            (0..swarm.insert_scans()).for_each(|_| progress.step());
+        network.step(Some(next), &mut meters);
+        let now = network.now();
+        if next <= now {
+            last_scan = now;
+            for (number, frames) in frames.iter_mut().enumerate() {
+                while frames.next_stamp().is_some_and(|at| at <= now) {
+                    if let Some(frame) = frames.next() {
+                        let robot = &mut network.nodes_mut()[number];
+                        let report = robot.insert_scan(&frame.scan, &frame.pose, &frame.masks());
+                        meters.0[number].onset.apply(&Changes::from_blocks(report.changed), frame.scan.stamp);
+                    }
+                    progress.step();
+                }
+            }
         }
     }
     let until = last_scan.plus_micros((SETTLE_SECONDS_MAX * 1e6) as i64);
     let arrived = loop {
-        if swarm.has_every_chunk() {
-            break Some(swarm.now);
+        if has_every_chunk(network.nodes()) {
+            break Some(network.now());
         }
-        if swarm.now > until || stop::requested() {
+        if network.now() > until || stop::requested() {
             break None;
         }
-        swarm.advance(None);
+        network.step(None, &mut meters);
     };
-    for member in &mut swarm.members {
-        member.frames_damaged = member.frames.damaged;
-    }
-    Ok(RivalRun { members: swarm.members, last_scan, arrived })
+    let members = network.into_nodes().into_iter().zip(meters.0);
+    let members = members.map(|(robot, meter)| {
+        let Meter { sent, announced, datagrams, ages, onset } = meter;
+        RivalMember { robot, sent, announced, datagrams, ages, onset }
+    });
+    Ok(RivalRun { members: members.collect(), last_scan, arrived })
 }
 
 impl RivalRun {
@@ -147,100 +148,95 @@ impl RivalAgreement {
     }
 }
 
-struct Swarm {
-    members: Vec<RivalMember>,
-    radio: RadioEmulator,
-    now: Stamp,
+/// What is measured of a robot on the way.
+#[derive(Default)]
+struct Meter {
+    sent: Sent,
+    announced: Sent,
+    datagrams: u64,
+    ages: AgesByState,
+    onset: Layer,
 }
 
-impl Swarm {
-    /// Goes on to the next thing that is due, but not beyond `until`, and lets everything happen that is due then.
-    fn advance(&mut self, until: Option<Stamp>) {
-        let beat = self.members.iter().map(|m| m.robot.poll_timeout()).min();
-        let next = [until, beat, self.radio.next_due()].into_iter().flatten().min();
-        self.now = self.now.max(next.unwrap_or_default());
-        while let Some(delivery) = self.radio.deliver_due(self.now) {
-            let receiver = self.members.iter_mut().find(|m| m.robot.config().id == delivery.to);
-            if let (Some(member), Some((topic, bytes))) = (receiver, delivery.bytes.split_first()) {
-                let topic = if *topic == 0 { Topic::Stamps } else { Topic::Chunk };
-                // Errors are counted by the robot.
-                let _ = member.robot.handle_datagram(topic, bytes);
-            }
-            self.transmit();
-        }
-        for member in self.members.iter_mut().filter(|m| m.robot.poll_timeout() <= self.now) {
-            member.robot.handle_timeout(self.now);
-        }
-        self.note_ages();
-        self.transmit();
-    }
+/// Robot `i` has the number `i` + 1.
+struct Meters(Vec<Meter>);
 
-    /// Takes in all scans that are due; how many.
-    fn insert_scans(&mut self) -> usize {
-        let mut count = 0;
-        for member in &mut self.members {
-            while member.next_scan.is_some_and(|at| at <= self.now) {
-                if let Some(frame) = member.frames.next() {
-                    let report = member.robot.insert_scan(&frame.scan, &frame.pose, &frame.masks());
-                    member.onset.apply(&Changes::from_blocks(report.changed), frame.scan.stamp);
-                    count += 1;
-                }
-                member.next_scan = member.frames.next_stamp();
-            }
-        }
-        count
-    }
-
-    fn transmit(&mut self) {
-        let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.config().id).collect();
-        for member in &mut self.members {
-            let own = member.robot.config().id;
-            while let Some(transmit) = member.robot.poll_transmit() {
-                // In ROS the connection tells the topic; here a byte does, which is not counted.
-                let mut bytes = vec![u8::from(transmit.topic == Topic::Chunk)];
-                bytes.extend_from_slice(&transmit.bytes);
-                let to: Vec<To> = match (transmit.to, member.robot.config().cast) {
-                    (Some(peer), _) => vec![To::Node(peer)],
-                    (None, RacerCast::Broadcast) => vec![To::All],
-                    (None, RacerCast::Unicast) => {
-                        ids.iter().filter(|id| **id != own).map(|id| To::Node(*id)).collect()
-                    }
-                };
-                let counted = (transmit.bytes.len() * to.len()) as u64;
-                member.sent.add(self.now, counted);
-                member.datagrams += to.len() as u64;
-                if transmit.topic == Topic::Stamps {
-                    member.announced.add(self.now, counted);
-                }
-                for to in to {
-                    self.radio.send(self.now, own, to, &bytes);
-                }
+impl Watch<RacerRobot> for Meters {
+    fn called(&mut self, now: Stamp, number: usize, robot: &mut RacerRobot) {
+        while let Some(event) = robot.poll_event() {
+            let RacerEvent::Inserted { owner, changes } = event;
+            let saw = usize::from(owner.0).wrapping_sub(1);
+            if let Ok([receiver, saw]) = self.0.get_disjoint_mut([number, saw]) {
+                receiver.ages.add(now, &changes, &saw.onset);
             }
         }
     }
 
-    fn note_ages(&mut self) {
-        for number in 0..self.members.len() {
-            while let Some(event) = self.members[number].robot.poll_event() {
-                let RacerEvent::Inserted { owner, changes } = event;
-                let saw = usize::from(owner.0).saturating_sub(1);
-                if let Ok([receiver, saw]) = self.members.get_disjoint_mut([number, saw]) {
-                    receiver.ages.add(self.now, &changes, &saw.onset);
-                }
-            }
+    fn sent(
+        &mut self,
+        now: Stamp,
+        number: usize,
+        _: &mut RacerRobot,
+        datagram: &mut Datagram,
+        copies: usize,
+    ) {
+        let Meter { sent, announced, datagrams, .. } = &mut self.0[number];
+        // The byte of the topic is not counted.
+        let counted = ((datagram.bytes.len() - 1) * copies) as u64;
+        sent.add(now, counted);
+        *datagrams += copies as u64;
+        if datagram.bytes.first() == Some(&STAMPS) {
+            announced.add(now, counted);
+        }
+    }
+}
+
+/// In ROS the connection tells the topic; here the first byte does.
+const STAMPS: u8 = 0;
+const CHUNK: u8 = 1;
+
+impl Node for RacerRobot {
+    fn id(&self) -> RobotId {
+        self.config().id
+    }
+
+    fn handle_datagram(&mut self, _now: Stamp, delivery: &Delivery) {
+        if let Some((topic, bytes)) = delivery.bytes.split_first() {
+            let topic = if *topic == STAMPS { Topic::Stamps } else { Topic::Chunk };
+            // Errors are counted by the robot.
+            let _ = Self::handle_datagram(self, topic, bytes);
         }
     }
 
-    /// Whether every robot holds all chunks of every other.
-    fn has_every_chunk(&self) -> bool {
-        self.members.iter().all(|receiver| {
-            self.members.iter().all(|saw| {
-                let id = saw.robot.config().id;
-                receiver.robot.held(id).map(|held| held.intervals())
-                    == saw.robot.held(id).map(|held| held.intervals())
-            })
+    fn handle_timeout(&mut self, now: Stamp) {
+        Self::handle_timeout(self, now);
+    }
+
+    fn poll_timeout(&self) -> Option<Stamp> {
+        Some(Self::poll_timeout(self))
+    }
+
+    fn poll_transmit(&mut self, _now: Stamp) -> Option<Datagram> {
+        let transmit = Self::poll_transmit(self)?;
+        let mut bytes = vec![if transmit.topic == Topic::Stamps { STAMPS } else { CHUNK }];
+        bytes.extend_from_slice(&transmit.bytes);
+        let to = match (transmit.to, self.config().cast) {
+            (Some(peer), _) => Addressees::One(peer),
+            (None, RacerCast::Broadcast) => Addressees::All,
+            (None, RacerCast::Unicast) => Addressees::Each,
+        };
+        Some(Datagram { to, bytes })
+    }
+}
+
+/// Whether every robot holds all chunks of every other.
+fn has_every_chunk(robots: &[RacerRobot]) -> bool {
+    robots.iter().all(|receiver| {
+        robots.iter().all(|saw| {
+            let id = saw.config().id;
+            receiver.held(id).map(|held| held.intervals()) == saw.held(id).map(|held| held.intervals())
         })
-    }
+    })
 }
 
 #[cfg(test)]

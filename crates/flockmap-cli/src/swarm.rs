@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use anyhow::Context;
-use flockmap::{Cast, Destination, Event, PoseError, Robot, RobotConfig, RobotId, Stamp};
-use flockmap_netsim::{RadioConfig, RadioEmulator, To};
+use flockmap::{Event, PoseError, Robot, RobotConfig, RobotId, Stamp};
+use flockmap_netsim::{Datagram, Delivery, Network, RadioConfig, Watch};
 
 use crate::measure::Times;
 use crate::member::Measures;
@@ -26,8 +26,6 @@ pub struct Member {
     /// Its map at three moments.
     pub snapshots: Vec<Snapshot>,
     pub frames_damaged: u64,
-    frames: Frames,
-    next_scan: Option<Stamp>,
 }
 
 /// How a run went.
@@ -78,64 +76,59 @@ pub fn run(
 ) -> anyhow::Result<Run> {
     let expected = sources.iter().map(|source| source.frames_expected).sum();
     let progress = Progress::new("scans", expected);
-    let moments = moments(&sources);
-    let mut members = Vec::new();
+    let mut upcoming = moments(&sources).into_iter().peekable();
+    let (mut robots, mut inputs) = (Vec::new(), Vec::new());
     for (number, source) in sources.into_iter().enumerate() {
-        let config = config(RobotId(number as u16 + 1));
-        let mut frames = source.frames;
-        members.push(Member {
-            name: source.name,
-            robot: Robot::new(config, Stamp(0))?,
-            measures: Measures::default(),
-            snapshots: Vec::new(),
-            frames_damaged: 0,
-            next_scan: frames.next_stamp(),
-            frames,
-        });
+        robots.push(Robot::new(config(RobotId(number as u16 + 1)), Stamp(0))?);
+        inputs.push(Input { name: source.name, frames: source.frames, pictures: Vec::new() });
     }
-    let radio = RadioEmulator::new(members.iter().map(|m| m.robot.own_stream().origin), radio);
-    let mut swarm = Swarm { members, radio, now: Stamp(0), stuck: 0 };
+    let mut meters = Meters::new(robots.len());
+    let mut network = Network::new(robots, radio, Stamp(0));
     let mut last_scan = Stamp(0);
-    let mut upcoming = moments.into_iter().peekable();
-    while let Some(next) = swarm.members.iter().filter_map(|m| m.next_scan).min() {
+    while let Some(next) = inputs.iter_mut().filter_map(|input| input.frames.next_stamp()).min() {
         if stop::requested() {
             break;
         }
-        swarm.advance(Some(next));
-        if next <= swarm.now {
-            last_scan = swarm.now;
-            for number in 0..swarm.members.len() {
-                while swarm.members[number].next_scan.is_some_and(|at| at <= swarm.now) {
-                    swarm.insert_scan(number).with_context(|| format!("a scan of robot {}", number + 1))?;
+        network.step(Some(next), &mut meters);
+        let now = network.now();
+        if next <= now {
+            last_scan = now;
+            for (number, input) in inputs.iter_mut().enumerate() {
+                while input.frames.next_stamp().is_some_and(|at| at <= now) {
+                    let scan = input.insert_scan(&mut network, number, &mut meters.measures[number]);
+                    scan.with_context(|| format!("a scan of robot {}", number + 1))?;
                     progress.step();
                 }
             }
         }
-        if upcoming.next_if(|moment| *moment <= swarm.now).is_some() {
-            swarm.members.iter_mut().for_each(|m| m.snapshots.push(Snapshot::take(&m.robot, next)));
+        if upcoming.next_if(|moment| *moment <= now).is_some() {
+            for (input, robot) in inputs.iter_mut().zip(network.nodes()) {
+                input.pictures.push(Snapshot::take(robot, next));
+            }
         }
     }
-    for member in &mut swarm.members {
-        member.frames_damaged = member.frames.damaged;
-        let started = Instant::now();
-        member.robot.flush(swarm.now);
-        member.measures.own_input(started.elapsed());
-        member.drain_events(swarm.now);
+    for number in 0..inputs.len() {
+        network.call(number, &mut meters, Robot::flush);
     }
     progress.say("repairs".to_owned());
     let until = last_scan.plus_micros((SETTLE_SECONDS_MAX * 1e6) as i64);
     let arrived = loop {
-        swarm.transmit();
-        if swarm.has_everything() {
-            break Some(swarm.now);
+        if has_everything(network.nodes()) {
+            break Some(network.now());
         }
-        if swarm.now > until || stop::requested() {
+        if network.now() > until || stop::requested() {
             break None;
         }
-        swarm.advance(None);
+        network.step(None, &mut meters);
     };
-    swarm.members.iter_mut().for_each(|m| m.snapshots.push(Snapshot::take(&m.robot, swarm.now)));
-    Ok(Run { members: swarm.members, last_scan, arrived })
+    let now = network.now();
+    let members = network.into_nodes().into_iter().zip(inputs).zip(meters.measures);
+    let members = members.map(|((robot, mut input), measures)| {
+        input.pictures.push(Snapshot::take(&robot, now));
+        let (name, snapshots, frames_damaged) = (input.name, input.pictures, input.frames.damaged);
+        Member { name, robot, measures, snapshots, frames_damaged }
+    });
+    Ok(Run { members: members.collect(), last_scan, arrived })
 }
 
 /// When pictures are taken: after one and two thirds of the longest source. The end is taken in any case.
@@ -144,132 +137,91 @@ fn moments(sources: &[Source]) -> [Stamp; 2] {
     [Stamp::from_seconds(seconds / 3.0), Stamp::from_seconds(seconds * 2.0 / 3.0)]
 }
 
-struct Swarm {
-    members: Vec<Member>,
-    radio: RadioEmulator,
-    now: Stamp,
-    /// How often nothing was due later than now.
-    stuck: u32,
+/// What a robot sees.
+struct Input {
+    name: String,
+    frames: Frames,
+    pictures: Vec<Snapshot>,
 }
 
-impl Swarm {
-    /// Goes on to the next thing that is due, but not beyond `until`, and lets everything happen that is due then.
-    fn advance(&mut self, until: Option<Stamp>) {
-        let timeout = self.members.iter().filter_map(|m| m.robot.poll_timeout()).min();
-        let next = [until, timeout, self.radio.next_due()].into_iter().flatten().min();
-        let next = next.unwrap_or_else(|| self.now.plus_micros(100_000));
-        if next > self.now {
-            self.now = next;
-            self.stuck = 0;
-        } else {
-            // Due now again and again: let a millisecond pass, as a real clock would.
-            self.stuck += 1;
-            if self.stuck > 100 {
-                self.now = self.now.plus_micros(1_000);
-            }
-        }
-        while let Some(delivery) = self.radio.deliver_due(self.now) {
-            let to = delivery.to;
-            if let Some(member) = self.members.iter_mut().find(|m| m.robot.own_stream().origin == to) {
-                member.measures.datagram_received(self.now, delivery.bytes.len());
-                let started = Instant::now();
-                // Errors are counted by the session.
-                let _ = member.robot.handle_datagram(self.now, &delivery.bytes);
-                member.measures.datagram_input(started.elapsed());
-            }
-            self.drain_events();
-        }
-        for member in &mut self.members {
-            if member.robot.poll_timeout().is_some_and(|at| at <= self.now) {
-                let started = Instant::now();
-                member.robot.handle_timeout(self.now);
-                member.measures.own_input(started.elapsed());
-            }
-        }
-        self.drain_events();
-        self.transmit();
-    }
-
-    fn insert_scan(&mut self, number: usize) -> Result<(), PoseError> {
-        let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
-        let member = &mut self.members[number];
-        if let Some(frame) = member.frames.next() {
+impl Input {
+    fn insert_scan(
+        &mut self,
+        network: &mut Network<Robot>,
+        number: usize,
+        measures: &mut Measures,
+    ) -> Result<(), PoseError> {
+        let (now, ids) = (network.now(), network.ids().to_vec());
+        let robot = &mut network.nodes_mut()[number];
+        if let Some(frame) = self.frames.next() {
             for mate in &frame.team_mates {
                 if let Some(id) = ids.get(mate.number) {
-                    member.robot.set_teammate(*id, mate.position, self.now)?;
+                    robot.set_teammate(*id, mate.position, now)?;
                 }
             }
             let started = Instant::now();
-            let report = member.robot.insert_scan(self.now, &frame.scan, &frame.pose)?;
-            member.measures.scan(Some(started.elapsed()), &report, frame.scan.stamp);
+            let report = robot.insert_scan(now, &frame.scan, &frame.pose)?;
+            measures.scan(Some(started.elapsed()), &report, frame.scan.stamp);
         }
-        member.next_scan = member.frames.next_stamp();
         Ok(())
-    }
-
-    fn transmit(&mut self) {
-        let ids: Vec<RobotId> = self.members.iter().map(|m| m.robot.own_stream().origin).collect();
-        for member in &mut self.members {
-            let own = member.robot.own_stream().origin;
-            while let Some(transmit) = member.robot.poll_transmit(self.now) {
-                let broadcast = member.robot.config().session.cast == Cast::Broadcast;
-                match transmit.to {
-                    Destination::Peer(peer) => {
-                        member.measures.datagram_sent(self.now, transmit.bytes.len(), 1);
-                        self.radio.send(self.now, own, To::Node(peer), &transmit.bytes);
-                    }
-                    Destination::Everyone if broadcast => {
-                        member.measures.datagram_sent(self.now, transmit.bytes.len(), 1);
-                        self.radio.send(self.now, own, To::All, &transmit.bytes);
-                    }
-                    Destination::Everyone => {
-                        member.measures.datagram_sent(self.now, transmit.bytes.len(), ids.len() as u64 - 1);
-                        for peer in ids.iter().filter(|id| **id != own) {
-                            self.radio.send(self.now, own, To::Node(*peer), &transmit.bytes);
-                        }
-                    }
-                }
-            }
-        }
-    }
-
-    /// Lets each member note its own cycles and what it merged of the others'.
-    fn drain_events(&mut self) {
-        for number in 0..self.members.len() {
-            while let Some(event) = self.members[number].robot.poll_event() {
-                if let Event::Merged { stream, changes, .. } = &event {
-                    // The age counts from the scan that the sender made the voxel of.
-                    let sender = self.members.iter().position(|m| m.robot.own_stream() == *stream);
-                    if let Some(sender) = sender
-                        && sender != number
-                        && let Ok([receiver, sender]) = self.members.get_disjoint_mut([number, sender])
-                    {
-                        receiver.measures.ages.add(self.now, changes, &sender.measures.onset);
-                    }
-                }
-                self.members[number].measures.event(self.now, &event);
-            }
-        }
-    }
-
-    /// Whether every robot holds all packages of every other.
-    fn has_everything(&self) -> bool {
-        self.members.iter().all(|receiver| {
-            self.members.iter().all(|sender| {
-                let packages = sender.robot.counters().packages;
-                let held = receiver.robot.session().held(sender.robot.own_stream());
-                packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
-            })
-        })
     }
 }
 
-impl Member {
-    fn drain_events(&mut self, now: Stamp) {
-        while let Some(event) = self.robot.poll_event() {
-            self.measures.event(now, &event);
+/// Measures what robots do. Robot `i` has the number `i` + 1.
+struct Meters {
+    measures: Vec<Measures>,
+    is_datagram: bool,
+    started: Instant,
+}
+
+impl Meters {
+    fn new(robots: usize) -> Self {
+        let measures = (0..robots).map(|_| Measures::default()).collect();
+        Self { measures, is_datagram: false, started: Instant::now() }
+    }
+}
+
+impl Watch<Robot> for Meters {
+    fn begins(&mut self, now: Stamp, number: usize, _robot: &mut Robot, delivery: Option<&Delivery>) {
+        if let Some(delivery) = delivery {
+            self.measures[number].datagram_received(now, delivery.bytes.len());
+        }
+        self.is_datagram = delivery.is_some();
+        self.started = Instant::now();
+    }
+
+    fn called(&mut self, now: Stamp, number: usize, robot: &mut Robot) {
+        let took = self.started.elapsed();
+        match self.is_datagram {
+            true => self.measures[number].datagram_input(took),
+            false => self.measures[number].own_input(took),
+        }
+        while let Some(event) = robot.poll_event() {
+            if let Event::Merged { stream, changes, .. } = &event
+                && let sender = usize::from(stream.origin.0).wrapping_sub(1)
+                && let Ok([receiver, sender]) = self.measures.get_disjoint_mut([number, sender])
+            {
+                // The age counts from the scan that the sender made the voxel of.
+                receiver.ages.add(now, changes, &sender.onset);
+            }
+            self.measures[number].event(now, &event);
         }
     }
+
+    fn sent(&mut self, now: Stamp, number: usize, _: &mut Robot, datagram: &mut Datagram, copies: usize) {
+        self.measures[number].datagram_sent(now, datagram.bytes.len(), copies as u64);
+    }
+}
+
+/// Whether every robot holds all packages of every other.
+fn has_everything(robots: &[Robot]) -> bool {
+    robots.iter().all(|receiver| {
+        robots.iter().all(|sender| {
+            let packages = sender.counters().packages;
+            let held = receiver.session().held(sender.own_stream());
+            packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
+        })
+    })
 }
 
 #[cfg(test)]

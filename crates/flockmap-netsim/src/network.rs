@@ -100,6 +100,18 @@ impl<N: Node> Network<N> {
         Self { nodes, ids, radio, now }
     }
 
+    /// One node more.
+    pub fn join(&mut self, node: N) {
+        self.radio.add(node.id());
+        self.ids.push(node.id());
+        self.nodes.push(node);
+    }
+
+    /// The nodes, when it is over.
+    pub fn into_nodes(self) -> Vec<N> {
+        self.nodes
+    }
+
     /// The time.
     pub const fn now(&self) -> Stamp {
         self.now

@@ -177,26 +177,28 @@ struct InFlight {
 impl RadioEmulator {
     /// A radio between these nodes. Every node hears every other.
     pub fn new(nodes: impl IntoIterator<Item = RobotId>, config: RadioConfig) -> Self {
-        let nodes: BTreeMap<RobotId, Node> = nodes.into_iter().map(|id| (id, Node::default())).collect();
-        let mut links = BTreeMap::new();
-        for &from in nodes.keys() {
-            for &to in nodes.keys() {
-                if from != to {
-                    let random = Random::new(config.seed, mix(u64::from(from.0) << 16 | u64::from(to.0)));
-                    let weather = Weather::new(config.seed, from, to);
-                    links.insert((from, to), Line { link: config.link, cut: false, random, weather });
-                }
-            }
-        }
-        Self {
+        let mut radio = Self {
             config,
-            nodes,
-            links,
+            nodes: BTreeMap::new(),
+            links: BTreeMap::new(),
             queue: BinaryHeap::new(),
             in_flight_bytes: 0,
             sequence: 0,
             medium_busy_until: Stamp(i64::MIN),
+        };
+        nodes.into_iter().for_each(|id| radio.add(id));
+        radio
+    }
+
+    /// One node more, which hears all and is heard by all.
+    pub fn add(&mut self, id: RobotId) {
+        let RadioConfig { seed, link, .. } = self.config;
+        for (from, to) in self.nodes.keys().flat_map(|other| [(*other, id), (id, *other)]) {
+            let random = Random::new(seed, mix(u64::from(from.0) << 16 | u64::from(to.0)));
+            let weather = Weather::new(seed, from, to);
+            self.links.insert((from, to), Line { link, cut: false, random, weather });
         }
+        self.nodes.insert(id, Node::default());
     }
 
     /// Changes the link in one direction. Does nothing if there is no such link.

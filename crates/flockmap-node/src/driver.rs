@@ -17,8 +17,8 @@ use crate::{Histogram, Level, NodeCounters, NodeStatus, Timings, Transport};
 /// Room for a datagram; a longer one is cut and then refused by its length.
 const BUFFER_BYTES: usize = 2_048;
 
-/// A timer that is due again at once still leaves room for others.
-const PAUSE_MIN: Duration = Duration::from_millis(1);
+/// After an error of the socket.
+const ERROR_PAUSE: Duration = Duration::from_millis(1);
 
 /// A frame that is played later than this counts as late.
 const LATE_MICROS: i64 = 100_000;
@@ -229,7 +229,7 @@ impl<T: Transport> Driver<T> {
             self.counters.receive_errors += 1;
             self.warn(|| format!("cannot receive: {error}"));
             // A socket that keeps failing must not keep the machine busy.
-            tokio::time::sleep(PAUSE_MIN).await;
+            tokio::time::sleep(ERROR_PAUSE).await;
         }
     }
 
@@ -375,8 +375,7 @@ impl<T: Transport> Driver<T> {
 
     fn wake(&self, until: Option<Instant>) -> Instant {
         let now = Instant::now();
-        let robot =
-            self.robot.poll_timeout().map(|due| self.options.clock.instant_of(due).max(now + PAUSE_MIN));
+        let robot = self.robot.poll_timeout().map(|due| self.options.clock.instant_of(due));
         let status = self.options.status_period.map(|_| self.status_due);
         let after = self.options.end.after.map(|after| later(self.began, after));
         let quiet =
