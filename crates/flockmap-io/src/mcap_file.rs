@@ -45,6 +45,9 @@ pub(crate) struct Message<'a> {
     pub(crate) data: &'a [u8],
 }
 
+/// The channel of a message, and where its data lies in the chunk.
+type Found = (Arc<Channel>, Range<usize>);
+
 /// Reads an MCAP file. Memory: the records that are held at one time, that is one chunk packed and unpacked, each at most
 /// `chunk_bytes_max`, and the names of at most 65,536 channels.
 pub(crate) struct McapReader {
@@ -115,8 +118,8 @@ impl McapReader {
         }
     }
 
-    /// Takes the next record of the chunk: of a message, its channel and where its data lies.
-    fn next_in_chunk(&mut self) -> Result<Option<(Arc<Channel>, Range<usize>)>, Fault> {
+    /// Takes the next record of the chunk, which may be a message.
+    fn next_in_chunk(&mut self) -> Result<Option<Found>, Fault> {
         let mut bytes = Bytes::new(self.chunk.get(self.chunk_at..).unwrap_or_default(), 0);
         let [opcode] = bytes.array("a record in the chunk")?;
         let length = bytes.u64("a record in the chunk")?;
