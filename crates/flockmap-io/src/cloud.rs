@@ -1,9 +1,6 @@
-//! Point clouds from files: `.pcd`, `.ply`, `.las`, `.laz`.
+//! Point clouds, and how large they may be.
 
-use std::path::Path;
-
-use crate::error::{Fault, Place, ReadError, read_whole};
-use crate::{las, pcd, ply};
+use glam::{DVec3, Vec3};
 
 /// Largest cloud file that is read.
 pub const CLOUD_BYTES_MAX: u64 = 4 << 30;
@@ -46,41 +43,9 @@ impl PointCloud {
 
     /// Lowest and highest corner of the cloud in the coordinates of the file. `None` if it is empty.
     pub fn bounds(&self) -> Option<[[f64; 3]; 2]> {
-        let mut bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
-        for p in &self.points {
-            for axis in 0..3 {
-                bounds[0][axis] = bounds[0][axis].min(p[axis]);
-                bounds[1][axis] = bounds[1][axis].max(p[axis]);
-            }
-        }
-        let [low, high] = bounds;
-        let place = |p: [f32; 3]| core::array::from_fn(|axis| self.origin[axis] + f64::from(p[axis]));
-        (!self.points.is_empty()).then(|| [place(low), place(high)])
+        let points = || self.points.iter().map(|p| Vec3::from_array(*p));
+        let (low, high) = (points().reduce(Vec3::min)?, points().reduce(Vec3::max)?);
+        let place = |p: Vec3| (DVec3::from_array(self.origin) + p.as_dvec3()).to_array();
+        Some([place(low), place(high)])
     }
-}
-
-/// Reads a point cloud: `.pcd` (ascii, binary, binary_compressed), `.ply` (ascii and binary vertices), `.las`, `.laz`.
-///
-/// A PCD's VIEWPOINT is the pose of the sensor that its points are seen from, as PCL's tools take it: the points are
-/// taken through it. Memory: the file (at most [`CLOUD_BYTES_MAX`]) and 36 bytes for each point (at most
-/// [`CLOUD_POINTS_MAX`]).
-pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud, ReadError> {
-    let path = path.as_ref();
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    let parse: fn(&[u8]) -> Result<PointCloud, Fault> = match extension.as_deref() {
-        Some("pcd") => |bytes| {
-            let parsed = pcd::parse(bytes, CLOUD_POINTS_MAX)?;
-            let points: Vec<[f64; 3]> =
-                parsed.points.iter().map(|p| parsed.viewpoint.transform(*p)).collect();
-            let cloud = PointCloud::from_points(&points);
-            Ok(PointCloud { dropped: cloud.dropped + parsed.dropped, ..cloud })
-        },
-        Some("ply") => |bytes| ply::parse(bytes).map(|points| PointCloud::from_points(&points)),
-        Some("las" | "laz") => |bytes| las::parse(bytes).map(|points| PointCloud::from_points(&points)),
-        _ => {
-            let expected = "a point cloud: .pcd, .ply, .las or .laz";
-            return Err(Fault::foreign(Place::Whole, expected, "a file with another ending").in_file(path));
-        }
-    };
-    parse(&read_whole(path, CLOUD_BYTES_MAX)?).map_err(|fault| fault.in_file(path))
 }

@@ -5,11 +5,14 @@ use std::path::{Path, PathBuf};
 
 use flockmap_grid::{Resolution, State};
 
-use crate::cloud::read_cloud;
-use crate::error::{Fault, Place, ReadError};
+use crate::cloud_reader::read_cloud;
+use crate::error::{Fault, ReadError};
+use crate::file::{ending, unknown_ending};
+use crate::mcap_index::McapIndex;
 use crate::octomap::OctoMap;
-use crate::record::{RecordOptions, RecordSummary, open_record};
+use crate::record::{RecordOptions, RecordSummary};
 use crate::record_mcap;
+use crate::record_reader::open_record;
 
 /// What is in a file or folder. `Display` gives it as lines of text.
 #[derive(Clone, PartialEq, Debug)]
@@ -79,12 +82,11 @@ pub struct Topic {
 pub fn describe(path: impl AsRef<Path>) -> Result<Description, ReadError> {
     let path = path.as_ref();
     let metadata = std::fs::metadata(path).map_err(|e| Fault::io(&e).in_file(path))?;
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     let options = RecordOptions::default();
-    let content = match extension.as_deref() {
+    let content = match ending(path).as_str() {
         _ if metadata.is_dir() => Content::Folder(open_record(path, &options)?.summary),
-        Some("mcap") => {
-            let index = record_mcap::index(path, options.chunk_bytes_max)?;
+        "mcap" => {
+            let index = McapIndex::read(path, options.chunk_bytes_max)?;
             let topics = index
                 .channels
                 .iter()
@@ -98,7 +100,7 @@ pub fn describe(path: impl AsRef<Path>) -> Result<Description, ReadError> {
             let record = record_mcap::plan(path, &options, index);
             Content::Mcap { topics, record: record.map(|r| r.summary).map_err(|fault| fault.in_file(path)) }
         }
-        Some("pcd" | "ply" | "las" | "laz") => {
+        "pcd" | "ply" | "las" | "laz" => {
             let cloud = read_cloud(path)?;
             Content::Cloud {
                 points: cloud.points.len() as u64,
@@ -106,7 +108,7 @@ pub fn describe(path: impl AsRef<Path>) -> Result<Description, ReadError> {
                 bounds: cloud.bounds(),
             }
         }
-        Some("bt") => {
+        "bt" => {
             let map = OctoMap::read(path)?;
             Content::OctoMap {
                 resolution: map.resolution(),
@@ -120,7 +122,7 @@ pub fn describe(path: impl AsRef<Path>) -> Result<Description, ReadError> {
         _ => {
             let expected =
                 "a record (.mcap, folder of scans), a cloud (.pcd, .ply, .las, .laz) or an OctoMap (.bt)";
-            return Err(Fault::foreign(Place::Whole, expected, "a file with another ending").in_file(path));
+            return Err(unknown_ending(path, expected));
         }
     };
     let bytes = if metadata.is_dir() { 0 } else { metadata.len() };
@@ -135,11 +137,8 @@ impl fmt::Display for Description {
             Content::Cloud { .. } => "point cloud",
             Content::OctoMap { .. } => "OctoMap",
         };
-        write!(f, "{}: {kind}", self.path.display())?;
-        if self.bytes > 0 {
-            write!(f, ", {} bytes", self.bytes)?;
-        }
-        writeln!(f)?;
+        let bytes = if self.bytes > 0 { format!(", {} bytes", self.bytes) } else { String::new() };
+        writeln!(f, "{}: {kind}{bytes}", self.path.display())?;
         match &self.content {
             Content::Mcap { topics, record } => {
                 for Topic { name, schema, encoding, messages } in topics {

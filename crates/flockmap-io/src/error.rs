@@ -38,10 +38,11 @@ pub enum Place {
 }
 
 /// What is wrong with a file.
-#[derive(Clone, PartialEq, Eq, Debug)]
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Problem {
     /// The operating system could not deliver the file.
+    #[error("cannot read: {message}")]
     Io {
         /// Its kind of error.
         kind: io::ErrorKind,
@@ -49,6 +50,7 @@ pub enum Problem {
         message: String,
     },
     /// The file breaks the rules of its own format.
+    #[error("damaged: expected {expected}, found {found}")]
     Damaged {
         /// What the format asks for.
         expected: String,
@@ -56,6 +58,7 @@ pub enum Problem {
         found: String,
     },
     /// The file ends before it is complete.
+    #[error("ends too early: expected {expected}, found {found}")]
     Truncated {
         /// What should have followed.
         expected: String,
@@ -63,6 +66,7 @@ pub enum Problem {
         found: String,
     },
     /// The file may be in order, but it is not one that can be used here.
+    #[error("cannot be used: expected {expected}, found {found}")]
     Foreign {
         /// What can be used.
         expected: String,
@@ -70,6 +74,7 @@ pub enum Problem {
         found: String,
     },
     /// The file asks for more than the limit. Raise the limit in the options where there is one.
+    #[error("{what} is {found}, the limit is {limit}")]
     TooLarge {
         /// What is too large.
         what: &'static str,
@@ -174,22 +179,6 @@ impl fmt::Display for Place {
     }
 }
 
-impl fmt::Display for Problem {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Io { message, .. } => write!(f, "cannot read: {message}"),
-            Self::Damaged { expected, found } => write!(f, "damaged: expected {expected}, found {found}"),
-            Self::Truncated { expected, found } => {
-                write!(f, "ends too early: expected {expected}, found {found}")
-            }
-            Self::Foreign { expected, found } => {
-                write!(f, "cannot be used: expected {expected}, found {found}")
-            }
-            Self::TooLarge { what, found, limit } => write!(f, "{what} is {found}, the limit is {limit}"),
-        }
-    }
-}
-
 /// Text out of a file, made fit for an error message: one line, at most 60 characters.
 pub(crate) fn excerpt(bytes: &[u8]) -> String {
     let text = String::from_utf8_lossy(bytes.get(..200).unwrap_or(bytes)).trim().to_owned();
@@ -199,14 +188,4 @@ pub(crate) fn excerpt(bytes: &[u8]) -> String {
         short.push('…');
     }
     format!("\"{short}\"")
-}
-
-/// Reads a whole file of at most `bytes_max` bytes.
-pub(crate) fn read_whole(path: &Path, bytes_max: u64) -> Result<Vec<u8>, ReadError> {
-    let io = |error: io::Error| Fault::io(&error).in_file(path);
-    let length = std::fs::metadata(path).map_err(io)?.len();
-    if length > bytes_max {
-        return Err(Fault::too_large(Place::Whole, "the file in bytes", length, bytes_max).in_file(path));
-    }
-    std::fs::read(path).map_err(io)
 }

@@ -1,14 +1,15 @@
 //! Taking a map elsewhere: `.ply`, `.pcd`, `.bt`.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use flockmap_grid::{Resolution, State, Voxel};
 
 use crate::cloud::PointCloud;
 use crate::error::WriteError;
-use crate::octomap::write_octomap;
+use crate::file::ending;
+use crate::octomap::octomap_bytes;
 
 /// How to export a map.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -30,12 +31,11 @@ pub fn export_map(
     options: &ExportOptions,
 ) -> Result<u64, WriteError> {
     let path = path.as_ref();
-    let write = Form::of(path)?;
-    if let Form::Bt = write {
+    let form = Form::of(path)?;
+    if form == Form::Bt {
         let mut count = 0;
         let counted = voxels.into_iter().filter(|(_, s)| *s != State::Unknown).inspect(|_| count += 1);
-        let mut bytes = Vec::new();
-        write_octomap(&mut bytes, path, resolution, counted)?;
+        let bytes = octomap_bytes(path, resolution, counted)?;
         std::fs::write(path, bytes).map_err(WriteError::io(path))?;
         return Ok(count);
     }
@@ -48,10 +48,7 @@ pub fn export_map(
     let far = |v: &Voxel| [v.x, v.y, v.z].iter().any(|i| i.unsigned_abs() >= 1 << 20);
     let layout = Layout { double: kept.iter().any(|(v, _)| far(v)), state: options.free };
     let rows = kept.iter().map(|&(voxel, state)| (resolution.centre(voxel), state));
-    write_file(path, |out| match write {
-        Form::Ply => write_ply(out, kept.len(), layout, rows),
-        _ => write_pcd(out, kept.len(), layout, rows),
-    })?;
+    layout.write(path, form, kept.len(), rows)?;
     Ok(kept.len() as u64)
 }
 
@@ -63,12 +60,12 @@ pub fn write_cloud(path: impl AsRef<Path>, cloud: &PointCloud) -> Result<(), Wri
     let place = |p: &[f32; 3]| core::array::from_fn(|axis| cloud.origin[axis] + f64::from(p[axis]));
     let rows = cloud.points.iter().map(|p| (place(p), State::Occupied));
     match form {
-        Form::Ply => write_file(path, |out| write_ply(out, cloud.points.len(), layout, rows)),
-        Form::Pcd => write_file(path, |out| write_pcd(out, cloud.points.len(), layout, rows)),
         Form::Bt => Err(unknown_ending(path, ".ply or .pcd")),
+        form => layout.write(path, form, cloud.points.len(), rows),
     }
 }
 
+#[derive(Clone, Copy, PartialEq)]
 enum Form {
     Ply,
     Pcd,
@@ -77,11 +74,10 @@ enum Form {
 
 impl Form {
     fn of(path: &Path) -> Result<Self, WriteError> {
-        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-        match extension.as_deref() {
-            Some("ply") => Ok(Self::Ply),
-            Some("pcd") => Ok(Self::Pcd),
-            Some("bt") => Ok(Self::Bt),
+        match ending(path).as_str() {
+            "ply" => Ok(Self::Ply),
+            "pcd" => Ok(Self::Pcd),
+            "bt" => Ok(Self::Bt),
             _ => Err(unknown_ending(path, ".ply, .pcd or .bt")),
         }
     }
@@ -95,14 +91,7 @@ fn unknown_ending(path: &Path, known: &str) -> WriteError {
     }
 }
 
-fn write_file(
-    path: &Path,
-    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> Result<(), WriteError> {
-    let mut out = BufWriter::new(File::create(path).map_err(WriteError::io(path))?);
-    write(&mut out).and_then(|()| out.flush()).map_err(WriteError::io(path))
-}
-
+/// What is written of each point: `f32` or `f64`, and whether its state.
 #[derive(Clone, Copy)]
 struct Layout {
     double: bool,
@@ -110,62 +99,60 @@ struct Layout {
 }
 
 impl Layout {
-    fn point(self, out: &mut impl Write, point: [f64; 3]) -> io::Result<()> {
-        for v in point {
-            if self.double {
-                out.write_all(&v.to_le_bytes())?;
-            } else {
-                out.write_all(&(v as f32).to_le_bytes())?;
+    fn write(
+        self,
+        path: &Path,
+        form: Form,
+        count: usize,
+        rows: impl Iterator<Item = ([f64; 3], State)>,
+    ) -> Result<(), WriteError> {
+        let write = || {
+            let mut out = BufWriter::new(File::create(path)?);
+            let header = if form == Form::Ply { self.ply_header(count) } else { self.pcd_header(count) };
+            out.write_all(header.as_bytes())?;
+            for (point, state) in rows {
+                for v in point {
+                    if self.double {
+                        out.write_all(&v.to_le_bytes())?;
+                    } else {
+                        out.write_all(&(v as f32).to_le_bytes())?;
+                    }
+                }
+                let is_occupied = state == State::Occupied;
+                let after: &[u8] = match form {
+                    _ if !self.state => &[],
+                    Form::Ply if is_occupied => &[214, 69, 43, 1],
+                    Form::Ply => &[150, 190, 220, 0],
+                    _ if is_occupied => &[1],
+                    _ => &[0],
+                };
+                out.write_all(after)?;
             }
-        }
-        Ok(())
+            out.flush()
+        };
+        write().map_err(WriteError::io(path))
     }
-}
 
-type Row = ([f64; 3], State);
+    fn ply_header(self, count: usize) -> String {
+        let number = if self.double { "double" } else { "float" };
+        let state = if self.state {
+            "property uchar red\nproperty uchar green\nproperty uchar blue\nproperty uchar state\n"
+        } else {
+            ""
+        };
+        format!(
+            "ply\nformat binary_little_endian 1.0\ncomment Flockmap\nelement vertex {count}\n\
+             property {number} x\nproperty {number} y\nproperty {number} z\n{state}end_header\n"
+        )
+    }
 
-fn write_ply(
-    out: &mut impl Write,
-    count: usize,
-    layout: Layout,
-    rows: impl Iterator<Item = Row>,
-) -> io::Result<()> {
-    let number = if layout.double { "double" } else { "float" };
-    writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment Flockmap\nelement vertex {count}")?;
-    for axis in ["x", "y", "z"] {
-        writeln!(out, "property {number} {axis}")?;
+    fn pcd_header(self, count: usize) -> String {
+        let size = if self.double { 8 } else { 4 };
+        let [name, bytes, kind, one] = if self.state { [" state", " 1", " U", " 1"] } else { [""; 4] };
+        format!(
+            "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z{name}\n\
+             SIZE {size} {size} {size}{bytes}\nTYPE F F F{kind}\nCOUNT 1 1 1{one}\n\
+             WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
+        )
     }
-    if layout.state {
-        for name in ["red", "green", "blue", "state"] {
-            writeln!(out, "property uchar {name}")?;
-        }
-    }
-    writeln!(out, "end_header")?;
-    for (point, state) in rows {
-        layout.point(out, point)?;
-        if layout.state {
-            out.write_all(if state == State::Occupied { &[214, 69, 43, 1] } else { &[150, 190, 220, 0] })?;
-        }
-    }
-    Ok(())
-}
-
-fn write_pcd(
-    out: &mut impl Write,
-    count: usize,
-    layout: Layout,
-    rows: impl Iterator<Item = Row>,
-) -> io::Result<()> {
-    let size = if layout.double { 8 } else { 4 };
-    let [name, bytes, kind, one] = if layout.state { [" state", " 1", " U", " 1"] } else { [""; 4] };
-    writeln!(out, "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z{name}")?;
-    writeln!(out, "SIZE {size} {size} {size}{bytes}\nTYPE F F F{kind}\nCOUNT 1 1 1{one}")?;
-    writeln!(out, "WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary")?;
-    for (point, state) in rows {
-        layout.point(out, point)?;
-        if layout.state {
-            out.write_all(&[u8::from(state == State::Occupied)])?;
-        }
-    }
-    Ok(())
 }

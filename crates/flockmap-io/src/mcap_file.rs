@@ -6,7 +6,8 @@
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Write};
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -16,6 +17,8 @@ use crate::error::{Fault, Place};
 const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// Opcode and length in front of each record.
 const RECORD_HEADER_BYTES: u64 = 9;
+/// Channel, sequence, log time and publish time come before the data of a message.
+const MESSAGE_HEADER_BYTES: u64 = 2 + 4 + 8 + 8;
 /// Longest name of a topic, type or encoding.
 const NAME_BYTES_MAX: u32 = 4096;
 
@@ -42,6 +45,9 @@ pub(crate) struct Message<'a> {
     pub(crate) data: &'a [u8],
 }
 
+/// The channel of a message, and where its data lies in the chunk.
+type Found = (Arc<Channel>, Range<usize>);
+
 /// Reads an MCAP file. Memory: the records that are held at one time, that is one chunk packed and unpacked, each at most
 /// `chunk_bytes_max`, and the names of at most 65,536 channels.
 pub(crate) struct McapReader {
@@ -51,20 +57,14 @@ pub(crate) struct McapReader {
     chunk_bytes_max: u64,
     channels: HashMap<u16, Arc<Channel>>,
     schemas: HashMap<u16, String>,
-    /// The body of the record being read, as it lies in the file.
+    /// The record being read, as it lies in the file.
     record: Vec<u8>,
-    /// The records of the chunk that is open.
+    /// The records of the chunk that is open. One that lies in the file by itself is taken for a chunk of one record.
     chunk: Vec<u8>,
     chunk_at: usize,
     /// Where the open chunk begins in the file.
-    chunk_place: u64,
+    chunk_place: Place,
     ended: bool,
-}
-
-/// Where the data of a message lies.
-enum Found {
-    InRecord(Arc<Channel>, usize),
-    InChunk(Arc<Channel>, usize, usize),
 }
 
 impl McapReader {
@@ -81,15 +81,13 @@ impl McapReader {
             record: Vec::new(),
             chunk: Vec::new(),
             chunk_at: 0,
-            chunk_place: 0,
+            chunk_place: Place::Whole,
             ended: false,
         };
-        let mut magic = [0; 8];
-        let there = length.min(8) as usize;
-        reader.read_exact(magic.get_mut(..there).unwrap_or_default())?;
-        if magic != *MAGIC {
+        reader.read(0, length.min(MAGIC.len() as u64))?;
+        if reader.record != MAGIC {
             let expected = "an MCAP file (first bytes 89 4d 43 41 50 30 0d 0a)";
-            let found: Vec<String> = magic.iter().take(there).map(|b| format!("{b:02x}")).collect();
+            let found: Vec<String> = reader.record.iter().map(|b| format!("{b:02x}")).collect();
             return Err(Fault::foreign(Place::Byte(0), expected, found.join(" ")));
         }
         Ok(reader)
@@ -98,241 +96,172 @@ impl McapReader {
     /// The next message, or what is wrong with the part that is left out; `None` at the end. After an error the next
     /// call goes on behind the damage, where there is anything.
     pub(crate) fn next_message(&mut self) -> Option<Result<Message<'_>, Fault>> {
-        match self.find()? {
-            Ok(Found::InRecord(channel, from)) => {
-                Some(Ok(Message { channel, data: self.record.get(from..).unwrap_or_default() }))
-            }
-            Ok(Found::InChunk(channel, from, to)) => {
-                Some(Ok(Message { channel, data: self.chunk.get(from..to).unwrap_or_default() }))
-            }
-            Err(fault) => Some(Err(fault)),
-        }
-    }
-
-    fn find(&mut self) -> Option<Result<Found, Fault>> {
         loop {
             if self.chunk_at < self.chunk.len() {
-                match self.find_in_chunk() {
-                    Ok(Some(found)) => return Some(Ok(found)),
-                    Ok(None) => continue,
-                    Err(mut fault) => {
+                match self.next_in_chunk() {
+                    Ok(None) => {}
+                    Ok(Some((channel, data))) => {
+                        let data = self.chunk.get(data).unwrap_or_default();
+                        return Some(Ok(Message { channel, data }));
+                    }
+                    Err(fault) => {
                         // What follows in this chunk cannot be told apart any more.
                         self.chunk.clear();
-                        fault.place = Place::Byte(self.chunk_place);
-                        return Some(Err(fault));
+                        return Some(Err(Fault { place: self.chunk_place.clone(), ..fault }));
                     }
                 }
-            }
-            if self.ended {
+            } else if self.ended {
                 return None;
-            }
-            match self.find_in_file() {
-                Ok(Some(found)) => return Some(Ok(found)),
-                Ok(None) => {}
-                Err(fault) => return Some(Err(fault)),
+            } else if let Err(fault) = self.open_next() {
+                return Some(Err(fault));
             }
         }
     }
 
-    fn find_in_chunk(&mut self) -> Result<Option<Found>, Fault> {
-        let start = self.chunk_at;
-        let mut bytes = Bytes::new(self.chunk.get(start..).unwrap_or_default(), 0);
-        let opcode = bytes.array::<1>("a record in the chunk")?[0];
+    /// Takes the next record of the chunk, which may be a message.
+    fn next_in_chunk(&mut self) -> Result<Option<Found>, Fault> {
+        let mut bytes = Bytes::new(self.chunk.get(self.chunk_at..).unwrap_or_default(), 0);
+        let [opcode] = bytes.array("a record in the chunk")?;
         let length = bytes.u64("a record in the chunk")?;
-        let body = bytes.take(length, "a record in the chunk")?;
-        let end = start + bytes.at();
-        self.chunk_at = end;
+        let mut body = Bytes::new(bytes.take(length, "a record in the chunk")?, 0);
+        self.chunk_at += bytes.at();
         match opcode {
             op::MESSAGE => {
-                let channel = message_channel(&self.channels, body)?;
-                Ok(Some(Found::InChunk(channel, end - body.len() + MESSAGE_HEADER_BYTES, end)))
+                let id = body.u16("a message")?;
+                body.take(MESSAGE_HEADER_BYTES - 2, "a message")?;
+                let channel = self.channels.get(&id).cloned().ok_or_else(|| {
+                    let expected = "messages of channels that were told before";
+                    Fault::damaged(Place::Whole, expected, format!("channel {id}"))
+                })?;
+                return Ok(Some((channel, self.chunk_at - body.rest().len()..self.chunk_at)));
             }
-            op::SCHEMA => schema(&mut self.schemas, body).map(|()| None),
-            op::CHANNEL => channel(&mut self.channels, &self.schemas, body).map(|()| None),
-            _ => Ok(None),
+            op::SCHEMA => {
+                let id = body.u16("a schema")?;
+                self.schemas.insert(id, name(&mut body, "the name of a schema")?);
+            }
+            op::CHANNEL => {
+                let id = body.u16("a channel")?;
+                let schema = self.schemas.get(&body.u16("a channel")?).cloned().unwrap_or_default();
+                let topic = name(&mut body, "a topic")?;
+                let encoding = name(&mut body, "a message encoding")?;
+                self.channels.insert(id, Arc::new(Channel { topic, schema, encoding }));
+            }
+            _ => {}
         }
+        Ok(None)
     }
 
-    /// Reads one record of the file; a chunk is opened.
-    fn find_in_file(&mut self) -> Result<Option<Found>, Fault> {
-        let start = self.at;
-        let left = self.length.saturating_sub(start);
-        if left < RECORD_HEADER_BYTES {
+    /// Reads one record of the file, and opens it where it may hold a message.
+    fn open_next(&mut self) -> Result<(), Fault> {
+        let place = Place::Byte(self.at);
+        let left = self.length.saturating_sub(self.at);
+        let Some(left) = left.checked_sub(RECORD_HEADER_BYTES) else {
             self.ended = true;
-            return Err(Fault::truncated(
-                Place::Byte(start),
-                "more records up to a footer",
-                format!("{left} bytes"),
-            ));
-        }
-        let mut header = [0; RECORD_HEADER_BYTES as usize];
-        self.read_exact(&mut header)?;
-        let [opcode, length @ ..] = header;
-        let length = u64::from_le_bytes(length);
-        let left = left - RECORD_HEADER_BYTES;
+            return Err(Fault::truncated(place, "more records up to a footer", format!("{left} bytes")));
+        };
+        self.read(0, RECORD_HEADER_BYTES)?;
+        let mut header = Bytes::new(&self.record, 0);
+        let [opcode] = header.array("a record")?;
+        let length = header.u64("a record")?;
         if length > left {
             self.ended = true;
-            return Err(Fault::truncated(
-                Place::Byte(start),
-                format!("a record of {length} bytes (type {opcode:#04x})"),
-                format!("{left} bytes"),
-            ));
+            let expected = format!("a record of {length} bytes (type {opcode:#04x})");
+            return Err(Fault::truncated(place, expected, format!("{left} bytes")));
         }
         match opcode {
             // What follows the data is an index to it, which is not needed here.
-            op::DATA_END | op::FOOTER => {
-                self.ended = true;
-                return Ok(None);
-            }
-            op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK => {}
-            _ => {
+            op::DATA_END | op::FOOTER => self.ended = true,
+            op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK if length > self.chunk_bytes_max => {
                 self.skip(length)?;
-                return Ok(None);
+                return Err(Fault::too_large(place, "a record in bytes", length, self.chunk_bytes_max));
             }
-        }
-        if length > self.chunk_bytes_max {
-            self.skip(length)?;
-            let what = "a record in bytes";
-            return Err(Fault::too_large(Place::Byte(start), what, length, self.chunk_bytes_max));
-        }
-        let mut record = core::mem::take(&mut self.record);
-        record.resize(length as usize, 0);
-        let read = self.read_exact(&mut record);
-        self.record = record;
-        read?;
-        let at = |mut fault: Fault| {
-            fault.place = Place::Byte(start);
-            fault
-        };
-        match opcode {
-            op::SCHEMA => schema(&mut self.schemas, &self.record).map(|()| None).map_err(at),
-            op::CHANNEL => {
-                channel(&mut self.channels, &self.schemas, &self.record).map(|()| None).map_err(at)
-            }
-            op::MESSAGE => {
-                let channel = message_channel(&self.channels, &self.record).map_err(at)?;
-                Ok(Some(Found::InRecord(channel, MESSAGE_HEADER_BYTES)))
-            }
-            _ => {
-                self.chunk_at = 0;
-                self.chunk_place = start;
-                self.chunk.clear();
-                if let Err(fault) = open_chunk(&self.record, self.chunk_bytes_max, &mut self.chunk) {
+            op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK => {
+                self.read(RECORD_HEADER_BYTES as usize, length)?;
+                (self.chunk_at, self.chunk_place) = (0, place.clone());
+                if opcode == op::CHUNK {
                     self.chunk.clear();
-                    return Err(at(fault));
+                    self.open_chunk().map_err(|fault| {
+                        self.chunk.clear();
+                        Fault { place, ..fault }
+                    })?;
+                } else {
+                    core::mem::swap(&mut self.record, &mut self.chunk);
                 }
-                Ok(None)
             }
+            _ => self.skip(length)?,
         }
+        Ok(())
     }
 
-    fn read_exact(&mut self, into: &mut [u8]) -> Result<(), Fault> {
-        self.at += into.len() as u64;
-        self.file.read_exact(into).map_err(|error| {
-            self.ended = true;
-            Fault::io(&error)
-        })
+    /// Unpacks the records of a chunk and checks them.
+    fn open_chunk(&mut self) -> Result<(), Fault> {
+        let mut bytes = Bytes::new(&self.record, 0);
+        bytes.take(RECORD_HEADER_BYTES + 16, "the times of a chunk")?;
+        let size = bytes.u64("the size of a chunk")?;
+        let check = bytes.u32("the check of a chunk")?;
+        let compression = name(&mut bytes, "a compression")?;
+        let packed_size = bytes.u64("the packed size of a chunk")?;
+        let packed = bytes.take(packed_size, "the records of a chunk")?;
+        if size > self.chunk_bytes_max {
+            let what = "an unpacked chunk in bytes";
+            return Err(Fault::too_large(Place::Whole, what, size, self.chunk_bytes_max));
+        }
+        let into = &mut self.chunk;
+        let unpacked = match compression.as_str() {
+            "" => into.write_all(packed),
+            "zstd" => {
+                into.reserve(size as usize);
+                let unpacker = zstd::bulk::Decompressor::new();
+                unpacker.and_then(|mut unpacker| unpacker.decompress_to_buffer(packed, into)).map(drop)
+            }
+            "lz4" => {
+                let unpacker = lz4_flex::frame::FrameDecoder::new(packed);
+                unpacker.take(size.saturating_add(1)).read_to_end(into).map(drop)
+            }
+            other => {
+                let expected = "a chunk packed with zstd, lz4 or nothing";
+                return Err(Fault::foreign(Place::Whole, expected, format!("\"{other}\"")));
+            }
+        };
+        let damaged = |expected: String, found: String| Err(Fault::damaged(Place::Whole, expected, found));
+        if let Err(error) = unpacked {
+            return damaged(format!("a chunk packed with {compression}"), error.to_string());
+        }
+        if into.len() as u64 != size {
+            return damaged(format!("a chunk of {size} bytes"), format!("{} bytes", into.len()));
+        }
+        // Zero means that the writer did not compute it.
+        let computed = if check == 0 { 0 } else { crc32fast::hash(into) };
+        if computed != check {
+            return damaged(format!("a chunk with the check {check:08x}"), format!("{computed:08x}"));
+        }
+        Ok(())
+    }
+
+    /// Reads that many bytes into `record`, behind the first `kept` that it holds.
+    fn read(&mut self, kept: usize, bytes: u64) -> Result<(), Fault> {
+        self.at += bytes;
+        self.record.resize(kept + bytes as usize, 0);
+        let read = self.file.read_exact(self.record.get_mut(kept..).unwrap_or_default());
+        read.map_err(|error| self.broken(&error))
     }
 
     fn skip(&mut self, bytes: u64) -> Result<(), Fault> {
         self.at += bytes;
-        self.file.seek(SeekFrom::Start(self.at)).map(|_| ()).map_err(|error| {
-            self.ended = true;
-            Fault::io(&error)
-        })
+        self.file.seek_relative(bytes as i64).map_err(|error| self.broken(&error))
     }
-}
 
-/// Channel, sequence, log time and publish time come before the data.
-const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
-
-fn message_channel(channels: &HashMap<u16, Arc<Channel>>, body: &[u8]) -> Result<Arc<Channel>, Fault> {
-    let mut bytes = Bytes::new(body, 0);
-    let id = bytes.u16("a message")?;
-    bytes.take(MESSAGE_HEADER_BYTES as u64 - 2, "a message")?;
-    channels.get(&id).cloned().ok_or_else(|| {
-        Fault::damaged(Place::Whole, "messages of channels that were told before", format!("channel {id}"))
-    })
+    fn broken(&mut self, error: &io::Error) -> Fault {
+        self.ended = true;
+        Fault::io(error)
+    }
 }
 
 fn name(bytes: &mut Bytes<'_>, what: &str) -> Result<String, Fault> {
     let length = bytes.u32(what)?;
     if length > NAME_BYTES_MAX {
-        return Err(Fault::damaged(
-            bytes.place(),
-            format!("{what} of at most {NAME_BYTES_MAX} bytes"),
-            format!("{length} bytes"),
-        ));
+        let expected = format!("{what} of at most {NAME_BYTES_MAX} bytes");
+        return Err(Fault::damaged(bytes.place(), expected, format!("{length} bytes")));
     }
     Ok(String::from_utf8_lossy(bytes.take(u64::from(length), what)?).into_owned())
-}
-
-fn schema(schemas: &mut HashMap<u16, String>, body: &[u8]) -> Result<(), Fault> {
-    let mut bytes = Bytes::new(body, 0);
-    let id = bytes.u16("a schema")?;
-    schemas.insert(id, name(&mut bytes, "the name of a schema")?);
-    Ok(())
-}
-
-fn channel(
-    channels: &mut HashMap<u16, Arc<Channel>>,
-    schemas: &HashMap<u16, String>,
-    body: &[u8],
-) -> Result<(), Fault> {
-    let mut bytes = Bytes::new(body, 0);
-    let id = bytes.u16("a channel")?;
-    let schema = schemas.get(&bytes.u16("a channel")?).cloned().unwrap_or_default();
-    let topic = name(&mut bytes, "a topic")?;
-    let encoding = name(&mut bytes, "a message encoding")?;
-    channels.insert(id, Arc::new(Channel { topic, schema, encoding }));
-    Ok(())
-}
-
-/// Unpacks the records of a chunk and checks them.
-fn open_chunk(body: &[u8], bytes_max: u64, into: &mut Vec<u8>) -> Result<(), Fault> {
-    let mut bytes = Bytes::new(body, 0);
-    bytes.take(16, "the times of a chunk")?;
-    let size = bytes.u64("the size of a chunk")?;
-    let check = bytes.u32("the check of a chunk")?;
-    let compression = name(&mut bytes, "a compression")?;
-    let packed_size = bytes.u64("the packed size of a chunk")?;
-    let packed = bytes.take(packed_size, "the records of a chunk")?;
-    if size > bytes_max {
-        return Err(Fault::too_large(Place::Whole, "an unpacked chunk in bytes", size, bytes_max));
-    }
-    let broken = |error: &std::io::Error| {
-        Fault::damaged(Place::Whole, format!("a chunk packed with {compression}"), error.to_string())
-    };
-    match compression.as_str() {
-        "" => into.extend_from_slice(packed),
-        "zstd" => {
-            into.reserve(size as usize);
-            let mut unpacker = zstd::bulk::Decompressor::new().map_err(|e| broken(&e))?;
-            unpacker.decompress_to_buffer(packed, into).map_err(|e| broken(&e))?;
-        }
-        "lz4" => {
-            let unpacker = lz4_flex::frame::FrameDecoder::new(packed);
-            unpacker.take(size.saturating_add(1)).read_to_end(into).map_err(|e| broken(&e))?;
-        }
-        other => {
-            return Err(Fault::foreign(
-                Place::Whole,
-                "a chunk packed with zstd, lz4 or nothing",
-                format!("\"{other}\""),
-            ));
-        }
-    }
-    if into.len() as u64 != size {
-        let found = format!("{} bytes", into.len());
-        return Err(Fault::damaged(Place::Whole, format!("a chunk of {size} bytes"), found));
-    }
-    // Zero means that the writer did not compute it.
-    if check != 0 && crc32fast::hash(into) != check {
-        return Err(Fault::damaged(
-            Place::Whole,
-            format!("a chunk with the check {check:08x}"),
-            format!("{:08x}", crc32fast::hash(into)),
-        ));
-    }
-    Ok(())
 }

@@ -7,17 +7,18 @@ use flockmap_grid::{Pose, Scan, Stamp};
 
 use crate::error::ReadError;
 use crate::mcap_file::McapReader;
+use crate::mcap_index::DAMAGES_MAX;
 use crate::record::{Frame, RecordOptions};
-use crate::record_mcap::DAMAGES_MAX;
 use crate::ros;
 
-/// One message of the topic of scans.
+/// A scan that has a pose.
 #[derive(Clone, Copy)]
 pub(crate) struct Entry {
     pub(crate) stamp: Stamp,
-    /// Place in the order of stamps among the scans that have a pose; `None` for the others.
-    pub(crate) rank: Option<u32>,
+    /// Place in the order of stamps.
+    pub(crate) rank: u32,
     pub(crate) pose: Pose,
+    /// Whether its points are in the map and have to be taken back to the sensor.
     pub(crate) registered: bool,
 }
 
@@ -30,7 +31,8 @@ pub(crate) struct McapFrames {
     /// The rays without a return read last: they come before their scan.
     rays: Option<(Stamp, Vec<[f32; 3]>)>,
     reader: Option<McapReader>,
-    entries: Vec<Entry>,
+    /// One for each message of the topic; `None` where it gives no frame.
+    entries: Vec<Option<Entry>>,
     /// Messages of the topic seen.
     number: usize,
     /// Scans that wait for an earlier one; `None` if the scan could not be read.
@@ -53,10 +55,9 @@ impl Iterator for McapFrames {
             }
             if self.ended {
                 // Scans are missing if the file changed in between; what is left still comes in order.
-                if let Some((_, frame)) = self.waiting.pop_first() {
-                    match frame {
-                        Some(frame) => return Some(Ok(frame)),
-                        None => continue,
+                while let Some((_, frame)) = self.waiting.pop_first() {
+                    if let Some(frame) = frame {
+                        return Some(Ok(frame));
                     }
                 }
                 return (!self.damages.is_empty()).then(|| Err(self.damages.remove(0)));
@@ -73,7 +74,7 @@ impl McapFrames {
         options: &RecordOptions,
         topic: &str,
         no_returns: Option<String>,
-        entries: Vec<Entry>,
+        entries: Vec<Option<Entry>>,
         damages: Vec<ReadError>,
     ) -> Self {
         Self {
@@ -93,18 +94,13 @@ impl McapFrames {
     }
 
     fn read_one(&mut self) {
-        let reader = match &mut self.reader {
-            Some(reader) => reader,
-            None => match McapReader::open(&self.path, self.options.chunk_bytes_max) {
-                Ok(reader) => self.reader.insert(reader),
-                Err(fault) => {
-                    self.damages.push(fault.in_file(&self.path));
-                    self.ended = true;
-                    return;
-                }
-            },
-        };
-        let message = match reader.next_message() {
+        if self.reader.is_none() {
+            match McapReader::open(&self.path, self.options.chunk_bytes_max) {
+                Ok(reader) => self.reader = Some(reader),
+                Err(fault) => self.damages.push(fault.in_file(&self.path)),
+            }
+        }
+        let message = match self.reader.as_mut().and_then(McapReader::next_message) {
             Some(Ok(message)) => message,
             // Told by the first pass.
             Some(Err(_)) => return,
@@ -126,9 +122,9 @@ impl McapFrames {
         if message.channel.topic != self.topic {
             return;
         }
-        let entry = self.entries.get(self.number).copied();
+        let entry = self.entries.get(self.number).copied().flatten();
         self.number += 1;
-        let Some((entry, rank)) = entry.and_then(|e| e.rank.map(|rank| (e, rank))) else { return };
+        let Some(entry) = entry else { return };
         let back = entry.registered.then(|| entry.pose.inverse());
         let frame = match ros::decode_points(message.data, points_max, back.as_ref()) {
             Ok(cloud) => {
@@ -147,6 +143,6 @@ impl McapFrames {
                 None
             }
         };
-        self.waiting.insert(rank, frame);
+        self.waiting.insert(entry.rank, frame);
     }
 }

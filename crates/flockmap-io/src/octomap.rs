@@ -5,13 +5,14 @@
 //! `00` unknown, `01` free, `10` occupied, `11` a node with children of its own, which follow in the same order.
 //! The root spans 2¹⁶ voxels a side; the voxel with OctoMap's key 32768 has index 0.
 
-use std::io::{self, Write};
 use std::path::Path;
 
 use flockmap_grid::{Resolution, State, Voxel};
 
 use crate::bytes::Bytes;
-use crate::error::{Fault, Place, ReadError, WriteError, excerpt, read_whole};
+use crate::error::{Fault, ReadError, WriteError, excerpt};
+use crate::file::read_whole;
+use crate::header_lines::HeaderLines;
 
 /// Largest `.bt` file that is read.
 pub const OCTOMAP_BYTES_MAX: u64 = 1 << 30;
@@ -21,8 +22,6 @@ const DEPTH: u32 = 16;
 /// Indices run from −32,768 to 32,767 on each axis.
 const HALF: i32 = 1 << (DEPTH - 1);
 const FIRST_LINE: &str = "# Octomap OcTree binary file";
-/// Longest header: the lines before `data`.
-const HEADER_BYTES_MAX: usize = 64 * 1024;
 
 /// A cube of voxels that all have one state: a leaf of the tree.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -69,22 +68,55 @@ impl OctoMap {
     }
 
     pub(crate) fn parse(bytes: &[u8]) -> Result<Self, Fault> {
-        let (header, data_at) = Header::parse(bytes)?;
-        let mut data = Bytes::new(bytes.get(data_at..).unwrap_or_default(), data_at as u64);
-        let mut cubes = Vec::new();
-        let mut nodes = 0;
-        if header.size > 0 {
-            nodes = 1;
-            read_node(&mut data, Voxel::new(-HALF, -HALF, -HALF), 0, &mut cubes, &mut nodes)?;
+        let mut header = HeaderLines::new(bytes);
+        let (size, resolution) = parse_header(&mut header)?;
+        let mut data = Bytes::new(header.rest(), header.at() as u64);
+        let mut map = Self { resolution, cubes: Vec::new(), nodes: size.min(1) };
+        if size > 0 {
+            map.read_node(&mut data, Voxel::new(-HALF, -HALF, -HALF), 0)?;
         }
-        if nodes != header.size {
-            return Err(Fault::damaged(
-                data.place(),
-                format!("{} nodes, as the header says", header.size),
-                format!("{nodes} nodes"),
-            ));
+        if map.nodes != size {
+            let expected = format!("{size} nodes, as the header says");
+            return Err(Fault::damaged(data.place(), expected, format!("{} nodes", map.nodes)));
         }
-        Ok(Self { resolution: header.resolution, cubes, nodes })
+        Ok(map)
+    }
+
+    /// Takes over the node at `depth` whose lowest voxel is `corner`, and all below it. At most 16 calls deep.
+    fn read_node(&mut self, data: &mut Bytes<'_>, corner: Voxel, depth: u32) -> Result<(), Fault> {
+        let place = data.place();
+        let children = data.u16("children of a node")?;
+        let side = 1i32 << (DEPTH - depth - 1);
+        let corners: [Voxel; 8] = core::array::from_fn(|child| {
+            let step = |axis: usize| side * (child >> axis & 1) as i32;
+            Voxel::new(corner.x + step(0), corner.y + step(1), corner.z + step(2))
+        });
+        let children =
+            || corners.into_iter().enumerate().map(|(i, corner)| (corner, children >> (2 * i) & 3));
+        for (corner, bits) in children() {
+            let state = match bits {
+                0 => continue,
+                1 => State::Free,
+                2 => State::Occupied,
+                _ if depth + 1 == DEPTH => {
+                    return Err(Fault::damaged(
+                        place,
+                        "no nodes below depth 16",
+                        "a node with children there",
+                    ));
+                }
+                _ => State::Unknown,
+            };
+            if state != State::Unknown {
+                self.cubes.push(Cube { corner, side: side as u32, state });
+            }
+            self.nodes += 1;
+        }
+        // A node is written whole before the nodes below it.
+        for (corner, _) in children().filter(|(_, bits)| *bits == 3) {
+            self.read_node(data, corner, depth + 1)?;
+        }
+        Ok(())
     }
 
     /// Side of a voxel.
@@ -128,149 +160,64 @@ impl OctoMap {
     }
 }
 
-struct Header {
-    size: u64,
-    resolution: Resolution,
-}
-
-impl Header {
-    /// The header and where the data begins.
-    fn parse(bytes: &[u8]) -> Result<(Self, usize), Fault> {
-        let (mut id, mut size, mut resolution) = (None, None, None);
-        let mut at = 0;
-        for number in 1.. {
-            let rest = bytes.get(at..).unwrap_or_default();
-            let window = rest.get(..HEADER_BYTES_MAX.saturating_sub(at)).unwrap_or(rest);
-            let Some(end) = window.iter().position(|&b| b == b'\n') else {
-                if number == 1 && !bytes.starts_with(FIRST_LINE.as_bytes()) {
-                    return Err(not_octomap(bytes));
-                }
-                return Err(Fault::truncated(
-                    Place::Line(number),
-                    "the header up to the line \"data\"",
-                    excerpt(window),
-                ));
-            };
-            let line = String::from_utf8_lossy(rest.get(..end).unwrap_or_default()).into_owned();
-            at += end + 1;
-            if number == 1 {
+/// Nodes of the tree, and side of a voxel.
+fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(u64, Resolution), Fault> {
+    let (mut id, mut size, mut resolution) = (None, None, None);
+    loop {
+        let text = lines.next("the header of an OctoMap up to the line \"data\"")?;
+        let line = String::from_utf8_lossy(text);
+        let mut words = line.split_ascii_whitespace();
+        let word_of = |word: &str| excerpt(word.as_bytes());
+        let place = lines.place();
+        match (words.next(), words.next()) {
+            _ if lines.line() == 1 => {
                 if !line.starts_with(FIRST_LINE) {
-                    return Err(not_octomap(bytes));
-                }
-                continue;
-            }
-            let mut words = line.split_ascii_whitespace();
-            let place = Place::Line(number);
-            match (words.next(), words.next()) {
-                (None, _) => {}
-                (Some(word), _) if word.starts_with('#') => {}
-                (Some("data"), None) => break,
-                (Some("id"), Some(word)) => {
-                    if word != "OcTree" {
-                        return Err(Fault::foreign(place, "a tree of type OcTree", excerpt(word.as_bytes())));
-                    }
-                    id = Some(());
-                }
-                (Some("size"), Some(word)) => {
-                    size =
-                        Some(word.parse::<u64>().map_err(|_| {
-                            Fault::damaged(place, "a number of nodes", excerpt(word.as_bytes()))
-                        })?);
-                }
-                (Some("res"), Some(word)) => {
-                    let metres = word.parse::<f64>().ok().and_then(Resolution::from_metres);
-                    resolution = Some(metres.ok_or_else(|| {
-                        Fault::damaged(place, "a resolution of 0.001 to 100 m", excerpt(word.as_bytes()))
-                    })?);
-                }
-                _ => {
-                    return Err(Fault::damaged(
-                        place,
-                        "a line \"id …\", \"size …\", \"res …\", \"data\" or a comment",
-                        excerpt(line.as_bytes()),
-                    ));
+                    return Err(Fault::foreign(place, format!("\"{FIRST_LINE}\""), excerpt(text)));
                 }
             }
-        }
-        let missing = |what: &str| {
-            Fault::damaged(Place::Byte(at as u64), format!("a line \"{what} …\" before the data"), "none")
-        };
-        id.ok_or_else(|| missing("id"))?;
-        let size = size.ok_or_else(|| missing("size"))?;
-        let resolution = resolution.ok_or_else(|| missing("res"))?;
-        if size == 1 {
-            return Err(Fault::foreign(
-                Place::Byte(at as u64),
-                "a tree with leaves below its root",
-                "a single node, whose state the binary form does not tell",
-            ));
-        }
-        Ok((Self { size, resolution }, at))
-    }
-}
-
-fn not_octomap(bytes: &[u8]) -> Fault {
-    let line = bytes.split(|&b| b == b'\n').next().unwrap_or_default();
-    Fault::foreign(Place::Line(1), format!("\"{FIRST_LINE}\""), excerpt(line))
-}
-
-/// Reads the node at `depth` whose lowest voxel is `corner`, and all below it. At most 16 calls deep.
-fn read_node(
-    data: &mut Bytes<'_>,
-    corner: Voxel,
-    depth: u32,
-    cubes: &mut Vec<Cube>,
-    nodes: &mut u64,
-) -> Result<(), Fault> {
-    let place = data.place();
-    let children = data.u16("children of a node")?;
-    let side = 1i32 << (DEPTH - depth - 1);
-    for child in 0..8 {
-        let corner = Voxel::new(
-            corner.x + side * (child & 1),
-            corner.y + side * (child >> 1 & 1),
-            corner.z + side * (child >> 2 & 1),
-        );
-        match children >> (2 * child) & 3 {
-            0 => continue,
-            3 if depth + 1 == DEPTH => {
-                return Err(Fault::damaged(place, "no nodes below depth 16", "a node with children there"));
+            (None, _) => {}
+            (Some(word), _) if word.starts_with('#') => {}
+            (Some("data"), None) => break,
+            (Some("id"), Some("OcTree")) => id = Some(()),
+            (Some("id"), Some(word)) => {
+                return Err(Fault::foreign(place, "a tree of type OcTree", word_of(word)));
             }
-            3 => {}
-            bits => {
-                let state = if bits == 1 { State::Free } else { State::Occupied };
-                cubes.push(Cube { corner, side: side as u32, state });
+            (Some("size"), Some(word)) => {
+                let nodes: Option<u64> = word.parse().ok();
+                size = Some(nodes.ok_or_else(|| Fault::damaged(place, "a number of nodes", word_of(word)))?);
             }
-        }
-        *nodes += 1;
-    }
-    // A node is written whole before the nodes below it.
-    for child in 0..8 {
-        if children >> (2 * child) & 3 == 3 {
-            let corner = Voxel::new(
-                corner.x + side * (child & 1),
-                corner.y + side * (child >> 1 & 1),
-                corner.z + side * (child >> 2 & 1),
-            );
-            read_node(data, corner, depth + 1, cubes, nodes)?;
+            (Some("res"), Some(word)) => {
+                let metres = word.parse().ok().and_then(Resolution::from_metres);
+                let expected = "a resolution of 0.001 to 100 m";
+                resolution = Some(metres.ok_or_else(|| Fault::damaged(place, expected, word_of(word)))?);
+            }
+            _ => {
+                let expected = "a line \"id …\", \"size …\", \"res …\", \"data\" or a comment";
+                return Err(Fault::damaged(place, expected, excerpt(text)));
+            }
         }
     }
-    Ok(())
+    let missing =
+        |what: &str| Fault::damaged(lines.place(), format!("a line \"{what} …\" before the data"), "none");
+    id.ok_or_else(|| missing("id"))?;
+    let size = size.ok_or_else(|| missing("size"))?;
+    let resolution = resolution.ok_or_else(|| missing("res"))?;
+    if size == 1 {
+        let found = "a single node, whose state the binary form does not tell";
+        return Err(Fault::foreign(lines.place(), "a tree with leaves below its root", found));
+    }
+    Ok((size, resolution))
 }
 
-/// Writes a `.bt` tree that OctoMap's own tools read; eight equal leaves are joined to one. Of two entries for one voxel the
+/// A `.bt` tree that OctoMap's own tools read; eight equal leaves are joined to one. Of two entries for one voxel the
 /// later counts; Unknown entries are left out. Memory: 24 bytes a voxel. Fails if an index is outside −32,768 … 32,767.
-pub(crate) fn write_octomap(
-    out: &mut impl Write,
+pub(crate) fn octomap_bytes(
     path: &Path,
     resolution: Resolution,
     voxels: impl IntoIterator<Item = (Voxel, State)>,
-) -> Result<(), WriteError> {
+) -> Result<Vec<u8>, WriteError> {
     let mut leaves = Vec::new();
-    for (voxel, state) in voxels {
-        if state == State::Unknown {
-            continue;
-        }
+    for (voxel, state) in voxels.into_iter().filter(|(_, state)| *state != State::Unknown) {
         let code = morton(voxel).ok_or_else(|| WriteError::Unfit {
             path: path.to_owned(),
             what: format!("voxel {voxel:?}"),
@@ -289,14 +236,10 @@ pub(crate) fn write_octomap(
     let leaves = join(leaves);
     let mut data = Vec::new();
     let nodes = if leaves.is_empty() { 0 } else { 1 + write_node(&leaves, 0, &mut data) };
-    let result = (|| -> io::Result<()> {
-        writeln!(out, "{FIRST_LINE}")?;
-        writeln!(out, "# (feel free to add / change comments, but leave the first line as it is!)")?;
-        writeln!(out, "#")?;
-        writeln!(out, "id OcTree\nsize {nodes}\nres {}\ndata", resolution.metres())?;
-        out.write_all(&data)
-    })();
-    result.map_err(WriteError::io(path))
+    let note = "# (feel free to add / change comments, but leave the first line as it is!)\n#";
+    let res = resolution.metres();
+    let header = format!("{FIRST_LINE}\n{note}\nid OcTree\nsize {nodes}\nres {res}\ndata\n");
+    Ok([header.as_bytes(), &data].concat())
 }
 
 #[derive(Clone, Copy)]
@@ -352,13 +295,8 @@ fn write_node(leaves: &[Leaf], depth: u32, data: &mut Vec<u8>) -> u64 {
     for (child, part) in parts.iter().enumerate() {
         let bits = match part {
             [] => continue,
-            [leaf] if leaf.depth == depth + 1 => {
-                if leaf.state == State::Free {
-                    1
-                } else {
-                    2
-                }
-            }
+            [leaf] if leaf.depth == depth + 1 && leaf.state == State::Free => 1,
+            [leaf] if leaf.depth == depth + 1 => 2,
             _ => 3,
         };
         nodes += 1;
@@ -380,10 +318,8 @@ mod tests {
     use std::collections::BTreeMap;
 
     fn write(voxels: &[(Voxel, State)]) -> Vec<u8> {
-        let mut bytes = Vec::new();
         let resolution = Resolution::from_metres(0.05).unwrap();
-        write_octomap(&mut bytes, Path::new("test.bt"), resolution, voxels.iter().copied()).unwrap();
-        bytes
+        octomap_bytes(Path::new("test.bt"), resolution, voxels.iter().copied()).unwrap()
     }
 
     fn some_voxels() -> impl Strategy<Value = Vec<(Voxel, State)>> {
@@ -476,7 +412,7 @@ mod tests {
     fn a_voxel_beyond_octomaps_reach_is_refused() {
         let voxel = [(Voxel::new(32768, 0, 0), State::Free)];
         let resolution = Resolution::from_metres(0.1).unwrap();
-        let error = write_octomap(&mut Vec::new(), Path::new("a.bt"), resolution, voxel).unwrap_err();
+        let error = octomap_bytes(Path::new("a.bt"), resolution, voxel).unwrap_err();
         assert!(error.to_string().contains("(32768, 0, 0)"), "{error}");
     }
 }

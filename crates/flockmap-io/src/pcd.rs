@@ -2,10 +2,12 @@
 
 use flockmap_grid::Pose;
 
+use crate::bytes::Bytes;
 use crate::error::{Fault, Place, excerpt};
+use crate::header_lines::HeaderLines;
+use crate::lzf;
+use crate::number::Number;
 
-/// Longest header.
-const HEADER_BYTES_MAX: usize = 64 * 1024;
 /// Most fields of a point.
 const FIELDS_MAX: usize = 256;
 
@@ -18,48 +20,52 @@ pub(crate) struct Parsed {
     pub(crate) viewpoint_line: u64,
 }
 
-#[derive(Clone, Copy, PartialEq, Debug)]
-enum Kind {
-    Float,
-    Signed,
-    Unsigned,
-}
-
-#[derive(Clone, Debug)]
+/// A field of each point: `count` numbers of `size` bytes of the type F, I or U.
 struct Field {
     name: String,
     size: u64,
-    kind: Kind,
+    kind: char,
     count: u64,
 }
 
-#[derive(Clone, Copy, PartialEq, Debug)]
+impl Field {
+    const fn bytes(&self) -> u64 {
+        self.size * self.count
+    }
+
+    /// The type of its numbers; `None` for floats of one or two bytes.
+    const fn number(&self) -> Option<Number> {
+        Some(match (self.kind, self.size) {
+            ('F', 4) => Number::F32,
+            ('F', 8) => Number::F64,
+            ('I', 1) => Number::I8,
+            ('I', 2) => Number::I16,
+            ('I', 4) => Number::I32,
+            ('I', 8) => Number::I64,
+            ('U', 1) => Number::U8,
+            ('U', 2) => Number::U16,
+            ('U', 4) => Number::U32,
+            ('U', 8) => Number::U64,
+            _ => return None,
+        })
+    }
+}
+
+#[derive(Clone, Copy, PartialEq)]
 enum Data {
     Ascii,
     Binary,
     Compressed,
 }
 
-#[derive(Debug)]
-struct Header {
-    fields: Vec<Field>,
-    points: u64,
-    viewpoint: Pose,
-    viewpoint_line: u64,
+/// What the header says of the data.
+struct Layout {
     data: Data,
-    /// Where the data begins, and in which line.
-    at: usize,
-    line: u64,
-}
-
-impl Header {
-    fn point_bytes(&self) -> u64 {
-        self.fields.iter().map(|f| f.size * f.count).sum()
-    }
-
-    fn words(&self) -> u64 {
-        self.fields.iter().map(|f| f.count).sum()
-    }
+    points: u64,
+    /// Bytes and numbers of a point.
+    point_bytes: u64,
+    words: u64,
+    axes: [Axis; 3],
 }
 
 /// One coordinate: which number of a point (text), where in the point (binary), where its column begins (compressed).
@@ -68,47 +74,45 @@ struct Axis {
     word: u64,
     offset: u64,
     size: u64,
-    kind: Kind,
+    number: Option<Number>,
 }
 
 pub(crate) fn parse(bytes: &[u8], points_max: u64) -> Result<Parsed, Fault> {
-    let header = parse_header(bytes)?;
-    if header.points > points_max {
-        let what = "the number of points";
-        return Err(Fault::too_large(Place::Byte(header.at as u64), what, header.points, points_max));
+    let mut lines = HeaderLines::new(bytes);
+    let mut parsed = Parsed::default();
+    let layout = parse_header(&mut lines, &mut parsed)?;
+    let place = Place::Byte(lines.at() as u64);
+    if layout.points > points_max {
+        return Err(Fault::too_large(place, "the number of points", layout.points, points_max));
     }
-    let axes = axes(&header)?;
-    let data = bytes.get(header.at..).unwrap_or_default();
-    let mut parsed =
-        Parsed { viewpoint: header.viewpoint, viewpoint_line: header.viewpoint_line, ..Default::default() };
-    match header.data {
-        Data::Ascii => parse_ascii(data, &header, axes, &mut parsed)?,
-        Data::Binary => {
-            let needed = header.points.saturating_mul(header.point_bytes());
-            if needed > data.len() as u64 {
-                return Err(Fault::truncated(
-                    Place::Byte(header.at as u64),
-                    format!("{needed} bytes for {} points of {} bytes", header.points, header.point_bytes()),
-                    format!("{} bytes", data.len()),
-                ));
-            }
-            parsed.points.reserve(header.points as usize);
-            for point in data.chunks_exact(header.point_bytes() as usize).take(header.points as usize) {
-                parsed.push(axes.map(|axis| number(point, axis.offset, axis)));
-            }
-        }
-        Data::Compressed => {
-            let columns = decompress(data, &header)?;
-            parsed.points.reserve(header.points as usize);
-            for i in 0..header.points {
-                let mut point = [0.0; 3];
-                for (v, axis) in point.iter_mut().zip(axes) {
-                    // A column holds this field of all points; those before it are as long for each point as its offset.
-                    *v = number(&columns, axis.offset * header.points + i * axis.size, axis);
-                }
-                parsed.push(point);
-            }
-        }
+    let data = lines.rest();
+    if layout.data == Data::Ascii {
+        parse_ascii(data, lines.line() + 1, &layout, &mut parsed)?;
+        return Ok(parsed);
+    }
+    let needed = layout.points.saturating_mul(layout.point_bytes);
+    let points_of = || format!("{needed} bytes for {} points of {} bytes", layout.points, layout.point_bytes);
+    let columns;
+    let (data, is_columns) = if layout.data == Data::Compressed {
+        columns = unpack(data, lines.at() as u64, needed, points_of)?;
+        (columns.as_slice(), true)
+    } else if needed > data.len() as u64 {
+        return Err(Fault::truncated(place, points_of(), format!("{} bytes", data.len())));
+    } else {
+        (data, false)
+    };
+    parsed.points.reserve(layout.points as usize);
+    for i in 0..layout.points {
+        parsed.push(layout.axes.map(|axis| {
+            // A column holds one field of all points; those before it are as long for each point as its offset.
+            let at = if is_columns {
+                axis.offset * layout.points + i * axis.size
+            } else {
+                i * layout.point_bytes + axis.offset
+            };
+            let number = data.get(at as usize..).unwrap_or_default();
+            axis.number.map_or(f64::NAN, |n| n.read(number, false))
+        }));
     }
     Ok(parsed)
 }
@@ -123,85 +127,51 @@ impl Parsed {
     }
 }
 
-fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {
-    let mut names: Vec<String> = Vec::new();
-    let (mut sizes, mut kinds, mut counts) = (Vec::new(), Vec::new(), None);
+fn parse_header(lines: &mut HeaderLines<'_>, parsed: &mut Parsed) -> Result<Layout, Fault> {
+    let mut fields: Vec<Field> = Vec::new();
     let (mut width, mut height, mut points) = (None, None, None);
-    let (mut viewpoint, mut viewpoint_line) = (Pose::IDENTITY, 0);
-    let mut at = 0;
-    for line in 1.. {
-        let place = Place::Line(line);
-        let rest = bytes.get(at..).unwrap_or_default();
-        let window = rest.get(..HEADER_BYTES_MAX.saturating_sub(at)).unwrap_or(rest);
-        let Some(end) = window.iter().position(|&b| b == b'\n') else {
-            let fault = if names.is_empty() { Fault::foreign } else { Fault::truncated };
-            return Err(fault(place, "the header of a PCD file up to the line \"DATA …\"", excerpt(window)));
-        };
-        let text = window.get(..end).unwrap_or_default();
-        at += end + 1;
+    loop {
+        let text = lines.next("the header of a PCD file up to the line \"DATA …\"")?;
         let as_text = String::from_utf8_lossy(text);
         let mut words = as_text.split_ascii_whitespace();
         let Some(key) = words.next() else { continue };
         let words: Vec<&str> = words.take(FIELDS_MAX + 1).collect();
-        let found = || excerpt(text);
-        let of_fields = |expected: &str| {
-            Fault::damaged(place.clone(), format!("{expected} for each of {} fields", names.len()), found())
+        let single = |into: &mut Option<u64>, what: &str| {
+            *into = words.first().and_then(|w| whole(w));
+            into.map(drop).ok_or_else(|| format!("{what} as a whole number"))
         };
-        let whole = |word: &&str| word.parse::<u64>().ok().filter(|&n| n <= 1 << 40);
-        let single = |what: &str| {
-            words
-                .first()
-                .and_then(whole)
-                .ok_or_else(|| Fault::damaged(place.clone(), format!("{what} as a whole number"), found()))
-        };
-        match key {
-            _ if key.starts_with('#') => {}
-            "VERSION" => {}
+        let read = match key {
+            _ if key.starts_with('#') => Ok(()),
+            "VERSION" => Ok(()),
             "FIELDS" | "COLUMNS" => {
-                if words.is_empty() || words.len() > FIELDS_MAX {
-                    return Err(Fault::damaged(place, format!("1 to {FIELDS_MAX} fields"), found()));
-                }
-                names = words.iter().map(|&w| w.to_owned()).collect();
+                fields = words
+                    .iter()
+                    .map(|&name| Field { name: name.to_owned(), size: 0, kind: ' ', count: 1 })
+                    .collect();
+                let fits = (1..=FIELDS_MAX).contains(&fields.len());
+                fits.then_some(()).ok_or_else(|| format!("1 to {FIELDS_MAX} fields"))
             }
             "SIZE" => {
-                sizes = words.iter().map_while(whole).filter(|s| [1, 2, 4, 8].contains(s)).collect();
-                if sizes.len() != names.len() {
-                    return Err(of_fields("a size of 1, 2, 4 or 8"));
-                }
+                let size = |w: &str| whole(w).filter(|s| [1, 2, 4, 8].contains(s));
+                set(&mut fields, &words, size, |f, size| f.size = size, "a size of 1, 2, 4 or 8")
             }
             "TYPE" => {
-                let kind = |w: &&str| match *w {
-                    "F" | "f" => Some(Kind::Float),
-                    "I" | "i" => Some(Kind::Signed),
-                    "U" | "u" => Some(Kind::Unsigned),
-                    _ => None,
+                let kind = |w: &str| {
+                    Some(w.to_ascii_uppercase()).filter(|w| ["F", "I", "U"].contains(&w.as_str()))?.pop()
                 };
-                kinds = words.iter().map_while(kind).collect();
-                if kinds.len() != names.len() {
-                    return Err(of_fields("a type F, I or U"));
-                }
+                set(&mut fields, &words, kind, |f, kind| f.kind = kind, "a type F, I or U")
             }
             "COUNT" => {
-                let values: Vec<u64> = words.iter().map_while(whole).filter(|&n| n <= 65_536).collect();
-                if values.len() != names.len() {
-                    return Err(of_fields("a count up to 65,536"));
-                }
-                counts = Some(values);
+                let count = |w: &str| whole(w).filter(|&n| n <= 65_536);
+                set(&mut fields, &words, count, |f, count| f.count = count, "a count up to 65,536")
             }
-            "WIDTH" => width = Some(single("the width")?),
-            "HEIGHT" => height = Some(single("the height")?),
-            "POINTS" => points = Some(single("the number of points")?),
+            "WIDTH" => single(&mut width, "the width"),
+            "HEIGHT" => single(&mut height, "the height"),
+            "POINTS" => single(&mut points, "the number of points"),
             "VIEWPOINT" => {
-                let v: Vec<f64> = words.iter().map_while(|w| w.parse().ok()).collect();
-                let pose = match v.as_slice() {
-                    // The quaternion is written w first.
-                    &[x, y, z, qw, qx, qy, qz] => Pose::new([x, y, z], [qx, qy, qz, qw]),
-                    _ => None,
-                };
-                viewpoint_line = line;
-                viewpoint = pose.ok_or_else(|| {
-                    Fault::damaged(place.clone(), "VIEWPOINT x y z qw qx qy qz, a pose", found())
-                })?;
+                parsed.viewpoint_line = lines.line();
+                let pose = viewpoint(&words).map(|pose| parsed.viewpoint = pose);
+                pose.ok_or_else(|| "VIEWPOINT x y z qw qx qy qz, a pose".to_owned())
             }
             "DATA" => {
                 let data = match words.as_slice() {
@@ -210,204 +180,119 @@ fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {
                     ["binary_compressed"] => Data::Compressed,
                     _ => {
                         let expected = "DATA ascii, binary or binary_compressed";
-                        return Err(Fault::foreign(place, expected, found()));
+                        return Err(Fault::foreign(lines.place(), expected, excerpt(text)));
                     }
                 };
                 let points = points.or_else(|| width?.checked_mul(height.unwrap_or(1)));
-                let Some(points) =
-                    points.filter(|_| !names.is_empty() && !sizes.is_empty() && !kinds.is_empty())
-                else {
-                    return Err(Fault::damaged(
-                        place,
-                        "FIELDS, SIZE, TYPE and POINTS (or WIDTH and HEIGHT) before DATA",
-                        "a header without one of them",
-                    ));
+                let is_whole = fields.first().is_some_and(|f| f.size > 0 && f.kind != ' ');
+                let Some(points) = points.filter(|_| is_whole) else {
+                    let expected = "FIELDS, SIZE, TYPE and POINTS (or WIDTH and HEIGHT) before DATA";
+                    return Err(Fault::damaged(lines.place(), expected, "a header without one of them"));
                 };
-                let counts = counts.unwrap_or_else(|| vec![1; names.len()]);
-                let fields = names
-                    .into_iter()
-                    .zip(sizes)
-                    .zip(kinds)
-                    .zip(counts)
-                    .map(|(((name, size), kind), count)| Field { name, size, kind, count })
-                    .collect();
-                return Ok(Header { fields, points, viewpoint, viewpoint_line, data, at, line: line + 1 });
+                return Ok(Layout {
+                    data,
+                    points,
+                    point_bytes: fields.iter().map(Field::bytes).sum(),
+                    words: fields.iter().map(|f| f.count).sum(),
+                    axes: [axis(&fields, "x")?, axis(&fields, "y")?, axis(&fields, "z")?],
+                });
             }
             _ => {
-                let fault = if names.is_empty() { Fault::foreign } else { Fault::damaged };
-                return Err(fault(
-                    place,
-                    "a line of a PCD header (VERSION, FIELDS, SIZE, TYPE, COUNT, WIDTH, HEIGHT, VIEWPOINT, POINTS, DATA)",
-                    found(),
-                ));
+                let fault = if fields.is_empty() { Fault::foreign } else { Fault::damaged };
+                let expected = "a line of a PCD header (VERSION, FIELDS, SIZE, TYPE, COUNT, WIDTH, HEIGHT, VIEWPOINT, POINTS, DATA)";
+                return Err(fault(lines.place(), expected, excerpt(text)));
             }
-        }
-    }
-    Err(Fault::truncated(Place::Byte(at as u64), "a header", "its end"))
-}
-
-fn axes(header: &Header) -> Result<[Axis; 3], Fault> {
-    let find = |name: &str| {
-        let (mut word, mut offset) = (0, 0);
-        for field in &header.fields {
-            if field.name == name && field.count == 1 {
-                return Ok(Axis { word, offset, size: field.size, kind: field.kind });
-            }
-            word += field.count;
-            offset += field.size * field.count;
-        }
-        let fields: Vec<String> =
-            header.fields.iter().take(16).map(|f| format!("{} ({})", f.name, f.count)).collect();
-        Err(Fault::foreign(
-            Place::Byte(0),
-            "fields x, y and z with one number each",
-            format!("fields {}", fields.join(", ")),
-        ))
-    };
-    Ok([find("x")?, find("y")?, find("z")?])
-}
-
-fn parse_ascii(data: &[u8], header: &Header, axes: [Axis; 3], parsed: &mut Parsed) -> Result<(), Fault> {
-    let mut lines = data.split(|&b| b == b'\n');
-    let mut line = header.line;
-    let mut read = 0;
-    while read < header.points {
-        let Some(text) = lines.next() else {
-            return Err(Fault::truncated(
-                Place::Line(line),
-                format!("{} points", header.points),
-                format!("{read} points"),
-            ));
         };
+        read.map_err(|expected| Fault::damaged(lines.place(), expected, excerpt(text)))?;
+    }
+}
+
+fn whole(word: &str) -> Option<u64> {
+    word.parse().ok().filter(|&n| n <= 1 << 40)
+}
+
+/// Sets something of each field. The words up to the first that says nothing must be as many as the fields.
+fn set<T>(
+    fields: &mut [Field],
+    words: &[&str],
+    parse: impl Fn(&str) -> Option<T>,
+    set: impl Fn(&mut Field, T),
+    expected: &str,
+) -> Result<(), String> {
+    let values: Vec<T> = words.iter().map_while(|w| parse(w)).collect();
+    if values.len() != fields.len() {
+        return Err(format!("{expected} for each of {} fields", fields.len()));
+    }
+    fields.iter_mut().zip(values).for_each(|(field, value)| set(field, value));
+    Ok(())
+}
+
+fn viewpoint(words: &[&str]) -> Option<Pose> {
+    let numbers: Vec<f64> = words.iter().map_while(|w| w.parse().ok()).collect();
+    // The quaternion is written w first.
+    let &[x, y, z, qw, qx, qy, qz] = numbers.as_slice() else { return None };
+    Pose::new([x, y, z], [qx, qy, qz, qw])
+}
+
+fn axis(fields: &[Field], name: &str) -> Result<Axis, Fault> {
+    if let Some(at) = fields.iter().position(|f| f.name == name && f.count == 1) {
+        let (before, from) = fields.split_at(at);
+        let (size, number) = from.first().map_or((0, None), |f| (f.size, f.number()));
+        let word = before.iter().map(|f| f.count).sum();
+        return Ok(Axis { word, offset: before.iter().map(Field::bytes).sum(), size, number });
+    }
+    let found: Vec<String> = fields.iter().take(16).map(|f| format!("{} ({})", f.name, f.count)).collect();
+    let expected = "fields x, y and z with one number each";
+    Err(Fault::foreign(Place::Byte(0), expected, format!("fields {}", found.join(", "))))
+}
+
+fn parse_ascii(data: &[u8], first: u64, layout: &Layout, parsed: &mut Parsed) -> Result<(), Fault> {
+    let mut lines = data.split(|&b| b == b'\n').zip(first..);
+    let (mut read, mut last) = (0, first);
+    while read < layout.points {
+        let Some((text, line)) = lines.next() else {
+            let expected = format!("{} points", layout.points);
+            return Err(Fault::truncated(Place::Line(last), expected, format!("{read} points")));
+        };
+        last = line + 1;
         let text = text.trim_ascii();
-        if !text.is_empty() {
-            let mut point = [None; 3];
-            let mut words = 0;
-            for word in text.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty()) {
-                for (v, _) in point.iter_mut().zip(axes).filter(|(_, axis)| axis.word == words) {
-                    *v = core::str::from_utf8(word).ok().and_then(|w| w.parse::<f64>().ok());
-                }
-                words += 1;
-            }
-            let [Some(x), Some(y), Some(z)] = point else {
-                let expected = format!("a point of {} numbers", header.words());
-                return Err(Fault::damaged(Place::Line(line), expected, excerpt(text)));
-            };
-            if words != header.words() {
-                return Err(Fault::damaged(
-                    Place::Line(line),
-                    format!("a point of {} numbers", header.words()),
-                    format!("{words} numbers"),
-                ));
-            }
-            parsed.push([x, y, z]);
-            read += 1;
+        if text.is_empty() {
+            continue;
         }
-        line += 1;
+        let mut point = [None; 3];
+        let mut words = 0;
+        for word in text.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty()) {
+            for (v, _) in point.iter_mut().zip(layout.axes).filter(|(_, axis)| axis.word == words) {
+                *v = core::str::from_utf8(word).ok().and_then(|w| w.parse::<f64>().ok());
+            }
+            words += 1;
+        }
+        let found = match point {
+            [Some(x), Some(y), Some(z)] if words == layout.words => {
+                parsed.push([x, y, z]);
+                read += 1;
+                continue;
+            }
+            [Some(_), Some(_), Some(_)] => format!("{words} numbers"),
+            _ => excerpt(text),
+        };
+        let expected = format!("a point of {} numbers", layout.words);
+        return Err(Fault::damaged(Place::Line(line), expected, found));
     }
     Ok(())
 }
 
-/// The number of this axis at a place; not a number if it lies beyond the end.
-fn number(bytes: &[u8], at: u64, axis: Axis) -> f64 {
-    let Some(rest) = usize::try_from(at).ok().and_then(|at| bytes.get(at..)) else { return f64::NAN };
-    macro_rules! read {
-        ($number:ty) => {
-            rest.first_chunk().map_or(f64::NAN, |b| <$number>::from_le_bytes(*b) as f64)
-        };
-    }
-    match (axis.kind, axis.size) {
-        (Kind::Float, 4) => read!(f32),
-        (Kind::Float, 8) => read!(f64),
-        (Kind::Signed, 1) => read!(i8),
-        (Kind::Signed, 2) => read!(i16),
-        (Kind::Signed, 4) => read!(i32),
-        (Kind::Signed, 8) => read!(i64),
-        (Kind::Unsigned, 1) => read!(u8),
-        (Kind::Unsigned, 2) => read!(u16),
-        (Kind::Unsigned, 4) => read!(u32),
-        (Kind::Unsigned, 8) => read!(u64),
-        _ => f64::NAN,
-    }
-}
-
 /// The columns of a compressed file: all x, then all y … as they lie in memory.
-fn decompress(data: &[u8], header: &Header) -> Result<Vec<u8>, Fault> {
-    let place = Place::Byte(header.at as u64);
-    let size = |at: usize| {
-        data.get(at..).and_then(|d| d.first_chunk()).map(|b| u64::from(u32::from_le_bytes(*b))).ok_or_else(
-            || {
-                let found = format!("{} bytes", data.len());
-                Fault::truncated(place.clone(), "8 bytes: the packed and the unpacked size", found)
-            },
-        )
-    };
-    let (packed, unpacked) = (size(0)?, size(4)?);
-    let needed = header.points.saturating_mul(header.point_bytes());
+fn unpack(data: &[u8], at: u64, needed: u64, points_of: impl Fn() -> String) -> Result<Vec<u8>, Fault> {
+    let mut data = Bytes::new(data, at);
+    let place = data.place();
+    let packed = data.u32("the packed size")?;
+    let unpacked = u64::from(data.u32("the unpacked size")?);
     if unpacked != needed {
-        return Err(Fault::damaged(
-            place,
-            format!("{needed} bytes for {} points of {} bytes", header.points, header.point_bytes()),
-            format!("{unpacked} bytes unpacked"),
-        ));
+        return Err(Fault::damaged(place, points_of(), format!("{unpacked} bytes unpacked")));
     }
-    let rest = data.get(8..).unwrap_or_default();
-    let Some(rest) = usize::try_from(packed).ok().and_then(|n| rest.get(..n)) else {
-        let found = format!("{} bytes", rest.len());
-        return Err(Fault::truncated(place, format!("{packed} packed bytes"), found));
-    };
-    lzf_decompress(rest, unpacked, header.at as u64 + 8)
-}
-
-/// LibLZF's form: a control byte below 32 is followed by that many bytes + 1 as they are; otherwise its upper three bits
-/// (7: plus the next byte) are a length − 2, and its lower five with the next byte a distance − 1 back.
-fn lzf_decompress(packed: &[u8], size: u64, base: u64) -> Result<Vec<u8>, Fault> {
-    // A byte unpacks to at most 264 / 3: a header cannot ask for more than the data can fill.
-    if size > packed.len() as u64 * 88 + 64 {
-        return Err(Fault::damaged(
-            Place::Byte(base),
-            format!("packed data for {size} bytes"),
-            format!("{} bytes of it", packed.len()),
-        ));
-    }
-    let mut out: Vec<u8> = Vec::with_capacity(size as usize);
-    let mut at = 0;
-    let broken = |at: usize, found: &str| {
-        Fault::damaged(Place::Byte(base + at as u64), "LZF data as PCL packs it", found)
-    };
-    while let Some(&control) = packed.get(at) {
-        let start = at;
-        at += 1;
-        if control < 32 {
-            let end = at + usize::from(control) + 1;
-            out.extend_from_slice(packed.get(at..end).ok_or_else(|| broken(start, "the end of the data"))?);
-            at = end;
-        } else {
-            let mut next = || {
-                let byte = packed.get(at).copied().ok_or_else(|| broken(start, "the end of the data"));
-                at += 1;
-                byte.map(usize::from)
-            };
-            let mut length = usize::from(control >> 5) + 2;
-            if control >> 5 == 7 {
-                length += next()?;
-            }
-            let distance = (usize::from(control & 31) << 8 | next()?) + 1;
-            let from =
-                out.len().checked_sub(distance).ok_or_else(|| broken(start, "a copy from before it"))?;
-            for i in from..from + length {
-                let byte = out.get(i).copied().unwrap_or_default();
-                out.push(byte);
-            }
-        }
-        if out.len() as u64 > size {
-            return Err(broken(start, "more than the unpacked size"));
-        }
-    }
-    if out.len() as u64 != size {
-        return Err(broken(at, &format!("{} of {size} bytes", out.len())));
-    }
-    Ok(out)
+    let base = at + data.at() as u64;
+    lzf::decompress(data.take(packed.into(), "packed points")?, unpacked, base)
 }
 
 #[cfg(test)]
@@ -483,20 +368,6 @@ mod tests {
                 prop_assert!(parsed.points.len() <= 1000);
             }
         }
-
-        #[test]
-        fn lzf_takes_random_bytes(data in prop::collection::vec(any::<u8>(), 0..300), size in 0..5000u64) {
-            if let Ok(out) = lzf_decompress(&data, size, 0) {
-                prop_assert_eq!(out.len() as u64, size);
-            }
-        }
-    }
-
-    #[test]
-    fn lzf_copies_may_overlap_themselves() {
-        // "ab", then 2 + 7 + 3 bytes from 2 back.
-        let out = lzf_decompress(&[1, b'a', b'b', 7 << 5, 3, 1], 14, 0).unwrap();
-        assert_eq!(out, b"ababababababab");
     }
 
     #[test]

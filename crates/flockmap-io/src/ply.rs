@@ -3,55 +3,16 @@
 use crate::bytes::Bytes;
 use crate::cloud::CLOUD_POINTS_MAX;
 use crate::error::{Fault, Place, excerpt};
+use crate::header_lines::HeaderLines;
+use crate::number::Number;
 
-/// Longest header.
-const HEADER_BYTES_MAX: usize = 64 * 1024;
-
-#[derive(Clone, Copy, PartialEq, Debug)]
+#[derive(Clone, Copy, PartialEq)]
 enum Format {
     Ascii,
     LittleEndian,
     BigEndian,
 }
 
-#[derive(Clone, Copy, PartialEq, Debug)]
-enum Number {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Number {
-    fn from_name(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    const fn size(self) -> u64 {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-}
-
-#[derive(Debug)]
 struct Property {
     name: String,
     number: Number,
@@ -59,87 +20,61 @@ struct Property {
     length: Option<Number>,
 }
 
-#[derive(Debug)]
 struct Element {
     name: String,
     count: u64,
     properties: Vec<Property>,
 }
 
-struct Header {
-    format: Format,
-    elements: Vec<Element>,
-    at: usize,
-    line: u64,
-}
-
 /// The vertices of a file.
 pub(crate) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, Fault> {
-    let header = parse_header(bytes)?;
-    let mut source = match header.format {
+    let mut header = HeaderLines::new(bytes);
+    let (format, elements) = parse_header(&mut header)?;
+    let mut source = match format {
         Format::Ascii => Source::Text {
-            lines: bytes.get(header.at..).unwrap_or_default().split(|&b| b == b'\n'),
-            line: header.line,
+            lines: header.rest().split(|&b| b == b'\n'),
+            line: header.line() + 1,
             words: Vec::new(),
         },
         format => Source::Binary {
-            bytes: Bytes::new(bytes.get(header.at..).unwrap_or_default(), header.at as u64),
+            bytes: Bytes::new(header.rest(), header.at() as u64),
             big_endian: format == Format::BigEndian,
         },
     };
     let mut points = Vec::new();
-    for element in &header.elements {
+    for element in &elements {
         let is_vertex = element.name == "vertex";
         let axis = |name: &str| element.properties.iter().position(|p| p.name == name && p.length.is_none());
         let axes = [axis("x"), axis("y"), axis("z")];
-        let [Some(x), Some(y), Some(z)] = axes else {
-            if is_vertex {
-                let names: Vec<&str> = element.properties.iter().take(16).map(|p| p.name.as_str()).collect();
-                return Err(Fault::foreign(
-                    Place::Byte(0),
-                    "vertices with x, y and z",
-                    format!("vertices with {}", names.join(", ")),
-                ));
-            }
-            skip(&mut source, element)?;
-            continue;
-        };
-        if !is_vertex {
-            skip(&mut source, element)?;
-            continue;
+        if is_vertex && axes.contains(&None) {
+            let names: Vec<&str> = element.properties.iter().take(16).map(|p| p.name.as_str()).collect();
+            let found = format!("vertices with {}", names.join(", "));
+            return Err(Fault::foreign(Place::Byte(0), "vertices with x, y and z", found));
         }
-        if element.count > CLOUD_POINTS_MAX {
+        if is_vertex && element.count > CLOUD_POINTS_MAX {
             let what = "the number of vertices";
             return Err(Fault::too_large(Place::Byte(0), what, element.count, CLOUD_POINTS_MAX));
         }
-        for _ in 0..element.count {
+        // Without properties its rows take no bytes, so their number is bounded by nothing.
+        let rows = if element.properties.is_empty() { 0 } else { element.count };
+        for _ in 0..rows {
             source.start_row()?;
             let mut point = [f64::NAN; 3];
             for (i, property) in element.properties.iter().enumerate() {
                 let value = source.property(property)?;
-                for (v, _) in point.iter_mut().zip([x, y, z]).filter(|(_, axis)| *axis == i) {
+                for (v, _) in point.iter_mut().zip(axes).filter(|(_, axis)| *axis == Some(i)) {
                     *v = value;
                 }
             }
-            points.push(point);
+            if is_vertex {
+                points.push(point);
+            }
         }
-        return Ok(points);
+        if is_vertex {
+            return Ok(points);
+        }
     }
     Err(Fault::foreign(Place::Byte(0), "an element \"vertex\"", "none"))
-}
-
-/// Goes past an element that comes before the vertices.
-fn skip(source: &mut Source<'_, impl FnMut(&u8) -> bool>, element: &Element) -> Result<(), Fault> {
-    if element.properties.is_empty() {
-        return Ok(());
-    }
-    for _ in 0..element.count {
-        source.start_row()?;
-        for property in &element.properties {
-            source.property(property)?;
-        }
-    }
-    Ok(())
 }
 
 enum Source<'a, P: FnMut(&u8) -> bool> {
@@ -195,54 +130,25 @@ impl<P: FnMut(&u8) -> bool> Source<'_, P> {
                     .ok_or_else(|| Fault::damaged(place, format!("a number for {name}"), excerpt(word)))
             }
             Self::Binary { bytes, big_endian } => {
-                let taken = bytes.take(number.size(), name)?;
-                let mut raw = [0; 8];
-                for (to, from) in raw.iter_mut().zip(taken) {
-                    *to = *from;
-                }
-                if *big_endian && let Some(used) = raw.get_mut(..taken.len()) {
-                    used.reverse();
-                }
-                let [a, b, c, d, ..] = raw;
-                Ok(match number {
-                    Number::I8 => f64::from(a as i8),
-                    Number::U8 => f64::from(a),
-                    Number::I16 => f64::from(i16::from_le_bytes([a, b])),
-                    Number::U16 => f64::from(u16::from_le_bytes([a, b])),
-                    Number::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
-                    Number::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
-                    Number::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
-                    Number::F64 => f64::from_le_bytes(raw),
-                })
+                bytes.take(number.size(), name).map(|taken| number.read(taken, *big_endian))
             }
         }
     }
 }
 
-fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {
+fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(Format, Vec<Element>), Fault> {
     let mut format = None;
     let mut elements: Vec<Element> = Vec::new();
-    let mut at = 0;
-    for line in 1.. {
-        let place = Place::Line(line);
-        let rest = bytes.get(at..).unwrap_or_default();
-        let window = rest.get(..HEADER_BYTES_MAX.saturating_sub(at)).unwrap_or(rest);
-        let Some(end) = window.iter().position(|&b| b == b'\n') else {
-            let fault = if line == 1 { Fault::foreign } else { Fault::truncated };
-            return Err(fault(place, "the header of a PLY file up to \"end_header\"", excerpt(window)));
-        };
-        let text = window.get(..end).unwrap_or_default();
-        at += end + 1;
+    loop {
+        let text = lines.next("the header of a PLY file up to \"end_header\"")?;
         let as_text = String::from_utf8_lossy(text);
         let words: Vec<&str> = as_text.split_ascii_whitespace().take(8).collect();
-        if line == 1 {
-            if words != ["ply"] {
-                return Err(Fault::foreign(place, "\"ply\"", excerpt(text)));
-            }
-            continue;
-        }
-        let damaged = |expected: &str| Fault::damaged(place.clone(), expected, excerpt(text));
+        let damaged = |expected: &str| Fault::damaged(lines.place(), expected, excerpt(text));
         match words.as_slice() {
+            ["ply"] if lines.line() == 1 => {}
+            _ if lines.line() == 1 => {
+                return Err(Fault::foreign(lines.place(), "\"ply\"", excerpt(text)));
+            }
             [] | ["comment" | "obj_info", ..] => {}
             ["format", name, "1.0"] => {
                 format = Some(match *name {
@@ -257,8 +163,7 @@ fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {
                 elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new() });
             }
             ["property", kinds @ .., name] => {
-                let known =
-                    |name: &str| Number::from_name(name).ok_or_else(|| damaged("a type such as float"));
+                let known = |name: &str| number(name).ok_or_else(|| damaged("a type such as float"));
                 let (number, length) = match kinds {
                     [number] => (known(number)?, None),
                     ["list", length, number] => (known(number)?, Some(known(length)?)),
@@ -271,12 +176,25 @@ fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {
             ["end_header"] => {
                 let format =
                     format.ok_or_else(|| damaged("a line \"format …\" before the end of the header"))?;
-                return Ok(Header { format, elements, at, line: line + 1 });
+                return Ok((format, elements));
             }
             _ => return Err(damaged("a line of a PLY header")),
         }
     }
-    Err(Fault::truncated(Place::Byte(at as u64), "a header", "its end"))
+}
+
+fn number(name: &str) -> Option<Number> {
+    Some(match name {
+        "char" | "int8" => Number::I8,
+        "uchar" | "uint8" => Number::U8,
+        "short" | "int16" => Number::I16,
+        "ushort" | "uint16" => Number::U16,
+        "int" | "int32" => Number::I32,
+        "uint" | "uint32" => Number::U32,
+        "float" | "float32" => Number::F32,
+        "double" | "float64" => Number::F64,
+        _ => return None,
+    })
 }
 
 #[cfg(test)]

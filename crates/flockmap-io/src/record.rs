@@ -1,12 +1,11 @@
 //! Recordings of a robot: scans with the pose of the sensor at each.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use flockmap_grid::{Pose, Scan, Stamp};
 
-use crate::error::{Fault, Place, ReadError};
-use crate::{record_folder, record_mcap};
+use crate::error::ReadError;
 
 /// How to read a record. `RecordOptions::default()` fits most.
 #[derive(Clone, Debug)]
@@ -140,49 +139,4 @@ impl fmt::Debug for Frames {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Frames")
     }
-}
-
-/// Opens a record: an `.mcap` file (ROS 2 PointCloud2 with Odometry or tf), or a folder with `Scans/*.pcd`, a KITTI pose
-/// file and `times.txt`.
-///
-/// An MCAP file is read through once here for its poses and stamps, and once more by [`Record::frames`] for its scans. Memory:
-/// 64 bytes for each pose (at most 4,194,304), 152 for each scan (at most 4,194,304), one chunk, and as many scans as are out of order (at most 256).
-///
-/// ```no_run
-/// let record = flockmap_io::open_record("robot1.mcap", &Default::default())?;
-/// println!("{}: {} frames", record.name, record.summary.frames);
-/// for frame in record.frames {
-///     let frame = frame?;
-///     println!("{:?}: {} points", frame.scan.stamp, frame.scan.points.len());
-/// }
-/// # Ok::<(), flockmap_io::ReadError>(())
-/// ```
-pub fn open_record(path: impl AsRef<Path>, options: &RecordOptions) -> Result<Record, ReadError> {
-    let path = path.as_ref();
-    let metadata = std::fs::metadata(path).map_err(|e| Fault::io(&e).in_file(path))?;
-    if metadata.is_dir() {
-        return record_folder::open(path, options);
-    }
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    match extension.as_deref() {
-        Some("mcap") => record_mcap::open(path, options),
-        Some("db3" | "bag") => {
-            let expected =
-                "an .mcap file or a folder of scans (`ros2 bag convert`, or `rosbags-convert`, makes one)";
-            Err(Fault::foreign(Place::Whole, expected, "another kind of bag").in_file(path))
-        }
-        _ => Err(Fault::foreign(
-            Place::Whole,
-            "a record: an .mcap file, or a folder with Scans/*.pcd, poses and times.txt",
-            "a file with another ending",
-        )
-        .in_file(path)),
-    }
-}
-
-/// The name of a file or folder without its ending.
-pub(crate) fn name_of(path: &Path) -> String {
-    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
-    name.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use flockmap_grid::{Pose, Scan, Stamp};
 
-use crate::error::{Fault, Place, Problem, ReadError, excerpt, read_whole};
+use crate::error::{Fault, Place, ReadError, excerpt};
+use crate::file::{name_of, read_whole};
 use crate::pcd;
-use crate::record::{Frame, Frames, Record, RecordOptions, RecordSummary, name_of};
+use crate::record::{Frame, Frames, Record, RecordOptions, RecordSummary};
 
 /// Most scans in a folder, and most rows of poses.
 const ROWS_MAX: usize = 1 << 22;
@@ -16,35 +17,20 @@ const POSE_FILES: [&str; 3] = ["optimized_poses.txt", "odom_poses.txt", "poses.t
 
 pub(crate) fn open(folder: &Path, options: &RecordOptions) -> Result<Record, ReadError> {
     let scans = scan_files(folder)?;
-    let poses_path = match &options.poses {
-        Some(path) => path.clone(),
-        None => {
-            POSE_FILES.iter().map(|name| folder.join(name)).find(|path| path.is_file()).ok_or_else(|| {
-                let expected = format!("a pose file: {}", POSE_FILES.join(", "));
-                Fault::foreign(Place::Whole, expected, "none of them").in_file(folder)
-            })?
-        }
-    };
+    let in_folder = || POSE_FILES.iter().map(|name| folder.join(name)).find(|path| path.is_file());
+    let poses_path = options.poses.clone().or_else(in_folder).ok_or_else(|| {
+        let expected = format!("a pose file: {}", POSE_FILES.join(", "));
+        Fault::foreign(Place::Whole, expected, "none of them").in_file(folder)
+    })?;
     let poses = read_rows(&poses_path, kitti_pose)?;
-    let times = times(folder, options)?;
     let rows = rows(&scans, poses.len()).map_err(|fault| fault.in_file(folder))?;
-    let mut entries = Vec::with_capacity(scans.len());
-    for (path, row) in scans.into_iter().zip(rows) {
-        let stamp = match &times {
-            Times::Rows { path, stamps } => *stamps.get(row).ok_or_else(|| {
-                let expected = format!("a time for each scan, so at least {} rows", row + 1);
-                Fault::truncated(
-                    Place::Line(stamps.len() as u64 + 1),
-                    expected,
-                    format!("{} rows", stamps.len()),
-                )
-                .in_file(path)
-            })?,
-            Times::Period(seconds) => Stamp::from_seconds(row as f64 * seconds),
-        };
-        let pose = poses.get(row).copied().unwrap_or_default();
-        entries.push(Entry { stamp, pose, path });
-    }
+    let stamps = stamps(folder, options, &rows)?;
+    let mut entries: Vec<Entry> = scans
+        .into_iter()
+        .zip(rows)
+        .zip(stamps)
+        .map(|((path, row), stamp)| Entry { stamp, pose: poses.get(row).copied().unwrap_or_default(), path })
+        .collect();
     entries.sort_by_key(|entry| entry.stamp);
     let poses: Vec<(Stamp, Pose)> = entries.iter().map(|e| (e.stamp, e.pose)).collect();
     let mut summary = RecordSummary::from_poses(&poses);
@@ -65,12 +51,9 @@ fn read_frame(entry: &Entry, points_max: u64) -> Result<Frame, ReadError> {
     let bytes = read_whole(&entry.path, FILE_BYTES_MAX)?;
     let parsed = pcd::parse(&bytes, points_max).map_err(|fault| fault.in_file(&entry.path))?;
     if parsed.viewpoint != Pose::IDENTITY {
-        let fault = Fault::foreign(
-            Place::Line(parsed.viewpoint_line),
-            "VIEWPOINT 0 0 0 1 0 0 0: the pose of a scan comes from the pose file",
-            "another pose",
-        );
-        return Err(fault.in_file(&entry.path));
+        let expected = "VIEWPOINT 0 0 0 1 0 0 0: the pose of a scan comes from the pose file";
+        let place = Place::Line(parsed.viewpoint_line);
+        return Err(Fault::foreign(place, expected, "another pose").in_file(&entry.path));
     }
     let mut points = Vec::with_capacity(parsed.points.len());
     points.extend(parsed.points.iter().map(|p| p.map(|v| v as f32)));
@@ -127,64 +110,54 @@ fn rows(scans: &[PathBuf], rows: usize) -> Result<Vec<usize>, Fault> {
     }
 }
 
-enum Times {
-    Rows { path: PathBuf, stamps: Vec<Stamp> },
-    Period(f64),
-}
-
-fn times(folder: &Path, options: &RecordOptions) -> Result<Times, ReadError> {
+/// The stamp of each scan, from its row of `times.txt` or from the period.
+fn stamps(folder: &Path, options: &RecordOptions, rows: &[usize]) -> Result<Vec<Stamp>, ReadError> {
     let path = folder.join("times.txt");
-    if path.is_file() {
-        let stamps = read_rows(&path, |line| {
-            let seconds: f64 = line.trim().parse().ok()?;
-            (seconds.abs() < 1e12).then(|| Stamp::from_seconds(seconds))
+    if !path.is_file() {
+        let period = options.scan_period_s.filter(|&period| period > 0.0 && period < 1e6);
+        let period = period.ok_or_else(|| {
+            let expected = "a time in seconds in each row, or the time between two scans in the options";
+            Fault::foreign(Place::Whole, expected, "no such file").in_file(&path)
         })?;
-        return Ok(Times::Rows { path, stamps });
+        return Ok(rows.iter().map(|&row| Stamp::from_seconds(row as f64 * period)).collect());
     }
-    match options.scan_period_s {
-        Some(period) if period > 0.0 && period < 1e6 => Ok(Times::Period(period)),
-        _ => Err(ReadError {
-            path,
-            place: Place::Whole,
-            problem: Problem::Foreign {
-                expected: "a time in seconds in each row, or the time between two scans in the options"
-                    .into(),
-                found: "no such file".into(),
-            },
-        }),
-    }
+    let stamps = read_rows(&path, |line| {
+        let seconds: f64 = line.trim().parse().ok()?;
+        (seconds.abs() < 1e12).then(|| Stamp::from_seconds(seconds))
+    })?;
+    let of_row = |&row: &usize| {
+        stamps.get(row).copied().ok_or_else(|| {
+            let expected = format!("a time for each scan, so at least {} rows", row + 1);
+            let end = Place::Line(stamps.len() as u64 + 1);
+            Fault::truncated(end, expected, format!("{} rows", stamps.len())).in_file(&path)
+        })
+    };
+    rows.iter().map(of_row).collect()
 }
 
 /// Twelve numbers: a 3 × 4 matrix, row by row.
 fn kitti_pose(line: &str) -> Option<Pose> {
-    let mut numbers = [0.0; 12];
-    let mut words = line.split_ascii_whitespace();
-    for number in &mut numbers {
-        *number = words.next()?.parse().ok()?;
-    }
-    if words.next().is_some() {
-        return None;
-    }
-    Pose::from_rows(numbers)
+    let words = line.split_ascii_whitespace().take(13);
+    let numbers: Vec<f64> = words.map(|word| word.parse().ok()).collect::<Option<_>>()?;
+    Pose::from_rows(numbers.try_into().ok()?)
 }
 
 /// One value for each line; empty lines at the end are left out.
 fn read_rows<T>(path: &Path, parse: impl Fn(&str) -> Option<T>) -> Result<Vec<T>, ReadError> {
     let bytes = read_whole(path, FILE_BYTES_MAX)?;
     let text = bytes.trim_ascii_end();
+    // No line at all, where an empty text would be one empty line.
+    let lines = text.split(|&b| b == b'\n').filter(|_| !text.is_empty());
     let mut rows = Vec::new();
-    if text.is_empty() {
-        return Ok(rows);
-    }
-    for (i, line) in text.split(|&b| b == b'\n').enumerate() {
+    for (line, number) in lines.zip(1u64..) {
         if rows.len() >= ROWS_MAX {
-            return Err(Fault::too_large(Place::Whole, "the number of rows", i as u64 + 1, ROWS_MAX as u64)
-                .in_file(path));
+            let what = "the number of rows";
+            return Err(Fault::too_large(Place::Whole, what, number, ROWS_MAX as u64).in_file(path));
         }
         let row = core::str::from_utf8(line).ok().and_then(&parse).ok_or_else(|| {
             let expected =
                 "a pose (12 numbers: a rotation and a place, row by row) or a time (1 number, seconds)";
-            Fault::damaged(Place::Line(i as u64 + 1), expected, excerpt(line)).in_file(path)
+            Fault::damaged(Place::Line(number), expected, excerpt(line)).in_file(path)
         })?;
         rows.push(row);
     }

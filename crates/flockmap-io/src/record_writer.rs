@@ -8,7 +8,6 @@ use flockmap_grid::{Pose, Resolution, Scan, Stamp, Voxel};
 use mcap::records::MessageHeader;
 
 use crate::error::WriteError;
-use crate::record_mcap::NO_RETURNS;
 use crate::record_view::{ColouredPoint, VIEW_VOXELS_MAX, ViewSchedule, Way, map_points};
 use crate::ros::{self, Header, Transform};
 
@@ -38,23 +37,19 @@ use crate::ros::{self, Header, Transform};
 pub struct RecordWriter<W: Write + Seek = BufWriter<File>> {
     path: PathBuf,
     mcap: mcap::Writer<W>,
-    sensor_frame: String,
-    points: u16,
-    odometry: u16,
-    transforms: u16,
-    /// Channel of the rays without a return, made when the first of them comes.
-    no_returns: Option<u16>,
-    no_returns_topic: String,
-    point_schema: u16,
-    sequence: u32,
     robot: String,
-    /// Channels of map and way, made with the first picture.
-    view: Option<[u16; 2]>,
+    sensor_frame: String,
+    /// Schemas of PointCloud2, Odometry and TFMessage.
+    schemas: [u16; 3],
+    sequence: u32,
     schedule: ViewSchedule,
     way: Way,
 }
 
 const MAP_FRAME: &str = "map";
+const POINTS: &str = "/points";
+const ODOMETRY: &str = "/odometry";
+const TRANSFORMS: &str = "/tf";
 const VIEW_MAP: &str = "/viewer/map";
 const VIEW_WAY: &str = "/viewer/way";
 
@@ -77,37 +72,24 @@ impl<W: Write + Seek> RecordWriter<W> {
             .compression(Some(mcap::Compression::Zstd))
             // Threads would make the bytes depend on the machine.
             .compression_threads(0);
-        let made = (|| {
+        let make = || {
             let mut mcap = options.create(out)?;
             let mut schema = |name| mcap.add_schema(name, "ros2msg", ros::definition(name).as_bytes());
-            let (cloud, odometry, tf) =
-                (schema(ros::POINT_CLOUD)?, schema(ros::ODOMETRY)?, schema(ros::TRANSFORMS)?);
-            let none = Default::default();
-            let points = mcap.add_channel(cloud, &format!("/{robot}/points"), "cdr", &none)?;
-            let odometry = mcap.add_channel(odometry, &format!("/{robot}/odometry"), "cdr", &none)?;
-            let transforms = mcap.add_channel(tf, "/tf", "cdr", &none)?;
-            Ok((mcap, cloud, points, odometry, transforms))
-        })();
-        let (mcap, point_schema, points, odometry, transforms) = match made {
+            let schemas = [schema(ros::POINT_CLOUD)?, schema(ros::ODOMETRY)?, schema(ros::TRANSFORMS)?];
+            Ok((mcap, schemas))
+        };
+        let (mcap, schemas) = match make() {
             Ok(made) => made,
             Err(source) => return Err(WriteError::Mcap { path, source }),
         };
-        Ok(Self {
-            path,
-            mcap,
-            sensor_frame: format!("{robot}/lidar"),
-            points,
-            odometry,
-            transforms,
-            no_returns: None,
-            no_returns_topic: format!("/{robot}{NO_RETURNS}"),
-            point_schema,
-            sequence: 0,
-            robot: robot.to_owned(),
-            view: None,
-            schedule: ViewSchedule::default(),
-            way: Way::default(),
-        })
+        let (robot, sensor_frame) = (robot.to_owned(), format!("{robot}/lidar"));
+        let (schedule, way) = Default::default();
+        let mut writer = Self { path, mcap, robot, sensor_frame, schemas, sequence: 0, schedule, way };
+        let [cloud, odometry, transforms] = schemas;
+        writer.channel(cloud, &writer.topic(POINTS))?;
+        writer.channel(odometry, &writer.topic(ODOMETRY))?;
+        writer.channel(transforms, TRANSFORMS)?;
+        Ok(writer)
     }
 
     /// Writes a scan and `T_map_sensor` at its time. The stamp must lie between 0 and 2³¹ s, as ROS 2 counts it.
@@ -125,20 +107,15 @@ impl<W: Write + Seek> RecordWriter<W> {
         };
         self.sequence = self.sequence.wrapping_add(1);
         // The pose first: a program that plays the file knows where the sensor is when the scan comes.
-        self.message(self.odometry, scan.stamp, &ros::encode_odometry(&transform))?;
-        self.message(self.transforms, scan.stamp, &ros::encode_transforms(&[transform]))?;
-        if !scan.no_returns.is_empty() {
-            let channel = match self.no_returns {
-                Some(channel) => channel,
-                None => {
-                    let topic = self.no_returns_topic.clone();
-                    let made = self.add_cloud_channel(&topic)?;
-                    *self.no_returns.insert(made)
-                }
-            };
-            self.message(channel, scan.stamp, &ros::encode_points(&in_sensor, &scan.no_returns))?;
+        let [cloud, odometry, transforms] = self.schemas;
+        self.message(odometry, &self.topic(ODOMETRY), scan.stamp, &ros::encode_odometry(&transform))?;
+        self.message(transforms, TRANSFORMS, scan.stamp, &ros::encode_transforms(&[transform]))?;
+        for (topic, points) in [(ros::NO_RETURNS, &scan.no_returns), (POINTS, &scan.points)] {
+            if topic == POINTS || !points.is_empty() {
+                let message = ros::encode_points(&in_sensor, points);
+                self.message(cloud, &self.topic(topic), scan.stamp, &message)?;
+            }
         }
-        self.message(self.points, scan.stamp, &ros::encode_points(&in_sensor, &scan.points))?;
         self.schedule.scan_written(12 * (scan.points.len() + scan.no_returns.len()));
         self.way.push(t_map_sensor.translation());
         Ok(())
@@ -159,22 +136,21 @@ impl<W: Write + Seek> RecordWriter<W> {
         occupied: impl IntoIterator<Item = Voxel>,
     ) -> Result<(), WriteError> {
         self.check_stamp(now)?;
-        let [map, way] = match self.view {
-            Some(channels) => channels,
-            None => {
-                let map = self.add_cloud_channel(&format!("/{}{VIEW_MAP}", self.robot))?;
-                let way = self.add_cloud_channel(&format!("/{}{VIEW_WAY}", self.robot))?;
-                *self.view.insert([map, way])
-            }
-        };
         let header = Header { stamp: now, frame: MAP_FRAME.into() };
-        let pictures: [(u16, Vec<ColouredPoint>); 2] =
-            [(map, map_points(resolution, occupied, VIEW_VOXELS_MAX)), (way, self.way.points())];
+        let [cloud, ..] = self.schemas;
+        let pictures: [(String, Vec<ColouredPoint>); 2] = [
+            (self.topic(VIEW_MAP), map_points(resolution, occupied, VIEW_VOXELS_MAX)),
+            (self.topic(VIEW_WAY), self.way.points()),
+        ];
+        // Both channels come before both messages.
+        for (topic, _) in &pictures {
+            self.channel(cloud, topic)?;
+        }
         let mut bytes = 0;
-        for (channel, points) in pictures {
+        for (topic, points) in pictures {
             let message = ros::encode_coloured_points(&header, &points);
             bytes += message.len();
-            self.message(channel, now, &message)?;
+            self.message(cloud, &topic, now, &message)?;
         }
         self.schedule.view_written(now, bytes);
         Ok(())
@@ -187,9 +163,14 @@ impl<W: Write + Seek> RecordWriter<W> {
         self.mcap.into_inner().flush().map_err(WriteError::io(&path))
     }
 
-    fn add_cloud_channel(&mut self, topic: &str) -> Result<u16, WriteError> {
-        let made = self.mcap.add_channel(self.point_schema, topic, "cdr", &Default::default());
-        made.map_err(|source| self.failed(source))
+    fn topic(&self, name: &str) -> String {
+        format!("/{}{name}", self.robot)
+    }
+
+    /// The channel of a topic, which is made when it is asked for the first time.
+    fn channel(&mut self, schema: u16, topic: &str) -> Result<u16, WriteError> {
+        let channel = self.mcap.add_channel(schema, topic, "cdr", &Default::default());
+        channel.map_err(|source| self.failed(source))
     }
 
     fn check_stamp(&self, stamp: Stamp) -> Result<(), WriteError> {
@@ -199,7 +180,8 @@ impl<W: Write + Seek> RecordWriter<W> {
         Err(self.unfit(format!("the stamp {stamp:?}"), "ROS 2 counts seconds from 0 to 2³¹ − 1"))
     }
 
-    fn message(&mut self, channel_id: u16, stamp: Stamp, data: &[u8]) -> Result<(), WriteError> {
+    fn message(&mut self, schema: u16, topic: &str, stamp: Stamp, data: &[u8]) -> Result<(), WriteError> {
+        let channel_id = self.channel(schema, topic)?;
         let time = stamp.0.unsigned_abs() * 1_000;
         let header =
             MessageHeader { channel_id, sequence: self.sequence, log_time: time, publish_time: time };

@@ -1,0 +1,153 @@
+//! What one pass through an MCAP file tells: its topics, the stamps of its scans, and its poses.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use flockmap_grid::Stamp;
+
+use crate::error::{Fault, Place, Problem, ReadError};
+use crate::mcap_file::{Channel, McapReader, Message};
+use crate::ros;
+use crate::track::{FrameTree, Track};
+
+/// Most poses, and most scans of a topic, that are kept.
+const ENTRIES_MAX: usize = 1 << 22;
+/// Most frames that the scans of one topic may be in.
+const CLOUD_FRAMES_MAX: usize = 64;
+/// Most damages that are told apart.
+pub(crate) const DAMAGES_MAX: usize = 16;
+
+#[derive(Default)]
+pub(crate) struct McapIndex {
+    /// Each channel with the number of its messages, whether they can be read or not.
+    pub(crate) channels: BTreeMap<Channel, u64>,
+    pub(crate) clouds: BTreeMap<String, CloudTopic>,
+    pub(crate) odometries: BTreeMap<String, OdometryTopic>,
+    pub(crate) transforms: FrameTree,
+    poses: usize,
+    pub(crate) damages: Vec<ReadError>,
+}
+
+#[derive(Default)]
+pub(crate) struct CloudTopic {
+    pub(crate) frames: Vec<String>,
+    /// One for each message: its stamp and the number of its frame in `frames`; `None` if it cannot be read.
+    pub(crate) scans: Vec<Option<(Stamp, u16)>>,
+    pub(crate) points: u64,
+}
+
+pub(crate) struct OdometryTopic {
+    pub(crate) parent: String,
+    pub(crate) child: String,
+    pub(crate) track: Track,
+}
+
+impl McapIndex {
+    pub(crate) fn read(path: &Path, chunk_bytes_max: u64) -> Result<Self, ReadError> {
+        let mut index = Self::default();
+        let mut reader = McapReader::open(path, chunk_bytes_max).map_err(|fault| fault.in_file(path))?;
+        while let Some(message) = reader.next_message() {
+            match message.and_then(|message| index.take(&message)) {
+                Ok(()) => {}
+                Err(fault @ Fault { problem: Problem::TooLarge { .. }, place: Place::Whole }) => {
+                    return Err(fault.in_file(path));
+                }
+                Err(fault) if index.damages.len() < DAMAGES_MAX => index.damages.push(fault.in_file(path)),
+                Err(_) => {}
+            }
+        }
+        index.odometries.values_mut().for_each(|odometry| odometry.track.sort());
+        index.transforms.sort();
+        Ok(index)
+    }
+
+    fn take(&mut self, message: &Message<'_>) -> Result<(), Fault> {
+        let channel = &*message.channel;
+        let number = self.channels.entry(channel.clone()).or_default();
+        *number += 1;
+        let number = *number;
+        if channel.encoding != "cdr" {
+            return Ok(());
+        }
+        let in_message = |fault: Fault| fault.in_message(&channel.topic, number);
+        match channel.schema.as_str() {
+            ros::POINT_CLOUD => {
+                let topic = self.clouds.entry(channel.topic.clone()).or_default();
+                limit("the number of scans", topic.scans.len())?;
+                let scan = topic.take(message.data);
+                topic.scans.push(scan.as_ref().ok().copied());
+                scan.map(drop).map_err(in_message)?;
+            }
+            ros::ODOMETRY => {
+                limit("the number of poses", self.poses)?;
+                let odometry = ros::decode_odometry(message.data).map_err(in_message)?;
+                self.poses += 1;
+                let topic = self.odometries.entry(channel.topic.clone()).or_insert_with(|| OdometryTopic {
+                    parent: odometry.header.frame,
+                    child: odometry.child,
+                    track: Track::default(),
+                });
+                topic.track.push(odometry.header.stamp, odometry.pose);
+            }
+            ros::TRANSFORMS => {
+                limit("the number of poses", self.poses + self.transforms.poses())?;
+                let fixed = channel.topic.ends_with("tf_static");
+                for t in ros::decode_transforms(message.data).map_err(in_message)? {
+                    self.transforms.push(t.header.frame, t.child, t.header.stamp, t.pose, fixed);
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The topics of the file in words, for messages.
+    pub(crate) fn topics(&self) -> String {
+        let mut topics: Vec<String> = self
+            .channels
+            .keys()
+            .take(20)
+            .map(|c| format!("{} ({}, encoding {})", c.topic, c.schema, c.encoding))
+            .collect();
+        if topics.is_empty() {
+            topics.push("no message".into());
+        }
+        topics.join(", ")
+    }
+
+    /// What leads from frame to frame in words, for messages.
+    pub(crate) fn links(&self) -> String {
+        let odometries = self.odometries.iter();
+        let mut links: Vec<String> =
+            odometries.map(|(topic, o)| format!("{} → {} ({topic})", o.parent, o.child)).collect();
+        links.extend(self.transforms.links().into_iter().take(16).map(|link| format!("{link} (tf)")));
+        if links.is_empty() {
+            links.push("no odometry and no tf".into());
+        }
+        links.join(", ")
+    }
+}
+
+impl CloudTopic {
+    /// Stamp and number of the frame of one message.
+    fn take(&mut self, message: &[u8]) -> Result<(Stamp, u16), Fault> {
+        let cloud = ros::CloudHeader::decode(message)?;
+        self.points = self.points.saturating_add(cloud.points);
+        let frame = self.frames.iter().position(|f| *f == cloud.header.frame).unwrap_or(self.frames.len());
+        if frame >= CLOUD_FRAMES_MAX {
+            let expected = format!("scans in at most {CLOUD_FRAMES_MAX} frames");
+            return Err(Fault::damaged(Place::Whole, expected, "one more"));
+        }
+        if frame == self.frames.len() {
+            self.frames.push(cloud.header.frame);
+        }
+        Ok((cloud.header.stamp, frame as u16))
+    }
+}
+
+fn limit(what: &'static str, held: usize) -> Result<(), Fault> {
+    if held >= ENTRIES_MAX {
+        return Err(Fault::too_large(Place::Whole, what, held as u64 + 1, ENTRIES_MAX as u64));
+    }
+    Ok(())
+}
