@@ -16,7 +16,7 @@ mod sight;
 mod start;
 
 use crate::{MotionLimits, NavigationError};
-use flockmap::{Codec, CycleConfig, RobotError, SessionConfig};
+use flockmap::{BatchConfig, Codec, RobotError, SessionConfig};
 use flockmap_grid::Resolution;
 use flockmap_netsim::RadioConfig;
 use flockmap_worlds::{Lidar, ScanOptions, ScanOptionsError};
@@ -56,8 +56,8 @@ pub struct ExploreOptions {
     pub height_m: [f64; 2],
     /// The radio between the robots. Its seed is mixed with [`Self::seed`].
     pub radio: RadioConfig,
-    /// When robots close their cycles.
-    pub cycle: CycleConfig,
+    /// When robots close their batches.
+    pub batch: BatchConfig,
     /// How they code their packages.
     pub codec: Codec,
     /// How their sessions run, with the byte budget.
@@ -82,7 +82,7 @@ impl Default for ExploreOptions {
             region_m: None,
             height_m: [0.6, 2.5],
             radio: RadioConfig::default(),
-            cycle: CycleConfig::default(),
+            batch: BatchConfig::default(),
             codec: Codec::Flock,
             session: SessionConfig::default(),
             threads: 1,

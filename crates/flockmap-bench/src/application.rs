@@ -52,9 +52,9 @@ pub struct ApplicationArgs {
     /// Side of a voxel in metres
     #[arg(long, value_name = "M", default_value_t = 0.1)]
     pub resolution: f64,
-    /// A cycle of mapping is sent after so many seconds
+    /// A batch of mapping is sent after so many seconds
     #[arg(long, value_name = "S", default_value_t = 0.2)]
-    pub t_l: f64,
+    pub publish_period: f64,
     /// Codec of the packages
     #[arg(long, value_name = "NAME", default_value_t = Codec::Paper)]
     pub codec: Codec,
@@ -109,7 +109,7 @@ struct Output<'a> {
     command: String,
     seeds: u64,
     resolution_m: f64,
-    t_l_s: f64,
+    publish_period_s: f64,
     codec: String,
     speed_m_s: f64,
     delay_ms: u32,
@@ -121,8 +121,8 @@ pub fn run(args: &ApplicationArgs) -> anyhow::Result<bool> {
     let options = options(args)?;
     let rows = measure(&options)?;
     println!(
-        "Two robots cross a thicket of 30 m, the leader's LiDAR faces backwards; {} seeds, {} m voxels, t_l {} s, {} m/s\n",
-        options.seeds, args.resolution, args.t_l, args.speed
+        "Two robots cross a thicket of 30 m, the leader's LiDAR faces backwards; {} seeds, {} m voxels, publish_period {} s, {} m/s\n",
+        options.seeds, args.resolution, args.publish_period, args.speed
     );
     print!("{}", table(&rows));
     println!("\n{NOTES}");
@@ -133,7 +133,7 @@ pub fn run(args: &ApplicationArgs) -> anyhow::Result<bool> {
             command: flockmap_cli::program::command_line(),
             seeds: options.seeds,
             resolution_m: args.resolution,
-            t_l_s: args.t_l,
+            publish_period_s: args.publish_period,
             codec: args.codec.to_string(),
             speed_m_s: args.speed,
             delay_ms: args.delay_ms,
@@ -203,7 +203,7 @@ fn options(args: &ApplicationArgs) -> anyhow::Result<SeriesOptions> {
         threads: args.threads,
         application: ApplicationOptions {
             resolution,
-            t_l_ms: milliseconds("--t-l", args.t_l)?,
+            publish_period_ms: milliseconds("--t-l", args.publish_period)?,
             codec: args.codec,
             speed_m_s: args.speed,
             ..ApplicationOptions::default()

@@ -6,10 +6,10 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
-use flockmap::grid::{Layer, PresentState};
+use flockmap::grid::{Layer, Snapshot};
 use flockmap::sync::wire::{Datagram, Kind, parse_packages};
 use flockmap::{Codec, Event, Robot, RobotConfig, RobotId, SessionConfig, Stamp, Stream};
-use flockmap_cli::measure::Sent;
+use flockmap_cli::measure::SentBytes;
 use flockmap_cli::options::{MapArgs, SourceArgs, budget};
 use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{Frames, Source};
@@ -194,9 +194,9 @@ struct Meter {
     /// Datagrams with packages of these indices.
     marked: u64,
     marks: BTreeMap<Stream, (u32, u32)>,
-    by_robot: BTreeMap<RobotId, Sent>,
-    /// End of the newest cycle of each robot.
-    cycle_ends: BTreeMap<Stream, Stamp>,
+    by_robot: BTreeMap<RobotId, SentBytes>,
+    /// End of the newest batch of each robot.
+    batch_ends: BTreeMap<Stream, Stamp>,
 }
 
 impl Meter {
@@ -209,8 +209,8 @@ impl Meter {
 impl Watch<Robot> for Meter {
     fn called(&mut self, _now: Stamp, _number: usize, robot: &mut Robot) {
         while let Some(event) = robot.poll_event() {
-            if let Event::CycleClosed { cycle, .. } = event {
-                self.cycle_ends.insert(cycle.stream, cycle.end);
+            if let Event::BatchClosed { batch, .. } = event {
+                self.batch_ends.insert(batch.stream, batch.end);
             }
         }
     }
@@ -311,7 +311,7 @@ impl Flight {
         Repair {
             seconds,
             from,
-            cycle_ends: self.meter.cycle_ends.clone(),
+            batch_ends: self.meter.batch_ends.clone(),
             upto: BTreeMap::new(),
             vain: 0,
             coded_once: 0,
@@ -330,8 +330,8 @@ impl Flight {
         repair.upto = self.newest();
         for robot in self.network.nodes() {
             let own = robot.own_stream();
-            let since = repair.cycle_ends.get(&own).copied().unwrap_or(Stamp(i64::MIN));
-            let state = robot.fusion().layer(own).and_then(|layer| layer.present_state_since(since));
+            let since = repair.batch_ends.get(&own).copied().unwrap_or(Stamp(i64::MIN));
+            let state = robot.fusion().layer(own).and_then(|layer| layer.snapshot_since(since));
             let copies = if own.origin == RobotId(1) { others.len() } else { 1 };
             repair.coded_once += copies as u64 * coded_bytes(robot, own, state)?;
         }
@@ -349,7 +349,7 @@ impl Flight {
         self.network.nodes().iter().all(|robot| {
             repair.upto.iter().all(|(stream, newest)| {
                 *newest == 0
-                    || robot.session().held(*stream).is_some_and(|held| held.contains_range(1, *newest))
+                    || robot.session().received(*stream).is_some_and(|held| held.contains_range(1, *newest))
             })
         })
     }
@@ -386,15 +386,15 @@ impl Flight {
         for robot in self.network.nodes() {
             let own = robot.own_stream();
             let Some(layer) = robot.fusion().layer(own) else { continue };
-            coded_once += coded_bytes(robot, own, layer.present_state())?;
+            coded_once += coded_bytes(robot, own, layer.snapshot())?;
             let mut flat = Layer::default();
-            for (_, part) in layer.present_state().into_iter().flat_map(|state| state.parts) {
+            for (_, part) in layer.snapshot().into_iter().flat_map(|state| state.parts) {
                 flat.apply(&part, Stamp(0));
             }
-            without_stamps += coded_bytes(robot, own, flat.present_state())?;
+            without_stamps += coded_bytes(robot, own, flat.snapshot())?;
         }
         let total = self.meter.requests + self.meter.packages;
-        let largest = self.meter.by_robot.values().map(Sent::largest_second).max().unwrap_or(0);
+        let largest = self.meter.by_robot.values().map(SentBytes::largest_second).max().unwrap_or(0);
         Ok(Joiner {
             total_bytes: total,
             request_bytes: self.meter.requests,
@@ -419,7 +419,10 @@ impl Flight {
             let missing = |robot: &Robot| {
                 newest.iter().any(|(stream, newest)| {
                     *newest > 0
-                        && !robot.session().held(*stream).is_some_and(|held| held.contains_range(1, *newest))
+                        && !robot
+                            .session()
+                            .received(*stream)
+                            .is_some_and(|held| held.contains_range(1, *newest))
                 })
             };
             if !self.network.nodes().iter().any(missing) {
@@ -447,7 +450,7 @@ impl Flight {
 struct Repair {
     seconds: f64,
     from: BTreeMap<Stream, u32>,
-    cycle_ends: BTreeMap<Stream, Stamp>,
+    batch_ends: BTreeMap<Stream, Stamp>,
     upto: BTreeMap<Stream, u32>,
     vain: u64,
     coded_once: u64,
@@ -455,11 +458,11 @@ struct Repair {
 }
 
 /// Bytes of the packages that tell a state.
-fn coded_bytes(robot: &Robot, stream: Stream, state: Option<PresentState>) -> anyhow::Result<u64> {
+fn coded_bytes(robot: &Robot, stream: Stream, state: Option<Snapshot>) -> anyhow::Result<u64> {
     let Some(state) = state else { return Ok(0) };
     let config = robot.config();
-    let tiles = Encoder::new()
-        .encode_present(config.codec, stream, 1, config.mapper.resolution, &state, PACKAGE_BYTES_MAX)
+    let chunks = Encoder::new()
+        .encode_snapshot(config.codec, stream, 1, config.mapper.resolution, &state, PACKAGE_BYTES_MAX)
         .context("a state cannot be coded")?;
-    Ok(tiles.iter().map(|tile| tile.bytes().len() as u64).sum())
+    Ok(chunks.iter().map(|chunk| chunk.bytes().len() as u64).sum())
 }

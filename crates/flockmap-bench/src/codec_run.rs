@@ -1,13 +1,13 @@
-//! Methods of telling a map, side by side on the same cycles of the same records.
+//! Methods of telling a map, side by side on the same batches of the same records.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use flockmap::codec::Cycle;
+use flockmap::codec::Batch;
 use flockmap::grid::{Layer, Mapper, MapperConfig};
-use flockmap::{Changes, CycleConfig, Packer, RobotId, Stamp, Stream};
-use flockmap_cli::measure::{Comparison, KB, Sent, Times};
+use flockmap::{BatchConfig, Changes, Packer, RobotId, Stamp, Stream};
+use flockmap_cli::measure::{Comparison, KB, SentBytes, Times};
 use flockmap_cli::sources::Frame;
 use flockmap_cli::stop;
 use serde::Serialize;
@@ -17,11 +17,11 @@ use crate::baselines::{Messages, Method, Observation, Receiver, Sender};
 /// All methods at work. One record after another; each is a robot that all the others listen to.
 pub struct CodecRun {
     mapper: MapperConfig,
-    cycle: CycleConfig,
+    batch: BatchConfig,
     receivers: u64,
     benches: Vec<Bench>,
     seconds: f64,
-    cycles: u64,
+    batches: u64,
     changed_voxels: u64,
 }
 
@@ -30,8 +30,8 @@ pub struct Outcome {
     /// Of all records together.
     pub seconds: f64,
     /// Of all records together.
-    pub cycles: u64,
-    /// Voxels in all cycles together.
+    pub batches: u64,
+    /// Voxels in all batches together.
     pub changed_voxels: u64,
     /// One for each method, in the order asked for.
     pub rows: Vec<Row>,
@@ -53,11 +53,11 @@ pub struct Row {
     /// Datagrams of at most 1,472 bytes that carry them: 28 bytes of IP and UDP each come on top.
     #[serde(skip)]
     pub datagrams: u64,
-    /// Time for all messages of a cycle with its scans, on the sender, and for a cycle on one receiver.
+    /// Time for all messages of a batch with its scans, on the sender, and for a batch on one receiver.
     pub encode_ms_mean: f64,
     pub encode_ms_p99: f64,
     pub decode_ms_mean: f64,
-    /// Cycles that these times are means of.
+    /// Batches that these times are means of.
     #[serde(skip)]
     pub timed: usize,
     /// Share of the voxels known to the sender, as packed, or to a receiver, when all has arrived, that are equal; less than 1 is a
@@ -78,13 +78,13 @@ impl Row {
 
 impl CodecRun {
     /// Nothing measured yet. Each robot's messages go to so many `receivers`, one by one (unicast: N − 1).
-    pub fn new(mapper: MapperConfig, cycle: CycleConfig, methods: &[Method], receivers: usize) -> Self {
+    pub fn new(mapper: MapperConfig, batch: BatchConfig, methods: &[Method], receivers: usize) -> Self {
         let benches = methods.iter().map(|method| Bench::new(*method)).collect();
         let receivers = receivers.max(1) as u64;
-        Self { mapper, cycle, receivers, benches, seconds: 0.0, cycles: 0, changed_voxels: 0 }
+        Self { mapper, batch, receivers, benches, seconds: 0.0, batches: 0, changed_voxels: 0 }
     }
 
-    /// The record of one robot: maps it, closes cycles, and gives each cycle to every method. Stamps must begin near 0.
+    /// The record of one robot: maps it, closes batches, and gives each batch to every method. Stamps must begin near 0.
     /// Calls `progress` after each scan. Ends early if the user asks for it. Returns what was told in the end.
     pub fn record(
         &mut self,
@@ -94,20 +94,20 @@ impl CodecRun {
         let number = self.benches.first().map_or(0, |bench| bench.robots);
         let stream = Stream { origin: RobotId(number as u16 + 1), epoch: 1 };
         let mut mapper = Mapper::new(self.mapper.clone())?;
-        let mut packer = Packer::new(self.cycle, stream, self.mapper.resolution, Stamp(0));
+        let mut packer = Packer::new(self.batch, stream, self.mapper.resolution, Stamp(0));
         let mut truth = Layer::default();
         let mut lanes = self
             .benches
             .iter_mut()
             .map(|bench| bench.lane(&self.mapper, self.receivers))
             .collect::<anyhow::Result<Vec<_>>>()?;
-        let (cycles, changed_voxels) = (&mut self.cycles, &mut self.changed_voxels);
-        let mut close = |now, lanes: &mut [Lane<'_>], (cycle, changes): (Cycle, Changes)| {
-            *cycles += 1;
+        let (batches, changed_voxels) = (&mut self.batches, &mut self.changed_voxels);
+        let mut close = |now, lanes: &mut [Lane<'_>], (batch, changes): (Batch, Changes)| {
+            *batches += 1;
             *changed_voxels += changes.len() as u64;
-            truth.apply(&changes, cycle.end);
-            truth.note_sensor(cycle.end, cycle.sensor);
-            lanes.iter_mut().try_for_each(|lane| lane.cycle(now, &cycle, &changes))
+            truth.apply(&changes, batch.end);
+            truth.note_sensor(batch.end, batch.sensor);
+            lanes.iter_mut().try_for_each(|lane| lane.batch(now, &batch, &changes))
         };
         let mut last = Stamp(0);
         for frame in frames {
@@ -116,11 +116,11 @@ impl CodecRun {
             }
             let masks = frame.masks();
             let Frame { scan, pose, .. } = frame;
-            // The deadline of a cycle may pass between two scans.
+            // The deadline of a batch may pass between two scans.
             while let Some(deadline) = packer.deadline(&mapper).filter(|at| *at < scan.stamp) {
                 let now = deadline.max(last);
                 match packer.close_due(now, &mut mapper) {
-                    Some(cycle) => close(now, &mut lanes, cycle)?,
+                    Some(batch) => close(now, &mut lanes, batch)?,
                     None => break,
                 }
             }
@@ -129,13 +129,13 @@ impl CodecRun {
             packer.note_scan(last, &pose);
             let seen = Observation { scan: &scan, pose: &pose, masks: &masks };
             lanes.iter_mut().try_for_each(|lane| lane.scan(last, &seen))?;
-            while let Some(cycle) = packer.close_due(last, &mut mapper) {
-                close(last, &mut lanes, cycle)?;
+            while let Some(batch) = packer.close_due(last, &mut mapper) {
+                close(last, &mut lanes, batch)?;
             }
             progress();
         }
-        if let Some(cycle) = packer.close(last, &mut mapper) {
-            close(last, &mut lanes, cycle)?;
+        if let Some(batch) = packer.close(last, &mut mapper) {
+            close(last, &mut lanes, batch)?;
         }
         lanes.into_iter().for_each(|lane| lane.end(&truth));
         self.seconds += last.seconds();
@@ -144,9 +144,9 @@ impl CodecRun {
 
     /// What came out of all records so far.
     pub fn finish(self) -> Outcome {
-        let Self { seconds, cycles, changed_voxels, .. } = self;
+        let Self { seconds, batches, changed_voxels, .. } = self;
         let rows = self.benches.into_iter().map(|bench| bench.row(seconds)).collect();
-        Outcome { seconds, cycles, changed_voxels, rows }
+        Outcome { seconds, batches, changed_voxels, rows }
     }
 }
 
@@ -171,8 +171,8 @@ struct Lane<'a> {
     sender: Box<dyn Sender>,
     receiver: Box<dyn Receiver>,
     receivers: u64,
-    sent: Sent,
-    /// Time that the sender took since the last cycle.
+    sent: SentBytes,
+    /// Time that the sender took since the last batch.
     took: Duration,
     messages: Messages,
 }
@@ -202,7 +202,7 @@ impl Bench {
             receiver: self.method.receiver(mapper)?,
             bench: self,
             receivers,
-            sent: Sent::default(),
+            sent: SentBytes::default(),
             took: Duration::ZERO,
             messages: Vec::new(),
         })
@@ -237,13 +237,13 @@ impl Lane<'_> {
         if self.messages.is_empty() { Ok(()) } else { self.deliver(now).map(|_| ()) }
     }
 
-    fn cycle(&mut self, now: Stamp, cycle: &Cycle, changes: &Changes) -> anyhow::Result<()> {
+    fn batch(&mut self, now: Stamp, batch: &Batch, changes: &Changes) -> anyhow::Result<()> {
         let started = Instant::now();
         self.sender
-            .cycle(now, cycle, changes, &mut self.messages)
+            .batch(now, batch, changes, &mut self.messages)
             .with_context(|| self.bench.method.to_string())?;
         self.bench.encode.add(core::mem::take(&mut self.took) + started.elapsed());
-        self.sender.told(cycle, changes);
+        self.sender.published(batch, changes);
         let took = self.deliver(now)?;
         self.bench.decode.add(took);
         Ok(())
@@ -263,7 +263,7 @@ impl Lane<'_> {
         Ok(took)
     }
 
-    /// The record is over: compares with what the cycles said.
+    /// The record is over: compares with what the batches said.
     fn end(self, truth: &Layer) {
         let compared = compare(&*self.receiver, truth);
         let bench = self.bench;
@@ -308,7 +308,7 @@ mod tests {
     fn run(receivers: usize) -> Outcome {
         let mapper = MapperConfig::preset(Preset::RogMap, Resolution::from_metres(0.1).unwrap(), 7.0);
         let methods = ["paper", "scan-relay", "gvp", "octomap-diff-10s"].map(|name| name.parse().unwrap());
-        let mut run = CodecRun::new(mapper, CycleConfig::default(), &methods, receivers);
+        let mut run = CodecRun::new(mapper, BatchConfig::default(), &methods, receivers);
         for _ in 0..2 {
             run.record(frames(), || ()).unwrap();
         }

@@ -1,4 +1,4 @@
-//! `flockmap-bench codecs`: all methods on the same cycles.
+//! `flockmap-bench codecs`: all methods on the same batches.
 
 use core::fmt;
 use core::str::FromStr;
@@ -16,9 +16,9 @@ use serde::Serialize;
 
 use crate::baselines::{Method, UnknownMethod};
 use crate::codec_run::{CodecRun, Outcome, Row};
-use crate::present_run::{self, PresentRow};
+use crate::snapshot_run::{self, SnapshotRow};
 
-/// All codecs on the same cycles of mapping: bytes, time, agreement
+/// All codecs on the same batches of mapping: bytes, time, agreement
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -29,7 +29,7 @@ Examples:
   flockmap-bench codecs forest --codec all
 
 A method is `flock`, Flockmap's own codec, in packages of at most 1,150 bytes; or another codec (raw, nested-zlib, paper,
-racer), which codes each cycle as one package, or with `-datagrams` in such packages as well; or a rival. Some rivals are
+racer), which codes each batch as one package, or with `-datagrams` in such packages as well; or a rival. Some rivals are
 lossy or stale: they are marked, and their agreement is what they reach.
 Exit code 1 if a lossless method gets a voxel wrong.")]
 pub struct CodecsArgs {
@@ -102,21 +102,21 @@ struct Output<'a> {
     records: Vec<String>,
     resolution_m: f64,
     range_m: f64,
-    t_l_s: f64,
+    publish_period_s: f64,
     d: usize,
     changed_voxels: u64,
     methods: &'a [Row],
     /// The final maps, as a late joiner gets them. Only of methods that make map packages.
-    present_states: Vec<PresentRow>,
+    snapshots: Vec<SnapshotRow>,
 }
 
 /// Runs the command. Whether every lossless method is lossless.
 pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
-    let (mapper, cycle) = (args.map.mapper()?, args.map.cycle()?);
+    let (mapper, batch) = (args.map.mapper()?, args.map.batch()?);
     let sources = sources::open(&args.records, &args.source, args.map.range, false)?;
     let methods = methods(&args.codec);
     let resolution = mapper.resolution;
-    let mut run = CodecRun::new(mapper, cycle, &methods, 1);
+    let mut run = CodecRun::new(mapper, batch, &methods, 1);
     let mut layers = Vec::new();
     let expected = sources.robots.iter().map(|source| source.frames_expected).sum();
     let progress = Progress::new("scans", expected);
@@ -128,16 +128,16 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
     }
     drop(progress);
     let outcome = run.finish();
-    let present_states = present_run::run(&layers, resolution, &methods)?;
+    let snapshots = snapshot_run::run(&layers, resolution, &methods)?;
     let output = Output {
         records: names,
         resolution_m: args.map.resolution,
         range_m: args.map.range,
-        t_l_s: args.map.t_l,
+        publish_period_s: args.map.publish_period,
         d: args.map.d,
         changed_voxels: outcome.changed_voxels,
         methods: &outcome.rows,
-        present_states,
+        snapshots,
     };
     print(&output, &sources.title, &outcome);
     json_file::write_asked(args.json.as_deref(), &output)?;
@@ -153,21 +153,21 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
 }
 
 fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
-    let Output { resolution_m, range_m, t_l_s, d, changed_voxels, methods, .. } = output;
-    let Outcome { seconds, cycles, .. } = outcome;
+    let Output { resolution_m, range_m, publish_period_s, d, changed_voxels, methods, .. } = output;
+    let Outcome { seconds, batches, .. } = outcome;
     println!("{title}");
     println!(
-        "  {resolution_m} m voxels, {range_m} m range, t_l {t_l_s} s, d {}; {seconds:.1} s in all, {} cycles, {} changed voxels{}\n",
+        "  {resolution_m} m voxels, {range_m} m range, publish_period {publish_period_s} s, d {}; {seconds:.1} s in all, {} batches, {} changed voxels{}\n",
         thousands(*d as u64),
-        thousands(*cycles),
+        thousands(*batches),
         thousands(*changed_voxels),
         if stop::requested() { " (partial: ended by Ctrl-C)" } else { "" }
     );
-    let reference =
+    let base =
         methods.iter().find(|row| row.method == Method::Whole(Codec::Paper)).map(|row| row.total_bytes);
     let vs_paper = |row: &Row| {
         let ratio = |paper: u64| format!("×{:.2}", row.total_bytes as f64 / paper.max(1) as f64);
-        reference.map_or_else(String::new, ratio)
+        base.map_or_else(String::new, ratio)
     };
     let bits = |row: &Row| row.total_bytes as f64 * 8.0 / (*changed_voxels).max(1) as f64;
     let table = Table::of(
@@ -191,25 +191,25 @@ fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
     println!(
         "
   Bytes of packages with their headers; IP and UDP come on top with 28 bytes for each datagram of at most 1,472 bytes. KB = 1,024
-  bytes. Average: a robot's, over the whole record; max: largest second of any robot. Times: all packages of a cycle, one core. `racer` is its 4 + 1 bytes a
-  voxel in one package a cycle; its own messages of 200 voxels add 52 bytes each. Agreement: voxels equal to those packed, of
+  bytes. Average: a robot's, over the whole record; max: largest second of any robot. Times: all packages of a batch, one core. `racer` is its 4 + 1 bytes a
+  voxel in one package a batch; its own messages of 200 voxels add 52 bytes each. Agreement: voxels equal to those packed, of
   all that either side knows, when everything has arrived."
     );
     for method in methods.iter().map(|row| row.method).filter(|method| !method.is_lossless()) {
         println!("  * {method}: {}", method.about());
     }
-    print_present_states(&output.present_states);
+    print_snapshots(&output.snapshots);
 }
 
-fn print_present_states(rows: &[PresentRow]) {
+fn print_snapshots(rows: &[SnapshotRow]) {
     if rows.is_empty() {
         return;
     }
-    println!("\n  The final map as a present state, with all its stamps: what a late joiner gets.\n");
-    let reference = rows.iter().find(|row| row.name == "paper").map(|row| row.total_bytes);
-    let vs_paper = |row: &PresentRow| {
+    println!("\n  The final map as a snapshot, with all its stamps: what a late joiner gets.\n");
+    let base = rows.iter().find(|row| row.name == "paper").map(|row| row.total_bytes);
+    let vs_paper = |row: &SnapshotRow| {
         let ratio = |paper: u64| format!("×{:.3}", row.total_bytes as f64 / paper.max(1) as f64);
-        reference.map_or_else(String::new, ratio)
+        base.map_or_else(String::new, ratio)
     };
     let table = Table::of(
         rows,
@@ -217,14 +217,14 @@ fn print_present_states(rows: &[PresentRow]) {
             ("method", &|row| row.name.clone()),
             ("total bytes", &|row| thousands(row.total_bytes)),
             ("vs paper", &|row| vs_paper(row)),
-            ("tiles", &|row| thousands(row.tiles)),
+            ("chunks", &|row| thousands(row.chunks)),
             ("encode ms", &|row| format!("{:.1}", row.encode_ms)),
             ("decode ms", &|row| format!("{:.1}", row.decode_ms)),
         ],
     );
     print!("{table}");
     println!(
-        "  Tiles of at most 1,150 bytes; where the changes are not cut, of at most 1 MiB. Decoding includes merging."
+        "  Chunks of at most 1,150 bytes; where the changes are not cut, of at most 1 MiB. Decoding includes merging."
     );
 }
 

@@ -9,9 +9,9 @@ mod codec_run;
 mod codecs;
 mod mapping;
 mod paper;
-mod present_run;
 mod random;
 mod rival_swarm;
+mod snapshot_run;
 mod train;
 
 use std::process::ExitCode;
@@ -29,7 +29,7 @@ struct Cli {
 
 const START_HERE: &str = "\
 Start here:
-  flockmap-bench codecs forest                  what each method costs on the same cycles
+  flockmap-bench codecs forest                  what each method costs on the same batches
   flockmap-bench paper --quick                  everything once, on short flights
 
 `flockmap-bench COMMAND --help` says more, with examples.";

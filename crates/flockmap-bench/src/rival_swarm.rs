@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use flockmap::grid::{BlockIndex, Changes, Layer, StateBlock};
 use flockmap::{RobotId, Stamp};
-use flockmap_cli::measure::{AgesByState, Comparison, Sent};
+use flockmap_cli::measure::{AgesByState, Comparison, SentBytes};
 use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{Frames, Source};
 use flockmap_cli::stop;
@@ -19,10 +19,10 @@ const SETTLE_SECONDS_MAX: f64 = 600.0;
 pub struct RivalMember {
     pub robot: RacerRobot,
     /// Messages that went out; a copy to each of several robots counts each.
-    pub sent: Sent,
+    pub sent: SentBytes,
     /// Of these, announcements of what is held.
     #[cfg_attr(not(test), expect(dead_code, reason = "tests look at it"))]
-    pub announced: Sent,
+    pub announced: SentBytes,
     pub datagrams: u64,
     /// Ages of what was taken in of others.
     #[cfg_attr(not(test), expect(dead_code, reason = "tests look at it"))]
@@ -123,19 +123,19 @@ impl RivalRun {
 
 impl RivalAgreement {
     fn add(&mut self, saw: &RivalMember, other: &RivalMember) {
-        let told = other.robot.told_by(saw.robot.config().id);
+        let published = other.robot.observed_by(saw.robot.config().id);
         let mut blocks: BTreeMap<BlockIndex, [StateBlock; 2]> = BTreeMap::new();
         for (index, block) in saw.onset.blocks() {
             blocks.entry(index).or_default()[0] = *block;
         }
-        for (index, block) in told.blocks() {
+        for (index, block) in published.blocks() {
             blocks.entry(*index).or_default()[1] = *block;
         }
-        for (index, [saw, told]) in blocks {
-            let (a, b) = (saw.known(), told.known());
+        for (index, [saw, published]) in blocks {
+            let (a, b) = (saw.known(), published.known());
             let either = core::array::from_fn(|z| a[z] | b[z]);
             let mut theirs = other.robot.map().block(index);
-            theirs.overlay(&told);
+            theirs.overlay(&published);
             let theirs = theirs.masked(&either);
             let mut here = Comparison::default();
             here.add(Some(&saw), Some(&theirs));
@@ -151,8 +151,8 @@ impl RivalAgreement {
 /// What is measured of a robot on the way.
 #[derive(Default)]
 struct Meter {
-    sent: Sent,
-    announced: Sent,
+    sent: SentBytes,
+    announced: SentBytes,
     datagrams: u64,
     ages: AgesByState,
     onset: Layer,

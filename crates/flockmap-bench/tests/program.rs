@@ -17,7 +17,16 @@ fn codecs_puts_the_methods_in_their_order() {
     keys.sort();
     assert_eq!(
         keys,
-        ["changed_voxels", "d", "methods", "present_states", "range_m", "records", "resolution_m", "t_l_s"]
+        [
+            "changed_voxels",
+            "d",
+            "methods",
+            "snapshots",
+            "range_m",
+            "records",
+            "resolution_m",
+            "publish_period_s"
+        ]
     );
     let methods = output["methods"].as_array().unwrap();
     let mut keys: Vec<&String> = methods[0].as_object().unwrap().keys().collect();
@@ -43,7 +52,7 @@ fn codecs_puts_the_methods_in_their_order() {
     assert!(bytes("nested-zlib") < bytes("racer") && bytes("nested-zlib") < bytes("raw"));
     assert!(bytes("paper") < bytes("paper-datagrams"));
     assert!(2 * bytes("flock") < bytes("paper"));
-    let states = output["present_states"].as_array().unwrap();
+    let states = output["snapshots"].as_array().unwrap();
     let state =
         |name: &str| states.iter().find(|m| m["name"] == name).expect(name)["total_bytes"].as_u64().unwrap();
     assert!(2 * state("flock") < state("paper"));

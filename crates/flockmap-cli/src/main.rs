@@ -98,7 +98,7 @@ mod tests {
         assert_eq!(args.records.len(), 2);
         assert_eq!((args.loss, args.delay_ms, args.map.d), (0.2, 50.0, 100));
         assert_eq!(args.cast, CastName::Broadcast);
-        assert_eq!((args.map.resolution, args.map.range, args.map.t_l), (0.1, 7.0, 0.5));
+        assert_eq!((args.map.resolution, args.map.range, args.map.publish_period), (0.1, 7.0, 0.5));
     }
 
     #[test]

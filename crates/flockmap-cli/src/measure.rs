@@ -10,12 +10,12 @@ pub const KB: f64 = 1024.0;
 
 /// Bytes that a sender put out, when.
 #[derive(Clone, Debug, Default)]
-pub struct Sent {
+pub struct SentBytes {
     events: Vec<(i64, u64)>,
     total: u64,
 }
 
-impl Sent {
+impl SentBytes {
     /// Bytes that went out now. Times must not run backwards.
     pub fn add(&mut self, now: Stamp, bytes: u64) {
         self.total += bytes;
@@ -247,14 +247,14 @@ mod tests {
 
     #[test]
     fn the_largest_second_slides() {
-        let mut sent = Sent::default();
+        let mut sent = SentBytes::default();
         for (ms, bytes) in [(0, 10), (900, 20), (1_100, 30), (1_899, 40), (1_900, 5), (5_000, 60)] {
             sent.add(Stamp(ms * 1_000), bytes);
         }
         assert_eq!(sent.total(), 165);
         assert_eq!(sent.largest_second(), 20 + 30 + 40);
         assert_eq!(sent.per_second(), [30, 75, 0, 0, 0, 60]);
-        assert_eq!(Sent::together([&sent, &sent]).largest_second(), 180);
+        assert_eq!(SentBytes::together([&sent, &sent]).largest_second(), 180);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use flockmap::codec::{Codec, Encoder};
 use flockmap::grid::Layer;
 use flockmap::{Changes, Event, ScanReport, Stamp};
 
-use crate::measure::{AgesByState, Sent, Times};
+use crate::measure::{AgesByState, SentBytes, Times};
 
 /// Bytes that IPv4 and UDP put before each datagram.
 pub const IP_UDP_BYTES: u64 = 28;
@@ -21,15 +21,15 @@ const RACER_MESSAGE_BYTES: u64 = 52;
 #[derive(Default)]
 pub struct Measures {
     /// UDP payload that went out; a copy to each of several robots counts each.
-    pub sent: Sent,
+    pub sent: SentBytes,
     pub datagrams: u64,
     /// UDP payload that came in.
-    pub received: Sent,
+    pub received: SentBytes,
     /// What RACER would have sent for the same changes, once.
-    pub racer: Sent,
+    pub racer: SentBytes,
     pub racer_messages: u64,
-    /// What the paper's method would have sent for the same cycles, each as one whole package, once.
-    pub paper: Sent,
+    /// What the paper's method would have sent for the same batches, each as one whole package, once.
+    pub paper: SentBytes,
     pub paper_packages: u64,
     /// Own changes closed into packages.
     pub pack: Times,
@@ -85,7 +85,7 @@ impl Measures {
     /// Something came of the last input. Time is counted once for each input.
     pub fn event(&mut self, now: Stamp, event: &Event) {
         match event {
-            Event::CycleClosed { cycle, changes, .. } => {
+            Event::BatchClosed { batch, changes, .. } => {
                 if let Some((_, took)) = self.input.take_if(|(input, _)| *input == Input::Own) {
                     self.pack.add(took);
                 }
@@ -94,7 +94,7 @@ impl Measures {
                 self.racer_messages += messages;
                 self.racer.add(now, voxels * RACER_VOXEL_BYTES + messages * RACER_MESSAGE_BYTES);
                 let index = self.paper_packages as u32 + 1;
-                if let Ok(whole) = self.encoder.encode_whole(Codec::Paper, cycle, index, changes) {
+                if let Ok(whole) = self.encoder.encode_whole(Codec::Paper, batch, index, changes) {
                     self.paper_packages += 1;
                     self.paper.add(now, whole.bytes().len() as u64);
                 }

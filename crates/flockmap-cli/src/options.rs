@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use flockmap::grid::{MapperConfig, Preset};
-use flockmap::{Cast, Codec, CycleConfig, Resolution, RobotConfig, RobotId};
+use flockmap::{BatchConfig, Cast, Codec, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::{Lidar, Rendering};
 
 /// How robots map and pack.
@@ -18,13 +18,13 @@ pub struct MapArgs {
     /// Rays longer than this many metres are cut there
     #[arg(long, value_name = "M", default_value_t = 7.0)]
     pub range: f64,
-    /// A cycle of mapping is sent after so many seconds
+    /// A batch of mapping is sent after so many seconds
     #[arg(long, value_name = "S", default_value_t = 0.5)]
-    pub t_l: f64,
+    pub publish_period: f64,
     /// Obstacles are sent after so many seconds, ahead of free space [default: with everything else]
     #[arg(long, value_name = "S")]
-    pub t_l_occupied: Option<f64>,
-    /// A cycle of mapping is sent once so many voxels have changed
+    pub obstacle_period: Option<f64>,
+    /// A batch of mapping is sent once so many voxels have changed
     #[arg(long, value_name = "N", default_value_t = 50_000)]
     pub d: usize,
     /// Rules of the mapper: rog-map, racer or octomap
@@ -133,15 +133,19 @@ impl MapArgs {
     /// A robot that maps and packs like this. Its id is still to be given.
     pub fn robot(&self, codec: Codec, seed: u64) -> anyhow::Result<RobotConfig> {
         let config = RobotConfig::new(RobotId(1), self.resolution()?, self.range);
-        Ok(RobotConfig { mapper: self.mapper()?, cycle: self.cycle()?, codec, seed, ..config })
+        Ok(RobotConfig { mapper: self.mapper()?, batch: self.batch()?, codec, seed, ..config })
     }
 
-    /// When cycles close.
-    pub fn cycle(&self) -> anyhow::Result<CycleConfig> {
+    /// When batches close.
+    pub fn batch(&self) -> anyhow::Result<BatchConfig> {
         ensure!(self.d > 0, "--d is 0, expected at least 1");
-        let t_l_occupied_ms =
-            self.t_l_occupied.map(|seconds| milliseconds("--t-l-occupied", seconds)).transpose()?;
-        Ok(CycleConfig { changes_max: self.d, t_l_ms: milliseconds("--t-l", self.t_l)?, t_l_occupied_ms })
+        let obstacle_period_ms =
+            self.obstacle_period.map(|seconds| milliseconds("--t-l-occupied", seconds)).transpose()?;
+        Ok(BatchConfig {
+            voxels_max: self.d,
+            publish_period_ms: milliseconds("--t-l", self.publish_period)?,
+            obstacle_period_ms,
+        })
     }
 }
 

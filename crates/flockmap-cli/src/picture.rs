@@ -7,7 +7,7 @@ use flockmap::grid::BLOCK_SIDE;
 use flockmap::{MapView, Robot, Stamp};
 
 /// A robot's fused map at one moment, and which part of it the robot has seen itself.
-pub struct Snapshot {
+pub struct MapPicture {
     pub at: Stamp,
     view: MapView,
     /// For each block column, the columns (bit 8 y + x) in which the own sensor has seen something.
@@ -23,7 +23,7 @@ const PIXELS_MAX: i32 = 900;
 /// Shades of an obstacle by height.
 const SHADES: usize = 6;
 
-impl Snapshot {
+impl MapPicture {
     /// The robot's map as it is now.
     pub fn take(robot: &Robot, at: Stamp) -> Self {
         let mut own = HashMap::new();
@@ -62,7 +62,7 @@ impl Picture {
 }
 
 /// Draws snapshots of one robot, all over the same ground, which is that of the last one.
-pub fn draw(snapshots: &[Snapshot]) -> anyhow::Result<Vec<Picture>> {
+pub fn draw(snapshots: &[MapPicture]) -> anyhow::Result<Vec<Picture>> {
     let Some(last) = snapshots.last() else { return Ok(Vec::new()) };
     let Some(span) = last.span() else { return Ok(Vec::new()) };
     let ground = ground(&last.view);
@@ -102,7 +102,7 @@ const PALETTE: [[u8; 3]; 3 + 2 * SHADES] = [
 ];
 
 fn draw_one(
-    snapshot: &Snapshot,
+    snapshot: &MapPicture,
     span: [i32; 4],
     ground: &HashMap<(i32, i32), i32>,
 ) -> anyhow::Result<Picture> {

@@ -8,7 +8,9 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use anyhow::{Context, bail, ensure};
 use flockmap::{Pose, Resolution, Scan, Sphere, Stamp};
 use flockmap_io::{Record, RecordOptions, open_record};
-use flockmap_worlds::{Flight, ObstacleOptions, Patrol, PatrolOptions, ScanOptions, Shape, Tracks, World};
+use flockmap_worlds::{
+    Flight, ObstacleOptions, ScanOptions, Shape, Tracks, Trajectory, TrajectoryOptions, World,
+};
 
 use crate::options::SourceArgs;
 use crate::team::{Team, TeamMate};
@@ -255,28 +257,28 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     let scan = scan_options(source, range_m)?;
     let world = Arc::new(open_world(path, source)?);
     let seconds = source.seconds.unwrap_or(FLIGHT_SECONDS);
-    let mut options = PatrolOptions { duration_s: seconds, ..PatrolOptions::default() };
+    let mut options = TrajectoryOptions { duration_s: seconds, ..TrajectoryOptions::default() };
     options.speed_m_s = source.speed.unwrap_or(options.speed_m_s);
-    let patrols = Patrol::plan(&world, source.robots, source.seed, &options)
+    let trajectories = Trajectory::plan(&world, source.robots, source.seed, &options)
         .with_context(|| format!("no flight for {} robots through {}", source.robots, path.display()))?;
     let team = if source.see_team_mates {
-        Team::new(patrols.iter().map(|patrol| (patrol.poses(), Stamp(0))))
+        Team::new(trajectories.iter().map(|trajectory| (trajectory.poses(), Stamp(0))))
     } else {
         Team::default()
     };
     let obstacles =
         ObstacleOptions { count: source.moving_obstacles, duration_s: seconds, ..ObstacleOptions::default() };
     let mut tracks = Tracks::obstacles(&world, source.seed, &obstacles).context("--moving-obstacles")?;
-    let mut own = vec![None; patrols.len()];
+    let mut own = vec![None; trajectories.len()];
     if source.see_team_mates {
-        for (own, patrol) in own.iter_mut().zip(&patrols) {
-            *own = Some(tracks.push(Shape::ROBOT, patrol.poses())?);
+        for (own, trajectory) in own.iter_mut().zip(&trajectories) {
+            *own = Some(tracks.push(Shape::ROBOT, trajectory.poses())?);
         }
     }
     let tracks = Arc::new(tracks);
-    let robots = patrols.into_iter().zip(own).enumerate().map(|(number, (patrol, own))| {
+    let robots = trajectories.into_iter().zip(own).enumerate().map(|(number, (trajectory, own))| {
         let team = team.clone();
-        let flight = Flight::new(Arc::clone(&world), source.lidar, scan_options_of(number, scan), patrol)
+        let flight = Flight::new(Arc::clone(&world), source.lidar, scan_options_of(number, scan), trajectory)
             .among(Arc::clone(&tracks), own);
         let frames_expected = flight.len() as u64;
         let frames = flight.map(move |frame| {

@@ -8,7 +8,7 @@ use flockmap_netsim::{Datagram, Delivery, Network, RadioConfig, Watch};
 
 use crate::measure::Times;
 use crate::member::Measures;
-use crate::picture::Snapshot;
+use crate::picture::MapPicture;
 use crate::program::command_line;
 use crate::progress::Progress;
 use crate::report::{Course, Finished, Report, Settings};
@@ -24,7 +24,7 @@ pub struct Member {
     pub robot: Robot,
     pub measures: Measures,
     /// Its map at three moments.
-    pub snapshots: Vec<Snapshot>,
+    pub snapshots: Vec<MapPicture>,
     pub frames_damaged: u64,
 }
 
@@ -103,7 +103,7 @@ pub fn run(
         }
         if upcoming.next_if(|moment| *moment <= now).is_some() {
             for (input, robot) in inputs.iter_mut().zip(network.nodes()) {
-                input.pictures.push(Snapshot::take(robot, next));
+                input.pictures.push(MapPicture::take(robot, next));
             }
         }
     }
@@ -124,7 +124,7 @@ pub fn run(
     let now = network.now();
     let members = network.into_nodes().into_iter().zip(inputs).zip(meters.measures);
     let members = members.map(|((robot, mut input), measures)| {
-        input.pictures.push(Snapshot::take(&robot, now));
+        input.pictures.push(MapPicture::take(&robot, now));
         let (name, snapshots, frames_damaged) = (input.name, input.pictures, input.frames.damaged);
         Member { name, robot, measures, snapshots, frames_damaged }
     });
@@ -141,7 +141,7 @@ fn moments(sources: &[Source]) -> [Stamp; 2] {
 struct Input {
     name: String,
     frames: Frames,
-    pictures: Vec<Snapshot>,
+    pictures: Vec<MapPicture>,
 }
 
 impl Input {
@@ -218,7 +218,7 @@ fn has_everything(robots: &[Robot]) -> bool {
     robots.iter().all(|receiver| {
         robots.iter().all(|sender| {
             let packages = sender.counters().packages;
-            let held = receiver.session().held(sender.own_stream());
+            let held = receiver.session().received(sender.own_stream());
             packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
         })
     })

@@ -24,37 +24,39 @@ impl TeamMate {
 }
 
 /// Where a robot was, in the order of the stamps.
-type Way = Vec<(Stamp, [f64; 3])>;
+type Track = Vec<(Stamp, [f64; 3])>;
 
 /// The ways of all robots of a run, known beforehand.
 #[derive(Clone, Debug, Default)]
 pub struct Team {
-    ways: Arc<Vec<Way>>,
+    tracks: Arc<Vec<Track>>,
 }
 
 impl Team {
     /// From the poses of each robot, in the order of their stamps.
-    pub fn new<'a>(ways: impl Iterator<Item = (&'a [(Stamp, Pose)], Stamp)>) -> Self {
+    pub fn new<'a>(tracks: impl Iterator<Item = (&'a [(Stamp, Pose)], Stamp)>) -> Self {
         let place = |zero: Stamp| {
             move |&(stamp, pose): &(Stamp, Pose)| (Stamp(stamp.micros_since(zero)), pose.translation())
         };
-        Self { ways: Arc::new(ways.map(|(poses, zero)| poses.iter().map(place(zero)).collect()).collect()) }
+        Self {
+            tracks: Arc::new(tracks.map(|(poses, zero)| poses.iter().map(place(zero)).collect()).collect()),
+        }
     }
 
     /// All but one robot at a time. Between two poses a robot is on the straight line between them; before its first and
     /// after its last it stays where it is.
     pub fn mates(&self, of: usize, at: Stamp) -> Vec<TeamMate> {
-        let others = self.ways.iter().enumerate().filter(|(number, _)| *number != of);
+        let others = self.tracks.iter().enumerate().filter(|(number, _)| *number != of);
         others
-            .filter_map(|(number, way)| place_at(way, at).map(|position| TeamMate { number, position }))
+            .filter_map(|(number, track)| place_at(track, at).map(|position| TeamMate { number, position }))
             .collect()
     }
 }
 
-fn place_at(way: &[(Stamp, [f64; 3])], at: Stamp) -> Option<[f64; 3]> {
-    let after = way.partition_point(|(stamp, _)| *stamp < at);
-    let previous = after.checked_sub(1).and_then(|i| way.get(i));
-    match (previous, way.get(after)) {
+fn place_at(track: &[(Stamp, [f64; 3])], at: Stamp) -> Option<[f64; 3]> {
+    let after = track.partition_point(|(stamp, _)| *stamp < at);
+    let previous = after.checked_sub(1).and_then(|i| track.get(i));
+    match (previous, track.get(after)) {
         (_, Some((stamp, place))) if *stamp == at => Some(*place),
         (Some((a, from)), Some((b, to))) => {
             let share = at.micros_since(*a) as f64 / b.micros_since(*a).max(1) as f64;
@@ -85,11 +87,11 @@ mod tests {
 
     #[test]
     fn a_team_mate_is_where_it_flies_and_stays_where_it_ends() {
-        let way = |y: f64| {
+        let track = |y: f64| {
             let pose = |i: i64| (Stamp(1_000 + i * 100), Pose::from_translation([i as f64, y, 1.0]));
             (0..3).map(pose).collect::<Vec<_>>()
         };
-        let (a, b) = (way(0.0), way(5.0));
+        let (a, b) = (track(0.0), track(5.0));
         let team = Team::new([(a.as_slice(), Stamp(1_000)), (b.as_slice(), Stamp(1_000))].into_iter());
         for (at, x) in [(-50, 0.0), (0, 0.0), (50, 0.5), (100, 1.0), (175, 1.75), (200, 2.0), (9_000, 2.0)] {
             let expected = TeamMate { number: 1, position: [x, 5.0, 1.0] };

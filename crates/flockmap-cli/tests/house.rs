@@ -19,11 +19,11 @@ fn crates() -> Vec<String> {
     members.iter().map(|member| member.as_str().unwrap().trim_start_matches("crates/").to_owned()).collect()
 }
 
-/// What a file says of others: names that it hands on, and paths that it uses.
+/// What a file says of others: names that it forwards, and paths that it uses.
 #[derive(Default)]
 struct Seen {
     module: Module,
-    handed_on: BTreeMap<String, Module>,
+    forwarded: BTreeMap<String, Module>,
     used: Vec<Module>,
     /// Names of the modules that are declared in it.
     children: BTreeSet<String>,
@@ -42,12 +42,12 @@ impl Seen {
         }
     }
 
-    fn take_tree(&mut self, tree: &syn::UseTree, before: &[String], is_handed_on: bool) {
+    fn take_tree(&mut self, tree: &syn::UseTree, before: &[String], is_forwarded: bool) {
         let with = |name: &syn::Ident| [before, &[name.to_string()]].concat();
         let (path, name) = match tree {
-            syn::UseTree::Path(path) => return self.take_tree(&path.tree, &with(&path.ident), is_handed_on),
+            syn::UseTree::Path(path) => return self.take_tree(&path.tree, &with(&path.ident), is_forwarded),
             syn::UseTree::Group(group) => {
-                return group.items.iter().for_each(|tree| self.take_tree(tree, before, is_handed_on));
+                return group.items.iter().for_each(|tree| self.take_tree(tree, before, is_forwarded));
             }
             syn::UseTree::Name(name) if name.ident == "self" => {
                 (before.to_vec(), before.last().cloned().unwrap_or_default())
@@ -57,8 +57,8 @@ impl Seen {
             syn::UseTree::Glob(_) => (before.to_vec(), "*".to_owned()),
         };
         let Some(path) = self.absolute(&path) else { return };
-        if is_handed_on {
-            self.handed_on.insert(name, path);
+        if is_forwarded {
+            self.forwarded.insert(name, path);
         } else {
             self.used.push(path);
         }
@@ -118,7 +118,7 @@ fn read(crate_name: &str) -> BTreeMap<Module, Seen> {
                 seen.visit_file(&file);
                 // A library and a program in one crate are one face.
                 let known: &mut Seen = files.entry(module).or_default();
-                known.handed_on.extend(seen.handed_on);
+                known.forwarded.extend(seen.forwarded);
                 known.used.extend(seen.used);
             }
         }
@@ -130,8 +130,8 @@ fn read(crate_name: &str) -> BTreeMap<Module, Seen> {
 fn maker(files: &BTreeMap<Module, Seen>, path: &[String], hops: usize) -> Module {
     let longest = (0..=path.len()).rev().find(|n| files.contains_key(&path[..*n])).unwrap_or(0);
     let (module, rest) = path.split_at(longest);
-    let handed_on = &files[module].handed_on;
-    let next = rest.first().and_then(|name| match (handed_on.get(name), handed_on.get("*")) {
+    let forwarded = &files[module].forwarded;
+    let next = rest.first().and_then(|name| match (forwarded.get(name), forwarded.get("*")) {
         (Some(path), _) => Some([&path[..], &rest[1..]].concat()),
         (None, Some(path)) => Some([&path[..], rest].concat()),
         (None, None) => None,
@@ -147,18 +147,18 @@ fn circle(imports: &BTreeMap<Module, BTreeSet<Module>>) -> Option<Vec<Module>> {
     fn walk(
         imports: &BTreeMap<Module, BTreeSet<Module>>,
         at: &Module,
-        way: &mut Vec<Module>,
+        track: &mut Vec<Module>,
         done: &mut BTreeSet<Module>,
     ) -> Option<Vec<Module>> {
-        if let Some(begin) = way.iter().position(|module| module == at) {
-            return Some(way[begin..].to_vec());
+        if let Some(begin) = track.iter().position(|module| module == at) {
+            return Some(track[begin..].to_vec());
         }
         if !done.insert(at.clone()) {
             return None;
         }
-        way.push(at.clone());
-        let found = imports[at].iter().find_map(|next| walk(imports, next, way, done));
-        way.pop();
+        track.push(at.clone());
+        let found = imports[at].iter().find_map(|next| walk(imports, next, track, done));
+        track.pop();
         found
     }
     let mut done = BTreeSet::new();

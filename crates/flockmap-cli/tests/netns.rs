@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::Arc;
 
 use flockmap_io::RecordWriter;
-use flockmap_worlds::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_worlds::{Flight, Lidar, ScanOptions, Trajectory, TrajectoryOptions, World};
 
 const SECONDS: f64 = 8.0;
 const KILL_AFTER_S: f64 = 4.0;
@@ -15,12 +15,12 @@ const DOWN_S: f64 = 2.0;
 /// Short flights through an office, thinned, as records.
 fn write_records(dir: &Path, robots: usize, seconds: f64) {
     let world = Arc::new(World::indoor(1));
-    let options = PatrolOptions { duration_s: seconds, ..PatrolOptions::default() };
+    let options = TrajectoryOptions { duration_s: seconds, ..TrajectoryOptions::default() };
     let scan = ScanOptions { range_m: 7.0, ..ScanOptions::default() };
-    for (k, patrol) in Patrol::plan(&world, robots, 1, &options).unwrap().into_iter().enumerate() {
+    for (k, trajectory) in Trajectory::plan(&world, robots, 1, &options).unwrap().into_iter().enumerate() {
         let name = format!("robot{}", k + 1);
         let mut writer = RecordWriter::create(dir.join(format!("{name}.mcap")), &name).unwrap();
-        for frame in Flight::new(Arc::clone(&world), Lidar::Mid360, scan, patrol).step_by(2) {
+        for frame in Flight::new(Arc::clone(&world), Lidar::Mid360, scan, trajectory).step_by(2) {
             let mut scan = frame.scan;
             scan.points = scan.points.into_iter().step_by(10).collect();
             writer.write(&scan, &frame.t_map_sensor).unwrap();

@@ -157,11 +157,11 @@ fn a_record_can_be_looked_into_mapped_exported_and_converted() {
 
 #[test]
 fn the_bytes_of_a_package_can_be_looked_into() {
-    use flockmap::codec::{Codec, Cycle, Encoder};
+    use flockmap::codec::{Batch, Codec, Encoder};
     use flockmap::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("package.bin");
-    let cycle = Cycle {
+    let batch = Batch {
         stream: Stream { origin: RobotId(7), epoch: 3 },
         start: Stamp(0),
         end: Stamp(500_000),
@@ -169,7 +169,7 @@ fn the_bytes_of_a_package_can_be_looked_into() {
         sensor: [0; 3],
     };
     let changes = Changes::from_voxels((0..9).map(|x| (Voxel::new(x, 0, 0), State::Free)));
-    let package = Encoder::new().encode_whole(Codec::Paper, &cycle, 4, &changes).unwrap();
+    let package = Encoder::new().encode_whole(Codec::Paper, &batch, 4, &changes).unwrap();
     std::fs::write(&path, package.bytes()).unwrap();
     let text = good(&format!("info {}", path.display()));
     assert!(text.contains("robot 7, epoch 3, index 4") && text.contains("9 free and 0 occupied"), "{text}");

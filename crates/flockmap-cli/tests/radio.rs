@@ -90,7 +90,7 @@ impl Desk {
 /// Columns of the table, after the three words that name the robot.
 #[derive(Clone, Copy)]
 enum Column {
-    Sent = 3,
+    SentBytes = 3,
     Lost = 8,
 }
 
@@ -146,9 +146,9 @@ fn the_radio_loses_its_share_and_counts_all() {
         for n in 0..50 {
             desk.send(1, 2, &format!("{:030}", 50 * batch + n));
         }
-        desk.wait_for(1, Column::Sent, 50 * (batch + 1));
+        desk.wait_for(1, Column::SentBytes, 50 * (batch + 1));
         // What was on the air is through before the radio takes the next command.
-        desk.wait_for(1, Column::Sent, 50 * (batch + 1));
+        desk.wait_for(1, Column::SentBytes, 50 * (batch + 1));
         desk.robots[1].set_nonblocking(true).unwrap();
         while let Some((from, text)) = desk.get(2) {
             assert_eq!(from, 1);

@@ -91,7 +91,7 @@ fn a_flight_tells_what_it_wrote_and_shows_its_map() {
     let text = good(&format!("info {out}/robot1.mcap"));
     assert!(text.contains("30 frames of 30 scans (0 without a pose)"), "{text}");
     // At 0 s, at 2 s, and at the end.
-    assert!(text.contains("/robot1/viewer/map: 3 ×") && text.contains("/robot1/viewer/way: 3 ×"), "{text}");
+    assert!(text.contains("/robot1/viewer/map: 3 ×") && text.contains("/robot1/viewer/path: 3 ×"), "{text}");
     good(&format!("sim fly --scene {room} {SMALL} --no-view --out {out}"));
     assert!(!good(&format!("info {out}/robot1.mcap")).contains("viewer"));
 }

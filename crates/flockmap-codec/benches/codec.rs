@@ -1,4 +1,4 @@
-//! Time to make and to read the packages of one cycle in a forest, 150 × 150 × 30 voxels (the paper's Table IV has
+//! Time to make and to read the packages of one batch in a forest, 150 × 150 × 30 voxels (the paper's Table IV has
 //! 5.30 ms for packing one). `cargo bench -p flockmap-codec`
 
 #![allow(missing_docs, reason = "the macros of criterion make public functions")]
@@ -11,8 +11,8 @@ use flockmap_codec::{Codec, Decoder, Encoder, PACKAGE_BYTES_MAX, hilbert_order};
 use std::hint::black_box;
 
 fn benches(c: &mut Criterion) {
-    let changes = common::forest_cycle();
-    let cycle = common::cycle();
+    let changes = common::forest_batch();
+    let batch = common::batch();
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
 
     c.bench_function("hilbert_order, 150 x 150 x 30", |b| {
@@ -20,19 +20,19 @@ fn benches(c: &mut Criterion) {
     });
     for codec in Codec::ALL {
         c.bench_function(&format!("encode_whole, {codec}"), |b| {
-            b.iter(|| encoder.encode_whole(codec, &cycle, 1, black_box(&changes)).unwrap());
+            b.iter(|| encoder.encode_whole(codec, &batch, 1, black_box(&changes)).unwrap());
         });
-        let whole = encoder.encode_whole(codec, &cycle, 1, &changes).unwrap();
+        let whole = encoder.encode_whole(codec, &batch, 1, &changes).unwrap();
         c.bench_function(&format!("decode whole, {codec}"), |b| {
             b.iter(|| decoder.decode(black_box(&whole)).unwrap());
         });
-        c.bench_function(&format!("encode_cycle, {codec}"), |b| {
+        c.bench_function(&format!("encode_batch, {codec}"), |b| {
             b.iter(|| {
-                encoder.encode_cycle(codec, &cycle, 1, black_box(&changes), PACKAGE_BYTES_MAX).unwrap()
+                encoder.encode_batch(codec, &batch, 1, black_box(&changes), PACKAGE_BYTES_MAX).unwrap()
             });
         });
-        let packages = encoder.encode_cycle(codec, &cycle, 1, &changes, PACKAGE_BYTES_MAX).unwrap();
-        c.bench_function(&format!("decode cycle, {codec}"), |b| {
+        let packages = encoder.encode_batch(codec, &batch, 1, &changes, PACKAGE_BYTES_MAX).unwrap();
+        c.bench_function(&format!("decode batch, {codec}"), |b| {
             b.iter(|| packages.iter().map(|package| decoder.decode(package).unwrap()).count());
         });
     }

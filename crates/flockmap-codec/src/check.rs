@@ -2,7 +2,7 @@
 //! decoded content in one fixed form.
 
 use crc32fast::Hasher;
-use flockmap_grid::{Changes, PresentVoxels, Stamp};
+use flockmap_grid::{Changes, SnapshotVoxels, Stamp};
 
 use crate::codec::Codec;
 
@@ -34,7 +34,7 @@ pub(crate) fn of_chunk(parts: &[(Stamp, Changes)], sensors: &[(Stamp, [i32; 3])]
 
 /// Tells sets of chunks apart: the check of a whole snapshot, of the packages that it contains, and of all
 /// that decides how it is cut and coded, since chunks may be told against each other.
-pub(crate) fn of_set(codec: Codec, bytes_max: usize, [since, upto]: [u32; 2], state: &PresentVoxels) -> u32 {
+pub(crate) fn of_set(codec: Codec, bytes_max: usize, [since, upto]: [u32; 2], state: &SnapshotVoxels) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(&[codec.id()]);
     hasher.update(&(bytes_max as u64).to_le_bytes());

@@ -1,6 +1,6 @@
 //! From a package back to its content.
 
-use flockmap_grid::{Layer, PresentState};
+use flockmap_grid::{Layer, Snapshot};
 use flockmap_mutation::{self as mutation, Mutation};
 
 use crate::check;
@@ -37,11 +37,11 @@ impl Decoder {
     }
 
     /// The content of a package that was coded against what earlier ones said: `layer` is that of its stream
-    /// and must hold all packages up to `reference` of the header. Packages of the same cycle may have been
+    /// and must hold all packages up to `base` of the header. Packages of the same batch may have been
     /// applied to it already.
     ///
     /// # Errors
-    /// [`PackageError::Overtaken`] if a later cycle or a present state has been applied to a block that the
+    /// [`PackageError::BaseSuperseded`] if a later batch or a snapshot has been applied to a block that the
     /// package builds on: what it was before is gone, and the package can only be replaced by a present
     /// state.
     pub fn decode_against(
@@ -50,8 +50,8 @@ impl Decoder {
         layer: Option<&Layer>,
     ) -> Result<Content, PackageError> {
         let header = package.header();
-        if header.codec == Codec::Flock && matches!(header.content, ContentKind::Present { .. }) {
-            return self.decode_tile(package, &mut TilesRead::default()).map(Content::Present);
+        if header.codec == Codec::Flock && matches!(header.content, ContentKind::Snapshot { .. }) {
+            return self.decode_chunk(package, &mut ChunksRead::default()).map(Content::Snapshot);
         }
         let mut work = Work::new(header.codec, package.payload().len());
         let content = self.content(package, layer, &mut work);
@@ -65,7 +65,7 @@ impl Decoder {
                 }
                 check::of_changes(changes)
             }
-            Content::Present(state) => check::of_chunk(&state.parts, &state.sensors),
+            Content::Snapshot(state) => check::of_chunk(&state.parts, &state.sensors),
         };
         if !mutation::is(Mutation::CheckSkipped) {
             package.verify(&hash)?;
@@ -83,47 +83,48 @@ impl Decoder {
         let (header, payload) = (package.header(), package.payload());
         let (codec, region) = (header.codec, &header.region);
         if header.content != ContentKind::Changes {
-            let ends = [header.cycle_start, header.cycle_end];
+            let ends = [header.batch_start, header.batch_end];
             let state = paper::decode_chunk(&mut self.paper, codec, payload, region, ends, work);
-            return state.map(Content::Present);
+            return state.map(Content::Snapshot);
         }
         if codec != Codec::Flock {
-            return paper::decode_cycle(&mut self.paper, codec, payload, region, work).map(Content::Changes);
+            return paper::decode_batch(&mut self.paper, codec, payload, region, work).map(Content::Changes);
         }
-        let layer = layer.filter(|_| !header.is_alone);
-        if !header.is_alone && layer.is_none() {
-            return Err(PackageError::ReferenceMissing { reference: header.reference });
+        let layer = layer.filter(|_| !header.is_independent);
+        if !header.is_independent && layer.is_none() {
+            return Err(PackageError::BaseMissing { base: header.base });
         }
-        let changes = flock::decode_cycle(&mut self.flock, layer, header.cycle_end, payload, region, work);
+        let changes = flock::decode_batch(&mut self.flock, layer, header.batch_end, payload, region, work);
         changes.map(Content::Changes)
     }
 
-    /// The content of a tile of [`Codec::Flock`] that continues those read before; it then counts among them.
+    /// The content of a chunk of [`Codec::Flock`] that continues those read before; it then counts among them.
     ///
     /// # Errors
-    /// [`PackageError::TileMissing`] if it is not the tile that comes next; then nothing has changed. After
-    /// any other error `before` is as if nothing had been read: what the tiles said is safe, but all of them
+    /// [`PackageError::ChunkMissing`] if it is not the chunk that comes next; then nothing has changed. After
+    /// any other error `before` is as if nothing had been read: what the chunks said is safe, but all of them
     /// are needed again to go on.
-    pub fn decode_tile(
+    pub fn decode_chunk(
         &mut self,
         package: &Package,
-        before: &mut TilesRead,
-    ) -> Result<PresentState, PackageError> {
+        before: &mut ChunksRead,
+    ) -> Result<Snapshot, PackageError> {
         let header = package.header();
-        let ContentKind::Present { tile, .. } = header.content else {
-            return Err(PackageError::Header { rule: "a tile is of a present state" });
+        let ContentKind::Snapshot { chunk, .. } = header.content else {
+            return Err(PackageError::Header { rule: "a chunk is of a snapshot" });
         };
-        if tile != before.next || header.codec != Codec::Flock {
-            return Err(PackageError::TileMissing { tile: before.next });
+        if chunk != before.next || header.codec != Codec::Flock {
+            return Err(PackageError::ChunkMissing { chunk: before.next });
         }
-        let TilesRead { mut told, next } = core::mem::take(before);
-        let (payload, ends) = (package.payload(), [header.cycle_start, header.cycle_end]);
+        let ChunksRead { mut coded, next } = core::mem::take(before);
+        let (payload, ends) = (package.payload(), [header.batch_start, header.batch_end]);
         let mut work = Work::new(header.codec, payload.len());
-        let state = flock::decode_chunk(&mut self.flock, &mut told, payload, &header.region, ends, &mut work);
+        let state =
+            flock::decode_chunk(&mut self.flock, &mut coded, payload, &header.region, ends, &mut work);
         self.steps = work.taken();
         let state = state?;
         package.verify(&check::of_chunk(&state.parts, &state.sensors))?;
-        *before = TilesRead { told, next: next.saturating_add(1) };
+        *before = ChunksRead { coded, next: next.saturating_add(1) };
         Ok(state)
     }
 
@@ -139,36 +140,36 @@ impl Decoder {
     }
 }
 
-/// The tiles of one set that have been read, from the first on. In [`Codec::Flock`] each tile is told against
+/// The chunks of one set that have been read, from the first on. In [`Codec::Flock`] each chunk is told against
 /// those before it; in the other codecs each can be read alone. Holds as much as a [`Layer`] of what was
 /// read.
 #[derive(Clone, Debug, Default)]
-pub struct TilesRead {
-    told: Layer,
+pub struct ChunksRead {
+    coded: Layer,
     next: u32,
 }
 
-impl TilesRead {
-    /// The number of the tile that can be read now.
+impl ChunksRead {
+    /// The number of the chunk that can be read now.
     pub const fn next(&self) -> u32 {
         self.next
     }
 
     /// Blocks told of so far.
     pub fn block_count(&self) -> usize {
-        self.told.block_count()
+        self.coded.block_count()
     }
 
     /// Bytes that it holds. O(1).
     pub fn memory_bytes(&self) -> usize {
-        self.told.memory_bytes()
+        self.coded.memory_bytes()
     }
 
-    /// Bytes that it may hold at most while and after this tile is read, beside the stamps of the voxels of
-    /// the tile: it adds at most as many blocks as its bytes may ask for. O(1).
-    pub fn memory_bytes_with(&self, tile: &Package) -> usize {
-        let blocks = work::limit(tile.payload().len()) / work::BLOCK_STEPS;
-        self.told.memory_bytes_with(usize::try_from(blocks).unwrap_or(usize::MAX))
+    /// Bytes that it may hold at most while and after this chunk is read, beside the stamps of the voxels of
+    /// the chunk: it adds at most as many blocks as its bytes may ask for. O(1).
+    pub fn memory_bytes_with(&self, chunk: &Package) -> usize {
+        let blocks = work::limit(chunk.payload().len()) / work::BLOCK_STEPS;
+        self.coded.memory_bytes_with(usize::try_from(blocks).unwrap_or(usize::MAX))
     }
 }
 
@@ -178,7 +179,7 @@ impl Package {
     ///
     /// Takes at most 2.5 bytes of memory for each voxel of the box while it works, and the box is refused
     /// before that if the payload could not fill it: 12 MB for a package of 1,150 bytes, twice that for a
-    /// present state. To decode many packages use a [`Decoder`], which keeps its memory.
+    /// snapshot. To decode many packages use a [`Decoder`], which keeps its memory.
     pub fn decode(&self) -> Result<Content, PackageError> {
         Decoder::new().decode(self)
     }
@@ -187,7 +188,7 @@ impl Package {
     /// changes in [`Codec::Flock`] do. What [`Layer::note_sensor`] wants to know.
     pub fn sensor(&self) -> Option<[i32; 3]> {
         let header = self.header();
-        let is_told = header.codec == Codec::Flock && header.content == ContentKind::Changes;
-        if is_told { flock::sensor(self.payload(), &header.region) } else { None }
+        let is_known = header.codec == Codec::Flock && header.content == ContentKind::Changes;
+        if is_known { flock::sensor(self.payload(), &header.region) } else { None }
     }
 }

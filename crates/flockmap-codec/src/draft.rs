@@ -4,7 +4,7 @@ use crc32fast::Hasher;
 use flockmap_grid::{Changes, Stamp, VoxelBox};
 
 /// What will be a package of changes.
-pub(crate) struct CycleDraft {
+pub(crate) struct BatchDraft {
     pub(crate) changes: Changes,
     /// The box that the payload speaks of.
     pub(crate) region: VoxelBox,

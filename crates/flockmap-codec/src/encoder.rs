@@ -1,17 +1,17 @@
 //! From changes, or from the state of a layer, to packages.
 
-use flockmap_grid::{Changes, PresentState, PresentVoxels, Resolution, Stamp, Stream, VoxelBox};
+use flockmap_grid::{Changes, Resolution, Snapshot, SnapshotVoxels, Stamp, Stream, VoxelBox};
 
+use crate::base::Base;
 use crate::check;
 use crate::codec::Codec;
-use crate::draft::CycleDraft;
+use crate::draft::BatchDraft;
 use crate::error::EncodeError;
 use crate::header::{ContentKind, Header};
 use crate::limits::PACKAGE_BYTES_MIN;
 use crate::package::Package;
 use crate::priority::Priority;
-use crate::reference::Reference;
-use crate::source::{Cycle, Span};
+use crate::source::{Batch, Span};
 use crate::{flock, paper};
 
 /// Makes packages. Keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest box
@@ -32,17 +32,17 @@ impl Encoder {
     }
 
     /// One package for all changes, whatever its size, as the paper sends it (Sec. III). For benchmarks: what
-    /// goes over a radio is better cut to its datagrams by [`Self::encode_cycle`].
+    /// goes over a radio is better cut to its datagrams by [`Self::encode_batch`].
     pub fn encode_whole(
         &mut self,
         codec: Codec,
-        cycle: &Cycle,
+        batch: &Batch,
         index: u32,
         changes: &Changes,
     ) -> Result<Package, EncodeError> {
-        check_cycle(cycle, index, changes)?;
+        check_batch(batch, index, changes)?;
         if codec == Codec::Flock {
-            let mut packages = self.encode_cycle(codec, cycle, index, changes, WHOLE_BYTES_MAX)?;
+            let mut packages = self.encode_batch(codec, batch, index, changes, WHOLE_BYTES_MAX)?;
             return match packages.len() {
                 1 => packages.pop().ok_or(EncodeError::Empty),
                 _ => Err(EncodeError::BoxTooLarge {
@@ -51,108 +51,107 @@ impl Encoder {
             };
         }
         let draft = paper::encode_whole(&mut self.paper, codec, changes)?;
-        let header = changes_header(codec, cycle, index, draft.region);
-        Ok(seal_changes(&header, cycle, &draft))
+        let header = changes_header(codec, batch, index, draft.region);
+        Ok(seal_changes(&header, batch, &draft))
     }
 
-    /// The changes of a cycle as packages of at most `bytes_max` bytes each, numbered from `first_index`.
+    /// The changes of a batch as packages of at most `bytes_max` bytes each, numbered from `first_index`.
     /// Each has a tight box of its own and is useful alone; no two share a voxel. No changes: no packages.
     ///
     /// The changes are cut in two across the longest side of their box until each piece fits. What a piece
     /// will take is foretold from the pieces before it, so that few are encoded in vain.
-    pub fn encode_cycle(
+    pub fn encode_batch(
         &mut self,
         codec: Codec,
-        cycle: &Cycle,
+        batch: &Batch,
         first_index: u32,
         changes: &Changes,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
-        self.encode_cycle_against(codec, cycle, first_index, changes, None, bytes_max)
+        self.encode_batch_against(codec, batch, first_index, changes, None, bytes_max)
     }
 
-    /// As [`Self::encode_cycle`], told against what the receivers hold already. Their headers say in
-    /// `reference` which packages a receiver must have before it can decode them, with
+    /// As [`Self::encode_batch`], told against what the receivers hold already. Their headers say in
+    /// `base` which packages a receiver must have before it can decode them, with
     /// [`Decoder::decode_against`](crate::Decoder::decode_against).
-    pub fn encode_cycle_against(
+    pub fn encode_batch_against(
         &mut self,
         codec: Codec,
-        cycle: &Cycle,
+        batch: &Batch,
         first_index: u32,
         changes: &Changes,
-        reference: Option<&Reference<'_>>,
+        base: Option<&Base<'_>>,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
         if changes.is_empty() {
             return Ok(Vec::new());
         }
-        check_cycle(cycle, first_index, changes)?;
+        check_batch(batch, first_index, changes)?;
         check_limit(bytes_max)?;
         // Only `flock` builds on what was before, and there is nothing before the first package.
         let may_refer = codec == Codec::Flock && first_index > 1;
-        let reference = reference.filter(|_| may_refer);
+        let base = base.filter(|_| may_refer);
         let room = |number: usize, region: &VoxelBox| {
             let index = u32::try_from(number).map_or(u32::MAX, |number| first_index.saturating_add(number));
             // The reference is not known yet: one to the first package takes most.
-            let longest =
-                Header { reference: may_refer.into(), ..changes_header(codec, cycle, index, *region) };
+            let longest = Header { base: may_refer.into(), ..changes_header(codec, batch, index, *region) };
             bytes_max.saturating_sub(longest.byte_len())
         };
         let drafts = if codec == Codec::Flock {
-            let layer = reference.and_then(|reference| reference.layer);
-            flock::encode_cycle(self.flock.get_or_insert_default(), layer, cycle, changes, room)?
+            let layer = base.and_then(|base| base.layer);
+            flock::encode_batch(self.flock.get_or_insert_default(), layer, batch, changes, room)?
         } else {
-            paper::encode_cycle(&mut self.paper, codec, changes, room)?
+            paper::encode_batch(&mut self.paper, codec, changes, room)?
         };
         let count = drafts.len();
         if u64::from(first_index) + count as u64 - 1 > u64::from(u32::MAX) {
             return Err(EncodeError::IndexOutOfRange { first: first_index, count });
         }
         let packages = (first_index..=u32::MAX).zip(drafts).map(|(index, draft)| {
-            let written = draft.base.zip(reference);
+            let written = draft.base.zip(base);
             let written = written.map_or(0, |(stamp, to)| to.newest_package(stamp, first_index));
-            let read = reference.map_or(0, |reference| reference.newest_reader(&draft.region));
-            let reference = written.max(read).min(first_index - 1);
-            let header = changes_header(codec, cycle, index, draft.region);
-            let header = Header { reference, is_alone: written == 0, ..header };
-            check_length(seal_changes(&header, cycle, &draft), bytes_max)
+            let read = base.map_or(0, |base| base.newest_dependent(&draft.region));
+            let base = written.max(read).min(first_index - 1);
+            let header = changes_header(codec, batch, index, draft.region);
+            let header = Header { base, is_independent: written == 0, ..header };
+            check_length(seal_changes(&header, batch, &draft), bytes_max)
         });
         packages.collect()
     }
 
-    /// The state of a layer as tiles of at most `bytes_max` bytes each, codes `00 01 10` (Sec. IV-B of the
+    /// The state of a layer as chunks of at most `bytes_max` bytes each, codes `00 01 10` (Sec. IV-B of the
     /// paper), with the stamp of every voxel. `upto_index` is the newest package whose changes, with those of
-    /// all before it, are in `state`. Always at least one tile: where nothing is known, one that says so of a
+    /// all before it, are in `state`. Always at least one chunk: where nothing is known, one that says so of a
     /// single voxel.
     ///
-    /// Tiles of [`Codec::Flock`] are told one against the other, see [`TilesRead`](crate::TilesRead). They
+    /// Chunks of [`Codec::Flock`] are told one against the other, see [`ChunksRead`](crate::ChunksRead). They
     /// are those of [`Codec::Paper`] where that takes fewer bytes.
-    pub fn encode_present(
+    pub fn encode_snapshot(
         &mut self,
         codec: Codec,
         stream: Stream,
         upto_index: u32,
         resolution: Resolution,
-        state: &PresentState,
+        state: &Snapshot,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
         check_rules(state)?;
-        let voxels = PresentVoxels::from_state(state);
-        let voxels = voxels.ok_or(EncodeError::PresentState { rule: "at most 2²⁷ stamps and blocks" })?;
+        let voxels = SnapshotVoxels::from_state(state);
+        let voxels = voxels.ok_or(EncodeError::Snapshot { rule: "at most 2²⁷ stamps and blocks" })?;
         let span = Span { stream, since: 0, upto: upto_index };
         self.encode_span(codec, span, resolution, &voxels, bytes_max)
     }
 
     /// The same of a state in less memory, that need not be whole: see
-    /// [`Layer::present_voxels`](flockmap_grid::Layer::present_voxels). Takes at most some 20 bytes for each
+    /// [`Layer::snapshot_voxels`](flockmap_grid::Layer::snapshot_voxels). Takes at most some 20 bytes for each
     /// voxel of a map of dense blocks while it works, beside what the encoder keeps: 140 to 300 for each
-    /// block, the tiles, and 15 MB where they are of another codec than [`Codec::Flock`].
+    /// block, the chunks, and 15 MB where they are of another codec than [`Codec::Flock`].
     pub fn encode_span(
         &mut self,
         codec: Codec,
         span: Span,
         resolution: Resolution,
-        state: &PresentVoxels,
+        state: &SnapshotVoxels,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
         if span.upto == 0 || span.since >= span.upto {
@@ -181,21 +180,21 @@ impl Encoder {
         codec: Codec,
         Span { stream, since, upto }: Span,
         resolution: Resolution,
-        state: &PresentVoxels,
+        state: &SnapshotVoxels,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
         let set = check::of_set(codec, bytes_max, [since, upto], state);
-        let header = |region: VoxelBox, [cycle_start, cycle_end]: [Stamp; 2], tile, tiles| Header {
+        let header = |region: VoxelBox, [batch_start, batch_end]: [Stamp; 2], chunk, chunks| Header {
             stream,
             index: upto,
-            cycle_start,
-            cycle_end,
-            reference: 0,
-            is_alone: true,
+            batch_start,
+            batch_end,
+            base: 0,
+            is_independent: true,
             resolution,
             region,
             codec,
-            content: ContentKind::Present { since, set, tile, tiles },
+            content: ContentKind::Snapshot { since, set, chunk, chunks },
             priority: Priority::Obstacles,
         };
         // There are no more chunks than voxels, or than blocks where these are not cut.
@@ -225,15 +224,15 @@ const WHOLE_BYTES_MAX: usize = 1 << 30;
 /// flights take one or less.
 const FLOCK_BITS_MAX: usize = 3;
 
-fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> Header {
+fn changes_header(codec: Codec, batch: &Batch, index: u32, region: VoxelBox) -> Header {
     Header {
-        stream: cycle.stream,
+        stream: batch.stream,
         index,
-        cycle_start: cycle.start,
-        cycle_end: cycle.end,
-        reference: 0,
-        is_alone: true,
-        resolution: cycle.resolution,
+        batch_start: batch.start,
+        batch_end: batch.end,
+        base: 0,
+        is_independent: true,
+        resolution: batch.resolution,
         region,
         codec,
         content: ContentKind::Changes,
@@ -242,17 +241,17 @@ fn changes_header(codec: Codec, cycle: &Cycle, index: u32, region: VoxelBox) -> 
 }
 
 /// `header` but for the priority.
-fn seal_changes(header: &Header, cycle: &Cycle, draft: &CycleDraft) -> Package {
-    let priority = Priority::of(&draft.changes, &draft.region, cycle.sensor, cycle.resolution);
+fn seal_changes(header: &Header, batch: &Batch, draft: &BatchDraft) -> Package {
+    let priority = Priority::of(&draft.changes, &draft.region, batch.sensor, batch.resolution);
     Package::seal(&Header { priority, ..*header }, &draft.payload, &check::of_changes(&draft.changes))
 }
 
-fn check_cycle(cycle: &Cycle, index: u32, changes: &Changes) -> Result<(), EncodeError> {
+fn check_batch(batch: &Batch, index: u32, changes: &Changes) -> Result<(), EncodeError> {
     if changes.is_empty() {
         return Err(EncodeError::Empty);
     }
-    if cycle.end < cycle.start {
-        return Err(EncodeError::CycleEndsBeforeStart);
+    if batch.end < batch.start {
+        return Err(EncodeError::BatchEndsBeforeStart);
     }
     if index == 0 {
         return Err(EncodeError::IndexOutOfRange { first: 0, count: 1 });
@@ -273,9 +272,9 @@ fn check_length(package: Package, bytes_max: usize) -> Result<Package, EncodeErr
     }
 }
 
-/// Whether a present state is one.
-fn check_rules(state: &PresentState) -> Result<(), EncodeError> {
-    let wrong = |rule| Err(EncodeError::PresentState { rule });
+/// Whether a snapshot is one.
+fn check_rules(state: &Snapshot) -> Result<(), EncodeError> {
+    let wrong = |rule| Err(EncodeError::Snapshot { rule });
     if !state.parts.is_sorted_by(|a, b| a.0 < b.0) {
         return wrong("the stamps of the parts ascend");
     }

@@ -1,6 +1,6 @@
 //! What can be wrong with a package, and with a wish to make one.
 
-use flockmap_grid::Overtaken;
+use flockmap_grid::BaseSuperseded;
 
 use crate::codec::Codec;
 use crate::limits::{BOX_VOXELS_MAX, FORMAT_VERSION, PACKAGE_BYTES_MIN};
@@ -80,21 +80,21 @@ pub enum PackageError {
         limit: u64,
     },
     /// The package was coded against what earlier packages said, and was to be decoded without that.
-    #[error("package was coded against the packages up to {reference}, which are needed to decode it")]
-    ReferenceMissing {
+    #[error("package was coded against the packages up to {base}, which are needed to decode it")]
+    BaseMissing {
         /// The newest package that is needed.
-        reference: u32,
+        base: u32,
     },
-    /// A tile that is told against the tiles of its set before it, and is not the next of them.
-    #[error("tiles of this present state are told one against the other; tile {tile} of the set comes next")]
-    TileMissing {
-        /// The number of the tile that comes next.
-        tile: u32,
+    /// A chunk that is told against the chunks of its set before it, and is not the next of them.
+    #[error("chunks of this snapshot are told one against the other; chunk {chunk} of the set comes next")]
+    ChunkMissing {
+        /// The number of the chunk that comes next.
+        chunk: u32,
     },
-    /// What the package was coded against is gone: something newer has been applied. Only a present state can
+    /// What the package was coded against is gone: something newer has been applied. Only a snapshot can
     /// bring what it says.
     #[error(transparent)]
-    Overtaken(#[from] Overtaken),
+    BaseSuperseded(#[from] BaseSuperseded),
     /// The payload breaks a rule of its codec.
     #[error("package payload ({codec}): {rule}")]
     Payload {
@@ -122,7 +122,7 @@ pub enum EncodeError {
     Empty,
     /// The box around the changes is too large for one package.
     #[error(
-        "the box around the changes has {voxels} voxels, a package holds {BOX_VOXELS_MAX} at most; use encode_cycle, which splits"
+        "the box around the changes has {voxels} voxels, a package holds {BOX_VOXELS_MAX} at most; use encode_batch, which splits"
     )]
     BoxTooLarge {
         /// Voxels in the box.
@@ -130,7 +130,7 @@ pub enum EncodeError {
     },
     /// The changes say so much in so few bytes that no reader takes them in one package.
     #[error(
-        "the changes as one package would ask for more work than a reader takes; use encode_cycle, which splits"
+        "the changes as one package would ask for more work than a reader takes; use encode_batch, which splits"
     )]
     TooMuchWork,
     /// A voxel outside of the limits of the grid.
@@ -142,12 +142,12 @@ pub enum EncodeError {
         /// The limit that was asked for.
         bytes_max: usize,
     },
-    /// A cycle that ends before it starts.
-    #[error("the cycle ends before it starts")]
-    CycleEndsBeforeStart,
-    /// The layer to code against holds something as new as the cycle.
+    /// A batch that ends before it starts.
+    #[error("the batch ends before it starts")]
+    BatchEndsBeforeStart,
+    /// The layer to code against holds something as new as the batch.
     #[error(transparent)]
-    Overtaken(#[from] Overtaken),
+    BaseSuperseded(#[from] BaseSuperseded),
     /// Index 0, or past the last index.
     #[error("package indices run from 1 to {}; {first} with {count} packages does not fit", u32::MAX)]
     IndexOutOfRange {
@@ -156,9 +156,9 @@ pub enum EncodeError {
         /// Number of packages.
         count: usize,
     },
-    /// A present state that breaks a rule of [`flockmap_grid::PresentState`].
-    #[error("present state: {rule}")]
-    PresentState {
+    /// A snapshot that breaks a rule of [`flockmap_grid::Snapshot`].
+    #[error("snapshot: {rule}")]
+    Snapshot {
         /// The rule that is broken.
         rule: &'static str,
     },

@@ -14,52 +14,52 @@ use crate::priority::Priority;
 pub struct Header {
     /// Whose observations these are.
     pub stream: Stream,
-    /// Changes: the number of this package in its stream, from 1. Present state: the newest package of the
+    /// Changes: the number of this package in its stream, from 1. Snapshot: the newest package of the
     /// stream that is contained, together with all before it; from 1.
     pub index: u32,
-    /// Changes: when the cycle began. Present state: the oldest stamp in the package. On the origin's clock.
-    pub cycle_start: Stamp,
-    /// Changes: when the cycle was closed; the stamp of every voxel in the package, the same in all packages
-    /// of one cycle. Present state: the newest stamp in the package. Never before `cycle_start`.
-    pub cycle_end: Stamp,
-    /// The newest package that this one builds on: who is to decode it must hold packages 1 to `reference` of
-    /// the stream. 0: none is needed. Always below `index`; 0 in a present state.
-    pub reference: u32,
-    /// Whether the payload can be decoded without what earlier packages said. Its `reference` is then only
+    /// Changes: when the batch began. Snapshot: the oldest stamp in the package. On the origin's clock.
+    pub batch_start: Stamp,
+    /// Changes: when the batch was closed; the stamp of every voxel in the package, the same in all packages
+    /// of one batch. Snapshot: the newest stamp in the package. Never before `batch_start`.
+    pub batch_end: Stamp,
+    /// The newest package that this one builds on: who is to decode it must hold packages 1 to `base` of
+    /// the stream. 0: none is needed. Always below `index`; 0 in a snapshot.
+    pub base: u32,
+    /// Whether the payload can be decoded without what earlier packages said. Its `base` is then only
     /// what has to be merged first: an earlier package that is told against what this one changes. True for a
-    /// present state, and where `reference` is 0.
-    pub is_alone: bool,
+    /// snapshot, and where `base` is 0.
+    pub is_independent: bool,
     /// Side of a voxel.
     pub resolution: Resolution,
     /// The box that the payload speaks of, in the origin's grid.
     pub region: VoxelBox,
     /// How the payload is coded.
     pub codec: Codec,
-    /// Changes or present state.
+    /// Changes or snapshot.
     pub content: ContentKind,
-    /// What to send first where there is not room for all. Of a present state always `Obstacles`.
+    /// What to send first where there is not room for all. Of a snapshot always `Obstacles`.
     pub priority: Priority,
 }
 
 /// What kind of content a package has.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub enum ContentKind {
-    /// What changed in one cycle; voxels of the box that are not named stay as they are.
+    /// What changed in one batch; voxels of the box that are not named stay as they are.
     Changes,
-    /// One tile of the state of the stream after packages 1 to `index`, or of the part of it that packages
-    /// after `since` made. Who has packages 1 to `since` and all tiles of the set knows all that packages 1
+    /// One chunk of the state of the stream after packages 1 to `index`, or of the part of it that packages
+    /// after `since` made. Who has packages 1 to `since` and all chunks of the set knows all that packages 1
     /// to `index` said.
-    Present {
-        /// 0: the whole state. Else the tiles hold every voxel whose newest change is in the packages from
+    Snapshot {
+        /// 0: the whole state. Else the chunks hold every voxel whose newest change is in the packages from
         /// `since` + 1 to `index`, and may hold others. Below `index`.
         since: u32,
-        /// Tells sets apart: a check of the whole state that was cut into tiles. Tiles of different sets must
+        /// Tells sets apart: a check of the whole state that was cut into chunks. Chunks of different sets must
         /// not be counted together.
         set: u32,
-        /// Number of this tile, from 0.
-        tile: u32,
-        /// Number of tiles in the set, at least 1.
-        tiles: u32,
+        /// Number of this chunk, from 0.
+        chunk: u32,
+        /// Number of chunks in the set, at least 1.
+        chunks: u32,
     },
 }
 
@@ -76,9 +76,9 @@ pub(crate) struct Tail {
 pub(crate) const CHECK_BYTES: usize = 4;
 
 const KIND_CHANGES: u8 = 0;
-const KIND_PRESENT: u8 = 1;
+const KIND_SNAPSHOT: u8 = 1;
 /// Changes that are told without what was before, and are to be merged after their reference.
-const KIND_ALONE: u8 = 2;
+const KIND_INDEPENDENT: u8 = 2;
 /// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority; bit 7:
 /// the box is made of whole blocks, and counted in these.
 const BOX_IN_BLOCKS: u8 = 1 << 7;
@@ -90,13 +90,13 @@ pub(crate) const STREAM_AT: usize = 2;
 const BLOCK_SIDE: u32 = 8;
 
 impl Header {
-    /// Appends everything up to the check. The length goes with the values: `reference` takes less the nearer
+    /// Appends everything up to the check. The length goes with the values: `base` takes less the nearer
     /// it is to `index`, and the box takes less if it is made of whole blocks.
     pub(crate) fn write(&self, out: &mut Vec<u8>) {
         let kind = match self.content {
-            ContentKind::Changes if self.is_alone && self.reference != 0 => KIND_ALONE,
+            ContentKind::Changes if self.is_independent && self.base != 0 => KIND_INDEPENDENT,
             ContentKind::Changes => KIND_CHANGES,
-            ContentKind::Present { .. } => KIND_PRESENT,
+            ContentKind::Snapshot { .. } => KIND_SNAPSHOT,
         };
         out.push(FORMAT_VERSION);
         let (unit, flag) = if is_in_blocks(&self.region) { (BLOCK_SIDE, BOX_IN_BLOCKS) } else { (1, 0) };
@@ -104,17 +104,17 @@ impl Header {
         put_varint(out, u64::from(self.stream.origin.0));
         put_varint(out, self.stream.epoch);
         put_varint(out, u64::from(self.index));
-        put_zigzag(out, self.cycle_end.0.wrapping_sub(epoch_micros(self.stream.epoch)));
-        put_varint(out, self.cycle_end.0.wrapping_sub(self.cycle_start.0) as u64);
+        put_zigzag(out, self.batch_end.0.wrapping_sub(epoch_micros(self.stream.epoch)));
+        put_varint(out, self.batch_end.0.wrapping_sub(self.batch_start.0) as u64);
         put_varint(out, resolution_code(self.resolution));
         write_box(&self.region, unit, out);
         match self.content {
-            ContentKind::Changes => write_back(self.index, self.reference, out),
-            ContentKind::Present { since, set, tile, tiles } => {
+            ContentKind::Changes => write_back(self.index, self.base, out),
+            ContentKind::Snapshot { since, set, chunk, chunks } => {
                 write_back(self.index, since, out);
                 out.extend_from_slice(&set.to_le_bytes());
-                put_varint(out, u64::from(tile));
-                put_varint(out, u64::from(tiles));
+                put_varint(out, u64::from(chunk));
+                put_varint(out, u64::from(chunks));
             }
         }
     }
@@ -138,13 +138,13 @@ impl Header {
         let (codec, kind, priority) = (all & 7, all >> KIND_SHIFT & 3, all >> PRIORITY_SHIFT & 3);
         let codec = Codec::from_id(codec).ok_or(PackageError::Codec { found: codec })?;
         let unit = if all & BOX_IN_BLOCKS == 0 { 1 } else { BLOCK_SIDE };
-        if ![KIND_CHANGES, KIND_PRESENT, KIND_ALONE].contains(&kind) {
+        if ![KIND_CHANGES, KIND_SNAPSHOT, KIND_INDEPENDENT].contains(&kind) {
             return Err(PackageError::ContentKind { found: kind });
         }
         let priority = Priority::ALL.get(usize::from(priority)).copied();
         let priority = priority.ok_or_else(|| wrong("priorities are 0 to 2"))?;
-        if kind == KIND_PRESENT && priority != Priority::Obstacles {
-            return Err(wrong("a present state has priority 0"));
+        if kind == KIND_SNAPSHOT && priority != Priority::Obstacles {
+            return Err(wrong("a snapshot has priority 0"));
         }
         let u32_max = u64::from(u32::MAX);
         let origin = RobotId(reader.number("origin", u64::from(u16::MAX))? as u16);
@@ -153,43 +153,43 @@ impl Header {
         if index == 0 {
             return Err(wrong("indices begin at 1"));
         }
-        let cycle_end = Stamp(reader.signed("cycle end")?.wrapping_add(epoch_micros(epoch)));
-        let duration = reader.number("cycle duration", u64::MAX)?;
-        let cycle_start = cycle_end.0.checked_sub_unsigned(duration).map(Stamp);
-        let cycle_start =
-            cycle_start.ok_or_else(|| wrong("the cycle starts within the range of 64-bit stamps"))?;
+        let batch_end = Stamp(reader.signed("batch end")?.wrapping_add(epoch_micros(epoch)));
+        let duration = reader.number("batch duration", u64::MAX)?;
+        let batch_start = batch_end.0.checked_sub_unsigned(duration).map(Stamp);
+        let batch_start =
+            batch_start.ok_or_else(|| wrong("the batch starts within the range of 64-bit stamps"))?;
         let resolution = read_resolution(&mut reader)?;
         let region = read_box(&mut reader, unit)?;
         if unit == 1 && is_in_blocks(&region) {
             return Err(wrong("a box of whole blocks is counted in blocks"));
         }
-        let (content, reference) = if kind == KIND_PRESENT {
+        let (content, base) = if kind == KIND_SNAPSHOT {
             let since = read_back(&mut reader, index, "since", "a span begins after an earlier package")?;
             let set = reader.u32_le("set")?;
-            let tile = reader.number("tile", u32_max)? as u32;
-            let tiles = reader.number("tiles", u32_max)? as u32;
-            if tile >= tiles {
-                return Err(wrong("a tile number is below the number of tiles"));
+            let chunk = reader.number("chunk", u32_max)? as u32;
+            let chunks = reader.number("chunks", u32_max)? as u32;
+            if chunk >= chunks {
+                return Err(wrong("a chunk number is below the number of chunks"));
             }
-            (ContentKind::Present { since, set, tile, tiles }, 0)
+            (ContentKind::Snapshot { since, set, chunk, chunks }, 0)
         } else {
-            let reference = read_back(&mut reader, index, "reference", "a reference is an earlier package")?;
-            if reference == 0 && kind == KIND_ALONE {
+            let base = read_back(&mut reader, index, "reference", "a reference is an earlier package")?;
+            if base == 0 && kind == KIND_INDEPENDENT {
                 return Err(wrong("who is to be merged after another names it"));
             }
-            (ContentKind::Changes, reference)
+            (ContentKind::Changes, base)
         };
         let checked = reader.offset();
         let check = reader.u32_le("check")?;
         let stream = Stream { origin, epoch };
-        let is_alone = reference == 0 || kind == KIND_ALONE;
+        let is_independent = base == 0 || kind == KIND_INDEPENDENT;
         let header = Self {
             stream,
             index,
-            cycle_start,
-            cycle_end,
-            reference,
-            is_alone,
+            batch_start,
+            batch_end,
+            base,
+            is_independent,
             resolution,
             region,
             codec,

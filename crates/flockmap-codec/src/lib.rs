@@ -13,24 +13,24 @@
 //! | `limits`, `codec`, `error` | bounds of a package, the codecs by number, what can be wrong |
 //! | `fields`, `work` | bytes as fields with errors that name them; the steps that a payload may ask for |
 //! | `priority`, `header`, `check`, `package` | the parts of a package, and the whole |
-//! | `source`, `reference` | what is encoded: a cycle or a span, and what it builds on |
+//! | `source`, `base` | what is encoded: a batch or a span, and what it builds on |
 //! | `piece`, `draft`, `deflate` | changes cut in two; what has no header yet; zlib |
 //! | `paper/` | two bits for each voxel along a Hilbert walk, then zlib; and what the paper compares with |
 //! | `flock/` | decisions of an arithmetic coder with trained contexts |
 //! | `encoder`, `decoder` | the way in and out: both codecs behind one face |
 //!
-//! `paper/` and `flock/` have the same shape: encode a cycle, decode a cycle, encode a snapshot (a present
-//! state), decode a chunk (a tile) of one. They know payloads and no headers.
+//! `paper/` and `flock/` have the same shape: encode a batch, decode a batch, encode a snapshot (a present
+//! state), decode a chunk (a chunk) of one. They know payloads and no headers.
 //!
 //! ```
-//! use flockmap_codec::{Codec, Content, Cycle, Encoder, PACKAGE_BYTES_MAX, Package};
+//! use flockmap_codec::{Codec, Content, Batch, Encoder, PACKAGE_BYTES_MAX, Package};
 //! use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 //!
 //! let changes = Changes::from_voxels([
 //!     (Voxel::new(3, -1, 0), State::Occupied),
 //!     (Voxel::new(2, -1, 0), State::Free),
 //! ]);
-//! let cycle = Cycle {
+//! let batch = Batch {
 //!     stream: Stream { origin: RobotId(7), epoch: 1 },
 //!     start: Stamp(0),
 //!     end: Stamp(500_000),
@@ -38,7 +38,7 @@
 //!     sensor: [0, 0, 16],
 //! };
 //! let mut encoder = Encoder::new();
-//! let packages = encoder.encode_cycle(Codec::Paper, &cycle, 1, &changes, PACKAGE_BYTES_MAX)?;
+//! let packages = encoder.encode_cycle(Codec::Paper, &batch, 1, &changes, PACKAGE_BYTES_MAX)?;
 //! assert_eq!(packages.len(), 1);
 //!
 //! let received = Package::parse(packages[0].bytes())?;
@@ -48,6 +48,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod base;
 mod check;
 mod codec;
 mod decoder;
@@ -63,7 +64,6 @@ mod package;
 mod paper;
 mod piece;
 mod priority;
-mod reference;
 mod source;
 mod work;
 
@@ -72,8 +72,9 @@ pub mod bytes;
 #[cfg(feature = "training")]
 pub use flock::training;
 
+pub use base::Base;
 pub use codec::{Codec, UnknownCodec};
-pub use decoder::{Decoder, TilesRead};
+pub use decoder::{ChunksRead, Decoder};
 pub use encoder::Encoder;
 pub use error::{EncodeError, PackageError};
 pub use header::{ContentKind, Header};
@@ -81,5 +82,4 @@ pub use limits::{BOX_VOXELS_MAX, FORMAT_VERSION, PACKAGE_BYTES_MAX, PACKAGE_BYTE
 pub use package::{Content, Package};
 pub use paper::hilbert_order;
 pub use priority::{FAR_METRES, Priority};
-pub use reference::Reference;
-pub use source::{Cycle, Span};
+pub use source::{Batch, Span};

@@ -5,7 +5,7 @@ use core::ops::Range;
 use std::sync::Arc;
 
 use crc32fast::Hasher;
-use flockmap_grid::{Changes, PresentState, Stream};
+use flockmap_grid::{Changes, Snapshot, Stream};
 
 use crate::bytes::{put_varint, varint_len};
 use crate::check;
@@ -23,10 +23,10 @@ pub struct Package {
 /// What a package says.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub enum Content {
-    /// What changed in one cycle; every voxel gets the stamp `cycle_end` of the header.
+    /// What changed in one batch; every voxel gets the stamp `batch_end` of the header.
     Changes(Changes),
-    /// A tile of the present state, each voxel with its own stamp.
-    Present(PresentState),
+    /// A chunk of the snapshot, each voxel with its own stamp.
+    Snapshot(Snapshot),
 }
 
 impl Package {

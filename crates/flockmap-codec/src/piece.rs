@@ -1,4 +1,4 @@
-//! Cutting changes, or a present state, in two.
+//! Cutting changes, or a snapshot, in two.
 
 use std::collections::BTreeMap;
 

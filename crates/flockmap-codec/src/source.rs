@@ -1,25 +1,25 @@
-//! What is encoded: the changes of a cycle, or the state of a span of packages.
+//! What is encoded: the changes of a batch, or the state of a span of packages.
 
 use flockmap_grid::{Resolution, Stamp, Stream};
 
-/// One cycle of mapping: all changes from `start` to `end`.
+/// One batch of mapping: all changes from `start` to `end`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Cycle {
+pub struct Batch {
     /// Whose observations these are.
     pub stream: Stream,
-    /// When the cycle began, on the origin's clock.
+    /// When the batch began, on the origin's clock.
     pub start: Stamp,
-    /// When it was closed: the stamp of every change in it. Cycles of a stream have strictly increasing ends.
+    /// When it was closed: the stamp of every change in it. Batches of a stream have strictly increasing ends.
     pub end: Stamp,
     /// Side of a voxel.
     pub resolution: Resolution,
-    /// Where the sensor was in the middle of the cycle, in sixteenths of a voxel from the corner of voxel (0,
+    /// Where the sensor was in the middle of the batch, in sixteenths of a voxel from the corner of voxel (0,
     /// 0, 0). Only [`Codec::Flock`](crate::Codec::Flock) makes use of it: whatever it is, the changes come
     /// out right, in fewer bytes the nearer it is.
     pub sensor: [i32; 3],
 }
 
-/// Which packages a present state contains.
+/// Which packages a snapshot contains.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Span {
     /// The stream.

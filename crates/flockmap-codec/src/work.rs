@@ -40,7 +40,7 @@ const VOXELS_PER_STEP: u64 = 32;
 /// A group of codes that tells of a voxel, and each byte of it that does.
 const GROUP_STEPS: u64 = 128;
 const CODE_BYTE_STEPS: u64 = 12;
-/// Where a tile has stamps: voxels of its box for one step, and steps for each known voxel.
+/// Where a chunk has stamps: voxels of its box for one step, and steps for each known voxel.
 const STAMPED_PER_STEP: u64 = 2;
 const STAMP_STEPS: u64 = 8;
 
@@ -74,7 +74,7 @@ pub(crate) const fn of_codes(groups: u64, bytes: u64) -> u64 {
     groups * GROUP_STEPS + bytes * CODE_BYTE_STEPS
 }
 
-/// Steps for the stamps of a tile, if there are any.
+/// Steps for the stamps of a chunk, if there are any.
 pub(crate) const fn of_stamps(voxels: u64, known: u64) -> u64 {
     voxels.div_ceil(STAMPED_PER_STEP) + known * STAMP_STEPS
 }

@@ -1,11 +1,11 @@
-//! Cycles of `flock` told against what the receiver holds: right in every order, from wherever they were seen, and never wrong.
+//! Batches of `flock` told against what the receiver holds: right in every order, from wherever they were seen, and never wrong.
 
 mod common;
 
-use common::{Random, changes, cycle};
+use common::{Random, batch, changes};
 use flockmap_codec::{
-    Codec, Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package, PackageError,
-    Reference,
+    Base, Batch, Codec, Content, Decoder, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package,
+    PackageError,
 };
 use flockmap_grid::{Changes, Layer, Stamp, State, Voxel};
 use proptest::prelude::*;
@@ -44,31 +44,31 @@ fn content(decoder: &mut Decoder, package: &Package, layer: &Layer) -> Result<Ch
     let received = Package::parse(package.bytes())?;
     match decoder.decode_against(&received, Some(layer))? {
         Content::Changes(changes) => Ok(changes),
-        Content::Present(_) => panic!("a package of changes"),
+        Content::Snapshot(_) => panic!("a package of changes"),
     }
 }
 
-/// Tells the cycles one after the other. The receiver takes the packages of each in any order, some of them twice.
+/// Tells the batches one after the other. The receiver takes the packages of each in any order, some of them twice.
 fn check(
-    cycles: &[Changes],
+    batches: &[Changes],
     sensors: &[[i32; 3]],
     bytes_max: usize,
     random: &mut Random,
 ) -> Result<(), TestCaseError> {
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
-    let (mut told, mut held) = (Layer::default(), Layer::default());
+    let (mut coded, mut held) = (Layer::default(), Layer::default());
     let mut ends: Vec<(Stamp, u32)> = Vec::new();
     let mut next_index = 1;
-    for (number, (seen, sensor)) in cycles.iter().zip(sensors.iter().cycle()).enumerate() {
-        let changes = net(seen, &told);
+    for (number, (seen, sensor)) in batches.iter().zip(sensors.iter().cycle()).enumerate() {
+        let changes = net(seen, &coded);
         if changes.is_empty() {
             continue;
         }
-        let end = Stamp(cycle().start.0 + 500_000 * number as i64);
-        let cycle = Cycle { start: end, end, sensor: *sensor, ..cycle() };
-        let reference = Reference { layer: Some(&told), cycles: &ends, readers: &[] };
+        let end = Stamp(batch().start.0 + 500_000 * number as i64);
+        let batch = Batch { start: end, end, sensor: *sensor, ..batch() };
+        let base = Base { layer: Some(&coded), batches: &ends, readers: &[] };
         let packages = encoder
-            .encode_cycle_against(Codec::Flock, &cycle, next_index, &changes, Some(&reference), bytes_max)
+            .encode_batch_against(Codec::Flock, &batch, next_index, &changes, Some(&base), bytes_max)
             .unwrap();
         next_index += packages.len() as u32;
         ends.push((end, next_index - 1));
@@ -78,19 +78,19 @@ fn check(
         let mut voxels = 0;
         for (at, package) in packages.iter().enumerate() {
             prop_assert!(package.bytes().len() <= bytes_max);
-            prop_assert!(package.header().reference < package.header().index - at as u32);
+            prop_assert!(package.header().base < package.header().index - at as u32);
         }
         for at in order {
             let part = content(&mut decoder, &packages[at], &held).unwrap();
             if let Some(sensor) = packages[at].sensor() {
-                prop_assert_eq!(sensor, cycle.sensor.map(|at| at & -4), "in quarters of a voxel");
+                prop_assert_eq!(sensor, batch.sensor.map(|at| at & -4), "in quarters of a voxel");
             }
             voxels += part.len();
             held.apply(&part, end);
         }
-        told.apply(&changes, end);
+        coded.apply(&changes, end);
         prop_assert!(voxels >= changes.len());
-        prop_assert_eq!(held.digest(), told.digest());
+        prop_assert_eq!(held.digest(), coded.digest());
     }
     Ok(())
 }
@@ -98,12 +98,12 @@ fn check(
 proptest! {
     #[test]
     fn any_changes_from_any_sensor_come_back_in_any_order(
-        cycles in prop::collection::vec(changes(), 1..4),
+        batches in prop::collection::vec(changes(), 1..4),
         sensors in prop::collection::vec(sensor(), 1..4),
         bytes_max in prop_oneof![Just(PACKAGE_BYTES_MAX), Just(PACKAGE_BYTES_MIN), 200..1_200usize],
         seed in any::<u64>(),
     ) {
-        check(&cycles, &sensors, bytes_max, &mut Random(seed))?;
+        check(&batches, &sensors, bytes_max, &mut Random(seed))?;
     }
 
     #[test]
@@ -116,9 +116,9 @@ proptest! {
         let mut random = Random(seed);
         let centres = (0..steps as i32).map(|step| direction.map(|along| along * step));
         let centres: Vec<[i32; 3]> = centres.collect();
-        let cycles: Vec<Changes> = centres.iter().map(|centre| seen(&mut random, *centre)).collect();
+        let batches: Vec<Changes> = centres.iter().map(|centre| seen(&mut random, *centre)).collect();
         let sensors: Vec<[i32; 3]> = centres.iter().map(|centre| centre.map(|at| 16 * at + 8)).collect();
-        check(&cycles, &sensors, bytes_max, &mut random)?;
+        check(&batches, &sensors, bytes_max, &mut random)?;
     }
 
     #[test]
@@ -128,10 +128,10 @@ proptest! {
         layer.apply(&seen(&mut random, [0, 0, 0]), Stamp(1));
         let changes = net(&seen(&mut random, [3, 1, 0]), &layer);
         let end = Stamp(2);
-        let cycle = Cycle { start: end, end, sensor: [56, 24, 8], ..cycle() };
-        let reference = Reference { layer: Some(&layer), cycles: &[(Stamp(1), 1)], readers: &[] };
+        let batch = Batch { start: end, end, sensor: [56, 24, 8], ..batch() };
+        let base = Base { layer: Some(&layer), batches: &[(Stamp(1), 1)], readers: &[] };
         let packages = Encoder::new()
-            .encode_cycle_against(Codec::Flock, &cycle, 2, &changes, Some(&reference), PACKAGE_BYTES_MAX)
+            .encode_batch_against(Codec::Flock, &batch, 2, &changes, Some(&base), PACKAGE_BYTES_MAX)
             .unwrap();
         let mut decoder = Decoder::new();
         for package in &packages {
@@ -151,29 +151,25 @@ proptest! {
     }
 }
 
-/// The state before the cycle counts, and nothing else of the layer.
+/// The state before the batch counts, and nothing else of the layer.
 #[test]
-fn another_state_before_the_cycle_is_no_reference() {
+fn another_state_before_the_batch_is_no_reference() {
     let mut random = Random(5);
     let (mut layer, mut other) = (Layer::default(), Layer::default());
     layer.apply(&seen(&mut random, [0, 0, 0]), Stamp(1));
     other.apply(&seen(&mut random, [0, 1, 0]), Stamp(1));
     let changes = net(&seen(&mut random, [4, 0, 0]), &layer);
-    let cycle = Cycle { start: Stamp(2), end: Stamp(2), sensor: [72, 8, 8], ..cycle() };
-    let reference = Reference { layer: Some(&layer), cycles: &[(Stamp(1), 1)], readers: &[] };
+    let batch = Batch { start: Stamp(2), end: Stamp(2), sensor: [72, 8, 8], ..batch() };
+    let base = Base { layer: Some(&layer), batches: &[(Stamp(1), 1)], readers: &[] };
     let [package] = Encoder::new()
-        .encode_cycle_against(Codec::Flock, &cycle, 2, &changes, Some(&reference), PACKAGE_BYTES_MAX)
+        .encode_batch_against(Codec::Flock, &batch, 2, &changes, Some(&base), PACKAGE_BYTES_MAX)
         .unwrap()
         .try_into()
         .unwrap();
     let mut decoder = Decoder::new();
     assert!(content(&mut decoder, &package, &other).is_err(), "the check finds it");
-    assert_eq!(
-        decoder.decode(&package),
-        Err(PackageError::ReferenceMissing { reference: 1 }),
-        "nothing held at all"
-    );
+    assert_eq!(decoder.decode(&package), Err(PackageError::BaseMissing { base: 1 }), "nothing held at all");
     layer.apply(&Changes::from_voxels([(Voxel::new(0, 0, 0), State::Occupied)]), Stamp(3));
-    let overtaken = content(&mut decoder, &package, &layer);
-    assert!(matches!(overtaken, Err(PackageError::Overtaken(_))), "{overtaken:?}");
+    let superseded = content(&mut decoder, &package, &layer);
+    assert!(matches!(superseded, Err(PackageError::BaseSuperseded(_))), "{superseded:?}");
 }

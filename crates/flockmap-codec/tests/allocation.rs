@@ -5,11 +5,11 @@ mod common;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use common::{cycle, forest_cycle, resolution, stream};
+use common::{batch, forest_batch, resolution, stream};
 use flockmap_codec::{
-    Codec, Content, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, PackageError, Reference, Span,
+    Base, Codec, Content, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, PackageError, Span,
 };
-use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel};
+use flockmap_grid::{Changes, Layer, Snapshot, Stamp, State, Voxel};
 
 /// Counts the bytes that are held, and the most that ever were.
 struct Counting;
@@ -61,9 +61,9 @@ fn with_box(package: &Package, size: [u32; 3]) -> Vec<u8> {
     varint(header.stream.epoch, &mut bytes);
     varint(header.index.into(), &mut bytes);
     let since_epoch =
-        header.cycle_end.0 - i64::from(flockmap_grid::seconds_of_epoch(header.stream.epoch)) * 1_000_000;
+        header.batch_end.0 - i64::from(flockmap_grid::seconds_of_epoch(header.stream.epoch)) * 1_000_000;
     varint((since_epoch as u64) << 1, &mut bytes);
-    varint(header.cycle_end.micros_since(header.cycle_start) as u64, &mut bytes);
+    varint(header.batch_end.micros_since(header.batch_start) as u64, &mut bytes);
     varint(u64::from(header.resolution.micrometres()) / 1_000 * 2, &mut bytes);
     bytes.extend([0, 0, 0]);
     for side in size {
@@ -86,11 +86,11 @@ fn memory_stays_within_the_stated_limits() {
     let noise = Changes::from_voxels(noise.collect::<Vec<_>>());
     let mut encoder = Encoder::new();
     // Tables of the walk are made once.
-    encoder.encode_whole(Codec::Paper, &cycle(), 1, &noise).unwrap();
+    encoder.encode_whole(Codec::Paper, &batch(), 1, &noise).unwrap();
 
     // A box that no package may have, one that the payload cannot fill, and one that it could.
     for codec in Codec::ALL {
-        let package = encoder.encode_whole(codec, &cycle(), 1, &noise).unwrap();
+        let package = encoder.encode_whole(codec, &batch(), 1, &noise).unwrap();
         for (size, limit) in [
             ([1 << 28, 1 << 28, 1 << 28], 20_000),
             ([1 << 9, 1 << 9, (1 << 9) + 1], 20_000),
@@ -118,68 +118,68 @@ fn memory_stays_within_the_stated_limits() {
     // A huge empty cube is far more than a small package may say.
     let cube = (0..160).flat_map(|x| (0..160).flat_map(move |y| (0..160).map(move |z| (x, y, z))));
     let cube = Changes::from_voxels(cube.map(|(x, y, z)| (Voxel::new(x, y, z), State::Free)));
-    assert_eq!(encoder.encode_whole(Codec::Paper, &cycle(), 1, &cube), Err(EncodeError::TooMuchWork));
+    assert_eq!(encoder.encode_whole(Codec::Paper, &batch(), 1, &cube), Err(EncodeError::TooMuchWork));
     let mut decoder = Decoder::new();
-    for package in encoder.encode_cycle(Codec::Paper, &cycle(), 1, &cube, PACKAGE_BYTES_MAX).unwrap() {
+    for package in encoder.encode_batch(Codec::Paper, &batch(), 1, &cube, PACKAGE_BYTES_MAX).unwrap() {
         let (peak, result) = peak_of(|| decoder.decode(&package));
         result.unwrap();
         assert!(peak < 2_000_000, "{peak}");
     }
 
-    // Tiles of many stamps, over and over with one decoder.
+    // Chunks of many stamps, over and over with one decoder.
     let mut parts: Vec<(Stamp, Vec<_>)> = (0..300).map(|n| (Stamp(n), Vec::new())).collect();
     for (n, entry) in noise.voxels().enumerate() {
         parts[n % 300].1.push(entry);
     }
     let parts = parts.into_iter().map(|(stamp, voxels)| (stamp, Changes::from_voxels(voxels)));
     let state =
-        PresentState { region: noise.bounding_box().unwrap(), parts: parts.collect(), sensors: Vec::new() };
-    let tiles = encoder.encode_present(Codec::Paper, stream(), 1, resolution(), &state, 1150).unwrap();
+        Snapshot { region: noise.bounding_box().unwrap(), parts: parts.collect(), sensors: Vec::new() };
+    let chunks = encoder.encode_snapshot(Codec::Paper, stream(), 1, resolution(), &state, 1150).unwrap();
     let mut decoder = Decoder::new();
-    for tile in &tiles {
-        let (peak, result) = peak_of(|| decoder.decode(tile));
+    for chunk in &chunks {
+        let (peak, result) = peak_of(|| decoder.decode(chunk));
         result.unwrap();
         assert!(peak < 24_000_000, "{peak}");
     }
 
     voxels_far_apart_take_no_memory_between_them();
     flock_holds_what_it_says_and_no_more_the_second_time();
-    a_present_state_takes_few_bytes_for_each_known_voxel();
+    a_snapshot_takes_few_bytes_for_each_known_voxel();
 }
 
-/// A layer of some 300,000 voxels whose blocks were each told of by a hundred cycles or more: a wall of noise that thickens.
+/// A layer of some 300,000 voxels whose blocks were each told of by a hundred batches or more: a wall of noise that thickens.
 fn layer_of_many_stamps() -> Layer {
     let mut layer = Layer::default();
     let mut random = common::Random(7);
-    for cycle in 0..200i64 {
-        let near = (cycle / 4) as i32;
+    for batch in 0..200i64 {
+        let near = (batch / 4) as i32;
         let voxels = (0..5_000).map(|_| {
             let mut place = |side: i32| (random.next() % side as u64) as i32;
             let at = Voxel::new(near + place(60), place(64), place(64));
             (at, if place(30) == 0 { State::Occupied } else { State::Free })
         });
-        layer.apply(&Changes::from_voxels(voxels), Stamp(cycle * 500_000));
+        layer.apply(&Changes::from_voxels(voxels), Stamp(batch * 500_000));
     }
     layer
 }
 
-fn a_present_state_takes_few_bytes_for_each_known_voxel() {
+fn a_snapshot_takes_few_bytes_for_each_known_voxel() {
     let layer = layer_of_many_stamps();
     let voxels = layer.len();
     assert!(voxels > 200_000, "{voxels}");
     for codec in [Codec::Flock, Codec::Paper] {
         let mut encoder = Encoder::new();
         for newer_than in [None, Some(Stamp(60_000_000))] {
-            let (peak, tiles) = peak_of(|| {
-                let state = layer.present_voxels(newer_than).unwrap();
+            let (peak, chunks) = peak_of(|| {
+                let state = layer.snapshot_voxels(newer_than).unwrap();
                 let span = Span { stream: stream(), since: u32::from(newer_than.is_some()), upto: 9 };
                 encoder.encode_span(codec, span, resolution(), &state, PACKAGE_BYTES_MAX).unwrap()
             });
-            let bytes: usize = tiles.iter().map(|tile| tile.bytes().len()).sum();
+            let bytes: usize = chunks.iter().map(|chunk| chunk.bytes().len()).sum();
             println!(
-                "{codec} {newer_than:?}: {peak} bytes for {voxels} voxels in {} blocks, {} tiles of {bytes} bytes",
+                "{codec} {newer_than:?}: {peak} bytes for {voxels} voxels in {} blocks, {} chunks of {bytes} bytes",
                 layer.block_count(),
-                tiles.len()
+                chunks.len()
             );
             // The encoder's own memory comes on top: 15 MB for the cut in space.
             let own = if codec == Codec::Flock { 1_000_000 } else { 15_000_000 };
@@ -193,12 +193,12 @@ fn voxels_far_apart_take_no_memory_between_them() {
     let voxels = [[-end; 3], [end, 0, 0], [0, end, end]].map(|[x, y, z]| (Voxel::new(x, y, z), State::Free));
     let changes = Changes::from_voxels(voxels);
     let region = changes.bounding_box().unwrap();
-    let state = PresentState { region, parts: vec![(Stamp(5), changes.clone())], sensors: Vec::new() };
+    let state = Snapshot { region, parts: vec![(Stamp(5), changes.clone())], sensors: Vec::new() };
     for codec in Codec::ALL {
         let mut encoder = Encoder::new();
         let (peak, _) = peak_of(|| {
-            encoder.encode_cycle(codec, &cycle(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
-            encoder.encode_present(codec, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX).unwrap();
+            encoder.encode_batch(codec, &batch(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
+            encoder.encode_snapshot(codec, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX).unwrap();
         });
         // The tables of `flock` are unpacked once in a process: 1.4 MB.
         assert!(peak < 2_000_000, "{codec}: {peak}");
@@ -206,18 +206,18 @@ fn voxels_far_apart_take_no_memory_between_them() {
 }
 
 fn flock_holds_what_it_says_and_no_more_the_second_time() {
-    // A fifth of the voxels of a cycle was known before, so that every block was.
+    // A fifth of the voxels of a batch was known before, so that every block was.
     let (first, second): (Vec<_>, Vec<_>) =
-        forest_cycle().voxels().partition(|(voxel, _)| (voxel.x + 2 * voxel.y).rem_euclid(5) == 0);
+        forest_batch().voxels().partition(|(voxel, _)| (voxel.x + 2 * voxel.y).rem_euclid(5) == 0);
     let mut layer = Layer::default();
-    layer.apply(&Changes::from_voxels(first), cycle().start);
+    layer.apply(&Changes::from_voxels(first), batch().start);
     let changes = Changes::from_voxels(second);
-    let reference = Reference { layer: Some(&layer), cycles: &[], readers: &[] };
+    let base = Base { layer: Some(&layer), batches: &[], readers: &[] };
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     let mut encode = || {
-        let against = Some(&reference);
+        let against = Some(&base);
         encoder
-            .encode_cycle_against(Codec::Flock, &cycle(), 100, &changes, against, PACKAGE_BYTES_MAX)
+            .encode_batch_against(Codec::Flock, &batch(), 100, &changes, against, PACKAGE_BYTES_MAX)
             .unwrap()
     };
     // The shipped tables are unpacked once in a process.

@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{Random, changes, cycle, resolution, stream};
+use common::{Random, batch, changes, resolution, stream};
 use flockmap_codec::{Codec, Content, Decoder, Encoder, FORMAT_VERSION, Package};
-use flockmap_grid::{Changes, PresentState, Stamp, State, Voxel};
+use flockmap_grid::{Changes, Snapshot, Stamp, State, Voxel};
 use proptest::prelude::*;
 
 /// Packages of every codec and kind around a few hundred bytes.
@@ -21,7 +21,7 @@ fn samples() -> Vec<Package> {
     let (first, second) = (group(-20, 150), group(-6, 100));
     let blocks = first.blocks().iter().chain(second.blocks()).copied().collect();
     let region = Changes::from_blocks(blocks).bounding_box().unwrap();
-    let state = PresentState {
+    let state = Snapshot {
         region,
         parts: vec![(Stamp(-5), first.clone()), (Stamp(1_000_000), second)],
         sensors: Vec::new(),
@@ -29,8 +29,8 @@ fn samples() -> Vec<Package> {
     let mut encoder = Encoder::new();
     let mut packages = Vec::new();
     for codec in Codec::ALL {
-        packages.push(encoder.encode_whole(codec, &cycle(), 300, &first).unwrap());
-        packages.extend(encoder.encode_present(codec, stream(), 7, resolution(), &state, 1150).unwrap());
+        packages.push(encoder.encode_whole(codec, &batch(), 300, &first).unwrap());
+        packages.extend(encoder.encode_snapshot(codec, stream(), 7, resolution(), &state, 1150).unwrap());
     }
     packages
 }
@@ -126,7 +126,7 @@ proptest! {
         changes in changes(), codec in 0..4u8, flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
     ) {
         let codec = Codec::from_id(codec).unwrap();
-        let packages = Encoder::new().encode_cycle(codec, &cycle(), 1, &changes, 1150).unwrap();
+        let packages = Encoder::new().encode_batch(codec, &batch(), 1, &changes, 1150).unwrap();
         let package = &packages[0];
         let mut bytes = package.bytes().to_vec();
         for (at, value) in flips {

@@ -6,11 +6,11 @@ mod fuzz;
 
 use std::path::{Path, PathBuf};
 
-use flockmap_codec::{Codec, Cycle, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package, Reference};
+use flockmap_codec::{Base, Batch, Codec, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package};
 use flockmap_grid::{
-    Changes, PresentState, Resolution, RobotId, Stamp, State, Stream, VOXEL_LIMIT, Voxel, VoxelBox,
+    Changes, Resolution, RobotId, Snapshot, Stamp, State, Stream, VOXEL_LIMIT, Voxel, VoxelBox,
 };
-use fuzz::{Fuzz, Random, decode, round_trip, tiles};
+use fuzz::{Fuzz, Random, chunks, decode, round_trip};
 
 fn folder(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(target)
@@ -40,8 +40,8 @@ fn the_corpus_of_the_decoder_does_no_harm() {
 }
 
 #[test]
-fn the_corpus_of_tiles_does_no_harm() {
-    replay("tiles", honest_tiles, tiles::run);
+fn the_corpus_of_chunks_does_no_harm() {
+    replay("chunks", honest_chunks, chunks::run);
 }
 
 #[test]
@@ -53,7 +53,7 @@ fn the_corpus_of_flights_comes_back() {
 #[test]
 fn damaged_payloads_say_nothing_impossible() {
     damage(&honest_packages(), 40, decode::run);
-    damage(&honest_tiles(), 100, tiles::run);
+    damage(&honest_chunks(), 100, chunks::run);
 }
 
 fn damage(inputs: &[(String, Vec<u8>)], times: usize, run: impl Fn(&mut Fuzz, &[u8])) {
@@ -86,8 +86,8 @@ fn bless(target: &str, inputs: Vec<(String, Vec<u8>)>) {
     }
 }
 
-fn cycle() -> Cycle {
-    Cycle {
+fn batch() -> Batch {
+    Batch {
         stream: Stream { origin: RobotId(3), epoch: 2 },
         start: Stamp(1_000_000),
         end: Stamp(1_500_000),
@@ -119,7 +119,7 @@ fn contents() -> [(&'static str, Changes); 4] {
 
 /// Packages of every codec and kind, each behind the byte that chooses its layer.
 fn honest_packages() -> Vec<(String, Vec<u8>)> {
-    let (cycle, mut encoder) = (cycle(), Encoder::new());
+    let (batch, mut encoder) = (batch(), Encoder::new());
     let mut all = Vec::new();
     let mut add = |name: String, seed: u8, package: &Package| {
         all.push((name, [&[seed], package.bytes()].concat()));
@@ -127,26 +127,26 @@ fn honest_packages() -> Vec<(String, Vec<u8>)> {
     for codec in Codec::ALL {
         for (name, changes) in contents() {
             let name = format!("{codec}-{name}");
-            add(name.clone(), 0, &encoder.encode_whole(codec, &cycle, 7, &changes).unwrap());
-            let pieces = encoder.encode_cycle(codec, &cycle, 300, &changes, PACKAGE_BYTES_MIN).unwrap();
+            add(name.clone(), 0, &encoder.encode_whole(codec, &batch, 7, &changes).unwrap());
+            let pieces = encoder.encode_batch(codec, &batch, 300, &changes, PACKAGE_BYTES_MIN).unwrap();
             add(format!("{name}-piece"), 0, &pieces[pieces.len() - 1]);
             for stamps in [1, 3] {
-                let state = present_state(&changes, stamps);
-                let tiles = encoder
-                    .encode_present(codec, cycle.stream, 9, cycle.resolution, &state, PACKAGE_BYTES_MAX)
+                let state = snapshot(&changes, stamps);
+                let chunks = encoder
+                    .encode_snapshot(codec, batch.stream, 9, batch.resolution, &state, PACKAGE_BYTES_MAX)
                     .unwrap();
-                add(format!("{name}-present-{stamps}"), 0, &tiles[0]);
+                add(format!("{name}-present-{stamps}"), 0, &chunks[0]);
             }
         }
     }
     for (name, changes) in contents() {
         for seed in [1, 6, 23, 64, 117] {
             // The layer goes by the box of the package, which is that of a package told alone.
-            let alone = encoder.encode_whole(Codec::Flock, &cycle, 7, &changes).unwrap();
-            let layer = decode::layer_beside(&alone.header().region, cycle.end, seed);
-            let reference = Reference { layer: layer.as_ref(), cycles: &[(Stamp(0), 3)], readers: &[] };
+            let alone = encoder.encode_whole(Codec::Flock, &batch, 7, &changes).unwrap();
+            let layer = decode::layer_beside(&alone.header().region, batch.end, seed);
+            let base = Base { layer: layer.as_ref(), batches: &[(Stamp(0), 3)], readers: &[] };
             let packages = encoder
-                .encode_cycle_against(Codec::Flock, &cycle, 7, &changes, Some(&reference), PACKAGE_BYTES_MAX)
+                .encode_batch_against(Codec::Flock, &batch, 7, &changes, Some(&base), PACKAGE_BYTES_MAX)
                 .unwrap();
             add(format!("flock-{name}-against-{seed}"), seed, &packages[0]);
         }
@@ -154,27 +154,27 @@ fn honest_packages() -> Vec<(String, Vec<u8>)> {
     all
 }
 
-/// Present states in small tiles, one after the other, each behind its length.
-fn honest_tiles() -> Vec<(String, Vec<u8>)> {
-    let (cycle, mut encoder) = (cycle(), Encoder::new());
+/// Snapshots in small chunks, one after the other, each behind its length.
+fn honest_chunks() -> Vec<(String, Vec<u8>)> {
+    let (batch, mut encoder) = (batch(), Encoder::new());
     let mut all = Vec::new();
     for (name, changes) in contents() {
         for stamps in [1, 3, 20] {
-            let mut state = present_state(&changes, stamps);
-            state.sensors = state.parts.iter().map(|part| (part.0, cycle.sensor)).collect();
-            let tiles = encoder
-                .encode_present(
+            let mut state = snapshot(&changes, stamps);
+            state.sensors = state.parts.iter().map(|part| (part.0, batch.sensor)).collect();
+            let chunks = encoder
+                .encode_snapshot(
                     Codec::Flock,
-                    cycle.stream,
+                    batch.stream,
                     9,
-                    cycle.resolution,
+                    batch.resolution,
                     &state,
                     3 * PACKAGE_BYTES_MIN,
                 )
                 .unwrap();
-            let bytes = tiles.iter().flat_map(|tile| {
-                let length = tile.bytes().len() as u16;
-                length.to_le_bytes().into_iter().chain(tile.bytes().iter().copied())
+            let bytes = chunks.iter().flat_map(|chunk| {
+                let length = chunk.bytes().len() as u16;
+                length.to_le_bytes().into_iter().chain(chunk.bytes().iter().copied())
             });
             all.push((format!("{name}-{stamps}"), bytes.collect()));
         }
@@ -182,13 +182,13 @@ fn honest_tiles() -> Vec<(String, Vec<u8>)> {
     all
 }
 
-fn present_state(changes: &Changes, stamps: i64) -> PresentState {
+fn snapshot(changes: &Changes, stamps: i64) -> Snapshot {
     let part = |number: i64| {
         let voxels = changes.voxels().filter(|(voxel, _)| i64::from(voxel.x).rem_euclid(stamps) == number);
         (Stamp(500_000 * number), Changes::from_voxels(voxels))
     };
     let parts: Vec<_> = (0..stamps).map(part).filter(|(_, part)| !part.is_empty()).collect();
-    PresentState { region: changes.bounding_box().unwrap(), parts, sensors: Vec::new() }
+    Snapshot { region: changes.bounding_box().unwrap(), parts, sensors: Vec::new() }
 }
 
 /// Flights of any kind, from short to long.

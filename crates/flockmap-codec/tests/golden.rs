@@ -7,11 +7,11 @@
 
 mod common;
 
-use common::{cycle, resolution, stream};
+use common::{batch, resolution, stream};
 use flockmap_codec::{
-    Codec, Content, Decoder, Encoder, FORMAT_VERSION, Package, PackageError, Reference, hilbert_order,
+    Base, Codec, Content, Decoder, Encoder, FORMAT_VERSION, Package, PackageError, hilbert_order,
 };
-use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel};
+use flockmap_grid::{Changes, Layer, Snapshot, Stamp, State, Voxel};
 
 /// The layout that [`FORMAT_VERSION`] stands for: CRC-32 over the golden packages that zlib has no part in.
 /// If this changes, the version must change.
@@ -39,7 +39,7 @@ fn room(ys: core::ops::Range<i32>) -> Changes {
     }))
 }
 
-fn golden_state(codec: Codec, stamps: i64) -> PresentState {
+fn golden_state(codec: Codec, stamps: i64) -> Snapshot {
     let changes = golden_changes(codec);
     let part = |n: i64| {
         let of = |v: &Voxel| match codec {
@@ -51,7 +51,7 @@ fn golden_state(codec: Codec, stamps: i64) -> PresentState {
     let blocks = changes.bounding_box().unwrap().blocks().map(|block| block.voxel_box());
     let region = blocks.reduce(|all, block| all.union(&block)).unwrap();
     let sensors = (0..stamps).map(|n| (part(n).0, [16 * n as i32 - 100, -3_000, 16_500])).collect();
-    PresentState { region, parts: (0..stamps).map(part).collect(), sensors }
+    Snapshot { region, parts: (0..stamps).map(part).collect(), sensors }
 }
 
 /// A package with what it has to say.
@@ -71,45 +71,46 @@ fn golden() -> Vec<Golden> {
     for codec in Codec::ALL {
         let same_bytes = matches!(codec, Codec::Raw | Codec::Racer | Codec::Flock);
         let changes = golden_changes(codec);
-        let package = encoder.encode_whole(codec, &cycle(), 70_000, &changes).unwrap();
+        let package = encoder.encode_whole(codec, &batch(), 70_000, &changes).unwrap();
         let (name, content) = (format!("changes-{codec}"), Content::Changes(changes.clone()));
         all.push(Golden { name, package, content, layer: None, same_bytes });
         for stamps in [1, 3] {
             let state = golden_state(codec, stamps);
-            let tiles = encoder.encode_present(codec, stream(), 70_000, resolution(), &state, 1150).unwrap();
-            let [package] = tiles.try_into().unwrap();
+            let chunks =
+                encoder.encode_snapshot(codec, stream(), 70_000, resolution(), &state, 1150).unwrap();
+            let [package] = chunks.try_into().unwrap();
             assert_eq!(package.header().codec, codec);
             let content = if codec == Codec::Flock {
                 state
             } else {
-                PresentState { region: changes.bounding_box().unwrap(), sensors: Vec::new(), ..state }
+                Snapshot { region: changes.bounding_box().unwrap(), sensors: Vec::new(), ..state }
             };
-            let (name, content) = (format!("present-{stamps}-{codec}"), Content::Present(content));
+            let (name, content) = (format!("present-{stamps}-{codec}"), Content::Snapshot(content));
             let same_bytes = same_bytes && (stamps == 1 || codec == Codec::Flock);
             all.push(Golden { name, package, content, layer: None, same_bytes });
         }
     }
-    let package = encoder.encode_whole(Codec::Flock, &cycle(), 70_000, &golden_changes(Codec::Raw)).unwrap();
+    let package = encoder.encode_whole(Codec::Flock, &batch(), 70_000, &golden_changes(Codec::Raw)).unwrap();
     let content = Content::Changes(golden_changes(Codec::Raw));
     all.push(Golden { name: "noise-flock".into(), package, content, layer: None, same_bytes: true });
     all.push(against());
     all
 }
 
-/// The next cycle: more of the room, and a part of the wall that is gone.
+/// The next batch: more of the room, and a part of the wall that is gone.
 fn against() -> Golden {
-    let before = Stamp(cycle().end.0 - 1);
+    let before = Stamp(batch().end.0 - 1);
     let mut layer = Layer::default();
     let known = room(0..6);
     layer.apply(&known, before);
     let gone = known.voxels().filter(|(v, _)| v.x == 15 && v.z > 1_005).map(|(v, _)| (v, State::Free));
     let changes = Changes::from_voxels(room(6..12).voxels().chain(gone));
-    let reference = Reference { layer: Some(&layer), cycles: &[(before, 69_000)], readers: &[] };
+    let base = Base { layer: Some(&layer), batches: &[(before, 69_000)], readers: &[] };
     let packages = Encoder::new()
-        .encode_cycle_against(Codec::Flock, &cycle(), 70_000, &changes, Some(&reference), 1150)
+        .encode_batch_against(Codec::Flock, &batch(), 70_000, &changes, Some(&base), 1150)
         .unwrap();
     let [package] = packages.try_into().unwrap();
-    assert_eq!((package.header().reference, package.header().is_alone), (69_000, false));
+    assert_eq!((package.header().base, package.header().is_independent), (69_000, false));
     let content = Content::Changes(changes);
     Golden { name: "changes-against-flock".into(), package, content, layer: Some(layer), same_bytes: true }
 }

@@ -2,12 +2,12 @@
 
 mod common;
 
-use common::{changes, cycle, forest_cycle, resolution, stream};
+use common::{batch, changes, forest_batch, resolution, stream};
 use flockmap_codec::{
-    Codec, Content, ContentKind, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN,
-    Package, PackageError, Reference, TilesRead,
+    Base, ChunksRead, Codec, Content, ContentKind, Decoder, EncodeError, Encoder, PACKAGE_BYTES_MAX,
+    PACKAGE_BYTES_MIN, Package, PackageError,
 };
-use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, VOXEL_LIMIT, Voxel, VoxelBox};
+use flockmap_grid::{Changes, Layer, Snapshot, Stamp, State, VOXEL_LIMIT, Voxel, VoxelBox};
 use proptest::prelude::*;
 
 fn decode_changes(decoder: &mut Decoder, package: &Package) -> Changes {
@@ -50,22 +50,22 @@ fn join(decoder: &mut Decoder, packages: &[Package], bytes_max: usize) -> Change
     joined
 }
 
-/// The parts of all tiles, put together.
-fn join_tiles(packages: &[Package], bytes_max: usize) -> Vec<(Stamp, Changes)> {
-    let (mut decoder, mut before) = (Decoder::new(), TilesRead::default());
+/// The parts of all chunks, put together.
+fn join_chunks(packages: &[Package], bytes_max: usize) -> Vec<(Stamp, Changes)> {
+    let (mut decoder, mut before) = (Decoder::new(), ChunksRead::default());
     let mut parts = std::collections::BTreeMap::<Stamp, Vec<_>>::new();
     let mut voxels = 0;
     for (number, package) in (0..).zip(packages) {
         assert!(package.bytes().len() <= bytes_max, "{package:?}");
         let received = Package::parse(package.bytes()).unwrap();
-        let ContentKind::Present { tile, tiles, .. } = received.header().content else {
+        let ContentKind::Snapshot { chunk, chunks, .. } = received.header().content else {
             panic!("{received:?}")
         };
-        assert_eq!((tile, tiles as usize), (number, packages.len()));
+        assert_eq!((chunk, chunks as usize), (number, packages.len()));
         let state = if received.header().codec == Codec::Flock {
-            decoder.decode_tile(&received, &mut before).unwrap()
+            decoder.decode_chunk(&received, &mut before).unwrap()
         } else {
-            let Content::Present(state) = decoder.decode(&received).unwrap() else { panic!("{received:?}") };
+            let Content::Snapshot(state) = decoder.decode(&received).unwrap() else { panic!("{received:?}") };
             state
         };
         assert_eq!(state.region, received.header().region);
@@ -76,12 +76,12 @@ fn join_tiles(packages: &[Package], bytes_max: usize) -> Vec<(Stamp, Changes)> {
     }
     let parts: Vec<_> =
         parts.into_iter().map(|(stamp, blocks)| (stamp, Changes::from_blocks(blocks))).collect();
-    assert_eq!(parts.iter().map(|part| part.1.len()).sum::<usize>(), voxels, "two tiles share a voxel");
+    assert_eq!(parts.iter().map(|part| part.1.len()).sum::<usize>(), voxels, "two chunks share a voxel");
     parts
 }
 
-/// A present state with the voxels of `changes` spread over some stamps.
-fn present(changes: &Changes, stamps: u64, seed: u64) -> PresentState {
+/// A snapshot with the voxels of `changes` spread over some stamps.
+fn snapshot(changes: &Changes, stamps: u64, seed: u64) -> Snapshot {
     let mut random = common::Random(seed);
     let mut parts = std::collections::BTreeMap::<Stamp, Vec<_>>::new();
     for entry in changes.voxels() {
@@ -90,7 +90,7 @@ fn present(changes: &Changes, stamps: u64, seed: u64) -> PresentState {
         parts.entry(Stamp(-7 + group as i64 * 500_000)).or_default().push(entry);
     }
     let parts = parts.into_iter().map(|(stamp, voxels)| (stamp, Changes::from_voxels(voxels)));
-    PresentState { region: changes.bounding_box().unwrap(), parts: parts.collect(), sensors: Vec::new() }
+    Snapshot { region: changes.bounding_box().unwrap(), parts: parts.collect(), sensors: Vec::new() }
 }
 
 proptest! {
@@ -102,9 +102,9 @@ proptest! {
         // A first large box, so that memory is used again for a smaller one.
         let first = Changes::from_voxels([(Voxel::new(0, 0, 0), State::Free), (Voxel::new(30, 9, 9), State::Free)]);
         for codec in Codec::ALL {
-            let whole = encoder.encode_whole(codec, &cycle(), 1, &first).unwrap();
+            let whole = encoder.encode_whole(codec, &batch(), 1, &first).unwrap();
             prop_assert_eq!(&decode_changes(&mut decoder, &whole), &first);
-            match encoder.encode_whole(codec, &cycle(), 9, &changes) {
+            match encoder.encode_whole(codec, &batch(), 9, &changes) {
                 Ok(whole) => prop_assert_eq!(&decode_changes(&mut decoder, &whole), &changes),
                 Err(EncodeError::BoxTooLarge { .. }) => {}
                 Err(other) => panic!("{other}"),
@@ -118,7 +118,7 @@ proptest! {
     ) {
         let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
         for codec in Codec::ALL {
-            let packages = encoder.encode_cycle(codec, &cycle(), first_index, &changes, bytes_max).unwrap();
+            let packages = encoder.encode_batch(codec, &batch(), first_index, &changes, bytes_max).unwrap();
             prop_assert_eq!(&join(&mut decoder, &packages, bytes_max), &changes);
             for (index, package) in (first_index..=u32::MAX).zip(&packages) {
                 prop_assert_eq!(package.header().index, index);
@@ -127,14 +127,14 @@ proptest! {
     }
 
     #[test]
-    fn tiles_fit_and_add_up_to_the_present_state(
+    fn chunks_fit_and_add_up_to_the_snapshot(
         changes in changes(), stamps in 1..600u64, seed: u64, bytes_max in 600..1200usize,
     ) {
-        let state = present(&changes, stamps, seed);
+        let state = snapshot(&changes, stamps, seed);
         let mut encoder = Encoder::new();
         for codec in Codec::ALL {
-            let tiles = encoder.encode_present(codec, stream(), 12, resolution(), &state, bytes_max).unwrap();
-            prop_assert_eq!(&join_tiles(&tiles, bytes_max), &state.parts);
+            let chunks = encoder.encode_snapshot(codec, stream(), 12, resolution(), &state, bytes_max).unwrap();
+            prop_assert_eq!(&join_chunks(&chunks, bytes_max), &state.parts);
         }
     }
 }
@@ -148,10 +148,10 @@ fn two_voxels_at_opposite_ends_of_the_grid_go_in_two_packages() {
     ]);
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     for codec in Codec::ALL {
-        let packages = encoder.encode_cycle(codec, &cycle(), 1, &changes, PACKAGE_BYTES_MIN).unwrap();
+        let packages = encoder.encode_batch(codec, &batch(), 1, &changes, PACKAGE_BYTES_MIN).unwrap();
         assert_eq!(packages.len(), 2);
         assert_eq!(join(&mut decoder, &packages, PACKAGE_BYTES_MIN), changes);
-        let whole = encoder.encode_whole(codec, &cycle(), 1, &changes);
+        let whole = encoder.encode_whole(codec, &batch(), 1, &changes);
         assert!(matches!(whole, Err(EncodeError::BoxTooLarge { .. })), "{whole:?}");
     }
 }
@@ -166,15 +166,15 @@ fn two_voxels_with_much_empty_space_between_them_go_in_two_packages() {
         ])
     };
     let (mut encoder, changes) = (Encoder::new(), apart(420));
-    let packages = encoder.encode_cycle(Codec::Paper, &cycle(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
+    let packages = encoder.encode_batch(Codec::Paper, &batch(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
     assert_eq!(packages.len(), 2);
     assert_eq!(join(&mut Decoder::new(), &packages, PACKAGE_BYTES_MAX), changes);
-    let state = present(&apart(60), 1, 1);
-    let tiles = encoder.encode_present(Codec::Raw, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX);
-    assert_eq!(join_tiles(&tiles.unwrap(), PACKAGE_BYTES_MAX), state.parts);
+    let state = snapshot(&apart(60), 1, 1);
+    let chunks = encoder.encode_snapshot(Codec::Raw, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX);
+    assert_eq!(join_chunks(&chunks.unwrap(), PACKAGE_BYTES_MAX), state.parts);
 }
 
-/// Not so in net changes. But whoever lost a cycle, or starts again with the layer of before, may tell what was told.
+/// Not so in net changes. But whoever lost a batch, or starts again with the layer of before, may tell what was told.
 #[test]
 fn a_voxel_that_is_told_again_what_it_is_goes_in_a_package_told_alone() {
     let wall = |ys: core::ops::Range<i32>, state| {
@@ -182,25 +182,25 @@ fn a_voxel_that_is_told_again_what_it_is_goes_in_a_package_told_alone() {
     };
     let mut layer = Layer::default();
     layer.apply(&Changes::from_voxels(wall(0..20, State::Free)), Stamp(1));
-    let cycles = [(Stamp(1), 1)];
-    let reference = Reference { layer: Some(&layer), cycles: &cycles, readers: &[] };
-    let tell = |changes: &Changes| {
-        let packages = Encoder::new().encode_cycle_against(
+    let batches = [(Stamp(1), 1)];
+    let base = Base { layer: Some(&layer), batches: &batches, readers: &[] };
+    let note = |changes: &Changes| {
+        let packages = Encoder::new().encode_batch_against(
             Codec::Flock,
-            &cycle(),
+            &batch(),
             2,
             changes,
-            Some(&reference),
+            Some(&base),
             PACKAGE_BYTES_MAX,
         );
         let [package] = packages.unwrap().try_into().unwrap();
         let content = Decoder::new().decode_against(&package, Some(&layer));
         assert_eq!(content, Ok(Content::Changes(changes.clone())));
-        package.header().is_alone
+        package.header().is_independent
     };
-    assert!(!tell(&Changes::from_voxels(wall(0..20, State::Occupied))));
-    assert!(tell(&Changes::from_voxels(wall(0..21, State::Free))));
-    assert!(tell(&Changes::from_voxels(wall(0..19, State::Occupied).chain(wall(19..20, State::Free)))));
+    assert!(!note(&Changes::from_voxels(wall(0..20, State::Occupied))));
+    assert!(note(&Changes::from_voxels(wall(0..21, State::Free))));
+    assert!(note(&Changes::from_voxels(wall(0..19, State::Occupied).chain(wall(19..20, State::Free)))));
 }
 
 #[test]
@@ -208,26 +208,26 @@ fn voxels_outside_of_the_grid_and_wrong_wishes_are_refused() {
     let mut encoder = Encoder::new();
     let outside = Changes::from_voxels([(Voxel::new(i32::MAX - 8, 0, 0), State::Free)]);
     let one = Changes::from_voxels([(Voxel::new(0, 0, 0), State::Free)]);
-    let backwards = flockmap_codec::Cycle { end: Stamp(0), ..cycle() };
+    let backwards = flockmap_codec::Batch { end: Stamp(0), ..batch() };
     for codec in Codec::ALL {
-        let mut whole = |cycle: &flockmap_codec::Cycle, index, changes: &Changes| {
-            encoder.encode_whole(codec, cycle, index, changes).unwrap_err()
+        let mut whole = |batch: &flockmap_codec::Batch, index, changes: &Changes| {
+            encoder.encode_whole(codec, batch, index, changes).unwrap_err()
         };
-        assert_eq!(whole(&cycle(), 1, &outside), EncodeError::OutsideGrid);
-        assert_eq!(whole(&cycle(), 1, &Changes::default()), EncodeError::Empty);
-        assert_eq!(whole(&cycle(), 0, &one), EncodeError::IndexOutOfRange { first: 0, count: 1 });
-        assert_eq!(whole(&backwards, 1, &one), EncodeError::CycleEndsBeforeStart);
-        assert_eq!(encoder.encode_cycle(codec, &cycle(), 1, &Changes::default(), 1150), Ok(Vec::new()));
-        let small = encoder.encode_cycle(codec, &cycle(), 1, &one, PACKAGE_BYTES_MIN - 1).unwrap_err();
+        assert_eq!(whole(&batch(), 1, &outside), EncodeError::OutsideGrid);
+        assert_eq!(whole(&batch(), 1, &Changes::default()), EncodeError::Empty);
+        assert_eq!(whole(&batch(), 0, &one), EncodeError::IndexOutOfRange { first: 0, count: 1 });
+        assert_eq!(whole(&backwards, 1, &one), EncodeError::BatchEndsBeforeStart);
+        assert_eq!(encoder.encode_batch(codec, &batch(), 1, &Changes::default(), 1150), Ok(Vec::new()));
+        let small = encoder.encode_batch(codec, &batch(), 1, &one, PACKAGE_BYTES_MIN - 1).unwrap_err();
         assert_eq!(small, EncodeError::BytesMaxTooSmall { bytes_max: PACKAGE_BYTES_MIN - 1 });
-        assert_eq!(encoder.encode_cycle(codec, &cycle(), u32::MAX, &one, 1150).unwrap().len(), 1);
+        assert_eq!(encoder.encode_batch(codec, &batch(), u32::MAX, &one, 1150).unwrap().len(), 1);
     }
 }
 
 #[test]
 fn the_longest_header_and_stamps_still_fit_into_the_smallest_package() {
     let far = 1 << 28;
-    let cycle = flockmap_codec::Cycle {
+    let batch = flockmap_codec::Batch {
         stream: flockmap_grid::Stream { origin: flockmap_grid::RobotId(u16::MAX), epoch: u64::MAX },
         start: Stamp(i64::MIN),
         end: Stamp(i64::MAX),
@@ -236,82 +236,82 @@ fn the_longest_header_and_stamps_still_fit_into_the_smallest_package() {
     };
     let voxels = [(Voxel::new(-far, -far, -far), State::Occupied), (Voxel::new(far, far, far), State::Free)];
     let part = |n: usize| Changes::from_voxels([voxels[n]]);
-    let state = PresentState {
+    let state = Snapshot {
         region: VoxelBox::spanning(voxels[0].0, voxels[1].0).unwrap(),
-        parts: vec![(cycle.start, part(0)), (cycle.end, part(1))],
+        parts: vec![(batch.start, part(0)), (batch.end, part(1))],
         sensors: Vec::new(),
     };
     let mut encoder = Encoder::new();
     for codec in Codec::ALL {
         let packages =
-            encoder.encode_cycle(codec, &cycle, u32::MAX - 1, &part(0), PACKAGE_BYTES_MIN).unwrap();
+            encoder.encode_batch(codec, &batch, u32::MAX - 1, &part(0), PACKAGE_BYTES_MIN).unwrap();
         assert_eq!(join(&mut Decoder::new(), &packages, PACKAGE_BYTES_MIN), part(0));
-        let tiles = encoder
-            .encode_present(codec, cycle.stream, u32::MAX, cycle.resolution, &state, PACKAGE_BYTES_MIN)
+        let chunks = encoder
+            .encode_snapshot(codec, batch.stream, u32::MAX, batch.resolution, &state, PACKAGE_BYTES_MIN)
             .unwrap();
-        assert_eq!(join_tiles(&tiles, PACKAGE_BYTES_MIN), state.parts);
+        assert_eq!(join_chunks(&chunks, PACKAGE_BYTES_MIN), state.parts);
     }
 }
 
 #[test]
-fn a_present_state_of_nothing_is_one_tile_without_a_known_voxel() {
+fn a_snapshot_of_nothing_is_one_chunk_without_a_known_voxel() {
     let region = VoxelBox::new(Voxel::new(-9, 4, 5), [100, 200, 300]).unwrap();
-    let state = PresentState { region, parts: Vec::new(), sensors: Vec::new() };
+    let state = Snapshot { region, parts: Vec::new(), sensors: Vec::new() };
     for codec in Codec::ALL {
-        let tiles = Encoder::new()
-            .encode_present(codec, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX)
+        let chunks = Encoder::new()
+            .encode_snapshot(codec, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX)
             .unwrap();
-        assert_eq!(tiles.len(), 1);
-        assert_eq!(join_tiles(&tiles, PACKAGE_BYTES_MAX), Vec::new());
+        assert_eq!(chunks.len(), 1);
+        assert_eq!(join_chunks(&chunks, PACKAGE_BYTES_MAX), Vec::new());
     }
 }
 
 #[test]
-fn tiles_of_flock_go_in_order_and_tell_where_the_sensor_was() {
-    let changes = forest_cycle();
-    let mut state = present(&changes, 5, 1);
+fn chunks_of_flock_go_in_order_and_tell_where_the_sensor_was() {
+    let changes = forest_batch();
+    let mut state = snapshot(&changes, 5, 1);
     state.sensors =
         state.parts.iter().map(|(stamp, _)| (*stamp, [4 * stamp.0 as i32, -8, 1 << 20])).collect();
-    let encode = |state: &PresentState| {
+    let encode = |state: &Snapshot| {
         Encoder::new()
-            .encode_present(Codec::Flock, stream(), 9, resolution(), state, PACKAGE_BYTES_MAX)
+            .encode_snapshot(Codec::Flock, stream(), 9, resolution(), state, PACKAGE_BYTES_MAX)
             .unwrap()
     };
-    let tiles = encode(&state);
-    assert!(tiles.len() > 3);
-    let (mut decoder, mut before) = (Decoder::new(), TilesRead::default());
-    let missing = |tile| Err(PackageError::TileMissing { tile });
-    assert_eq!(decoder.decode_tile(&tiles[1], &mut before), missing(0));
+    let chunks = encode(&state);
+    assert!(chunks.len() > 3);
+    let (mut decoder, mut before) = (Decoder::new(), ChunksRead::default());
+    let missing = |chunk| Err(PackageError::ChunkMissing { chunk });
+    assert_eq!(decoder.decode_chunk(&chunks[1], &mut before), missing(0));
     let mut sensors = Vec::new();
-    for (number, tile) in (0..).zip(&tiles) {
+    for (number, chunk) in (0..).zip(&chunks) {
         assert_eq!(before.next(), number);
-        sensors.extend(decoder.decode_tile(tile, &mut before).unwrap().sensors);
-        assert_eq!(decoder.decode_tile(tile, &mut before), missing(number + 1), "twice");
+        sensors.extend(decoder.decode_chunk(chunk, &mut before).unwrap().sensors);
+        assert_eq!(decoder.decode_chunk(chunk, &mut before), missing(number + 1), "twice");
     }
     sensors.dedup();
     assert_eq!(sensors, state.sensors);
     assert_eq!(before.block_count(), changes.blocks().len());
 
-    // After other tiles than its own a tile says nothing.
+    // After other chunks than its own a chunk says nothing.
     state.sensors.clear();
-    assert_ne!(encode(&state)[0].header().content, tiles[0].header().content, "sets are told apart");
-    let others = encode(&present(&changes, 3, 2));
-    let mut before = TilesRead::default();
-    let last = tiles.len().min(others.len()) - 1;
-    others[..last].iter().for_each(|tile| drop(decoder.decode_tile(tile, &mut before).unwrap()));
-    assert!(decoder.decode_tile(&tiles[last], &mut before).is_err());
+    assert_ne!(encode(&state)[0].header().content, chunks[0].header().content, "sets are told apart");
+    let others = encode(&snapshot(&changes, 3, 2));
+    let mut before = ChunksRead::default();
+    let last = chunks.len().min(others.len()) - 1;
+    others[..last].iter().for_each(|chunk| drop(decoder.decode_chunk(chunk, &mut before).unwrap()));
+    assert!(decoder.decode_chunk(&chunks[last], &mut before).is_err());
     assert_eq!(before.next(), 0);
 }
 
 #[test]
-fn tiles_of_a_state_are_the_same_whatever_was_encoded_before() {
-    let state = present(&forest_cycle(), 7, 3);
+fn chunks_of_a_state_are_the_same_whatever_was_encoded_before() {
+    let state = snapshot(&forest_batch(), 7, 3);
     let mut encoder = Encoder::new();
-    let tiles = |encoder: &mut Encoder| -> Vec<Vec<u8>> {
-        let tiles = encoder.encode_present(Codec::Flock, stream(), 9, resolution(), &state, 1150).unwrap();
-        tiles.iter().map(|tile| tile.bytes().to_vec()).collect()
+    let chunks = |encoder: &mut Encoder| -> Vec<Vec<u8>> {
+        let chunks = encoder.encode_snapshot(Codec::Flock, stream(), 9, resolution(), &state, 1150).unwrap();
+        chunks.iter().map(|chunk| chunk.bytes().to_vec()).collect()
     };
-    let first = tiles(&mut encoder);
+    let first = chunks(&mut encoder);
     // Single rays, which suit the other tables.
     let mut random = common::Random(1);
     for _ in 0..5 {
@@ -320,13 +320,13 @@ fn tiles_of_a_state_are_the_same_whatever_was_encoded_before() {
             (0..far)
                 .map(move |at| (Voxel::new(at, (to[0] + 7 * ray) * at / far, to[1] * at / far), State::Free))
         });
-        encoder.encode_cycle(Codec::Flock, &cycle(), 1, &Changes::from_voxels(rays), 1150).unwrap();
+        encoder.encode_batch(Codec::Flock, &batch(), 1, &Changes::from_voxels(rays), 1150).unwrap();
     }
-    assert_eq!(tiles(&mut encoder), first);
+    assert_eq!(chunks(&mut encoder), first);
 }
 
 #[test]
-fn a_present_state_that_breaks_its_rules_is_refused() {
+fn a_snapshot_that_breaks_its_rules_is_refused() {
     let part = |x| Changes::from_voxels([(Voxel::new(x, 0, 0), State::Free)]);
     let region = VoxelBox::new(Voxel::new(0, 0, 0), [2, 1, 1]).unwrap();
     let wrong = [
@@ -337,25 +337,25 @@ fn a_present_state_that_breaks_its_rules_is_refused() {
         vec![(Stamp(1), Changes::default())],
     ];
     for parts in wrong {
-        let state = PresentState { region, parts, sensors: Vec::new() };
-        let result = Encoder::new().encode_present(Codec::Paper, stream(), 1, resolution(), &state, 1150);
-        assert!(matches!(result, Err(EncodeError::PresentState { .. })), "{state:?} gives {result:?}");
+        let state = Snapshot { region, parts, sensors: Vec::new() };
+        let result = Encoder::new().encode_snapshot(Codec::Paper, stream(), 1, resolution(), &state, 1150);
+        assert!(matches!(result, Err(EncodeError::Snapshot { .. })), "{state:?} gives {result:?}");
     }
 }
 
 /// The order of sizes that the paper reports: Hilbert below nested, both far below an address list. Sizes are exact for
 /// one version of the zlib back end; the tolerance leaves room for others.
 #[test]
-fn a_cycle_in_the_forest_has_the_expected_sizes() {
-    let changes = forest_cycle();
+fn a_batch_in_the_forest_has_the_expected_sizes() {
+    let changes = forest_batch();
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     let voxels = changes.len();
-    let cycle = flockmap_codec::Cycle { sensor: [0; 3], ..cycle() };
+    let batch = flockmap_codec::Batch { sensor: [0; 3], ..batch() };
     println!("{voxels} changes in {:?}", changes.bounding_box().unwrap());
     let bits = Codec::ALL.map(|codec| {
-        let whole = encoder.encode_whole(codec, &cycle, 1, &changes).unwrap();
+        let whole = encoder.encode_whole(codec, &batch, 1, &changes).unwrap();
         assert_eq!(decode_changes(&mut decoder, &whole), changes);
-        let packages = encoder.encode_cycle(codec, &cycle, 1, &changes, PACKAGE_BYTES_MAX).unwrap();
+        let packages = encoder.encode_batch(codec, &batch, 1, &changes, PACKAGE_BYTES_MAX).unwrap();
         assert_eq!(join(&mut decoder, &packages, PACKAGE_BYTES_MAX), changes);
         let split: usize = packages.iter().map(|package| package.bytes().len()).sum();
         let bits = |bytes: usize| bytes as f64 * 8.0 / voxels as f64;

@@ -5,14 +5,14 @@ mod common;
 use std::collections::BTreeMap;
 
 use common::{resolution, stream};
-use flockmap_codec::{Codec, Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MIN, Package, Span, TilesRead};
+use flockmap_codec::{Batch, ChunksRead, Codec, Content, Decoder, Encoder, PACKAGE_BYTES_MIN, Package, Span};
 use flockmap_grid::{Changes, Layer, Stamp, State, Voxel};
 use proptest::prelude::*;
 
 /// The newest word on each voxel, Occupied first at equal stamps.
 type Naive = BTreeMap<Voxel, (Stamp, bool)>;
 
-fn tell(naive: &mut Naive, changes: &Changes, stamp: Stamp) {
+fn note(naive: &mut Naive, changes: &Changes, stamp: Stamp) {
     for (voxel, state) in changes.voxels() {
         let word = (stamp, state == State::Occupied);
         let known = naive.entry(voxel).or_insert(word);
@@ -35,7 +35,7 @@ fn changes() -> impl Strategy<Value = Changes> {
     prop::collection::vec((voxel, state), 1..200).prop_map(Changes::from_voxels)
 }
 
-/// What is delivered: a package, or the tiles of a set in their order.
+/// What is delivered: a package, or the chunks of a set in their order.
 #[derive(Clone, Debug)]
 enum Delivery {
     Package(usize),
@@ -47,19 +47,19 @@ proptest! {
 
     #[test]
     fn old_states_never_overwrite_newer_ones_in_any_order(
-        cycles in prop::collection::vec(changes(), 1..12), codec in prop::sample::select(&[Codec::Flock, Codec::Paper][..]),
+        batches in prop::collection::vec(changes(), 1..12), codec in prop::sample::select(&[Codec::Flock, Codec::Paper][..]),
         spans in prop::collection::vec((any::<prop::sample::Index>(), any::<prop::sample::Index>()), 1..5),
         order in prop::collection::vec(any::<prop::sample::Index>(), 0..60),
     ) {
         let mut encoder = Encoder::new();
-        // Each cycle in several packages; the layer after each of them.
+        // Each batch in several packages; the layer after each of them.
         let mut packages: Vec<Package> = Vec::new();
         let (mut sender, mut after) = (Layer::default(), vec![Layer::default()]);
-        for (number, changes) in (1..).zip(&cycles) {
+        for (number, changes) in (1..).zip(&batches) {
             let end = Stamp(number * 1_000);
-            let cycle = Cycle { stream: stream(), start: end, end, resolution: resolution(), sensor: [0; 3] };
+            let batch = Batch { stream: stream(), start: end, end, resolution: resolution(), sensor: [0; 3] };
             let first = packages.len() as u32 + 1;
-            for package in encoder.encode_cycle(codec, &cycle, first, changes, PACKAGE_BYTES_MIN).unwrap() {
+            for package in encoder.encode_batch(codec, &batch, first, changes, PACKAGE_BYTES_MIN).unwrap() {
                 let Content::Changes(changes) = package.decode().unwrap() else { unreachable!() };
                 sender.apply(&changes, end);
                 after.push(sender.clone());
@@ -69,8 +69,8 @@ proptest! {
         let sets: Vec<(Span, Vec<Package>)> = spans.iter().map(|(since, upto)| {
             let upto = 1 + upto.index(packages.len());
             let since = since.index(upto);
-            let newer_than = (since > 0).then(|| packages[since].header().cycle_end.plus_micros(-1));
-            let state = after[upto].present_voxels(newer_than).unwrap();
+            let newer_than = (since > 0).then(|| packages[since].header().batch_end.plus_micros(-1));
+            let state = after[upto].snapshot_voxels(newer_than).unwrap();
             let span = Span { stream: stream(), since: since as u32, upto: upto as u32 };
             (span, encoder.encode_span(codec, span, resolution(), &state, PACKAGE_BYTES_MIN).unwrap())
         }).collect();
@@ -82,22 +82,22 @@ proptest! {
             match delivery {
                 Delivery::Package(at) => {
                     let Content::Changes(changes) = packages[*at].decode().unwrap() else { unreachable!() };
-                    layer.apply(&changes, packages[*at].header().cycle_end);
-                    tell(&mut naive, &changes, packages[*at].header().cycle_end);
+                    layer.apply(&changes, packages[*at].header().batch_end);
+                    note(&mut naive, &changes, packages[*at].header().batch_end);
                     held[at + 1] = true;
                 }
                 Delivery::Set(at) => {
-                    let mut read = TilesRead::default();
-                    for tile in &sets[*at].1 {
-                        let state = match tile.header().codec {
-                            Codec::Flock => decoder.decode_tile(tile, &mut read).unwrap(),
-                            _ => match tile.decode().unwrap() {
-                                Content::Present(state) => state,
+                    let mut read = ChunksRead::default();
+                    for chunk in &sets[*at].1 {
+                        let state = match chunk.header().codec {
+                            Codec::Flock => decoder.decode_chunk(chunk, &mut read).unwrap(),
+                            _ => match chunk.decode().unwrap() {
+                                Content::Snapshot(state) => state,
                                 Content::Changes(_) => unreachable!(),
                             },
                         };
-                        layer.apply_present(&state);
-                        state.parts.iter().for_each(|(stamp, part)| tell(&mut naive, part, *stamp));
+                        layer.apply_snapshot(&state);
+                        state.parts.iter().for_each(|(stamp, part)| note(&mut naive, part, *stamp));
                     }
                     let Span { since, upto, .. } = sets[*at].0;
                     if (1..=since).all(|index| held[index as usize]) {
@@ -109,8 +109,8 @@ proptest! {
             // What counts as held is known: the layer has every word of it, or a newer one.
             let prefix = (1..held.len()).take_while(|index| held[*index]).count();
             let mut merged = layer.clone();
-            if let Some(state) = after[prefix].present_state() {
-                merged.apply_present(&state);
+            if let Some(state) = after[prefix].snapshot() {
+                merged.apply_snapshot(&state);
             }
             prop_assert_eq!(merged.digest(), layer.digest(), "packages 1 to {} are held", prefix);
         }

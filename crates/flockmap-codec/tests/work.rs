@@ -2,13 +2,13 @@
 
 mod common;
 
-use common::{changes, cycle, forest_cycle, resolution, stream};
+use common::{batch, changes, forest_batch, resolution, stream};
 use flate2::{Compress, Compression, FlushCompress};
 use flockmap_codec::{
-    Codec, Content, Decoder, EncodeError, Encoder, Header, PACKAGE_BYTES_MAX, Package, PackageError,
-    Priority, Reference, TilesRead,
+    Base, ChunksRead, Codec, Content, Decoder, EncodeError, Encoder, Header, PACKAGE_BYTES_MAX, Package,
+    PackageError, Priority,
 };
-use flockmap_grid::{Changes, Layer, PresentState, Stamp, State, Voxel, VoxelBox};
+use flockmap_grid::{Changes, Layer, Snapshot, Stamp, State, Voxel, VoxelBox};
 use proptest::prelude::*;
 
 /// The most steps for a package of so many bytes, all of which are taken for payload.
@@ -38,16 +38,16 @@ fn few_far_apart() -> impl Strategy<Value = Changes> {
 }
 
 fn read_all(packages: &[Package]) -> usize {
-    let (mut decoder, mut before) = (Decoder::new(), TilesRead::default());
+    let (mut decoder, mut before) = (Decoder::new(), ChunksRead::default());
     let read = |package: &Package| {
-        let is_tile = package.header().content != flockmap_codec::ContentKind::Changes;
-        let voxels = if is_tile && package.header().codec == Codec::Flock {
-            let state = decoder.decode_tile(package, &mut before).unwrap();
+        let is_chunk = package.header().content != flockmap_codec::ContentKind::Changes;
+        let voxels = if is_chunk && package.header().codec == Codec::Flock {
+            let state = decoder.decode_chunk(package, &mut before).unwrap();
             state.parts.iter().map(|(_, part)| part.len()).sum()
         } else {
             match decoder.decode(package).unwrap() {
                 Content::Changes(changes) => changes.len(),
-                Content::Present(state) => state.parts.iter().map(|(_, part)| part.len()).sum(),
+                Content::Snapshot(state) => state.parts.iter().map(|(_, part)| part.len()).sum(),
             }
         };
         assert!(decoder.steps() <= limit(package), "{} steps for {package:?}", decoder.steps());
@@ -67,9 +67,9 @@ proptest! {
     ) {
         let mut encoder = Encoder::new();
         for codec in Codec::ALL {
-            let packages = encoder.encode_cycle(codec, &cycle(), 1, &changes, bytes_max).unwrap();
+            let packages = encoder.encode_batch(codec, &batch(), 1, &changes, bytes_max).unwrap();
             prop_assert_eq!(read_all(&packages), changes.len());
-            match encoder.encode_whole(codec, &cycle(), 1, &changes) {
+            match encoder.encode_whole(codec, &batch(), 1, &changes) {
                 Ok(whole) => prop_assert_eq!(read_all(&[whole]), changes.len()),
                 Err(EncodeError::TooMuchWork | EncodeError::BoxTooLarge { .. }) => {}
                 Err(other) => panic!("{other}"),
@@ -80,9 +80,9 @@ proptest! {
                 (Stamp(i64::from(stamp)), part)
             };
             let parts = (0..stamps).map(part).filter(|(_, part)| !part.is_empty()).collect();
-            let state = PresentState { region: changes.bounding_box().unwrap(), parts, sensors: Vec::new() };
-            let tiles = encoder.encode_present(codec, stream(), 9, resolution(), &state, bytes_max).unwrap();
-            prop_assert_eq!(read_all(&tiles), changes.len());
+            let state = Snapshot { region: changes.bounding_box().unwrap(), parts, sensors: Vec::new() };
+            let chunks = encoder.encode_snapshot(codec, stream(), 9, resolution(), &state, bytes_max).unwrap();
+            prop_assert_eq!(read_all(&chunks), changes.len());
         }
     }
 }
@@ -96,10 +96,10 @@ fn cube(side: u32, byte: u8) -> Package {
     let header = Header {
         stream: stream(),
         index: 1,
-        cycle_start: Stamp(0),
-        cycle_end: Stamp(0),
-        reference: 0,
-        is_alone: true,
+        batch_start: Stamp(0),
+        batch_end: Stamp(0),
+        base: 0,
+        is_independent: true,
         resolution: resolution(),
         region: VoxelBox::new(Voxel::new(0, 0, 0), [side; 3]).unwrap(),
         codec: Codec::Paper,
@@ -150,9 +150,9 @@ fn blocks_of_which_something_is_known_take_more_steps() {
     let known = blocks.map(|[x, y, z]| (Voxel::new(x + 1, y + 2, z + 3), State::Free));
     layer.apply(&Changes::from_voxels(known), Stamp(-9));
     let header = Header {
-        reference: 1,
+        base: 1,
         index: 2,
-        is_alone: false,
+        is_independent: false,
         codec: Codec::Flock,
         region: VoxelBox::new(Voxel::new(0, 0, 0), [192; 3]).unwrap(),
         ..*cube(8, 0xff).header()
@@ -178,16 +178,16 @@ fn rows(z: i32, blocks: i32, state: State) -> Changes {
 
 /// Else a reader could refuse what its writer found to be within the limit.
 #[test]
-fn a_package_asks_for_the_same_steps_whatever_of_its_cycle_was_merged_before() {
+fn a_package_asks_for_the_same_steps_whatever_of_its_batch_was_merged_before() {
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     let mut before = Layer::default();
-    before.apply(&rows(2, 300, State::Free), Stamp(cycle().start.0 - 1));
+    before.apply(&rows(2, 300, State::Free), Stamp(batch().start.0 - 1));
     let changes = rows(5, 600, State::Free);
-    let cycles = [(Stamp(cycle().start.0 - 1), 1)];
-    let reference = Reference { layer: Some(&before), cycles: &cycles, readers: &[] };
+    let batches = [(Stamp(batch().start.0 - 1), 1)];
+    let base = Base { layer: Some(&before), batches: &batches, readers: &[] };
     let packages =
-        encoder.encode_cycle_against(Codec::Flock, &cycle(), 2, &changes, Some(&reference), 300).unwrap();
-    assert!(packages.len() > 3 && packages.iter().any(|package| package.header().reference > 0));
+        encoder.encode_batch_against(Codec::Flock, &batch(), 2, &changes, Some(&base), 300).unwrap();
+    assert!(packages.len() > 3 && packages.iter().any(|package| package.header().base > 0));
     let mut steps = Vec::new();
     let mut merged = before.clone();
     for package in &packages {
@@ -195,7 +195,7 @@ fn a_package_asks_for_the_same_steps_whatever_of_its_cycle_was_merged_before() {
             panic!()
         };
         steps.push(decoder.steps());
-        merged.apply(&changes, cycle().end);
+        merged.apply(&changes, batch().end);
     }
     for (package, steps) in packages.iter().zip(steps) {
         decoder.decode_against(package, Some(&merged)).unwrap();
@@ -208,9 +208,9 @@ fn a_package_asks_for_the_same_steps_whatever_of_its_cycle_was_merged_before() {
 fn what_is_told_against_a_large_layer_is_read_within_the_limit() {
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     let mut before = Layer::default();
-    before.apply(&rows(2, 144 * 9, State::Free), Stamp(cycle().start.0 - 1));
-    let cycles = [(Stamp(cycle().start.0 - 1), 1)];
-    let reference = Reference { layer: Some(&before), cycles: &cycles, readers: &[] };
+    before.apply(&rows(2, 144 * 9, State::Free), Stamp(batch().start.0 - 1));
+    let batches = [(Stamp(batch().start.0 - 1), 1)];
+    let base = Base { layer: Some(&before), batches: &batches, readers: &[] };
     for every in [1, 2, 5, 17, 60, 400] {
         for state in [State::Free, State::Occupied] {
             let all = rows(2, 144 * 9, state);
@@ -218,7 +218,7 @@ fn what_is_told_against_a_large_layer_is_read_within_the_limit() {
             let moved = some.map(|(_, (voxel, state))| (Voxel::new(voxel.x, voxel.y, voxel.z + 2), state));
             let changes = Changes::from_voxels(moved);
             let encoded =
-                encoder.encode_cycle_against(Codec::Flock, &cycle(), 2, &changes, Some(&reference), 1_150);
+                encoder.encode_batch_against(Codec::Flock, &batch(), 2, &changes, Some(&base), 1_150);
             let mut read = 0;
             for package in encoded.unwrap() {
                 let content = decoder.decode_against(&package, Some(&before)).unwrap();
@@ -235,7 +235,7 @@ fn what_is_told_against_a_large_layer_is_read_within_the_limit() {
 fn flights_ask_for_a_fraction_of_the_limit() {
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     for codec in Codec::ALL {
-        let packages = encoder.encode_cycle(codec, &cycle(), 1, &forest_cycle(), PACKAGE_BYTES_MAX).unwrap();
+        let packages = encoder.encode_batch(codec, &batch(), 1, &forest_batch(), PACKAGE_BYTES_MAX).unwrap();
         for package in packages {
             decoder.decode(&package).unwrap();
             assert!(decoder.steps() * 10 < limit(&package) * 8, "{} steps for {package:?}", decoder.steps());

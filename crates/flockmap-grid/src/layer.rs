@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::memory::table_bytes;
-use crate::present::{PresentVoxels, places};
+use crate::snapshot::{SnapshotVoxels, places};
 use crate::stamps::BlockStamps;
-use crate::{BlockIndex, Changes, Plane, PresentState, Stamp, State, StateBlock, Voxel, VoxelBox, voxel_bit};
+use crate::{BlockIndex, Changes, Plane, Snapshot, Stamp, State, StateBlock, Voxel, VoxelBox, voxel_bit};
 
 /// State and stamp of every voxel that one stream has told of, in the frame of its origin.
 ///
@@ -19,13 +19,13 @@ pub struct Layer {
     newest: Option<Stamp>,
     /// Of all blocks.
     stamp_bytes: usize,
-    /// By end of cycle, where the sensor was. Codecs make use of it; it is no part of what is known.
+    /// By end of batch, where the sensor was. Codecs make use of it; it is no part of what is known.
     sensors: BTreeMap<Stamp, [i32; 3]>,
     /// How many were noted since the layer was last gone through for those of which nothing stands any more.
     sensors_noted: usize,
 }
 
-/// Most cycles whose sensor a layer remembers; the oldest are forgotten.
+/// Most batches whose sensor a layer remembers; the oldest are forgotten.
 const SENSORS_MAX: usize = 1 << 16;
 /// A sensor in its map.
 pub(crate) const SENSOR_BYTES: usize = 48;
@@ -40,10 +40,10 @@ struct LayerBlock {
     before: Option<StateBlock>,
 }
 
-/// A block has been told of by a later cycle already, or by a present state: what it was before is not known any more.
+/// A block has been told of by a later batch already, or by a snapshot: what it was before is not known any more.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("block {block:?} holds words as new as {newest:?}: what was known before {stamp:?} is gone")]
-pub struct Overtaken {
+pub struct BaseSuperseded {
     /// The block.
     pub block: BlockIndex,
     /// Newest stamp in it.
@@ -52,7 +52,7 @@ pub struct Overtaken {
     pub stamp: Stamp,
 }
 
-/// Most bytes that one block of a layer can take: 512 voxels that changed last in 512 different cycles.
+/// Most bytes that one block of a layer can take: 512 voxels that changed last in 512 different batches.
 pub const LAYER_BLOCK_BYTES_MAX: usize = table_bytes(1, ENTRY_BYTES) + BlockStamps::bytes_of(usize::MAX);
 /// A block in the table.
 const ENTRY_BYTES: usize = size_of::<(BlockIndex, LayerBlock)>();
@@ -64,18 +64,18 @@ impl Layer {
         self.take_over(changes, stamp, true)
     }
 
-    /// The same for every voxel of a present state, each with its own stamp. Returns the blocks and voxels that it took over,
+    /// The same for every voxel of a snapshot, each with its own stamp. Returns the blocks and voxels that it took over,
     /// a block once for each stamp. O(voxels).
-    pub fn apply_present(&mut self, state: &PresentState) -> Vec<(BlockIndex, Plane)> {
+    pub fn apply_snapshot(&mut self, state: &Snapshot) -> Vec<(BlockIndex, Plane)> {
         let taken =
             state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, false)).collect();
-        // After the voxels: the sensor of a cycle of which nothing stands may be forgotten at once.
+        // After the voxels: the sensor of a batch of which nothing stands may be forgotten at once.
         state.sensors.iter().for_each(|(stamp, sensor)| self.note_sensor(*stamp, *sensor));
         taken
     }
 
-    /// Notes where the sensor was in the cycle that ended at `stamp`, in sixteenths of a voxel; to be called after its voxels were
-    /// taken over. Of at most 2¹⁶ cycles, 48 bytes each; cycles of which no voxel stands any more are forgotten now and then. O(log n)
+    /// Notes where the sensor was in the batch that ended at `stamp`, in sixteenths of a voxel; to be called after its voxels were
+    /// taken over. Of at most 2¹⁶ batches, 48 bytes each; batches of which no voxel stands any more are forgotten now and then. O(log n)
     /// over time.
     pub fn note_sensor(&mut self, stamp: Stamp, sensor: [i32; 3]) {
         if self.sensors.insert(stamp, sensor).is_some() {
@@ -91,7 +91,7 @@ impl Layer {
         }
     }
 
-    /// Forgets the sensors of cycles of which no voxel stands. O(voxels).
+    /// Forgets the sensors of batches of which no voxel stands. O(voxels).
     fn forget_sensors(&mut self) {
         self.sensors_noted = 0;
         let mut unseen: FxHashSet<Stamp> = self.sensors.keys().copied().collect();
@@ -103,8 +103,8 @@ impl Layer {
         self.sensors.retain(|stamp, _| !unseen.contains(stamp));
     }
 
-    /// `is_cycle`: the changes are of one cycle, and what was there before remains known.
-    fn take_over(&mut self, changes: &Changes, stamp: Stamp, is_cycle: bool) -> Vec<(BlockIndex, Plane)> {
+    /// `is_batch`: the changes are of one batch, and what was there before remains known.
+    fn take_over(&mut self, changes: &Changes, stamp: Stamp, is_batch: bool) -> Vec<(BlockIndex, Plane)> {
         let mut taken = Vec::with_capacity(changes.blocks().len());
         for (index, new) in changes.blocks() {
             let block = self.blocks.entry(*index).or_insert_with(|| {
@@ -112,7 +112,7 @@ impl Layer {
                 self.stamp_bytes += stamps.memory_bytes();
                 LayerBlock { states: StateBlock::default(), stamps, before: Some(StateBlock::default()) }
             });
-            block.keep_before(new, stamp, is_cycle);
+            block.keep_before(new, stamp, is_batch);
             let mut mask = new.known();
             if block.stamps.newest() >= stamp
                 && !flockmap_mutation::is(flockmap_mutation::Mutation::StampCompareDropped)
@@ -151,31 +151,35 @@ impl Layer {
         self.blocks.get(&index).map(|block| &block.states)
     }
 
-    /// The states of a block as they were before the cycle that ended at `stamp`, whether packages of that cycle have been
-    /// applied meanwhile or not; `None` if nothing was known. This is what packages of the cycle are coded against.
+    /// The states of a block as they were before the batch that ended at `stamp`, whether packages of that batch have been
+    /// applied meanwhile or not; `None` if nothing was known. This is what packages of the batch are coded against.
     ///
     /// # Errors
-    /// [`Overtaken`] if something newer has been applied to the block, or a present state that says more of it than was known.
-    pub fn block_before(&self, index: BlockIndex, stamp: Stamp) -> Result<Option<&StateBlock>, Overtaken> {
+    /// [`BaseSuperseded`] if something newer has been applied to the block, or a snapshot that says more of it than was known.
+    pub fn block_before(
+        &self,
+        index: BlockIndex,
+        stamp: Stamp,
+    ) -> Result<Option<&StateBlock>, BaseSuperseded> {
         Ok(self.known_before(index, stamp)?.map(|(states, _)| states))
     }
 
     /// As [`Self::block_before`], with the newest stamp in the block as it is now: at most `stamp`.
     ///
     /// # Errors
-    /// [`Overtaken`], as there.
+    /// [`BaseSuperseded`], as there.
     pub fn known_before(
         &self,
         index: BlockIndex,
         stamp: Stamp,
-    ) -> Result<Option<(&StateBlock, Stamp)>, Overtaken> {
+    ) -> Result<Option<(&StateBlock, Stamp)>, BaseSuperseded> {
         let Some(block) = self.blocks.get(&index) else { return Ok(None) };
         let newest = block.stamps.newest();
         if newest < stamp {
             return Ok(Some((&block.states, newest)));
         }
         let before = block.before.as_ref().filter(|_| newest == stamp);
-        before.map(|before| Some((before, newest))).ok_or(Overtaken { block: index, newest, stamp })
+        before.map(|before| Some((before, newest))).ok_or(BaseSuperseded { block: index, newest, stamp })
     }
 
     /// All blocks, in no order.
@@ -247,20 +251,20 @@ impl Layer {
     }
 
     /// The whole layer with its stamps, such that applying its parts to an empty layer gives this one.
-    /// `None` if nothing is known. O(voxels). Takes 144 bytes for each block of each stamp; see [`Self::present_voxels`].
-    pub fn present_state(&self) -> Option<PresentState> {
-        self.present_voxels(None).map(|voxels| voxels.to_state())
+    /// `None` if nothing is known. O(voxels). Takes 144 bytes for each block of each stamp; see [`Self::snapshot_voxels`].
+    pub fn snapshot(&self) -> Option<Snapshot> {
+        self.snapshot_voxels(None).map(|voxels| voxels.to_state())
     }
 
     /// The voxels with a stamp newer than this one, such that applying its parts to a layer that knows all up to `stamp` gives
     /// this one. `None` if there are none. O(voxels).
-    pub fn present_state_since(&self, stamp: Stamp) -> Option<PresentState> {
-        self.present_voxels(Some(stamp)).map(|voxels| voxels.to_state())
+    pub fn snapshot_since(&self, stamp: Stamp) -> Option<Snapshot> {
+        self.snapshot_voxels(Some(stamp)).map(|voxels| voxels.to_state())
     }
 
     /// The same in 8 bytes for each voxel: of the whole layer, or what is newer than a stamp. Takes no more while it works, beside 16
     /// bytes for each block and each stamp. `None` if that is nothing, or more than 2²⁷ blocks or stamps. O(n log n) in voxels.
-    pub fn present_voxels(&self, newer_than: Option<Stamp>) -> Option<PresentVoxels> {
+    pub fn snapshot_voxels(&self, newer_than: Option<Stamp>) -> Option<SnapshotVoxels> {
         let is_wanted = |stamp: Stamp| newer_than.is_none_or(|limit| stamp > limit);
         let mut blocks: Vec<BlockIndex> = Vec::with_capacity(self.blocks.len());
         blocks.extend(
@@ -314,7 +318,7 @@ impl Layer {
                 (of_stamp, number, bit, block.states.get(bit))
             })
         });
-        PresentVoxels::new(region, stamps, blocks, count, voxels, sensors)
+        SnapshotVoxels::new(region, stamps, blocks, count, voxels, sensors)
     }
 
     /// A number that is equal for layers with equal states and stamps, on every machine, and (very likely)
@@ -340,11 +344,11 @@ impl Layer {
 
 impl LayerBlock {
     /// Keeps what is known before something with this stamp is taken over.
-    fn keep_before(&mut self, new: &StateBlock, stamp: Stamp, is_cycle: bool) {
+    fn keep_before(&mut self, new: &StateBlock, stamp: Stamp, is_batch: bool) {
         match stamp.cmp(&self.stamps.newest()) {
-            core::cmp::Ordering::Greater if is_cycle => self.before = Some(self.states),
-            // More of the same cycle.
-            core::cmp::Ordering::Equal if is_cycle => {}
+            core::cmp::Ordering::Greater if is_batch => self.before = Some(self.states),
+            // More of the same batch.
+            core::cmp::Ordering::Equal if is_batch => {}
             // An older word that comes late is a part of what was before, unless another one stands there: which of them is
             // newer is not known.
             core::cmp::Ordering::Less => {
@@ -357,7 +361,7 @@ impl LayerBlock {
                     before
                 });
             }
-            // A present state names no voxel twice: something is missing before it.
+            // A snapshot names no voxel twice: something is missing before it.
             _ => self.before = None,
         }
     }
@@ -438,19 +442,19 @@ mod tests {
                 let state = if *occupied { State::Occupied } else { State::Free };
                 prop_assert_eq!(layer.get(*voxel), Some((state, *stamp)));
             }
-            // Its present state makes the same layer again.
+            // Its snapshot makes the same layer again.
             let mut again = Layer::default();
-            if let Some(present) = layer.present_state() {
-                for (stamp, part) in present.parts.iter().rev() {
-                    prop_assert_eq!(part.within(&present.region), part.clone());
+            if let Some(snapshot) = layer.snapshot() {
+                for (stamp, part) in snapshot.parts.iter().rev() {
+                    prop_assert_eq!(part.within(&snapshot.region), part.clone());
                     again.apply(part, *stamp);
                 }
             }
             prop_assert_eq!(again.digest(), layer.digest());
-            if let Some(present) = layer.present_state() {
-                let (mut at_once, parts) = (Layer::default(), present.parts.iter().map(|(_, part)| part));
+            if let Some(snapshot) = layer.snapshot() {
+                let (mut at_once, parts) = (Layer::default(), snapshot.parts.iter().map(|(_, part)| part));
                 let (growth, new_blocks) = at_once.growth_max(parts);
-                at_once.apply_present(&present);
+                at_once.apply_snapshot(&snapshot);
                 prop_assert!(at_once.memory_bytes() <= growth);
                 prop_assert_eq!(at_once.block_count(), new_blocks);
             }
@@ -458,7 +462,7 @@ mod tests {
 
         /// Against a layer that never forgets a sensor of its own accord.
         #[test]
-        fn sensors_are_forgotten_only_where_no_voxel_of_their_cycle_stands(
+        fn sensors_are_forgotten_only_where_no_voxel_of_their_batch_stands(
             packages in prop::collection::vec(package(), 1..60).prop_shuffle(), rounds in 1..30u64,
         ) {
             let (mut layer, mut all) = (Layer::default(), BTreeMap::new());
@@ -472,9 +476,9 @@ mod tests {
                 }
             }
             layer.forget_sensors();
-            let present = layer.present_state().unwrap();
-            let standing: Vec<_> = present.parts.iter().map(|(stamp, _)| (*stamp, all[stamp])).collect();
-            prop_assert_eq!(&present.sensors, &standing, "every sensor of a cycle that stands is there");
+            let snapshot = layer.snapshot().unwrap();
+            let standing: Vec<_> = snapshot.parts.iter().map(|(stamp, _)| (*stamp, all[stamp])).collect();
+            prop_assert_eq!(&snapshot.sensors, &standing, "every sensor of a batch that stands is there");
             prop_assert_eq!(layer.sensors.len(), standing.len(), "and no other");
         }
 
@@ -491,15 +495,15 @@ mod tests {
                 }
             }
             layer.note_sensor(Stamp(3), [1, 2, 3]);
-            let since = layer.present_state_since(Stamp(limit));
+            let since = layer.snapshot_since(Stamp(limit));
             prop_assert_eq!(since.is_none(), packages.iter().all(|(stamp, _)| stamp.0 <= limit));
             if let Some(since) = &since {
                 prop_assert!(since.parts.iter().all(|(stamp, part)| stamp.0 > limit && !part.is_empty()));
                 prop_assert!(since.parts.is_sorted_by(|a, b| a.0 < b.0));
                 let boxes = since.parts.iter().filter_map(|(_, part)| part.bounding_box());
                 prop_assert_eq!(boxes.reduce(|a, b| a.union(&b)), Some(since.region));
-                older.apply_present(since);
-                let voxels = PresentVoxels::from_state(since).unwrap();
+                older.apply_snapshot(since);
+                let voxels = SnapshotVoxels::from_state(since).unwrap();
                 prop_assert_eq!(&voxels.to_state(), since);
                 for voxels_max in [1, 30, 10_000] {
                     let mut again = Layer::default();
@@ -513,32 +517,32 @@ mod tests {
                         run.iter().for_each(|(stamp, part)| drop(again.apply(part, *stamp)));
                     }
                     let mut whole = Layer::default();
-                    whole.apply_present(since);
+                    whole.apply_snapshot(since);
                     prop_assert_eq!(again.digest(), whole.digest());
                 }
             }
             prop_assert_eq!(older.digest(), layer.digest());
-            let newest = layer.present_state_since(Stamp(i64::MIN));
-            prop_assert_eq!(newest, layer.present_state());
+            let newest = layer.snapshot_since(Stamp(i64::MIN));
+            prop_assert_eq!(newest, layer.snapshot());
         }
     }
 
     proptest! {
         #[test]
-        fn what_was_before_a_cycle_is_right_or_refused(
+        fn what_was_before_a_batch_is_right_or_refused(
             packages in prop::collection::vec((package(), prop::bool::weighted(0.2)), 0..30),
         ) {
-            // Few stamps, so that cycles have several packages and some come late.
+            // Few stamps, so that batches have several packages and some come late.
             let mut layer = Layer::default();
             let mut applied: Vec<(Stamp, Vec<(Voxel, State)>)> = Vec::new();
-            let has_present = packages.iter().any(|(_, is_present)| *is_present);
-            for ((stamp, voxels), is_present) in &packages {
+            let has_snapshot = packages.iter().any(|(_, is_snapshot)| *is_snapshot);
+            for ((stamp, voxels), is_snapshot) in &packages {
                 let stamp = Stamp(stamp.0 / 100);
                 let changes = Changes::from_voxels(voxels.iter().copied());
-                match changes.bounding_box().filter(|_| *is_present) {
+                match changes.bounding_box().filter(|_| *is_snapshot) {
                     Some(region) => {
                         let parts = vec![(stamp, changes.clone())];
-                        layer.apply_present(&PresentState { region, parts, sensors: Vec::new() });
+                        layer.apply_snapshot(&Snapshot { region, parts, sensors: Vec::new() });
                     }
                     None => {
                         layer.apply(&changes, stamp);
@@ -558,7 +562,7 @@ mod tests {
                                 let expected = expected.block(index).copied().unwrap_or_default();
                                 prop_assert_eq!(before.copied().unwrap_or_default(), expected);
                             }
-                            Err(_) => prop_assert!(newest > at || has_present || !in_order),
+                            Err(_) => prop_assert!(newest > at || has_snapshot || !in_order),
                         }
                     }
                 }
@@ -567,7 +571,7 @@ mod tests {
     }
 
     #[test]
-    fn a_package_of_an_older_cycle_that_comes_late_joins_the_past_where_that_is_certain() {
+    fn a_package_of_an_older_batch_that_comes_late_joins_the_past_where_that_is_certain() {
         let voxel = |x, state| Changes::from_voxels([(Voxel::new(x, 0, 0), state)]);
         let mut layer = Layer::default();
         let block = Voxel::new(0, 0, 0).block();
@@ -587,27 +591,27 @@ mod tests {
     }
 
     #[test]
-    fn a_present_state_hides_what_was_before_its_newest_cycle_and_not_what_is_before_later_ones() {
+    fn a_snapshot_hides_what_was_before_its_newest_batch_and_not_what_is_before_later_ones() {
         let voxel = |x, state| Changes::from_voxels([(Voxel::new(x, 0, 0), state)]);
         let block = Voxel::new(0, 0, 0).block();
-        let present = PresentState {
+        let snapshot = Snapshot {
             sensors: Vec::new(),
             region: block.corner().block().voxel_box(),
             parts: vec![(Stamp(10), voxel(0, State::Free)), (Stamp(20), voxel(1, State::Free))],
         };
         let mut layer = Layer::default();
         layer.apply(&voxel(0, State::Free), Stamp(10));
-        layer.apply_present(&present);
+        layer.apply_snapshot(&snapshot);
         for stamp in [10, 15, 20] {
             assert!(layer.block_before(block, Stamp(stamp)).is_err());
         }
-        // A later cycle, by one package or two, knows what was before it.
+        // A later batch, by one package or two, knows what was before it.
         let expected = *layer.block(block).unwrap();
         assert_eq!(layer.block_before(block, Stamp(21)), Ok(Some(&expected)));
         layer.apply(&voxel(2, State::Occupied), Stamp(30));
         assert_eq!(layer.block_before(block, Stamp(30)), Ok(Some(&expected)));
-        // Nor does a tile that says nothing new hide it.
-        layer.apply_present(&present);
+        // Nor does a chunk that says nothing new hide it.
+        layer.apply_snapshot(&snapshot);
         assert_eq!(layer.block_before(block, Stamp(30)), Ok(Some(&expected)));
     }
 
@@ -630,19 +634,19 @@ mod tests {
     fn sensors_of_a_flight_that_sees_the_same_place_again_and_again_do_not_pile_up() {
         let mut layer = Layer::default();
         let kept =
-            |cycle: i64| if cycle % 100 == 0 { Voxel::new(cycle as i32, 50, 0) } else { Voxel::new(1, 1, 1) };
-        for cycle in 0..20_000 {
-            layer.apply(&Changes::from_voxels([(kept(cycle), State::Free)]), Stamp(cycle));
-            layer.note_sensor(Stamp(cycle), [cycle as i32, 0, 0]);
-            // 200 cycles stand at the end, and the blocks are as few.
-            assert!(layer.sensors.len() < 200 + 2 * SENSORS_NOTED_MIN, "{} of {cycle}", layer.sensors.len());
+            |batch: i64| if batch % 100 == 0 { Voxel::new(batch as i32, 50, 0) } else { Voxel::new(1, 1, 1) };
+        for batch in 0..20_000 {
+            layer.apply(&Changes::from_voxels([(kept(batch), State::Free)]), Stamp(batch));
+            layer.note_sensor(Stamp(batch), [batch as i32, 0, 0]);
+            // 200 batches stand at the end, and the blocks are as few.
+            assert!(layer.sensors.len() < 200 + 2 * SENSORS_NOTED_MIN, "{} of {batch}", layer.sensors.len());
         }
-        let present = layer.present_state().unwrap();
-        assert_eq!(present.sensors.len(), present.parts.len());
-        // A present state says where its cycles were seen from.
+        let snapshot = layer.snapshot().unwrap();
+        assert_eq!(snapshot.sensors.len(), snapshot.parts.len());
+        // A snapshot says where its batches were seen from.
         let mut again = Layer::default();
-        again.apply_present(&present);
-        assert_eq!(again.present_state().unwrap(), present);
+        again.apply_snapshot(&snapshot);
+        assert_eq!(again.snapshot().unwrap(), snapshot);
     }
 
     #[test]

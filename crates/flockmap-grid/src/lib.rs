@@ -14,21 +14,21 @@ mod memory;
 #[doc(hidden)]
 mod origin;
 mod pose;
-mod present;
 mod scan;
+mod snapshot;
 mod stamps;
 mod voxel;
 
 pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, voxel_bit};
 pub use changes::Changes;
 pub use fusion::{Fusion, FusionConfig, FusionError, MapView, RayEnd};
-pub use layer::{LAYER_BLOCK_BYTES_MAX, Layer, Overtaken};
+pub use layer::{BaseSuperseded, LAYER_BLOCK_BYTES_MAX, Layer};
 pub use mapper::{
     ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport,
     SensorModel, Sphere, Which,
 };
 pub use origin::{RobotId, Stamp, Stream, epoch, seconds_of_epoch};
 pub use pose::{Pose, PoseError};
-pub use present::{PresentState, PresentVoxels};
 pub use scan::Scan;
+pub use snapshot::{Snapshot, SnapshotVoxels};
 pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};

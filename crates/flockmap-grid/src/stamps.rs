@@ -3,7 +3,7 @@
 use crate::{BLOCK_VOXELS, Plane, Stamp};
 
 /// Stamps of the voxels of a block, as a palette and an index into it for each voxel. A block is touched by a few
-/// dozen cycles as a rule, so a byte a voxel is enough; with more than 256 stamps in use it takes two.
+/// dozen batches as a rule, so a byte a voxel is enough; with more than 256 stamps in use it takes two.
 /// At most 9.2 kB: 1,024 palette entries, the half of them of no use any more, and 512 indices of two bytes.
 #[derive(Clone, Debug)]
 pub(crate) struct BlockStamps {

@@ -167,7 +167,7 @@ fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(u64, Resolution), Fault>
         let text = lines.next("the header of an OctoMap up to the line \"data\"")?;
         let line = String::from_utf8_lossy(text);
         let mut words = line.split_ascii_whitespace();
-        let word_of = |word: &str| excerpt(word.as_bytes());
+        let quoted = |word: &str| excerpt(word.as_bytes());
         let place = lines.place();
         match (words.next(), words.next()) {
             _ if lines.line() == 1 => {
@@ -180,16 +180,16 @@ fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(u64, Resolution), Fault>
             (Some("data"), None) => break,
             (Some("id"), Some("OcTree")) => id = Some(()),
             (Some("id"), Some(word)) => {
-                return Err(Fault::foreign(place, "a tree of type OcTree", word_of(word)));
+                return Err(Fault::foreign(place, "a tree of type OcTree", quoted(word)));
             }
             (Some("size"), Some(word)) => {
                 let nodes: Option<u64> = word.parse().ok();
-                size = Some(nodes.ok_or_else(|| Fault::damaged(place, "a number of nodes", word_of(word)))?);
+                size = Some(nodes.ok_or_else(|| Fault::damaged(place, "a number of nodes", quoted(word)))?);
             }
             (Some("res"), Some(word)) => {
                 let metres = word.parse().ok().and_then(Resolution::from_metres);
                 let expected = "a resolution of 0.001 to 100 m";
-                resolution = Some(metres.ok_or_else(|| Fault::damaged(place, expected, word_of(word)))?);
+                resolution = Some(metres.ok_or_else(|| Fault::damaged(place, expected, quoted(word)))?);
             }
             _ => {
                 let expected = "a line \"id …\", \"size …\", \"res …\", \"data\" or a comment";

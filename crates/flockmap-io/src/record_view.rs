@@ -7,11 +7,11 @@ pub(crate) const VIEW_VOXELS_MAX: usize = 1 << 18;
 /// Time between two pictures, in microseconds.
 const VIEW_PERIOD_MICROS: i64 = 2_000_000;
 /// Most points of a way; of a longer one every second is left out.
-const WAY_POINTS_MAX: usize = 4096;
+const PATH_POINTS_MAX: usize = 4096;
 /// Distance of two points of a way, to begin with.
-const WAY_STEP_M: f64 = 0.1;
+const PATH_STEP_M: f64 = 0.1;
 /// Orange: seen well before the colours of the map.
-const WAY_COLOUR: [u8; 3] = [255, 120, 0];
+const PATH_COLOUR: [u8; 3] = [255, 120, 0];
 /// Heights over which the colours of the map go from the first to the last; above it they go back again.
 const RAMP_M: f32 = 5.0;
 /// From low to high.
@@ -46,19 +46,19 @@ impl ViewSchedule {
 
 /// The places that a robot came by. At most 98 kB.
 #[derive(Debug)]
-pub(crate) struct Way {
+pub(crate) struct Travelled {
     places: Vec<[f64; 3]>,
     step_m: f64,
     now: Option<[f64; 3]>,
 }
 
-impl Default for Way {
+impl Default for Travelled {
     fn default() -> Self {
-        Self { places: Vec::new(), step_m: WAY_STEP_M, now: None }
+        Self { places: Vec::new(), step_m: PATH_STEP_M, now: None }
     }
 }
 
-impl Way {
+impl Travelled {
     pub(crate) fn push(&mut self, place: [f64; 3]) {
         self.now = Some(place);
         let far = |last: &[f64; 3]| {
@@ -68,7 +68,7 @@ impl Way {
         if !self.places.last().is_none_or(far) {
             return;
         }
-        if self.places.len() >= WAY_POINTS_MAX {
+        if self.places.len() >= PATH_POINTS_MAX {
             let mut number = 0;
             self.places.retain(|_| {
                 number += 1;
@@ -83,7 +83,7 @@ impl Way {
     pub(crate) fn points(&self) -> Vec<ColouredPoint> {
         let last = self.now.filter(|now| self.places.last() != Some(now));
         let places = self.places.iter().copied().chain(last);
-        places.map(|place| (place.map(|v| v as f32), WAY_COLOUR)).collect()
+        places.map(|place| (place.map(|v| v as f32), PATH_COLOUR)).collect()
     }
 }
 
@@ -152,12 +152,12 @@ mod tests {
 
     #[test]
     fn a_long_way_stays_bounded_and_ends_where_the_robot_is() {
-        let mut way = Way::default();
+        let mut way = Travelled::default();
         for i in 0..100_000 {
             way.push([f64::from(i) * 0.07, 0.0, 1.0]);
         }
         let points = way.points();
-        assert!(points.len() > WAY_POINTS_MAX / 2 && points.len() <= WAY_POINTS_MAX + 1);
+        assert!(points.len() > PATH_POINTS_MAX / 2 && points.len() <= PATH_POINTS_MAX + 1);
         assert_eq!(points[0].0, [0.0, 0.0, 1.0]);
         assert_eq!(points.last().unwrap().0[0], (99_999.0 * 0.07) as f32);
         assert!(points.windows(2).all(|w| w[0].0[0] < w[1].0[0]));

@@ -8,13 +8,13 @@ use flockmap_grid::{Pose, Resolution, Scan, Stamp, Voxel};
 use mcap::records::MessageHeader;
 
 use crate::error::WriteError;
-use crate::record_view::{ColouredPoint, VIEW_VOXELS_MAX, ViewSchedule, Way, map_points};
+use crate::record_view::{ColouredPoint, Travelled, VIEW_VOXELS_MAX, ViewSchedule, map_points};
 use crate::ros::{self, Header, Transform};
 
 /// Writes what a robot saw as an MCAP file of ROS 2 messages: `/NAME/points` (`sensor_msgs/msg/PointCloud2`, x y z as
 /// `f32`, in the frame `NAME/lidar`), `/NAME/odometry` (`nav_msgs/msg/Odometry`, `map` → `NAME/lidar`), `/tf`, and
 /// `/NAME/no_returns` for the rays that came back with nothing, if there are any. [`Self::write_view`] adds pictures for people:
-/// `/NAME/viewer/map` and `/NAME/viewer/way`, coloured PointCloud2 in the frame `map`.
+/// `/NAME/viewer/map` and `/NAME/viewer/path`, coloured PointCloud2 in the frame `map`.
 ///
 /// [`crate::open_record`] reads it back bit for bit, and so do ROS 2, Foxglove and Rerun. The same input gives the same bytes on
 /// any machine. Memory: one chunk of about 1 MiB, one scan or one picture (4 MiB), and 16 bytes a message for the index.
@@ -43,7 +43,7 @@ pub struct RecordWriter<W: Write + Seek = BufWriter<File>> {
     schemas: [u16; 3],
     sequence: u32,
     schedule: ViewSchedule,
-    way: Way,
+    travelled: Travelled,
 }
 
 const MAP_FRAME: &str = "map";
@@ -51,7 +51,7 @@ const POINTS: &str = "/points";
 const ODOMETRY: &str = "/odometry";
 const TRANSFORMS: &str = "/tf";
 const VIEW_MAP: &str = "/viewer/map";
-const VIEW_WAY: &str = "/viewer/way";
+const VIEW_PATH: &str = "/viewer/path";
 
 impl RecordWriter {
     /// Makes the file, or overwrites it. `robot` names topics and frames, for example `robot1`.
@@ -83,8 +83,8 @@ impl<W: Write + Seek> RecordWriter<W> {
             Err(source) => return Err(WriteError::Mcap { path, source }),
         };
         let (robot, sensor_frame) = (robot.to_owned(), format!("{robot}/lidar"));
-        let (schedule, way) = Default::default();
-        let mut writer = Self { path, mcap, robot, sensor_frame, schemas, sequence: 0, schedule, way };
+        let (schedule, travelled) = Default::default();
+        let mut writer = Self { path, mcap, robot, sensor_frame, schemas, sequence: 0, schedule, travelled };
         let [cloud, odometry, transforms] = schemas;
         writer.channel(cloud, &writer.topic(POINTS))?;
         writer.channel(odometry, &writer.topic(ODOMETRY))?;
@@ -117,7 +117,7 @@ impl<W: Write + Seek> RecordWriter<W> {
             }
         }
         self.schedule.scan_written(12 * (scan.points.len() + scan.no_returns.len()));
-        self.way.push(t_map_sensor.translation());
+        self.travelled.push(t_map_sensor.translation());
         Ok(())
     }
 
@@ -127,7 +127,7 @@ impl<W: Write + Seek> RecordWriter<W> {
     }
 
     /// Writes a picture for people who open the file in a viewer: the occupied voxels of the robot's map as they are now, coloured by
-    /// height, and the way flown so far. Readers of records pass it over. A map of more than 262,144 voxels is shown in voxels
+    /// height, and the path flown so far. Readers of records pass it over. A map of more than 262,144 voxels is shown in voxels
     /// of twice, four times … the side. Cost: sorting the voxels.
     pub fn write_view(
         &mut self,
@@ -140,7 +140,7 @@ impl<W: Write + Seek> RecordWriter<W> {
         let [cloud, ..] = self.schemas;
         let pictures: [(String, Vec<ColouredPoint>); 2] = [
             (self.topic(VIEW_MAP), map_points(resolution, occupied, VIEW_VOXELS_MAX)),
-            (self.topic(VIEW_WAY), self.way.points()),
+            (self.topic(VIEW_PATH), self.travelled.points()),
         ];
         // Both channels come before both messages.
         for (topic, _) in &pictures {

@@ -151,7 +151,7 @@ fn pictures_for_viewers_are_shown_and_passed_over_by_readers() {
     std::fs::write(&path, &bytes).unwrap();
     let text = describe(&path).unwrap().to_string();
     assert!(text.contains("/robot7/viewer/map: 3 × sensor_msgs/msg/PointCloud2"), "{text}");
-    assert!(text.contains("/robot7/viewer/way: 3 × ") && text.contains("45 frames of 45 scans"), "{text}");
+    assert!(text.contains("/robot7/viewer/path: 3 × ") && text.contains("45 frames of 45 scans"), "{text}");
     // The picture itself can be asked for, too: points of the map, taken back to the sensor.
     let options = RecordOptions { points_topic: Some("/robot7/viewer/map".into()), ..Default::default() };
     let (pictures, errors) = read(&bytes, &options).unwrap();

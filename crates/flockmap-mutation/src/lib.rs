@@ -21,8 +21,8 @@ pub enum Mutation {
     GapNeverAsked,
     /// A package counts as held before it is merged, and is not.
     AcceptedUnmerged,
-    /// A present state counts as held when its first tile has come.
-    StateHeldTooEarly,
+    /// A snapshot counts as held when its first chunk has come.
+    SnapshotReceivedTooEarly,
     /// More is in flight to a peer than the limit allows.
     WindowIgnored,
     /// The store grows beyond its limit.
@@ -33,14 +33,14 @@ pub enum Mutation {
     HoldingsIgnored,
     /// A session wants to be called again at once, always.
     TimeStandsStill,
-    /// A cycle leaves out its last block.
+    /// A batch leaves out its last block.
     BlockLeftOut,
     /// A nonce is used for every datagram.
     NonceRepeated,
     /// A sealed datagram counts however often it comes.
     ReplayAccepted,
     /// No run that has ended gives way to one that flies.
-    LiveRefused,
+    LiveBackedOff,
     /// A robot that hears of a run of its own id with a higher epoch goes on as it is.
     BeginAnewIgnored,
     /// Every run has the same epoch.
@@ -56,7 +56,7 @@ pub enum Mutation {
     /// A payload may ask for any work.
     WorkUnlimited,
     /// Each request begins with the same robot: what does not fit behind it is never named.
-    OriginsNotInTurn,
+    OriginsNotInOrder,
 }
 
 impl Mutation {
@@ -68,7 +68,7 @@ impl Mutation {
         Self::BudgetIgnored,
         Self::GapNeverAsked,
         Self::AcceptedUnmerged,
-        Self::StateHeldTooEarly,
+        Self::SnapshotReceivedTooEarly,
         Self::WindowIgnored,
         Self::StoreLimitIgnored,
         Self::FusionSkipped,
@@ -77,7 +77,7 @@ impl Mutation {
         Self::BlockLeftOut,
         Self::NonceRepeated,
         Self::ReplayAccepted,
-        Self::LiveRefused,
+        Self::LiveBackedOff,
         Self::BeginAnewIgnored,
         Self::EpochRepeated,
         Self::SaltRepeated,
@@ -85,7 +85,7 @@ impl Mutation {
         Self::PathAskedAtOnce,
         Self::GapStatesWithheld,
         Self::WorkUnlimited,
-        Self::OriginsNotInTurn,
+        Self::OriginsNotInOrder,
     ];
 }
 

@@ -342,8 +342,8 @@ impl RadioEmulator {
     fn carry(&mut self, on_air: Stamp, from: RobotId, to: RobotId, bytes: &Arc<[u8]>) {
         let Some(line) = self.links.get_mut(&(from, to)) else { return };
         // Every datagram takes the same draws, so that a change of one rate does not shift the others.
-        let lost = line.random.chance(line.link.loss);
-        let twice = line.random.chance(line.link.duplication);
+        let lost = line.random.happens(line.link.loss);
+        let twice = line.random.happens(line.link.duplication);
         let jitter_max = line.link.jitter_micros.max(0) as u64;
         let jitters = [(); 2].map(|()| line.random.below(jitter_max.saturating_add(1)) as i64);
         let delay = line.link.delay_micros.max(0);

@@ -10,16 +10,18 @@ const SEEDS: u64 = 150;
 /// Who has to find a fault.
 const fn finder(mutation: Mutation) -> &'static str {
     match mutation {
-        Mutation::StampCompareDropped | Mutation::AcceptedUnmerged | Mutation::StateHeldTooEarly => "layer",
+        Mutation::StampCompareDropped | Mutation::AcceptedUnmerged | Mutation::SnapshotReceivedTooEarly => {
+            "layer"
+        }
         Mutation::LedgerIgnored | Mutation::HoldingsIgnored => "twice",
         Mutation::CheckSkipped => "voxel",
         Mutation::BudgetIgnored => "budget",
         Mutation::GapNeverAsked
-        | Mutation::LiveRefused
+        | Mutation::LiveBackedOff
         | Mutation::BeginAnewIgnored
         | Mutation::GapStatesWithheld => "agreement",
         // What is never named of ended runs is learnt of by chance, long after all seemed to agree.
-        Mutation::OriginsNotInTurn => "quiet",
+        Mutation::OriginsNotInOrder => "quiet",
         Mutation::WindowIgnored => "in_flight",
         Mutation::StoreLimitIgnored => "memory",
         Mutation::FusionSkipped => "fused",
@@ -39,7 +41,7 @@ const fn options(seed: u64, mutation: Mutation) -> SwarmOptions {
     let options = SwarmOptions::new(seed);
     match mutation {
         // Requests have to be too short for all runs of all robots.
-        Mutation::OriginsNotInTurn => SwarmOptions {
+        Mutation::OriginsNotInOrder => SwarmOptions {
             robots: Some(10),
             budget_bytes_per_s: Some(600),
             cast: Some(Cast::Broadcast),
@@ -55,7 +57,7 @@ const fn first_seed(mutation: Mutation) -> u64 {
         Mutation::BeginAnewIgnored => 105,
         Mutation::GapStatesWithheld => 1_000_023_671,
         Mutation::WorkUnlimited => 50,
-        Mutation::OriginsNotInTurn => 18,
+        Mutation::OriginsNotInOrder => 18,
         _ => 1,
     }
 }

@@ -11,7 +11,7 @@ use anyhow::{Context, ensure};
 use flockmap::{Destination, Resolution, Robot, RobotConfig, RobotId, Stamp};
 use flockmap_node::store::{Identity, Store, StoreOptions};
 use flockmap_node::{Log, StoreWriter};
-use flockmap_worlds::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_worlds::{Flight, Lidar, ScanOptions, Trajectory, TrajectoryOptions, World};
 
 const RANGE_M: f64 = 7.0;
 
@@ -48,7 +48,7 @@ fn main() -> anyhow::Result<()> {
         let restored = store.restore(&mut again, Stamp(1));
         let took = began.elapsed().as_secs_f64();
         println!(
-            "restored {} packages and tiles in {took:.3} s, {:.2} ms each",
+            "restored {} packages and chunks in {took:.3} s, {:.2} ms each",
             restored.packages,
             took * 1e3 / restored.packages as f64
         );
@@ -84,12 +84,12 @@ fn main() -> anyhow::Result<()> {
 /// A minute of flight; the time that storing took of the robot's, and packages and bytes stored.
 fn fly(robots: &mut [Robot; 2], store: &mut StoreWriter) -> anyhow::Result<(Duration, usize, usize)> {
     let world = Arc::new(World::forest(1));
-    let options = PatrolOptions { duration_s: 60.0, ..PatrolOptions::default() };
-    let patrols = Patrol::plan(&world, 2, 1, &options)?;
+    let options = TrajectoryOptions { duration_s: 60.0, ..TrajectoryOptions::default() };
+    let trajectories = Trajectory::plan(&world, 2, 1, &options)?;
     let scan = ScanOptions { range_m: RANGE_M, ..ScanOptions::default() };
-    let mut flights: Vec<_> = patrols
+    let mut flights: Vec<_> = trajectories
         .into_iter()
-        .map(|patrol| Flight::new(Arc::clone(&world), Lidar::Mid360, scan, patrol))
+        .map(|trajectory| Flight::new(Arc::clone(&world), Lidar::Mid360, scan, trajectory))
         .collect();
     let (mut noting, mut packages, mut bytes) = (Duration::ZERO, 0, 0);
     loop {
@@ -111,7 +111,7 @@ fn fly(robots: &mut [Robot; 2], store: &mut StoreWriter) -> anyhow::Result<(Dura
         }
         while let Some(event) = robots[0].poll_event() {
             match &event {
-                flockmap::Event::CycleClosed { packages: own, .. } => {
+                flockmap::Event::BatchClosed { packages: own, .. } => {
                     packages += own.len();
                     bytes += own.iter().map(|package| package.bytes().len()).sum::<usize>();
                 }

@@ -152,9 +152,9 @@ impl<T: Transport> Driver<T> {
         let clock = self.options.clock;
         let now = clock.now();
         if self.robot.poll_timeout().is_some_and(|due| due <= now) {
-            self.close_cycles(now, Robot::handle_timeout);
+            self.close_batches(now, Robot::handle_timeout);
         }
-        self.tell_paths();
+        self.send_paths();
         loop {
             let now = clock.now();
             let Some(transmit) = self.robot.poll_transmit(now) else { break };
@@ -180,7 +180,7 @@ impl<T: Transport> Driver<T> {
     }
 
     /// Tells the transport where robots are reached, if that has changed. Before it receives again: what it is told it does not forget.
-    fn tell_paths(&mut self) {
+    fn send_paths(&mut self) {
         let paths = || self.robot.session().paths().map(|(_, path)| path);
         if !paths().eq(self.paths.iter().copied()) {
             self.paths = paths().collect();
@@ -188,17 +188,17 @@ impl<T: Transport> Driver<T> {
         }
     }
 
-    /// Closes the cycle with what has changed.
+    /// Closes the batch with what has changed.
     fn flush(&mut self) {
-        self.close_cycles(self.options.clock.now(), Robot::flush);
+        self.close_batches(self.options.clock.now(), Robot::flush);
     }
 
-    fn close_cycles(&mut self, now: Stamp, close: impl FnOnce(&mut Robot, Stamp)) {
+    fn close_batches(&mut self, now: Stamp, close: impl FnOnce(&mut Robot, Stamp)) {
         let began = Instant::now();
         close(&mut self.robot, now);
         let took = micros(began.elapsed());
         self.take_events(now, |timings, event| {
-            if let Event::CycleClosed { .. } = event {
+            if let Event::BatchClosed { .. } = event {
                 timings.pack.add(took);
             }
         });
@@ -262,8 +262,8 @@ impl<T: Transport> Driver<T> {
                 }
             }
             Input::Fault(text) => self.take_fault(text),
-            Input::GaveWay(text) => {
-                self.counters.sensor_gave_way += 1;
+            Input::Yielded(text) => {
+                self.counters.sensor_yielded += 1;
                 self.options.log.warn(text);
             }
             Input::Note(text) if text.is_empty() => {}
@@ -292,7 +292,7 @@ impl<T: Transport> Driver<T> {
             match &event {
                 Event::RunBegun(run) => self.keep_run(run.epoch),
                 // Of many events the oldest are dropped.
-                Event::CycleClosed { cycle, .. } => self.keep_run(cycle.stream.epoch),
+                Event::BatchClosed { batch, .. } => self.keep_run(batch.stream.epoch),
                 _ => {}
             }
             if let Some(store) = &self.store {
@@ -302,14 +302,14 @@ impl<T: Transport> Driver<T> {
                 observer(now, &self.robot, Observation::Event(&event));
             }
             match event {
-                Event::CycleClosed { .. } => self.active = Instant::now(),
-                Event::Merged { stream, cycle_end, changes, .. } => {
+                Event::BatchClosed { .. } => self.active = Instant::now(),
+                Event::Merged { stream, batch_end, changes, .. } => {
                     self.active = Instant::now();
-                    // A tile of a present state tells of many times.
+                    // A chunk of a snapshot tells of many times.
                     if let Some(offset) = self.robot.session().clock_offset(stream)
                         && !changes.is_empty()
                     {
-                        let age = now.micros_since(cycle_end).saturating_add(offset).max(0).unsigned_abs();
+                        let age = now.micros_since(batch_end).saturating_add(offset).max(0).unsigned_abs();
                         self.timings.age.add(age);
                         self.recent_age.add(age);
                     }
@@ -335,7 +335,7 @@ impl<T: Transport> Driver<T> {
                 Event::SameIdentity => {
                     self.warn(|| "another robot uses the id of this one; give one of them another".into());
                 }
-                Event::CountersSpent => {
+                Event::NoncesExhausted => {
                     let text = "this run has sent all that can be sealed: nothing more goes out; start again";
                     self.options.log.say(Level::Error, text);
                 }

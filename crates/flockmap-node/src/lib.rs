@@ -22,7 +22,7 @@
 //! | [`NodeConfig`] | the configuration file; [`EXAMPLE`] shows every key |
 //! | [`Transport`], [`UdpTransport`] | how datagrams travel; others can stand beside UDP |
 //! | [`Sensor`] | a recording or simulation in real time, a channel, or a socket that any program feeds |
-//! | [`Node`], [`NodeHandle`] | the robot at work, and the hand on it |
+//! | [`Node`], [`NodeHandle`] | the robot at work, and the forward it |
 //! | [`store`], [`StoreWriter`] | packages on disk, so that a rebooted robot has its map again, and the epoch of its run |
 //! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; what is left at the end |
 #![forbid(unsafe_code)]
@@ -47,7 +47,7 @@ mod transport;
 
 pub use clock::Clock;
 pub use config::{
-    AlignmentSection, CodecSection, ConfigError, CycleSection, EXAMPLE, FoundKey, FusionSection,
+    AlignmentSection, BatchSection, CodecSection, ConfigError, EXAMPLE, FoundKey, FusionSection,
     KEY_VARIABLE, MapSection, MetricsSection, NetworkSection, NodeConfig, OutputSection, Secret,
     SensorSection, SessionSection, StateSection, StoreSection, TeammatesSection,
 };
@@ -62,4 +62,4 @@ pub use sensor::{MESSAGE_VERSION, MessageError, MessageLimits, Sensor, SensorMes
 pub use status::{GivenUp, NodeCounters, NodeStatus, StreamStatus, Timings};
 pub use store_writer::StoreWriter;
 pub use summary::{StreamSummary, Summary, TimingSummary};
-pub use transport::{Sent, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};
+pub use transport::{SendResult, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};

@@ -1,4 +1,4 @@
-//! One robot on a thread of its own, and the hand on it.
+//! One robot on a thread of its own, and the forward it.
 
 use std::fmt;
 use std::future::Future;
@@ -238,7 +238,7 @@ impl fmt::Debug for Ended {
     }
 }
 
-/// The hand on a running node. Dropping it stops the node.
+/// The forward a running node. Dropping it stops the node.
 #[derive(Debug)]
 pub struct NodeHandle {
     name: String,
@@ -271,7 +271,7 @@ impl NodeHandle {
     }
 
     /// Runs a function on the robot, between two steps of the node, and waits for the result: read maps, set alignments,
-    /// close a cycle. What it causes to be sent goes out after it. `None` if the node has ended.
+    /// close a batch. What it causes to be sent goes out after it. `None` if the node has ended.
     pub fn with_robot<R: Send + 'static>(
         &self,
         function: impl FnOnce(&mut Robot, Stamp) -> R + Send + 'static,
@@ -293,7 +293,7 @@ impl NodeHandle {
         result.recv().ok()
     }
 
-    /// Asks the node to end: it closes its cycle, sends what is left, and lingers a moment. Asked again, it ends at once.
+    /// Asks the node to end: it closes its batch, sends what is left, and lingers a moment. Asked again, it ends at once.
     pub fn stop(&self) {
         // Ended already is as good.
         let _ = self.commands.send(Command::Stop);

@@ -39,7 +39,7 @@ pub struct NodeCounters {
     /// Faults of the sensor: damaged messages, frames that could not be read, stamps from another clock, poses and positions that are none.
     pub sensor_faults: u64,
     /// Silent sensor connections that were closed, since another program wanted in and there was no place.
-    pub sensor_gave_way: u64,
+    pub sensor_yielded: u64,
     /// Times that the system clock was stepped, or the machine slept. The node's clock goes on.
     pub clock_steps: u64,
 }
@@ -50,7 +50,7 @@ pub struct NodeCounters {
 pub struct Timings {
     /// Inserting a scan.
     pub insert_scan: Histogram,
-    /// The paper's `t_pack`: from the start of closing a cycle until its packages are ready.
+    /// The paper's `t_pack`: from the start of closing a batch until its packages are ready.
     pub pack: Histogram,
     /// The paper's `t_recv2insert`: from a datagram until what it brings is in the fused map.
     pub receive_to_insert: Histogram,
@@ -64,7 +64,7 @@ pub struct StreamStatus {
     /// The stream.
     pub stream: Stream,
     /// Packages held.
-    pub held: u64,
+    pub received: u64,
     /// Packages that are known to exist and not held.
     pub missing: u64,
     /// The highest index that is known to exist.
@@ -92,7 +92,7 @@ pub struct NodeStatus {
     pub own: Stream,
     /// Since the node began.
     pub uptime: Duration,
-    /// Since something new came or went: a scan, an own cycle, a package of another robot.
+    /// Since something new came or went: a scan, an own batch, a package of another robot.
     pub quiet_for: Duration,
     /// Whether no scan will come any more.
     pub sensor_ended: bool,
@@ -129,7 +129,7 @@ impl NodeStatus {
             let missing = session.store().missing(stream);
             StreamStatus {
                 stream,
-                held: session.held(stream).map_or(0, |held| held.count()),
+                received: session.received(stream).map_or(0, |received| received.count()),
                 missing: missing.map(|(low, high)| u64::from(high - low) + 1).sum(),
                 newest: session.store().newest_known(stream),
                 voxels: fusion.layer(stream).map_or(0, flockmap::grid::Layer::len),
@@ -154,7 +154,9 @@ impl NodeStatus {
 
     /// Packages held and missing, over all streams.
     pub fn packages(&self) -> (u64, u64) {
-        self.streams.iter().fold((0, 0), |(held, missing), s| (held + s.held, missing + s.missing))
+        self.streams
+            .iter()
+            .fold((0, 0), |(received, missing), s| (received + s.received, missing + s.missing))
     }
 
     /// What this robot has given up for want of room. Anything but 0: raise `streams_max` or `epochs_max`.
@@ -198,7 +200,7 @@ impl NodeStatus {
                 |s: &StreamStatus| format!(",origin=\"{}\",epoch=\"{}\"", s.stream.origin, s.stream.epoch);
             self.streams.iter().map(|s| (label(s), value(s))).collect()
         };
-        metric("gauge", "packages_held", by_stream(&|s| s.held as f64));
+        metric("gauge", "packages_held", by_stream(&|s| s.received as f64));
         metric("gauge", "packages_missing", by_stream(&|s| s.missing as f64));
         metric("gauge", "layer_voxels", by_stream(&|s| s.voxels as f64));
 
@@ -251,7 +253,7 @@ impl StatusLine {
         let rate = |now: u64, then: u64| now.saturating_sub(then) as f64 / 1_024.0 / seconds;
         let (rate_in, rate_out) = (rate(node.bytes_in, bytes_in), rate(node.bytes_out, bytes_out));
         self.before = Some((status.uptime, node.bytes_in, node.bytes_out));
-        let (held, missing) = status.packages();
+        let (received, missing) = status.packages();
         let (free, occupied) = status.map_voxels;
         let store = if status.store.failures > 0 { " | STORE OFF" } else { "" };
         let given_up = match status.given_up() {
@@ -265,10 +267,10 @@ impl StatusLine {
             _ => format!("{:.2} s", age.quantile(0.5) as f64 / 1e6),
         };
         format!(
-            "peers {} | in {rate_in:.1} out {rate_out:.1} KB/s | {} cycles | packages {held} held {missing} missing | \
+            "peers {} | in {rate_in:.1} out {rate_out:.1} KB/s | {} batches | packages {received} received {missing} missing | \
              map {} voxels, {occupied} occupied | age {age}{store}{given_up}",
             status.peers.len(),
-            status.robot.cycles,
+            status.robot.batches,
             free + occupied,
         )
     }
@@ -289,13 +291,13 @@ pub(crate) type Named = Vec<(&'static str, u64)>;
 pub(crate) fn node_counters(c: &NodeCounters) -> Named {
     fields!(c; datagrams_in bytes_in datagrams_out bytes_out send_failed receive_errors unreachable
             datagrams_refused frames frames_late points_dropped sensor_faults
-            sensor_gave_way clock_steps)
+            sensor_yielded clock_steps)
 }
 
 pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
-    fields!(c; scans scans_ahead steps points_ignored points_masked blocks_forgotten cycles cycles_held cycles_in_parts changes
-            packages package_bytes merged overtaken damaged no_room foreign_resolution
-            present_states runs_begun cycles_without_reference events_dropped)
+    fields!(c; scans scans_ahead steps points_ignored points_masked blocks_forgotten batches batches_deferred batches_in_parts changes
+            packages package_bytes merged superseded damaged no_room foreign_resolution
+            snapshots runs_begun batches_independent events_dropped)
 }
 
 pub(crate) fn store_counters(c: &StoreCounters) -> Named {
@@ -316,12 +318,12 @@ pub(crate) fn session_counters(c: &Counters) -> Named {
         ("paths_out", c.paths_out.datagrams),
         ("paths_out_bytes", c.paths_out.bytes),
     ];
-    named.extend(fields!(c; paths_validated published sent relayed tiles_sent confirmed lost suppressed gap_requests delayed_by_budget
-            delayed_by_window received waited waiting_dropped accepted repaired tiles_accepted caught_up duplicates rejected given_up
-            present_states_restarted own_returned damaged foreign_version foreign_swarm forged replayed unknown_run unsealed
+    named.extend(fields!(c; paths_validated published sent relayed chunks_sent confirmed lost suppressed gap_requests delayed_by_budget
+            delayed_by_window received waited waiting_dropped accepted repaired chunks_accepted caught_up duplicates rejected undecodable
+            snapshots_restarted own_returned damaged foreign_version foreign_swarm forged replayed unknown_run unsealed
             sealed_without_key malformed own_heard same_identity epoch_too_low stale_epoch stale_requests too_many_peers
             streams_forgotten too_many_streams too_fragmented events_overflowed too_many_transfers transfers_dropped
-            present_states_wanted present_states_unusable));
+            snapshots_wanted snapshots_unusable));
     named
 }
 
@@ -365,7 +367,7 @@ mod tests {
         let mut line = StatusLine::default();
         let mut now = status("r");
         let first = line.next(&now, &Histogram::default());
-        assert!(first.contains("peers 0 | in 1.0 out 5.0 KB/s | 0 cycles"), "{first}");
+        assert!(first.contains("peers 0 | in 1.0 out 5.0 KB/s | 0 batches"), "{first}");
         assert!(first.ends_with("age –"), "{first}");
         now.uptime = Duration::from_secs(3);
         now.node.bytes_in += 4_096;

@@ -1,4 +1,4 @@
-//! The threads on which the robot's disk is written, and the hand on them: the robot never waits for it.
+//! The threads on which the robot's disk is written, and the forward them: the robot never waits for it.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
@@ -44,7 +44,7 @@ struct Shared {
     /// A compaction that waits for copies.
     wanted: Mutex<Option<Compaction>>,
     waiting_bytes: AtomicUsize,
-    is_slowness_told: AtomicBool,
+    is_slowness_logged: AtomicBool,
 }
 
 enum Job {
@@ -77,7 +77,7 @@ impl StoreWriter {
             left_out: AtomicU64::new(0),
             wanted: Mutex::default(),
             waiting_bytes: AtomicUsize::new(0),
-            is_slowness_told: AtomicBool::new(false),
+            is_slowness_logged: AtomicBool::new(false),
         });
         let has_store = store.is_some();
         let mut writer = Writer { shared: Arc::clone(&shared), store, epochs, began: Instant::now() };
@@ -120,7 +120,7 @@ impl StoreWriter {
         let (bytes, count) = (bytes_of(&packages), packages.len() as u64);
         let waiting = self.shared.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
         let is_full = waiting + bytes > WAITING_BYTES_MAX;
-        if is_full && !self.shared.is_slowness_told.swap(true, Ordering::Relaxed) {
+        if is_full && !self.shared.is_slowness_logged.swap(true, Ordering::Relaxed) {
             self.shared.log.warn(
                 "store: the disk does not keep up; packages are left out, and asked for after a restart",
             );

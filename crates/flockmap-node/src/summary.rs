@@ -41,7 +41,7 @@ pub struct StreamSummary {
     /// Its run.
     pub epoch: u64,
     /// Indices held, as closed intervals.
-    pub held: Vec<(u32, u32)>,
+    pub received: Vec<(u32, u32)>,
     /// Packages that are known to exist and not held.
     pub missing: u64,
     /// Voxels of its layer.
@@ -85,7 +85,9 @@ impl Summary {
         let streams = status.streams.iter().map(|s| StreamSummary {
             origin: s.stream.origin.0,
             epoch: s.stream.epoch,
-            held: session.held(s.stream).map_or_else(Vec::new, |held| held.intervals().to_vec()),
+            received: session
+                .received(s.stream)
+                .map_or_else(Vec::new, |received| received.intervals().to_vec()),
             missing: s.missing,
             voxels: s.voxels,
             digest: format!(

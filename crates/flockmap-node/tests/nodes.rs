@@ -10,8 +10,8 @@ use std::time::Duration;
 use common::{config, corridor, frames, loopback, swarm, wait_until};
 use flockmap::{Cast, Event, Path, RobotId, Stream, Transmit};
 use flockmap_node::{
-    Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, Sensor,
-    SensorMessage, Sent, Transport, UdpOptions, UdpSockets, UdpTransport,
+    Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, SendResult,
+    Sensor, SensorMessage, Transport, UdpOptions, UdpSockets, UdpTransport,
 };
 
 fn play(robot: u16, scans: usize) -> Sensor {
@@ -81,10 +81,10 @@ impl Transport for Lossy {
         self.0.set_paths(paths);
     }
 
-    async fn send(&mut self, transmit: &Transmit) -> Sent {
+    async fn send(&mut self, transmit: &Transmit) -> SendResult {
         self.1 += 1;
         if self.1.is_multiple_of(3) {
-            return Sent { copies: 1, failed: 0 };
+            return SendResult { copies: 1, failed: 0 };
         }
         self.0.send(transmit).await
     }
@@ -116,7 +116,7 @@ fn an_observer_sees_scans_and_what_others_sent() {
                 assert!(report.hits > 0);
                 seen.0 += 1;
             }
-            Observation::Event(Event::CycleClosed { .. }) => seen.1 += 1,
+            Observation::Event(Event::BatchClosed { .. }) => seen.1 += 1,
             Observation::Event(Event::Merged { stream, .. }) => {
                 assert!(robot.fusion().layer(*stream).is_some());
                 seen.2 += 1;
@@ -128,8 +128,8 @@ fn an_observer_sees_scans_and_what_others_sent() {
     let options = NodeOptions { sensor: play(2, 10), ..NodeOptions::new(config(2)) };
     let two = Node::start(options, move || second.into_transport()).unwrap();
     wait_until_equal(&[one, two], 2);
-    let (scans, cycles, merged) = *seen.lock().unwrap();
-    assert!(scans == 10 && cycles > 0 && merged > 0, "{scans} {cycles} {merged}");
+    let (scans, batches, merged) = *seen.lock().unwrap();
+    assert!(scans == 10 && batches > 0 && merged > 0, "{scans} {batches} {merged}");
 }
 
 #[test]
@@ -167,8 +167,8 @@ fn a_node_that_cannot_start_says_why() {
         Node::start(options, move || sockets.into_transport()).unwrap_err().to_string()
     };
     let mut robot = config(1);
-    robot.cycle.t_l_ms = 0;
-    assert!(start(NodeOptions::new(robot)).contains("t_l_ms is 0"));
+    robot.batch.publish_period_ms = 0;
+    assert!(start(NodeOptions::new(robot)).contains("publish_period_ms is 0"));
 
     let sensor =
         Sensor::Play { frames: frames(corridor(1, 1)), speed: 0.0, skip: Duration::ZERO, begin: None };
@@ -185,14 +185,14 @@ fn a_node_that_cannot_start_says_why() {
     assert!(text.contains("metrics") && text.contains("another port in [metrics] prometheus"), "{text}");
 }
 
-fn start_alone(options: NodeOptions) -> NodeHandle {
+fn start_independent(options: NodeOptions) -> NodeHandle {
     let sockets = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap();
     Node::start(options, move || sockets.into_transport()).unwrap()
 }
 
 #[test]
 fn counters_are_served_to_prometheus() {
-    let node = start_alone(NodeOptions { prometheus: Some(loopback()), ..NodeOptions::new(config(1)) });
+    let node = start_independent(NodeOptions { prometheus: Some(loopback()), ..NodeOptions::new(config(1)) });
     let address = node.prometheus_address().unwrap();
     let ask = |request: &str| {
         let mut stream = TcpStream::connect(address).unwrap();
@@ -221,7 +221,7 @@ fn counters_are_served_to_prometheus() {
 
 #[test]
 fn idle_clients_delay_nobody_who_asks_for_counters() {
-    let node = start_alone(NodeOptions { prometheus: Some(loopback()), ..NodeOptions::new(config(1)) });
+    let node = start_independent(NodeOptions { prometheus: Some(loopback()), ..NodeOptions::new(config(1)) });
     let address = node.prometheus_address().unwrap();
     // If each were waited for, even a few at a time, it would be far longer than the patience.
     let mut idle: Vec<TcpStream> = (0..100).map(|_| TcpStream::connect(address).unwrap()).collect();
@@ -256,7 +256,7 @@ fn a_node_takes_stamped_scans_whatever_is_done_to_the_system_clock() {
     options.clock = clock;
     options.sensor = Sensor::Tcp(loopback(), MessageLimits::default());
     options.log = Log::new(move |_, text| in_log.lock().unwrap().push(text.to_owned()));
-    let node = start_alone(options);
+    let node = start_independent(options);
     let mut stream = TcpStream::connect(node.sensor_address().unwrap()).unwrap();
     let mut steps = 0;
     // Forwards, back to 1970, and forwards again; the program knows nothing of it.
@@ -280,7 +280,7 @@ fn a_node_takes_stamped_scans_whatever_is_done_to_the_system_clock() {
 #[test]
 fn any_program_can_feed_scans_over_tcp() {
     let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
-    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let node = start_independent(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
     let address: SocketAddr = node.sensor_address().unwrap().parse().unwrap();
     let mut stream = TcpStream::connect(address).unwrap();
     for mut frame in corridor(0, 5) {
@@ -299,7 +299,7 @@ fn any_program_can_feed_scans_over_tcp() {
 #[test]
 fn a_few_silent_programs_keep_no_sensor_out() {
     let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
-    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let node = start_independent(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
     let address = node.sensor_address().unwrap().to_owned();
     let _silent: Vec<TcpStream> = (0..6).map(|_| TcpStream::connect(&address).unwrap()).collect();
     let mut stream = TcpStream::connect(&address).unwrap();
@@ -316,7 +316,7 @@ fn any_program_can_feed_scans_over_a_unix_socket() {
     // As a killed node leaves it.
     drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
     let sensor = Sensor::Unix { path: path.clone(), mode: 0o600, limits: MessageLimits::default() };
-    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let node = start_independent(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
     let mut stream = std::os::unix::net::UnixStream::connect(&path).unwrap();
     let mut frame = corridor(0, 1).next().unwrap();
     frame.scan.stamp = flockmap::Stamp(0);
@@ -330,7 +330,7 @@ fn any_program_can_feed_scans_over_a_unix_socket() {
 #[test]
 fn the_python_example_feeds_a_node() {
     let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
-    let node = start_alone(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
+    let node = start_independent(NodeOptions { sensor, ..NodeOptions::new(config(1)) });
     let address: SocketAddr = node.sensor_address().unwrap().parse().unwrap();
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/feed_sensor.py");
     let port = address.port().to_string();
@@ -360,7 +360,7 @@ fn frames_from_a_channel_are_mapped_and_the_end_of_it_ends_the_sensor() {
         end: EndOptions { when_quiet: Some(Duration::ZERO), ..EndOptions::default() },
         ..NodeOptions::new(config(1))
     };
-    let node = start_alone(options);
+    let node = start_independent(options);
     for mut frame in corridor(1, 8) {
         frame.scan.stamp = node.clock().now();
         send.blocking_send(frame).unwrap();
@@ -422,7 +422,7 @@ fn a_robot_that_starts_again_gets_everything_back() {
     let three = start_playing(3, 1, three, |_| {});
     let two = start_playing(2, 1, two, |options| options.end.linger = Duration::ZERO);
     wait_until("the robot has sent something", || {
-        one.status().unwrap().streams.iter().any(|s| s.stream.origin == RobotId(2) && s.held > 0)
+        one.status().unwrap().streams.iter().any(|s| s.stream.origin == RobotId(2) && s.received > 0)
     });
     drop(two);
     wait_until("its port is free", || std::net::UdpSocket::bind(address).is_ok());

@@ -10,7 +10,7 @@ use common::{Shared, config, corridor, loopback, wait_until};
 use flockmap::sync::{Session, SessionConfig, SwarmKey};
 use flockmap::{Path, RobotId, Stamp, Stream, Transmit};
 use flockmap_node::{
-    Node, NodeHandle, NodeOptions, Sensor, Sent, Transport, UdpOptions, UdpSockets, UdpTransport,
+    Node, NodeHandle, NodeOptions, SendResult, Sensor, Transport, UdpOptions, UdpSockets, UdpTransport,
 };
 
 fn key() -> SwarmKey {
@@ -33,7 +33,7 @@ fn start<T: Transport>(
 }
 
 /// The robot sees something; waits until the other one knows it.
-fn see_and_tell(
+fn see_and_send(
     (node, sensor): &(NodeHandle, tokio::sync::mpsc::Sender<flockmap_node::Frame>),
     other: &NodeHandle,
     place: u16,
@@ -65,8 +65,8 @@ fn two_nodes_of_which_one_knows_the_other_meet() {
         one.add_peer(two.local_addr().unwrap());
         let one = start(1, has_key, move || one.into_transport());
         let two = start(2, has_key, move || two.into_transport());
-        see_and_tell(&one, &two.0, 1);
-        see_and_tell(&two, &one.0, 2);
+        see_and_send(&one, &two.0, 1);
+        see_and_send(&two, &one.0, 2);
         for node in [&one.0, &two.0] {
             let status = node.status().unwrap();
             assert_eq!((status.session.paths_validated, status.node.send_failed), (1, 0));
@@ -141,11 +141,11 @@ fn a_robot_whose_address_changes_is_followed() {
         one.add_peer(router.inside);
         let one = start(1, has_key, move || one.into_transport());
         let two = start(2, has_key, move || two.into_transport());
-        see_and_tell(&two, &one.0, 2);
+        see_and_send(&two, &one.0, 2);
         for changes in 1..=3 {
             router.change_port();
-            see_and_tell(&one, &two.0, 2 * changes as u16 + 1);
-            see_and_tell(&two, &one.0, 2 * changes as u16 + 2);
+            see_and_send(&one, &two.0, 2 * changes as u16 + 1);
+            see_and_send(&two, &one.0, 2 * changes as u16 + 2);
             // One challenge that was answered for each port.
             assert_eq!(two.0.status().unwrap().session.paths_validated, 1 + changes);
         }
@@ -185,7 +185,7 @@ impl Transport for Copied {
         self.inner.set_paths(paths);
     }
 
-    async fn send(&mut self, transmit: &Transmit) -> Sent {
+    async fn send(&mut self, transmit: &Transmit) -> SendResult {
         // Every other time the copy is faster.
         let is_faster = self.counts.lock().unwrap().datagrams % 2 == 1;
         if is_faster {
@@ -218,8 +218,8 @@ fn who_copies_a_robot_s_datagrams_draws_challenges_and_nothing_else() {
         });
         let two = start(2, has_key, move || two.into_transport());
         for place in 1..=8 {
-            see_and_tell(&one, &two.0, 2 * place);
-            see_and_tell(&two, &one.0, 2 * place + 1);
+            see_and_send(&one, &two.0, 2 * place);
+            see_and_send(&two, &one.0, 2 * place + 1);
         }
         let told = two.0.status().unwrap().session.packages_out.bytes as usize;
         assert_eq!(two.0.with_robot(|robot, _| robot.session().paths().count()), Some(1));

@@ -205,15 +205,15 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     let own_streams = || -> Vec<(Stream, u64, u64)> {
         let read = |robot: &mut flockmap::Robot| {
             let of_one = robot.fusion().layers().filter(|(stream, _)| stream.origin == RobotId(1));
-            let held = |stream| robot.session().held(stream).map_or(0, |held| held.count());
-            of_one.map(|(stream, layer)| (stream, layer.digest(), held(stream))).collect()
+            let received = |stream| robot.session().received(stream).map_or(0, |received| received.count());
+            of_one.map(|(stream, layer)| (stream, layer.digest(), received(stream))).collect()
         };
         mate.with_robot(move |robot, _| read(robot)).unwrap()
     };
     let path = dir.join("robot.toml");
     let write_config = |sensor: &str| {
         let text = format!(
-            "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[cycle]\nt_l_ms = 100\n[state]\npath = \"state\"\n[network]\nbind = \"127.0.0.1:0\"\n\
+            "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[batch]\nt_l_ms = 100\n[state]\npath = \"state\"\n[network]\nbind = \"127.0.0.1:0\"\n\
              peers = [\"{address}\"]\n[store]\npath = \"store\"\nsync_ms = 100\n[metrics]\nstatus_period_s = 0.0\n\
              [output]\nreport_json = \"end.json\"\n{sensor}"
         );
@@ -222,14 +222,14 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
 
     write_config("[sensor]\nrecord = \"robot1.mcap\"\n");
     let mut first = node_process(&path, &dir.join("first.log"));
-    wait_until("some cycles of the flight are with the team-mate", || {
-        own_streams().first().is_some_and(|(_, _, held)| *held >= 15)
+    wait_until("some batches of the flight are with the team-mate", || {
+        own_streams().first().is_some_and(|(_, _, received)| *received >= 15)
     });
     // SIGKILL: it can do nothing more.
     first.kill().unwrap();
     assert!(!first.wait().unwrap().success());
     std::thread::sleep(std::time::Duration::from_millis(300));
-    let (before, received) = (own_streams(), mate.status().unwrap().node.bytes_in);
+    let (before, came_first) = (own_streams(), mate.status().unwrap().node.bytes_in);
     assert_eq!(before.len(), 1);
 
     write_config("end_after_s = 4.0\n");
@@ -239,23 +239,23 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     assert!(log.contains("packages of former runs read"), "{log}");
     let end: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(dir.join("end.json")).unwrap()).unwrap();
-    let (stream, _, held) = before[0];
+    let (stream, _, received) = before[0];
     assert!(end["epoch"].as_u64().unwrap() > stream.epoch);
     let streams = end["streams"].as_array().unwrap();
     let former = streams.iter().find(|s| s["epoch"] == stream.epoch).unwrap();
-    // The team-mate may have got the end of the last cycle from the restarted robot, or the other way round.
+    // The team-mate may have got the end of the last batch from the restarted robot, or the other way round.
     let now = own_streams().into_iter().find(|(of, _, _)| *of == stream).unwrap();
     assert_eq!(former["digest"], format!("{:016x}", now.1), "equal at both");
-    assert!(now.2 >= held, "{now:?}, {held} held before");
+    assert!(now.2 >= received, "{now:?}, {received} held before");
     assert_eq!(former["missing"], 0);
     let map = end["map_free"].as_u64().unwrap() + end["map_occupied"].as_u64().unwrap();
     assert_eq!(map, former["voxels"].as_u64().unwrap(), "its map is what it saw before");
     let counters = &end["counters"];
     let restored = counters["store"]["restored"].as_u64().unwrap();
     let came = counters["node"]["bytes_in"].as_u64().unwrap();
-    println!("{received} B flew before; {restored} packages restored, {came} B came after the restart");
+    println!("{came_first} B flew before; {restored} packages restored, {came} B came after the restart");
     assert!(restored >= 10, "{counters}");
-    assert!(came * 4 < received, "{came} of {received} B");
+    assert!(came * 4 < came_first, "{came} of {came_first} B");
     mate.stop();
     drop(mate.join());
     std::fs::remove_dir_all(&dir).unwrap();

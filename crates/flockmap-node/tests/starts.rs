@@ -304,7 +304,7 @@ fn two_starts_of_a_program_in_1970_share_nothing_and_both_maps_arrive() {
         write_record(&dir, 2.0);
         two_starts(case, |number, recorder, _| {
             let mut text = format!(
-                "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[cycle]\nt_l_ms = 100\n[state]\npath = \"state{number}\"\n\
+                "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[batch]\nt_l_ms = 100\n[state]\npath = \"state{number}\"\n\
                  [network]\nbind = \"127.0.0.1:0\"\npeers = [\"{}\"]\n[sensor]\nrecord = \"robot1.mcap\"\n\
                  [metrics]\nstatus_period_s = 0.0\n[output]\nreport_json = \"end.json\"\nend_when_quiet_s = 3.0\nlinger_ms = {}\n",
                 recorder.near,

@@ -32,14 +32,14 @@ fn open_with(disk: &MemoryDisk, options: StoreOptions) -> Store {
     Store::open(Arc::new(disk.clone()), identity, options).unwrap()
 }
 
-/// The robot sees so much of a corridor; its cycles are noted. Returns how many packages that were.
+/// The robot sees so much of a corridor; its batches are noted. Returns how many packages that were.
 fn see(robot: &mut Robot, writer: &StoreWriter, scans: usize) -> u64 {
     let mut packages = 0;
     for frame in corridor(1, scans) {
         robot.insert_scan(frame.scan.stamp, &frame.scan, &frame.t_map_sensor).unwrap();
         robot.flush(frame.scan.stamp);
         while let Some(event) = robot.poll_event() {
-            if let Event::CycleClosed { packages: told, .. } = &event {
+            if let Event::BatchClosed { packages: told, .. } = &event {
                 packages += told.len() as u64;
             }
             writer.note(&event);
@@ -74,7 +74,7 @@ fn what_is_noted_is_on_disk_and_is_made_shorter_beside_it() {
     let own = robot.own_stream();
     let digest = |robot: &Robot| robot.fusion().layer(own).unwrap().digest();
     assert_eq!(digest(&again), digest(&robot));
-    assert_eq!(again.session().held(own).unwrap().count(), packages + more);
+    assert_eq!(again.session().received(own).unwrap().count(), packages + more);
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn a_robot_that_begins_anew_has_both_runs_and_its_epoch_on_disk() {
         let store = has_store.then(|| open(&disk).start(7 << 32).unwrap());
         let mut writer = StoreWriter::start(store, Some(epochs()), Log::silent());
         let mut robot = robot(7 << 32);
-        // More cycles, each with a stamp of its own, than there is room for events.
+        // More batches, each with a stamp of its own, than there is room for events.
         let before = see(&mut robot, &writer, 1_300);
         let first = robot.own_stream();
         let now = Stamp(200_000_000);
@@ -165,8 +165,8 @@ fn a_robot_that_begins_anew_has_both_runs_and_its_epoch_on_disk() {
             assert_eq!(store.last_epoch(), Some(second.epoch));
             store.restore(&mut again, Stamp(300_000_000));
             for (run, packages) in [(first, before), (second, after)] {
-                let held = again.session().held(run).map_or(0, flockmap::sync::IntervalSet::count);
-                assert_eq!(held, packages, "{run:?}");
+                let received = again.session().received(run).map_or(0, flockmap::sync::IntervalSet::count);
+                assert_eq!(received, packages, "{run:?}");
             }
         }
     }

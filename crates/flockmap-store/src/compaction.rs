@@ -1,4 +1,4 @@
-//! A segment that says in few bytes what all before it say: the present state of each stream. Made from copies that the robot gives stream by stream, so that it
+//! A segment that says in few bytes what all before it say: the snapshot of each stream. Made from copies that the robot gives stream by stream, so that it
 //! can be coded and written on another thread.
 
 use std::fmt;
@@ -31,7 +31,7 @@ pub struct StreamCopy {
 
 enum What {
     /// All packages held are in the layer.
-    State { layer: Layer, held: IntervalSet },
+    State { layer: Layer, received: IntervalSet },
     /// The layer lacks what some of them say.
     Packages(Vec<Package>),
     /// And they are not all there any more.
@@ -62,39 +62,39 @@ impl StreamCopy {
     /// The records that make the same layer again.
     fn into_records(self, encoder: &mut Encoder) -> Result<Vec<Record>, String> {
         let Self { stream, codec, resolution, what } = self;
-        let (layer, held) = match what {
-            What::State { layer, held } => (layer, held),
+        let (layer, received) = match what {
+            What::State { layer, received } => (layer, received),
             What::Packages(packages) => return Ok(packages.into_iter().map(Record::Package).collect()),
             What::Nothing(why) => return Err(why.into()),
         };
-        let cannot = |why: &str| format!("the present state of {stream:?} cannot be coded: {why}");
-        let Some(upto) = held.last().filter(|_| !layer.is_empty()) else { return Ok(Vec::new()) };
-        let state = layer.present_voxels(None).ok_or_else(|| cannot("it is too large"))?;
+        let cannot = |why: &str| format!("the snapshot of {stream:?} cannot be coded: {why}");
+        let Some(upto) = received.last().filter(|_| !layer.is_empty()) else { return Ok(Vec::new()) };
+        let state = layer.snapshot_voxels(None).ok_or_else(|| cannot("it is too large"))?;
         // One of a history with gaps says by itself no more than its newest package.
-        let is_whole = held.contains_range(1, upto);
+        let is_whole = received.contains_range(1, upto);
         let span = Span { stream, since: if is_whole { 0 } else { upto - 1 }, upto };
-        let tiles = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
-        let tiles = tiles.map_err(|error| cannot(&error.to_string()))?;
-        let contents = match tiles.first().map(|tile| tile.header().content) {
-            Some(ContentKind::Present { set, .. }) if !is_whole => {
-                Some(Contents { stream, set, intervals: held.intervals().to_vec() })
+        let chunks = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
+        let chunks = chunks.map_err(|error| cannot(&error.to_string()))?;
+        let contents = match chunks.first().map(|chunk| chunk.header().content) {
+            Some(ContentKind::Snapshot { set, .. }) if !is_whole => {
+                Some(Contents { stream, set, intervals: received.intervals().to_vec() })
             }
             _ => None,
         };
-        Ok(tiles.into_iter().map(Record::Package).chain(contents.map(Record::Contents)).collect())
+        Ok(chunks.into_iter().map(Record::Package).chain(contents.map(Record::Contents)).collect())
     }
 }
 
 impl What {
     fn of(robot: &Robot, stream: Stream) -> Option<Self> {
-        let (session, held) = (robot.session(), robot.session().held(stream)?);
+        let (session, received) = (robot.session(), robot.session().received(stream)?);
         let stored = || session.store().range(stream, 1, u32::MAX).map(|(_, p)| p.package.clone());
         if stream == robot.own_stream() && !robot.own_layer_has_all() {
             let packages: Vec<Package> = stored().collect();
-            let is_all = packages.len() as u64 == held.count();
+            let is_all = packages.len() as u64 == received.count();
             return Some(if is_all { Self::Packages(packages) } else { Self::Nothing(OWN_LAYER_FULL) });
         }
-        Some(Self::State { layer: robot.fusion().layer(stream)?.clone(), held: held.clone() })
+        Some(Self::State { layer: robot.fusion().layer(stream)?.clone(), received: received.clone() })
     }
 }
 

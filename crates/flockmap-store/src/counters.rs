@@ -4,7 +4,7 @@
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 #[non_exhaustive]
 pub struct Restored {
-    /// Packages, and tiles of present states, that were read.
+    /// Packages, and chunks of snapshots, that were read.
     pub packages: u64,
     /// Of these: merged. The others wait for packages that are gone, say what is known already, or have no room; the robot's counters tell.
     pub merged: u64,
@@ -44,7 +44,7 @@ pub struct StoreCounters {
     pub syncs: u64,
     /// 1 if writing has failed: nothing is stored from then on in this run.
     pub failures: u64,
-    /// Times that the log was replaced by present states.
+    /// Times that the log was replaced by snapshots.
     pub compactions: u64,
     /// Times that this failed; the log went on.
     pub compactions_failed: u64,

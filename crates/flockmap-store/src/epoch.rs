@@ -14,14 +14,14 @@ use crate::Disk;
 /// Where the high bits are spent, which no clock can bring about, the low ones rise, by a part of 65,536 of what is left of them.
 ///
 /// # Errors
-/// [`EpochsSpent`] if there is none higher than `last`.
-pub fn next_epoch(last: Option<u64>, seconds: u64, random: u32) -> Result<u64, EpochsSpent> {
+/// [`EpochsExhausted`] if there is none higher than `last`.
+pub fn next_epoch(last: Option<u64>, seconds: u64, random: u32) -> Result<u64, EpochsExhausted> {
     if mutation::is(Mutation::EpochRepeated) {
         return Ok(1 << 32);
     }
     let above = match last {
         None => 0,
-        Some(last) => last.checked_add(1).ok_or(EpochsSpent)?,
+        Some(last) => last.checked_add(1).ok_or(EpochsExhausted)?,
     };
     let believed = if seconds < u64::from(u32::MAX) { seconds } else { 0 };
     let high = last.map_or(believed, |last| believed.max((last >> 32) + 1));
@@ -36,7 +36,7 @@ pub fn next_epoch(last: Option<u64>, seconds: u64, random: u32) -> Result<u64, E
 /// Epoch 2⁶⁴ − 1 was used: there is no higher one.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("the last run had epoch {}, and there is no higher one", u64::MAX)]
-pub struct EpochsSpent;
+pub struct EpochsExhausted;
 
 const MAGIC: &[u8; 8] = b"FLKEPOCH";
 const VERSION: u8 = 1;

@@ -71,19 +71,19 @@ impl SegmentFacts {
 #[derive(Clone, PartialEq, Eq, Debug)]
 #[non_exhaustive]
 pub struct StreamFacts {
-    /// Indices of packages that are in the store, or in one of its present states.
-    pub held: IntervalSet,
+    /// Indices of packages that are in the store, or in one of its snapshots.
+    pub received: IntervalSet,
     /// Packages of changes.
     pub packages: u64,
     /// Bytes of these.
     pub package_bytes: u64,
-    /// Tiles of present states.
-    pub tiles: u64,
+    /// Chunks of snapshots.
+    pub chunks: u64,
     /// Bytes of these.
-    pub tile_bytes: u64,
+    pub chunk_bytes: u64,
 }
 
-/// Present states of which tiles were seen.
+/// Snapshots of which chunks were seen.
 #[derive(Default)]
 struct States(BTreeMap<(Stream, u32), (IntervalSet, u32)>);
 
@@ -91,21 +91,21 @@ struct States(BTreeMap<(Stream, u32), (IntervalSet, u32)>);
 const STATES_MAX: usize = 256;
 
 impl States {
-    /// Notes a tile; whether there are all of its state now.
-    fn add(&mut self, stream: Stream, set: u32, tile: u32, tiles: u32) -> bool {
+    /// Notes a chunk; whether there are all of its state now.
+    fn add(&mut self, stream: Stream, set: u32, chunk: u32, chunks: u32) -> bool {
         if self.0.len() >= STATES_MAX && !self.0.contains_key(&(stream, set)) {
             self.0.clear();
         }
-        let nothing = || (IntervalSet::new(INTERVALS_MAX), tiles);
+        let nothing = || (IntervalSet::new(INTERVALS_MAX), chunks);
         let (seen, _) = self.0.entry((stream, set)).or_insert_with(nothing);
         // What does not fit into the list is left out.
-        let _ = seen.insert(tile);
+        let _ = seen.insert(chunk);
         self.is_complete(stream, set)
     }
 
     fn is_complete(&self, stream: Stream, set: u32) -> bool {
-        let tiles_of = self.0.get(&(stream, set));
-        tiles_of.is_some_and(|(seen, tiles)| *tiles > 0 && seen.contains_range(0, *tiles - 1))
+        let chunks_of = self.0.get(&(stream, set));
+        chunks_of.is_some_and(|(seen, chunks)| *chunks > 0 && seen.contains_range(0, *chunks - 1))
     }
 }
 
@@ -189,11 +189,11 @@ impl Inspection {
             return;
         }
         let facts = self.streams.entry(stream).or_insert_with(|| StreamFacts {
-            held: IntervalSet::new(INTERVALS_MAX),
+            received: IntervalSet::new(INTERVALS_MAX),
             packages: 0,
             package_bytes: 0,
-            tiles: 0,
-            tile_bytes: 0,
+            chunks: 0,
+            chunk_bytes: 0,
         });
         // What does not fit into the list is left out.
         match record {
@@ -203,14 +203,14 @@ impl Inspection {
                     ContentKind::Changes => {
                         facts.packages += 1;
                         facts.package_bytes += bytes;
-                        let _ = facts.held.insert(header.index);
+                        let _ = facts.received.insert(header.index);
                     }
-                    ContentKind::Present { set, tile, tiles, since } => {
-                        facts.tiles += 1;
-                        facts.tile_bytes += bytes;
-                        let is_told = since == 0 || facts.held.contains_range(1, since);
-                        if states.add(stream, set, tile, tiles) && is_told {
-                            let _ = facts.held.insert_range(1, header.index);
+                    ContentKind::Snapshot { set, chunk, chunks, since } => {
+                        facts.chunks += 1;
+                        facts.chunk_bytes += bytes;
+                        let is_known = since == 0 || facts.received.contains_range(1, since);
+                        if states.add(stream, set, chunk, chunks) && is_known {
+                            let _ = facts.received.insert_range(1, header.index);
                         }
                     }
                 }
@@ -218,7 +218,7 @@ impl Inspection {
             Record::Contents(Contents { set, intervals, .. }) => {
                 if states.is_complete(stream, *set) {
                     for &(low, high) in intervals {
-                        let _ = facts.held.insert_range(low, high);
+                        let _ = facts.received.insert_range(low, high);
                     }
                 }
             }

@@ -26,7 +26,7 @@ mod store_log;
 pub use compaction::{Compacted, Compaction, StreamCopy};
 pub use counters::{Restored, StoreCounters};
 pub use disk::{Disk, DiskFile};
-pub use epoch::{EpochFault, EpochFile, EpochsSpent, next_epoch};
+pub use epoch::{EpochFault, EpochFile, EpochsExhausted, next_epoch};
 pub use error::StoreError;
 pub use folder::Folder;
 pub use inspect::{Inspection, SegmentFacts, StreamFacts, inspect, is_store};

@@ -32,7 +32,7 @@ pub(crate) enum LogError {
     Full(u64),
 }
 
-/// How `bytes_max` is shared out, so that there is always room for the present states that replace the log.
+/// How `bytes_max` is shared out, so that there is always room for the snapshots that replace the log.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shares {
     /// All that there is.
@@ -50,8 +50,8 @@ impl Shares {
         self.all / 64
     }
 
-    /// What the present states may take beside a log of so many bytes.
-    pub(crate) fn present(self, log: u64) -> u64 {
+    /// What the snapshots may take beside a log of so many bytes.
+    pub(crate) fn snapshot(self, log: u64) -> u64 {
         (self.all / 16 * 7).min(self.all.saturating_sub(log.saturating_add(self.reserve())))
     }
 
@@ -142,9 +142,9 @@ impl Log {
     }
 
     /// Goes on in a new segment, and leaves a number free before it: for the segment that is to replace all before. That may take so many bytes, until
-    /// [`Self::end_present`].
-    pub(crate) fn roll(&mut self, present: u64) -> Result<SegmentHeader, LogError> {
-        self.limit = Some(self.shares.all - present);
+    /// [`Self::end_snapshot`].
+    pub(crate) fn roll(&mut self, snapshot: u64) -> Result<SegmentHeader, LogError> {
+        self.limit = Some(self.shares.all - snapshot);
         let number = self.number.saturating_add(1);
         let compacted =
             SegmentHeader { identity: self.identity, epoch: self.epoch, number, is_compacted: true };
@@ -176,7 +176,7 @@ impl Log {
     }
 
     /// No compaction is on its way any more.
-    pub(crate) const fn end_present(&mut self) {
+    pub(crate) const fn end_snapshot(&mut self) {
         self.limit = None;
     }
 

@@ -4,7 +4,7 @@ use std::io::{self, Read};
 
 use crc32fast::Hasher;
 use flockmap::codec::PackageError;
-use flockmap::sync::HELD_INTERVALS_MAX;
+use flockmap::sync::RECEIVED_INTERVALS_MAX;
 use flockmap::{Package, RobotId, Stream};
 
 use crate::segment::{HEADERS_BYTES, NoHeader, SegmentHeader};
@@ -14,7 +14,7 @@ const SYNC: [u8; 2] = [0xf1, 0x0c];
 /// Sync, type, length, check.
 pub(crate) const RECORD_OVERHEAD: usize = 9;
 /// Content of a record: the longest list of packages. Packages are shorter than datagrams.
-pub(crate) const CONTENT_MAX: usize = CONTENTS_BYTES + 8 * HELD_INTERVALS_MAX;
+pub(crate) const CONTENT_MAX: usize = CONTENTS_BYTES + 8 * RECEIVED_INTERVALS_MAX;
 /// Of a record of contents, without its intervals.
 const CONTENTS_BYTES: usize = 14;
 
@@ -24,18 +24,18 @@ const CONTENTS: u8 = 2;
 /// What a record says.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) enum Record {
-    /// A package, or a tile of a present state, was made or merged.
+    /// A package, or a chunk of a snapshot, was made or merged.
     Package(Package),
-    /// Behind the tiles of a present state of a history with gaps.
+    /// Behind the chunks of a snapshot of a history with gaps.
     Contents(Contents),
 }
 
-/// Which packages a present state of a history with gaps contains.
+/// Which packages a snapshot of a history with gaps contains.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Contents {
     /// The stream.
     pub stream: Stream,
-    /// The present state, as its tiles say.
+    /// The snapshot, as its chunks say.
     pub set: u32,
     /// Indices of packages, as closed intervals; at most 1,024 of them.
     pub intervals: Vec<(u32, u32)>,
@@ -68,7 +68,7 @@ impl Contents {
         bytes.extend_from_slice(&stream.origin.0.to_le_bytes());
         bytes.extend_from_slice(&stream.epoch.to_le_bytes());
         bytes.extend_from_slice(&set.to_le_bytes());
-        for (low, high) in intervals.iter().take(HELD_INTERVALS_MAX) {
+        for (low, high) in intervals.iter().take(RECEIVED_INTERVALS_MAX) {
             bytes.extend_from_slice(&low.to_le_bytes());
             bytes.extend_from_slice(&high.to_le_bytes());
         }
@@ -98,7 +98,7 @@ pub(crate) fn write_package(package: &Package, seed: u32, out: &mut Vec<u8>) {
 pub(crate) enum Unreadable {
     #[error("a package of another version, or none: {0}")]
     Package(PackageError),
-    #[error("a list of the packages in a present state that is none")]
+    #[error("a list of the packages in a snapshot that is none")]
     Contents,
     #[error("a record of type {0}, which this version does not know")]
     Kind(u8),

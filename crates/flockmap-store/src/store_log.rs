@@ -15,7 +15,7 @@ use crate::{Disk, Identity, Restored, StoreCounters};
 /// What a store may take.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct StoreOptions {
-    /// Bytes on disk, never more. From half of it on, the log is replaced by the present states of its streams, which may take 7/16; for these there is
+    /// Bytes on disk, never more. From half of it on, the log is replaced by the snapshots of its streams, which may take 7/16; for these there is
     /// always room: of the log itself packages take at most 17/32. At least 64 KiB; default 256 MiB.
     pub bytes_max: u64,
     /// What was written is made safe (fsync) after so long at the latest: what a power failure can cost. What only the death of the process
@@ -29,7 +29,7 @@ impl Default for StoreOptions {
     }
 }
 
-/// Least cap: room for a few cycles and their present state.
+/// Least cap: room for a few batches and their snapshot.
 pub(crate) const BYTES_MAX_MIN: u64 = 64 << 10;
 /// Longer periods than this count as this.
 const SYNC_PERIOD_MAX: Duration = Duration::from_secs(3_600);
@@ -149,7 +149,7 @@ impl StoreLog {
         }
     }
 
-    /// Stores which packages a present state contains, behind its tiles.
+    /// Stores which packages a snapshot contains, behind its chunks.
     pub fn append_contents(&mut self, now: Stamp, contents: Contents) {
         self.write(now, |seed, out| Record::Contents(contents).write(seed, out));
     }
@@ -200,7 +200,7 @@ impl StoreLog {
         let is_due = log.bytes() > self.shares.due().max(self.retry_at)
             || log.segments() > self.segments_then + SEGMENTS_MAX;
         // So that with it, the log that it replaces and what is written meanwhile stay within the cap.
-        let room = self.shares.present(log.bytes());
+        let room = self.shares.snapshot(log.bytes());
         if !is_due || self.is_compacting || self.keeps_all || room < self.shares.pause() {
             return None;
         }
@@ -218,7 +218,7 @@ impl StoreLog {
         // What of it is left still takes its room.
         self.keeps_all |= !is_gone;
         if let Some(log) = self.log.as_mut().filter(|_| is_gone) {
-            log.end_present();
+            log.end_snapshot();
         }
         match result {
             Ok(bytes) => {
@@ -280,14 +280,14 @@ impl StoreLog {
 /// The packages that an event says are to be stored.
 pub fn packages_of(event: &Event) -> &[Package] {
     match event {
-        Event::CycleClosed { packages, .. } => packages,
+        Event::BatchClosed { packages, .. } => packages,
         Event::Merged { package, .. } => std::slice::from_ref(package),
         _ => &[],
     }
 }
 
-/// What an event says that a present state contains, which is to be stored behind its tiles.
+/// What an event says that a snapshot contains, which is to be stored behind its chunks.
 pub fn contents_of(event: &Event) -> Option<Contents> {
-    let Event::StateContains { stream, set, held } = event else { return None };
-    Some(Contents { stream: *stream, set: *set, intervals: held.intervals().to_vec() })
+    let Event::SnapshotContains { stream, set, received } = event else { return None };
+    Some(Contents { stream: *stream, set: *set, intervals: received.intervals().to_vec() })
 }

@@ -46,7 +46,7 @@ fn compaction_keeps_every_layer_bit_for_bit_and_the_cap_is_held() {
         for (stream, layer) in swarm.robots[0].fusion().layers() {
             let again = robot.fusion().layer(stream).unwrap();
             assert_eq!(again.digest(), layer.digest(), "{codec:?} {stream:?}");
-            assert_eq!(robot.session().held(stream), swarm.robots[0].session().held(stream));
+            assert_eq!(robot.session().received(stream), swarm.robots[0].session().received(stream));
         }
     }
 }
@@ -78,9 +78,9 @@ fn compaction_keeps_what_is_held_beyond_a_gap() {
         let (robot, _) = restart(&disk, config(1), 67);
         let stream = of_two[0].header().stream;
         assert_eq!(Model::of_robot(&robot), Model::of_robot(&swarm.robots[0]), "gap {gap}");
-        let held = robot.session().held(stream).unwrap();
-        assert_eq!(Some(held), swarm.robots[0].session().held(stream));
-        assert!(!held.contains(gap) && held.contains(gap + 1));
+        let received = robot.session().received(stream).unwrap();
+        assert_eq!(Some(received), swarm.robots[0].session().received(stream));
+        assert!(!received.contains(gap) && received.contains(gap + 1));
     }
 }
 
@@ -192,7 +192,7 @@ fn ended_run() -> (Stream, Vec<Package>) {
 }
 
 /// Robot 3 alone has some packages of an ended run, most of them in its layer only, and tells robot 1. Returns the disk of that one, and what is on it.
-fn tell_beyond_a_gap(stream: Stream, packages: &[Package], gap: u32) -> (MemoryDisk, Swarm, Vec<Package>) {
+fn publish_beyond_a_gap(stream: Stream, packages: &[Package], gap: u32) -> (MemoryDisk, Swarm, Vec<Package>) {
     let disk = MemoryDisk::default();
     let mut writer = start(&disk, OPTIONS, 1);
     let mut swarm = Swarm::new(vec![with_room(1, FEW), with_room(3, FEW)], PERFECT, 1);
@@ -201,22 +201,22 @@ fn tell_beyond_a_gap(stream: Stream, packages: &[Package], gap: u32) -> (MemoryD
         swarm.robots[1].restore(now, package.clone()).unwrap();
     }
     swarm.run(60_000);
-    assert_eq!(swarm.robots[0].session().held(stream), swarm.robots[1].session().held(stream));
-    assert!(swarm.events[0].iter().any(|event| matches!(event, Event::StateContains { .. })));
+    assert_eq!(swarm.robots[0].session().received(stream), swarm.robots[1].session().received(stream));
+    assert!(swarm.events[0].iter().any(|event| matches!(event, Event::SnapshotContains { .. })));
     let mut stored = Vec::new();
     store_events(&mut swarm, &mut writer, &mut stored);
     (disk, swarm, stored)
 }
 
 #[test]
-fn what_a_present_state_with_gaps_contains_is_held_fused_and_told_after_restarts_and_compactions() {
+fn what_a_snapshot_with_gaps_contains_is_held_fused_and_told_after_restarts_and_compactions() {
     let (stream, packages) = ended_run();
     for gap in [1, 3] {
-        let (disk, swarm, _) = tell_beyond_a_gap(stream, &packages, gap);
-        let (held, model) =
-            (swarm.robots[1].session().held(stream).unwrap(), Model::of_robot(&swarm.robots[1]));
+        let (disk, swarm, _) = publish_beyond_a_gap(stream, &packages, gap);
+        let (received, model) =
+            (swarm.robots[1].session().received(stream).unwrap(), Model::of_robot(&swarm.robots[1]));
         let is_all_there = |robot: &Robot, when: &str| {
-            assert_eq!(robot.session().held(stream), Some(held), "gap {gap}, {when}");
+            assert_eq!(robot.session().received(stream), Some(received), "gap {gap}, {when}");
             assert_eq!(Model::of_robot(robot), model, "gap {gap}, {when}");
             for (voxel, (_, is_occupied)) in &model.0[&stream] {
                 assert_eq!(robot.map().state(*voxel) == State::Occupied, *is_occupied, "gap {gap}, {when}");
@@ -243,22 +243,24 @@ fn what_a_present_state_with_gaps_contains_is_held_fused_and_told_after_restarts
 }
 
 #[test]
-fn what_a_present_state_contains_counts_only_with_all_its_tiles() {
+fn what_a_snapshot_contains_counts_only_with_all_its_chunks() {
     let (stream, packages) = ended_run();
-    let (disk, swarm, stored) = tell_beyond_a_gap(stream, &packages, 1);
+    let (disk, swarm, stored) = publish_beyond_a_gap(stream, &packages, 1);
     let (name, bytes) = disk.files().pop_first().unwrap();
     let live = Model::of_robot(&swarm.robots[0]);
-    let held = |robot: &Robot, index| robot.session().held(stream).is_some_and(|held| held.contains(index));
-    let is_tile = |package: &Package| package.header().content != ContentKind::Changes;
+    let received = |robot: &Robot, index| {
+        robot.session().received(stream).is_some_and(|received| received.contains(index))
+    };
+    let is_chunk = |package: &Package| package.header().content != ContentKind::Changes;
     let records = stored.iter().scan(72, |end, package| {
         *end += 9 + package.bytes().len();
         Some((package, *end))
     });
-    let tiles: Vec<usize> =
-        records.filter(|(package, _)| is_tile(package)).map(|(_, end)| end - 20).collect();
-    assert!(tiles.len() > 1);
-    // A tile, and the record of what they contain, which is the last one.
-    for at in [tiles[0], tiles[tiles.len() - 1], bytes.len() - 1] {
+    let chunks: Vec<usize> =
+        records.filter(|(package, _)| is_chunk(package)).map(|(_, end)| end - 20).collect();
+    assert!(chunks.len() > 1);
+    // A chunk, and the record of what they contain, which is the last one.
+    for at in [chunks[0], chunks[chunks.len() - 1], bytes.len() - 1] {
         let mut spoilt = bytes.clone();
         spoilt[at] ^= 1;
         let disk = MemoryDisk::of([(name.clone(), spoilt)].into());
@@ -266,8 +268,8 @@ fn what_a_present_state_contains_counts_only_with_all_its_tiles() {
         assert!(restored.skipped_bytes + restored.torn_bytes > 0);
         for package in &packages {
             let index = package.header().index;
-            let came = stored.iter().any(|p| !is_tile(p) && p.header().index == index);
-            assert_eq!(held(&robot, index), came, "byte {at}: package {index}");
+            let came = stored.iter().any(|p| !is_chunk(p) && p.header().index == index);
+            assert_eq!(received(&robot, index), came, "byte {at}: package {index}");
         }
         for (voxel, word) in Model::of_robot(&robot).0.remove(&stream).unwrap_or_default() {
             assert_eq!(live.0[&stream][&voxel], word, "byte {at}");
@@ -298,7 +300,7 @@ fn fly_with_a_full_own_layer(disk: &MemoryDisk, store_bytes_max: usize) -> (Vec<
         swarm.scan(0, &scan, &Pose::from_yaw([f64::from(tick) * 0.1, 0.0, 0.0], random.unit()));
         swarm.run(100);
         for event in swarm.events[0].drain(..) {
-            if let Event::CycleClosed { packages: told, .. } = &event {
+            if let Event::BatchClosed { packages: told, .. } = &event {
                 packages.extend_from_slice(told);
             }
             writer.log.note(swarm.now, &event);
@@ -317,7 +319,7 @@ fn assert_all_is_back(disk: &MemoryDisk, packages: &[Package]) {
     for (package, content) in packages.iter().zip(&contents(packages)) {
         model.add(package, content);
     }
-    assert!(robot.session().held(stream).unwrap().contains_range(1, packages.len() as u32));
+    assert!(robot.session().received(stream).unwrap().contains_range(1, packages.len() as u32));
     assert_eq!(Model::of_robot(&robot), model);
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use flockmap::RobotId;
 use flockmap_store::memory::{Faults, MemoryDisk, PowerCut};
-use flockmap_store::{EpochFault, EpochFile, EpochsSpent, next_epoch};
+use flockmap_store::{EpochFault, EpochFile, EpochsExhausted, next_epoch};
 use proptest::prelude::*;
 
 const NAME: &str = "epoch-3-7";
@@ -15,7 +15,7 @@ fn open(disk: &MemoryDisk) -> (EpochFile, Option<EpochFault>) {
 }
 
 /// A start of the robot: its epoch, safe on disk.
-fn boot(disk: &MemoryDisk, seconds: u64, random: u32) -> Result<u64, EpochsSpent> {
+fn boot(disk: &MemoryDisk, seconds: u64, random: u32) -> Result<u64, EpochsExhausted> {
     let (mut file, fault) = open(disk);
     assert!(fault.is_none(), "{fault:?}");
     let epoch = next_epoch(file.last(), seconds, random)?;
@@ -99,7 +99,7 @@ fn where_the_high_bits_are_spent_the_low_ones_last_for_a_million_starts() {
 #[test]
 fn beyond_the_last_epoch_there_is_none_and_that_is_said() {
     let error = boot(&disk_with(u64::MAX), NOW, 1).unwrap_err();
-    assert_eq!(error, EpochsSpent);
+    assert_eq!(error, EpochsExhausted);
     assert_eq!(error.to_string(), "the last run had epoch 18446744073709551615, and there is no higher one");
 }
 

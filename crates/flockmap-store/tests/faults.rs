@@ -52,7 +52,8 @@ fn run(disk: &MemoryDisk, before: &[Package]) -> Run {
     let mut second = robot(EPOCHS[1]);
     for package in &run.packages {
         let stream = package.header().stream;
-        if first.session().held(stream).is_some_and(|held| held.contains(package.header().index)) {
+        if first.session().received(stream).is_some_and(|received| received.contains(package.header().index))
+        {
             second.restore(Stamp(1_000), package.clone()).unwrap();
         }
     }
@@ -74,7 +75,7 @@ impl Run {
             .unwrap();
         robot.flush(stamp);
         while let Some(event) = robot.poll_event() {
-            if let Event::CycleClosed { packages, .. } = &event {
+            if let Event::BatchClosed { packages, .. } = &event {
                 self.packages.extend_from_slice(packages);
             }
             self.writer.note(&event);
@@ -98,16 +99,16 @@ fn check(disk: &MemoryDisk, run: &Run, what: &str) {
     let mut robot = Robot::new(RobotConfig { epoch: 300, ..config(1) }, Stamp(0)).unwrap();
     let restored = store.restore(&mut robot, Stamp(500_000_000));
     assert_eq!((restored.damaged_segments, restored.skipped_bytes), (0, 0), "{what}");
-    let is_held = |package: &Package| {
+    let is_received = |package: &Package| {
         let header = package.header();
-        robot.session().held(header.stream).is_some_and(|held| held.contains(header.index))
+        robot.session().received(header.stream).is_some_and(|received| received.contains(header.index))
     };
     for package in &run.packages[..run.safe] {
-        assert!(is_held(package), "{what}: {package:?} was safe; {:?}", run.writer.notices);
+        assert!(is_received(package), "{what}: {package:?} was safe; {:?}", run.writer.notices);
     }
     let mut model = Model::default();
     for (package, content) in run.packages.iter().zip(contents(&run.packages)) {
-        if is_held(package) {
+        if is_received(package) {
             model.add(package, &content);
         }
     }
@@ -142,7 +143,7 @@ fn a_run_on_a_sound_disk_begins_anew_and_keeps_both_of_its_parts() {
     for epoch in EPOCHS {
         let stream = Stream { origin: RobotId(1), epoch };
         assert!(
-            robot.session().held(stream).is_some_and(|held| !held.is_empty()),
+            robot.session().received(stream).is_some_and(|received| !received.is_empty()),
             "{stream:?} is a former run"
         );
     }

@@ -144,8 +144,8 @@ proptest! {
         // Each layer is what the packages say that are held, and no more.
         let mut model = Model::default();
         for (package, content) in packages.iter().zip(contents) {
-            let held = robot.session().held(package.header().stream);
-            if held.is_some_and(|held| held.contains(package.header().index)) {
+            let received = robot.session().received(package.header().stream);
+            if received.is_some_and(|received| received.contains(package.header().index)) {
                 model.add(package, content);
             }
         }
@@ -232,12 +232,12 @@ fn what_cannot_be_read_is_left_out_and_not_cut_off() {
 }
 
 #[test]
-fn a_present_state_that_was_received_is_there_after_a_restart() {
+fn a_snapshot_that_was_received_is_there_after_a_restart() {
     let lossy = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 80.0) };
     for seed in 1..=3 {
         let mut configs = two(Codec::Flock);
         for config in &mut configs {
-            config.session.present_state_range_max = Some(5);
+            config.session.snapshot_range_max = Some(5);
         }
         let mut swarm = Swarm::new(configs, lossy, seed);
         swarm.cut = vec![(0, 1)];
@@ -258,6 +258,10 @@ fn a_present_state_that_was_received_is_there_after_a_restart() {
         let (robot, _) = restart(&disk, config(1), 2);
         assert_eq!(Model::of_robot(&robot), Model::of_robot(&swarm.robots[0]), "seed {seed}");
         let stream = swarm.robots[1].own_stream();
-        assert_eq!(robot.session().held(stream), swarm.robots[0].session().held(stream), "seed {seed}");
+        assert_eq!(
+            robot.session().received(stream),
+            swarm.robots[0].session().received(stream),
+            "seed {seed}"
+        );
     }
 }

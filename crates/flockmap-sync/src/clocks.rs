@@ -59,12 +59,12 @@ impl Clocks {
         if let Some(offset) = direct.and_then(|peer| peer.clock.offset()) {
             return Some(offset);
         }
-        let by_way = peers.values().filter_map(|peer| {
+        let by_path = peers.values().filter_map(|peer| {
             let is_it =
                 |r: &&crate::wire::ClockReport| r.robot == run.origin && r.epoch_low == run.epoch as u16;
             let report = peer.clocks.iter().find(is_it)?;
             Some((peer.round_trip.micros()?, peer.clock.offset()?.checked_add(report.offset_micros)?))
         });
-        by_way.min().map(|(_, offset)| offset).or_else(|| self.measured.get(&run).copied())
+        by_path.min().map(|(_, offset)| offset).or_else(|| self.measured.get(&run).copied())
     }
 }

@@ -17,9 +17,9 @@ pub enum Cast {
 /// Which of the packages that a peer misses goes first.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Order {
-    /// The newest cycle: what a planner needs now comes first, old gaps fill later.
+    /// The newest batch: what a planner needs now comes first, old gaps fill later.
     NewestFirst,
-    /// The oldest cycle, as a list walked from its front gives it.
+    /// The oldest batch, as a list walked from its front gives it.
     OldestFirst,
 }
 
@@ -93,11 +93,11 @@ pub struct SessionConfig {
     pub in_flight: InFlight,
     /// Round trip taken until one is measured. Default 300.
     pub round_trip_initial_ms: u32,
-    /// Offer the present state instead of packages when at least so many bytes are missing and the state costs
+    /// Offer the snapshot instead of packages when at least so many bytes are missing and the state costs
     /// less. Default 65,536; `None`: only if a missing package is not stored any more.
-    pub present_state_bytes_min: Option<u32>,
-    /// Send the present state when the missing indices span more than this (the paper's rule). Default `None`.
-    pub present_state_range_max: Option<u32>,
+    pub snapshot_bytes_min: Option<u32>,
+    /// Send the snapshot when the missing indices span more than this (the paper's rule). Default `None`.
+    pub snapshot_range_max: Option<u32>,
 
     // How much to send.
     /// Bytes that go out in any second over all links, datagrams sent to each peer counted each. At least 500.
@@ -137,9 +137,9 @@ pub struct SessionConfig {
     /// Packages sent to one peer and not yet confirmed; more wait. By broadcast up to as many again are noted that other peers were sent, and
     /// this one has heard. Default 4,096.
     pub in_flight_max: usize,
-    /// Bytes of present-state tiles kept for sending. A set on its way to a peer that takes it gives way to no other: that one waits. Default 16 MiB.
-    pub present_state_bytes_max: usize,
-    /// Present states received at once. Default 8. Worst case 8 KiB each.
+    /// Bytes of present-state chunks kept for sending. A set on its way to a peer that takes it gives way to no other: that one waits. Default 16 MiB.
+    pub snapshot_bytes_max: usize,
+    /// Snapshots received at once. Default 8. Worst case 8 KiB each.
     pub transfers_max: usize,
 }
 
@@ -162,8 +162,8 @@ impl Default for SessionConfig {
             relay_delay_ms: 2_000,
             in_flight: InFlight::RoundTrip,
             round_trip_initial_ms: 300,
-            present_state_bytes_min: Some(65_536),
-            present_state_range_max: None,
+            snapshot_bytes_min: Some(65_536),
+            snapshot_range_max: None,
             radio_bytes_per_s: Some(2_000_000),
             link_bytes_per_s: None,
             burst_ms: 50,
@@ -175,7 +175,7 @@ impl Default for SessionConfig {
             epochs_max: 4,
             store_bytes_max: 64 << 20,
             in_flight_max: 4_096,
-            present_state_bytes_max: 16 << 20,
+            snapshot_bytes_max: 16 << 20,
             transfers_max: 8,
         }
     }
@@ -199,7 +199,7 @@ const BYTES_PER_S_MIN: u32 = 500;
 
 impl SessionConfig {
     /// The paper's own behaviour (Sec. IV-B): requests on a fixed period, packages only as answers to them, all
-    /// holders answer, oldest first, successive requests compared, present state by the range of missing indices.
+    /// holders answer, oldest first, successive requests compared, snapshot by the range of missing indices.
     /// The paper gives no values for the period and the range; 500 ms and 100 are ours.
     pub fn paper() -> Self {
         Self {
@@ -210,8 +210,8 @@ impl SessionConfig {
             order: Order::OldestFirst,
             relay: Relay::Always,
             in_flight: InFlight::PreviousRequest,
-            present_state_bytes_min: None,
-            present_state_range_max: Some(100),
+            snapshot_bytes_min: None,
+            snapshot_range_max: Some(100),
             ..Self::default()
         }
     }

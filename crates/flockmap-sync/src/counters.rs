@@ -40,8 +40,8 @@ pub struct Counters {
     pub sent: u64,
     /// Of these: packages of other origins.
     pub relayed: u64,
-    /// Tiles of present states sent.
-    pub tiles_sent: u64,
+    /// Chunks of snapshots sent.
+    pub chunks_sent: u64,
     /// Packages that a peer confirmed by a request.
     pub confirmed: u64,
     /// Packages found lost by a request; they are sent again.
@@ -56,9 +56,9 @@ pub struct Counters {
     /// Times that sending to a peer waited because too much was unconfirmed.
     pub delayed_by_window: u64,
 
-    /// Packages and tiles that were delivered as events.
+    /// Packages and chunks that were delivered as events.
     pub received: u64,
-    /// Times that a package or tile had to wait for what it builds on.
+    /// Times that a package or chunk had to wait for what it builds on.
     pub waited: u64,
     /// Of these: dropped for want of room, and asked for again.
     pub waiting_dropped: u64,
@@ -66,20 +66,20 @@ pub struct Counters {
     pub accepted: u64,
     /// Of these: packages that came later than a higher index of their stream, so filled a gap.
     pub repaired: u64,
-    /// Tiles accepted by the driver.
-    pub tiles_accepted: u64,
-    /// Present states received completely.
+    /// Chunks accepted by the driver.
+    pub chunks_accepted: u64,
+    /// Snapshots received completely.
     pub caught_up: u64,
-    /// Present states of which the driver needed all tiles again.
-    pub present_states_restarted: u64,
-    /// Present states of which some tiles had come, dropped: nothing more came of them for long, or there was no room. They begin anew.
+    /// Snapshots of which the driver needed all chunks again.
+    pub snapshots_restarted: u64,
+    /// Snapshots of which some chunks had come, dropped: nothing more came of them for long, or there was no room. They begin anew.
     pub transfers_dropped: u64,
-    /// Packages and tiles received again.
+    /// Packages and chunks received again.
     pub duplicates: u64,
-    /// Packages and tiles that the driver rejected.
+    /// Packages and chunks that the driver rejected.
     pub rejected: u64,
-    /// Packages that the driver gave up, since what they were coded against is gone: replaced by a present state.
-    pub given_up: u64,
+    /// Packages that the driver gave up, since what they were coded against is gone: replaced by a snapshot.
+    pub undecodable: u64,
     /// Packages of the own stream that came back.
     pub own_returned: u64,
 
@@ -121,12 +121,12 @@ pub struct Counters {
     pub too_fragmented: u64,
     /// Packages not delivered because the driver did not drain its events; they are asked for again.
     pub events_overflowed: u64,
-    /// Tiles not taken because too many present states are received at once; they are sent again.
+    /// Chunks not taken because too many snapshots are received at once; they are sent again.
     pub too_many_transfers: u64,
-    /// Present states asked of the driver.
-    pub present_states_wanted: u64,
-    /// Present states that the driver gave and that could not be used: wrong stream, numbering or size.
-    pub present_states_unusable: u64,
+    /// Snapshots asked of the driver.
+    pub snapshots_wanted: u64,
+    /// Snapshots that the driver gave and that could not be used: wrong stream, numbering or size.
+    pub snapshots_unusable: u64,
 }
 
 impl Counters {

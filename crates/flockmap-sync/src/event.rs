@@ -9,13 +9,13 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {
-    /// A package or tile that was not held before, and that can be decoded: what it builds on is merged; of tiles that are told one against the other
+    /// A package or chunk that was not held before, and that can be decoded: what it builds on is merged; of chunks that are told one against the other
     /// it is the next one. Decode and merge it, then give the [`verdict`](crate::Session::verdict), before any other call.
     Received(Package),
     /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
-    /// more. Encode the layer of the stream, or what of it is newer than a stamp, as tiles with `since` and index `upto` and call
-    /// [`provide_present_state`](crate::Session::provide_present_state) before any other input.
-    PresentStateWanted {
+    /// more. Encode the layer of the stream, or what of it is newer than a stamp, as chunks with `since` and index `upto` and call
+    /// [`provide_snapshot`](crate::Session::provide_snapshot) before any other input.
+    SnapshotWanted {
         /// The stream whose layer is wanted.
         stream: Stream,
         /// What packages after this one made is wanted; 0: the whole layer.
@@ -25,24 +25,24 @@ pub enum Event {
         newer_than: Option<Stamp>,
         /// All packages from 1 to this one are in the layer; or, where `since` is the one before it and there are gaps before that, this one.
         upto: u32,
-        /// No tile may have more bytes.
+        /// No chunk may have more bytes.
         bytes_max: usize,
         /// The peer that misses it.
         peer: RobotId,
     },
-    /// All tiles of a present state are merged, and the packages before those that it contains: packages 1 to `upto` of the stream now count as held. What was
-    /// read of a present state up to there can be dropped.
+    /// All chunks of a snapshot are merged, and the packages before those that it contains: packages 1 to `upto` of the stream now count as held. What was
+    /// read of a snapshot up to there can be dropped.
     CaughtUp {
         /// The stream.
         stream: Stream,
         /// The newest package that the state contains.
         upto: u32,
     },
-    /// There is no place to read this present state any more: let go of what was read. Its tiles come again from the first one on.
-    StateDropped {
+    /// There is no place to read this snapshot any more: let go of what was read. Its chunks come again from the first one on.
+    SnapshotDropped {
         /// The stream.
         stream: Stream,
-        /// The present state, as its tiles say.
+        /// The snapshot, as its chunks say.
         set: u32,
     },
     /// A package waited for those that it builds on, and there is no room for it any more. It is asked for again after 10 s.
@@ -52,17 +52,17 @@ pub enum Event {
         /// The package.
         index: u32,
         /// The newest package that it builds on.
-        reference: u32,
+        base: u32,
     },
-    /// All tiles of a present state of a history with gaps are merged: these packages of the stream now count as held. A driver that stores its tiles stores
+    /// All chunks of a snapshot of a history with gaps are merged: these packages of the stream now count as held. A driver that stores its chunks stores
     /// this too ([`deliver_stored_contents`](crate::Session::deliver_stored_contents)). [`Self::CaughtUp`] follows.
-    StateContains {
+    SnapshotContains {
         /// The stream.
         stream: Stream,
-        /// The present state, as its tiles say.
+        /// The snapshot, as its chunks say.
         set: u32,
-        /// The packages that it contains; at most [`HELD_INTERVALS_MAX`](crate::HELD_INTERVALS_MAX) intervals.
-        held: IntervalSet,
+        /// The packages that it contains; at most [`RECEIVED_INTERVALS_MAX`](crate::RECEIVED_INTERVALS_MAX) intervals.
+        received: IntervalSet,
     },
     /// A robot was heard for the first time, or again after it was lost, or in a new run.
     PeerSeen(Stream),
@@ -84,7 +84,7 @@ pub enum Event {
     },
     /// So many datagrams were sealed (2⁴⁷) that one more would repeat a nonce: this session sends nothing more.
     /// Start the robot again. Told once.
-    CountersSpent,
+    NoncesExhausted,
 }
 
 /// Whom a datagram goes to.
@@ -137,8 +137,8 @@ pub enum PublishError {
         /// The one that is next.
         expected: u32,
     },
-    /// A tile of a present state.
-    #[error("a tile of a present state cannot be published; it is given to provide_present_state")]
+    /// A chunk of a snapshot.
+    #[error("a chunk of a snapshot cannot be published; it is given to provide_snapshot")]
     Content,
     /// Too long for one datagram.
     #[error("package of {got} bytes, a datagram takes {expected} at most")]

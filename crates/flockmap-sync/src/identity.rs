@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 pub(crate) struct Identity {
     pub(crate) own: Stream,
     pub(crate) anew: Anew,
-    pub(crate) same_identity_told: Option<Stamp>,
+    pub(crate) same_identity_sent: Option<Stamp>,
     pub(crate) sealed: SealedCounters,
-    pub(crate) spent_told: bool,
+    pub(crate) exhausted_sent: bool,
     pub(crate) replays: Replays,
 }
 
@@ -20,9 +20,9 @@ impl Identity {
         Self {
             own,
             anew: Anew::default(),
-            same_identity_told: None,
+            same_identity_sent: None,
             sealed: SealedCounters::default(),
-            spent_told: false,
+            exhausted_sent: false,
             replays: Replays::default(),
         }
     }

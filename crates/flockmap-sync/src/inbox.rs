@@ -5,8 +5,8 @@ mod chains;
 mod transfer;
 mod waiting;
 
-pub use chains::STATES_READ_MAX;
-pub(crate) use chains::TILES_WAITING_MAX;
+pub(crate) use chains::CHUNKS_WAITING_MAX;
+pub use chains::SNAPSHOTS_READ_MAX;
 pub(crate) use transfer::{ABANDONED, Transfer};
 pub(crate) use waiting::WAITING_BYTES_MAX;
 
@@ -18,7 +18,7 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::{BTreeMap, BTreeSet};
 use waiting::Waiting;
 
-/// Packages and tiles that are in here at a time; more are dropped, counted, and come again by a later request.
+/// Packages and chunks that are in here at a time; more are dropped, counted, and come again by a later request.
 pub(crate) const PENDING_MAX: usize = 4_096;
 /// What was damaged, or had no room, is not asked for again for so long.
 const BACK_OFF: i64 = 10_000_000;
@@ -34,12 +34,12 @@ const DAMAGED_MAX: usize = 256;
 pub enum Verdict {
     /// It is in the map, or will never fit this map but may fit others: it counts as held and is offered to others.
     Merged,
-    /// It does not decode, and is asked for again after 10 s. A tile that was told against others makes its present state begin again: which of them is
+    /// It does not decode, and is asked for again after 10 s. A chunk that was told against others makes its snapshot begin again: which of them is
     /// at fault cannot be told. A package that builds on others and is damaged for the second time is undecodable: should a layer ever differ
     /// from its sender's, this is what heals it.
     Damaged,
-    /// It can never be decoded here, since what it was coded against is gone. It is not asked for again: the others are asked for a present state that
-    /// contains it, and when that is complete it counts as held. A tile, or one package too many (the indices of a stream are kept as at
+    /// It can never be decoded here, since what it was coded against is gone. It is not asked for again: the others are asked for a snapshot that
+    /// contains it, and when that is complete it counts as held. A chunk, or one package too many (the indices of a stream are kept as at
     /// most 64 intervals), is asked for again after 10 s.
     Undecodable,
     /// There was no room for it. It is asked for again after 10 s.
@@ -53,7 +53,7 @@ pub(crate) struct Inbox {
     pending: BTreeSet<(Item, RobotId)>,
     /// Damaged, or without room: not asked for again until then.
     backed_off: BTreeMap<Item, Stamp>,
-    /// Packages that a present state has to bring. Never empty sets.
+    /// Packages that a snapshot has to bring. Never empty sets.
     undecodable: BTreeMap<Stream, IntervalSet>,
     /// Packages that build on others and were damaged once.
     damaged: BTreeSet<(Stream, u32)>,
@@ -71,7 +71,7 @@ enum Releasing {
         stream: Stream,
         after: u32,
     },
-    Tiles(ChainId),
+    Chunks(ChainId),
 }
 
 /// Whether something that came is taken in.
@@ -86,28 +86,28 @@ pub(crate) enum Intake {
 
 /// What to do with something that was taken in, when its turn has come.
 #[derive(Debug)]
-pub(crate) enum Turn {
-    HandOut(Package),
+pub(crate) enum Ready {
+    Decodable(Package),
     /// It waits for what it builds on, for which these had to go.
     Waits(Vec<Package>),
-    /// Its tile was merged before.
+    /// Its chunk was merged before.
     Merged(Package),
     /// It needs no verdict any more.
     Settled,
-    /// It needs the place of another present state, of which all tiles are needed again then.
+    /// It needs the place of another snapshot, of which all chunks are needed again then.
     TakesPlaceOf(ChainId, Package),
 }
 
 impl Inbox {
-    /// Takes something in, unless it is there already (`is_held`: in the map), or not wanted now.
-    pub(crate) fn take_in(&mut self, now: Stamp, from: RobotId, item: Item, is_held: bool) -> Intake {
+    /// Takes something in, unless it is there already (`is_received`: in the map), or not wanted now.
+    pub(crate) fn take_in(&mut self, now: Stamp, from: RobotId, item: Item, is_received: bool) -> Intake {
         let is_pending = match item {
             // Whoever it came from, it is the same.
             Item::Package { .. } => self.is_pending(item),
-            // Tiles count for the robot that they came from.
-            Item::Tile { .. } => self.pending.contains(&(item, from)),
+            // Chunks count for the robot that they came from.
+            Item::Chunk { .. } => self.pending.contains(&(item, from)),
         };
-        if is_held || is_pending {
+        if is_received || is_pending {
             Intake::Duplicate
         } else if self.backed_off.get(&item).is_some_and(|&until| until > now) || self.is_undecodable(item) {
             Intake::Unwanted
@@ -120,23 +120,23 @@ impl Inbox {
     }
 
     /// Looks at something that was taken in.
-    pub(crate) fn look_at(&mut self, package: Package, store: &Store) -> Turn {
+    pub(crate) fn look_at(&mut self, package: Package, store: &Store) -> Ready {
         let header = *package.header();
         if !self.is_pending(Item::of(&package)) {
-            Turn::Settled
-        } else if let Some((id, tile)) = Chains::place_of(&package) {
+            Ready::Settled
+        } else if let Some((id, chunk)) = Chains::place_of(&package) {
             if let Some(dropped) = self.chains.open(id, header.index) {
-                return Turn::TakesPlaceOf(dropped, package);
+                return Ready::TakesPlaceOf(dropped, package);
             }
-            match self.chains.place(id, tile) {
-                Place::Merged => Turn::Merged(package),
-                Place::Next => Turn::HandOut(package),
-                Place::Later => Turn::Waits(self.chains.wait(id, tile, package).into_iter().collect()),
+            match self.chains.place(id, chunk) {
+                Place::Merged => Ready::Merged(package),
+                Place::Next => Ready::Decodable(package),
+                Place::Later => Ready::Waits(self.chains.wait(id, chunk, package).into_iter().collect()),
             }
-        } else if header.reference > prefix(store, header.stream) {
-            Turn::Waits(self.waiting.insert(package))
+        } else if header.base > prefix(store, header.stream) {
+            Ready::Waits(self.waiting.insert(package))
         } else {
-            Turn::HandOut(package)
+            Ready::Decodable(package)
         }
     }
 
@@ -144,7 +144,7 @@ impl Inbox {
     pub(crate) fn next_released(&mut self, store: &Store) -> Option<Package> {
         loop {
             let package = match self.releasing? {
-                Releasing::Tiles(id) => self.chains.take_next(id),
+                Releasing::Chunks(id) => self.chains.take_next(id),
                 Releasing::Packages { stream, after } => {
                     self.waiting.take_ready(stream, after, prefix(store, stream))
                 }
@@ -165,9 +165,9 @@ impl Inbox {
 
     /// Something was merged: what waited for it may be ready.
     pub(crate) fn release(&mut self, package: &Package) {
-        if let Some((id, tile)) = Chains::place_of(package) {
-            self.chains.note_merged(id, tile);
-            self.releasing = Some(Releasing::Tiles(id));
+        if let Some((id, chunk)) = Chains::place_of(package) {
+            self.chains.note_merged(id, chunk);
+            self.releasing = Some(Releasing::Chunks(id));
         } else if self.releasing.is_none() {
             self.release_stream(package.header().stream);
         }
@@ -178,7 +178,7 @@ impl Inbox {
         self.releasing = Some(Releasing::Packages { stream, after: 0 });
     }
 
-    /// Takes out something for which there is a verdict now, with the peer it came from. A tile may have come from several.
+    /// Takes out something for which there is a verdict now, with the peer it came from. A chunk may have come from several.
     pub(crate) fn take_out(&mut self, item: Item) -> Option<RobotId> {
         let entry = *self.pending.range(all_of(item)).next()?;
         self.pending.remove(&entry);
@@ -210,7 +210,7 @@ impl Inbox {
     /// Whether a package that builds on others was damaged before: asking for it again does not help then.
     pub(crate) fn is_damaged_again(&mut self, package: &Package) -> bool {
         let header = package.header();
-        if header.is_alone {
+        if header.is_independent {
             return false;
         }
         if self.damaged.len() >= DAMAGED_MAX {
@@ -219,22 +219,22 @@ impl Inbox {
         !self.damaged.insert((header.stream, header.index))
     }
 
-    /// What was read of a present state is gone: it is read anew from its first tile on. What of it waited needs no verdict any more.
+    /// What was read of a snapshot is gone: it is read anew from its first chunk on. What of it waited needs no verdict any more.
     pub(crate) fn restart(&mut self, stream: Stream, set: u32) {
         self.chains.drop_one((stream, set));
         for transfer in self.transfers.iter_mut().filter(|t| t.stream == stream && t.set == set) {
             transfer.restart();
         }
         let is_of_set =
-            |item: &Item| matches!(item, Item::Tile { stream: s, set: n, .. } if *s == stream && *n == set);
+            |item: &Item| matches!(item, Item::Chunk { stream: s, set: n, .. } if *s == stream && *n == set);
         self.pending.retain(|(item, _)| !is_of_set(item));
     }
 
-    /// What these packages of a stream say is in the map: those that waited, for a verdict or for a present state, need none.
+    /// What these packages of a stream say is in the map: those that waited, for a verdict or for a snapshot, need none.
     pub(crate) fn settle(&mut self, stream: Stream, known: &IntervalSet) {
         self.pending.retain(|(item, _)| match *item {
             Item::Package { stream: of, index } => of != stream || !known.contains(index),
-            Item::Tile { .. } => true,
+            Item::Chunk { .. } => true,
         });
         if let Some(undecodable) = self.undecodable.get_mut(&stream) {
             *undecodable = undecodable.difference(known);
@@ -262,18 +262,18 @@ impl Inbox {
     /// other robots and streams, only a set that goes on from what is held takes a place, and that of one that does not go on: complete or,
     /// of the same stream, not, it waits for packages before it; or it is from the own disk. What that brought is merged; what it
     /// contains may have to come again. Whether one went.
-    pub(crate) fn make_way(&mut self, newcomer: &Transfer, own: RobotId, cast: Cast, store: &Store) -> bool {
+    pub(crate) fn make_room(&mut self, newcomer: &Transfer, own: RobotId, cast: Cast, store: &Store) -> bool {
         let goes_on = |i: &Transfer| i.since <= prefix(store, i.stream);
-        let gives_way = |i: &Transfer| {
+        let gives_room = |i: &Transfer| {
             let is_same_stream = i.stream == newcomer.stream;
             let is_idle = i.source == own || (!goes_on(i) && (i.is_complete() || is_same_stream));
             let is_replaced = is_same_stream && i.source == newcomer.source && cast == Cast::Unicast;
             is_replaced || (is_idle && goes_on(newcomer) && newcomer.source != own)
         };
-        let way = self.transfers.iter().enumerate().filter(|(_, transfer)| gives_way(transfer));
+        let way = self.transfers.iter().enumerate().filter(|(_, transfer)| gives_room(transfer));
         let Some((oldest, _)) = way.min_by_key(|(_, transfer)| transfer.touched) else { return false };
         self.transfers.remove(oldest);
-        self.forget_tiles_of_nothing();
+        self.forget_chunks_of_nothing();
         true
     }
 
@@ -282,23 +282,24 @@ impl Inbox {
         let before = self.transfers.len();
         let mut abandoned = 0;
         self.transfers.retain(|transfer| {
-            let is_held = store.held(transfer.stream).is_some_and(|held| transfer.is_in(held));
-            let is_abandoned = !is_held && transfer.is_abandoned(now);
+            let is_received =
+                store.received(transfer.stream).is_some_and(|received| transfer.is_in(received));
+            let is_abandoned = !is_received && transfer.is_abandoned(now);
             abandoned += u64::from(is_abandoned);
-            !is_held && !is_abandoned
+            !is_received && !is_abandoned
         });
         if self.transfers.len() < before {
-            self.forget_tiles_of_nothing();
+            self.forget_chunks_of_nothing();
         }
         abandoned
     }
 
-    /// Tiles of transfers that are gone need no verdict any more.
-    fn forget_tiles_of_nothing(&mut self) {
+    /// Chunks of transfers that are gone need no verdict any more.
+    fn forget_chunks_of_nothing(&mut self) {
         let transfers = &self.transfers;
         self.pending.retain(|&(item, from)| match item {
             Item::Package { .. } => true,
-            Item::Tile { stream, set, .. } => {
+            Item::Chunk { stream, set, .. } => {
                 transfers.iter().any(|t| (t.source, t.stream, t.set) == (from, stream, set))
             }
         });
@@ -313,11 +314,11 @@ impl Inbox {
             Item::Package { stream, index } => {
                 self.undecodable.get(&stream).is_some_and(|undecodable| undecodable.contains(index))
             }
-            Item::Tile { .. } => false,
+            Item::Chunk { .. } => false,
         }
     }
 
-    /// The streams of which a present state has to bring something, with the packages that it should contain.
+    /// The streams of which a snapshot has to bring something, with the packages that it should contain.
     pub(crate) const fn undecodable(&self) -> &BTreeMap<Stream, IntervalSet> {
         &self.undecodable
     }
@@ -327,7 +328,7 @@ impl Inbox {
         let item = |index| Item::Package { stream, index };
         let index = |item: Item| match item {
             Item::Package { index, .. } => Some((index, index)),
-            Item::Tile { .. } => None,
+            Item::Chunk { .. } => None,
         };
         let (first, last) = (item(0), item(u32::MAX));
         let backed_off = self.backed_off.range(first..=last).filter(|(_, until)| **until > now);
@@ -339,11 +340,11 @@ impl Inbox {
         unwanted
     }
 
-    /// Number + 1 of the tiles of a transfer that its source shall not send just now: pending, or backed off.
-    pub(crate) fn unwanted_tiles(&self, transfer: &Transfer, now: Stamp) -> Vec<(u32, u32)> {
-        let item = |tile| Item::Tile { stream: transfer.stream, set: transfer.set, tile };
+    /// Number + 1 of the chunks of a transfer that its source shall not send just now: pending, or backed off.
+    pub(crate) fn unwanted_chunks(&self, transfer: &Transfer, now: Stamp) -> Vec<(u32, u32)> {
+        let item = |chunk| Item::Chunk { stream: transfer.stream, set: transfer.set, chunk };
         let number = |item: Item| match item {
-            Item::Tile { tile, .. } => Some((tile + 1, tile + 1)),
+            Item::Chunk { chunk, .. } => Some((chunk + 1, chunk + 1)),
             Item::Package { .. } => None,
         };
         let (first, last) = (item(0), item(u32::MAX));
@@ -372,5 +373,5 @@ fn all_of(item: Item) -> std::ops::RangeInclusive<(Item, RobotId)> {
 
 /// All packages of a stream from 1 to this one are in the map.
 fn prefix(store: &Store, stream: Stream) -> u32 {
-    store.held(stream).map_or(0, IntervalSet::prefix)
+    store.received(stream).map_or(0, IntervalSet::prefix)
 }

@@ -3,11 +3,11 @@
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::Stream;
 
-/// One package, or one tile of a present state.
+/// One package, or one chunk of a snapshot.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(crate) enum Item {
     Package { stream: Stream, index: u32 },
-    Tile { stream: Stream, set: u32, tile: u32 },
+    Chunk { stream: Stream, set: u32, chunk: u32 },
 }
 
 impl Item {
@@ -15,13 +15,13 @@ impl Item {
         let header = package.header();
         match header.content {
             ContentKind::Changes => Self::Package { stream: header.stream, index: header.index },
-            ContentKind::Present { set, tile, .. } => Self::Tile { stream: header.stream, set, tile },
+            ContentKind::Snapshot { set, chunk, .. } => Self::Chunk { stream: header.stream, set, chunk },
         }
     }
 
     pub(crate) const fn stream(self) -> Stream {
         match self {
-            Self::Package { stream, .. } | Self::Tile { stream, .. } => stream,
+            Self::Package { stream, .. } | Self::Chunk { stream, .. } => stream,
         }
     }
 }

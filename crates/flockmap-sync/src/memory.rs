@@ -1,7 +1,7 @@
 //! The most that a session can be made to hold, reckoned from its options.
 
-use crate::inbox::{STATES_READ_MAX, TILES_WAITING_MAX, WAITING_BYTES_MAX};
-use crate::store::HELD_INTERVALS_MAX;
+use crate::inbox::{CHUNKS_WAITING_MAX, SNAPSHOTS_READ_MAX, WAITING_BYTES_MAX};
+use crate::store::RECEIVED_INTERVALS_MAX;
 use crate::wire::DATAGRAM_BYTES_MAX;
 use crate::{Cast, SessionConfig};
 
@@ -19,7 +19,7 @@ const VIEW: usize = 7 * GROWTH * 256 * INTERVAL + 512;
 /// A package that was sent and not yet confirmed.
 const IN_FLIGHT: usize = 48 * GROWTH;
 /// Its interval among those that need not be sent.
-const COVERED: usize = INTERVAL * GROWTH;
+const RECEIVED_OR_IN_FLIGHT: usize = INTERVAL * GROWTH;
 /// The budget of the link to a peer that fell silent.
 const SILENT_LINK: usize = 2_048 + 256;
 /// With a key, what is known of the counters of every robot that was ever heard, 2¹⁶ of them; and the window of a peer.
@@ -30,7 +30,7 @@ const EVENTS: usize = 4_096;
 /// A package in memory, beside its bytes.
 const PACKAGE: usize = 200;
 /// Rejected packages that are remembered: so many, in a map.
-const REFUSED: usize = 1_024 * 100;
+const BACKED_OFF: usize = 1_024 * 100;
 /// What one input makes and lets go again: a request with all its lists, a plan of what to send.
 const WORK: usize = 512 << 10;
 
@@ -41,30 +41,30 @@ impl SessionConfig {
     /// the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is on its way to them, by broadcast 300 MB; honest peers take a hundredth of these two.
     pub const fn memory_max(&self) -> usize {
         let streams = self.streams_max + 1;
-        let held = HELD_INTERVALS_MAX * INTERVAL;
+        let received = RECEIVED_INTERVALS_MAX * INTERVAL;
         let in_flight = match self.cast {
-            Cast::Unicast => self.in_flight_max * (IN_FLIGHT + COVERED),
+            Cast::Unicast => self.in_flight_max * (IN_FLIGHT + RECEIVED_OR_IN_FLIGHT),
             // What everyone hears is noted for everyone, up to twice the limit. Of more the oldest is forgotten, but in each view it counts as on
             // its way until the peer's next request.
-            Cast::Broadcast => 2 * self.in_flight_max * (IN_FLIGHT + streams * COVERED),
+            Cast::Broadcast => 2 * self.in_flight_max * (IN_FLIGHT + streams * RECEIVED_OR_IN_FLIGHT),
         };
         let peer = PEER + streams * VIEW + in_flight;
         let silent_links = if self.link_bytes_per_s.is_some() { self.peers_max * SILENT_LINK } else { 0 };
         let replays = if self.swarm_key.is_some() { HEARD + self.peers_max * WINDOW } else { 0 };
         // Of every stream the plan for a peer takes up the best 256 packages, and a request its list of held indices.
-        let work = WORK + streams * (256 * 32 + 2 * held);
+        let work = WORK + streams * (256 * 32 + 2 * received);
         self.store_bytes_max
-            + streams * (held + STREAM)
+            + streams * (received + STREAM)
             + self.peers_max * peer
             + silent_links
             + replays
-            + self.transfers_max * (held + 256)
-            // Tiles are about as long as a datagram, and so are packages.
-            + self.present_state_bytes_max / DATAGRAM_BYTES_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
+            + self.transfers_max * (received + 256)
+            // Chunks are about as long as a datagram, and so are packages.
+            + self.snapshot_bytes_max / DATAGRAM_BYTES_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
             + EVENTS * (DATAGRAM_BYTES_MAX + PACKAGE + 64)
             + WAITING_BYTES_MAX
-            + STATES_READ_MAX * TILES_WAITING_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
-            + REFUSED
+            + SNAPSHOTS_READ_MAX * CHUNKS_WAITING_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
+            + BACKED_OFF
             + work
     }
 }

@@ -4,7 +4,7 @@ use crate::IntervalSet;
 use crate::item::Item;
 use crate::pacer::{Pacer, burst_bytes};
 use crate::path::PathsWaiting;
-use crate::peer::{Sending, VIEW_INTERVALS_MAX};
+use crate::peer::{PEER_INTERVALS_MAX, Sending};
 use crate::wire::Contents;
 use crate::{SessionConfig, Store};
 use flockmap_codec::Package;
@@ -14,21 +14,21 @@ use std::collections::BTreeMap;
 /// What waits to be sent, and the budgets that let it go.
 #[derive(Debug)]
 pub(crate) struct Outbox {
-    /// Present states that can be sent.
+    /// Snapshots that can be sent.
     pub(crate) snapshots: Vec<Outgoing>,
-    /// When the driver is asked again for a present state of a stream.
+    /// When the driver is asked again for a snapshot of a stream.
     pub(crate) asked: BTreeMap<Stream, Stamp>,
     pub(crate) path_waiting: PathsWaiting,
     /// The peer that was served last.
     pub(crate) served: RobotId,
     pub(crate) radio: Option<Pacer>,
-    /// As [`Peer::overtaken`](crate::peer::Peer::overtaken), for a datagram that waits for the radio's budget.
-    pub(crate) overtaken: Option<u8>,
+    /// As [`Peer::superseded`](crate::peer::Peer::superseded), for a datagram that waits for the radio's budget.
+    pub(crate) superseded: Option<u8>,
     /// Budgets of the links to peers that fell silent. At most `peers_max`, 2 KiB each.
     pub(crate) silent_links: BTreeMap<RobotId, Pacer>,
 }
 
-/// A present state that can be sent, to several peers if they need it.
+/// A snapshot that can be sent, to several peers if they need it.
 #[derive(Debug)]
 pub(crate) struct Outgoing {
     pub(crate) stream: Stream,
@@ -37,7 +37,7 @@ pub(crate) struct Outgoing {
     pub(crate) upto: u32,
     /// What it contains, where that has gaps.
     pub(crate) contents: Option<IntervalSet>,
-    pub(crate) tiles: Vec<Package>,
+    pub(crate) chunks: Vec<Package>,
     pub(crate) bytes: usize,
     pub(crate) used_at: Stamp,
 }
@@ -51,7 +51,7 @@ impl Outgoing {
 
     /// Begins to send it to a peer.
     pub(crate) fn sending(&self, now: Stamp) -> Sending {
-        let nothing = IntervalSet::new(VIEW_INTERVALS_MAX);
+        let nothing = IntervalSet::new(PEER_INTERVALS_MAX);
         let (set, since, upto) = (self.set, self.since, self.upto);
         Sending {
             set,
@@ -61,7 +61,7 @@ impl Outgoing {
             unheeded: 1,
             lost_at: now,
             accepted: nothing.clone(),
-            covered: nothing,
+            received_or_in_flight: nothing,
         }
     }
 
@@ -79,12 +79,12 @@ impl Outbox {
             path_waiting: PathsWaiting::new(),
             served: RobotId(0),
             radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),
-            overtaken: None,
+            superseded: None,
             silent_links: BTreeMap::new(),
         }
     }
 
-    /// A present state that can be sent.
+    /// A snapshot that can be sent.
     pub(crate) fn snapshot(&self, stream: Stream, set: u32) -> Option<&Outgoing> {
         self.snapshots.iter().find(|outgoing| outgoing.stream == stream && outgoing.set == set)
     }
@@ -93,14 +93,14 @@ impl Outbox {
     pub(crate) fn package<'a>(&'a self, item: Item, store: &'a Store) -> Option<&'a Package> {
         match item {
             Item::Package { stream, index } => store.get(stream, index).map(|stored| &stored.package),
-            Item::Tile { stream, set, tile } => self.snapshot(stream, set)?.tiles.get(tile as usize),
+            Item::Chunk { stream, set, chunk } => self.snapshot(stream, set)?.chunks.get(chunk as usize),
         }
     }
 
-    /// What a tile's set contains, where that has to be told.
+    /// What a chunk's set contains, where that has to be told.
     pub(crate) fn contents(&self, item: Item) -> Option<Contents> {
-        let Item::Tile { stream, set, .. } = item else { return None };
-        Some(Contents { stream, set, held: self.snapshot(stream, set)?.contents.clone()? })
+        let Item::Chunk { stream, set, .. } = item else { return None };
+        Some(Contents { stream, set, received: self.snapshot(stream, set)?.contents.clone()? })
     }
 
     /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.

@@ -2,21 +2,21 @@
 
 mod stream;
 
-pub(crate) use stream::{PeerWish, Sending, Sent, VIEW_INTERVALS_MAX, View};
+pub(crate) use stream::{PEER_INTERVALS_MAX, PeerRequest, PeerStream, Sending, SentPackage};
 
 use crate::counters::Traffic;
 use crate::item::Item;
 use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
 use crate::path::PeerPath;
-use crate::wire::Covered;
+use crate::wire::OriginRange;
 use crate::{IntervalSet, SessionConfig};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Intervals kept of the origins that a peer has covered.
-const COVERED_INTERVALS_MAX: usize = 256;
+const ORIGIN_INTERVALS_MAX: usize = 256;
 /// Runs noted that a peer holds and that have no place here.
 pub(crate) const UNPLACED_MAX: usize = 128;
 
@@ -59,7 +59,7 @@ pub(crate) struct Peer {
     pub(crate) hears: Vec<(RobotId, u16)>,
     pub(crate) hears_all_listed: bool,
     /// Number + 1 of the origins that its requests have covered so far: of these it holds no run that it has not named.
-    covered: IntervalSet,
+    origins: IntervalSet,
     /// Runs that it named and that had no place here then, until their origin is covered again: of these it holds something. At most
     /// [`UNPLACED_MAX`].
     unplaced: BTreeSet<Stream>,
@@ -68,10 +68,10 @@ pub(crate) struct Peer {
     /// The epochs below which it wants no run, of robots of which something is known here.
     pub(crate) oldest_wanted: BTreeMap<RobotId, u64>,
     pub(crate) clocks: Vec<crate::wire::ClockReport>,
-    pub(crate) views: BTreeMap<Stream, View>,
+    pub(crate) streams: BTreeMap<Stream, PeerStream>,
     /// The ledger: what is on its way to it. Also of streams of which it takes nothing now: it may have room when that arrives.
-    pub(crate) in_flight: VecDeque<Sent>,
-    /// Not before this a tile is offered to it of a set that it does not take.
+    pub(crate) in_flight: VecDeque<SentPackage>,
+    /// Not before this a chunk is offered to it of a set that it does not take.
     pub(crate) offer_at: Stamp,
     /// What to send next, best first, if nothing changes.
     pub(crate) queue: VecDeque<Item>,
@@ -82,7 +82,7 @@ pub(crate) struct Peer {
     pub(crate) loss: Loss,
     pub(crate) pacer: Option<Pacer>,
     /// A datagram of packages for it waits for its link's budget; and how many requests to everyone went out meanwhile.
-    pub(crate) overtaken: Option<u8>,
+    pub(crate) superseded: Option<u8>,
     pub(crate) path: PeerPath,
     pub(crate) traffic_in: Traffic,
     pub(crate) traffic_out: Traffic,
@@ -100,12 +100,12 @@ impl Peer {
             request: None,
             hears: Vec::new(),
             hears_all_listed: false,
-            covered: IntervalSet::new(COVERED_INTERVALS_MAX),
+            origins: IntervalSet::new(ORIGIN_INTERVALS_MAX),
             unplaced: BTreeSet::new(),
             takes_new_streams: false,
             oldest_wanted: BTreeMap::new(),
             clocks: Vec::new(),
-            views: BTreeMap::new(),
+            streams: BTreeMap::new(),
             in_flight: VecDeque::new(),
             offer_at: now,
             queue: VecDeque::new(),
@@ -116,7 +116,7 @@ impl Peer {
             pacer: config
                 .link_bytes_per_s
                 .map(|rate| Pacer::new(rate, crate::pacer::burst_bytes(rate, config.burst_ms))),
-            overtaken: None,
+            superseded: None,
             path: PeerPath::default(),
             traffic_in: Traffic::default(),
             traffic_out: Traffic::default(),
@@ -159,15 +159,15 @@ impl Peer {
     }
 
     /// Notes that a request named every run of these origins that the peer holds something of.
-    pub(crate) fn note_covered(&mut self, covered: Covered) {
-        let (first, last) = (u32::from(covered.first.0) + 1, u32::from(covered.last.0) + 1);
+    pub(crate) fn note_origins(&mut self, origins: OriginRange) {
+        let (first, last) = (u32::from(origins.first.0) + 1, u32::from(origins.last.0) + 1);
         let parts =
             if first <= last { [(first, last), (first, last)] } else { [(first, 1 << 16), (1, last)] };
         for (low, high) in parts {
             // A peer that covers single origins all over the range is covered again later.
-            let _ = self.covered.insert_range(low, high);
+            let _ = self.origins.insert_range(low, high);
         }
-        self.unplaced.retain(|run| !covered.contains(run.origin));
+        self.unplaced.retain(|run| !origins.contains(run.origin));
     }
 
     /// Notes that it holds something of a run that has no place here. Beyond the limit it may be sent what it holds, should there be one.
@@ -180,22 +180,22 @@ impl Peer {
     /// Whether of a stream that it has not named it holds nothing, and may be sent it.
     pub(crate) fn takes_unnamed(&self, stream: Stream) -> bool {
         self.takes_new_streams
-            && self.covered.contains(u32::from(stream.origin.0) + 1)
+            && self.origins.contains(u32::from(stream.origin.0) + 1)
             && !self.unplaced.contains(&stream)
     }
 
     /// What is known of the peer's holdings of a stream. A stream that it did not name, where it names all, is
     /// one of which it holds nothing.
-    pub(crate) fn view(&mut self, stream: Stream, now: Stamp) -> Option<&mut View> {
-        if self.takes_unnamed(stream) && !self.views.contains_key(&stream) {
-            let mut view = View::new(1, now);
+    pub(crate) fn theirs(&mut self, stream: Stream, now: Stamp) -> Option<&mut PeerStream> {
+        if self.takes_unnamed(stream) && !self.streams.contains_key(&stream) {
+            let mut theirs = PeerStream::new(1, now);
             // What went out while it took nothing of the stream may find room now.
             self.in_flight.iter().filter(|sent| sent.item.stream() == stream).for_each(|sent| {
-                view.cover(sent.item);
+                theirs.cover(sent.item);
             });
-            self.views.insert(stream, view);
+            self.streams.insert(stream, theirs);
         }
-        self.views.get_mut(&stream)
+        self.streams.get_mut(&stream)
     }
 }
 
@@ -208,14 +208,17 @@ impl Peer {
         if stream == self.stream || mutation::is(Mutation::LedgerIgnored) {
             return;
         }
-        let view = self.view(stream, now);
-        if let Item::Tile { set, .. } = item
-            && view.as_ref().and_then(|view| view.sending.as_ref()).is_none_or(|sending| sending.set != set)
+        let theirs = self.theirs(stream, now);
+        if let Item::Chunk { set, .. } = item
+            && theirs
+                .as_ref()
+                .and_then(|theirs| theirs.sending.as_ref())
+                .is_none_or(|sending| sending.set != set)
         {
             // It is not sent this set.
             return;
         }
-        let is_new = view.is_some_and(|view| view.cover(item));
+        let is_new = theirs.is_some_and(|theirs| theirs.cover(item));
         if let Some(at) = self.in_flight.iter().rposition(|sent| !is_new && sent.item == item) {
             self.in_flight.remove(at);
         }
@@ -226,7 +229,7 @@ impl Peer {
             self.in_flight.pop_front();
         }
         if self.in_flight.len() < in_flight_max || mutation::is(Mutation::WindowIgnored) {
-            self.in_flight.push_back(Sent { item, at: now, requests: 0 });
+            self.in_flight.push_back(SentPackage { item, at: now, requests: 0 });
         }
     }
 
@@ -234,7 +237,7 @@ impl Peer {
     pub(crate) fn cover_heard(&mut self, item: Item, now: Stamp, in_flight_max: usize) -> bool {
         if self.in_flight.len() >= in_flight_max
             || !self.wants(item.stream())
-            || self.view(item.stream(), now).is_none()
+            || self.theirs(item.stream(), now).is_none()
         {
             return false;
         }
@@ -245,16 +248,16 @@ impl Peer {
 
     /// Whether an item is still missing and not on its way, and can be noted as being on its way.
     pub(crate) fn lacks(&self, item: Item) -> bool {
-        let (covered, number) = match (self.views.get(&item.stream()), item) {
-            (Some(view), Item::Package { index, .. }) => (&view.covered, index),
-            (Some(View { sending: Some(sending), .. }), Item::Tile { set, tile, .. })
+        let (received_or_in_flight, number) = match (self.streams.get(&item.stream()), item) {
+            (Some(theirs), Item::Package { index, .. }) => (&theirs.received_or_in_flight, index),
+            (Some(PeerStream { sending: Some(sending), .. }), Item::Chunk { set, chunk, .. })
                 if sending.set == set =>
             {
-                (&sending.covered, tile + 1)
+                (&sending.received_or_in_flight, chunk + 1)
             }
             _ => return false,
         };
-        !covered.contains(number) && covered.has_room_for(number)
+        !received_or_in_flight.contains(number) && received_or_in_flight.has_room_for(number)
     }
 }
 
@@ -268,16 +271,16 @@ mod tests {
         let now = Stamp(0);
         let mut peer = Peer::new(run(2), now, &SessionConfig::default());
         peer.takes_new_streams = true;
-        let all = Covered::all_from(RobotId(0));
-        peer.note_covered(all);
+        let all = OriginRange::all_from(RobotId(0));
+        peer.note_origins(all);
         peer.note_unplaced(run(8));
-        assert!(peer.view(run(8), now).is_none());
-        assert!(peer.view(run(7), now).is_some());
+        assert!(peer.theirs(run(8), now).is_none());
+        assert!(peer.theirs(run(7), now).is_some());
         // What covers others says nothing of it.
-        peer.note_covered(Covered { first: RobotId(9), last: RobotId(7) });
-        assert!(peer.view(run(8), now).is_none());
-        peer.note_covered(all);
-        assert!(peer.view(run(8), now).is_some(), "not named any more");
+        peer.note_origins(OriginRange { first: RobotId(9), last: RobotId(7) });
+        assert!(peer.theirs(run(8), now).is_none());
+        peer.note_origins(all);
+        assert!(peer.theirs(run(8), now).is_some(), "not named any more");
         (0..2 * UNPLACED_MAX as u16).for_each(|id| peer.note_unplaced(run(id)));
         assert_eq!(peer.unplaced.len(), UNPLACED_MAX);
     }
@@ -288,7 +291,7 @@ mod tests {
         let item = |id, index| Item::Package { stream: robot(id), index };
         let mut peer = Peer::new(robot(2), Stamp(0), &SessionConfig::default());
         peer.takes_new_streams = true;
-        peer.note_covered(Covered::all_from(RobotId(0)));
+        peer.note_origins(OriginRange::all_from(RobotId(0)));
         peer.cover(item(1, 1), Stamp(0), 6);
         for index in 1..=20 {
             let is_noted = peer.cover_heard(item(3, index), Stamp(1), 6);

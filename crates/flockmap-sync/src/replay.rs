@@ -4,7 +4,7 @@ use crate::wire::Salt;
 use flockmap_grid::{RobotId, Stream};
 use std::collections::BTreeMap;
 
-/// Counters that a window covers: so far a datagram may be overtaken by later ones and still count.
+/// Counters that a window covers: so far a datagram may be superseded by later ones and still count.
 pub(crate) const WINDOW: u64 = BITS - 64;
 /// One word more than the window, so that the words which the window leaves behind are cleared whole.
 const BITS: u64 = 2_048;

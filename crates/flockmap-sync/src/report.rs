@@ -60,15 +60,15 @@ pub struct Load {
     pub peers: usize,
     /// Streams known beside the own one: at most `streams_max`.
     pub streams: usize,
-    /// Packages and tiles that wait for what they build on, or for the driver's verdict: at most 4,096.
-    pub undecided: usize,
+    /// Packages and chunks that wait for what they build on, or for the driver's verdict: at most 4,096.
+    pub pending: usize,
     /// Of these: packages that wait for those that they build on: at most 1,024.
     pub waiting: usize,
     /// Bytes that these take, with 400 bytes of bookkeeping for each: at most 1 MiB.
     pub waiting_bytes: usize,
-    /// Packages and tiles that were rejected a moment ago: at most 1,024.
-    pub refused: usize,
-    /// Present states being received: at most `transfers_max`.
+    /// Packages and chunks that were rejected a moment ago: at most 1,024.
+    pub backed_off: usize,
+    /// Snapshots being received: at most `transfers_max`.
     pub transfers: usize,
     /// Packages sent to one peer and not yet confirmed, of the peer with the most: at most `in_flight_max`, by broadcast twice as many.
     pub in_flight_most: usize,

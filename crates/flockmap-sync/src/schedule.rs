@@ -22,7 +22,7 @@ pub(crate) struct Schedule {
     pub(crate) rounds: u32,
     /// A run of a robot that was heard in an earlier one: it should learn of it soon.
     pub(crate) superseded: Option<Stream>,
-    pub(crate) superseded_told: Option<Stamp>,
+    pub(crate) superseded_sent: Option<Stamp>,
 }
 
 impl Schedule {
@@ -43,7 +43,7 @@ impl Schedule {
             cursor: RobotId(0),
             rounds: 0,
             superseded: None,
-            superseded_told: None,
+            superseded_sent: None,
         }
     }
 

@@ -6,12 +6,12 @@ mod datagram;
 mod pace;
 mod paths;
 mod plan;
-mod present;
 mod receive;
 mod request;
 mod same_id;
 mod sealing;
 mod send;
+mod snapshot;
 mod streams;
 mod timing;
 mod transfers;
@@ -37,7 +37,7 @@ const EVENTS_MAX: usize = PENDING_MAX;
 
 /// Keeps the packages of all robots of a swarm in sync.
 ///
-/// Methods are of four kinds: inputs (`handle_*`, `publish`, `verdict`, `provide_present_state`,
+/// Methods are of four kinds: inputs (`handle_*`, `publish`, `verdict`, `provide_snapshot`,
 /// `set_clock_offset`, `restore*`), outputs (`poll_*`), and queries. After every input, drain
 /// [`poll_event`](Self::poll_event), giving each event its answer, then [`poll_transmit`](Self::poll_transmit);
 /// then wait for a datagram or for [`poll_timeout`](Self::poll_timeout), whichever is first.
@@ -131,7 +131,7 @@ impl Session {
         Ok(())
     }
 
-    /// Delivers a package, or a tile of a present state, that a former run stored on disk: as if it had just come from a peer, so that it is decoded
+    /// Delivers a package, or a chunk of a snapshot, that a former run stored on disk: as if it had just come from a peer, so that it is decoded
     /// and merged like any other ([`Event::Received`]) and asked for only if that fails. For the time before the first datagram comes.
     /// `false`: it is of the own stream, or there is no room for its stream.
     pub fn deliver_stored(&mut self, now: Stamp, package: Package) -> bool {
@@ -144,20 +144,20 @@ impl Session {
         true
     }
 
-    /// Says which packages a present state contains whose tiles were just [delivered](Self::deliver_stored), one of a history with gaps. Whether they are held now: if all its tiles
+    /// Says which packages a snapshot contains whose chunks were just [delivered](Self::deliver_stored), one of a history with gaps. Whether they are held now: if all its chunks
     /// are accepted. Else they count when the rest of them is.
     pub fn deliver_stored_contents(
         &mut self,
         now: Stamp,
         stream: Stream,
         set: u32,
-        held: IntervalSet,
+        received: IntervalSet,
     ) -> bool {
         let now = self.advance(now);
-        let contents = Contents { stream, set, held: held.clone() };
+        let contents = Contents { stream, set, received: received.clone() };
         self.receive_packages(now, self.identity.own, Vec::new(), vec![contents]);
         self.finish_transfers(now);
-        self.store.held(stream).is_some_and(|all| held.difference(all).is_empty())
+        self.store.received(stream).is_some_and(|all| received.difference(all).is_empty())
     }
 
     /// Sets a robot's clock minus the own clock, in microseconds, known from elsewhere; it is used in place of
@@ -173,16 +173,16 @@ impl Session {
     pub fn poll_transmit(&mut self, now: Stamp) -> Option<Transmit> {
         let now = self.advance(now);
         self.schedule.timers.stop(Timer::Budget);
-        if self.check_spent() {
+        if self.check_exhausted() {
             return None;
         }
         let transmit = if !self.outbox.path_waiting.is_empty() {
             self.transmit_path(now)
-        } else if self.is_overtaken()
+        } else if self.is_superseded()
             && let packages @ Some(_) = self.transmit_packages(now)
         {
             packages
-        } else if self.is_overtaken() {
+        } else if self.is_superseded() {
             // Requests wait with them.
             None
         } else if self.request_due(now) {
@@ -203,7 +203,8 @@ impl Session {
         // A request that is due already waits for the budget, like everything else: the timer of that says until when.
         let budget = self.schedule.timers.get(Timer::Budget);
         let request = self.schedule.timers.next(&Timer::REQUESTS);
-        let request = request.filter(|&at| !self.is_spent() && (at > self.clocks.now() || budget.is_none()));
+        let request =
+            request.filter(|&at| !self.is_exhausted() && (at > self.clocks.now() || budget.is_none()));
         [lost, budget, request].into_iter().flatten().min().map(|at| at.max(self.clocks.now()))
     }
 
@@ -220,8 +221,8 @@ impl Session {
     }
 
     /// Indices held of a stream; `None` for an unknown stream.
-    pub fn held(&self, stream: Stream) -> Option<&IntervalSet> {
-        self.store.held(stream)
+    pub fn received(&self, stream: Stream) -> Option<&IntervalSet> {
+        self.store.received(stream)
     }
 
     /// The streams of which something is known; the own one is always among them.
@@ -250,14 +251,14 @@ impl Session {
 
     /// What each peer that hears this robot holds of the own stream, by its last request: the peer and its run, when the request
     /// came, and the highest index up to which nothing is missing. What a peer keeps undecided counts as held.
-    pub fn own_held_by_peers(&self) -> impl Iterator<Item = (Stream, Stamp, u32)> + '_ {
+    pub fn own_received_by_peers(&self) -> impl Iterator<Item = (Stream, Stamp, u32)> + '_ {
         self.peers.values().filter(|peer| peer.hears(self.identity.own.origin)).filter_map(|peer| {
             let (_, at) = peer.request?;
-            let prefix = match peer.views.get(&self.identity.own) {
+            let prefix = match peer.streams.get(&self.identity.own) {
                 // What lies below the list that it states, it does not ask for either.
-                Some(view) => match view.held.first() {
-                    Some(first) if first <= view.from.max(1) => view.held.intervals().first()?.1,
-                    _ => view.from.saturating_sub(1),
+                Some(theirs) => match theirs.received.first() {
+                    Some(first) if first <= theirs.from.max(1) => theirs.received.intervals().first()?.1,
+                    _ => theirs.from.saturating_sub(1),
                 },
                 None => 0,
             };
@@ -276,12 +277,12 @@ impl Session {
 
     /// What it holds at the moment. O(peers).
     pub fn load(&self) -> Load {
-        let ((undecided, refused), (waiting, waiting_bytes)) = (self.inbox.load(), self.inbox.waiting());
+        let ((pending, backed_off), (waiting, waiting_bytes)) = (self.inbox.load(), self.inbox.waiting());
         Load {
             peers: self.peers.len(),
             streams: self.store.streams().count().saturating_sub(1),
-            undecided,
-            refused,
+            pending,
+            backed_off,
             waiting,
             waiting_bytes,
             transfers: self.inbox.transfers.len(),

@@ -1,7 +1,7 @@
 //! All packages that a robot holds: the paper's containers H, one per stream.
 
 use crate::IntervalSet;
-use crate::milestones::Milestones;
+use crate::stamp_index::StampIndex;
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Intervals in the index list of one stream. Packages that would tear more holes than that are refused until
 /// some are filled. Worst case 8 KiB a stream.
-pub const HELD_INTERVALS_MAX: usize = 1_024;
+pub const RECEIVED_INTERVALS_MAX: usize = 1_024;
 
 /// Bookkeeping counted for each stored package beside its bytes: what it takes in memory, places in half-full maps counted in.
 const PACKAGE_OVERHEAD_BYTES: usize = 400;
@@ -34,19 +34,19 @@ pub struct Stored {
     pub package: Package,
     /// When it came into the store, on the own clock.
     pub stored_at: Stamp,
-    /// When its cycle ended, on the own clock as well as that is known; never after `stored_at`.
+    /// When its batch ended, on the own clock as well as that is known; never after `stored_at`.
     pub fresh_at: Stamp,
 }
 
 /// What is held and stored of one stream.
 #[derive(Debug)]
-struct Shelf {
-    held: IntervalSet,
+struct StreamStore {
+    received: IntervalSet,
     /// Highest index known to exist, from packages and from what others state.
     newest_known: u32,
     stored: BTreeMap<u32, Stored>,
     /// Outlives the packages.
-    milestones: Milestones,
+    stamp_index: StampIndex,
     bytes: usize,
     /// When something of it was news last.
     touched: Stamp,
@@ -57,7 +57,7 @@ struct Shelf {
 pub struct Store {
     own: Stream,
     limits: StoreLimits,
-    shelves: BTreeMap<Stream, Shelf>,
+    streams: BTreeMap<Stream, StreamStore>,
     /// Packages of other streams, oldest first: the order of dropping.
     by_age: BTreeSet<(Stamp, Stream, u32)>,
     bytes: usize,
@@ -95,41 +95,44 @@ pub(crate) enum NoRoom {
 
 impl Store {
     pub(crate) fn new(own: Stream, limits: StoreLimits) -> Self {
-        let mut shelves = BTreeMap::new();
-        shelves.insert(own, Shelf::new(Stamp(i64::MIN)));
-        Self { own, limits, shelves, by_age: BTreeSet::new(), bytes: 0, dropped: 0, cut: BTreeSet::new() }
+        let mut streams = BTreeMap::new();
+        streams.insert(own, StreamStore::new(Stamp(i64::MIN)));
+        Self { own, limits, streams, by_age: BTreeSet::new(), bytes: 0, dropped: 0, cut: BTreeSet::new() }
     }
 
     /// The own stream is another one from now on; nothing of the former one is kept.
     pub(crate) fn begin_run(&mut self, own: Stream) {
         self.forget(self.own);
         self.own = own;
-        self.shelves.insert(own, Shelf::new(Stamp(i64::MIN)));
+        self.streams.insert(own, StreamStore::new(Stamp(i64::MIN)));
     }
 
     /// The streams of which something is known, in ascending order; the own one is always among them.
     pub fn streams(&self) -> impl Iterator<Item = Stream> + '_ {
-        self.shelves.keys().copied()
+        self.streams.keys().copied()
     }
 
     /// Indices held of a stream; `None` for an unknown stream.
-    pub fn held(&self, stream: Stream) -> Option<&IntervalSet> {
-        self.shelves.get(&stream).map(|shelf| &shelf.held)
+    pub fn received(&self, stream: Stream) -> Option<&IntervalSet> {
+        self.streams.get(&stream).map(|stream_store| &stream_store.received)
     }
 
     /// The highest index of a stream that is known to exist, held or not; 0 if none is.
     pub fn newest_known(&self, stream: Stream) -> u32 {
-        self.shelves.get(&stream).map_or(0, |shelf| shelf.newest_known)
+        self.streams.get(&stream).map_or(0, |stream_store| stream_store.newest_known)
     }
 
     /// Indices of a stream that are known to exist and not held, as ascending closed intervals.
     pub fn missing(&self, stream: Stream) -> impl DoubleEndedIterator<Item = (u32, u32)> + '_ {
-        self.shelves.get(&stream).into_iter().flat_map(|shelf| shelf.held.missing(1, shelf.newest_known))
+        self.streams
+            .get(&stream)
+            .into_iter()
+            .flat_map(|stream_store| stream_store.received.missing(1, stream_store.newest_known))
     }
 
     /// A stored package.
     pub fn get(&self, stream: Stream, index: u32) -> Option<&Stored> {
-        self.shelves.get(&stream)?.stored.get(&index)
+        self.streams.get(&stream)?.stored.get(&index)
     }
 
     /// The stored packages of a stream with an index from `low` to `high`, ascending.
@@ -139,19 +142,20 @@ impl Store {
         low: u32,
         high: u32,
     ) -> impl DoubleEndedIterator<Item = (u32, &Stored)> + '_ {
-        self.shelves
-            .get(&stream)
-            .filter(|_| low <= high)
-            .into_iter()
-            .flat_map(move |shelf| shelf.stored.range(low..=high).map(|(&index, stored)| (index, stored)))
+        self.streams.get(&stream).filter(|_| low <= high).into_iter().flat_map(move |stream_store| {
+            stream_store.stored.range(low..=high).map(|(&index, stored)| (index, stored))
+        })
     }
 
     /// A stamp of the stream's robot that no package from `index` on is older than, as late as is known; for packages that
     /// are not stored any more it may be that of an earlier one. `None` if nothing is known of any up to `index`.
     pub fn stamp_not_after(&self, stream: Stream, index: u32) -> Option<Stamp> {
-        let shelf = self.shelves.get(&stream)?;
-        let stored = shelf.stored.range(..=index).next_back();
-        shelf.milestones.not_after(index).max(stored.map(|(_, stored)| stored.package.header().cycle_end))
+        let stream_store = self.streams.get(&stream)?;
+        let stored = stream_store.stored.range(..=index).next_back();
+        stream_store
+            .stamp_index
+            .not_after(index)
+            .max(stored.map(|(_, stored)| stored.package.header().batch_end))
     }
 
     /// Below every stamp of the packages after `since`. `None` if that is not known: then only the whole state will do.
@@ -192,7 +196,7 @@ impl Store {
 
     /// Packages stored now.
     pub fn packages(&self) -> usize {
-        self.shelves.values().map(|shelf| shelf.stored.len()).sum()
+        self.streams.values().map(|stream_store| stream_store.stored.len()).sum()
     }
 
     /// Packages dropped so far to stay within the byte limit.
@@ -217,7 +221,7 @@ impl Store {
 
     /// When something of a stream was news last.
     pub(crate) fn touched(&self, stream: Stream) -> Option<Stamp> {
-        self.shelves.get(&stream).map(|shelf| shelf.touched)
+        self.streams.get(&stream).map(|stream_store| stream_store.touched)
     }
 
     /// Whether any run of a robot is here.
@@ -226,13 +230,13 @@ impl Store {
     }
 
     fn is_at_limit(&self) -> bool {
-        self.shelves.len() > self.limits.streams_max
+        self.streams.len() > self.limits.streams_max
     }
 
     /// The runs of a robot that are here, oldest first.
     fn runs(&self, origin: RobotId) -> impl DoubleEndedIterator<Item = Stream> + '_ {
         let run = |epoch| Stream { origin, epoch };
-        self.shelves.range(run(0)..=run(u64::MAX)).map(|(stream, _)| *stream)
+        self.streams.range(run(0)..=run(u64::MAX)).map(|(stream, _)| *stream)
     }
 
     /// The newest run of a robot that is here.
@@ -245,13 +249,13 @@ impl Store {
     }
 
     /// The oldest run of each robot of which there is a later one, also `newcomer`.
-    fn ended_runs(&self, newcomer: Option<Stream>) -> impl Iterator<Item = (Stream, &Shelf)> {
+    fn ended_runs(&self, newcomer: Option<Stream>) -> impl Iterator<Item = (Stream, &StreamStore)> {
         let mut before = None;
-        self.shelves.iter().filter(|(run, _)| **run != self.own).filter_map(move |(&run, shelf)| {
+        self.streams.iter().filter(|(run, _)| **run != self.own).filter_map(move |(&run, stream_store)| {
             let is_oldest = before.replace(run.origin) != Some(run.origin);
             let is_ended =
                 self.is_superseded(run) || newcomer.is_some_and(|new| new.origin == run.origin && new > run);
-            (is_oldest && is_ended).then_some((run, shelf))
+            (is_oldest && is_ended).then_some((run, stream_store))
         })
     }
 
@@ -262,7 +266,7 @@ impl Store {
         now: Stamp,
         is_heard: impl Fn(RobotId) -> bool,
     ) -> Result<Opened, NoRoom> {
-        if self.shelves.contains_key(&stream) {
+        if self.streams.contains_key(&stream) {
             return Ok(Opened { is_new: false, forgotten: None });
         }
         let origin = stream.origin;
@@ -281,7 +285,7 @@ impl Store {
             oldest
         } else if !self.is_at_limit() {
             None
-        } else if mutation::is(Mutation::LiveRefused) {
+        } else if mutation::is(Mutation::LiveBackedOff) {
             return Err(NoRoom::Streams);
         } else if self.is_superseded(stream) {
             // All places are taken: what has ended takes one from an older run of the same robot, and from no other.
@@ -290,10 +294,11 @@ impl Store {
             Some(older.ok_or(NoRoom::OldEpoch)?)
         } else {
             let ended = self.ended_runs(Some(stream));
-            let silent = self.shelves.iter().map(|(run, shelf)| (*run, shelf)).filter(|(run, _)| {
-                *run != self.own && is_heard(origin) && !is_heard(run.origin) && !self.is_superseded(*run)
-            });
-            let age = |(_, shelf): &(Stream, &Shelf)| shelf.touched;
+            let silent =
+                self.streams.iter().map(|(run, stream_store)| (*run, stream_store)).filter(|(run, _)| {
+                    *run != self.own && is_heard(origin) && !is_heard(run.origin) && !self.is_superseded(*run)
+                });
+            let age = |(_, stream_store): &(Stream, &StreamStore)| stream_store.touched;
             let (run, _) = ended.min_by_key(age).or_else(|| silent.min_by_key(age)).ok_or(NoRoom::Streams)?;
             self.cut.insert(run.origin);
             Some(run)
@@ -301,7 +306,7 @@ impl Store {
         if let Some(forgotten) = forgotten {
             self.forget(forgotten);
         }
-        self.shelves.insert(stream, Shelf::new(now));
+        self.streams.insert(stream, StreamStore::new(now));
         if let Some(forgotten) = forgotten
             && self.oldest_run(forgotten.origin).is_none()
         {
@@ -311,10 +316,10 @@ impl Store {
     }
 
     fn forget(&mut self, stream: Stream) {
-        if let Some(shelf) = self.shelves.remove(&stream) {
-            self.bytes -= shelf.bytes;
-            self.dropped += shelf.stored.len() as u64;
-            for (index, stored) in shelf.stored {
+        if let Some(stream_store) = self.streams.remove(&stream) {
+            self.bytes -= stream_store.bytes;
+            self.dropped += stream_store.stored.len() as u64;
+            for (index, stored) in stream_store.stored {
                 self.by_age.remove(&(stored.fresh_at, stream, index));
             }
         }
@@ -322,22 +327,22 @@ impl Store {
 
     /// Notes that packages up to `index` exist; whether that is news.
     pub(crate) fn note_newest(&mut self, stream: Stream, index: u32, now: Stamp) -> bool {
-        let Some(shelf) = self.shelves.get_mut(&stream) else { return false };
-        let news = index > shelf.newest_known;
+        let Some(stream_store) = self.streams.get_mut(&stream) else { return false };
+        let news = index > stream_store.newest_known;
         if news {
-            shelf.newest_known = index;
-            shelf.touched = now;
+            stream_store.newest_known = index;
+            stream_store.touched = now;
         }
         news
     }
 
     /// Marks indices of a stream that has a place as held without a package to send on; whether any was new.
     pub(crate) fn hold(&mut self, stream: Stream, low: u32, high: u32, now: Stamp) -> Result<bool, NoRoom> {
-        let Some(shelf) = self.shelves.get_mut(&stream) else { return Err(NoRoom::Streams) };
-        let is_new = shelf.held.insert_range(low, high).map_err(|_| NoRoom::Intervals)?;
-        shelf.newest_known = shelf.newest_known.max(high);
+        let Some(stream_store) = self.streams.get_mut(&stream) else { return Err(NoRoom::Streams) };
+        let is_new = stream_store.received.insert_range(low, high).map_err(|_| NoRoom::Intervals)?;
+        stream_store.newest_known = stream_store.newest_known.max(high);
         if is_new {
-            shelf.touched = now;
+            stream_store.touched = now;
         }
         Ok(is_new)
     }
@@ -346,15 +351,15 @@ impl Store {
     pub(crate) fn insert(&mut self, package: &Package, now: Stamp, fresh_at: Stamp) -> Result<bool, NoRoom> {
         let (stream, index) = (package.header().stream, package.header().index);
         let is_new = self.hold(stream, index, index, now)?;
-        let Some(shelf) = self.shelves.get_mut(&stream) else { return Err(NoRoom::Streams) };
+        let Some(stream_store) = self.streams.get_mut(&stream) else { return Err(NoRoom::Streams) };
         if !is_new {
             return Ok(false);
         }
-        shelf.milestones.note(index, package.header().cycle_end);
+        stream_store.stamp_index.note(index, package.header().batch_end);
         let fresh_at = fresh_at.min(now);
         let bytes = package.bytes().len() + PACKAGE_OVERHEAD_BYTES;
-        shelf.stored.insert(index, Stored { package: package.clone(), stored_at: now, fresh_at });
-        shelf.bytes += bytes;
+        stream_store.stored.insert(index, Stored { package: package.clone(), stored_at: now, fresh_at });
+        stream_store.bytes += bytes;
         self.bytes += bytes;
         if stream != self.own {
             self.by_age.insert((fresh_at, stream, index));
@@ -370,17 +375,17 @@ impl Store {
         let oldest = match self.by_age.pop_first() {
             Some((_, stream, index)) => Some((stream, index)),
             None => self
-                .shelves
+                .streams
                 .get(&self.own)
-                .and_then(|shelf| shelf.stored.first_key_value())
+                .and_then(|stream_store| stream_store.stored.first_key_value())
                 .map(|(&index, _)| (self.own, index)),
         };
         let Some((stream, index)) = oldest else { return false };
-        if let Some(shelf) = self.shelves.get_mut(&stream)
-            && let Some(stored) = shelf.stored.remove(&index)
+        if let Some(stream_store) = self.streams.get_mut(&stream)
+            && let Some(stored) = stream_store.stored.remove(&index)
         {
             let bytes = stored.package.bytes().len() + PACKAGE_OVERHEAD_BYTES;
-            shelf.bytes -= bytes;
+            stream_store.bytes -= bytes;
             self.bytes -= bytes;
             self.dropped += 1;
         }
@@ -388,13 +393,13 @@ impl Store {
     }
 }
 
-impl Shelf {
+impl StreamStore {
     const fn new(now: Stamp) -> Self {
         Self {
-            held: IntervalSet::new(HELD_INTERVALS_MAX),
+            received: IntervalSet::new(RECEIVED_INTERVALS_MAX),
             newest_known: 0,
             stored: BTreeMap::new(),
-            milestones: Milestones::new(),
+            stamp_index: StampIndex::new(),
             bytes: 0,
             touched: now,
         }

@@ -15,10 +15,10 @@ pub use datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, HEADER_BYTES, Kind, LAYOUT, WIRE_VERSION,
 };
 pub use packages::{
-    CONTENTS_BYTES_MAX, Contents, PackagesWriter, asks_for_word, parse_contents, parse_packages,
+    CONTENTS_BYTES_MAX, Contents, PackagesWriter, asks_for_request, parse_contents, parse_packages,
 };
 pub use path::PathMessage;
-pub use request::{ClockReport, Covered, Echo, Held, Request, StateWanted, TransferProgress};
+pub use request::{ClockReport, Echo, OriginRange, Received, Request, SnapshotRequest, TransferProgress};
 pub use sealed::{
     COUNTER_MAX, OpenedDatagram, SALT_BYTES, SEAL_BYTES, Salt, SealedDatagram, is_sealed, seal_bytes,
     seal_datagram,

@@ -12,7 +12,7 @@ fn the_byte_budget_holds_in_every_second() {
         let config = SessionConfig {
             cast,
             radio_bytes_per_s: Some(budget),
-            present_state_bytes_min: None,
+            snapshot_bytes_min: None,
             ..SessionConfig::default()
         };
         let mut swarm = Swarm::of(3, 17, Radio::lossy(0.1), &config);
@@ -86,7 +86,7 @@ fn assert_thin_budget_holds(robot: &swarm::Robot, budget: usize, of: &str) {
 
 #[test]
 fn a_budget_of_one_kilobyte_a_second_makes_progress_newest_first() {
-    println!("robots   B/s  cast       requests/all  newest cycle held after");
+    println!("robots   B/s  cast       requests/all  newest batch held after");
     for (budget, cast, robots) in [
         (1_024, Cast::Unicast, 2),
         (1_024, Cast::Broadcast, 3),
@@ -108,9 +108,9 @@ fn a_budget_of_one_kilobyte_a_second_makes_progress_newest_first() {
                 waits.push((swarm.now, newest, None));
             }
             swarm.run(SECOND / 2);
-            let held =
-                swarm.robots[&2].session.held(swarm.stream(1)).and_then(flockmap_sync::IntervalSet::last);
-            for wait in waits.iter_mut().filter(|wait| held >= Some(wait.1)) {
+            let received =
+                swarm.robots[&2].session.received(swarm.stream(1)).and_then(flockmap_sync::IntervalSet::last);
+            for wait in waits.iter_mut().filter(|wait| received >= Some(wait.1)) {
                 wait.2.get_or_insert(swarm.now - wait.0);
             }
         }
@@ -120,13 +120,13 @@ fn a_budget_of_one_kilobyte_a_second_makes_progress_newest_first() {
         println!("{robots:6}  {budget:4}  {cast:9?}  {share:12.3}  {:.1} s", longest as f64 / 1e6);
         assert!(share < 0.3, "requests took {share:.2} of the budget: {counters:#?}");
         let fair = i64::from(robots) * 4 * SECOND * 1_024 / i64::from(budget);
-        assert!(longest < fair, "the newest cycle was held only after {longest} µs, {fair} allowed");
+        assert!(longest < fair, "the newest batch was held only after {longest} µs, {fair} allowed");
         for (id, robot) in &swarm.robots {
             let lost = robot.events.iter().filter(|event| event.contains("PeerLost")).count();
             assert_eq!(lost, 0, "robot {id} lost sight of a peer that is there");
             assert_thin_budget_holds(robot, budget as usize, &format!("robot {id}"));
         }
-        // It fills up when the robots stop, with a present state where that is cheaper.
+        // It fills up when the robots stop, with a snapshot where that is cheaper.
         swarm.run(600 * SECOND);
         swarm.assert_in_sync(&(1..=robots).map(|id| swarm.stream(id)).collect::<Vec<_>>());
     }
@@ -156,7 +156,7 @@ fn the_budget_of_a_link_counts_requests_too() {
 }
 
 #[test]
-fn behind_a_thin_link_the_newest_cycle_comes_first() {
+fn behind_a_thin_link_the_newest_batch_comes_first() {
     let config = SessionConfig { link_bytes_per_s: Some(5_000), ..SessionConfig::default() };
     let mut swarm = Swarm::of(2, 18, Radio::PERFECT, &config);
     swarm.run(2 * SECOND);
@@ -168,9 +168,9 @@ fn behind_a_thin_link_the_newest_cycle_comes_first() {
     swarm.run(SECOND);
     let stream = swarm.stream(1);
     let newest = swarm.robots[&1].session.store().newest_known(stream);
-    let held = swarm.robots[&2].session.held(stream).unwrap();
-    assert!(held.contains_range(newest + 1 - last, newest), "{held:?} of {newest}");
-    assert!(held.count() < u64::from(newest) / 2, "{held:?} of {newest}");
+    let received = swarm.robots[&2].session.received(stream).unwrap();
+    assert!(received.contains_range(newest + 1 - last, newest), "{received:?} of {newest}");
+    assert!(received.count() < u64::from(newest) / 2, "{received:?} of {newest}");
 }
 
 #[test]

@@ -80,7 +80,9 @@ fn packages_travel_as_they_are() {
     for index in [1, 7, u32::MAX] {
         let stream = Stream { origin: RobotId(3), epoch: index.into() };
         inputs.push(maker.package(stream, index, index == 7).bytes().to_vec());
-        inputs.extend(maker.tiles(stream, (index / 2, index), 4, 1).iter().map(|tile| tile.bytes().to_vec()));
+        inputs.extend(
+            maker.chunks(stream, (index / 2, index), 4, 1).iter().map(|chunk| chunk.bytes().to_vec()),
+        );
     }
     let changed: Vec<Vec<u8>> = inputs
         .iter()
@@ -104,21 +106,21 @@ fn sessions_hold_their_limits() {
     for (what, count) in [
         ("accepted", (|c| c.accepted) as fn(&Counters) -> u64),
         ("rejected", |c| c.rejected),
-        ("given up", |c| c.given_up),
+        ("given up", |c| c.undecodable),
         ("sent", |c| c.sent),
         ("confirmed", |c| c.confirmed),
         ("lost", |c| c.lost),
         ("delayed by the window", |c| c.delayed_by_window),
         ("delayed by the budget", |c| c.delayed_by_budget),
-        ("tiles accepted", |c| c.tiles_accepted),
-        ("tiles sent", |c| c.tiles_sent),
+        ("chunks accepted", |c| c.chunks_accepted),
+        ("chunks sent", |c| c.chunks_sent),
         ("caught up", |c| c.caught_up),
         ("too many transfers", |c| c.too_many_transfers),
         ("too many peers", |c| c.too_many_peers),
         ("too many streams", |c| c.too_many_streams),
         ("malformed", |c| c.malformed),
-        ("present states asked for", |c| c.present_states_wanted),
-        ("present states refused", |c| c.present_states_unusable),
+        ("snapshots asked for", |c| c.snapshots_wanted),
+        ("snapshots refused", |c| c.snapshots_unusable),
     ] {
         let sum: u64 = reached.borrow().iter().map(count).sum();
         println!("{what}: {sum}");

@@ -3,11 +3,11 @@
 
 mod swarm;
 
-use flockmap_codec::{Codec, Cycle, Encoder, Package};
+use flockmap_codec::{Batch, Codec, Encoder, Package};
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_sync::wire::{
-    Covered, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, StateWanted, TransferProgress,
-    seal_datagram,
+    DatagramHeader, Echo, Kind, OriginRange, PackagesWriter, Received, Request, SnapshotRequest,
+    TransferProgress, seal_datagram,
 };
 use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey, Verdict};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -41,7 +41,7 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 fn package(random: &mut Random, stream: Stream, index: u32) -> Package {
-    let cycle = Cycle {
+    let batch = Batch {
         stream,
         start: Stamp(0),
         end: Stamp(1),
@@ -50,7 +50,7 @@ fn package(random: &mut Random, stream: Stream, index: u32) -> Package {
     };
     let voxel = Voxel::new(random.below(9) as i32, 0, 0);
     Encoder::new()
-        .encode_whole(Codec::Raw, &cycle, index, &Changes::from_voxels([(voxel, State::Free)]))
+        .encode_whole(Codec::Raw, &batch, index, &Changes::from_voxels([(voxel, State::Free)]))
         .unwrap()
 }
 
@@ -78,9 +78,9 @@ fn any_set(random: &mut Random) -> IntervalSet {
 /// A datagram with a right check and wild content, much of it about the robot `own`.
 fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> {
     let sender = Stream { origin: RobotId(2 + random.below(senders) as u16), epoch: random.below(3) };
-    let stamp = if random.chance(0.9) { now } else { Stamp(random.next() as i64) };
+    let stamp = if random.happens(0.9) { now } else { Stamp(random.next() as i64) };
     let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender, stamp };
-    if random.chance(0.5) {
+    if random.happens(0.5) {
         let mut writer = PackagesWriter::new(header, 1_200);
         for _ in 0..1 + random.below(30) {
             let stream = match random.below(8) {
@@ -95,23 +95,23 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
         }
         return writer.finish();
     }
-    let wish = |random: &mut Random, stream| StateWanted {
+    let request = |random: &mut Random, stream| SnapshotRequest {
         stream,
         since: any_index(random),
         from: 1,
         undecodable: any_set(random),
     };
-    let held = |random: &mut Random| {
-        let stream = if random.chance(0.3) { Stream { origin: own, epoch: 1 } } else { any_stream(random) };
-        Held { is_oldest_wanted: random.chance(0.2), stream, from: 1, held: any_set(random) }
+    let received = |random: &mut Random| {
+        let stream = if random.happens(0.3) { Stream { origin: own, epoch: 1 } } else { any_stream(random) };
+        Received { is_oldest_wanted: random.happens(0.2), stream, from: 1, received: any_set(random) }
     };
     Request {
-        covered: random.chance(0.5).then(|| Covered {
+        origins: random.happens(0.5).then(|| OriginRange {
             first: RobotId(random.below(20) as u16),
             last: RobotId(random.next() as u16),
         }),
-        all_echoes: random.chance(0.5),
-        no_new_streams: random.chance(0.2),
+        all_echoes: random.happens(0.5),
+        no_new_streams: random.happens(0.2),
         echoes: (0..random.below(4))
             .map(|i| Echo {
                 robot: if i == 0 { own } else { RobotId(random.next() as u16) },
@@ -120,7 +120,7 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
                 age_micros: random.next() as u32,
             })
             .collect(),
-        held: (0..random.below(4)).map(|_| held(random)).collect(),
+        received: (0..random.below(4)).map(|_| received(random)).collect(),
         transfers: (0..random.below(3))
             .map(|_| TransferProgress {
                 source: own,
@@ -128,15 +128,15 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
                 since: any_index(random),
                 upto: any_index(random),
                 set: random.next() as u32,
-                tiles: any_index(random),
+                chunks: any_index(random),
                 from: any_index(random),
                 accepted: any_set(random),
             })
             .collect(),
         clocks: Vec::new(),
-        states_wanted: vec![
-            wish(random, Stream { origin: own, epoch: 1 }),
-            wish(random, Stream { origin: RobotId(2), epoch: 1 }),
+        snapshot_requests: vec![
+            request(random, Stream { origin: own, epoch: 1 }),
+            request(random, Stream { origin: RobotId(2), epoch: 1 }),
         ],
     }
     .emit(header, 1_200)
@@ -157,7 +157,7 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
             streams_max: 8,
             store_bytes_max: 200_000,
             in_flight_max: 256,
-            present_state_bytes_min: Some(1_000),
+            snapshot_bytes_min: Some(1_000),
             ..SessionConfig::default()
         };
         let mut random = Random(99);
@@ -170,10 +170,10 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
             let mut bytes = wild(&mut random, now, 12, RobotId(1));
             if let Some(key) = &swarm_key
                 && bytes.len() <= 1_181
-                && random.chance(0.95)
+                && random.happens(0.95)
             {
                 // Most are fresh.
-                let late_max = if random.chance(0.2) { 4_000 } else { 3 };
+                let late_max = if random.happens(0.2) { 4_000 } else { 3 };
                 let late = random.below(late_max);
                 bytes = seal_datagram(key, &SALT, &bytes, None, u64::from(round + 4_000) - late).unwrap();
             }
@@ -194,7 +194,7 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
             }
             while let Some(event) = session.poll_event() {
                 if let Event::Received(package) = event {
-                    if random.chance(0.8) {
+                    if random.happens(0.8) {
                         session.verdict(now, &package, Verdict::Merged);
                     } else {
                         session.verdict(now, &package, Verdict::Damaged);

@@ -36,7 +36,7 @@ fn next(session: &mut Session, now: &mut Stamp) -> Vec<u8> {
 /// All that a datagram may change, as text; what the clock and the counters show is left out.
 fn state(session: &Session) -> String {
     let peers: Vec<_> = session.peers().collect();
-    let streams: Vec<_> = session.streams().map(|s| (s, session.held(s).cloned())).collect();
+    let streams: Vec<_> = session.streams().map(|s| (s, session.received(s).cloned())).collect();
     format!("{peers:?} {streams:?} {:?}", session.poll_timeout())
 }
 
@@ -159,8 +159,8 @@ fn own_datagrams_that_come_back_raise_no_alarm() {
     let mut now = Stamp(0);
     let former = next(&mut session(1, 1, with_key(1)), &mut now);
     let mut own = session(1, 2, with_key(1));
-    let present = next(&mut own, &mut now);
-    own.handle_datagram(now, &present).unwrap();
+    let snapshot = next(&mut own, &mut now);
+    own.handle_datagram(now, &snapshot).unwrap();
     assert!(matches!(own.handle_datagram(now, &former), Err(DatagramError::StaleEpoch { .. })));
     assert_eq!((own.counters().own_heard, own.counters().stale_epoch), (1, 1));
     assert_eq!(own.counters().same_identity, 0);
@@ -240,10 +240,10 @@ fn a_request_that_somebody_held_back_says_nothing_any_more() {
         let (mut a, mut b) = (session(1, 1, config.clone()), session(2, 1, config));
         let mut now = Stamp(0);
         b.handle_datagram(now, &next(&mut a, &mut now)).unwrap();
-        let held_back = next(&mut a, &mut now);
+        let delayed = next(&mut a, &mut now);
         b.handle_datagram(now, &next(&mut a, &mut now)).unwrap();
         let later = now.plus_micros(6 * SECOND);
-        b.handle_datagram(later, &held_back).unwrap();
+        b.handle_datagram(later, &delayed).unwrap();
         // Without a key the newer one might have been of anybody: it does not count for ever.
         assert_eq!(b.counters().stale_requests, stale);
     }

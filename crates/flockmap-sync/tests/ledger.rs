@@ -1,9 +1,9 @@
 //! What is on its way to a peer is not sent to it again before it can have said that it is lost.
 
-use flockmap_codec::{Codec, Cycle, Encoder};
+use flockmap_codec::{Batch, Codec, Encoder};
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_sync::wire::{
-    Covered, Datagram, DatagramHeader, Echo, Held, Kind, Request, is_sealed, parse_packages,
+    Datagram, DatagramHeader, Echo, Kind, OriginRange, Received, Request, is_sealed, parse_packages,
 };
 use flockmap_sync::{Cast, IntervalSet, Session, SessionConfig};
 
@@ -27,23 +27,23 @@ impl Robot {
         Self { session: Session::new(OWN, config, 1).unwrap(), now: 0 }
     }
 
-    /// A request of a peer arrives that left `DELAY` ago, when the peer had just heard what this robot had sent `2 * DELAY` ago. `held`: of
+    /// A request of a peer arrives that left `DELAY` ago, when the peer had just heard what this robot had sent `2 * DELAY` ago. `received`: of
     /// the run of this robot; `None`: it does not name it.
-    fn hears(&mut self, robot: u16, has_room: bool, held: Option<&[(u32, u32)]>) {
+    fn hears(&mut self, robot: u16, has_room: bool, received: Option<&[(u32, u32)]>) {
         let echo =
             Echo { robot: OWN.origin, epoch_low: 1, stamp_low: (self.now - 2 * DELAY) as u32, age_micros: 0 };
-        let held = held.map(|held| Held {
+        let received = received.map(|received| Received {
             stream: OWN,
             is_oldest_wanted: false,
             from: 1,
-            held: IntervalSet::from_intervals(64, held.to_vec()),
+            received: IntervalSet::from_intervals(64, received.to_vec()),
         });
         let request = Request {
-            covered: Some(Covered::all_from(RobotId(0))),
+            origins: Some(OriginRange::all_from(RobotId(0))),
             all_echoes: true,
             no_new_streams: !has_room,
             echoes: vec![echo],
-            held: held.into_iter().collect(),
+            received: received.into_iter().collect(),
             ..Request::default()
         };
         let stamp = Stamp(self.now - DELAY);
@@ -55,10 +55,10 @@ impl Robot {
     fn publish(&mut self) {
         let end = Stamp(self.now);
         let resolution = Resolution::from_metres(0.1).unwrap();
-        let cycle = Cycle { stream: OWN, start: end, end, resolution, sensor: [0; 3] };
+        let batch = Batch { stream: OWN, start: end, end, resolution, sensor: [0; 3] };
         let changes = Changes::from_voxels([(Voxel::new(1, 2, 3), State::Free)]);
         let index = self.session.store().newest_known(OWN) + 1;
-        let package = Encoder::new().encode_whole(Codec::Raw, &cycle, index, &changes).unwrap();
+        let package = Encoder::new().encode_whole(Codec::Raw, &batch, index, &changes).unwrap();
         self.session.publish(end, package).unwrap();
     }
 

@@ -1,9 +1,10 @@
 //! Hostile peers fill every limit of a session, one at a time: it holds no more than `SessionConfig::memory_max` states.
 
-use flockmap_codec::{Codec, Cycle, Encoder, PACKAGE_BYTES_MIN, Package};
-use flockmap_grid::{Changes, PresentState, Resolution, RobotId, Stamp, State, Stream, Voxel, VoxelBox};
+use flockmap_codec::{Batch, Codec, Encoder, PACKAGE_BYTES_MIN, Package};
+use flockmap_grid::{Changes, Resolution, RobotId, Snapshot, Stamp, State, Stream, Voxel, VoxelBox};
 use flockmap_sync::wire::{
-    Covered, Datagram, DatagramError, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, StateWanted,
+    Datagram, DatagramError, DatagramHeader, Echo, Kind, OriginRange, PackagesWriter, Received, Request,
+    SnapshotRequest,
 };
 use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey, Verdict};
 use peak_alloc::PeakAlloc;
@@ -34,7 +35,7 @@ fn config() -> SessionConfig {
         peers_max: 4,
         in_flight_max: 64,
         transfers_max: 1,
-        present_state_bytes_max: 100_000,
+        snapshot_bytes_max: 100_000,
         radio_bytes_per_s: None,
         ..SessionConfig::default()
     }
@@ -58,21 +59,22 @@ impl Victim {
     fn hold(&mut self, stream: Stream, upto: u32) {
         let resolution = Resolution::from_metres(0.1).unwrap();
         let changes = Changes::from_voxels([(Voxel::new(1, 2, 3), State::Free)]);
-        let state = PresentState {
+        let state = Snapshot {
             region: VoxelBox::spanning(Voxel::new(1, 2, 3), Voxel::new(2, 3, 4)).unwrap(),
             parts: vec![(Stamp(1), changes)],
             sensors: Vec::new(),
         };
-        let tiles = self.encoder.encode_present(Codec::Raw, stream, upto, resolution, &state, 1_150).unwrap();
-        for tile in tiles {
-            assert!(self.session.deliver_stored(self.now, tile));
+        let chunks =
+            self.encoder.encode_snapshot(Codec::Raw, stream, upto, resolution, &state, 1_150).unwrap();
+        for chunk in chunks {
+            assert!(self.session.deliver_stored(self.now, chunk));
         }
         while let Some(event) = self.session.poll_event() {
-            if let Event::Received(tile) = event {
-                self.session.verdict(self.now, &tile, Verdict::Merged);
+            if let Event::Received(chunk) = event {
+                self.session.verdict(self.now, &chunk, Verdict::Merged);
             }
         }
-        assert!(self.session.held(stream).unwrap().contains_range(1, upto));
+        assert!(self.session.received(stream).unwrap().contains_range(1, upto));
     }
 
     fn new(config: SessionConfig) -> Self {
@@ -82,21 +84,21 @@ impl Victim {
 
     fn package(&mut self, stream: Stream, index: u32, bytes: usize) -> Package {
         let resolution = Resolution::from_metres(0.1).unwrap();
-        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(1), resolution, sensor: [0; 3] };
+        let batch = Batch { stream, start: Stamp(0), end: Stamp(1), resolution, sensor: [0; 3] };
         // Two bits for each voxel of the box.
         let far = Voxel::new((bytes.saturating_sub(50) * 4) as i32, 0, 0);
         let changes = Changes::from_voxels([(Voxel::new(0, 0, 0), State::Free), (far, State::Occupied)]);
-        self.encoder.encode_whole(Codec::Raw, &cycle, index, &changes).unwrap()
+        self.encoder.encode_whole(Codec::Raw, &batch, index, &changes).unwrap()
     }
 
-    fn tiles(&mut self, stream: Stream, upto: u32, tiles: usize) -> Vec<Package> {
-        let end = (tiles * 500) as i32;
+    fn chunks(&mut self, stream: Stream, upto: u32, chunks: usize) -> Vec<Package> {
+        let end = (chunks * 500) as i32;
         let changes = Changes::from_voxels((0..end).step_by(7).map(|x| (Voxel::new(x, 0, 0), State::Free)));
         let region = VoxelBox::spanning(Voxel::new(0, 0, 0), Voxel::new(end, 0, 0)).unwrap();
-        let state = PresentState { region, parts: vec![(Stamp(1), changes)], sensors: Vec::new() };
+        let state = Snapshot { region, parts: vec![(Stamp(1), changes)], sensors: Vec::new() };
         let resolution = Resolution::from_metres(0.1).unwrap();
         let bytes_max = PACKAGE_BYTES_MIN;
-        self.encoder.encode_present(Codec::Raw, stream, upto, resolution, &state, bytes_max).unwrap()
+        self.encoder.encode_snapshot(Codec::Raw, stream, upto, resolution, &state, bytes_max).unwrap()
     }
 
     fn take(&mut self, bytes: &[u8]) {
@@ -131,9 +133,9 @@ impl Victim {
         while let Some(event) = self.session.poll_event() {
             match event {
                 Event::Received(package) => self.session.verdict(self.now, &package, Verdict::Merged),
-                Event::PresentStateWanted { stream, upto, .. } => {
-                    let tiles = self.tiles(stream, upto, 1);
-                    self.session.provide_present_state(self.now, stream, tiles);
+                Event::SnapshotWanted { stream, upto, .. } => {
+                    let chunks = self.chunks(stream, upto, 1);
+                    self.session.provide_snapshot(self.now, stream, chunks);
                 }
                 _ => {}
             }
@@ -226,19 +228,19 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
             for n in 0..32 {
                 for first in (0..64).step_by(2) {
                     let lists = (first..first + 2).map(|k| {
-                        let held = torn(10 + 1_000 * round, 255);
-                        Held {
+                        let received = torn(10 + 1_000 * round, 255);
+                        Received {
                             is_oldest_wanted: false,
                             stream: stream(k),
                             from: if round == 0 { 1 } else { 10 + 1_000 * round },
-                            held,
+                            received,
                         }
                     });
                     let request = Request {
                         echoes: echoes.to_vec(),
                         all_echoes: true,
-                        held: lists.collect(),
-                        states_wanted: vec![StateWanted {
+                        received: lists.collect(),
+                        snapshot_requests: vec![SnapshotRequest {
                             stream: stream(first),
                             since: 0,
                             from: 1,
@@ -259,7 +261,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
         in_flight_max: 20_000,
         peers_max: 2,
         store_bytes_max: 16 << 20,
-        present_state_bytes_min: None,
+        snapshot_bytes_min: None,
         ..config()
     };
     let base = SessionConfig { in_flight_max: 1, ..large.clone() };
@@ -271,7 +273,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
         victim.is_prepared();
         let echo = Echo { robot: OWN.origin, epoch_low: 1, stamp_low: victim.now.0 as u32, age_micros: 0 };
         let request = Request {
-            covered: Some(Covered::all_from(RobotId(0))),
+            origins: Some(OriginRange::all_from(RobotId(0))),
             all_echoes: true,
             echoes: vec![echo],
             ..Request::default()
@@ -298,17 +300,17 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
             victim.hold(stream(k), 1);
         }
         for n in [0, 1, 2, 3, 0, 1, 2, 3] {
-            let held = (0..4).map(|k| Held {
+            let received = (0..4).map(|k| Received {
                 is_oldest_wanted: false,
                 stream: stream(k),
                 from: 1,
-                held: torn(1, 1),
+                received: torn(1, 1),
             });
             let request = Request {
                 echoes: echoes.to_vec(),
                 all_echoes: true,
-                covered: Some(Covered::all_from(RobotId(0))),
-                held: held.collect(),
+                origins: Some(OriginRange::all_from(RobotId(0))),
+                received: received.collect(),
                 ..Request::default()
             };
             victim.take_request(peer(n), &request);
@@ -342,12 +344,12 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
 
     let large = SessionConfig { transfers_max: 4, ..config() };
     case("torn transfers", large, &small, 0.9, |victim| {
-        let tiles = victim.tiles(stream(1), 1_000_000, 3_000);
-        assert!(tiles.len() > 2_100, "{} tiles", tiles.len());
+        let chunks = victim.chunks(stream(1), 1_000_000, 3_000);
+        assert!(chunks.len() > 2_100, "{} chunks", chunks.len());
         victim.is_prepared();
         for source in 0..4 {
-            for tile in tiles.iter().step_by(2).take(1_060) {
-                victim.take_packages(peer(source), [tile.clone()]);
+            for chunk in chunks.iter().step_by(2).take(1_060) {
+                victim.take_packages(peer(source), [chunk.clone()]);
             }
         }
     });

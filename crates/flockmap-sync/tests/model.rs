@@ -33,16 +33,16 @@ fn config() -> impl Strategy<Value = SessionConfig> {
     let order = prop_oneof![Just(Order::NewestFirst), Just(Order::OldestFirst)];
     let relay = prop_oneof![4 => Just(Relay::Ranked), 1 => Just(Relay::Always)];
     let in_flight = prop_oneof![4 => Just(InFlight::RoundTrip), 1 => Just(InFlight::PreviousRequest)];
-    let present = prop_oneof![Just(None), Just(Some(3_000)), Just(Some(65_536))];
+    let snapshot = prop_oneof![Just(None), Just(Some(3_000)), Just(Some(65_536))];
     let store = prop_oneof![1 => Just(20_000usize), 4 => Just(64 << 20)];
-    (cast, order, relay, in_flight, present, store, any::<bool>(), any::<bool>()).prop_map(
-        |(cast, order, relay, in_flight, present_state_bytes_min, store_bytes_max, push, gap_requests)| {
+    (cast, order, relay, in_flight, snapshot, store, any::<bool>(), any::<bool>()).prop_map(
+        |(cast, order, relay, in_flight, snapshot_bytes_min, store_bytes_max, push, gap_requests)| {
             SessionConfig {
                 cast,
                 order,
                 relay,
                 in_flight,
-                present_state_bytes_min,
+                snapshot_bytes_min,
                 store_bytes_max,
                 push,
                 gap_requests,
@@ -91,7 +91,7 @@ proptest! {
         swarm.assert_in_sync(&streams);
         for robot in swarm.robots.values() {
             let counters = robot.session.counters();
-            prop_assert_eq!(counters.received, counters.accepted + counters.tiles_accepted, "{:#?}", counters);
+            prop_assert_eq!(counters.received, counters.accepted + counters.chunks_accepted, "{:#?}", counters);
         }
     }
 }

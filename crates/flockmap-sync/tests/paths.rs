@@ -1,6 +1,6 @@
 //! An address is used only after a round trip through it.
 
-use flockmap_codec::{Codec, Cycle, Encoder, Package};
+use flockmap_codec::{Batch, Codec, Encoder, Package};
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_sync::wire::{Datagram, Kind};
 use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
@@ -13,9 +13,9 @@ fn session(id: u16, config: &SessionConfig) -> Session {
 fn package(stream: Stream, index: u32) -> Package {
     let resolution = Resolution::from_metres(0.1).unwrap();
     let end = Stamp(i64::from(index));
-    let cycle = Cycle { stream, start: end, end, resolution, sensor: [0; 3] };
+    let batch = Batch { stream, start: end, end, resolution, sensor: [0; 3] };
     let changes = Changes::from_voxels([(Voxel::new(1, 2, index as i32), State::Free)]);
-    Encoder::new().encode_whole(Codec::Raw, &cycle, index, &changes).unwrap()
+    Encoder::new().encode_whole(Codec::Raw, &batch, index, &changes).unwrap()
 }
 
 /// Robots 1 and 2, each at the address of its number; what a robot sends and where to.
@@ -24,7 +24,7 @@ struct Pair {
     two: Session,
     now: Stamp,
     /// Robot 2 is told the address of robot 1, and not the other way round.
-    only_two_is_told: bool,
+    only_two_is_sent: bool,
     /// Everything that robot 1 sent.
     sent: Vec<Transmit>,
 }
@@ -32,7 +32,7 @@ struct Pair {
 impl Pair {
     fn new(config: &SessionConfig) -> Self {
         let (one, two) = (session(1, config), session(2, config));
-        Self { one, two, now: Stamp(0), only_two_is_told: false, sent: Vec::new() }
+        Self { one, two, now: Stamp(0), only_two_is_sent: false, sent: Vec::new() }
     }
 
     fn run(&mut self, seconds: f64, from: [Path; 2]) {
@@ -49,7 +49,7 @@ impl Pair {
                 let is_everyone = transmit.to == Destination::Everyone;
                 let is_there = match transmit.path {
                     Some(path) => path == from[1],
-                    None => is_everyone && (!self.only_two_is_told || is_known),
+                    None => is_everyone && (!self.only_two_is_sent || is_known),
                 };
                 if is_there {
                     let _ = self.two.handle_datagram_from(now, from[0], &transmit.bytes);
@@ -82,7 +82,7 @@ fn kind(transmit: &Transmit) -> Kind {
 #[test]
 fn two_of_whom_one_is_told_where_the_other_is_find_each_other() {
     let mut pair = Pair::new(&SessionConfig::default());
-    pair.only_two_is_told = true;
+    pair.only_two_is_sent = true;
     let own = pair.one.own();
     pair.one.publish(Stamp(0), package(own, 1)).unwrap();
     pair.run(3.0, [ONE, TWO]);

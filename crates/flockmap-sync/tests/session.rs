@@ -7,11 +7,11 @@ use flockmap_sync::{Cast, SessionConfig};
 use swarm::{MS, Radio, SECOND, Swarm};
 
 /// Two robots publish every half second for a while; then there is time to repair.
-fn two_robots(seed: u64, radio: Radio, config: &SessionConfig, cycles: usize) -> (Swarm, u64) {
+fn two_robots(seed: u64, radio: Radio, config: &SessionConfig, batches: usize) -> (Swarm, u64) {
     let mut swarm = Swarm::of(2, seed, radio, config);
     swarm.run(2 * SECOND);
     let mut published = 0;
-    for _ in 0..cycles {
+    for _ in 0..batches {
         for id in [1, 2] {
             published += swarm.publish(id, 600) as u64;
         }
@@ -60,7 +60,7 @@ fn under_loss_reordering_and_duplication_all_arrives_with_few_bytes() {
 
 #[test]
 fn a_torn_backlog_is_repaired_in_a_bounded_number_of_sends() {
-    let config = SessionConfig { present_state_bytes_min: None, ..SessionConfig::default() };
+    let config = SessionConfig { snapshot_bytes_min: None, ..SessionConfig::default() };
     let mut swarm = Swarm::of(2, 29, Radio::lossy(0.5), &config);
     swarm.run(5 * SECOND);
     let mut published = 0;
@@ -194,8 +194,8 @@ fn broadcast_under_loss_repairs_everyone() {
 }
 
 #[test]
-fn a_late_joiner_gets_the_present_state() {
-    let config = SessionConfig { present_state_bytes_min: Some(20_000), ..SessionConfig::default() };
+fn a_late_joiner_gets_the_snapshot() {
+    let config = SessionConfig { snapshot_bytes_min: Some(20_000), ..SessionConfig::default() };
     let mut swarm = Swarm::of(2, 12, Radio::lossy(0.2), &config);
     let mut history = 0;
     for _ in 0..200 {
@@ -209,9 +209,9 @@ fn a_late_joiner_gets_the_present_state() {
     let joiner = swarm.robots[&3].session.counters();
     assert_eq!(joiner.caught_up, 1, "{joiner:#?}");
     assert!(
-        joiner.tiles_accepted < history as u64 / 4,
-        "{} tiles for {history} packages",
-        joiner.tiles_accepted
+        joiner.chunks_accepted < history as u64 / 4,
+        "{} chunks for {history} packages",
+        joiner.chunks_accepted
     );
     assert!(joiner.accepted < history as u64 / 4, "{joiner:#?}");
     // What was caught up as a state is held by the joiner, so that later packages go on from there.
@@ -226,7 +226,7 @@ fn a_late_joiner_gets_the_present_state() {
 #[test]
 fn a_late_joiner_of_a_long_flight_gets_every_package_once() {
     let seed = 24;
-    let config = SessionConfig { present_state_bytes_min: None, ..SessionConfig::default() };
+    let config = SessionConfig { snapshot_bytes_min: None, ..SessionConfig::default() };
     let mut swarm = Swarm::of(2, seed, Radio::lossy(0.1), &config);
     for _ in 0..1_200 {
         swarm.publish(1, 300);
@@ -263,9 +263,9 @@ fn a_window_that_is_full_waits_a_round_trip_and_not_for_the_next_periodic_reques
 }
 
 #[test]
-fn packages_dropped_from_the_store_come_back_as_present_state() {
+fn packages_dropped_from_the_store_come_back_as_snapshot() {
     let small =
-        SessionConfig { store_bytes_max: 30_000, present_state_bytes_min: None, ..SessionConfig::default() };
+        SessionConfig { store_bytes_max: 30_000, snapshot_bytes_min: None, ..SessionConfig::default() };
     let mut swarm = Swarm::of(1, 13, Radio::lossy(0.1), &small);
     for _ in 0..100 {
         swarm.publish(1, 500);
@@ -279,10 +279,10 @@ fn packages_dropped_from_the_store_come_back_as_present_state() {
 }
 
 #[test]
-fn a_driver_without_present_states_still_syncs_by_packages() {
-    let config = SessionConfig { present_state_bytes_min: Some(2_000), ..SessionConfig::default() };
+fn a_driver_without_snapshots_still_syncs_by_packages() {
+    let config = SessionConfig { snapshot_bytes_min: Some(2_000), ..SessionConfig::default() };
     let mut swarm = Swarm::of(1, 14, Radio::PERFECT, &config);
-    swarm.robots.get_mut(&1).unwrap().no_present_state = true;
+    swarm.robots.get_mut(&1).unwrap().no_snapshot = true;
     for _ in 0..50 {
         swarm.publish(1, 500);
     }
@@ -489,8 +489,8 @@ fn a_robot_that_starts_again_with_an_old_epoch_and_no_store_is_told() {
     swarm.run(SECOND);
     swarm.start(1, 1, config);
     swarm.run(5 * SECOND);
-    let told = swarm.robots[&1].events.iter().filter(|event| *event == "SameIdentity").count();
-    assert_eq!(told, 1);
+    let sent = swarm.robots[&1].events.iter().filter(|event| *event == "SameIdentity").count();
+    assert_eq!(sent, 1);
     assert!(swarm.robots[&1].session.counters().same_identity > 1);
 }
 

@@ -1,4 +1,4 @@
-//! Present states of a part of the history: what somebody misses and nobody has stored any more.
+//! Snapshots of a part of the history: what somebody misses and nobody has stored any more.
 
 mod swarm;
 
@@ -9,19 +9,19 @@ use swarm::{MS, Radio, SECOND, Swarm};
 
 /// A store that keeps some 60 packages.
 fn small() -> SessionConfig {
-    SessionConfig { store_bytes_max: 80_000, present_state_bytes_min: None, ..SessionConfig::default() }
+    SessionConfig { store_bytes_max: 80_000, snapshot_bytes_min: None, ..SessionConfig::default() }
 }
 
-fn fly(swarm: &mut Swarm, cycles: usize) {
-    for _ in 0..cycles {
+fn fly(swarm: &mut Swarm, batches: usize) {
+    for _ in 0..batches {
         swarm.publish(1, 900);
         swarm.run(50 * MS);
     }
 }
 
 /// Robots 1 and 2 map.
-fn fly_both(swarm: &mut Swarm, cycles: usize) {
-    for _ in 0..cycles {
+fn fly_both(swarm: &mut Swarm, batches: usize) {
+    for _ in 0..batches {
         swarm.publish(1, 900);
         swarm.publish(2, 900);
         swarm.run(50 * MS);
@@ -32,14 +32,14 @@ fn fly_both(swarm: &mut Swarm, cycles: usize) {
 fn coded_once(swarm: &Swarm, since: u32) -> usize {
     let robot = &swarm.robots[&1];
     let stream = robot.session.own();
-    let upto = robot.session.held(stream).unwrap().prefix();
+    let upto = robot.session.received(stream).unwrap().prefix();
     let next = robot.session.store().stamp_not_after(stream, since + 1).unwrap();
     let newer_than = (since > 0).then(|| next.plus_micros(-1));
-    let state = robot.layers[&stream].present_voxels(newer_than).unwrap();
+    let state = robot.layers[&stream].snapshot_voxels(newer_than).unwrap();
     let resolution = Resolution::from_metres(0.1).unwrap();
     let span = Span { stream, since, upto };
-    let tiles = Encoder::new().encode_span(Codec::Paper, span, resolution, &state, PACKAGE_BYTES_MAX);
-    tiles.unwrap().iter().map(|tile| tile.bytes().len()).sum()
+    let chunks = Encoder::new().encode_span(Codec::Paper, span, resolution, &state, PACKAGE_BYTES_MAX);
+    chunks.unwrap().iter().map(|chunk| chunk.bytes().len()).sum()
 }
 
 fn wanted(swarm: &Swarm, id: u16) -> Vec<&String> {
@@ -53,7 +53,7 @@ fn what_the_store_dropped_is_repaired_by_a_span_of_it_and_not_by_the_whole_map()
     fly(&mut swarm, 150);
     swarm.run(2 * SECOND);
     let own = swarm.stream(1);
-    let prefix = swarm.robots[&2].session.held(own).unwrap().prefix();
+    let prefix = swarm.robots[&2].session.received(own).unwrap().prefix();
     assert_eq!(prefix, swarm.robots[&1].session.store().newest_known(own));
     swarm.cut(1, 2);
     fly(&mut swarm, 50);
@@ -117,7 +117,7 @@ fn a_package_given_up_is_healed_by_a_span_from_there_on() {
     fly(&mut swarm, 5);
     swarm.run(20 * SECOND);
     swarm.assert_in_sync(&[own]);
-    assert!(swarm.robots[&2].session.counters().given_up >= 1);
+    assert!(swarm.robots[&2].session.counters().undecodable >= 1);
     let since = format!("since {} ", next - 1);
     assert!(wanted(&swarm, 1).iter().any(|event| event.contains(&since)), "{:?}", wanted(&swarm, 1));
 }
@@ -149,31 +149,31 @@ fn a_rebooted_robot_gets_its_former_run_back_from_those_who_hold_it_and_do_not_s
     assert_eq!(swarm.robots[&1].layer(old), digest);
 }
 
-/// A disk may keep sets of tiles whose packages before them it has lost.
+/// A disk may keep sets of chunks whose packages before them it has lost.
 #[test]
 fn sets_that_nothing_more_comes_of_take_no_place_from_one_that_goes_on() {
     let mut swarm = Swarm::of(2, 61, Radio::PERFECT, &small());
     swarm.run(SECOND);
     fly(&mut swarm, 150);
     let own = swarm.stream(1);
-    let tiles_of = |swarm: &Swarm, since: u32| {
+    let chunks_of = |swarm: &Swarm, since: u32| {
         let robot = &swarm.robots[&1];
-        let upto = robot.session.held(own).unwrap().prefix();
+        let upto = robot.session.received(own).unwrap().prefix();
         let newer_than = robot.session.store().stamp_not_after(own, since + 1).unwrap().plus_micros(-1);
-        let state = robot.layers[&own].present_voxels(Some(newer_than)).unwrap();
+        let state = robot.layers[&own].snapshot_voxels(Some(newer_than)).unwrap();
         let resolution = Resolution::from_metres(0.1).unwrap();
         let span = Span { stream: own, since, upto };
         Encoder::new().encode_span(Codec::Raw, span, resolution, &state, PACKAGE_BYTES_MAX).unwrap()
     };
-    let upto = swarm.robots[&1].session.held(own).unwrap().prefix();
-    let sets = [tiles_of(&swarm, upto - 2), tiles_of(&swarm, upto - 4)];
+    let upto = swarm.robots[&1].session.received(own).unwrap().prefix();
+    let sets = [chunks_of(&swarm, upto - 2), chunks_of(&swarm, upto - 4)];
     swarm.stop(2);
     let config = SessionConfig { transfers_max: 2, ..small() };
     swarm.start(2, 2, config);
     let robot = swarm.robots.get_mut(&2).unwrap();
     let now = Stamp(swarm.now + robot.clock);
-    for tile in sets.iter().flatten() {
-        assert!(robot.session.deliver_stored(now, tile.clone()));
+    for chunk in sets.iter().flatten() {
+        assert!(robot.session.deliver_stored(now, chunk.clone()));
     }
     swarm.drive(2);
     assert_eq!(swarm.robots[&2].session.load().transfers, 2, "both wait for what is before them");
@@ -183,7 +183,7 @@ fn sets_that_nothing_more_comes_of_take_no_place_from_one_that_goes_on() {
     assert!(swarm.robots[&2].session.counters().transfers_dropped > 0);
 }
 
-/// By broadcast each hears the tiles of both. What is sent to one is not to push out again and again what is sent to the other.
+/// By broadcast each hears the chunks of both. What is sent to one is not to push out again and again what is sent to the other.
 #[test]
 fn sets_for_different_robots_do_not_take_each_others_place_for_ever() {
     let config = SessionConfig {
@@ -215,7 +215,7 @@ fn sets_that_are_sent_do_not_push_each_other_out_at_their_sender() {
         radio_bytes_per_s: Some(1_500),
         in_flight_max: 2,
         store_bytes_max: 8_000,
-        present_state_bytes_max: 9_000,
+        snapshot_bytes_max: 9_000,
         ..small()
     };
     let mut swarm = Swarm::of(2, 71, Radio::PERFECT, &config);
@@ -251,11 +251,11 @@ fn who_has_no_place_for_a_set_is_not_sent_it_over_and_over() {
     swarm.cut(2, 3);
     swarm.start(3, 1, config);
     swarm.run(5 * SECOND);
-    let sent = swarm.robots[&2].session.counters().tiles_sent;
+    let sent = swarm.robots[&2].session.counters().chunks_sent;
     swarm.join(2, 3);
     swarm.run(20 * SECOND);
-    let sent = swarm.robots[&2].session.counters().tiles_sent - sent;
-    assert!(sent < 60, "{sent} tiles in vain");
+    let sent = swarm.robots[&2].session.counters().chunks_sent - sent;
+    assert!(sent < 60, "{sent} chunks in vain");
     swarm.run(200 * SECOND);
     swarm.assert_in_sync(&streams);
 }

@@ -610,7 +610,7 @@ mod tests {
         prop_oneof![(low * 4..high * 4).prop_map(|q| f64::from(q) / 4.0), f64::from(low)..f64::from(high)]
     }
 
-    fn set_of(cells: &[Voxel]) -> CellSet {
+    fn snapshot_of(cells: &[Voxel]) -> CellSet {
         let region = VoxelBox::spanning(Voxel::new(-40, -30, -20), Voxel::new(89, 49, 39)).unwrap();
         let mut set = CellSet::new(region).unwrap();
         for cell in cells {
@@ -629,7 +629,7 @@ mod tests {
             origin in (coordinate(-60, 110), coordinate(-50, 70), coordinate(-40, 60)),
             offset in (coordinate(-2, 3), coordinate(-2, 3), coordinate(-2, 3)),
         ) {
-            let set = set_of(&cells);
+            let set = snapshot_of(&cells);
             let target = cells[aim.index(cells.len())];
             let origin = [origin.0, origin.1, origin.2];
             let direction = [
@@ -646,7 +646,7 @@ mod tests {
         fn the_set_holds_what_was_put_in(
             cells in prop::collection::vec(cell(), 0..200), gone in prop::collection::vec(cell(), 0..50),
         ) {
-            let mut set = set_of(&cells);
+            let mut set = snapshot_of(&cells);
             let mut model: std::collections::BTreeSet<Voxel> = cells.iter().copied().collect();
             for cell in gone.iter().chain(cells.iter().take(3)) {
                 set.remove(*cell);
@@ -673,7 +673,7 @@ mod tests {
 
     #[test]
     fn a_ray_of_nothing_or_nowhere_hits_nothing() {
-        let set = set_of(&[Voxel::new(0, 0, 0)]);
+        let set = snapshot_of(&[Voxel::new(0, 0, 0)]);
         assert_eq!(set.cast([0.5; 3], [0.0; 3], 1.0), None);
         assert_eq!(set.cast([f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], 1.0), None);
         assert_eq!(set.cast([3.0; 3], [1e-310, 0.0, -0.0], 1e300), None);

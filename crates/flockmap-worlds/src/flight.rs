@@ -1,11 +1,11 @@
 //! What a robot sees on its flight, scan by scan.
 
-use crate::{Lidar, Patrol, ScanOptions, Scanner, Tracks, World};
+use crate::{Lidar, ScanOptions, Scanner, Tracks, Trajectory, World};
 use flockmap_grid::{Pose, Stamp};
 use flockmap_io::{Frame, Frames};
 use std::sync::Arc;
 
-/// The scans of one robot along its patrol, made one at a time as they are asked for. Robots of a swarm share
+/// The scans of one robot along its trajectory, made one at a time as they are asked for. Robots of a swarm share
 /// the world, each has a flight of its own (they may run on different threads).
 ///
 /// With [`ScanOptions::motion`] a scan is taken between the pose of its frame and the next; the last of a
@@ -18,10 +18,10 @@ pub struct Flight {
 }
 
 impl Flight {
-    /// The flight along `patrol` with this LiDAR, which sits at the centre of the robot.
-    pub fn new(world: Arc<World>, lidar: Lidar, options: ScanOptions, patrol: Patrol) -> Self {
+    /// The flight along `trajectory` with this LiDAR, which sits at the centre of the robot.
+    pub fn new(world: Arc<World>, lidar: Lidar, options: ScanOptions, trajectory: Trajectory) -> Self {
         let scanner = Scanner::new(world, lidar, options);
-        Self { scanner, tracks: None, poses: patrol.into_poses().into_iter() }
+        Self { scanner, tracks: None, poses: trajectory.into_poses().into_iter() }
     }
 
     /// The same flight among things that move. `own` is the track of the robot itself, if it is one of them:

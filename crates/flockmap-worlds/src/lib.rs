@@ -11,8 +11,8 @@
 //! let world = Arc::new(World::indoor(1));
 //! let options = PatrolOptions { duration_s: 1.0, ..PatrolOptions::default() };
 //! let scan = ScanOptions { range_m: 7.0, ..ScanOptions::default() };
-//! for patrol in Patrol::plan(&world, 2, 1, &options)? {
-//!     let mut flight = Flight::new(Arc::clone(&world), Lidar::Mid360, scan, patrol);
+//! for trajectory in Patrol::plan(&world, 2, 1, &options)? {
+//!     let mut flight = Flight::new(Arc::clone(&world), Lidar::Mid360, scan, trajectory);
 //!     let first = flight.next().expect("ten scans a second");
 //!     assert!(!first.scan.points.is_empty());
 //! }
@@ -25,9 +25,9 @@ pub mod curve;
 mod flight;
 pub mod lattice;
 mod lidar;
-mod patrol;
 pub mod random;
 mod tracks;
+mod trajectory;
 mod world;
 
 /// Why the place of a simulated robot is never refused.
@@ -38,7 +38,7 @@ pub use lidar::{
     Body, Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions, ScanOptionsError, Scanner, Shape, UnknownLidar,
     UnknownRendering,
 };
-pub use patrol::{Patrol, PatrolError, PatrolOptions, ROBOTS_MAX};
 pub use random::Random;
 pub use tracks::{ObstacleOptions, Tracks, TracksError};
+pub use trajectory::{ROBOTS_MAX, Trajectory, TrajectoryError, TrajectoryOptions};
 pub use world::{Hit, OpenError, World, WorldError};

@@ -78,10 +78,10 @@ pub enum TracksError {
 /// let world = World::indoor(1);
 /// let options = ObstacleOptions { count: 5, duration_s: 10.0, ..ObstacleOptions::default() };
 /// let mut tracks = Tracks::obstacles(&world, 1, &options)?;
-/// let patrol = PatrolOptions { duration_s: 1.0, ..PatrolOptions::default() };
+/// let trajectory = PatrolOptions { duration_s: 1.0, ..PatrolOptions::default() };
 /// let mut own = 0;
-/// for patrol in Patrol::plan(&world, 2, 1, &patrol)? {
-///     own = tracks.push(Shape::ROBOT, patrol.poses())?;
+/// for trajectory in Patrol::plan(&world, 2, 1, &trajectory)? {
+///     own = tracks.push(Shape::ROBOT, trajectory.poses())?;
 /// }
 /// // What the second robot sees of the others: five obstacles and the first robot.
 /// assert_eq!(tracks.bodies_at(Stamp(500_000), Some(own)).len(), 6);

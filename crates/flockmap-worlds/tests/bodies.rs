@@ -2,8 +2,8 @@
 
 use flockmap_grid::{Pose, Resolution, Stamp, VoxelBox};
 use flockmap_worlds::{
-    Body, Flight, Lidar, ObstacleOptions, Patrol, PatrolOptions, Rendering, ScanOptions, Scanner, Shape,
-    Tracks, TracksError, World,
+    Body, Flight, Lidar, ObstacleOptions, Rendering, ScanOptions, Scanner, Shape, Tracks, TracksError,
+    Trajectory, TrajectoryOptions, World,
 };
 use std::sync::Arc;
 
@@ -198,21 +198,21 @@ fn tracks_that_cannot_be_are_refused_with_the_reason() {
 #[test]
 fn robots_on_patrol_see_each_other_but_not_themselves() {
     let world = hall();
-    let options = PatrolOptions { duration_s: 3.0, ..PatrolOptions::default() };
-    let patrols = Patrol::plan(&world, 2, 1, &options).unwrap();
+    let options = TrajectoryOptions { duration_s: 3.0, ..TrajectoryOptions::default() };
+    let trajectories = Trajectory::plan(&world, 2, 1, &options).unwrap();
     let mut tracks = Tracks::default();
-    for patrol in &patrols {
-        tracks.push(Shape::ROBOT, patrol.poses()).unwrap();
+    for trajectory in &trajectories {
+        tracks.push(Shape::ROBOT, trajectory.poses()).unwrap();
     }
     let tracks = Arc::new(tracks);
     let scan = ScanOptions::default();
-    for (own, patrol) in patrols.iter().enumerate() {
-        let flight = Flight::new(Arc::clone(&world), Lidar::Vlp32, scan, patrol.clone());
+    for (own, trajectory) in trajectories.iter().enumerate() {
+        let flight = Flight::new(Arc::clone(&world), Lidar::Vlp32, scan, trajectory.clone());
         let alone: Vec<_> = flight.clone().collect();
         let seen: Vec<_> = flight.among(Arc::clone(&tracks), Some(own)).collect();
         assert_eq!(seen.len(), 30);
         for (number, (alone, seen)) in alone.iter().zip(&seen).enumerate() {
-            let other = patrols[1 - own].poses()[number].1.translation();
+            let other = trajectories[1 - own].poses()[number].1.translation();
             let near = |point: &[f32; 3]| {
                 let point = seen.t_map_sensor.transform(point.map(f64::from));
                 length(core::array::from_fn(|a| point[a] - other[a])) < Shape::ROBOT.reach_m() + 1e-3

@@ -1,6 +1,6 @@
 //! Patrols and scans in recorded and published worlds.
 
-use flockmap_worlds::{Lidar, OpenError, Patrol, PatrolOptions, ScanOptions, Scanner, World};
+use flockmap_worlds::{Lidar, OpenError, ScanOptions, Scanner, Trajectory, TrajectoryOptions, World};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -16,14 +16,14 @@ fn open(name: &str) -> Option<World> {
     Some(World::open(path, None).unwrap())
 }
 
-/// Robots patrol the world: they pass through nothing, keep apart, see something, and move about.
-fn patrol(name: &str, robots: usize, span_m: f64) {
+/// Robots trajectory the world: they pass through nothing, keep apart, see something, and move about.
+fn trajectory(name: &str, robots: usize, span_m: f64) {
     let Some(world) = open(name) else { return };
-    let options = PatrolOptions { duration_s: 60.0, ..PatrolOptions::default() };
-    let patrols = Patrol::plan(&world, robots, 1, &options).unwrap();
+    let options = TrajectoryOptions { duration_s: 60.0, ..TrajectoryOptions::default() };
+    let trajectories = Trajectory::plan(&world, robots, 1, &options).unwrap();
     let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
-    for patrol in &patrols {
-        let places: Vec<[f64; 3]> = patrol.poses().iter().map(|(_, pose)| pose.translation()).collect();
+    for trajectory in &trajectories {
+        let places: Vec<[f64; 3]> = trajectory.poses().iter().map(|(_, pose)| pose.translation()).collect();
         let mut flown = 0.0;
         for pair in places.windows(2) {
             let ahead: [f64; 3] = core::array::from_fn(|a| pair[1][a] - pair[0][a]);
@@ -43,7 +43,7 @@ fn patrol(name: &str, robots: usize, span_m: f64) {
                     let mut direction = [0.0; 3];
                     direction[axis] = sign;
                     assert_eq!(
-                        world.cast_ray(*place, direction, patrol.clearance_m() - 1e-6),
+                        world.cast_ray(*place, direction, trajectory.clearance_m() - 1e-6),
                         None,
                         "{name}: {place:?}"
                     );
@@ -52,7 +52,7 @@ fn patrol(name: &str, robots: usize, span_m: f64) {
             let cell = world.resolution().voxel_at(*place).unwrap();
             assert!(world.is_known_free(cell) != Some(false), "{name}: {place:?} is not known to be free");
         }
-        let (stamp, pose) = patrol.poses()[300];
+        let (stamp, pose) = trajectory.poses()[300];
         let scan = Scanner::new(Arc::new(world.clone()), Lidar::Mid360, ScanOptions::default()).scan(
             stamp,
             &pose,
@@ -61,14 +61,14 @@ fn patrol(name: &str, robots: usize, span_m: f64) {
         );
         assert!(scan.points.len() > 1_000, "{name}: {} points", scan.points.len());
     }
-    for (p, q) in patrols[0].poses().iter().zip(patrols[robots - 1].poses()) {
+    for (p, q) in trajectories[0].poses().iter().zip(trajectories[robots - 1].poses()) {
         let square: f64 = (0..3).map(|a| (p.1.translation()[a] - q.1.translation()[a]).powi(2)).sum();
         assert!(robots == 1 || square.sqrt() >= 1.0 - 1e-6);
     }
     let span = (high[0] - low[0]).max(high[1] - low[1]);
     println!(
         "{name}: clearance {:.2} m, flights span {:.1} × {:.1} m",
-        patrols[0].clearance_m(),
+        trajectories[0].clearance_m(),
         high[0] - low[0],
         high[1] - low[1]
     );
@@ -77,37 +77,37 @@ fn patrol(name: &str, robots: usize, span_m: f64) {
 
 #[test]
 fn two_robots_patrol_the_building_fr_079() {
-    patrol("buildings/fr_079.bt", 2, 25.0);
+    trajectory("buildings/fr_079.bt", 2, 25.0);
 }
 
 #[test]
 fn a_robot_patrols_the_room_fr_078() {
-    patrol("buildings/fr_078_tidyup.bt", 1, 2.0);
+    trajectory("buildings/fr_078_tidyup.bt", 1, 2.0);
 }
 
 #[test]
 fn two_robots_patrol_the_building_geb079() {
-    patrol("buildings/geb079.bt", 2, 20.0);
+    trajectory("buildings/geb079.bt", 2, 20.0);
 }
 
 #[test]
 fn five_robots_patrol_the_cubicle_office() {
-    patrol("worlds/cubicle_office.pcd", 5, 20.0);
+    trajectory("worlds/cubicle_office.pcd", 5, 20.0);
 }
 
 #[test]
 fn four_robots_patrol_the_maze() {
-    patrol("worlds/octa_maze.pcd", 4, 20.0);
+    trajectory("worlds/octa_maze.pcd", 4, 20.0);
 }
 
 #[test]
 fn two_robots_patrol_among_pillars() {
-    patrol("worlds/pillar.pcd", 2, 10.0);
+    trajectory("worlds/pillar.pcd", 2, 10.0);
 }
 
 #[test]
 fn two_robots_patrol_the_real_forest() {
-    patrol("forest_plot/TLS_Clip.laz", 2, 15.0);
+    trajectory("forest_plot/TLS_Clip.laz", 2, 15.0);
 }
 
 #[test]

@@ -1,14 +1,14 @@
-//! The two times of the paper's Table IV: `t_pack` (cycle start to packages ready; 5.30 ms there) and `t_recv2insert`
-//! (package to fused map; 7.08 ms there), for a cycle of the paper's real flight: 0.1 m voxels, a local update box of
+//! The two times of the paper's Table IV: `t_pack` (batch start to packages ready; 5.30 ms there) and `t_recv2insert`
+//! (package to fused map; 7.08 ms there), for a batch of the paper's real flight: 0.1 m voxels, a local update box of
 //! 150 × 150 × 30, t_l 0.2 s, that is two scans at 10 Hz.
 //!
-//! `cargo bench -p flockmap --bench cycle`
+//! `cargo bench -p flockmap --bench batch`
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use flockmap::codec::{Content, Decoder, Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::Which;
 use flockmap::{
-    Changes, Codec, Cycle, Fusion, FusionConfig, Mapper, MapperConfig, Pose, Preset, Resolution, RobotId,
+    Batch, Changes, Codec, Fusion, FusionConfig, Mapper, MapperConfig, Pose, Preset, Resolution, RobotId,
     Scan, Stamp, Stream,
 };
 
@@ -42,7 +42,7 @@ fn scan(seed: u64) -> Scan {
     Scan { stamp: Stamp(0), points, no_returns: Vec::new() }
 }
 
-/// The heaviest cycle that the paper's settings allow: everything in the update box is seen for the first time. Or, `on_the
+/// The heaviest batch that the paper's settings allow: everything in the update box is seen for the first time. Or, `on_the
 /// move`: two scans later, at 1.5 m/s.
 fn mapper(on_the_move: bool) -> Mapper {
     let mut config = MapperConfig::preset(Preset::RogMap, Resolution::from_metres(0.1).unwrap(), 20.0);
@@ -61,7 +61,7 @@ fn mapper(on_the_move: bool) -> Mapper {
 fn bench(c: &mut Criterion) {
     let resolution = Resolution::from_metres(0.1).unwrap();
     let stream = Stream { origin: RobotId(1), epoch: 1 };
-    let cycle = Cycle { stream, start: Stamp(0), end: Stamp(200_000), resolution, sensor: [0; 3] };
+    let batch = Batch { stream, start: Stamp(0), end: Stamp(200_000), resolution, sensor: [0; 3] };
     let mut encoder = Encoder::new();
     let mut decoder = Decoder::new();
     let own = Mapper::new(MapperConfig::preset(Preset::RogMap, resolution, 7.0)).unwrap();
@@ -76,7 +76,7 @@ fn bench(c: &mut Criterion) {
                 || mapper(on_the_move),
                 |mapper| {
                     let changes = mapper.take_changes(Which::All);
-                    encoder.encode_whole(Codec::Paper, &cycle, 1, &changes).unwrap()
+                    encoder.encode_whole(Codec::Paper, &batch, 1, &changes).unwrap()
                 },
                 BatchSize::LargeInput,
             );
@@ -86,13 +86,13 @@ fn bench(c: &mut Criterion) {
                 || mapper(on_the_move),
                 |mapper| {
                     let changes = mapper.take_changes(Which::All);
-                    encoder.encode_cycle(Codec::Paper, &cycle, 1, &changes, PACKAGE_BYTES_MAX).unwrap()
+                    encoder.encode_batch(Codec::Paper, &batch, 1, &changes, PACKAGE_BYTES_MAX).unwrap()
                 },
                 BatchSize::LargeInput,
             );
         });
-        let whole = encoder.encode_whole(Codec::Paper, &cycle, 1, &changes).unwrap();
-        let parts = encoder.encode_cycle(Codec::Paper, &cycle, 1, &changes, PACKAGE_BYTES_MAX).unwrap();
+        let whole = encoder.encode_whole(Codec::Paper, &batch, 1, &changes).unwrap();
+        let parts = encoder.encode_batch(Codec::Paper, &batch, 1, &changes, PACKAGE_BYTES_MAX).unwrap();
         println!("{kind}: {} B in one package; {} datagrams", whole.bytes().len(), parts.len());
         for (name, packages) in [("one package", vec![whole]), ("datagrams", parts)] {
             c.bench_function(&format!("t_recv2insert, {kind}, {name}"), |b| {
@@ -104,7 +104,7 @@ fn bench(c: &mut Criterion) {
                             let Content::Changes(changes) = decoder.decode(&received).unwrap() else {
                                 unreachable!()
                             };
-                            let end = received.header().cycle_end;
+                            let end = received.header().batch_end;
                             fusion.apply(&own, stream, &changes, end, end).unwrap();
                         }
                     },

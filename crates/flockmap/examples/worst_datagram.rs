@@ -14,7 +14,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use flate2::{Compress, Compression, FlushCompress};
-use flockmap::codec::{ContentKind, Decoder, Header, PACKAGE_BYTES_MAX, PackageError, Priority, TilesRead};
+use flockmap::codec::{ChunksRead, ContentKind, Decoder, Header, PACKAGE_BYTES_MAX, PackageError, Priority};
 use flockmap::grid::{Layer, VoxelBox};
 use flockmap::sync::wire::{DatagramHeader, Kind, PackagesWriter};
 use flockmap::{
@@ -36,7 +36,7 @@ struct Draft {
 struct Case {
     name: String,
     codec: Codec,
-    is_present: bool,
+    is_snapshot: bool,
     /// Told against the layer of [`known`].
     is_against: bool,
     /// All drafts with at most so many bytes.
@@ -120,10 +120,10 @@ fn print(case: &Case, layer: &Layer, packages: &[Package], size: [u32; 3]) {
 }
 
 fn decode_one(decoder: &mut Decoder, package: &Package, layer: &Layer) -> Result<(), PackageError> {
-    if matches!(package.header().content, ContentKind::Present { .. })
+    if matches!(package.header().content, ContentKind::Snapshot { .. })
         && package.header().codec == Codec::Flock
     {
-        return decoder.decode_tile(package, &mut TilesRead::default()).map(drop);
+        return decoder.decode_chunk(package, &mut ChunksRead::default()).map(drop);
     }
     decoder.decode_against(package, Some(layer)).map(drop)
 }
@@ -155,17 +155,17 @@ fn robot_for(case: &Case, layer: &Layer, pose: &Pose) -> Robot {
     let config = RobotConfig::new(RobotId(1), resolution(), 7.0);
     let mut robot = Robot::new(config, Stamp(0)).unwrap();
     if case.is_against {
-        let state = layer.present_state().unwrap();
+        let state = layer.snapshot().unwrap();
         let changes = &state.parts[0].1;
         let mut encoder = flockmap::codec::Encoder::new();
-        let cycle = flockmap::Cycle {
+        let batch = flockmap::Batch {
             stream: SENDER,
             start: Stamp(1),
             end: Stamp(1),
             resolution: resolution(),
             sensor: [0; 3],
         };
-        for package in encoder.encode_cycle(Codec::Flock, &cycle, 1, changes, PACKAGE_BYTES_MAX).unwrap() {
+        for package in encoder.encode_batch(Codec::Flock, &batch, 1, changes, PACKAGE_BYTES_MAX).unwrap() {
             robot.handle_datagram(Stamp(10), &datagram(&[package])).unwrap();
         }
     }
@@ -208,17 +208,17 @@ fn fill(case: &Case, draft: &Draft, decoder: &mut Decoder, layer: &Layer) -> Opt
 
 fn package(case: &Case, draft: &Draft, index: u32, decoder: &mut Decoder, layer: &Layer) -> Option<Package> {
     let [x, y, z] = draft.size.map(|side| -(side as i32 / 2) & !7);
-    let content = match case.is_present {
+    let content = match case.is_snapshot {
         false => ContentKind::Changes,
-        true => ContentKind::Present { since: 0, set: index, tile: 0, tiles: 1 },
+        true => ContentKind::Snapshot { since: 0, set: index, chunk: 0, chunks: 1 },
     };
     let mut header = Header {
         stream: SENDER,
         index,
-        cycle_start: Stamp(1_000_000 + i64::from(index)),
-        cycle_end: Stamp(1_000_000 + i64::from(index) + draft.stamps.max(1) as i64 - 1),
-        reference: if case.is_against { 1 } else { 0 },
-        is_alone: !case.is_against,
+        batch_start: Stamp(1_000_000 + i64::from(index)),
+        batch_end: Stamp(1_000_000 + i64::from(index) + draft.stamps.max(1) as i64 - 1),
+        base: if case.is_against { 1 } else { 0 },
+        is_independent: !case.is_against,
         resolution: resolution(),
         region: VoxelBox::new(Voxel::new(x, y, z), draft.size)?,
         codec: case.codec,
@@ -369,8 +369,8 @@ fn cases() -> Vec<Case> {
         ] {
             for stamps in [1u64, 2, 40, 300] {
                 let pattern = pattern.clone();
-                let drafts = move |length: usize| tiles(length, &pattern, stamps);
-                cases.push(Case::present(format!("{codec}, {name}, {stamps} stamps"), codec, drafts));
+                let drafts = move |length: usize| chunks(length, &pattern, stamps);
+                cases.push(Case::snapshot(format!("{codec}, {name}, {stamps} stamps"), codec, drafts));
             }
         }
     }
@@ -423,7 +423,7 @@ fn cases() -> Vec<Case> {
         }
         drafts
     }));
-    cases.push(Case::present("flock, tile of sections".into(), Codec::Flock, |length| {
+    cases.push(Case::snapshot("flock, chunk of sections".into(), Codec::Flock, |length| {
         let mut drafts = Vec::new();
         for side in [1u64, 2, 4, 6, 8, 12, 16, 24, 32, 63] {
             for rest in [6, 16, 40, 100, 300, 1_000] {
@@ -465,8 +465,8 @@ fn grids(length: usize, pattern: &[u8]) -> Vec<Draft> {
         .collect()
 }
 
-/// The same as a present state, the stamps one after the other.
-fn tiles(length: usize, pattern: &[u8], stamps: u64) -> Vec<Draft> {
+/// The same as a snapshot, the stamps one after the other.
+fn chunks(length: usize, pattern: &[u8], stamps: u64) -> Vec<Draft> {
     let sizes = (4..=16).flat_map(|n| boxes((length as u64 * 4_128) >> (17 - n)));
     let draft = |size: [u32; 3]| {
         let voxels = volume(size);
@@ -507,10 +507,10 @@ fn zlib_short(data: &[u8]) -> Option<Vec<u8>> {
 
 impl Case {
     fn changes(name: String, codec: Codec, drafts: impl Fn(usize) -> Vec<Draft> + 'static) -> Self {
-        Self { name, codec, is_present: false, is_against: false, drafts: Box::new(drafts) }
+        Self { name, codec, is_snapshot: false, is_against: false, drafts: Box::new(drafts) }
     }
 
-    fn present(name: String, codec: Codec, drafts: impl Fn(usize) -> Vec<Draft> + 'static) -> Self {
-        Self { is_present: true, ..Self::changes(name, codec, drafts) }
+    fn snapshot(name: String, codec: Codec, drafts: impl Fn(usize) -> Vec<Draft> + 'static) -> Self {
+        Self { is_snapshot: true, ..Self::changes(name, codec, drafts) }
     }
 }

@@ -4,26 +4,26 @@ use flockmap_codec::Codec;
 use flockmap_grid::{FusionConfig, MapperConfig, Preset, Resolution, RobotId};
 use flockmap_sync::SessionConfig;
 
-/// When a cycle of mapping is closed and sent (the paper's Alg. 1, line 13).
+/// When a batch of mapping is closed and sent (the paper's Alg. 1, line 13).
 ///
-/// Under a byte budget a cycle that is due waits until the packages before it have been sent. What changes meanwhile is merged in the map; then
+/// Under a byte budget a batch that is due waits until the packages before it have been sent. What changes meanwhile is merged in the map; then
 /// what the radio takes in a quarter of a second is told at a time, obstacles first (three parts of them for one of anything else), the nearest first.
 /// So obstacles stay fresh where the radio takes less than the map changes, and free space gets late.
 /// A change that waited has the stamp at which it is told; free space that waited is not told where a team-mate saw an obstacle in the meantime.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct CycleConfig {
-    /// A cycle closes when this many voxels have changed: the paper's `d`. At least 1. Default 50,000.
-    pub changes_max: usize,
-    /// A cycle with changes closes after this time: the paper's `t_l`. Milliseconds, at least 1. Default 500.
-    pub t_l_ms: u32,
-    /// Obstacles go out after this time, ahead of free space, which waits for `t_l_ms`. Milliseconds, at least 1.
-    /// Default `None`: both together after `t_l_ms`.
-    pub t_l_occupied_ms: Option<u32>,
+pub struct BatchConfig {
+    /// A batch closes when this many voxels have changed: the paper's `d`. At least 1. Default 50,000.
+    pub voxels_max: usize,
+    /// A batch with changes closes after this time: the paper's `publish_period`. Milliseconds, at least 1. Default 500.
+    pub publish_period_ms: u32,
+    /// Obstacles go out after this time, ahead of free space, which waits for `publish_period_ms`. Milliseconds, at least 1.
+    /// Default `None`: both together after `publish_period_ms`.
+    pub obstacle_period_ms: Option<u32>,
 }
 
-impl Default for CycleConfig {
+impl Default for BatchConfig {
     fn default() -> Self {
-        Self { changes_max: 50_000, t_l_ms: 500, t_l_occupied_ms: None }
+        Self { voxels_max: 50_000, publish_period_ms: 500, obstacle_period_ms: None }
     }
 }
 
@@ -37,12 +37,12 @@ pub struct RobotConfig {
     pub epoch: u64,
     /// Its mapper.
     pub mapper: MapperConfig,
-    /// When cycles close.
-    pub cycle: CycleConfig,
+    /// When batches close.
+    pub batch: BatchConfig,
     /// How its packages are coded. Packages of others are read in every codec. Default `paper`.
     pub codec: Codec,
-    /// Cycles are told against what the others hold already, where the codec can: it takes fewer bytes, and what was lost is waited
-    /// for. Where it takes longer than this until nine of ten cycles are whole at the slowest peer, they are told without,
+    /// Batches are told against what the others hold already, where the codec can: it takes fewer bytes, and what was lost is waited
+    /// for. Where it takes longer than this until nine of ten batches are whole at the slowest peer, they are told without,
     /// until it takes less than half of this. Milliseconds; 0: always against what the others hold. Default 2,000.
     pub repair_delay_max_ms: u32,
     /// How it talks to others, and limits on what they can make it hold.
@@ -65,7 +65,7 @@ impl RobotConfig {
             id,
             epoch: 1,
             mapper: MapperConfig::preset(Preset::RogMap, resolution, range_m),
-            cycle: CycleConfig::default(),
+            batch: BatchConfig::default(),
             codec: Codec::Flock,
             repair_delay_max_ms: 2_000,
             session: SessionConfig::default(),
@@ -87,9 +87,9 @@ pub enum RobotError {
     /// The session's part.
     #[error(transparent)]
     Session(#[from] flockmap_sync::ConfigError),
-    /// The cycle's part.
+    /// The batch's part.
     #[error("{option} is 0, expected at least 1")]
-    Cycle {
+    Batch {
         /// Name of the option.
         option: &'static str,
     },

@@ -15,24 +15,24 @@ pub struct RobotCounters {
     pub points_masked: u64,
     /// Blocks of the own map that were forgotten under the byte cap.
     pub blocks_forgotten: u64,
-    /// Cycles closed.
-    pub cycles: u64,
-    /// Cycles that were due and were told later, since own packages still waited for the radio's budget.
-    pub cycles_held: u64,
-    /// Cycles that told only a part of what had changed, the nearest first, since the budget has no room for more. What
+    /// Batches closed.
+    pub batches: u64,
+    /// Batches that were due and were told later, since own packages still waited for the radio's budget.
+    pub batches_deferred: u64,
+    /// Batches that told only a part of what had changed, the nearest first, since the budget has no room for more. What
     /// was left out is in [`Robot::untold`](crate::Robot::untold) until it is told.
-    pub cycles_in_parts: u64,
-    /// Own voxels that changed, added up over cycles.
+    pub batches_in_parts: u64,
+    /// Own voxels that changed, added up over batches.
     pub changes: u64,
     /// Own packages made.
     pub packages: u64,
     /// Bytes of these.
     pub package_bytes: u64,
-    /// Packages of others merged, tiles of present states among them.
+    /// Packages of others merged, chunks of snapshots among them.
     pub merged: u64,
-    /// Packages of others that could not be decoded any more, since a later cycle or a present state had come before: a present
+    /// Packages of others that could not be decoded any more, since a later batch or a snapshot had come before: a present
     /// state was asked for in their place.
-    pub overtaken: u64,
+    pub superseded: u64,
     /// Packages of others that were damaged: not taken in, and asked for again; the second time, if they build on others, a present
     /// state is asked for in their place.
     pub damaged: u64,
@@ -42,12 +42,12 @@ pub struct RobotCounters {
     pub no_room: u64,
     /// Packages of others with voxels of another size.
     pub foreign_resolution: u64,
-    /// Present states made for others.
-    pub present_states: u64,
+    /// Snapshots made for others.
+    pub snapshots: u64,
     /// Runs begun while flying, since the own id was used with a higher epoch.
     pub runs_begun: u64,
-    /// Own cycles that were told without what was before, since repair was slow.
-    pub cycles_without_reference: u64,
+    /// Own batches that were told without what was before, since repair was slow.
+    pub batches_independent: u64,
     /// Events dropped since nobody polled them.
     pub events_dropped: u64,
 }

@@ -1,6 +1,6 @@
 //! What a robot tells its driver.
 
-use flockmap_codec::{Cycle, Package};
+use flockmap_codec::{Batch, Package};
 use flockmap_grid::{Changes, FusionError, Stamp, Stream};
 use flockmap_sync::IntervalSet;
 
@@ -9,10 +9,10 @@ use flockmap_sync::IntervalSet;
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {
-    /// An own cycle was closed and its packages are on their way.
-    CycleClosed {
+    /// An own batch was closed and its packages are on their way.
+    BatchClosed {
         /// Its time.
-        cycle: Cycle,
+        batch: Batch,
         /// What changed.
         changes: Changes,
         /// The packages made of it.
@@ -25,14 +25,14 @@ pub enum Event {
         /// Number of the package.
         index: u32,
         /// Oldest time of what it says, on the origin's clock.
-        cycle_start: Stamp,
+        batch_start: Stamp,
         /// Newest time of what it says, on the origin's clock.
-        cycle_end: Stamp,
-        /// What it says. Empty for a tile of a present state.
+        batch_end: Stamp,
+        /// What it says. Empty for a chunk of a snapshot.
         changes: Changes,
         /// Voxels of the layer that were taken over; the others were known to be newer.
         taken: usize,
-        /// The package itself. Who stores these, and the own ones of [`Self::CycleClosed`], in the order of the events can give them back to
+        /// The package itself. Who stores these, and the own ones of [`Self::BatchClosed`], in the order of the events can give them back to
         /// [`Robot::restore`](crate::Robot::restore).
         package: Package,
     },
@@ -45,17 +45,17 @@ pub enum Event {
         /// What was wrong.
         reason: Refusal,
     },
-    /// All tiles of a present state of a history with gaps were merged, and so these packages are held, though they never came. Who stores the tiles stores this behind
+    /// All chunks of a snapshot of a history with gaps were merged, and so these packages are held, though they never came. Who stores the chunks stores this behind
     /// them, for [`Robot::restore_contents`](crate::Robot::restore_contents).
-    StateContains {
+    SnapshotContains {
         /// The stream.
         stream: Stream,
-        /// The present state, as its tiles say.
+        /// The snapshot, as its chunks say.
         set: u32,
         /// The packages that it contains.
-        held: IntervalSet,
+        received: IntervalSet,
     },
-    /// All packages up to this one are held now, by way of a present state.
+    /// All packages up to this one are held now, by way of a snapshot.
     CaughtUp {
         /// The stream.
         stream: Stream,
@@ -74,7 +74,7 @@ pub enum Event {
     /// Another robot uses the own id. Give one of them another.
     SameIdentity,
     /// With a swarm key: this run has sealed all the datagrams that it can (2⁴⁷) and sends no more. Start again.
-    CountersSpent,
+    NoncesExhausted,
     /// Own changes could not be coded, and are lost to the others. Please report it: this should not happen.
     EncodeFailed(flockmap_codec::EncodeError),
 }
@@ -83,27 +83,27 @@ pub enum Event {
 #[derive(Clone, PartialEq, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Refusal {
-    /// It is damaged, or of a version that is not known; or what it builds on is gone, then a present state is asked for.
+    /// It is damaged, or of a version that is not known; or what it builds on is gone, then a snapshot is asked for.
     #[error(transparent)]
     Package(#[from] flockmap_codec::PackageError),
     /// There is no room for it.
     #[error(transparent)]
     Fusion(#[from] FusionError),
-    /// It is a tile of a present state that takes more than may be held of present states while they are read. It is asked for again.
+    /// It is a chunk of a snapshot that takes more than may be held of snapshots while they are read. It is asked for again.
     #[error(
-        "of its present state {held} bytes are held, and with it there may be more than half of layer_bytes_max ({max})"
+        "of its snapshot {received} bytes are received, and with it there may be more than half of layer_bytes_max ({max})"
     )]
-    Tiles {
-        /// Bytes held of the present state.
-        held: usize,
+    Chunks {
+        /// Bytes held of the snapshot.
+        received: usize,
         /// The limit.
         max: usize,
     },
     /// It waited for the packages that it builds on, and there was no room for it any more. It is asked for again.
-    #[error("it waited for package {reference}, or one before that, and there is no room for more that wait")]
+    #[error("it waited for package {base}, or one before that, and there is no room for more that wait")]
     Waiting {
         /// The newest package that it builds on.
-        reference: u32,
+        base: u32,
     },
     /// Its voxels have another size. It is held and passed on, but not merged.
     #[error("voxels of {got:?}, this robot has {own:?}: give all robots the same resolution")]

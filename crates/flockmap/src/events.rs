@@ -50,12 +50,12 @@ impl Events {
 /// What an event holds beside itself.
 fn bytes_of(event: &Event) -> usize {
     match event {
-        Event::CycleClosed { changes, packages, .. } => {
+        Event::BatchClosed { changes, packages, .. } => {
             let packages: usize = packages.iter().map(|p| p.bytes().len() + PACKAGE_BYTES).sum();
             changes.blocks().len() * BLOCK_BYTES + packages
         }
         Event::Merged { changes, .. } => changes.blocks().len() * BLOCK_BYTES,
-        Event::StateContains { held, .. } => held.intervals().len() * INTERVAL_BYTES,
+        Event::SnapshotContains { received, .. } => received.intervals().len() * INTERVAL_BYTES,
         _ => 0,
     }
 }

@@ -46,11 +46,11 @@ mod publisher;
 mod readers;
 mod robot;
 
-pub use config::{CycleConfig, RobotConfig, RobotError};
+pub use config::{BatchConfig, RobotConfig, RobotError};
 pub use counters::RobotCounters;
 pub use event::{Event, Refusal};
 pub use flockmap_codec as codec;
-pub use flockmap_codec::{Codec, Cycle, Package};
+pub use flockmap_codec::{Batch, Codec, Package};
 pub use flockmap_grid as grid;
 pub use flockmap_grid::{
     Changes, Fusion, FusionConfig, MapView, Mapper, MapperConfig, Pose, PoseError, Preset, RayEnd,

@@ -6,16 +6,16 @@ use crate::readers::bytes_max as readers_bytes_max;
 
 /// An event, beside its changes.
 const EVENT: usize = 256;
-/// A tile that was read and has no place in a layer yet: 144 bytes for each of at most four blocks a byte.
+/// A chunk that was read and has no place in a layer yet: 144 bytes for each of at most four blocks a byte.
 const UNMERGED: usize = 1_150 * 4 * 144;
 /// Decoding a package of the largest box that it can tell, the tables of the codecs, lists of changes on their way into a layer; and what the last
-/// merge may add to the fused map, and the last tile to what was read, beyond their limits.
+/// merge may add to the fused map, and the last chunk to what was read, beyond their limits.
 const WORK: usize = 64 << 20;
 
 impl RobotConfig {
     /// The most bytes that others can make a robot with these options hold on the heap, whatever they send, as asked of the
     /// allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the layers and what they add to the fused map
-    /// (`fusion.layer_bytes_max`), present states that are being read (half as much), events that nobody
+    /// (`fusion.layer_bytes_max`), snapshots that are being read (half as much), events that nobody
     /// takes. By default 1.1 GB, by broadcast 1.4 GB, of which honest robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth of it in the fused map) and the own layer
@@ -25,7 +25,7 @@ impl RobotConfig {
         self.session.memory_max()
             + self.fusion.layer_bytes_max
             + readers_bytes_max(self.fusion.layer_bytes_max)
-            + flockmap_sync::STATES_READ_MAX * UNMERGED
+            + flockmap_sync::SNAPSHOTS_READ_MAX * UNMERGED
             + EVENTS_BYTES_MAX
             + EVENTS_MAX * EVENT
             + WORK

@@ -1,11 +1,11 @@
-//! What goes out: when a cycle is told and how much of it, coded against what the others will hold.
+//! What goes out: when a batch is told and how much of it, coded against what the others will hold.
 
 mod cost;
 mod packer;
 mod repair;
 mod sent;
 
-use flockmap_codec::{Codec, Cycle, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Reference, Span};
+use flockmap_codec::{Base, Batch, Codec, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Span};
 use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Plane, Pose, Stamp, Stream, Which};
 use flockmap_sync::{Pace, Session};
 
@@ -13,10 +13,10 @@ use crate::{RobotConfig, RobotCounters};
 use cost::Cost;
 pub use packer::Packer;
 use repair::RepairDelay;
-use sent::Sent;
+use sent::SentHistory;
 
-/// A cycle that the budget holds back is looked at again after so many microseconds.
-const HELD_PAUSE: i64 = 10_000;
+/// A batch that the budget holds back is looked at again after so many microseconds.
+const DEFER_PAUSE: i64 = 10_000;
 /// And where there was nothing to tell, after so many.
 const NOTHING_PAUSE: i64 = 50_000;
 
@@ -28,21 +28,21 @@ pub(crate) struct Publisher {
     packer: Packer,
     encoder: Encoder,
     next_index: u32,
-    /// What cycles can refer to.
-    sent: Sent,
+    /// What batches can refer to.
+    sent: SentHistory,
     own_layer: OwnLayer,
     repair: RepairDelay,
     /// Requests taken in when the repair delay was looked at last.
     requests_seen: u64,
     cost: Cost,
-    /// A cycle is due and waits for the budget.
-    held: Option<Held>,
+    /// A batch is due and waits for the budget.
+    deferred: Option<Deferred>,
 }
 
 /// What the own layer is good for.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum OwnLayer {
-    /// It lacks something that was published: a present state made of it would pass for all that was.
+    /// It lacks something that was published: a snapshot made of it would pass for all that was.
     Lacks,
     /// It holds all that was published, but not all that the map counts as told: the others do not hold what is told next against it.
     HasAll,
@@ -50,9 +50,9 @@ enum OwnLayer {
     IsWhole,
 }
 
-/// A cycle that is due and is held back.
+/// A batch that is due and is deferred.
 #[derive(Clone, Copy)]
-struct Held {
+struct Deferred {
     since: Stamp,
     /// When to look again.
     until: Stamp,
@@ -64,15 +64,15 @@ impl Publisher {
             stream,
             codec: config.codec,
             repair_delay_max_ms: config.repair_delay_max_ms,
-            packer: Packer::new(config.cycle, stream, config.mapper.resolution, now),
+            packer: Packer::new(config.batch, stream, config.mapper.resolution, now),
             encoder: Encoder::new(),
             next_index: 1,
-            sent: Sent::default(),
+            sent: SentHistory::default(),
             own_layer: OwnLayer::IsWhole,
             repair: RepairDelay::new(config.repair_delay_max_ms),
             requests_seen: 0,
             cost: Cost::default(),
-            held: None,
+            deferred: None,
         }
     }
 
@@ -81,7 +81,7 @@ impl Publisher {
         self.stream = stream;
         self.packer.begin_run(stream);
         self.next_index = 1;
-        self.sent = Sent::default();
+        self.sent = SentHistory::default();
         self.repair = RepairDelay::new(self.repair_delay_max_ms);
         self.own_layer = OwnLayer::IsWhole;
     }
@@ -100,10 +100,10 @@ impl Publisher {
     /// When to [`poll`](Self::poll) again, if nothing more changes.
     pub(crate) fn poll_timeout(&self, mapper: &Mapper) -> Option<Stamp> {
         let due = self.packer.deadline(mapper)?;
-        Some(self.held.map_or(due, |held| due.max(held.until)))
+        Some(self.deferred.map_or(due, |deferred| due.max(deferred.until)))
     }
 
-    /// The cycle that is due, unless own packages still wait for the radio's budget: then what changes is merged in the map, which costs
+    /// The batch that is due, unless own packages still wait for the radio's budget: then what changes is merged in the map, which costs
     /// less than packages that wait, and nothing builds on them. Of what is due, as much as the radio takes.
     pub(crate) fn poll(
         &mut self,
@@ -112,83 +112,77 @@ impl Publisher {
         mapper: &mut Mapper,
         fusion: &Fusion,
         counters: &mut RobotCounters,
-    ) -> Option<(Cycle, Changes)> {
+    ) -> Option<(Batch, Changes)> {
         if self.packer.deadline(mapper).is_none_or(|due| due > now) {
             return None;
         }
         let (bytes_per_s, waits) = match pace() {
             Pace::Free => {
-                self.held = None;
+                self.deferred = None;
                 return self.packer.close_due(now, mapper);
             }
             Pace::AllSent { bytes_per_s } => (bytes_per_s, false),
             Pace::Waiting { bytes_per_s } => (bytes_per_s, true),
         };
         let room = self.cost.room(bytes_per_s);
-        let since = self.held.map_or(now, |held| held.since);
-        if waits && now.micros_since(since) < room.hold_max {
-            counters.cycles_held += u64::from(self.held.is_none());
-            self.held = Some(Held { since, until: now.plus_micros(HELD_PAUSE) });
+        let since = self.deferred.map_or(now, |deferred| deferred.since);
+        if waits && now.micros_since(since) < room.defer_max {
+            counters.batches_deferred += u64::from(self.deferred.is_none());
+            self.deferred = Some(Deferred { since, until: now.plus_micros(DEFER_PAUSE) });
             if now.micros_since(since) >= self.packer.period() {
                 self.packer.note_late();
             }
             return None;
         }
-        self.held = None;
+        self.deferred = None;
         let closed = self.packer.close_part(now, mapper, room, |block| believed_occupied(fusion, block));
         if closed.is_none() {
             // There may be nothing but what a team-mate knows better.
-            self.held = Some(Held { since: now, until: now.plus_micros(NOTHING_PAUSE) });
+            self.deferred = Some(Deferred { since: now, until: now.plus_micros(NOTHING_PAUSE) });
         } else {
-            counters.cycles_in_parts += u64::from(self.packer.deadline(mapper).is_some_and(|due| due <= now));
+            counters.batches_in_parts +=
+                u64::from(self.packer.deadline(mapper).is_some_and(|due| due <= now));
         }
         closed
     }
 
-    /// The cycle with whatever has changed, due or not.
-    pub(crate) fn flush(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+    /// The batch with whatever has changed, due or not.
+    pub(crate) fn flush(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Batch, Changes)> {
         self.packer.close(now, mapper)
     }
 
-    /// The packages of a cycle, told against what the others will hold; without, if repair is slow.
+    /// The packages of a batch, told against what the others will hold; without, if repair is slow.
     pub(crate) fn encode(
         &mut self,
         now: Stamp,
-        cycle: &Cycle,
+        batch: &Batch,
         changes: &Changes,
         fusion: &Fusion,
         counters: &mut RobotCounters,
     ) -> Result<Vec<Package>, EncodeError> {
-        let is_alone = self.own_layer != OwnLayer::IsWhole || self.repair.is_slow();
-        counters.cycles_without_reference += u64::from(is_alone && self.codec == Codec::Flock);
-        let layer = fusion.layer(self.stream).filter(|_| !is_alone);
-        let reference = Reference { layer, cycles: self.sent.cycles(), readers: self.sent.readers() };
-        let mut encode = |reference| {
+        let is_independent = self.own_layer != OwnLayer::IsWhole || self.repair.is_slow();
+        counters.batches_independent += u64::from(is_independent && self.codec == Codec::Flock);
+        let layer = fusion.layer(self.stream).filter(|_| !is_independent);
+        let base = Base { layer, batches: self.sent.batches(), readers: self.sent.readers() };
+        let mut encode = |base| {
             let (codec, first) = (self.codec, self.next_index);
-            self.encoder.encode_cycle_against(
-                codec,
-                cycle,
-                first,
-                changes,
-                Some(reference),
-                PACKAGE_BYTES_MAX,
-            )
+            self.encoder.encode_batch_against(codec, batch, first, changes, Some(base), PACKAGE_BYTES_MAX)
         };
-        let coded = match encode(&reference) {
-            // The own layer holds something as new, which no cycle should meet: it can be told all the same.
-            Err(EncodeError::Overtaken(_)) => encode(&Reference { layer: None, ..reference }),
+        let coded = match encode(&base) {
+            // The own layer holds something as new, which no batch should meet: it can be told all the same.
+            Err(EncodeError::BaseSuperseded(_)) => encode(&Base { layer: None, ..base }),
             coded => coded,
         };
         // Else the map goes on without these changes, and what is told next counts on them.
         let packages = coded.inspect_err(|_| self.own_layer = self.own_layer.min(OwnLayer::HasAll))?;
         self.next_index += packages.len() as u32;
-        self.sent.note_cycle(&packages);
-        self.cost.note_cycle(changes, &packages);
-        self.repair.note_cycle(now, self.next_index - 1);
+        self.sent.note_batch(&packages);
+        self.cost.note_batch(changes, &packages);
+        self.repair.note_batch(now, self.next_index - 1);
         Ok(packages)
     }
 
-    /// Notes that the own layer had no room for a cycle that was published. Only a present state of this stream would lack it; but the others hold more
+    /// Notes that the own layer had no room for a batch that was published. Only a snapshot of this stream would lack it; but the others hold more
     /// from now on than the own layer, so that nothing can be told against it any more.
     pub(crate) const fn note_own_layer_full(&mut self) {
         self.own_layer = OwnLayer::Lacks;
@@ -204,7 +198,7 @@ impl Publisher {
         let requests = session.counters().requests_in.datagrams;
         if requests != self.requests_seen {
             self.requests_seen = requests;
-            self.repair.note_held(session.own_held_by_peers());
+            self.repair.note_received(session.own_received_by_peers());
         }
     }
 
@@ -219,7 +213,7 @@ impl Publisher {
     ) -> Result<Vec<Package>, EncodeError> {
         let is_whole = span.stream != self.stream || self.own_layer_has_all();
         let layer = fusion.layer(span.stream).filter(|_| is_whole);
-        let Some(state) = layer.and_then(|layer| layer.present_voxels(newer_than)) else {
+        let Some(state) = layer.and_then(|layer| layer.snapshot_voxels(newer_than)) else {
             return Ok(Vec::new());
         };
         self.encoder.encode_span(self.codec, span, config.mapper.resolution, &state, bytes_max)

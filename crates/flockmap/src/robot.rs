@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use std::borrow::Cow;
 
-use flockmap_codec::{Cycle, Decoder, Span};
+use flockmap_codec::{Batch, Decoder, Span};
 use flockmap_grid::{
     Changes, Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
 };
@@ -60,12 +60,12 @@ impl Robot {
     /// [`RobotError`] names the option that cannot work.
     pub fn new(config: RobotConfig, now: Stamp) -> Result<Self, RobotError> {
         for (option, is_zero) in [
-            ("cycle.changes_max", config.cycle.changes_max == 0),
-            ("cycle.t_l_ms", config.cycle.t_l_ms == 0),
-            ("cycle.t_l_occupied_ms", config.cycle.t_l_occupied_ms == Some(0)),
+            ("batch.voxels_max", config.batch.voxels_max == 0),
+            ("batch.publish_period_ms", config.batch.publish_period_ms == 0),
+            ("batch.obstacle_period_ms", config.batch.obstacle_period_ms == Some(0)),
         ] {
             if is_zero {
-                return Err(RobotError::Cycle { option });
+                return Err(RobotError::Batch { option });
             }
         }
         let own = Stream { origin: config.id, epoch: config.epoch };
@@ -87,7 +87,7 @@ impl Robot {
 
     // Inputs.
 
-    /// Takes in a scan made at `T_map_sensor`. Only maps: a cycle that is due is closed by the next
+    /// Takes in a scan made at `T_map_sensor`. Only maps: a batch that is due is closed by the next
     /// [`handle_timeout`](Self::handle_timeout), and [`poll_timeout`](Self::poll_timeout) says so.
     ///
     /// No scan is made after `now`: one with a stamp ahead of it counts as made now, in the map and for the others, and is counted
@@ -125,15 +125,15 @@ impl Robot {
         Ok(report)
     }
 
-    /// Lets time pass: closes the cycle that is due, and does what the session has to do.
+    /// Lets time pass: closes the batch that is due, and does what the session has to do.
     pub fn handle_timeout(&mut self, now: Stamp) {
         let now = self.advance(now);
         self.session.handle_timeout(now);
-        while let Some((cycle, changes)) = {
+        while let Some((batch, changes)) = {
             let Self { publisher, session, mapper, fusion, counters, .. } = self;
             publisher.poll(now, || session.pace(now), mapper, fusion, counters)
         } {
-            self.publish(now, cycle, changes);
+            self.publish(now, batch, changes);
         }
         self.answer_session(now);
     }
@@ -171,11 +171,11 @@ impl Robot {
         self.publisher.note_requests(&self.session);
     }
 
-    /// Closes the cycle now, with whatever has changed.
+    /// Closes the batch now, with whatever has changed.
     pub fn flush(&mut self, now: Stamp) {
         let now = self.advance(now);
-        if let Some((cycle, changes)) = self.publisher.flush(now, &mut self.mapper) {
-            self.publish(now, cycle, changes);
+        if let Some((batch, changes)) = self.publisher.flush(now, &mut self.mapper) {
+            self.publish(now, batch, changes);
         }
         self.answer_session(now);
     }
@@ -283,7 +283,7 @@ impl Robot {
     }
 
     /// Whether all that was published is in the own layer, [`Fusion::layer`] of [`Self::own_stream`]. Not once it was full
-    /// (`fusion.own_layer_bytes_max`): then it says less than the packages, and a present state made of it would pass for all of them.
+    /// (`fusion.own_layer_bytes_max`): then it says less than the packages, and a snapshot made of it would pass for all of them.
     pub fn own_layer_has_all(&self) -> bool {
         self.publisher.own_layer_has_all()
     }
@@ -294,29 +294,29 @@ impl Robot {
     }
 
     /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too much of it.
-    fn provide_present_state(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
+    fn provide_snapshot(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
         let stream = span.stream;
         let Self { publisher, fusion, config, .. } = self;
         match publisher.encode_state(span, newer_than, fusion, config, bytes_max) {
-            Ok(tiles) => {
-                self.counters.present_states += u64::from(!tiles.is_empty());
-                self.session.provide_present_state(now, stream, tiles);
+            Ok(chunks) => {
+                self.counters.snapshots += u64::from(!chunks.is_empty());
+                self.session.provide_snapshot(now, stream, chunks);
             }
             Err(error) => self.push_event(Event::EncodeFailed(error)),
         }
     }
 
-    /// Codes a cycle, gives it to the session and takes it into the own layer.
-    fn publish(&mut self, now: Stamp, cycle: Cycle, changes: Changes) {
+    /// Codes a batch, gives it to the session and takes it into the own layer.
+    fn publish(&mut self, now: Stamp, batch: Batch, changes: Changes) {
         let mut coded = Cow::Borrowed(&changes);
         if mutation::is(Mutation::BlockLeftOut) && changes.blocks().len() > 1 {
             coded = Cow::Owned(Changes::from_blocks(changes.blocks()[1..].to_vec()));
         }
-        let packages = match self.publisher.encode(now, &cycle, &coded, &self.fusion, &mut self.counters) {
+        let packages = match self.publisher.encode(now, &batch, &coded, &self.fusion, &mut self.counters) {
             Ok(packages) => packages,
             Err(error) => return self.push_event(Event::EncodeFailed(error)),
         };
-        self.counters.cycles += 1;
+        self.counters.batches += 1;
         self.counters.changes += changes.len() as u64;
         for package in &packages {
             self.counters.packages += 1;
@@ -326,14 +326,14 @@ impl Robot {
             debug_assert_eq!(published, Ok(()));
         }
         let own = self.own_stream();
-        if let Err(error) = self.fusion.apply(&self.mapper, own, &changes, cycle.end, now) {
+        if let Err(error) = self.fusion.apply(&self.mapper, own, &changes, batch.end, now) {
             self.publisher.note_own_layer_full();
             self.counters.no_room += 1;
             let index = packages.last().map_or(0, |package| package.header().index);
             self.push_event(Event::Refused { stream: own, index, reason: error.into() });
         }
-        self.fusion.note_sensor(own, cycle.end, cycle.sensor);
-        self.push_event(Event::CycleClosed { cycle, changes, packages });
+        self.fusion.note_sensor(own, batch.end, batch.sensor);
+        self.push_event(Event::BatchClosed { batch, changes, packages });
         self.answer_session(now);
     }
 

@@ -4,15 +4,16 @@ mod common;
 
 use common::{Radio, Random, Swarm, config, scan};
 use flockmap::sync::IntervalSet;
-use flockmap::sync::wire::{Covered, DatagramHeader, Echo, Held, Kind, Request};
-use flockmap::{CycleConfig, Event, Pose, Robot, RobotConfig, RobotId, SessionConfig, Stamp, State, Stream};
+use flockmap::sync::wire::{DatagramHeader, Echo, Kind, OriginRange, Received, Request};
+use flockmap::{BatchConfig, Event, Pose, Robot, RobotConfig, RobotId, SessionConfig, Stamp, State, Stream};
 
 const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.0, damage: 0.0, delay_ms: (20.0, 20.0) };
 
 fn thin(id: u16, bytes_per_s: Option<u32>) -> RobotConfig {
     let mut config = config(id);
     config.session = SessionConfig { radio_bytes_per_s: bytes_per_s, ..config.session };
-    config.cycle = CycleConfig { t_l_ms: 1_000, t_l_occupied_ms: Some(100), ..CycleConfig::default() };
+    config.batch =
+        BatchConfig { publish_period_ms: 1_000, obstacle_period_ms: Some(100), ..BatchConfig::default() };
     config
 }
 
@@ -32,9 +33,9 @@ fn fly(swarm: &mut Swarm, seed: u64, steps: i32) -> Vec<i64> {
         for _ in 0..10 {
             swarm.run(10);
             for event in &swarm.events[1][seen..] {
-                if let Event::Merged { cycle_end, changes, .. } = event {
+                if let Event::Merged { batch_end, changes, .. } = event {
                     let count = changes.voxels().filter(|(_, state)| *state == State::Occupied).count();
-                    ages.extend(std::iter::repeat_n(swarm.now.micros_since(*cycle_end) / 1_000, count));
+                    ages.extend(std::iter::repeat_n(swarm.now.micros_since(*batch_end) / 1_000, count));
                 }
             }
             seen = swarm.events[1].len();
@@ -50,7 +51,7 @@ fn obstacles_stay_fresh_where_the_radio_takes_half_of_what_the_map_needs() {
     for seed in 0..5 {
         let mut free = Swarm::new(vec![thin(1, None), thin(2, None)], common::PERFECT, seed);
         fly(&mut free, seed, 200);
-        assert_eq!(free.robots[0].counters().cycles_held, 0, "without a budget nothing is held back");
+        assert_eq!(free.robots[0].counters().batches_deferred, 0, "without a budget nothing is deferred");
         let needed = free.bytes / 2 / 20;
         let mut swarm =
             Swarm::new(vec![thin(1, Some(needed as u32 / 2)), thin(2, Some(needed as u32 / 2))], LOSSY, seed);
@@ -60,7 +61,7 @@ fn obstacles_stay_fresh_where_the_radio_takes_half_of_what_the_map_needs() {
         assert!(median < 2_500 && almost_all < 8_000, "seed {seed}: {median} and {almost_all} ms");
         late.push(almost_all);
         let counters = *swarm.robots[0].counters();
-        assert!(counters.cycles_held > 0 && counters.cycles_in_parts > 0, "seed {seed}: {counters:?}");
+        assert!(counters.batches_deferred > 0 && counters.batches_in_parts > 0, "seed {seed}: {counters:?}");
         assert!(swarm.robots[0].untold() > 0, "seed {seed}: what is left out can be counted");
         swarm.settle(300_000);
         assert!(swarm.agrees(), "seed {seed}");
@@ -83,15 +84,16 @@ fn who_never_has_enough_cannot_hold_back_the_map_of_the_others() {
         if ms % 100 == 0 {
             robot.insert_scan(now, &scan(&mut random, now), &pose(ms as i32 / 100)).unwrap();
             // It hears this robot, and states that it holds all but the newest five, again and again.
-            let newest = robot.session().held(own).and_then(|held| held.last()).unwrap_or(0);
-            let held = IntervalSet::from_intervals(4, vec![(1, newest.max(6) - 5)]);
-            let held = (newest > 5).then_some(Held { is_oldest_wanted: false, stream: own, from: 1, held });
+            let newest = robot.session().received(own).and_then(|received| received.last()).unwrap_or(0);
+            let received = IntervalSet::from_intervals(4, vec![(1, newest.max(6) - 5)]);
+            let received =
+                (newest > 5).then_some(Received { is_oldest_wanted: false, stream: own, from: 1, received });
             let echo = Echo { robot: own.origin, epoch_low: 1, stamp_low: 0, age_micros: 0 };
             let request = Request {
-                covered: Some(Covered::all_from(RobotId(0))),
+                origins: Some(OriginRange::all_from(RobotId(0))),
                 all_echoes: true,
                 echoes: vec![echo],
-                held: held.into_iter().collect(),
+                received: received.into_iter().collect(),
                 ..Request::default()
             };
             let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender: peer, stamp: now };
@@ -103,12 +105,12 @@ fn who_never_has_enough_cannot_hold_back_the_map_of_the_others() {
         }
         while robot.poll_transmit(now).is_some() {}
         while let Some(event) = robot.poll_event() {
-            if let Event::CycleClosed { .. } = event {
+            if let Event::BatchClosed { .. } = event {
                 published.push(ms);
             }
         }
     }
     let longest = published.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
-    assert!(robot.counters().cycles_held > 5, "{:?}", robot.counters());
+    assert!(robot.counters().batches_deferred > 5, "{:?}", robot.counters());
     assert!(longest <= 2_200, "nothing was told for {longest} ms");
 }

@@ -4,7 +4,7 @@ use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::Layer;
 use flockmap::sync::wire::{DatagramHeader, Kind, PackagesWriter};
 use flockmap::{
-    Changes, Codec, Cycle, Event, Pose, PoseError, Resolution, Robot, RobotConfig, RobotId, Scan, Stamp,
+    Batch, Changes, Codec, Event, Pose, PoseError, Resolution, Robot, RobotConfig, RobotId, Scan, Stamp,
     State, Stream, Voxel,
 };
 use proptest::prelude::*;
@@ -167,11 +167,11 @@ struct Faulty {
 
 impl Faulty {
     fn tell(&mut self, robot: &mut Robot, now: Stamp, stamp: Stamp, voxels: &[(Voxel, State)]) {
-        let cycle =
-            Cycle { stream: self.stream, start: stamp, end: stamp, resolution: resolution(), sensor: [0; 3] };
+        let batch =
+            Batch { stream: self.stream, start: stamp, end: stamp, resolution: resolution(), sensor: [0; 3] };
         let changes = Changes::from_voxels(voxels.iter().copied());
         let packages = Encoder::new()
-            .encode_cycle(Codec::Paper, &cycle, self.next, &changes, PACKAGE_BYTES_MAX)
+            .encode_batch(Codec::Paper, &batch, self.next, &changes, PACKAGE_BYTES_MAX)
             .unwrap();
         self.next += packages.len() as u32;
         let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender: self.stream, stamp: now };
@@ -217,7 +217,7 @@ fn what_a_former_run_saw_hides_nothing_when_the_clock_begins_anew() {
     config.epoch = 2;
     let mut again = Robot::new(config, Stamp(0)).unwrap();
     while let Some(event) = former.poll_event() {
-        let Event::CycleClosed { packages, .. } = event else { continue };
+        let Event::BatchClosed { packages, .. } = event else { continue };
         packages.into_iter().for_each(|package| again.restore(Stamp(0), package).unwrap());
     }
     let place = Voxel::new(30, 0, 0);

@@ -1,10 +1,10 @@
 //! Hostile packages fill every limit of a robot: it holds no more than `RobotConfig::memory_of_others_max` states.
 
-use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX, Reference};
+use flockmap::codec::{Base, Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::Layer;
 use flockmap::sync::wire::{DatagramHeader, Kind, PackagesWriter};
 use flockmap::{
-    Changes, Codec, Cycle, Event, Package, Refusal, Resolution, Robot, RobotConfig, RobotId, Stamp, State,
+    Batch, Changes, Codec, Event, Package, Refusal, Resolution, Robot, RobotConfig, RobotId, Stamp, State,
     Stream, Voxel,
 };
 use peak_alloc::PeakAlloc;
@@ -22,7 +22,7 @@ fn config(layer_bytes_max: usize) -> RobotConfig {
     config.session.peers_max = 2;
     config.session.streams_max = 2;
     config.session.store_bytes_max = 1 << 20;
-    config.session.present_state_bytes_max = 1 << 20;
+    config.session.snapshot_bytes_max = 1 << 20;
     config.fusion.layer_bytes_max = layer_bytes_max;
     config
 }
@@ -39,27 +39,27 @@ impl Teller {
         Self { stream: Stream { origin: RobotId(id), epoch: 1 }, encoder: Encoder::new(), next: 1 }
     }
 
-    fn tell(&mut self, codec: Codec, changes: &Changes, reference: Option<&Reference<'_>>) -> Vec<Package> {
+    fn tell(&mut self, codec: Codec, changes: &Changes, base: Option<&Base<'_>>) -> Vec<Package> {
         let stamp = Stamp(i64::from(self.next));
-        let cycle =
-            Cycle { stream: self.stream, start: stamp, end: stamp, resolution: resolution(), sensor: [0; 3] };
+        let batch =
+            Batch { stream: self.stream, start: stamp, end: stamp, resolution: resolution(), sensor: [0; 3] };
         let packages = self
             .encoder
-            .encode_cycle_against(codec, &cycle, self.next, changes, reference, PACKAGE_BYTES_MAX)
+            .encode_batch_against(codec, &batch, self.next, changes, base, PACKAGE_BYTES_MAX)
             .unwrap();
         self.next += packages.len() as u32;
         packages
     }
 
-    /// The tiles of a present state of so many blocks, a voxel in each.
-    fn tell_state(&mut self, side: i32) -> Vec<Package> {
+    /// The chunks of a snapshot of so many blocks, a voxel in each.
+    fn send_state(&mut self, side: i32) -> Vec<Package> {
         let mut layer = Layer::default();
         let all = (0..side).flat_map(|x| (0..side).flat_map(move |y| (0..side).map(move |z| [x, y, z])));
         let voxels = all.map(|at| at.map(|i| i * 8)).map(|[x, y, z]| (Voxel::new(x, y, z), State::Occupied));
         layer.apply(&Changes::from_voxels(voxels), Stamp(1));
-        let state = layer.present_state().unwrap();
+        let state = layer.snapshot().unwrap();
         let bytes_max = PACKAGE_BYTES_MAX;
-        self.encoder.encode_present(Codec::Flock, self.stream, 9, resolution(), &state, bytes_max).unwrap()
+        self.encoder.encode_snapshot(Codec::Flock, self.stream, 9, resolution(), &state, bytes_max).unwrap()
     }
 
     fn send(&self, robot: &mut Robot, package: &Package) {
@@ -80,10 +80,10 @@ fn case(name: &str, config: RobotConfig, least: usize, fill: impl FnOnce(&mut Ro
     fill(&mut robot);
     let measured = ALLOCATOR.peak_usage() - before;
     println!("{name}: {measured} of {stated} bytes stated");
-    assert!(measured <= stated, "{name}: {measured} bytes held, {stated} stated");
+    assert!(measured <= stated, "{name}: {measured} bytes received, {stated} stated");
     assert!(
         measured >= least,
-        "{name}: {measured} bytes held, at least {least} expected: nothing was filled"
+        "{name}: {measured} bytes received, at least {least} expected: nothing was filled"
     );
 }
 
@@ -92,10 +92,10 @@ fn is_within(robot: &Robot, before: usize, layer_bytes_max: usize) {
     assert!(robot.counters().no_room > 0);
     let said = robot.fusion().memory_bytes_of_others(robot.mapper());
     assert!(said <= layer_bytes_max && said > layer_bytes_max / 2, "{said} of {layer_bytes_max}");
-    let held = ALLOCATOR.current_usage() - before;
-    println!("  layers of {said} bytes, {held} on the heap with all else");
+    let received = ALLOCATOR.current_usage() - before;
+    println!("  layers of {said} bytes, {received} on the heap with all else");
     // The store has a mebibyte, and there are the tables of the codecs.
-    assert!(held > said && held < said + (2 << 20), "{held} bytes held, {said} said");
+    assert!(received > said && received < said + (2 << 20), "{received} bytes received, {said} said");
 }
 
 fn cube(side: i32) -> Changes {
@@ -115,7 +115,7 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
     let stated = broadcast.memory_of_others_max();
     assert!(stated < 1_400_000_000, "{stated}");
 
-    // 512 blocks, each voxel of which changed last in another cycle, and then again in further ones.
+    // 512 blocks, each voxel of which changed last in another batch, and then again in further ones.
     let mut teller = Teller::new(2);
     let packages: Vec<Package> = (0..600)
         .flat_map(|bit| {
@@ -164,7 +164,7 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
         is_within(robot, before, 2 << 20);
     });
 
-    // Cycles with a sensor each, of which nothing stands.
+    // Batches with a sensor each, of which nothing stands.
     let mut teller = Teller::new(2);
     let packages: Vec<Package> = (0..20_000)
         .flat_map(|n| {
@@ -175,7 +175,7 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
         })
         .collect();
     assert!(packages.iter().all(|package| package.sensor().is_some()));
-    case("cycles of which nothing stands", config(2 << 20), 500_000, |robot| {
+    case("batches of which nothing stands", config(2 << 20), 500_000, |robot| {
         for package in &packages {
             teller.send(robot, package);
             while robot.poll_event().is_some() {}
@@ -185,37 +185,37 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
         assert!(bytes < 200_000, "{bytes}: 20,000 sensors would be a million");
     });
 
-    // Four present states that are never completed, and a fifth for which one has to go.
+    // Four snapshots that are never completed, and a fifth for which one has to go.
     let states: Vec<(Teller, Vec<Package>)> = (2..7)
         .map(|id| {
             let mut teller = Teller::new(id);
-            let mut tiles = teller.tell_state(20);
-            tiles.pop();
-            (teller, tiles)
+            let mut chunks = teller.send_state(20);
+            chunks.pop();
+            (teller, chunks)
         })
         .collect();
     let mut large = config(16 << 20);
     (large.session.peers_max, large.session.streams_max) = (8, 8);
-    case("present states that are being read", large, 18_000_000, |robot| {
-        for (teller, tiles) in &states {
-            for tile in tiles {
-                teller.send(robot, tile);
+    case("snapshots that are being read", large, 18_000_000, |robot| {
+        for (teller, chunks) in &states {
+            for chunk in chunks {
+                teller.send(robot, chunk);
                 while robot.poll_event().is_some() {}
             }
         }
-        assert!(robot.session().counters().present_states_restarted > 0);
+        assert!(robot.session().counters().snapshots_restarted > 0);
         assert_eq!(robot.counters().damaged, 0);
     });
 
     // One that is larger than all that are being read may be.
     let mut teller = Teller::new(2);
-    let tiles = teller.tell_state(25);
-    case("a present state that is too large", config(16 << 20), 10_000_000, |robot| {
+    let chunks = teller.send_state(25);
+    case("a snapshot that is too large", config(16 << 20), 10_000_000, |robot| {
         let mut refused = 0;
-        for tile in &tiles {
-            teller.send(robot, tile);
+        for chunk in &chunks {
+            teller.send(robot, chunk);
             while let Some(event) = robot.poll_event() {
-                let is_refused = matches!(event, Event::Refused { reason: Refusal::Tiles { .. }, .. });
+                let is_refused = matches!(event, Event::Refused { reason: Refusal::Chunks { .. }, .. });
                 refused += u64::from(is_refused);
             }
         }
@@ -236,8 +236,8 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
     teller.tell(Codec::Flock, &far(0), None);
     let packages: Vec<Package> = (0..1_500)
         .flat_map(|n| {
-            let reference = Reference { layer: Some(&layer), cycles: &[(Stamp(1), 1)], readers: &[] };
-            teller.tell(Codec::Flock, &far(n), Some(&reference))
+            let base = Base { layer: Some(&layer), batches: &[(Stamp(1), 1)], readers: &[] };
+            teller.tell(Codec::Flock, &far(n), Some(&base))
         })
         .collect();
     case("packages that wait", config(1 << 20), 300_000, |robot| {

@@ -41,7 +41,7 @@ impl Net {
         self.robots[number] = Some(Robot::new(config, self.now).unwrap());
     }
 
-    /// A wall in front of a robot, at a height of its own, and the cycle closed.
+    /// A wall in front of a robot, at a height of its own, and the batch closed.
     fn map(&mut self, number: usize, distance: f32) {
         let robot = self.robots[number].as_mut().unwrap();
         let height = number as f32 * 0.2 - 1.0;
@@ -104,8 +104,8 @@ impl Net {
             let stream = other.own_stream();
             let newest = other.session().store().newest_known(stream);
             for robot in self.robots.iter().flatten() {
-                let held = robot.session().held(stream);
-                if newest > 0 && !held.is_some_and(|held| held.contains_range(1, newest)) {
+                let received = robot.session().received(stream);
+                if newest > 0 && !received.is_some_and(|received| received.contains_range(1, newest)) {
                     lacking.push((robot.own_stream().origin, stream));
                 }
             }
@@ -139,7 +139,7 @@ fn digest(robot: &Robot, stream: Stream) -> Option<u64> {
 
 /// All stamps of a layer with the voxels that have them.
 fn stamps(robot: &Robot, stream: Stream) -> BTreeMap<Stamp, usize> {
-    let state = robot.fusion().layer(stream).unwrap().present_state().unwrap();
+    let state = robot.fusion().layer(stream).unwrap().snapshot().unwrap();
     state.parts.iter().map(|(stamp, part)| (*stamp, part.len())).collect()
 }
 
@@ -263,7 +263,7 @@ fn a_robot_begins_anew_above_a_run_of_its_own_that_only_robots_out_of_earshot_kn
     net.deaf.clear();
     let used = Stream { origin: RobotId(1), epoch: 50 };
     assert!(
-        net.robot(2).session().held(used).is_some_and(|held| held.is_empty()),
+        net.robot(2).session().received(used).is_some_and(|received| received.is_empty()),
         "it is known by name alone"
     );
     assert_eq!(net.robot(0).own_stream().epoch, 20);
@@ -340,11 +340,11 @@ fn reaches_beyond_a_gap(seconds: f64, joiners: &[(usize, u64)]) {
     net.start(1, with(1, 1));
     net.run(2.0);
     let mut walls = Random(5);
-    for cycle in 0..30 {
+    for batch in 0..30 {
         // The robot is lost before it could repair what is missing.
-        if cycle == 20 {
+        if batch == 20 {
             net.deaf.insert(1);
-        } else if cycle == 22 {
+        } else if batch == 22 {
             net.deaf.remove(&1);
         }
         let scan = scan(&mut walls, net.now);
@@ -358,15 +358,15 @@ fn reaches_beyond_a_gap(seconds: f64, joiners: &[(usize, u64)]) {
     let ended = net.robot(0).own_stream();
     net.robots[0] = None;
     net.run(seconds);
-    let held = net.robot(1).session().held(ended).unwrap().clone();
-    assert!(held.intervals().len() > 1, "{held:?} has no gap");
+    let received = net.robot(1).session().received(ended).unwrap().clone();
+    assert!(received.intervals().len() > 1, "{received:?} has no gap");
     assert!(net.robot(1).session().store().packages() < 20, "most are not stored any more");
     for &(number, epoch) in joiners {
         net.start(number, with(number, epoch));
     }
     net.run(90.0);
     for &(number, _) in joiners {
-        assert_eq!(net.robot(number).session().held(ended), Some(&held), "robot {number}");
+        assert_eq!(net.robot(number).session().received(ended), Some(&received), "robot {number}");
         assert_eq!(digest(net.robot(number), ended), digest(net.robot(1), ended));
     }
     // And then it is quiet.

@@ -25,11 +25,11 @@ fn out_of_reach(radio: Radio, seed: u64) -> (Swarm, u64) {
     fly(&mut swarm, &mut random, 0..80);
     swarm.settle(10_000);
     let own = swarm.robots[0].own_stream();
-    let held = swarm.robots[1].session().held(own).unwrap().prefix();
-    assert!(held > 10, "seed {seed}");
+    let received = swarm.robots[1].session().received(own).unwrap().prefix();
+    assert!(received > 10, "seed {seed}");
     swarm.cut = vec![(0, 1)];
     fly(&mut swarm, &mut random, 80..120);
-    assert!(swarm.robots[0].session().store().get(own, held + 1).is_none(), "seed {seed}: still stored");
+    assert!(swarm.robots[0].session().store().get(own, received + 1).is_none(), "seed {seed}: still stored");
     let before = swarm.robots[0].session().counters().packages_out.bytes;
     swarm.cut.clear();
     swarm.settle(30_000);

@@ -47,7 +47,7 @@ fn the_middle_robot_of_three_in_a_line_forwards() {
 #[test]
 fn a_late_joiner_gets_the_state_and_not_the_history() {
     let mut configs: Vec<RobotConfig> = (1..=2).map(config).collect();
-    configs[0].session.present_state_bytes_min = Some(10_000);
+    configs[0].session.snapshot_bytes_min = Some(10_000);
     configs[0].codec = Codec::Raw;
     let mut swarm = Swarm::new(configs, PERFECT, 3);
     swarm.cut = vec![(0, 1)];
@@ -85,8 +85,8 @@ fn a_robot_that_starts_again_gets_its_former_run_back() {
 #[test]
 fn obstacles_arrive_before_free_space() {
     let mut configs: Vec<RobotConfig> = (1..=2).map(config).collect();
-    configs[0].cycle.t_l_ms = 2_000;
-    configs[0].cycle.t_l_occupied_ms = Some(100);
+    configs[0].batch.publish_period_ms = 2_000;
+    configs[0].batch.obstacle_period_ms = Some(100);
     let mut swarm = Swarm::new(configs, PERFECT, 9);
     // They get to know each other first.
     swarm.run(1_500);

@@ -34,10 +34,10 @@ pub struct ApplicationOptions {
     pub range_m: f64,
     /// Half extents of the update box of the mapper in metres. Default 7.5, 7.5, 1.5 (paper).
     pub update_box_m: [f64; 3],
-    /// Milliseconds after which a cycle of mapping is sent. Default 200 (paper).
-    pub t_l_ms: u32,
+    /// Milliseconds after which a batch of mapping is sent. Default 200 (paper).
+    pub publish_period_ms: u32,
     /// The same for obstacles, ahead of free space. Default `None`: with everything else (paper).
-    pub t_l_occupied_ms: Option<u32>,
+    pub obstacle_period_ms: Option<u32>,
     /// Codec of the packages. Default `paper`.
     pub codec: Codec,
     /// The LiDAR of both robots. Default Avia (paper). Every beam that meets nothing within `range_m` carves free space up to
@@ -61,8 +61,8 @@ impl Default for ApplicationOptions {
             resolution: Resolution::from_micrometres(100_000).expect("0.1 m is a resolution"),
             range_m: 7.5,
             update_box_m: [7.5, 7.5, 1.5],
-            t_l_ms: 200,
-            t_l_occupied_ms: None,
+            publish_period_ms: 200,
+            obstacle_period_ms: None,
             codec: Codec::Paper,
             lidar: Lidar::Avia,
             speed_m_s: 1.5,

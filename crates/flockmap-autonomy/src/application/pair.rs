@@ -1,7 +1,7 @@
 //! Two robots with their maps, joined by an emulated radio in virtual time.
 
 use super::{ApplicationOptions, MapSync, RobotTraffic};
-use flockmap::{CycleConfig, Event, Robot, RobotConfig, RobotError, SessionConfig};
+use flockmap::{BatchConfig, Event, Robot, RobotConfig, RobotError, SessionConfig};
 use flockmap_grid::{Changes, Layer, Pose, RobotId, Scan, Stamp, State};
 use flockmap_netsim::{Datagram, Delivery, IP_UDP_BYTES, Link, Network, RadioConfig, Watch};
 use flockmap_worlds::IN_THE_WORLD;
@@ -40,10 +40,10 @@ impl Pair {
             let id = id(number);
             let mut config = RobotConfig::new(id, options.resolution, options.range_m);
             config.mapper.update_box_m = Some(options.update_box_m);
-            config.cycle = CycleConfig {
-                t_l_ms: options.t_l_ms,
-                t_l_occupied_ms: options.t_l_occupied_ms,
-                ..CycleConfig::default()
+            config.batch = BatchConfig {
+                publish_period_ms: options.publish_period_ms,
+                obstacle_period_ms: options.obstacle_period_ms,
+                ..BatchConfig::default()
             };
             config.codec = options.codec;
             config.seed = options.seed;

@@ -13,7 +13,7 @@ pub struct SeriesOptions {
     pub rates_bytes_per_s: Vec<u32>,
     /// Losses for each of these budgets. Default 0, 0.2 and 0.4.
     pub losses: Vec<f64>,
-    /// Budgets of further series, with the same losses, in which obstacles go out after `application.t_l_ms` and free space after
+    /// Budgets of further series, with the same losses, in which obstacles go out after `application.publish_period_ms` and free space after
     /// 2 s. Default 1 and 5 KB/s, where everything together is too much.
     pub obstacles_first_rates_bytes_per_s: Vec<u32>,
     /// Time on the way of all radios, in milliseconds. Default 20.
@@ -54,8 +54,8 @@ impl SeriesOptions {
         }
         for rate in &self.obstacles_first_rates_bytes_per_s {
             plan.extend(self.losses.iter().map(|loss| ApplicationOptions {
-                t_l_ms: FREE_SPACE_LATER_MS,
-                t_l_occupied_ms: Some(self.application.t_l_ms),
+                publish_period_ms: FREE_SPACE_LATER_MS,
+                obstacle_period_ms: Some(self.application.publish_period_ms),
                 ..with(radio(Some(*rate), *loss))
             }));
         }
@@ -158,7 +158,7 @@ pub fn series(options: &SeriesOptions, flown: impl Fn() -> bool + Sync) -> Resul
         .enumerate()
         .map(|(number, flight)| Series {
             sync: flight.sync,
-            obstacles_first: flight.t_l_occupied_ms.is_some(),
+            obstacles_first: flight.obstacle_period_ms.is_some(),
             outcomes: of(number),
         })
         .collect())

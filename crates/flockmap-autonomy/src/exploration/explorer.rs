@@ -183,7 +183,7 @@ impl Explorer {
             let mut config =
                 RobotConfig::new(RobotId(number as u16 + 1), options.resolution, options.range_m);
             config.seed = options.seed;
-            config.cycle = options.cycle;
+            config.batch = options.batch;
             config.codec = options.codec;
             config.session = options.session.clone();
             config.mapper.range_min_m = options.scan.min_range_m;
@@ -390,7 +390,7 @@ impl Explorer {
             (0..count).filter(|sender| *sender != receiver && self.hears(receiver, *sender)).all(|sender| {
                 let sender = &self.network.nodes()[sender].robot;
                 let packages = sender.counters().packages;
-                let held = self.network.nodes()[receiver].robot.session().held(sender.own_stream());
+                let held = self.network.nodes()[receiver].robot.session().received(sender.own_stream());
                 packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
             })
         })

@@ -73,7 +73,7 @@ impl Frontiers {
 
     /// How likely something comes back from an Unknown cell that is looked at in a direction of this octant: 0 if it was
     /// looked at from there before, or from too many sides in vain.
-    fn chance(&self, cell: usize, octant: u8) -> f64 {
+    fn probability(&self, cell: usize, octant: u8) -> f64 {
         let looks = self.looks[cell];
         let is_new = looks >> octant & 1 == 0;
         CHANCES.get(looks.count_ones() as usize).copied().filter(|_| is_new).unwrap_or(0.0)
@@ -86,7 +86,7 @@ impl Frontiers {
 
     /// How much is to be seen from a place now.
     pub(super) fn gain(&self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) -> f64 {
-        sight.gain(grid, place, yaw, |cell, octant| self.chance(cell, octant))
+        sight.gain(grid, place, yaw, |cell, octant| self.probability(cell, octant))
     }
 
     /// Takes down what is to be seen from a viewpoint now, and drops it if that is not worth the way any more.
@@ -222,7 +222,7 @@ impl Frontiers {
                     let yaw = atan2(centre[1] - place[1], centre[0] - place[0]);
                     let sees = |cell: &&usize| {
                         sight.sees_beyond(grid, place, Some(yaw), **cell, |c, octant| {
-                            grid.cell_state(c) == CellState::Unknown && self.chance(c, octant) > 0.0
+                            grid.cell_state(c) == CellState::Unknown && self.probability(c, octant) > 0.0
                         })
                     };
                     let seen = samples.iter().filter(sees).count();

@@ -13,7 +13,7 @@ pub(super) struct Mate {
     /// Its path until it could come to rest, its position first.
     pub(super) stopping_path: Vec<[f64; 3]>,
     /// The way that it would go if nobody were in it.
-    pub(super) wish: Option<Vec<[f64; 3]>>,
+    pub(super) intended: Option<Vec<[f64; 3]>>,
 }
 
 /// Whether all points of two paths are at least this far apart.

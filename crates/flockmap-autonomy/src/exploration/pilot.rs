@@ -97,7 +97,7 @@ pub(super) struct Pilot {
     heights_m: [f64; 2],
     separation_m: f64,
     goal: Option<Goal>,
-    wish: Option<Vec<[f64; 3]>>,
+    intended: Option<Vec<[f64; 3]>>,
     planned: Option<Stamp>,
     looked: Option<Stamp>,
     arrived: Option<Stamp>,
@@ -141,7 +141,7 @@ impl Pilot {
             heights_m: config.heights_m,
             separation_m: config.separation_m,
             goal: None,
-            wish: None,
+            intended: None,
             planned: None,
             looked: None,
             arrived: None,
@@ -155,7 +155,7 @@ impl Pilot {
         Mate {
             number: self.number,
             stopping_path: self.motion.stopping_path(&self.limits),
-            wish: self.wish.clone(),
+            intended: self.intended.clone(),
         }
     }
 
@@ -298,7 +298,7 @@ impl Pilot {
 
         let from = self.motion.stopping_point(&self.limits);
         let near_mates = cells_near(&self.grid, mates, self.separation_m + DETOUR_M);
-        self.wish = None;
+        self.intended = None;
         let mut goal = None;
         let has_targets = self.has_targets();
         // Near first: most of the time that is enough, and far cheaper.
@@ -321,11 +321,11 @@ impl Pilot {
                 self.idle_since = None;
                 let query = self.query(from, goal.place);
                 let (grid, heights) = (&self.grid, self.heights_m);
-                let wish = self.router.route(grid, &query, |cell| is_closed(grid, heights, &[], cell));
-                self.wish = wish.ok();
+                let intended = self.router.route(grid, &query, |cell| is_closed(grid, heights, &[], cell));
+                self.intended = intended.ok();
             }
         }
-        if self.wish.is_none() {
+        if self.intended.is_none() {
             self.idle_since.get_or_insert(now);
         }
         self.goal = None;
@@ -452,10 +452,11 @@ impl Pilot {
     fn make_way(&mut self, from: [f64; 3], mates: &[Mate], near_mates: &[u32]) {
         let wide = self.separation_m + DETOUR_M;
         let before = |mate: &&Mate| self.idle_since.is_some() || mate.number < self.number;
-        let wishes: Vec<&Vec<[f64; 3]>> =
-            mates.iter().filter(before).filter_map(|mate| mate.wish.as_ref()).collect();
-        let in_way =
-            |place: [f64; 3]| wishes.iter().any(|wish| metres_to_path(place, &dense(wish)) < wide + 0.2);
+        let paths: Vec<&Vec<[f64; 3]>> =
+            mates.iter().filter(before).filter_map(|mate| mate.intended.as_ref()).collect();
+        let in_way = |place: [f64; 3]| {
+            paths.iter().any(|intended| metres_to_path(place, &dense(intended)) < wide + 0.2)
+        };
         if !in_way(from) {
             return;
         }

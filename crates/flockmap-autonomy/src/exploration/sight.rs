@@ -88,14 +88,14 @@ impl Sight {
         })
     }
 
-    /// About how many Unknown cells can be seen from a place. `chance` says for a cell and an octant how likely a ray comes
+    /// About how many Unknown cells can be seen from a place. `probability` says for a cell and an octant how likely a ray comes
     /// back from there: 1 for what was never looked at, 0 for what it makes no sense to look at from there.
     pub(super) fn gain(
         &self,
         grid: &NavigationGrid,
         from: [f64; 3],
         yaw: f64,
-        chance: impl Fn(usize, u8) -> f64,
+        probability: impl Fn(usize, u8) -> f64,
     ) -> f64 {
         let step = grid.cell_m();
         let fade = exp(-step / FADE_M);
@@ -113,7 +113,7 @@ impl Sight {
                     CellState::Occupied => break,
                     CellState::Free => {}
                     CellState::Unknown => {
-                        likely *= chance(cell, octant) * fade;
+                        likely *= probability(cell, octant) * fade;
                         if likely == 0.0 {
                             // Nothing comes back from there, nor from behind it.
                             break;

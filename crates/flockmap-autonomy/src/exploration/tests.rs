@@ -121,12 +121,12 @@ fn options_that_cannot_work_are_refused_with_a_reason() {
 fn working_out_what_can_be_seen_is_told_of_and_can_be_stopped() {
     let world = Arc::new(two_rooms());
     let most = std::sync::Mutex::new((0, 0));
-    let told = |done: usize, of: usize| {
+    let progress = |done: usize, of: usize| {
         let mut most = most.lock().unwrap();
         *most = (most.0.max(done), of);
         done < 5
     };
-    let stopped = Explorer::new_watched(Arc::clone(&world), options(1), &told);
+    let stopped = Explorer::new_watched(Arc::clone(&world), options(1), &progress);
     assert_eq!(stopped.err(), Some(ExploreError::Stopped));
     let (done, of) = *most.lock().unwrap();
     assert_eq!(done, 5);

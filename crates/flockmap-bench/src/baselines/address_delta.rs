@@ -7,7 +7,7 @@
 //! 1; then lengths of runs of one state along the list, free first.
 
 use anyhow::{Context, Result, ensure};
-use flockmap::codec::Cycle;
+use flockmap::codec::Batch;
 use flockmap::grid::{Changes, Stamp, State, Voxel, VoxelBox};
 
 use crate::baselines::bytes::{MESSAGE_VOXELS_MAX, Packer, Reader, unpack, write_box};
@@ -29,7 +29,7 @@ impl AddressDeltaSender {
 }
 
 impl Sender for AddressDeltaSender {
-    fn cycle(&mut self, _now: Stamp, _cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()> {
+    fn batch(&mut self, _now: Stamp, _batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()> {
         let fits = changes.len() as u64 <= MESSAGE_VOXELS_MAX;
         ensure!(fits, "{METHOD} cannot send this: a message has at most 2²³ voxels");
         let Some(region) = changes.bounding_box() else { return Ok(()) };

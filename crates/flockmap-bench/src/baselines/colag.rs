@@ -6,7 +6,7 @@
 //! the other, each in nested order. Numbers are varints.
 
 use anyhow::{Result, ensure};
-use flockmap::codec::Cycle;
+use flockmap::codec::Batch;
 use flockmap::grid::{
     BLOCK_VOXELS, Changes, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox, bit_of, voxel_bit,
 };
@@ -19,7 +19,7 @@ use flockmap::codec::bytes::put_varint;
 /// What the region is.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Region {
-    /// The box of the cycle's changes: a box round the robot, and none larger than it has to be.
+    /// The box of the batch's changes: a box round the robot, and none larger than it has to be.
     Box,
     /// The box of the changes in each block of 8³ voxels: as little as any region could be.
     Blocks,
@@ -27,12 +27,12 @@ pub(crate) enum Region {
 
 pub(crate) struct ColagSender {
     region: Region,
-    told: StateMap,
+    published: StateMap,
 }
 
 impl ColagSender {
     pub(crate) fn new(region: Region) -> Self {
-        Self { region, told: StateMap::default() }
+        Self { region, published: StateMap::default() }
     }
 }
 
@@ -42,8 +42,8 @@ const METHOD: &str = "colag";
 const REGION_VOXELS_MAX: u64 = 1 << 26;
 
 impl Sender for ColagSender {
-    fn cycle(&mut self, _now: Stamp, _cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()> {
-        self.told.apply(changes)?;
+    fn batch(&mut self, _now: Stamp, _batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()> {
+        self.published.apply(changes)?;
         let boxes: Vec<VoxelBox> = match self.region {
             Region::Box => changes.bounding_box().into_iter().collect(),
             Region::Blocks => {
@@ -76,7 +76,7 @@ impl ColagSender {
     fn list(&self, region: &VoxelBox, first: u32, occupied: &mut Vec<u32>, unknown: &mut Vec<u32>) {
         let (min, [_, ny, nz]) = (region.min(), region.size());
         for index in region.blocks() {
-            let block = self.told.block(index);
+            let block = self.published.block(index);
             let corner = index.corner();
             for bit in 0..BLOCK_VOXELS {
                 let list = match block.get(bit) {

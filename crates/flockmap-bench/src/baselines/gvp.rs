@@ -2,13 +2,13 @@
 //!
 //! A sub-block goes out when more than 97.5 % of it is known for the first time, or when 2 s have passed since it was last sent (or
 //! first touched) and at least 15 % of its voxels are new or changed. What never comes to either stays unsent. Its place
-//! here is a block of 8³ voxels, told at the end of a cycle like everything else.
+//! here is a block of 8³ voxels, told at the end of a batch like everything else.
 //!
 //! A message is a row of sub-blocks: block index (3 × i16), state (1 occupied, 2 free, 3 mixed), a zero; mixed: 128 bytes, 2
 //! bits a voxel (0 unknown, 1 occupied, 2 free), x fastest.
 
 use anyhow::{Result, ensure};
-use flockmap::codec::Cycle;
+use flockmap::codec::Batch;
 use flockmap::grid::{BLOCK_VOXELS, BlockIndex, Changes, Plane, Stamp, State, StateBlock};
 use rustc_hash::FxHashMap;
 
@@ -23,12 +23,12 @@ const WAIT_MICROS: i64 = 2_000_000;
 pub(crate) struct GvpSender {
     /// As packed by the mapper.
     now: StateMap,
-    blocks: FxHashMap<BlockIndex, Sent>,
+    blocks: FxHashMap<BlockIndex, SentBytes>,
     /// Blocks with something unsent, and the same as a list without order.
     waiting: Vec<BlockIndex>,
 }
 
-struct Sent {
+struct SentBytes {
     /// What was sent last.
     states: StateBlock,
     /// When that was, or when the block was first touched.
@@ -39,10 +39,10 @@ struct Sent {
 const METHOD: &str = "gvp";
 
 impl Sender for GvpSender {
-    fn cycle(&mut self, now: Stamp, _cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()> {
+    fn batch(&mut self, now: Stamp, _batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()> {
         self.now.apply(changes)?;
         for (index, _) in changes.blocks() {
-            let untouched = Sent { states: StateBlock::default(), since: now, is_waiting: false };
+            let untouched = SentBytes { states: StateBlock::default(), since: now, is_waiting: false };
             let sent = self.blocks.entry(*index).or_insert(untouched);
             if !sent.is_waiting {
                 sent.is_waiting = true;
@@ -59,7 +59,7 @@ impl Sender for GvpSender {
                 return true;
             }
             far |= !write(*index, &block, &mut message);
-            *sent = Sent { states: block, since: now, is_waiting: false };
+            *sent = SentBytes { states: block, since: now, is_waiting: false };
             false
         });
         ensure!(!far, "{METHOD} cannot send this: block indices have 16 bits");
@@ -70,7 +70,7 @@ impl Sender for GvpSender {
     }
 }
 
-fn is_due(block: &StateBlock, sent: &Sent, now: Stamp) -> bool {
+fn is_due(block: &StateBlock, sent: &SentBytes, now: Stamp) -> bool {
     let new = block.minus(&sent.states).known_count();
     let waited = now.micros_since(sent.since) >= WAIT_MICROS && new * 100 >= 15 * BLOCK_VOXELS as u32;
     is_nearly_known(block) && !is_nearly_known(&sent.states) || waited

@@ -19,13 +19,13 @@ use crate::baselines::scan_relay::{RelayReceiver, RelaySender};
 use crate::baselines::traits::{Receiver, Sender};
 use crate::baselines::{address_delta, colag, gvp, octomap_diff};
 
-/// A way of telling others what a robot maps. Every one is given the same cycles of the same map.
+/// A way of telling others what a robot maps. Every one is given the same batches of the same map.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 #[non_exhaustive]
 pub enum Method {
-    /// A codec of map packages, each cycle as one package whatever its size.
+    /// A codec of map packages, each batch as one package whatever its size.
     Whole(Codec),
-    /// A codec of map packages, each cycle cut into packages of at most 1,150 bytes, each useful on its own.
+    /// A codec of map packages, each batch cut into packages of at most 1,150 bytes, each useful on its own.
     Datagrams(Codec),
     /// ColAG: addresses of occupied and unknown voxels in the box of the changes, all else free.
     Colag,
@@ -33,7 +33,7 @@ pub enum Method {
     ColagBlocks,
     /// GVP-MREP's block bitmap with its rule of when a block goes out.
     Gvp,
-    /// MARBLE's pruned binary OctoMap of the changed voxels, at the end of each cycle.
+    /// MARBLE's pruned binary OctoMap of the changed voxels, at the end of each batch.
     OctomapDiff,
     /// The same as MARBLE sends it: every 10 s, if it has more than 1,000 nodes.
     OctomapDiff10s,
@@ -70,7 +70,7 @@ impl Method {
         Self::ScanRelay1cm,
     ];
 
-    /// The half that tells, with nothing told yet. `config` is that of the mapper whose cycles it will be given.
+    /// The half that tells, with nothing told yet. `config` is that of the mapper whose batches it will be given.
     pub fn sender(self, config: &MapperConfig) -> Box<dyn Sender> {
         match self {
             Self::Whole(codec) => Box::new(PackageSender::new(codec, false)),
@@ -78,7 +78,7 @@ impl Method {
             Self::Colag => Box::new(ColagSender::new(Region::Box)),
             Self::ColagBlocks => Box::new(ColagSender::new(Region::Blocks)),
             Self::Gvp => Box::new(GvpSender::default()),
-            Self::OctomapDiff => Box::new(OctomapDiffSender::every_cycle()),
+            Self::OctomapDiff => Box::new(OctomapDiffSender::every_batch()),
             Self::OctomapDiff10s => Box::new(OctomapDiffSender::as_marble()),
             Self::AddressDeltaZstd => Box::new(AddressDeltaSender::new()),
             Self::ScanRelay => Box::new(RelaySender::new(Points::Exact, config)),
@@ -124,12 +124,12 @@ impl Method {
                 "The paper's method (Sec. III): 2 bits for each voxel of the box along a Hilbert walk, zlib level 6."
             }
             Self::Whole(Codec::Racer) => {
-                "RACER as the paper describes it: a 4-byte address and a byte of state for every change of state, in one package a cycle."
+                "RACER as the paper describes it: a 4-byte address and a byte of state for every change of state, in one package a batch."
             }
             Self::Whole(Codec::Flock) => {
-                "Flockmap's own codec in one package a cycle, which stands for itself: told against nothing."
+                "Flockmap's own codec in one package a batch, which stands for itself: told against nothing."
             }
-            Self::Whole(_) => "A codec of map packages, one package a cycle.",
+            Self::Whole(_) => "A codec of map packages, one package a batch.",
             Self::Datagrams(Codec::Flock) => {
                 "Flockmap's own codec: decisions of an arithmetic coder with trained contexts, told against what the receiver holds, in packages of at most 1,150 bytes."
             }
@@ -137,28 +137,28 @@ impl Method {
                 "The same codec, cut into packages of at most 1,150 bytes, each useful on its own."
             }
             Self::Colag => {
-                "ColAG (the paper's [6]): 4-byte addresses of the occupied and the unknown voxels in a region round the robot, all else free. The region is no larger than the box of the cycle's changes, told once a cycle; what is said to be unknown erases nothing, so every change arrives."
+                "ColAG (the paper's [6]): 4-byte addresses of the occupied and the unknown voxels in a region round the robot, all else free. The region is no larger than the box of the batch's changes, told once a batch; what is said to be unknown erases nothing, so every change arrives."
             }
             Self::ColagBlocks => {
-                "ColAG with the least region it could have, which it has not: the boxes of the changes in each block of 8³ voxels, once a cycle."
+                "ColAG with the least region it could have, which it has not: the boxes of the changes in each block of 8³ voxels, once a batch."
             }
             Self::Gvp => {
                 "GVP-MREP's MapC: blocks of 8³ voxels, 8 bytes if all one state, else 8 + 128 with 2 bits a voxel. A block goes out when first more than 97.5 % known, or 2 s after the last time with at least 15 % of it new; what never comes to that stays unsent."
             }
             Self::OctomapDiff => {
-                "MARBLE's difference: the changed voxels as a pruned binary OctoMap, 2 bits for each child of an inner node, once a cycle in place of every 10 s."
+                "MARBLE's difference: the changed voxels as a pruned binary OctoMap, 2 bits for each child of an inner node, once a batch in place of every 10 s."
             }
             Self::OctomapDiff10s => {
                 "MARBLE's difference as MARBLE sends it: every 10 s, if it has more than 1,000 nodes; what is left at the end stays unsent. Its republishing of old differences is left out."
             }
             Self::AddressDeltaZstd => {
-                "Sorted addresses, differences or runs as varints, states as bits or runs, zstd 19; the smallest of three layouts, once a cycle. What one would try first; from nobody in particular."
+                "Sorted addresses, differences or runs as varints, states as bits or runs, zstd 19; the smallest of three layouts, once a batch. What one would try first; from nobody in particular."
             }
             Self::ScanRelay => {
-                "The scans of a cycle, every bit of their points (differences as byte planes, zstd 19), cast again at the receiver with an equal mapper."
+                "The scans of a batch, every bit of their points (differences as byte planes, zstd 19), cast again at the receiver with an equal mapper."
             }
             Self::ScanRelay1cm => {
-                "The scans of a cycle with points cut at the range and rounded to a centimetre (Morton order or octree, zstd 19), cast again at the receiver with an equal mapper: rounding moves rays into other voxels, so some differ."
+                "The scans of a batch with points cut at the range and rounded to a centimetre (Morton order or octree, zstd 19), cast again at the receiver with an equal mapper: rounding moves rays into other voxels, so some differ."
             }
         }
     }

@@ -5,7 +5,7 @@
 //! in metres (f64), the tree.
 
 use anyhow::{Context, Result, ensure};
-use flockmap::codec::Cycle;
+use flockmap::codec::Batch;
 use flockmap::grid::{BLOCK_VOXELS, BlockIndex, Changes, Stamp, State, StateBlock, Voxel, bit_of, voxel_bit};
 use rustc_hash::FxHashMap;
 
@@ -19,7 +19,7 @@ const METHOD: &str = "octomap-diff";
 const PERIOD_MICROS: i64 = 10_000_000;
 const NODES_MIN: usize = 1_000;
 
-/// Sends a difference at the end of each cycle, or by MARBLE's rule.
+/// Sends a difference at the end of each batch, or by MARBLE's rule.
 pub(crate) struct OctomapDiffSender {
     marble: Option<Marble>,
     number: u32,
@@ -33,7 +33,7 @@ struct Marble {
 }
 
 impl OctomapDiffSender {
-    pub(crate) const fn every_cycle() -> Self {
+    pub(crate) const fn every_batch() -> Self {
         Self { marble: None, number: 0 }
     }
 
@@ -41,27 +41,27 @@ impl OctomapDiffSender {
         Self { marble: Some(Marble::default()), number: 0 }
     }
 
-    fn message(&mut self, cycle: &Cycle, tree: &[u8], out: &mut Messages) {
+    fn message(&mut self, batch: &Batch, tree: &[u8], out: &mut Messages) {
         self.number = self.number.wrapping_add(1);
         let mut message = Vec::with_capacity(tree.len() + 12);
         message.extend_from_slice(&self.number.to_le_bytes());
-        message.extend_from_slice(&cycle.resolution.metres().to_le_bytes());
+        message.extend_from_slice(&batch.resolution.metres().to_le_bytes());
         message.extend_from_slice(tree);
         out.push(message);
     }
 }
 
 impl Sender for OctomapDiffSender {
-    fn cycle(&mut self, now: Stamp, cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()> {
+    fn batch(&mut self, now: Stamp, batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()> {
         let Some(marble) = &mut self.marble else {
             let (tree, _) = encode(changes)?;
-            self.message(cycle, &tree, out);
+            self.message(batch, &tree, out);
             return Ok(());
         };
         for (index, block) in changes.blocks() {
             marble.changed.entry(*index).or_default().overlay(block);
         }
-        let next = *marble.next.get_or_insert_with(|| cycle.start.plus_micros(PERIOD_MICROS));
+        let next = *marble.next.get_or_insert_with(|| batch.start.plus_micros(PERIOD_MICROS));
         if now < next {
             return Ok(());
         }
@@ -74,7 +74,7 @@ impl Sender for OctomapDiffSender {
         if nodes > NODES_MIN {
             marble.changed.clear();
             marble.sent.apply(&net)?;
-            self.message(cycle, &tree, out);
+            self.message(batch, &tree, out);
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! The map packages of Flockmap as a method: the codecs of the paper and its comparisons.
 
 use anyhow::{Result, ensure};
-use flockmap::codec::{Codec, Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, Package, Reference};
+use flockmap::codec::{Base, Batch, Codec, Content, Decoder, Encoder, PACKAGE_BYTES_MAX, Package};
 use flockmap::grid::{BlockIndex, Changes, Layer, Stamp, StateBlock};
 
 use crate::baselines::state_map::BLOCKS_MAX;
@@ -12,9 +12,9 @@ pub(crate) struct PackageSender {
     datagrams: bool,
     encoder: Encoder,
     next_index: u32,
-    /// What was told so far, and the last package of each cycle: what the next cycle is told against.
+    /// What was told so far, and the last package of each batch: what the next batch is told against.
     layer: Layer,
-    cycles: Vec<(Stamp, u32)>,
+    batches: Vec<(Stamp, u32)>,
 }
 
 impl PackageSender {
@@ -25,37 +25,37 @@ impl PackageSender {
             encoder: Encoder::new(),
             next_index: 1,
             layer: Layer::default(),
-            cycles: Vec::new(),
+            batches: Vec::new(),
         }
     }
 }
 
 impl Sender for PackageSender {
-    fn cycle(&mut self, _now: Stamp, cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()> {
-        let Self { codec, encoder, next_index, layer, cycles, .. } = self;
+    fn batch(&mut self, _now: Stamp, batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()> {
+        let Self { codec, encoder, next_index, layer, batches, .. } = self;
         let packages = if self.datagrams {
             // Nothing is lost here, so nobody has to be waited for.
-            let reference = Reference { layer: Some(layer), cycles, readers: &[] };
-            encoder.encode_cycle_against(
+            let base = Base { layer: Some(layer), batches, readers: &[] };
+            encoder.encode_batch_against(
                 *codec,
-                cycle,
+                batch,
                 *next_index,
                 changes,
-                Some(&reference),
+                Some(&base),
                 PACKAGE_BYTES_MAX,
             )?
         } else {
-            vec![encoder.encode_whole(*codec, cycle, *next_index, changes)?]
+            vec![encoder.encode_whole(*codec, batch, *next_index, changes)?]
         };
         *next_index += packages.len() as u32;
         out.extend(packages.iter().map(|package| package.bytes().to_vec()));
         Ok(())
     }
 
-    fn told(&mut self, cycle: &Cycle, changes: &Changes) {
+    fn published(&mut self, batch: &Batch, changes: &Changes) {
         if self.codec == Codec::Flock {
-            self.layer.apply(changes, cycle.end);
-            self.cycles.push((cycle.end, self.next_index - 1));
+            self.layer.apply(changes, batch.end);
+            self.batches.push((batch.end, self.next_index - 1));
         }
     }
 }
@@ -75,11 +75,11 @@ impl Receiver for PackageReceiver {
         );
         match self.decoder.decode_against(&package, Some(&self.layer))? {
             Content::Changes(changes) => {
-                self.layer.apply(&changes, package.header().cycle_end);
+                self.layer.apply(&changes, package.header().batch_end);
             }
             // No sender here makes one; it says the same in another way.
-            Content::Present(state) => {
-                self.layer.apply_present(&state);
+            Content::Snapshot(state) => {
+                self.layer.apply_snapshot(&state);
             }
         }
         Ok(())

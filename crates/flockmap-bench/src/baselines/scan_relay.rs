@@ -1,14 +1,14 @@
 //! The scans themselves, cast again at the receiver with an equal mapper.
 //!
-//! At the end of each cycle all its scans go out in one message, since a mapper gives an equal map only if it takes the same
+//! At the end of each batch all its scans go out in one message, since a mapper gives an equal map only if it takes the same
 //! changes at the same times. The order of the points of a scan makes no difference to a mapper, so a relay may choose it.
 //!
-//! A message: what the cycle took, 0 all changes, 1 occupied voxels alone, 2 nothing since it goes on; layout (u8); then length and zstd frame of the scans. For each scan: a 1;
+//! A message: what the batch took, 0 all changes, 1 occupied voxels alone, 2 nothing since it goes on; layout (u8); then length and zstd frame of the scans. For each scan: a 1;
 //! stamp (i64); pose (translation and quaternion, 7 × f64); number of masks; their centres and radii (4 × f64); number of
 //! points; number of rays without a return. A 0 ends the scans; then come the points of all scans, as the module `relay_points` says.
 
 use anyhow::{Result, ensure};
-use flockmap::codec::Cycle;
+use flockmap::codec::Batch;
 use flockmap::grid::{
     BlockIndex, Changes, Mapper, MapperConfig, Pose, Scan, Sphere, Stamp, StateBlock, Which,
 };
@@ -22,21 +22,21 @@ use flockmap::codec::bytes::put_varint;
 /// Most masks of a scan.
 const MASKS_MAX: u64 = 4_096;
 
-/// Most bytes of stamps, poses and masks that wait for the end of a cycle.
+/// Most bytes of stamps, poses and masks that wait for the end of a batch.
 const HEADS_BYTES_MAX: usize = 1 << 20;
 
 const TOOK_ALL: u8 = 0;
 const TOOK_OCCUPIED: u8 = 1;
 const GOES_ON: u8 = 2;
 
-/// Keeps the scans of a cycle and sends them at its end.
+/// Keeps the scans of a batch and sends them at its end.
 pub(crate) struct RelaySender {
     points: Points,
     /// Beyond this, and nearer than this, points mean nothing to the mapper.
     range_m: [f64; 2],
     heads: Vec<u8>,
     scans: Vec<relay_points::ScanPoints>,
-    /// Points in `scans`, and most that may wait for the end of a cycle: of a still scene there is no end.
+    /// Points in `scans`, and most that may wait for the end of a batch: of a still scene there is no end.
     waiting: usize,
     waiting_max: usize,
     /// Quick, to choose the layout by.
@@ -87,7 +87,7 @@ impl Sender for RelaySender {
         Ok(())
     }
 
-    fn cycle(&mut self, _now: Stamp, _cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()> {
+    fn batch(&mut self, _now: Stamp, _batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()> {
         // With no free voxel among the changes, taking all or just the occupied ones is the same.
         let any_free = changes.blocks().iter().any(|(_, block)| *block.free() != [0; 8]);
         self.flush(if any_free { TOOK_ALL } else { TOOK_OCCUPIED }, out)
@@ -142,11 +142,11 @@ struct Head {
 impl Receiver for RelayReceiver {
     fn receive(&mut self, message: &[u8]) -> Result<()> {
         let mut reader = Reader::new(self.method, message);
-        let which = match reader.u8("what the cycle took")? {
+        let which = match reader.u8("what the batch took")? {
             TOOK_ALL => Some(Which::All),
             TOOK_OCCUPIED => Some(Which::Occupied),
             GOES_ON => None,
-            _ => return Err(reader.wrong("0, 1 or 2 for what the cycle took")),
+            _ => return Err(reader.wrong("0, 1 or 2 for what the batch took")),
         };
         let layout = reader.u8("a layout")?;
         let plain = unpack(&mut reader)?;
@@ -209,7 +209,7 @@ mod tests {
     use flockmap::grid::{Preset, Resolution, RobotId, Stream};
 
     #[test]
-    fn a_cycle_without_an_end_goes_out_in_parts() {
+    fn a_batch_without_an_end_goes_out_in_parts() {
         let resolution = Resolution::from_metres(0.1).unwrap();
         let config = MapperConfig::preset(Preset::RogMap, resolution, 5.0);
         let mut mapper = Mapper::new(config.clone()).unwrap();
@@ -225,9 +225,9 @@ mod tests {
         }
         assert_eq!(out.len(), 3, "three scans fit into 100 points");
         let stream = Stream { origin: RobotId(1), epoch: 1 };
-        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(0), resolution, sensor: [0; 3] };
+        let batch = Batch { stream, start: Stamp(0), end: Stamp(0), resolution, sensor: [0; 3] };
         let changes = mapper.take_changes(Which::All);
-        sender.cycle(Stamp(0), &cycle, &changes, &mut out).unwrap();
+        sender.batch(Stamp(0), &batch, &changes, &mut out).unwrap();
         out.iter().for_each(|message| receiver.receive(message).unwrap());
         assert_eq!(Changes::from_blocks(receiver.states().collect()), changes);
     }

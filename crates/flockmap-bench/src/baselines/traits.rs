@@ -1,7 +1,7 @@
 //! The two halves of a method.
 
 use anyhow::Result;
-use flockmap::codec::Cycle;
+use flockmap::codec::Batch;
 use flockmap::grid::{BlockIndex, Changes, Layer, Pose, Scan, Sphere, Stamp, StateBlock};
 
 /// A scan that has been mapped.
@@ -18,10 +18,10 @@ pub struct Observation<'a> {
 /// Messages, in the order in which they go out.
 pub type Messages = Vec<Vec<u8>>;
 
-/// The half that tells. Every method is given the same scans and the same cycles, in this order: for each scan [`Self::scan`], then
-/// [`Self::cycle`] for each cycle that it closes. What its rules keep back at the end of the record stays unsent.
+/// The half that tells. Every method is given the same scans and the same batches, in this order: for each scan [`Self::scan`], then
+/// [`Self::batch`] for each batch that it closes. What its rules keep back at the end of the record stays unsent.
 pub trait Sender: Send {
-    /// A scan has been mapped. Appends messages to `out`; most methods wait for the cycle.
+    /// A scan has been mapped. Appends messages to `out`; most methods wait for the batch.
     ///
     /// # Errors
     /// If the scan cannot be put into a message of this method.
@@ -29,15 +29,15 @@ pub trait Sender: Send {
         Ok(())
     }
 
-    /// A cycle of mapping is closed with these net changes, of which there is at least one. Appends messages to `out`.
+    /// A batch of mapping is closed with these net changes, of which there is at least one. Appends messages to `out`.
     ///
     /// # Errors
     /// If the changes cannot be put into messages of this method.
-    fn cycle(&mut self, now: Stamp, cycle: &Cycle, changes: &Changes, out: &mut Messages) -> Result<()>;
+    fn batch(&mut self, now: Stamp, batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()>;
 
-    /// The messages of a cycle are out. Here a sender does what a robot does anyhow to know its own map, and what is not
-    /// counted as time for the cycle.
-    fn told(&mut self, _cycle: &Cycle, _changes: &Changes) {}
+    /// The messages of a batch are out. Here a sender does what a robot does anyhow to know its own map, and what is not
+    /// counted as time for the batch.
+    fn published(&mut self, _batch: &Batch, _changes: &Changes) {}
 }
 
 /// The half that listens. It is given the messages of one sender in order, none lost, and makes a map of nothing but their bytes.

@@ -8,7 +8,7 @@ use flockmap_cli::sources::{self, Sources};
 use flockmap_cli::table::thousands;
 
 use super::args::PaperArgs;
-use super::figures::T_L_S;
+use super::figures::PUBLISH_PERIOD_S;
 use super::methods::{self, MethodRows};
 use super::settings::mapper;
 use super::team::{self, Team};
@@ -60,7 +60,7 @@ pub fn section(args: &PaperArgs, measured: Option<&Measured>) -> Section {
     match measured {
         Some(Measured { title, methods }) => {
             let note = format!(
-                "{title}: {} m voxels, {} m range, t_l {T_L_S} s; {} voxels changed.",
+                "{title}: {} m voxels, {} m range, publish_period {PUBLISH_PERIOD_S} s; {} voxels changed.",
                 args.beyond_resolution,
                 args.beyond_range,
                 thousands(methods.changed_voxels)

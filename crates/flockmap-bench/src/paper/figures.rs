@@ -98,8 +98,8 @@ impl TableOneRow {
 }
 
 /// Seconds between two packages in simulation (Sec. V-A).
-pub const T_L_S: f64 = 0.5;
-/// Changed voxels that close a cycle (Sec. V-A).
+pub const PUBLISH_PERIOD_S: f64 = 0.5;
+/// Changed voxels that close a batch (Sec. V-A).
 pub const CHANGES_MAX: usize = 50_000;
 
 /// Sensing range of Table II, forest at 0.1 m.
@@ -110,7 +110,7 @@ pub const TABLE_TWO: [(&str, f64, f64); 2] = [("paper", 17.60, 43.97), ("nested-
 /// Table III, one robot's average and largest KB/s: sent, received.
 pub const TABLE_THREE: [(&str, f64, f64); 2] = [("sent", 25.4, 39.9), ("received", 25.3, 39.9)];
 /// Seconds between two packages in the real flight (Sec. V-B).
-pub const FLIGHT_T_L_S: f64 = 0.2;
+pub const FLIGHT_PUBLISH_PERIOD_S: f64 = 0.2;
 /// Half extents of the update scope of the real flight.
 pub const FLIGHT_UPDATE_BOX_M: [f64; 3] = [7.5, 7.5, 1.5];
 

@@ -13,8 +13,8 @@ use flockmap_cli::{explore, stop};
 use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_worlds::{Lidar, Rendering, ScanOptions, World};
 
-use super::figures::{CHANGES_MAX, Scene, T_L_S};
-use super::settings::cycle;
+use super::figures::{CHANGES_MAX, PUBLISH_PERIOD_S, Scene};
+use super::settings::batch;
 
 /// The LiDAR sees as far as the longest range of the paper's rows needs.
 pub const LIDAR_RANGE_M: f64 = 20.0;
@@ -84,7 +84,7 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Option<Flown>> {
             ..ScanOptions::default()
         },
         seconds_max: plan.seconds_max,
-        cycle: cycle(T_L_S, CHANGES_MAX),
+        batch: batch(PUBLISH_PERIOD_S, CHANGES_MAX),
         threads: plan.threads.min(scene.robots()),
         // As the paper's robots, so that the flights are those of all earlier reports.
         codec: Codec::Paper,

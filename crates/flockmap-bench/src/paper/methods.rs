@@ -34,7 +34,7 @@ pub struct MethodRow {
     pub is_lossless: bool,
     /// Whether it keeps that word.
     pub is_as_promised: bool,
-    /// Mean time for a cycle at the sender and at a receiver, where it was measured.
+    /// Mean time for a batch at the sender and at a receiver, where it was measured.
     pub encode_ms: Option<f64>,
     pub decode_ms: Option<f64>,
 }
@@ -43,7 +43,7 @@ pub struct MethodRow {
 #[derive(Clone, Debug)]
 pub struct MethodRows {
     pub rows: Vec<MethodRow>,
-    /// Voxels in all cycles of all robots.
+    /// Voxels in all batches of all robots.
     pub changed_voxels: u64,
     /// Robots that listen to each.
     pub receivers: u64,
@@ -207,7 +207,7 @@ impl MethodRows {
     }
 }
 
-/// All methods that code cycles. Of the codecs cut to datagrams only those that Flockmap would send.
+/// All methods that code batches. Of the codecs cut to datagrams only those that Flockmap would send.
 pub fn all() -> Vec<Method> {
     let beside = [Codec::Raw, Codec::NestedZlib, Codec::Racer].map(Method::Datagrams);
     Method::ALL.into_iter().filter(|method| !beside.contains(method) && !is_relay(*method)).collect()

@@ -286,7 +286,7 @@ impl Bench<'_> {
         }
         if let Some(measured) =
             self.stage(Some(Stage::Table4), "Table IV, times, one core", |_| table4::measure(forest))?
-            && measured.cycles > 0
+            && measured.batches > 0
         {
             self.sections.push(table4::section(&measured));
         }
@@ -394,7 +394,7 @@ fn deviations(args: &PaperArgs) -> Section {
             args.rendering
         ),
         "Exploration: a small relative of RACER's planner (frontiers, viewpoints, regions divided pairwise), in which each robot plans on its own fused map, over \
-         a perfect radio, and is told of rays that hit nothing, so that it need not go on looking at the open sky; the tables leave these rays out. One flight for each scene serves both of its rows and Table II, as the paper's one record does; it is flown with the maps of the first of them."
+         a perfect radio, and is published of rays that hit nothing, so that it need not go on looking at the open sky; the tables leave these rays out. One flight for each scene serves both of its rows and Table II, as the paper's one record does; it is flown with the maps of the first of them."
             .to_owned(),
         "Team-mates are seen in the scans and left out of the maps. The paper does not say what it does with them.".to_owned(),
         "Mapper: ROG-Map's rules and published values. The paper uses it on its robots and does not say what its simulation used.".to_owned(),

@@ -2,7 +2,7 @@
 
 use anyhow::Context;
 use flockmap::grid::{MapperConfig, Preset};
-use flockmap::{Codec, CycleConfig, Resolution, RobotConfig, RobotId};
+use flockmap::{BatchConfig, Codec, Resolution, RobotConfig, RobotId};
 
 /// The mapper of all rows: ROG-Map's rules, as on the paper's robots.
 pub fn mapper(resolution_m: f64, range_m: f64) -> anyhow::Result<MapperConfig> {
@@ -11,13 +11,17 @@ pub fn mapper(resolution_m: f64, range_m: f64) -> anyhow::Result<MapperConfig> {
     Ok(MapperConfig::preset(Preset::RogMap, resolution, range_m))
 }
 
-/// Cycles that close after so many seconds, or so many changed voxels.
-pub fn cycle(t_l_s: f64, changes_max: usize) -> CycleConfig {
-    CycleConfig { t_l_ms: (t_l_s * 1e3).round() as u32, changes_max, ..CycleConfig::default() }
+/// Batches that close after so many seconds, or so many changed voxels.
+pub fn batch(publish_period_s: f64, voxels_max: usize) -> BatchConfig {
+    BatchConfig {
+        publish_period_ms: (publish_period_s * 1e3).round() as u32,
+        voxels_max,
+        ..BatchConfig::default()
+    }
 }
 
 /// A robot of the whole stack. Its id is still to be given.
-pub fn robot(mapper: MapperConfig, cycle: CycleConfig, seed: u64) -> RobotConfig {
+pub fn robot(mapper: MapperConfig, batch: BatchConfig, seed: u64) -> RobotConfig {
     let config = RobotConfig::new(RobotId(1), mapper.resolution, mapper.range_m);
-    RobotConfig { mapper, cycle, codec: Codec::Flock, seed, ..config }
+    RobotConfig { mapper, batch, codec: Codec::Flock, seed, ..config }
 }

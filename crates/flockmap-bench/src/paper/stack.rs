@@ -1,7 +1,7 @@
 //! The whole stack in virtual time: robots, sessions, datagrams, everything on the wire counted.
 
 use flockmap::{Preset, RobotConfig};
-use flockmap_cli::measure::Sent;
+use flockmap_cli::measure::SentBytes;
 use flockmap_cli::report::{Report, Settings};
 use flockmap_cli::sources::Source;
 use flockmap_cli::swarm;
@@ -25,8 +25,8 @@ pub struct Stack {
 
 /// What one robot sent and received.
 pub struct Traffic {
-    pub sent: Sent,
-    pub received: Sent,
+    pub sent: SentBytes,
+    pub received: SentBytes,
 }
 
 /// Runs robots with unicast through their records.

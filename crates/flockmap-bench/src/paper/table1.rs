@@ -103,18 +103,18 @@ fn why(measured: &[Measured]) -> Vec<String> {
         let wanted = row.paper.volume_ratio();
         let bits = row.methods.get("paper").map_or(f64::NAN, |r| row.methods.bits(r));
         let first_touch = row.methods.ratio(RACER_CODE, "racer");
-        let cycles = first_touch.map_or(String::new(), |share| {
+        let batches = first_touch.map_or(String::new(), |share| {
             format!(" RACER as its code does it sends {share:.2} times the bytes of `racer`: fewer voxels (first touch only), but headers, announcements and resends.")
         });
         points.push(format!(
             "Row {}: {ratio:.1} here, {wanted:.1} in the paper; `paper` spends {bits:.1} bits a change here and would have to spend {:.1} to come to the paper's \
-             ratio.{cycles}",
+             ratio.{batches}",
             row.paper.number,
             RACER_BITS / wanted
         ));
     }
     points.push(
-        "Where our saving is larger than the paper's (rows 2 to 4) its scans must have been sparser or its changes fewer a cycle than ours: the same 0.5 s of a \
+        "Where our saving is larger than the paper's (rows 2 to 4) its scans must have been sparser or its changes fewer a batch than ours: the same 0.5 s of a \
          flight that has little new to see cost a package of the same box for few voxels. The paper names neither LiDAR nor world, so that we cannot say which. \
          It also describes RACER in two ways, as sending newly observed voxels and as sending all changes of state; `racer` here is the latter, `racer-code` the former."
             .to_owned(),

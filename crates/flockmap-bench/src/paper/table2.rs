@@ -50,7 +50,7 @@ pub fn section(rows: &MethodRows) -> Section {
     );
     let parts = vec![
         Part::Words(format!(
-            "The {}, 0.1 m voxels, {TABLE_TWO_RANGE_M} m range, the same cycles packed in both orders, then zlib level 6.",
+            "The {}, 0.1 m voxels, {TABLE_TWO_RANGE_M} m range, the same batches packed in both orders, then zlib level 6.",
             Scene::Forest.name()
         )),
         Part::Table(table.with_note(note)),

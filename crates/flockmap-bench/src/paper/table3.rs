@@ -3,15 +3,15 @@
 use flockmap::{Codec, RobotConfig, SessionConfig};
 use flockmap_cli::chart::{self, Axis, Line, Scale};
 use flockmap_cli::document::{Cell, DataTable, Part, Section};
-use flockmap_cli::measure::{KB, Sent};
+use flockmap_cli::measure::{KB, SentBytes};
 use flockmap_cli::report::Report;
 use flockmap_netsim::Link;
 use maud::{Markup, html};
 
-use super::figures::{CHANGES_MAX, FLIGHT_T_L_S, FLIGHT_UPDATE_BOX_M, TABLE_THREE};
+use super::figures::{CHANGES_MAX, FLIGHT_PUBLISH_PERIOD_S, FLIGHT_UPDATE_BOX_M, TABLE_THREE};
 use super::flown::{Flown, LIDAR_RANGE_M};
 use super::jobs::{self, Job};
-use super::settings::{cycle, mapper, robot};
+use super::settings::{batch, mapper, robot};
 use super::stack::{self, Stack, StackPlan, Traffic};
 
 /// The emulated Wi-Fi: every tenth datagram is lost.
@@ -27,7 +27,7 @@ pub struct Measured {
 pub fn plan(codec: Codec, session: SessionConfig, seed: u64) -> anyhow::Result<StackPlan> {
     let mut mapper = mapper(0.1, LIDAR_RANGE_M)?;
     mapper.update_box_m = Some(FLIGHT_UPDATE_BOX_M);
-    let robot = robot(mapper, cycle(FLIGHT_T_L_S, CHANGES_MAX), seed);
+    let robot = robot(mapper, batch(FLIGHT_PUBLISH_PERIOD_S, CHANGES_MAX), seed);
     let title = "two nodes over an emulated Wi-Fi".to_owned();
     Ok(StackPlan { title, robot: RobotConfig { codec, session, ..robot }, link: WIFI })
 }
@@ -60,8 +60,8 @@ pub fn section(measured: &Measured) -> Section {
     for (session, stack) in [("Flockmap", &measured.ours), ("as in the paper", &measured.paper)] {
         let seconds = stack.report.record_s.max(1e-3);
         for (number, Traffic { sent, received }) in stack.traffic.iter().enumerate() {
-            let avg = |of: &Sent| of.total() as f64 / KB / seconds;
-            let max = |of: &Sent| of.largest_second() as f64 / KB;
+            let avg = |of: &SentBytes| of.total() as f64 / KB / seconds;
+            let max = |of: &SentBytes| of.largest_second() as f64 / KB;
             let kb_s = [avg(sent), avg(received), max(sent), max(received)];
             lines.push(Line { session, robot: number + 1, kb_s, report: Some(&stack.report) });
         }
@@ -91,7 +91,7 @@ pub fn section(measured: &Measured) -> Section {
     let parts = vec![
         Part::Words(format!(
             "The two robots of the forest over an emulated Wi-Fi: {:.0} % of all datagrams lost, {:.0} ms delay and up to {:.0} ms jitter. \
-             0.1 m voxels, an update box of ±{} × ±{} × ±{} m, t_l {FLIGHT_T_L_S} s, as in the paper's real flight.",
+             0.1 m voxels, an update box of ±{} × ±{} × ±{} m, publish_period {FLIGHT_PUBLISH_PERIOD_S} s, as in the paper's real flight.",
             WIFI.loss * 100.0,
             WIFI.delay_micros as f64 / 1e3,
             WIFI.jitter_micros as f64 / 1e3,
@@ -111,7 +111,7 @@ fn fig9(measured: &Measured) -> Markup {
         let Traffic { sent, received } = stack.traffic.first()?;
         // The last second is a part of one.
         let whole = (stack.report.record_s.floor() as usize).max(2);
-        let series = |sent: &Sent| -> Vec<f64> {
+        let series = |sent: &SentBytes| -> Vec<f64> {
             let mut values: Vec<f64> = sent.per_second().into_iter().map(|bytes| bytes as f64 / KB).collect();
             values.resize(whole, 0.0);
             values

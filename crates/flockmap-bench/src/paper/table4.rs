@@ -1,9 +1,9 @@
-//! Table IV: the time to pack a cycle, and from receiving it to the fused map. Runs alone on one core.
+//! Table IV: the time to pack a batch, and from receiving it to the fused map. Runs alone on one core.
 
 use std::time::{Duration, Instant};
 
 use flockmap::codec::{Codec, Content, Decoder, Encoder, PACKAGE_BYTES_MAX, Package};
-use flockmap::{Changes, Cycle, Fusion, FusionConfig, Mapper, Packer, RobotId, SessionConfig, Stamp, Stream};
+use flockmap::{Batch, Changes, Fusion, FusionConfig, Mapper, Packer, RobotId, SessionConfig, Stamp, Stream};
 use flockmap_cli::document::{Cell, DataTable, Part, Section};
 use flockmap_cli::measure::Times;
 use flockmap_cli::progress::Progress;
@@ -16,20 +16,20 @@ use super::table3;
 /// More of the flight says nothing new.
 const SECONDS_MAX: f64 = 60.0;
 
-/// The same cycles, packed whole and cut to datagrams.
+/// The same batches, packed whole and cut to datagrams.
 #[derive(Default)]
 pub struct Measured {
     pub whole: Pair,
     pub datagrams: Pair,
     pub changes: u64,
-    pub cycles: u64,
+    pub batches: u64,
     pub packages: u64,
 }
 
 #[derive(Default)]
 pub struct Pair {
     pub t_pack: Times,
-    /// All packages of a cycle.
+    /// All packages of a batch.
     pub t_recv2insert: Times,
 }
 
@@ -52,7 +52,7 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
         let fusion = || Fusion::new(stream(number), resolution, FusionConfig::default());
         nodes.push(Node {
             mapper: Mapper::new(plan.robot.mapper.clone())?,
-            packer: Packer::new(plan.robot.cycle, stream(number), resolution, Stamp(0)),
+            packer: Packer::new(plan.robot.batch, stream(number), resolution, Stamp(0)),
             fusions: [fusion(), fusion()],
         });
     }
@@ -75,15 +75,15 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
             loop {
                 let started = Instant::now();
                 let Node { packer, mapper, .. } = &mut nodes[number];
-                let Some((cycle, changes)) = packer.close_due(now, mapper) else { break };
+                let Some((batch, changes)) = packer.close_due(now, mapper) else { break };
                 let took = started.elapsed();
-                measured.cycles += 1;
+                measured.batches += 1;
                 measured.changes += changes.len() as u64;
                 let other = 1 - number;
                 if other < nodes.len() {
-                    let of = (&cycle, &changes, index);
+                    let of = (&batch, &changes, index);
                     index +=
-                        one_cycle(&mut measured, &mut encoder, &mut decoder, &mut nodes[other], took, of)?;
+                        one_batch(&mut measured, &mut encoder, &mut decoder, &mut nodes[other], took, of)?;
                 }
             }
             progress.step();
@@ -92,22 +92,22 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
     Ok(measured)
 }
 
-/// Packs a cycle both ways and merges it at the receiver. Returns how many packages it came to.
-fn one_cycle(
+/// Packs a batch both ways and merges it at the receiver. Returns how many packages it came to.
+fn one_batch(
     measured: &mut Measured,
     encoder: &mut Encoder,
     decoder: &mut Decoder,
     receiver: &mut Node,
     taken: Duration,
-    (cycle, changes, index): (&Cycle, &Changes, u32),
+    (batch, changes, index): (&Batch, &Changes, u32),
 ) -> anyhow::Result<u32> {
     let mut count = 0;
     for (number, is_whole) in [(0, true), (1, false)] {
         let started = Instant::now();
         let packages = if is_whole {
-            vec![encoder.encode_whole(Codec::Paper, cycle, index, changes)?]
+            vec![encoder.encode_whole(Codec::Paper, batch, index, changes)?]
         } else {
-            encoder.encode_cycle(Codec::Paper, cycle, index, changes, PACKAGE_BYTES_MAX)?
+            encoder.encode_batch(Codec::Paper, batch, index, changes, PACKAGE_BYTES_MAX)?
         };
         let pair = if is_whole { &mut measured.whole } else { &mut measured.datagrams };
         pair.t_pack.add(taken + started.elapsed());
@@ -120,8 +120,8 @@ fn one_cycle(
                     &receiver.mapper,
                     header.stream,
                     &decoded,
-                    header.cycle_end,
-                    header.cycle_end,
+                    header.batch_end,
+                    header.batch_end,
                 )?;
             }
         }
@@ -135,29 +135,29 @@ fn one_cycle(
 pub fn section(measured: &Measured) -> Section {
     let Measured { whole, datagrams, .. } = measured;
     let steps = [
-        ("t_pack, one package a cycle, as the paper", whole.t_pack.summary(), T_PACK_MS),
+        ("t_pack, one package a batch, as the paper", whole.t_pack.summary(), T_PACK_MS),
         ("t_pack, cut to datagrams", datagrams.t_pack.summary(), T_PACK_MS),
         ("t_recv2insert, one package", whole.t_recv2insert.summary(), T_RECV2INSERT_MS),
-        ("t_recv2insert, all datagrams of a cycle", datagrams.t_recv2insert.summary(), T_RECV2INSERT_MS),
+        ("t_recv2insert, all datagrams of a batch", datagrams.t_recv2insert.summary(), T_RECV2INSERT_MS),
     ];
     let table = DataTable::of(
         "table4",
         &steps,
         &[
             ("step", "step", &|(name, ..)| Cell::text(*name)),
-            ("cycles", "cycles", &|(_, time, _)| Cell::count(time.count)),
+            ("batches", "batches", &|(_, time, _)| Cell::count(time.count)),
             ("mean_ms", "mean, ms", &|(_, time, _)| Cell::Number(time.mean_ms, 2)),
             ("median_ms", "median, ms", &|(_, time, _)| Cell::Number(time.median_ms, 2)),
             ("p99_ms", "99 %, ms", &|(_, time, _)| Cell::Number(time.p99_ms, 2)),
             ("in_paper_ms", "in the paper, ms", &|(.., paper)| Cell::Number(*paper, 2)),
         ],
     );
-    let cycles = measured.cycles.max(1) as f64;
+    let batches = measured.batches.max(1) as f64;
     let note = format!(
-        "Codec `paper`, one core of this machine, nothing else running in this program. {:.0} changed voxels and {:.1} datagrams a cycle on average. \
+        "Codec `paper`, one core of this machine, nothing else running in this program. {:.0} changed voxels and {:.1} datagrams a batch on average. \
          t_pack: changes taken, boxes found, encoded. t_recv2insert: parsed, checked, decoded, merged, fused.",
-        measured.changes as f64 / cycles,
-        measured.packages as f64 / cycles
+        measured.changes as f64 / batches,
+        measured.packages as f64 / batches
     );
     let parts = vec![
         Part::Words(format!(

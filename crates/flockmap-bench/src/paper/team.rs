@@ -8,10 +8,10 @@ use flockmap_cli::report::Report;
 use flockmap_cli::sources::{Frame, Source};
 use flockmap_netsim::{Link, RadioConfig};
 
-use super::figures::{CHANGES_MAX, T_L_S};
+use super::figures::{CHANGES_MAX, PUBLISH_PERIOD_S};
 use super::jobs::{self, Job};
 use super::methods::{self, MethodRow, MethodRows};
-use super::settings::{cycle, robot};
+use super::settings::{batch, robot};
 use super::stack::{self, Stack, StackPlan};
 use crate::baselines::Method;
 use crate::baselines::racer_code::{RacerCast, RacerConfig};
@@ -52,13 +52,13 @@ pub struct Measured {
 enum Task {
     Stack,
     Rival,
-    /// All methods that code cycles on the record of this robot.
+    /// All methods that code batches on the record of this robot.
     Robot(usize),
     /// Those that relay scans.
     Relay(usize),
 }
 
-enum Piece {
+enum Finished {
     Stack(Box<Stack>),
     Rival(MethodRow),
     Robot(Outcome),
@@ -97,10 +97,10 @@ pub fn measure(teams: &[Team<'_>], seed: u64, threads: usize) -> anyhow::Result<
     let mut done: Vec<Done> = teams.iter().map(|_| Done::default()).collect();
     for ((number, _), piece) in order.iter().zip(pieces) {
         match piece {
-            Some(Piece::Stack(stack)) => done[*number].stack = Some(*stack),
-            Some(Piece::Rival(row)) => done[*number].rival = Some(row),
-            Some(Piece::Robot(outcome)) => done[*number].robots.push(outcome),
-            Some(Piece::Relay(outcome)) => done[*number].relays.push(outcome),
+            Some(Finished::Stack(stack)) => done[*number].stack = Some(*stack),
+            Some(Finished::Rival(row)) => done[*number].rival = Some(row),
+            Some(Finished::Robot(outcome)) => done[*number].robots.push(outcome),
+            Some(Finished::Relay(outcome)) => done[*number].relays.push(outcome),
             None => {}
         }
     }
@@ -108,27 +108,27 @@ pub fn measure(teams: &[Team<'_>], seed: u64, threads: usize) -> anyhow::Result<
 }
 
 impl Team<'_> {
-    fn piece(&self, task: Task, seed: u64) -> anyhow::Result<Piece> {
+    fn piece(&self, task: Task, seed: u64) -> anyhow::Result<Finished> {
         let mut sources = (self.open)()?;
         let mapper = &self.mapper;
         let receivers = self.robots - 1;
         Ok(match task {
-            Task::Stack => Piece::Stack(Box::new(self.stack(sources, seed)?)),
-            Task::Rival => Piece::Rival(rival(mapper, sources, seed)?),
+            Task::Stack => Finished::Stack(Box::new(self.stack(sources, seed)?)),
+            Task::Rival => Finished::Rival(rival(mapper, sources, seed)?),
             Task::Robot(robot) => {
                 let source = sources.swap_remove(robot);
-                Piece::Robot(codecs(source, mapper, receivers, &methods::all(), |_, _| true)?)
+                Finished::Robot(codecs(source, mapper, receivers, &methods::all(), |_, _| true)?)
             }
             Task::Relay(robot) => {
                 let is_within = |number, frame: &Frame| (self.is_within)(number, frame, self.relayed_s);
                 let source = sources.swap_remove(robot);
-                Piece::Relay(codecs(source, mapper, receivers, &methods::relays(), is_within)?)
+                Finished::Relay(codecs(source, mapper, receivers, &methods::relays(), is_within)?)
             }
         })
     }
 
     fn stack(&self, sources: Vec<Source>, seed: u64) -> anyhow::Result<Stack> {
-        let robot = robot(self.mapper.clone(), cycle(T_L_S, CHANGES_MAX), seed);
+        let robot = robot(self.mapper.clone(), batch(PUBLISH_PERIOD_S, CHANGES_MAX), seed);
         let plan = StackPlan { title: self.title.clone(), robot, link: Link::default() };
         stack::run(&plan, sources)
     }
@@ -156,7 +156,7 @@ pub fn codecs(
     methods: &[Method],
     is_wanted: impl Fn(usize, &Frame) -> bool,
 ) -> anyhow::Result<Outcome> {
-    let mut run = CodecRun::new(mapper.clone(), cycle(T_L_S, CHANGES_MAX), methods, receivers);
+    let mut run = CodecRun::new(mapper.clone(), batch(PUBLISH_PERIOD_S, CHANGES_MAX), methods, receivers);
     let progress = Progress::new("scans", source.frames_expected);
     let frames = source.frames.enumerate().take_while(|(number, frame)| is_wanted(*number, frame));
     run.record(frames.map(|(_, frame)| frame), || progress.step())?;
@@ -176,7 +176,7 @@ fn rival(mapper: &MapperConfig, sources: Vec<Source>, seed: u64) -> anyhow::Resu
     Ok(MethodRow {
         name: RACER_CODE.to_owned(),
         about: format!(
-            "RACER as its code does it, over a perfect radio: chunks of 200 voxels with 52 bytes of fields each, announcements every 0.1 s, a voxel told \
+            "RACER as its code does it, over a perfect radio: chunks of 200 voxels with 52 bytes of fields each, announcements every 0.1 s, a voxel published \
              once and never again, states frozen when first sent. At the end {:.2} % of the voxels are stale and {:.2} % were never sent.",
             percent(agreement.stale),
             percent(agreement.missing)

@@ -1,7 +1,7 @@
 //! Draws changes, and counts what each method needs for them.
 
 use anyhow::ensure;
-use flockmap::codec::{Codec, Content, Cycle, Decoder, Encoder, Package};
+use flockmap::codec::{Batch, Codec, Content, Decoder, Encoder, Package};
 use flockmap::grid::{BlockIndex, StateBlock, voxel_bit};
 use flockmap::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_cli::parallel::{cores, in_parallel};
@@ -182,7 +182,7 @@ impl Bench {
             "a map of {size:?} voxels: sides must be multiples of 8"
         );
         let changed = ((voxels as f64 * ratio).round() as u64).clamp(2, voxels);
-        let cycle = Cycle {
+        let batch = Batch {
             stream: Stream { origin: RobotId(1), epoch: 1 },
             start: Stamp(0),
             end: Stamp(500_000),
@@ -202,7 +202,7 @@ impl Bench {
                     bytes.push(first);
                     continue;
                 }
-                let package = self.encoder.encode_whole(codec, &cycle, 1, &changes)?;
+                let package = self.encoder.encode_whole(codec, &batch, 1, &changes)?;
                 bytes.push(package.bytes().len() as u64);
                 if codec == Codec::Raw {
                     header_bytes = header_bytes.max(package.bytes().len() - voxels.div_ceil(4) as usize);

@@ -9,11 +9,11 @@ use flockmap_codec::training::{self, ROUNDS, Trainer};
 use super::recording::{Closing, Recording};
 use super::scenes::Scans;
 
-/// Cycles that are learned from, of each recording with all changes together, at even distances: those of a minute, so that a longer
+/// Batches that are learned from, of each recording with all changes together, at even distances: those of a minute, so that a longer
 /// flight does not outweigh the others. With a third of them packages became 0.2 to 0.5 % larger.
-const CYCLES_TOGETHER: usize = 120;
-/// The same of recordings whose obstacles go ahead. Such a cycle has a few voxels in place of thousands, and there are five times as many.
-const CYCLES_OF_OBSTACLES: usize = 600;
+const BATCHES_TOGETHER: usize = 120;
+/// The same of recordings whose obstacles go ahead. Such a batch has a few voxels in place of thousands, and there are five times as many.
+const BATCHES_OF_OBSTACLES: usize = 600;
 
 /// The file of the tables. The same bytes whatever the number of threads.
 pub fn tables(recordings: &[Recording], threads: usize) -> Vec<u8> {
@@ -26,18 +26,18 @@ pub fn tables(recordings: &[Recording], threads: usize) -> Vec<u8> {
     training::file(&sets)
 }
 
-/// A recording, and which of its cycles to learn from.
+/// A recording, and which of its batches to learn from.
 struct Sample<'a> {
     recording: &'a Recording,
     /// Ascending.
     chosen: Vec<usize>,
 }
 
-/// What to learn a set from. `None`: cycles of obstacles from all scans.
+/// What to learn a set from. `None`: batches of obstacles from all scans.
 fn samples(recordings: &[Recording], scans: Option<Scans>) -> Vec<Sample<'_>> {
     let (closing, wanted) = match scans {
-        Some(_) => (Closing::Together, CYCLES_TOGETHER),
-        None => (Closing::ObstaclesAhead, CYCLES_OF_OBSTACLES),
+        Some(_) => (Closing::Together, BATCHES_TOGETHER),
+        None => (Closing::ObstaclesAhead, BATCHES_OF_OBSTACLES),
     };
     let fits = |recording: &&Recording| {
         recording.closing == closing && scans.is_none_or(|scans| scans == recording.scans)
@@ -46,10 +46,10 @@ fn samples(recordings: &[Recording], scans: Option<Scans>) -> Vec<Sample<'_>> {
     recordings.iter().filter(fits).map(sample).collect()
 }
 
-/// At most `wanted` cycles at even distances, of those that are or are not of obstacles alone.
+/// At most `wanted` batches at even distances, of those that are or are not of obstacles alone.
 fn choose(recording: &Recording, of_obstacles: bool, wanted: usize) -> Vec<usize> {
-    let cycles = recording.cycles.iter().enumerate();
-    let fitting: Vec<usize> = cycles
+    let batches = recording.batches.iter().enumerate();
+    let fitting: Vec<usize> = batches
         .filter(|(_, (_, changes))| is_of_obstacles(changes) == of_obstacles)
         .map(|(number, _)| number)
         .collect();
@@ -65,16 +65,16 @@ fn learn(mut trainer: Trainer, samples: &[Sample<'_>], progress: &Progress) -> T
     for _ in 0..ROUNDS {
         for Sample { recording, chosen } in samples {
             let mut chosen = chosen.iter().copied().peekable();
-            // What those who receive the robot hold before each cycle. Nothing after the last chosen cycle matters.
+            // What those who receive the robot hold before each batch. Nothing after the last chosen batch matters.
             let mut layer = Layer::default();
-            for (number, (cycle, changes)) in recording.cycles.iter().enumerate() {
+            for (number, (batch, changes)) in recording.batches.iter().enumerate() {
                 if chosen.next_if_eq(&number).is_some() {
-                    trainer.learn(&layer, cycle, changes);
+                    trainer.learn(&layer, batch, changes);
                 }
                 if chosen.peek().is_none() {
                     break;
                 }
-                layer.apply(changes, cycle.end);
+                layer.apply(changes, batch.end);
             }
         }
         trainer.end_round();
@@ -88,7 +88,7 @@ mod tests {
     use super::super::recording::record;
     use super::super::scenes::{SCENES, Scene};
     use super::*;
-    use flockmap::{Cycle, Resolution, RobotId, Stamp, State, Stream, Voxel};
+    use flockmap::{Batch, Resolution, RobotId, Stamp, State, Stream, Voxel};
 
     #[test]
     fn threads_change_nothing_and_the_file_can_be_read_back() {
@@ -109,21 +109,21 @@ mod tests {
     }
 
     #[test]
-    fn chosen_cycles_are_of_one_kind_and_spread_over_the_recording() {
-        let cycle = |number: i64| {
+    fn chosen_batches_are_of_one_kind_and_spread_over_the_recording() {
+        let batch = |number: i64| {
             let states = [State::Occupied, if number % 3 == 0 { State::Free } else { State::Occupied }];
             let voxels = states.into_iter().enumerate().map(|(x, state)| (Voxel::new(x as i32, 0, 0), state));
-            let cycle = Cycle {
+            let batch = Batch {
                 stream: Stream { origin: RobotId(1), epoch: 1 },
                 start: Stamp(number),
                 end: Stamp(number),
                 resolution: Resolution::from_metres(0.1).expect("a usual one"),
                 sensor: [0; 3],
             };
-            (cycle, Changes::from_voxels(voxels))
+            (batch, Changes::from_voxels(voxels))
         };
-        let cycles = (0..24).map(cycle).collect();
-        let recording = Recording { scans: Scans::Dense, closing: Closing::Together, cycles };
+        let batches = (0..24).map(batch).collect();
+        let recording = Recording { scans: Scans::Dense, closing: Closing::Together, batches };
         assert_eq!(choose(&recording, false, 100), [0, 3, 6, 9, 12, 15, 18, 21]);
         assert_eq!(choose(&recording, false, 2), [6, 18]);
         assert_eq!(choose(&recording, true, 4), [4, 10, 16, 22]);

@@ -14,7 +14,7 @@ use flockmap_codec::training;
 
 /// Make the tables that the codec `flock` ships, from flights through generated worlds
 ///
-/// Flies robots through forests and offices, maps what they see, and learns from their cycles how likely each change is. The same source
+/// Flies robots through forests and offices, maps what they see, and learns from their batches how likely each change is. The same source
 /// gives the same bytes on every machine and with any number of threads. It takes a few minutes and needs a release build.
 #[derive(Args, Debug)]
 #[command(

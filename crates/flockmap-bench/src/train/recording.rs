@@ -1,19 +1,19 @@
-//! Flies a scene and maps it: the cycles that robots would send.
+//! Flies a scene and maps it: the batches that robots would send.
 
 use std::sync::Arc;
 
 use anyhow::Context;
 use flockmap::{
-    Changes, Cycle, CycleConfig, Mapper, MapperConfig, Packer, Pose, Preset, Resolution, RobotId, Scan,
+    Batch, BatchConfig, Changes, Mapper, MapperConfig, Packer, Pose, Preset, Resolution, RobotId, Scan,
     Stamp, Stream,
 };
 use flockmap_cli::parallel::in_parallel;
 use flockmap_cli::progress::Progress;
-use flockmap_worlds::{Patrol, PatrolOptions, ScanOptions, Scanner, World};
+use flockmap_worlds::{ScanOptions, Scanner, Trajectory, TrajectoryOptions, World};
 
 use super::scenes::{MapSize, Place, ROBOTS, Scans, Scene};
 
-/// When cycles close. Each flight is mapped in both ways, as robots can be told either.
+/// When batches close. Each flight is mapped in both ways, as robots can be told either.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Closing {
     /// All changes every half second.
@@ -25,22 +25,26 @@ pub enum Closing {
 impl Closing {
     const ALL: [Self; 2] = [Self::Together, Self::ObstaclesAhead];
 
-    fn config(self) -> CycleConfig {
+    fn config(self) -> BatchConfig {
         match self {
-            Self::Together => CycleConfig { t_l_ms: 500, t_l_occupied_ms: None, ..CycleConfig::default() },
-            Self::ObstaclesAhead => {
-                CycleConfig { t_l_ms: 2_000, t_l_occupied_ms: Some(100), ..CycleConfig::default() }
+            Self::Together => {
+                BatchConfig { publish_period_ms: 500, obstacle_period_ms: None, ..BatchConfig::default() }
             }
+            Self::ObstaclesAhead => BatchConfig {
+                publish_period_ms: 2_000,
+                obstacle_period_ms: Some(100),
+                ..BatchConfig::default()
+            },
         }
     }
 }
 
-/// All cycles of one robot, in order.
+/// All batches of one robot, in order.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Recording {
     pub scans: Scans,
     pub closing: Closing,
-    pub cycles: Vec<(Cycle, Changes)>,
+    pub batches: Vec<(Batch, Changes)>,
 }
 
 /// A flight that is still to be flown.
@@ -52,7 +56,7 @@ struct Flight<'a> {
 }
 
 /// Flies all scenes and maps every flight at every size, in both ways of closing. The same recordings in the same order, whatever
-/// the number of threads. Holds all cycles: about 130 bytes for each block of 8³ voxels that changed.
+/// the number of threads. Holds all batches: about 130 bytes for each block of 8³ voxels that changed.
 pub fn record(scenes: &[Scene], threads: usize) -> anyhow::Result<Vec<Recording>> {
     let progress = Progress::new("worlds", scenes.len() as u64);
     let planned = in_parallel(threads, scenes, |scene| {
@@ -76,14 +80,14 @@ fn plan(scene: &Scene) -> anyhow::Result<Vec<Flight<'_>>> {
         Place::Forest => World::forest(scene.seed),
         Place::Indoor => World::indoor(scene.seed),
     });
-    let options = PatrolOptions { duration_s: scene.seconds, ..PatrolOptions::default() };
-    let patrols = Patrol::plan(&world, ROBOTS, scene.seed, &options)
+    let options = TrajectoryOptions { duration_s: scene.seconds, ..TrajectoryOptions::default() };
+    let trajectories = Trajectory::plan(&world, ROBOTS, scene.seed, &options)
         .with_context(|| format!("no flight through {scene}"))?;
-    let flight = |(robot, patrol): (usize, Patrol)| {
-        let poses = patrol.into_poses().into_iter().skip(scene.every - 1).step_by(scene.every).collect();
+    let flight = |(robot, trajectory): (usize, Trajectory)| {
+        let poses = trajectory.into_poses().into_iter().skip(scene.every - 1).step_by(scene.every).collect();
         Flight { scene, robot, world: Arc::clone(&world), poses }
     };
-    Ok(patrols.into_iter().enumerate().map(flight).collect())
+    Ok(trajectories.into_iter().enumerate().map(flight).collect())
 }
 
 /// Scans take longest to make, so each goes to all mappers while it is there.
@@ -110,7 +114,7 @@ fn fly(flight: &Flight<'_>) -> anyhow::Result<Vec<Recording>> {
     Ok(makers.into_iter().map(Maker::finish).collect())
 }
 
-/// A robot that maps and closes cycles.
+/// A robot that maps and closes batches.
 struct Maker {
     mapper: Mapper,
     packer: Packer,
@@ -127,26 +131,26 @@ impl Maker {
             mapper: Mapper::new(MapperConfig::preset(Preset::RogMap, resolution, size.range_m))?,
             packer: Packer::new(closing.config(), stream, resolution, Stamp(0)),
             last: Stamp(0),
-            recording: Recording { scans, closing, cycles: Vec::new() },
+            recording: Recording { scans, closing, batches: Vec::new() },
         })
     }
 
     fn scan(&mut self, scan: &Scan, pose: &Pose) {
-        // The deadline of a cycle may pass between two scans.
+        // The deadline of a batch may pass between two scans.
         while let Some(deadline) = self.packer.deadline(&self.mapper).filter(|at| *at < scan.stamp) {
-            let Some(cycle) = self.packer.close_due(deadline.max(self.last), &mut self.mapper) else { break };
-            self.recording.cycles.push(cycle);
+            let Some(batch) = self.packer.close_due(deadline.max(self.last), &mut self.mapper) else { break };
+            self.recording.batches.push(batch);
         }
         self.last = scan.stamp;
         self.mapper.insert(scan, pose, &[]);
         self.packer.note_scan(scan.stamp, pose);
-        while let Some(cycle) = self.packer.close_due(scan.stamp, &mut self.mapper) {
-            self.recording.cycles.push(cycle);
+        while let Some(batch) = self.packer.close_due(scan.stamp, &mut self.mapper) {
+            self.recording.batches.push(batch);
         }
     }
 
     fn finish(mut self) -> Recording {
-        self.recording.cycles.extend(self.packer.close(self.last, &mut self.mapper));
+        self.recording.batches.extend(self.packer.close(self.last, &mut self.mapper));
         self.recording
     }
 }

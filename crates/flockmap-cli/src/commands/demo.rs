@@ -11,13 +11,13 @@ use flockmap::{Codec, Event, Path, RobotConfig, RobotId, ScanReport, Stamp, Stre
 use flockmap_cli::measure::TimeSummary;
 use flockmap_cli::member::Measures;
 use flockmap_cli::options::{MapArgs, SourceArgs};
-use flockmap_cli::picture::Snapshot;
+use flockmap_cli::picture::MapPicture;
 use flockmap_cli::program::command_line;
 use flockmap_cli::progress::Progress;
 use flockmap_cli::report::{Course, Finished, Report, Settings};
 use flockmap_cli::{sources, stop, team};
 use flockmap_node::{
-    Clock, Node, NodeHandle, NodeOptions, Observation, Sensor, Sent, Transport, UdpOptions, UdpSockets,
+    Clock, Node, NodeHandle, NodeOptions, Observation, SendResult, Sensor, Transport, UdpOptions, UdpSockets,
 };
 
 /// Fly a swarm over real UDP sockets on this machine and report what it cost
@@ -53,10 +53,10 @@ const SETTLE_MAX: Duration = Duration::from_secs(20);
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
 /// What a node tells of itself while it runs. It is counted on the thread of the demo, so that counting costs the nodes nothing.
-enum Told {
+enum Update {
     Scan { stamp: Stamp, report: ScanReport },
     Event { now: Stamp, event: Event },
-    Sent { now: Stamp, bytes: usize, copies: u32 },
+    SendResult { now: Stamp, bytes: usize, copies: u32 },
 }
 
 /// A robot of the demo.
@@ -64,7 +64,7 @@ struct Member {
     name: String,
     stream: Stream,
     measures: Measures,
-    snapshots: Vec<Snapshot>,
+    snapshots: Vec<MapPicture>,
     last_scan: Option<Stamp>,
 }
 
@@ -76,13 +76,13 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     let seconds = sources.robots.iter().map(|s| s.seconds_expected).fold(0.0, f64::max);
 
     let clock = Clock::at(Stamp(0));
-    let (tell, told) = channel();
-    let (mut members, nodes) = start(sources.robots, &base, clock, &tell)?;
-    drop(tell);
-    let interrupted = fly(&mut members, &nodes, clock, &told, seconds);
-    let arrived = settle(&mut members, &nodes, clock, &told)?;
+    let (updates, reported) = channel();
+    let (mut members, nodes) = start(sources.robots, &base, clock, &updates)?;
+    drop(updates);
+    let interrupted = fly(&mut members, &nodes, clock, &reported, seconds);
+    let arrived = settle(&mut members, &nodes, clock, &reported)?;
     for (member, node) in members.iter_mut().zip(&nodes) {
-        let snapshot = node.with_robot(|robot, now| Snapshot::take(robot, since_begin(now)));
+        let snapshot = node.with_robot(|robot, now| MapPicture::take(robot, since_begin(now)));
         member.snapshots.extend(snapshot);
         node.stop();
     }
@@ -90,7 +90,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     for node in nodes {
         ended.push(node.join().context("a node ended with an error")?);
     }
-    told.try_iter().for_each(|news| take_in(&mut members, news));
+    reported.try_iter().for_each(|news| take_in(&mut members, news));
 
     let times = |of: fn(&flockmap_node::Timings) -> &flockmap_node::Histogram| {
         TimeSummary::of_histograms(ended.iter().map(|e| of(&e.status.timings)))
@@ -125,13 +125,13 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     Ok(report.is_good())
 }
 
-type Tell = Sender<(usize, Told)>;
+type Updates = Sender<(usize, Update)>;
 
 fn start(
     robots: Vec<sources::Source>,
     base: &RobotConfig,
     clock: Clock,
-    tell: &Tell,
+    updates: &Updates,
 ) -> anyhow::Result<(Vec<Member>, Vec<NodeHandle>)> {
     let options = UdpOptions::new("127.0.0.1:0".parse()?);
     let mut sockets = Vec::new();
@@ -161,20 +161,20 @@ fn start(
             skip: Duration::ZERO,
             begin: Some(BEGIN),
         };
-        let observe = tell.clone();
+        let observe = updates.clone();
         options.observer = Some(Box::new(move |now, _robot, observation| {
-            let told = match observation {
+            let reported = match observation {
                 Observation::Scan { scan, report } => {
-                    Told::Scan { stamp: scan.stamp, report: report.clone() }
+                    Update::Scan { stamp: scan.stamp, report: report.clone() }
                 }
-                Observation::Event(event) => Told::Event { now, event: event.clone() },
+                Observation::Event(event) => Update::Event { now, event: event.clone() },
                 _ => return,
             };
             // The demo is over if nobody listens.
-            let _ = observe.send((number, told));
+            let _ = observe.send((number, reported));
         }));
-        let meter = tell.clone();
-        let make = move || Ok(Metered { inner: sockets.into_transport()?, clock, number, tell: meter });
+        let meter = updates.clone();
+        let make = move || Ok(Metered { inner: sockets.into_transport()?, clock, number, updates: meter });
         nodes.push(Node::start(options, make)?);
         members.push(Member {
             name: source.name,
@@ -192,20 +192,21 @@ fn fly(
     members: &mut [Member],
     nodes: &[NodeHandle],
     clock: Clock,
-    told: &Receiver<(usize, Told)>,
+    reported: &Receiver<(usize, Update)>,
     seconds: f64,
 ) -> bool {
     let progress = Progress::new("flying", seconds.ceil() as u64);
     let mut moments = [seconds / 3.0, seconds * 2.0 / 3.0].into_iter().peekable();
     loop {
         let look_at = Instant::now() + LOOK_EVERY;
-        while let Ok(news) = told.recv_timeout(look_at.saturating_duration_since(Instant::now())) {
+        while let Ok(news) = reported.recv_timeout(look_at.saturating_duration_since(Instant::now())) {
             take_in(members, news);
         }
         let flown = clock.now().micros_since(BEGIN) as f64 / 1e6;
         if moments.next_if(|moment| *moment <= flown).is_some() {
             for (member, node) in members.iter_mut().zip(nodes) {
-                let take = |robot: &mut flockmap::Robot, now: Stamp| Snapshot::take(robot, since_begin(now));
+                let take =
+                    |robot: &mut flockmap::Robot, now: Stamp| MapPicture::take(robot, since_begin(now));
                 member.snapshots.extend(node.with_robot(take));
             }
         }
@@ -227,13 +228,13 @@ fn fly(
     }
 }
 
-/// Closes the last cycles and waits until everything has arrived everywhere. When it had; `None` if it did not
+/// Closes the last batches and waits until everything has arrived everywhere. When it had; `None` if it did not
 /// happen.
 fn settle(
     members: &mut [Member],
     nodes: &[NodeHandle],
     clock: Clock,
-    told: &Receiver<(usize, Told)>,
+    reported: &Receiver<(usize, Update)>,
 ) -> anyhow::Result<Option<Stamp>> {
     let began = Instant::now();
     for node in nodes {
@@ -246,14 +247,15 @@ fn settle(
         for node in nodes {
             let streams = streams.clone();
             let state = node.with_robot(move |robot, _| {
-                let held = |s: &Stream| robot.session().held(*s).map_or(0, |held| u64::from(held.prefix()));
+                let held =
+                    |s: &Stream| robot.session().received(*s).map_or(0, |held| u64::from(held.prefix()));
                 (robot.counters().packages, streams.iter().map(held).collect::<Vec<_>>())
             });
             let (own, of_each) = state.context("a node has ended too early")?;
             packages.push(own);
             held.push(of_each);
         }
-        told.try_iter().for_each(|news| take_in(members, news));
+        reported.try_iter().for_each(|news| take_in(members, news));
         if held.iter().all(|of_each| of_each.iter().zip(&packages).all(|(held, packages)| held >= packages)) {
             return Ok(Some(clock.now()));
         }
@@ -263,9 +265,9 @@ fn settle(
 }
 
 /// Counts what a node told. A node tells of a scan before it sends what came of it, so the scan is always counted first.
-fn take_in(members: &mut [Member], (number, news): (usize, Told)) {
+fn take_in(members: &mut [Member], (number, news): (usize, Update)) {
     // The age counts from the scan that the sender made the voxel of.
-    if let Told::Event { now, event: Event::Merged { stream, changes, .. } } = &news
+    if let Update::Event { now, event: Event::Merged { stream, changes, .. } } = &news
         && let Some(sender) = members.iter().position(|m| m.stream == *stream)
         && let Ok([receiver, sender]) = members.get_disjoint_mut([number, sender])
     {
@@ -273,12 +275,12 @@ fn take_in(members: &mut [Member], (number, news): (usize, Told)) {
     }
     let Some(member) = members.get_mut(number) else { return };
     match news {
-        Told::Scan { stamp, report } => {
+        Update::Scan { stamp, report } => {
             member.measures.scan(None, &report, stamp);
             member.last_scan = member.last_scan.max(Some(stamp));
         }
-        Told::Event { now, event } => member.measures.event(since_begin(now), &event),
-        Told::Sent { now, bytes, copies } => {
+        Update::Event { now, event } => member.measures.event(since_begin(now), &event),
+        Update::SendResult { now, bytes, copies } => {
             member.measures.datagram_sent(since_begin(now), bytes, u64::from(copies));
         }
     }
@@ -297,7 +299,7 @@ struct Metered<T> {
     inner: T,
     clock: Clock,
     number: usize,
-    tell: Tell,
+    updates: Updates,
 }
 
 impl<T: Transport> Transport for Metered<T> {
@@ -309,11 +311,12 @@ impl<T: Transport> Transport for Metered<T> {
         self.inner.set_paths(paths);
     }
 
-    async fn send(&mut self, transmit: &Transmit) -> Sent {
+    async fn send(&mut self, transmit: &Transmit) -> SendResult {
         let sent = self.inner.send(transmit).await;
-        let told = Told::Sent { now: self.clock.now(), bytes: transmit.bytes.len(), copies: sent.copies };
+        let reported =
+            Update::SendResult { now: self.clock.now(), bytes: transmit.bytes.len(), copies: sent.copies };
         // The demo is over if nobody listens.
-        let _ = self.tell.send((self.number, told));
+        let _ = self.updates.send((self.number, reported));
         sent
     }
 }

@@ -102,7 +102,7 @@ fn store(folder: &Path) -> anyhow::Result<(String, Value)> {
     text += &format!("  {} segments\n", inspection.segments.len());
     for s in &inspection.segments {
         text += &format!("    {}: {} bytes, {} records", s.name, thousands(s.bytes), thousands(s.records));
-        text += if s.is_compacted { ", present states that replace all before" } else { "" };
+        text += if s.is_compacted { ", snapshots that replace all before" } else { "" };
         for (count, what) in [
             (s.unreadable, "records of another version"),
             (s.skipped_bytes, "damaged bytes in between"),
@@ -120,17 +120,17 @@ fn store(folder: &Path) -> anyhow::Result<(String, Value)> {
     text += &format!("  {} streams\n", inspection.streams.len());
     for (stream, s) in &inspection.streams {
         let held: Vec<String> =
-            s.held.intervals().iter().take(8).map(|(low, high)| format!("{low}–{high}")).collect();
-        let more = if s.held.intervals().len() > 8 { " …" } else { "" };
+            s.received.intervals().iter().take(8).map(|(low, high)| format!("{low}–{high}")).collect();
+        let more = if s.received.intervals().len() > 8 { " …" } else { "" };
         text += &format!(
-            "    robot {} epoch {}: holds {}{more}; {} packages of {} bytes, {} tiles of present states of {} bytes\n",
+            "    robot {} epoch {}: holds {}{more}; {} packages of {} bytes, {} chunks of snapshots of {} bytes\n",
             stream.origin,
             stream.epoch,
             if held.is_empty() { "nothing".to_owned() } else { held.join(", ") },
             thousands(s.packages),
             thousands(s.package_bytes),
-            thousands(s.tiles),
-            thousands(s.tile_bytes)
+            thousands(s.chunks),
+            thousands(s.chunk_bytes)
         );
     }
     let segments: Vec<Value> = inspection
@@ -145,8 +145,8 @@ fn store(folder: &Path) -> anyhow::Result<(String, Value)> {
         .streams
         .iter()
         .map(|(stream, s)| {
-            json!({"origin": stream.origin.0, "epoch": stream.epoch, "held": s.held.intervals(), "packages": s.packages,
-                "package_bytes": s.package_bytes, "tiles": s.tiles, "tile_bytes": s.tile_bytes})
+            json!({"origin": stream.origin.0, "epoch": stream.epoch, "held": s.received.intervals(), "packages": s.packages,
+                "package_bytes": s.package_bytes, "chunks": s.chunks, "chunk_bytes": s.chunk_bytes})
         })
         .collect();
     let own = inspection.identity.map(
@@ -173,14 +173,14 @@ fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {
             let occupied = changes.voxels().filter(|(_, state)| *state == State::Occupied).count();
             ("changes", changes.len() - occupied, occupied)
         }
-        Content::Present(state) => {
+        Content::Snapshot(state) => {
             let voxels = || state.parts.iter().flat_map(|(_, part)| part.voxels());
             let occupied = voxels().filter(|(_, state)| *state == State::Occupied).count();
-            ("present state", voxels().count() - occupied, occupied)
+            ("snapshot", voxels().count() - occupied, occupied)
         }
     };
     let mut text = format!(
-        "{}: map package, {} bytes, codec {}, {kind}\n  robot {}, epoch {}, index {}, reference {}\n  cycle {:.6} to {:.6} s, \
+        "{}: map package, {} bytes, codec {}, {kind}\n  robot {}, epoch {}, index {}, base {}\n  batch {:.6} to {:.6} s, \
          voxels of {} m\n  box {min:?} to {max:?}: {} × {} × {} voxels\n  {} free and {} occupied, {:.2} bits each\n  check: right\n",
         args.file.display(),
         thousands(bytes.len() as u64),
@@ -188,9 +188,9 @@ fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {
         h.stream.origin,
         h.stream.epoch,
         h.index,
-        h.reference,
-        h.cycle_start.seconds(),
-        h.cycle_end.seconds(),
+        h.base,
+        h.batch_start.seconds(),
+        h.batch_end.seconds(),
         h.resolution.metres(),
         size[0],
         size[1],
@@ -199,21 +199,21 @@ fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {
         thousands(occupied as u64),
         bytes.len() as f64 * 8.0 / (free + occupied).max(1) as f64,
     );
-    let mut tile_of = None;
+    let mut chunk_of = None;
     let mut since = None;
-    if let ContentKind::Present { since: after, tile, tiles, .. } = h.content {
-        text += &format!("  tile {tile} of {tiles}");
+    if let ContentKind::Snapshot { since: after, chunk, chunks, .. } = h.content {
+        text += &format!("  chunk {chunk} of {chunks}");
         text +=
             &if after == 0 { String::from("\n") } else { format!(", of what packages after {after} made\n") };
         since = Some(after);
-        tile_of = Some([tile, tiles]);
+        chunk_of = Some([chunk, chunks]);
     }
     let facts = json!({
         "path": args.file, "bytes": bytes.len(), "content": {
             "kind": "package", "says": kind, "codec": h.codec.name(), "origin": h.stream.origin.0, "epoch": h.stream.epoch,
-            "index": h.index, "reference": h.reference, "cycle_start_s": h.cycle_start.seconds(), "cycle_end_s": h.cycle_end.seconds(),
+            "index": h.index, "reference": h.base, "batch_start_s": h.batch_start.seconds(), "batch_end_s": h.batch_end.seconds(),
             "resolution_m": h.resolution.metres(), "box_min": [min.x, min.y, min.z], "box_size": size, "free": free,
-            "occupied": occupied, "tile_of": tile_of, "since": since, "priority": format!("{:?}", h.priority),
+            "occupied": occupied, "chunk_of": chunk_of, "since": since, "priority": format!("{:?}", h.priority),
         }
     });
     Ok((text, facts))

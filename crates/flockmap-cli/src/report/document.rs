@@ -12,7 +12,7 @@ impl Report {
     /// Its tables, charts and pictures.
     pub fn document(&self) -> Document {
         let s = &self.settings;
-        let t_l_occupied = s.t_l_occupied_s.map_or(String::new(), |t| format!(" (obstacles {t} s)"));
+        let obstacle_period = s.obstacle_period_s.map_or(String::new(), |t| format!(" (obstacles {t} s)"));
         Document {
             title: format!(
                 "{}{}",
@@ -20,10 +20,10 @@ impl Report {
                 if self.interrupted { " (partial: ended by Ctrl-C)" } else { "" }
             ),
             about: format!(
-                "{} m voxels, {} m range, t_l {} s{t_l_occupied}, d {}, mapper {}, codec {}, {}; {}",
+                "{} m voxels, {} m range, publish_period {} s{obstacle_period}, d {}, mapper {}, codec {}, {}; {}",
                 s.resolution_m,
                 s.range_m,
-                s.t_l_s,
+                s.publish_period_s,
                 thousands(s.d as u64),
                 s.mapper,
                 s.codec,
@@ -194,20 +194,20 @@ impl Report {
             }
         };
         let sum = |of: fn(&RobotReport) -> u64| self.robots.iter().map(of).sum::<u64>();
-        let (held, in_parts) = (sum(|r| r.cycles_held), sum(|r| r.cycles_in_parts));
+        let (held, in_parts) = (sum(|r| r.batches_deferred), sum(|r| r.batches_in_parts));
         let budget = match held + in_parts {
             0 => String::new(),
             _ => format!(
-                " For want of budget, {} of {} cycles waited and {} told only what was nearest; the rest came later.",
+                " For want of budget, {} of {} batches waited and {} told only what was nearest; the rest came later.",
                 thousands(held),
-                thousands(sum(|r| r.cycles)),
+                thousands(sum(|r| r.batches)),
                 thousands(in_parts)
             ),
         };
         format!(
             "UDP payload with requests, repairs and all headers; 28 bytes of IP and UDP for each datagram apart. KB = 1,024 bytes. Average \
              over {:.1} s from first to last scan; max: largest window of one second. {copies}. racer: 5 bytes for each of the same changes \
-             and 52 for each 200 of them, sent once, no requests, no repairs. paper whole: each cycle as one package, likewise.{budget}",
+             and 52 for each 200 of them, sent once, no requests, no repairs. paper whole: each batch as one package, likewise.{budget}",
             self.record_s
         )
     }
@@ -234,7 +234,7 @@ impl Report {
             [name.to_owned(), count, ms(time.mean_ms), ms(time.p99_ms), paper.map_or(String::new(), ms)]
         });
         DataTable::unnamed(["time, one core", "count", "mean ms", "99 % ms", "paper ms"], rows).with_note(
-            "On one core of this machine. t_pack: cycle closed to packages ready. t_recv2insert: datagram to fused map.",
+            "On one core of this machine. t_pack: batch closed to packages ready. t_recv2insert: datagram to fused map.",
         )
     }
 
@@ -269,12 +269,13 @@ impl Report {
 
     fn settings(&self) -> DataTable {
         let s = &self.settings;
-        let t_l_occupied = s.t_l_occupied_s.map_or_else(|| "as free space".to_owned(), |t| format!("{t} s"));
+        let obstacle_period =
+            s.obstacle_period_s.map_or_else(|| "as free space".to_owned(), |t| format!("{t} s"));
         let rows = [
             ("voxel side", format!("{} m", s.resolution_m)),
             ("range", format!("{} m", s.range_m)),
-            ("t_l", format!("{} s", s.t_l_s)),
-            ("t_l of obstacles", t_l_occupied),
+            ("publish_period", format!("{} s", s.publish_period_s)),
+            ("publish_period of obstacles", obstacle_period),
             ("d", format!("{} voxels", thousands(s.d as u64))),
             ("mapper", s.mapper.clone()),
             ("codec", s.codec.clone()),

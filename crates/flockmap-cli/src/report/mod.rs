@@ -5,11 +5,11 @@ mod document;
 use flockmap::{Cast, Preset, Robot, RobotConfig, Stream};
 use serde::Serialize;
 
-use crate::measure::{AgeSummary, AgesByState, Comparison, KB, Sent, TimeSummary};
+use crate::measure::{AgeSummary, AgesByState, Comparison, KB, SentBytes, TimeSummary};
 use crate::member::{IP_UDP_BYTES, Measures};
-use crate::picture::{Picture, Snapshot};
+use crate::picture::{MapPicture, Picture};
 
-/// The paper's time from the start of a cycle to its package, Table IV.
+/// The paper's time from the start of a batch to its package, Table IV.
 pub const PAPER_T_PACK_MS: f64 = 5.30;
 /// The paper's time from receiving a package to its voxels in the map, Table IV.
 pub const PAPER_T_INSERT_MS: f64 = 7.08;
@@ -34,7 +34,7 @@ pub struct Report {
     pub sum: Bytes,
     /// What RACER would have sent for the same changes.
     pub racer: Baseline,
-    /// What the paper's method would have sent for the same cycles, one whole package each.
+    /// What the paper's method would have sent for the same batches, one whole package each.
     pub paper_whole: Baseline,
     pub agreement: Vec<Pair>,
     /// Share of equal voxels over all pairs: 1 or it is a fault.
@@ -59,8 +59,8 @@ pub struct Report {
 pub struct Settings {
     pub resolution_m: f64,
     pub range_m: f64,
-    pub t_l_s: f64,
-    pub t_l_occupied_s: Option<f64>,
+    pub publish_period_s: f64,
+    pub obstacle_period_s: Option<f64>,
     pub d: usize,
     pub mapper: String,
     pub codec: String,
@@ -77,9 +77,9 @@ impl Settings {
         Self {
             resolution_m: robot.mapper.resolution.metres(),
             range_m: robot.mapper.range_m,
-            t_l_s: seconds(robot.cycle.t_l_ms),
-            t_l_occupied_s: robot.cycle.t_l_occupied_ms.map(seconds),
-            d: robot.cycle.changes_max,
+            publish_period_s: seconds(robot.batch.publish_period_ms),
+            obstacle_period_s: robot.batch.obstacle_period_ms.map(seconds),
+            d: robot.batch.voxels_max,
             mapper: mapper.to_string(),
             codec: robot.codec.to_string(),
             cast: match robot.session.cast {
@@ -125,11 +125,11 @@ pub struct RobotReport {
     /// Datagrams of packages sent, with their IP and UDP headers.
     pub package_datagrams: u64,
     pub package_datagram_bytes: u64,
-    pub cycles: u64,
-    /// Cycles that were due and waited for the budget.
-    pub cycles_held: u64,
-    /// Cycles that told only what was nearest, since the budget has no room for more.
-    pub cycles_in_parts: u64,
+    pub batches: u64,
+    /// Batches that were due and waited for the budget.
+    pub batches_deferred: u64,
+    /// Batches that told only what was nearest, since the budget has no room for more.
+    pub batches_in_parts: u64,
     pub changed_voxels: u64,
     pub own_packages: u64,
     pub packages_sent: u64,
@@ -137,7 +137,7 @@ pub struct RobotReport {
     pub resent: u64,
     pub relayed: u64,
     pub duplicates_received: u64,
-    pub present_state_tiles_sent: u64,
+    pub snapshot_chunks_sent: u64,
     pub refused: u64,
     pub map: MapReport,
     pub layers: Vec<LayerReport>,
@@ -195,7 +195,7 @@ pub struct Finished<'a> {
     pub name: &'a str,
     pub robot: &'a Robot,
     pub measures: &'a Measures,
-    pub snapshots: &'a [Snapshot],
+    pub snapshots: &'a [MapPicture],
     pub scans_damaged: u64,
 }
 
@@ -221,11 +221,11 @@ impl Report {
         let seconds = record_s.max(1e-3);
         // Copies of each datagram that RACER, and the paper, would have to send.
         let copies = if settings.cast == "broadcast" { 1 } else { robots.len().saturating_sub(1) as u64 };
-        let sum = Sent::together(robots.iter().map(|r| &r.measures.sent));
+        let sum = SentBytes::together(robots.iter().map(|r| &r.measures.sent));
         let datagrams = robots.iter().map(|r| r.measures.datagrams).sum();
         let sum_bytes = bytes_of(&sum, datagrams, 1, seconds);
-        let baseline = |sent: &dyn Fn(&Measures) -> (&Sent, u64)| {
-            let together = Sent::together(robots.iter().map(|r| sent(r.measures).0));
+        let baseline = |sent: &dyn Fn(&Measures) -> (&SentBytes, u64)| {
+            let together = SentBytes::together(robots.iter().map(|r| sent(r.measures).0));
             let datagrams = robots.iter().map(|r| sent(r.measures).1).sum();
             let bytes = bytes_of(&together, datagrams, copies, seconds);
             let ratio = bytes.total_bytes as f64 / sum_bytes.total_bytes.max(1) as f64;
@@ -280,7 +280,7 @@ impl Report {
     }
 }
 
-fn bytes_of(sent: &Sent, datagrams: u64, copies: u64, seconds: f64) -> Bytes {
+fn bytes_of(sent: &SentBytes, datagrams: u64, copies: u64, seconds: f64) -> Bytes {
     let total_bytes = sent.total() * copies;
     Bytes {
         total_bytes,
@@ -291,7 +291,7 @@ fn bytes_of(sent: &Sent, datagrams: u64, copies: u64, seconds: f64) -> Bytes {
     }
 }
 
-fn kb_series(sent: &Sent, copies: u64) -> Vec<f64> {
+fn kb_series(sent: &SentBytes, copies: u64) -> Vec<f64> {
     sent.per_second().into_iter().map(|bytes| (bytes * copies) as f64 / KB).collect()
 }
 
@@ -314,16 +314,16 @@ fn robot_report(finished: &Finished<'_>, seconds: f64) -> RobotReport {
         request_bytes: session.requests_out.bytes,
         package_datagrams: session.packages_out.datagrams,
         package_datagram_bytes: session.packages_out.bytes,
-        cycles: counters.cycles,
-        cycles_held: counters.cycles_held,
-        cycles_in_parts: counters.cycles_in_parts,
+        batches: counters.batches,
+        batches_deferred: counters.batches_deferred,
+        batches_in_parts: counters.batches_in_parts,
         changed_voxels: counters.changes,
         own_packages: counters.packages,
         packages_sent: session.sent,
         resent: session.lost,
         relayed: session.relayed,
         duplicates_received: session.duplicates,
-        present_state_tiles_sent: session.tiles_sent,
+        snapshot_chunks_sent: session.chunks_sent,
         refused: counters.damaged + counters.no_room + counters.foreign_resolution,
         map: MapReport { free, occupied, own_memory_bytes: robot.mapper().memory_bytes() },
         layers: robot.fusion().layers().map(layer).collect(),
@@ -338,25 +338,25 @@ fn pairs(robots: &[Finished<'_>]) -> Vec<Pair> {
     let mut pairs = Vec::new();
     for origin in robots.iter().map(|f| f.robot) {
         let stream = origin.own_stream();
-        let told = origin.fusion().layer(stream).unwrap_or(&none);
+        let reported = origin.fusion().layer(stream).unwrap_or(&none);
         let packages = origin.counters().packages;
         for receiver in robots.iter().map(|f| f.robot) {
             let layer = receiver.fusion().layer(stream).unwrap_or(&none);
-            let mut compared = Comparison::of_layers(layer, told);
+            let mut compared = Comparison::of_layers(layer, reported);
             // What the origin's own map knows now must be what it told, too. A voxel that has become Unknown since stays as told.
             for (index, block) in origin.mapper().blocks() {
                 let held = layer.block(index).copied().unwrap_or_default();
                 let wrong: u32 = block.minus(&held).known_count();
                 compared.equal = compared.equal.saturating_sub(u64::from(wrong));
             }
-            let held = receiver.session().held(stream).map_or(0, |held| u64::from(held.prefix()));
+            let held = receiver.session().received(stream).map_or(0, |held| u64::from(held.prefix()));
             pairs.push(Pair {
                 receiver: receiver.own_stream().origin.0,
                 origin: stream.origin.0,
                 voxels: compared.known,
                 equal: compared.equal,
                 agreement: compared.share(),
-                stamps_equal: layer.digest() == told.digest(),
+                stamps_equal: layer.digest() == reported.digest(),
                 packages_held: if receiver.own_stream() == stream { packages } else { held.min(packages) },
                 packages,
             });

@@ -42,7 +42,7 @@ pub(crate) fn code<D: Decide>(
     let mut block = Block {
         decide,
         cells,
-        told: TurnedChanges::default(),
+        coded: TurnedChanges::default(),
         rays: Rays::of(distance),
         is_surprised: false,
         is_expected: false,
@@ -68,13 +68,13 @@ pub(crate) fn code<D: Decide>(
             }
         }
     }
-    block.told
+    block.coded
 }
 
 struct Block<'a, D> {
     decide: &'a mut D,
     cells: &'a mut Neighbourhood,
-    told: TurnedChanges,
+    coded: TurnedChanges,
     rays: Rays,
     /// A row was told of although nothing beyond it had changed.
     is_surprised: bool,
@@ -140,7 +140,7 @@ impl<D: Decide> Block<'_, D> {
             let beside = count(&beyond, occupied) + count(&within, occupied);
             let context = FREE_TO_OCCUPIED + beside.min(3) * 4 + count(&beyond, new);
             if self.decide.flag(context, truth.occupied & bit != 0) {
-                self.tell(at, Bits { free: 0, occupied: bit });
+                self.note(at, Bits { free: 0, occupied: bit });
             }
         }
     }
@@ -151,7 +151,7 @@ impl<D: Decide> Block<'_, D> {
         if self.decide.flag(OCCUPIED_TO_FREE_IN_ROW, truth.free & voxels != 0) {
             for bit in bits_of(voxels) {
                 if self.decide.flag(OCCUPIED_TO_FREE, truth.free & bit != 0) {
-                    self.tell(at, Bits { free: bit, occupied: 0 });
+                    self.note(at, Bits { free: bit, occupied: 0 });
                 }
             }
         }
@@ -172,7 +172,7 @@ impl<D: Decide> Block<'_, D> {
             }
             RowClass::Sure(class) => {
                 if !self.decide.flag(SURE_ROW + class, truth.free & voxels != voxels) {
-                    self.tell(at, Bits { free: voxels, occupied: 0 });
+                    self.note(at, Bits { free: voxels, occupied: 0 });
                     return;
                 }
                 RowKind::Ordinary
@@ -180,8 +180,8 @@ impl<D: Decide> Block<'_, D> {
             RowClass::Hot => RowKind::Ordinary,
         };
         let row = self.contexts(at, voxels, kind);
-        let told = self.decide.row(&row, truth);
-        self.tell(at, told);
+        let coded = self.decide.row(&row, truth);
+        self.note(at, coded);
     }
 
     #[inline]
@@ -262,11 +262,11 @@ impl<D: Decide> Block<'_, D> {
     }
 
     #[inline]
-    fn tell(&mut self, at: usize, bits: Bits) {
+    fn note(&mut self, at: usize, bits: Bits) {
         self.cells.change(at, bits);
         let (z, shift) = ((at >> 4).wrapping_sub(3) & 7, 8 * ((at & 15).wrapping_sub(3) & 7));
-        self.told.free[z] |= u64::from(bits.free) << shift;
-        self.told.occupied[z] |= u64::from(bits.occupied) << shift;
+        self.coded.free[z] |= u64::from(bits.free) << shift;
+        self.coded.occupied[z] |= u64::from(bits.occupied) << shift;
     }
 }
 

@@ -28,8 +28,8 @@ pub(crate) struct Bits {
 /// The cells of a row in which some voxels changed, the first of which is so many from the lowest.
 #[inline]
 pub(crate) fn changed(row: Row, bits: Bits, first: usize) -> Row {
-    let told = (Row::from(bits.free | bits.occupied) * LANES) << first;
-    row & !told | ((Row::from(bits.free) * FREED) | (Row::from(bits.occupied) * LANES)) << first
+    let coded = (Row::from(bits.free | bits.occupied) * LANES) << first;
+    row & !coded | ((Row::from(bits.free) * FREED) | (Row::from(bits.occupied) * LANES)) << first
 }
 
 /// The unknown voxels of the eight lowest.

@@ -1,6 +1,6 @@
-//! Which tables suit the changes of a cycle: a few blocks are coded with each of them, for the costs alone.
+//! Which tables suit the changes of a batch: a few blocks are coded with each of them, for the costs alone.
 
-use flockmap_grid::Overtaken;
+use flockmap_grid::BaseSuperseded;
 
 use super::block_box::BlockBox;
 use super::cells::Bits;
@@ -28,7 +28,7 @@ pub(crate) fn choose(
     sets: &[TableSet],
     sensor: [i32; 3],
     blocks: &[Changed<'_>],
-) -> Result<TableSet, Overtaken> {
+) -> Result<TableSet, BaseSuperseded> {
     let mut trial = Trial { sets: sets.iter().map(|set| (0, *set, set.tables())).collect() };
     let sample = sample(blocks);
     let region = sample.iter().map(|(index, _)| BlockBox::of(*index)).reduce(BlockBox::union);
@@ -47,7 +47,7 @@ pub(crate) fn choose(
     Ok(best.map_or(TableSet::Dense, |(_, set, _)| *set))
 }
 
-/// Some of the blocks of a cycle, to be looked at in this order.
+/// Some of the blocks of a batch, to be looked at in this order.
 fn sample<'a>(blocks: &[Changed<'a>]) -> Vec<Changed<'a>> {
     let count = (blocks.len() / (2 * SAMPLE_PART)).clamp(2, SAMPLE_BLOCKS);
     let (front, back) = blocks.split_at(blocks.len() / 2);

@@ -43,11 +43,11 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
         let Probabilities { voxel, kind, .. } = &mut *self.probabilities;
         let levels = [&*self.tables.voxel, &self.tables.kind];
-        let told =
+        let coded =
             self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, levels, bits }, row, truth));
-        let made = row.voxels.count_ones() + (told.free | told.occupied).count_ones();
+        let made = row.voxels.count_ones() + (coded.free | coded.occupied).count_ones();
         self.steps += work::ROW_STEPS + u64::from(made);
-        told
+        coded
     }
 }
 

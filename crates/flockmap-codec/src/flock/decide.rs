@@ -47,7 +47,7 @@ pub(crate) trait DecideVoxel {
 /// Goes through the voxels of a row.
 #[inline(always)]
 pub(crate) fn voxels<D: DecideVoxel>(decide: &mut D, row: &UnknownRow, truth: Bits) -> Bits {
-    let mut told = Bits { free: 0, occupied: 0 };
+    let mut coded = Bits { free: 0, occupied: 0 };
     let mut kind = row.kind;
     let mut left = u32::from(row.voxels);
     let seen = u32::from(truth.free | truth.occupied);
@@ -65,14 +65,14 @@ pub(crate) fn voxels<D: DecideVoxel>(decide: &mut D, row: &UnknownRow, truth: Bi
             }
             let is_occupied = decide.kind(contexts, truth.occupied >> x & 1 != 0);
             if is_occupied {
-                told.occupied |= 1 << x;
+                coded.occupied |= 1 << x;
             } else {
-                told.free |= 1 << x;
+                coded.free |= 1 << x;
             }
             if let Some(next) = near_high.get_mut(x + 1) {
                 *next |= row.beside[usize::from(is_occupied)];
             }
         }
     }
-    told
+    coded
 }

@@ -1,7 +1,7 @@
-//! What both sides know of the blocks round a package: the states before its cycle, and what the package has
+//! What both sides know of the blocks round a package: the states before its batch, and what the package has
 //! told so far.
 
-use flockmap_grid::{BlockIndex, Overtaken, StateBlock};
+use flockmap_grid::{BaseSuperseded, BlockIndex, StateBlock};
 
 use super::block_box::{BlockBox, Places};
 use super::cells::BlockCells;
@@ -58,7 +58,11 @@ impl Field {
 
     /// How much was known of a block of the package before, without taking it in: most blocks that are asked
     /// for do not change.
-    pub(crate) fn classes(&self, known: &Known<'_>, block: BlockIndex) -> Result<KnownClasses, Overtaken> {
+    pub(crate) fn classes(
+        &self,
+        known: &Known<'_>,
+        block: BlockIndex,
+    ) -> Result<KnownClasses, BaseSuperseded> {
         match self.slots.get(self.places.of(block)) {
             Some(&slot) if slot != NOT_ASKED => Ok(self.classes_in(slot)),
             _ => Ok(known.block(block)?.map(KnownClasses::of).unwrap_or_default()),
@@ -72,7 +76,7 @@ impl Field {
         known: &Known<'_>,
         blocks: impl Iterator<Item = BlockIndex>,
         found: &mut Vec<(BlockIndex, KnownClasses)>,
-    ) -> Result<(), Overtaken> {
+    ) -> Result<(), BaseSuperseded> {
         let mut states = [None; AHEAD];
         found.clear();
         for (block, states) in blocks.zip(&mut states) {
@@ -102,7 +106,7 @@ impl Field {
         known: &Known<'_>,
         block: BlockIndex,
         orientation: Orientation,
-    ) -> Result<Around, Overtaken> {
+    ) -> Result<Around, BaseSuperseded> {
         let mut slots = [NOTHING; 27];
         // All are looked up before any is taken in, so that the processor can wait for several at once.
         let mut found = [(0, 0, None); 16];
@@ -141,8 +145,8 @@ impl Field {
     #[inline(never)]
     fn admit(&mut self, place: usize, known: Option<&StateBlock>, orientation: Orientation) -> u32 {
         let is_mirrored = orientation.is_up[0];
-        // A block that only this cycle told of was there before it too, without a voxel, where some of the
-        // cycle has been merged already.
+        // A block that only this batch told of was there before it too, without a voxel, where some of the
+        // batch has been merged already.
         let known = known.map(|states| (states, KnownClasses::of(states)));
         let slot = match known.filter(|(_, classes)| classes.is_any()) {
             None => NOTHING,
@@ -169,12 +173,12 @@ impl Field {
     }
 
     /// Takes in what was told of a block. Returns it as it is, not turned.
-    pub(crate) fn tell(
+    pub(crate) fn note(
         &mut self,
         slots: &Around,
         block: BlockIndex,
         orientation: Orientation,
-        told: &TurnedChanges,
+        coded: &TurnedChanges,
     ) -> StateBlock {
         let mut slot = slots[OWN];
         if slot == NOTHING {
@@ -185,7 +189,7 @@ impl Field {
                 *own = slot;
             }
         }
-        let (free, occupied) = (orientation.back_but_x(&told.free), orientation.back_but_x(&told.occupied));
+        let (free, occupied) = (orientation.back_but_x(&coded.free), orientation.back_but_x(&coded.occupied));
         if let Some(cells) = self.cells.get_mut(slot as usize) {
             cells.change(&free, &occupied);
         }

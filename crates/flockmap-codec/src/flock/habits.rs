@@ -1,6 +1,6 @@
-//! What the packages of a cycle so far have taught the writer.
+//! What the packages of a batch so far have taught the writer.
 
-use flockmap_grid::Overtaken;
+use flockmap_grid::BaseSuperseded;
 
 use super::choice::choose;
 use super::known::Known;
@@ -21,14 +21,14 @@ impl Habits {
         Self { sets: sets.to_vec(), rate: 0 }
     }
 
-    /// Chooses tables when it sees the first blocks of a cycle.
+    /// Chooses tables when it sees the first blocks of a batch.
     pub(crate) fn tables(
         &mut self,
         model: &mut Model,
         known: &Known<'_>,
         sensor: [i32; 3],
         blocks: &[Changed<'_>],
-    ) -> Result<TableSet, Overtaken> {
+    ) -> Result<TableSet, BaseSuperseded> {
         let set = match *self.sets {
             [set] => set,
             _ => choose(model, known, &self.sets, sensor, blocks)?,

@@ -1,11 +1,11 @@
-//! What is known of blocks before a cycle.
+//! What is known of blocks before a batch.
 
 use core::cell::Cell;
 
-use flockmap_grid::{BlockIndex, Layer, Overtaken, Stamp, StateBlock};
+use flockmap_grid::{BaseSuperseded, BlockIndex, Layer, Stamp, StateBlock};
 use rustc_hash::FxHashMap;
 
-/// The states before a cycle, block by block.
+/// The states before a batch, block by block.
 #[derive(Clone, Debug)]
 pub(crate) struct Known<'a> {
     before: Before<'a>,
@@ -15,16 +15,16 @@ pub(crate) struct Known<'a> {
 #[derive(Clone, Copy, Debug)]
 enum Before<'a> {
     Nothing,
-    /// What a layer knew before the cycle with this end.
-    Cycle(&'a Layer, Stamp),
+    /// What a layer knew before the batch with this end.
+    Batch(&'a Layer, Stamp),
     /// These states, whose stamps do not matter.
     States(&'a FxHashMap<BlockIndex, StateBlock>),
 }
 
 impl<'a> Known<'a> {
     /// Nothing is known without a layer.
-    pub(crate) fn new(layer: Option<&'a Layer>, cycle_end: Stamp) -> Self {
-        let before = layer.map_or(Before::Nothing, |layer| Before::Cycle(layer, cycle_end));
+    pub(crate) fn new(layer: Option<&'a Layer>, batch_end: Stamp) -> Self {
+        let before = layer.map_or(Before::Nothing, |layer| Before::Batch(layer, batch_end));
         Self { before, newest: Cell::new(None) }
     }
 
@@ -33,20 +33,20 @@ impl<'a> Known<'a> {
         Self { before: Before::States(states), newest: Cell::new(None) }
     }
 
-    /// What was known of a block before the cycle.
-    pub(crate) fn block(&self, index: BlockIndex) -> Result<Option<&'a StateBlock>, Overtaken> {
-        let (layer, cycle_end) = match self.before {
+    /// What was known of a block before the batch.
+    pub(crate) fn block(&self, index: BlockIndex) -> Result<Option<&'a StateBlock>, BaseSuperseded> {
+        let (layer, batch_end) = match self.before {
             Before::Nothing => return Ok(None),
             Before::States(states) => return Ok(states.get(&index)),
-            Before::Cycle(layer, cycle_end) => (layer, cycle_end),
+            Before::Batch(layer, batch_end) => (layer, batch_end),
         };
-        Ok(layer.known_before(index, cycle_end)?.map(|(states, newest)| {
+        Ok(layer.known_before(index, batch_end)?.map(|(states, newest)| {
             self.newest.set(self.newest.get().max(Some(newest)));
             states
         }))
     }
 
-    /// The newest stamp in the blocks asked for since this was called last. Before the cycle, if nothing of
+    /// The newest stamp in the blocks asked for since this was called last. Before the batch, if nothing of
     /// it was applied.
     pub(crate) fn take_newest(&self) -> Option<Stamp> {
         self.newest.take()

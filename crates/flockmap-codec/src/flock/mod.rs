@@ -4,16 +4,16 @@
 //! From the bottom: `coder` turns bits into bytes, `tables` and `coding` give each decision its probability.
 //! `planes`, `cells`, `orientation` and `neighbourhood` lay out what is known of a block and round it;
 //! `block` asks the decisions of one. `known`, `field`, `flags` and `order` are about many blocks; `model`
-//! has all that a decision may look at. `section` is the payload; `cycle` and `snapshot` are made of it, or
+//! has all that a decision may look at. `section` is the payload; `batch` and `snapshot` are made of it, or
 //! where there is no pattern of `gap_coding`.
 
+mod batch;
 mod block;
 mod block_box;
 mod cells;
 mod choice;
 mod coder;
 mod coding;
-mod cycle;
 mod decide;
 mod field;
 mod flags;
@@ -33,6 +33,6 @@ mod tables;
 #[cfg(feature = "training")]
 pub mod training;
 
-pub(crate) use cycle::{decode_cycle, encode_cycle, sensor};
+pub(crate) use batch::{decode_batch, encode_batch, sensor};
 pub(crate) use section::Workspace;
 pub(crate) use snapshot::{decode_chunk, encode_snapshot};

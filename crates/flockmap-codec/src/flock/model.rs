@@ -1,6 +1,6 @@
 //! The model at work: decisions about block after block, each in sight of what is known round it.
 
-use flockmap_grid::{BlockIndex, Overtaken, StateBlock};
+use flockmap_grid::{BaseSuperseded, BlockIndex, StateBlock};
 
 use super::block;
 use super::decide::Decide;
@@ -29,7 +29,7 @@ impl Model {
         (orientation, distance): (Orientation, Distance),
         classes: KnownClasses,
         changes: Option<&StateBlock>,
-    ) -> Result<StateBlock, Overtaken> {
+    ) -> Result<StateBlock, BaseSuperseded> {
         let slots = self.field.around(known, index, orientation)?;
         self.cells.gather(orientation, &slots, self.field.cells());
         let truth = changes.map(|changes| TurnedChanges::of(changes, orientation)).unwrap_or_default();
@@ -40,8 +40,8 @@ impl Model {
             }),
             None => [false; 2],
         };
-        let told = block::code(decide, &mut self.cells, distance, classes, &truth, flips);
-        let told = if D::KNOWS { truth } else { told };
-        Ok(self.field.tell(&slots, index, orientation, &told))
+        let coded = block::code(decide, &mut self.cells, distance, classes, &truth, flips);
+        let coded = if D::KNOWS { truth } else { coded };
+        Ok(self.field.note(&slots, index, orientation, &coded))
     }
 }

@@ -10,7 +10,7 @@ use super::block_box::{BLOCK_UNITS, BlockBox};
 /// A block with its changes.
 pub(crate) type Changed<'a> = &'a (BlockIndex, StateBlock);
 
-/// The blocks of a cycle in the order.
+/// The blocks of a batch in the order.
 pub(crate) fn in_order(changes: &Changes, sensor: [i32; 3]) -> Vec<Changed<'_>> {
     let sensor = sensor_block(sensor);
     let mut blocks: Vec<_> = changes.blocks().iter().collect();

@@ -6,7 +6,7 @@
 //! the box; a varint, the number of blocks from the first to the last that is told of; the decisions. Blocks
 //! are counted in the order of `order.rs`.
 
-use flockmap_grid::{BLOCK_SIDE, Changes, Overtaken, VOXEL_LIMIT, VoxelBox};
+use flockmap_grid::{BLOCK_SIDE, BaseSuperseded, Changes, VOXEL_LIMIT, VoxelBox};
 
 use super::block_box::{BOX_BLOCKS_MAX, BlockBox};
 use super::coder::{BitReader, BitWriter};
@@ -39,7 +39,7 @@ pub(crate) struct Workspace {
     probabilities: Box<Probabilities>,
     body: Vec<u8>,
     /// Of each block of the box, whether it is told of and changed.
-    told: Vec<u8>,
+    coded: Vec<u8>,
 }
 
 /// What became one section.
@@ -62,7 +62,7 @@ pub(crate) fn encode(
     blocks: &[Changed<'_>],
     spare: u64,
     room: impl Fn(&VoxelBox) -> usize,
-) -> Result<(Section, usize), Overtaken> {
+) -> Result<(Section, usize), BaseSuperseded> {
     let set = habits.tables(&mut workspace.model, known, sensor, blocks)?;
     let mut before = 0;
     loop {
@@ -73,13 +73,13 @@ pub(crate) fn encode(
         let work = work::for_bytes(nearly).saturating_add(spare) / 2;
         let wanted = habits.reach(blocks, nearly).max(2 * before);
         let Some((reach, region)) = boxes(blocks, work).take(wanted).enumerate().last() else {
-            unreachable!("a cycle has a block")
+            unreachable!("a batch has a block")
         };
         let Some(voxels) = region.voxels() else { unreachable!("blocks lie in the grid") };
         let reach = reach + 1;
         let room = room(&voxels);
-        let told = blocks.get(..reach).unwrap_or_default();
-        let (payload, count, steps) = write(workspace, known, set, sensor, told, region, spare, room)?;
+        let coded = blocks.get(..reach).unwrap_or_default();
+        let (payload, count, steps) = write(workspace, known, set, sensor, coded, region, spare, room)?;
         let changes = order::changes_of(&blocks[..count]);
         habits.learn(payload.len(), changes.len());
         // All went in, and there is room for more: again, with a larger box.
@@ -116,8 +116,8 @@ fn write(
     region: BlockBox,
     spare: u64,
     room: usize,
-) -> Result<(Vec<u8>, usize, u64), Overtaken> {
-    let Workspace { model, probabilities, body, told } = workspace;
+) -> Result<(Vec<u8>, usize, u64), BaseSuperseded> {
+    let Workspace { model, probabilities, body, coded } = workspace;
     let sensor_block = order::sensor_block(sensor);
     let first = blocks.first().map(|(index, _)| *index);
     let before = order::blocks(region, sensor_block, 0).take_while(|index| Some(*index) != first).count();
@@ -127,7 +127,7 @@ fn write(
     model.field.clear(region);
     body.clear();
     let mut decisions = Coding::new(set.tables(), probabilities, BitWriter::new(body));
-    let mut flags = Flags::new(region, told);
+    let mut flags = Flags::new(region, coded);
     let mut left = blocks.iter();
     let mut next = left.next();
     // Blocks told of, and those with changes.
@@ -143,7 +143,7 @@ fn write(
         let classes = model.field.classes(known, index)?;
         of_flags += work::of_flag(classes.is_any());
         decisions.flag(flags.context(index, view.0, classes), is_changed);
-        flags.tell(index, is_changed);
+        flags.note(index, is_changed);
         if !is_changed {
             continue;
         }
@@ -181,9 +181,9 @@ pub(crate) fn decode(
     let length = reader.number("blocks told of", volume - before)?;
     work.take(work::of_box(region.size()))?;
 
-    let Workspace { model, probabilities, told, .. } = workspace;
+    let Workspace { model, probabilities, coded, .. } = workspace;
     model.field.clear(region);
-    let mut flags = Flags::new(region, told);
+    let mut flags = Flags::new(region, coded);
     let mut decisions = Coding::new(set.tables(), probabilities, BitReader::new(reader.rest()));
     let mut changed = Vec::new();
     // Steps of what was taken in and decided, as far as they have been counted.
@@ -203,7 +203,7 @@ pub(crate) fn decode(
         work.take(work::of_flag(classes.is_any()) + so_far - counted)?;
         counted = so_far;
         let is_changed = decisions.flag(flags.context(index, view.0, classes), false);
-        flags.tell(index, is_changed);
+        flags.note(index, is_changed);
         if !is_changed {
             continue;
         }

@@ -1,7 +1,7 @@
-//! A snapshot as its own history: part by part in the order of their stamps, each told as a cycle against the
+//! A snapshot as its own history: part by part in the order of their stamps, each told as a batch against the
 //! older ones.
 //!
-//! So the stamps cost next to nothing, and what a later cycle left of an earlier one is told where that cycle
+//! So the stamps cost next to nothing, and what a later batch left of an earlier one is told where that batch
 //! told it. A chunk holds sections, each a part or a piece of one. Who has read the chunks before knows what
 //! the next one is told against. A chunk without sections says that nothing is known.
 //!
@@ -9,7 +9,7 @@
 //! header); the box in blocks, three varints for its lowest block as the difference to that of the chunk,
 //! three for its size less one; the length of the rest, a varint; the rest, as in a package of changes.
 
-use flockmap_grid::{BlockIndex, Changes, Layer, PresentState, PresentVoxels, Stamp, StateBlock, VoxelBox};
+use flockmap_grid::{BlockIndex, Changes, Layer, Snapshot, SnapshotVoxels, Stamp, StateBlock, VoxelBox};
 use rustc_hash::FxHashMap;
 
 use super::block_box::{BLOCK_UNITS, BOX_BLOCKS_MAX, BlockBox};
@@ -43,11 +43,11 @@ const SECTION_HEAD_MAX: usize = 10 + 3 * 5 + 3 * 5 + 3;
 /// and some stamps. A chunk of a single block may be longer.
 pub(crate) fn encode_snapshot(
     workspace: &mut Workspace,
-    state: &PresentVoxels,
+    state: &SnapshotVoxels,
     room: impl Fn(&VoxelBox, [Stamp; 2]) -> usize,
 ) -> Result<Vec<ChunkDraft>, EncodeError> {
-    let mut told = FxHashMap::<BlockIndex, StateBlock>::default();
-    told.reserve(state.block_count());
+    let mut coded = FxHashMap::<BlockIndex, StateBlock>::default();
+    coded.reserve(state.block_count());
     let mut habits = Habits::new(&[TableSet::Dense, TableSet::Sparse]);
     // A chunk can grow to this as sections are added, and its header with it.
     let largest = BlockBox::around(&state.region());
@@ -62,7 +62,7 @@ pub(crate) fn encode_snapshot(
         let at = state.sensors().binary_search_by_key(&stamp, |(stamp, _)| *stamp).ok();
         let sensor = at.and_then(|at| state.sensors().get(at)).map_or_else(|| middle(&part), |(_, at)| *at);
         let sensor = whole(sensor);
-        let known = Known::of_states(&told);
+        let known = Known::of_states(&coded);
         let blocks = order::in_order(&part, sensor);
         let mut rest = blocks.as_slice();
         while !rest.is_empty() {
@@ -76,7 +76,7 @@ pub(crate) fn encode_snapshot(
             is_begun = true;
             let coded =
                 section::encode(workspace, &known, &mut habits, sensor, rest, chunk.spare(), |_| left);
-            // Parts come in the order of their stamps, so that nothing in `told` is as new.
+            // Parts come in the order of their stamps, so that nothing in `coded` is as new.
             let Ok((section, count)) = coded else {
                 unreachable!("what is known before a part is never gone")
             };
@@ -89,7 +89,7 @@ pub(crate) fn encode_snapshot(
             rest = rest.get(count..).unwrap_or_default();
             chunk.add(stamp, sensor, section);
         }
-        part.blocks().iter().for_each(|(index, block)| told.entry(*index).or_default().overlay(block));
+        part.blocks().iter().for_each(|(index, block)| coded.entry(*index).or_default().overlay(block));
     }
     if !chunk.sections.is_empty() || done.is_empty() {
         done.push(chunk.draft(largest)?);
@@ -190,16 +190,16 @@ fn add_sensor(sensors: &mut Sensors, stamp: Stamp, sensor: [i32; 3]) {
     }
 }
 
-/// What a chunk says; `told` is what the chunks before it said, and holds this one too afterwards. After an
+/// What a chunk says; `coded` is what the chunks before it said, and holds this one too afterwards. After an
 /// error it is of no use.
 pub(crate) fn decode_chunk(
     workspace: &mut Option<Box<Workspace>>,
-    told: &mut Layer,
+    coded: &mut Layer,
     payload: &[u8],
     region: &VoxelBox,
     [first, last]: [Stamp; 2],
     work: &mut Work,
-) -> Result<PresentState, PackageError> {
+) -> Result<Snapshot, PackageError> {
     let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
     let blocks = BlockBox::of_voxels(region).ok_or_else(|| wrong("the box is made of whole blocks"))?;
     let (mut parts, mut sensors) = (Vec::<(Stamp, Vec<(BlockIndex, StateBlock)>)>::new(), Sensors::new());
@@ -214,21 +214,21 @@ pub(crate) fn decode_chunk(
         let section = read_box(&mut fields, &blocks)?;
         let length = fields.number("section length", u64::MAX)?;
         let split = usize::try_from(length).ok().and_then(|length| fields.rest().split_at_checked(length));
-        let (body, after) = split.ok_or_else(|| wrong("a section ends within its tile"))?;
+        let (body, after) = split.ok_or_else(|| wrong("a section ends within its chunk"))?;
         rest = after;
         blocks_left = blocks_left
             .checked_sub(section.volume())
             .ok_or_else(|| wrong("the boxes of its sections have at most 2¹⁸ blocks together"))?;
         section.voxels().ok_or_else(|| wrong("a section lies in the grid"))?;
-        let known = Known::new(Some(told), stamp);
+        let known = Known::new(Some(coded), stamp);
         let changes = section::decode(workspace.get_or_insert_default(), &known, body, section, work)?;
-        let is_told = |(at, block): &(BlockIndex, StateBlock)| {
-            told.block(*at).is_some_and(|known| meet(&block.known(), &known.known()))
+        let is_known = |(at, block): &(BlockIndex, StateBlock)| {
+            coded.block(*at).is_some_and(|known| meet(&block.known(), &known.known()))
         };
-        if changes.blocks().iter().any(is_told) {
+        if changes.blocks().iter().any(is_known) {
             return Err(wrong("every voxel has one stamp"));
         }
-        told.apply(&changes, stamp);
+        coded.apply(&changes, stamp);
         add_sensor(&mut sensors, stamp, Head::read(&section, &mut Fields::new(body))?.sensor);
         match parts.last_mut() {
             Some((last, part)) if *last == stamp => part.extend_from_slice(changes.blocks()),
@@ -238,7 +238,7 @@ pub(crate) fn decode_chunk(
         }
     }
     let parts = parts.into_iter().map(|(stamp, part)| (stamp, Changes::from_blocks(part))).collect();
-    Ok(PresentState { region: *region, parts, sensors })
+    Ok(Snapshot { region: *region, parts, sensors })
 }
 
 /// The box of a section in that of its chunk.

@@ -85,7 +85,7 @@ pub(crate) enum TableSet {
     Dense,
     /// Single rays show.
     Sparse,
-    /// Cycles of nothing but obstacles.
+    /// Batches of nothing but obstacles.
     Obstacles,
 }
 

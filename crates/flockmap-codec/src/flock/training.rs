@@ -1,7 +1,7 @@
-//! Makes the tables of the `flock` codec from cycles of mapping. Integers only, so that the same cycles give
+//! Makes the tables of the `flock` codec from batches of mapping. Integers only, so that the same batches give
 //! the same tables on every machine.
 //!
-//! Two rounds over the same cycles: the first counts how often an unknown voxel in each context was seen,
+//! Two rounds over the same batches: the first counts how often an unknown voxel in each context was seen,
 //! which gives the levels; the second counts by levels, which gives the probabilities that packages begin
 //! with.
 
@@ -21,7 +21,7 @@ use super::tables::{
     TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
 use crate::deflate::{Deflater, inflate_exact};
-use crate::source::Cycle;
+use crate::source::Batch;
 
 /// Changed voxels in a package of usual size. The voxels at its rim have less beside them.
 const PACKAGE_VOXELS: usize = 1_500;
@@ -78,7 +78,7 @@ type Counts = [u64; 2];
 pub struct Trainer {
     counting: Counting,
     model: Model,
-    told: Vec<u8>,
+    coded: Vec<u8>,
 }
 
 impl Default for Trainer {
@@ -93,13 +93,13 @@ pub const ROUNDS: usize = 2;
 impl Trainer {
     /// Before the first round.
     pub fn new() -> Self {
-        Self { counting: Counting::new(None), model: Model::default(), told: Vec::new() }
+        Self { counting: Counting::new(None), model: Model::default(), coded: Vec::new() }
     }
 
-    /// Learns from a cycle; `layer` is what was known before it. Each round has to be given the same cycles.
-    pub fn learn(&mut self, layer: &Layer, cycle: &Cycle, changes: &Changes) {
-        let known = Known::new(Some(layer), cycle.end);
-        let sensor = cycle.sensor;
+    /// Learns from a batch; `layer` is what was known before it. Each round has to be given the same batches.
+    pub fn learn(&mut self, layer: &Layer, batch: &Batch, changes: &Changes) {
+        let known = Known::new(Some(layer), batch.end);
+        let sensor = batch.sensor;
         let blocks = in_order(changes, sensor);
         let mut rest = blocks.as_slice();
         while !rest.is_empty() {
@@ -119,7 +119,7 @@ impl Trainer {
         let all = blocks.iter().map(|(index, _)| BlockBox::of(*index));
         let region = all.fold(BlockBox::of(*first), BlockBox::union);
         self.model.field.clear(region);
-        let mut flags = Flags::new(region, &mut self.told);
+        let mut flags = Flags::new(region, &mut self.coded);
         let mut left = blocks.iter().peekable();
         for index in order::blocks(region, order::sensor_block(sensor), 0).skip_while(|index| index != first)
         {
@@ -128,10 +128,10 @@ impl Trainer {
             }
             let changes = left.next_if(|(next, _)| *next == index).map(|(_, states)| states);
             let view = Orientation::of(index, sensor);
-            // A layer of whole cycles, in order, has not been overtaken.
+            // A layer of whole batches, in order, has not been superseded.
             let Ok(classes) = self.model.field.classes(known, index) else { return };
             self.counting.flag(flags.context(index, view.0, classes), changes.is_some());
-            flags.tell(index, changes.is_some());
+            flags.note(index, changes.is_some());
             if changes.is_some()
                 && self.model.code(&mut self.counting, known, index, view, classes, changes).is_err()
             {

@@ -17,19 +17,19 @@ fn header() -> impl Strategy<Value = Header> {
     let content = prop_oneof![
         Just(ContentKind::Changes),
         (any::<u32>(), any::<u32>(), 0..9u32, 9..2_000u32)
-            .prop_map(|(since, set, tile, tiles)| ContentKind::Present { since, set, tile, tiles }),
+            .prop_map(|(since, set, chunk, chunks)| ContentKind::Snapshot { since, set, chunk, chunks }),
     ];
     let content = (content, 0..Priority::ALL.len());
     let codec = (0..Codec::ALL.len()).prop_map(|at| Codec::ALL[at]);
     (numbers, [stamp.clone(), stamp], region, codec, content).prop_map(
         |(
-            (origin, epoch, index, reference, resolution),
+            (origin, epoch, index, base, resolution),
             stamps,
             (corner, size),
             codec,
             (mut content, priority),
         )| {
-            if let ContentKind::Present { since, .. } = &mut content {
+            if let ContentKind::Snapshot { since, .. } = &mut content {
                 *since %= index;
             }
             let priority = if content == ContentKind::Changes { priority } else { 0 };
@@ -37,10 +37,10 @@ fn header() -> impl Strategy<Value = Header> {
                 priority: Priority::ALL[priority],
                 stream: Stream { origin: RobotId(origin), epoch },
                 index,
-                cycle_start: Stamp(stamps[0].min(stamps[1])),
-                cycle_end: Stamp(stamps[0].max(stamps[1])),
-                reference: if content == ContentKind::Changes { reference % index } else { 0 },
-                is_alone: content != ContentKind::Changes || reference % index == 0 || epoch % 2 == 0,
+                batch_start: Stamp(stamps[0].min(stamps[1])),
+                batch_end: Stamp(stamps[0].max(stamps[1])),
+                base: if content == ContentKind::Changes { base % index } else { 0 },
+                is_independent: content != ContentKind::Changes || base % index == 0 || epoch % 2 == 0,
                 // One of three in whole millimetres.
                 resolution: Resolution::from_micrometres(match resolution % 3 {
                     0 => resolution / 1_000 * 1_000,
@@ -103,10 +103,10 @@ fn a_usual_header_takes_few_bytes() {
     let header = Header {
         stream: Stream { origin: RobotId(3), epoch },
         index: 12_000,
-        cycle_start: end.plus_micros(-500_000),
-        cycle_end: end,
-        reference: 11_970,
-        is_alone: false,
+        batch_start: end.plus_micros(-500_000),
+        batch_end: end,
+        base: 11_970,
+        is_independent: false,
         resolution: Resolution::from_metres(0.1).unwrap(),
         region: VoxelBox::new(Voxel::new(-200, 310, -8), [60, 40, 24]).unwrap(),
         codec: Codec::Paper,
@@ -119,7 +119,7 @@ fn a_usual_header_takes_few_bytes() {
 #[test]
 fn numbers_out_of_range_are_refused() {
     let refused = |edit: &dyn Fn(&mut Vec<u8>)| {
-        // Version, kind and codec, origin, epoch, index 5, cycle end, duration, resolution 0.1 m, box,
+        // Version, kind and codec, origin, epoch, index 5, batch end, duration, resolution 0.1 m, box,
         // reference.
         let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
         assert!(Header::read(&bytes).is_ok());
@@ -132,15 +132,15 @@ fn numbers_out_of_range_are_refused() {
     assert_eq!(blocks, "package header: a box of whole blocks is counted in blocks");
     assert_eq!(refused(&|b| b[15] = 5), "package header: a reference is an earlier package");
     assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
-    let urgent_state = refused(&|b| b[1] |= KIND_PRESENT << KIND_SHIFT | 1 << 5);
-    assert_eq!(urgent_state, "package header: a present state has priority 0");
+    let urgent_state = refused(&|b| b[1] |= KIND_SNAPSHOT << KIND_SHIFT | 1 << 5);
+    assert_eq!(urgent_state, "package header: a snapshot has priority 0");
     assert_eq!(
         refused(&|b| b[1] |= 3 << 3),
         "package content kind 0x3 is not known; the sender may be newer"
     );
     assert_eq!(refused(&|b| b[1] = 7), "package codec 7 is not known; the sender may be newer");
     let late = refused(&|b| {
-        b[1] |= KIND_PRESENT << KIND_SHIFT;
+        b[1] |= KIND_SNAPSHOT << KIND_SHIFT;
         b[15] = 5;
     });
     assert_eq!(late, "package header: a span begins after an earlier package");

@@ -7,7 +7,7 @@ use crate::work;
 pub(crate) const FREE: u8 = 0b00;
 /// Occupied in the paper.
 pub(crate) const OCCUPIED: u8 = 0b01;
-/// Unknown in the paper: only in a present state.
+/// Unknown in the paper: only in a snapshot.
 pub(crate) const UNKNOWN: u8 = 0b10;
 /// Unchanged in the paper: only among changes.
 pub(crate) const UNCHANGED: u8 = 0b11;

@@ -42,7 +42,7 @@ pub fn hilbert_order(size: [u32; 3]) -> Vec<[u32; 3]> {
 #[derive(Clone, Copy)]
 pub(crate) struct Leaf<'t> {
     first: usize,
-    way: &'t Way,
+    walk: &'t Walk,
     /// Index difference of each step number. Two of the eight are not used; so no step can be out of range.
     strides: [usize; 8],
 }
@@ -50,7 +50,7 @@ pub(crate) struct Leaf<'t> {
 impl Leaf<'_> {
     /// Number of voxels.
     pub(crate) fn len(&self) -> usize {
-        self.way.places.len()
+        self.walk.places.len()
     }
 
     /// Calls `visit` with the linear index of each voxel in turn.
@@ -58,7 +58,7 @@ impl Leaf<'_> {
     pub(crate) fn for_each(&self, mut visit: impl FnMut(usize)) {
         let mut index = self.first;
         visit(index);
-        for &step in &self.way.steps {
+        for &step in &self.walk.steps {
             index = index.wrapping_add(self.strides[usize::from(step & 7)]);
             visit(index);
         }
@@ -67,7 +67,7 @@ impl Leaf<'_> {
     /// The voxel that [`Self::for_each`] gives after so many others.
     #[inline]
     pub(crate) fn voxel(&self, step: usize) -> usize {
-        let place = self.way.places.get(step).copied().unwrap_or(0) as usize;
+        let place = self.walk.places.get(step).copied().unwrap_or(0) as usize;
         let along = |axis: usize| (place >> (3 * axis) & 7).wrapping_mul(self.strides[2 * axis]);
         self.first.wrapping_add(along(0)).wrapping_add(along(1)).wrapping_add(along(2))
     }
@@ -240,16 +240,16 @@ impl<P: Pick> Walker<'_, '_, P> {
         if self.passes(a.len * b.len * c.len) {
             return;
         }
-        if let Some(way) = self.tables.way(a.len, b.len, c.len) {
-            return self.leaf(from, way, a, b, c);
+        if let Some(walk) = self.tables.walk(a.len, b.len, c.len) {
+            return self.leaf(from, walk, a, b, c);
         }
         self.divide(from, a, b, c);
     }
 
-    fn leaf(&mut self, from: isize, way: &Way, a: Axis, b: Axis, c: Axis) {
+    fn leaf(&mut self, from: isize, walk: &Walk, a: Axis, b: Axis, c: Axis) {
         let strides =
             [a.stride, -a.stride, b.stride, -b.stride, c.stride, -c.stride, 0, 0].map(|s| s as usize);
-        let leaf = Leaf { first: from as usize, way, strides };
+        let leaf = Leaf { first: from as usize, walk, strides };
         self.pick.leaf(self.passed, &leaf);
         self.passed += leaf.len();
     }
@@ -333,8 +333,8 @@ impl<P: Pick> Walker<'_, '_, P> {
         if self.passes(a.len * b.len) {
             return;
         }
-        if let Some(way) = self.tables.way(a.len, b.len, 1) {
-            return self.leaf(from, way, a, b, POINT);
+        if let Some(walk) = self.tables.walk(a.len, b.len, 1) {
+            return self.leaf(from, walk, a, b, POINT);
         }
         if b.len == 1 {
             return self.line(from, a);
@@ -365,8 +365,8 @@ impl<P: Pick> Walker<'_, '_, P> {
             if part.len == 0 {
                 break;
             }
-            if let Some(way) = self.tables.way(part.len, 1, 1) {
-                self.leaf(from + a.at(start), way, part, POINT, POINT);
+            if let Some(walk) = self.tables.walk(part.len, 1, 1) {
+                self.leaf(from + a.at(start), walk, part, POINT, POINT);
             }
             start += part.len;
         }
@@ -375,11 +375,11 @@ impl<P: Pick> Walker<'_, '_, P> {
 
 /// The walks of every size of small box. About 150 KB, made at first use in about a millisecond.
 struct Tables {
-    ways: Vec<Option<Way>>,
+    walks: Vec<Option<Walk>>,
 }
 
 /// A walk of a small box.
-struct Way {
+struct Walk {
     /// From each voxel to the next: 0, 1 forward and back along the first axis, 2, 3 along the second, 4, 5
     /// along the third.
     steps: Box<[u8]>,
@@ -396,11 +396,11 @@ impl Tables {
     /// Every table is made from those of smaller boxes by the same rules as a large box: first lines, then
     /// planes, then solids, each in order of volume.
     fn new() -> Self {
-        let ways = std::iter::repeat_with(|| None).take(LEAF_SIDE * LEAF_SIDE * LEAF_SIDE);
-        let mut tables = Self { ways: ways.collect() };
+        let walks = std::iter::repeat_with(|| None).take(LEAF_SIDE * LEAF_SIDE * LEAF_SIDE);
+        let mut tables = Self { walks: walks.collect() };
         for len in 1..=LEAF_SIDE {
             let (steps, places) = (vec![0; len - 1].into(), (0..len as u16).collect());
-            tables.ways[Self::place(len, 1, 1)] = Some(Way { steps, places });
+            tables.walks[Self::place(len, 1, 1)] = Some(Walk { steps, places });
         }
         let sides = || 1..=LEAF_SIDE;
         let mut sizes: Vec<[usize; 3]> =
@@ -408,7 +408,7 @@ impl Tables {
         sizes.sort_by_key(|&[a, b, c]| (c > 1, a * b * c));
         for [a, b, c] in sizes {
             if (b, c) != (1, 1) {
-                tables.ways[Self::place(a, b, c)] = tables.make([a, b, c]);
+                tables.walks[Self::place(a, b, c)] = tables.make([a, b, c]);
             }
         }
         tables
@@ -416,7 +416,7 @@ impl Tables {
 
     /// `None` for the sizes that have no walk without jumps; no such part is ever cut from a box that has
     /// one.
-    fn make(&self, size: [usize; 3]) -> Option<Way> {
+    fn make(&self, size: [usize; 3]) -> Option<Walk> {
         const STRIDES: [isize; 3] = [1, 64, 64 * 64];
         let [a, b, c] = [0, 1, 2].map(|axis| Axis { len: size[axis], stride: STRIDES[axis] });
         let mut order = Vec::new();
@@ -433,15 +433,15 @@ impl Tables {
         let steps = order.windows(2).map(step_number).collect::<Option<_>>()?;
         // Six bits an axis become three.
         let places = order.iter().map(|&at| (at & 7 | at >> 3 & 7 << 3 | at >> 6 & 7 << 6) as u16).collect();
-        Some(Way { steps, places })
+        Some(Walk { steps, places })
     }
 
     /// The walk of a box of these sides; `None` if it is too large for a table.
-    fn way(&self, a: usize, b: usize, c: usize) -> Option<&Way> {
+    fn walk(&self, a: usize, b: usize, c: usize) -> Option<&Walk> {
         if a.max(b).max(c) > LEAF_SIDE {
             return None;
         }
-        self.ways.get(Self::place(a, b, c)).and_then(Option::as_ref)
+        self.walks.get(Self::place(a, b, c)).and_then(Option::as_ref)
     }
 
     const fn place(a: usize, b: usize, c: usize) -> usize {

@@ -5,9 +5,9 @@
 //! Changes are cut in space until each piece fits. A snapshot has the stamp of every voxel beside its states.
 
 mod addresses;
+mod batch;
 mod blocks;
 mod codes;
-mod cycle;
 mod fit;
 mod grid;
 mod hilbert;
@@ -18,7 +18,7 @@ mod voxels;
 
 pub use hilbert::hilbert_order;
 
-pub(crate) use cycle::{decode_cycle, encode_cycle, encode_whole};
+pub(crate) use batch::{decode_batch, encode_batch, encode_whole};
 pub(crate) use fit::Writer;
 pub(crate) use snapshot::{decode_chunk, encode_snapshot};
 pub(crate) use states::Scratch;

@@ -1,6 +1,6 @@
 //! The state of a layer: chunks that are cut in space, each with the states of its voxels and their stamps.
 
-use flockmap_grid::{Changes, PresentState, PresentVoxels, Stamp, VoxelBox};
+use flockmap_grid::{Changes, Snapshot, SnapshotVoxels, Stamp, VoxelBox};
 
 use super::fit::{Writer, fit};
 use super::stamps;
@@ -21,7 +21,7 @@ const RUN_VOXELS_MAX: usize = 1 << 15;
 pub(crate) fn encode_snapshot(
     writer: &mut Writer,
     codec: Codec,
-    state: &PresentVoxels,
+    state: &SnapshotVoxels,
     room: impl Fn(&VoxelBox, [Stamp; 2]) -> usize,
 ) -> Result<Vec<ChunkDraft>, EncodeError> {
     let draft = |(piece, payload): (Piece, Vec<u8>)| {
@@ -57,7 +57,7 @@ pub(crate) fn decode_chunk(
     region: &VoxelBox,
     ends: [Stamp; 2],
     work: &mut Work,
-) -> Result<PresentState, PackageError> {
+) -> Result<Snapshot, PackageError> {
     let mut fields = Fields::new(payload);
     let length = fields.number("length of states", payload.len() as u64)? as usize;
     let rule = "the length of the states, the states, the stamps";

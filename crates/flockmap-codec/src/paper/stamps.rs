@@ -1,11 +1,11 @@
-//! The stamps of a present state, after its states and the same for all codecs.
+//! The stamps of a snapshot, after its states and the same for all codecs.
 //!
 //! Nothing if all known voxels have one stamp, which the header has. Else one zlib stream of: the number of
 //! stamps; the differences from each stamp to the next; then for each known voxel along the Hilbert walk of
 //! the box the number of its stamp, the low bytes of all voxels first, and the high bytes after them if there
 //! are more than 256 stamps.
 
-use flockmap_grid::{Changes, PresentState, Stamp, StateBlock, VoxelBox};
+use flockmap_grid::{Changes, Snapshot, Stamp, StateBlock, VoxelBox};
 
 use super::blocks::Blocks;
 use super::codes::{FREE, OCCUPIED, UNKNOWN};
@@ -18,7 +18,7 @@ use crate::error::PackageError;
 use crate::fields::Fields;
 use crate::work::{self, Work};
 
-/// Most distinct stamps in a tile.
+/// Most distinct stamps in a chunk.
 pub(crate) const STAMPS_MAX: usize = 1 << 16;
 
 /// Appends the stamps of `parts`, whose voxels all lie in `region`. At most [`STAMPS_MAX`] parts.
@@ -83,14 +83,14 @@ pub(crate) fn decode(
     [first, last]: [Stamp; 2],
     work: &mut Work,
     grid: &mut CodeGrid,
-) -> Result<PresentState, PackageError> {
+) -> Result<Snapshot, PackageError> {
     let wrong = |rule| PackageError::Payload { codec, rule };
     if bytes.is_empty() {
         if first != last {
-            return Err(wrong("a tile without stamps of its own has one stamp"));
+            return Err(wrong("a chunk without stamps of its own has one stamp"));
         }
         let parts = if states.is_empty() { Vec::new() } else { vec![(first, states)] };
-        return Ok(PresentState { region: *region, parts, sensors: Vec::new() });
+        return Ok(Snapshot { region: *region, parts, sensors: Vec::new() });
     }
     let known = states.len();
     work.take(work::of_stamps(region.volume() as u64, known as u64))?;
@@ -154,5 +154,5 @@ pub(crate) fn decode(
     if parts.len() < count {
         return Err(wrong("every stamp has a voxel"));
     }
-    Ok(PresentState { region: *region, parts, sensors: Vec::new() })
+    Ok(Snapshot { region: *region, parts, sensors: Vec::new() })
 }

@@ -17,7 +17,7 @@ use crate::work::{self, Work};
 pub(crate) enum Others {
     /// They are as before: a package of changes.
     Unchanged,
-    /// They are Unknown: a present state.
+    /// They are Unknown: a snapshot.
     Unknown,
 }
 
@@ -47,7 +47,7 @@ pub(crate) fn voxels_max(codec: Codec, payload_bytes: usize, others: Others) -> 
     let filled = match codec {
         Codec::Raw => payload.saturating_mul(4),
         Codec::NestedZlib | Codec::Paper => payload.saturating_mul(4 * EXPANSION_MAX as u64),
-        // An address list does not fill its box, but the stamps of a present state are laid out over it.
+        // An address list does not fill its box, but the stamps of a snapshot are laid out over it.
         Codec::Racer if others == Others::Unknown => (payload + 1).saturating_mul(4 * EXPANSION_MAX as u64),
         // An address list does not fill its box, nor do decisions.
         Codec::Racer | Codec::Flock => BOX_VOXELS_MAX,
@@ -149,7 +149,7 @@ pub(crate) fn decode(
     let codes = Codes::new(packed, others.code());
     let rule = match others {
         Others::Unchanged => "no voxel changes to Unknown (code 10)",
-        Others::Unknown => "no voxel of a present state is Unchanged (code 11)",
+        Others::Unknown => "no voxel of a snapshot is Unchanged (code 11)",
     };
     voxels::voxels(codec, codes, region, work, rule)
 }

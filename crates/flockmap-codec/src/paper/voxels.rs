@@ -151,12 +151,12 @@ mod tests {
         fn what_is_found_is_what_going_through_all_voxels_finds(
             size in prop_oneof![prop::array::uniform3(1..30u32), (1..4_000u32, 1..3u32, 1..3u32).prop_map(|(x, y, z)| [y, z, x])],
             corner in prop::array::uniform3(-40..40i32),
-            is_present: bool,
+            is_snapshot: bool,
             one_of in prop_oneof![Just(1u64), Just(2), Just(40), Just(3_000)],
             seed: u64,
         ) {
             let region = VoxelBox::new(Voxel::new(corner[0], corner[1], corner[2]), size).unwrap();
-            let background = if is_present { UNKNOWN } else { UNCHANGED };
+            let background = if is_snapshot { UNKNOWN } else { UNCHANGED };
             let list = draw(region.volume() as usize, background, one_of, seed);
             let mut packed = Vec::new();
             pack(&list, &mut packed);
@@ -176,9 +176,9 @@ mod tests {
                 let found = super::voxels(codec, codes, &region, &mut work, "none");
                 prop_assert_eq!(found.as_ref(), Ok(&expected));
 
-                let is_told = |codes: &&[u8]| codes.iter().any(|code| *code != background);
-                let groups = list.chunks(512).filter(is_told).count();
-                let bytes = list.chunks(4).filter(is_told).count();
+                let is_known = |codes: &&[u8]| codes.iter().any(|code| *code != background);
+                let groups = list.chunks(512).filter(is_known).count();
+                let bytes = list.chunks(4).filter(is_known).count();
                 let steps = 128 * groups + 12 * bytes + 128 * expected.blocks().len();
                 prop_assert_eq!(work.taken(), steps as u64);
             }

@@ -5,7 +5,7 @@ mod random;
 
 pub(crate) use random::Random;
 
-use flockmap_codec::Cycle;
+use flockmap_codec::Batch;
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use proptest::prelude::*;
 
@@ -17,9 +17,9 @@ pub(crate) fn resolution() -> Resolution {
     Resolution::from_micrometres(100_000).unwrap()
 }
 
-pub(crate) fn cycle() -> Cycle {
+pub(crate) fn batch() -> Batch {
     let start = Stamp(1_700_000_000_000_000);
-    Cycle {
+    Batch {
         stream: stream(),
         start,
         end: start.plus_micros(500_000),
@@ -57,7 +57,7 @@ pub(crate) fn changes() -> impl Strategy<Value = Changes> {
 
 /// The changes of half a second of flight: a sensor with a range of 7.4 m and 0.1 m voxels moves 0.75 m between
 /// tree trunks, after it has mapped for half a second. The box is 150 × 150 × 30 voxels.
-pub(crate) fn forest_cycle() -> Changes {
+pub(crate) fn forest_batch() -> Changes {
     const SIZE: [usize; 3] = [150, 150, 30];
     let place = |v: [usize; 3]| (v[2] * SIZE[1] + v[1]) * SIZE[0] + v[0];
     let mut random = Random(7);

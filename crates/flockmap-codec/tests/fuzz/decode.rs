@@ -3,10 +3,9 @@
 //! Input: a byte that chooses the layer which the package is decoded against, and the package.
 
 use flockmap_codec::{
-    Codec, Content, ContentKind, Cycle, EncodeError, Header, PACKAGE_BYTES_MAX, Package, PackageError,
-    Reference,
+    Base, Batch, Codec, Content, ContentKind, EncodeError, Header, PACKAGE_BYTES_MAX, Package, PackageError,
 };
-use flockmap_grid::{BlockIndex, Changes, Layer, PresentState, Stamp, StateBlock, VoxelBox};
+use flockmap_grid::{BlockIndex, Changes, Layer, Snapshot, Stamp, StateBlock, VoxelBox};
 
 use super::{Fuzz, Random, grid};
 
@@ -23,7 +22,7 @@ pub(crate) fn run(fuzz: &mut Fuzz, input: &[u8]) {
     assert_eq!(package.bytes(), bytes);
     let header = *package.header();
     check_header(&header);
-    let layer = layer_beside(&header.region, header.cycle_end, *seed);
+    let layer = layer_beside(&header.region, header.batch_end, *seed);
     let (package, content) = match fuzz.decoder.decode_against(&package, layer.as_ref()) {
         Ok(content) => (package, content),
         Err(PackageError::Check { stated, found }) => mended(&package, [stated, found], |package| {
@@ -38,7 +37,7 @@ pub(crate) fn run(fuzz: &mut Fuzz, input: &[u8]) {
             decode_twice(fuzz, &package, changes, layer.clone());
             say_again(fuzz, &header, changes, layer.as_ref());
         }
-        Content::Present(state) => check_present(&header, state),
+        Content::Snapshot(state) => check_snapshot(&header, state),
     }
 }
 
@@ -64,12 +63,12 @@ pub(crate) fn mended<T>(
 }
 
 fn check_header(header: &Header) {
-    assert!(header.index > 0 && header.reference < header.index);
-    assert!(header.cycle_start <= header.cycle_end);
-    assert!(header.is_alone || header.reference > 0);
+    assert!(header.index > 0 && header.base < header.index);
+    assert!(header.batch_start <= header.batch_end);
+    assert!(header.is_independent || header.base > 0);
     assert_eq!(header.region.intersection(&grid()), Some(header.region));
-    if let ContentKind::Present { tile, tiles, .. } = header.content {
-        assert!(tile < tiles && header.is_alone && header.reference == 0);
+    if let ContentKind::Snapshot { chunk, chunks, .. } = header.content {
+        assert!(chunk < chunks && header.is_independent && header.base == 0);
     }
 }
 
@@ -85,11 +84,11 @@ fn check_changes(header: &Header, bytes: usize, changes: &Changes) {
     }
 }
 
-pub(crate) fn check_present(header: &Header, state: &PresentState) {
+pub(crate) fn check_snapshot(header: &Header, state: &Snapshot) {
     assert_eq!(state.region, header.region);
     assert!(state.parts.is_sorted_by(|a, b| a.0 < b.0));
     for (stamp, part) in &state.parts {
-        assert!((header.cycle_start..=header.cycle_end).contains(stamp));
+        assert!((header.batch_start..=header.batch_end).contains(stamp));
         assert!(!part.is_empty() && lies_in(part, &header.region));
     }
     let all = Changes::from_blocks(state.parts.iter().flat_map(|part| part.1.blocks()).copied().collect());
@@ -103,10 +102,10 @@ fn lies_in(changes: &Changes, region: &VoxelBox) -> bool {
 /// A package that comes again after it was merged.
 fn decode_twice(fuzz: &mut Fuzz, package: &Package, changes: &Changes, layer: Option<Layer>) {
     let Some(mut layer) = layer else { return };
-    layer.apply(changes, package.header().cycle_end);
+    layer.apply(changes, package.header().batch_end);
     match fuzz.decoder.decode_against(package, Some(&layer)) {
         Ok(content) => assert_eq!(content, Content::Changes(changes.clone())),
-        Err(PackageError::Overtaken(_)) => {}
+        Err(PackageError::BaseSuperseded(_)) => {}
         Err(error) => panic!("{error}"),
     }
 }
@@ -116,10 +115,10 @@ fn say_again(fuzz: &mut Fuzz, header: &Header, changes: &Changes, layer: Option<
     if changes.blocks().len() > AGAIN_BLOCKS_MAX || header.region.volume() > AGAIN_VOXELS_MAX {
         return;
     }
-    let cycle = Cycle {
+    let batch = Batch {
         stream: header.stream,
-        start: header.cycle_start,
-        end: header.cycle_end,
+        start: header.batch_start,
+        end: header.batch_end,
         resolution: header.resolution,
         // Sixteenths of a voxel, up to 2³¹ of them: most places of the grid are out of reach.
         sensor: {
@@ -127,19 +126,19 @@ fn say_again(fuzz: &mut Fuzz, header: &Header, changes: &Changes, layer: Option<
             [corner.x, corner.y, corner.z].map(|at| at.saturating_mul(16))
         },
     };
-    let reference = Reference { layer, cycles: &[], readers: &[] };
-    let packages = fuzz.encoder.encode_cycle_against(
+    let base = Base { layer, batches: &[], readers: &[] };
+    let packages = fuzz.encoder.encode_batch_against(
         header.codec,
-        &cycle,
+        &batch,
         header.index,
         changes,
-        Some(&reference),
+        Some(&base),
         PACKAGE_BYTES_MAX,
     );
     let packages = match packages {
         Ok(packages) => packages,
         // The layer may hold something newer; there may be no index left.
-        Err(EncodeError::Overtaken(_) | EncodeError::IndexOutOfRange { .. }) => return,
+        Err(EncodeError::BaseSuperseded(_) | EncodeError::IndexOutOfRange { .. }) => return,
         Err(error) => panic!("{error}"),
     };
     let mut blocks = Vec::new();
@@ -153,8 +152,8 @@ fn say_again(fuzz: &mut Fuzz, header: &Header, changes: &Changes, layer: Option<
     assert_eq!(&Changes::from_blocks(blocks), changes);
 }
 
-/// What a receiver may hold in and beside a box: nothing, older cycles, the same cycle, or even a newer one.
-pub(crate) fn layer_beside(region: &VoxelBox, cycle_end: Stamp, seed: u8) -> Option<Layer> {
+/// What a receiver may hold in and beside a box: nothing, older batches, the same batch, or even a newer one.
+pub(crate) fn layer_beside(region: &VoxelBox, batch_end: Stamp, seed: u8) -> Option<Layer> {
     if seed == 0 {
         return None;
     }
@@ -171,7 +170,7 @@ pub(crate) fn layer_beside(region: &VoxelBox, cycle_end: Stamp, seed: u8) -> Opt
             (index, block(&mut random))
         });
         let changes = Changes::from_blocks(blocks.collect()).within(&grid());
-        let stamp = cycle_end.plus_micros(-older);
+        let stamp = batch_end.plus_micros(-older);
         layer.apply(&changes, if seed % 64 == 63 { stamp.plus_micros(1) } else { stamp });
     }
     Some(layer)

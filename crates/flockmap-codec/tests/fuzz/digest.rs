@@ -23,7 +23,7 @@ impl Digest {
     pub(crate) fn add_content(&mut self, content: &Content) {
         match content {
             Content::Changes(changes) => self.add_changes(changes),
-            Content::Present(state) => {
+            Content::Snapshot(state) => {
                 for (Stamp(stamp), part) in &state.parts {
                     self.add(&stamp.to_le_bytes());
                     self.add_changes(part);

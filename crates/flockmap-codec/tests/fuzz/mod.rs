@@ -1,19 +1,19 @@
 //! What the fuzzer runs, shared with the test that replays its corpus: `fuzz/README.md` tells how to run it.
 
 mod choices;
+pub(crate) mod chunks;
 pub(crate) mod decode;
 mod digest;
 #[path = "../common/random.rs"]
 mod random;
 pub(crate) mod round_trip;
-pub(crate) mod tiles;
 
 pub(crate) use choices::Choices;
 pub(crate) use digest::Digest;
 pub(crate) use random::Random;
 
-use flockmap_codec::{Codec, Content, Decoder, Encoder, Package, TilesRead};
-use flockmap_grid::{PresentState, VOXEL_LIMIT, Voxel, VoxelBox};
+use flockmap_codec::{ChunksRead, Codec, Content, Decoder, Encoder, Package};
+use flockmap_grid::{Snapshot, VOXEL_LIMIT, Voxel, VoxelBox};
 
 /// What one run leaves to the next: memory that is used again must not tell.
 #[derive(Default)]
@@ -32,13 +32,13 @@ impl Fuzz {
         }
     }
 
-    /// What an honest tile says that follows those before.
-    fn read_tile(&mut self, tile: &Package, before: &mut TilesRead) -> PresentState {
-        if tile.header().codec == Codec::Flock {
-            return self.decoder.decode_tile(tile, before).unwrap();
+    /// What an honest chunk says that follows those before.
+    fn read_chunk(&mut self, chunk: &Package, before: &mut ChunksRead) -> Snapshot {
+        if chunk.header().codec == Codec::Flock {
+            return self.decoder.decode_chunk(chunk, before).unwrap();
         }
-        match self.decoder.decode(tile).unwrap() {
-            Content::Present(state) => state,
+        match self.decoder.decode(chunk).unwrap() {
+            Content::Snapshot(state) => state,
             other => panic!("{other:?}"),
         }
     }

@@ -1,9 +1,9 @@
-//! A flight of a few cycles, whatever it is: every package decodes to what was encoded, in any order that its references allow.
+//! A flight of a few batches, whatever it is: every package decodes to what was encoded, in any order that its references allow.
 //!
 //! Input: choices.
 
 use flockmap_codec::{
-    Codec, Content, Cycle, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package, Reference, TilesRead,
+    Base, Batch, ChunksRead, Codec, Content, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package,
 };
 use flockmap_grid::{
     Changes, Layer, Resolution, RobotId, Stamp, State, Stream, VOXEL_LIMIT, Voxel, VoxelBox,
@@ -11,18 +11,18 @@ use flockmap_grid::{
 
 use super::{Choices, Fuzz, Random};
 
-const CYCLES_MAX: usize = 5;
+const BATCHES_MAX: usize = 5;
 
 /// The robot that tells.
 struct Sender {
     stream: Stream,
     resolution: Resolution,
-    /// One for all cycles: the packages of other codecs do not say that they change what one of `flock` looks at.
+    /// One for all batches: the packages of other codecs do not say that they change what one of `flock` looks at.
     codec: Codec,
     /// Where its world is.
     corner: Voxel,
     layer: Layer,
-    cycles: Vec<(Stamp, u32)>,
+    batches: Vec<(Stamp, u32)>,
     readers: Vec<(u32, VoxelBox)>,
     next_index: u32,
     end: Stamp,
@@ -39,15 +39,15 @@ pub(crate) fn run(fuzz: &mut Fuzz, input: &[u8]) {
     let mut sender = Sender::new(&mut choices);
     let first_index = sender.next_index;
     let mut sent = Vec::new();
-    for _ in 0..CYCLES_MAX {
-        sender.tell_cycle(fuzz, &mut choices, &mut sent);
+    for _ in 0..BATCHES_MAX {
+        sender.encode_batch(fuzz, &mut choices, &mut sent);
         if choices.is_empty() {
             break;
         }
     }
     let received = receive_in_any_order(fuzz, &mut choices, &sent, first_index);
     assert_eq!(received.digest(), sender.layer.digest());
-    tell_present_state(fuzz, &mut choices, &sender);
+    encode_snapshot(fuzz, &mut choices, &sender);
 }
 
 impl Sender {
@@ -67,14 +67,14 @@ impl Sender {
             codec: Codec::from_id(choices.byte() % 16).unwrap_or(Codec::Flock),
             corner,
             layer: Layer::default(),
-            cycles: Vec::new(),
+            batches: Vec::new(),
             readers: Vec::new(),
             next_index: if has_long_header { u32::MAX - 100_000 } else { 1 + choices.below(2) * 300 },
             end: Stamp(if has_long_header { i64::MIN } else { 0 }),
         }
     }
 
-    fn tell_cycle(&mut self, fuzz: &mut Fuzz, choices: &mut Choices<'_>, sent: &mut Vec<Sent>) {
+    fn encode_batch(&mut self, fuzz: &mut Fuzz, choices: &mut Choices<'_>, sent: &mut Vec<Sent>) {
         let start = self.end;
         self.end = start.plus_micros(1 + i64::from(choices.below(1_000_000)));
         let from = [(); 3].map(|()| choices.byte() as i32 * 4 - 256);
@@ -84,26 +84,20 @@ impl Sender {
             at.clamp(i32::MIN.into(), i32::MAX.into()) as i32
         });
         let codec = self.codec;
-        let is_alone = choices.below(4) == 3;
+        let is_independent = choices.below(4) == 3;
         let room = PACKAGE_BYTES_MAX - PACKAGE_BYTES_MIN;
         let bytes_max = PACKAGE_BYTES_MAX - choices.byte() as usize * room / 255;
         let changes = self.changes(choices, from);
-        let cycle = Cycle { stream: self.stream, start, end: self.end, resolution: self.resolution, sensor };
-        let layer = (!is_alone).then_some(&self.layer);
-        let reference = Reference { layer, cycles: &self.cycles, readers: &self.readers };
+        let batch = Batch { stream: self.stream, start, end: self.end, resolution: self.resolution, sensor };
+        let layer = (!is_independent).then_some(&self.layer);
+        let base = Base { layer, batches: &self.batches, readers: &self.readers };
         let first = self.next_index;
         let packages =
-            fuzz.encoder.encode_cycle_against(codec, &cycle, first, &changes, Some(&reference), bytes_max);
+            fuzz.encoder.encode_batch_against(codec, &batch, first, &changes, Some(&base), bytes_max);
         let packages = packages.unwrap();
         if choices.below(8) == 7 {
-            let again = Encoder::new().encode_cycle_against(
-                codec,
-                &cycle,
-                first,
-                &changes,
-                Some(&reference),
-                bytes_max,
-            );
+            let again =
+                Encoder::new().encode_batch_against(codec, &batch, first, &changes, Some(&base), bytes_max);
             assert_eq!(again.as_ref(), Ok(&packages), "memory of earlier packages tells");
         }
 
@@ -115,19 +109,19 @@ impl Sender {
             fuzz.note(package);
             let header = package.header();
             assert!(package.bytes().len() <= bytes_max);
-            assert_eq!((header.index, header.cycle_end, header.codec), (number, self.end, codec));
-            assert!(header.reference < first && header.is_alone | !is_alone);
+            assert_eq!((header.index, header.batch_end, header.codec), (number, self.end, codec));
+            assert!(header.base < first && header.is_independent | !is_independent);
             let read = Package::parse(package.bytes()).unwrap();
             assert_eq!(read.header(), header);
             let piece = changes_in(fuzz.decoder.decode_against(&read, Some(&layer)).unwrap());
             assert_eq!(piece.bounding_box().unwrap().union(&header.region), header.region);
-            if header.is_alone {
+            if header.is_independent {
                 assert_eq!(changes_in(read.decode().unwrap()), piece);
             }
             layer.apply(&piece, self.end);
             blocks.extend_from_slice(piece.blocks());
             voxels += piece.len();
-            if !header.is_alone {
+            if !header.is_independent {
                 self.readers.push((header.index, header.region));
             }
             sent.push(Sent { package: read, piece });
@@ -137,7 +131,7 @@ impl Sender {
         self.layer.apply(&changes, self.end);
         assert_eq!(layer.digest(), self.layer.digest());
         self.next_index += packages.len() as u32;
-        self.cycles.extend((!packages.is_empty()).then(|| (self.end, self.next_index - 1)));
+        self.batches.extend((!packages.is_empty()).then(|| (self.end, self.next_index - 1)));
     }
 
     /// A few boxes, walls, rays and clouds.
@@ -172,9 +166,9 @@ impl Sender {
                 _ => {
                     let (mut random, share) = (Random(kind.into()), choices.byte());
                     voxels.extend(inside.voxels().filter_map(|voxel| {
-                        let [chance, state, ..] = random.next().to_le_bytes();
+                        let [happens, state, ..] = random.next().to_le_bytes();
                         let state = if state < share { State::Occupied } else { State::Free };
-                        (chance <= share).then_some((voxel, state))
+                        (happens <= share).then_some((voxel, state))
                     }));
                 }
             }
@@ -198,7 +192,7 @@ fn changes_in(content: Content) -> Changes {
     changes
 }
 
-/// Every package as soon as all up to its reference are held, and else later. None may be wrong or overtaken.
+/// Every package as soon as all up to its reference are held, and else later. None may be wrong or superseded.
 fn receive_in_any_order(
     fuzz: &mut Fuzz,
     choices: &mut Choices<'_>,
@@ -210,7 +204,7 @@ fn receive_in_any_order(
     while !missing.is_empty() {
         // All before the first that is missing are held.
         let held = missing.iter().map(|sent| sent.package.header().index).min().unwrap_or(first_index) - 1;
-        let ready = |sent: &&Sent| sent.package.header().reference <= held;
+        let ready = |sent: &&Sent| sent.package.header().base <= held;
         let count = missing.iter().copied().filter(ready).count() as u32;
         // From the last: without choices the newest goes first.
         let nth = (count - 1 - choices.below(count)) as usize;
@@ -218,24 +212,24 @@ fn receive_in_any_order(
         let Sent { package, piece } = missing.remove(nth);
         let found = changes_in(fuzz.decoder.decode_against(package, Some(&layer)).unwrap());
         assert_eq!(found, *piece);
-        layer.apply(&found, package.header().cycle_end);
+        layer.apply(&found, package.header().batch_end);
     }
     layer
 }
 
-fn tell_present_state(fuzz: &mut Fuzz, choices: &mut Choices<'_>, sender: &Sender) {
-    let Some(state) = sender.layer.present_state() else { return };
+fn encode_snapshot(fuzz: &mut Fuzz, choices: &mut Choices<'_>, sender: &Sender) {
+    let Some(state) = sender.layer.snapshot() else { return };
     let codec = Codec::from_id(choices.byte() % 16).unwrap_or(Codec::Flock);
     let bytes_max = PACKAGE_BYTES_MAX - choices.byte() as usize;
     let index = sender.next_index - 1;
-    let tiles =
-        fuzz.encoder.encode_present(codec, sender.stream, index, sender.resolution, &state, bytes_max);
-    let (mut layer, mut before) = (Layer::default(), TilesRead::default());
-    for tile in tiles.unwrap() {
-        fuzz.note(&tile);
-        assert!(tile.bytes().len() <= bytes_max);
-        let read = Package::parse(tile.bytes()).unwrap();
-        layer.apply_present(&fuzz.read_tile(&read, &mut before));
+    let chunks =
+        fuzz.encoder.encode_snapshot(codec, sender.stream, index, sender.resolution, &state, bytes_max);
+    let (mut layer, mut before) = (Layer::default(), ChunksRead::default());
+    for chunk in chunks.unwrap() {
+        fuzz.note(&chunk);
+        assert!(chunk.bytes().len() <= bytes_max);
+        let read = Package::parse(chunk.bytes()).unwrap();
+        layer.apply_snapshot(&fuzz.read_chunk(&read, &mut before));
     }
     assert_eq!(layer.digest(), sender.layer.digest());
 }

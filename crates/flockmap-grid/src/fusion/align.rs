@@ -57,13 +57,13 @@ impl Alignment {
         }
     }
 
-    /// What a layer says of voxels of the own grid, [`Self::look_up`] of each: hands on, block by block, the number of the target and the
+    /// What a layer says of voxels of the own grid, [`Self::look_up`] of each: forwards, block by block, the number of the target and the
     /// states. Occupied voxels are carried forward once for all targets.
     pub(super) fn blocks(
         &self,
         layer: &Layer,
         targets: &[(BlockIndex, Plane)],
-        mut told: impl FnMut(usize, StateBlock),
+        mut source: impl FnMut(usize, StateBlock),
     ) {
         let mut free = vec![[0; 8]; targets.len()];
         let mut near = FxHashMap::<BlockIndex, Plane>::default();
@@ -103,7 +103,7 @@ impl Alignment {
             let occupied =
                 occupied.get(index).map_or([0; 8], |all| core::array::from_fn(|z| all[z] & mask[z]));
             if free != [0; 8] || occupied != [0; 8] {
-                told(number, StateBlock::new(free, occupied));
+                source(number, StateBlock::new(free, occupied));
             }
         }
     }
@@ -313,28 +313,28 @@ mod tests {
             for bit in (0..BLOCK_VOXELS).filter(|bit| !voxel(*bit).in_limits()) {
                 mask[bit / 64] &= !(1 << (bit % 64));
             }
-            let mut told = StateBlock::default();
-            alignment.blocks(&layer, &[(index, mask)], |_, states| told = states);
+            let mut source = StateBlock::default();
+            alignment.blocks(&layer, &[(index, mask)], |_, states| source = states);
             // Among others, and twice, it is the same.
             let neighbour = (numbered(index, 1), [u64::MAX; 8]);
             let among_others = [neighbour, (index, mask), (index, [0; 8]), (numbered(index, 13), mask), (index, mask)];
-            let mut told_among = [StateBlock::default(); 5];
-            alignment.blocks(&layer, &among_others, |number, states| told_among[number] = states);
-            prop_assert_eq!(told_among[1], told);
-            prop_assert_eq!(told_among[2], StateBlock::default());
-            prop_assert_eq!(told_among[4], told);
+            let mut found = [StateBlock::default(); 5];
+            alignment.blocks(&layer, &among_others, |number, states| found[number] = states);
+            prop_assert_eq!(found[1], source);
+            prop_assert_eq!(found[2], StateBlock::default());
+            prop_assert_eq!(found[4], source);
             let known: Vec<_> = layer.blocks().map(|(index, block)| (index, block.known())).collect();
             let reached = alignment.reach(&known);
             let images = images(&layer, &pose);
             for bit in 0..BLOCK_VOXELS {
                 if mask[bit / 64] >> (bit % 64) & 1 == 0 {
-                    prop_assert_eq!(told.get(bit), State::Unknown);
+                    prop_assert_eq!(source.get(bit), State::Unknown);
                     continue;
                 }
                 let expected = naive(&layer, &pose, &images, voxel(bit));
                 prop_assert_eq!(alignment.look_up(&layer, voxel(bit)), expected, "{:?}", voxel(bit));
                 let state = expected.map_or(State::Unknown, |(state, _)| state);
-                prop_assert_eq!(told.get(bit), state, "{:?}", voxel(bit));
+                prop_assert_eq!(source.get(bit), state, "{:?}", voxel(bit));
                 let is_reached = reached.iter().any(|(reached, plane)| {
                     *reached == index && plane[bit / 64] >> (bit % 64) & 1 == 1
                 });

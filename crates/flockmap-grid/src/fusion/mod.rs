@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 
 use crate::layer::SENSOR_BYTES;
 use crate::{
-    BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, PoseError, PresentState, Resolution,
-    RobotId, ScanReport, Stamp, State, StateBlock, Stream, Voxel, bit_of,
+    BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, PoseError, Resolution, RobotId,
+    ScanReport, Snapshot, Stamp, State, StateBlock, Stream, Voxel, bit_of,
 };
 use align::Alignment;
 use received::Received;
@@ -24,7 +24,7 @@ pub struct FusionConfig {
     /// Microseconds; default 1 s.
     pub own_priority_micros: i64,
     /// Most bytes that the layers of all other streams may hold together, with what they add to the fused map; what goes beyond is
-    /// refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule, and 11 kB if each of its voxels changed last in another cycle. One
+    /// refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule, and 11 kB if each of its voxels changed last in another batch. One
     /// merge may go beyond by what it adds to the fused map in new places, at most 64 MiB. Default 512 MiB.
     pub layer_bytes_max: usize,
     /// The same for the layer of the own stream: what of the own map was told. Default 256 MiB.
@@ -184,21 +184,21 @@ impl Fusion {
         Ok(self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(changes, stamp)))
     }
 
-    /// The same for a present state, or a tile of one: every voxel has its own stamp.
+    /// The same for a snapshot, or a chunk of one: every voxel has its own stamp.
     ///
     /// # Errors
     /// [`FusionError`] if the layers would grow beyond their limits; nothing is changed then.
-    pub fn apply_present(
+    pub fn apply_snapshot(
         &mut self,
         mapper: &Mapper,
         stream: Stream,
-        state: &PresentState,
+        state: &Snapshot,
         now: Stamp,
     ) -> Result<usize, FusionError> {
         let parts = state.parts.iter().map(|(_, part)| part);
         self.check_room(mapper, stream, parts, state.sensors.len())?;
         let newest = state.parts.iter().map(|(stamp, _)| *stamp).max();
-        Ok(self.take_over(mapper, stream, (newest, now), |layer| layer.apply_present(state)))
+        Ok(self.take_over(mapper, stream, (newest, now), |layer| layer.apply_snapshot(state)))
     }
 
     /// Bytes that the layers of others hold, with what of the fused map the own map does not account for. O(1).
@@ -281,7 +281,7 @@ impl Fusion {
         result
     }
 
-    /// Notes where the sensor was in a cycle of a stream, if there is a layer of it: [`Layer::note_sensor`].
+    /// Notes where the sensor was in a batch of a stream, if there is a layer of it: [`Layer::note_sensor`].
     pub fn note_sensor(&mut self, stream: Stream, stamp: Stamp, sensor: [i32; 3]) {
         if self.sources.contains_key(&stream) {
             self.change_source(stream, |source| source.layer.note_sensor(stamp, sensor));
@@ -386,13 +386,13 @@ impl Fusion {
                 .collect();
             let mut contested = vec![[0u64; 8]; targets.len()];
             for (origin, source) in self.heard() {
-                origin.blocks(&source.layer, targets, |number, told| {
+                origin.blocks(&source.layer, targets, |number, source| {
                     let (fused, contested) = (&mut fused[number], &mut contested[number]);
-                    let (known, new) = (fused.known(), told.known());
+                    let (known, new) = (fused.known(), source.known());
                     for z in 0..8 {
                         contested[z] |= known[z] & new[z];
                     }
-                    fused.overlay(&told.masked(&core::array::from_fn(|z| !known[z])));
+                    fused.overlay(&source.masked(&core::array::from_fn(|z| !known[z])));
                 });
             }
             for (((index, mask), mut fused), contested) in targets.iter().zip(fused).zip(contested) {
@@ -412,11 +412,11 @@ impl Fusion {
         let own_stamp = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
         let own = (own != State::Unknown)
             .then(|| (own_stamp.plus_micros(self.config.own_priority_micros), own == State::Occupied));
-        let told = self.heard().filter_map(|(origin, source)| {
+        let source = self.heard().filter_map(|(origin, source)| {
             let (state, stamp) = origin.look_up(&source.layer, voxel)?;
             Some((source.received.made(stamp, origin.clock_offset_micros), state == State::Occupied))
         });
-        match told.chain(own).max() {
+        match source.chain(own).max() {
             None => State::Unknown,
             Some((_, true)) => State::Occupied,
             Some((_, false)) => State::Free,
@@ -434,14 +434,14 @@ impl Origin {
         &self,
         layer: &Layer,
         targets: &[(BlockIndex, Plane)],
-        mut told: impl FnMut(usize, StateBlock),
+        mut source: impl FnMut(usize, StateBlock),
     ) {
         if !self.alignment.is_identity() {
-            return self.alignment.blocks(layer, targets, told);
+            return self.alignment.blocks(layer, targets, source);
         }
         for (number, (index, mask)) in targets.iter().enumerate() {
             if let Some(block) = layer.block(*index) {
-                told(number, block.masked(mask));
+                source(number, block.masked(mask));
             }
         }
     }

@@ -41,21 +41,21 @@ fn naive(
         };
         let pose = alignments.get(&stream.origin.0).copied().unwrap_or_default();
         let offset = offsets.get(&stream.origin.0).copied().unwrap_or(0);
-        let mut told: BTreeMap<Voxel, (Stamp, bool)> = BTreeMap::new();
+        let mut images: BTreeMap<Voxel, (Stamp, bool)> = BTreeMap::new();
         for (voxel, state) in layer.voxels().filter(|(_, state)| *state == State::Occupied) {
             let image = resolution().voxel_at(pose.transform(resolution().centre(voxel))).unwrap();
             let word = (layer.get(voxel).unwrap().1, state == State::Occupied);
-            let held = told.entry(image).or_insert(word);
+            let held = images.entry(image).or_insert(word);
             *held = word.max(*held);
         }
         for target in everywhere.voxels() {
             let source =
                 resolution().voxel_at(pose.inverse().transform(resolution().centre(target))).unwrap();
             if let Some((State::Free, stamp)) = layer.get(source) {
-                told.entry(target).or_insert((stamp, false));
+                images.entry(target).or_insert((stamp, false));
             }
         }
-        for (voxel, (stamp, occupied)) in told {
+        for (voxel, (stamp, occupied)) in images {
             let made = stamp.plus_micros(offset).min(came_by(stamp));
             words.entry(voxel).or_default().push((made, occupied));
         }
@@ -149,7 +149,7 @@ proptest! {
     }
 }
 
-fn told(voxels: &[(Voxel, State)]) -> Changes {
+fn source(voxels: &[(Voxel, State)]) -> Changes {
     Changes::from_voxels(voxels.iter().copied())
 }
 
@@ -158,10 +158,10 @@ fn a_view_stays_as_it_was_while_the_map_goes_on() {
     let mapper = mapper();
     let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
     let (a, b) = (Voxel::new(1, 2, 3), Voxel::new(100, -200, 3));
-    fusion.apply(&mapper, stream(2), &told(&[(a, State::Free)]), Stamp(1), Stamp(1)).unwrap();
+    fusion.apply(&mapper, stream(2), &source(&[(a, State::Free)]), Stamp(1), Stamp(1)).unwrap();
     let before = fusion.view();
     fusion
-        .apply(&mapper, stream(2), &told(&[(a, State::Occupied), (b, State::Free)]), Stamp(2), Stamp(2))
+        .apply(&mapper, stream(2), &source(&[(a, State::Occupied), (b, State::Free)]), Stamp(2), Stamp(2))
         .unwrap();
     assert_eq!((before.state(a), before.state(b)), (State::Free, State::Unknown));
     assert_eq!((fusion.map().state(a), fusion.map().state(b)), (State::Occupied, State::Free));
@@ -174,7 +174,7 @@ fn muting_an_origin_takes_it_out_and_unmuting_brings_it_back_without_a_resend() 
     let mapper = mapper();
     let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
     let voxel = Voxel::new(1, 2, 3);
-    fusion.apply(&mapper, stream(2), &told(&[(voxel, State::Occupied)]), Stamp(1), Stamp(1)).unwrap();
+    fusion.apply(&mapper, stream(2), &source(&[(voxel, State::Occupied)]), Stamp(1), Stamp(1)).unwrap();
     fusion.set_muted(&mapper, RobotId(2), true);
     assert_eq!(fusion.map().state(voxel), State::Unknown);
     fusion.set_muted(&mapper, RobotId(2), false);
@@ -241,22 +241,22 @@ fn layers_beyond_their_limit_are_refused_and_nothing_is_changed() {
 }
 
 #[test]
-fn a_present_state_of_many_stamps_is_refused_where_its_voxels_alone_would_fit() {
+fn a_snapshot_of_many_stamps_is_refused_where_its_voxels_alone_would_fit() {
     let mapper = mapper();
     let voxels = || (0..512).map(|bit| (Voxel::new(bit & 7, bit >> 3 & 7, bit >> 6), State::Free));
-    let parts = (1..).map(Stamp).zip(voxels().map(|voxel| told(&[voxel]))).collect();
+    let parts = (1..).map(Stamp).zip(voxels().map(|voxel| source(&[voxel]))).collect();
     let region = VoxelBox::spanning(Voxel::new(0, 0, 0), Voxel::new(7, 7, 7)).unwrap();
-    let state = PresentState { region, parts, sensors: Vec::new() };
+    let state = Snapshot { region, parts, sensors: Vec::new() };
     for (layer_bytes_max, is_refused) in [(6_000, true), (10_000, false)] {
         let config = FusionConfig { layer_bytes_max, ..FusionConfig::default() };
         let mut fusion = Fusion::new(OWN, resolution(), config.clone());
-        assert_eq!(fusion.apply_present(&mapper, stream(2), &state, Stamp(999)).is_err(), is_refused);
+        assert_eq!(fusion.apply_snapshot(&mapper, stream(2), &state, Stamp(999)).is_err(), is_refused);
         assert_eq!(fusion.layer(stream(2)).is_none(), is_refused);
         assert!(fusion.memory_bytes_of_others(&mapper) <= layer_bytes_max);
         // Of one stamp it fits.
         let mut fusion = Fusion::new(OWN, resolution(), config);
         let all: Vec<_> = voxels().collect();
-        assert_eq!(fusion.apply(&mapper, stream(2), &told(&all), Stamp(1), Stamp(1)), Ok(512));
+        assert_eq!(fusion.apply(&mapper, stream(2), &source(&all), Stamp(1), Stamp(1)), Ok(512));
     }
 }
 
@@ -310,10 +310,10 @@ fn under_the_byte_cap_the_farthest_blocks_are_forgotten_and_that_is_no_change() 
 }
 
 #[test]
-fn a_present_state_fuses_as_its_parts_do_and_leaves_no_past() {
+fn a_snapshot_fuses_as_its_parts_do_and_leaves_no_past() {
     let mapper = mapper();
     let [a, b] = [Voxel::new(0, 0, 0), Voxel::new(1, 0, 0)];
-    let parts = vec![(Stamp(1), told(&[(a, State::Free)])), (Stamp(2), told(&[(b, State::Occupied)]))];
+    let parts = vec![(Stamp(1), source(&[(a, State::Free)])), (Stamp(2), source(&[(b, State::Occupied)]))];
     let region = VoxelBox::spanning(a, b).unwrap();
     let mut one_by_one = Fusion::new(OWN, resolution(), FusionConfig::default());
     for (stamp, part) in &parts {
@@ -321,10 +321,10 @@ fn a_present_state_fuses_as_its_parts_do_and_leaves_no_past() {
     }
     let mut at_once = Fusion::new(OWN, resolution(), FusionConfig::default());
     assert_eq!(
-        at_once.apply_present(
+        at_once.apply_snapshot(
             &mapper,
             stream(2),
-            &PresentState { region, parts, sensors: Vec::new() },
+            &Snapshot { region, parts, sensors: Vec::new() },
             Stamp(2)
         ),
         Ok(2)
@@ -351,7 +351,7 @@ fn shows_own_wall(mapper: &mut Mapper, fusion: &mut Fusion, at: i64) -> bool {
 
 #[test]
 fn what_came_with_a_stamp_of_the_future_hides_nothing_that_the_robot_sees_later() {
-    let free = told(&[(Voxel::new(10, 0, 0), State::Free)]);
+    let free = source(&[(Voxel::new(10, 0, 0), State::Free)]);
     for ahead in [0, 9_900_000, 3_600_000_000, i64::MAX] {
         for (offset, then) in [(0, 0), (40_000_000, 40_000_000), (0, 3_600_000_000), (-9_000_000, 0)] {
             let (mut mapper, now) = (mapper(), Stamp(100_000_000));
@@ -396,7 +396,7 @@ fn a_clock_that_is_a_day_ahead_keeps_the_map_the_one_made_from_scratch() {
         let voxel = Voxel::new((second % 50) as i32, 0, 0);
         let state = if second % 3 == 0 { State::Occupied } else { State::Free };
         let (stamp, now) = (Stamp(day + second), Stamp(second * 1_000_000));
-        fusion.apply(&mapper, stream(2), &told(&[(voxel, state)]), stamp, now).unwrap();
+        fusion.apply(&mapper, stream(2), &source(&[(voxel, state)]), stamp, now).unwrap();
         if second % 100 == 7 {
             assert!(shows_own_wall(&mut mapper, &mut fusion, second));
         }
@@ -416,7 +416,7 @@ fn an_alignment_that_is_none_is_refused_and_the_map_stays() {
     let mapper = mapper();
     let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
     let voxels = [(Voxel::new(5, -9, 2), State::Occupied), (Voxel::new(4, -9, 2), State::Free)];
-    fusion.apply(&mapper, stream(2), &told(&voxels), Stamp(1), Stamp(1)).unwrap();
+    fusion.apply(&mapper, stream(2), &source(&voxels), Stamp(1), Stamp(1)).unwrap();
     let turned = Pose::from_yaw([3.0, 2.0, 1.0], 0.4);
     fusion.set_alignment(&mapper, RobotId(2), &turned).unwrap();
     let before: Vec<_> = fusion.map().voxels().collect();
@@ -462,9 +462,9 @@ fn what_an_alignment_brings_beyond_the_end_of_the_grid_is_left_out() {
             }
             for (target, state) in &found {
                 let source = resolution().voxel_at(pose.inverse().transform(resolution().centre(*target)));
-                let told = source.map(|source| changes.voxels().find(|(voxel, _)| *voxel == source));
+                let source = source.map(|source| changes.voxels().find(|(voxel, _)| *voxel == source));
                 assert!(
-                    *state == State::Occupied || matches!(told, Some(Some((_, State::Free)))),
+                    *state == State::Occupied || matches!(source, Some(Some((_, State::Free)))),
                     "{target:?}"
                 );
             }

@@ -130,7 +130,7 @@ mod tests {
         MapperConfig::preset(preset, Resolution::from_metres(0.1).unwrap(), 7.0).rules().unwrap()
     }
 
-    /// The rules of `references`, one voxel, in plain words.
+    /// The rules of `bases`, one voxel, in plain words.
     fn naive(preset: Preset, value: Option<f64>, misses: u16, hits: u16) -> Option<f64> {
         let log = |p: f64| (p / (1.0 - p)).ln();
         let (hit, miss, min, max, start) = match preset {

@@ -59,9 +59,9 @@ impl Weather {
                 let micros = 1 + self.random.below(u64::from(mean_ms.max(1)) * 2_000);
                 self.until = self.until.plus_micros(micros as i64);
             }
-            self.is_bad && self.random.chance(burst.loss)
+            self.is_bad && self.random.happens(burst.loss)
         });
-        let flips = (self.faults.damage > 0.0 && self.random.chance(self.faults.damage))
+        let flips = (self.faults.damage > 0.0 && self.random.happens(self.faults.damage))
             .then(|| Flips { count: 1 + self.random.below(3), seed: self.random.next_u64() });
         (faded, flips)
     }

@@ -305,8 +305,8 @@ impl Engine {
             return;
         };
         let stream = sender.own_stream();
-        let Some(held) = receiver.session().held(stream) else { return };
-        let missing = held.missing(1, self.eyes.truth.last(stream)).next();
+        let Some(received) = receiver.session().received(stream) else { return };
+        let missing = received.missing(1, self.eyes.truth.last(stream)).next();
         let (Some((index, _)), true) =
             (missing, receiver.session().peers().any(|peer| peer.stream == stream))
         else {

@@ -40,7 +40,7 @@ pub(super) fn draw(random: &mut Random, robots: usize, mapping: i64) -> Vec<(i64
         let from = random.below(mapping as u64) as i64;
         (from, from + random.below((mapping - from).max(1) as u64) as i64)
     };
-    if random.chance(0.35) {
+    if random.happens(0.35) {
         for _ in 0..1 + random.below(2) {
             let (from, to) = moment(random);
             let robot = random.below(robots as u64) as usize;
@@ -50,16 +50,16 @@ pub(super) fn draw(random: &mut Random, robots: usize, mapping: i64) -> Vec<(i64
                 continue;
             }
             plan.push((from, Action::Crash(robot)));
-            if random.chance(0.8) {
+            if random.happens(0.8) {
                 plan.push((to, Action::Restart(robot)));
-                if random.chance(0.3) {
+                if random.happens(0.3) {
                     plan.push((to + 200_000, Action::Crash(robot)));
                     plan.push((to + 700_000, Action::Restart(robot)));
                 }
             }
         }
     }
-    if random.chance(0.35) {
+    if random.happens(0.35) {
         for _ in 0..1 + random.below(2) {
             let (from, to) = moment(random);
             let parts = random.next_u64();
@@ -67,7 +67,7 @@ pub(super) fn draw(random: &mut Random, robots: usize, mapping: i64) -> Vec<(i64
             plan.push((to, Action::Join(parts)));
         }
     }
-    if random.chance(0.3) {
+    if random.happens(0.3) {
         for _ in 0..1 + random.below(3) {
             let (start, end) = moment(random);
             let from = random.below(robots as u64) as usize;
@@ -92,7 +92,7 @@ pub(super) fn add_field_day(
     let mut left = restarts;
     while left > 0 {
         let at = random.below(mapping as u64) as i64;
-        let together = if random.chance(0.25) { 2 + random.below(robots as u64 - 1) as usize } else { 1 };
+        let together = if random.happens(0.25) { 2 + random.below(robots as u64 - 1) as usize } else { 1 };
         let first = random.below(robots as u64) as usize;
         for robot in (first..first + together.min(left)).map(|robot| robot % robots) {
             plan.push((at, Action::Crash(robot)));

@@ -31,7 +31,7 @@ pub struct RobotFigures {
     pub package_bytes: u64,
     /// Packages of others merged as they came.
     pub merged: u64,
-    /// Median age of what it merged, from the end of its cycle to the merge, in seconds.
+    /// Median age of what it merged, from the end of its batch to the merge, in seconds.
     pub age_median_s: f64,
     /// The age that 99 % did not exceed, in seconds.
     pub age_99_s: f64,

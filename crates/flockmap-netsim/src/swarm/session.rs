@@ -29,7 +29,7 @@ pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig
         words.push(format!("budget {}", budget_words(budget)));
         return (vec![common; swarm.robots], words);
     }
-    if random.chance(0.1) {
+    if random.happens(0.1) {
         words.push("the paper's own session".to_owned());
         common = SessionConfig {
             cast: swarm.cast,
@@ -44,22 +44,22 @@ pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig
     let peers = if swarm.cast == Cast::Unicast { swarm.robots as u32 - 1 } else { 1 };
     let least = (400 * peers).max(500);
     common.radio_bytes_per_s = budget.map(|budget| budget.max(least));
-    if random.chance(0.25) {
+    if random.happens(0.25) {
         let small = least + random.below(4_000) as u32;
         common.radio_bytes_per_s = Some(budget.map_or(small, |budget| budget.max(least).min(small)));
     }
-    if random.chance(0.1) {
+    if random.happens(0.1) {
         common.link_bytes_per_s = Some(500 + random.below(5_000) as u32);
     }
     words.push(format!("budget {}", budget_words(common.radio_bytes_per_s)));
     if let Some(link) = common.link_bytes_per_s {
         words.push(format!("each link {link} bytes/s"));
     }
-    let is_mixed = random.chance(0.3);
+    let is_mixed = random.happens(0.3);
     if is_mixed {
         words.push("each robot with options of its own".to_owned());
     }
-    let is_tight = random.chance(0.25);
+    let is_tight = random.happens(0.25);
     if is_tight {
         words.push("tight limits".to_owned());
     }
@@ -95,11 +95,11 @@ fn vary(random: &mut Random, session: &mut SessionConfig, swarm: &Drawn<'_>) {
     session.request_period_active_ms = 200 + random.below(1_300) as u32;
     session.request_period_idle_ms = session.request_period_active_ms + random.below(2_500) as u32;
     session.active_for_ms = 500 + random.below(3_500) as u32;
-    session.gap_requests = random.chance(0.9);
+    session.gap_requests = random.happens(0.9);
     session.reorder_patience_ms = 5 + random.below(80) as u32;
     session.gap_request_pause_ms = 20 + random.below(300) as u32;
-    session.push = random.chance(0.85);
-    session.order = if random.chance(0.8) { Order::NewestFirst } else { Order::OldestFirst };
+    session.push = random.happens(0.85);
+    session.order = if random.happens(0.8) { Order::NewestFirst } else { Order::OldestFirst };
     session.relay = match random.below(10) {
         0 if swarm.radio.topology == Topology::Full => Relay::Never,
         1 | 2 => Relay::Always,
@@ -109,30 +109,30 @@ fn vary(random: &mut Random, session: &mut SessionConfig, swarm: &Drawn<'_>) {
     session.round_trip_initial_ms = 50 + random.below(600) as u32;
     session.burst_ms = 10 + random.below(400) as u32;
     session.peer_timeout_ms = 4 * session.request_period_idle_ms + random.below(6_000) as u32;
-    if random.chance(0.3) {
-        session.present_state_bytes_min = Some(200 + random.below(4_000) as u32);
+    if random.happens(0.3) {
+        session.snapshot_bytes_min = Some(200 + random.below(4_000) as u32);
     }
-    if random.chance(0.1) {
-        session.present_state_range_max = Some(3 + random.below(30) as u32);
+    if random.happens(0.1) {
+        session.snapshot_range_max = Some(3 + random.below(30) as u32);
     }
 }
 
 /// Small limits on what others can make a robot hold.
 fn tighten(random: &mut Random, session: &mut SessionConfig, restarts: usize) {
-    if random.chance(0.6) {
+    if random.happens(0.6) {
         session.store_bytes_max = 1_000 + random.below(12_000) as usize;
     }
-    if random.chance(0.5) {
+    if random.happens(0.5) {
         session.in_flight_max = 2 + random.below(30) as usize;
     }
-    if random.chance(0.5) {
+    if random.happens(0.5) {
         session.transfers_max = 1 + random.below(3) as usize;
     }
-    if random.chance(0.3) {
+    if random.happens(0.3) {
         session.epochs_max = 1 + random.below(restarts as u64 + 1) as usize;
     }
     // A state that is larger cannot be given at all.
-    if random.chance(0.3) {
-        session.present_state_bytes_max = 50_000 + random.below(100_000) as usize;
+    if random.happens(0.3) {
+        session.snapshot_bytes_max = 50_000 + random.below(100_000) as usize;
     }
 }

@@ -8,7 +8,7 @@ use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
 use crate::Burst;
 use flockmap::sync::SwarmKey;
-use flockmap::{Cast, Codec, CycleConfig, Resolution, RobotConfig, RobotId};
+use flockmap::{BatchConfig, Cast, Codec, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::random::Random;
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
@@ -69,17 +69,17 @@ impl Settings {
         let trouble = Trouble::draw(options);
         let seconds = if options.seconds.is_none() { seconds.max(trouble.seconds()) } else { seconds };
         let mapping = (seconds.clamp(0.1, 3_600.0) * 1e6) as i64;
-        let drawn = if random.chance(0.5) { Cast::Broadcast } else { Cast::Unicast };
+        let drawn = if random.happens(0.5) { Cast::Broadcast } else { Cast::Unicast };
         let cast = options.cast.unwrap_or(drawn);
-        let clocks_given = random.chance(0.5);
-        let has_drift = !clocks_given && random.chance(0.5);
+        let clocks_given = random.happens(0.5);
+        let has_drift = !clocks_given && random.happens(0.5);
         let clocks_given = clocks_given && !trouble.has_other_clocks();
 
         let (radio_name, radio) = draw_radio(options, &mut Random::new(seed, purpose::RADIO));
         let mut plan_random = Random::new(seed, purpose::PLAN);
         let plan = if options.is_calm { Vec::new() } else { plan::draw(&mut plan_random, robots, mapping) };
-        let is_broken = plan_random.chance(0.12) && !options.is_calm;
-        let has_key = plan_random.chance(0.2) && !options.is_calm;
+        let is_broken = plan_random.happens(0.12) && !options.is_calm;
+        let has_key = plan_random.happens(0.2) && !options.is_calm;
         let broken = if is_broken && !has_key { plan_random.range(0.005, 0.08) } else { 0.0 };
         let mut random = Random::new(seed, purpose::SESSION);
         let swarm = session::Drawn { robots, cast, radio: &radio, plan: &plan, is_calm: options.is_calm };
@@ -117,7 +117,7 @@ impl Settings {
             config.session = session;
             config.session.swarm_key.clone_from(&key);
             config.seed = seed;
-            config.cycle = draw_cycle(&mut random, options.is_calm);
+            config.batch = draw_batch(&mut random, options.is_calm);
             config.codec = draw_codec(&mut random, options.is_calm);
             let drawn = [1_000, 1_000, 0, 200][random.below(4) as usize];
             config.repair_delay_max_ms = if options.is_calm { 1_000 } else { drawn };
@@ -128,8 +128,8 @@ impl Settings {
                 clock: Clock { offset, ppm: if has_drift { ppm } else { 0 } },
                 rays: if is_table { TABLE_RAYS } else { 20 + random.below(60) as usize },
                 scan_period: if is_table { 100_000 } else { 1_000 * (100 + random.below(200) as i64) },
-                has_no_returns: random.chance(0.4),
-                has_disk: (random.chance(0.4) || trouble.has_faulty_disks) && !options.is_calm,
+                has_no_returns: random.happens(0.4),
+                has_disk: (random.happens(0.4) || trouble.has_faulty_disks) && !options.is_calm,
                 clock_steps: if trouble.has_steps {
                     trouble::steps(&mut Random::new(seed, purpose::CLOCKS + ((number as u64) << 32)), mapping)
                 } else {
@@ -156,20 +156,21 @@ impl Settings {
     }
 }
 
-fn draw_cycle(random: &mut Random, is_calm: bool) -> CycleConfig {
-    let mut cycle = CycleConfig { t_l_ms: 200 + random.below(900) as u32, ..CycleConfig::default() };
-    if random.chance(0.4) {
-        cycle.t_l_occupied_ms = Some(50 + random.below(200) as u32);
+fn draw_batch(random: &mut Random, is_calm: bool) -> BatchConfig {
+    let mut batch =
+        BatchConfig { publish_period_ms: 200 + random.below(900) as u32, ..BatchConfig::default() };
+    if random.happens(0.4) {
+        batch.obstacle_period_ms = Some(50 + random.below(200) as u32);
     }
-    if random.chance(0.2) {
-        cycle.changes_max = 20 + random.below(300) as usize;
+    if random.happens(0.2) {
+        batch.voxels_max = 20 + random.below(300) as usize;
     }
-    if is_calm { CycleConfig::default() } else { cycle }
+    if is_calm { BatchConfig::default() } else { batch }
 }
 
 fn draw_codec(random: &mut Random, is_calm: bool) -> Codec {
     let other = Codec::ALL[random.below(Codec::ALL.len() as u64) as usize];
-    if random.chance(0.7) || is_calm { Codec::Flock } else { other }
+    if random.happens(0.7) || is_calm { Codec::Flock } else { other }
 }
 
 fn draw_radio(options: &SwarmOptions, random: &mut Random) -> (String, RadioNumbers) {
@@ -179,7 +180,7 @@ fn draw_radio(options: &SwarmOptions, random: &mut Random) -> (String, RadioNumb
     // The slow one less often.
     let known = random.below(RadioPreset::ALL.len() as u64 * 2 - 1) as usize / 2;
     let preset = RadioPreset::ALL[known];
-    if random.chance(0.5) {
+    if random.happens(0.5) {
         return (preset.name().to_owned(), preset.numbers());
     }
     ("drawn".to_owned(), draw_numbers(random))
@@ -188,11 +189,11 @@ fn draw_radio(options: &SwarmOptions, random: &mut Random) -> (String, RadioNumb
 /// A radio like none.
 fn draw_numbers(random: &mut Random) -> RadioNumbers {
     let some = |random: &mut Random, share: f64, most: f64| {
-        if random.chance(share) { random.unit() * random.unit() * most } else { 0.0 }
+        if random.happens(share) { random.unit() * random.unit() * most } else { 0.0 }
     };
-    let rate = random.chance(0.4).then(|| 8_000 + (random.unit() * random.unit() * 1e6) as u32);
-    let is_shared = rate.is_some() && random.chance(0.5);
-    let burst = random.chance(0.3).then(|| Burst {
+    let rate = random.happens(0.4).then(|| 8_000 + (random.unit() * random.unit() * 1e6) as u32);
+    let is_shared = rate.is_some() && random.happens(0.5);
+    let burst = random.happens(0.3).then(|| Burst {
         good_ms: 500 + random.below(4_000) as u32,
         bad_ms: 20 + random.below(1_000) as u32,
         loss: random.range(0.3, 1.0),

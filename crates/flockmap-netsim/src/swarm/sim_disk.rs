@@ -48,8 +48,8 @@ impl SimDisk {
     pub(super) fn open(&mut self, config: &RobotConfig) -> Result<Found, String> {
         self.disk.set_faults(Faults::default());
         let cut =
-            PowerCut { bytes_kept: self.random.below(2_000) as usize, names_kept: self.random.chance(0.5) };
-        if self.random.chance(0.7) {
+            PowerCut { bytes_kept: self.random.below(2_000) as usize, names_kept: self.random.happens(0.5) };
+        if self.random.happens(0.7) {
             self.disk.cut_power(cut);
         }
         let faults = self.faults();

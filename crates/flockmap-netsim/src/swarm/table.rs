@@ -19,7 +19,7 @@ what changed and asks for what it misses. Then links heal; agreement is the time
 within {WAIT_S} s, and the figures count until then). Budget: what a robot may send in a second (its part of 70 % of a shared radio,
 but at least the 500 bytes/s that a session needs). Map: bytes of the packages that it made itself. Sent: all that it sent, with 28
 bytes of IP and UDP for each datagram; of it requests, in per cent. Air: time on the air, in per cent of the flight, of all robots
-together where they share it (beyond 100 %: more than it carries, the rest waits). Age: from the end of a cycle to its merge at another robot. All per robot on the mean.
+together where they share it (beyond 100 %: more than it carries, the rest waits). Age: from the end of a batch to its merge at another robot. All per robot on the mean.
 
 ";
     let text = text.replace("{MAPPING_S}", &MAPPING_S.to_string()).replace("{WAIT_S}", &WAIT_S.to_string());

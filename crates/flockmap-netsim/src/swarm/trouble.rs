@@ -49,7 +49,7 @@ pub(super) struct Trouble {
 impl Trouble {
     pub(super) fn draw(options: &SwarmOptions) -> Self {
         let mut random = Random::new(options.seed, purpose::TROUBLE);
-        let mut has = |share: f64| random.chance(share) && !options.is_calm;
+        let mut has = |share: f64| random.happens(share) && !options.is_calm;
         let (is_field, has_small_limits) = (has(FIELD), has(LIMITS));
         let (has_clocks, has_repeat, has_rewind, has_steps) = (has(CLOCKS), has(0.4), has(0.6), has(0.6));
         let (has_faulty_disks, has_paths, is_costly) = (has(DISKS), has(PATHS), has(COSTLY));
@@ -123,23 +123,23 @@ pub(super) fn limit(
         Topology::Full | Topology::Star => robots - 1,
         Topology::Line | Topology::Ring => (robots - 1).min(2),
     };
-    if random.chance(0.8) {
+    if random.happens(0.8) {
         session.streams_max = robots - 1 + random.below(4) as usize;
         words.push(format!("{} streams", session.streams_max));
     }
-    if random.chance(0.5) {
+    if random.happens(0.5) {
         session.epochs_max = 1 + random.below(3) as usize;
         words.push(format!("{} runs of a robot", session.epochs_max));
     }
-    if random.chance(0.4) {
+    if random.happens(0.4) {
         session.store_bytes_max = 1_000 + random.below(6_000) as usize;
         words.push(format!("a store of {} bytes", session.store_bytes_max));
     }
-    if random.chance(0.5) {
+    if random.happens(0.5) {
         session.peers_max = least_peers + random.below(2) as usize;
         words.push(format!("{} peers", session.peers_max));
     }
-    if random.chance(0.4) {
+    if random.happens(0.4) {
         let copies = if cast == Cast::Unicast { robots as u32 - 1 } else { 1 };
         let small = (400 * copies).max(500) + random.below(600) as u32;
         let budget = session.radio_bytes_per_s.map_or(small, |budget| budget.min(small));

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 /// One word of an origin about a voxel.
 #[derive(Clone, Copy, Debug)]
-struct Word {
+struct Observation {
     index: u32,
     stamp: Stamp,
     state: State,
@@ -18,17 +18,17 @@ struct Word {
 
 /// All that one stream told.
 #[derive(Default)]
-pub(super) struct Told {
-    words: Vec<Word>,
+pub(super) struct Published {
+    words: Vec<Observation>,
     /// Number + 1 of the newest word on each voxel of a block.
     newest: FxHashMap<BlockIndex, Box<[u32; 512]>>,
-    /// What each cycle changed, by its end.
-    cycles: BTreeMap<Stamp, Changes>,
+    /// What each batch changed, by its end.
+    batches: BTreeMap<Stamp, Changes>,
     /// Packages made.
     last: u32,
     /// Bytes of these.
     pub(super) bytes: u64,
-    /// All of it, in order: what the packages of a cycle are told against.
+    /// All of it, in order: what the packages of a batch are told against.
     layer: Layer,
 }
 
@@ -42,38 +42,38 @@ pub(super) struct Wrong {
 /// All streams of a flight.
 #[derive(Default)]
 pub(super) struct Truth {
-    streams: BTreeMap<Stream, Told>,
+    streams: BTreeMap<Stream, Published>,
     decoder: Decoder,
 }
 
 impl Truth {
-    /// Takes down a cycle: what changed, and the packages made of it. What is wrong with the packages, if something is.
-    pub(super) fn note_cycle(&mut self, changes: &Changes, packages: &[Package]) -> Result<(), String> {
+    /// Takes down a batch: what changed, and the packages made of it. What is wrong with the packages, if something is.
+    pub(super) fn note_batch(&mut self, changes: &Changes, packages: &[Package]) -> Result<(), String> {
         let Some(first) = packages.first() else { return Ok(()) };
-        let told = self.streams.entry(first.header().stream).or_default();
+        let published = self.streams.entry(first.header().stream).or_default();
         let mut together = Vec::new();
         for package in packages {
             let header = package.header();
-            if header.index != told.last + 1 {
-                return Err(format!("package {} after package {}", header.index, told.last));
+            if header.index != published.last + 1 {
+                return Err(format!("package {} after package {}", header.index, published.last));
             }
-            let content = match self.decoder.decode_against(package, Some(&told.layer)) {
+            let content = match self.decoder.decode_against(package, Some(&published.layer)) {
                 Ok(Content::Changes(content)) => content,
                 other => return Err(format!("package {}: {other:?}", header.index)),
             };
-            told.last = header.index;
-            told.bytes += package.bytes().len() as u64;
+            published.last = header.index;
+            published.bytes += package.bytes().len() as u64;
             for (block, states) in content.blocks() {
-                let heads = told.newest.entry(*block).or_insert_with(|| Box::new([0; 512]));
+                let heads = published.newest.entry(*block).or_insert_with(|| Box::new([0; 512]));
                 let known = states.known();
                 for (z, plane) in known.iter().enumerate() {
                     let mut bits = *plane;
                     while bits != 0 {
                         let bit = z * 64 + bits.trailing_zeros() as usize;
                         bits &= bits - 1;
-                        let (index, stamp, state) = (header.index, header.cycle_end, states.get(bit));
-                        told.words.push(Word { index, stamp, state, before: heads[bit] });
-                        heads[bit] = told.words.len() as u32;
+                        let (index, stamp, state) = (header.index, header.batch_end, states.get(bit));
+                        published.words.push(Observation { index, stamp, state, before: heads[bit] });
+                        heads[bit] = published.words.len() as u32;
                     }
                 }
             }
@@ -82,39 +82,39 @@ impl Truth {
         let together = Changes::from_blocks(together);
         if together != *changes {
             let (got, expected) = (together.len(), changes.len());
-            return Err(format!("the packages of a cycle of {expected} changes say {got}, or others"));
+            return Err(format!("the packages of a batch of {expected} changes say {got}, or others"));
         }
-        let end = first.header().cycle_end;
-        told.layer.apply(&together, end);
-        told.cycles.insert(end, together);
+        let end = first.header().batch_end;
+        published.layer.apply(&together, end);
+        published.batches.insert(end, together);
         Ok(())
     }
 
-    pub(super) fn told(&self, stream: Stream) -> Option<&Told> {
+    pub(super) fn published(&self, stream: Stream) -> Option<&Published> {
         self.streams.get(&stream)
     }
 
-    pub(super) fn streams(&self) -> impl Iterator<Item = (Stream, &Told)> {
-        self.streams.iter().map(|(stream, told)| (*stream, told))
+    pub(super) fn streams(&self) -> impl Iterator<Item = (Stream, &Published)> {
+        self.streams.iter().map(|(stream, published)| (*stream, published))
     }
 
     /// Packages that a stream made.
     pub(super) fn last(&self, stream: Stream) -> u32 {
-        self.streams.get(&stream).map_or(0, |told| told.last)
+        self.streams.get(&stream).map_or(0, |published| published.last)
     }
 }
 
-impl Told {
-    /// The first voxel of some changes of the cycle that ended at `stamp` that this cycle did not tell.
-    pub(super) fn find_untold(&self, changes: &Changes, stamp: Stamp) -> Option<Wrong> {
-        let cycle = self.cycles.get(&stamp);
+impl Published {
+    /// The first voxel of some changes of the batch that ended at `stamp` that this batch did not tell.
+    pub(super) fn find_unpublished(&self, changes: &Changes, stamp: Stamp) -> Option<Wrong> {
+        let batch = self.batches.get(&stamp);
         for (block, states) in changes.blocks() {
             let at =
-                cycle.and_then(|cycle| cycle.blocks().binary_search_by_key(block, |(index, _)| *index).ok());
-            let told = at.zip(cycle).map(|(at, cycle)| cycle.blocks()[at].1).unwrap_or_default();
-            let more = states.minus(&told);
+                batch.and_then(|batch| batch.blocks().binary_search_by_key(block, |(index, _)| *index).ok());
+            let published = at.zip(batch).map(|(at, batch)| batch.blocks()[at].1).unwrap_or_default();
+            let more = states.minus(&published);
             if let Some(bit) = (0..512).find(|bit| more.get(*bit) != State::Unknown) {
-                let expected = match told.get(bit) {
+                let expected = match published.get(bit) {
                     State::Unknown => format!("nothing with stamp {stamp:?}"),
                     state => format!("{state:?} at {stamp:?}"),
                 };
@@ -129,7 +129,7 @@ impl Told {
     }
 
     /// The words about a voxel, newest first.
-    fn words(&self, block: BlockIndex, bit: usize) -> impl Iterator<Item = &Word> {
+    fn words(&self, block: BlockIndex, bit: usize) -> impl Iterator<Item = &Observation> {
         let mut at = self.newest.get(&block).map_or(0, |heads| heads[bit]);
         core::iter::from_fn(move || {
             let word = self.words.get(at.checked_sub(1)? as usize)?;
@@ -166,12 +166,12 @@ impl Told {
         &self,
         changes: &Changes,
         layer: Option<&Layer>,
-        held: &IntervalSet,
+        received: &IntervalSet,
     ) -> Option<Wrong> {
         for (block, states) in changes.blocks() {
             let known = states.known();
             for bit in (0..512).filter(|bit| known[bit / 64] >> (bit % 64) & 1 == 1) {
-                if let Some(wrong) = self.older_at(*block, bit, layer, held) {
+                if let Some(wrong) = self.older_at(*block, bit, layer, received) {
                     return Some(wrong);
                 }
             }
@@ -180,10 +180,10 @@ impl Told {
     }
 
     /// The same of all voxels that were ever told.
-    pub(super) fn find_older_in(&self, layer: Option<&Layer>, held: &IntervalSet) -> Option<Wrong> {
+    pub(super) fn find_older_in(&self, layer: Option<&Layer>, received: &IntervalSet) -> Option<Wrong> {
         for (block, heads) in &self.newest {
             for bit in (0..512).filter(|bit| heads[*bit] != 0) {
-                if let Some(wrong) = self.older_at(*block, bit, layer, held) {
+                if let Some(wrong) = self.older_at(*block, bit, layer, received) {
                     return Some(wrong);
                 }
             }
@@ -196,9 +196,9 @@ impl Told {
         block: BlockIndex,
         bit: usize,
         layer: Option<&Layer>,
-        held: &IntervalSet,
+        received: &IntervalSet,
     ) -> Option<Wrong> {
-        let word = self.words(block, bit).find(|word| held.contains(word.index))?;
+        let word = self.words(block, bit).find(|word| received.contains(word.index))?;
         let voxel = voxel_at(block, bit);
         let found = layer.and_then(|layer| layer.get(voxel));
         let is_right = found

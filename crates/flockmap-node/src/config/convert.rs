@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use flockmap::sync::{InFlight, Order, Relay};
 use flockmap::{
-    Cast, Codec, CycleConfig, MapperConfig, Pose, Preset, Resolution, RobotConfig, RobotId, SessionConfig,
+    BatchConfig, Cast, Codec, MapperConfig, Pose, Preset, Resolution, RobotConfig, RobotId, SessionConfig,
 };
 
 use super::parse::nearest;
@@ -55,11 +55,11 @@ impl NodeConfig {
             *value = given.unwrap_or(*value);
         }
 
-        let cycle = CycleConfig::default();
-        config.cycle = CycleConfig {
-            changes_max: self.cycle.changes_max.unwrap_or(cycle.changes_max),
-            t_l_ms: self.cycle.t_l_ms.unwrap_or(cycle.t_l_ms),
-            t_l_occupied_ms: self.cycle.t_l_occupied_ms,
+        let batch = BatchConfig::default();
+        config.batch = BatchConfig {
+            voxels_max: self.batch.voxels_max.unwrap_or(batch.voxels_max),
+            publish_period_ms: self.batch.publish_period_ms.unwrap_or(batch.publish_period_ms),
+            obstacle_period_ms: self.batch.obstacle_period_ms,
         };
         if let Some(delay) = self.codec.repair_delay_max_ms {
             config.repair_delay_max_ms = delay;
@@ -155,11 +155,11 @@ impl NodeConfig {
         if let Some(kb_s) = given.link_budget_kb_s {
             session.link_bytes_per_s = budget("[session] link_budget_kb_s", kb_s)?;
         }
-        if let Some(kb) = given.present_state_kb_min {
-            session.present_state_bytes_min = (kb > 0).then(|| kb.saturating_mul(1_024));
+        if let Some(kb) = given.snapshot_kb_min {
+            session.snapshot_bytes_min = (kb > 0).then(|| kb.saturating_mul(1_024));
         }
-        if let Some(range) = given.present_state_range_max {
-            session.present_state_range_max = (range > 0).then_some(range);
+        if let Some(range) = given.snapshot_range_max {
+            session.snapshot_range_max = (range > 0).then_some(range);
         }
         Ok(session)
     }

@@ -32,7 +32,7 @@ pub struct NodeConfig {
     pub map: MapSection,
     /// When changes are packed.
     #[serde(default)]
-    pub cycle: CycleSection,
+    pub batch: BatchSection,
     /// How they are coded.
     #[serde(default)]
     pub codec: CodecSection,
@@ -113,16 +113,16 @@ const fn default_memory_mb() -> u32 {
     512
 }
 
-/// `[cycle]`: what is not given is as in [`flockmap::CycleConfig`].
+/// `[batch]`: what is not given is as in [`flockmap::BatchConfig`].
 #[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct CycleSection {
+pub struct BatchSection {
     /// Longest time until changes are packed.
-    pub t_l_ms: Option<u32>,
+    pub publish_period_ms: Option<u32>,
     /// The same for obstacles alone.
-    pub t_l_occupied_ms: Option<u32>,
+    pub obstacle_period_ms: Option<u32>,
     /// Most voxels that may have changed until they are packed.
-    pub changes_max: Option<usize>,
+    pub voxels_max: Option<usize>,
 }
 
 /// `[codec]`
@@ -132,7 +132,7 @@ pub struct CodecSection {
     /// `flock`, `paper`, `nested-zlib`, `raw` or `racer`.
     pub name: Option<String>,
     /// `flock` tells changes against what the others hold, and for so long at most they may lack a part of it: where repair takes
-    /// longer, cycles are told alone. 0: they never are.
+    /// longer, batches are told alone. 0: they never are.
     pub repair_delay_max_ms: Option<u32>,
 }
 
@@ -180,10 +180,10 @@ pub struct SessionSection {
     pub in_flight: Option<String>,
     /// Round trip taken until one is measured.
     pub round_trip_initial_ms: Option<u32>,
-    /// The present state is offered from so many missing KiB on; 0: only in place of what is not stored any more.
-    pub present_state_kb_min: Option<u32>,
-    /// The present state is sent when the missing indices span more than this; 0: never for that reason.
-    pub present_state_range_max: Option<u32>,
+    /// The snapshot is offered from so many missing KiB on; 0: only in place of what is not stored any more.
+    pub snapshot_kb_min: Option<u32>,
+    /// The snapshot is sent when the missing indices span more than this; 0: never for that reason.
+    pub snapshot_range_max: Option<u32>,
     /// A peer not heard for so long is forgotten.
     pub peer_timeout_ms: Option<u32>,
     /// Peers known at once.

@@ -30,7 +30,7 @@ fn the_defaults_in_the_example_are_the_defaults() {
     let text = uncommented(|line| {
         !line.contains("# none")
             && !in_section(line)
-            && !line.starts_with("#t_l_occupied")
+            && !line.starts_with("#obstacle_period")
             && !line.starts_with("#epoch")
     });
     let (given, default) = (parse(&text).unwrap(), parse(MINIMAL).unwrap());
@@ -52,7 +52,7 @@ fn every_key_is_in_the_example_and_every_example_can_be_uncommented() {
     assert_eq!(config.clock_offsets().unwrap(), [(RobotId(2), 12_500)]);
 
     let sections =
-        ["", "map", "cycle", "codec", "session", "fusion", "store", "state", "network", "sensor", "metrics"];
+        ["", "map", "batch", "codec", "session", "fusion", "store", "state", "network", "sensor", "metrics"];
     for section in sections.iter().chain(&["alignment.2", "teammates", "output"]) {
         // An error about an unknown key lists the known ones.
         let text = match *section {
@@ -83,8 +83,8 @@ fn an_unknown_key_is_named_with_its_line_and_the_nearest_known_one() {
     let error = parse(&format!("{MINIMAL}[sesion]\nswarm = 1\n")).unwrap_err();
     assert!(error.contains("line 5") && error.ends_with("did you mean `session`?"), "{error}");
 
-    let error = parse(&format!("{MINIMAL}[cycle]\nt_l_s = 1\n")).unwrap_err();
-    assert!(error.ends_with("did you mean `t_l_ms`?"), "{error}");
+    let error = parse(&format!("{MINIMAL}[batch]\nt_l_s = 1\n")).unwrap_err();
+    assert!(error.ends_with("did you mean `publish_period_ms`?"), "{error}");
 }
 
 #[test]
@@ -127,7 +127,7 @@ fn the_mode_of_the_sensor_socket_is_octal_and_lets_the_owner_in() {
 #[test]
 fn words_become_options() {
     let text = format!(
-        "name = \"alice\"\nepoch = 7\n{MINIMAL}[cycle]\nt_l_occupied_ms = 100\n[codec]\nname = \"raw\"\n\
+        "name = \"alice\"\nepoch = 7\n{MINIMAL}[batch]\nt_l_occupied_ms = 100\n[codec]\nname = \"raw\"\n\
          [session]\nbehaviour = \"paper\"\ncast = \"broadcast\"\nbudget_kb_s = 100\nrelay = \"never\"\n\
          [network]\nbind = \"127.0.0.1:1\"\npeers = [\"127.0.0.1:2\"]\n"
     );
@@ -135,7 +135,7 @@ fn words_become_options() {
     let robot = config.robot(99).unwrap();
     assert_eq!((robot.epoch, robot.codec, config.robot_name().as_str()), (99, Codec::Raw, "alice"));
     assert_eq!(config.epoch, Some(7));
-    assert_eq!(robot.cycle.t_l_occupied_ms, Some(100));
+    assert_eq!(robot.batch.obstacle_period_ms, Some(100));
     assert_eq!((robot.session.cast, robot.session.push), (Cast::Broadcast, false));
     assert_eq!(robot.session.radio_bytes_per_s, Some(102_400));
     assert_eq!(config.udp().unwrap().peers, ["127.0.0.1:2".parse().unwrap()]);

@@ -22,7 +22,7 @@ const SILENT_MIN: Duration = Duration::from_secs(5);
 
 /// A program that finds all places taken is given so long for its first word. One that only looked whether somebody listens is gone
 /// by then, and nobody gives way to it.
-const FIRST_WORD_MAX: Duration = Duration::from_secs(1);
+const FIRST_ANSWER_MAX: Duration = Duration::from_secs(1);
 
 /// After a connection could not be accepted.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
@@ -74,7 +74,7 @@ pub(super) async fn serve(
 
 /// Whether a connection ends before its first word.
 async fn is_gone(stream: &mut (impl AsyncBufRead + Unpin)) -> bool {
-    matches!(timeout(FIRST_WORD_MAX, stream.fill_buf()).await, Ok(Ok([]) | Err(_)))
+    matches!(timeout(FIRST_ANSWER_MAX, stream.fill_buf()).await, Ok(Ok([]) | Err(_)))
 }
 
 /// The node has ended.
@@ -117,7 +117,7 @@ impl Places {
                     "{} closed: all {CONNECTIONS_MAX} places were taken, it had said nothing for {seconds} s, and {name} wants in",
                     place.name
                 );
-                return to.send(Input::GaveWay(text)).await.map_err(|_| Over);
+                return to.send(Input::Yielded(text)).await.map_err(|_| Over);
             }
             if !std::mem::replace(&mut waits, true) {
                 let text = format!(
@@ -466,7 +466,7 @@ mod tests {
             loop {
                 match self.next().await {
                     Input::Frame(_) => return lines,
-                    Input::Note(text) | Input::GaveWay(text) => lines.push(text),
+                    Input::Note(text) | Input::Yielded(text) => lines.push(text),
                     other => panic!("{other:?}"),
                 }
             }

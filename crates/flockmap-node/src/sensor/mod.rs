@@ -92,7 +92,7 @@ pub(crate) enum Input {
     /// Something was wrong: one line. It is counted.
     Fault(String),
     /// A silent connection was closed, since there was no room for another program: one line. It is counted.
-    GaveWay(String),
+    Yielded(String),
     /// Something worth telling.
     Note(String),
 }

@@ -24,12 +24,12 @@ pub trait Transport: 'static {
 
     /// Sends a datagram, or drops it where the system has no room: one for a robot on its path and nowhere else, without a path not at all; one for everyone
     /// to all who are configured, and on the paths that were set.
-    fn send(&mut self, transmit: &Transmit) -> impl Future<Output = Sent>;
+    fn send(&mut self, transmit: &Transmit) -> impl Future<Output = SendResult>;
 }
 
 /// What became of a datagram.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub struct Sent {
+pub struct SendResult {
     /// Copies handed to the system.
     pub copies: u32,
     /// Copies that could not be sent.

@@ -11,7 +11,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use tokio::io::ReadBuf;
 
 use super::addresses::Addresses;
-use super::{Sent, Transport};
+use super::{SendResult, Transport};
 use crate::advice::{listen_error, with};
 
 /// A radio whose queue stays full for so long loses the datagram, which is repaired later; the node must go on.
@@ -193,8 +193,8 @@ impl Transport for UdpTransport {
         self.addresses.set_used(paths);
     }
 
-    async fn send(&mut self, transmit: &Transmit) -> Sent {
-        let mut sent = Sent::default();
+    async fn send(&mut self, transmit: &Transmit) -> SendResult {
+        let mut sent = SendResult::default();
         match transmit.to {
             Destination::Peer(_) => {
                 let address = transmit.path.and_then(|path| self.addresses.address(path));
@@ -219,7 +219,7 @@ async fn send_one(
     socket: &tokio::net::UdpSocket,
     address: Option<SocketAddr>,
     bytes: &[u8],
-    sent: &mut Sent,
+    sent: &mut SendResult,
 ) {
     let Some(address) = address else {
         sent.failed += 1;

@@ -10,14 +10,14 @@ use std::time::{Duration, Instant};
 use flockmap::{Pose, Resolution, RobotConfig, RobotId, Scan, Stamp};
 use flockmap_io::RecordWriter;
 use flockmap_node::{Frame, Frames, UdpOptions, UdpSockets};
-use flockmap_worlds::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+use flockmap_worlds::{Flight, Lidar, ScanOptions, Trajectory, TrajectoryOptions, World};
 
 /// Far more than any step of a test takes.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 
 pub(crate) fn config(id: u16) -> RobotConfig {
     let mut config = RobotConfig::new(RobotId(id), Resolution::from_metres(0.2).unwrap(), 7.0);
-    config.cycle.t_l_ms = 100;
+    config.batch.publish_period_ms = 100;
     config
 }
 
@@ -75,11 +75,11 @@ pub(crate) fn new_dir(name: &str) -> PathBuf {
 /// A short flight through an office, thinned, as a record.
 pub(crate) fn write_record(dir: &Path, seconds: f64) {
     let world = Arc::new(World::indoor(1));
-    let options = PatrolOptions { duration_s: seconds, ..PatrolOptions::default() };
+    let options = TrajectoryOptions { duration_s: seconds, ..TrajectoryOptions::default() };
     let scan = ScanOptions { range_m: 7.0, ..ScanOptions::default() };
-    let patrol = Patrol::plan(&world, 1, 1, &options).unwrap().remove(0);
+    let trajectory = Trajectory::plan(&world, 1, 1, &options).unwrap().remove(0);
     let mut writer = RecordWriter::create(dir.join("robot1.mcap"), "robot1").unwrap();
-    for frame in Flight::new(world, Lidar::Mid360, scan, patrol).step_by(2) {
+    for frame in Flight::new(world, Lidar::Mid360, scan, trajectory).step_by(2) {
         writer.write(&frame.scan, &frame.t_map_sensor).unwrap();
     }
     writer.finish().unwrap();

@@ -122,7 +122,7 @@ pub fn store_events(swarm: &mut Swarm, writer: &mut Writer, stored: &mut Vec<Pac
     for event in std::mem::take(&mut swarm.events[0]) {
         writer.note(&event);
         match event {
-            Event::CycleClosed { packages, .. } => stored.extend(packages),
+            Event::BatchClosed { packages, .. } => stored.extend(packages),
             Event::Merged { package, .. } => stored.push(package),
             _ => {}
         }
@@ -144,7 +144,7 @@ impl Model {
         let layer = self.0.entry(header.stream).or_default();
         let Content::Changes(changes) = content else { panic!("{package:?}") };
         for (voxel, state) in changes.voxels() {
-            let word = (header.cycle_end, state == State::Occupied);
+            let word = (header.batch_end, state == State::Occupied);
             let known = layer.entry(voxel).or_insert(word);
             *known = word.max(*known);
         }
@@ -175,9 +175,9 @@ pub fn contents(packages: &[Package]) -> Vec<Content> {
             let layer = layers.entry(header.stream).or_default();
             let content = decoder.decode_against(package, Some(layer)).unwrap();
             if let Content::Changes(changes) = &content {
-                layer.apply(changes, header.cycle_end);
+                layer.apply(changes, header.batch_end);
                 if let Some(sensor) = package.sensor() {
-                    layer.note_sensor(header.cycle_end, sensor);
+                    layer.note_sensor(header.batch_end, sensor);
                 }
             }
             content

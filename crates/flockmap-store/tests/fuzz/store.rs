@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-use flockmap::codec::{Codec, Cycle, Encoder, Reference};
+use flockmap::codec::{Base, Batch, Codec, Encoder};
 use flockmap::grid::Layer;
 use flockmap::{Changes, Package, Resolution, Robot, RobotConfig, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_store::memory::MemoryDisk;
@@ -29,7 +29,7 @@ fn robot(epoch: u64) -> Robot {
     Robot::new(config, Stamp(0)).expect("a configuration that works")
 }
 
-/// Packages of two streams that build on each other, and a present state with its tiles.
+/// Packages of two streams that build on each other, and a snapshot with its chunks.
 fn honest() -> &'static [Package] {
     static PACKAGES: OnceLock<Vec<Package>> = OnceLock::new();
     PACKAGES.get_or_init(|| {
@@ -37,25 +37,25 @@ fn honest() -> &'static [Package] {
         let mut packages = Vec::new();
         for origin in [1, 2] {
             let stream = Stream { origin: RobotId(origin), epoch: 1 };
-            let (mut layer, mut cycles) = (Layer::default(), Vec::new());
+            let (mut layer, mut batches) = (Layer::default(), Vec::new());
             let mut next = 1;
             for tick in 1..=6 {
                 let wall = (0..300).map(|n| (Voxel::new(n % 20, n / 20, tick), State::Free));
                 let changes = Changes::from_voxels(wall.chain([(Voxel::new(tick, 3, 0), State::Occupied)]));
                 let end = Stamp(i64::from(tick) * 100);
-                let cycle = Cycle { stream, start: end, end, resolution: resolution(), sensor: [0; 3] };
-                let reference = Reference { layer: Some(&layer), cycles: &cycles, readers: &[] };
+                let batch = Batch { stream, start: end, end, resolution: resolution(), sensor: [0; 3] };
+                let base = Base { layer: Some(&layer), batches: &batches, readers: &[] };
                 let told =
-                    encoder.encode_cycle_against(Codec::Flock, &cycle, next, &changes, Some(&reference), 400);
-                let told = told.expect("a cycle that can be told");
+                    encoder.encode_batch_against(Codec::Flock, &batch, next, &changes, Some(&base), 400);
+                let told = told.expect("a batch that can be told");
                 layer.apply(&changes, end);
                 next += told.len() as u32;
-                cycles.push((end, next - 1));
+                batches.push((end, next - 1));
                 packages.extend(told);
             }
-            let state = layer.present_state().expect("something is known");
-            let tiles = encoder.encode_present(Codec::Flock, stream, next - 1, resolution(), &state, 300);
-            packages.extend(tiles.expect("a state that can be told"));
+            let state = layer.snapshot().expect("something is known");
+            let chunks = encoder.encode_snapshot(Codec::Flock, stream, next - 1, resolution(), &state, 300);
+            packages.extend(chunks.expect("a state that can be told"));
         }
         packages
     })

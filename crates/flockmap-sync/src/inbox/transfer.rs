@@ -1,14 +1,14 @@
-//! One present state that is being received.
+//! One snapshot that is being received.
 
 use crate::IntervalSet;
-use crate::store::HELD_INTERVALS_MAX;
+use crate::store::RECEIVED_INTERVALS_MAX;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
 /// Silence after which a transfer is given up.
 pub(crate) const ABANDONED: i64 = 30_000_000;
 
-/// A present state that is being received.
+/// A snapshot that is being received.
 #[derive(Debug)]
 pub(crate) struct Transfer {
     pub(crate) source: RobotId,
@@ -17,8 +17,8 @@ pub(crate) struct Transfer {
     pub(crate) since: u32,
     pub(crate) upto: u32,
     pub(crate) set: u32,
-    pub(crate) tiles: u32,
-    /// Number + 1 of the tiles accepted.
+    pub(crate) chunks: u32,
+    /// Number + 1 of the chunks accepted.
     pub(crate) accepted: IntervalSet,
     /// What it contains, where it is a part of a history with gaps.
     pub(crate) contents: Option<IntervalSet>,
@@ -31,7 +31,7 @@ impl Transfer {
         stream: Stream,
         [since, upto]: [u32; 2],
         set: u32,
-        tiles: u32,
+        chunks: u32,
         now: Stamp,
     ) -> Self {
         Self {
@@ -40,33 +40,33 @@ impl Transfer {
             since,
             upto,
             set,
-            tiles,
-            accepted: IntervalSet::new(HELD_INTERVALS_MAX),
+            chunks,
+            accepted: IntervalSet::new(RECEIVED_INTERVALS_MAX),
             contents: None,
             touched: now,
         }
     }
 
-    /// None of its tiles counts any more.
+    /// None of its chunks counts any more.
     pub(crate) fn restart(&mut self) {
-        self.accepted = IntervalSet::new(HELD_INTERVALS_MAX);
+        self.accepted = IntervalSet::new(RECEIVED_INTERVALS_MAX);
     }
 
-    /// Whether tiles of both belong together: cut by the same robot from the same state.
+    /// Whether chunks of both belong together: cut by the same robot from the same state.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
-        (self.source, self.stream, self.since, self.upto, self.set, self.tiles)
-            == (other.source, other.stream, other.since, other.upto, other.set, other.tiles)
+        (self.source, self.stream, self.since, self.upto, self.set, self.chunks)
+            == (other.source, other.stream, other.since, other.upto, other.set, other.chunks)
     }
 
     pub(crate) fn is_complete(&self) -> bool {
-        self.accepted.contains_range(1, self.tiles)
-            || (!self.accepted.is_empty() && mutation::is(Mutation::StateHeldTooEarly))
+        self.accepted.contains_range(1, self.chunks)
+            || (!self.accepted.is_empty() && mutation::is(Mutation::SnapshotReceivedTooEarly))
     }
 
     /// Whether all that it brings is held already.
-    pub(crate) fn is_in(&self, held: &IntervalSet) -> bool {
-        let rest = self.contents.as_ref().map(|contents| contents.difference(held));
-        held.contains_range(1, self.upto) || rest.is_some_and(|rest| rest.is_empty())
+    pub(crate) fn is_in(&self, received: &IntervalSet) -> bool {
+        let rest = self.contents.as_ref().map(|contents| contents.difference(received));
+        received.contains_range(1, self.upto) || rest.is_some_and(|rest| rest.is_empty())
     }
 
     /// Nothing has come of it for long. A complete one waits longer, for the packages before it.

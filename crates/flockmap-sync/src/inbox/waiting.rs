@@ -48,7 +48,7 @@ impl Waiting {
     /// The first package of a stream after index `after` that needs none above `prefix`.
     pub(crate) fn take_ready(&mut self, stream: Stream, after: u32, prefix: u32) -> Option<Package> {
         let mut later = self.packages.range((stream, after.checked_add(1)?)..=(stream, u32::MAX));
-        let ((_, index), _) = later.find(|(_, package)| package.header().reference <= prefix)?;
+        let ((_, index), _) = later.find(|(_, package)| package.header().base <= prefix)?;
         let index = *index;
         self.take(stream, index)
     }
@@ -88,7 +88,7 @@ fn bytes_of(package: &Package) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockmap_codec::{Codec, Cycle, Encoder, Reference};
+    use flockmap_codec::{Base, Batch, Codec, Encoder};
     use flockmap_grid::{Changes, Layer, Resolution, RobotId, Stamp, State, Voxel};
     use proptest::prelude::*;
 
@@ -97,18 +97,17 @@ mod tests {
     }
 
     /// A package that builds on another.
-    fn package(encoder: &mut Encoder, id: u16, index: u32, reference: u32) -> Package {
+    fn package(encoder: &mut Encoder, id: u16, index: u32, base: u32) -> Package {
         // A wall: few voxels would not need what was before.
         let wall = |state| (0..320).map(move |at| (Voxel::new(20, at % 16, at / 16), state));
-        let told = |state| Changes::from_voxels(wall(state));
+        let sent = |state| Changes::from_voxels(wall(state));
         let mut layer = Layer::default();
-        layer.apply(&told(State::Free), Stamp(1));
+        layer.apply(&sent(State::Free), Stamp(1));
         let resolution = Resolution::from_metres(0.1).unwrap();
-        let cycle = Cycle { stream: stream(id), start: Stamp(2), end: Stamp(2), resolution, sensor: [0; 3] };
-        let reference = Reference { layer: Some(&layer), cycles: &[(Stamp(1), reference)], readers: &[] };
-        let changes = told(State::Occupied);
-        let packages =
-            encoder.encode_cycle_against(Codec::Flock, &cycle, index, &changes, Some(&reference), 1150);
+        let batch = Batch { stream: stream(id), start: Stamp(2), end: Stamp(2), resolution, sensor: [0; 3] };
+        let base = Base { layer: Some(&layer), batches: &[(Stamp(1), base)], readers: &[] };
+        let changes = sent(State::Occupied);
+        let packages = encoder.encode_batch_against(Codec::Flock, &batch, index, &changes, Some(&base), 1150);
         let [package] = packages.unwrap().try_into().unwrap();
         package
     }
@@ -138,10 +137,10 @@ mod tests {
             for step in steps {
                 match step {
                     Step::Insert { id, index, back } => {
-                        let reference = index.saturating_sub(back).max(1);
-                        prop_assert!(waiting.insert(package(&mut encoder, id, index, reference)).is_empty());
+                        let base = index.saturating_sub(back).max(1);
+                        prop_assert!(waiting.insert(package(&mut encoder, id, index, base)).is_empty());
                         model.retain(|entry| (entry.0, entry.1) != (id, index));
-                        model.push((id, index, reference));
+                        model.push((id, index, base));
                     }
                     Step::Release { id, prefix } => {
                         let mut expected: Vec<u32> =

@@ -6,20 +6,20 @@ use crate::item::Item;
 use flockmap_grid::Stamp;
 
 /// Intervals kept of what a peer states to hold of one stream; of more, the newest.
-pub(crate) const VIEW_INTERVALS_MAX: usize = 256;
+pub(crate) const PEER_INTERVALS_MAX: usize = 256;
 
-/// A set counts as ignored when tiles of it got lost four times and the peer has not spoken of it .
+/// A set counts as ignored when chunks of it got lost four times and the peer has not spoken of it .
 const UNHEEDED_MAX: u8 = 5;
 /// Something sent and not yet confirmed.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Sent {
+pub(crate) struct SentPackage {
     pub(crate) item: Item,
     pub(crate) at: Stamp,
     /// Requests of the peer since then in which it was still missing.
     pub(crate) requests: u8,
 }
 
-/// A present state on its way to the peer.
+/// A snapshot on its way to the peer.
 #[derive(Clone, Debug)]
 pub(crate) struct Sending {
     pub(crate) set: u32,
@@ -27,36 +27,36 @@ pub(crate) struct Sending {
     pub(crate) upto: u32,
     /// When the peer last spoke of the set, or it was begun.
     pub(crate) named_at: Stamp,
-    /// 0: the peer spoke of the set. Else how often tiles got lost since then, or since it was begun, and one more.
+    /// 0: the peer spoke of the set. Else how often chunks got lost since then, or since it was begun, and one more.
     pub(crate) unheeded: u8,
-    /// When tiles of it got lost last.
+    /// When chunks of it got lost last.
     pub(crate) lost_at: Stamp,
-    /// Number + 1 of the tiles that the peer accepted.
+    /// Number + 1 of the chunks that the peer accepted.
     pub(crate) accepted: IntervalSet,
     /// Those and the ones in flight.
-    pub(crate) covered: IntervalSet,
+    pub(crate) received_or_in_flight: IntervalSet,
 }
 
 /// What the peer holds of one stream, as far as it is known.
 #[derive(Clone, Debug)]
-pub(crate) struct View {
+pub(crate) struct PeerStream {
     /// Nothing is known below this index.
     pub(crate) from: u32,
     /// What the peer stated to hold, or sent itself.
-    pub(crate) held: IntervalSet,
+    pub(crate) received: IntervalSet,
     /// Those and the ones in flight: what need not be sent now. It has room for both; and those that a full ledger forgot since the last request.
-    pub(crate) covered: IntervalSet,
+    pub(crate) received_or_in_flight: IntervalSet,
     /// For a relay that is not first in line: what stayed missing for the whole relay delay.
     pub(crate) overdue: IntervalSet,
     /// What was missing at some earlier request, and when that was.
     pub(crate) missing_then: (Stamp, IntervalSet),
     pub(crate) sending: Option<Sending>,
-    pub(crate) state_wanted: Option<PeerWish>,
+    pub(crate) snapshot_request: Option<PeerRequest>,
 }
 
-/// A present state that the peer wants.
+/// A snapshot that the peer wants.
 #[derive(Clone, Debug)]
-pub(crate) struct PeerWish {
+pub(crate) struct PeerRequest {
     /// Since this package, or an earlier one.
     pub(crate) since: u32,
     /// It should contain some of these.
@@ -65,34 +65,36 @@ pub(crate) struct PeerWish {
     pub(crate) stated_since: Stamp,
 }
 
-impl View {
+impl PeerStream {
     pub(crate) const fn new(from: u32, now: Stamp) -> Self {
         Self {
             from,
-            held: IntervalSet::new(VIEW_INTERVALS_MAX),
-            covered: IntervalSet::new(VIEW_INTERVALS_MAX),
-            overdue: IntervalSet::new(VIEW_INTERVALS_MAX),
-            missing_then: (now, IntervalSet::new(VIEW_INTERVALS_MAX)),
+            received: IntervalSet::new(PEER_INTERVALS_MAX),
+            received_or_in_flight: IntervalSet::new(PEER_INTERVALS_MAX),
+            overdue: IntervalSet::new(PEER_INTERVALS_MAX),
+            missing_then: (now, IntervalSet::new(PEER_INTERVALS_MAX)),
             sending: None,
-            state_wanted: None,
+            snapshot_request: None,
         }
     }
 
     /// The peer proved to hold this package. A view that is too fragmented to note it learns it from the next request.
-    pub(crate) fn note_held(&mut self, index: u32) {
-        let _ = self.held.insert(index);
-        let _ = self.covered.insert(index);
+    pub(crate) fn note_received(&mut self, index: u32) {
+        let _ = self.received.insert(index);
+        let _ = self.received_or_in_flight.insert(index);
     }
 }
 
-impl View {
+impl PeerStream {
     /// Notes that an item need not be sent now; whether that was news. A view that is too torn to note it says no.
     /// Such an item is not sent either: it would be sent again and again.
     pub(crate) fn cover(&mut self, item: Item) -> bool {
         match item {
-            Item::Package { index, .. } => self.covered.insert(index).unwrap_or(false),
-            Item::Tile { set, tile, .. } => match &mut self.sending {
-                Some(sending) if sending.set == set => sending.covered.insert(tile + 1).unwrap_or(false),
+            Item::Package { index, .. } => self.received_or_in_flight.insert(index).unwrap_or(false),
+            Item::Chunk { set, chunk, .. } => match &mut self.sending {
+                Some(sending) if sending.set == set => {
+                    sending.received_or_in_flight.insert(chunk + 1).unwrap_or(false)
+                }
                 _ => false,
             },
         }
@@ -105,7 +107,7 @@ impl Sending {
         self.unheeded >= UNHEEDED_MAX
     }
 
-    /// Tiles got lost, and the peer does not speak of the set.
+    /// Chunks got lost, and the peer does not speak of the set.
     pub(crate) fn note_unheeded(&mut self, now: Stamp) {
         self.unheeded = self.unheeded.saturating_add(1).min(UNHEEDED_MAX);
         self.lost_at = now;
@@ -116,7 +118,7 @@ impl Sending {
         if now.micros_since(self.named_at) > ABANDONED {
             self.named_at = now;
             self.unheeded = UNHEEDED_MAX;
-            self.accepted = IntervalSet::new(VIEW_INTERVALS_MAX);
+            self.accepted = IntervalSet::new(PEER_INTERVALS_MAX);
         }
     }
 }

@@ -1,16 +1,16 @@
 //! Requests that come in: what the peer holds, what of the packages sent to it is lost, whose turn it is to answer.
 
 use super::Session;
-use super::present::OFFER_PAUSE;
+use super::snapshot::OFFER_PAUSE;
 use crate::item::Item;
-use crate::peer::{Peer, PeerWish, Sent, VIEW_INTERVALS_MAX, View};
+use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, SentPackage};
 use crate::wire::{DatagramHeader, Request};
 use crate::{InFlight, IntervalSet, Relay};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::BTreeSet;
 
-/// A stamp below an earlier one means that the datagram was overtaken on the way, since the clock of a run never goes back. But the earlier
+/// A stamp below an earlier one means that the datagram was superseded on the way, since the clock of a run never goes back. But the earlier
 /// one may be false where there is no key: then it counts for so long.
 const UNSEALED_STAMP_COUNTS: i64 = 5_000_000;
 
@@ -21,9 +21,9 @@ impl Session {
     pub(super) fn handle_request(&mut self, now: Stamp, header: &DatagramHeader, request: &Request) {
         let id = header.sender.origin;
         let Some(peer) = self.peers.get(&id) else { return };
-        let overtaken =
+        let superseded =
             |(newest, at): (Stamp, Stamp)| header.stamp <= newest && self.stamp_counts(now.micros_since(at));
-        if peer.request.is_some_and(overtaken) {
+        if peer.request.is_some_and(superseded) {
             self.report.counters.stale_requests += 1;
             return;
         }
@@ -33,7 +33,7 @@ impl Session {
         let streams: Vec<Stream> = self.store.streams().collect();
         for stream in streams {
             self.note_overdue(now, id, stream, request);
-            self.review_present_state(now, id, stream);
+            self.review_snapshot(now, id, stream);
         }
     }
 
@@ -63,7 +63,7 @@ impl Session {
         peer.round_trip.sample(now.micros_since(sent) - age);
         peer.clock.sample(sent, header.stamp.plus_micros(-age), header.stamp, now);
         if let Some(offset) = peer.clock.offset()
-            && self.store.held(peer.stream).is_some()
+            && self.store.received(peer.stream).is_some()
         {
             self.clocks.note_measured(peer.stream, offset);
         }
@@ -74,23 +74,23 @@ impl Session {
     fn take_holdings(&mut self, now: Stamp, header: &DatagramHeader, request: &Request) {
         let id = header.sender.origin;
         let Some(peer) = self.peers.get_mut(&id) else { return };
-        let is_overtaken = header.stamp < peer.newest_stamp;
+        let is_superseded = header.stamp < peer.newest_stamp;
         peer.takes_new_streams = !request.no_new_streams;
         peer.oldest_wanted.retain(|&origin, _| !request.covers(origin) && self.store.has_runs(origin));
-        if let Some(covered) = request.covered {
-            peer.note_covered(covered);
-            peer.views.retain(|stream, view| {
-                let is_named = request.held.iter().any(|held| held.stream == *stream);
+        if let Some(origins) = request.origins {
+            peer.note_origins(origins);
+            peer.streams.retain(|stream, theirs| {
+                let is_named = request.received.iter().any(|received| received.stream == *stream);
                 // Not named: nothing is held any more, as after a lost store. But what came in later datagrams of the peer it did not
                 // hold yet when it made this request.
-                if !is_named && covered.contains(stream.origin) && !is_overtaken {
-                    view.held = IntervalSet::new(VIEW_INTERVALS_MAX);
-                    view.from = 1;
+                if !is_named && origins.contains(stream.origin) && !is_superseded {
+                    theirs.received = IntervalSet::new(PEER_INTERVALS_MAX);
+                    theirs.from = 1;
                 }
-                is_named || peer.takes_new_streams || !covered.contains(stream.origin)
+                is_named || peer.takes_new_streams || !origins.contains(stream.origin)
             });
         }
-        for stated in &request.held {
+        for stated in &request.received {
             self.note_own_id(now, stated.stream);
             let Some(peer) = self.peers.get_mut(&id) else { return };
             // Also where there is no place for it here.
@@ -99,7 +99,7 @@ impl Session {
             }
             if stated.stream == self.identity.own {
                 // Nobody but this robot can say which own packages there are.
-                if stated.held.last() > Some(self.store.newest_known(self.identity.own)) {
+                if stated.received.last() > Some(self.store.newest_known(self.identity.own)) {
                     self.note_own_run_used(now);
                 }
             } else if !self.open_stream(stated.stream) {
@@ -107,35 +107,36 @@ impl Session {
                     peer.note_unplaced(stated.stream);
                 }
                 continue;
-            } else if let Some(newest) = stated.held.last()
+            } else if let Some(newest) = stated.received.last()
                 && self.store.note_newest(stated.stream, newest, now)
             {
                 self.note_gap_told_by(now, id);
             }
             let Some(peer) = self.peers.get_mut(&id) else { return };
-            let view = peer.views.entry(stated.stream).or_insert_with(|| View::new(stated.from, now));
+            let theirs =
+                peer.streams.entry(stated.stream).or_insert_with(|| PeerStream::new(stated.from, now));
             // Of what lies below the list, the last word still holds.
-            let below = view.held.within(0, stated.from.saturating_sub(1));
+            let below = theirs.received.within(0, stated.from.saturating_sub(1));
             if mutation::is(Mutation::HoldingsIgnored) {
                 continue;
             }
-            view.held = if is_overtaken {
+            theirs.received = if is_superseded {
                 // What came in later datagrams of the peer it did not hold yet when it made this request.
-                view.held.union(&stated.held)
+                theirs.received.union(&stated.received)
             } else if stated.from > 1 {
-                below.union(&stated.held)
+                below.union(&stated.received)
             } else {
-                stated.held.clone()
+                stated.received.clone()
             };
-            view.from = view.from.min(stated.from).max(view.held.keep_newest(VIEW_INTERVALS_MAX));
+            theirs.from = theirs.from.min(stated.from).max(theirs.received.keep_newest(PEER_INTERVALS_MAX));
         }
         let Some(peer) = self.peers.get_mut(&id) else { return };
-        for (&stream, view) in &mut peer.views {
-            let wanted = request.states_wanted.iter().find(|wanted| wanted.stream == stream);
-            let since = view.state_wanted.as_ref().map_or(now, |wanted| wanted.stated_since);
+        for (&stream, theirs) in &mut peer.streams {
+            let wanted = request.snapshot_requests.iter().find(|wanted| wanted.stream == stream);
+            let since = theirs.snapshot_request.as_ref().map_or(now, |wanted| wanted.stated_since);
             // A wish that found no room this time stands on until its origin is covered.
             if wanted.is_some() || request.covers(stream.origin) {
-                view.state_wanted = wanted.map(|wanted| PeerWish {
+                theirs.snapshot_request = wanted.map(|wanted| PeerRequest {
                     since: wanted.since,
                     undecodable: wanted.undecodable.clone(),
                     stated_since: since,
@@ -145,7 +146,7 @@ impl Session {
         for progress in
             request.transfers.iter().filter(|progress| progress.source == self.identity.own.origin)
         {
-            let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
+            let sending = peer.streams.get_mut(&progress.stream).and_then(|theirs| theirs.sending.as_mut());
             if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
                 sending.named_at = now;
                 sending.unheeded = 0;
@@ -165,7 +166,7 @@ impl Session {
         let patience = (2 * peer.round_trip.variation())
             .clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
         let timeout = peer.round_trip.timeout();
-        let is_lost = |sent: &Sent| match self.config.in_flight {
+        let is_lost = |sent: &SentPackage| match self.config.in_flight {
             InFlight::PreviousRequest => sent.requests >= 2,
             InFlight::RoundTrip => match echo.filter(|(stamp, _)| *stamp >= sent.at) {
                 // The peer has heard something sent with it or later: how long has it waited since?
@@ -182,32 +183,33 @@ impl Session {
         let mut in_flight = std::mem::take(&mut peer.in_flight);
         in_flight.retain_mut(|sent| {
             let stream = sent.item.stream();
-            let Some(view) = peer.views.get(&stream).filter(|_| peer.wants(stream)) else {
+            let Some(theirs) = peer.streams.get(&stream).filter(|_| peer.wants(stream)) else {
                 // It takes nothing of that stream: whether it arrived it does not say.
                 sent.requests = sent.requests.saturating_add(1);
                 return !is_lost(sent);
             };
-            let (held, stated) = match sent.item {
+            let (received, stated) = match sent.item {
                 Item::Package { stream, index } => {
-                    let named = request.held.iter().find(|held| held.stream == stream);
+                    let named = request.received.iter().find(|received| received.stream == stream);
                     (
-                        view.held.contains(index),
-                        named.map_or_else(|| request.covers(stream.origin), |held| index >= held.from),
+                        theirs.received.contains(index),
+                        named
+                            .map_or_else(|| request.covers(stream.origin), |received| index >= received.from),
                     )
                 }
-                Item::Tile { set, tile, .. } => match &view.sending {
-                    Some(sending) if sending.set == set => (sending.accepted.contains(tile + 1), true),
+                Item::Chunk { set, chunk, .. } => match &theirs.sending {
+                    Some(sending) if sending.set == set => (sending.accepted.contains(chunk + 1), true),
                     _ => (true, true),
                 },
             };
-            if held {
+            if received {
                 confirmed += 1;
                 return false;
             }
             sent.requests = sent.requests.saturating_add(u8::from(stated));
             let gone = stated && is_lost(sent);
             lost += u64::from(gone);
-            if let Item::Tile { set, .. } = sent.item
+            if let Item::Chunk { set, .. } = sent.item
                 && gone
                 && !is_named(stream, set)
             {
@@ -217,7 +219,7 @@ impl Session {
         });
         peer.in_flight = in_flight;
         for (stream, set) in unheeded {
-            let sending = peer.views.get_mut(&stream).and_then(|view| view.sending.as_mut());
+            let sending = peer.streams.get_mut(&stream).and_then(|theirs| theirs.sending.as_mut());
             if let Some(sending) = sending.filter(|sending| sending.set == set) {
                 sending.note_unheeded(now);
                 if sending.is_ignored() {
@@ -229,48 +231,51 @@ impl Session {
         self.report.counters.lost += lost;
         peer.loss.sample(confirmed, lost);
 
-        for view in peer.views.values_mut() {
-            view.covered = view.held.with_room(VIEW_INTERVALS_MAX + 2 * self.config.in_flight_max);
-            if let Some(sending) = &mut view.sending {
-                sending.covered = sending.accepted.clone();
+        for theirs in peer.streams.values_mut() {
+            theirs.received_or_in_flight =
+                theirs.received.with_room(PEER_INTERVALS_MAX + 2 * self.config.in_flight_max);
+            if let Some(sending) = &mut theirs.sending {
+                sending.received_or_in_flight = sending.accepted.clone();
             }
         }
         for sent in &peer.in_flight {
-            if let Some(view) = peer.views.get_mut(&sent.item.stream()) {
-                view.cover(sent.item);
+            if let Some(theirs) = peer.streams.get_mut(&sent.item.stream()) {
+                theirs.cover(sent.item);
             }
         }
     }
 
     /// For a relay that is not first in line: what was missing at a request one relay delay ago, and still is.
     fn note_overdue(&mut self, now: Stamp, id: RobotId, stream: Stream, request: &Request) {
-        let Some(turn) = self.peers.get(&id).and_then(|peer| self.turn(peer, stream)) else { return };
+        let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) else {
+            return;
+        };
         let Some(peer) = self.peers.get_mut(&id) else { return };
-        let Some(held) = self.store.held(stream) else { return };
-        let delay = i64::from(turn) * i64::from(self.config.relay_delay_ms) * 1_000;
-        let Some(view) = peer.view(stream, now) else { return };
-        if turn == 0 {
+        let Some(received) = self.store.received(stream) else { return };
+        let delay = i64::from(relay_rank) * i64::from(self.config.relay_delay_ms) * 1_000;
+        let Some(theirs) = peer.theirs(stream, now) else { return };
+        if relay_rank == 0 {
             return;
         }
-        let mut missing = held.within(view.from.max(1), u32::MAX).difference(&view.held);
-        missing.keep_newest(VIEW_INTERVALS_MAX);
-        if now.micros_since(view.missing_then.0) >= delay {
-            let then = &view.missing_then.1;
+        let mut missing = received.within(theirs.from.max(1), u32::MAX).difference(&theirs.received);
+        missing.keep_newest(PEER_INTERVALS_MAX);
+        if now.micros_since(theirs.missing_then.0) >= delay {
+            let then = &theirs.missing_then.1;
             let still = then.intersection(&missing);
-            // Where much of it has come meanwhile, or is coming as a present state, somebody is at it.
+            // Where much of it has come meanwhile, or is coming as a snapshot, somebody is at it.
             let own = self.identity.own.origin;
-            let is_told = request.transfers.iter().any(|t| t.stream == stream && t.source != own);
-            let is_served = is_told || (then.count() - still.count()) * SERVED_SHARE > then.count();
-            view.overdue = if is_served { IntervalSet::new(VIEW_INTERVALS_MAX) } else { still };
-            view.missing_then = (now, missing);
+            let is_known = request.transfers.iter().any(|t| t.stream == stream && t.source != own);
+            let is_served = is_known || (then.count() - still.count()) * SERVED_SHARE > then.count();
+            theirs.overdue = if is_served { IntervalSet::new(PEER_INTERVALS_MAX) } else { still };
+            theirs.missing_then = (now, missing);
         } else {
-            view.overdue = view.overdue.intersection(&missing);
+            theirs.overdue = theirs.overdue.intersection(&missing);
         }
     }
 
     /// This robot's place in the line of those who answer a peer for a stream: 0 answers at once, the next ones
     /// each a relay delay later. `None`: it does not answer at all.
-    pub(super) fn turn(&self, peer: &Peer, stream: Stream) -> Option<u32> {
+    pub(super) fn relay_rank(&self, peer: &Peer, stream: Stream) -> Option<u32> {
         if !peer.wants(stream) {
             return None;
         }

@@ -3,10 +3,10 @@
 use super::Session;
 use crate::event::Event;
 use crate::path::Path;
-use crate::peer::{Peer, VIEW_INTERVALS_MAX};
-use crate::store::HELD_INTERVALS_MAX;
+use crate::peer::{PEER_INTERVALS_MAX, Peer};
+use crate::store::RECEIVED_INTERVALS_MAX;
 use crate::wire::{
-    Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, asks_for_word, is_sealed,
+    Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, asks_for_request, is_sealed,
     parse_contents, parse_packages,
 };
 use flockmap_grid::{Stamp, Stream};
@@ -87,14 +87,14 @@ impl Session {
             if got < current {
                 return Err(DatagramError::StaleEpoch { sender, got, current });
             }
-            self.tell_same_identity(now);
+            self.send_same_identity(now);
             self.note_own_id(now, header.sender);
             return Err(DatagramError::SameIdentity { id: sender });
         }
         // All of it is read before any of it counts.
         match header.kind {
             Kind::Request => {
-                let request = Request::parse(&datagram, VIEW_INTERVALS_MAX)?;
+                let request = Request::parse(&datagram, PEER_INTERVALS_MAX)?;
                 if let Err(unheard) = self.hear(now, &header, path, bytes.len()) {
                     self.note_own_runs(now, &request);
                     return Err(unheard);
@@ -107,14 +107,14 @@ impl Session {
             }
             Kind::Packages => {
                 let packages = parse_packages(&datagram)?;
-                let contents = parse_contents(&datagram, HELD_INTERVALS_MAX)?;
+                let contents = parse_contents(&datagram, RECEIVED_INTERVALS_MAX)?;
                 self.hear(now, &header, path, bytes.len())?;
                 self.report
                     .counters
                     .packages_in
                     .add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.receive_packages(now, header.sender, packages, contents);
-                if asks_for_word(&datagram) {
+                if asks_for_request(&datagram) {
                     self.greet(now);
                 }
             }
@@ -139,7 +139,7 @@ impl Session {
         let known = self.peers.get(&id).map(|peer| peer.stream.epoch);
         let newest = self.store.newest_run(id).map_or(0, |run| run.epoch).max(known.unwrap_or(0));
         if newest > stream.epoch {
-            self.tell_superseded(now, Stream { epoch: newest, ..stream });
+            self.send_superseded(now, Stream { epoch: newest, ..stream });
         }
         if let Some(current) = known.filter(|&current| current > stream.epoch) {
             return Err(DatagramError::StaleEpoch { sender: id, got: stream.epoch, current });

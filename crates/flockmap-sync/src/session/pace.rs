@@ -3,7 +3,7 @@
 use super::Session;
 use super::plan::BACKLOG_MIN;
 use crate::Cast;
-use crate::peer::{Peer, View};
+use crate::peer::{Peer, PeerStream};
 use crate::report::Pace;
 use flockmap_grid::Stamp;
 
@@ -21,10 +21,10 @@ impl Session {
         for peer in self.peers.values().filter(listens) {
             // What is not stored any more cannot be sent as a package, and waits for nothing here.
             let stored = |(low, high)| self.store.range(self.identity.own, low, high);
-            let missing = match peer.views.get(&self.identity.own) {
-                Some(View { sending: Some(_), .. }) => usize::MAX,
-                Some(view) => {
-                    let gaps = view.covered.missing(view.from.max(1), newest);
+            let missing = match peer.streams.get(&self.identity.own) {
+                Some(PeerStream { sending: Some(_), .. }) => usize::MAX,
+                Some(theirs) => {
+                    let gaps = theirs.received_or_in_flight.missing(theirs.from.max(1), newest);
                     gaps.flat_map(stored).take(BACKLOG_MIN as usize + 1).count()
                 }
                 None if peer.takes_unnamed(self.identity.own) => {

@@ -31,7 +31,7 @@ impl Session {
         let Some(peer) = self.peers.get_mut(&id) else { return };
         for stream in self.store.streams() {
             if peer.wants(stream) {
-                peer.view(stream, now);
+                peer.theirs(stream, now);
             }
         }
         let Some(peer) = self.peers.get(&id) else { return };
@@ -48,26 +48,26 @@ impl Session {
             }
             // Without push, a request is answered with what there was when it came.
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
-            let Some(view) = peer.views.get(&stream) else { continue };
+            let Some(theirs) = peer.streams.get(&stream) else { continue };
             let upto = self.store.newest_known(stream);
-            // What a present state brings that is under way is not sent beside it.
-            let (since, after) = match &view.sending {
+            // What a snapshot brings that is under way is not sent beside it.
+            let (since, after) = match &theirs.sending {
                 Some(sending) => (sending.since, sending.upto.saturating_add(1)),
                 None => (0, 1),
             };
-            let before = view.covered.missing(view.from.max(1), since);
+            let before = theirs.received_or_in_flight.missing(theirs.from.max(1), since);
             let mut missing: Vec<(u32, u32)> =
-                before.chain(view.covered.missing(view.from.max(after), upto)).collect();
-            if missing.is_empty() && view.sending.is_none() {
+                before.chain(theirs.received_or_in_flight.missing(theirs.from.max(after), upto)).collect();
+            if missing.is_empty() && theirs.sending.is_none() {
                 // Most of the time there is nothing, and the turn costs more to work out than this.
                 continue;
             }
-            let Some(turn) = self.turn(peer, stream) else { continue };
-            if turn > 0 {
-                let overdue = IntervalSet::from_intervals(0, missing).intersection(&view.overdue);
+            let Some(relay_rank) = self.relay_rank(peer, stream) else { continue };
+            if relay_rank > 0 {
+                let overdue = IntervalSet::from_intervals(0, missing).intersection(&theirs.overdue);
                 missing = overdue.intervals().to_vec();
             }
-            let is_told = |(_, stored): &(u32, &Stored)| self.config.push || stored.stored_at <= asked_at;
+            let is_known = |(_, stored): &(u32, &Stored)| self.config.push || stored.stored_at <= asked_at;
             let item = |(index, stored): (u32, &Stored)| Due {
                 fresh_at: stored.fresh_at,
                 stream,
@@ -77,9 +77,9 @@ impl Session {
             let oldest = missing.iter().flat_map(|&(low, high)| self.store.range(stream, low, high));
             let newest =
                 missing.iter().rev().flat_map(|&(low, high)| self.store.range(stream, low, high).rev());
-            let (oldest, newest) = (oldest.filter(is_told), newest.filter(is_told));
+            let (oldest, newest) = (oldest.filter(is_known), newest.filter(is_known));
             let count = missing.iter().map(|&(low, high)| high - low + 1).fold(0, u32::saturating_add);
-            if turn > 0 {
+            if relay_rank > 0 {
                 // The origin sends its newest first. From the other end a relay meets it in the middle.
                 overdue.extend(oldest.map(item).take(QUEUE_MAX));
             } else if self.config.order == Order::OldestFirst {
@@ -91,7 +91,7 @@ impl Session {
             }
         }
         match self.config.order {
-            // Obstacles, near free space, far free space; of each cycle by cycle; within a cycle in the order of the indices, so that no
+            // Obstacles, near free space, far free space; of each batch by batch; within a batch in the order of the indices, so that no
             // gaps appear on the way.
             Order::NewestFirst => {
                 due.sort_unstable_by_key(|due| (due.priority, Reverse(due.fresh_at), due.stream, due.index))
@@ -105,7 +105,7 @@ impl Session {
             .chain(backlog)
             .chain(overdue)
             .map(|due| Item::Package { stream: due.stream, index: due.index });
-        let tiles = self.plan_tiles(now, peer, QUEUE_MAX);
-        packages.chain(tiles).take(QUEUE_MAX).collect()
+        let chunks = self.plan_chunks(now, peer, QUEUE_MAX);
+        packages.chain(chunks).take(QUEUE_MAX).collect()
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{EVENTS_MAX, Session};
 use crate::event::Event;
-use crate::inbox::{Intake, Transfer, Turn, Verdict};
+use crate::inbox::{Intake, Ready, Transfer, Verdict};
 use crate::item::Item;
 use crate::store::NoRoom;
 use crate::wire::Contents;
@@ -29,17 +29,17 @@ impl Session {
             } else if self.open_stream(stream) {
                 match package.header().content {
                     ContentKind::Changes => self.receive_changes(now, sender.origin, package),
-                    ContentKind::Present { since, set, tile, tiles } => {
-                        let incoming = Transfer::new(sender.origin, stream, [since, index], set, tiles, now);
-                        self.receive_tile(now, incoming, tile, package);
+                    ContentKind::Snapshot { since, set, chunk, chunks } => {
+                        let incoming = Transfer::new(sender.origin, stream, [since, index], set, chunks, now);
+                        self.receive_chunk(now, incoming, chunk, package);
                     }
                 }
             }
         }
-        for Contents { stream, set, held } in contents {
+        for Contents { stream, set, received } in contents {
             let is_of = |i: &&mut Transfer| (i.source, i.stream, i.set) == (sender.origin, stream, set);
             if let Some(incoming) = self.inbox.transfers.iter_mut().find(is_of) {
-                incoming.contents = Some(held);
+                incoming.contents = Some(received);
             }
         }
     }
@@ -52,14 +52,14 @@ impl Session {
         }
         self.note_seen_from(now, from, stream, index);
         let item = Item::Package { stream, index };
-        let held = self.store.held(stream).is_some_and(|held| held.contains(index));
-        self.deliver(now, from, item, held, package);
+        let received = self.store.received(stream).is_some_and(|received| received.contains(index));
+        self.deliver(now, from, item, received, package);
     }
 
     /// The sender holds what it sends; and by broadcast, those who hear it have just heard it too.
     fn note_seen_from(&mut self, now: Stamp, from: RobotId, stream: Stream, index: u32) {
-        if let Some(view) = self.peers.get_mut(&from).and_then(|peer| peer.view(stream, now)) {
-            view.note_held(index);
+        if let Some(theirs) = self.peers.get_mut(&from).and_then(|peer| peer.theirs(stream, now)) {
+            theirs.note_received(index);
         }
         if self.config.cast == Cast::Broadcast {
             for peer in self.peers.values_mut() {
@@ -73,12 +73,19 @@ impl Session {
         }
     }
 
-    pub(super) fn deliver(&mut self, now: Stamp, from: RobotId, item: Item, held: bool, package: Package) {
-        if self.report.events.len() >= EVENTS_MAX && !held && !self.inbox.is_pending(item) {
+    pub(super) fn deliver(
+        &mut self,
+        now: Stamp,
+        from: RobotId,
+        item: Item,
+        received: bool,
+        package: Package,
+    ) {
+        if self.report.events.len() >= EVENTS_MAX && !received && !self.inbox.is_pending(item) {
             self.report.counters.events_overflowed += 1;
             return;
         }
-        match self.inbox.take_in(now, from, item, held) {
+        match self.inbox.take_in(now, from, item, received) {
             Intake::Taken => {
                 self.report.counters.received += 1;
                 self.report.events.push_back(Event::Received(package));
@@ -97,17 +104,17 @@ impl Session {
             }
             match self.report.events.pop_front()? {
                 Event::Received(package) => match self.inbox.look_at(package, &self.store) {
-                    Turn::HandOut(package) => return Some(Event::Received(package)),
-                    Turn::Waits(dropped) => {
+                    Ready::Decodable(package) => return Some(Event::Received(package)),
+                    Ready::Waits(dropped) => {
                         self.report.counters.waited += 1;
                         dropped.into_iter().for_each(|package| self.drop_waiting(&package));
                     }
-                    Turn::Merged(package) => self.accept(self.clocks.now(), &package),
-                    Turn::Settled => {}
-                    Turn::TakesPlaceOf((stream, set), package) => {
+                    Ready::Merged(package) => self.accept(self.clocks.now(), &package),
+                    Ready::Settled => {}
+                    Ready::TakesPlaceOf((stream, set), package) => {
                         self.report.events.push_front(Event::Received(package));
-                        self.restart_present_state(self.clocks.now(), stream, set);
-                        return Some(Event::StateDropped { stream, set });
+                        self.restart_snapshot(self.clocks.now(), stream, set);
+                        return Some(Event::SnapshotDropped { stream, set });
                     }
                 },
                 Event::CaughtUp { stream, upto } => {
@@ -130,8 +137,8 @@ impl Session {
         let header = package.header();
         self.back_off(self.clocks.now(), package);
         if header.content == ContentKind::Changes {
-            let (stream, index, reference) = (header.stream, header.index, header.reference);
-            self.push_event(Event::NoRoomToWait { stream, index, reference });
+            let (stream, index, base) = (header.stream, header.index, header.base);
+            self.push_event(Event::NoRoomToWait { stream, index, base });
         }
     }
 
@@ -148,10 +155,10 @@ impl Session {
                 self.accept(now, package);
                 self.inbox.release(package);
             }
-            (Verdict::Damaged, Item::Tile { stream, set, .. }) => {
+            (Verdict::Damaged, Item::Chunk { stream, set, .. }) => {
                 self.back_off(now, package);
                 if package.header().codec == Codec::Flock {
-                    self.restart_present_state(now, stream, set);
+                    self.restart_snapshot(now, stream, set);
                 }
             }
             (Verdict::Damaged, Item::Package { .. }) if !self.inbox.is_damaged_again(package) => {
@@ -161,7 +168,7 @@ impl Session {
                 if self.inbox.note_undecodable(stream, index) =>
             {
                 self.inbox.take_out(item);
-                self.report.counters.given_up += 1;
+                self.report.counters.undecodable += 1;
                 self.note_gap(now, true);
             }
             _ => self.back_off(now, package),
@@ -180,12 +187,12 @@ impl Session {
     /// It is merged: it counts as held and is offered to others.
     fn accept(&mut self, now: Stamp, package: &Package) {
         let item = Item::of(package);
-        // A tile may have come from several.
+        // A chunk may have come from several.
         while let Some(from) = self.inbox.take_out(item) {
             self.inbox.end_back_off(item);
             match item {
                 Item::Package { stream, index } => self.accept_changes(now, stream, index, package),
-                Item::Tile { stream, set, tile } => self.accept_tile(now, from, stream, set, tile),
+                Item::Chunk { stream, set, chunk } => self.accept_chunk(now, from, stream, set, chunk),
             }
             self.note_activity(now);
         }
@@ -194,8 +201,9 @@ impl Session {
     fn accept_changes(&mut self, now: Stamp, stream: Stream, index: u32, package: &Package) {
         let offset = self.clock_offset(stream);
         let fresh_at =
-            offset.map_or(now, |offset| package.header().cycle_end.plus_micros(offset.saturating_neg()));
-        let fills_gap = self.store.held(stream).and_then(IntervalSet::last).is_some_and(|last| last > index);
+            offset.map_or(now, |offset| package.header().batch_end.plus_micros(offset.saturating_neg()));
+        let fills_gap =
+            self.store.received(stream).and_then(IntervalSet::last).is_some_and(|last| last > index);
         match self.store.insert(package, now, fresh_at) {
             Ok(is_new) => {
                 // A span may have waited for this one.

@@ -3,7 +3,9 @@
 use super::Session;
 use crate::event::{Destination, Transmit};
 use crate::timers::Timer;
-use crate::wire::{ClockReport, Covered, Echo, Held, Kind, Request, StateWanted, TransferProgress};
+use crate::wire::{
+    ClockReport, Echo, Kind, OriginRange, Received, Request, SnapshotRequest, TransferProgress,
+};
 use crate::{Cast, IntervalSet};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
@@ -27,7 +29,7 @@ impl Session {
         let copies = self.copies(to);
         let header = self.header(now, Kind::Request);
         let (request, urgent) = self.request(now);
-        let (bytes, covered) = request.emit_in_turn(header, self.request_bytes_max(copies as usize), urgent);
+        let (bytes, origins) = request.emit_in_order(header, self.request_bytes_max(copies as usize), urgent);
         let each = bytes.len() + self.overhead(Kind::Request);
         let total = each * copies as usize;
         let radio = self.outbox.radio.iter_mut().map(|radio| (radio, total));
@@ -50,8 +52,8 @@ impl Session {
             peer.traffic_out.add(1, each);
         }
         if to == Destination::Everyone {
-            self.move_cursor(covered);
-            self.note_overtaken();
+            self.move_cursor(origins);
+            self.note_superseded();
             self.schedule.superseded = None;
         }
         self.schedule_next(now, for_gap, to);
@@ -106,16 +108,16 @@ impl Session {
             let start = count * 8 % echoes.len();
             echoes.rotate_left(start);
         }
-        let (held, urgent) = self.held_lists(now);
+        let (received, urgent) = self.received_lists(now);
         let transfers = self.inbox.transfers.iter().map(|transfer| TransferProgress {
             source: transfer.source,
             stream: transfer.stream,
             since: transfer.since,
             upto: transfer.upto,
             set: transfer.set,
-            tiles: transfer.tiles,
+            chunks: transfer.chunks,
             from: 1,
-            accepted: union_with(&transfer.accepted, self.inbox.unwanted_tiles(transfer, now)),
+            accepted: union_with(&transfer.accepted, self.inbox.unwanted_chunks(transfer, now)),
         });
         let mut transfers: Vec<TransferProgress> = transfers.collect();
         if !transfers.is_empty() {
@@ -123,26 +125,26 @@ impl Session {
             transfers.rotate_left(start);
         }
         let request = Request {
-            covered: Some(Covered::all_from(self.schedule.cursor)),
+            origins: Some(OriginRange::all_from(self.schedule.cursor)),
             all_echoes: true,
             no_new_streams: self.store.is_full(),
             echoes,
-            held,
+            received,
             transfers,
             clocks: self.clock_reports(),
-            states_wanted: self.states_wanted(now),
+            snapshot_requests: self.snapshot_requests(now),
         };
         (request, urgent)
     }
 
     /// The lists of held indices in the order in which they are to be written, and how many of them are urgent. Urgent are: the own run; the
     /// run that a robot heard in a former one has to learn of; runs with gaps, in turn. Then come all runs, origin by origin from the cursor on.
-    fn held_lists(&self, now: Stamp) -> (Vec<Held>, usize) {
-        let list = |stream: Stream| Held {
+    fn received_lists(&self, now: Stamp) -> (Vec<Received>, usize) {
+        let list = |stream: Stream| Received {
             stream,
             is_oldest_wanted: self.store.is_oldest_wanted(stream),
             from: 1,
-            held: self.stated_as_held(stream, now),
+            received: self.stated_as_received(stream, now),
         };
         let mut urgent: Vec<Stream> = self.gaps(now).collect();
         if !urgent.is_empty() {
@@ -152,7 +154,7 @@ impl Session {
         urgent.truncate(URGENT_MAX);
         let own = Some(self.identity.own).filter(|own| self.store.newest_known(*own) > 0);
         let first = own.into_iter().chain(self.schedule.superseded);
-        let mut lists: Vec<Held> = first.chain(urgent).map(list).collect();
+        let mut lists: Vec<Received> = first.chain(urgent).map(list).collect();
         let urgent = lists.len();
 
         let from_cursor = |stream: &Stream| stream.origin.0.wrapping_sub(self.schedule.cursor.0);
@@ -166,24 +168,24 @@ impl Session {
         // The newest run of a robot is named also where nothing of it is held: the robot may fly in a former one, out of earshot.
         let is_newest = |stream: Stream| stream != self.identity.own && !self.store.is_superseded(stream);
         let named = streams.into_iter().map(list);
-        lists.extend(
-            named.filter(|held| held.is_oldest_wanted || !held.held.is_empty() || is_newest(held.stream)),
-        );
+        lists.extend(named.filter(|received| {
+            received.is_oldest_wanted || !received.received.is_empty() || is_newest(received.stream)
+        }));
         (lists, urgent)
     }
 
-    /// A present state of each stream of which something can only be had that way.
-    fn states_wanted(&self, now: Stamp) -> Vec<StateWanted> {
-        let mut wanted: Vec<StateWanted> = self
+    /// A snapshot of each stream of which something can only be had that way.
+    fn snapshot_requests(&self, now: Stamp) -> Vec<SnapshotRequest> {
+        let mut wanted: Vec<SnapshotRequest> = self
             .inbox
             .undecodable()
             .iter()
             .filter_map(|(&stream, undecodable)| {
                 // What waits for a verdict, or was rejected, may never be held either.
-                let unheld = self.stated_as_held(stream, now).difference(self.store.held(stream)?);
+                let unheld = self.stated_as_received(stream, now).difference(self.store.received(stream)?);
                 let since = unheld.first()? - 1;
                 let undecodable = undecodable.within(since + 1, u32::MAX);
-                (!undecodable.is_empty()).then_some(StateWanted { stream, since, from: 1, undecodable })
+                (!undecodable.is_empty()).then_some(SnapshotRequest { stream, since, from: 1, undecodable })
             })
             .collect();
         if !wanted.is_empty() {
@@ -194,14 +196,14 @@ impl Session {
     }
 
     /// A request to everyone went out: the next one begins with the first origin that this one did not cover.
-    fn move_cursor(&mut self, covered: Option<Covered>) {
+    fn move_cursor(&mut self, origins: Option<OriginRange>) {
         let cursor = self.schedule.cursor;
-        if mutation::is(Mutation::OriginsNotInTurn) {
+        if mutation::is(Mutation::OriginsNotInOrder) {
             return;
         }
-        let next = match covered {
-            Some(covered) if covered.is_all() => cursor,
-            Some(covered) => RobotId(covered.last.0.wrapping_add(1)),
+        let next = match origins {
+            Some(origins) if origins.is_all() => cursor,
+            Some(origins) => RobotId(origins.last.0.wrapping_add(1)),
             // Not all runs of one robot fit: the others are not to wait for them.
             None => {
                 let after = self.store.streams().map(|stream| stream.origin).find(|origin| *origin > cursor);
@@ -213,13 +215,13 @@ impl Session {
     }
 
     /// What is held, and what nobody shall send just now: what waits for a verdict, what was rejected a moment ago, and what
-    /// only a present state can bring.
-    pub(super) fn stated_as_held(&self, stream: Stream, now: Stamp) -> IntervalSet {
-        let Some(held) = self.store.held(stream) else { return IntervalSet::new(0) };
+    /// only a snapshot can bring.
+    pub(super) fn stated_as_received(&self, stream: Stream, now: Stamp) -> IntervalSet {
+        let Some(received) = self.store.received(stream) else { return IntervalSet::new(0) };
         if mutation::is(Mutation::GapNeverAsked) {
             return IntervalSet::from_intervals(0, vec![(1, self.store.newest_known(stream))]);
         }
-        union_with(held, self.inbox.unwanted_packages(stream, now))
+        union_with(received, self.inbox.unwanted_packages(stream, now))
     }
 
     /// Clocks of peers that somebody else here cannot hear.

@@ -24,12 +24,12 @@ impl Session {
     /// Looks at the runs of the own id in a request of which nothing else counts, as that of a run that this robot takes for a former one: the
     /// sender may take this one for a former run too, and else neither would ever hear the other.
     pub(super) fn note_own_runs(&mut self, now: Stamp, request: &Request) {
-        request.held.iter().for_each(|held| self.note_own_id(now, held.stream));
+        request.received.iter().for_each(|received| self.note_own_id(now, received.stream));
     }
 
     /// Somebody holds packages of this very run that it never made.
     pub(super) fn note_own_run_used(&mut self, now: Stamp) {
-        self.tell_same_identity(now);
+        self.send_same_identity(now);
         self.ask_for_a_new_run(now, self.identity.own.epoch);
     }
 
@@ -63,10 +63,10 @@ impl Session {
         true
     }
 
-    pub(super) fn tell_same_identity(&mut self, now: Stamp) {
+    pub(super) fn send_same_identity(&mut self, now: Stamp) {
         self.report.counters.same_identity += 1;
-        if self.identity.same_identity_told.is_none_or(|told| now.micros_since(told) >= 10_000_000) {
-            self.identity.same_identity_told = Some(now);
+        if self.identity.same_identity_sent.is_none_or(|sent| now.micros_since(sent) >= 10_000_000) {
+            self.identity.same_identity_sent = Some(now);
             self.push_event(Event::SameIdentity);
         }
     }

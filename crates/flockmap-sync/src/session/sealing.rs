@@ -11,15 +11,15 @@ use flockmap_mutation::{self as mutation, Mutation};
 
 impl Session {
     /// Whether some datagram cannot be sealed any more: one more would need a nonce that was used. Tells the driver, once.
-    pub(super) fn check_spent(&mut self) -> bool {
-        if self.is_spent() && !self.identity.spent_told {
-            self.identity.spent_told = true;
-            self.push_event(Event::CountersSpent);
+    pub(super) fn check_exhausted(&mut self) -> bool {
+        if self.is_exhausted() && !self.identity.exhausted_sent {
+            self.identity.exhausted_sent = true;
+            self.push_event(Event::NoncesExhausted);
         }
-        self.is_spent()
+        self.is_exhausted()
     }
 
-    pub(super) fn is_spent(&self) -> bool {
+    pub(super) fn is_exhausted(&self) -> bool {
         self.config.swarm_key.is_some() && self.identity.sealed.is_exhausted
     }
 
@@ -69,7 +69,7 @@ impl Session {
                 if let Ok(request) = opened.datagram().and_then(|datagram| Request::parse(&datagram, 1)) {
                     self.note_own_runs(now, &request);
                 }
-                self.tell_superseded(now, Stream { epoch: current, ..sender });
+                self.send_superseded(now, Stream { epoch: current, ..sender });
                 DatagramError::StaleEpoch { sender: sender.origin, got: sender.epoch, current }
             }
         })?;
@@ -86,7 +86,7 @@ impl Session {
             return Err(DatagramError::StaleEpoch { sender: id, got: sender.epoch, current });
         }
         if sender.epoch == current && salt != self.config.salt {
-            self.tell_same_identity(now);
+            self.send_same_identity(now);
             return Err(DatagramError::SameIdentity { id });
         }
         Ok(())
@@ -135,7 +135,7 @@ mod tests {
             assert_eq!(session.poll_transmit(now), None);
             assert_eq!(session.poll_timeout(), None, "nothing to wait for");
         }
-        assert!(matches!(session.poll_event(), Some(Event::CountersSpent)));
+        assert!(matches!(session.poll_event(), Some(Event::NoncesExhausted)));
         assert!(session.poll_event().is_none());
     }
 

@@ -13,7 +13,7 @@ use flockmap_mutation::{self as mutation, Mutation};
 const BUNDLE_LOOKAHEAD: usize = 16;
 
 /// Requests to everyone that may go out while packages wait for a budget. Where peers forget each other soon, requests alone could fill it.
-const OVERTAKEN_MAX: u8 = 3;
+const SUPERSEDED_MAX: u8 = 3;
 
 /// What came of the attempt to send something to a peer.
 enum Attempt {
@@ -24,13 +24,13 @@ enum Attempt {
     /// There is nothing for it now, or its link's budget is spent.
     Nothing,
     /// The radio's budget is spent: there is nothing for anybody now.
-    RadioSpent,
+    BudgetExhausted,
 }
 
 impl Session {
     /// The next datagram of packages, serving the peers in turn.
     pub(super) fn transmit_packages(&mut self, now: Stamp) -> Option<Transmit> {
-        let overtaken = self.outbox.overtaken.take();
+        let superseded = self.outbox.superseded.take();
         let after = |id: &&RobotId| **id > self.outbox.served;
         let ids: Vec<RobotId> = self
             .peers
@@ -45,8 +45,8 @@ impl Session {
                     self.outbox.served = id;
                     return Some(self.sent_to(now, id, bytes, &items));
                 }
-                Attempt::RadioSpent => {
-                    self.outbox.overtaken = Some(overtaken.unwrap_or(0));
+                Attempt::BudgetExhausted => {
+                    self.outbox.superseded = Some(superseded.unwrap_or(0));
                     return None;
                 }
                 Attempt::Nothing => {}
@@ -56,15 +56,15 @@ impl Session {
     }
 
     /// Whether some datagram of packages has waited for so long that requests are to wait for it.
-    pub(super) fn is_overtaken(&self) -> bool {
-        let links = self.peers.values().map(|peer| peer.overtaken);
-        links.chain([self.outbox.overtaken]).flatten().any(|requests| requests >= OVERTAKEN_MAX)
+    pub(super) fn is_superseded(&self) -> bool {
+        let links = self.peers.values().map(|peer| peer.superseded);
+        links.chain([self.outbox.superseded]).flatten().any(|requests| requests >= SUPERSEDED_MAX)
     }
 
     /// A request to everyone went out.
-    pub(super) fn note_overtaken(&mut self) {
-        let links = self.peers.values_mut().map(|peer| &mut peer.overtaken);
-        for requests in links.chain([&mut self.outbox.overtaken]).flatten() {
+    pub(super) fn note_superseded(&mut self) {
+        let links = self.peers.values_mut().map(|peer| &mut peer.superseded);
+        for requests in links.chain([&mut self.outbox.superseded]).flatten() {
             *requests = requests.saturating_add(1);
         }
     }
@@ -72,7 +72,7 @@ impl Session {
     fn attempt(&mut self, now: Stamp, id: RobotId) -> Attempt {
         let own = self.identity.own.origin;
         let Some(peer) = self.peers.get_mut(&id) else { return Attempt::Nothing };
-        let overtaken = peer.overtaken.take();
+        let superseded = peer.superseded.take();
         if !peer.hears(own) || peer.is_silent(now) || !peer.path.is_open() {
             return Attempt::Nothing;
         }
@@ -96,9 +96,9 @@ impl Session {
             self.schedule.timers.set_sooner(Timer::Budget, ready);
             self.report.counters.delayed_by_budget += 1;
             if radio.is_some() {
-                return Attempt::RadioSpent;
+                return Attempt::BudgetExhausted;
             }
-            peer.overtaken = Some(overtaken.unwrap_or(0));
+            peer.superseded = Some(superseded.unwrap_or(0));
             return Attempt::Nothing;
         }
         for pacer in [peer.pacer.as_mut(), self.outbox.radio.as_mut()].into_iter().flatten() {
@@ -128,17 +128,17 @@ impl Session {
         }
         let Some(peer) = self.peers.get(&id) else { return (writer, positions) };
         let room = self.config.in_flight_max.saturating_sub(peer.in_flight.len()).max(1);
-        let mut told = None;
+        let mut sent = None;
         for (position, &item) in peer.queue.iter().enumerate().take(BUNDLE_LOOKAHEAD) {
             if positions.len() >= room || !peer.lacks(item) {
                 continue;
             }
-            let contents = self.outbox.contents(item).filter(|contents| told != Some(contents.set));
+            let contents = self.outbox.contents(item).filter(|contents| sent != Some(contents.set));
             if let Some(contents) = &contents {
                 if !writer.push_contents(contents) {
                     continue;
                 }
-                told = Some(contents.set);
+                sent = Some(contents.set);
             }
             if let Some(package) = self.outbox.package(item, &self.store)
                 && writer.push(package)
@@ -147,7 +147,7 @@ impl Session {
             }
         }
         if positions.len() == room && !positions.is_empty() {
-            writer.ask_for_word();
+            writer.ask_for_request();
         }
         (writer, positions)
     }
@@ -162,7 +162,7 @@ impl Session {
         for &item in items {
             self.report.counters.sent += 1;
             self.report.counters.relayed += u64::from(item.stream().origin != self.identity.own.origin);
-            self.report.counters.tiles_sent += u64::from(matches!(item, Item::Tile { .. }));
+            self.report.counters.chunks_sent += u64::from(matches!(item, Item::Chunk { .. }));
         }
         let own = self.identity.own.origin;
         for (&other, peer) in &mut self.peers {

@@ -50,9 +50,9 @@ impl Session {
     }
 
     /// A robot was heard in a run before the newest one that is known of it: it should learn of that one, and begin anew above it.
-    pub(super) fn tell_superseded(&mut self, now: Stamp, newest: Stream) {
-        if self.schedule.superseded_told.is_none_or(|told| now.micros_since(told) >= SUPERSEDED_PAUSE) {
-            self.schedule.superseded_told = Some(now);
+    pub(super) fn send_superseded(&mut self, now: Stamp, newest: Stream) {
+        if self.schedule.superseded_sent.is_none_or(|sent| now.micros_since(sent) >= SUPERSEDED_PAUSE) {
+            self.schedule.superseded_sent = Some(now);
             self.schedule.superseded = Some(newest);
             self.greet(now);
         }
@@ -111,7 +111,7 @@ impl Session {
     }
 
     /// Whether something sent before is neither confirmed nor known to be lost.
-    fn is_waiting_for_word(&self, now: Stamp) -> bool {
+    fn is_waiting_for_request(&self, now: Stamp) -> bool {
         self.peers.values().any(|peer| {
             let timeout = peer.round_trip.timeout();
             peer.in_flight.back().is_some_and(|sent| now.micros_since(sent.at) >= timeout / 2)
@@ -123,7 +123,7 @@ impl Session {
             self.schedule.timers.stop(Timer::Gap);
             self.schedule.gap_tries = 0;
         }
-        if self.schedule.timers.is_due(Timer::Probe, now) && !self.is_waiting_for_word(now) {
+        if self.schedule.timers.is_due(Timer::Probe, now) && !self.is_waiting_for_request(now) {
             self.schedule.timers.stop(Timer::Probe);
         }
         Timer::REQUESTS.into_iter().any(|timer| self.schedule.timers.is_due(timer, now))
@@ -133,13 +133,13 @@ impl Session {
         self.gaps(now).next().is_some()
     }
 
-    /// The streams with gaps that somebody may fill now, by packages or by a present state.
+    /// The streams with gaps that somebody may fill now, by packages or by a snapshot.
     pub(super) fn gaps(&self, now: Stamp) -> impl Iterator<Item = Stream> + '_ {
         self.store.streams().filter(move |&stream| {
             let newest = self.store.newest_known(stream);
             stream != self.identity.own
                 && (self.inbox.undecodable().contains_key(&stream)
-                    || self.stated_as_held(stream, now).missing(1, newest).next().is_some())
+                    || self.stated_as_received(stream, now).missing(1, newest).next().is_some())
         })
     }
 

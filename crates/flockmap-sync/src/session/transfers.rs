@@ -1,4 +1,4 @@
-//! Present states that come in, tile by tile.
+//! Snapshots that come in, chunk by chunk.
 
 use super::Session;
 use crate::IntervalSet;
@@ -9,25 +9,25 @@ use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 impl Session {
-    pub(super) fn receive_tile(&mut self, now: Stamp, tile_of: Transfer, tile: u32, package: Package) {
-        let (stream, upto) = (tile_of.stream, tile_of.upto);
+    pub(super) fn receive_chunk(&mut self, now: Stamp, chunk_of: Transfer, chunk: u32, package: Package) {
+        let (stream, upto) = (chunk_of.stream, chunk_of.upto);
         self.store.note_newest(stream, upto, now);
-        if self.store.held(stream).is_some_and(|held| held.contains_range(1, upto)) {
+        if self.store.received(stream).is_some_and(|received| received.contains_range(1, upto)) {
             self.report.counters.duplicates += 1;
             return;
         }
-        let from = tile_of.source;
-        let at = match self.inbox.transfers.iter().position(|transfer| transfer.is_same(&tile_of)) {
+        let from = chunk_of.source;
+        let at = match self.inbox.transfers.iter().position(|transfer| transfer.is_same(&chunk_of)) {
             Some(at) => at,
             None => {
                 // Sets of one robot are kept side by side: by broadcast, one that it sends to somebody else is
-                // heard among the tiles of the one for us.
+                // heard among the chunks of the one for us.
                 if self.inbox.transfers.len() >= self.config.transfers_max {
                     self.finish_transfers(now);
                 }
                 if self.inbox.transfers.len() >= self.config.transfers_max {
-                    self.report.counters.transfers_dropped += u64::from(self.inbox.make_way(
-                        &tile_of,
+                    self.report.counters.transfers_dropped += u64::from(self.inbox.make_room(
+                        &chunk_of,
                         self.identity.own.origin,
                         self.config.cast,
                         &self.store,
@@ -37,25 +37,25 @@ impl Session {
                     self.report.counters.too_many_transfers += 1;
                     return;
                 }
-                self.inbox.transfers.push(tile_of);
+                self.inbox.transfers.push(chunk_of);
                 self.inbox.transfers.len() - 1
             }
         };
         let transfer = &mut self.inbox.transfers[at];
         transfer.touched = now;
-        let item = Item::Tile { stream, set: transfer.set, tile };
-        let held = transfer.accepted.contains(tile + 1);
-        self.deliver(now, from, item, held, package);
-        // If the rest gets lost, say soon which tiles are missing.
+        let item = Item::Chunk { stream, set: transfer.set, chunk };
+        let received = transfer.accepted.contains(chunk + 1);
+        self.deliver(now, from, item, received, package);
+        // If the rest gets lost, say soon which chunks are missing.
         self.note_gap(now, false);
     }
 
-    pub(super) fn accept_tile(&mut self, now: Stamp, from: RobotId, stream: Stream, set: u32, tile: u32) {
+    pub(super) fn accept_chunk(&mut self, now: Stamp, from: RobotId, stream: Stream, set: u32, chunk: u32) {
         let found =
             self.inbox.transfers.iter().position(|t| (t.source, t.stream, t.set) == (from, stream, set));
         let Some(at) = found else { return };
-        match self.inbox.transfers[at].accepted.insert(tile + 1) {
-            Ok(is_new) => self.report.counters.tiles_accepted += u64::from(is_new),
+        match self.inbox.transfers[at].accepted.insert(chunk + 1) {
+            Ok(is_new) => self.report.counters.chunks_accepted += u64::from(is_new),
             Err(_) => {
                 self.report.counters.too_fragmented += 1;
                 return;
@@ -64,17 +64,17 @@ impl Session {
         self.finish_transfers(now);
     }
 
-    /// The driver has let go of what the tiles of a present state said, and needs all of them again to go on: those merged or
+    /// The driver has let go of what the chunks of a snapshot said, and needs all of them again to go on: those merged or
     /// waiting count no more. Rejected ones stay so for their time.
-    pub fn restart_present_state(&mut self, now: Stamp, stream: Stream, set: u32) {
+    pub fn restart_snapshot(&mut self, now: Stamp, stream: Stream, set: u32) {
         let now = self.advance(now);
         self.inbox.restart(stream, set);
-        self.report.counters.present_states_restarted += 1;
+        self.report.counters.snapshots_restarted += 1;
         self.note_gap(now, true);
     }
 
-    /// Counts as held what completely received present states contain; lets go of transfers that are done,
-    /// overtaken or abandoned.
+    /// Counts as held what completely received snapshots contain; lets go of transfers that are done,
+    /// superseded or abandoned.
     pub(super) fn finish_transfers(&mut self, now: Stamp) {
         let complete = self.inbox.transfers.iter().filter(|transfer| transfer.is_complete());
         let mut complete: Vec<_> = complete
@@ -83,29 +83,29 @@ impl Session {
         // One may be what the next one waits for.
         complete.sort_unstable_by_key(|(stream, since, upto, _)| (*stream, *since, *upto));
         for (stream, since, upto, contents) in complete {
-            let Some(held) = self.store.held(stream) else { continue };
-            // What is wanting before it comes as packages, or by another present state.
-            let prefix = held.prefix();
+            let Some(received) = self.store.received(stream) else { continue };
+            // What is wanting before it comes as packages, or by another snapshot.
+            let prefix = received.prefix();
             let by_prefix = (prefix >= since && prefix < upto)
                 .then(|| IntervalSet::from_intervals(1, vec![(since + 1, upto)]));
             let (news, contents) = match (by_prefix, contents) {
                 (Some(news), _) => (news, None),
-                (None, Some((set, contents))) => (contents.difference(held), Some((set, contents))),
+                (None, Some((set, contents))) => (contents.difference(received), Some((set, contents))),
                 (None, None) => continue,
             };
             if news.is_empty() {
                 continue;
             }
-            let mut is_held = true;
+            let mut is_received = true;
             for &(low, high) in news.intervals() {
-                is_held &= self.store.hold(stream, low, high, now).is_ok();
+                is_received &= self.store.hold(stream, low, high, now).is_ok();
             }
             self.inbox.settle(stream, &news);
-            if is_held {
+            if is_received {
                 self.report.counters.caught_up += 1;
-                let upto = self.store.held(stream).map_or(0, IntervalSet::prefix);
-                if let Some((set, held)) = contents {
-                    self.push_event(Event::StateContains { stream, set, held });
+                let upto = self.store.received(stream).map_or(0, IntervalSet::prefix);
+                if let Some((set, received)) = contents {
+                    self.push_event(Event::SnapshotContains { stream, set, received });
                 }
                 self.push_event(Event::CaughtUp { stream, upto });
                 self.mark_queues_stale();

@@ -29,15 +29,15 @@ kind 2 packages: records
 kind 3 path: records
 record: type u8, length varint, content
 type 1 echoes: (robot u16, epoch low u16, stamp low u32, age varint)*
-type 2 held: origin varint, epoch varint, intervals
-type 7 held, earlier runs not wanted: as type 2
-type 3 transfer: source varint, origin varint, epoch varint, since varint, upto varint, set u32, tiles varint, intervals of accepted tile + 1
-type 4 covered: first origin varint, last origin varint
+type 2 received: origin varint, epoch varint, intervals
+type 7 received, earlier runs not wanted: as type 2
+type 3 transfer: source varint, origin varint, epoch varint, since varint, upto varint, set u32, chunks varint, intervals of accepted chunk + 1
+type 4 origins: first origin varint, last origin varint
 type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
 type 6 state wanted: origin varint, epoch varint, since varint, intervals of undecodable indices
 type 16 package: map package
 type 17 package of the sender's own run: map package without origin and epoch
-type 18 contents of a partial present state: origin varint, epoch varint, set u32, intervals
+type 18 contents of a partial snapshot state: origin varint, epoch varint, set u32, intervals
 type 19 the sender may send no more before it knows what has arrived: nothing
 type 32 challenge: number u64
 type 33 answer: number u64
@@ -206,7 +206,7 @@ pub enum DatagramError {
         /// What is wrong with the package.
         error: PackageError,
     },
-    /// From a former run of the sender, overtaken by its present one.
+    /// From a former run of the sender, superseded by its present one.
     #[error("datagram of epoch {got} of {sender:?}, which now runs epoch {current}")]
     StaleEpoch {
         /// Who sent it.
@@ -232,7 +232,7 @@ pub enum DatagramError {
     },
 }
 
-/// A received datagram whose length, magic, version, kind and check are right and whose records tile its body.
+/// A received datagram whose length, magic, version, kind and check are right and whose records chunk its body.
 #[derive(Clone, Copy, Debug)]
 pub struct Datagram<'a> {
     header: DatagramHeader,

@@ -13,7 +13,7 @@ const PACKAGE: u8 = 16;
 /// Of the sender's own run: its stream is that of the header.
 const OWN_PACKAGE: u8 = 17;
 
-/// What a present state of a history with gaps contains.
+/// What a snapshot of a history with gaps contains.
 const CONTENTS: u8 = 18;
 /// The sender may send no more before it knows what has arrived.
 const WINDOW_FULL: u8 = 19;
@@ -21,11 +21,11 @@ const WINDOW_FULL: u8 = 19;
 pub const CONTENTS_BYTES_MAX: usize = 190;
 
 /// Whether the sender waits for word of what has arrived.
-pub fn asks_for_word(datagram: &Datagram<'_>) -> bool {
+pub fn asks_for_request(datagram: &Datagram<'_>) -> bool {
     datagram.records().any(|(id, _)| id == WINDOW_FULL)
 }
 
-/// What a set of tiles contains, where that is not all from the first package on: who has accepted all of them holds these.
+/// What a set of chunks contains, where that is not all from the first package on: who has accepted all of them holds these.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Contents {
     /// The stream.
@@ -33,7 +33,7 @@ pub struct Contents {
     /// Which set of the sender's.
     pub set: u32,
     /// The packages.
-    pub held: IntervalSet,
+    pub received: IntervalSet,
 }
 
 /// All contents that a datagram tells. Lists of more than `intervals_max` intervals keep their newest ones.
@@ -41,8 +41,8 @@ pub fn parse_contents(datagram: &Datagram<'_>, intervals_max: usize) -> Result<V
     let read = |bytes| {
         let mut reader = Reader::new(bytes);
         let (stream, set) = (read_stream(&mut reader)?, reader.u32()?);
-        let (_, held) = read_intervals(&mut reader, intervals_max)?;
-        Some(Contents { stream, set, held })
+        let (_, received) = read_intervals(&mut reader, intervals_max)?;
+        Some(Contents { stream, set, received })
     };
     let records = datagram.records().filter(|(id, _)| *id == CONTENTS);
     records.map(|(_, bytes)| read(bytes).ok_or_else(|| datagram.malformed("contents of a state"))).collect()
@@ -94,19 +94,19 @@ impl PackagesWriter {
     }
 
     /// Asks for word of what has arrived, if there is room for that.
-    pub fn ask_for_word(&mut self) {
+    pub fn ask_for_request(&mut self) {
         if self.bytes.len() + record_len(0) <= self.bytes_max {
             put_record(&mut self.bytes, WINDOW_FULL, &[]);
         }
     }
 
-    /// Adds what a set of tiles contains; `false`, with nothing changed, if it does not fit any more.
+    /// Adds what a set of chunks contains; `false`, with nothing changed, if it does not fit any more.
     pub fn push_contents(&mut self, contents: &Contents) -> bool {
         let end = self.bytes.len() + CONTENTS_BYTES_MAX;
         let mut content = Vec::new();
         put_stream(&mut content, contents.stream);
         content.extend(contents.set.to_le_bytes());
-        end <= self.bytes_max && put_list(&mut self.bytes, CONTENTS, &mut content, 1, &contents.held, end)
+        end <= self.bytes_max && put_list(&mut self.bytes, CONTENTS, &mut content, 1, &contents.received, end)
     }
 
     /// Bytes of the datagram so far.

@@ -8,19 +8,19 @@ use flockmap_codec::bytes::{Reader, put_varint, put_zigzag, varint_len};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 const ECHOES: u8 = 1;
-const HELD: u8 = 2;
+const RECEIVED: u8 = 2;
 const TRANSFER: u8 = 3;
-const COVERED: u8 = 4;
+const ORIGINS: u8 = 4;
 const CLOCKS: u8 = 5;
-const STATE_WANTED: u8 = 6;
-const HELD_FROM_OLDEST: u8 = 7;
+const SNAPSHOT_REQUEST: u8 = 6;
+const RECEIVED_FROM_OLDEST: u8 = 7;
 
 const ALL_ORIGINS: u8 = 1;
 const ALL_ECHOES: u8 = 2;
 const NO_NEW_STREAMS: u8 = 4;
 
 /// Record with a range of origins.
-const COVERED_BYTES_MAX: usize = 8;
+const ORIGINS_BYTES_MAX: usize = 8;
 
 /// A peer that the sender of a request hears directly. From the echo of an own stamp a robot measures the round
 /// trip and the offset between the clocks; from everybody's echoes it knows who hears whom.
@@ -48,7 +48,7 @@ impl Echo {
 
 /// The indices that are held of one stream; perhaps none.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Held {
+pub struct Received {
     /// The stream.
     pub stream: Stream,
     /// Earlier runs of this origin are not wanted any more.
@@ -56,20 +56,20 @@ pub struct Held {
     /// Nothing is said of indices below this one; 1 if the list is whole.
     pub from: u32,
     /// The indices held, none of them below `from`.
-    pub held: IntervalSet,
+    pub received: IntervalSet,
 }
 
 /// Origins of which a request names every run that the sender holds something of: what it does not name of them, it does not hold.
 /// From `first` on, upwards, and from 65,535 on to 0, to `last`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Covered {
+pub struct OriginRange {
     /// The first of them.
     pub first: RobotId,
     /// The last of them.
     pub last: RobotId,
 }
 
-impl Covered {
+impl OriginRange {
     /// All origins, beginning with this one.
     pub const fn all_from(first: RobotId) -> Self {
         Self { first, last: RobotId(first.0.wrapping_sub(1)) }
@@ -86,9 +86,9 @@ impl Covered {
     }
 }
 
-/// A present state that is wanted in place of packages that cannot be decoded any more, since what they build on is gone.
+/// A snapshot that is wanted in place of packages that cannot be decoded any more, since what they build on is gone.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct StateWanted {
+pub struct SnapshotRequest {
     /// The stream.
     pub stream: Stream,
     /// The sender holds packages 1 to this one: a state since there, or since an earlier one, will do.
@@ -99,10 +99,10 @@ pub struct StateWanted {
     pub undecodable: IntervalSet,
 }
 
-/// How far the receipt of a present state is.
+/// How far the receipt of a snapshot is.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct TransferProgress {
-    /// The robot that sends the tiles: robots may cut the same state differently.
+    /// The robot that sends the chunks: robots may cut the same state differently.
     pub source: RobotId,
     /// The stream whose state is transferred.
     pub stream: Stream,
@@ -110,13 +110,13 @@ pub struct TransferProgress {
     pub since: u32,
     /// The state is the one after packages 1 to this one.
     pub upto: u32,
-    /// Which set of tiles.
+    /// Which set of chunks.
     pub set: u32,
-    /// Number of tiles of the set.
-    pub tiles: u32,
-    /// Nothing is said of tiles whose number + 1 is below this; 1 if the list is whole.
+    /// Number of chunks of the set.
+    pub chunks: u32,
+    /// Nothing is said of chunks whose number + 1 is below this; 1 if the list is whole.
     pub from: u32,
-    /// Number + 1 of each tile accepted.
+    /// Number + 1 of each chunk accepted.
     pub accepted: IntervalSet,
 }
 
@@ -134,36 +134,36 @@ pub struct ClockReport {
 /// All that a request says. Parsed from at most [`DATAGRAM_BYTES_MAX`] bytes; holds at most 24 times as many.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
 pub struct Request {
-    /// The origins of which `held` names every run that the sender holds something of. A request that has to be cut says nothing of
+    /// The origins of which `received` names every run that the sender holds something of. A request that has to be cut says nothing of
     /// others that it does not name. `None`: of no origin.
-    pub covered: Option<Covered>,
+    pub origins: Option<OriginRange>,
     /// Whether `echoes` names every peer that the sender hears.
     pub all_echoes: bool,
     /// The sender has no room for streams that it does not name.
     pub no_new_streams: bool,
     /// The peers that the sender hears.
     pub echoes: Vec<Echo>,
-    /// What the sender holds. To be written: what matters most first, then all runs by their origins, in the order of `covered`.
-    pub held: Vec<Held>,
-    /// The present states that it is receiving.
+    /// What the sender holds. To be written: what matters most first, then all runs by their origins, in the order of `origins`.
+    pub received: Vec<Received>,
+    /// The snapshots that it is receiving.
     pub transfers: Vec<TransferProgress>,
     /// What it knows of others' clocks.
     pub clocks: Vec<ClockReport>,
-    /// The present states that it wants.
-    pub states_wanted: Vec<StateWanted>,
+    /// The snapshots that it wants.
+    pub snapshot_requests: Vec<SnapshotRequest>,
 }
 
 impl Request {
     /// Whether it names every run of this origin that its sender holds something of.
     pub fn covers(&self, origin: RobotId) -> bool {
-        self.covered.is_some_and(|covered| covered.contains(origin))
+        self.origins.is_some_and(|origins| origins.contains(origin))
     }
 
     /// Reads the records of a request; unknown ones are skipped. Lists of more than `intervals_max` intervals
     /// keep their newest ones.
     pub fn parse(datagram: &Datagram<'_>, intervals_max: usize) -> Result<Self, DatagramError> {
         let mut request = Self {
-            covered: (datagram.flags & ALL_ORIGINS != 0).then_some(Covered::all_from(RobotId(0))),
+            origins: (datagram.flags & ALL_ORIGINS != 0).then_some(OriginRange::all_from(RobotId(0))),
             all_echoes: datagram.flags & ALL_ECHOES != 0,
             no_new_streams: datagram.flags & NO_NEW_STREAMS != 0,
             ..Self::default()
@@ -172,15 +172,15 @@ impl Request {
             let mut reader = Reader::new(content);
             let (read, what) = match id {
                 ECHOES => (request.read_echoes(&mut reader), "echo"),
-                HELD | HELD_FROM_OLDEST => (
-                    request.read_held(&mut reader, id == HELD_FROM_OLDEST, intervals_max),
+                RECEIVED | RECEIVED_FROM_OLDEST => (
+                    request.read_received(&mut reader, id == RECEIVED_FROM_OLDEST, intervals_max),
                     "list of held indices",
                 ),
                 TRANSFER => (request.read_transfer(&mut reader, intervals_max), "transfer"),
-                COVERED => (request.read_covered(&mut reader), "range of origins"),
+                ORIGINS => (request.read_origins(&mut reader), "range of origins"),
                 CLOCKS => (request.read_clocks(&mut reader), "clock"),
-                STATE_WANTED => {
-                    (request.read_state_wanted(&mut reader, intervals_max), "wish for a present state")
+                SNAPSHOT_REQUEST => {
+                    (request.read_snapshot_request(&mut reader, intervals_max), "wish for a snapshot")
                 }
                 _ => continue,
             };
@@ -201,15 +201,15 @@ impl Request {
         Some(())
     }
 
-    fn read_held(
+    fn read_received(
         &mut self,
         reader: &mut Reader<'_>,
         is_oldest_wanted: bool,
         intervals_max: usize,
     ) -> Option<()> {
         let stream = read_stream(reader)?;
-        let (from, held) = read_intervals(reader, intervals_max)?;
-        self.held.push(Held { stream, is_oldest_wanted, from, held });
+        let (from, received) = read_intervals(reader, intervals_max)?;
+        self.received.push(Received { stream, is_oldest_wanted, from, received });
         Some(())
     }
 
@@ -217,15 +217,15 @@ impl Request {
         let source = RobotId(reader.varint_u16()?);
         let stream = read_stream(reader)?;
         let (since, upto) = (reader.varint_u32()?, reader.varint_u32()?);
-        let (set, tiles) = (reader.u32()?, reader.varint_u32()?);
+        let (set, chunks) = (reader.u32()?, reader.varint_u32()?);
         let (from, accepted) = read_intervals(reader, intervals_max)?;
-        self.transfers.push(TransferProgress { source, stream, since, upto, set, tiles, from, accepted });
+        self.transfers.push(TransferProgress { source, stream, since, upto, set, chunks, from, accepted });
         Some(())
     }
 
-    fn read_covered(&mut self, reader: &mut Reader<'_>) -> Option<()> {
+    fn read_origins(&mut self, reader: &mut Reader<'_>) -> Option<()> {
         let (first, last) = (RobotId(reader.varint_u16()?), RobotId(reader.varint_u16()?));
-        self.covered = Some(Covered { first, last });
+        self.origins = Some(OriginRange { first, last });
         reader.is_empty().then_some(())
     }
 
@@ -240,33 +240,33 @@ impl Request {
         Some(())
     }
 
-    fn read_state_wanted(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
+    fn read_snapshot_request(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
         let (stream, since) = (read_stream(reader)?, reader.varint_u32()?);
         let (from, undecodable) = read_intervals(reader, intervals_max)?;
         if undecodable.first().is_none_or(|first| first <= since) {
             return None;
         }
-        self.states_wanted.push(StateWanted { stream, since, from, undecodable });
+        self.snapshot_requests.push(SnapshotRequest { stream, since, from, undecodable });
         Some(())
     }
 
-    /// Writes the request into at most `bytes_max` bytes, with nothing that is urgent: [`Self::emit_in_turn`].
+    /// Writes the request into at most `bytes_max` bytes, with nothing that is urgent: [`Self::emit_in_order`].
     pub fn emit(&self, header: DatagramHeader, bytes_max: usize) -> Vec<u8> {
-        self.emit_in_turn(header, bytes_max, 0).0
+        self.emit_in_order(header, bytes_max, 0).0
     }
 
     /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]); also tells which origins it covers.
     ///
-    /// What does not fit is cut: echoes get at most a quarter of the room, clocks and wishes for present states an eighth each. Of the rest
+    /// What does not fit is cut: echoes get at most a quarter of the room, clocks and wishes for snapshots an eighth each. Of the rest
     /// half is for transfers that need it, since one that is not named would be sent for ever. The first `urgent` lists of held indices get
-    /// half of what remains; then come the origins in their order, each with all of its runs, as many as fit. `covered` of `self` is what is covered if all fit.
+    /// half of what remains; then come the origins in their order, each with all of its runs, as many as fit. `origins` of `self` is what is covered if all fit.
     /// A list that does not fit loses its lowest intervals. However small the room, a run is named.
-    pub fn emit_in_turn(
+    pub fn emit_in_order(
         &self,
         header: DatagramHeader,
         bytes_max: usize,
         urgent: usize,
-    ) -> (Vec<u8>, Option<Covered>) {
+    ) -> (Vec<u8>, Option<OriginRange>) {
         let bytes_max = bytes_max.clamp(200, DATAGRAM_BYTES_MAX);
         let mut out = DatagramHeader { kind: Kind::Request, ..header }.emit();
         let flags_at = out.len();
@@ -296,58 +296,68 @@ impl Request {
         }
         put_unless_empty(&mut out, CLOCKS, &mut content);
 
-        let wishes_end = out.len() + list_max / 2;
-        for wanted in &self.states_wanted {
+        let requests_end = out.len() + list_max / 2;
+        for wanted in &self.snapshot_requests {
             put_stream(&mut content, wanted.stream);
             put_varint(&mut content, u64::from(wanted.since));
-            put_list(&mut out, STATE_WANTED, &mut content, wanted.from, &wanted.undecodable, wishes_end);
+            put_list(
+                &mut out,
+                SNAPSHOT_REQUEST,
+                &mut content,
+                wanted.from,
+                &wanted.undecodable,
+                requests_end,
+            );
         }
 
         let mut trial = out.clone();
         self.put_transfers(&mut trial, out.len() + (bytes_max - out.len()) / 2);
         // Each `from` is reckoned with the 5 bytes that it may take, and the range of origins with its 8.
         let transfer_bytes = trial.len() - out.len() + 5 * self.transfers.len();
-        let held_end = bytes_max.saturating_sub(transfer_bytes + COVERED_BYTES_MAX);
-        let covered = self.put_held(&mut out, held_end, urgent);
-        match covered {
-            Some(covered) if covered.is_all() => flags |= ALL_ORIGINS,
-            Some(Covered { first, last }) => {
+        let received_end = bytes_max.saturating_sub(transfer_bytes + ORIGINS_BYTES_MAX);
+        let origins = self.put_received(&mut out, received_end, urgent);
+        match origins {
+            Some(origins) if origins.is_all() => flags |= ALL_ORIGINS,
+            Some(OriginRange { first, last }) => {
                 put_varint(&mut content, u64::from(first.0));
                 put_varint(&mut content, u64::from(last.0));
-                put_unless_empty(&mut out, COVERED, &mut content);
+                put_unless_empty(&mut out, ORIGINS, &mut content);
             }
             None => {}
         }
         self.put_transfers(&mut out, bytes_max);
         out[flags_at] = flags;
-        (seal(out), covered)
+        (seal(out), origins)
     }
 
     /// Appends the lists of held indices that fit before `end`; the origins of which all are there.
-    fn put_held(&self, out: &mut Vec<u8>, end: usize, urgent: usize) -> Option<Covered> {
-        let (urgent, rest) = self.held.split_at(urgent.min(self.held.len()));
+    fn put_received(&self, out: &mut Vec<u8>, end: usize, urgent: usize) -> Option<OriginRange> {
+        let (urgent, rest) = self.received.split_at(urgent.min(self.received.len()));
         // Half of the room is for the origins in their order, if they need it.
         let half = end.saturating_sub(out.len()) / 2;
         let mut trial = Vec::new();
-        let is_urgent = |held: &Held| urgent.iter().any(|urgent| urgent.stream == held.stream);
-        let fits = rest.iter().filter(|held| !is_urgent(held)).all(|held| put_held(&mut trial, held, half));
+        let is_urgent = |received: &Received| urgent.iter().any(|urgent| urgent.stream == received.stream);
+        let fits = rest
+            .iter()
+            .filter(|received| !is_urgent(received))
+            .all(|received| put_received(&mut trial, received, half));
         let urgent_end = end.saturating_sub(if fits { trial.len() } else { half });
         let mut named = Vec::with_capacity(urgent.len());
-        for held in urgent {
-            if put_held(out, held, urgent_end) {
-                named.push(held.stream);
+        for received in urgent {
+            if put_received(out, received, urgent_end) {
+                named.push(received.stream);
             }
         }
-        let Covered { first, .. } = self.covered.unwrap_or(Covered::all_from(RobotId(0)));
+        let OriginRange { first, .. } = self.origins.unwrap_or(OriginRange::all_from(RobotId(0)));
         let mut next = first;
         // Only of lists that are in order can be said how far they go.
-        let is_in_order = rest.is_sorted_by_key(|held| held.stream.origin.0.wrapping_sub(first.0));
+        let is_in_order = rest.is_sorted_by_key(|received| received.stream.origin.0.wrapping_sub(first.0));
         for runs in rest.chunk_by(|a, b| a.stream.origin == b.stream.origin) {
             let origin = runs[0].stream.origin;
             let before = out.len();
             let mut all_fit = true;
-            for held in runs.iter().filter(|held| !named.contains(&held.stream)) {
-                all_fit &= put_held(out, held, end);
+            for received in runs.iter().filter(|received| !named.contains(&received.stream)) {
+                all_fit &= put_received(out, received, end);
             }
             if !all_fit {
                 if next != first {
@@ -356,13 +366,13 @@ impl Request {
                 }
                 let last = RobotId(origin.0.wrapping_sub(1));
                 return self
-                    .covered
+                    .origins
                     .filter(|_| origin != first && is_in_order)
-                    .map(|_| Covered { first, last });
+                    .map(|_| OriginRange { first, last });
             }
             next = RobotId(origin.0.wrapping_add(1));
         }
-        self.covered
+        self.origins
     }
 
     /// Appends the transfers that fit before `end_max`.
@@ -374,7 +384,7 @@ impl Request {
             put_varint(&mut content, u64::from(transfer.since));
             put_varint(&mut content, u64::from(transfer.upto));
             content.extend(transfer.set.to_le_bytes());
-            put_varint(&mut content, u64::from(transfer.tiles));
+            put_varint(&mut content, u64::from(transfer.chunks));
             put_list(out, TRANSFER, &mut content, transfer.from, &transfer.accepted, end_max);
         }
     }
@@ -405,11 +415,11 @@ pub(super) fn put_list(
     fits
 }
 
-fn put_held(out: &mut Vec<u8>, held: &Held, end: usize) -> bool {
+fn put_received(out: &mut Vec<u8>, received: &Received, end: usize) -> bool {
     let mut content = Vec::new();
-    put_stream(&mut content, held.stream);
-    let id = if held.is_oldest_wanted { HELD_FROM_OLDEST } else { HELD };
-    put_list(out, id, &mut content, held.from, &held.held, end)
+    put_stream(&mut content, received.stream);
+    let id = if received.is_oldest_wanted { RECEIVED_FROM_OLDEST } else { RECEIVED };
+    put_list(out, id, &mut content, received.from, &received.received, end)
 }
 
 pub(super) fn read_stream(reader: &mut Reader<'_>) -> Option<Stream> {

@@ -1,7 +1,7 @@
 use super::datagram::{CHECK, put_record, record_len, seal};
 use super::*;
 use crate::{IntervalSet, SwarmKey};
-use flockmap_codec::{Codec, Cycle, Encoder, Package};
+use flockmap_codec::{Batch, Codec, Encoder, Package};
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use proptest::prelude::*;
 
@@ -13,7 +13,7 @@ const HEADER: DatagramHeader = DatagramHeader {
 };
 
 /// All origins.
-const ALL: Option<Covered> = Some(Covered::all_from(RobotId(0)));
+const ALL: Option<OriginRange> = Some(OriginRange::all_from(RobotId(0)));
 
 fn set(intervals: &[(u32, u32)]) -> IntervalSet {
     IntervalSet::from_intervals(1_000, intervals.to_vec())
@@ -23,7 +23,7 @@ fn sample() -> Request {
     let stream = Stream { origin: RobotId(7), epoch: 3 };
     let other = Stream { origin: RobotId(300), epoch: 1_700_000_000 };
     Request {
-        covered: ALL,
+        origins: ALL,
         all_echoes: true,
         no_new_streams: false,
         echoes: vec![Echo {
@@ -32,13 +32,13 @@ fn sample() -> Request {
             stamp_low: 0x1234_5678,
             age_micros: 1_000,
         }],
-        held: vec![
-            Held { is_oldest_wanted: false, stream, from: 1, held: set(&[(1, 200)]) },
-            Held {
+        received: vec![
+            Received { is_oldest_wanted: false, stream, from: 1, received: set(&[(1, 200)]) },
+            Received {
                 is_oldest_wanted: false,
                 stream: other,
                 from: 5,
-                held: set(&[(5, 9), (12, 12), (300, 500)]),
+                received: set(&[(5, 9), (12, 12), (300, 500)]),
             },
         ],
         transfers: vec![TransferProgress {
@@ -47,12 +47,12 @@ fn sample() -> Request {
             since: 200,
             upto: 1_000,
             set: 0xdead_beef,
-            tiles: 40,
+            chunks: 40,
             from: 1,
             accepted: set(&[(1, 3), (8, 8)]),
         }],
         clocks: vec![ClockReport { robot: RobotId(9), epoch_low: 1, offset_micros: -1_500 }],
-        states_wanted: vec![StateWanted {
+        snapshot_requests: vec![SnapshotRequest {
             stream: other,
             since: 300,
             from: 1,
@@ -64,10 +64,10 @@ fn sample() -> Request {
 fn package(index: u32) -> Package {
     let stream = Stream { origin: RobotId(7), epoch: 3 };
     let resolution = Resolution::from_metres(0.1).unwrap();
-    let cycle = Cycle { stream, start: Stamp(1_000), end: Stamp(2_000), resolution, sensor: [0; 3] };
+    let batch = Batch { stream, start: Stamp(1_000), end: Stamp(2_000), resolution, sensor: [0; 3] };
     let changes =
         Changes::from_voxels([(Voxel::new(1, 2, 3), State::Free), (Voxel::new(1, 2, 4), State::Occupied)]);
-    Encoder::new().encode_whole(Codec::Raw, &cycle, index, &changes).unwrap()
+    Encoder::new().encode_whole(Codec::Raw, &batch, index, &changes).unwrap()
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -207,35 +207,45 @@ fn a_request_that_does_not_fit_says_so_and_keeps_the_newest() {
     let torn: Vec<(u32, u32)> = (0..800).map(|i| (10_000 + 3 * i, 10_000 + 3 * i)).collect();
     let stream = |origin| Stream { origin: RobotId(origin), epoch: 1 };
     let request = Request {
-        covered: ALL,
+        origins: ALL,
         all_echoes: true,
         echoes: (0..100)
             .map(|i| Echo { robot: RobotId(i), epoch_low: 1, stamp_low: 2, age_micros: 3 })
             .collect(),
-        held: (0..4)
-            .map(|origin| Held { is_oldest_wanted: false, stream: stream(origin), from: 1, held: set(&torn) })
+        received: (0..4)
+            .map(|origin| Received {
+                is_oldest_wanted: false,
+                stream: stream(origin),
+                from: 1,
+                received: set(&torn),
+            })
             .collect(),
         ..Request::default()
     };
     for bytes_max in [200, 300, 700, 1_199, 1_200] {
-        let (bytes, covered) = request.emit_in_turn(HEADER, bytes_max, 0);
+        let (bytes, origins) = request.emit_in_order(HEADER, bytes_max, 0);
         assert!(bytes.len() <= bytes_max, "{} of {bytes_max} bytes", bytes.len());
         let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
         assert!(
-            read.covered == covered && covered.is_none_or(|covered| !covered.is_all()) && !read.all_echoes
+            read.origins == origins && origins.is_none_or(|origins| !origins.is_all()) && !read.all_echoes
         );
-        let first = &read.held[0];
-        assert_eq!(first.held.last(), Some(10_000 + 3 * 799));
-        assert!(first.from > 1 && first.held == set(&torn).within(first.from, u32::MAX));
+        let first = &read.received[0];
+        assert_eq!(first.received.last(), Some(10_000 + 3 * 799));
+        assert!(first.from > 1 && first.received == set(&torn).within(first.from, u32::MAX));
     }
     let whole = Request {
-        held: vec![Held { is_oldest_wanted: false, stream: stream(1), from: 1, held: set(&torn[..300]) }],
+        received: vec![Received {
+            is_oldest_wanted: false,
+            stream: stream(1),
+            from: 1,
+            received: set(&torn[..300]),
+        }],
         ..request
     };
     let bytes = whole.emit(HEADER, 1_200);
     let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
-    assert!(read.covered == ALL && !read.all_echoes);
-    assert_eq!(read.held, whole.held);
+    assert!(read.origins == ALL && !read.all_echoes);
+    assert_eq!(read.received, whole.received);
 }
 
 #[test]
@@ -248,13 +258,18 @@ fn a_transfer_is_named_however_long_the_lists_of_held_indices_are() {
         since: 9_000,
         upto: 12_000,
         set: 5,
-        tiles: 900,
+        chunks: 900,
         from: 1,
         accepted: set(&[(1, 3), (7, 7)]),
     };
     let request = Request {
-        held: (0..4)
-            .map(|origin| Held { is_oldest_wanted: false, stream: stream(origin), from: 1, held: set(&torn) })
+        received: (0..4)
+            .map(|origin| Received {
+                is_oldest_wanted: false,
+                stream: stream(origin),
+                from: 1,
+                received: set(&torn),
+            })
             .collect(),
         transfers: vec![transfer],
         ..Request::default()
@@ -264,7 +279,7 @@ fn a_transfer_is_named_however_long_the_lists_of_held_indices_are() {
         assert!(bytes.len() <= bytes_max, "{} of {bytes_max} bytes", bytes.len());
         let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
         assert_eq!(read.transfers, request.transfers);
-        assert_eq!(read.held[0].held.last(), Some(10_000 + 3 * 799));
+        assert_eq!(read.received[0].received.last(), Some(10_000 + 3 * 799));
     }
 }
 
@@ -272,11 +287,11 @@ fn a_transfer_is_named_however_long_the_lists_of_held_indices_are() {
 fn long_lists_keep_their_newest_intervals_when_read() {
     let torn: Vec<(u32, u32)> = (0..100).map(|i| (3 * i + 1, 3 * i + 1)).collect();
     let stream = Stream { origin: RobotId(1), epoch: 1 };
-    let held = vec![Held { is_oldest_wanted: false, stream, from: 1, held: set(&torn) }];
-    let bytes = Request { held, ..Request::default() }.emit(HEADER, 1_200);
+    let received = vec![Received { is_oldest_wanted: false, stream, from: 1, received: set(&torn) }];
+    let bytes = Request { received, ..Request::default() }.emit(HEADER, 1_200);
     let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 10).unwrap();
-    assert_eq!(read.held[0].held, set(&torn[90..]));
-    assert_eq!(read.held[0].from, torn[89].1 + 1);
+    assert_eq!(read.received[0].received, set(&torn[90..]));
+    assert_eq!(read.received[0].from, torn[89].1 + 1);
 }
 
 #[test]
@@ -286,13 +301,13 @@ fn a_list_that_is_cut_keeps_to_its_room_and_is_cut_the_same_again() {
         let intervals: Vec<(u32, u32)> =
             (0..200).map(|i| (0x1000_0000 + gap * i, 0x1000_0000 + gap * i)).collect();
         let stream = Stream { origin: RobotId(1), epoch: 1 };
-        let held = vec![Held { is_oldest_wanted: false, stream, from: 1, held: set(&intervals) }];
-        let request = Request { held, ..Request::default() };
+        let received = vec![Received { is_oldest_wanted: false, stream, from: 1, received: set(&intervals) }];
+        let request = Request { received, ..Request::default() };
         for bytes_max in 300..500 {
             let bytes = request.emit(HEADER, bytes_max);
             assert!(bytes.len() <= bytes_max, "{} of {bytes_max} bytes", bytes.len());
             let read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
-            assert!(!read.held[0].held.is_empty());
+            assert!(!read.received[0].received.is_empty());
             assert_eq!(read.emit(HEADER, bytes_max), bytes, "gaps of {gap}, {bytes_max} bytes");
         }
     }
@@ -331,15 +346,15 @@ proptest! {
         from in 1..50u32, origin: u16, epoch: u64, count: u32, stamp: i64, age_micros: u32, offset_micros: i64,
     ) {
         let all = IntervalSet::from_intervals(1_000, intervals.into_iter().map(|(l, n)| (l, l + n)).collect());
-        let held = all.within(from, u32::MAX);
+        let received = all.within(from, u32::MAX);
         let stream = Stream { origin: RobotId(origin), epoch };
         let request = Request {
-            covered: ALL,
+            origins: ALL,
             echoes: vec![Echo { robot: RobotId(origin), epoch_low: epoch as u16, stamp_low: stamp as u32, age_micros }],
-            held: vec![Held { is_oldest_wanted: origin % 2 == 0, stream, from, held: held.clone() }],
-            transfers: vec![TransferProgress { source: stream.origin, stream, since: count, upto: count, set: count, tiles: count, from, accepted: held }],
+            received: vec![Received { is_oldest_wanted: origin % 2 == 0, stream, from, received: received.clone() }],
+            transfers: vec![TransferProgress { source: stream.origin, stream, since: count, upto: count, set: count, chunks: count, from, accepted: received }],
             clocks: vec![ClockReport { robot: stream.origin, epoch_low: 5, offset_micros }],
-            states_wanted: vec![StateWanted { stream, since: count / 2, from: 1, undecodable: set(&[(count / 2 + 1, count / 2 + 1)]) }],
+            snapshot_requests: vec![SnapshotRequest { stream, since: count / 2, from: 1, undecodable: set(&[(count / 2 + 1, count / 2 + 1)]) }],
             ..Request::default()
         };
         let bytes = request.emit(DatagramHeader { stamp: Stamp(stamp), ..HEADER }, 1_200);
@@ -369,9 +384,9 @@ proptest! {
         let bytes = resealed(bytes);
         if let Ok(datagram) = Datagram::new_checked(&bytes) {
             if let Ok(request) = Request::parse(&datagram, 64) {
-                for held in &request.held {
-                    prop_assert!(held.held.intervals().len() <= 64);
-                    prop_assert!(held.held.first().is_none_or(|first| first >= held.from));
+                for received in &request.received {
+                    prop_assert!(received.received.intervals().len() <= 64);
+                    prop_assert!(received.received.first().is_none_or(|first| first >= received.from));
                 }
             }
             let _ = parse_packages(&datagram);

@@ -1,12 +1,12 @@
 //! Packages and requests that are well formed and say what the input chooses.
 
-use flockmap_codec::{Codec, Cycle, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package, Span};
+use flockmap_codec::{Batch, Codec, Encoder, PACKAGE_BYTES_MAX, PACKAGE_BYTES_MIN, Package, Span};
 use flockmap_grid::{
-    Changes, PresentState, PresentVoxels, Resolution, RobotId, Stamp, State, Stream, Voxel, VoxelBox,
+    Changes, Resolution, RobotId, Snapshot, SnapshotVoxels, Stamp, State, Stream, Voxel, VoxelBox,
 };
 use flockmap_sync::IntervalSet;
 use flockmap_sync::wire::{
-    ClockReport, Covered, DatagramHeader, Echo, Held, Kind, PackagesWriter, Request, StateWanted,
+    ClockReport, DatagramHeader, Echo, Kind, OriginRange, PackagesWriter, Received, Request, SnapshotRequest,
     TransferProgress,
 };
 
@@ -26,32 +26,32 @@ impl Maker {
 
     /// A package of changes, small or long.
     pub(crate) fn package(&mut self, stream: Stream, index: u32, long: bool) -> Package {
-        let cycle =
-            Cycle { stream, start: Stamp(0), end: Stamp(1), resolution: resolution(), sensor: [0; 3] };
+        let batch =
+            Batch { stream, start: Stamp(0), end: Stamp(1), resolution: resolution(), sensor: [0; 3] };
         let end = if long { 2_000 } else { 9 };
         let changes = Changes::from_voxels([
             (Voxel::new(0, 0, 0), State::Free),
             (Voxel::new(end, 0, 0), State::Occupied),
         ]);
-        self.encoder.encode_whole(Codec::Raw, &cycle, index, &changes).unwrap()
+        self.encoder.encode_whole(Codec::Raw, &batch, index, &changes).unwrap()
     }
 
-    /// A present state, whole or of what came after a package, in so many small tiles, or a few more or less.
-    pub(crate) fn tiles(
+    /// A snapshot, whole or of what came after a package, in so many small chunks, or a few more or less.
+    pub(crate) fn chunks(
         &mut self,
         stream: Stream,
         (since, upto): (u32, u32),
-        tiles: u32,
+        chunks: u32,
         content: u8,
     ) -> Vec<Package> {
-        let end = 40 * tiles as i32;
+        let end = 40 * chunks as i32;
         let state_of = |x| if (x + i32::from(content)) % 3 == 0 { State::Occupied } else { State::Free };
         let voxels = (0..end).map(|x| (Voxel::new(x * 9, 0, 0), state_of(x)));
         let part = Changes::from_voxels(voxels);
         let region = VoxelBox::spanning(Voxel::new(0, 0, 0), Voxel::new(end * 9, 0, 0)).unwrap();
-        let state = PresentState { region, parts: vec![(Stamp(1), part)], sensors: Vec::new() };
-        let voxels = PresentVoxels::from_state(&state).unwrap();
-        let bytes_max = if tiles > 1 { PACKAGE_BYTES_MIN } else { PACKAGE_BYTES_MAX };
+        let state = Snapshot { region, parts: vec![(Stamp(1), part)], sensors: Vec::new() };
+        let voxels = SnapshotVoxels::from_state(&state).unwrap();
+        let bytes_max = if chunks > 1 { PACKAGE_BYTES_MIN } else { PACKAGE_BYTES_MAX };
         let span = Span { stream, since, upto };
         // A span that ends before it begins cannot be told.
         self.encoder.encode_span(Codec::Raw, span, resolution(), &voxels, bytes_max).unwrap_or_default()
@@ -108,8 +108,11 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
     if flags & 1 != 0 {
         let first = RobotId(choices.below(8) as u16);
         let last = RobotId(first.0.wrapping_add(choices.below(8) as u16));
-        request.covered =
-            Some(if flags & 64 != 0 { Covered::all_from(RobotId(0)) } else { Covered { first, last } });
+        request.origins = Some(if flags & 64 != 0 {
+            OriginRange::all_from(RobotId(0))
+        } else {
+            OriginRange { first, last }
+        });
     }
     for _ in 0..choices.below(4) {
         let robot = stream(choices);
@@ -121,9 +124,14 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
         });
     }
     for _ in 0..choices.below(4) {
-        let (stream, held) = (stream(choices), set(choices));
-        let from = if choices.below(4) == 3 { held.first().unwrap_or(1) } else { 1 };
-        request.held.push(Held { is_oldest_wanted: false, stream, from, held: held.within(from, u32::MAX) });
+        let (stream, received) = (stream(choices), set(choices));
+        let from = if choices.below(4) == 3 { received.first().unwrap_or(1) } else { 1 };
+        request.received.push(Received {
+            is_oldest_wanted: false,
+            stream,
+            from,
+            received: received.within(from, u32::MAX),
+        });
     }
     for _ in 0..choices.below(3) {
         let mine = choices.below(4) > 0;
@@ -133,7 +141,7 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
             since: if choices.below(2) == 0 { 0 } else { index(choices) },
             upto: index(choices),
             set: choices.word(),
-            tiles: index(choices),
+            chunks: index(choices),
             from: 1,
             accepted: set(choices),
         });
@@ -142,12 +150,17 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
         let (since, upto) =
             if choices.below(2) == 0 { (0, index(choices)) } else { (index(choices), index(choices)) };
         let undecodable = IntervalSet::from_intervals(1, vec![(upto, upto)]);
-        request.states_wanted.push(StateWanted { stream: stream(choices), since, from: 1, undecodable });
+        request.snapshot_requests.push(SnapshotRequest {
+            stream: stream(choices),
+            since,
+            from: 1,
+            undecodable,
+        });
     }
     if flags & 16 != 0
-        && let Some(held) = request.held.last_mut()
+        && let Some(received) = request.received.last_mut()
     {
-        held.is_oldest_wanted = true;
+        received.is_oldest_wanted = true;
     }
     if flags & 32 != 0 {
         let robot = stream(choices);
@@ -161,7 +174,7 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
     request.emit(header, 1_200)
 }
 
-/// A datagram of packages or tiles; some of them changed in one byte, if they can still be read then.
+/// A datagram of packages or chunks; some of them changed in one byte, if they can still be read then.
 pub(crate) fn packages(choices: &mut Choices<'_>, maker: &mut Maker, now: Stamp) -> Vec<u8> {
     let header = header(choices, Kind::Packages, now);
     let mut writer = PackagesWriter::new(header, 1_200);
@@ -171,9 +184,9 @@ pub(crate) fn packages(choices: &mut Choices<'_>, maker: &mut Maker, now: Stamp)
         let mut package = match choices.below(4) {
             0 => {
                 let since = if choices.below(2) == 0 { 0 } else { choices.below(index.min(256)) };
-                let tiles = maker.tiles(stream, (since, index), 1 + choices.below(6), choices.byte());
-                match tiles.get(choices.below(8) as usize % tiles.len().max(1)) {
-                    Some(tile) => tile.clone(),
+                let chunks = maker.chunks(stream, (since, index), 1 + choices.below(6), choices.byte());
+                match chunks.get(choices.below(8) as usize % chunks.len().max(1)) {
+                    Some(chunk) => chunk.clone(),
                     None => continue,
                 }
             }
@@ -204,7 +217,7 @@ pub(crate) fn honest_request(stamp: Stamp) -> Request {
     let echo =
         Echo { robot: OWN.origin, epoch_low: OWN.epoch as u16, stamp_low: stamp.0 as u32, age_micros: 200 };
     Request {
-        covered: Some(Covered::all_from(RobotId(0))),
+        origins: Some(OriginRange::all_from(RobotId(0))),
         all_echoes: true,
         echoes: vec![echo],
         ..Request::default()

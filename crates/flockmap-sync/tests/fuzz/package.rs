@@ -12,11 +12,11 @@ pub(crate) fn run(input: &[u8]) {
         Err(error) => return assert!(!error.to_string().is_empty()),
     };
     let header = package.header();
-    assert!(header.index >= 1 && header.reference < header.index);
-    assert!(header.cycle_start <= header.cycle_end);
-    assert!(header.is_alone || header.reference > 0);
-    if let ContentKind::Present { since, tile, tiles, .. } = header.content {
-        assert!(since < header.index && tile < tiles && header.reference == 0);
+    assert!(header.index >= 1 && header.base < header.index);
+    assert!(header.batch_start <= header.batch_end);
+    assert!(header.is_independent || header.base > 0);
+    if let ContentKind::Snapshot { since, chunk, chunks, .. } = header.content {
+        assert!(since < header.index && chunk < chunks && header.base == 0);
     }
     assert_eq!(package.bytes(), input);
 
@@ -39,7 +39,7 @@ pub(crate) fn run(input: &[u8]) {
                 |inner: VoxelBox| header.region.contains(inner.min()) && header.region.contains(inner.max());
             assert!(changes.bounding_box().is_none_or(is_within));
         }
-        Ok(Content::Present(_)) => assert_ne!(header.content, ContentKind::Changes),
+        Ok(Content::Snapshot(_)) => assert_ne!(header.content, ContentKind::Changes),
         Err(error) => assert!(!error.to_string().is_empty()),
     }
 }

@@ -14,9 +14,9 @@ pub(crate) fn run(input: &[u8]) {
     let bytes = mended(rest.to_vec(), 1);
     let Ok(datagram) = Datagram::new_checked(&bytes) else { return };
     let Ok(request) = Request::parse(&datagram, intervals_max) else { return };
-    for held in &request.held {
-        assert!(held.held.intervals().len() <= intervals_max);
-        assert!(held.held.first().is_none_or(|first| first >= held.from));
+    for received in &request.received {
+        assert!(received.received.intervals().len() <= intervals_max);
+        assert!(received.received.first().is_none_or(|first| first >= received.from));
     }
     for transfer in &request.transfers {
         assert!(transfer.accepted.intervals().len() <= intervals_max);
@@ -30,22 +30,28 @@ pub(crate) fn run(input: &[u8]) {
         assert_eq!(*datagram.header(), header);
         let read = Request::parse(&datagram, usize::MAX >> 8).unwrap();
         // Cut it may be; more than was said it must not say.
-        for held in &read.held {
-            let of_stream = request.held.iter().filter(|said| said.stream == held.stream);
-            let mut said = of_stream.filter(|said| said.held.within(held.from, u32::MAX) == held.held);
-            assert!(said.next().is_some(), "{held:?} was never said");
+        for received in &read.received {
+            let of_stream = request.received.iter().filter(|said| said.stream == received.stream);
+            let mut said =
+                of_stream.filter(|said| said.received.within(received.from, u32::MAX) == received.received);
+            assert!(said.next().is_some(), "{received:?} was never said");
         }
         // What is covered was covered, and named if it was said.
-        if let Some(covered) = read.covered {
-            assert!(request.covered.is_some());
-            for held in request.held.iter().filter(|held| covered.contains(held.stream.origin)) {
-                assert!(read.held.iter().any(|named| named.stream == held.stream), "{held:?} was not named");
+        if let Some(origins) = read.origins {
+            assert!(request.origins.is_some());
+            for received in
+                request.received.iter().filter(|received| origins.contains(received.stream.origin))
+            {
+                assert!(
+                    read.received.iter().any(|named| named.stream == received.stream),
+                    "{received:?} was not named"
+                );
             }
         }
         assert!(request.all_echoes || !read.all_echoes);
         // What fitted with room to spare fits again, and has one form. The writer reckons each list with five bytes more than it may
         // take, so one that was cut to the last byte may not.
-        let spare = 5 * (read.held.len() + read.transfers.len());
+        let spare = 5 * (read.received.len() + read.transfers.len());
         if written.len() + spare <= bytes_max {
             let again = read.emit(header, bytes_max);
             assert_eq!(again, written, "{request:?}\n{read:?}");

@@ -2,13 +2,13 @@
 
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
-use flockmap_sync::wire::{DatagramHeader, Held, Kind, PackagesWriter, TransferProgress};
+use flockmap_sync::wire::{DatagramHeader, Kind, PackagesWriter, Received, TransferProgress};
 use flockmap_sync::{
     Cast, Counters, Event, InFlight, IntervalSet, Order, Pace, Relay, Session, SessionConfig, Verdict,
 };
 
 use super::made::{self, Maker, OWN};
-use super::session_checks::{Sent, limits};
+use super::session_checks::{SentPackage, limits};
 use super::{Choices, mended, with_check};
 
 /// More is never sent at one time: every package of a full store to every peer, and a request.
@@ -25,7 +25,7 @@ pub(crate) fn run(input: &[u8]) -> Counters {
         session: &mut session,
         maker: Maker::new(),
         now: Stamp(i64::from(choices.word())),
-        sent: Sent::default(),
+        sent: SentPackage::default(),
         kept: Vec::new(),
         wanted: Vec::new(),
         given: None,
@@ -51,12 +51,12 @@ struct Run<'a> {
     session: &'a mut Session,
     maker: Maker,
     now: Stamp,
-    sent: Sent,
+    sent: SentPackage,
     /// Delivered, and without a verdict.
     kept: Vec<Package>,
-    /// Present states that were asked for.
+    /// Snapshots that were asked for.
     wanted: Vec<(Stream, (u32, u32))>,
-    /// Set of tiles given last: stream, span, set, number of tiles.
+    /// Set of chunks given last: stream, span, set, number of chunks.
     given: Option<(Stream, (u32, u32), u32, u32)>,
 }
 
@@ -95,7 +95,7 @@ impl Run<'_> {
             13 => self.transmit(),
             14 => self.verdicts_for_all(choices.byte()),
             15 | 16 => self.hear_honest_request(choices),
-            17 => self.hear_present_state(choices),
+            17 => self.hear_snapshot(choices),
             _ => self.seldom(choices),
         }
     }
@@ -127,23 +127,23 @@ impl Run<'_> {
     /// What was asked for as it was asked for, or something else.
     fn provide(&mut self, choices: &mut Choices<'_>) {
         let Some((stream, span)) = self.wanted.pop() else { return };
-        let mut tiles = self.maker.tiles(stream, span, 1 + choices.below(12), choices.byte());
+        let mut chunks = self.maker.chunks(stream, span, 1 + choices.below(12), choices.byte());
         match choices.below(8) {
-            0 => tiles.clear(),
-            1 => tiles.reverse(),
-            2 => drop(tiles.pop()),
-            3 => tiles = self.maker.tiles(made::stream(choices), (span.0, made::index(choices)), 2, 0),
+            0 => chunks.clear(),
+            1 => chunks.reverse(),
+            2 => drop(chunks.pop()),
+            3 => chunks = self.maker.chunks(made::stream(choices), (span.0, made::index(choices)), 2, 0),
             _ => {}
         }
-        if let Some(first) = tiles.first().map(Package::header)
-            && let ContentKind::Present { since, set, tiles, .. } = first.content
+        if let Some(first) = chunks.first().map(Package::header)
+            && let ContentKind::Snapshot { since, set, chunks, .. } = first.content
         {
-            self.given = Some((stream, (since, first.index), set, tiles));
+            self.given = Some((stream, (since, first.index), set, chunks));
         }
-        self.session.provide_present_state(self.now, stream, tiles);
+        self.session.provide_snapshot(self.now, stream, chunks);
     }
 
-    /// A peer that hears this robot says what it holds: all of each stream up to somewhere, and some tiles.
+    /// A peer that hears this robot says what it holds: all of each stream up to somewhere, and some chunks.
     fn hear_honest_request(&mut self, choices: &mut Choices<'_>) {
         let peer = made::honest_peer(choices);
         let mut request = made::honest_request(self.now.plus_micros(-i64::from(choices.byte()) * 1_000));
@@ -151,13 +151,13 @@ impl Run<'_> {
             let newest = self.session.store().newest_known(stream);
             let upto = newest.saturating_sub(choices.below(6));
             if stream != peer && upto > 0 {
-                let held = IntervalSet::from_intervals(1, vec![(1, upto)]);
-                request.held.push(Held { is_oldest_wanted: false, stream, from: 1, held });
+                let received = IntervalSet::from_intervals(1, vec![(1, upto)]);
+                request.received.push(Received { is_oldest_wanted: false, stream, from: 1, received });
             }
         }
-        if let Some((stream, (since, upto), set, tiles)) = self.given {
+        if let Some((stream, (since, upto), set, chunks)) = self.given {
             let accepted =
-                IntervalSet::from_intervals(1, vec![(1, choices.below(tiles.saturating_add(1).max(1)))]);
+                IntervalSet::from_intervals(1, vec![(1, choices.below(chunks.saturating_add(1).max(1)))]);
             let source = OWN.origin;
             request.transfers.push(TransferProgress {
                 source,
@@ -165,7 +165,7 @@ impl Run<'_> {
                 since,
                 upto,
                 set,
-                tiles,
+                chunks,
                 from: 1,
                 accepted,
             });
@@ -175,16 +175,16 @@ impl Run<'_> {
         self.datagram(choices, bytes);
     }
 
-    /// A peer sends all tiles of a state, and each is accepted.
-    fn hear_present_state(&mut self, choices: &mut Choices<'_>) {
+    /// A peer sends all chunks of a state, and each is accepted.
+    fn hear_snapshot(&mut self, choices: &mut Choices<'_>) {
         let peer = made::honest_peer(choices);
         let (stream, upto) = (made::stream(choices), made::index(choices));
         let since = if choices.below(2) == 0 { 0 } else { choices.below(upto.min(256)) };
-        let tiles = self.maker.tiles(stream, (since, upto), 1 + choices.below(9), 3);
+        let chunks = self.maker.chunks(stream, (since, upto), 1 + choices.below(9), 3);
         let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender: peer, stamp: self.now };
-        for tile in tiles {
+        for chunk in chunks {
             let mut writer = PackagesWriter::new(header, 1_200);
-            writer.push(&tile);
+            writer.push(&chunk);
             let _ = self.session.handle_datagram(self.now, &writer.finish());
         }
         self.verdicts_for_all(7);
@@ -199,7 +199,7 @@ impl Run<'_> {
                     self.kept.push(package);
                     assert!(self.kept.len() <= KEPT_MAX);
                 }
-                Some(Event::PresentStateWanted { stream, since, upto, .. }) => {
+                Some(Event::SnapshotWanted { stream, since, upto, .. }) => {
                     assert!(since < upto, "the state of {stream:?} before its first package");
                     self.wanted.push((stream, (since, upto)));
                 }
@@ -255,7 +255,7 @@ impl Run<'_> {
             1 => self.session.set_clock_offset(RobotId(choices.below(8) as u16), None),
             2 => {
                 let (stream, set) = (made::stream(choices), choices.word());
-                self.session.restart_present_state(self.now, stream, set);
+                self.session.restart_snapshot(self.now, stream, set);
             }
             3 => {
                 let (stream, index) = (made::stream(choices), made::index(choices));
@@ -278,8 +278,8 @@ fn config(choices: &mut Choices<'_>) -> SessionConfig {
         push: is_on(3),
         gap_requests: is_on(4),
         relay: if is_on(5) { Relay::Ranked } else { Relay::Always },
-        present_state_bytes_min: is_on(6).then_some(200),
-        present_state_range_max: (!is_on(7)).then_some(5),
+        snapshot_bytes_min: is_on(6).then_some(200),
+        snapshot_range_max: (!is_on(7)).then_some(5),
         radio_bytes_per_s: match choices.below(4) {
             0 => None,
             1 => Some(500),
@@ -293,7 +293,7 @@ fn config(choices: &mut Choices<'_>) -> SessionConfig {
         store_bytes_max: 500 * choices.below(64) as usize,
         in_flight_max: 1 + choices.below(64) as usize,
         transfers_max: 1 + choices.below(4) as usize,
-        present_state_bytes_max: 500 * choices.below(32) as usize,
+        snapshot_bytes_max: 500 * choices.below(32) as usize,
         ..SessionConfig::default()
     }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use flockmap_grid::Stamp;
 use flockmap_sync::wire::{Datagram, Kind, Request, parse_packages};
-use flockmap_sync::{Cast, Destination, HELD_INTERVALS_MAX, Session, Transmit};
+use flockmap_sync::{Cast, Destination, RECEIVED_INTERVALS_MAX, Session, Transmit};
 
 /// Below so many bytes a second a budget holds over time, and not in each second.
 const THIN: usize = 2_000;
@@ -13,12 +13,12 @@ const ONE_DATAGRAM: usize = 1_300;
 
 /// What went out, for the budgets.
 #[derive(Default)]
-pub(crate) struct Sent {
+pub(crate) struct SentPackage {
     /// When, and bytes with overhead over all copies, since the start.
     all: VecDeque<(Stamp, usize)>,
 }
 
-impl Sent {
+impl SentPackage {
     /// Checks a datagram that goes out and counts it.
     pub(crate) fn take(&mut self, session: &Session, now: Stamp, transmit: &Transmit) {
         let config = session.config();
@@ -69,10 +69,10 @@ pub(crate) fn limits(session: &Session) {
     let mut runs = BTreeMap::new();
     for stream in session.streams().filter(|stream| *stream != session.own()) {
         *runs.entry(stream.origin).or_insert(0) += 1;
-        let held = session.held(stream).unwrap();
-        assert!(held.intervals().len() <= HELD_INTERVALS_MAX);
-        assert!(held.last().is_none_or(|last| last <= session.store().newest_known(stream)));
-        assert!(!held.contains(0));
+        let received = session.received(stream).unwrap();
+        assert!(received.intervals().len() <= RECEIVED_INTERVALS_MAX);
+        assert!(received.last().is_none_or(|last| last <= session.store().newest_known(stream)));
+        assert!(!received.contains(0));
     }
     assert!(runs.values().all(|runs| *runs <= config.epochs_max), "{runs:?}");
     assert!(session.store().bytes() <= config.store_bytes_max, "{} bytes stored", session.store().bytes());

@@ -2,7 +2,7 @@
 //! and duplicates. No wall time, no sockets: the same seed gives the same run.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
-use flockmap_codec::{Codec, Content, ContentKind, Cycle, Encoder, PACKAGE_BYTES_MAX, Package, Span};
+use flockmap_codec::{Batch, Codec, Content, ContentKind, Encoder, PACKAGE_BYTES_MAX, Package, Span};
 use flockmap_grid::{Changes, Layer, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_sync::{Cast, Destination, Event, Session, SessionConfig, Verdict};
 use std::cmp::Reverse;
@@ -27,7 +27,7 @@ impl Random {
         self.next() % below.max(1)
     }
 
-    pub(crate) fn chance(&mut self, probability: f64) -> bool {
+    pub(crate) fn happens(&mut self, probability: f64) -> bool {
         ((self.next() >> 11) as f64) < probability * (1u64 << 53) as f64
     }
 }
@@ -56,17 +56,17 @@ pub(crate) struct Robot {
     pub(crate) events: Vec<String>,
     /// Virtual time, bytes on the wire, and to how many, of every datagram.
     pub(crate) sent: Vec<(i64, usize, usize)>,
-    /// Decline present states.
-    pub(crate) no_present_state: bool,
+    /// Decline snapshots.
+    pub(crate) no_snapshot: bool,
     /// Packages of this origin with these indices are kept undecided, or given up.
     pub(crate) keeps: Vec<(RobotId, u32)>,
     pub(crate) gives_up: Vec<(RobotId, u32)>,
     /// Packages that come more than so many indices ahead of all that is held are rejected: no room for them to wait.
     pub(crate) ahead_max: Option<u32>,
     /// What is kept undecided.
-    pub(crate) undecided: Vec<Package>,
+    pub(crate) pending: Vec<Package>,
     encoder: Encoder,
-    cycle_end: Stamp,
+    batch_end: Stamp,
 }
 
 impl Robot {
@@ -143,13 +143,13 @@ impl Swarm {
             clock,
             events: Vec::new(),
             sent: Vec::new(),
-            no_present_state: false,
+            no_snapshot: false,
             keeps: Vec::new(),
             gives_up: Vec::new(),
             ahead_max: None,
-            undecided: Vec::new(),
+            pending: Vec::new(),
             encoder: Encoder::new(),
-            cycle_end: Stamp(i64::MIN),
+            batch_end: Stamp(i64::MIN),
         };
         self.robots.insert(id, robot);
         self.drive(id);
@@ -177,8 +177,8 @@ impl Swarm {
     pub(crate) fn publish(&mut self, id: u16, voxels: usize) -> usize {
         let robot = self.robots.get_mut(&id).unwrap();
         let now = Stamp(self.now + robot.clock);
-        let end = now.max(robot.cycle_end.plus_micros(1));
-        robot.cycle_end = end;
+        let end = now.max(robot.batch_end.plus_micros(1));
+        robot.batch_end = end;
         let own = robot.session.own();
         let resolution = Resolution::from_metres(0.1).unwrap();
         let place = (self.now / (SECOND / 4)) as i32;
@@ -188,10 +188,10 @@ impl Swarm {
             let voxel = Voxel::new(place + at(24), at(24), at(12));
             (voxel, if at(4) == 0 { State::Occupied } else { State::Free })
         }));
-        let cycle = Cycle { stream: own, start: end, end, resolution, sensor: [0; 3] };
+        let batch = Batch { stream: own, start: end, end, resolution, sensor: [0; 3] };
         let first = robot.session.store().newest_known(own) + 1;
         let packages =
-            robot.encoder.encode_cycle(Codec::Raw, &cycle, first, &changes, PACKAGE_BYTES_MAX).unwrap();
+            robot.encoder.encode_batch(Codec::Raw, &batch, first, &changes, PACKAGE_BYTES_MAX).unwrap();
         robot.layers.entry(own).or_default().apply(&changes, end);
         let count = packages.len();
         for package in packages {
@@ -211,11 +211,11 @@ impl Swarm {
                     let header = *package.header();
                     let named = (header.stream.origin, header.index);
                     if header.content == ContentKind::Changes && robot.keeps.contains(&named) {
-                        robot.undecided.push(package);
+                        robot.pending.push(package);
                         continue;
                     }
                     let prefix =
-                        robot.session.held(header.stream).map_or(0, flockmap_sync::IntervalSet::prefix);
+                        robot.session.received(header.stream).map_or(0, flockmap_sync::IntervalSet::prefix);
                     if header.content == ContentKind::Changes
                         && robot.ahead_max.is_some_and(|ahead| header.index > prefix.saturating_add(ahead))
                     {
@@ -228,11 +228,11 @@ impl Swarm {
                     }
                     match package.decode().unwrap() {
                         Content::Changes(changes) => {
-                            let held = robot.session.held(header.stream).unwrap();
-                            assert!(!held.contains(header.index), "{package:?} delivered twice");
-                            robot.layers.entry(header.stream).or_default().apply(&changes, header.cycle_end);
+                            let received = robot.session.received(header.stream).unwrap();
+                            assert!(!received.contains(header.index), "{package:?} delivered twice");
+                            robot.layers.entry(header.stream).or_default().apply(&changes, header.batch_end);
                         }
-                        Content::Present(state) => {
+                        Content::Snapshot(state) => {
                             for (stamp, changes) in &state.parts {
                                 robot.layers.entry(header.stream).or_default().apply(changes, *stamp);
                             }
@@ -240,10 +240,10 @@ impl Swarm {
                     }
                     robot.session.verdict(now, &package, Verdict::Merged);
                 }
-                Event::PresentStateWanted { stream, since, newer_than, upto, .. } => {
+                Event::SnapshotWanted { stream, since, newer_than, upto, .. } => {
                     robot.events.push(format!("wanted {stream:?} since {since} upto {upto}"));
-                    let state = robot.layers.get(&stream).and_then(|layer| layer.present_voxels(newer_than));
-                    let tiles = state.filter(|_| !robot.no_present_state).map_or(Vec::new(), |state| {
+                    let state = robot.layers.get(&stream).and_then(|layer| layer.snapshot_voxels(newer_than));
+                    let chunks = state.filter(|_| !robot.no_snapshot).map_or(Vec::new(), |state| {
                         let resolution = Resolution::from_metres(0.1).unwrap();
                         robot
                             .encoder
@@ -256,7 +256,7 @@ impl Swarm {
                             )
                             .unwrap()
                     });
-                    robot.session.provide_present_state(now, stream, tiles);
+                    robot.session.provide_snapshot(now, stream, chunks);
                 }
                 other => robot.events.push(format!("{other:?}")),
             }
@@ -280,9 +280,9 @@ impl Swarm {
         robot.sent.push((self.now, bytes.len() + 28, copies));
         self.sent_bytes.push((to, bytes.to_vec()));
         for to in receivers {
-            let copies = 1 + u32::from(self.random.chance(self.radio.duplicate));
+            let copies = 1 + u32::from(self.random.happens(self.radio.duplicate));
             for _ in 0..copies {
-                if self.cut.contains(&(from, to)) || self.random.chance(self.radio.loss) {
+                if self.cut.contains(&(from, to)) || self.random.happens(self.radio.loss) {
                     continue;
                 }
                 let jitter = self.random.below(self.radio.jitter as u64 + 1) as i64;

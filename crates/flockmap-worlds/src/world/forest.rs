@@ -95,7 +95,7 @@ fn places(seed: u64, half: [f64; 2]) -> Vec<Tree> {
         let fits =
             open < 1.0 && trees.iter().all(|t| (t.x - x).powi(2) + (t.y - y).powi(2) >= spacing * spacing);
         let grove = noise(seed ^ 13, x / 11.0, y / 11.0) + random.range(-0.15, 0.15);
-        let snag = random.chance(0.05);
+        let snag = random.happens(0.05);
         if fits {
             let kind = if snag {
                 Kind::Snag
@@ -314,7 +314,7 @@ fn ground_cover(canvas: &mut Canvas, ground: &Ground, seed: u64, half: [f64; 2],
             (random.range(0.0, TAU), random.range(2.0, 7.0), random.range(0.07, 0.22));
         let (x, y) = (place[0] + length * cos(heading), place[1] + length * sin(heading));
         // Some hang in the branches of others.
-        let lift = if random.chance(0.3) { random.range(0.3, 1.6) } else { 0.0 };
+        let lift = if random.happens(0.3) { random.range(0.3, 1.6) } else { 0.0 };
         let to = [x, y, ground.height(x, y) + thick + lift];
         canvas.limb([place[0], place[1], place[2] + thick], to, thick, 0.6 * thick);
     }

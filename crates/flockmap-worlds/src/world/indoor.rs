@@ -31,7 +31,7 @@ impl World {
     }
 }
 
-/// Rooms that tile the floor, and the doors between them. Every room can be reached from every other.
+/// Rooms that chunk the floor, and the doors between them. Every room can be reached from every other.
 struct Plan {
     rooms: Vec<Room>,
     doors: Vec<Door>,
@@ -126,7 +126,7 @@ impl Plan {
             span(0.1, OUTER_WALL, 1.0, 2.6, along, along + 1.5, true);
             span(0.1, OUTER_WALL, 1.0, 2.6, along + 0.72, along + 0.78, false);
             span(OUTER_WALL, OUTER_WALL + 0.1, 0.95, 1.0, along - 0.1, along + 1.6, false);
-            if random.chance(0.5) {
+            if random.happens(0.5) {
                 span(OUTER_WALL, OUTER_WALL + 0.12, 0.2, 0.75, along + 0.1, along + 1.4, false);
             }
             along += random.range(2.2, 3.4);
@@ -150,7 +150,7 @@ impl Door {
             [FLOOR, DOOR_HEIGHT],
         );
         canvas.carve(min, max);
-        let (leaf, side, hinge) = (random.chance(0.6), random.chance(0.5), random.chance(0.5));
+        let (leaf, side, hinge) = (random.happens(0.6), random.happens(0.5), random.happens(0.5));
         if leaf && self.width < 1.5 {
             let across = if side { [self.place, self.place + 1.0] } else { [self.place - 1.0, self.place] };
             let along = if hinge {
@@ -168,7 +168,7 @@ impl Door {
 fn split(rect: Rect, random: &mut Random, rooms: &mut Vec<Room>) {
     let size = rect.size();
     let axis = usize::from(size[1] > size[0]);
-    let small = rect.area() < 24.0 || (rect.area() < 45.0 && random.chance(0.4));
+    let small = rect.area() < 24.0 || (rect.area() < 45.0 && random.happens(0.4));
     if small || size[axis] < 7.0 {
         let kind = match random.below(10) {
             0..=4 => Use::Office,
@@ -213,7 +213,7 @@ fn doors(rooms: &[Room], random: &mut Random) -> Vec<Door> {
                 }
             }
             doors.push(door);
-        } else if i >= 3 && random.chance(0.25) {
+        } else if i >= 3 && random.happens(0.25) {
             doors.push(door);
         }
     }

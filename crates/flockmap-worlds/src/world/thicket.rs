@@ -52,7 +52,7 @@ fn plants(random: &mut Random) -> Vec<Plant> {
     let mut plants: Vec<Plant> = Vec::new();
     for _ in 0..3_000 {
         let (x, y) = (random.range(GROWN[0], GROWN[1]), random.range(-SIZE[1] / 2.0, SIZE[1] / 2.0));
-        let is_bush = random.chance(0.15);
+        let is_bush = random.happens(0.15);
         let radius = if is_bush { random.range(0.3, 0.6) } else { random.range(0.1, 0.25) };
         let gap = random.range(GAP_MIN, GAP_MAX);
         // A stem leans by up to LEAN_M: its foot and its top lie within this much more of its place.

@@ -1,31 +1,31 @@
-//! How many voxels a cycle may tell where the radio takes less than the map changes.
+//! How many voxels a batch may tell where the radio takes less than the map changes.
 
 use flockmap_codec::Package;
 use flockmap_grid::Changes;
 
-/// A part of a cycle is sent in about so many milliseconds: so long the next obstacles wait for it.
+/// A part of a batch is sent in about so many milliseconds: so long the next obstacles wait for it.
 const PART_MS: u64 = 250;
 /// And has at least so many bytes: of a smaller one too much would be header.
 const PART_BYTES_MIN: u64 = 600;
 /// What a package costs beside its voxels, about.
 const PACKAGE_HEADER_BYTES: u64 = 40;
-/// A cycle that is held back is told after the time of so many parts, whatever waits.
-const HOLD_PARTS: u64 = 8;
-/// Cycles over which the cost of a voxel is smoothed.
+/// A batch that is deferred is told after the time of so many parts, whatever waits.
+const DEFER_PARTS: u64 = 8;
+/// Batches over which the cost of a voxel is smoothed.
 const SMOOTHING: u64 = 4;
-/// What a voxel is taken to cost before the first cycle, in millionths of a byte.
+/// What a voxel is taken to cost before the first batch, in millionths of a byte.
 const COST_INITIAL: u64 = 200_000;
 
-/// Bytes that voxels cost, as far as measured: so that a part of a cycle can be cut to what the radio takes.
+/// Bytes that voxels cost, as far as measured: so that a part of a batch can be cut to what the radio takes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cost {
-    /// Of cycles of obstacles, in millionths of a byte for a voxel.
+    /// Of batches of obstacles, in millionths of a byte for a voxel.
     obstacle: u64,
     /// Of all others.
     voxel: u64,
 }
 
-/// Voxels that a cycle may tell.
+/// Voxels that a batch may tell.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Room {
     /// If it is one of obstacles.
@@ -33,7 +33,7 @@ pub(crate) struct Room {
     /// If it is any other.
     pub(crate) voxels: usize,
     /// How long packages that wait can hold it back, in microseconds.
-    pub(crate) hold_max: i64,
+    pub(crate) defer_max: i64,
 }
 
 impl Default for Cost {
@@ -43,8 +43,8 @@ impl Default for Cost {
 }
 
 impl Cost {
-    /// Notes what a cycle cost.
-    pub(crate) fn note_cycle(&mut self, changes: &Changes, packages: &[Package]) {
+    /// Notes what a batch cost.
+    pub(crate) fn note_batch(&mut self, changes: &Changes, packages: &[Package]) {
         let voxels = changes.len() as u64;
         let bytes = packages.iter().map(|package| package.bytes().len() as u64);
         let bytes: u64 = bytes.map(|bytes| bytes.saturating_sub(PACKAGE_HEADER_BYTES)).sum();
@@ -63,7 +63,7 @@ impl Cost {
         Room {
             obstacles: voxels(self.obstacle),
             voxels: voxels(self.voxel),
-            hold_max: (HOLD_PARTS * micros) as i64,
+            defer_max: (DEFER_PARTS * micros) as i64,
         }
     }
 }
@@ -71,21 +71,21 @@ impl Cost {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockmap_codec::{Codec, Cycle, Encoder};
+    use flockmap_codec::{Batch, Codec, Encoder};
     use flockmap_grid::{Resolution, RobotId, Stamp, State, Stream, Voxel};
 
     fn note(cost: &mut Cost, voxels: impl Iterator<Item = (i32, State)>) -> u64 {
         let changes = Changes::from_voxels(voxels.map(|(x, state)| (Voxel::new(x, 0, 0), state)));
         let stream = Stream { origin: RobotId(1), epoch: 1 };
         let resolution = Resolution::from_metres(0.1).unwrap();
-        let cycle = Cycle { stream, start: Stamp(0), end: Stamp(1), resolution, sensor: [0; 3] };
-        let packages = Encoder::new().encode_cycle(Codec::Raw, &cycle, 1, &changes, 1150).unwrap();
-        cost.note_cycle(&changes, &packages);
+        let batch = Batch { stream, start: Stamp(0), end: Stamp(1), resolution, sensor: [0; 3] };
+        let packages = Encoder::new().encode_batch(Codec::Raw, &batch, 1, &changes, 1150).unwrap();
+        cost.note_batch(&changes, &packages);
         packages.iter().map(|package| package.bytes().len() as u64 - PACKAGE_HEADER_BYTES).sum()
     }
 
     #[test]
-    fn the_room_is_what_cycles_of_late_would_take_in_a_part() {
+    fn the_room_is_what_batches_of_late_would_take_in_a_part() {
         let mut cost = Cost::default();
         let mut bytes = (0, 0);
         for _ in 0..20 {
@@ -96,11 +96,11 @@ mod tests {
         let near = |voxels: usize, bytes: u64, of: u64| (voxels as u64 * bytes / of).abs_diff(2_000) <= 100;
         assert!(near(room.obstacles, bytes.0, 1_000), "{room:?}, {bytes:?}");
         assert!(near(room.voxels, bytes.1, 4_000), "{room:?}, {bytes:?}");
-        assert_eq!(room.hold_max, 2_000_000);
+        assert_eq!(room.defer_max, 2_000_000);
         // Of a thin radio, a part takes longer.
-        assert_eq!(cost.room(500).hold_max, 8 * 1_200_000);
-        // Nothing was learnt from a cycle without voxels, and no rate is too small.
-        cost.note_cycle(&Changes::default(), &[]);
+        assert_eq!(cost.room(500).defer_max, 8 * 1_200_000);
+        // Nothing was learnt from a batch without voxels, and no rate is too small.
+        cost.note_batch(&Changes::default(), &[]);
         assert_eq!(cost.room(8_000), room);
         assert!(cost.room(0).voxels > 0);
     }

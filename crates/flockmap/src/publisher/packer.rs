@@ -1,43 +1,43 @@
-//! When a cycle of mapping ends, and what it holds (the paper's Alg. 1).
+//! When a batch of mapping ends, and what it holds (the paper's Alg. 1).
 
-use flockmap_codec::Cycle;
+use flockmap_codec::Batch;
 use flockmap_grid::{BlockIndex, Changes, Mapper, Plane, Pose, Resolution, Stamp, Stream, Which};
 
 use super::cost::Room;
-use crate::CycleConfig;
+use crate::BatchConfig;
 
-/// Of a cycle that is told in parts, so many of obstacles alone come before one with free space, if there are as many.
+/// Of a batch that is told in parts, so many of obstacles alone come before one with free space, if there are as many.
 const OBSTACLES_IN_ROW: u32 = 3;
 
-/// Closes cycles: takes the net changes from the mapper when enough have come up or enough time has passed.
+/// Closes batches: takes the net changes from the mapper when enough have come up or enough time has passed.
 #[derive(Clone, Debug)]
 pub struct Packer {
-    config: CycleConfig,
+    config: BatchConfig,
     stream: Stream,
     resolution: Resolution,
-    /// When the last cycle of obstacles and of free space was closed, on the robot's clock.
+    /// When the last batch of obstacles and of free space was closed, on the robot's clock.
     closed_occupied: Stamp,
     closed_free: Stamp,
-    /// Of a cycle that is told in parts: how many of the turns of obstacles alone are used up.
+    /// Of a batch that is told in parts: how many of the turns of obstacles alone are used up.
     obstacles_in_row: u32,
     /// Something has waited beyond its time that has not been told yet.
     is_behind: bool,
     /// Stamp of the newest scan.
     newest_scan: Stamp,
-    /// End of the last cycle; ends strictly increase.
+    /// End of the last batch; ends strictly increase.
     last_end: Option<Stamp>,
-    /// Ends of the last cycles that held obstacles and free space: where the next ones begin.
+    /// Ends of the last batches that held obstacles and free space: where the next ones begin.
     occupied_from: Option<Stamp>,
     free_from: Option<Stamp>,
-    /// Where the sensor was at the first scan since the last cycle of everything, and where it was last, in
+    /// Where the sensor was at the first scan since the last batch of everything, and where it was last, in
     /// sixteenths of a voxel.
     first_sensor: Option<[i32; 3]>,
     newest_sensor: [i32; 3],
 }
 
 impl Packer {
-    /// The first cycle begins now.
-    pub const fn new(config: CycleConfig, stream: Stream, resolution: Resolution, now: Stamp) -> Self {
+    /// The first batch begins now.
+    pub const fn new(config: BatchConfig, stream: Stream, resolution: Resolution, now: Stamp) -> Self {
         Self {
             config,
             stream,
@@ -74,24 +74,24 @@ impl Packer {
         self.free_from.get_or_insert(stamp);
     }
 
-    /// When the next cycle is due if nothing more changes; `None` if nothing has changed.
+    /// When the next batch is due if nothing more changes; `None` if nothing has changed.
     pub fn deadline(&self, mapper: &Mapper) -> Option<Stamp> {
         if mapper.pending() == 0 {
             return None;
         }
-        if mapper.pending() >= self.config.changes_max {
+        if mapper.pending() >= self.config.voxels_max {
             return Some(Stamp(i64::MIN));
         }
         let free = self.closed_free.plus_micros(self.period());
-        Some(match self.config.t_l_occupied_ms {
+        Some(match self.config.obstacle_period_ms {
             None => free,
             Some(ms) => free.min(self.closed_occupied.plus_micros(1_000 * i64::from(ms))),
         })
     }
 
-    /// Closes the cycle that is due, if one is: with everything that has changed, or just the obstacles if only their
+    /// Closes the batch that is due, if one is: with everything that has changed, or just the obstacles if only their
     /// time has come. Call it again until `None`.
-    pub fn close_due(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+    pub fn close_due(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Batch, Changes)> {
         if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
             return None;
         }
@@ -104,7 +104,7 @@ impl Packer {
     /// As [`close_due`](Self::close_due), where the radio may have no room for all: what is nearest to the sensor goes first, obstacles and
     /// everything else in turn. The rest stays in the map, goes on changing there, and is due again at once.
     ///
-    /// What is told late has a late stamp. So from when something was left, or [held back](Self::note_late), until all is told, what is Free stays in
+    /// What is told late has a late stamp. So from when something was left, or [deferred](Self::note_late), until all is told, what is Free stays in
     /// the map as well where the robot itself believes what a team-mate saw later: `believed_occupied` of a block.
     pub(crate) fn close_part(
         &mut self,
@@ -112,7 +112,7 @@ impl Packer {
         mapper: &mut Mapper,
         room: Room,
         believed_occupied: impl Fn(BlockIndex) -> Plane,
-    ) -> Option<(Cycle, Changes)> {
+    ) -> Option<(Batch, Changes)> {
         if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
             return None;
         }
@@ -142,15 +142,15 @@ impl Packer {
             self.free_from = Some(end);
         }
         let middle = self.middle_sensor();
-        Some((self.cycle(start, end, middle), changes))
+        Some((self.batch(start, end, middle), changes))
     }
 
-    /// The longest that a cycle with changes waits if nothing holds it back, in microseconds.
+    /// The longest that a batch with changes waits if nothing holds it back, in microseconds.
     pub(crate) const fn period(&self) -> i64 {
-        1_000 * self.config.t_l_ms as i64
+        1_000 * self.config.publish_period_ms as i64
     }
 
-    /// Notes that a cycle was held back for so long that what it tells is late.
+    /// Notes that a batch was deferred for so long that what it tells is late.
     pub(crate) const fn note_late(&mut self) {
         self.is_behind = true;
     }
@@ -162,8 +162,8 @@ impl Packer {
 
     fn everything_is_due(&self, now: Stamp, mapper: &Mapper) -> bool {
         now >= self.closed_free.plus_micros(self.period())
-            || mapper.pending() >= self.config.changes_max
-            || self.config.t_l_occupied_ms.is_none()
+            || mapper.pending() >= self.config.voxels_max
+            || self.config.obstacle_period_ms.is_none()
     }
 
     fn close_obstacles(
@@ -171,7 +171,7 @@ impl Packer {
         now: Stamp,
         mapper: &mut Mapper,
         voxels_max: usize,
-    ) -> Option<(Cycle, Changes)> {
+    ) -> Option<(Batch, Changes)> {
         let (changes, is_cut) =
             mapper.take_nearest(Which::Occupied, self.sensor_block(), voxels_max, |_| [0; 8]);
         if is_cut {
@@ -186,11 +186,11 @@ impl Packer {
         }
         let (start, end) = (self.occupied_from, self.end());
         self.occupied_from = Some(end);
-        Some((self.cycle(start, end, self.newest_sensor), changes))
+        Some((self.batch(start, end, self.newest_sensor), changes))
     }
 
-    /// Closes the cycle now, with everything that has changed. `None` if nothing has.
-    pub fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Cycle, Changes)> {
+    /// Closes the batch now, with everything that has changed. `None` if nothing has.
+    pub fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Batch, Changes)> {
         self.closed_occupied = now;
         self.closed_free = now;
         self.obstacles_in_row = 0;
@@ -203,10 +203,10 @@ impl Packer {
         self.occupied_from = Some(end);
         self.free_from = Some(end);
         let middle = self.middle_sensor();
-        Some((self.cycle(start, end, middle), changes))
+        Some((self.batch(start, end, middle), changes))
     }
 
-    /// Between where the sensor was at the first scan of a cycle and where it is now.
+    /// Between where the sensor was at the first scan of a batch and where it is now.
     fn middle_sensor(&mut self) -> [i32; 3] {
         let (first, last) = (self.first_sensor.take().unwrap_or(self.newest_sensor), self.newest_sensor);
         core::array::from_fn(|axis| first[axis].midpoint(last[axis]))
@@ -217,7 +217,7 @@ impl Packer {
         BlockIndex { x, y, z }
     }
 
-    /// The newest scan's stamp, or just after the last cycle's end if no newer scan came.
+    /// The newest scan's stamp, or just after the last batch's end if no newer scan came.
     fn end(&mut self) -> Stamp {
         let end = match self.last_end {
             Some(last) => self.newest_scan.max(last.plus_micros(1)),
@@ -227,9 +227,9 @@ impl Packer {
         end
     }
 
-    fn cycle(&self, start: Option<Stamp>, end: Stamp, sensor: [i32; 3]) -> Cycle {
+    fn batch(&self, start: Option<Stamp>, end: Stamp, sensor: [i32; 3]) -> Batch {
         let start = start.unwrap_or(end).min(end);
-        Cycle { stream: self.stream, start, end, resolution: self.resolution, sensor }
+        Batch { stream: self.stream, start, end, resolution: self.resolution, sensor }
     }
 }
 
@@ -240,7 +240,7 @@ mod tests {
 
     const MS: i64 = 1_000;
 
-    fn setup(config: CycleConfig) -> (Packer, Mapper) {
+    fn setup(config: BatchConfig) -> (Packer, Mapper) {
         let resolution = Resolution::from_metres(0.1).unwrap();
         let stream = Stream { origin: RobotId(1), epoch: 1 };
         let mapper = Mapper::new(MapperConfig::preset(Preset::RogMap, resolution, 7.0)).unwrap();
@@ -254,25 +254,25 @@ mod tests {
     }
 
     #[test]
-    fn a_cycle_closes_after_t_l_and_only_if_something_changed() {
-        let (mut packer, mut mapper) = setup(CycleConfig::default());
+    fn a_batch_closes_after_t_l_and_only_if_something_changed() {
+        let (mut packer, mut mapper) = setup(BatchConfig::default());
         assert!(packer.deadline(&mapper).is_none());
         scan(&mut packer, &mut mapper, 100, [2.0, 0.0, 0.0]);
         assert_eq!(packer.deadline(&mapper), Some(Stamp(500 * MS)));
         assert!(packer.close_due(Stamp(499 * MS), &mut mapper).is_none());
-        let (cycle, changes) = packer.close_due(Stamp(500 * MS), &mut mapper).unwrap();
-        assert_eq!((cycle.start, cycle.end), (Stamp(100 * MS), Stamp(100 * MS)));
+        let (batch, changes) = packer.close_due(Stamp(500 * MS), &mut mapper).unwrap();
+        assert_eq!((batch.start, batch.end), (Stamp(100 * MS), Stamp(100 * MS)));
         assert_eq!(changes.len(), 21);
         assert!(packer.close_due(Stamp(2_000 * MS), &mut mapper).is_none());
         // After a quiet time the next change goes out at once, as in Alg. 1.
         scan(&mut packer, &mut mapper, 2_000, [0.0, 2.0, 0.0]);
-        let (cycle, _) = packer.close_due(Stamp(2_000 * MS), &mut mapper).unwrap();
-        assert_eq!((cycle.start, cycle.end), (Stamp(100 * MS), Stamp(2_000 * MS)));
+        let (batch, _) = packer.close_due(Stamp(2_000 * MS), &mut mapper).unwrap();
+        assert_eq!((batch.start, batch.end), (Stamp(100 * MS), Stamp(2_000 * MS)));
     }
 
     #[test]
-    fn a_cycle_closes_early_with_d_changes() {
-        let (mut packer, mut mapper) = setup(CycleConfig { changes_max: 15, ..CycleConfig::default() });
+    fn a_batch_closes_early_with_d_changes() {
+        let (mut packer, mut mapper) = setup(BatchConfig { voxels_max: 15, ..BatchConfig::default() });
         scan(&mut packer, &mut mapper, 10, [1.0, 0.0, 0.0]);
         assert!(packer.close_due(Stamp(10 * MS), &mut mapper).is_none());
         scan(&mut packer, &mut mapper, 20, [0.0, 1.0, 0.0]);
@@ -281,8 +281,11 @@ mod tests {
 
     #[test]
     fn obstacles_go_ahead_of_free_space() {
-        let (mut packer, mut mapper) =
-            setup(CycleConfig { t_l_ms: 2_000, t_l_occupied_ms: Some(100), ..CycleConfig::default() });
+        let (mut packer, mut mapper) = setup(BatchConfig {
+            publish_period_ms: 2_000,
+            obstacle_period_ms: Some(100),
+            ..BatchConfig::default()
+        });
         scan(&mut packer, &mut mapper, 100, [2.0, 0.0, 0.0]);
         let (first, changes) = packer.close_due(Stamp(100 * MS), &mut mapper).unwrap();
         assert!(changes.voxels().all(|(_, state)| state == State::Occupied));
@@ -295,9 +298,12 @@ mod tests {
 
     #[test]
     fn a_part_is_of_obstacles_or_of_what_is_nearest_and_the_rest_is_due_at_once() {
-        let (mut packer, mut mapper) =
-            setup(CycleConfig { t_l_ms: 2_000, t_l_occupied_ms: Some(100), ..CycleConfig::default() });
-        let room = |voxels| Room { obstacles: 1, voxels, hold_max: 0 };
+        let (mut packer, mut mapper) = setup(BatchConfig {
+            publish_period_ms: 2_000,
+            obstacle_period_ms: Some(100),
+            ..BatchConfig::default()
+        });
+        let room = |voxels| Room { obstacles: 1, voxels, defer_max: 0 };
         for (i, point) in [[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 1.0]].into_iter().enumerate() {
             scan(&mut packer, &mut mapper, 100 + i as i64, point);
         }
@@ -319,7 +325,8 @@ mod tests {
 
     #[test]
     fn obstacles_without_end_leave_every_fourth_part_to_free_space() {
-        let (mut packer, mut mapper) = setup(CycleConfig { t_l_ms: 100, ..CycleConfig::default() });
+        let (mut packer, mut mapper) =
+            setup(BatchConfig { publish_period_ms: 100, ..BatchConfig::default() });
         let points = (0..200i16).map(|i| {
             let angle = f32::from(i) / 200.0 * core::f32::consts::TAU;
             [6.0 * angle.cos(), 6.0 * angle.sin(), 0.0]
@@ -327,7 +334,7 @@ mod tests {
         let scan = Scan { stamp: Stamp(100 * MS), points: points.collect(), no_returns: Vec::new() };
         mapper.insert(&scan, &Pose::IDENTITY, &[]);
         packer.note_scan(scan.stamp, &Pose::IDENTITY);
-        let room = Room { obstacles: 10, voxels: 10, hold_max: 0 };
+        let room = Room { obstacles: 10, voxels: 10, defer_max: 0 };
         let parts: Vec<bool> = (0..8)
             .map(|_| packer.close_part(Stamp(200 * MS), &mut mapper, room, |_| [0; 8]).unwrap().1)
             .map(|changes| changes.voxels().all(|(_, state)| state == State::Occupied))
@@ -337,11 +344,12 @@ mod tests {
 
     #[test]
     fn what_waited_is_not_told_where_the_robot_believes_somebody_who_saw_it_later() {
-        let (mut packer, mut mapper) = setup(CycleConfig { t_l_ms: 100, ..CycleConfig::default() });
+        let (mut packer, mut mapper) =
+            setup(BatchConfig { publish_period_ms: 100, ..BatchConfig::default() });
         scan(&mut packer, &mut mapper, 100, [3.0, 0.0, 0.0]);
         // A team-mate has put something at the second block of the ray.
         let believed = |block: BlockIndex| if block == BlockIndex::new(1, 0, 0) { [!0; 8] } else { [0; 8] };
-        let room = |voxels| Room { obstacles: 100, voxels, hold_max: 0 };
+        let room = |voxels| Room { obstacles: 100, voxels, defer_max: 0 };
         let mut close = |ms: i64, voxels| {
             let closed = packer.close_part(Stamp(ms * MS), &mut mapper, room(voxels), believed);
             let changes = closed.map(|(_, changes)| changes);

@@ -1,27 +1,27 @@
-//! How long it takes until the others hold a cycle whole, as the sender sees it.
+//! How long it takes until the others hold a batch whole, as the sender sees it.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use flockmap_grid::{Stamp, Stream};
 
-/// Cycles over which the delay is judged.
-const CYCLES: usize = 32;
+/// Batches over which the delay is judged.
+const BATCHES: usize = 32;
 /// Of these, the slowest that are left out: a tenth.
-const SLOWEST_LEFT_OUT: usize = CYCLES / 10;
+const SLOWEST_LEFT_OUT: usize = BATCHES / 10;
 
-/// The delay of repair: from publishing a cycle until a peer lacks nothing up to its end. So long a later package that builds on the
-/// cycle would wait, so this is the measure whether packages are told against earlier ones or not.
+/// The delay of repair: from publishing a batch until a peer lacks nothing up to its end. So long a later package that builds on the
+/// batch would wait, so this is the measure whether packages are told against earlier ones or not.
 ///
 /// Peers say what they hold once a second or so, and at once when something is missing. So it is not the time until a peer states
-/// that it holds a cycle that counts, but the time until it stated last that something is missing: 0 for what was never
-/// missing, whatever the period of its requests. The delay is the one that nine of ten of the last 32 cycles keep, of the slowest peer.
+/// that it holds a batch that counts, but the time until it stated last that something is missing: 0 for what was never
+/// missing, whatever the period of its requests. The delay is the one that nine of ten of the last 32 batches keep, of the slowest peer.
 ///
-/// A peer counts from when it held a cycle whole for the first time: one that joins late catches up first.
+/// A peer counts from when it held a batch whole for the first time: one that joins late catches up first.
 pub(crate) struct RepairDelay {
     /// Limit in microseconds; 0: never slow.
     limit: i64,
-    /// When cycles were published and the last package of each, oldest first.
-    cycles: VecDeque<(Stamp, u32)>,
+    /// When batches were published and the last package of each, oldest first.
+    batches: VecDeque<(Stamp, u32)>,
     peers: BTreeMap<Stream, PeerDelay>,
     is_slow: bool,
 }
@@ -32,7 +32,7 @@ struct PeerDelay {
     prefix: u32,
     /// When it last said so.
     asked_at: Option<Stamp>,
-    /// Delay of the newest cycles that it holds, oldest first.
+    /// Delay of the newest batches that it holds, oldest first.
     delays: VecDeque<i64>,
 }
 
@@ -40,33 +40,33 @@ impl RepairDelay {
     pub(crate) fn new(limit_ms: u32) -> Self {
         Self {
             limit: 1_000 * i64::from(limit_ms),
-            cycles: VecDeque::new(),
+            batches: VecDeque::new(),
             peers: BTreeMap::new(),
             is_slow: false,
         }
     }
 
-    /// Notes that a cycle was published.
-    pub(crate) fn note_cycle(&mut self, now: Stamp, last_index: u32) {
-        self.cycles.push_back((now, last_index));
-        if self.cycles.len() > CYCLES {
-            self.cycles.pop_front();
+    /// Notes that a batch was published.
+    pub(crate) fn note_batch(&mut self, now: Stamp, last_index: u32) {
+        self.batches.push_back((now, last_index));
+        if self.batches.len() > BATCHES {
+            self.batches.pop_front();
         }
     }
 
     /// Takes in what the peers hold: each live peer with the time of its last request and the index up to which it lacks nothing.
     /// O(peers).
-    pub(crate) fn note_held(&mut self, peers: impl Iterator<Item = (Stream, Stamp, u32)>) {
+    pub(crate) fn note_received(&mut self, peers: impl Iterator<Item = (Stream, Stamp, u32)>) {
         let mut live = BTreeMap::new();
         for (stream, asked_at, prefix) in peers {
             let mut peer = self.peers.remove(&stream).unwrap_or_default();
             if peer.asked_at.is_none_or(|last| last < asked_at) {
-                peer.note_request(&self.cycles, asked_at, prefix);
+                peer.note_request(&self.batches, asked_at, prefix);
             }
             live.insert(stream, peer);
         }
         self.peers = live;
-        let slowest = self.peers.values().filter_map(|peer| peer.delay(&self.cycles)).max().unwrap_or(0);
+        let slowest = self.peers.values().filter_map(|peer| peer.delay(&self.batches)).max().unwrap_or(0);
         // Not to and fro: it has to become twice as good.
         let limit = if self.is_slow { self.limit / 2 } else { self.limit };
         self.is_slow = self.limit > 0 && slowest > limit;
@@ -79,10 +79,10 @@ impl RepairDelay {
 }
 
 impl PeerDelay {
-    fn note_request(&mut self, cycles: &VecDeque<(Stamp, u32)>, asked_at: Stamp, prefix: u32) {
+    fn note_request(&mut self, batches: &VecDeque<(Stamp, u32)>, asked_at: Stamp, prefix: u32) {
         if prefix > self.prefix {
             let is_first = self.delays.is_empty();
-            for (published, _) in cycles.iter().filter(|(_, last)| (self.prefix + 1..=prefix).contains(last))
+            for (published, _) in batches.iter().filter(|(_, last)| (self.prefix + 1..=prefix).contains(last))
             {
                 // What it held before it was known to hold anything is no measure.
                 let missing_until = self.asked_at.filter(|_| !is_first).unwrap_or(*published);
@@ -90,18 +90,18 @@ impl PeerDelay {
             }
             self.prefix = prefix;
         }
-        self.delays.drain(..self.delays.len().saturating_sub(CYCLES));
+        self.delays.drain(..self.delays.len().saturating_sub(BATCHES));
         self.asked_at = Some(asked_at);
     }
 
-    /// The delay that nine of ten of the newest cycles keep, those counted that are missing still. `None` for a peer that has never
-    /// held a cycle whole.
-    fn delay(&self, cycles: &VecDeque<(Stamp, u32)>) -> Option<i64> {
+    /// The delay that nine of ten of the newest batches keep, those counted that are missing still. `None` for a peer that has never
+    /// held a batch whole.
+    fn delay(&self, batches: &VecDeque<(Stamp, u32)>) -> Option<i64> {
         let asked_at = self.asked_at.filter(|_| !self.delays.is_empty())?;
-        let missing = cycles.iter().filter(|(_, last)| *last > self.prefix);
+        let missing = batches.iter().filter(|(_, last)| *last > self.prefix);
         let missing = missing.map(|(published, _)| asked_at.micros_since(*published).max(0));
         let mut newest_first: Vec<i64> =
-            missing.rev().chain(self.delays.iter().rev().copied()).take(CYCLES).collect();
+            missing.rev().chain(self.delays.iter().rev().copied()).take(BATCHES).collect();
         newest_first.sort_unstable_by(|a, b| b.cmp(a));
         newest_first.get(SLOWEST_LEFT_OUT.min(newest_first.len() - 1)).copied()
     }
@@ -118,18 +118,18 @@ mod tests {
         Stream { origin: RobotId(id), epoch: 1 }
     }
 
-    /// A cycle of ten packages every half second; each peer holds those that are `lag` old, and says so once a second.
+    /// A batch of ten packages every half second; each peer holds those that are `lag` old, and says so once a second.
     fn run(delay: &mut RepairDelay, seconds: std::ops::Range<i64>, lags_ms: &[i64]) {
         for half in seconds.start * 2..seconds.end * 2 {
             let now = Stamp(half * 500 * MS);
-            delay.note_cycle(now, 10 * (half as u32 + 1));
+            delay.note_batch(now, 10 * (half as u32 + 1));
             let asked_at = now.plus_micros(123 * MS);
             if half % 2 == 0 {
                 let peers = (1..).zip(lags_ms).map(|(id, lag)| {
-                    let held = (asked_at.0 - lag * MS).div_euclid(500 * MS) + 1;
-                    (peer(id), asked_at, 10 * held.max(0) as u32)
+                    let received = (asked_at.0 - lag * MS).div_euclid(500 * MS) + 1;
+                    (peer(id), asked_at, 10 * received.max(0) as u32)
                 });
-                delay.note_held(peers);
+                delay.note_received(peers);
             }
         }
     }
@@ -161,8 +161,8 @@ mod tests {
         let prefix = 10 * 58;
         for half in 60..72 {
             let now = Stamp(half * 500 * MS);
-            delay.note_cycle(now, 10 * (half as u32 + 1));
-            delay.note_held([(peer(1), now, prefix)].into_iter());
+            delay.note_batch(now, 10 * (half as u32 + 1));
+            delay.note_received([(peer(1), now, prefix)].into_iter());
         }
         assert!(delay.is_slow());
     }
@@ -172,11 +172,11 @@ mod tests {
         let mut delay = RepairDelay::new(1_000);
         run(&mut delay, 0..30, &[20]);
         let asked_at = Stamp(31_000 * MS);
-        delay.note_held([(peer(1), asked_at, 600), (peer(2), asked_at, 0)].into_iter());
+        delay.note_received([(peer(1), asked_at, 600), (peer(2), asked_at, 0)].into_iter());
         assert!(!delay.is_slow());
         run(&mut delay, 32..60, &[20, 5_000]);
         assert!(delay.is_slow());
-        delay.note_held([(peer(1), Stamp(60_000 * MS), 10 * 120)].into_iter());
+        delay.note_received([(peer(1), Stamp(60_000 * MS), 10 * 120)].into_iter());
         assert!(!delay.is_slow());
     }
 

@@ -1,6 +1,6 @@
 //! A new run while flying: where the own id was used with a higher epoch.
 
-use flockmap_codec::Cycle;
+use flockmap_codec::Batch;
 use flockmap_grid::{Stamp, Stream, epoch, seconds_of_epoch};
 
 use super::Robot;
@@ -14,7 +14,7 @@ impl Robot {
             // The last one of all: nothing is above it.
             return self.push_event(Event::SameIdentity);
         };
-        let published = self.fusion.layer(self.own_stream()).and_then(|layer| layer.present_state());
+        let published = self.fusion.layer(self.own_stream()).and_then(|layer| layer.snapshot());
         if !self.session.begin_run(now, above) {
             return;
         }
@@ -29,7 +29,7 @@ impl Robot {
             let sensor =
                 published.sensors.iter().find(|(stamp, _)| *stamp == end).map_or([0; 3], |(_, at)| *at);
             let resolution = self.config.mapper.resolution;
-            self.publish(now, Cycle { stream: own, start, end, resolution, sensor }, changes);
+            self.publish(now, Batch { stream: own, start, end, resolution, sensor }, changes);
             start = end;
         }
     }

@@ -1,12 +1,12 @@
 //! What comes in: packages of others are decoded and merged, and the session gets the verdict.
 
 use flockmap_codec::{Content, Header, Package, PackageError, Span};
-use flockmap_grid::{Changes, PresentState, Stamp, Stream};
+use flockmap_grid::{Changes, Snapshot, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::Verdict;
 
 use super::Robot;
-use crate::readers::{Readers, SetId};
+use crate::readers::{Readers, SnapshotId};
 use crate::{Event, Refusal};
 
 impl Robot {
@@ -19,12 +19,12 @@ impl Robot {
                     let verdict = self.receive(now, &package);
                     self.session.verdict(now, &package, verdict);
                 }
-                SessionEvent::PresentStateWanted { stream, since, newer_than, upto, bytes_max, .. } => {
-                    self.provide_present_state(now, Span { stream, since, upto }, newer_than, bytes_max);
+                SessionEvent::SnapshotWanted { stream, since, newer_than, upto, bytes_max, .. } => {
+                    self.provide_snapshot(now, Span { stream, since, upto }, newer_than, bytes_max);
                 }
-                SessionEvent::StateDropped { stream, set } => self.readers.drop_one((stream, set)),
-                SessionEvent::NoRoomToWait { stream, index, reference } => {
-                    self.push_event(Event::Refused { stream, index, reason: Refusal::Waiting { reference } });
+                SessionEvent::SnapshotDropped { stream, set } => self.readers.drop_one((stream, set)),
+                SessionEvent::NoRoomToWait { stream, index, base } => {
+                    self.push_event(Event::Refused { stream, index, reason: Refusal::Waiting { base } });
                 }
                 SessionEvent::StreamForgotten(stream) => {
                     self.readers.drop_upto(stream, u32::MAX);
@@ -32,8 +32,8 @@ impl Robot {
                     self.push_event(Event::RunForgotten(stream));
                 }
                 SessionEvent::EpochTooLow { used } => self.begin_anew(now, used),
-                SessionEvent::StateContains { stream, set, held } => {
-                    self.push_event(Event::StateContains { stream, set, held });
+                SessionEvent::SnapshotContains { stream, set, received } => {
+                    self.push_event(Event::SnapshotContains { stream, set, received });
                 }
                 SessionEvent::CaughtUp { stream, upto } => {
                     self.readers.drop_upto(stream, upto);
@@ -42,7 +42,7 @@ impl Robot {
                 SessionEvent::PeerSeen(stream) => self.push_event(Event::PeerSeen(stream)),
                 SessionEvent::PeerLost(stream) => self.push_event(Event::PeerLost(stream)),
                 SessionEvent::SameIdentity => self.push_event(Event::SameIdentity),
-                SessionEvent::CountersSpent => self.push_event(Event::CountersSpent),
+                SessionEvent::NoncesExhausted => self.push_event(Event::NoncesExhausted),
                 _ => {}
             }
         }
@@ -62,12 +62,12 @@ impl Robot {
             Err(reason) => reason,
         };
         let (counter, verdict) = match &reason {
-            Refusal::Package(PackageError::Overtaken(_) | PackageError::ReferenceMissing { .. }) => {
-                (&mut self.counters.overtaken, Verdict::Undecodable)
+            Refusal::Package(PackageError::BaseSuperseded(_) | PackageError::BaseMissing { .. }) => {
+                (&mut self.counters.superseded, Verdict::Undecodable)
             }
             // It will never fit here, but others may be able to use it.
             Refusal::Resolution { .. } => (&mut self.counters.foreign_resolution, Verdict::Merged),
-            Refusal::Fusion(_) | Refusal::Tiles { .. } => (&mut self.counters.no_room, Verdict::NoRoom),
+            Refusal::Fusion(_) | Refusal::Chunks { .. } => (&mut self.counters.no_room, Verdict::NoRoom),
             Refusal::Package(_) | Refusal::Waiting { .. } => (&mut self.counters.damaged, Verdict::Damaged),
         };
         *counter += 1;
@@ -81,8 +81,8 @@ impl Robot {
         if got != own {
             return Err(Refusal::Resolution { got, own });
         }
-        match Readers::set_of(package) {
-            Some(id) => self.merge_tile(now, id, package),
+        match Readers::snapshot_of(package) {
+            Some(id) => self.merge_chunk(now, id, package),
             None => self.merge_package(now, package),
         }
     }
@@ -94,40 +94,35 @@ impl Robot {
         self.counters.steps += self.decoder.take_steps();
         let changes = match content? {
             Content::Changes(changes) => changes,
-            Content::Present(state) => return self.merge_present(now, package, &state),
+            Content::Snapshot(state) => return self.merge_snapshot(now, package, &state),
         };
         self.note_clock(stream);
-        let taken = self.fusion.apply(&self.mapper, stream, &changes, header.cycle_end, now)?;
+        let taken = self.fusion.apply(&self.mapper, stream, &changes, header.batch_end, now)?;
         if let Some(sensor) = package.sensor() {
-            self.fusion.note_sensor(stream, header.cycle_end, sensor);
+            self.fusion.note_sensor(stream, header.batch_end, sensor);
         }
         Ok(merged(package, changes, taken))
     }
 
-    /// Merges the next tile of those that are told one against the other.
-    fn merge_tile(&mut self, now: Stamp, id: SetId, tile: &Package) -> Result<Event, Refusal> {
-        for (stream, set) in self.readers.make_room(id, tile)? {
-            self.session.restart_present_state(now, stream, set);
+    /// Merges the next chunk of those that are told one against the other.
+    fn merge_chunk(&mut self, now: Stamp, id: SnapshotId, chunk: &Package) -> Result<Event, Refusal> {
+        for (stream, set) in self.readers.make_room(id, chunk)? {
+            self.session.restart_snapshot(now, stream, set);
         }
-        let read = self.readers.read(id, &mut self.decoder, tile);
+        let read = self.readers.read(id, &mut self.decoder, chunk);
         self.counters.steps += self.decoder.take_steps();
         let state = read.inspect_err(|_| self.readers.drop_one(id))?;
-        let merged = self.merge_present(now, tile, &state);
+        let merged = self.merge_snapshot(now, chunk, &state);
         if merged.is_err() {
-            self.readers.keep(id, tile, state);
+            self.readers.keep(id, chunk, state);
         }
         merged
     }
 
-    fn merge_present(
-        &mut self,
-        now: Stamp,
-        package: &Package,
-        state: &PresentState,
-    ) -> Result<Event, Refusal> {
+    fn merge_snapshot(&mut self, now: Stamp, package: &Package, state: &Snapshot) -> Result<Event, Refusal> {
         let stream = package.header().stream;
         self.note_clock(stream);
-        let taken = self.fusion.apply_present(&self.mapper, stream, state, now)?;
+        let taken = self.fusion.apply_snapshot(&self.mapper, stream, state, now)?;
         Ok(merged(package, Changes::default(), taken))
     }
 
@@ -140,6 +135,6 @@ impl Robot {
 }
 
 fn merged(package: &Package, changes: Changes, taken: usize) -> Event {
-    let &Header { stream, index, cycle_start, cycle_end, .. } = package.header();
-    Event::Merged { stream, index, cycle_start, cycle_end, changes, taken, package: package.clone() }
+    let &Header { stream, index, batch_start, batch_end, .. } = package.header();
+    Event::Merged { stream, index, batch_start, batch_end, changes, taken, package: package.clone() }
 }

@@ -2,7 +2,7 @@
 
 use flockmap_codec::Package;
 use flockmap_grid::{Stamp, Stream};
-use flockmap_sync::{HELD_INTERVALS_MAX, IntervalSet};
+use flockmap_sync::{IntervalSet, RECEIVED_INTERVALS_MAX};
 
 use super::Robot;
 
@@ -26,8 +26,8 @@ pub enum RestoreError {
 }
 
 impl Robot {
-    /// Takes back a package, or a tile of a present state, that a former run merged or made; to be called after [`Robot::new`] and before the first
-    /// datagram, in the order in which the packages were stored ([`Event::CycleClosed`](crate::Event::CycleClosed),
+    /// Takes back a package, or a chunk of a snapshot, that a former run merged or made; to be called after [`Robot::new`] and before the first
+    /// datagram, in the order in which the packages were stored ([`Event::BatchClosed`](crate::Event::BatchClosed),
     /// [`Event::Merged`](crate::Event::Merged); beside them [`Robot::restore_contents`]).
     ///
     /// It goes the way of one that has just been received: it is decoded and checked, merged into the layer of its stream and into the fused map, held, and offered
@@ -48,17 +48,23 @@ impl Robot {
         if is_taken { Ok(()) } else { Err(RestoreError::NoRoom(got)) }
     }
 
-    /// Takes back which packages a present state of a history with gaps contains ([`Event::StateContains`](crate::Event::StateContains)), behind its tiles. Whether they
-    /// are held now: `false` if some tile of it is gone or damaged, or for the own stream. At most [`HELD_INTERVALS_MAX`] intervals count.
-    pub fn restore_contents(&mut self, now: Stamp, stream: Stream, set: u32, held: &[(u32, u32)]) -> bool {
-        let is_sound = held.iter().all(|&(low, high)| 0 < low && low <= high);
-        if stream == self.own_stream() || held.len() > HELD_INTERVALS_MAX || !is_sound {
+    /// Takes back which packages a snapshot of a history with gaps contains ([`Event::SnapshotContains`](crate::Event::SnapshotContains)), behind its chunks. Whether they
+    /// are held now: `false` if some chunk of it is gone or damaged, or for the own stream. At most [`RECEIVED_INTERVALS_MAX`] intervals count.
+    pub fn restore_contents(
+        &mut self,
+        now: Stamp,
+        stream: Stream,
+        set: u32,
+        received: &[(u32, u32)],
+    ) -> bool {
+        let is_sound = received.iter().all(|&(low, high)| 0 < low && low <= high);
+        if stream == self.own_stream() || received.len() > RECEIVED_INTERVALS_MAX || !is_sound {
             return false;
         }
         let now = self.advance(now);
-        let held = IntervalSet::from_intervals(HELD_INTERVALS_MAX, held.to_vec());
-        let is_held = self.session.deliver_stored_contents(now, stream, set, held);
+        let received = IntervalSet::from_intervals(RECEIVED_INTERVALS_MAX, received.to_vec());
+        let is_received = self.session.deliver_stored_contents(now, stream, set, received);
         self.answer_session(now);
-        is_held
+        is_received
     }
 }

@@ -161,7 +161,7 @@ impl Swarm {
         }
     }
 
-    /// Every robot closes its cycle; then time passes until all hold the same, or `ms` are over.
+    /// Every robot closes its batch; then time passes until all hold the same, or `ms` are over.
     pub fn settle(&mut self, ms: i64) {
         for robot in 0..self.robots.len() {
             self.robots[robot].flush(self.now);

@@ -240,7 +240,7 @@ impl RacerRobot {
     }
 
     /// All that this robot was told of an owner, by whomever. Made anew at each call. O(voxels told).
-    pub fn told_by(&self, owner: RobotId) -> Changes {
+    pub fn observed_by(&self, owner: RobotId) -> Changes {
         let chunks = self.owner(owner).map(|owner| owner.chunks.values()).into_iter().flatten();
         Changes::from_voxels(
             chunks.filter_map(|chunk| Some(self.voxels(&chunk.addresses, chunk.states.as_ref()?))).flatten(),

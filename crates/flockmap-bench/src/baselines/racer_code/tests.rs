@@ -92,12 +92,12 @@ fn the_tail_stays_behind_for_ever() {
     assert_eq!(robots[0].counters().listed, 400);
     // Only while more than 200 are pending is one cut: the second 200 stay.
     assert_eq!((robots[0].counters().chunks, robots[0].left_behind()), (1, 200));
-    assert_eq!(robots[1].told_by(RobotId(1)).len(), 200);
+    assert_eq!(robots[1].observed_by(RobotId(1)).len(), 200);
     scan(&mut robots[0], 100, 1);
     for _ in 0..5 {
         round(&mut robots);
     }
-    assert_eq!((robots[0].left_behind(), robots[1].told_by(RobotId(1)).len()), (1, 400));
+    assert_eq!((robots[0].left_behind(), robots[1].observed_by(RobotId(1)).len()), (1, 400));
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn a_chunk_under_way_is_sent_again_when_the_round_trip_takes_longer_than_the_pau
         }
         assert_eq!(owner.counters().chunks_resent, resent, "after {delay_beats} beats");
         assert_eq!(other.counters().duplicates, resent);
-        assert_eq!(other.told_by(RobotId(1)).len(), 600);
+        assert_eq!(other.observed_by(RobotId(1)).len(), 600);
     }
 }
 
@@ -232,8 +232,8 @@ fn chunks_are_relayed_with_the_states_that_they_have() {
     }
     let [first, second, third] = &robots;
     assert!(second.counters().chunks_relayed > 0);
-    assert_eq!(third.told_by(RobotId(1)), first.told_by(RobotId(1)));
-    assert_eq!(third.told_by(RobotId(1)).len(), 200);
+    assert_eq!(third.observed_by(RobotId(1)), first.observed_by(RobotId(1)));
+    assert_eq!(third.observed_by(RobotId(1)).len(), 200);
 }
 
 #[test]
@@ -254,7 +254,7 @@ fn on_a_shared_medium_everyone_takes_in_what_was_meant_for_another() {
             }
         }
         beat(third);
-        assert_eq!(third.told_by(RobotId(1)).len(), overheard);
+        assert_eq!(third.observed_by(RobotId(1)).len(), overheard);
     }
 }
 
@@ -265,7 +265,7 @@ fn the_new_chunks_of_an_owner_that_starts_again_are_taken_for_known() {
     for _ in 0..5 {
         round(&mut robots);
     }
-    let before = robots[1].told_by(RobotId(1));
+    let before = robots[1].observed_by(RobotId(1));
     robots[0] = robot(1, 2);
     // It is elsewhere now.
     for y in 500..508 {
@@ -275,7 +275,7 @@ fn the_new_chunks_of_an_owner_that_starts_again_are_taken_for_known() {
     for _ in 0..20 {
         round(&mut robots);
     }
-    assert_eq!(robots[1].told_by(RobotId(1)), before, "no run, so chunk 1 is known already");
+    assert_eq!(robots[1].observed_by(RobotId(1)), before, "no run, so chunk 1 is known already");
     assert_eq!(robots[1].state(Voxel::new(5, 503, 0)), State::Unknown);
     // Nor does it get back what it told before.
     assert_eq!(robots[0].state(Voxel::new(5, 0, 0)), State::Unknown);
@@ -293,7 +293,7 @@ fn a_received_chunk_overwrites_what_the_robot_saw_itself() {
     other.handle_datagram(Topic::Chunk, &chunk.emit()).unwrap();
     beat(&mut other);
     assert_eq!(other.state(Voxel::new(10, 0, 0)), State::Occupied);
-    assert_eq!(other.told_by(RobotId(1)).get(Voxel::new(10, 0, 0)), State::Occupied);
+    assert_eq!(other.observed_by(RobotId(1)).get(Voxel::new(10, 0, 0)), State::Occupied);
 }
 
 #[test]
@@ -309,9 +309,9 @@ fn every_voxel_of_the_grid_has_its_address_and_what_lies_outside_is_not_told() {
     small.handle_datagram(Topic::Chunk, &chunk(2, (200..240).collect()).emit()).unwrap();
     assert!(small.handle_datagram(Topic::Chunk, &chunk(3, outside).emit()).is_err());
     beat(&mut small);
-    let told = small.told_by(RobotId(2));
-    assert_eq!(told.len(), 240);
-    assert!(region.voxels().all(|voxel| told.get(voxel) == State::Free));
+    let published = small.observed_by(RobotId(2));
+    assert_eq!(published.len(), 240);
+    assert!(region.voxels().all(|voxel| published.get(voxel) == State::Free));
     scan(&mut small, 1, 50);
     assert_eq!(small.counters().outside, 50 - 18, "the ray leaves the grid after 18 voxels");
 }
@@ -382,7 +382,7 @@ proptest! {
             }
         }
         beat(&mut robot);
-        prop_assert!(robot.told_by(RobotId(1)).len() <= 100);
-        prop_assert!(robot.told_by(RobotId(2)).len() <= 400);
+        prop_assert!(robot.observed_by(RobotId(1)).len() <= 100);
+        prop_assert!(robot.observed_by(RobotId(2)).len() <= 400);
     }
 }

@@ -2,7 +2,7 @@
 
 use flockmap::grid::{Changes, Stamp, State, Voxel};
 
-use super::{Run, config, cycle, state};
+use super::{Run, batch, config, state};
 use crate::baselines::{Method, Receiver, Sender};
 
 #[test]
@@ -52,10 +52,10 @@ impl ByHand {
     }
 
     /// The bytes of the messages.
-    fn cycle(&mut self, ms: i64, changes: &Changes) -> usize {
+    fn batch(&mut self, ms: i64, changes: &Changes) -> usize {
         let mut out = Vec::new();
         let now = Stamp(ms * 1_000);
-        self.sender.cycle(now, &cycle(now), changes, &mut out).unwrap();
+        self.sender.batch(now, &batch(now), changes, &mut out).unwrap();
         out.iter().for_each(|message| self.receiver.receive(message).unwrap());
         out.iter().map(Vec::len).sum()
     }
@@ -69,25 +69,25 @@ fn of_block(numbers: core::ops::Range<i32>, state: State) -> Changes {
 #[test]
 fn gvp_sends_a_block_that_is_nearly_known_at_once_and_a_tail_never() {
     let mut gvp = ByHand::new(Method::Gvp);
-    assert_eq!(gvp.cycle(0, &of_block(0..499, State::Free)), 0, "499 of 512 are 97.46 %");
-    assert_eq!(gvp.cycle(100, &of_block(499..500, State::Occupied)), 8 + 128);
+    assert_eq!(gvp.batch(0, &of_block(0..499, State::Free)), 0, "499 of 512 are 97.46 %");
+    assert_eq!(gvp.batch(100, &of_block(499..500, State::Occupied)), 8 + 128);
     assert_eq!(state(&*gvp.receiver, Voxel::new(0, 0, 0)), State::Free);
     // Later changes wait for 15 % and 2 s.
-    assert_eq!(gvp.cycle(9_000, &of_block(0..76, State::Occupied)), 0, "76 of 512 are 14.8 %");
+    assert_eq!(gvp.batch(9_000, &of_block(0..76, State::Occupied)), 0, "76 of 512 are 14.8 %");
     assert_eq!(state(&*gvp.receiver, Voxel::new(0, 0, 0)), State::Free, "stale");
-    assert_eq!(gvp.cycle(9_100, &of_block(76..77, State::Occupied)), 8 + 128);
+    assert_eq!(gvp.batch(9_100, &of_block(76..77, State::Occupied)), 8 + 128);
     assert_eq!(state(&*gvp.receiver, Voxel::new(0, 0, 0)), State::Occupied);
-    assert_eq!(gvp.cycle(20_000, &of_block(100..110, State::Occupied)), 0, "a tail is not flushed");
+    assert_eq!(gvp.batch(20_000, &of_block(100..110, State::Occupied)), 0, "a tail is not flushed");
 }
 
 #[test]
 fn gvp_waits_two_seconds_for_a_block_that_is_not_known_well() {
     let mut gvp = ByHand::new(Method::Gvp);
-    assert_eq!(gvp.cycle(0, &of_block(0..200, State::Free)), 0);
-    assert_eq!(gvp.cycle(1_999, &of_block(200..201, State::Free)), 0);
-    assert_eq!(gvp.cycle(2_000, &of_block(201..202, State::Free)), 136);
+    assert_eq!(gvp.batch(0, &of_block(0..200, State::Free)), 0);
+    assert_eq!(gvp.batch(1_999, &of_block(200..201, State::Free)), 0);
+    assert_eq!(gvp.batch(2_000, &of_block(201..202, State::Free)), 136);
     // A block all of one state is 8 bytes.
-    assert_eq!(gvp.cycle(2_500, &of_block(202..512, State::Free)), 8);
+    assert_eq!(gvp.batch(2_500, &of_block(202..512, State::Free)), 8);
 }
 
 #[test]
@@ -96,13 +96,13 @@ fn marble_sends_every_ten_seconds_and_only_if_it_is_worth_it() {
     let rod = |from: i32, state| {
         Changes::from_voxels((from..from + 1_500).map(move |x| (Voxel::new(x, 0, 0), state)))
     };
-    assert_eq!(marble.cycle(500, &rod(0, State::Free)), 0);
-    assert!(marble.cycle(10_000, &rod(3_000, State::Free)) > 0);
+    assert_eq!(marble.batch(500, &rod(0, State::Free)), 0);
+    assert!(marble.batch(10_000, &rod(3_000, State::Free)) > 0);
     assert_eq!(state(&*marble.receiver, Voxel::new(0, 0, 0)), State::Free);
     // There and back is no change, and a few voxels are not worth a message.
-    assert_eq!(marble.cycle(12_000, &rod(0, State::Occupied)), 0);
-    assert_eq!(marble.cycle(15_000, &rod(0, State::Free)), 0);
-    assert_eq!(marble.cycle(20_000, &of_block(0..5, State::Occupied)), 0);
+    assert_eq!(marble.batch(12_000, &rod(0, State::Occupied)), 0);
+    assert_eq!(marble.batch(15_000, &rod(0, State::Free)), 0);
+    assert_eq!(marble.batch(20_000, &of_block(0..5, State::Occupied)), 0);
     assert_eq!(state(&*marble.receiver, Voxel::new(0, 0, 0)), State::Free, "stale");
 }
 
@@ -113,10 +113,10 @@ fn colag_lists_what_is_unknown_again_and_again() {
         Changes::from_voxels([(Voxel::new(a, a, a), State::Free), (Voxel::new(b, b, b), State::Occupied)])
     };
     let head = 1 + 12 + 3 + 1;
-    assert_eq!(colag.cycle(0, &corners(0, 9)), head + 4 * 999, "one free voxel in 1,000");
-    assert_eq!(colag.cycle(500, &corners(0, 9)), head + 4 * 999, "told before, told again");
+    assert_eq!(colag.batch(0, &corners(0, 9)), head + 4 * 999, "one free voxel in 1,000");
+    assert_eq!(colag.batch(500, &corners(0, 9)), head + 4 * 999, "told before, told again");
     let mut blocks = ByHand::new(Method::ColagBlocks);
-    assert!(blocks.cycle(0, &corners(0, 9)) < 50);
+    assert!(blocks.batch(0, &corners(0, 9)) < 50);
 }
 
 #[test]
@@ -131,9 +131,9 @@ fn what_has_no_room_in_the_form_of_a_method_is_an_error() {
         (Method::Colag, &wide, "colag cannot send this"),
     ] {
         let mut by_hand = ByHand::new(method);
-        let error = by_hand.sender.cycle(Stamp(0), &cycle(Stamp(0)), changes, &mut Vec::new());
+        let error = by_hand.sender.batch(Stamp(0), &batch(Stamp(0)), changes, &mut Vec::new());
         assert!(error.unwrap_err().to_string().contains(expected));
     }
     let mut near = ByHand::new(Method::AddressDeltaZstd);
-    assert!(near.cycle(0, &wide) < 60, "a list does not mind a wide box");
+    assert!(near.batch(0, &wide) < 60, "a list does not mind a wide box");
 }

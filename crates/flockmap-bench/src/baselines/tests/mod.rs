@@ -5,7 +5,7 @@ mod damage;
 
 use std::collections::BTreeMap;
 
-use flockmap::codec::Cycle;
+use flockmap::codec::Batch;
 use flockmap::grid::{
     Changes, Layer, Mapper, MapperConfig, Pose, Preset, Resolution, RobotId, Scan, Sphere, Stamp, State,
     Stream, Voxel, Which, voxel_bit,
@@ -57,7 +57,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// A flight of so many scans; a cycle closes every third scan, and once for obstacles alone in between.
+    /// A flight of so many scans; a batch closes every third scan, and once for obstacles alone in between.
     pub fn new(method: Method, seed: u64, scans: i64) -> Self {
         let config = config();
         let mut mapper = Mapper::new(config.clone()).unwrap();
@@ -81,24 +81,24 @@ impl Run {
             };
             if let Some(which) = which {
                 let changes = mapper.take_changes(which);
-                run.cycle(&mut *sender, scan.stamp, &changes, &mut out);
+                run.batch(&mut *sender, scan.stamp, &changes, &mut out);
             }
             run.deliver(out);
         }
         let mut out = Vec::new();
         let now = Stamp((scans + 1) * 100_000);
         let changes = mapper.take_changes(Which::All);
-        run.cycle(&mut *sender, now, &changes, &mut out);
+        run.batch(&mut *sender, now, &changes, &mut out);
         run.deliver(out);
         run
     }
 
-    fn cycle(&mut self, sender: &mut dyn Sender, now: Stamp, changes: &Changes, out: &mut Messages) {
+    fn batch(&mut self, sender: &mut dyn Sender, now: Stamp, changes: &Changes, out: &mut Messages) {
         if changes.is_empty() {
             return;
         }
         self.truth.apply(changes, now);
-        sender.cycle(now, &cycle(now), changes, out).unwrap();
+        sender.batch(now, &batch(now), changes, out).unwrap();
     }
 
     fn deliver(&mut self, messages: Messages) {
@@ -122,9 +122,9 @@ impl Run {
     }
 }
 
-pub fn cycle(end: Stamp) -> Cycle {
+pub fn batch(end: Stamp) -> Batch {
     let stream = Stream { origin: RobotId(1), epoch: 1 };
-    Cycle { stream, start: Stamp(0), end, resolution: config().resolution, sensor: [0; 3] }
+    Batch { stream, start: Stamp(0), end, resolution: config().resolution, sensor: [0; 3] }
 }
 
 /// What a receiver says of a voxel.

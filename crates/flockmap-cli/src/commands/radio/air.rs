@@ -84,7 +84,7 @@ impl Air {
         let delivery = self.radio.deliver_due(now)?;
         let (from, to) = (usize::from(delivery.from.0), usize::from(delivery.to.0));
         let mut bytes = delivery.bytes.to_vec();
-        if self.random.chance(self.links[from - 1][to - 1].bit_flips) && !bytes.is_empty() {
+        if self.random.happens(self.links[from - 1][to - 1].bit_flips) && !bytes.is_empty() {
             let bit = self.random.below(bytes.len() as u64 * 8) as usize;
             bytes[bit / 8] ^= 1 << (bit % 8);
             self.flipped[to - 1] += 1;

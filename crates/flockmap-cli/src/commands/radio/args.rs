@@ -70,13 +70,13 @@ Examples:
   flockmap radio 127.0.0.1:7701 127.0.0.1:7702 --jitter-ms 30 --duplication 0.02 --bit-flips 0.01 --at \"0 link 1>2 loss=0.5\"
 
 Stands between robots (`flockmap node`) and does to their datagrams what a bad radio would. Robot N appears to the others at the port of
---listen plus N. In the configuration of each robot give the addresses of the others there, and no other way: what to write is
+--listen plus N. In the configuration of each robot give the addresses of the others there, and no other track: what to write is
 printed at the start. A datagram counts for the link from the robot whose address it comes from to the robot at whose port it arrives;
 what comes from elsewhere is dropped and counted.
 
 Commands, on standard input or with --at:
   split 1,2/3,4     only robots of one group hear each other; one that is not named hears nobody
-  cut LINKS         nothing passes; LINKS is 1-2 (both ways), 1>2 (one way), 1 (all of robot 1) or all
+  cut LINKS         nothing passes; LINKS is 1-2 (both tracks), 1>2 (one track), 1 (all of robot 1) or all
   join LINKS        it passes again
   heal              everything passes again
   link LINKS loss=P delay-ms=D jitter-ms=J duplication=P bit-flips=P

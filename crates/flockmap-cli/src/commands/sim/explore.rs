@@ -107,7 +107,7 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
         seconds_max: args.seconds_max,
         limits,
         radio: RadioConfig { link, ..RadioConfig::default() },
-        cycle: map.cycle()?,
+        batch: map.batch()?,
         codec: args.codec,
         session,
         threads: args.threads.unwrap_or_else(|| cores().min(64)),

@@ -25,7 +25,7 @@ Examples:
   flockmap sim fly --scene fr_079.bt --robots 3 --lidar mid360 --no-returns --out office
 
 Each file holds the scans (PointCloud2), the pose of the sensor at each (Odometry and tf), and every 2 s a picture of the map that the robot has
-made and of its way; ROS 2, Foxglove and Rerun open it as it is. The same command gives the same bytes, whatever --threads is.
+made and of its track; ROS 2, Foxglove and Rerun open it as it is. The same command gives the same bytes, whatever --threads is.
 A replay of the files is the replay of the flight itself: `replay forest --see-team-mates` gives the same bytes. Robots are in each other's scans;
 --see-team-mates leaves them out of the maps again.",
         // What says how to read records, or when to send, says nothing here.

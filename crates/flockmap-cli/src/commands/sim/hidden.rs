@@ -9,17 +9,17 @@ pub fn hide_foreign(arg: clap::Arg) -> clap::Arg {
         "points_topic",
         "odometry_topic",
         "map_frame",
-        "t_l",
-        "t_l_occupied",
+        "publish_period",
+        "obstacle_period",
         "d",
     ];
     if foreign.contains(&arg.get_id().as_str()) { arg.hide(true) } else { arg }
 }
 
-/// As [`hide_foreign`]; cycles count here, the length of flights does not.
+/// As [`hide_foreign`]; batches count here, the length of flights does not.
 pub fn hide_foreign_to_exploration(arg: clap::Arg) -> clap::Arg {
     match arg.get_id().as_str() {
-        "t_l" | "t_l_occupied" | "d" => arg,
+        "publish_period" | "obstacle_period" | "d" => arg,
         "seconds" | "moving_obstacles" => arg.hide(true),
         _ => hide_foreign(arg),
     }

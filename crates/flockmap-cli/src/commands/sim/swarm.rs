@@ -31,7 +31,7 @@ partitions, half-open links, clocks (also such that step, repeat and rewind), cr
 faulty senders, budgets, limits. What was drawn is printed before the first event. An option takes the place of what would be drawn.
 Each robot is a real one, with a mapper, codec, session and fused map, in a small world. Mapping ends, links heal, and then all must agree.
 
-Checkers: voxel (a layer holds only what its origin told), layer (nothing older than what is held), packed (packages say what a cycle
+Checkers: voxel (a layer holds only what its origin reported), layer (nothing older than what is held), packed (packages say what a batch
 changed), fused (the fused map follows from the layers), memory, in_flight (stated limits), twice (nothing twice within a round trip),
 budget (bytes of any second), quiet (nothing but requests when nothing is missing), agreement (equal maps in time), still (time goes on),
 nonce and key (sealed datagrams), identity (no run twice), path (an address is used after it has answered), work (what a datagram can cost),

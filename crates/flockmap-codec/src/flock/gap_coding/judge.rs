@@ -3,7 +3,7 @@
 use flockmap_grid::{BLOCK_SIDE, Changes, Plane, StateBlock, VoxelBox};
 
 use super::cut::estimate_of;
-use super::limits::changes_max;
+use super::limits::voxels_max;
 
 /// Whether gap coding is worth trying: neither the places of the changes nor their states hang together.
 /// `region` is the tight box of `changes`. Compares neighbours along x, y and z with what changes thrown
@@ -22,22 +22,22 @@ pub(crate) fn has_no_pattern(changes: &Changes, region: &VoxelBox) -> bool {
     // Of all pairs of neighbours in the box: how many would be changed both if it were by chance, and how
     // many more are?
     let pairs = count(|block| pairs_in(&block.known()));
-    let by_chance = pairs_of(region) * changed / voxels * changed / voxels;
+    let expected = pairs_of(region) * changed / voxels * changed / voxels;
     // All pairs of a pure pattern.
     let most = pairs_of(region) * changed / voxels;
-    if pairs - by_chance > (most - by_chance) / 20 + luck(by_chance) {
+    if pairs - expected > (most - expected) / 20 + luck(expected) {
         return false;
     }
     // The same for the states of the pairs.
     let equal = count(|block| pairs_in(block.free()) + pairs_in(block.occupied()));
     let free = changed - occupied;
-    let by_chance = pairs * (free * free + occupied * occupied) / (changed * changed).max(1);
-    if equal - by_chance > (pairs - by_chance) / 10 + luck(pairs - by_chance) {
+    let expected = pairs * (free * free + occupied * occupied) / (changed * changed).max(1);
+    if equal - expected > (pairs - expected) / 10 + luck(pairs - expected) {
         return false;
     }
     // Without zeros for the work of its blocks: what needs them has a pattern.
     let payload = estimate_of(region, 0, changes.len(), occupied as usize);
-    changes.len() <= changes_max(payload.saturating_sub(8))
+    changes.len() <= voxels_max(payload.saturating_sub(8))
 }
 
 /// How far a count of independent things that is so large on average hardly ever strays.

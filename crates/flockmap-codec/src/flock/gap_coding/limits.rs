@@ -8,7 +8,7 @@ use crate::work;
 /// Payloads that would be shorter (a full box that became Free costs next to nothing) are filled up with
 /// zeros, so that a short payload never makes a receiver hold a large map. A change takes a block of 144
 /// bytes at most, hence 1.7 KB for each byte of payload, and three times that while the list of blocks grows.
-pub(crate) const fn changes_max(payload_bytes: usize) -> usize {
+pub(crate) const fn voxels_max(payload_bytes: usize) -> usize {
     payload_bytes.saturating_mul(CHANGES_PER_BYTE).saturating_add(CHANGES_FREE)
 }
 

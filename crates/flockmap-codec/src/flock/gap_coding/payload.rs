@@ -1,10 +1,10 @@
 //! Payload: the bytes of one arithmetic coder, which tell the number of changes and then each of them, and
-//! zeros up to the length that [`changes_max`] asks for.
+//! zeros up to the length that [`voxels_max`] asks for.
 
 use flockmap_grid::{BlockIndex, Changes, StateBlock, VoxelBox};
 
 use super::law::Gaps;
-use super::limits::{bytes_min, changes_max};
+use super::limits::{bytes_min, voxels_max};
 use super::places::Order;
 use crate::codec::Codec;
 use crate::error::PackageError;
@@ -41,7 +41,7 @@ pub(crate) fn encode(changes: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
 }
 
 /// The changes in `payload`; the inverse of [`encode`]. The number is checked against the box and
-/// [`changes_max`] before memory is taken. Any other bytes give some changes inside the box: whether they are
+/// [`voxels_max`] before memory is taken. Any other bytes give some changes inside the box: whether they are
 /// right is for the check of the package to say.
 ///
 /// # Errors
@@ -57,7 +57,7 @@ pub(crate) fn decode(payload: &[u8], region: &VoxelBox, work: &mut Work) -> Resu
             limit: BOX_VOXELS_MAX,
         });
     }
-    let limit = (voxels as usize).min(changes_max(payload.len()));
+    let limit = (voxels as usize).min(voxels_max(payload.len()));
     let mut bits = BitReader::new(payload);
     let total = number(&mut bits, 0);
     if total as usize > limit {

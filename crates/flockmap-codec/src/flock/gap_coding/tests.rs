@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::cut::{cut, estimate};
 use super::judge::has_no_pattern;
-use super::limits::{bytes_min, changes_max};
+use super::limits::{bytes_min, voxels_max};
 use super::payload::{encode, number};
 use crate::codec::Codec;
 use crate::error::PackageError;
@@ -205,7 +205,7 @@ proptest! {
         for payload in [bytes.clone(), [numbered(total), bytes].concat()] {
             let payload = &payload;
             if let Ok(changes) = decode(payload, &draw.region) {
-                prop_assert!(changes.len() <= changes_max(payload.len()));
+                prop_assert!(changes.len() <= voxels_max(payload.len()));
                 let inside = changes.bounding_box().is_none_or(|b| b.union(&draw.region) == draw.region);
                 prop_assert!(inside);
             }
@@ -222,7 +222,7 @@ proptest! {
         payload.iter_mut().skip(at).take(1).for_each(|byte| *byte ^= flip);
         for payload in [&payload[..], &payload[..cut.index(payload.len() + 1)]] {
             if let Ok(decoded) = decode(payload, &region) {
-                prop_assert!(!decoded.is_empty() && decoded.len() <= changes_max(payload.len()));
+                prop_assert!(!decoded.is_empty() && decoded.len() <= voxels_max(payload.len()));
                 prop_assert_eq!(decoded.bounding_box().map(|b| b.union(&region)), Some(region));
             }
         }
@@ -272,7 +272,7 @@ fn a_full_box_of_one_state_is_filled_up_to_the_limit_of_the_decoder() {
         let changes = Changes::from_voxels(region.voxels().map(|v| (v, state)));
         let payload = encoded(&changes, &region);
         assert_eq!(payload.len(), bytes_min(changes.len(), changes.blocks().len()));
-        assert!(changes_max(payload.len()) >= changes.len());
+        assert!(voxels_max(payload.len()) >= changes.len());
         assert_eq!(decode(&payload, &region), Ok(changes.clone()));
         let short = &payload[..payload.len() - 1];
         assert!(is_refused(short, &region));
@@ -339,7 +339,7 @@ const GOLDEN: u32 = 3_963_041_922;
 fn noise_figures() {
     use crate::{Codec, Encoder};
     use std::time::Instant;
-    let cycle = crate::Cycle {
+    let batch = crate::Batch {
         stream: flockmap_grid::Stream { origin: flockmap_grid::RobotId(1), epoch: 1 },
         start: flockmap_grid::Stamp(0),
         end: flockmap_grid::Stamp(500_000),
@@ -390,7 +390,7 @@ fn noise_figures() {
                     in_pieces += encoded(piece, region).len() + 35;
                 }
                 let package =
-                    |codec| Encoder::new().encode_whole(codec, &cycle, 1, &changes).unwrap().bytes().len();
+                    |codec| Encoder::new().encode_whole(codec, &batch, 1, &changes).unwrap().bytes().len();
                 paper += package(Codec::Paper);
                 racer += package(Codec::Racer);
             }

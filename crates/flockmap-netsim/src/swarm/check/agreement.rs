@@ -4,7 +4,7 @@
 //! robot holds, also beyond gaps. Left out are ended runs that a robot has forgotten, or for which it has no place (`streams_max`,
 //! `epochs_max`), with those of the same robot before them; and ended runs that nobody passes on (`Relay::Never`).
 //!
-//! The time is the sum of: 50 s in which refused packages, declined present states and abandoned transfers are tried again; for
+//! The time is the sum of: 50 s in which refused packages, declined snapshots and abandoned transfers are tried again; for
 //! each hop four requests, and each robot's relay delay; and what all packages together take through the smallest budget, six times
 //! for each robot that has to get them. Where epochs come from clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
 
@@ -25,8 +25,8 @@ const ANEW: i64 = 80_000_000;
 pub(in crate::swarm) fn bound(
     robots: &[&Robot],
     hops: usize,
-    told_bytes: u64,
-    told_packages: u64,
+    published_bytes: u64,
+    published_packages: u64,
     may_begin_anew: bool,
 ) -> i64 {
     let configs = || robots.iter().map(|robot| robot.session().config());
@@ -42,7 +42,7 @@ pub(in crate::swarm) fn bound(
     });
     let budget = budgets.flatten().min().unwrap_or(2_000_000).max(1);
     // Each package alone in its datagram.
-    let bytes = told_bytes + 80 * told_packages;
+    let bytes = published_bytes + 80 * published_packages;
     let copies = robots.len() as u64;
     let sending = (6 * copies * bytes).saturating_mul(1_000_000) / budget;
     let anew = if may_begin_anew { ANEW } else { 0 };
@@ -82,10 +82,10 @@ pub(in crate::swarm) fn disagreement(
         for robot in robots {
             let id = robot.own_stream().origin;
             let lacks = |low: u32, high: u32| {
-                let held = robot.session().held(stream)?;
-                held.missing(low, high).next()
+                let received = robot.session().received(stream)?;
+                received.missing(low, high).next()
             };
-            let missing = |low: u32, high: u32| match robot.session().held(stream) {
+            let missing = |low: u32, high: u32| match robot.session().received(stream) {
                 None if low <= high => Some((low, high)),
                 None => None,
                 Some(_) => lacks(low, high),
@@ -97,8 +97,8 @@ pub(in crate::swarm) fn disagreement(
                 continue;
             }
             for other in robots {
-                let held = other.session().held(stream);
-                let intervals = held.into_iter().flat_map(flockmap::sync::IntervalSet::intervals);
+                let received = other.session().received(stream);
+                let intervals = received.into_iter().flat_map(flockmap::sync::IntervalSet::intervals);
                 let gap = intervals.copied().find_map(|(low, high)| missing(low, high));
                 if let Some((low, high)) = gap {
                     let whose = other.own_stream();
@@ -130,7 +130,7 @@ fn is_passed_on(robots: &[&Robot], forgotten: &Forgotten, run: Stream) -> bool {
             let (session, own) = (robot.session(), robot.own_stream());
             let config = session.config();
             let others = || session.streams().filter(|stream| *stream != own);
-            let has_place = session.held(run).is_some()
+            let has_place = session.received(run).is_some()
                 || (others().count() < config.streams_max
                     && others().filter(|other| other.origin == run.origin).count() < config.epochs_max);
             has_place && config.relay != Relay::Never

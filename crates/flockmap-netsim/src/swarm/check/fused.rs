@@ -26,12 +26,12 @@ pub(in crate::swarm) fn wrong_fused(
         let corner = block.corner();
         let fused = robot.map().block(block).copied().unwrap_or_default();
         let mapped = mapper.block(block).copied().unwrap_or_default();
-        let told: Vec<_> = layers
+        let published: Vec<_> = layers
             .iter()
             .filter_map(|(stream, layer)| Some((stream.origin, *layer, layer.block(block)?)))
             .collect();
         for bit in 0..512 {
-            let mut words = told.iter().map(|(_, _, states)| states.get(bit)).chain([mapped.get(bit)]);
+            let mut words = published.iter().map(|(_, _, states)| states.get(bit)).chain([mapped.get(bit)]);
             let (mut free, mut occupied) = (false, false);
             words.by_ref().for_each(|state| match state {
                 State::Free => free = true,
@@ -52,7 +52,7 @@ pub(in crate::swarm) fn wrong_fused(
                         let seen = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
                         newest = Some((seen.plus_micros(priority), mapped.get(bit) == State::Occupied));
                     }
-                    for (origin, layer, _) in &told {
+                    for (origin, layer, _) in &published {
                         let Some((state, stamp)) = layer.get(voxel) else { continue };
                         match ahead(*origin) {
                             Some(micros) => {

@@ -14,17 +14,17 @@ pub(in crate::swarm) fn layer_after(
     stream: Stream,
     changes: &Changes,
 ) -> Option<Finding> {
-    let told = truth.told(stream)?;
-    let held = robot.session().held(stream)?;
-    let wrong = told.find_older(changes, robot.fusion().layer(stream), held)?;
+    let published = truth.published(stream)?;
+    let received = robot.session().received(stream)?;
+    let wrong = published.find_older(changes, robot.fusion().layer(stream), received)?;
     Some(finding(stream, wrong))
 }
 
 /// The whole layer. O(voxels that the origin told).
 pub(in crate::swarm) fn whole_layer(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
-    let told = truth.told(stream)?;
-    let held = robot.session().held(stream)?;
-    Some(finding(stream, told.find_older_in(robot.fusion().layer(stream), held)?))
+    let published = truth.published(stream)?;
+    let received = robot.session().received(stream)?;
+    Some(finding(stream, published.find_older_in(robot.fusion().layer(stream), received)?))
 }
 
 fn finding(stream: Stream, wrong: Wrong) -> Finding {

@@ -6,10 +6,10 @@ use flockmap::{Cast, Robot};
 const MEMORY: &str = "memory";
 const IN_FLIGHT: &str = "in_flight";
 
-/// Undecided packages and tiles, as the session states it.
-const UNDECIDED_MAX: usize = 4_096;
+/// Undecided packages and chunks, as the session states it.
+const PENDING_MAX: usize = 4_096;
 /// Refused ones that are remembered.
-const REFUSED_MAX: usize = 1_024;
+const BACKED_OFF_MAX: usize = 1_024;
 /// Packages that wait for their reference at a robot, and their bytes.
 const WAITING_MAX: usize = 1_024;
 const WAITING_BYTES_MAX: usize = 1 << 20;
@@ -20,17 +20,20 @@ const INTERVALS_MAX: usize = 1_024;
 pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
     let (session, config) = (robot.session(), robot.session().config());
     let load = session.load();
-    let intervals =
-        session.streams().filter_map(|stream| session.held(stream)).map(|held| held.intervals().len()).max();
+    let intervals = session
+        .streams()
+        .filter_map(|stream| session.received(stream))
+        .map(|received| received.intervals().len())
+        .max();
     // By broadcast, what goes to another peer is noted beyond the limit, up to twice as much.
     let in_flight_max = config.in_flight_max * if config.cast == Cast::Broadcast { 2 } else { 1 };
     let limits = [
         (MEMORY, "peers", load.peers, config.peers_max),
         (MEMORY, "streams of others", load.streams, config.streams_max),
         (MEMORY, "bytes in the store", session.store().bytes(), config.store_bytes_max),
-        (MEMORY, "packages undecided", load.undecided, UNDECIDED_MAX),
-        (MEMORY, "packages refused", load.refused, REFUSED_MAX),
-        (MEMORY, "present states received at once", load.transfers, config.transfers_max),
+        (MEMORY, "packages undecided", load.pending, PENDING_MAX),
+        (MEMORY, "packages refused", load.backed_off, BACKED_OFF_MAX),
+        (MEMORY, "snapshots received at once", load.transfers, config.transfers_max),
         (MEMORY, "packages that wait", load.waiting, WAITING_MAX),
         (MEMORY, "bytes of packages that wait", load.waiting_bytes, WAITING_BYTES_MAX),
         (MEMORY, "intervals held of a stream", intervals.unwrap_or(0), INTERVALS_MAX),

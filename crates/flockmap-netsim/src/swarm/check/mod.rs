@@ -33,7 +33,7 @@ pub(super) mod names {
     pub(in crate::swarm) use super::agreement::NAME as AGREEMENT;
     /// What a robot's call into the library panicked with.
     pub(in crate::swarm) const CRASH: &str = "crash";
-    /// The packages of a cycle, decoded at their origin, say what the cycle changed.
+    /// The packages of a batch, decoded at their origin, say what the batch changed.
     pub(in crate::swarm) const PACKED: &str = "packed";
     /// What the simulator asks of its own settings.
     pub(in crate::swarm) const SETTINGS: &str = "settings";

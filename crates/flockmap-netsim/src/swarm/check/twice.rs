@@ -2,7 +2,7 @@
 //!
 //! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
 //! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with, on its own clock; what it has found lost by then stays lost.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
-//! send are allowed, and counted as relayed. A tile that is broadcast for one peer while another one begins the same set may go
+//! send are allowed, and counted as relayed. A chunk that is broadcast for one peer while another one begins the same set may go
 //! out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions that compare successive requests (the paper's) measure no round trip and are
 //! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
 
@@ -15,7 +15,7 @@ use rustc_hash::FxHashMap;
 
 const NAME: &str = "twice";
 
-/// A package by its index, or a tile by its set and number.
+/// A package by its index, or a chunk by its set and number.
 type Item = (Stream, u32, Option<(u32, u32)>);
 
 /// What one robot knows of another, as the simulator sees it.
@@ -46,7 +46,7 @@ impl Twice {
         for pair in self.peers.values_mut() {
             pair.sent.retain(|(stream, ..), _| *stream != run);
             if let Some((_, request)) = &mut pair.request {
-                request.held.retain(|held| held.stream != run);
+                request.received.retain(|received| received.stream != run);
             }
         }
     }
@@ -96,12 +96,12 @@ impl Twice {
             .collect();
         for package in packages {
             let header = package.header();
-            let tile = match header.content {
-                ContentKind::Present { set, tile, .. } => Some((set, tile)),
+            let chunk = match header.content {
+                ContentKind::Snapshot { set, chunk, .. } => Some((set, chunk)),
                 ContentKind::Changes => None,
             };
-            let item = (header.stream, header.index, tile);
-            let is_noted = ledger && (tile.is_none() || to.is_some());
+            let item = (header.stream, header.index, chunk);
+            let is_noted = ledger && (chunk.is_none() || to.is_some());
             let mut reasons = Vec::new();
             for (stream, is_full) in &peers {
                 let peer = stream.origin;
@@ -110,13 +110,16 @@ impl Twice {
                     continue;
                 }
                 let pair = self.peers.entry(peer).or_default();
-                let says_held = tile.is_none()
+                let says_received = chunk.is_none()
                     && pair.request.as_ref().is_some_and(|(_, request)| {
-                        request.held.iter().any(|held| held.stream == item.0 && held.held.contains(item.1))
+                        request
+                            .received
+                            .iter()
+                            .any(|received| received.stream == item.0 && received.received.contains(item.1))
                     });
                 // To one that says to hold it nothing is sent, even if it hears it: it may take its word back.
-                let before = if says_held || *is_full { None } else { pair.sent.insert(item, now) };
-                if says_held {
+                let before = if says_received || *is_full { None } else { pair.sent.insert(item, now) };
+                if says_received {
                     reasons.push(format!("{peer:?} has said that it holds it"));
                 } else if let Some((before, shown)) = before
                     && is_noted
@@ -132,8 +135,8 @@ impl Twice {
                 }
             }
             if reasons.len() == peers.len() {
-                let what = match tile {
-                    Some((set, tile)) => format!("tile {tile} of set {set:08x} of {:?}", item.0),
+                let what = match chunk {
+                    Some((set, chunk)) => format!("chunk {chunk} of set {set:08x} of {:?}", item.0),
                     None => format!("package {} of {:?}", item.1, item.0),
                 };
                 return Some(Finding {

@@ -6,7 +6,7 @@ use flockmap::{Changes, Robot, Stamp, Stream};
 
 const NAME: &str = "voxel";
 
-/// After a package was merged: everything that it said was told by the cycle that it is of. O(blocks).
+/// After a package was merged: everything that it said was told by the batch that it is of. O(blocks).
 pub(in crate::swarm) fn voxels_of_merge(
     truth: &Truth,
     stream: Stream,
@@ -14,21 +14,21 @@ pub(in crate::swarm) fn voxels_of_merge(
     changes: &Changes,
     stamp: Stamp,
 ) -> Option<Finding> {
-    let Some(told) = truth.told(stream) else {
+    let Some(published) = truth.published(stream) else {
         return Some(Finding {
             checker: NAME,
             expected: "a stream that somebody made".to_owned(),
             found: format!("package {index} of {stream:?}"),
         });
     };
-    let wrong = told.find_untold(changes, stamp)?;
+    let wrong = published.find_unpublished(changes, stamp)?;
     Some(finding(stream, &wrong))
 }
 
 /// The whole layer. O(voxels).
 pub(in crate::swarm) fn whole_voxels(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
-    let (told, layer) = (truth.told(stream)?, robot.fusion().layer(stream)?);
-    Some(finding(stream, &told.find_untold_in(layer)?))
+    let (published, layer) = (truth.published(stream)?, robot.fusion().layer(stream)?);
+    Some(finding(stream, &published.find_untold_in(layer)?))
 }
 
 fn finding(stream: Stream, wrong: &Wrong) -> Finding {

@@ -27,7 +27,7 @@ pub(super) struct Eyes {
     sealed: check::Sealed,
     pub(super) identities: check::Identities,
     pub(super) truth: Truth,
-    /// Layers with tiles of a present state in them, since they were looked at as a whole.
+    /// Layers with chunks of a snapshot in them, since they were looked at as a whole.
     pub(super) dirty: Vec<(usize, Stream)>,
     pub(super) at_work: Option<RobotId>,
     pub(super) failure: Option<Failure>,
@@ -93,21 +93,21 @@ impl Eyes {
                 disk.note(now, &event);
             }
             match event {
-                Event::CycleClosed { changes, packages, .. } => {
-                    if let Err(found) = self.truth.note_cycle(&changes, &packages) {
-                        let expected = "packages that say what their cycle changed".to_owned();
+                Event::BatchClosed { changes, packages, .. } => {
+                    if let Err(found) = self.truth.note_batch(&changes, &packages) {
+                        let expected = "packages that say what their batch changed".to_owned();
                         self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
                     }
                 }
-                Event::Merged { stream, index, cycle_end, changes, .. } => {
-                    self.note_age(member, stream, cycle_end, now);
+                Event::Merged { stream, index, batch_end, changes, .. } => {
+                    self.note_age(member, stream, batch_end, now);
                     if changes.is_empty() {
                         if !self.dirty.contains(&(number, stream)) {
                             self.dirty.push((number, stream));
                         }
                         continue;
                     }
-                    let found = check::voxels_of_merge(&self.truth, stream, index, &changes, cycle_end);
+                    let found = check::voxels_of_merge(&self.truth, stream, index, &changes, batch_end);
                     self.found(id, found);
                     let found = check::layer_after(&self.truth, &robot, stream, &changes);
                     self.found(id, found);
@@ -147,9 +147,9 @@ impl Eyes {
         member.robot = Some(robot);
     }
 
-    fn note_age(&self, member: &mut Member, stream: Stream, cycle_end: Stamp, now: Stamp) {
+    fn note_age(&self, member: &mut Member, stream: Stream, batch_end: Stamp, now: Stamp) {
         if let Some(clock) = self.clocks.get(&stream) {
-            let age = member.settings.clock.when(now) - clock.when(cycle_end);
+            let age = member.settings.clock.when(now) - clock.when(batch_end);
             member.ages.push(age.max(0));
         }
     }
@@ -270,7 +270,7 @@ impl Watch<Member> for Eyes {
         }
         self.found(id, found);
         let broken = self.settings.broken;
-        if !is_request && self.is_mapping && broken > 0.0 && self.broken.chance(broken) {
+        if !is_request && self.is_mapping && broken > 0.0 && self.broken.happens(broken) {
             let damaged = broken::damaged_inside(&datagram.bytes, &mut self.broken);
             if let Some(damaged) = damaged.filter(|_| datagram.to != Addressees::Each) {
                 datagram.bytes = damaged;

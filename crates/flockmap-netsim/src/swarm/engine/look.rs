@@ -81,14 +81,14 @@ impl Engine {
                 }
             }
         }
-        let told: Vec<(u64, u64)> = self
+        let published: Vec<(u64, u64)> = self
             .eyes
             .truth
             .streams()
-            .map(|(stream, told)| (told.bytes, u64::from(self.eyes.truth.last(stream))))
+            .map(|(stream, published)| (published.bytes, u64::from(self.eyes.truth.last(stream))))
             .collect();
-        let bytes: u64 = told.iter().map(|(bytes, _)| bytes).sum();
-        let packages: u64 = told.iter().map(|(_, packages)| packages).sum();
+        let bytes: u64 = published.iter().map(|(bytes, _)| bytes).sum();
+        let packages: u64 = published.iter().map(|(_, packages)| packages).sum();
         let robots: Vec<&Robot> =
             self.network.nodes().iter().filter_map(|member| member.robot.as_ref()).collect();
         let hops = numbers.hops(self.network.nodes().len());
@@ -118,7 +118,7 @@ impl Engine {
         let robots = self.robots();
         // Not everything is packed yet.
         let pending = robots.iter().find(|robot| robot.untold() > 0);
-        let pending = pending.map(|robot| (robot.own_stream().origin, "its own newest cycle".to_owned()));
+        let pending = pending.map(|robot| (robot.own_stream().origin, "its own newest batch".to_owned()));
         let lacks = pending
             .or_else(|| check::superseded(&robots))
             .or_else(|| check::disagreement(&self.eyes.truth, &robots, &self.forgotten()));

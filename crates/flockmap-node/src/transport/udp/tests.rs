@@ -37,15 +37,15 @@ fn a_robot_is_reached_on_its_path_and_nowhere_before() {
         let (mut a, mut b) = (a.into_transport().unwrap(), b.into_transport().unwrap());
 
         // B knows nobody yet.
-        assert_eq!(b.send(&to_one(None, b"no")).await, Sent { copies: 0, failed: 1 });
-        assert_eq!(b.send(&to_one(Some(Path(1)), b"no")).await, Sent { copies: 0, failed: 1 });
-        assert_eq!(b.send(&to_all(b"no")).await, Sent::default());
+        assert_eq!(b.send(&to_one(None, b"no")).await, SendResult { copies: 0, failed: 1 });
+        assert_eq!(b.send(&to_one(Some(Path(1)), b"no")).await, SendResult { copies: 0, failed: 1 });
+        assert_eq!(b.send(&to_all(b"no")).await, SendResult::default());
 
         assert_eq!(a.send(&to_all(b"hello")).await.copies, 1);
         let (length, path) = get(&mut b).await;
         assert_eq!(length, 5);
         // That it was heard is no reason to send there; the session may.
-        assert_eq!(b.send(&to_all(b"no")).await, Sent::default());
+        assert_eq!(b.send(&to_all(b"no")).await, SendResult::default());
         assert_eq!(b.send(&to_one(Some(path), b"hi")).await.copies, 1);
         assert_eq!(get(&mut a).await.0, 2);
         b.set_paths(&[path]);
@@ -54,7 +54,7 @@ fn a_robot_is_reached_on_its_path_and_nowhere_before() {
         assert_eq!(a.send(&to_all(b"again")).await.copies, 1);
         assert_eq!(get(&mut b).await, (5, path), "the same address, the same path");
         b.set_paths(&[]);
-        assert_eq!(b.send(&to_all(b"no")).await, Sent::default());
+        assert_eq!(b.send(&to_all(b"no")).await, SendResult::default());
     });
 }
 
@@ -68,11 +68,11 @@ fn what_is_for_everyone_goes_to_each_address_once() {
         }
         b.add_peer(at_a);
         let (mut a, mut b) = (a.into_transport().unwrap(), b.into_transport().unwrap());
-        assert_eq!(a.send(&to_all(b"one")).await, Sent { copies: 1, failed: 0 });
+        assert_eq!(a.send(&to_all(b"one")).await, SendResult { copies: 1, failed: 0 });
         let (_, path) = get(&mut b).await;
         // Two robots behind one address.
         b.set_paths(&[path, path]);
-        assert_eq!(b.send(&to_all(b"one")).await, Sent { copies: 1, failed: 0 });
+        assert_eq!(b.send(&to_all(b"one")).await, SendResult { copies: 1, failed: 0 });
     });
 }
 
@@ -128,7 +128,7 @@ fn one_broadcast_reaches_every_robot() {
     let [a, b, c] = [0; 3].map(|_| UdpSockets::bind(&options).unwrap());
     block_on(async {
         let [mut a, mut b, mut c] = [a, b, c].map(|sockets| sockets.into_transport().unwrap());
-        assert_eq!(a.send(&to_all(b"to all")).await, Sent { copies: 1, failed: 0 });
+        assert_eq!(a.send(&to_all(b"to all")).await, SendResult { copies: 1, failed: 0 });
         for robot in [&mut b, &mut c] {
             assert_eq!(get(robot).await.0, 6);
         }
@@ -167,7 +167,7 @@ fn a_robot_that_is_off_does_not_stop_the_others() {
         a.add_peer(on.local_addr().unwrap());
         let (mut a, mut on) = (a.into_transport().unwrap(), on.into_transport().unwrap());
         for _ in 0..20 {
-            assert_eq!(a.send(&to_all(b"hello")).await, Sent { copies: 2, failed: 0 });
+            assert_eq!(a.send(&to_all(b"hello")).await, SendResult { copies: 2, failed: 0 });
             assert_eq!(get(&mut on).await.0, 5);
         }
     });

@@ -92,7 +92,7 @@ impl Site<'_> {
             let mut extent = [0.0; 2];
             (extent[axis], extent[1 - axis]) = (size[1], size[0]);
             let mut min = [0.0; 2];
-            let far = self.random.chance(0.5);
+            let far = self.random.happens(0.5);
             min[axis] = if far { self.inside.max[axis] - extent[axis] } else { self.inside.min[axis] };
             let free = self.inside.size()[1 - axis] - extent[1 - axis];
             min[1 - axis] = self.inside.min[1 - axis] + self.random.unit() * free.max(0.0);
@@ -105,7 +105,7 @@ impl Site<'_> {
     /// Places something of this size, turned by 0 or 90°, anywhere with a way around it.
     fn anywhere(&mut self, size: [f64; 2], draw: impl Fn(&mut Self, Rect)) {
         for _ in 0..12 {
-            let extent = if self.random.chance(0.5) { size } else { [size[1], size[0]] };
+            let extent = if self.random.happens(0.5) { size } else { [size[1], size[0]] };
             let min = core::array::from_fn(|a| {
                 let free = self.inside.size()[a] - extent[a];
                 self.inside.min[a] + self.random.unit() * free.max(0.0)
@@ -205,7 +205,7 @@ impl Site<'_> {
         }
     }
 
-    /// A shelf with boards and things on them.
+    /// A stream store with boards and things on them.
     fn shelf(&mut self, rect: Rect) {
         let high = self.random.range(1.5, 2.3);
         let axis = usize::from(rect.size()[1] > rect.size()[0]);
@@ -221,7 +221,7 @@ impl Site<'_> {
             let mut at = rect.min[axis] + 0.08;
             while at < rect.max[axis] - 0.15 {
                 let (width, tall) = (self.random.range(0.1, 0.4), self.random.range(0.12, 0.32));
-                if self.random.chance(0.7) {
+                if self.random.happens(0.7) {
                     let mut thing = rect.shrunk(0.05);
                     thing.min[axis] = at;
                     thing.max[axis] = (at + width).min(rect.max[axis] - 0.06);
@@ -322,7 +322,7 @@ impl Site<'_> {
             while y + group[1] < self.inside.max[1] - 0.8 {
                 let rect = Rect { min: [x, y], max: [x + group[0], y + group[1]] };
                 let free = !self.taken.iter().any(|t| t.area() > 1.0 && t.overlaps(&rect));
-                if free && self.random.chance(0.8) {
+                if free && self.random.happens(0.8) {
                     self.cubicle_group(rect);
                 }
                 y += group[1] + 1.7;

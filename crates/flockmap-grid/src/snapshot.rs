@@ -6,9 +6,9 @@ use crate::{BlockIndex, Changes, Stamp, State, StateBlock, VoxelBox};
 /// Sent when too many packages are missing ("the current OGM as it is", Sec. IV-B of the paper).
 ///
 /// Voxels of the region that are in no part are Unknown. A part takes 144 bytes for each of its blocks, however few voxels it has there;
-/// [`PresentVoxels`] says the same of a whole layer in less.
+/// [`SnapshotVoxels`] says the same of a whole layer in less.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct PresentState {
+pub struct Snapshot {
     /// The box that this speaks of.
     pub region: VoxelBox,
     /// The known voxels, grouped by stamp: stamps ascending, voxel sets disjoint and all inside `region`.
@@ -18,9 +18,9 @@ pub struct PresentState {
     pub sensors: Vec<(Stamp, [i32; 3])>,
 }
 
-/// A [`PresentState`] in 8 bytes for each voxel, 12 for each block and 28 for each stamp, of which the parts are made one after the other.
+/// A [`Snapshot`] in 8 bytes for each voxel, 12 for each block and 28 for each stamp, of which the parts are made one after the other.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct PresentVoxels {
+pub struct SnapshotVoxels {
     region: VoxelBox,
     /// Ascending.
     stamps: Vec<Stamp>,
@@ -38,7 +38,7 @@ const STAMP_SHIFT: u32 = BLOCK_SHIFT + NUMBER_BITS;
 const NUMBER_BITS: u32 = 27;
 const NUMBER_MASK: u64 = (1 << NUMBER_BITS) - 1;
 
-impl PresentVoxels {
+impl SnapshotVoxels {
     /// `blocks` and `stamps` ascend; `voxels` gives each known voxel once: number of its stamp, number of its block, place in the block,
     /// state. `None` if there are more than 2²⁷ blocks or stamps.
     pub(crate) fn new(
@@ -64,8 +64,8 @@ impl PresentVoxels {
         Some(Self { region, stamps, blocks, voxels: all, sensors })
     }
 
-    /// Of a state that keeps the rules of [`PresentState`]. `None` if it has more than 2²⁷ blocks or stamps.
-    pub fn from_state(state: &PresentState) -> Option<Self> {
+    /// Of a state that keeps the rules of [`Snapshot`]. `None` if it has more than 2²⁷ blocks or stamps.
+    pub fn from_state(state: &Snapshot) -> Option<Self> {
         let stamps: Vec<Stamp> = state.parts.iter().map(|(stamp, _)| *stamp).collect();
         let all = || state.parts.iter().flat_map(|(_, part)| part.blocks());
         let mut blocks: Vec<BlockIndex> = all().map(|(index, _)| *index).collect();
@@ -98,12 +98,12 @@ impl PresentVoxels {
         self.voxels.is_empty()
     }
 
-    /// As [`PresentState::sensors`].
+    /// As [`Snapshot::sensors`].
     pub fn sensors(&self) -> &[(Stamp, [i32; 3])] {
         &self.sensors
     }
 
-    /// The parts of the [`PresentState`], each made when it is asked for.
+    /// The parts of the [`Snapshot`], each made when it is asked for.
     pub fn parts(&self) -> impl Iterator<Item = (Stamp, Changes)> + '_ {
         self.voxels.chunk_by(|a, b| a >> STAMP_SHIFT == b >> STAMP_SHIFT).map(|part| self.part(part))
     }
@@ -161,8 +161,8 @@ impl PresentVoxels {
     }
 
     /// The same with all parts made.
-    pub fn to_state(&self) -> PresentState {
-        PresentState { region: self.region, parts: self.parts().collect(), sensors: self.sensors.clone() }
+    pub fn to_state(&self) -> Snapshot {
+        Snapshot { region: self.region, parts: self.parts().collect(), sensors: self.sensors.clone() }
     }
 }
 

@@ -6,8 +6,8 @@ mod fuzz;
 
 use std::cell::RefCell;
 
-use fuzz::{Fuzz, tiles};
+use fuzz::{Fuzz, chunks};
 
 thread_local!(static FUZZ: RefCell<Fuzz> = RefCell::default());
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| FUZZ.with_borrow_mut(|fuzz| tiles::run(fuzz, input)));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| FUZZ.with_borrow_mut(|fuzz| chunks::run(fuzz, input)));

@@ -1,11 +1,11 @@
-//! The changes of a cycle.
+//! The changes of a batch.
 
 use flockmap_grid::{Changes, VoxelBox};
 
 use super::fit::{Writer, fit};
 use super::states::{self, Others, Scratch};
 use crate::codec::Codec;
-use crate::draft::CycleDraft;
+use crate::draft::BatchDraft;
 use crate::error::{EncodeError, PackageError};
 use crate::limits::BOX_VOXELS_MAX;
 use crate::piece::Piece;
@@ -16,7 +16,7 @@ pub(crate) fn encode_whole(
     writer: &mut Writer,
     codec: Codec,
     changes: &Changes,
-) -> Result<CycleDraft, EncodeError> {
+) -> Result<BatchDraft, EncodeError> {
     let piece = Piece::new(changes.clone(), Vec::new()).ok_or(EncodeError::OutsideGrid)?;
     let voxels = piece.region.volume();
     if voxels > u128::from(BOX_VOXELS_MAX) {
@@ -31,12 +31,12 @@ pub(crate) fn encode_whole(
 
 /// All changes as packages. `room` says how many bytes of payload the package of a number, from 0, and with a
 /// certain box may have; a payload of a single voxel may be longer.
-pub(crate) fn encode_cycle(
+pub(crate) fn encode_batch(
     writer: &mut Writer,
     codec: Codec,
     changes: &Changes,
     room: impl Fn(usize, &VoxelBox) -> usize,
-) -> Result<Vec<CycleDraft>, EncodeError> {
+) -> Result<Vec<BatchDraft>, EncodeError> {
     let piece = Piece::new(changes.clone(), Vec::new()).ok_or(EncodeError::OutsideGrid)?;
     // There are no more packages than voxels, which bounds the index and with it the header.
     let most = changes.len();
@@ -44,12 +44,12 @@ pub(crate) fn encode_cycle(
     Ok(pieces.into_iter().map(|(piece, payload)| draft(piece, payload)).collect())
 }
 
-fn draft(piece: Piece, payload: Vec<u8>) -> CycleDraft {
-    CycleDraft { changes: piece.states, region: piece.region, payload, base: None }
+fn draft(piece: Piece, payload: Vec<u8>) -> BatchDraft {
+    BatchDraft { changes: piece.states, region: piece.region, payload, base: None }
 }
 
 /// What a payload says.
-pub(crate) fn decode_cycle(
+pub(crate) fn decode_batch(
     scratch: &mut Scratch,
     codec: Codec,
     payload: &[u8],

@@ -1,9 +1,9 @@
-//! Packages that build on earlier ones: they wait, they go, and what is gone comes back as a present state.
+//! Packages that build on earlier ones: they wait, they go, and what is gone comes back as a snapshot.
 
 mod common;
 
 use common::{Radio, Random, Swarm, config, resolution, scan};
-use flockmap::codec::{Content, Cycle, Decoder, Encoder, PACKAGE_BYTES_MAX, Reference};
+use flockmap::codec::{Base, Batch, Content, Decoder, Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::Layer;
 use flockmap::sync::wire::{DatagramHeader, Kind, PackagesWriter};
 use flockmap::{
@@ -13,12 +13,12 @@ use flockmap::{
 const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 80.0) };
 const PERFECT: Radio = common::PERFECT;
 
-/// Tells cycles of its own against the one before, each a piece of a wall in the same place: few voxels would not need what was before.
+/// Tells batches of its own against the one before, each a piece of a wall in the same place: few voxels would not need what was before.
 struct Teller {
     stream: Stream,
     encoder: Encoder,
     layer: Layer,
-    cycles: Vec<(Stamp, u32)>,
+    batches: Vec<(Stamp, u32)>,
     readers: Vec<(u32, VoxelBox)>,
 }
 
@@ -29,44 +29,44 @@ impl Teller {
             stream,
             encoder: Encoder::new(),
             layer: Layer::default(),
-            cycles: Vec::new(),
+            batches: Vec::new(),
             readers: Vec::new(),
         }
     }
 
-    /// The one package of the next cycle, told alone or not.
-    fn tell(&mut self, is_alone: bool) -> Package {
-        let count = self.cycles.len() as i32;
+    /// The one package of the next batch, told alone or not.
+    fn tell(&mut self, is_independent: bool) -> Package {
+        let count = self.batches.len() as i32;
         let end = Stamp(1_000_000 * i64::from(count + 1));
         let resolution = resolution();
-        let cycle = Cycle { stream: self.stream, start: end, end, resolution, sensor: [0; 3] };
+        let batch = Batch { stream: self.stream, start: end, end, resolution, sensor: [0; 3] };
         // Grows along the wall and turns what was told before.
         let voxels = (0..320).map(|i| {
             let voxel = Voxel::new((count * 3 + i % 8) % 24, 0, i / 8);
             (voxel, if self.layer.state(voxel) == State::Free { State::Occupied } else { State::Free })
         });
         let changes = Changes::from_voxels(voxels);
-        let layer = (!is_alone).then_some(&self.layer);
-        let reference = Reference { layer, cycles: &self.cycles, readers: &self.readers };
+        let layer = (!is_independent).then_some(&self.layer);
+        let base = Base { layer, batches: &self.batches, readers: &self.readers };
         let index = count as u32 + 1;
-        let packages = self.encoder.encode_cycle_against(
+        let packages = self.encoder.encode_batch_against(
             Codec::Flock,
-            &cycle,
+            &batch,
             index,
             &changes,
-            Some(&reference),
+            Some(&base),
             PACKAGE_BYTES_MAX,
         );
         let [package] = packages.unwrap().try_into().unwrap();
         self.layer.apply(&changes, end);
-        self.cycles.push((end, index));
+        self.batches.push((end, index));
         package
     }
 
     /// As [`Self::tell`], and remembers what it looked at, as a robot does.
-    fn tell_and_note(&mut self, is_alone: bool) -> Package {
-        let package = self.tell(is_alone);
-        if !package.header().is_alone {
+    fn send_and_note(&mut self, is_independent: bool) -> Package {
+        let package = self.tell(is_independent);
+        if !package.header().is_independent {
             self.readers.push((package.header().index, package.header().region));
         }
         package
@@ -83,9 +83,12 @@ impl Teller {
     }
 
     fn holds_all(&self, robot: &Robot) -> bool {
-        let newest = self.cycles.len() as u32;
+        let newest = self.batches.len() as u32;
         robot.fusion().layer(self.stream).is_some_and(|layer| layer.digest() == self.layer.digest())
-            && robot.session().held(self.stream).is_some_and(|held| held.contains_range(1, newest))
+            && robot
+                .session()
+                .received(self.stream)
+                .is_some_and(|received| received.contains_range(1, newest))
     }
 }
 
@@ -96,9 +99,9 @@ fn robot(id: u16) -> Robot {
 #[test]
 fn a_package_waits_and_is_merged_in_the_call_that_brings_what_it_builds_on() {
     let (mut teller, mut bob) = (Teller::new(1), robot(2));
-    let packages: Vec<Package> = (0..5).map(|_| teller.tell_and_note(false)).collect();
-    let references: Vec<u32> = packages.iter().map(|package| package.header().reference).collect();
-    assert_eq!(references, [0, 1, 2, 3, 4]);
+    let packages: Vec<Package> = (0..5).map(|_| teller.send_and_note(false)).collect();
+    let bases: Vec<u32> = packages.iter().map(|package| package.header().base).collect();
+    assert_eq!(bases, [0, 1, 2, 3, 4]);
     let [one, two, three, four, five] = packages.iter().collect::<Vec<_>>().try_into().unwrap();
     let now = Stamp(1_000);
     teller.give(&mut bob, now, &[one, four, three, five, five, four]);
@@ -118,8 +121,8 @@ fn a_package_waits_and_is_merged_in_the_call_that_brings_what_it_builds_on() {
 fn what_waits_is_bounded_and_one_stream_does_not_displace_another() {
     let (mut loud, mut quiet, mut bob) = (Teller::new(1), Teller::new(3), robot(2));
     let now = Stamp(1_000);
-    let few: Vec<Package> = (0..20).map(|_| quiet.tell_and_note(false)).collect();
-    let flood: Vec<Package> = (0..1_500).map(|_| loud.tell_and_note(false)).collect();
+    let few: Vec<Package> = (0..20).map(|_| quiet.send_and_note(false)).collect();
+    let flood: Vec<Package> = (0..1_500).map(|_| loud.send_and_note(false)).collect();
     quiet.give(&mut bob, now, &few[1..].iter().collect::<Vec<_>>());
     loud.give(&mut bob, now, &flood[1..].iter().collect::<Vec<_>>());
     let counters = *bob.session().counters();
@@ -129,22 +132,22 @@ fn what_waits_is_bounded_and_one_stream_does_not_displace_another() {
     assert!(quiet.holds_all(&bob));
     // Of the flood the first are kept, which can go first; the rest is asked for again.
     loud.give(&mut bob, now, &[&flood[0]]);
-    assert_eq!(bob.session().held(loud.stream).unwrap().intervals(), [(1, 1_024 - 19 + 1)]);
+    assert_eq!(bob.session().received(loud.stream).unwrap().intervals(), [(1, 1_024 - 19 + 1)]);
     assert_eq!(bob.counters().damaged, 0);
 }
 
 #[test]
 fn a_package_told_alone_waits_for_one_that_looks_at_what_it_changes() {
     let (mut teller, mut bob) = (Teller::new(1), robot(2));
-    let packages = [false, false, true, true].map(|is_alone| teller.tell_and_note(is_alone));
-    assert!(packages[2].header().is_alone && packages[2].decode().is_ok());
-    assert_eq!(packages[3].header().reference, 2);
+    let packages = [false, false, true, true].map(|is_independent| teller.send_and_note(is_independent));
+    assert!(packages[2].header().is_independent && packages[2].decode().is_ok());
+    assert_eq!(packages[3].header().base, 2);
     let now = Stamp(1_000);
     teller.give(&mut bob, now, &[&packages[0], &packages[3], &packages[2]]);
     assert_eq!(bob.counters().merged, 1);
     teller.give(&mut bob, now, &[&packages[1]]);
     assert!(teller.holds_all(&bob));
-    assert_eq!(bob.counters().overtaken, 0);
+    assert_eq!(bob.counters().superseded, 0);
 }
 
 /// A swarm of two in which the first holds what the teller told, and the second got it as `order` says.
@@ -159,35 +162,35 @@ fn told(teller: &Teller, packages: &[Package], order: &[usize]) -> Swarm {
 }
 
 #[test]
-fn a_package_that_was_overtaken_leads_to_a_present_state_and_to_equal_layers() {
+fn a_package_that_was_overtaken_leads_to_a_snapshot_and_to_equal_layers() {
     let mut teller = Teller::new(1);
     // A faulty sender: the third does not name the second, which looks at what it changes.
-    let packages = [false, false, true, false].map(|is_alone| teller.tell(is_alone));
-    assert_eq!(packages[2].header().reference, 0);
+    let packages = [false, false, true, false].map(|is_independent| teller.tell(is_independent));
+    assert_eq!(packages[2].header().base, 0);
     let mut swarm = told(&teller, &packages, &[0, 2, 1, 3]);
-    assert_eq!(swarm.robots[1].counters().overtaken, 1);
-    assert_eq!(swarm.robots[1].session().counters().given_up, 1);
+    assert_eq!(swarm.robots[1].counters().superseded, 1);
+    assert_eq!(swarm.robots[1].session().counters().undecodable, 1);
     assert!(teller.holds_all(&swarm.robots[0]));
     swarm.run(5_000);
     assert!(teller.holds_all(&swarm.robots[1]));
     assert_eq!(swarm.robots[1].session().counters().caught_up, 1);
     assert!(swarm.events[1].iter().any(|event| matches!(event, Event::CaughtUp { upto: 4, .. })));
     // It is asked for once, and then there is peace.
-    let states = swarm.robots[0].counters().present_states;
+    let states = swarm.robots[0].counters().snapshots;
     swarm.run(10_000);
-    assert_eq!((states, swarm.robots[0].counters().present_states), (1, 1));
+    assert_eq!((states, swarm.robots[0].counters().snapshots), (1, 1));
     let more = teller.tell(false);
     teller.give(&mut swarm.robots[1], swarm.now, &[&more]);
     assert!(teller.holds_all(&swarm.robots[1]));
 }
 
 #[test]
-fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_present_state() {
+fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_snapshot() {
     let mut teller = Teller::new(1);
-    let packages: Vec<Package> = (0..3).map(|_| teller.tell_and_note(false)).collect();
+    let packages: Vec<Package> = (0..3).map(|_| teller.send_and_note(false)).collect();
     let Ok(Content::Changes(first)) = packages[0].decode() else { panic!("the first is told alone") };
     let mut layer = Layer::default();
-    layer.apply(&first, packages[0].header().cycle_end);
+    layer.apply(&first, packages[0].header().batch_end);
     let damaged = |at: usize| {
         let mut bytes = packages[1].bytes().to_vec();
         bytes[at] ^= 0x10;
@@ -203,7 +206,7 @@ fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_present_state() {
     swarm.run(11_000);
     teller.give(&mut swarm.robots[1], swarm.now, &[&damaged]);
     assert_eq!(swarm.robots[1].counters().damaged, 2);
-    assert_eq!(swarm.robots[1].session().counters().given_up, 1);
+    assert_eq!(swarm.robots[1].session().counters().undecodable, 1);
     swarm.cut.clear();
     swarm.run(10_000);
     assert!(teller.holds_all(&swarm.robots[1]));
@@ -211,7 +214,7 @@ fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_present_state() {
 }
 
 #[test]
-fn who_has_no_room_for_the_own_layer_tells_its_cycles_alone() {
+fn who_has_no_room_for_the_own_layer_tells_its_batches_alone() {
     let mut configs: Vec<RobotConfig> =
         (1..=2).map(|id| RobotConfig { codec: Codec::Flock, ..config(id) }).collect();
     configs[0].fusion.own_layer_bytes_max = 60_000;
@@ -225,19 +228,19 @@ fn who_has_no_room_for_the_own_layer_tells_its_cycles_alone() {
     swarm.robots[0].flush(swarm.now);
     swarm.run(10_000);
     let [one, two] = [&swarm.robots[0], &swarm.robots[1]];
-    assert!(one.counters().no_room > 0 && one.counters().cycles_without_reference > 0);
-    assert_eq!((two.counters().damaged, two.counters().overtaken), (0, 0));
-    let held = two.session().held(one.own_stream()).unwrap();
-    assert!(held.contains_range(1, one.session().store().newest_known(one.own_stream())));
+    assert!(one.counters().no_room > 0 && one.counters().batches_independent > 0);
+    assert_eq!((two.counters().damaged, two.counters().superseded), (0, 0));
+    let received = two.session().received(one.own_stream()).unwrap();
+    assert!(received.contains_range(1, one.session().store().newest_known(one.own_stream())));
 }
 
 #[test]
-fn what_waits_below_a_present_state_is_dropped_and_what_waits_above_goes() {
+fn what_waits_below_a_snapshot_is_dropped_and_what_waits_above_goes() {
     let mut teller = Teller::new(1);
     let mut packages: Vec<Package> =
-        [false, false, true].into_iter().map(|is_alone| teller.tell(is_alone)).collect();
+        [false, false, true].into_iter().map(|is_independent| teller.tell(is_independent)).collect();
     packages.extend((0..4).map(|_| teller.tell(false)));
-    // The second is overtaken by the third. The fourth is lost; those after it wait. The first robot does not know the last two.
+    // The second is superseded by the third. The fourth is lost; those after it wait. The first robot does not know the last two.
     let mut swarm = Swarm::new((2..=3).map(config).collect(), PERFECT, 1);
     swarm.run(2_000);
     let now = swarm.now;
@@ -272,18 +275,18 @@ fn maps_agree_under_loss_whether_told_against_each_other_or_alone_or_in_turns() 
             assert!(swarm.agrees(), "seed {seed}, {codec}: not equal after a minute");
             swarm.assert_layers_equal_own_maps(seed);
             let sum = |count: fn(&Robot) -> u64| swarm.robots.iter().map(count).sum::<u64>();
-            let alone = sum(|robot| robot.counters().cycles_without_reference);
+            let alone = sum(|robot| robot.counters().batches_independent);
             println!(
-                "seed {seed} {codec}: {} cycles, {alone} alone, {} B, {} packages waited, {} overtaken, {} given up, {} present states",
-                sum(|robot| robot.counters().cycles),
+                "seed {seed} {codec}: {} batches, {alone} alone, {} B, {} packages waited, {} superseded, {} given up, {} snapshots",
+                sum(|robot| robot.counters().batches),
                 sum(|robot| robot.counters().package_bytes),
                 sum(|robot| robot.session().counters().waited),
-                sum(|robot| robot.counters().overtaken),
-                sum(|robot| robot.session().counters().given_up),
-                sum(|robot| robot.counters().present_states),
+                sum(|robot| robot.counters().superseded),
+                sum(|robot| robot.session().counters().undecodable),
+                sum(|robot| robot.counters().snapshots),
             );
             assert_eq!(sum(|robot| robot.counters().damaged), 0, "seed {seed}, {codec}");
-            assert_eq!(sum(|robot| robot.counters().overtaken), 0, "seed {seed}, {codec}");
+            assert_eq!(sum(|robot| robot.counters().superseded), 0, "seed {seed}, {codec}");
             let waited = sum(|robot| robot.session().counters().waited);
             assert_eq!(waited > 0, codec == Codec::Flock);
             if codec == Codec::Paper || repair_delay_max_ms == 0 {

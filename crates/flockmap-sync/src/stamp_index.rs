@@ -4,21 +4,21 @@ use flockmap_grid::Stamp;
 use std::collections::BTreeMap;
 
 /// Packages of one stream whose stamps are remembered; when there are more, every second one is forgotten. Worst case 16 KiB.
-const MILESTONES_MAX: usize = 512;
+const STAMPS_MAX: usize = 512;
 
 /// Stamps of some packages of a stream. Stamps do not descend from one package to the next, so the one of an earlier package is a lower
 /// bound.
 #[derive(Debug, Default)]
-pub(crate) struct Milestones(BTreeMap<u32, Stamp>);
+pub(crate) struct StampIndex(BTreeMap<u32, Stamp>);
 
-impl Milestones {
+impl StampIndex {
     pub(crate) const fn new() -> Self {
         Self(BTreeMap::new())
     }
 
     /// Notes the stamp of a package.
     pub(crate) fn note(&mut self, index: u32, stamp: Stamp) {
-        // Of one cycle the first package is enough.
+        // Of one batch the first package is enough.
         if self.0.range(..=index).next_back().is_some_and(|(_, known)| *known == stamp) {
             return;
         }
@@ -28,7 +28,7 @@ impl Milestones {
             self.0.remove(&later);
         }
         self.0.insert(index, stamp);
-        if self.0.len() > MILESTONES_MAX {
+        if self.0.len() > STAMPS_MAX {
             let mut is_kept = false;
             self.0.retain(|_, _| {
                 is_kept = !is_kept;
@@ -49,22 +49,22 @@ mod tests {
 
     #[test]
     fn the_stamp_is_never_after_that_of_the_package_and_the_first_ones_stay() {
-        // Three packages a cycle, every fifth package never seen, in an order of its own.
+        // Three packages a batch, every fifth package never seen, in an order of its own.
         let stamp = |index: u32| Stamp(i64::from(index / 3) * 500_000);
-        let mut milestones = Milestones::new();
+        let mut stamp_index = StampIndex::new();
         for step in 0..10_007u32 {
             let index = step * 4_001 % 10_007 + 1;
             if index % 5 != 0 {
-                milestones.note(index, stamp(index));
+                stamp_index.note(index, stamp(index));
             }
-            assert!(milestones.0.len() <= MILESTONES_MAX);
+            assert!(stamp_index.0.len() <= STAMPS_MAX);
         }
         for index in 1..20_000 {
-            let found = milestones.not_after(index).unwrap();
+            let found = stamp_index.not_after(index).unwrap();
             assert!(found <= stamp(index), "{index}");
             // Even after thinning it is near.
             assert!(index > 10_007 || found.0 + 500_000 * 40 > stamp(index).0, "{index}: {found:?}");
         }
-        assert_eq!(milestones.not_after(0), None);
+        assert_eq!(stamp_index.not_after(0), None);
     }
 }

@@ -1,4 +1,4 @@
-//! Packages that the driver keeps undecided, or gives up for a present state.
+//! Packages that the driver keeps undecided, or gives up for a snapshot.
 
 mod swarm;
 
@@ -17,8 +17,8 @@ fn swarm(count: u16, radio: Radio, prepare: impl Fn(&mut swarm::Robot)) -> Swarm
     swarm
 }
 
-fn publish(swarm: &mut Swarm, cycles: usize) {
-    for _ in 0..cycles {
+fn publish(swarm: &mut Swarm, batches: usize) {
+    for _ in 0..batches {
         swarm.publish(1, 100);
         swarm.run(100 * MS);
     }
@@ -31,21 +31,21 @@ fn what_is_kept_undecided_is_neither_asked_for_nor_sent_again_nor_passed_on() {
     swarm.run(20 * SECOND);
     let stream = swarm.stream(1);
     let robot = &swarm.robots[&2];
-    assert_eq!(robot.undecided.len(), 1);
-    assert_eq!(robot.session.held(stream).unwrap().missing(1, 6).collect::<Vec<_>>(), [(3, 3)]);
+    assert_eq!(robot.pending.len(), 1);
+    assert_eq!(robot.session.received(stream).unwrap().missing(1, 6).collect::<Vec<_>>(), [(3, 3)]);
     assert!(robot.session.store().get(stream, 3).is_none());
     assert_eq!((robot.session.counters().duplicates, robot.session.counters().gap_requests), (0, 0));
     assert_eq!(swarm.robots[&1].session.counters().lost, 0);
     // The sender sees nothing missing.
-    let (peer, _, prefix) = swarm.robots[&1].session.own_held_by_peers().next().unwrap();
+    let (peer, _, prefix) = swarm.robots[&1].session.own_received_by_peers().next().unwrap();
     let newest = swarm.robots[&1].session.store().newest_known(stream);
     assert_eq!((peer, prefix), (swarm.stream(2), newest));
 
     // One that only the second robot hears gets it from nobody until it is decided.
     let robot = swarm.robots.get_mut(&2).unwrap();
-    let (now, package) = (Stamp(swarm.now + robot.clock), robot.undecided.remove(0));
+    let (now, package) = (Stamp(swarm.now + robot.clock), robot.pending.remove(0));
     robot.session.verdict(now, &package, Verdict::Merged);
-    assert!(robot.session.held(stream).unwrap().contains_range(1, 6));
+    assert!(robot.session.received(stream).unwrap().contains_range(1, 6));
     assert!(robot.session.store().get(stream, 3).is_some());
 }
 
@@ -54,30 +54,30 @@ fn a_duplicate_from_another_robot_is_not_delivered_while_the_first_is_undecided(
     let mut swarm = swarm(3, Radio::lossy(0.3), |robot| robot.keeps = vec![(ONE, 3)]);
     publish(&mut swarm, 6);
     swarm.run(20 * SECOND);
-    assert_eq!(swarm.robots[&3].undecided.len(), 1);
+    assert_eq!(swarm.robots[&3].pending.len(), 1);
 }
 
 #[test]
-fn what_is_given_up_comes_back_as_a_present_state_from_the_origin() {
+fn what_is_given_up_comes_back_as_a_snapshot_from_the_origin() {
     let mut swarm = swarm(2, Radio::PERFECT, |robot| robot.gives_up = vec![(ONE, 3), (ONE, 5)]);
     publish(&mut swarm, 6);
     swarm.run(3 * SECOND);
     let stream = swarm.stream(1);
     swarm.assert_in_sync(&[stream]);
     let counters = *swarm.robots[&2].session.counters();
-    assert_eq!(counters.given_up, 2);
+    assert_eq!(counters.undecodable, 2);
     assert!((1..=2).contains(&counters.caught_up));
     // Then there is peace.
-    let wanted = swarm.robots[&1].session.counters().present_states_wanted;
+    let wanted = swarm.robots[&1].session.counters().snapshots_wanted;
     swarm.run(10 * SECOND);
-    assert_eq!(swarm.robots[&1].session.counters().present_states_wanted, wanted);
+    assert_eq!(swarm.robots[&1].session.counters().snapshots_wanted, wanted);
     publish(&mut swarm, 2);
     swarm.run(SECOND);
     swarm.assert_in_sync(&[stream]);
 }
 
 #[test]
-fn where_the_origin_is_gone_another_robot_gives_the_present_state() {
+fn where_the_origin_is_gone_another_robot_gives_the_snapshot() {
     for radio in [Radio::PERFECT, Radio::lossy(0.3)] {
         let mut swarm = swarm(4, radio, |robot| robot.gives_up = vec![(ONE, 3)]);
         let stream = swarm.stream(1);
@@ -92,7 +92,7 @@ fn where_the_origin_is_gone_another_robot_gives_the_present_state() {
 }
 
 #[test]
-fn what_waits_below_a_present_state_needs_no_verdict_any_more() {
+fn what_waits_below_a_snapshot_needs_no_verdict_any_more() {
     let mut swarm = swarm(2, Radio::PERFECT, |robot| {
         (robot.keeps, robot.gives_up) = (vec![(ONE, 2), (ONE, 4)], vec![(ONE, 3)]);
     });
@@ -101,7 +101,7 @@ fn what_waits_below_a_present_state_needs_no_verdict_any_more() {
     let stream = swarm.stream(1);
     swarm.assert_in_sync(&[stream]);
     let robot = swarm.robots.get_mut(&2).unwrap();
-    let (now, packages) = (Stamp(swarm.now + robot.clock), std::mem::take(&mut robot.undecided));
+    let (now, packages) = (Stamp(swarm.now + robot.clock), std::mem::take(&mut robot.pending));
     assert_eq!(packages.len(), 2);
     let before = *robot.session.counters();
     for package in &packages {
@@ -123,5 +123,5 @@ fn a_package_given_up_is_not_delivered_again() {
     let counters = swarm.robots[&3].session.counters();
     assert_eq!(counters.accepted, 0);
     let newest = swarm.robots[&1].session.store().newest_known(stream);
-    assert!(counters.given_up <= u64::from(newest) && counters.caught_up > 0, "{counters:?}");
+    assert!(counters.undecodable <= u64::from(newest) && counters.caught_up > 0, "{counters:?}");
 }

@@ -1,7 +1,7 @@
 //! Patrols touch nothing, keep apart, keep their limits, and cover the world.
 
 use flockmap_grid::{Resolution, Stamp, State, Voxel, VoxelBox};
-use flockmap_worlds::{Flight, Lidar, Patrol, PatrolError, PatrolOptions, ScanOptions, World};
+use flockmap_worlds::{Flight, Lidar, ScanOptions, Trajectory, TrajectoryError, TrajectoryOptions, World};
 use std::sync::Arc;
 
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
@@ -26,17 +26,17 @@ fn yaw(pose: &flockmap_grid::Pose) -> f64 {
 }
 
 /// Checks everything that a plan promises; gives metres flown.
-fn check(world: &World, patrols: &[Patrol], options: &PatrolOptions) -> f64 {
+fn check(world: &World, trajectories: &[Trajectory], options: &TrajectoryOptions) -> f64 {
     let mut flown = 0.0;
-    for patrol in patrols {
-        let poses = patrol.poses();
+    for trajectory in trajectories {
+        let poses = trajectory.poses();
         assert_eq!(poses.len(), (options.duration_s * 10.0).round() as usize);
-        assert!(patrol.clearance_m() > 0.1, "{}", patrol.clearance_m());
+        assert!(trajectory.clearance_m() > 0.1, "{}", trajectory.clearance_m());
         for (i, (stamp, pose)) in poses.iter().enumerate() {
             assert_eq!(*stamp, options.start.plus_micros(i as i64 * 100_000));
             let place = pose.translation();
             assert!(
-                !touches(world, place, patrol.clearance_m() - 1e-6),
+                !touches(world, place, trajectory.clearance_m() - 1e-6),
                 "pose {i} at {place:?} touches something"
             );
             let cell = world.resolution().voxel_at(place).unwrap();
@@ -64,8 +64,8 @@ fn check(world: &World, patrols: &[Patrol], options: &PatrolOptions) -> f64 {
             assert!(acceleration <= 2.0 * options.acceleration_m_s2 + 0.3, "{acceleration} m/s²");
         }
     }
-    for (i, a) in patrols.iter().enumerate() {
-        for b in &patrols[i + 1..] {
+    for (i, a) in trajectories.iter().enumerate() {
+        for b in &trajectories[i + 1..] {
             for ((_, p), (_, q)) in a.poses().iter().zip(b.poses()) {
                 let apart = distance(p.translation(), q.translation());
                 assert!(apart >= options.separation_m - 1e-6, "{apart} m apart");
@@ -76,8 +76,8 @@ fn check(world: &World, patrols: &[Patrol], options: &PatrolOptions) -> f64 {
 }
 
 /// Size of the box that the flights of all robots span, on the floor.
-fn span(patrols: &[Patrol]) -> [f64; 2] {
-    let places = || patrols.iter().flat_map(|p| p.poses()).map(|(_, pose)| pose.translation());
+fn span(trajectories: &[Trajectory]) -> [f64; 2] {
+    let places = || trajectories.iter().flat_map(|p| p.poses()).map(|(_, pose)| pose.translation());
     [0, 1].map(|a| {
         let (low, high) =
             places().fold((f64::MAX, f64::MIN), |(low, high), place| (low.min(place[a]), high.max(place[a])));
@@ -88,29 +88,29 @@ fn span(patrols: &[Patrol]) -> [f64; 2] {
 #[test]
 fn two_robots_fly_through_the_forest_and_touch_nothing() {
     let world = World::forest(3);
-    let options = PatrolOptions { duration_s: 90.0, ..PatrolOptions::default() };
-    let patrols = Patrol::plan(&world, 2, 5, &options).unwrap();
-    assert!(check(&world, &patrols, &options) > 2.0 * 90.0 * 0.5);
-    assert!(span(&patrols)[0] > 30.0, "{:?}", span(&patrols));
+    let options = TrajectoryOptions { duration_s: 90.0, ..TrajectoryOptions::default() };
+    let trajectories = Trajectory::plan(&world, 2, 5, &options).unwrap();
+    assert!(check(&world, &trajectories, &options) > 2.0 * 90.0 * 0.5);
+    assert!(span(&trajectories)[0] > 30.0, "{:?}", span(&trajectories));
 }
 
 #[test]
 fn five_robots_fly_through_the_office_and_its_doors_and_touch_nothing() {
     let world = World::indoor(2);
-    let options = PatrolOptions { duration_s: 90.0, ..PatrolOptions::default() };
-    let patrols = Patrol::plan(&world, 5, 5, &options).unwrap();
-    assert!(check(&world, &patrols, &options) > 5.0 * 90.0 * 0.5);
-    let [x, y] = span(&patrols);
+    let options = TrajectoryOptions { duration_s: 90.0, ..TrajectoryOptions::default() };
+    let trajectories = Trajectory::plan(&world, 5, 5, &options).unwrap();
+    assert!(check(&world, &trajectories, &options) > 5.0 * 90.0 * 0.5);
+    let [x, y] = span(&trajectories);
     assert!(x > 25.0 && y > 22.0, "{x} {y}");
 }
 
 #[test]
 fn the_same_seed_gives_the_same_flight_on_every_machine() {
     let world = World::indoor(1);
-    let options = PatrolOptions { duration_s: 30.0, ..PatrolOptions::default() };
+    let options = TrajectoryOptions { duration_s: 30.0, ..TrajectoryOptions::default() };
     let digest = |seed: u64| {
-        let patrols = Patrol::plan(&world, 2, seed, &options).unwrap();
-        let numbers = patrols.iter().flat_map(|p| p.poses()).flat_map(|(_, pose)| {
+        let trajectories = Trajectory::plan(&world, 2, seed, &options).unwrap();
+        let numbers = trajectories.iter().flat_map(|p| p.poses()).flat_map(|(_, pose)| {
             pose.translation().into_iter().chain(pose.quaternion_xyzw()).flat_map(f64::to_le_bytes)
         });
         crc32fast::hash(&numbers.collect::<Vec<u8>>())
@@ -124,16 +124,16 @@ const FLIGHT_DIGEST: u32 = 3_652_187_373;
 #[test]
 fn fast_robots_keep_their_limits_too() {
     let world = World::indoor(4);
-    let options = PatrolOptions {
+    let options = TrajectoryOptions {
         duration_s: 20.0,
         speed_m_s: 4.0,
         acceleration_m_s2: 3.0,
         yaw_rate_rad_s: 2.5,
         start: Stamp(77),
-        ..PatrolOptions::default()
+        ..TrajectoryOptions::default()
     };
-    let patrols = Patrol::plan(&world, 1, 9, &options).unwrap();
-    check(&world, &patrols, &options);
+    let trajectories = Trajectory::plan(&world, 1, 9, &options).unwrap();
+    check(&world, &trajectories, &options);
 }
 
 /// A closed box with walls around `size` cells of 10 cm.
@@ -156,36 +156,36 @@ fn room(size: [u32; 3], free: Option<VoxelBox>) -> World {
 fn nobody_flies_where_nothing_is_known() {
     let known = VoxelBox::new(Voxel::new(0, 0, 0), [40, 60, 30]).unwrap();
     let world = room([200, 60, 30], Some(known));
-    let options = PatrolOptions { duration_s: 60.0, ..PatrolOptions::default() };
-    let patrols = Patrol::plan(&world, 1, 1, &options).unwrap();
-    check(&world, &patrols, &options);
-    for (_, pose) in patrols[0].poses() {
+    let options = TrajectoryOptions { duration_s: 60.0, ..TrajectoryOptions::default() };
+    let trajectories = Trajectory::plan(&world, 1, 1, &options).unwrap();
+    check(&world, &trajectories, &options);
+    for (_, pose) in trajectories[0].poses() {
         assert!(known.contains(world.resolution().voxel_at(pose.translation()).unwrap()));
     }
 }
 
 #[test]
 fn no_space_and_too_many_robots_are_errors_that_say_what_was_tried() {
-    let options = PatrolOptions::default();
-    let tight = Patrol::plan(&room([3, 3, 3], None), 1, 1, &options).unwrap_err();
-    assert!(matches!(tight, PatrolError::NoSpace { .. }), "{tight}");
+    let options = TrajectoryOptions::default();
+    let tight = Trajectory::plan(&room([3, 3, 3], None), 1, 1, &options).unwrap_err();
+    assert!(matches!(tight, TrajectoryError::NoSpace { .. }), "{tight}");
     assert!(tight.to_string().contains("0.2 m from anything solid"), "{tight}");
-    let crowd = Patrol::plan(&room([40, 40, 25], None), 20, 1, &options).unwrap_err();
-    assert!(matches!(crowd, PatrolError::Crowded { robots: 20, .. }), "{crowd}");
-    let option = Patrol::plan(&room([40, 40, 25], None), 0, 1, &options).unwrap_err();
+    let crowd = Trajectory::plan(&room([40, 40, 25], None), 20, 1, &options).unwrap_err();
+    assert!(matches!(crowd, TrajectoryError::Crowded { robots: 20, .. }), "{crowd}");
+    let option = Trajectory::plan(&room([40, 40, 25], None), 0, 1, &options).unwrap_err();
     assert_eq!(option.to_string(), "robots is 0, expected 1 to 64");
-    let nan = PatrolOptions { speed_m_s: f64::NAN, ..options };
-    assert!(Patrol::plan(&room([40, 40, 25], None), 1, 1, &nan).is_err());
+    let nan = TrajectoryOptions { speed_m_s: f64::NAN, ..options };
+    assert!(Trajectory::plan(&room([40, 40, 25], None), 1, 1, &nan).is_err());
 }
 
 #[test]
 fn a_flight_gives_a_scan_for_each_pose() {
     let world = Arc::new(room([80, 60, 30], None));
-    let options = PatrolOptions { duration_s: 1.0, ..PatrolOptions::default() };
-    let patrol = Patrol::plan(&world, 1, 1, &options).unwrap().remove(0);
-    let flight = Flight::new(Arc::clone(&world), Lidar::Mid360, ScanOptions::default(), patrol.clone());
+    let options = TrajectoryOptions { duration_s: 1.0, ..TrajectoryOptions::default() };
+    let trajectory = Trajectory::plan(&world, 1, 1, &options).unwrap().remove(0);
+    let flight = Flight::new(Arc::clone(&world), Lidar::Mid360, ScanOptions::default(), trajectory.clone());
     assert_eq!(flight.len(), 10);
-    for (frame, (stamp, pose)) in flight.zip(patrol.poses()) {
+    for (frame, (stamp, pose)) in flight.zip(trajectory.poses()) {
         assert_eq!((frame.scan.stamp, &frame.t_map_sensor), (*stamp, pose));
         // The room is closed: every beam comes back.
         assert_eq!(frame.scan.points.len(), Lidar::Mid360.beams());

@@ -1,6 +1,6 @@
 //! Where one can fly: a coarse grid with the distance of each cell to anything solid.
 
-use super::{PatrolError, PatrolOptions};
+use super::{TrajectoryError, TrajectoryOptions};
 use crate::World;
 use crate::lattice::Lattice;
 use flockmap_grid::{Voxel, VoxelBox};
@@ -30,7 +30,7 @@ pub(super) struct Space {
 }
 
 impl Space {
-    pub(super) fn new(world: &World, options: &PatrolOptions) -> Result<Self, PatrolError> {
+    pub(super) fn new(world: &World, options: &TrajectoryOptions) -> Result<Self, TrajectoryError> {
         let side = world.resolution().metres();
         let bounds = world.bounds();
         let extent = bounds.size().map(|n| f64::from(n) * side);
@@ -92,7 +92,7 @@ impl Space {
                 return Ok(grid);
             }
         }
-        Err(PatrolError::NoSpace {
+        Err(TrajectoryError::NoSpace {
             size_m: extent,
             step_m,
             clearance_m: options.clearance_min_m,
@@ -239,7 +239,7 @@ impl Space {
         &self,
         candidates: &[u32],
         distance: &[u16],
-        options: &PatrolOptions,
+        options: &TrajectoryOptions,
     ) -> Option<(f64, Vec<u32>)> {
         let (most, least) = (options.clearance_m, options.clearance_min_m);
         let tries = [least, least + (most - least) / 3.0, least + (most - least) * 2.0 / 3.0, most];

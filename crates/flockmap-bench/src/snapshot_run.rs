@@ -1,22 +1,22 @@
-//! The final map of each record as a present state: what a late joiner has to be told.
+//! The final map of each record as a snapshot: what a late joiner has to be told.
 
 use std::time::Instant;
 
 use anyhow::{Context, ensure};
-use flockmap::codec::{Content, Decoder, Encoder, PACKAGE_BYTES_MAX, TilesRead};
+use flockmap::codec::{ChunksRead, Content, Decoder, Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::Layer;
 use flockmap::{Codec, Package, Resolution, RobotId, Stream};
 use serde::Serialize;
 
 use crate::baselines::Method;
 
-/// The present states of all records together, by one method.
+/// The snapshots of all records together, by one method.
 #[derive(Serialize, Debug)]
-pub struct PresentRow {
+pub struct SnapshotRow {
     pub name: String,
-    /// Tiles with their headers.
+    /// Chunks with their headers.
     pub total_bytes: u64,
-    pub tiles: u64,
+    pub chunks: u64,
     pub encode_ms: f64,
     pub decode_ms: f64,
 }
@@ -28,7 +28,7 @@ const WHOLE_BYTES: usize = 1 << 20;
 ///
 /// # Errors
 /// If what comes back is not what went in.
-pub fn run(layers: &[Layer], resolution: Resolution, methods: &[Method]) -> anyhow::Result<Vec<PresentRow>> {
+pub fn run(layers: &[Layer], resolution: Resolution, methods: &[Method]) -> anyhow::Result<Vec<SnapshotRow>> {
     let mut rows = Vec::new();
     for method in methods {
         let (codec, bytes_max) = match method {
@@ -36,8 +36,13 @@ pub fn run(layers: &[Layer], resolution: Resolution, methods: &[Method]) -> anyh
             Method::Datagrams(codec) => (*codec, PACKAGE_BYTES_MAX),
             _ => continue,
         };
-        let mut row =
-            PresentRow { name: method.to_string(), total_bytes: 0, tiles: 0, encode_ms: 0.0, decode_ms: 0.0 };
+        let mut row = SnapshotRow {
+            name: method.to_string(),
+            total_bytes: 0,
+            chunks: 0,
+            encode_ms: 0.0,
+            decode_ms: 0.0,
+        };
         for layer in layers {
             row.add(codec, bytes_max, layer, resolution).with_context(|| row.name.clone())?;
         }
@@ -46,7 +51,7 @@ pub fn run(layers: &[Layer], resolution: Resolution, methods: &[Method]) -> anyh
     Ok(rows)
 }
 
-impl PresentRow {
+impl SnapshotRow {
     fn add(
         &mut self,
         codec: Codec,
@@ -54,32 +59,32 @@ impl PresentRow {
         layer: &Layer,
         resolution: Resolution,
     ) -> anyhow::Result<()> {
-        let Some(state) = layer.present_state() else { return Ok(()) };
+        let Some(state) = layer.snapshot() else { return Ok(()) };
         let stream = Stream { origin: RobotId(1), epoch: 1 };
         let started = Instant::now();
-        let tiles = Encoder::new().encode_present(codec, stream, 1, resolution, &state, bytes_max)?;
+        let chunks = Encoder::new().encode_snapshot(codec, stream, 1, resolution, &state, bytes_max)?;
         self.encode_ms += started.elapsed().as_secs_f64() * 1e3;
         let started = Instant::now();
-        let received = received(&tiles)?;
+        let received = received(&chunks)?;
         self.decode_ms += started.elapsed().as_secs_f64() * 1e3;
-        ensure!(received.digest() == layer.digest(), "the present state is not what was told");
-        self.total_bytes += tiles.iter().map(|tile| tile.bytes().len() as u64).sum::<u64>();
-        self.tiles += tiles.len() as u64;
+        ensure!(received.digest() == layer.digest(), "the snapshot is not what was told");
+        self.total_bytes += chunks.iter().map(|chunk| chunk.bytes().len() as u64).sum::<u64>();
+        self.chunks += chunks.len() as u64;
         Ok(())
     }
 }
 
-fn received(tiles: &[Package]) -> anyhow::Result<Layer> {
-    let (mut decoder, mut before, mut layer) = (Decoder::new(), TilesRead::default(), Layer::default());
-    for tile in tiles {
-        let tile = Package::parse(tile.bytes())?;
-        let state = if tile.header().codec == Codec::Flock {
-            decoder.decode_tile(&tile, &mut before)?
+fn received(chunks: &[Package]) -> anyhow::Result<Layer> {
+    let (mut decoder, mut before, mut layer) = (Decoder::new(), ChunksRead::default(), Layer::default());
+    for chunk in chunks {
+        let chunk = Package::parse(chunk.bytes())?;
+        let state = if chunk.header().codec == Codec::Flock {
+            decoder.decode_chunk(&chunk, &mut before)?
         } else {
-            let Content::Present(state) = decoder.decode(&tile)? else { continue };
+            let Content::Snapshot(state) = decoder.decode(&chunk)? else { continue };
             state
         };
-        layer.apply_present(&state);
+        layer.apply_snapshot(&state);
     }
     Ok(layer)
 }

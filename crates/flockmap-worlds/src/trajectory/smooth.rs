@@ -1,6 +1,6 @@
 //! How a robot flies along a path: rounded corners, limits of speed, acceleration and yaw rate.
 
-use super::PatrolOptions;
+use super::TrajectoryOptions;
 use super::region::Region;
 use super::space::Space;
 use crate::curve::{CREEP_M_S, SAMPLE_M, bend, distance, slow_in_bends, slow_to_reach, straight, towards};
@@ -16,7 +16,7 @@ pub(super) fn fly(
     space: &Space,
     region: &Region,
     line: &[[f64; 3]],
-    options: &PatrolOptions,
+    options: &TrajectoryOptions,
 ) -> Vec<(Stamp, Pose)> {
     let points = rounded(space, region, line);
     let lengths: Vec<f64> = points.windows(2).map(|pair| distance(pair[0], pair[1])).collect();
@@ -107,7 +107,7 @@ fn headings(points: &[[f64; 3]]) -> Vec<f64> {
 }
 
 /// For each point the highest speed at which all limits are kept, from rest to rest.
-fn speeds(points: &[[f64; 3]], lengths: &[f64], yaws: &[f64], options: &PatrolOptions) -> Vec<f64> {
+fn speeds(points: &[[f64; 3]], lengths: &[f64], yaws: &[f64], options: &TrajectoryOptions) -> Vec<f64> {
     let mut speeds = vec![options.speed_m_s; points.len()];
     for i in 0..lengths.len() {
         let turn = (yaws[i + 1] - yaws[i]).abs();

@@ -1,6 +1,6 @@
 //! Where a robot goes: places spread over its region, and short paths between them.
 
-use super::PatrolOptions;
+use super::TrajectoryOptions;
 use super::region::Region;
 use super::space::Space;
 use crate::curve::distance;
@@ -18,10 +18,10 @@ const PLACES_MAX: usize = 400;
 const COMFORT_M: f64 = 0.8;
 
 /// A polyline that stays in the region, long enough for the whole flight at full speed. In metres.
-pub(super) fn patrol(
+pub(super) fn trajectory(
     space: &Space,
     region: &Region,
-    options: &PatrolOptions,
+    options: &TrajectoryOptions,
     random: &mut Random,
 ) -> Vec<[f64; 3]> {
     let wanted = options.speed_m_s * options.duration_s + 1.0;

@@ -3,27 +3,27 @@
 mod options;
 mod region;
 mod route;
+mod smooth;
 mod space;
-mod trajectory;
 
 use crate::World;
 use crate::random::Random;
 use flockmap_grid::{Pose, Stamp};
-pub use options::{PatrolError, PatrolOptions, ROBOTS_MAX};
+pub use options::{ROBOTS_MAX, TrajectoryError, TrajectoryOptions};
 use space::Space;
 
 /// The flight of one robot: its poses, ten a second.
 #[derive(Clone, PartialEq, Debug)]
-pub struct Patrol {
+pub struct Trajectory {
     poses: Vec<(Stamp, Pose)>,
     clearance_m: f64,
 }
 
-impl Patrol {
+impl Trajectory {
     /// Flights for `robots` robots that never touch anything and never come closer to each other than
-    /// [`PatrolOptions::separation_m`].
+    /// [`TrajectoryOptions::separation_m`].
     ///
-    /// The space is divided into as many connected parts of about the same size; each robot patrols its own
+    /// The space is divided into as many connected parts of about the same size; each robot trajectories its own
     /// part, so that no flight depends on another's timing (their sensors see across the borders). It starts
     /// near the common middle and visits places spread over its part, nearest first, again and again, at
     /// changing heights. Robots fly level, nose first. The same arguments give the same flights on every
@@ -33,19 +33,19 @@ impl Patrol {
         world: &World,
         robots: usize,
         seed: u64,
-        options: &PatrolOptions,
-    ) -> Result<Vec<Self>, PatrolError> {
+        options: &TrajectoryOptions,
+    ) -> Result<Vec<Self>, TrajectoryError> {
         options.check(robots)?;
         let space = Space::new(world, options)?;
         let regions = region::divide(&space, robots, options)?;
-        let mut patrols = Vec::with_capacity(robots);
+        let mut trajectories = Vec::with_capacity(robots);
         for (robot, region) in regions.iter().enumerate() {
             let mut random = Random::new(seed, 0x9a7 + robot as u64);
-            let path = route::patrol(&space, region, options, &mut random);
-            let poses = trajectory::fly(&space, region, &path, options);
-            patrols.push(Self { poses, clearance_m: space.clearance_m() });
+            let path = route::trajectory(&space, region, options, &mut random);
+            let poses = smooth::fly(&space, region, &path, options);
+            trajectories.push(Self { poses, clearance_m: space.clearance_m() });
         }
-        Ok(patrols)
+        Ok(trajectories)
     }
 
     /// Stamps and poses of the robot, 0.1 s apart.

@@ -1,4 +1,4 @@
-//! How patrols are flown, and why nobody can fly.
+//! How trajectories are flown, and why nobody can fly.
 
 use flockmap_grid::Stamp;
 use thiserror::Error;
@@ -6,9 +6,9 @@ use thiserror::Error;
 /// Most robots of one plan.
 pub const ROBOTS_MAX: usize = 64;
 
-/// How patrols are flown.
+/// How trajectories are flown.
 #[derive(Clone, Copy, PartialEq, Debug)]
-pub struct PatrolOptions {
+pub struct TrajectoryOptions {
     /// How long to fly, in seconds, 0.1 … 14,400. Default 60.
     pub duration_s: f64,
     /// Highest speed in m/s, 0.1 … 20. Default 1.5.
@@ -31,7 +31,7 @@ pub struct PatrolOptions {
     pub start: Stamp,
 }
 
-impl Default for PatrolOptions {
+impl Default for TrajectoryOptions {
     fn default() -> Self {
         Self {
             duration_s: 60.0,
@@ -50,7 +50,7 @@ impl Default for PatrolOptions {
 /// Why nobody can fly.
 #[derive(Clone, PartialEq, Debug, Error)]
 #[non_exhaustive]
-pub enum PatrolError {
+pub enum TrajectoryError {
     /// An option is out of its range.
     #[error("{name} is {value}, expected {expected}")]
     Option {
@@ -95,9 +95,9 @@ pub enum PatrolError {
     },
 }
 
-impl PatrolOptions {
+impl TrajectoryOptions {
     /// Whether every option is in its range.
-    pub(super) fn check(&self, robots: usize) -> Result<(), PatrolError> {
+    pub(super) fn check(&self, robots: usize) -> Result<(), TrajectoryError> {
         let limits = [
             ("duration_s", self.duration_s, 0.1, 14_400.0, "0.1 to 14,400"),
             ("speed_m_s", self.speed_m_s, 0.1, 20.0, "0.1 to 20"),
@@ -112,7 +112,7 @@ impl PatrolOptions {
         ];
         for (name, value, low, high, expected) in limits {
             if !(low <= value && value <= high) {
-                return Err(PatrolError::Option { name, value, expected });
+                return Err(TrajectoryError::Option { name, value, expected });
             }
         }
         Ok(())

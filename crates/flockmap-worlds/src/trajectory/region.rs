@@ -1,7 +1,7 @@
 //! The parts of the space that the robots have to themselves.
 
 use super::space::Space;
-use super::{PatrolError, PatrolOptions};
+use super::{TrajectoryError, TrajectoryOptions};
 use std::rc::Rc;
 
 /// Rounds in which the parts are evened out.
@@ -31,8 +31,8 @@ impl Region {
 pub(super) fn divide(
     space: &Space,
     robots: usize,
-    options: &PatrolOptions,
-) -> Result<Vec<Region>, PatrolError> {
+    options: &TrajectoryOptions,
+) -> Result<Vec<Region>, TrajectoryError> {
     let mut seeds = spread(space, robots);
     let mut owner = nearest_seed(space, &seeds);
     for _ in 0..ROUNDS {
@@ -116,8 +116,8 @@ fn separate(
     space: &Space,
     owner: &[u8],
     robots: usize,
-    options: &PatrolOptions,
-) -> Result<Vec<Vec<u32>>, PatrolError> {
+    options: &TrajectoryOptions,
+) -> Result<Vec<Vec<u32>>, TrajectoryError> {
     let reach = ((options.separation_m / space.step_m()).ceil() as usize + 1).min(255);
     let mut taken = vec![false; space.count()];
     let mut parts = Vec::with_capacity(robots);
@@ -129,7 +129,7 @@ fn separate(
         });
         // Less than one square metre is no place to fly.
         if space.area_m2(&cells) < 1.0 {
-            return Err(PatrolError::Crowded {
+            return Err(TrajectoryError::Crowded {
                 robot,
                 robots,
                 area_m2: space.area_m2(space.cells()),

@@ -1,4 +1,4 @@
-//! A cycle as payloads: with the model, or gap coded where that is shorter.
+//! A batch as payloads: with the model, or gap coded where that is shorter.
 
 use flockmap_grid::{Changes, Layer, Stamp, VoxelBox};
 
@@ -12,11 +12,11 @@ use super::planes::meet;
 use super::section::{self, Workspace};
 use super::tables::TableSet;
 use crate::codec::Codec;
-use crate::draft::CycleDraft;
+use crate::draft::BatchDraft;
 use crate::error::{EncodeError, PackageError};
 use crate::fields::Fields;
 use crate::limits::BOX_VOXELS_MAX;
-use crate::source::Cycle;
+use crate::source::Batch;
 use crate::work::{self, Work};
 
 /// The first byte of a payload that is gap coded. Others tell a set of tables, of which there is none with
@@ -26,29 +26,29 @@ const GAP_CODED: u8 = 3;
 /// Up to so many changes the model is tried even if there seems to be no pattern.
 const TRY_BOTH_MAX: usize = 4_096;
 
-/// Codes all changes of a cycle, of which there is at least one, against what `layer` held before it. `room`
+/// Codes all changes of a batch, of which there is at least one, against what `layer` held before it. `room`
 /// says how many bytes of payload the package of a number, from 0, and with a certain box may have; a payload
 /// of a single voxel may be longer.
-pub(crate) fn encode_cycle(
+pub(crate) fn encode_batch(
     workspace: &mut Workspace,
     layer: Option<&Layer>,
-    cycle: &Cycle,
+    batch: &Batch,
     changes: &Changes,
     room: impl Fn(usize, &VoxelBox) -> usize,
-) -> Result<Vec<CycleDraft>, EncodeError> {
+) -> Result<Vec<BatchDraft>, EncodeError> {
     let tight = changes.bounding_box().ok_or(EncodeError::OutsideGrid)?;
     let is_small = tight.volume() <= u128::from(BOX_VOXELS_MAX);
     let has_no_pattern = is_small && gap_coding::has_no_pattern(changes, &tight);
     if has_no_pattern && changes.len() > TRY_BOTH_MAX {
         return Ok(gap_coded(changes, &room));
     }
-    // The model has no words for a voxel that is told again what it is: such a cycle is told alone.
-    let layer = layer.filter(|layer| !repeats(changes, layer, cycle.end));
-    let modelled = modelled(workspace, &Known::new(layer, cycle.end), cycle.sensor, changes, &room)?;
+    // The model has no words for a voxel that is told again what it is: such a batch is told alone.
+    let layer = layer.filter(|layer| !repeats(changes, layer, batch.end));
+    let modelled = modelled(workspace, &Known::new(layer, batch.end), batch.sensor, changes, &room)?;
     if has_no_pattern {
         let gap_coded = gap_coded(changes, &room);
         let bytes =
-            |all: &[CycleDraft]| all.iter().map(|draft| draft.payload.len() + HEADER_BYTES).sum::<usize>();
+            |all: &[BatchDraft]| all.iter().map(|draft| draft.payload.len() + HEADER_BYTES).sum::<usize>();
         if bytes(&gap_coded) < bytes(&modelled) {
             return Ok(gap_coded);
         }
@@ -59,7 +59,7 @@ pub(crate) fn encode_cycle(
 /// What a package takes beside its payload, about.
 const HEADER_BYTES: usize = 32;
 
-/// Whether a voxel changes to what it was before the cycle that ended at `end`. Not so in net changes, if
+/// Whether a voxel changes to what it was before the batch that ended at `end`. Not so in net changes, if
 /// `layer` holds all before.
 fn repeats(changes: &Changes, layer: &Layer, end: Stamp) -> bool {
     changes.blocks().iter().any(|(index, block)| match layer.block_before(*index, end) {
@@ -75,7 +75,7 @@ fn modelled(
     sensor: [i32; 3],
     changes: &Changes,
     room: impl Fn(usize, &VoxelBox) -> usize,
-) -> Result<Vec<CycleDraft>, EncodeError> {
+) -> Result<Vec<BatchDraft>, EncodeError> {
     let sensor = whole(sensor);
     let is_obstacles = changes.blocks().iter().all(|(_, block)| *block.free() == [0; 8]);
     let sets: &[_] = if is_obstacles { &[TableSet::Obstacles] } else { &[TableSet::Dense, TableSet::Sparse] };
@@ -92,7 +92,7 @@ fn modelled(
         rest = rest.get(count..).unwrap_or_default();
         let section::Section { changes, region, payload, .. } = section;
         if payload.len() <= room_here(&region) {
-            drafts.push(CycleDraft { changes, region, payload, base: known.take_newest() });
+            drafts.push(BatchDraft { changes, region, payload, base: known.take_newest() });
         } else {
             // A single block that takes more than a package, against all that the model expects.
             drafts.extend(gap_coded(&changes, |most, region| room(number + most, region)));
@@ -101,7 +101,7 @@ fn modelled(
     Ok(drafts)
 }
 
-fn gap_coded(changes: &Changes, room: impl Fn(usize, &VoxelBox) -> usize) -> Vec<CycleDraft> {
+fn gap_coded(changes: &Changes, room: impl Fn(usize, &VoxelBox) -> usize) -> Vec<BatchDraft> {
     // The longest header is that of the last package, with the largest box.
     let longest = changes.bounding_box().map_or(0, |region| room(changes.len(), &region));
     let pieces = gap_coding::cut(changes, longest.saturating_sub(1));
@@ -109,17 +109,17 @@ fn gap_coded(changes: &Changes, room: impl Fn(usize, &VoxelBox) -> usize) -> Vec
         let region = BlockBox::around(&region).voxels()?;
         let mut payload = vec![GAP_CODED];
         gap_coding::encode(&changes, &region, &mut payload);
-        Some(CycleDraft { changes, region, payload, base: None })
+        Some(BatchDraft { changes, region, payload, base: None })
     });
     drafts.collect()
 }
 
-/// What a payload says that was coded against what `layer` held before the cycle. Takes no memory before it
+/// What a payload says that was coded against what `layer` held before the batch. Takes no memory before it
 /// is sure that the box is not too large.
-pub(crate) fn decode_cycle(
+pub(crate) fn decode_batch(
     workspace: &mut Option<Box<Workspace>>,
     layer: Option<&Layer>,
-    cycle_end: Stamp,
+    batch_end: Stamp,
     payload: &[u8],
     region: &VoxelBox,
     work: &mut Work,
@@ -134,7 +134,7 @@ pub(crate) fn decode_cycle(
     match payload.split_first() {
         Some((&GAP_CODED, rest)) => gap_coding::decode(rest, region, work),
         _ => {
-            let known = Known::new(layer, cycle_end);
+            let known = Known::new(layer, batch_end);
             section::decode(workspace.get_or_insert_default(), &known, payload, blocks, work)
         }
     }

@@ -1,0 +1,322 @@
+//! Snapshots: the map as it is, sent in place of the packages that made it.
+
+use super::Session;
+use crate::Cast;
+use crate::event::Event;
+use crate::item::Item;
+use crate::outbox::Outgoing;
+use crate::peer::{Peer, Sending, has_no_robot};
+use crate::store::Missing;
+use crate::wire::CONTENTS_BYTES_MAX;
+use flockmap_codec::{ContentKind, Package};
+use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
+
+/// Of sets that a peer ignores single chunks of such sets are offered, with this pause: who has no place for a set is not to be sent it over and over.
+pub(super) const OFFER_PAUSE: i64 = 5_000_000;
+
+/// Of a run that has ended, a gap is taken for one that nobody fills when nothing new has come for so long.
+const GAP_STANDS: i64 = 10_000_000;
+/// Longest chunk of a state of a history with gaps: what it contains goes with every chunk.
+const PARTS_CHUNK_BYTES_MAX: usize = flockmap_codec::PACKAGE_BYTES_MAX - CONTENTS_BYTES_MAX;
+
+/// The driver is asked again for the state of a stream after so long; where there was no room for it, and after it declined, later.
+const ASK_AGAIN: i64 = 2_000_000;
+const ASK_AGAIN_NO_ROOM: i64 = 5_000_000;
+const ASK_AGAIN_DECLINED: i64 = 30_000_000;
+
+impl Session {
+    /// The answer to [`Event::SnapshotWanted`]: the layer of the stream, or what of it is newer, as chunks, all of one set, all with
+    /// `since` and the index `upto` of the event. No chunks: there is none to give now; it is asked for again later.
+    /// Chunks that cannot be used are counted and dropped.
+    pub fn provide_snapshot(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) {
+        let now = self.advance(now);
+        let Some(outgoing) = self.check_chunks(now, stream, chunks) else {
+            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN_DECLINED));
+            return;
+        };
+        self.outbox.snapshots.retain(|other| other.stream != stream || other.set != outgoing.set);
+        if !self.make_room_for_chunks(outgoing.bytes) {
+            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN_NO_ROOM));
+            return;
+        }
+        self.outbox.snapshots.push(outgoing);
+        let ids: Vec<RobotId> = self.peers.keys().copied().collect();
+        for id in ids {
+            self.review_snapshot(now, id, stream);
+        }
+    }
+
+    /// Lets go of sets that nobody is sent, those first that were not used for longest. What is on its way to a peer that speaks of it
+    /// stays: sets that push each other out are never complete anywhere.
+    fn make_room_for_chunks(&mut self, bytes: usize) -> bool {
+        loop {
+            let received: usize = self.outbox.snapshots.iter().map(|outgoing| outgoing.bytes).sum();
+            if received + bytes <= self.config.snapshot_bytes_max {
+                return true;
+            }
+            let is_idle = |at: &usize| {
+                let Outgoing { stream, set, .. } = self.outbox.snapshots[*at];
+                let streams = self.peers.values().filter_map(|peer| peer.streams.get(&stream));
+                let mut sendings = streams.filter_map(|theirs| theirs.sending.as_ref());
+                !sendings.any(|sending| sending.set == set && !sending.is_ignored())
+            };
+            let idle = (0..self.outbox.snapshots.len()).filter(is_idle);
+            let Some(oldest) = idle.min_by_key(|&at| self.outbox.snapshots[at].used_at) else { return false };
+            self.outbox.snapshots.remove(oldest);
+        }
+    }
+
+    fn check_chunks(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) -> Option<Outgoing> {
+        let first = chunks.first()?.header();
+        let (upto, count) = (first.index, chunks.len() as u32);
+        let ContentKind::Snapshot { since, set, .. } = first.content else {
+            self.report.counters.snapshots_unusable += 1;
+            return None;
+        };
+        let bytes = chunks.iter().map(|chunk| chunk.bytes().len()).sum();
+        let longest = self.package_bytes_max();
+        let received = self.store.received(stream)?;
+        // One of a history with gaps says by itself no more than its newest package.
+        let is_whole = received.contains_range(1, upto);
+        let contents = (!is_whole).then(|| received.within(1, upto));
+        let usable = bytes <= self.config.snapshot_bytes_max
+            && (is_whole || (since + 1 == upto && received.contains(upto)))
+            && (0..).zip(&chunks).all(|(number, chunk)| {
+                chunk.header().stream == stream
+                    && chunk.header().index == upto
+                    && chunk.bytes().len() <= longest
+                    && chunk.header().content
+                        == ContentKind::Snapshot { since, set, chunk: number, chunks: count }
+            });
+        if !usable {
+            self.report.counters.snapshots_unusable += 1;
+            return None;
+        }
+        Some(Outgoing { stream, set, since, upto, contents, chunks, bytes, used_at: now })
+    }
+
+    /// Decides whether a peer gets the snapshot of a stream, or of a part of its history, instead of packages.
+    pub(super) fn review_snapshot(&mut self, now: Stamp, id: RobotId, stream: Stream) {
+        let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) else {
+            return;
+        };
+        if !self.goes_on_with_parts(now, id, stream) {
+            self.review_whole(now, id, stream, relay_rank);
+            self.review_parts(now, id, stream, relay_rank);
+        }
+    }
+
+    /// Whether a state of a history with gaps is on its way to a peer that still lacks some of it.
+    fn goes_on_with_parts(&mut self, now: Stamp, id: RobotId, stream: Stream) -> bool {
+        let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else {
+            return false;
+        };
+        let Some(sending) = &mut theirs.sending else { return false };
+        let of_set = self.outbox.snapshot(stream, sending.set);
+        let Some(contents) = of_set.and_then(|outgoing| outgoing.contents.as_ref()) else { return false };
+        let wanted = theirs.snapshot_request.as_ref().map(|wanted| wanted.undecodable.intersection(contents));
+        let goes_on =
+            !contents.difference(&theirs.received).is_empty() || wanted.is_some_and(|w| !w.is_empty());
+        if goes_on {
+            sending.note_silence(now);
+        } else {
+            theirs.sending = None;
+        }
+        goes_on
+    }
+
+    /// What is held beyond a gap that nobody fills comes as a state of all that is held, if it is not stored: of runs that have ended.
+    fn review_parts(&mut self, now: Stamp, id: RobotId, stream: Stream, relay_rank: u32) {
+        let Some(received) = self.store.received(stream) else { return };
+        let beyond = received.within(received.prefix().saturating_add(2), u32::MAX);
+        let (Some(upto), Some(touched)) = (beyond.last(), self.store.touched(stream)) else { return };
+        let is_withheld = mutation::is(Mutation::GapStatesWithheld);
+        if !self.has_ended(stream) || now.micros_since(touched) < GAP_STANDS || is_withheld {
+            return;
+        }
+        let delay = i64::from(relay_rank) * i64::from(self.config.relay_delay_ms) * 1_000;
+        let Some(theirs) = self.peers.get(&id).and_then(|peer| peer.streams.get(&stream)) else { return };
+        if theirs.sending.is_some() {
+            return;
+        }
+        let mut lacks = beyond.difference(&theirs.received);
+        if relay_rank > 0 {
+            lacks = lacks.intersection(&theirs.overdue);
+        }
+        let request = theirs
+            .snapshot_request
+            .as_ref()
+            .filter(|request| now.micros_since(request.stated_since) >= delay);
+        let request = request.map(|request| request.undecodable.intersection(&beyond));
+        if self.store.first_unstored(stream, &lacks).is_none()
+            && request.is_none_or(|request| request.is_empty())
+        {
+            return;
+        }
+        let has_it = |o: &Outgoing| {
+            let rest = o.contents.as_ref().map(|contents| beyond.difference(contents));
+            o.stream == stream && rest.is_some_and(|rest| rest.is_empty())
+        };
+        if let Some(at) = self.outbox.snapshots.iter().rposition(has_it) {
+            self.begin_to_send(now, id, at);
+        } else {
+            let (since, bytes_max) = (upto - 1, PARTS_CHUNK_BYTES_MAX);
+            let wanted = Event::SnapshotWanted { stream, since, newer_than: None, upto, bytes_max, peer: id };
+            self.request_snapshot(now, stream, wanted);
+        }
+    }
+
+    /// Whether its robot has begun a later run, or nobody here hears it in this one.
+    fn has_ended(&self, stream: Stream) -> bool {
+        stream != self.identity.own && (self.store.is_superseded(stream) || has_no_robot(&self.peers, stream))
+    }
+
+    /// Asks the driver for a state of a stream, unless that was done a moment ago.
+    fn request_snapshot(&mut self, now: Stamp, stream: Stream, wanted: Event) {
+        if self.outbox.asked.get(&stream).is_none_or(|&again| again <= now) {
+            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN));
+            self.report.counters.snapshots_wanted += 1;
+            self.push_event(wanted);
+        }
+    }
+
+    /// What is held without a gap from the first package on.
+    fn review_whole(&mut self, now: Stamp, id: RobotId, stream: Stream, relay_rank: u32) {
+        let Some(received) = self.store.received(stream) else { return };
+        let prefix = received.prefix();
+        if prefix == 0 {
+            return;
+        }
+        let Some(peer) = self.peers.get_mut(&id) else { return };
+        let Some(theirs) = peer.theirs(stream, now) else { return };
+        // What of a wish lies beyond what is held here is somebody else's to fulfil.
+        let request = theirs.snapshot_request.as_ref().and_then(|request| {
+            Some((request.since, request.undecodable.within(1, prefix).last()?, request.stated_since))
+        });
+        let wanted = request.map(|(_, upto, _)| upto);
+        let lacks = received.within(theirs.from.max(1), prefix).difference(&theirs.received);
+        // All packages up to this one it has, or can get as they are.
+        let mut since_max = self.store.first_unstored(stream, &lacks).map_or(u32::MAX, |first| first - 1);
+        if let Some((since, ..)) = request {
+            since_max = since_max.min(since);
+        }
+        if let Some(sending) = &mut theirs.sending {
+            let kept = self.outbox.snapshots.iter().any(|o| o.stream == stream && o.set == sending.set);
+            // What it cannot decode it states as held.
+            let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto);
+            // Of what lies above it the next one may be short.
+            let is_sound = sending.since <= since_max;
+            if kept && is_sound && (is_wanted || !theirs.received.contains_range(1, sending.upto)) {
+                sending.note_silence(now);
+                return;
+            }
+            theirs.sending = None;
+        }
+        let mut missing = lacks;
+        if relay_rank > 0 {
+            missing = missing.intersection(&theirs.overdue);
+        }
+        // Those further down the line wait whether others give it.
+        let delay = i64::from(relay_rank) * i64::from(self.config.relay_delay_ms) * 1_000;
+        let wanted = request.filter(|(.., at)| now.micros_since(*at) >= delay).map(|(_, upto, _)| upto);
+        let Some(first) = missing.first().into_iter().chain(wanted).min() else { return };
+        // Where packages are stored and cost less than the state, it is the part that they cannot bring that is wanted.
+        since_max = if since_max == u32::MAX { first.saturating_sub(1) } else { since_max };
+        let newer_than = self.store.newer_than(stream, since_max);
+        let since = if newer_than.is_some() { since_max } else { 0 };
+        let all = self.store.weigh(stream, &missing, prefix);
+        // The newest state at hand that will do, if any, tells what one costs.
+        let estimate = self
+            .outbox
+            .at_hand(stream, since_max)
+            .map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
+        if wanted.is_none() && !self.config.snapshot_is_worth(&all, estimate) {
+            return;
+        }
+        let at_hand = self.outbox.at_hand(stream, since_max).filter(|&at| {
+            // One that is on the air already costs nothing more; any other should not say much that is known.
+            self.outbox.snapshots[at].is_near(since)
+                || self.is_on_air(stream, self.outbox.snapshots[at].set, id)
+        });
+        if let Some(at) = at_hand {
+            let (upto, cost) = (self.outbox.snapshots[at].upto, self.outbox.snapshots[at].bytes as u64);
+            let received_or_in_flight = self.store.weigh(stream, &missing, upto);
+            let rest = all.bytes - received_or_in_flight.bytes;
+            let is_enough = match wanted {
+                Some(wanted) => upto >= wanted,
+                None => self.config.snapshot_is_worth(&received_or_in_flight, cost),
+            };
+            if received_or_in_flight.unstored == all.unstored
+                && is_enough
+                && rest <= (cost / 2).max(u64::from(self.config.snapshot_bytes_min.unwrap_or(0)))
+            {
+                self.begin_to_send(now, id, at);
+                return;
+            }
+        }
+        let bytes_max = self.package_bytes_max();
+        let wanted = Event::SnapshotWanted { stream, since, newer_than, upto: prefix, bytes_max, peer: id };
+        self.request_snapshot(now, stream, wanted);
+    }
+
+    fn begin_to_send(&mut self, now: Stamp, id: RobotId, at: usize) {
+        let (Some(peer), Some(outgoing)) = (self.peers.get_mut(&id), self.outbox.snapshots.get_mut(at))
+        else {
+            return;
+        };
+        outgoing.used_at = now;
+        if let Some(theirs) = peer.streams.get_mut(&outgoing.stream) {
+            theirs.sending = Some(outgoing.sending(now));
+        }
+        peer.queue_stale = true;
+    }
+
+    /// By broadcast: whether a set is on its way to somebody else, so that everyone hears it.
+    fn is_on_air(&self, stream: Stream, set: u32, except: RobotId) -> bool {
+        let gets_it = |peer: &Peer| {
+            let sending = peer.streams.get(&stream).and_then(|theirs| theirs.sending.as_ref());
+            peer.stream.origin != except && sending.is_some_and(|sending| sending.set == set)
+        };
+        self.config.cast == Cast::Broadcast && self.peers.values().any(gets_it)
+    }
+
+    /// Chunks of the snapshot on its way to the peer that are neither accepted nor in flight.
+    pub(super) fn chunks_to_send(&self, stream: Stream, sending: &Sending) -> impl Iterator<Item = Item> {
+        let set = sending.set;
+        let count = self.outbox.snapshot(stream, set).map_or(0, |outgoing| outgoing.chunks.len() as u32);
+        sending
+            .received_or_in_flight
+            .missing(1, count)
+            .flat_map(|(low, high)| low..=high)
+            .map(move |number| Item::Chunk { stream, set, chunk: number - 1 })
+    }
+
+    /// The chunks that a peer is sent: first those of sets that it speaks of. Of all sets that it ignores one chunk is on its way at a time.
+    pub(super) fn plan_chunks(&self, now: Stamp, peer: &Peer, most: usize) -> Vec<Item> {
+        let streams = peer.streams.iter().filter(|(stream, _)| peer.wants(**stream));
+        let sendings = streams.filter_map(|(stream, theirs)| Some((*stream, theirs.sending.as_ref()?)));
+        let (mut ignored, mut taken): (Vec<_>, Vec<_>) = sendings.partition(|(_, s)| s.is_ignored());
+        taken.sort_by_key(|(_, sending)| sending.unheeded);
+        ignored.sort_by_key(|(_, sending)| sending.lost_at);
+        let is_ignored = |item| match item {
+            Item::Chunk { stream, set, .. } => ignored.iter().any(|(of, s)| (*of, s.set) == (stream, set)),
+            Item::Package { .. } => false,
+        };
+        let is_due = peer.offer_at <= now
+            && !ignored.is_empty()
+            && !peer.in_flight.iter().any(|sent| is_ignored(sent.item));
+        let offer = ignored.first().filter(|_| is_due);
+        let offer = offer.and_then(|(stream, sending)| self.chunks_to_send(*stream, sending).next());
+        let chunks = taken.into_iter().flat_map(|(stream, sending)| self.chunks_to_send(stream, sending));
+        chunks.take(most).chain(offer).collect()
+    }
+}
+
+impl crate::SessionConfig {
+    fn snapshot_is_worth(&self, missing: &Missing, cost: u64) -> bool {
+        missing.unstored
+            || self.snapshot_bytes_min.is_some_and(|min| missing.bytes > cost.max(u64::from(min)))
+            || self.snapshot_range_max.is_some_and(|max| missing.range > max)
+    }
+}

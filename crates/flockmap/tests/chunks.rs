@@ -1,0 +1,191 @@
+//! Snapshots whose chunks are told one against the other, over radios that lose and reorder them.
+
+mod common;
+
+use common::{PERFECT, Radio, Random, Swarm, config, scan};
+use flockmap::codec::Encoder;
+use flockmap::codec::{Content, ContentKind};
+use flockmap::sync::wire::{DatagramHeader, Kind, PackagesWriter};
+use flockmap::{Codec, Event, Package, Pose, Robot, RobotConfig, RobotId, Stamp, Stream};
+
+const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 80.0) };
+
+/// The first robot has explored alone; who misses more than a few packages gets the snapshot.
+fn explored(codec: Codec, radio: Radio, seed: u64, robots: u16) -> Swarm {
+    let configs = (1..=robots).map(|id| {
+        let mut config = RobotConfig { codec, ..config(id) };
+        config.session.snapshot_range_max = Some(5);
+        config
+    });
+    let mut swarm = Swarm::new(configs.collect(), radio, seed);
+    swarm.cut = (1..robots.into()).map(|other| (0, other)).collect();
+    let mut random = Random(seed);
+    for tick in 0..80 {
+        let at = [f64::from(tick) * 0.05, 0.0, 0.0];
+        let scan = scan(&mut random, swarm.now);
+        swarm.scan(0, &scan, &Pose::from_yaw(at, random.unit()));
+        swarm.run(100);
+    }
+    swarm.robots[0].flush(swarm.now);
+    swarm
+}
+
+#[test]
+fn a_late_joiner_catches_up_over_a_bad_radio_by_chunks_in_their_order() {
+    for seed in 1..=4 {
+        let mut swarm = explored(Codec::Flock, LOSSY, seed, 3);
+        swarm.cut.clear();
+        swarm.settle(60_000);
+        assert!(swarm.agrees(), "seed {seed}");
+        swarm.assert_layers_equal_own_maps(seed);
+        let caught_up =
+            |robot: usize| swarm.events[robot].iter().any(|e| matches!(e, Event::CaughtUp { .. }));
+        assert!(caught_up(1) || caught_up(2), "seed {seed}: by a snapshot");
+        let waited: u64 = [1, 2].map(|robot| swarm.robots[robot].session().counters().waited).iter().sum();
+        let [first, second] = [1, 2].map(|robot| *swarm.robots[robot].counters());
+        assert!(waited > 0, "seed {seed}: chunks came out of order");
+        assert_eq!(first.damaged + second.damaged, 0, "seed {seed}");
+    }
+}
+
+#[test]
+fn a_snapshot_of_noise_takes_no_more_than_the_papers() {
+    let bytes = [Codec::Flock, Codec::Paper].map(|codec| {
+        // In one place, walls that come and go: what is left of each batch has no pattern.
+        let mut swarm = Swarm::new(vec![config(1)], PERFECT, 7);
+        let mut random = Random(7);
+        for _ in 0..300 {
+            let scan = scan(&mut random, swarm.now);
+            swarm.scan(0, &scan, &Pose::IDENTITY);
+            swarm.run(100);
+        }
+        let robot = &swarm.robots[0];
+        let state = robot.fusion().layer(robot.own_stream()).unwrap().snapshot().unwrap();
+        assert!(!state.sensors.is_empty());
+        let resolution = common::resolution();
+        let chunks = Encoder::new().encode_snapshot(codec, robot.own_stream(), 9, resolution, &state, 1_150);
+        chunks.unwrap().iter().map(|chunk| chunk.bytes().len()).sum::<usize>()
+    });
+    println!("{bytes:?} B");
+    assert!(bytes[0] <= bytes[1], "{bytes:?} B");
+}
+
+/// The chunks of a snapshot, as a robot of that name sends them.
+fn give(robot: &mut Robot, sender: u16, now: Stamp, chunks: &[&Package]) {
+    for chunk in chunks {
+        let sender = Stream { origin: RobotId(sender), epoch: 1 };
+        let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender, stamp: now };
+        let mut writer = PackagesWriter::new(header, 1_200);
+        assert!(writer.push(chunk));
+        robot.handle_datagram(now, &writer.finish()).unwrap();
+    }
+}
+
+/// A snapshot with its chunks, and a robot that knows nothing.
+fn chunks(seed: u64) -> (Vec<Package>, u64, Robot) {
+    let swarm = explored(Codec::Flock, PERFECT, seed, 1);
+    let robot = &swarm.robots[0];
+    let layer = robot.fusion().layer(robot.own_stream()).unwrap();
+    let state = layer.snapshot().unwrap();
+    let resolution = common::resolution();
+    let chunks = Encoder::new().encode_snapshot(Codec::Flock, robot.own_stream(), 9, resolution, &state, 600);
+    let chunks = chunks.unwrap();
+    assert!(chunks.len() > 9 && chunks.iter().all(|chunk| chunk.header().codec == Codec::Flock));
+    (chunks, layer.digest(), Robot::new(config(9), swarm.now).unwrap())
+}
+
+#[test]
+fn chunks_backwards_from_two_robots_are_merged_when_the_first_comes() {
+    let (chunks, digest, mut bob) = chunks(3);
+    let stream = chunks[0].header().stream;
+    let now = Stamp(60_000_000);
+    let backwards: Vec<&Package> = chunks.iter().rev().collect();
+    let (first, later) = backwards.split_last().unwrap();
+    give(&mut bob, 1, now, later);
+    give(&mut bob, 2, now, later);
+    assert_eq!(bob.counters().merged, 0);
+    give(&mut bob, 2, now, &[*first]);
+    assert_eq!(bob.counters().merged as usize, chunks.len());
+    assert_eq!(bob.fusion().layer(stream).unwrap().digest(), digest);
+    assert!(bob.session().received(stream).unwrap().contains_range(1, 9));
+}
+
+#[test]
+fn a_damaged_chunk_makes_the_snapshot_begin_again_and_does_no_harm() {
+    let (chunks, digest, mut bob) = chunks(4);
+    let stream = chunks[0].header().stream;
+    let now = Stamp(60_000_000);
+    let damaged = |chunk: &Package| {
+        let is_other = |bytes: &Vec<u8>| {
+            Package::parse(bytes)
+                .is_ok_and(|package| package.header() == chunk.header() && package.bytes() != chunk.bytes())
+        };
+        let mut bytes = chunk.bytes().to_vec();
+        let end = bytes.len() - 40;
+        bytes[end] ^= 0x40;
+        assert!(is_other(&bytes));
+        Package::parse(&bytes).unwrap()
+    };
+    let bad = damaged(&chunks[2]);
+    give(&mut bob, 1, now, &[&chunks[0], &chunks[1], &bad, &chunks[3]]);
+    assert_eq!((bob.counters().merged, bob.counters().damaged), (2, 1));
+    assert_eq!(bob.session().counters().snapshots_restarted, 1);
+    // The rest of this sending finds nothing to go on from; the next sending does.
+    give(&mut bob, 1, now, &chunks.iter().skip(4).collect::<Vec<_>>());
+    let later = now.plus_micros(11_000_000);
+    give(&mut bob, 1, later, &chunks.iter().collect::<Vec<_>>());
+    assert_eq!(bob.fusion().layer(stream).unwrap().digest(), digest);
+    assert!(bob.session().received(stream).unwrap().contains_range(1, 9));
+}
+
+#[test]
+fn without_room_for_a_chunk_it_is_asked_for_again_and_nothing_is_lost() {
+    let (chunks, _, _) = chunks(5);
+    let mut config = config(9);
+    config.fusion.layer_bytes_max = 60_000;
+    let mut bob = Robot::new(config, Stamp(0)).unwrap();
+    let now = Stamp(60_000_000);
+    for (round, expected) in [(0, 1), (1, 2)] {
+        give(&mut bob, 1, now.plus_micros(11_000_000 * round), &chunks.iter().collect::<Vec<_>>());
+        assert_eq!(bob.counters().no_room, expected, "the same chunk again, and no later one");
+    }
+    assert!(bob.session().received(chunks[0].header().stream).is_none_or(|received| !received.contains(9)));
+    assert_eq!(bob.counters().damaged, 0);
+}
+
+#[test]
+fn many_snapshots_side_by_side_are_bounded_and_the_dropped_ones_begin_again() {
+    // Six robots' states, chunk by chunk in turns: more than are read at a time.
+    let (one, _, mut bob) = chunks(6);
+    let states: Vec<Vec<Package>> = (1..=6).map(|origin| renamed(&one, origin)).collect();
+    let now = Stamp(60_000_000);
+    for chunk in 0..3 {
+        for (origin, chunks) in (1..).zip(&states) {
+            give(&mut bob, origin, now, &[&chunks[chunk]]);
+        }
+    }
+    assert!(bob.session().counters().snapshots_restarted > 0);
+    // One after the other they all go through.
+    for (origin, chunks) in (1..).zip(&states) {
+        give(&mut bob, origin, now, &chunks.iter().collect::<Vec<_>>());
+        let received = bob.session().received(chunks[0].header().stream).unwrap();
+        assert!(received.contains_range(1, 9), "origin {origin}");
+    }
+}
+
+/// The same state as that of another robot.
+fn renamed(chunks: &[Package], origin: u16) -> Vec<Package> {
+    let mut decoder = flockmap::codec::Decoder::new();
+    let mut before = flockmap::codec::ChunksRead::default();
+    let mut layer = flockmap::grid::Layer::default();
+    for chunk in chunks {
+        assert!(matches!(chunk.header().content, ContentKind::Snapshot { .. }));
+        layer.apply_snapshot(&decoder.decode_chunk(chunk, &mut before).unwrap());
+    }
+    let stream = Stream { origin: RobotId(origin), epoch: 1 };
+    let state = layer.snapshot().unwrap();
+    let chunks = Encoder::new().encode_snapshot(Codec::Flock, stream, 9, common::resolution(), &state, 600);
+    let chunks = chunks.unwrap();
+    let Ok(Content::Snapshot(_)) = chunks[0].decode() else { panic!("the first chunk stands alone") };
+    chunks
+}
