@@ -79,7 +79,7 @@ pub struct SessionConfig {
     pub gap_request_pause_ms: u32,
 
     // What to answer.
-    /// Send new packages at once to peers that are heard both ways, and forward those of others, without waiting
+    /// Send new packages at once to peers that are heard in both directions, and forward those of others, without waiting
     /// for a request. Default yes; the paper sends on request only.
     pub push: bool,
     /// Newest or oldest first. Default newest.
@@ -127,7 +127,7 @@ pub struct SessionConfig {
     /// for each of `in_flight_max` packages (by broadcast 160, and 32 in each stream), and 26 KiB. All worst cases together:
     /// [`memory_max`](Self::memory_max).
     pub peers_max: usize,
-    /// Streams of others known at once. Of more, ended runs give way, the one of which nothing new has come for longest
+    /// Streams of others known at once. Of more, ended runs are dropped, the one of which nothing new has come for longest
     /// ([`Event::StreamForgotten`](crate::Event::StreamForgotten)); the newest run of a robot that is heard never does. Default 64. Worst case 10 KiB each, beside what peers state of them.
     pub streams_max: usize,
     /// Runs kept of one origin; of more, the oldest is forgotten. Default 4.
@@ -137,7 +137,7 @@ pub struct SessionConfig {
     /// Packages sent to one peer and not yet confirmed; more wait. By broadcast up to as many again are noted that other peers were sent, and
     /// this one has heard. Default 4,096.
     pub in_flight_max: usize,
-    /// Bytes of present-state chunks kept for sending. A set on its way to a peer that takes it gives way to no other: that one waits. Default 16 MiB.
+    /// Bytes of snapshot chunks kept for sending. A snapshot in flight to a peer that takes it is dropped for no other: that one waits. Default 16 MiB.
     pub snapshot_bytes_max: usize,
     /// Snapshots received at once. Default 8. Worst case 8 KiB each.
     pub transfers_max: usize,

@@ -46,7 +46,7 @@ pub struct Counters {
     pub confirmed: u64,
     /// Packages found lost by a request; they are sent again.
     pub lost: u64,
-    /// By broadcast: packages heard from one robot and so noted as on their way to another, who need not get them
+    /// By broadcast: packages heard from one robot and so noted as in flight to another, who need not get them
     /// from here.
     pub suppressed: u64,
     /// Requests that went out because of a gap.
@@ -91,7 +91,7 @@ pub struct Counters {
     pub foreign_swarm: u64,
     /// Sealed datagrams that the own key does not open: damaged, forged, or of a robot with another key.
     pub forged: u64,
-    /// Genuine datagrams that were there already, or so late that this cannot be told.
+    /// Genuine datagrams that were there already, or so late that nobody can know.
     pub replayed: u64,
     /// Sealed datagrams of a run of which no request had come yet, so that they could not be opened. Its packages come again.
     pub unknown_run: u64,

@@ -1,4 +1,4 @@
-//! What a session tells its driver.
+//! The events of a session, for its driver.
 
 use crate::IntervalSet;
 use crate::path::Path;
@@ -9,7 +9,7 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {
-    /// A package or chunk that was not held before, and that can be decoded: what it builds on is merged; of chunks that are told one against the other
+    /// A package or chunk that was not held before, and that can be decoded: what it builds on is merged; of chunks that build on one another
     /// it is the next one. Decode and merge it, then give the [`verdict`](crate::Session::verdict), before any other call.
     Received(Package),
     /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
@@ -43,7 +43,7 @@ pub enum Event {
         /// The stream.
         stream: Stream,
         /// The snapshot, as its chunks say.
-        set: u32,
+        snapshot_id: u32,
     },
     /// A package waited for those that it builds on, and there is no room for it any more. It is asked for again after 10 s.
     NoRoomToWait {
@@ -60,7 +60,7 @@ pub enum Event {
         /// The stream.
         stream: Stream,
         /// The snapshot, as its chunks say.
-        set: u32,
+        snapshot_id: u32,
         /// The packages that it contains; at most [`RECEIVED_INTERVALS_MAX`](crate::RECEIVED_INTERVALS_MAX) intervals.
         received: IntervalSet,
     },
@@ -73,17 +73,17 @@ pub enum Event {
     /// An old run of an origin was forgotten to make room for a newer one. What the map has of it may stay.
     StreamForgotten(Stream),
     /// Another robot uses the own id, or this run has the epoch of an earlier one. Give every robot its own id and every run an epoch with
-    /// random bits. Told at most every 10 s.
+    /// random bits. Reported at most every 10 s.
     SameIdentity,
-    /// The own id was used with a higher epoch, as others tell: by an earlier run whose clock was ahead, or by another robot. Whoever knows that run
-    /// takes this one for a former one. Call [`begin_run`](crate::Session::begin_run) with an epoch above this one. Told at once, then after
+    /// The own id was used with a higher epoch, as others report: by an earlier run whose clock was ahead, or by another robot. Whoever knows that run
+    /// takes this one for a former one. Call [`begin_run`](crate::Session::begin_run) with an epoch above this one. Reported at once, then after
     /// pauses from 10 s up to an hour.
     EpochTooLow {
         /// The epoch that was used.
         used: u64,
     },
     /// So many datagrams were sealed (2⁴⁷) that one more would repeat a nonce: this session sends nothing more.
-    /// Start the robot again. Told once.
+    /// Start the robot again. Reported once.
     NoncesExhausted,
 }
 
@@ -111,7 +111,7 @@ impl Destination {
 pub struct Transmit {
     /// Whom to.
     pub to: Destination,
-    /// Where to, if it is for one robot and the driver tells on which path it hears each datagram
+    /// Where to, if it is for one robot and the driver knows on which path it hears each datagram
     /// ([`handle_datagram_from`](crate::Session::handle_datagram_from)).
     pub path: Option<Path>,
     /// The UDP payload, at most [`DATAGRAM_BYTES_MAX`](crate::wire::DATAGRAM_BYTES_MAX) bytes.

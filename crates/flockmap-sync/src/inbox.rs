@@ -1,4 +1,4 @@
-//! Packages on their way into the map: held until what they build on is there, handed out in an order in which they decode, and each given one
+//! Packages going into the map: held until what they build on is there, given out in an order in which they decode, and each given one
 //! verdict. As quinn's `Assembler` for the bytes of a stream. Nothing is decoded here.
 
 mod chains;
@@ -6,7 +6,6 @@ mod transfer;
 mod waiting;
 
 pub(crate) use chains::CHUNKS_WAITING_MAX;
-pub use chains::SNAPSHOTS_READ_MAX;
 pub(crate) use transfer::{ABANDONED, Transfer};
 pub(crate) use waiting::WAITING_BYTES_MAX;
 
@@ -29,13 +28,13 @@ const UNDECODABLE_INTERVALS_MAX: usize = 64;
 /// Damaged packages remembered; of more, all are forgotten.
 const DAMAGED_MAX: usize = 256;
 
-/// What became of a package that was handed out by [`Event::Received`](crate::Event::Received).
+/// What became of a package that was given out by [`Event::Received`](crate::Event::Received).
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Verdict {
     /// It is in the map, or will never fit this map but may fit others: it counts as held and is offered to others.
     Merged,
-    /// It does not decode, and is asked for again after 10 s. A chunk that was told against others makes its snapshot begin again: which of them is
-    /// at fault cannot be told. A package that builds on others and is damaged for the second time is undecodable: should a layer ever differ
+    /// It does not decode, and is asked for again after 10 s. A chunk that builds on others makes its snapshot begin again: which of them is
+    /// at fault cannot be known. A package that builds on others and is damaged for the second time is undecodable: should a layer ever differ
     /// from its sender's, this is what heals it.
     Damaged,
     /// It can never be decoded here, since what it was coded against is gone. It is not asked for again: the others are asked for a snapshot that
@@ -47,7 +46,7 @@ pub enum Verdict {
 }
 
 /// What is on its way into the map.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Inbox {
     /// All that is in here, with the peer it came from, until its verdict.
     pending: BTreeSet<(Item, RobotId)>,
@@ -99,6 +98,19 @@ pub(crate) enum Ready {
 }
 
 impl Inbox {
+    pub(crate) fn new(transfers_max: usize) -> Self {
+        Self {
+            pending: BTreeSet::new(),
+            backed_off: BTreeMap::new(),
+            undecodable: BTreeMap::new(),
+            damaged: BTreeSet::new(),
+            transfers: Vec::new(),
+            waiting: Waiting::default(),
+            chains: Chains::new(transfers_max),
+            releasing: None,
+        }
+    }
+
     /// Takes something in, unless it is there already (`is_received`: in the map), or not wanted now.
     pub(crate) fn take_in(&mut self, now: Stamp, from: RobotId, item: Item, is_received: bool) -> Intake {
         let is_pending = match item {
@@ -125,7 +137,8 @@ impl Inbox {
         if !self.is_pending(Item::of(&package)) {
             Ready::Settled
         } else if let Some((id, chunk)) = Chains::place_of(&package) {
-            if let Some(dropped) = self.chains.open(id, header.index) {
+            let is_received = |id| self.transfers.iter().any(|t| (t.stream, t.snapshot_id) == id);
+            if let Some(dropped) = self.chains.open(id, header.index, is_received) {
                 return Ready::TakesPlaceOf(dropped, package);
             }
             match self.chains.place(id, chunk) {
@@ -154,7 +167,7 @@ impl Inbox {
                 continue;
             };
             if let Some(Releasing::Packages { after, .. }) = &mut self.releasing {
-                // A package that has to go on waiting keeps the prefix below itself: none before it can become ready on the way.
+                // A package that has to go on waiting keeps the prefix below itself: none before it can become ready meanwhile.
                 *after = package.header().index;
             }
             if self.is_pending(Item::of(&package)) {
@@ -220,13 +233,14 @@ impl Inbox {
     }
 
     /// What was read of a snapshot is gone: it is read anew from its first chunk on. What of it waited needs no verdict any more.
-    pub(crate) fn restart(&mut self, stream: Stream, set: u32) {
-        self.chains.drop_one((stream, set));
-        for transfer in self.transfers.iter_mut().filter(|t| t.stream == stream && t.set == set) {
+    pub(crate) fn restart(&mut self, stream: Stream, snapshot_id: u32) {
+        self.chains.drop_one((stream, snapshot_id));
+        for transfer in
+            self.transfers.iter_mut().filter(|t| t.stream == stream && t.snapshot_id == snapshot_id)
+        {
             transfer.restart();
         }
-        let is_of_set =
-            |item: &Item| matches!(item, Item::Chunk { stream: s, set: n, .. } if *s == stream && *n == set);
+        let is_of_set = |item: &Item| matches!(item, Item::Chunk { stream: s, snapshot_id: n, .. } if *s == stream && *n == snapshot_id);
         self.pending.retain(|(item, _)| !is_of_set(item));
     }
 
@@ -299,8 +313,8 @@ impl Inbox {
         let transfers = &self.transfers;
         self.pending.retain(|&(item, from)| match item {
             Item::Package { .. } => true,
-            Item::Chunk { stream, set, .. } => {
-                transfers.iter().any(|t| (t.source, t.stream, t.set) == (from, stream, set))
+            Item::Chunk { stream, snapshot_id, .. } => {
+                transfers.iter().any(|t| (t.source, t.stream, t.snapshot_id) == (from, stream, snapshot_id))
             }
         });
     }
@@ -342,7 +356,7 @@ impl Inbox {
 
     /// Number + 1 of the chunks of a transfer that its source shall not send just now: pending, or backed off.
     pub(crate) fn unwanted_chunks(&self, transfer: &Transfer, now: Stamp) -> Vec<(u32, u32)> {
-        let item = |chunk| Item::Chunk { stream: transfer.stream, set: transfer.set, chunk };
+        let item = |chunk| Item::Chunk { stream: transfer.stream, snapshot_id: transfer.snapshot_id, chunk };
         let number = |item: Item| match item {
             Item::Chunk { chunk, .. } => Some((chunk + 1, chunk + 1)),
             Item::Package { .. } => None,

@@ -7,7 +7,7 @@ use flockmap_grid::Stream;
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(crate) enum Item {
     Package { stream: Stream, index: u32 },
-    Chunk { stream: Stream, set: u32, chunk: u32 },
+    Chunk { stream: Stream, snapshot_id: u32, chunk: u32 },
 }
 
 impl Item {
@@ -15,7 +15,9 @@ impl Item {
         let header = package.header();
         match header.content {
             ContentKind::Changes => Self::Package { stream: header.stream, index: header.index },
-            ContentKind::Snapshot { set, chunk, .. } => Self::Chunk { stream: header.stream, set, chunk },
+            ContentKind::Snapshot { set: snapshot_id, chunk, .. } => {
+                Self::Chunk { stream: header.stream, snapshot_id, chunk }
+            }
         }
     }
 

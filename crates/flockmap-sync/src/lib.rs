@@ -33,7 +33,7 @@ pub mod wire;
 pub use config::{Cast, ConfigError, InFlight, Order, Relay, SessionConfig};
 pub use counters::{Counters, Traffic};
 pub use event::{Destination, Event, PublishError, Transmit};
-pub use inbox::{SNAPSHOTS_READ_MAX, Verdict};
+pub use inbox::Verdict;
 pub use interval_set::{IntervalSet, TooFragmented};
 pub use key::{KeyError, SwarmKey};
 pub use path::Path;

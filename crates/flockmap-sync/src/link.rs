@@ -1,4 +1,4 @@
-//! What is measured of the way to a peer: round trip and offset between the clocks, both from echoed stamps.
+//! What is measured of the link to a peer: round trip and offset between the clocks, both from echoed stamps.
 
 use flockmap_grid::Stamp;
 use std::collections::VecDeque;

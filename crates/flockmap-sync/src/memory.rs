@@ -1,6 +1,6 @@
 //! The most that a session can be made to hold, reckoned from its options.
 
-use crate::inbox::{CHUNKS_WAITING_MAX, SNAPSHOTS_READ_MAX, WAITING_BYTES_MAX};
+use crate::inbox::{CHUNKS_WAITING_MAX, WAITING_BYTES_MAX};
 use crate::store::RECEIVED_INTERVALS_MAX;
 use crate::wire::DATAGRAM_BYTES_MAX;
 use crate::{Cast, SessionConfig};
@@ -9,7 +9,7 @@ use crate::{Cast, SessionConfig};
 const INTERVAL: usize = 8;
 /// A list that was joined from two has room for both, and a queue may have room for twice what it holds.
 const GROWTH: usize = 2;
-/// What is known of a stream beside the list of held indices: indices given up (64 intervals), places in maps.
+/// What is known of a stream beside the list of held indices: undecodable indices (64 intervals), places in maps.
 const STREAM: usize = 2_048;
 /// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the queue (256 items), runs that had no place, its pacer,
 /// its clock.
@@ -38,7 +38,7 @@ impl SessionConfig {
     /// The most bytes that a [`Session`](crate::Session) with these options holds on the heap, whatever it receives and however late
     /// its events are taken: the sum of the worst cases that the limits state. As asked of the allocator, which may add some. What
     /// the driver keeps (layers) is not in it. The default: 165 MB, of which 64 MiB are
-    /// the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is on its way to them, by broadcast 300 MB; honest peers take a hundredth of these two.
+    /// the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is in flight to them, by broadcast 300 MB; honest peers take a hundredth of these two.
     pub const fn memory_max(&self) -> usize {
         let streams = self.streams_max + 1;
         let received = RECEIVED_INTERVALS_MAX * INTERVAL;
@@ -63,7 +63,7 @@ impl SessionConfig {
             + self.snapshot_bytes_max / DATAGRAM_BYTES_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
             + EVENTS * (DATAGRAM_BYTES_MAX + PACKAGE + 64)
             + WAITING_BYTES_MAX
-            + SNAPSHOTS_READ_MAX * CHUNKS_WAITING_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
+            + self.transfers_max * CHUNKS_WAITING_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
             + BACKED_OFF
             + work
     }

@@ -1,4 +1,4 @@
-//! What is on its way out.
+//! What is going out.
 
 use crate::IntervalSet;
 use crate::item::Item;
@@ -32,7 +32,7 @@ pub(crate) struct Outbox {
 #[derive(Debug)]
 pub(crate) struct Outgoing {
     pub(crate) stream: Stream,
-    pub(crate) set: u32,
+    pub(crate) snapshot_id: u32,
     pub(crate) since: u32,
     pub(crate) upto: u32,
     /// What it contains, where that has gaps.
@@ -52,9 +52,9 @@ impl Outgoing {
     /// Begins to send it to a peer.
     pub(crate) fn sending(&self, now: Stamp) -> Sending {
         let nothing = IntervalSet::new(PEER_INTERVALS_MAX);
-        let (set, since, upto) = (self.set, self.since, self.upto);
+        let (snapshot_id, since, upto) = (self.snapshot_id, self.since, self.upto);
         Sending {
-            set,
+            snapshot_id,
             since,
             upto,
             named_at: now,
@@ -85,22 +85,30 @@ impl Outbox {
     }
 
     /// A snapshot that can be sent.
-    pub(crate) fn snapshot(&self, stream: Stream, set: u32) -> Option<&Outgoing> {
-        self.snapshots.iter().find(|outgoing| outgoing.stream == stream && outgoing.set == set)
+    pub(crate) fn snapshot(&self, stream: Stream, snapshot_id: u32) -> Option<&Outgoing> {
+        self.snapshots
+            .iter()
+            .find(|outgoing| outgoing.stream == stream && outgoing.snapshot_id == snapshot_id)
     }
 
     /// What is sent for an item, if it is there.
     pub(crate) fn package<'a>(&'a self, item: Item, store: &'a Store) -> Option<&'a Package> {
         match item {
             Item::Package { stream, index } => store.get(stream, index).map(|stored| &stored.package),
-            Item::Chunk { stream, set, chunk } => self.snapshot(stream, set)?.chunks.get(chunk as usize),
+            Item::Chunk { stream, snapshot_id, chunk } => {
+                self.snapshot(stream, snapshot_id)?.chunks.get(chunk as usize)
+            }
         }
     }
 
-    /// What a chunk's set contains, where that has to be told.
+    /// What a chunk's snapshot contains, where that has to be said.
     pub(crate) fn contents(&self, item: Item) -> Option<Contents> {
-        let Item::Chunk { stream, set, .. } = item else { return None };
-        Some(Contents { stream, set, received: self.snapshot(stream, set)?.contents.clone()? })
+        let Item::Chunk { stream, snapshot_id, .. } = item else { return None };
+        Some(Contents {
+            stream,
+            snapshot_id,
+            received: self.snapshot(stream, snapshot_id)?.contents.clone()?,
+        })
     }
 
     /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.

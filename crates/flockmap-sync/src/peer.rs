@@ -69,7 +69,7 @@ pub(crate) struct Peer {
     pub(crate) oldest_wanted: BTreeMap<RobotId, u64>,
     pub(crate) clocks: Vec<crate::wire::ClockReport>,
     pub(crate) streams: BTreeMap<Stream, PeerStream>,
-    /// The ledger: what is on its way to it. Also of streams of which it takes nothing now: it may have room when that arrives.
+    /// The ledger: what is in flight to it. Also of streams of which it takes nothing now: it may have room when that arrives.
     pub(crate) in_flight: VecDeque<SentPackage>,
     /// Not before this a chunk is offered to it of a set that it does not take.
     pub(crate) offer_at: Stamp,
@@ -200,7 +200,7 @@ impl Peer {
 }
 
 impl Peer {
-    /// Notes that an item goes out and is on its way to the peer: also one that it states to hold or has no place for, since it
+    /// Notes that an item goes out and is in flight to the peer: also one that it states to hold or has no place for, since it
     /// may take back either before the item arrives. One that is on its way already counts from now. Of more than `in_flight_max` the oldest is
     /// forgotten if it would count as lost by now; else the new one is not noted, and only kept back until the next request.
     pub(crate) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) {
@@ -209,11 +209,11 @@ impl Peer {
             return;
         }
         let theirs = self.theirs(stream, now);
-        if let Item::Chunk { set, .. } = item
+        if let Item::Chunk { snapshot_id, .. } = item
             && theirs
                 .as_ref()
                 .and_then(|theirs| theirs.sending.as_ref())
-                .is_none_or(|sending| sending.set != set)
+                .is_none_or(|sending| sending.snapshot_id != snapshot_id)
         {
             // It is not sent this set.
             return;
@@ -250,8 +250,8 @@ impl Peer {
     pub(crate) fn lacks(&self, item: Item) -> bool {
         let (received_or_in_flight, number) = match (self.streams.get(&item.stream()), item) {
             (Some(theirs), Item::Package { index, .. }) => (&theirs.received_or_in_flight, index),
-            (Some(PeerStream { sending: Some(sending), .. }), Item::Chunk { set, chunk, .. })
-                if sending.set == set =>
+            (Some(PeerStream { sending: Some(sending), .. }), Item::Chunk { snapshot_id, chunk, .. })
+                if sending.snapshot_id == snapshot_id =>
             {
                 (&sending.received_or_in_flight, chunk + 1)
             }

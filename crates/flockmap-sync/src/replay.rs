@@ -13,7 +13,7 @@ const WORDS: usize = (BITS / 64) as usize;
 /// Why a genuine datagram does not count.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum NotFresh {
-    /// It was there already, or so many later ones were that this cannot be told.
+    /// It was there already, or so many later ones were that nobody can know.
     Replayed,
     /// It is from a run before this one.
     Stale(u64),

@@ -1,4 +1,4 @@
-//! What a session tells its driver, when asked.
+//! What a session reports to its driver when asked.
 
 use crate::Counters;
 use crate::counters::Traffic;
@@ -6,14 +6,14 @@ use crate::event::Event;
 use flockmap_grid::{Stamp, Stream};
 use std::collections::VecDeque;
 
-/// What waits to be told, and what was counted.
+/// What waits to be reported, and what was counted.
 #[derive(Debug, Default)]
 pub(crate) struct Report {
     pub(crate) events: VecDeque<Event>,
     pub(crate) counters: Counters,
 }
 
-/// What [`Session::peers`](crate::Session::peers) tells of a peer.
+/// What [`Session::peers`](crate::Session::peers) reports of a peer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[non_exhaustive]
 pub struct PeerInfo {
@@ -21,7 +21,7 @@ pub struct PeerInfo {
     pub stream: Stream,
     /// When it was last heard, on the own clock.
     pub last_heard: Stamp,
-    /// Whether it hears this robot, as far as its last request tells.
+    /// Whether it hears this robot, as far as its last request says.
     pub hears_us: bool,
     /// Smoothed round trip in microseconds, once measured.
     pub round_trip_micros: Option<i64>,

@@ -90,7 +90,7 @@ impl Session {
             clocks: Clocks::new(),
             store: Store::new(own, config.store_limits()),
             peers: BTreeMap::new(),
-            inbox: Inbox::default(),
+            inbox: Inbox::new(config.transfers_max),
             outbox: Outbox::new(&config),
             schedule: Schedule::new(seed ^ (u64::from(own.origin.0) << 32) ^ own.epoch),
             report: Report::default(),
@@ -150,11 +150,11 @@ impl Session {
         &mut self,
         now: Stamp,
         stream: Stream,
-        set: u32,
+        snapshot_id: u32,
         received: IntervalSet,
     ) -> bool {
         let now = self.advance(now);
-        let contents = Contents { stream, set, received: received.clone() };
+        let contents = Contents { stream, snapshot_id, received: received.clone() };
         self.receive_packages(now, self.identity.own, Vec::new(), vec![contents]);
         self.finish_transfers(now);
         self.store.received(stream).is_some_and(|all| received.difference(all).is_empty())
@@ -250,7 +250,7 @@ impl Session {
     }
 
     /// What each peer that hears this robot holds of the own stream, by its last request: the peer and its run, when the request
-    /// came, and the highest index up to which nothing is missing. What a peer keeps undecided counts as held.
+    /// came, and the highest index up to which nothing is missing. What a peer keeps pending counts as held.
     pub fn own_received_by_peers(&self) -> impl Iterator<Item = (Stream, Stamp, u32)> + '_ {
         self.peers.values().filter(|peer| peer.hears(self.identity.own.origin)).filter_map(|peer| {
             let (_, at) = peer.request?;
@@ -267,7 +267,7 @@ impl Session {
     }
 
     /// The clock of a stream's robot minus the own clock, in microseconds: as given, else as measured with that
-    /// robot, else by way of a peer that hears it, else as last measured.
+    /// robot, else through a peer that hears it, else as last measured.
     pub fn clock_offset(&self, stream: Stream) -> Option<i64> {
         if stream == self.identity.own {
             return Some(0);

@@ -1,4 +1,4 @@
-//! What a session sends under a byte budget, told in virtual time.
+//! What a session sends under a byte budget, in virtual time.
 
 mod swarm;
 

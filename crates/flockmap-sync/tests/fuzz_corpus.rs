@@ -106,7 +106,7 @@ fn sessions_hold_their_limits() {
     for (what, count) in [
         ("accepted", (|c| c.accepted) as fn(&Counters) -> u64),
         ("rejected", |c| c.rejected),
-        ("given up", |c| c.undecodable),
+        ("undecodable", |c| c.undecodable),
         ("sent", |c| c.sent),
         ("confirmed", |c| c.confirmed),
         ("lost", |c| c.lost),

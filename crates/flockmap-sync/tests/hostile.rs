@@ -127,7 +127,7 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
                 stream: Stream { origin: own, epoch: 1 },
                 since: any_index(random),
                 upto: any_index(random),
-                set: random.next() as u32,
+                snapshot_id: random.next() as u32,
                 chunks: any_index(random),
                 from: any_index(random),
                 accepted: any_set(random),

@@ -1,4 +1,4 @@
-//! What is on its way to a peer is not sent to it again before it can have said that it is lost.
+//! What is in flight to a peer is not sent to it again before it can have said that it is lost.
 
 use flockmap_codec::{Batch, Codec, Encoder};
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};

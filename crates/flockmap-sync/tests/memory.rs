@@ -142,7 +142,7 @@ impl Victim {
         }
     }
 
-    /// What follows fills the limit; what the test itself took on the way counts no more.
+    /// What follows fills the limit; what the test itself took meanwhile counts no more.
     fn is_prepared(&mut self) {
         self.base = ALLOCATOR.current_usage();
         ALLOCATOR.reset_peak_usage();

@@ -23,7 +23,7 @@ struct Pair {
     one: Session,
     two: Session,
     now: Stamp,
-    /// Robot 2 is told the address of robot 1, and not the other way round.
+    /// Robot 2 knows the address of robot 1, and not the reverse.
     only_two_is_sent: bool,
     /// Everything that robot 1 sent.
     sent: Vec<Transmit>,

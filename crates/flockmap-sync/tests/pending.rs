@@ -1,4 +1,4 @@
-//! Packages that the driver keeps undecided, or gives up for a snapshot.
+//! Packages that the driver keeps pending, or replaces by a snapshot.
 
 mod swarm;
 

@@ -1,4 +1,4 @@
-//! What a session does for a swarm, told in virtual time.
+//! What a session does for a swarm, in virtual time.
 
 mod swarm;
 
@@ -119,7 +119,7 @@ fn the_middle_robot_of_a_line_forwards_at_once() {
     swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2), swarm.stream(3)]);
     let duplicates: u64 = swarm.robots.values().map(|robot| robot.session.counters().duplicates).sum();
     assert_eq!(duplicates, 0);
-    // The clock of the far end is known by way of the middle: 1000 s a robot apart.
+    // The clock of the far end is known through the middle: 1000 s a robot apart.
     let offset = swarm.robots[&1].session.clock_offset(swarm.stream(3)).unwrap();
     assert!((offset - 2_000 * SECOND).abs() < 5 * MS, "{offset}");
 }
@@ -404,7 +404,7 @@ fn by_the_papers_comparison_a_package_is_sent_again_only_after_two_requests_with
         request_period_idle_ms: 100,
         ..SessionConfig::paper()
     };
-    // The way there and back takes one and a half periods: every answer is still under way at the next request.
+    // The round trip takes one and a half periods: every answer is still in flight at the next request.
     let radio = Radio { loss: 0.0, duplicate: 0.0, delay: 75 * MS, jitter: 0 };
     let mut swarm = Swarm::of(2, 22, radio, &config);
     swarm.run(SECOND);

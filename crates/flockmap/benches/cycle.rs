@@ -1,6 +1,6 @@
 //! The two times of the paper's Table IV: `t_pack` (batch start to packages ready; 5.30 ms there) and `t_recv2insert`
 //! (package to fused map; 7.08 ms there), for a batch of the paper's real flight: 0.1 m voxels, a local update box of
-//! 150 × 150 × 30, t_l 0.2 s, that is two scans at 10 Hz.
+//! 150 × 150 × 30, publish period 0.2 s (the paper's t_l), that is two scans at 10 Hz.
 //!
 //! `cargo bench -p flockmap --bench batch`
 

@@ -37,7 +37,7 @@ struct Case {
     name: String,
     codec: Codec,
     is_snapshot: bool,
-    /// Told against the layer of [`known`].
+    /// Coded against the layer of [`known`].
     is_against: bool,
     /// All drafts with at most so many bytes.
     drafts: Box<dyn Fn(usize) -> Vec<Draft>>,
@@ -310,7 +310,7 @@ fn varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Bytes that draw each decision in some way.
+/// Bytes that draw each decision somehow.
 fn decisions(kind: usize, length: usize) -> Vec<u8> {
     let mut random = 0x9e37_79b9_7f4a_7c15u64;
     (0..length)
@@ -400,7 +400,9 @@ fn cases() -> Vec<Case> {
                 };
                 sizes
                     .flat_map(|size| {
-                        (0..7).flat_map(move |kind| [0, 1, 2].map(|set| payload(size, kind, set)))
+                        (0..7).flat_map(move |kind| {
+                            [0, 1, 2].map(|snapshot_id| payload(size, kind, snapshot_id))
+                        })
                     })
                     .collect()
             })

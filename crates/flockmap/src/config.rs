@@ -1,4 +1,4 @@
-//! What a robot may be told.
+//! Configuration of a robot.
 
 use flockmap_codec::Codec;
 use flockmap_grid::{FusionConfig, MapperConfig, Preset, Resolution, RobotId};
@@ -7,9 +7,9 @@ use flockmap_sync::SessionConfig;
 /// When a batch of mapping is closed and sent (the paper's Alg. 1, line 13).
 ///
 /// Under a byte budget a batch that is due waits until the packages before it have been sent. What changes meanwhile is merged in the map; then
-/// what the radio takes in a quarter of a second is told at a time, obstacles first (three parts of them for one of anything else), the nearest first.
+/// what the radio takes in a quarter of a second is published at a time, obstacles first (three parts of them for one of anything else), the nearest first.
 /// So obstacles stay fresh where the radio takes less than the map changes, and free space gets late.
-/// A change that waited has the stamp at which it is told; free space that waited is not told where a team-mate saw an obstacle in the meantime.
+/// A change that waited has the stamp at which it is published; free space that waited is not published where a team-mate saw an obstacle in the meantime.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct BatchConfig {
     /// A batch closes when this many voxels have changed: the paper's `d`. At least 1. Default 50,000.
@@ -27,7 +27,7 @@ impl Default for BatchConfig {
     }
 }
 
-/// Everything that a [`Robot`](crate::Robot) may be told.
+/// Everything that a [`Robot`](crate::Robot) may be configured with.
 #[derive(Clone, PartialEq, Debug)]
 pub struct RobotConfig {
     /// Which robot of the swarm this is. No two may have the same.
@@ -41,8 +41,8 @@ pub struct RobotConfig {
     pub batch: BatchConfig,
     /// How its packages are coded. Packages of others are read in every codec. Default `paper`.
     pub codec: Codec,
-    /// Batches are told against what the others hold already, where the codec can: it takes fewer bytes, and what was lost is waited
-    /// for. Where it takes longer than this until nine of ten batches are whole at the slowest peer, they are told without,
+    /// Batches are coded against what the others hold already, where the codec can: it takes fewer bytes, and what was lost is waited
+    /// for. Where it takes longer than this until nine of ten batches are whole at the slowest peer, they are coded without,
     /// until it takes less than half of this. Milliseconds; 0: always against what the others hold. Default 2,000.
     pub repair_delay_max_ms: u32,
     /// How it talks to others, and limits on what they can make it hold.

@@ -17,10 +17,10 @@ pub struct RobotCounters {
     pub blocks_forgotten: u64,
     /// Batches closed.
     pub batches: u64,
-    /// Batches that were due and were told later, since own packages still waited for the radio's budget.
+    /// Batches that were due and were published later, since own packages still waited for the radio's budget.
     pub batches_deferred: u64,
-    /// Batches that told only a part of what had changed, the nearest first, since the budget has no room for more. What
-    /// was left out is in [`Robot::untold`](crate::Robot::untold) until it is told.
+    /// Batches that published only a part of what had changed, the nearest first, since the budget has no room for more. What
+    /// was left out is in [`Robot::untold`](crate::Robot::untold) until it is published.
     pub batches_in_parts: u64,
     /// Own voxels that changed, added up over batches.
     pub changes: u64,
@@ -46,7 +46,7 @@ pub struct RobotCounters {
     pub snapshots: u64,
     /// Runs begun while flying, since the own id was used with a higher epoch.
     pub runs_begun: u64,
-    /// Own batches that were told without what was before, since repair was slow.
+    /// Own batches that were coded independently, since repair was slow.
     pub batches_independent: u64,
     /// Events dropped since nobody polled them.
     pub events_dropped: u64,

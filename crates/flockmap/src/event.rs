@@ -1,4 +1,4 @@
-//! What a robot tells its driver.
+//! The events of a robot, for its driver.
 
 use flockmap_codec::{Batch, Package};
 use flockmap_grid::{Changes, FusionError, Stamp, Stream};
@@ -9,7 +9,7 @@ use flockmap_sync::IntervalSet;
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {
-    /// An own batch was closed and its packages are on their way.
+    /// An own batch was closed and its packages are going out.
     BatchClosed {
         /// Its time.
         batch: Batch,
@@ -51,11 +51,11 @@ pub enum Event {
         /// The stream.
         stream: Stream,
         /// The snapshot, as its chunks say.
-        set: u32,
+        snapshot_id: u32,
         /// The packages that it contains.
         received: IntervalSet,
     },
-    /// All packages up to this one are held now, by way of a snapshot.
+    /// All packages up to this one are held now, by a snapshot.
     CaughtUp {
         /// The stream.
         stream: Stream,

@@ -6,7 +6,7 @@ use crate::Event;
 
 /// Events kept.
 pub(crate) const EVENTS_MAX: usize = 1_024;
-/// Bytes that their changes and packages may take: a package of a kilobyte can tell of a megabyte.
+/// Bytes that their changes and packages may take: a package of a kilobyte can stand for a megabyte.
 pub(crate) const EVENTS_BYTES_MAX: usize = 16 << 20;
 /// A block of changes.
 const BLOCK_BYTES: usize = 140;

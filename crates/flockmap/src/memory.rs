@@ -8,7 +8,7 @@ use crate::readers::bytes_max as readers_bytes_max;
 const EVENT: usize = 256;
 /// A chunk that was read and has no place in a layer yet: 144 bytes for each of at most four blocks a byte.
 const UNMERGED: usize = 1_150 * 4 * 144;
-/// Decoding a package of the largest box that it can tell, the tables of the codecs, lists of changes on their way into a layer; and what the last
+/// Decoding a package of the largest box that it can hold, the tables of the codecs, lists of changes going into a layer; and what the last
 /// merge may add to the fused map, and the last chunk to what was read, beyond their limits.
 const WORK: usize = 64 << 20;
 
@@ -25,7 +25,7 @@ impl RobotConfig {
         self.session.memory_max()
             + self.fusion.layer_bytes_max
             + readers_bytes_max(self.fusion.layer_bytes_max)
-            + flockmap_sync::SNAPSHOTS_READ_MAX * UNMERGED
+            + self.session.transfers_max * UNMERGED
             + EVENTS_BYTES_MAX
             + EVENTS_MAX * EVENT
             + WORK

@@ -1,4 +1,4 @@
-//! What goes out: when a batch is told and how much of it, coded against what the others will hold.
+//! What goes out: when a batch is published and how much of it, coded against what the others will hold.
 
 mod cost;
 mod packer;
@@ -17,7 +17,7 @@ use sent::SentHistory;
 
 /// A batch that the budget holds back is looked at again after so many microseconds.
 const DEFER_PAUSE: i64 = 10_000;
-/// And where there was nothing to tell, after so many.
+/// And where there was nothing to publish, after so many.
 const NOTHING_PAUSE: i64 = 50_000;
 
 /// Takes what has changed from the mapper, when and as far as the radio takes it, and makes packages of it.
@@ -44,7 +44,7 @@ pub(crate) struct Publisher {
 enum OwnLayer {
     /// It lacks something that was published: a snapshot made of it would pass for all that was.
     Lacks,
-    /// It holds all that was published, but not all that the map counts as told: the others do not hold what is told next against it.
+    /// It holds all that was published, but not all that the map counts as published: the others do not hold what is published next against it.
     HasAll,
     /// It is what the others hold when all has arrived.
     IsWhole,
@@ -151,7 +151,7 @@ impl Publisher {
         self.packer.close(now, mapper)
     }
 
-    /// The packages of a batch, told against what the others will hold; without, if repair is slow.
+    /// The packages of a batch, coded against what the others will hold; without, if repair is slow.
     pub(crate) fn encode(
         &mut self,
         now: Stamp,
@@ -169,11 +169,11 @@ impl Publisher {
             self.encoder.encode_batch_against(codec, batch, first, changes, Some(base), PACKAGE_BYTES_MAX)
         };
         let coded = match encode(&base) {
-            // The own layer holds something as new, which no batch should meet: it can be told all the same.
+            // The own layer holds something as new, which no batch should meet: it can be published all the same.
             Err(EncodeError::BaseSuperseded(_)) => encode(&Base { layer: None, ..base }),
             coded => coded,
         };
-        // Else the map goes on without these changes, and what is told next counts on them.
+        // Else the map goes on without these changes, and what is published next counts on them.
         let packages = coded.inspect_err(|_| self.own_layer = self.own_layer.min(OwnLayer::HasAll))?;
         self.next_index += packages.len() as u32;
         self.sent.note_batch(&packages);
@@ -183,7 +183,7 @@ impl Publisher {
     }
 
     /// Notes that the own layer had no room for a batch that was published. Only a snapshot of this stream would lack it; but the others hold more
-    /// from now on than the own layer, so that nothing can be told against it any more.
+    /// from now on than the own layer, so that nothing can be coded against it any more.
     pub(crate) const fn note_own_layer_full(&mut self) {
         self.own_layer = OwnLayer::Lacks;
     }
@@ -219,7 +219,7 @@ impl Publisher {
         self.encoder.encode_span(self.codec, span, config.mapper.resolution, &state, bytes_max)
     }
 
-    /// Voxels that have changed and are still to be told.
+    /// Voxels that have changed and are still to be published.
     pub(crate) fn untold(&self, mapper: &Mapper, fusion: &Fusion) -> usize {
         match self.packer.is_behind() {
             true => mapper.count_changes(Which::All, |block| believed_occupied(fusion, block)),

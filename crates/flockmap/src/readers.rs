@@ -1,12 +1,15 @@
-//! Snapshots whose chunks are told one against the other, as far as they have been read.
+//! Snapshots whose chunks build on one another, as far as they have been read.
 
 use flockmap_codec::{ChunksRead, Codec, ContentKind, Decoder, Package, PackageError};
-use flockmap_grid::{Snapshot, Stream};
+use flockmap_grid::{Snapshot, Stamp, Stream};
 
 use crate::Refusal;
 
 /// So many bytes they may hold together at least, however small the layers are: more than one chunk can need.
 const BYTES_MIN: usize = 8 << 20;
+
+/// A snapshot of which nothing more was merged for so long goes for others: as long as the session waits for chunks of one.
+const STALE: i64 = 30_000_000;
 
 /// Bytes that the snapshots being read may hold together: half of what layers may hold.
 pub(crate) const fn bytes_max(layer_bytes_max: usize) -> usize {
@@ -17,15 +20,21 @@ pub(crate) const fn bytes_max(layer_bytes_max: usize) -> usize {
 /// Which snapshot of which stream: its chunks belong together.
 pub(crate) type SnapshotId = (Stream, u32);
 
-/// The snapshots that are being read, as many as the session hands out chunks of; the one of which a chunk was read last comes last.
+/// The snapshots that are being read, as many as the session hands out chunks of.
 pub(crate) struct Readers {
     readers: Vec<Reader>,
     bytes_max: usize,
+    /// Snapshots begun so far.
+    begun: u64,
 }
 
 struct Reader {
     id: SnapshotId,
     upto: u32,
+    /// Which one it is of all that were begun: the lower, the earlier.
+    number: u64,
+    /// When something of it was merged last, or it was begun.
+    progress_at: Stamp,
     read: ChunksRead,
     /// Read, but there was no room for it in the layer yet: the chunk before the next one.
     unmerged: Option<Snapshot>,
@@ -33,50 +42,71 @@ struct Reader {
 
 impl Readers {
     pub(crate) const fn new(layer_bytes_max: usize) -> Self {
-        Self { readers: Vec::new(), bytes_max: bytes_max(layer_bytes_max) }
+        Self { readers: Vec::new(), bytes_max: bytes_max(layer_bytes_max), begun: 0 }
     }
 
-    /// The snapshot that a chunk belongs to, if it is told against the chunks before it.
+    /// The snapshot that a chunk belongs to, if it builds on the chunks before it.
     pub(crate) fn snapshot_of(package: &Package) -> Option<SnapshotId> {
         let header = package.header();
         match header.content {
-            ContentKind::Snapshot { set, .. } if header.codec == Codec::Flock => Some((header.stream, set)),
+            ContentKind::Snapshot { set: snapshot_id, .. } if header.codec == Codec::Flock => {
+                Some((header.stream, snapshot_id))
+            }
             _ => None,
         }
     }
 
-    /// Makes room for the next chunk of a snapshot. Returns those that had to go for it: first the ones that were left alone
-    /// longest.
+    /// Makes room for the next chunk of a snapshot. Returns those that had to go for it: such as were begun later, or of which nothing was
+    /// merged for 30 s. So the one that was begun first always goes on, and all become complete one after the other.
     ///
     /// # Errors
-    /// [`Refusal::Chunks`] if it would not fit even alone; nothing goes then.
-    pub(crate) fn make_room(&mut self, id: SnapshotId, chunk: &Package) -> Result<Vec<SnapshotId>, Refusal> {
-        let reader = self.open(id, chunk.header().index);
+    /// [`Refusal::Chunks`] if the others leave too little, or it would not fit even alone; nothing goes then.
+    pub(crate) fn make_room(
+        &mut self,
+        now: Stamp,
+        id: SnapshotId,
+        chunk: &Package,
+    ) -> Result<Vec<SnapshotId>, Refusal> {
+        let max = self.bytes_max;
+        let reader = self.open(now, id, chunk.header().index);
         if reader.unmerged.is_some() {
             return Ok(Vec::new());
         }
-        let (received, mut sum) = (reader.read.memory_bytes(), reader.read.memory_bytes_with(chunk));
-        let max = self.bytes_max;
-        if sum > max {
-            return Err(Refusal::Chunks { received, max });
+        let (number, received, mut sum) =
+            (reader.number, reader.read.memory_bytes(), reader.read.memory_bytes_with(chunk));
+        let refused = Refusal::Chunks { received, max };
+        // First those that stay whatever comes, then the others, of which as many stay as fit.
+        let rank = |reader: &Reader| (now.micros_since(reader.progress_at) >= STALE, reader.number);
+        let others = self.readers.iter().filter(|other| other.id != id);
+        let mut others: Vec<_> = others.map(|other| (rank(other), other)).collect();
+        others.sort_unstable_by_key(|(rank, _)| *rank);
+        let mut gone = Vec::new();
+        for (rank, other) in others {
+            let bytes = other.read.memory_bytes();
+            if sum + bytes <= max {
+                sum += bytes;
+            } else if rank > (false, number) {
+                gone.push(other.id);
+            } else {
+                return Err(refused);
+            }
         }
-        let others = &self.readers[..self.readers.len() - 1];
-        let fits = |reader: &&Reader| {
-            sum += reader.read.memory_bytes();
-            sum <= max
-        };
-        let gone = others.len() - others.iter().rev().take_while(fits).count();
-        Ok(self.readers.drain(..gone).map(|reader| reader.id).collect())
+        if sum > max {
+            return Err(refused);
+        }
+        self.readers.retain(|reader| !gone.contains(&reader.id));
+        Ok(gone)
     }
 
     /// What the next chunk of a snapshot says. After an error it has to be read anew from its first chunk on.
     pub(crate) fn read(
         &mut self,
+        now: Stamp,
         id: SnapshotId,
         decoder: &mut Decoder,
         chunk: &Package,
     ) -> Result<Snapshot, PackageError> {
-        let reader = self.open(id, chunk.header().index);
+        let reader = self.open(now, id, chunk.header().index);
         match reader.unmerged.take() {
             Some(state) => Ok(state),
             None => decoder.decode_chunk(chunk, &mut reader.read),
@@ -84,8 +114,10 @@ impl Readers {
     }
 
     /// Keeps what a chunk says for when there is room for it.
-    pub(crate) fn keep(&mut self, id: SnapshotId, chunk: &Package, state: Snapshot) {
-        self.open(id, chunk.header().index).unmerged = Some(state);
+    pub(crate) fn keep(&mut self, id: SnapshotId, state: Snapshot) {
+        if let Some(reader) = self.readers.iter_mut().find(|reader| reader.id == id) {
+            reader.unmerged = Some(state);
+        }
     }
 
     /// Lets go of a snapshot.
@@ -98,15 +130,77 @@ impl Readers {
         self.readers.retain(|reader| reader.id.0 != stream || reader.upto > upto);
     }
 
-    /// The reader of a snapshot, begun if need be; it is the last one then.
-    fn open(&mut self, id: SnapshotId, upto: u32) -> &mut Reader {
-        let reader = match self.readers.iter().position(|reader| reader.id == id) {
-            Some(at) => self.readers.remove(at),
-            None => Reader { id, upto, read: ChunksRead::default(), unmerged: None },
+    /// Notes that what a chunk of a snapshot says is in the layer.
+    pub(crate) fn note_merged(&mut self, now: Stamp, id: SnapshotId) {
+        if let Some(reader) = self.readers.iter_mut().find(|reader| reader.id == id) {
+            reader.progress_at = now;
+        }
+    }
+
+    /// The reader of a snapshot, begun if need be.
+    fn open(&mut self, now: Stamp, id: SnapshotId, upto: u32) -> &mut Reader {
+        let at = self.readers.iter().position(|reader| reader.id == id).unwrap_or_else(|| {
+            self.begun += 1;
+            let (number, read) = (self.begun, ChunksRead::default());
+            self.readers.push(Reader { id, upto, number, progress_at: now, read, unmerged: None });
+            self.readers.len() - 1
+        });
+        &mut self.readers[at]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_codec::Encoder;
+    use flockmap_grid::{Changes, Layer, Resolution, RobotId, State, Voxel};
+
+    fn id(number: u32) -> SnapshotId {
+        (Stream { origin: RobotId(number as u16), epoch: 1 }, number)
+    }
+
+    /// The chunks of some walls; and room for two of which one chunk was read, and not for the second chunk of both.
+    fn walls() -> (Vec<Package>, usize) {
+        let wall =
+            |x| (0..64).flat_map(move |y| (0..64).map(move |z| (Voxel::new(x, y, z), State::Occupied)));
+        let mut layer = Layer::default();
+        layer.apply(&Changes::from_voxels((0..40).flat_map(|n| wall(5 * n + n * n % 3))), Stamp(1));
+        let state = layer.snapshot().unwrap();
+        let resolution = Resolution::from_micrometres(100_000).unwrap();
+        let stream = Stream { origin: RobotId(1), epoch: 1 };
+        let chunks =
+            Encoder::new().encode_snapshot(Codec::Flock, stream, 9, resolution, &state, 400).unwrap();
+        assert!(chunks.len() >= 3, "{} chunks", chunks.len());
+        let mut read = ChunksRead::default();
+        let first = read.memory_bytes_with(&chunks[0]);
+        Decoder::new().decode_chunk(&chunks[0], &mut read).unwrap();
+        let room = read.memory_bytes_with(&chunks[1]).max(read.memory_bytes() + first);
+        (chunks, room)
+    }
+
+    #[test]
+    fn who_came_first_goes_on_and_who_stands_still_gives_way() {
+        let (walls, room) = walls();
+        let mut readers = Readers::new(0);
+        const NONE: [u32; 0] = [];
+        let mut decoder = Decoder::new();
+        // A chunk of one of them, at a time: what had to go for it, or that there is no room.
+        let mut give = |readers: &mut Readers, now: Stamp, number: u32, chunk: usize| {
+            let gone = readers.make_room(now, id(number), &walls[chunk])?;
+            readers.read(now, id(number), &mut decoder, &walls[chunk]).unwrap();
+            readers.note_merged(now, id(number));
+            Ok::<_, Refusal>(gone.into_iter().map(|(_, number)| number).collect::<Vec<_>>())
         };
-        self.readers.push(reader);
-        // Just pushed.
-        let last = self.readers.len() - 1;
-        &mut self.readers[last]
+        let now = Stamp(0);
+        readers.bytes_max = room;
+        assert_eq!(give(&mut readers, now, 1, 0).unwrap(), NONE);
+        assert_eq!(give(&mut readers, now, 2, 0).unwrap(), NONE);
+        assert!(give(&mut readers, now, 3, 0).is_err());
+        assert!(give(&mut readers, now, 2, 1).is_err());
+        assert_eq!(readers.readers.len(), 3, "nothing goes where something is refused");
+        assert_eq!(give(&mut readers, now, 1, 1).unwrap(), [2]);
+        // The first stands still: for the time of a transfer it keeps its place.
+        assert!(give(&mut readers, Stamp(STALE - 1), 3, 0).is_err());
+        assert_eq!(give(&mut readers, Stamp(STALE), 3, 0).unwrap(), [1]);
     }
 }

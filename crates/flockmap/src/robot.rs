@@ -1,4 +1,4 @@
-//! One robot: mapper, publisher, session, layers and fusion joined. The way of the data, both directions.
+//! One robot: mapper, publisher, session, layers and fusion joined. The path of the data in both directions.
 
 mod begin;
 mod receive;
@@ -150,7 +150,7 @@ impl Robot {
     }
 
     /// The same for a driver that sends to addresses: `path` stands for the one that it was received from. By unicast nothing but a
-    /// challenge goes out on a path before an answer came back through it; [`Transmit::path`] tells where datagrams go.
+    /// challenge goes out on a path before an answer came back through it; [`Transmit::path`] says where datagrams go.
     ///
     /// # Errors
     /// What was wrong with it. It is counted already and needs no action.
@@ -192,7 +192,7 @@ impl Robot {
 
     /// Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is measured.
     /// `None`: measure again. With its own id: how far its clock was ahead in former runs, 0 if it goes on through a restart; else that is
-    /// measured by way of others that heard those runs. The fused map is made anew. O(voxels known).
+    /// measured through others that heard those runs. The fused map is made anew. O(voxels known).
     pub fn set_clock_offset(&mut self, origin: RobotId, micros: Option<i64>) {
         self.session.set_clock_offset(origin, micros);
         if let Some(micros) = micros {
@@ -266,8 +266,8 @@ impl Robot {
         &self.session
     }
 
-    /// Voxels that have changed and are still to be told. What a team-mate is believed to know better, where a budget made the own word late,
-    /// is not among them: it is told when it is seen again, or by [`flush`](Self::flush). O(blocks with changes).
+    /// Voxels that have changed and are still to be published. What a team-mate is believed to know better, where a budget made the own observation late,
+    /// is not among them: it is published when it is seen again, or by [`flush`](Self::flush). O(blocks with changes).
     pub fn untold(&self) -> usize {
         self.publisher.untold(&self.mapper, &self.fusion)
     }
@@ -288,7 +288,7 @@ impl Robot {
         self.publisher.own_layer_has_all()
     }
 
-    /// What it was told.
+    /// Its configuration.
     pub const fn config(&self) -> &RobotConfig {
         &self.config
     }

@@ -13,7 +13,7 @@ use flockmap::{
 const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 80.0) };
 const PERFECT: Radio = common::PERFECT;
 
-/// Tells batches of its own against the one before, each a piece of a wall in the same place: few voxels would not need what was before.
+/// Publishes batches of its own against the one before, each a piece of a wall in the same place: few voxels would not need what was before.
 struct Teller {
     stream: Stream,
     encoder: Encoder,
@@ -34,13 +34,13 @@ impl Teller {
         }
     }
 
-    /// The one package of the next batch, told alone or not.
+    /// The one package of the next batch, independent or not.
     fn tell(&mut self, is_independent: bool) -> Package {
         let count = self.batches.len() as i32;
         let end = Stamp(1_000_000 * i64::from(count + 1));
         let resolution = resolution();
         let batch = Batch { stream: self.stream, start: end, end, resolution, sensor: [0; 3] };
-        // Grows along the wall and turns what was told before.
+        // Grows along the wall and turns what was published before.
         let voxels = (0..320).map(|i| {
             let voxel = Voxel::new((count * 3 + i % 8) % 24, 0, i / 8);
             (voxel, if self.layer.state(voxel) == State::Free { State::Occupied } else { State::Free })
@@ -150,7 +150,7 @@ fn a_package_told_alone_waits_for_one_that_looks_at_what_it_changes() {
     assert_eq!(bob.counters().superseded, 0);
 }
 
-/// A swarm of two in which the first holds what the teller told, and the second got it as `order` says.
+/// A swarm of two in which the first holds what the sender published, and the second got it as `order` says.
 fn told(teller: &Teller, packages: &[Package], order: &[usize]) -> Swarm {
     let mut swarm = Swarm::new((2..=3).map(config).collect(), PERFECT, 1);
     swarm.run(2_000);
@@ -188,7 +188,7 @@ fn a_package_that_was_overtaken_leads_to_a_snapshot_and_to_equal_layers() {
 fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_snapshot() {
     let mut teller = Teller::new(1);
     let packages: Vec<Package> = (0..3).map(|_| teller.send_and_note(false)).collect();
-    let Ok(Content::Changes(first)) = packages[0].decode() else { panic!("the first is told alone") };
+    let Ok(Content::Changes(first)) = packages[0].decode() else { panic!("the first is independent") };
     let mut layer = Layer::default();
     layer.apply(&first, packages[0].header().batch_end);
     let damaged = |at: usize| {
@@ -258,7 +258,7 @@ fn what_waits_below_a_snapshot_is_dropped_and_what_waits_above_goes() {
 fn maps_agree_under_loss_whether_told_against_each_other_or_alone_or_in_turns() {
     for seed in 1..=6 {
         for codec in [Codec::Flock, Codec::Paper] {
-            // Always against; as it comes; nearly always alone.
+            // Always against; as it comes; nearly always independent.
             let repair_delay_max_ms = [0, 50, 1][seed as usize % 3];
             let configs = (1..=3).map(|id| RobotConfig { codec, repair_delay_max_ms, ..config(id) });
             let mut swarm = Swarm::new(configs.collect(), LOSSY, seed);
@@ -277,7 +277,7 @@ fn maps_agree_under_loss_whether_told_against_each_other_or_alone_or_in_turns() 
             let sum = |count: fn(&Robot) -> u64| swarm.robots.iter().map(count).sum::<u64>();
             let alone = sum(|robot| robot.counters().batches_independent);
             println!(
-                "seed {seed} {codec}: {} batches, {alone} alone, {} B, {} packages waited, {} superseded, {} given up, {} snapshots",
+                "seed {seed} {codec}: {} batches, {alone} independent, {} B, {} packages waited, {} superseded, {} undecodable, {} snapshots",
                 sum(|robot| robot.counters().batches),
                 sum(|robot| robot.counters().package_bytes),
                 sum(|robot| robot.session().counters().waited),

@@ -1,4 +1,4 @@
-//! Where the radio takes less than the map changes: what waits is merged in the map, obstacles go on, and in the end all is told.
+//! Where the radio takes less than the map changes: what waits is merged in the map, obstacles go on, and in the end all is published.
 
 mod common;
 
@@ -112,5 +112,5 @@ fn who_never_has_enough_cannot_hold_back_the_map_of_the_others() {
     }
     let longest = published.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
     assert!(robot.counters().batches_deferred > 5, "{:?}", robot.counters());
-    assert!(longest <= 2_200, "nothing was told for {longest} ms");
+    assert!(longest <= 2_200, "nothing was published for {longest} ms");
 }

@@ -1,4 +1,4 @@
-//! Snapshots whose chunks are told one against the other, over radios that lose and reorder them.
+//! Snapshots whose chunks build on one another, over radios that lose and reorder them.
 
 mod common;
 
@@ -153,20 +153,35 @@ fn without_room_for_a_chunk_it_is_asked_for_again_and_nothing_is_lost() {
     assert_eq!(bob.counters().damaged, 0);
 }
 
+/// Once four were read at a time and each new one pushed another out, so that of seven in turns none was ever complete.
 #[test]
-fn many_snapshots_side_by_side_are_bounded_and_the_dropped_ones_begin_again() {
-    // Six robots' states, chunk by chunk in turns: more than are read at a time.
-    let (one, _, mut bob) = chunks(6);
-    let states: Vec<Vec<Package>> = (1..=6).map(|origin| renamed(&one, origin)).collect();
-    let now = Stamp(60_000_000);
-    for chunk in 0..3 {
+fn snapshots_of_many_robots_that_come_in_turns_all_become_complete() {
+    let (one, _, mut bob) = chunks(7);
+    let states: Vec<Vec<Package>> = (1..=7).map(|origin| renamed(&one, origin)).collect();
+    for chunk in 0..states[0].len() {
         for (origin, chunks) in (1..).zip(&states) {
+            let now = Stamp(60_000_000 + 50_000 * (chunk as i64 * 7 + i64::from(origin)));
             give(&mut bob, origin, now, &[&chunks[chunk]]);
         }
     }
-    assert!(bob.session().counters().snapshots_restarted > 0);
-    // One after the other they all go through.
     for (origin, chunks) in (1..).zip(&states) {
+        let received = bob.session().received(chunks[0].header().stream).unwrap();
+        assert!(received.contains_range(1, 9), "origin {origin}");
+    }
+    assert_eq!(bob.session().counters().snapshots_restarted, 0);
+}
+
+#[test]
+fn of_more_snapshots_than_are_received_at_once_each_goes_through_in_its_time() {
+    let (one, _, mut bob) = chunks(12);
+    let states: Vec<Vec<Package>> = (11..=22).map(|origin| renamed(&one, origin)).collect();
+    let now = Stamp(60_000_000);
+    for chunk in 0..3 {
+        for (origin, chunks) in (11..).zip(&states) {
+            give(&mut bob, origin, now, &[&chunks[chunk]]);
+        }
+    }
+    for (origin, chunks) in (11..).zip(&states) {
         give(&mut bob, origin, now, &chunks.iter().collect::<Vec<_>>());
         let received = bob.session().received(chunks[0].header().stream).unwrap();
         assert!(received.contains_range(1, 9), "origin {origin}");
@@ -186,6 +201,6 @@ fn renamed(chunks: &[Package], origin: u16) -> Vec<Package> {
     let state = layer.snapshot().unwrap();
     let chunks = Encoder::new().encode_snapshot(Codec::Flock, stream, 9, common::resolution(), &state, 600);
     let chunks = chunks.unwrap();
-    let Ok(Content::Snapshot(_)) = chunks[0].decode() else { panic!("the first chunk stands alone") };
+    let Ok(Content::Snapshot(_)) = chunks[0].decode() else { panic!("the first chunk is independent") };
     chunks
 }

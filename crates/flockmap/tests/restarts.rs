@@ -197,7 +197,7 @@ fn live_runs_take_the_places_of_ended_ones() {
         assert!(forgotten > 0 || robot.own_stream().origin.0 as usize > robots / 2, "{forgotten}");
     }
     let told = net.events.iter().flatten().filter(|event| matches!(event, Event::RunForgotten(_))).count();
-    assert!(told > 0, "what was given up is told");
+    assert!(told > 0, "what is undecodable is reported");
 }
 
 #[test]
@@ -320,7 +320,7 @@ fn what_lies_beyond_a_gap_of_an_ended_run_reaches_a_late_joiner() {
     reaches_beyond_a_gap(60.0, &[(2, 1)]);
 }
 
-/// Nobody has a place for its new run, since that has told nothing yet.
+/// Nobody has a place for its new run, since that has published nothing yet.
 #[test]
 fn what_lies_beyond_a_gap_of_an_ended_run_reaches_its_own_robot_in_a_run_without_packages() {
     reaches_beyond_a_gap(2.0, &[(0, 2), (2, 1)]);

@@ -1,12 +1,10 @@
-//! Snapshots whose chunks are told one against the other: handed out in their order, while later ones wait.
+//! Snapshots whose chunks build on one another: given out in their order, while later ones wait.
 
 use flockmap_codec::{Codec, ContentKind, Package};
 use flockmap_grid::Stream;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
-/// Snapshots, of those whose chunks are told one against the other, that are handed out side by side.
-pub const SNAPSHOTS_READ_MAX: usize = 4;
 /// Chunks of one snapshot that may wait for the ones before them.
 pub(crate) const CHUNKS_WAITING_MAX: usize = 256;
 
@@ -14,8 +12,12 @@ pub(crate) const CHUNKS_WAITING_MAX: usize = 256;
 pub(crate) type ChainId = (Stream, u32);
 
 /// The snapshots that are being read; the one of which a chunk came last comes last.
-#[derive(Debug, Default)]
-pub(crate) struct Chains(Vec<Chain>);
+#[derive(Debug)]
+pub(crate) struct Chains {
+    chains: Vec<Chain>,
+    /// As many as are received at once: none of these has to go for another of them, so many side by side all become complete.
+    max: usize,
+}
 
 #[derive(Debug)]
 struct Chain {
@@ -37,36 +39,48 @@ pub(crate) enum Place {
 }
 
 impl Chains {
-    /// The snapshot that a chunk belongs to, and its number, if it is told against the chunks before it.
+    /// For so many snapshots, at least 1.
+    pub(crate) const fn new(max: usize) -> Self {
+        Self { chains: Vec::new(), max }
+    }
+
+    /// The snapshot that a chunk belongs to, and its number, if it builds on the chunks before it.
     pub(crate) fn place_of(package: &Package) -> Option<(ChainId, u32)> {
         let header = package.header();
         match header.content {
-            ContentKind::Snapshot { set, chunk, .. } if header.codec == Codec::Flock => {
-                Some(((header.stream, set), chunk))
+            ContentKind::Snapshot { set: snapshot_id, chunk, .. } if header.codec == Codec::Flock => {
+                Some(((header.stream, snapshot_id), chunk))
             }
             _ => None,
         }
     }
 
-    /// Makes a place for the snapshot of a chunk, if it has none. Returns the one that had to go for it: the one that was left alone longest.
-    pub(crate) fn open(&mut self, id: ChainId, upto: u32) -> Option<ChainId> {
+    /// Makes a place for the snapshot of a chunk, if it has none. Returns the one that had to go for it: one that is not received any more,
+    /// or of those the one that was left alone longest.
+    pub(crate) fn open(
+        &mut self,
+        id: ChainId,
+        upto: u32,
+        is_received: impl Fn(ChainId) -> bool,
+    ) -> Option<ChainId> {
         let mut dropped = None;
-        let chain = match self.0.iter().position(|chain| chain.id == id) {
-            Some(at) => self.0.remove(at),
+        let chain = match self.chains.iter().position(|chain| chain.id == id) {
+            Some(at) => self.chains.remove(at),
             None => {
-                if self.0.len() >= SNAPSHOTS_READ_MAX {
-                    dropped = Some(self.0.remove(0).id);
+                if self.chains.len() >= self.max {
+                    let ended = self.chains.iter().position(|chain| !is_received(chain.id));
+                    dropped = Some(self.chains.remove(ended.unwrap_or(0)).id);
                 }
                 Chain { id, upto, next: 0, waiting: BTreeMap::new() }
             }
         };
-        self.0.push(chain);
+        self.chains.push(chain);
         dropped
     }
 
     /// Where a chunk stands in a snapshot that is [open](Self::open).
     pub(crate) fn place(&self, id: ChainId, chunk: u32) -> Place {
-        let next = self.0.iter().find(|chain| chain.id == id).map_or(0, |chain| chain.next);
+        let next = self.chains.iter().find(|chain| chain.id == id).map_or(0, |chain| chain.next);
         match chunk.cmp(&next) {
             Ordering::Less => Place::Merged,
             Ordering::Equal => Place::Next,
@@ -101,16 +115,16 @@ impl Chains {
 
     /// Lets go of a snapshot.
     pub(crate) fn drop_one(&mut self, id: ChainId) {
-        self.0.retain(|chain| chain.id != id);
+        self.chains.retain(|chain| chain.id != id);
     }
 
     /// Lets go of the snapshots of a stream that say nothing beyond a package.
     pub(crate) fn drop_upto(&mut self, stream: Stream, upto: u32) {
-        self.0.retain(|chain| chain.id.0 != stream || chain.upto > upto);
+        self.chains.retain(|chain| chain.id.0 != stream || chain.upto > upto);
     }
 
     fn chain(&mut self, id: ChainId) -> Option<&mut Chain> {
-        self.0.iter_mut().find(|chain| chain.id == id)
+        self.chains.iter_mut().find(|chain| chain.id == id)
     }
 }
 
@@ -119,31 +133,36 @@ mod tests {
     use super::*;
     use flockmap_grid::RobotId;
 
-    fn id(set: u32) -> ChainId {
-        (Stream { origin: RobotId(set as u16 % 3), epoch: 1 }, set)
+    fn id(snapshot_id: u32) -> ChainId {
+        (Stream { origin: RobotId(snapshot_id as u16 % 3), epoch: 1 }, snapshot_id)
+    }
+
+    fn open(chains: &mut Chains, number: u32, upto: u32) -> Option<ChainId> {
+        chains.open(id(number), upto, |id| id.1 != 2)
     }
 
     #[test]
-    fn the_snapshot_that_was_left_alone_longest_goes() {
-        let mut chains = Chains::default();
-        for set in 0..SNAPSHOTS_READ_MAX as u32 {
-            assert_eq!(chains.open(id(set), 10 + set), None);
+    fn one_that_is_not_received_any_more_goes_first_and_then_the_one_left_alone_longest() {
+        let mut chains = Chains::new(4);
+        for number in 0..4 {
+            assert_eq!(open(&mut chains, number, 10 + number), None);
         }
-        assert_eq!(chains.open(id(0), 10), None);
-        assert_eq!(chains.open(id(77), 99), Some(id(1)));
-        assert_eq!(chains.0.len(), SNAPSHOTS_READ_MAX);
+        assert_eq!(open(&mut chains, 0, 10), None);
+        assert_eq!(open(&mut chains, 77, 99), Some(id(2)));
+        assert_eq!(open(&mut chains, 78, 99), Some(id(1)));
+        assert_eq!(chains.chains.len(), 4);
         chains.drop_one(id(77));
-        assert_eq!(chains.0.len(), SNAPSHOTS_READ_MAX - 1);
+        chains.drop_one(id(78));
         // 0 and 3 are of one stream, up to packages 10 and 13.
         chains.drop_upto(id(0).0, 12);
-        let left: Vec<ChainId> = chains.0.iter().map(|chain| chain.id).collect();
-        assert_eq!(left, [id(2), id(3)]);
+        let left: Vec<ChainId> = chains.chains.iter().map(|chain| chain.id).collect();
+        assert_eq!(left, [id(3)]);
     }
 
     #[test]
     fn a_chunk_is_next_once_all_before_it_are_merged() {
-        let mut chains = Chains::default();
-        chains.open(id(0), 9);
+        let mut chains = Chains::new(4);
+        open(&mut chains, 0, 9);
         assert_eq!([0, 1].map(|chunk| chains.place(id(0), chunk)), [Place::Next, Place::Later]);
         // Not its turn: nothing changes.
         chains.note_merged(id(0), 1);

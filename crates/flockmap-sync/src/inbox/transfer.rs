@@ -5,7 +5,7 @@ use crate::store::RECEIVED_INTERVALS_MAX;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
-/// Silence after which a transfer is given up.
+/// Silence after which a transfer is dropped.
 pub(crate) const ABANDONED: i64 = 30_000_000;
 
 /// A snapshot that is being received.
@@ -16,7 +16,7 @@ pub(crate) struct Transfer {
     /// 0: the whole state. Else what packages 1 to this one say is needed beside it.
     pub(crate) since: u32,
     pub(crate) upto: u32,
-    pub(crate) set: u32,
+    pub(crate) snapshot_id: u32,
     pub(crate) chunks: u32,
     /// Number + 1 of the chunks accepted.
     pub(crate) accepted: IntervalSet,
@@ -30,7 +30,7 @@ impl Transfer {
         source: RobotId,
         stream: Stream,
         [since, upto]: [u32; 2],
-        set: u32,
+        snapshot_id: u32,
         chunks: u32,
         now: Stamp,
     ) -> Self {
@@ -39,7 +39,7 @@ impl Transfer {
             stream,
             since,
             upto,
-            set,
+            snapshot_id,
             chunks,
             accepted: IntervalSet::new(RECEIVED_INTERVALS_MAX),
             contents: None,
@@ -54,8 +54,8 @@ impl Transfer {
 
     /// Whether chunks of both belong together: cut by the same robot from the same state.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
-        (self.source, self.stream, self.since, self.upto, self.set, self.chunks)
-            == (other.source, other.stream, other.since, other.upto, other.set, other.chunks)
+        (self.source, self.stream, self.since, self.upto, self.snapshot_id, self.chunks)
+            == (other.source, other.stream, other.since, other.upto, other.snapshot_id, other.chunks)
     }
 
     pub(crate) fn is_complete(&self) -> bool {

@@ -13,7 +13,7 @@ pub(crate) const WAITING_BYTES_MAX: usize = 1 << 20;
 const OVERHEAD_BYTES: usize = 400;
 
 /// Packages by stream and index, within [`WAITING_MAX`] and [`WAITING_BYTES_MAX`]. Where they do not suffice, the stream of which most
-/// is waiting gives way, so that none can displace another; and of it the highest index, since the low ones are the first that can
+/// is waiting is dropped, so that none can displace another; and of it the highest index, since the low ones are the first that can
 /// go, and others wait for them.
 #[derive(Debug, Default)]
 pub(crate) struct Waiting {

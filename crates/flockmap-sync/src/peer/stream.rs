@@ -1,4 +1,4 @@
-//! What a peer holds of one stream, as far as it is known, and what of it is on its way there.
+//! What a peer holds of one stream, as far as it is known, and what of it is in flight there.
 
 use crate::IntervalSet;
 use crate::inbox::ABANDONED;
@@ -19,10 +19,10 @@ pub(crate) struct SentPackage {
     pub(crate) requests: u8,
 }
 
-/// A snapshot on its way to the peer.
+/// A snapshot in flight to the peer.
 #[derive(Clone, Debug)]
 pub(crate) struct Sending {
-    pub(crate) set: u32,
+    pub(crate) snapshot_id: u32,
     pub(crate) since: u32,
     pub(crate) upto: u32,
     /// When the peer last spoke of the set, or it was begun.
@@ -78,7 +78,7 @@ impl PeerStream {
         }
     }
 
-    /// The peer proved to hold this package. A view that is too fragmented to note it learns it from the next request.
+    /// The peer has confirmed this package. A stream that is too fragmented to note it learns it from the next request.
     pub(crate) fn note_received(&mut self, index: u32) {
         let _ = self.received.insert(index);
         let _ = self.received_or_in_flight.insert(index);
@@ -91,8 +91,8 @@ impl PeerStream {
     pub(crate) fn cover(&mut self, item: Item) -> bool {
         match item {
             Item::Package { index, .. } => self.received_or_in_flight.insert(index).unwrap_or(false),
-            Item::Chunk { set, chunk, .. } => match &mut self.sending {
-                Some(sending) if sending.set == set => {
+            Item::Chunk { snapshot_id, chunk, .. } => match &mut self.sending {
+                Some(sending) if sending.snapshot_id == snapshot_id => {
                     sending.received_or_in_flight.insert(chunk + 1).unwrap_or(false)
                 }
                 _ => false,

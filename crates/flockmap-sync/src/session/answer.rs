@@ -10,7 +10,7 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::BTreeSet;
 
-/// A stamp below an earlier one means that the datagram was superseded on the way, since the clock of a run never goes back. But the earlier
+/// A stamp below an earlier one means that the datagram was overtaken in flight, since the clock of a run never goes back. But the earlier
 /// one may be false where there is no key: then it counts for so long.
 const UNSEALED_STAMP_COUNTS: i64 = 5_000_000;
 
@@ -37,7 +37,7 @@ impl Session {
         }
     }
 
-    /// Whether a stamp that came so many microseconds ago still tells which datagrams are older.
+    /// Whether a stamp that came so many microseconds ago still shows which datagrams are older.
     pub(super) const fn stamp_counts(&self, age: i64) -> bool {
         self.config.swarm_key.is_some() || age < UNSEALED_STAMP_COUNTS
     }
@@ -115,7 +115,7 @@ impl Session {
             let Some(peer) = self.peers.get_mut(&id) else { return };
             let theirs =
                 peer.streams.entry(stated.stream).or_insert_with(|| PeerStream::new(stated.from, now));
-            // Of what lies below the list, the last word still holds.
+            // Of what lies below the list, the last request still holds.
             let below = theirs.received.within(0, stated.from.saturating_sub(1));
             if mutation::is(Mutation::HoldingsIgnored) {
                 continue;
@@ -134,7 +134,7 @@ impl Session {
         for (&stream, theirs) in &mut peer.streams {
             let wanted = request.snapshot_requests.iter().find(|wanted| wanted.stream == stream);
             let since = theirs.snapshot_request.as_ref().map_or(now, |wanted| wanted.stated_since);
-            // A wish that found no room this time stands on until its origin is covered.
+            // A request that found no room this time stands on until its origin is covered.
             if wanted.is_some() || request.covers(stream.origin) {
                 theirs.snapshot_request = wanted.map(|wanted| PeerRequest {
                     since: wanted.since,
@@ -147,7 +147,7 @@ impl Session {
             request.transfers.iter().filter(|progress| progress.source == self.identity.own.origin)
         {
             let sending = peer.streams.get_mut(&progress.stream).and_then(|theirs| theirs.sending.as_mut());
-            if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
+            if let Some(sending) = sending.filter(|sending| sending.snapshot_id == progress.snapshot_id) {
                 sending.named_at = now;
                 sending.unheeded = 0;
                 sending.accepted = progress.accepted.clone();
@@ -160,7 +160,7 @@ impl Session {
         }
     }
 
-    /// Goes through all that is in flight to the peer: confirmed, lost or still under way.
+    /// Goes through all that is in flight to the peer: confirmed, lost or still in flight.
     fn settle_in_flight(&mut self, now: Stamp, id: RobotId, request: &Request, echo: Option<(Stamp, i64)>) {
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let patience = (2 * peer.round_trip.variation())
@@ -176,8 +176,11 @@ impl Session {
         };
         let (mut confirmed, mut lost) = (0, 0);
         let own = self.identity.own.origin;
-        let is_named = |stream: Stream, set: u32| {
-            request.transfers.iter().any(|t| (t.source, t.stream, t.set) == (own, stream, set))
+        let is_named = |stream: Stream, snapshot_id: u32| {
+            request
+                .transfers
+                .iter()
+                .any(|t| (t.source, t.stream, t.snapshot_id) == (own, stream, snapshot_id))
         };
         let mut unheeded = BTreeSet::new();
         let mut in_flight = std::mem::take(&mut peer.in_flight);
@@ -197,8 +200,10 @@ impl Session {
                             .map_or_else(|| request.covers(stream.origin), |received| index >= received.from),
                     )
                 }
-                Item::Chunk { set, chunk, .. } => match &theirs.sending {
-                    Some(sending) if sending.set == set => (sending.accepted.contains(chunk + 1), true),
+                Item::Chunk { snapshot_id, chunk, .. } => match &theirs.sending {
+                    Some(sending) if sending.snapshot_id == snapshot_id => {
+                        (sending.accepted.contains(chunk + 1), true)
+                    }
                     _ => (true, true),
                 },
             };
@@ -209,18 +214,18 @@ impl Session {
             sent.requests = sent.requests.saturating_add(u8::from(stated));
             let gone = stated && is_lost(sent);
             lost += u64::from(gone);
-            if let Item::Chunk { set, .. } = sent.item
+            if let Item::Chunk { snapshot_id, .. } = sent.item
                 && gone
-                && !is_named(stream, set)
+                && !is_named(stream, snapshot_id)
             {
-                unheeded.insert((stream, set));
+                unheeded.insert((stream, snapshot_id));
             }
             !gone
         });
         peer.in_flight = in_flight;
-        for (stream, set) in unheeded {
+        for (stream, snapshot_id) in unheeded {
             let sending = peer.streams.get_mut(&stream).and_then(|theirs| theirs.sending.as_mut());
-            if let Some(sending) = sending.filter(|sending| sending.set == set) {
+            if let Some(sending) = sending.filter(|sending| sending.snapshot_id == snapshot_id) {
                 sending.note_unheeded(now);
                 if sending.is_ignored() {
                     peer.offer_at = now.plus_micros(OFFER_PAUSE);

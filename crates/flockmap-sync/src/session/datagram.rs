@@ -55,7 +55,7 @@ impl Session {
                 DatagramError::UnknownRun { .. } => &mut self.report.counters.unknown_run,
                 DatagramError::Unsealed { .. } => &mut self.report.counters.unsealed,
                 DatagramError::SealedWithoutKey { .. } => &mut self.report.counters.sealed_without_key,
-                // Counted where it is told.
+                // Counted where it is reported.
                 DatagramError::SameIdentity { .. } => return result,
             };
             *counter += 1;

@@ -21,7 +21,7 @@ fn challenge_pause() -> i64 {
 }
 
 impl Session {
-    /// The paths on which peers are reached: where what is for everyone goes, beside the addresses that the driver is told.
+    /// The paths on which peers are reached: where what is for everyone goes, beside the addresses that the driver knows.
     pub fn paths(&self) -> impl Iterator<Item = (RobotId, Path)> + '_ {
         self.peers.iter().filter_map(|(id, peer)| Some((*id, peer.path.valid()?)))
     }
@@ -67,7 +67,7 @@ impl Session {
         }
     }
 
-    /// What waits already, because the budget is spent, is not said again.
+    /// What waits already, because the budget is exhausted, is not said again.
     fn say_on_path(&mut self, id: RobotId, path: Path, message: PathMessage) {
         let what = (id, path, message);
         if self.outbox.path_waiting.len() < WAITING_MAX && !self.outbox.path_waiting.contains(&what) {

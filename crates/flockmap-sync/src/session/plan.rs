@@ -50,7 +50,7 @@ impl Session {
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
             let Some(theirs) = peer.streams.get(&stream) else { continue };
             let upto = self.store.newest_known(stream);
-            // What a snapshot brings that is under way is not sent beside it.
+            // What a snapshot brings that is in flight is not sent beside it.
             let (since, after) = match &theirs.sending {
                 Some(sending) => (sending.since, sending.upto.saturating_add(1)),
                 None => (0, 1),
@@ -92,7 +92,7 @@ impl Session {
         }
         match self.config.order {
             // Obstacles, near free space, far free space; of each batch by batch; within a batch in the order of the indices, so that no
-            // gaps appear on the way.
+            // gaps appear.
             Order::NewestFirst => {
                 due.sort_unstable_by_key(|due| (due.priority, Reverse(due.fresh_at), due.stream, due.index))
             }

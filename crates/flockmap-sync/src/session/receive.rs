@@ -29,15 +29,18 @@ impl Session {
             } else if self.open_stream(stream) {
                 match package.header().content {
                     ContentKind::Changes => self.receive_changes(now, sender.origin, package),
-                    ContentKind::Snapshot { since, set, chunk, chunks } => {
-                        let incoming = Transfer::new(sender.origin, stream, [since, index], set, chunks, now);
+                    ContentKind::Snapshot { since, set: snapshot_id, chunk, chunks } => {
+                        let incoming =
+                            Transfer::new(sender.origin, stream, [since, index], snapshot_id, chunks, now);
                         self.receive_chunk(now, incoming, chunk, package);
                     }
                 }
             }
         }
-        for Contents { stream, set, received } in contents {
-            let is_of = |i: &&mut Transfer| (i.source, i.stream, i.set) == (sender.origin, stream, set);
+        for Contents { stream, snapshot_id, received } in contents {
+            let is_of = |i: &&mut Transfer| {
+                (i.source, i.stream, i.snapshot_id) == (sender.origin, stream, snapshot_id)
+            };
             if let Some(incoming) = self.inbox.transfers.iter_mut().find(is_of) {
                 incoming.contents = Some(received);
             }
@@ -111,10 +114,10 @@ impl Session {
                     }
                     Ready::Merged(package) => self.accept(self.clocks.now(), &package),
                     Ready::Settled => {}
-                    Ready::TakesPlaceOf((stream, set), package) => {
+                    Ready::TakesPlaceOf((stream, snapshot_id), package) => {
                         self.report.events.push_front(Event::Received(package));
-                        self.restart_snapshot(self.clocks.now(), stream, set);
-                        return Some(Event::SnapshotDropped { stream, set });
+                        self.restart_snapshot(self.clocks.now(), stream, snapshot_id);
+                        return Some(Event::SnapshotDropped { stream, snapshot_id });
                     }
                 },
                 Event::CaughtUp { stream, upto } => {
@@ -155,10 +158,10 @@ impl Session {
                 self.accept(now, package);
                 self.inbox.release(package);
             }
-            (Verdict::Damaged, Item::Chunk { stream, set, .. }) => {
+            (Verdict::Damaged, Item::Chunk { stream, snapshot_id, .. }) => {
                 self.back_off(now, package);
                 if package.header().codec == Codec::Flock {
-                    self.restart_snapshot(now, stream, set);
+                    self.restart_snapshot(now, stream, snapshot_id);
                 }
             }
             (Verdict::Damaged, Item::Package { .. }) if !self.inbox.is_damaged_again(package) => {
@@ -192,7 +195,9 @@ impl Session {
             self.inbox.end_back_off(item);
             match item {
                 Item::Package { stream, index } => self.accept_changes(now, stream, index, package),
-                Item::Chunk { stream, set, chunk } => self.accept_chunk(now, from, stream, set, chunk),
+                Item::Chunk { stream, snapshot_id, chunk } => {
+                    self.accept_chunk(now, from, stream, snapshot_id, chunk)
+                }
             }
             self.note_activity(now);
         }

@@ -114,7 +114,7 @@ impl Session {
             stream: transfer.stream,
             since: transfer.since,
             upto: transfer.upto,
-            set: transfer.set,
+            snapshot_id: transfer.snapshot_id,
             chunks: transfer.chunks,
             from: 1,
             accepted: union_with(&transfer.accepted, self.inbox.unwanted_chunks(transfer, now)),
@@ -174,7 +174,7 @@ impl Session {
         (lists, urgent)
     }
 
-    /// A snapshot of each stream of which something can only be had that way.
+    /// A snapshot of each stream of which something can only be had like that.
     fn snapshot_requests(&self, now: Stamp) -> Vec<SnapshotRequest> {
         let mut wanted: Vec<SnapshotRequest> = self
             .inbox

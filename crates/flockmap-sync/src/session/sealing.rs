@@ -1,4 +1,4 @@
-//! What a swarm key changes in a session: datagrams are sealed as they go out, and proved before anything of them counts.
+//! What a swarm key changes in a session: datagrams are sealed as they go out, and authenticated before anything of them counts.
 
 use super::Session;
 use crate::event::{Destination, Event, Transmit};
@@ -10,7 +10,7 @@ use flockmap_grid::{Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
 impl Session {
-    /// Whether some datagram cannot be sealed any more: one more would need a nonce that was used. Tells the driver, once.
+    /// Whether some datagram cannot be sealed any more: one more would need a nonce that was used. Reports it to the driver, once.
     pub(super) fn check_exhausted(&mut self) -> bool {
         if self.is_exhausted() && !self.identity.exhausted_sent {
             self.identity.exhausted_sent = true;
@@ -58,7 +58,7 @@ impl Session {
             return Ok(opened);
         }
         if known.is_some_and(|known| known != salt) {
-            // Two runs of one robot with the same epoch: by chance once in 2³², else a driver that does not draw its epochs.
+            // Two runs of one robot with the same epoch: with probability 1 in in 2³², else a driver that does not draw its epochs.
             return Err(DatagramError::Replayed { sender: sender.origin, counter });
         }
         let fresh = self.identity.replays.check(sender, is_for_one, counter);

@@ -21,9 +21,9 @@ enum Attempt {
         bytes: Vec<u8>,
         items: Vec<Item>,
     },
-    /// There is nothing for it now, or its link's budget is spent.
+    /// There is nothing for it now, or its link's budget is exhausted.
     Nothing,
-    /// The radio's budget is spent: there is nothing for anybody now.
+    /// The radio's budget is exhausted: there is nothing for anybody now.
     BudgetExhausted,
 }
 
@@ -133,12 +133,12 @@ impl Session {
             if positions.len() >= room || !peer.lacks(item) {
                 continue;
             }
-            let contents = self.outbox.contents(item).filter(|contents| sent != Some(contents.set));
+            let contents = self.outbox.contents(item).filter(|contents| sent != Some(contents.snapshot_id));
             if let Some(contents) = &contents {
                 if !writer.push_contents(contents) {
                     continue;
                 }
-                sent = Some(contents.set);
+                sent = Some(contents.snapshot_id);
             }
             if let Some(package) = self.outbox.package(item, &self.store)
                 && writer.push(package)

@@ -35,7 +35,9 @@ impl Session {
             self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN_DECLINED));
             return;
         };
-        self.outbox.snapshots.retain(|other| other.stream != stream || other.set != outgoing.set);
+        self.outbox
+            .snapshots
+            .retain(|other| other.stream != stream || other.snapshot_id != outgoing.snapshot_id);
         if !self.make_room_for_chunks(outgoing.bytes) {
             self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN_NO_ROOM));
             return;
@@ -47,7 +49,7 @@ impl Session {
         }
     }
 
-    /// Lets go of sets that nobody is sent, those first that were not used for longest. What is on its way to a peer that speaks of it
+    /// Drops snapshots that nobody is sent, those first that were not used for longest. What is in flight to a peer that speaks of it
     /// stays: sets that push each other out are never complete anywhere.
     fn make_room_for_chunks(&mut self, bytes: usize) -> bool {
         loop {
@@ -56,10 +58,10 @@ impl Session {
                 return true;
             }
             let is_idle = |at: &usize| {
-                let Outgoing { stream, set, .. } = self.outbox.snapshots[*at];
+                let Outgoing { stream, snapshot_id, .. } = self.outbox.snapshots[*at];
                 let streams = self.peers.values().filter_map(|peer| peer.streams.get(&stream));
                 let mut sendings = streams.filter_map(|theirs| theirs.sending.as_ref());
-                !sendings.any(|sending| sending.set == set && !sending.is_ignored())
+                !sendings.any(|sending| sending.snapshot_id == snapshot_id && !sending.is_ignored())
             };
             let idle = (0..self.outbox.snapshots.len()).filter(is_idle);
             let Some(oldest) = idle.min_by_key(|&at| self.outbox.snapshots[at].used_at) else { return false };
@@ -70,7 +72,7 @@ impl Session {
     fn check_chunks(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) -> Option<Outgoing> {
         let first = chunks.first()?.header();
         let (upto, count) = (first.index, chunks.len() as u32);
-        let ContentKind::Snapshot { since, set, .. } = first.content else {
+        let ContentKind::Snapshot { since, set: snapshot_id, .. } = first.content else {
             self.report.counters.snapshots_unusable += 1;
             return None;
         };
@@ -87,13 +89,13 @@ impl Session {
                     && chunk.header().index == upto
                     && chunk.bytes().len() <= longest
                     && chunk.header().content
-                        == ContentKind::Snapshot { since, set, chunk: number, chunks: count }
+                        == ContentKind::Snapshot { since, set: snapshot_id, chunk: number, chunks: count }
             });
         if !usable {
             self.report.counters.snapshots_unusable += 1;
             return None;
         }
-        Some(Outgoing { stream, set, since, upto, contents, chunks, bytes, used_at: now })
+        Some(Outgoing { stream, snapshot_id, since, upto, contents, chunks, bytes, used_at: now })
     }
 
     /// Decides whether a peer gets the snapshot of a stream, or of a part of its history, instead of packages.
@@ -101,19 +103,22 @@ impl Session {
         let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) else {
             return;
         };
+        let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else { return };
+        // A snapshot that had to go for others is sent to nobody any more.
+        theirs.sending.take_if(|sending| self.outbox.snapshot(stream, sending.snapshot_id).is_none());
         if !self.goes_on_with_parts(now, id, stream) {
             self.review_whole(now, id, stream, relay_rank);
             self.review_parts(now, id, stream, relay_rank);
         }
     }
 
-    /// Whether a state of a history with gaps is on its way to a peer that still lacks some of it.
+    /// Whether a state of a history with gaps is in flight to a peer that still lacks some of it.
     fn goes_on_with_parts(&mut self, now: Stamp, id: RobotId, stream: Stream) -> bool {
         let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else {
             return false;
         };
         let Some(sending) = &mut theirs.sending else { return false };
-        let of_set = self.outbox.snapshot(stream, sending.set);
+        let of_set = self.outbox.snapshot(stream, sending.snapshot_id);
         let Some(contents) = of_set.and_then(|outgoing| outgoing.contents.as_ref()) else { return false };
         let wanted = theirs.snapshot_request.as_ref().map(|wanted| wanted.undecodable.intersection(contents));
         let goes_on =
@@ -190,7 +195,7 @@ impl Session {
         }
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(theirs) = peer.theirs(stream, now) else { return };
-        // What of a wish lies beyond what is held here is somebody else's to fulfil.
+        // What of a request lies beyond what is held here is somebody else's to fulfil.
         let request = theirs.snapshot_request.as_ref().and_then(|request| {
             Some((request.since, request.undecodable.within(1, prefix).last()?, request.stated_since))
         });
@@ -202,12 +207,11 @@ impl Session {
             since_max = since_max.min(since);
         }
         if let Some(sending) = &mut theirs.sending {
-            let kept = self.outbox.snapshots.iter().any(|o| o.stream == stream && o.set == sending.set);
             // What it cannot decode it states as held.
             let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto);
             // Of what lies above it the next one may be short.
             let is_sound = sending.since <= since_max;
-            if kept && is_sound && (is_wanted || !theirs.received.contains_range(1, sending.upto)) {
+            if is_sound && (is_wanted || !theirs.received.contains_range(1, sending.upto)) {
                 sending.note_silence(now);
                 return;
             }
@@ -226,7 +230,7 @@ impl Session {
         let newer_than = self.store.newer_than(stream, since_max);
         let since = if newer_than.is_some() { since_max } else { 0 };
         let all = self.store.weigh(stream, &missing, prefix);
-        // The newest state at hand that will do, if any, tells what one costs.
+        // The newest state at hand that will do, if any, shows what one costs.
         let estimate = self
             .outbox
             .at_hand(stream, since_max)
@@ -237,7 +241,7 @@ impl Session {
         let at_hand = self.outbox.at_hand(stream, since_max).filter(|&at| {
             // One that is on the air already costs nothing more; any other should not say much that is known.
             self.outbox.snapshots[at].is_near(since)
-                || self.is_on_air(stream, self.outbox.snapshots[at].set, id)
+                || self.is_on_air(stream, self.outbox.snapshots[at].snapshot_id, id)
         });
         if let Some(at) = at_hand {
             let (upto, cost) = (self.outbox.snapshots[at].upto, self.outbox.snapshots[at].bytes as u64);
@@ -272,27 +276,28 @@ impl Session {
         peer.queue_stale = true;
     }
 
-    /// By broadcast: whether a set is on its way to somebody else, so that everyone hears it.
-    fn is_on_air(&self, stream: Stream, set: u32, except: RobotId) -> bool {
+    /// By broadcast: whether a snapshot is in flight to somebody else, so that everyone hears it.
+    fn is_on_air(&self, stream: Stream, snapshot_id: u32, except: RobotId) -> bool {
         let gets_it = |peer: &Peer| {
             let sending = peer.streams.get(&stream).and_then(|theirs| theirs.sending.as_ref());
-            peer.stream.origin != except && sending.is_some_and(|sending| sending.set == set)
+            peer.stream.origin != except && sending.is_some_and(|sending| sending.snapshot_id == snapshot_id)
         };
         self.config.cast == Cast::Broadcast && self.peers.values().any(gets_it)
     }
 
-    /// Chunks of the snapshot on its way to the peer that are neither accepted nor in flight.
+    /// Chunks of the snapshot in flight to the peer that are neither accepted nor in flight.
     pub(super) fn chunks_to_send(&self, stream: Stream, sending: &Sending) -> impl Iterator<Item = Item> {
-        let set = sending.set;
-        let count = self.outbox.snapshot(stream, set).map_or(0, |outgoing| outgoing.chunks.len() as u32);
+        let snapshot_id = sending.snapshot_id;
+        let count =
+            self.outbox.snapshot(stream, snapshot_id).map_or(0, |outgoing| outgoing.chunks.len() as u32);
         sending
             .received_or_in_flight
             .missing(1, count)
             .flat_map(|(low, high)| low..=high)
-            .map(move |number| Item::Chunk { stream, set, chunk: number - 1 })
+            .map(move |number| Item::Chunk { stream, snapshot_id, chunk: number - 1 })
     }
 
-    /// The chunks that a peer is sent: first those of sets that it speaks of. Of all sets that it ignores one chunk is on its way at a time.
+    /// The chunks that a peer is sent: first those of snapshots that it speaks of. Of all snapshots that it ignores one chunk is on its way at a time.
     pub(super) fn plan_chunks(&self, now: Stamp, peer: &Peer, most: usize) -> Vec<Item> {
         let streams = peer.streams.iter().filter(|(stream, _)| peer.wants(**stream));
         let sendings = streams.filter_map(|(stream, theirs)| Some((*stream, theirs.sending.as_ref()?)));
@@ -300,14 +305,16 @@ impl Session {
         taken.sort_by_key(|(_, sending)| sending.unheeded);
         ignored.sort_by_key(|(_, sending)| sending.lost_at);
         let is_ignored = |item| match item {
-            Item::Chunk { stream, set, .. } => ignored.iter().any(|(of, s)| (*of, s.set) == (stream, set)),
+            Item::Chunk { stream, snapshot_id, .. } => {
+                ignored.iter().any(|(of, s)| (*of, s.snapshot_id) == (stream, snapshot_id))
+            }
             Item::Package { .. } => false,
         };
         let is_due = peer.offer_at <= now
             && !ignored.is_empty()
             && !peer.in_flight.iter().any(|sent| is_ignored(sent.item));
-        let offer = ignored.first().filter(|_| is_due);
-        let offer = offer.and_then(|(stream, sending)| self.chunks_to_send(*stream, sending).next());
+        let mut offers = ignored.iter().filter_map(|(stream, s)| self.chunks_to_send(*stream, s).next());
+        let offer = if is_due { offers.next() } else { None };
         let chunks = taken.into_iter().flat_map(|(stream, sending)| self.chunks_to_send(stream, sending));
         chunks.take(most).chain(offer).collect()
     }

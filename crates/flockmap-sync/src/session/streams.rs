@@ -7,7 +7,7 @@ use crate::store::Opened;
 use flockmap_grid::Stream;
 
 impl Session {
-    /// Opens a place for a stream and tells the driver; whether there is one.
+    /// Opens a place for a stream and reports it to the driver; whether there is one.
     pub(super) fn open_stream(&mut self, stream: Stream) -> bool {
         match self.store.open(stream, self.clocks.now(), |robot| is_heard(&self.peers, robot)) {
             Ok(Opened { is_new, forgotten }) => {

@@ -27,7 +27,7 @@ const GAP_PAUSE_MAX: i64 = 60_000_000;
 const PROBES: u8 = 2;
 /// Packages that follow this soon make a probe needless.
 const PROBE_AFTER: i64 = 120_000;
-/// Share of losses above which that is worth a datagram; below, the next packages tell soon enough.
+/// Share of losses above which that is worth a datagram; below, the next packages show it soon enough.
 const PROBE_LOSS_MIN: u32 = crate::link::LOSS_ONE / 6;
 /// Requests take at most one part in so many of a budget over time …
 const BUDGET_SHARE_OVER_TIME: i64 = 8;
@@ -97,7 +97,7 @@ impl Session {
         self.schedule.gap_tries = 0;
     }
 
-    /// Packages went out. If their end gets lost, nothing that follows tells the peers: make them look.
+    /// Packages went out. If their end gets lost, nothing that follows shows the peers: make them look.
     pub(super) fn note_sent(&mut self, now: Stamp) {
         let is_lossy = |peer: &&Peer| peer.loss.share() > PROBE_LOSS_MIN;
         let timeout = self.peers.values().filter(is_lossy).map(|peer| peer.round_trip.timeout()).max();

@@ -43,16 +43,26 @@ impl Session {
         };
         let transfer = &mut self.inbox.transfers[at];
         transfer.touched = now;
-        let item = Item::Chunk { stream, set: transfer.set, chunk };
+        let item = Item::Chunk { stream, snapshot_id: transfer.snapshot_id, chunk };
         let received = transfer.accepted.contains(chunk + 1);
         self.deliver(now, from, item, received, package);
         // If the rest gets lost, say soon which chunks are missing.
         self.note_gap(now, false);
     }
 
-    pub(super) fn accept_chunk(&mut self, now: Stamp, from: RobotId, stream: Stream, set: u32, chunk: u32) {
-        let found =
-            self.inbox.transfers.iter().position(|t| (t.source, t.stream, t.set) == (from, stream, set));
+    pub(super) fn accept_chunk(
+        &mut self,
+        now: Stamp,
+        from: RobotId,
+        stream: Stream,
+        snapshot_id: u32,
+        chunk: u32,
+    ) {
+        let found = self
+            .inbox
+            .transfers
+            .iter()
+            .position(|t| (t.source, t.stream, t.snapshot_id) == (from, stream, snapshot_id));
         let Some(at) = found else { return };
         match self.inbox.transfers[at].accepted.insert(chunk + 1) {
             Ok(is_new) => self.report.counters.chunks_accepted += u64::from(is_new),
@@ -66,9 +76,9 @@ impl Session {
 
     /// The driver has let go of what the chunks of a snapshot said, and needs all of them again to go on: those merged or
     /// waiting count no more. Rejected ones stay so for their time.
-    pub fn restart_snapshot(&mut self, now: Stamp, stream: Stream, set: u32) {
+    pub fn restart_snapshot(&mut self, now: Stamp, stream: Stream, snapshot_id: u32) {
         let now = self.advance(now);
-        self.inbox.restart(stream, set);
+        self.inbox.restart(stream, snapshot_id);
         self.report.counters.snapshots_restarted += 1;
         self.note_gap(now, true);
     }
@@ -78,7 +88,9 @@ impl Session {
     pub(super) fn finish_transfers(&mut self, now: Stamp) {
         let complete = self.inbox.transfers.iter().filter(|transfer| transfer.is_complete());
         let mut complete: Vec<_> = complete
-            .map(|t| (t.stream, t.since, t.upto, t.contents.clone().map(|contents| (t.set, contents))))
+            .map(|t| {
+                (t.stream, t.since, t.upto, t.contents.clone().map(|contents| (t.snapshot_id, contents)))
+            })
             .collect();
         // One may be what the next one waits for.
         complete.sort_unstable_by_key(|(stream, since, upto, _)| (*stream, *since, *upto));
@@ -90,7 +102,9 @@ impl Session {
                 .then(|| IntervalSet::from_intervals(1, vec![(since + 1, upto)]));
             let (news, contents) = match (by_prefix, contents) {
                 (Some(news), _) => (news, None),
-                (None, Some((set, contents))) => (contents.difference(received), Some((set, contents))),
+                (None, Some((snapshot_id, contents))) => {
+                    (contents.difference(received), Some((snapshot_id, contents)))
+                }
                 (None, None) => continue,
             };
             if news.is_empty() {
@@ -104,8 +118,8 @@ impl Session {
             if is_received {
                 self.report.counters.caught_up += 1;
                 let upto = self.store.received(stream).map_or(0, IntervalSet::prefix);
-                if let Some((set, received)) = contents {
-                    self.push_event(Event::SnapshotContains { stream, set, received });
+                if let Some((snapshot_id, received)) = contents {
+                    self.push_event(Event::SnapshotContains { stream, snapshot_id, received });
                 }
                 self.push_event(Event::CaughtUp { stream, upto });
                 self.mark_queues_stale();

@@ -17,7 +17,7 @@ pub(super) const MAGIC: [u8; 2] = *b"FM";
 /// The check covers everything but itself.
 pub(super) const CHECK: core::ops::Range<usize> = 24..28;
 
-/// The layout that [`WIRE_VERSION`] stands for, in words. A test holds its hash: who changes a line here must
+/// The layout that [`WIRE_VERSION`] stands for, in text. A test holds its hash: who changes a line here must
 /// change the version too. (A new type of record, which older readers skip, is no change of a line.)
 pub const LAYOUT: &str = "\
 header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u64, stamp i64, crc32 u32 of all else
@@ -31,13 +31,13 @@ record: type u8, length varint, content
 type 1 echoes: (robot u16, epoch low u16, stamp low u32, age varint)*
 type 2 received: origin varint, epoch varint, intervals
 type 7 received, earlier runs not wanted: as type 2
-type 3 transfer: source varint, origin varint, epoch varint, since varint, upto varint, set u32, chunks varint, intervals of accepted chunk + 1
+type 3 transfer: source varint, origin varint, epoch varint, since varint, upto varint, snapshot id u32, chunks varint, intervals of accepted chunk + 1
 type 4 origins: first origin varint, last origin varint
 type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
-type 6 state wanted: origin varint, epoch varint, since varint, intervals of undecodable indices
+type 6 snapshot request: origin varint, epoch varint, since varint, intervals of undecodable indices
 type 16 package: map package
 type 17 package of the sender's own run: map package without origin and epoch
-type 18 contents of a partial snapshot state: origin varint, epoch varint, set u32, intervals
+type 18 contents of a partial snapshot: origin varint, epoch varint, snapshot id u32, intervals
 type 19 the sender may send no more before it knows what has arrived: nothing
 type 32 challenge: number u64
 type 33 answer: number u64
@@ -125,7 +125,7 @@ pub enum DatagramError {
         /// The version it states.
         got: u8,
     },
-    /// Damaged on the way.
+    /// Damaged in flight.
     #[error("damaged datagram: its check is {got:#010x}, its bytes give {expected:#010x}")]
     Check {
         /// The check it states.
@@ -142,7 +142,7 @@ pub enum DatagramError {
         /// Who sent it, as it states.
         sender: RobotId,
     },
-    /// A genuine datagram that was there already, or one that so many later ones overtook that this cannot be told.
+    /// A genuine datagram that was there already, or one that so many later ones overtook that nobody can know.
     #[error(
         "datagram {counter} of {sender:?} came again, or thousands late: the radio doubles, or somebody replays it"
     )]
@@ -154,7 +154,7 @@ pub enum DatagramError {
     },
     /// Sealed by a run of which no request was heard yet: only these have the salt with which it seals.
     #[error(
-        "sealed datagram of {sender:?} before a request of its run: its next request tells how to open it"
+        "sealed datagram of {sender:?} before a request of its run: its next request says how to open it"
     )]
     UnknownRun {
         /// Who sent it, as it states.
@@ -232,7 +232,7 @@ pub enum DatagramError {
     },
 }
 
-/// A received datagram whose length, magic, version, kind and check are right and whose records chunk its body.
+/// A received datagram whose length, magic, version, kind and check are right and whose records fill its body.
 #[derive(Clone, Copy, Debug)]
 pub struct Datagram<'a> {
     header: DatagramHeader,

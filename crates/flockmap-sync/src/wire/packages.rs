@@ -20,29 +20,29 @@ const WINDOW_FULL: u8 = 19;
 /// Bytes of a record of contents at the most: of more intervals the lowest are left out, and come by another state.
 pub const CONTENTS_BYTES_MAX: usize = 190;
 
-/// Whether the sender waits for word of what has arrived.
+/// Whether the sender waits for a report of what has arrived.
 pub fn asks_for_request(datagram: &Datagram<'_>) -> bool {
     datagram.records().any(|(id, _)| id == WINDOW_FULL)
 }
 
-/// What a set of chunks contains, where that is not all from the first package on: who has accepted all of them holds these.
+/// What a snapshot contains, where that is not all from the first package on: who has accepted all of them holds these.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Contents {
     /// The stream.
     pub stream: Stream,
-    /// Which set of the sender's.
-    pub set: u32,
+    /// Which snapshot of the sender's.
+    pub snapshot_id: u32,
     /// The packages.
     pub received: IntervalSet,
 }
 
-/// All contents that a datagram tells. Lists of more than `intervals_max` intervals keep their newest ones.
+/// All contents that a datagram states. Lists of more than `intervals_max` intervals keep their newest ones.
 pub fn parse_contents(datagram: &Datagram<'_>, intervals_max: usize) -> Result<Vec<Contents>, DatagramError> {
     let read = |bytes| {
         let mut reader = Reader::new(bytes);
-        let (stream, set) = (read_stream(&mut reader)?, reader.u32()?);
+        let (stream, snapshot_id) = (read_stream(&mut reader)?, reader.u32()?);
         let (_, received) = read_intervals(&mut reader, intervals_max)?;
-        Some(Contents { stream, set, received })
+        Some(Contents { stream, snapshot_id, received })
     };
     let records = datagram.records().filter(|(id, _)| *id == CONTENTS);
     records.map(|(_, bytes)| read(bytes).ok_or_else(|| datagram.malformed("contents of a state"))).collect()
@@ -93,19 +93,19 @@ impl PackagesWriter {
         fits
     }
 
-    /// Asks for word of what has arrived, if there is room for that.
+    /// Asks for a report of what has arrived, if there is room for that.
     pub fn ask_for_request(&mut self) {
         if self.bytes.len() + record_len(0) <= self.bytes_max {
             put_record(&mut self.bytes, WINDOW_FULL, &[]);
         }
     }
 
-    /// Adds what a set of chunks contains; `false`, with nothing changed, if it does not fit any more.
+    /// Adds what a snapshot contains; `false`, with nothing changed, if it does not fit any more.
     pub fn push_contents(&mut self, contents: &Contents) -> bool {
         let end = self.bytes.len() + CONTENTS_BYTES_MAX;
         let mut content = Vec::new();
         put_stream(&mut content, contents.stream);
-        content.extend(contents.set.to_le_bytes());
+        content.extend(contents.snapshot_id.to_le_bytes());
         end <= self.bytes_max && put_list(&mut self.bytes, CONTENTS, &mut content, 1, &contents.received, end)
     }
 

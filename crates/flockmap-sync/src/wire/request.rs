@@ -110,9 +110,9 @@ pub struct TransferProgress {
     pub since: u32,
     /// The state is the one after packages 1 to this one.
     pub upto: u32,
-    /// Which set of chunks.
-    pub set: u32,
-    /// Number of chunks of the set.
+    /// Which snapshot.
+    pub snapshot_id: u32,
+    /// Number of chunks of the snapshot.
     pub chunks: u32,
     /// Nothing is said of chunks whose number + 1 is below this; 1 if the list is whole.
     pub from: u32,
@@ -180,7 +180,7 @@ impl Request {
                 ORIGINS => (request.read_origins(&mut reader), "range of origins"),
                 CLOCKS => (request.read_clocks(&mut reader), "clock"),
                 SNAPSHOT_REQUEST => {
-                    (request.read_snapshot_request(&mut reader, intervals_max), "wish for a snapshot")
+                    (request.read_snapshot_request(&mut reader, intervals_max), "snapshot request")
                 }
                 _ => continue,
             };
@@ -217,9 +217,18 @@ impl Request {
         let source = RobotId(reader.varint_u16()?);
         let stream = read_stream(reader)?;
         let (since, upto) = (reader.varint_u32()?, reader.varint_u32()?);
-        let (set, chunks) = (reader.u32()?, reader.varint_u32()?);
+        let (snapshot_id, chunks) = (reader.u32()?, reader.varint_u32()?);
         let (from, accepted) = read_intervals(reader, intervals_max)?;
-        self.transfers.push(TransferProgress { source, stream, since, upto, set, chunks, from, accepted });
+        self.transfers.push(TransferProgress {
+            source,
+            stream,
+            since,
+            upto,
+            snapshot_id,
+            chunks,
+            from,
+            accepted,
+        });
         Some(())
     }
 
@@ -255,9 +264,9 @@ impl Request {
         self.emit_in_order(header, bytes_max, 0).0
     }
 
-    /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]); also tells which origins it covers.
+    /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]); also returns which origins it covers.
     ///
-    /// What does not fit is cut: echoes get at most a quarter of the room, clocks and wishes for snapshots an eighth each. Of the rest
+    /// What does not fit is cut: echoes get at most a quarter of the room, clocks and snapshot requests an eighth each. Of the rest
     /// half is for transfers that need it, since one that is not named would be sent for ever. The first `urgent` lists of held indices get
     /// half of what remains; then come the origins in their order, each with all of its runs, as many as fit. `origins` of `self` is what is covered if all fit.
     /// A list that does not fit loses its lowest intervals. However small the room, a run is named.
@@ -383,7 +392,7 @@ impl Request {
             put_stream(&mut content, transfer.stream);
             put_varint(&mut content, u64::from(transfer.since));
             put_varint(&mut content, u64::from(transfer.upto));
-            content.extend(transfer.set.to_le_bytes());
+            content.extend(transfer.snapshot_id.to_le_bytes());
             put_varint(&mut content, u64::from(transfer.chunks));
             put_list(out, TRANSFER, &mut content, transfer.from, &transfer.accepted, end_max);
         }

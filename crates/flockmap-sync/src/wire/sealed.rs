@@ -30,7 +30,7 @@ pub const SALT_BYTES: usize = 16;
 /// Bytes by which a sealed datagram is longer than the same one unsealed; requests and challenges are longer by [`SALT_BYTES`] more.
 pub const SEAL_BYTES: usize = HEAD_BYTES + COUNTER_BYTES + STAMP_BYTES + TAG_BYTES - HEADER_BYTES;
 
-/// The highest counter of a sealed datagram. The bit above it tells datagrams for one robot from those for all.
+/// The highest counter of a sealed datagram. The bit above it separates datagrams for one robot from those for all.
 pub const COUNTER_MAX: u64 = (1 << (8 * COUNTER_BYTES - 1)) - 1;
 
 /// Random bytes that a driver draws for each run. With them every run seals with a key of its own, whatever its clock and its
@@ -88,7 +88,7 @@ pub fn seal_datagram(
     Some(out)
 }
 
-/// A received datagram that is sealed, of this version and of a length that can be. Nothing of it is proved.
+/// A received datagram that is sealed, of this version and of a length that can be. Nothing of it is authenticated.
 #[derive(Clone, Copy, Debug)]
 pub struct SealedDatagram<'a> {
     kind: Kind,
@@ -174,7 +174,7 @@ impl<'a> SealedDatagram<'a> {
     }
 }
 
-/// The content of a sealed datagram that was proved to be from a holder of the key.
+/// The content of a sealed datagram that was authenticated as from a holder of the key.
 #[derive(Clone, Debug)]
 pub struct OpenedDatagram {
     kind: Kind,

@@ -46,7 +46,7 @@ fn sample() -> Request {
             stream: other,
             since: 200,
             upto: 1_000,
-            set: 0xdead_beef,
+            snapshot_id: 0xdead_beef,
             chunks: 40,
             from: 1,
             accepted: set(&[(1, 3), (8, 8)]),
@@ -167,7 +167,7 @@ const SALT: Salt =
 const GOLDEN_SEALED: &str = "464d03810201070003000000000000000f0e0d0c0b0a112233445566778899aabbccddeeff000ec28fc9b9ab92a615795081\
     926e9ce493eed5c508da0ece75dc42ab53eed86ca4c2fd79c94a719fd3e6daa48ee2ade3ebad2889d11d3be007e588ade370\
     17ceba238429c00021cdf884636d611fe015c3a6073f8ef96054ae76d819bad3484c5e855b31ab57e31e070347fbd81b34";
-const GOLDEN_LAYOUT: u32 = 557_053_336;
+const GOLDEN_LAYOUT: u32 = 4_128_479_432;
 const GOLDEN_REQUEST: &str = "464d030102010700030000000000000077665544332211002eb34efc03010a2c01cdab78563412e8070505090100b717060f\
     ac0280e2cfaa06ac02018806000178020607030100c7010210ac0280e2cfaa0605000401009e02c801031607ac0280e2cfaa\
     06c801e807efbeadde280100020300";
@@ -257,7 +257,7 @@ fn a_transfer_is_named_however_long_the_lists_of_held_indices_are() {
         stream: stream(1),
         since: 9_000,
         upto: 12_000,
-        set: 5,
+        snapshot_id: 5,
         chunks: 900,
         from: 1,
         accepted: set(&[(1, 3), (7, 7)]),
@@ -352,7 +352,7 @@ proptest! {
             origins: ALL,
             echoes: vec![Echo { robot: RobotId(origin), epoch_low: epoch as u16, stamp_low: stamp as u32, age_micros }],
             received: vec![Received { is_oldest_wanted: origin % 2 == 0, stream, from, received: received.clone() }],
-            transfers: vec![TransferProgress { source: stream.origin, stream, since: count, upto: count, set: count, chunks: count, from, accepted: received }],
+            transfers: vec![TransferProgress { source: stream.origin, stream, since: count, upto: count, snapshot_id: count, chunks: count, from, accepted: received }],
             clocks: vec![ClockReport { robot: stream.origin, epoch_low: 5, offset_micros }],
             snapshot_requests: vec![SnapshotRequest { stream, since: count / 2, from: 1, undecodable: set(&[(count / 2 + 1, count / 2 + 1)]) }],
             ..Request::default()

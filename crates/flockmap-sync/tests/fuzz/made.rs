@@ -53,7 +53,7 @@ impl Maker {
         let voxels = SnapshotVoxels::from_state(&state).unwrap();
         let bytes_max = if chunks > 1 { PACKAGE_BYTES_MIN } else { PACKAGE_BYTES_MAX };
         let span = Span { stream, since, upto };
-        // A span that ends before it begins cannot be told.
+        // A span that ends before it begins cannot be encoded.
         self.encoder.encode_span(Codec::Raw, span, resolution(), &voxels, bytes_max).unwrap_or_default()
     }
 }
@@ -140,7 +140,7 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
             stream: stream(choices),
             since: if choices.below(2) == 0 { 0 } else { index(choices) },
             upto: index(choices),
-            set: choices.word(),
+            snapshot_id: choices.word(),
             chunks: index(choices),
             from: 1,
             accepted: set(choices),

@@ -1,4 +1,4 @@
-//! What the fuzzer runs, shared with the test that replays its corpus: `fuzz/README.md` tells how to run it.
+//! What the fuzzer runs, shared with the test that replays its corpus: `fuzz/README.md` says how to run it.
 
 #[path = "../../../flockmap-codec/tests/fuzz/choices.rs"]
 mod choices;

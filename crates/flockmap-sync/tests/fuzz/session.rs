@@ -13,7 +13,7 @@ use super::{Choices, mended, with_check};
 
 /// More is never sent at one time: every package of a full store to every peer, and a request.
 const TRANSMITS_MAX: usize = 4_000;
-/// Packages that the driver keeps undecided.
+/// Packages that the driver keeps pending.
 const KEPT_MAX: usize = 5_000;
 
 /// Input: choices of options, then of events. Returns what the session counted.
@@ -136,9 +136,9 @@ impl Run<'_> {
             _ => {}
         }
         if let Some(first) = chunks.first().map(Package::header)
-            && let ContentKind::Snapshot { since, set, chunks, .. } = first.content
+            && let ContentKind::Snapshot { since, set: snapshot_id, chunks, .. } = first.content
         {
-            self.given = Some((stream, (since, first.index), set, chunks));
+            self.given = Some((stream, (since, first.index), snapshot_id, chunks));
         }
         self.session.provide_snapshot(self.now, stream, chunks);
     }
@@ -155,7 +155,7 @@ impl Run<'_> {
                 request.received.push(Received { is_oldest_wanted: false, stream, from: 1, received });
             }
         }
-        if let Some((stream, (since, upto), set, chunks)) = self.given {
+        if let Some((stream, (since, upto), snapshot_id, chunks)) = self.given {
             let accepted =
                 IntervalSet::from_intervals(1, vec![(1, choices.below(chunks.saturating_add(1).max(1)))]);
             let source = OWN.origin;
@@ -164,7 +164,7 @@ impl Run<'_> {
                 stream,
                 since,
                 upto,
-                set,
+                snapshot_id,
                 chunks,
                 from: 1,
                 accepted,
@@ -254,8 +254,8 @@ impl Run<'_> {
             }
             1 => self.session.set_clock_offset(RobotId(choices.below(8) as u16), None),
             2 => {
-                let (stream, set) = (made::stream(choices), choices.word());
-                self.session.restart_snapshot(self.now, stream, set);
+                let (stream, snapshot_id) = (made::stream(choices), choices.word());
+                self.session.restart_snapshot(self.now, stream, snapshot_id);
             }
             3 => {
                 let (stream, index) = (made::stream(choices), made::index(choices));

@@ -61,7 +61,7 @@ impl SentPackage {
     }
 }
 
-/// The limits of the options, by what the session tells of itself.
+/// The limits of the options, by what the session reports of itself.
 pub(crate) fn limits(session: &Session) {
     let config = session.config();
     assert!(session.peers().count() <= config.peers_max);

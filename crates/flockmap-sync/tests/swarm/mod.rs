@@ -58,12 +58,12 @@ pub(crate) struct Robot {
     pub(crate) sent: Vec<(i64, usize, usize)>,
     /// Decline snapshots.
     pub(crate) no_snapshot: bool,
-    /// Packages of this origin with these indices are kept undecided, or given up.
+    /// Packages of this origin with these indices are kept pending, or undecodable.
     pub(crate) keeps: Vec<(RobotId, u32)>,
     pub(crate) gives_up: Vec<(RobotId, u32)>,
     /// Packages that come more than so many indices ahead of all that is held are rejected: no room for them to wait.
     pub(crate) ahead_max: Option<u32>,
-    /// What is kept undecided.
+    /// What is kept pending.
     pub(crate) pending: Vec<Package>,
     encoder: Encoder,
     batch_end: Stamp,
@@ -79,7 +79,7 @@ impl Robot {
     }
 }
 
-/// A datagram under way: when it arrives, a number that keeps the order, to whom, bytes.
+/// A datagram in flight: when it arrives, a number that keeps the order, to whom, bytes.
 type Flying = (i64, u64, u16, Vec<u8>);
 
 pub(crate) struct Swarm {

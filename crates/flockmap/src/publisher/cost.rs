@@ -1,4 +1,4 @@
-//! How many voxels a batch may tell where the radio takes less than the map changes.
+//! How many voxels a batch may publish where the radio takes less than the map changes.
 
 use flockmap_codec::Package;
 use flockmap_grid::Changes;
@@ -9,7 +9,7 @@ const PART_MS: u64 = 250;
 const PART_BYTES_MIN: u64 = 600;
 /// What a package costs beside its voxels, about.
 const PACKAGE_HEADER_BYTES: u64 = 40;
-/// A batch that is deferred is told after the time of so many parts, whatever waits.
+/// A batch that is deferred is published after the time of so many parts, whatever waits.
 const DEFER_PARTS: u64 = 8;
 /// Batches over which the cost of a voxel is smoothed.
 const SMOOTHING: u64 = 4;
@@ -25,7 +25,7 @@ pub(crate) struct Cost {
     voxel: u64,
 }
 
-/// Voxels that a batch may tell.
+/// Voxels that a batch may publish.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Room {
     /// If it is one of obstacles.

@@ -6,7 +6,7 @@ use flockmap_grid::{BlockIndex, Changes, Mapper, Plane, Pose, Resolution, Stamp,
 use super::cost::Room;
 use crate::BatchConfig;
 
-/// Of a batch that is told in parts, so many of obstacles alone come before one with free space, if there are as many.
+/// Of a batch that is published in parts, so many of obstacles alone come before one with free space, if there are as many.
 const OBSTACLES_IN_ROW: u32 = 3;
 
 /// Closes batches: takes the net changes from the mapper when enough have come up or enough time has passed.
@@ -18,9 +18,9 @@ pub struct Packer {
     /// When the last batch of obstacles and of free space was closed, on the robot's clock.
     closed_occupied: Stamp,
     closed_free: Stamp,
-    /// Of a batch that is told in parts: how many of the turns of obstacles alone are used up.
+    /// Of a batch that is published in parts: how many of the parts of obstacles alone are used up.
     obstacles_in_row: u32,
-    /// Something has waited beyond its time that has not been told yet.
+    /// Something has waited beyond its time that has not been published yet.
     is_behind: bool,
     /// Stamp of the newest scan.
     newest_scan: Stamp,
@@ -104,7 +104,7 @@ impl Packer {
     /// As [`close_due`](Self::close_due), where the radio may have no room for all: what is nearest to the sensor goes first, obstacles and
     /// everything else in turn. The rest stays in the map, goes on changing there, and is due again at once.
     ///
-    /// What is told late has a late stamp. So from when something was left, or [deferred](Self::note_late), until all is told, what is Free stays in
+    /// What is published late has a late stamp. So from when something was left, or [deferred](Self::note_late), until all is published, what is Free stays in
     /// the map as well where the robot itself believes what a team-mate saw later: `believed_occupied` of a block.
     pub(crate) fn close_part(
         &mut self,
@@ -150,12 +150,12 @@ impl Packer {
         1_000 * self.config.publish_period_ms as i64
     }
 
-    /// Notes that a batch was deferred for so long that what it tells is late.
+    /// Notes that a batch was deferred for so long that what it publishes is late.
     pub(crate) const fn note_late(&mut self) {
         self.is_behind = true;
     }
 
-    /// Whether something has waited beyond its time that has not been told yet.
+    /// Whether something has waited beyond its time that has not been published yet.
     pub(crate) const fn is_behind(&self) -> bool {
         self.is_behind
     }
@@ -293,7 +293,7 @@ mod tests {
         assert!(packer.close_due(Stamp(1_900 * MS), &mut mapper).is_none());
         let (second, changes) = packer.close_due(Stamp(2_000 * MS), &mut mapper).unwrap();
         assert_eq!(changes.len(), 20);
-        assert!(second.end > first.end, "a voxel's newest word must be told apart by its stamp");
+        assert!(second.end > first.end, "a voxel's newest observation must be distinguishable by its stamp");
     }
 
     #[test]

@@ -10,7 +10,7 @@ const BATCHES: usize = 32;
 const SLOWEST_LEFT_OUT: usize = BATCHES / 10;
 
 /// The delay of repair: from publishing a batch until a peer lacks nothing up to its end. So long a later package that builds on the
-/// batch would wait, so this is the measure whether packages are told against earlier ones or not.
+/// batch would wait, so this is the measure whether packages are coded against earlier ones or not.
 ///
 /// Peers say what they hold once a second or so, and at once when something is missing. So it is not the time until a peer states
 /// that it holds a batch that counts, but the time until it stated last that something is missing: 0 for what was never

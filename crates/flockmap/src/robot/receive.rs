@@ -22,7 +22,9 @@ impl Robot {
                 SessionEvent::SnapshotWanted { stream, since, newer_than, upto, bytes_max, .. } => {
                     self.provide_snapshot(now, Span { stream, since, upto }, newer_than, bytes_max);
                 }
-                SessionEvent::SnapshotDropped { stream, set } => self.readers.drop_one((stream, set)),
+                SessionEvent::SnapshotDropped { stream, snapshot_id } => {
+                    self.readers.drop_one((stream, snapshot_id))
+                }
                 SessionEvent::NoRoomToWait { stream, index, base } => {
                     self.push_event(Event::Refused { stream, index, reason: Refusal::Waiting { base } });
                 }
@@ -32,8 +34,8 @@ impl Robot {
                     self.push_event(Event::RunForgotten(stream));
                 }
                 SessionEvent::EpochTooLow { used } => self.begin_anew(now, used),
-                SessionEvent::SnapshotContains { stream, set, received } => {
-                    self.push_event(Event::SnapshotContains { stream, set, received });
+                SessionEvent::SnapshotContains { stream, snapshot_id, received } => {
+                    self.push_event(Event::SnapshotContains { stream, snapshot_id, received });
                 }
                 SessionEvent::CaughtUp { stream, upto } => {
                     self.readers.drop_upto(stream, upto);
@@ -104,17 +106,18 @@ impl Robot {
         Ok(merged(package, changes, taken))
     }
 
-    /// Merges the next chunk of those that are told one against the other.
+    /// Merges the next chunk of those that build on one another.
     fn merge_chunk(&mut self, now: Stamp, id: SnapshotId, chunk: &Package) -> Result<Event, Refusal> {
-        for (stream, set) in self.readers.make_room(id, chunk)? {
-            self.session.restart_snapshot(now, stream, set);
+        for (stream, snapshot_id) in self.readers.make_room(now, id, chunk)? {
+            self.session.restart_snapshot(now, stream, snapshot_id);
         }
-        let read = self.readers.read(id, &mut self.decoder, chunk);
+        let read = self.readers.read(now, id, &mut self.decoder, chunk);
         self.counters.steps += self.decoder.take_steps();
         let state = read.inspect_err(|_| self.readers.drop_one(id))?;
         let merged = self.merge_snapshot(now, chunk, &state);
-        if merged.is_err() {
-            self.readers.keep(id, chunk, state);
+        match merged {
+            Ok(_) => self.readers.note_merged(now, id),
+            Err(_) => self.readers.keep(id, state),
         }
         merged
     }
@@ -126,7 +129,7 @@ impl Robot {
         Ok(merged(package, Changes::default(), taken))
     }
 
-    /// Tells the fusion how far the clock of a stream is off.
+    /// Sets for the fusion how far the clock of a stream is off.
     fn note_clock(&mut self, stream: Stream) {
         if let Some(offset) = self.session.clock_offset(stream) {
             self.fusion.set_clock_offset(stream.origin, offset.saturating_neg());

@@ -30,7 +30,7 @@ impl Robot {
     /// datagram, in the order in which the packages were stored ([`Event::BatchClosed`](crate::Event::BatchClosed),
     /// [`Event::Merged`](crate::Event::Merged); beside them [`Robot::restore_contents`]).
     ///
-    /// It goes the way of one that has just been received: it is decoded and checked, merged into the layer of its stream and into the fused map, held, and offered
+    /// It is treated as one that has just been received: it is decoded and checked, merged into the layer of its stream and into the fused map, held, and offered
     /// to others. What builds on a package that is gone waits for it, and that one is asked for. So whatever is lost or damaged in
     /// a store, no voxel comes out wrong. Packages of a former run of this robot become a layer like a team-mate's, in the
     /// own clock and, unless the alignment of the own id says otherwise, in the own frame.
@@ -54,7 +54,7 @@ impl Robot {
         &mut self,
         now: Stamp,
         stream: Stream,
-        set: u32,
+        snapshot_id: u32,
         received: &[(u32, u32)],
     ) -> bool {
         let is_sound = received.iter().all(|&(low, high)| 0 < low && low <= high);
@@ -63,7 +63,7 @@ impl Robot {
         }
         let now = self.advance(now);
         let received = IntervalSet::from_intervals(RECEIVED_INTERVALS_MAX, received.to_vec());
-        let is_received = self.session.deliver_stored_contents(now, stream, set, received);
+        let is_received = self.session.deliver_stored_contents(now, stream, snapshot_id, received);
         self.answer_session(now);
         is_received
     }

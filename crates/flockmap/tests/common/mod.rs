@@ -25,7 +25,7 @@ impl Random {
     }
 }
 
-/// What the radio does to each datagram on its way to each receiver.
+/// What the radio does to each datagram in flight to each receiver.
 #[derive(Clone, Copy)]
 pub struct Radio {
     pub loss: f64,
