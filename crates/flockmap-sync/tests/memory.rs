@@ -343,7 +343,8 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
     });
 
     let large = SessionConfig { transfers_max: 4, ..config() };
-    case("torn transfers", large, &small, 0.9, |victim| {
+    // The rest of its share is for chunks that wait, of which torn transfers have none.
+    case("torn transfers", large, &small, 0.03, |victim| {
         let chunks = victim.chunks(stream(1), 1_000_000, 3_000);
         assert!(chunks.len() > 2_100, "{} chunks", chunks.len());
         victim.is_prepared();
