@@ -49,6 +49,14 @@ impl Outgoing {
         self.bytes as u64 * part / u64::from(self.upto - self.since).max(1)
     }
 
+    /// Whether somebody who holds this of the stream knows more with it.
+    pub(crate) fn helps(&self, received: &IntervalSet) -> bool {
+        match &self.contents {
+            Some(contents) => !contents.difference(received).is_empty(),
+            None => self.since <= received.prefix() && !received.contains_range(1, self.upto),
+        }
+    }
+
     /// Begins to send it to a peer.
     pub(crate) fn sending(&self, now: Stamp) -> Sending {
         let nothing = IntervalSet::new(PEER_INTERVALS_MAX);

@@ -3,8 +3,9 @@
 use super::Session;
 use super::snapshot::OFFER_PAUSE;
 use crate::item::Item;
-use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, SentPackage};
-use crate::wire::{DatagramHeader, Request};
+use crate::outbox::Outbox;
+use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, Sending, SentPackage};
+use crate::wire::{DatagramHeader, Request, TransferProgress};
 use crate::{InFlight, IntervalSet, Relay};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
@@ -143,11 +144,11 @@ impl Session {
                 });
             }
         }
-        for progress in
-            request.transfers.iter().filter(|progress| progress.source == self.identity.own.origin)
-        {
-            let sending = peer.streams.get_mut(&progress.stream).and_then(|theirs| theirs.sending.as_mut());
-            if let Some(sending) = sending.filter(|sending| sending.snapshot_id == progress.snapshot_id) {
+        let is_ours = |progress: &&TransferProgress| progress.source == self.identity.own.origin;
+        for progress in request.transfers.iter().filter(is_ours) {
+            let Some(theirs) = peer.streams.get_mut(&progress.stream) else { continue };
+            send_what_has_a_place(now, theirs, progress, request, &self.outbox);
+            if let Some(sending) = theirs.sending.as_mut().filter(|s| s.snapshot_id == progress.snapshot_id) {
                 sending.named_at = now;
                 sending.unheeded = 0;
                 sending.accepted = progress.accepted.clone();
@@ -306,5 +307,26 @@ impl Session {
                 Some(u32::from(hears_origin) + others)
             }
         }
+    }
+}
+
+/// By broadcast a peer may have given its place to a snapshot that another peer is sent, and ignores the one for itself. If that helps it as
+/// well, it is sent that one: else both would wait for ever.
+fn send_what_has_a_place(
+    now: Stamp,
+    theirs: &mut PeerStream,
+    progress: &TransferProgress,
+    request: &Request,
+    outbox: &Outbox,
+) {
+    let is_named = |sending: &Sending| {
+        let id = (progress.source, progress.stream, sending.snapshot_id);
+        request.transfers.iter().any(|t| (t.source, t.stream, t.snapshot_id) == id)
+    };
+    if theirs.sending.as_ref().is_some_and(|sending| !is_named(sending))
+        && let Some(outgoing) = outbox.snapshot(progress.stream, progress.snapshot_id)
+        && outgoing.helps(&theirs.received)
+    {
+        theirs.sending = Some(outgoing.sending(now));
     }
 }

@@ -42,9 +42,12 @@ impl Session {
             }
         };
         let transfer = &mut self.inbox.transfers[at];
-        transfer.touched = now;
         let item = Item::Chunk { stream, snapshot_id: transfer.snapshot_id, chunk };
         let received = transfer.accepted.contains(chunk + 1);
+        if !received {
+            // One of which nothing new comes keeps its place from others no longer than one of which nothing comes.
+            transfer.touched = now;
+        }
         self.deliver(now, from, item, received, package);
         // If the rest gets lost, say soon which chunks are missing.
         self.note_gap(now, false);

@@ -1,0 +1,115 @@
+//! A robot has places for few snapshots at once: what a peer has given its place to is what it is sent.
+
+mod swarm;
+
+use flockmap_codec::ContentKind;
+use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_sync::wire::{
+    Datagram, DatagramHeader, Echo, Kind, OriginRange, Received, Request, TransferProgress, is_sealed,
+    parse_packages,
+};
+use flockmap_sync::{Cast, IntervalSet, SessionConfig};
+use std::collections::BTreeSet;
+use swarm::{MS, Radio, Swarm};
+
+/// Since which package, up to which, which snapshot, how many chunks.
+type Id = (u32, u32, u32, u32);
+
+/// Robot 1 as real as ever; what its peers say, a test says.
+struct One {
+    swarm: Swarm,
+    own: Stream,
+    /// Every chunk that it has sent.
+    sent: BTreeSet<(Id, u32)>,
+}
+
+impl One {
+    /// A request of a peer that holds packages 1 to `held`, and has given its place to a snapshot of which it has one chunk.
+    fn hears(&mut self, peer: u16, held: u32, place: Option<Id>) {
+        let robot = self.swarm.robots.get_mut(&1).unwrap();
+        let now = Stamp(self.swarm.now + robot.clock);
+        let set = |high| IntervalSet::from_intervals(64, vec![(1, high)]);
+        let echo =
+            Echo { robot: self.own.origin, epoch_low: 1, stamp_low: (now.0 - 20 * MS) as u32, age_micros: 0 };
+        let transfers = place.map(|(since, upto, snapshot_id, chunks)| TransferProgress {
+            source: self.own.origin,
+            stream: self.own,
+            since,
+            upto,
+            snapshot_id,
+            chunks,
+            from: 1,
+            accepted: set(1),
+        });
+        let request = Request {
+            origins: Some(OriginRange::all_from(RobotId(0))),
+            all_echoes: true,
+            echoes: vec![echo],
+            received: vec![Received {
+                stream: self.own,
+                is_oldest_wanted: false,
+                from: 1,
+                received: set(held),
+            }],
+            transfers: transfers.into_iter().collect(),
+            ..Request::default()
+        };
+        let sender = Stream { origin: RobotId(peer), epoch: 1 };
+        let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender, stamp: Stamp(now.0 - 10 * MS) };
+        robot.session.handle_datagram(now, &request.emit(header, 1_200)).unwrap();
+        self.swarm.run(250 * MS);
+        for (_, bytes) in self.swarm.take_sent() {
+            assert!(!is_sealed(&bytes));
+            let datagram = Datagram::new_checked(&bytes).unwrap();
+            if datagram.header().kind != Kind::Packages {
+                continue;
+            }
+            for package in parse_packages(&datagram).unwrap() {
+                if let ContentKind::Snapshot { since, set: id, chunk, chunks } = package.header().content {
+                    self.sent.insert(((since, package.header().index, id, chunks), chunk));
+                }
+            }
+        }
+    }
+
+    fn set_since(&self, since: u32) -> Option<Id> {
+        self.sent.iter().map(|(set, _)| *set).find(|set| set.0 == since)
+    }
+}
+
+/// Once it was sent the snapshot that was meant for it, which it ignored, and each of the two was offered for ever.
+#[test]
+fn a_peer_is_sent_the_snapshot_that_it_has_given_its_place_to() {
+    let config = SessionConfig {
+        cast: Cast::Broadcast,
+        store_bytes_max: 8_000,
+        snapshot_bytes_min: None,
+        ..SessionConfig::default()
+    };
+    let mut swarm = Swarm::new(79, Radio::PERFECT);
+    let own = swarm.start(1, 1, config);
+    for _ in 0..60 {
+        swarm.publish(1, 900);
+        swarm.run(50 * MS);
+    }
+    let mut one = One { swarm, own, sent: BTreeSet::new() };
+    // Robot 3 lacks what is after package 30, robot 2 what is after package 10. Neither has a place for what it is sent.
+    for _ in 0..40 {
+        one.hears(3, 30, None);
+    }
+    let own_set = one.set_since(30).expect("a snapshot for robot 3");
+    for _ in 0..40 {
+        one.hears(2, 10, None);
+        one.hears(3, 30, None);
+    }
+    let other = one.set_since(10).expect("a snapshot for robot 2");
+    assert!(other.3 > 2 && own_set.1 == other.1);
+    // The first chunk of the snapshot for robot 2 got the place of robot 3.
+    one.sent.clear();
+    for _ in 0..40 {
+        one.hears(2, 10, None);
+        one.hears(3, 30, Some(other));
+    }
+    let chunks = one.sent.iter().filter(|(set, _)| *set == other).count() as u32;
+    assert!(chunks >= other.3 - 1, "{chunks} of {} chunks", other.3);
+}
