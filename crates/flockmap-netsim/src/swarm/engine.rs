@@ -3,7 +3,7 @@
 mod eyes;
 mod look;
 
-use super::check::{Failure, Finding, names};
+use super::check::{Finding, names};
 use super::clock::Clock;
 use super::costly::Costly;
 use super::member::{Member, NEVER};

@@ -86,7 +86,7 @@ pub(super) fn median_and_99(values: &mut [i64]) -> (f64, f64) {
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let who = self.robot.map_or("the swarm".to_owned(), |id| format!("{id:?}"));
+        let who = self.robot.map_or_else(|| "the swarm".to_owned(), |id| format!("{id:?}"));
         writeln!(f, "checker {} at {:.6} s, {who}", self.checker, self.at_s)?;
         writeln!(f, "  expected: {}", self.expected)?;
         write!(f, "  found:    {}", self.found)

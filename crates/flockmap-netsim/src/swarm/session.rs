@@ -19,7 +19,8 @@ pub(super) struct Drawn<'a> {
 pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig>, Vec<String>) {
     let mut notes = Vec::new();
     let budget = swarm.radio.budget(swarm.robots);
-    let budget_text = |budget: Option<u32>| budget.map_or("none".to_owned(), |b| format!("{b} bytes/s"));
+    let budget_text =
+        |budget: Option<u32>| budget.map_or_else(|| "none".to_owned(), |b| format!("{b} bytes/s"));
     let mut common =
         SessionConfig { cast: swarm.cast, radio_bytes_per_s: budget, ..SessionConfig::default() };
     common.peers_max = common.peers_max.max(swarm.robots);

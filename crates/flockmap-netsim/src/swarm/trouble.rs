@@ -89,8 +89,9 @@ impl Trouble {
 
     pub(super) fn notes(&self) -> Vec<String> {
         let (restarts, boot) = (self.restarts, self.boot);
+        let field = format!("a day in the field: {restarts} restarts");
         let notes = [
-            (restarts > 0, &*format!("a day in the field: {restarts} restarts")),
+            (restarts > 0, field.as_str()),
             (boot == Boot::Repeats, "every run begins at the same reading of its clock"),
             (boot == Boot::Rewinds, "clocks are set back at each start"),
             (self.has_steps, "clocks that stamp scans are stepped while flying"),

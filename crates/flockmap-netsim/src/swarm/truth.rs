@@ -120,7 +120,8 @@ impl Published {
             (!is_right).then(|| Wrong {
                 voxel,
                 expected: format!("{state:?} at {stamp:?}, as package {index} says, or newer"),
-                found: found.map_or("Unknown".to_owned(), |(state, stamp)| format!("{state:?} at {stamp:?}")),
+                found: found
+                    .map_or_else(|| "Unknown".to_owned(), |(state, stamp)| format!("{state:?} at {stamp:?}")),
             })
         })
     }
