@@ -1,6 +1,7 @@
 //! Explores a world and tells how it goes: `explore forest|indoor|FILE [robots] [seed] [threads] [resolution range] [loss]
 //! [0: without no-returns] [seconds at most]`.
 
+use flockmap::Robot;
 use flockmap_autonomy::{ExploreOptions, Explorer};
 use flockmap_grid::Resolution;
 use flockmap_worlds::World;
@@ -52,7 +53,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     println!("{:?}", explorer.outcome());
-    let bytes = explorer.radio().traffic_total().sent_bytes;
+    let sent = |robot: &Robot| explorer.radio().traffic(robot.own_stream().origin).sent_bytes;
+    let bytes: u64 = explorer.robots().map(sent).sum();
     println!("{:.2} MB sent, {:.1} s", bytes as f64 / 1e6, started.elapsed().as_secs_f64());
     Ok(())
 }

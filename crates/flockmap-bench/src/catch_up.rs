@@ -303,7 +303,7 @@ impl Flight {
     fn cut(&mut self, seconds: f64) -> Repair {
         let others = self.network.ids()[1..].to_vec();
         for robot in others {
-            self.network.radio_mut().partition(RobotId(1), robot);
+            self.network.radio_mut().set_open_both(RobotId(1), robot, false);
         }
         let from = self.newest();
         self.meter.clear();
@@ -323,7 +323,7 @@ impl Flight {
     fn heal(&mut self, repair: &mut Repair) -> anyhow::Result<()> {
         let others = self.network.ids()[1..].to_vec();
         for other in &others {
-            self.network.radio_mut().repair(RobotId(1), *other);
+            self.network.radio_mut().set_open_both(RobotId(1), *other, true);
         }
         // What the others sent each other of that time was no loss.
         repair.vain = if others.len() == 1 { self.meter.marked } else { 0 };

@@ -9,19 +9,19 @@
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[non_exhaustive]
 pub enum Mutation {
-    /// A layer takes over every word, however old.
+    /// A layer takes over every observation, however old.
     StampCompareDropped,
-    /// What was sent is not noted as being on its way.
+    /// What was sent is not noted as in flight.
     LedgerIgnored,
-    /// A decoded package is not held against its check.
+    /// A decoded package is not compared with its check.
     CheckSkipped,
     /// The byte budget never makes anything wait.
     BudgetIgnored,
-    /// A robot says that it holds all of which it has heard, so a gap is never filled.
+    /// A robot reports all of which it has heard as received, so a gap is never filled.
     GapNeverAsked,
-    /// A package counts as held before it is merged, and is not.
+    /// A package counts as received before it is merged, and is not.
     AcceptedUnmerged,
-    /// A snapshot counts as held when its first chunk has come.
+    /// A snapshot counts as received when its first chunk has come.
     SnapshotReceivedTooEarly,
     /// More is in flight to a peer than the limit allows.
     WindowIgnored,
@@ -29,7 +29,7 @@ pub enum Mutation {
     StoreLimitIgnored,
     /// What layers take over does not reach the fused map.
     FusionSkipped,
-    /// What a peer says to hold is not noted, so it is sent again when it counts as lost.
+    /// What a peer reports as received is not noted, so it is sent again when it counts as lost.
     HoldingsIgnored,
     /// A session wants to be called again at once, always.
     TimeStandsStill,
@@ -39,7 +39,7 @@ pub enum Mutation {
     NonceRepeated,
     /// A sealed datagram counts however often it comes.
     ReplayAccepted,
-    /// No run that has ended gives way to one that flies.
+    /// No run that has ended is forgotten for one that flies.
     LiveBackedOff,
     /// A robot that hears of a run of its own id with a higher epoch goes on as it is.
     BeginAnewIgnored,
@@ -51,7 +51,7 @@ pub enum Mutation {
     PathUnasked,
     /// A peer is asked on a new path as often as it is heard there.
     PathAskedAtOnce,
-    /// What is held beyond a gap is never offered as a state.
+    /// What was received beyond a gap is never offered as a snapshot.
     GapStatesWithheld,
     /// A payload may ask for any work.
     WorkUnlimited,

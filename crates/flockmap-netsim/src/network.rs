@@ -157,9 +157,7 @@ impl<N: Node> Network<N> {
 
     /// Lets everything happen that is due before a time; then it is that time.
     pub fn run_before(&mut self, until: Stamp, watch: &mut impl Watch<N>) {
-        while self.next_due().is_some_and(|due| due < until) {
-            self.step(None, watch);
-        }
+        self.run_until(until.plus_micros(-1), watch);
         self.skip_to(until);
     }
 
@@ -177,7 +175,7 @@ impl<N: Node> Network<N> {
         self.now = self.now.max(now);
     }
 
-    /// Hands over what arrives now.
+    /// Delivers what arrives now.
     pub fn deliver_due(&mut self, watch: &mut impl Watch<N>) {
         while let Some(delivery) = self.radio.deliver_due(self.now) {
             if let Some(number) = self.ids.iter().position(|id| *id == delivery.to) {
@@ -231,7 +229,7 @@ mod tests {
     use super::*;
     use crate::Link;
 
-    /// Says a word every second to everybody else, and notes what it hears.
+    /// Sends a datagram every second to everybody else, and notes what it hears.
     struct Talker {
         id: RobotId,
         next: Stamp,

@@ -2,7 +2,7 @@
 
 mod faults;
 
-pub use faults::{Burst, Faults};
+pub use faults::Burst;
 
 use core::cmp::Reverse;
 use faults::Weather;
@@ -14,41 +14,50 @@ use std::sync::Arc;
 /// Bytes that IPv4 and UDP put before each datagram.
 pub const IP_UDP_BYTES: usize = 28;
 
-/// What happens to datagrams on the way from one node to another. All draws are seeded; each link has random
+/// What happens to datagrams between one node and another. All draws are seeded; each link has random
 /// numbers of its own, so what happens on one does not depend on the traffic of another.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Link {
     /// Share of datagrams that are lost, 0 … 1. Default 0.
     pub loss: f64,
-    /// Time on the way, in microseconds. Default 0. Negative times count as 0.
+    /// How long a datagram takes, in microseconds. Default 0. Negative times count as 0.
     pub delay_micros: i64,
-    /// Further time on the way, uniform between 0 and this, in microseconds, drawn for each datagram: more
+    /// What it takes beyond that, uniform between 0 and this, in microseconds, drawn for each datagram: more
     /// than the time between two datagrams puts them out of order. Default 0.
     pub jitter_micros: i64,
     /// Share of the datagrams that arrive twice, each copy with its own jitter, 0 … 1. Default 0.
     pub duplication: f64,
+    /// Bursts of loss, on top of `loss`. Default none.
+    pub burst: Option<Burst>,
+    /// Share of the datagrams that arrive with one to three flipped bits, 0 … 1. Default 0.
+    pub damage: f64,
+}
+
+impl Link {
+    /// A perfect link: everything arrives at once.
+    pub const PERFECT: Self =
+        Self { loss: 0.0, delay_micros: 0, jitter_micros: 0, duplication: 0.0, burst: None, damage: 0.0 };
 }
 
 impl Default for Link {
-    /// A perfect link: everything arrives at once.
     fn default() -> Self {
-        Self { loss: 0.0, delay_micros: 0, jitter_micros: 0, duplication: 0.0 }
+        Self::PERFECT
     }
 }
 
 /// How the radio works.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct RadioConfig {
-    /// Seed of everything that is left to chance.
+    /// Seed of all random draws.
     pub seed: u64,
     /// All links that [`RadioEmulator::set_link`] does not change.
     pub link: Link,
-    /// Bytes a second that each node can send; `None`: as many as it likes. What comes faster waits its turn.
+    /// Bytes a second that each node can send; `None`: as many as it likes. What comes faster waits.
     pub rate_bytes_per_s: Option<u32>,
-    /// Most bytes that wait for their turn at a node; what comes on top is dropped. Default 256 KiB. Only
+    /// Most bytes that wait at a node; what comes on top is dropped. Default 256 KiB. Only
     /// with a rate.
     pub queue_bytes_max: usize,
-    /// Most bytes on the way in the whole radio, counted once for each receiver; what comes on top is
+    /// Most bytes in flight in the whole radio, counted once for each receiver; what comes on top is
     /// dropped. Default 64 MiB.
     pub in_flight_bytes_max: usize,
     /// Bytes counted for each datagram besides its payload, such as [`IP_UDP_BYTES`]. Default 0.
@@ -109,7 +118,7 @@ pub struct Traffic {
     pub received: u64,
     /// Bytes that arrived, with overhead.
     pub received_bytes: u64,
-    /// Datagrams lost on the way to this node, by chance or a partition.
+    /// Datagrams lost between their sender and this node, by a draw or a closed link.
     pub lost: u64,
     /// Datagrams of this node that found its queue full, or the whole radio.
     pub dropped: u64,
@@ -159,7 +168,7 @@ struct Node {
 #[derive(Clone, Debug)]
 struct Line {
     link: Link,
-    cut: bool,
+    is_open: bool,
     random: Random,
     weather: Weather,
 }
@@ -196,7 +205,7 @@ impl RadioEmulator {
         for (from, to) in self.nodes.keys().flat_map(|other| [(*other, id), (id, *other)]) {
             let random = Random::new(seed, mix(u64::from(from.0) << 16 | u64::from(to.0)));
             let weather = Weather::new(seed, from, to);
-            self.links.insert((from, to), Line { link, cut: false, random, weather });
+            self.links.insert((from, to), Line { link, is_open: true, random, weather });
         }
         self.nodes.insert(id, Node::default());
     }
@@ -208,29 +217,17 @@ impl RadioEmulator {
         }
     }
 
-    /// Sets what else a link does to datagrams, in one direction. Does nothing if there is no such link.
-    pub fn set_faults(&mut self, from: RobotId, to: RobotId, faults: Faults) {
-        if let Some(line) = self.links.get_mut(&(from, to)) {
-            line.weather.faults = faults;
-        }
-    }
-
-    /// Opens a link, or lets nothing pass on it, in one direction. What is on the way arrives.
+    /// Opens a link, or lets nothing pass on it, in one direction. What is in flight arrives.
     pub fn set_open(&mut self, from: RobotId, to: RobotId, is_open: bool) {
         if let Some(line) = self.links.get_mut(&(from, to)) {
-            line.cut = !is_open;
+            line.is_open = is_open;
         }
     }
 
-    /// Lets nothing pass between two nodes, in both directions, until [`Self::repair`]. What is on the way
-    /// arrives.
-    pub fn partition(&mut self, a: RobotId, b: RobotId) {
-        self.set_cut(a, b, true);
-    }
-
-    /// Ends a partition.
-    pub fn repair(&mut self, a: RobotId, b: RobotId) {
-        self.set_cut(a, b, false);
+    /// As [`Self::set_open`], in both directions.
+    pub fn set_open_both(&mut self, a: RobotId, b: RobotId, is_open: bool) {
+        self.set_open(a, b, is_open);
+        self.set_open(b, a, is_open);
     }
 
     /// Sends a datagram. A node that does not exist sends and gets nothing.
@@ -243,53 +240,46 @@ impl RadioEmulator {
             let takes = (size as i128 * 1_000_000 + rate - 1) / rate;
             let takes = i64::try_from(takes).unwrap_or(i64::MAX);
             let takes = takes.saturating_add(self.config.airtime_overhead_micros.max(0));
-            let begins = if self.config.is_shared {
-                node.let_go(now);
-                if node.waiting_bytes + size > self.config.queue_bytes_max {
-                    node.traffic.dropped += 1;
-                    return;
+            let is_shared = self.config.is_shared;
+            let busy_until = if is_shared { &mut self.medium_busy_until } else { &mut node.busy_until };
+            let begins = (*busy_until).max(now);
+            let waiting = if is_shared {
+                while let Some((_, size)) = node.waiting.pop_front_if(|(done, _)| *done <= now) {
+                    node.waiting_bytes -= size;
                 }
-                self.medium_busy_until.max(now)
+                node.waiting_bytes as i128
             } else {
-                // Bytes that wait = time until the node is free × rate.
-                let begins = node.busy_until.max(now);
-                let waiting = i128::from(begins.micros_since(now)) * rate / 1_000_000;
-                if waiting + size as i128 > self.config.queue_bytes_max as i128 {
-                    node.traffic.dropped += 1;
-                    return;
-                }
-                begins
+                // Time until the node is free × rate.
+                i128::from(begins.micros_since(now)) * rate / 1_000_000
             };
+            if waiting + size as i128 > self.config.queue_bytes_max as i128 {
+                node.traffic.dropped += 1;
+                return;
+            }
             on_air = begins.plus_micros(takes);
+            *busy_until = on_air;
             node.traffic.airtime_micros += takes as u64;
-            if self.config.is_shared {
-                self.medium_busy_until = on_air;
+            if is_shared {
                 node.waiting.push_back((on_air, size));
                 node.waiting_bytes += size;
-            } else {
-                node.busy_until = on_air;
             }
         }
         node.traffic.sent += 1;
         node.traffic.sent_bytes += size as u64;
         let payload: Arc<[u8]> = Arc::from(bytes);
-        match to {
-            To::Node(to) => self.carry(on_air, from, to, &payload),
-            To::All => {
-                let others: Vec<RobotId> = self.nodes.keys().copied().filter(|id| *id != from).collect();
-                for other in others {
-                    self.carry(on_air, from, other, &payload);
-                }
-            }
-        }
+        let receivers = match to {
+            To::Node(to) => vec![to],
+            To::All => self.nodes.keys().copied().filter(|id| *id != from).collect(),
+        };
+        receivers.into_iter().for_each(|to| self.carry(on_air, from, to, &payload));
     }
 
-    /// When the next datagram arrives; `None` if none is on the way.
+    /// When the next datagram arrives; `None` if none is in flight.
     pub fn next_due(&self) -> Option<Stamp> {
         self.queue.peek().map(|Reverse(next)| next.due)
     }
 
-    /// When all that is on the way now has arrived; `None` if nothing is. O(datagrams on the way).
+    /// When all that is in flight now has arrived; `None` if nothing is. O(datagrams in flight).
     pub fn last_due(&self) -> Option<Stamp> {
         self.queue.iter().map(|Reverse(datagram)| datagram.due).max()
     }
@@ -302,10 +292,10 @@ impl RadioEmulator {
         let Reverse(InFlight { due, from, to, bytes, .. }) = self.queue.pop()?;
         let size = bytes.len() + self.config.overhead_bytes;
         self.in_flight_bytes -= size;
-        if let Some(node) = self.nodes.get_mut(&to) {
-            node.traffic.received += 1;
-            node.traffic.received_bytes += size as u64;
-        }
+        self.count(to, |traffic| {
+            traffic.received += 1;
+            traffic.received_bytes += size as u64;
+        });
         Some(Delivery { at: due, from, to, bytes })
     }
 
@@ -314,28 +304,9 @@ impl RadioEmulator {
         self.nodes.get(&node).map_or_else(Traffic::default, |node| node.traffic)
     }
 
-    /// What all nodes together sent and received so far.
-    pub fn traffic_total(&self) -> Traffic {
-        self.nodes.values().fold(Traffic::default(), |sum, node| {
-            let t = node.traffic;
-            Traffic {
-                sent: sum.sent + t.sent,
-                sent_bytes: sum.sent_bytes + t.sent_bytes,
-                received: sum.received + t.received,
-                received_bytes: sum.received_bytes + t.received_bytes,
-                lost: sum.lost + t.lost,
-                dropped: sum.dropped + t.dropped,
-                damaged: sum.damaged + t.damaged,
-                airtime_micros: sum.airtime_micros + t.airtime_micros,
-            }
-        })
-    }
-
-    fn set_cut(&mut self, a: RobotId, b: RobotId, cut: bool) {
-        for ends in [(a, b), (b, a)] {
-            if let Some(line) = self.links.get_mut(&ends) {
-                line.cut = cut;
-            }
+    fn count(&mut self, node: RobotId, count: impl FnOnce(&mut Traffic)) {
+        if let Some(node) = self.nodes.get_mut(&node) {
+            count(&mut node.traffic);
         }
     }
 
@@ -347,45 +318,22 @@ impl RadioEmulator {
         let jitter_max = line.link.jitter_micros.max(0) as u64;
         let jitters = [(); 2].map(|()| line.random.below(jitter_max.saturating_add(1)) as i64);
         let delay = line.link.delay_micros.max(0);
-        let (faded, flips) = line.weather.draw(on_air);
-        if lost || faded || line.cut {
-            if let Some(node) = self.nodes.get_mut(&to) {
-                node.traffic.lost += 1;
-            }
-            return;
+        let (faded, flips) = line.weather.draw(&line.link, on_air);
+        if lost || faded || !line.is_open {
+            return self.count(to, |traffic| traffic.lost += 1);
         }
-        let damaged = flips.map(|flips| flips.applied_to(bytes));
-        if damaged.is_some()
-            && let Some(node) = self.nodes.get_mut(&to)
-        {
-            node.traffic.damaged += 1;
-        }
-        let bytes = damaged.as_ref().unwrap_or(bytes);
+        self.count(to, |traffic| traffic.damaged += u64::from(flips.is_some()));
+        let bytes = &flips.map_or_else(|| Arc::clone(bytes), |flips| flips.applied_to(bytes));
         let size = bytes.len() + self.config.overhead_bytes;
         for jitter in jitters.into_iter().take(1 + usize::from(twice)) {
             if self.in_flight_bytes + size > self.config.in_flight_bytes_max {
-                if let Some(node) = self.nodes.get_mut(&from) {
-                    node.traffic.dropped += 1;
-                }
-                return;
+                return self.count(from, |traffic| traffic.dropped += 1);
             }
             self.in_flight_bytes += size;
             let due = on_air.plus_micros(delay).plus_micros(jitter);
             let bytes = Arc::clone(bytes);
             self.queue.push(Reverse(InFlight { due, sequence: self.sequence, from, to, bytes }));
             self.sequence += 1;
-        }
-    }
-}
-
-impl Node {
-    /// Forgets what has been sent by now.
-    fn let_go(&mut self, now: Stamp) {
-        while let Some(&(done, size)) = self.waiting.front()
-            && done <= now
-        {
-            self.waiting.pop_front();
-            self.waiting_bytes -= size;
         }
     }
 }

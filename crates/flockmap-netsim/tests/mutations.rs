@@ -20,7 +20,7 @@ const fn finder(mutation: Mutation) -> &'static str {
         | Mutation::LiveBackedOff
         | Mutation::BeginAnewIgnored
         | Mutation::GapStatesWithheld => "agreement",
-        // What is never named of ended runs is learnt of by chance, long after all seemed to agree.
+        // What is never named of ended runs is found out by accident, long after all seemed to agree.
         Mutation::OriginsNotInOrder => "quiet",
         Mutation::WindowIgnored => "in_flight",
         Mutation::StoreLimitIgnored => "memory",
@@ -37,7 +37,7 @@ const fn finder(mutation: Mutation) -> &'static str {
 }
 
 /// The flights of a fault.
-const fn options(seed: u64, mutation: Mutation) -> SwarmOptions {
+fn options(seed: u64, mutation: Mutation) -> SwarmOptions {
     let options = SwarmOptions::new(seed);
     match mutation {
         // Requests have to be too short for all runs of all robots.

@@ -301,8 +301,11 @@ pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
 }
 
 pub(crate) fn store_counters(c: &StoreCounters) -> Named {
-    fields!(c; restored restored_merged unreadable skipped_bytes torn_bytes damaged_segments written written_bytes
-            left_out syncs failures compactions compactions_failed)
+    let r = &c.restored;
+    let mut named = vec![("restored", r.packages), ("restored_merged", r.merged)];
+    named.extend(fields!(r; unreadable skipped_bytes torn_bytes damaged_segments));
+    named.extend(fields!(c; written written_bytes left_out syncs failures compactions compactions_failed));
+    named
 }
 
 pub(crate) fn session_counters(c: &Counters) -> Named {

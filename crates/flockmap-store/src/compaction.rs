@@ -30,7 +30,7 @@ pub struct StreamCopy {
 }
 
 enum What {
-    /// All packages held are in the layer.
+    /// All packages received are in the layer.
     State { layer: Layer, received: IntervalSet },
     /// The layer lacks what some of them say.
     Packages(Vec<Package>),
@@ -38,7 +38,7 @@ enum What {
     Nothing(&'static str),
 }
 
-const OWN_LAYER_FULL: &str = "the own layer was full, so that it lacks what was told last, and not all own packages are in memory any more: raise own_layer_mb";
+const OWN_LAYER_FULL: &str = "the own layer was full, so that it lacks what was published last, and not all own packages are in memory any more: raise own_layer_mb";
 
 impl StreamCopy {
     /// The first stream after `after` that the robot has something of, with no event of the robot left unread. Copies its layer: 1 ms for 3 MB.
@@ -76,8 +76,8 @@ impl StreamCopy {
         let chunks = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
         let chunks = chunks.map_err(|error| cannot(&error.to_string()))?;
         let contents = match chunks.first().map(|chunk| chunk.header().content) {
-            Some(ContentKind::Snapshot { set, .. }) if !is_whole => {
-                Some(Contents { stream, set, intervals: received.intervals().to_vec() })
+            Some(ContentKind::Snapshot { set: snapshot_id, .. }) if !is_whole => {
+                Some(Contents { stream, snapshot_id, intervals: received.intervals().to_vec() })
             }
             _ => None,
         };
@@ -123,7 +123,7 @@ pub struct Compacted {
 }
 
 impl Compaction {
-    /// What goes wrong here and later is told at its end.
+    /// What goes wrong here and later is reported at its end.
     pub(crate) fn begin(disk: Arc<dyn Disk>, header: SegmentHeader, bytes_max: u64) -> Self {
         let name = header.name() + UNFINISHED;
         let file = create(&*disk, &header, &name)
@@ -168,7 +168,7 @@ impl Compaction {
                 self.bytes += buffer.len() as u64;
                 if self.bytes > self.bytes_max {
                     return Err(format!(
-                        "the map alone takes more than {} bytes, and bytes_max leaves it no more (at most 7/16): raise it",
+                        "the map by itself takes more than {} bytes, and bytes_max leaves it no more (at most 7/16): raise it",
                         self.bytes_max
                     ));
                 }

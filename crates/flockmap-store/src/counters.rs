@@ -6,7 +6,7 @@
 pub struct Restored {
     /// Packages, and chunks of snapshots, that were read.
     pub packages: u64,
-    /// Of these: merged. The others wait for packages that are gone, say what is known already, or have no room; the robot's counters tell.
+    /// Of these: merged. The others wait for packages that are gone, say what is known already, or have no room: see the robot's counters.
     pub merged: u64,
     /// Records that are whole and cannot be used: of another version of the packages.
     pub unreadable: u64,
@@ -22,18 +22,8 @@ pub struct Restored {
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 #[non_exhaustive]
 pub struct StoreCounters {
-    /// Packages that came back at the start: [`Restored::packages`].
-    pub restored: u64,
-    /// Of these: merged.
-    pub restored_merged: u64,
-    /// [`Restored::unreadable`].
-    pub unreadable: u64,
-    /// [`Restored::skipped_bytes`].
-    pub skipped_bytes: u64,
-    /// [`Restored::torn_bytes`].
-    pub torn_bytes: u64,
-    /// [`Restored::damaged_segments`].
-    pub damaged_segments: u64,
+    /// What came back at the start.
+    pub restored: Restored,
     /// Packages written in this run.
     pub written: u64,
     /// Bytes of these with their frames.
@@ -50,19 +40,4 @@ pub struct StoreCounters {
     pub compactions_failed: u64,
     /// Bytes on disk now.
     pub disk_bytes: u64,
-}
-
-impl From<Restored> for StoreCounters {
-    fn from(restored: Restored) -> Self {
-        let Restored { packages, merged, unreadable, skipped_bytes, torn_bytes, damaged_segments } = restored;
-        Self {
-            restored: packages,
-            restored_merged: merged,
-            unreadable,
-            skipped_bytes,
-            torn_bytes,
-            damaged_segments,
-            ..Self::default()
-        }
-    }
 }

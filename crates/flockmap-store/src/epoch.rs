@@ -11,7 +11,7 @@ use crate::Disk;
 /// The epoch of a new run: in the high 32 bits `seconds`, the time since 1970, or one more than `last` has there, whichever is more; in the low 32 bits
 /// `random`, so that not even runs that a clock and a disk have forgotten have the same one. A time before 1970 or after 2106 is not believed, and counts as 0.
 ///
-/// Where the high bits are spent, which no clock can bring about, the low ones rise, by a part of 65,536 of what is left of them.
+/// Where the high bits are exhausted, which no clock can bring about, the low ones rise, by a part of 65,536 of what is left of them.
 ///
 /// # Errors
 /// [`EpochsExhausted`] if there is none higher than `last`.
@@ -76,7 +76,7 @@ pub enum EpochFault {
 }
 
 impl EpochFile {
-    /// Looks at what the file says, if there is one. A file that cannot be read, or is damaged, is as good as none, and told.
+    /// Looks at what the file says, if there is one. A file that cannot be read, or is damaged, is as good as none, and reported.
     pub fn open(disk: Arc<dyn Disk>, swarm: u16, robot: RobotId) -> (Self, Option<EpochFault>) {
         let mut file = Self { disk, swarm, robot, last: None };
         let fault = file.read().map(|last| file.last = last).err();

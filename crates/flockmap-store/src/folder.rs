@@ -94,7 +94,7 @@ impl Disk for Folder {
         File::open(&self.path)?.sync_all()
     }
 
-    /// Other systems keep names in order by themselves, and have no way to ask for it.
+    /// Other systems keep names in order by themselves, and have no call for it.
     #[cfg(not(unix))]
     fn sync_folder(&self) -> io::Result<()> {
         Ok(())

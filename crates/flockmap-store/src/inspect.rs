@@ -13,9 +13,9 @@ use crate::folder::names;
 use crate::record::{Contents, Record, Scan};
 use crate::segment::{Identity, NoHeader, is_of_version_1, parse_name};
 
-/// Intervals told of one stream; of more, the rest is left out.
+/// Intervals reported of one stream; of more, the rest is left out.
 const INTERVALS_MAX: usize = 1_024;
-/// Streams told.
+/// Streams reported.
 const STREAMS_MAX: usize = 4_096;
 
 /// What is in a store.
@@ -31,7 +31,7 @@ pub struct Inspection {
 }
 
 /// A segment of a store.
-#[derive(Clone, PartialEq, Eq, Debug)]
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
 #[non_exhaustive]
 pub struct SegmentFacts {
     /// Its file.
@@ -52,21 +52,6 @@ pub struct SegmentFacts {
     pub torn_bytes: u64,
 }
 
-impl SegmentFacts {
-    const fn new(name: String, bytes: u64) -> Self {
-        Self {
-            name,
-            bytes,
-            fault: None,
-            is_compacted: false,
-            records: 0,
-            unreadable: 0,
-            skipped_bytes: 0,
-            torn_bytes: 0,
-        }
-    }
-}
-
 /// A stream in a store.
 #[derive(Clone, PartialEq, Eq, Debug)]
 #[non_exhaustive]
@@ -85,26 +70,26 @@ pub struct StreamFacts {
 
 /// Snapshots of which chunks were seen.
 #[derive(Default)]
-struct States(BTreeMap<(Stream, u32), (IntervalSet, u32)>);
+struct Snapshots(BTreeMap<(Stream, u32), (IntervalSet, u32)>);
 
-/// Of more states than that, those seen before are taken for incomplete.
-const STATES_MAX: usize = 256;
+/// Of more snapshots than that, those seen before are taken for incomplete.
+const SNAPSHOTS_MAX: usize = 256;
 
-impl States {
-    /// Notes a chunk; whether there are all of its state now.
-    fn add(&mut self, stream: Stream, set: u32, chunk: u32, chunks: u32) -> bool {
-        if self.0.len() >= STATES_MAX && !self.0.contains_key(&(stream, set)) {
+impl Snapshots {
+    /// Notes a chunk; whether there are all of its snapshot now.
+    fn add(&mut self, stream: Stream, id: u32, chunk: u32, chunks: u32) -> bool {
+        if self.0.len() >= SNAPSHOTS_MAX && !self.0.contains_key(&(stream, id)) {
             self.0.clear();
         }
         let nothing = || (IntervalSet::new(INTERVALS_MAX), chunks);
-        let (seen, _) = self.0.entry((stream, set)).or_insert_with(nothing);
+        let (seen, _) = self.0.entry((stream, id)).or_insert_with(nothing);
         // What does not fit into the list is left out.
         let _ = seen.insert(chunk);
-        self.is_complete(stream, set)
+        self.is_complete(stream, id)
     }
 
-    fn is_complete(&self, stream: Stream, set: u32) -> bool {
-        let chunks_of = self.0.get(&(stream, set));
+    fn is_complete(&self, stream: Stream, id: u32) -> bool {
+        let chunks_of = self.0.get(&(stream, id));
         chunks_of.is_some_and(|(seen, chunks)| *chunks > 0 && seen.contains_range(0, *chunks - 1))
     }
 }
@@ -134,33 +119,33 @@ pub fn inspect(folder: &Path) -> io::Result<Inspection> {
     for name in old {
         let bytes = std::fs::metadata(folder.join(&name))?.len();
         let fault = Some("written by another version (1)".into());
-        inspection.segments.push(SegmentFacts { fault, ..SegmentFacts::new(name, bytes) });
+        inspection.segments.push(SegmentFacts { name, bytes, fault, ..SegmentFacts::default() });
     }
-    let mut states = States::default();
+    let mut snapshots = Snapshots::default();
     for (_, name) in segments {
-        inspection.add_segment(&folder.join(&name), name, &mut states)?;
+        inspection.add_segment(&folder.join(&name), name, &mut snapshots)?;
     }
     Ok(inspection)
 }
 
 impl Inspection {
-    fn add_segment(&mut self, path: &Path, name: String, states: &mut States) -> io::Result<()> {
+    fn add_segment(&mut self, path: &Path, name: String, snapshots: &mut Snapshots) -> io::Result<()> {
         let bytes = std::fs::metadata(path)?.len();
         let (header, mut scan) = Scan::open(Box::new(File::open(path)?))?;
-        let mut facts = SegmentFacts::new(name, bytes);
+        let mut facts = SegmentFacts { name, bytes, ..SegmentFacts::default() };
         match header {
             Ok(header) => {
                 self.identity = Some(header.identity);
                 facts.is_compacted = header.is_compacted;
                 if header.is_compacted {
                     self.streams.clear();
-                    *states = States::default();
+                    *snapshots = Snapshots::default();
                 }
                 while let Some(record) = scan.next() {
                     facts.records += 1;
                     match record {
-                        Ok(record) => self.add_record(&record, states),
-                        Err(_) => facts.unreadable += 1,
+                        Some(record) => self.add_record(&record, snapshots),
+                        None => facts.unreadable += 1,
                     }
                 }
                 facts.skipped_bytes = scan.skipped;
@@ -180,7 +165,7 @@ impl Inspection {
         Ok(())
     }
 
-    fn add_record(&mut self, record: &Record, states: &mut States) {
+    fn add_record(&mut self, record: &Record, snapshots: &mut Snapshots) {
         let stream = match record {
             Record::Package(package) => package.header().stream,
             Record::Contents(contents) => contents.stream,
@@ -205,18 +190,18 @@ impl Inspection {
                         facts.package_bytes += bytes;
                         let _ = facts.received.insert(header.index);
                     }
-                    ContentKind::Snapshot { set, chunk, chunks, since } => {
+                    ContentKind::Snapshot { set: id, chunk, chunks, since } => {
                         facts.chunks += 1;
                         facts.chunk_bytes += bytes;
                         let is_known = since == 0 || facts.received.contains_range(1, since);
-                        if states.add(stream, set, chunk, chunks) && is_known {
+                        if snapshots.add(stream, id, chunk, chunks) && is_known {
                             let _ = facts.received.insert_range(1, header.index);
                         }
                     }
                 }
             }
-            Record::Contents(Contents { set, intervals, .. }) => {
-                if states.is_complete(stream, *set) {
+            Record::Contents(Contents { snapshot_id, intervals, .. }) => {
+                if snapshots.is_complete(stream, *snapshot_id) {
                     for &(low, high) in intervals {
                         let _ = facts.received.insert_range(low, high);
                     }

@@ -5,7 +5,7 @@
 //! ([`Store::start`], [`StoreLog`]). The epoch stands in the segments, and in a small file of its own ([`EpochFile`]).
 //!
 //! Nothing here has a thread, a clock or a random number of its own: who drives it hands in time and packages, and asks what is due. A node does so on a
-//! thread, a simulation in virtual time on a disk in memory ([`memory::MemoryDisk`]). A disk that fails, at any call, is told ([`Notice`]) and counted
+//! thread, a simulation in virtual time on a disk in memory ([`memory::MemoryDisk`]). A disk that fails, at any call, is reported ([`Notice`]) and counted
 //! ([`StoreCounters`]); it never stops the robot.
 #![forbid(unsafe_code)]
 

@@ -13,7 +13,7 @@ pub(crate) struct Log {
     identity: Identity,
     epoch: u64,
     shares: Shares,
-    /// While a compaction is on its way: bytes that it leaves to the segments.
+    /// While a compaction runs: bytes that it leaves to the segments.
     limit: Option<u64>,
     segments: BTreeMap<(u32, u64), u64>,
     file: Box<dyn DiskFile>,
@@ -175,7 +175,7 @@ impl Log {
         Ok(())
     }
 
-    /// No compaction is on its way any more.
+    /// No compaction runs any more.
     pub(crate) const fn end_snapshot(&mut self) {
         self.limit = None;
     }

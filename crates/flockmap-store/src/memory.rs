@@ -1,6 +1,6 @@
-//! A disk in memory, for tests and simulations: it fails when it is told to, and forgets what was not safe when its power is cut.
+//! A disk in memory, for tests and simulations: it fails where it is to, and forgets what was not safe when its power is cut.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -22,7 +22,7 @@ pub struct Faults {
     pub sync: bool,
     /// No file can be made.
     pub create: bool,
-    /// No file can be taken away.
+    /// No file can be removed.
     pub remove: bool,
     /// Reading fails behind so many bytes of a file.
     pub readable: Option<usize>,
@@ -39,16 +39,16 @@ pub struct PowerCut {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Each file by the order in which it was created, whatever its name is now.
-    files: BTreeMap<u64, Contents>,
-    names: BTreeMap<String, u64>,
-    names_synced: BTreeMap<String, u64>,
-    created: u64,
+    names: BTreeMap<String, SharedFile>,
+    names_synced: BTreeMap<String, SharedFile>,
     faults: Faults,
     calls: u64,
     syncs: u64,
     bytes_most: usize,
 }
+
+/// A file, whatever its name is now. Locked after the disk, never before it.
+type SharedFile = Arc<Mutex<Contents>>;
 
 #[derive(Debug, Default)]
 struct Contents {
@@ -57,27 +57,33 @@ struct Contents {
     synced: usize,
 }
 
+impl Contents {
+    fn truncate(&mut self, length: usize) {
+        self.bytes.truncate(length);
+        self.synced = self.bytes.len();
+    }
+}
+
 impl MemoryDisk {
     /// A disk with these files, all of them safe.
     pub fn of(files: BTreeMap<String, Vec<u8>>) -> Self {
         let disk = Self::default();
-        for (name, bytes) in files {
-            disk.put(&name, bytes);
-        }
+        files.into_iter().for_each(|(name, bytes)| disk.put(&name, bytes));
         disk
     }
 
     /// A file that is there and safe; one of that name is replaced.
     pub fn put(&self, name: &str, bytes: Vec<u8>) {
         let mut state = self.state();
-        let place = state.add(name, Contents { synced: bytes.len(), bytes });
-        state.names_synced.insert(name.to_owned(), place);
+        let file = SharedFile::new(Mutex::new(Contents { synced: bytes.len(), bytes }));
+        state.names.insert(name.to_owned(), Arc::clone(&file));
+        state.names_synced.insert(name.to_owned(), file);
     }
 
     /// All files, as a program sees them.
     pub fn files(&self) -> BTreeMap<String, Vec<u8>> {
         let state = self.state();
-        state.names.iter().map(|(name, place)| (name.clone(), state.files[place].bytes.clone())).collect()
+        state.names.iter().map(|(name, file)| (name.clone(), locked(file).bytes.clone())).collect()
     }
 
     /// From now on these things fail, and no others.
@@ -90,7 +96,7 @@ impl MemoryDisk {
         self.state().calls
     }
 
-    /// Times that a file was made safe, or was to be.
+    /// How often a file was made safe, or was to be.
     pub fn syncs(&self) -> u64 {
         self.state().syncs
     }
@@ -103,21 +109,21 @@ impl MemoryDisk {
     /// The power is cut and comes back: what was not safe is gone, as far as `cut` says. Who has a file open must not go on writing to it.
     pub fn cut_power(&self, cut: PowerCut) {
         let mut state = self.state();
-        let State { files, names, names_synced, .. } = &mut *state;
+        let State { names, names_synced, .. } = &mut *state;
         if cut.names_kept {
             names_synced.clone_from(names);
         } else {
             names.clone_from(names_synced);
         }
-        for file in files.values_mut() {
-            file.bytes.truncate(file.synced.saturating_add(cut.bytes_kept));
-            file.synced = file.bytes.len();
+        for file in names.values() {
+            let mut file = locked(file);
+            let kept = file.synced.saturating_add(cut.bytes_kept);
+            file.truncate(kept);
         }
-        state.forget_nameless();
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.0)
     }
 
     /// A call begins; fails if it is to.
@@ -129,6 +135,10 @@ impl MemoryDisk {
     }
 }
 
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 fn broken() -> io::Error {
     io::Error::other("input/output error")
 }
@@ -137,28 +147,13 @@ fn not_found() -> io::Error {
     io::ErrorKind::NotFound.into()
 }
 
+fn denied(is_denied: bool) -> io::Result<()> {
+    if is_denied { Err(io::ErrorKind::PermissionDenied.into()) } else { Ok(()) }
+}
+
 impl State {
-    fn place(&self, name: &str) -> io::Result<u64> {
-        self.names.get(name).copied().ok_or_else(not_found)
-    }
-
-    fn add(&mut self, name: &str, file: Contents) -> u64 {
-        let place = self.created;
-        self.created += 1;
-        self.files.insert(place, file);
-        self.names.insert(name.to_owned(), place);
-        place
-    }
-
-    /// An open file is one of a name as well, unless it was taken away.
-    fn file(&mut self, place: u64) -> io::Result<&mut Contents> {
-        self.files.get_mut(&place).ok_or_else(not_found)
-    }
-
-    fn forget_nameless(&mut self) {
-        let Self { files, names, names_synced, .. } = self;
-        let named: BTreeSet<u64> = names.values().chain(names_synced.values()).copied().collect();
-        files.retain(|place, _| named.contains(place));
+    fn file(&self, name: &str) -> io::Result<SharedFile> {
+        self.names.get(name).cloned().ok_or_else(not_found)
     }
 }
 
@@ -168,55 +163,47 @@ impl Disk for MemoryDisk {
     }
 
     fn length(&self, name: &str) -> io::Result<u64> {
-        let state = self.call()?;
-        Ok(state.files[&state.place(name)?].bytes.len() as u64)
+        let file = self.call()?.file(name)?;
+        Ok(locked(&file).bytes.len() as u64)
     }
 
     fn read(&self, name: &str) -> io::Result<Box<dyn Read>> {
-        let place = self.call()?.place(name)?;
-        Ok(Box::new(MemoryFile { disk: self.clone(), place, at: 0 }))
+        let file = self.call()?.file(name)?;
+        Ok(Box::new(MemoryFile { disk: self.clone(), file, at: 0 }))
     }
 
     fn create(&self, name: &str) -> io::Result<Box<dyn DiskFile>> {
         let mut state = self.call()?;
-        if state.faults.create {
-            return Err(io::ErrorKind::PermissionDenied.into());
-        }
+        denied(state.faults.create)?;
         if state.names.contains_key(name) {
             return Err(io::ErrorKind::AlreadyExists.into());
         }
-        let place = state.add(name, Contents::default());
-        Ok(Box::new(MemoryFile { disk: self.clone(), place, at: 0 }))
+        let file = state.names.entry(name.to_owned()).or_default();
+        Ok(Box::new(MemoryFile { disk: self.clone(), file: Arc::clone(file), at: 0 }))
     }
 
     fn rename(&self, from: &str, to: &str) -> io::Result<()> {
         let mut state = self.call()?;
-        let place = state.names.remove(from).ok_or_else(not_found)?;
-        state.names.insert(to.to_owned(), place);
+        let file = state.names.remove(from).ok_or_else(not_found)?;
+        state.names.insert(to.to_owned(), file);
         Ok(())
     }
 
     fn remove(&self, name: &str) -> io::Result<()> {
         let mut state = self.call()?;
-        if state.faults.remove {
-            return Err(io::ErrorKind::PermissionDenied.into());
-        }
+        denied(state.faults.remove)?;
         state.names.remove(name).map(drop).ok_or_else(not_found)
     }
 
     fn cut(&self, name: &str, length: u64) -> io::Result<()> {
-        let mut state = self.call()?;
-        let place = state.place(name)?;
-        let file = state.file(place)?;
-        file.bytes.truncate(usize::try_from(length).unwrap_or(usize::MAX));
-        file.synced = file.bytes.len();
+        let file = self.call()?.file(name)?;
+        locked(&file).truncate(usize::try_from(length).unwrap_or(usize::MAX));
         Ok(())
     }
 
     fn sync_folder(&self) -> io::Result<()> {
         let mut state = self.call()?;
         state.names_synced = state.names.clone();
-        state.forget_nameless();
         Ok(())
     }
 }
@@ -224,19 +211,18 @@ impl Disk for MemoryDisk {
 #[derive(Debug)]
 struct MemoryFile {
     disk: MemoryDisk,
-    place: u64,
+    file: SharedFile,
     /// Read up to here.
     at: usize,
 }
 
 impl Read for MemoryFile {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let mut state = self.disk.call()?;
-        let readable = state.faults.readable.unwrap_or(usize::MAX);
-        let bytes = &state.file(self.place)?.bytes;
-        let end = readable.min(bytes.len());
-        let mut rest = bytes.get(self.at..end).unwrap_or_default();
-        if rest.is_empty() && end < bytes.len() {
+        let state = self.disk.call()?;
+        let file = locked(&self.file);
+        let end = state.faults.readable.unwrap_or(usize::MAX).min(file.bytes.len());
+        let mut rest = file.bytes.get(self.at..end).unwrap_or_default();
+        if rest.is_empty() && end < file.bytes.len() {
             return Err(broken());
         }
         let read = rest.read(buffer)?;
@@ -255,8 +241,8 @@ impl Write for MemoryFile {
         if let Some(room) = &mut state.faults.room {
             *room -= fitting;
         }
-        state.file(self.place)?.bytes.extend_from_slice(&bytes[..fitting]);
-        let all = state.names.values().map(|place| state.files[place].bytes.len()).sum();
+        locked(&self.file).bytes.extend_from_slice(&bytes[..fitting]);
+        let all = state.names.values().map(|file| locked(file).bytes.len()).sum();
         state.bytes_most = state.bytes_most.max(all);
         Ok(fitting)
     }
@@ -273,7 +259,7 @@ impl DiskFile for MemoryFile {
         if state.faults.sync {
             return Err(broken());
         }
-        let file = state.file(self.place)?;
+        let mut file = locked(&self.file);
         file.synced = file.bytes.len();
         Ok(())
     }

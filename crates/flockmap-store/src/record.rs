@@ -3,7 +3,6 @@
 use std::io::{self, Read};
 
 use crc32fast::Hasher;
-use flockmap::codec::PackageError;
 use flockmap::sync::RECEIVED_INTERVALS_MAX;
 use flockmap::{Package, RobotId, Stream};
 
@@ -36,7 +35,7 @@ pub struct Contents {
     /// The stream.
     pub stream: Stream,
     /// The snapshot, as its chunks say.
-    pub set: u32,
+    pub snapshot_id: u32,
     /// Indices of packages, as closed intervals; at most 1,024 of them.
     pub intervals: Vec<(u32, u32)>,
 }
@@ -50,12 +49,12 @@ impl Record {
         }
     }
 
-    /// Reads what a sound record says.
-    fn read(kind: u8, content: &[u8]) -> Result<Self, Unreadable> {
+    /// Reads what a sound record says; `None` if it is of another version, or of a type that this one does not know.
+    fn read(kind: u8, content: &[u8]) -> Option<Self> {
         match kind {
-            PACKAGE => Package::parse(content).map(Self::Package).map_err(Unreadable::Package),
-            CONTENTS => Contents::read(content).map(Self::Contents).ok_or(Unreadable::Contents),
-            _ => Err(Unreadable::Kind(kind)),
+            PACKAGE => Package::parse(content).ok().map(Self::Package),
+            CONTENTS => Contents::read(content).map(Self::Contents),
+            _ => None,
         }
     }
 }
@@ -63,11 +62,11 @@ impl Record {
 impl Contents {
     /// The content of its record. Of too many intervals the highest are left out: then they count as missing.
     fn bytes(&self) -> Vec<u8> {
-        let Self { stream, set, intervals } = self;
+        let Self { stream, snapshot_id, intervals } = self;
         let mut bytes = Vec::with_capacity(CONTENTS_BYTES + 8 * intervals.len());
         bytes.extend_from_slice(&stream.origin.0.to_le_bytes());
         bytes.extend_from_slice(&stream.epoch.to_le_bytes());
-        bytes.extend_from_slice(&set.to_le_bytes());
+        bytes.extend_from_slice(&snapshot_id.to_le_bytes());
         for (low, high) in intervals.iter().take(RECEIVED_INTERVALS_MAX) {
             bytes.extend_from_slice(&low.to_le_bytes());
             bytes.extend_from_slice(&high.to_le_bytes());
@@ -78,30 +77,19 @@ impl Contents {
     fn read(content: &[u8]) -> Option<Self> {
         let (origin, rest) = content.split_first_chunk()?;
         let (epoch, rest) = rest.split_first_chunk()?;
-        let (set, rest) = rest.split_first_chunk()?;
+        let (snapshot_id, rest) = rest.split_first_chunk()?;
         let stream =
             Stream { origin: RobotId(u16::from_le_bytes(*origin)), epoch: u64::from_le_bytes(*epoch) };
         let (pairs, rest) = rest.as_chunks::<8>();
         let number = |bytes: &[u8]| bytes.iter().rev().fold(0, |n, byte| n << 8 | u32::from(*byte));
         let intervals = pairs.iter().map(|pair| (number(&pair[..4]), number(&pair[4..]))).collect();
-        rest.is_empty().then_some(Self { stream, set: u32::from_le_bytes(*set), intervals })
+        rest.is_empty().then_some(Self { stream, snapshot_id: u32::from_le_bytes(*snapshot_id), intervals })
     }
 }
 
 /// Appends the record of a package to `out`.
 pub(crate) fn write_package(package: &Package, seed: u32, out: &mut Vec<u8>) {
     frame(seed, PACKAGE, package.bytes(), out);
-}
-
-/// A record that is whole and cannot be used.
-#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
-pub(crate) enum Unreadable {
-    #[error("a package of another version, or none: {0}")]
-    Package(PackageError),
-    #[error("a list of the packages in a snapshot that is none")]
-    Contents,
-    #[error("a record of type {0}, which this version does not know")]
-    Kind(u8),
 }
 
 fn frame(seed: u32, kind: u8, content: &[u8], out: &mut Vec<u8>) {
@@ -175,8 +163,8 @@ impl Scan {
         Ok((header, scan))
     }
 
-    /// The next sound record; `None` at the end of the file.
-    pub(crate) fn next(&mut self) -> Option<Result<Record, Unreadable>> {
+    /// The next sound record, `Some(None)` if it cannot be used; `None` at the end of the file.
+    pub(crate) fn next(&mut self) -> Option<Option<Record>> {
         loop {
             self.fill();
             let rest = self.buffer.get(self.at..).unwrap_or_default();

@@ -78,7 +78,7 @@ impl Store {
                 store.unremoved += if disk.remove(&name).is_ok() { 0 } else { bytes };
             } else if let Some((number, epoch)) = parse_name(&name) {
                 store.last_epoch = store.last_epoch.max(Some(epoch));
-                // What cannot be told is known when it is read.
+                // What the disk does not say is known when it is read.
                 store.segments.insert((number, epoch), disk.length(&name).unwrap_or(0));
             }
         }
@@ -172,15 +172,15 @@ impl Store {
         }
         while let Some(record) = scan.next() {
             match record {
-                Ok(Record::Package(package)) => {
+                Some(Record::Package(package)) => {
                     self.restored.packages += 1;
                     // What has no room is counted by the session.
                     let _ = robot.restore(now, package);
                 }
-                Ok(Record::Contents(Contents { stream, set, intervals })) => {
-                    robot.restore_contents(now, stream, set, &intervals);
+                Some(Record::Contents(Contents { stream, snapshot_id, intervals })) => {
+                    robot.restore_contents(now, stream, snapshot_id, &intervals);
                 }
-                Err(_) => self.restored.unreadable += 1,
+                None => self.restored.unreadable += 1,
             }
             while let Some(event) = robot.poll_event() {
                 self.restored.merged += u64::from(matches!(event, Event::Merged { .. }));
@@ -199,7 +199,7 @@ impl Store {
     }
 
     /// Begins the segment of this run, after [`Self::restore`]. When this returns, the epoch is safe on disk: a later run will not use it. Where the disk
-    /// refuses, that is told and counted, and nothing is stored in this run: the robot works from memory.
+    /// refuses, that is reported and counted, and nothing is stored in this run: the robot works from memory.
     ///
     /// # Errors
     /// [`StoreError::Epoch`] if the epoch is not higher than all before.

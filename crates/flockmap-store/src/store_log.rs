@@ -83,7 +83,7 @@ pub struct StoreLog {
 }
 
 impl StoreLog {
-    /// Without a disk it has failed already, which a notice tells.
+    /// Without a disk it has failed already, which a notice says.
     pub(crate) fn begin(
         disk: Option<Arc<dyn Disk>>,
         identity: Identity,
@@ -104,7 +104,7 @@ impl StoreLog {
             keeps_all: false,
             retry_at: 0,
             segments_then: 0,
-            counters: StoreCounters { disk_bytes, ..restored.into() },
+            counters: StoreCounters { disk_bytes, restored, ..StoreCounters::default() },
             notices: notices.into(),
         };
         match &store.disk {
@@ -157,7 +157,6 @@ impl StoreLog {
     /// Returns the bytes written.
     fn write(&mut self, now: Stamp, write: impl FnOnce(u32, &mut Vec<u8>)) -> Option<u64> {
         let bytes = self.attempt(|log| log.append(write))?;
-        self.note_bytes();
         let period = self.sync_period.as_micros() as i64;
         self.sync_due.get_or_insert_with(|| now.plus_micros(period));
         self.handle_timeout(now);
@@ -169,7 +168,6 @@ impl StoreLog {
     pub fn note_epoch(&mut self, epoch: u64) {
         if self.attempt(|log| log.begin_epoch(epoch)).is_some() {
             self.sync_due = None;
-            self.note_bytes();
         }
     }
 
@@ -207,7 +205,6 @@ impl StoreLog {
         let header = self.attempt(|log| log.roll(room))?;
         self.sync_due = None;
         self.is_compacting = true;
-        self.note_bytes();
         Some(Compaction::begin(disk, header, room))
     }
 
@@ -238,7 +235,6 @@ impl StoreLog {
         if let Some(log) = &self.log {
             self.segments_then = log.segments();
         }
-        self.note_bytes();
     }
 
     /// What is to be said, in its order.
@@ -247,14 +243,9 @@ impl StoreLog {
     }
 
     /// What was done so far.
-    pub const fn counters(&self) -> StoreCounters {
-        self.counters
-    }
-
-    fn note_bytes(&mut self) {
-        if let Some(log) = &self.log {
-            self.counters.disk_bytes = log.bytes();
-        }
+    pub fn counters(&self) -> StoreCounters {
+        let disk_bytes = self.log.as_ref().map_or(self.counters.disk_bytes, Log::bytes);
+        StoreCounters { disk_bytes, ..self.counters }
     }
 
     /// Does something with the log; after a failure there is none any more.
@@ -270,6 +261,7 @@ impl StoreLog {
 
     /// Said once: nothing is written after it.
     fn fail(&mut self, error: &LogError) {
+        self.counters = self.counters();
         self.log = None;
         self.sync_due = None;
         self.counters.failures += 1;
@@ -289,5 +281,5 @@ pub fn packages_of(event: &Event) -> &[Package] {
 /// What an event says that a snapshot contains, which is to be stored behind its chunks.
 pub fn contents_of(event: &Event) -> Option<Contents> {
     let Event::SnapshotContains { stream, set, received } = event else { return None };
-    Some(Contents { stream: *stream, set: *set, intervals: received.intervals().to_vec() })
+    Some(Contents { stream: *stream, snapshot_id: *set, intervals: received.intervals().to_vec() })
 }

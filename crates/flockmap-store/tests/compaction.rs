@@ -58,7 +58,7 @@ fn compaction_keeps_what_is_held_beyond_a_gap() {
     let of_two: Vec<&Package> =
         packages.iter().filter(|package| package.header().stream.origin == RobotId(2)).collect();
     assert!(of_two.len() > 5);
-    // With all packages in memory, and with nearly none: then what they say is in the layer alone.
+    // With all packages in memory, and with nearly none: then what they say is in the layer only.
     for (gap, store_bytes_max) in [(1, 64 << 20), (3, 64 << 20), (1, FEW), (3, FEW)] {
         let disk = MemoryDisk::default();
         // Many small segments make a compaction at once.
@@ -129,12 +129,16 @@ fn there_is_never_more_on_the_disk_than_bytes_max_whether_compactions_wait_fail_
     let writer = Writer::new(open(&disk, LEAST).start(2).unwrap());
     assert!(writer.notices.is_empty() && writer.counters().disk_bytes < LEAST.bytes_max / 2);
 
-    // The map alone takes too much: tried again and again, each time beside a longer log.
+    // The map by itself takes too much: tried again and again, each time beside a longer log.
     let disk = MemoryDisk::default();
     let (writer, _) = fly_until_full(&disk, false, true);
     let counters = writer.counters();
     assert!(counters.compactions_failed > 1 && counters.failures == 1, "{counters:?}");
-    assert!(writer.notices[0].to_string().contains("the map alone takes more than"), "{:?}", writer.notices);
+    assert!(
+        writer.notices[0].to_string().contains("the map by itself takes more than"),
+        "{:?}",
+        writer.notices
+    );
     assert!(most(&disk) <= LEAST.bytes_max, "{} B", most(&disk));
 
     // What is left of those that came to no end is not removed: it takes its room.
@@ -191,7 +195,7 @@ fn ended_run() -> (Stream, Vec<Package>) {
     (stream, packages.into_iter().filter(|package| package.header().stream == stream).collect())
 }
 
-/// Robot 3 alone has some packages of an ended run, most of them in its layer only, and tells robot 1. Returns the disk of that one, and what is on it.
+/// Only robot 3 has some packages of an ended run, most of them in its layer only, and sends them to robot 1. Returns the disk of that one, and what is on it.
 fn publish_beyond_a_gap(stream: Stream, packages: &[Package], gap: u32) -> (MemoryDisk, Swarm, Vec<Package>) {
     let disk = MemoryDisk::default();
     let mut writer = start(&disk, OPTIONS, 1);
@@ -232,7 +236,7 @@ fn what_a_snapshot_with_gaps_contains_is_held_fused_and_told_after_restarts_and_
             robot = restart(&disk, with_room(1, FEW), 3_000 + epoch).0;
             is_all_there(&robot, "after a compaction and a restart");
         }
-        // The one that told it is gone for good. A newcomer has it from the disk.
+        // The one that sent it is gone for good. A newcomer has it from the disk.
         let mut swarm = Swarm::new(vec![with_room(1, FEW), with_room(4, FEW)], PERFECT, 2);
         robot = Robot::new(RobotConfig { epoch: 9_000, ..with_room(1, FEW) }, swarm.now).unwrap();
         open(&disk, OPTIONS).restore(&mut robot, swarm.now);
@@ -286,7 +290,7 @@ fn compact_now(writer: &mut Writer, robot: &Robot) {
     writer.finish_compaction(robot);
 }
 
-/// Robot 1 flies, and its own layer has no room for all that it tells; then the log is made shorter. Returns the own packages.
+/// Robot 1 flies, and its own layer has no room for all that it publishes; then the log is made shorter. Returns the own packages.
 fn fly_with_a_full_own_layer(disk: &MemoryDisk, store_bytes_max: usize) -> (Vec<Package>, Writer) {
     let mut config = two(Codec::Flock).remove(0);
     config.fusion.own_layer_bytes_max = 60_000;
@@ -399,7 +403,7 @@ fn a_compaction_amid_losses_restores_no_wrong_voxel_and_heals() {
             }
         }
         drop(writer);
-        // What is restored stands as it stood, or is not there yet: no word is newer or another.
+        // What is restored stands as it stood, or is not there yet: no observation is newer or another.
         let (robot, _) = restart(&disk, config(1), 67);
         let live = Model::of_robot(&swarm.robots[0]);
         for (stream, layer) in Model::of_robot(&robot).0 {

@@ -28,7 +28,7 @@ fn before() -> (MemoryDisk, Vec<Package>) {
     (disk, packages)
 }
 
-/// A run on a disk that may fail: it restores, sees something, is told that its epoch is used and begins anew, sees more, and makes its log shorter.
+/// A run on a disk that may fail: it restores, sees something, hears that its epoch is used and begins anew, sees more, and makes its log shorter.
 struct Run {
     /// All packages that there are.
     packages: Vec<Package>,

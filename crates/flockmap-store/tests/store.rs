@@ -48,7 +48,7 @@ fn a_kill_at_any_byte_loses_what_was_behind_it_and_nothing_else() {
             let end = if length < 72 { 0 } else { ends[whole] };
             assert_eq!(restored.torn_bytes, (length - end) as u64, "{length}");
             assert_eq!(Model::of_robot(&robot), models[whole], "{length}");
-            // What is torn is told once.
+            // What is torn is reported once.
             let again = restart(&disk, config(1), 2).1;
             assert_eq!((again.torn_bytes, again.packages), (0, restored.packages), "{length}");
         }
@@ -75,7 +75,7 @@ fn a_former_run_is_an_older_layer_in_the_map_and_what_was_lost_comes_back_from_o
     let restored = store.restore(&mut robot, swarm.now);
     assert!(restored.packages > 20 && restored.packages == restored.merged, "{restored:?}");
     let mut writer = Writer::new(store.start(2).unwrap());
-    // The own former layer is in the fused map, as there is no newer word.
+    // The own former layer is in the fused map, as there is no newer observation.
     let own = Stream { origin: RobotId(1), epoch: 1 };
     let layer = robot.fusion().layer(own).unwrap();
     assert!(layer.len() > 1_000);
@@ -171,7 +171,7 @@ fn behind_a_damaged_place_reading_goes_on() {
     let disk = MemoryDisk::of([(name, bytes)].into());
     let (_, restored) = restart(&disk, config(1), 2);
     assert_eq!((restored.packages, restored.damaged_segments), (0, 1));
-    assert_eq!(open(&disk, OPTIONS).last_epoch(), Some(1), "the name still tells the epoch");
+    assert_eq!(open(&disk, OPTIONS).last_epoch(), Some(1), "the name still has the epoch");
 }
 
 #[test]

@@ -15,7 +15,7 @@ use super::settings::{batch, mapper, robot};
 use super::stack::{self, Stack, StackPlan, Traffic};
 
 /// The emulated Wi-Fi: every tenth datagram is lost.
-pub const WIFI: Link = Link { loss: 0.1, delay_micros: 10_000, jitter_micros: 10_000, duplication: 0.0 };
+pub const WIFI: Link = Link { loss: 0.1, delay_micros: 10_000, jitter_micros: 10_000, ..Link::PERFECT };
 
 /// The runs, by session.
 pub struct Measured {

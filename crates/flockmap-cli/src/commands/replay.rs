@@ -74,6 +74,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
         delay_micros: delay_micros("--delay-ms", args.delay_ms)?,
         jitter_micros: delay_micros("--jitter-ms", args.jitter_ms)?,
         duplication: share("--duplication", args.duplication)?,
+        ..Link::default()
     };
     let base = RobotConfig { session: session(args)?, ..args.map.robot(args.codec, args.source.seed)? };
     base.session.validate()?;

@@ -1,10 +1,11 @@
 //! What a bad link does to datagrams beside plain loss: it fades for a while, and flips bits.
 
+use super::Link;
 use flockmap_grid::{RobotId, Stamp};
 use flockmap_worlds::random::{Random, mix};
 use std::sync::Arc;
 
-/// A link that is good and bad in turn (Gilbert, Elliott). How long each lasts is uniform between 0 and twice its mean.
+/// A link that is good and bad alternately (Gilbert, Elliott). How long each lasts is uniform between 0 and twice its mean.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Burst {
     /// Mean time between bursts of loss, in milliseconds. At least 1.
@@ -15,19 +16,9 @@ pub struct Burst {
     pub loss: f64,
 }
 
-/// What else a link does to datagrams. The default does nothing.
-#[derive(Clone, Copy, PartialEq, Debug, Default)]
-pub struct Faults {
-    /// Bursts of loss, on top of the loss of the link.
-    pub burst: Option<Burst>,
-    /// Share of the datagrams that arrive with one to three flipped bits, 0 … 1.
-    pub damage: f64,
-}
-
-/// The faults of one link as time goes by. Its random numbers are its own: without faults none is drawn, and nothing else changes.
+/// Bursts and damage of one link as time goes by. Its random numbers are its own: without either none is drawn, and nothing else changes.
 #[derive(Clone, Debug)]
 pub(super) struct Weather {
-    pub(super) faults: Faults,
     random: Random,
     is_bad: bool,
     until: Stamp,
@@ -44,12 +35,12 @@ impl Weather {
     pub(super) fn new(seed: u64, from: RobotId, to: RobotId) -> Self {
         let purpose = mix(u64::from(from.0) << 16 | u64::from(to.0) | 1 << 40);
         let random = Random::new(seed, purpose);
-        Self { faults: Faults::default(), random, is_bad: true, until: Stamp(i64::MIN) }
+        Self { random, is_bad: true, until: Stamp(i64::MIN) }
     }
 
     /// What becomes of a datagram: whether a burst takes it, and the bits that flip.
-    pub(super) fn draw(&mut self, at: Stamp) -> (bool, Option<Flips>) {
-        let faded = self.faults.burst.is_some_and(|burst| {
+    pub(super) fn draw(&mut self, link: &Link, at: Stamp) -> (bool, Option<Flips>) {
+        let faded = link.burst.is_some_and(|burst| {
             if self.until == Stamp(i64::MIN) {
                 self.until = at;
             }
@@ -61,7 +52,7 @@ impl Weather {
             }
             self.is_bad && self.random.happens(burst.loss)
         });
-        let flips = (self.faults.damage > 0.0 && self.random.happens(self.faults.damage))
+        let flips = (link.damage > 0.0 && self.random.happens(link.damage))
             .then(|| Flips { count: 1 + self.random.below(3), seed: self.random.next_u64() });
         (faded, flips)
     }

@@ -1,5 +1,5 @@
 //! A sender with a fault in its memory: it damages packages before the check of the datagram is made, so that only the check of the
-//! decoded content can tell.
+//! decoded content finds it.
 
 use flockmap::sync::wire::HEADER_BYTES;
 use flockmap_worlds::random::Random;
@@ -18,9 +18,14 @@ pub(super) fn damaged_inside(bytes: &[u8], random: &mut Random) -> Option<Vec<u8
     let mut bytes = bytes.to_vec();
     let at = bytes.len() - 1 - random.below(tail as u64) as usize;
     bytes[at] ^= 1 << random.below(8);
+    write_check(&mut bytes);
+    Some(bytes)
+}
+
+/// Makes the check of a datagram right.
+pub(super) fn write_check(bytes: &mut [u8]) {
     let mut check = crc32fast::Hasher::new();
     check.update(&bytes[..CHECK.start]);
     check.update(&bytes[CHECK.end..]);
     bytes[CHECK].copy_from_slice(&check.finalize().to_le_bytes());
-    Some(bytes)
 }

@@ -3,7 +3,7 @@
 mod eyes;
 mod look;
 
-use super::check::{Failure, Finding, names};
+use super::check::{Finding, names};
 use super::clock::Clock;
 use super::costly::Costly;
 use super::member::{Member, NEVER};
@@ -14,7 +14,7 @@ use super::report::Report;
 use super::settings::Settings;
 use super::world::SmallWorld;
 use super::{SwarmOptions, seen};
-use crate::{Faults, IP_UDP_BYTES, Link, Network, Node, RadioConfig};
+use crate::{IP_UDP_BYTES, Network, Node, RadioConfig};
 use eyes::Eyes;
 use flockmap::{RobotId, Stamp};
 use flockmap_worlds::random::Random;
@@ -27,7 +27,7 @@ const LOOK_WHOLE_EVERY: i64 = 1_000_000;
 /// Quiet is watched for so many idle periods.
 const QUIET_PERIODS: i64 = 3;
 
-/// What a seed decides before the flight begins, in words.
+/// What a seed decides before the flight begins, as text.
 pub fn describe(options: &SwarmOptions) -> Vec<String> {
     seen::settings(&Settings::draw(options))
 }
@@ -37,15 +37,11 @@ pub fn fly(options: &SwarmOptions) -> Report {
     let mut engine = Engine::new(Settings::draw(options));
     let flown = catch_unwind(AssertUnwindSafe(|| engine.run()));
     if let Err(panic) = flown {
-        let words = panic.downcast_ref::<&str>().map(|words| (*words).to_owned());
-        let words = words.or_else(|| panic.downcast_ref::<String>().cloned());
-        engine.eyes.failure = Some(Failure {
-            checker: names::CRASH,
-            robot: engine.eyes.at_work,
-            at_s: engine.eyes.now as f64 / 1e6,
-            expected: "no panic".to_owned(),
-            found: words.unwrap_or_else(|| "a panic".to_owned()),
-        });
+        let text = panic.downcast_ref::<&str>().copied();
+        let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("a panic");
+        let eyes = &mut engine.eyes;
+        eyes.failure = None;
+        eyes.fail(eyes.at_work, Finding::new(names::CRASH, "no panic", text));
     }
     engine.report()
 }
@@ -68,6 +64,11 @@ enum Phase {
         until: i64,
     },
     Over,
+}
+
+/// The ends of all directed links between so many robots.
+fn pairs(robots: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..robots).flat_map(move |a| (0..robots).filter(move |b| a != *b).map(move |b| (a, b)))
 }
 
 struct Engine {
@@ -95,15 +96,9 @@ impl Engine {
         let members: Vec<Member> =
             (0..settings.members.len()).map(|number| Member::new(number, &settings, &world)).collect();
         let numbers = settings.radio;
-        let link = Link {
-            loss: numbers.loss,
-            delay_micros: numbers.delay_micros,
-            jitter_micros: numbers.jitter_micros,
-            duplication: numbers.duplication,
-        };
         let config = RadioConfig {
             seed,
-            link,
+            link: numbers.link,
             rate_bytes_per_s: numbers.rate_bytes_per_s,
             queue_bytes_max: numbers.queue_bytes_max,
             overhead_bytes: IP_UDP_BYTES,
@@ -112,16 +107,12 @@ impl Engine {
             ..RadioConfig::default()
         };
         let mut network = Network::new(members, config, Stamp(0));
-        let (ids, radio) = (network.ids().to_vec(), network.radio_mut());
-        let faults = Faults { burst: numbers.burst, damage: numbers.damage };
         let mut closed = BTreeMap::new();
-        for (a, from) in ids.iter().enumerate() {
-            for (b, to) in ids.iter().enumerate().filter(|(b, _)| a != *b) {
-                radio.set_faults(*from, *to, faults);
-                if !numbers.is_linked(a, b, ids.len()) {
-                    radio.set_open(*from, *to, false);
-                    closed.insert((a, b), u32::MAX / 2);
-                }
+        for (a, b) in pairs(network.ids().len()) {
+            if !numbers.is_linked(a, b, network.ids().len()) {
+                let (from, to) = (network.ids()[a], network.ids()[b]);
+                network.radio_mut().set_open(from, to, false);
+                closed.insert((a, b), u32::MAX / 2);
             }
         }
         // Where there is a key, nobody takes it for a robot.
@@ -188,26 +179,16 @@ impl Engine {
         {
             self.next_action += 1;
             *self.eyes.seen.entry(action.name()).or_default() += 1;
-            let words = match action {
-                Action::Crash(n) | Action::Restart(n) => {
-                    format!("{} of {:?}", action.name(), self.network.nodes()[n].id())
-                }
+            let (name, ids) = (action.name(), self.network.ids());
+            self.eyes.say(match action {
+                Action::Crash(n) | Action::Restart(n) => format!("{name} of {:?}", ids[n]),
                 Action::Close { from, to } | Action::Open { from, to } => {
-                    format!(
-                        "{}: {:?} to {:?}",
-                        action.name(),
-                        self.network.nodes()[from].id(),
-                        self.network.nodes()[to].id()
-                    )
+                    format!("{name}: {:?} to {:?}", ids[from], ids[to])
                 }
-                Action::Part(_) | Action::Join(_) => action.name().to_owned(),
-            };
-            self.eyes.say(words);
+                Action::Part(_) | Action::Join(_) => name.to_owned(),
+            });
             match action {
-                Action::Crash(number) => {
-                    let seen = &mut self.eyes.seen;
-                    self.network.nodes_mut()[number].crash(&mut |robot| seen::add_counters(seen, robot));
-                }
+                Action::Crash(number) => self.network.nodes_mut()[number].crash(&mut self.eyes.seen),
                 Action::Restart(number) if self.network.nodes()[number].robot.is_none() => self.start(number),
                 Action::Restart(_) => {}
                 Action::Close { from, to } => self.close(from, to, true),
@@ -220,12 +201,8 @@ impl Engine {
 
     fn part(&mut self, parts: u64, is_closed: bool) {
         let side = |number: usize| parts >> (number % 64) & 1;
-        for a in 0..self.network.nodes().len() {
-            for b in 0..self.network.nodes().len() {
-                if side(a) != side(b) {
-                    self.close(a, b, is_closed);
-                }
-            }
+        for (a, b) in pairs(self.network.ids().len()).filter(|(a, b)| side(*a) != side(*b)) {
+            self.close(a, b, is_closed);
         }
     }
 
@@ -238,15 +215,15 @@ impl Engine {
     }
 
     fn start(&mut self, number: usize) {
-        // Its own among them: a former run of its own had the same clock, and would be measured by way of others.
+        // Its own among them: a former run of its own had the same clock, which would be measured through others.
         let clocks: Vec<_> = match self.eyes.settings.clocks_given {
             true => self.network.nodes().iter().map(|member| (member.id(), member.settings.clock)).collect(),
             false => Vec::new(),
         };
         let own = self.network.nodes()[number].id();
         if let Err(error) = self.boot(number, &clocks) {
-            let expected = "settings that a robot takes".to_owned();
-            return self.eyes.fail(Some(own), Finding { checker: names::SETTINGS, expected, found: error });
+            let found = Finding::new(names::SETTINGS, "settings that a robot takes", error);
+            return self.eyes.fail(Some(own), found);
         }
         self.network.call(number, &mut self.eyes, Member::handle_timeout);
     }
@@ -279,10 +256,6 @@ impl Engine {
         else {
             return;
         };
-        if self.phase != Phase::Mapping {
-            outsider.next = NEVER;
-            return;
-        }
         if let Some((number, attack)) = outsider.attack(self.eyes.now, self.network.nodes().len()) {
             let path = self.eyes.settings.has_paths.then_some(outsider::PATH);
             self.network.call(number, &mut self.eyes, |member, now| {
@@ -294,51 +267,40 @@ impl Engine {
     /// Lets the faulty robot send what is due: in place of a package that the receiver lacks.
     fn burden(&mut self) {
         let Some(costly) = self.costly.as_mut().filter(|costly| costly.next <= self.eyes.now) else { return };
-        if self.phase != Phase::Mapping {
-            costly.next = NEVER;
-            return;
-        }
         let (to, from) = costly.pair(self.eyes.now, self.network.nodes().len());
-        let (Some(receiver), Some(sender)) =
-            (&self.network.nodes()[to].robot, &self.network.nodes()[from].robot)
-        else {
-            return;
-        };
+        let nodes = self.network.nodes();
+        let (Some(receiver), Some(sender)) = (&nodes[to].robot, &nodes[from].robot) else { return };
         let stream = sender.own_stream();
         let Some(received) = receiver.session().received(stream) else { return };
         let missing = received.missing(1, self.eyes.truth.last(stream)).next();
-        let (Some((index, _)), true) =
-            (missing, receiver.session().peers().any(|peer| peer.stream == stream))
-        else {
-            return;
-        };
-        // It took as long on the way as any other: from the stamps of what comes at once a round trip of half the time would follow.
-        let sent_at = self.eyes.now - self.eyes.settings.radio.delay_micros.max(0);
-        let stamp = self.network.nodes()[from].settings.clock.shows(sent_at);
+        let is_peer = receiver.session().peers().any(|peer| peer.stream == stream);
+        let Some((index, _)) = missing.filter(|_| is_peer) else { return };
+        // It took as long as any other: from the stamps of what comes at once a round trip of half the time would follow.
+        let sent_at = self.eyes.now - self.eyes.settings.radio.link.delay_micros.max(0);
+        let stamp = nodes[from].settings.clock.shows(sent_at);
         let resolution = sender.config().mapper.resolution;
         if let Some(bytes) = costly.datagram(stream, index, stamp, resolution) {
             *self.eyes.seen.entry("packages that cost too much").or_default() += 1;
-            self.network
-                .call(to, &mut self.eyes, |member, now| member.receive(now, bytes.into(), None, true));
+            let receive = |member: &mut Member, now| member.receive(now, bytes.into(), None, true);
+            self.network.call(to, &mut self.eyes, receive);
         }
     }
 
     fn report(mut self) -> Report {
         let mut seen = core::mem::take(&mut self.eyes.seen);
-        let radio = self.network.radio().traffic_total();
-        for (name, count) in [
-            ("lost on the way", radio.lost),
-            ("damaged on the way", radio.damaged),
-            ("radio queue full", radio.dropped),
-        ] {
-            *seen.entry(name).or_default() += count;
+        let mut robots = Vec::new();
+        for number in 0..self.network.nodes().len() {
+            let traffic = self.network.radio().traffic(self.network.ids()[number]);
+            for (name, count) in [
+                ("lost by the radio", traffic.lost),
+                ("damaged by the radio", traffic.damaged),
+                ("radio queue full", traffic.dropped),
+            ] {
+                *seen.entry(name).or_default() += count;
+            }
+            let member = &mut self.network.nodes_mut()[number];
+            robots.push(member.take_figures(traffic.airtime_micros, &mut seen));
         }
-        let airtimes: Vec<u64> =
-            self.network.ids().iter().map(|id| self.network.radio().traffic(*id).airtime_micros).collect();
-        let robots = self.network.nodes_mut().iter_mut().zip(airtimes).map(|(member, airtime)| {
-            member.take_figures(airtime, &mut |robot| seen::add_counters(&mut seen, robot))
-        });
-        let robots = robots.collect();
         Report {
             robots,
             command: self.eyes.settings.options.command(),

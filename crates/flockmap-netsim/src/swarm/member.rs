@@ -3,15 +3,15 @@
 use super::check::{Budget, Paths, Quiet, Still, Twice, Work};
 use super::clock::Clock;
 use super::purpose;
-use super::report::{RobotFigures, median_and_99};
+use super::report::{RobotFigures, Seen, median_and_99};
+use super::seen;
 use super::settings::{MemberSettings, Settings};
-use super::sim_disk::{self, SimDisk};
+use super::sim_disk::{Found, SimDisk};
 use super::trouble::Boot;
 use super::world::{Course, SmallWorld};
 use crate::{Addressees, Datagram, Delivery, Node};
-use flockmap::sync::Counters;
 use flockmap::sync::wire::Salt;
-use flockmap::{Cast, Destination, Path, Pose, Robot, RobotCounters, RobotId, Stamp, Stream, Transmit};
+use flockmap::{Cast, Destination, Path, Pose, Robot, RobotId, Stamp, Stream, Transmit};
 use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_store::next_epoch;
 use flockmap_worlds::IN_THE_WORLD;
@@ -26,7 +26,7 @@ pub(super) const NEVER: i64 = i64::MAX;
 pub(super) struct Run {
     pub(super) stream: Stream,
     pub(super) salt: Salt,
-    found: Option<sim_disk::Found>,
+    found: Option<Found>,
 }
 
 pub(super) struct Member {
@@ -45,7 +45,7 @@ pub(super) struct Member {
     pub(super) still: Still,
     pub(super) paths: Paths,
     pub(super) work: Work,
-    pub(super) figures: RobotFigures,
+    figures: RobotFigures,
     pub(super) ages: Vec<i64>,
     /// Runs that this run has forgotten; whether it wants none before them either.
     pub(super) forgotten: BTreeMap<Stream, bool>,
@@ -57,29 +57,24 @@ pub(super) struct Member {
     boot: Boot,
     /// Epochs are counted, where a run does not take its own from a clock.
     epoch: Option<u64>,
-    /// Microseconds by which the clock that tells the date is behind.
+    /// Microseconds by which the clock that shows the date is behind.
     behind: i64,
-    /// What it was called with last.
-    pub(super) input: Input,
-    /// Whom it sent something to last, and on which path.
-    pub(super) sent: (Destination, Option<Path>),
+    /// The datagram that it was called with, until the checkers have looked at it.
+    pub(super) input: Option<Input>,
+    /// To whom it sent last (`None`: to everyone), and on which path.
+    pub(super) sent: (Option<RobotId>, Option<Path>),
 }
 
-/// What a robot was called with.
-#[derive(Clone)]
-pub(super) enum Input {
-    Datagram {
-        bytes: Arc<[u8]>,
-        /// A robot sent it, as it is.
-        is_genuine: bool,
-        /// The robot took it for sound.
-        is_taken: bool,
-    },
-    /// Time, or a scan.
-    Other,
+/// A datagram that a robot was called with.
+pub(super) struct Input {
+    pub(super) bytes: Arc<[u8]>,
+    /// A robot sent it, as it is.
+    pub(super) is_genuine: bool,
+    /// The robot took it for sound.
+    pub(super) is_taken: bool,
 }
 
-/// What a clock that tells the date shows when a flight begins, in seconds since 1970; and what one without a battery shows at each start.
+/// What a clock with the date shows when a flight begins, in seconds since 1970; and what one without a battery shows at each start.
 const DATE_S: u64 = 1_795_000_000;
 const NO_DATE_S: u64 = 12;
 const HOUR: u64 = 3_600_000_000;
@@ -89,7 +84,7 @@ impl Member {
         let own = settings.members[number].clone();
         let trouble = &settings.trouble;
         let seed = settings.options.seed;
-        let mut random = Random::new(seed, purpose::SCANS + ((number as u64) << 32));
+        let mut random = purpose::of_robot(seed, purpose::SCANS, number);
         let course = world.course(&mut random);
         let next_scan = random.below(own.scan_period as u64) as i64;
         let disk = own.has_disk.then(|| SimDisk::new(seed, number, trouble.has_faulty_disks));
@@ -113,12 +108,12 @@ impl Member {
             run: None,
             replaced: None,
             disk,
-            runs: Random::new(seed, purpose::RUNS + ((number as u64) << 32)),
+            runs: purpose::of_robot(seed, purpose::RUNS, number),
             boot: trouble.boot,
             epoch: (!trouble.has_epochs_of_clocks()).then_some(0),
             behind: 0,
-            input: Input::Other,
-            sent: (Destination::Everyone, None),
+            input: None,
+            sent: (None, None),
         }
     }
 
@@ -130,7 +125,7 @@ impl Member {
             (Some(robot), None) => robot.handle_datagram(now, &bytes).is_ok(),
             (None, _) => false,
         };
-        self.input = Input::Datagram { bytes, is_genuine, is_taken };
+        self.input = Some(Input { bytes, is_genuine, is_taken });
     }
 
     /// Decides of a run before it begins: its epoch and its salt, as a node does.
@@ -144,7 +139,7 @@ impl Member {
         self.set_clock(now);
         let config = &self.settings.config;
         let found = self.disk.as_mut().map(|disk| disk.open(config)).transpose()?;
-        let last = found.as_ref().and_then(sim_disk::Found::last_epoch);
+        let last = found.as_ref().and_then(Found::last_epoch);
         let epoch = match &mut self.epoch {
             Some(epoch) => {
                 *epoch += steps;
@@ -220,10 +215,17 @@ impl Member {
     }
 
     /// Ends the run. What it counted is kept.
-    pub(super) fn crash(&mut self, counts: &mut impl FnMut(&Robot)) {
+    pub(super) fn crash(&mut self, seen: &mut Seen) {
         if let Some(robot) = self.robot.take() {
-            counts(&robot);
-            self.note_counters(robot.session().counters(), robot.counters());
+            seen::add_counters(seen, &robot);
+            let (session, counters) = (robot.session().counters(), robot.counters());
+            self.figures.datagrams += session.out().datagrams;
+            self.figures.bytes += session.out().bytes;
+            self.figures.requests += session.requests_out.datagrams;
+            self.figures.request_bytes += session.requests_out.bytes;
+            self.figures.packages += counters.packages;
+            self.figures.package_bytes += counters.package_bytes;
+            self.figures.merged += counters.merged;
         }
         if let Some(disk) = &mut self.disk {
             disk.crash();
@@ -247,26 +249,11 @@ impl Member {
             robot.insert_scan(stamp, &scan, &Pose::from_translation(place)).expect(IN_THE_WORLD);
         }
         self.next_scan = now + self.settings.scan_period;
-        self.input = Input::Other;
     }
 
-    fn note_counters(&mut self, session: &Counters, robot: &RobotCounters) {
-        self.figures.datagrams += session.out().datagrams;
-        self.figures.bytes += session.out().bytes;
-        self.figures.requests += session.requests_out.datagrams;
-        self.figures.request_bytes += session.requests_out.bytes;
-        self.figures.packages += robot.packages;
-        self.figures.package_bytes += robot.package_bytes;
-        self.figures.merged += robot.merged;
-    }
-
-    pub(super) fn take_figures(
-        &mut self,
-        airtime_micros: u64,
-        counts: &mut impl FnMut(&Robot),
-    ) -> RobotFigures {
+    pub(super) fn take_figures(&mut self, airtime_micros: u64, seen: &mut Seen) -> RobotFigures {
         self.figures.is_alive = self.robot.is_some();
-        self.crash(counts);
+        self.crash(seen);
         (self.figures.age_median_s, self.figures.age_99_s) = median_and_99(&mut self.ages);
         self.figures.airtime_s = airtime_micros as f64 / 1e6;
         self.figures.clone()
@@ -284,7 +271,6 @@ impl Node for Member {
     }
 
     fn handle_timeout(&mut self, now: Stamp) {
-        self.input = Input::Other;
         if let Some(robot) = &mut self.robot {
             robot.handle_timeout(self.settings.clock.shows(now.0));
         }
@@ -297,16 +283,17 @@ impl Node for Member {
     fn poll_transmit(&mut self, now: Stamp) -> Option<Datagram> {
         let robot = self.robot.as_mut()?;
         let Transmit { to, path, bytes } = robot.poll_transmit(self.settings.clock.shows(now.0))?;
-        self.sent = (to, path);
-        let to = match (to, path) {
-            // What goes to a path arrives there, whoever it is meant for.
-            (Destination::Peer(peer), path) => {
-                Addressees::One(path.map_or(peer, |path| RobotId(u16::try_from(path.0).unwrap_or(u16::MAX))))
-            }
-            (Destination::Everyone, _) if self.settings.config.session.cast == Cast::Broadcast => {
-                Addressees::All
-            }
-            (Destination::Everyone, _) => Addressees::Each,
+        let peer = match to {
+            Destination::Peer(peer) => Some(peer),
+            Destination::Everyone => None,
+        };
+        self.sent = (peer, path);
+        // What goes to a path arrives there, whoever it is meant for.
+        let there = path.map(|path| RobotId(u16::try_from(path.0).unwrap_or(u16::MAX)));
+        let to = match (peer, self.settings.config.session.cast) {
+            (Some(peer), _) => Addressees::One(there.unwrap_or(peer)),
+            (None, Cast::Broadcast) => Addressees::All,
+            (None, Cast::Unicast) => Addressees::Each,
         };
         Some(Datagram { to, bytes })
     }

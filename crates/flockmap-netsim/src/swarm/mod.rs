@@ -35,4 +35,4 @@ pub use check::Failure;
 pub use engine::{describe, fly};
 pub use options::SwarmOptions;
 pub use preset::{RadioNumbers, RadioPreset, Topology};
-pub use report::{Report, RobotFigures};
+pub use report::{Report, RobotFigures, Seen};

@@ -1,13 +1,12 @@
 //! What may be asked of a flight; all else is drawn from the seed.
 
 use super::RadioPreset;
-use core::fmt::Write;
 use flockmap::Cast;
 
 /// A flight of a swarm. Whatever is `None` is drawn from the seed.
-#[derive(Clone, Copy, PartialEq, Debug)]
+#[derive(Clone, Copy, PartialEq, Debug, Default)]
 pub struct SwarmOptions {
-    /// Decides everything that is left to chance.
+    /// Decides everything that is drawn.
     pub seed: u64,
     /// Robots, 2 to 200.
     pub robots: Option<usize>,
@@ -27,42 +26,23 @@ pub struct SwarmOptions {
 
 impl SwarmOptions {
     /// Everything drawn from the seed.
-    pub const fn new(seed: u64) -> Self {
-        Self {
-            seed,
-            robots: None,
-            radio: None,
-            seconds: None,
-            cast: None,
-            budget_bytes_per_s: None,
-            is_calm: false,
-            until_agreement_s: None,
-        }
+    pub fn new(seed: u64) -> Self {
+        Self { seed, ..Self::default() }
     }
 
     /// The command that flies it again.
     pub fn command(&self) -> String {
         let mut command = format!("flockmap sim swarm --seed {}", self.seed);
-        if let Some(robots) = self.robots {
-            let _ = write!(command, " --robots {robots}");
-        }
-        if let Some(radio) = self.radio {
-            let _ = write!(command, " --radio {radio}");
-        }
-        if let Some(seconds) = self.seconds {
-            let _ = write!(command, " --seconds {seconds}");
-        }
-        match self.cast {
-            Some(Cast::Unicast) => command += " --cast unicast",
-            Some(Cast::Broadcast) => command += " --cast broadcast",
-            None => {}
-        }
-        if let Some(budget) = self.budget_bytes_per_s {
-            let _ = write!(command, " --budget {budget}");
-        }
-        if self.is_calm {
-            command += " --calm";
-        }
-        command
+        let mut add = |name: &str, value: Option<String>| {
+            if let Some(value) = value {
+                command += &format!(" --{name} {value}");
+            }
+        };
+        add("robots", self.robots.map(|robots| robots.to_string()));
+        add("radio", self.radio.map(|radio| radio.to_string()));
+        add("seconds", self.seconds.map(|seconds| seconds.to_string()));
+        add("cast", self.cast.map(|cast| format!("{cast:?}").to_lowercase()));
+        add("budget", self.budget_bytes_per_s.map(|budget| budget.to_string()));
+        command + if self.is_calm { " --calm" } else { "" }
     }
 }

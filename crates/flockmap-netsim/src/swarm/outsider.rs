@@ -1,15 +1,15 @@
 //! Somebody without the key in reach of the radio: hears everything, and sends it again, changes it, takes the seal off, or seals with a key of
 //! its own.
 
+use super::broken::write_check;
 use flockmap::Path;
 use flockmap::sync::SwarmKey;
-use flockmap::sync::wire::seal_datagram;
+use flockmap::sync::wire::{HEADER_BYTES, seal_datagram};
 use flockmap_worlds::random::Random;
 use std::collections::VecDeque;
 
 /// Datagrams that it remembers.
 const HEARD_MAX: usize = 64;
-const HEADER_BYTES: usize = 28;
 /// The path on which it is heard.
 pub(super) const PATH: Path = Path(1 << 32);
 
@@ -72,10 +72,7 @@ impl Outsider {
         // All streams, all echoes, and none of either: the sender has lost everything.
         bytes.push(3);
         bytes[16..24].copy_from_slice(&self.random.next_u64().to_le_bytes());
-        let mut check = crc32fast::Hasher::new();
-        check.update(&bytes[..24]);
-        check.update(&bytes[28..]);
-        bytes[24..28].copy_from_slice(&check.finalize().to_le_bytes());
+        write_check(&mut bytes);
         Some(bytes)
     }
 }

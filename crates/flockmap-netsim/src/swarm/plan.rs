@@ -5,7 +5,7 @@ use flockmap_worlds::random::Random;
 /// Something that happens. Robots are numbered from 0.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Action {
-    /// A robot falls silent, and what it held is gone.
+    /// A robot falls silent, and what it had is gone.
     Crash(usize),
     /// It starts again, with an empty store and a higher epoch.
     Restart(usize),
@@ -45,16 +45,16 @@ pub(super) fn draw(random: &mut Random, robots: usize, mapping: i64) -> Vec<(i64
             let (from, to) = moment(random);
             let robot = random.below(robots as u64) as usize;
             // One robot crashes once at a time.
-            let overlaps = plan.iter().any(|(_, action)| *action == Action::Crash(robot));
-            if overlaps {
+            if plan.iter().any(|(_, action)| *action == Action::Crash(robot)) {
                 continue;
             }
             plan.push((from, Action::Crash(robot)));
             if random.happens(0.8) {
                 plan.push((to, Action::Restart(robot)));
                 if random.happens(0.3) {
-                    plan.push((to + 200_000, Action::Crash(robot)));
-                    plan.push((to + 700_000, Action::Restart(robot)));
+                    let again =
+                        [(to + 200_000, Action::Crash(robot)), (to + 700_000, Action::Restart(robot))];
+                    plan.extend(again);
                 }
             }
         }
@@ -63,8 +63,7 @@ pub(super) fn draw(random: &mut Random, robots: usize, mapping: i64) -> Vec<(i64
         for _ in 0..1 + random.below(2) {
             let (from, to) = moment(random);
             let parts = random.next_u64();
-            plan.push((from, Action::Part(parts)));
-            plan.push((to, Action::Join(parts)));
+            plan.extend([(from, Action::Part(parts)), (to, Action::Join(parts))]);
         }
     }
     if random.happens(0.3) {
@@ -72,8 +71,7 @@ pub(super) fn draw(random: &mut Random, robots: usize, mapping: i64) -> Vec<(i64
             let (start, end) = moment(random);
             let from = random.below(robots as u64) as usize;
             let to = (from + 1 + random.below(robots as u64 - 1) as usize) % robots;
-            plan.push((start, Action::Close { from, to }));
-            plan.push((end, Action::Open { from, to }));
+            plan.extend([(start, Action::Close { from, to }), (end, Action::Open { from, to })]);
         }
     }
     plan.retain(|(at, _)| *at < mapping);

@@ -1,6 +1,6 @@
 //! Radios as they are met, as numbers. All of them are data: change a number here and the tables of the swarms change.
 
-use crate::Burst;
+use crate::{Burst, Link};
 use core::fmt;
 use core::str::FromStr;
 
@@ -40,18 +40,8 @@ pub enum Topology {
 /// The numbers of a radio.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct RadioNumbers {
-    /// Time on the way, in microseconds.
-    pub delay_micros: i64,
-    /// Further time on the way, uniform between 0 and this, in microseconds.
-    pub jitter_micros: i64,
-    /// Share of datagrams lost, 0 … 1.
-    pub loss: f64,
-    /// Share of datagrams that arrive twice, 0 … 1.
-    pub duplication: f64,
-    /// Share of datagrams with flipped bits, 0 … 1.
-    pub damage: f64,
-    /// Bursts of loss.
-    pub burst: Option<Burst>,
+    /// Each link.
+    pub link: Link,
     /// Bytes a second on the air, of each node or, if shared, of all together.
     pub rate_bytes_per_s: Option<u32>,
     /// Whether all nodes share one medium.
@@ -67,12 +57,7 @@ pub struct RadioNumbers {
 }
 
 const PERFECT: RadioNumbers = RadioNumbers {
-    delay_micros: 200,
-    jitter_micros: 0,
-    loss: 0.0,
-    duplication: 0.0,
-    damage: 0.0,
-    burst: None,
+    link: Link { delay_micros: 200, ..Link::PERFECT },
     rate_bytes_per_s: Some(12_500_000),
     is_shared: false,
     airtime_overhead_micros: 0,
@@ -98,31 +83,35 @@ impl RadioPreset {
         match self {
             Self::Lan => PERFECT,
             Self::Wifi => RadioNumbers {
-                delay_micros: 2_000,
-                jitter_micros: 3_000,
-                loss: 0.01,
+                link: Link { delay_micros: 2_000, jitter_micros: 3_000, loss: 0.01, ..Link::PERFECT },
                 rate_bytes_per_s: Some(750_000),
                 is_shared: true,
                 airtime_overhead_micros: 300,
                 ..PERFECT
             },
             Self::WifiLossy => RadioNumbers {
-                delay_micros: 5_000,
-                jitter_micros: 20_000,
-                loss: 0.15,
-                duplication: 0.02,
-                damage: 0.001,
-                burst: Some(Burst { good_ms: 4_000, bad_ms: 300, loss: 0.8 }),
+                link: Link {
+                    delay_micros: 5_000,
+                    jitter_micros: 20_000,
+                    loss: 0.15,
+                    duplication: 0.02,
+                    damage: 0.001,
+                    burst: Some(Burst { good_ms: 4_000, bad_ms: 300, loss: 0.8 }),
+                    ..Link::PERFECT
+                },
                 rate_bytes_per_s: Some(750_000),
                 is_shared: true,
                 airtime_overhead_micros: 300,
                 ..PERFECT
             },
             Self::WifiCongested => RadioNumbers {
-                delay_micros: 20_000,
-                jitter_micros: 60_000,
-                loss: 0.05,
-                burst: Some(Burst { good_ms: 1_000, bad_ms: 100, loss: 0.5 }),
+                link: Link {
+                    delay_micros: 20_000,
+                    jitter_micros: 60_000,
+                    loss: 0.05,
+                    burst: Some(Burst { good_ms: 1_000, bad_ms: 100, loss: 0.5 }),
+                    ..Link::PERFECT
+                },
                 rate_bytes_per_s: Some(125_000),
                 is_shared: true,
                 airtime_overhead_micros: 500,
@@ -130,9 +119,7 @@ impl RadioPreset {
                 ..PERFECT
             },
             Self::MeshLine => RadioNumbers {
-                delay_micros: 10_000,
-                jitter_micros: 10_000,
-                loss: 0.05,
+                link: Link { delay_micros: 10_000, jitter_micros: 10_000, loss: 0.05, ..Link::PERFECT },
                 rate_bytes_per_s: Some(250_000),
                 airtime_overhead_micros: 300,
                 topology: Topology::Line,
@@ -140,18 +127,19 @@ impl RadioPreset {
                 ..PERFECT
             },
             Self::Intermittent => RadioNumbers {
-                delay_micros: 15_000,
-                jitter_micros: 15_000,
-                loss: 0.1,
-                burst: Some(Burst { good_ms: 3_000, bad_ms: 2_000, loss: 1.0 }),
+                link: Link {
+                    delay_micros: 15_000,
+                    jitter_micros: 15_000,
+                    loss: 0.1,
+                    burst: Some(Burst { good_ms: 3_000, bad_ms: 2_000, loss: 1.0 }),
+                    ..Link::PERFECT
+                },
                 rate_bytes_per_s: Some(250_000),
                 budget_bytes_per_s: Some(150_000),
                 ..PERFECT
             },
             Self::Lora => RadioNumbers {
-                delay_micros: 30_000,
-                jitter_micros: 20_000,
-                loss: 0.03,
+                link: Link { delay_micros: 30_000, jitter_micros: 20_000, loss: 0.03, ..Link::PERFECT },
                 rate_bytes_per_s: Some(6_250),
                 is_shared: true,
                 airtime_overhead_micros: 10_000,

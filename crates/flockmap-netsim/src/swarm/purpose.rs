@@ -1,5 +1,12 @@
 //! Each part of the settings has random numbers of its own, so that an option given does not shift the others.
 
+use flockmap_worlds::random::Random;
+
+/// The random numbers of one robot, by its number, for one purpose.
+pub(super) fn of_robot(seed: u64, purpose: u64, number: usize) -> Random {
+    Random::new(seed, purpose + ((number as u64) << 32))
+}
+
 pub(super) const SWARM: u64 = 0x5357_0001;
 pub(super) const RADIO: u64 = 0x5357_0002;
 pub(super) const SESSION: u64 = 0x5357_0003;

@@ -2,10 +2,9 @@
 
 use super::check::Failure;
 use core::fmt;
-use flockmap::RobotId;
 use std::collections::BTreeMap;
 
-/// What one robot sent and held, over all its runs in the flight.
+/// What one robot sent and merged, over all its runs in the flight.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct RobotFigures {
@@ -37,13 +36,16 @@ pub struct RobotFigures {
     pub age_99_s: f64,
 }
 
+/// How often each kind of event was seen.
+pub type Seen = BTreeMap<&'static str, u64>;
+
 /// A flight and what it showed.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Report {
     /// The command that flies it again.
     pub command: String,
-    /// The settings that matter, in words.
+    /// The settings that matter, as text.
     pub settings: Vec<String>,
     /// What happened when, in seconds.
     pub events: Vec<(f64, String)>,
@@ -56,7 +58,7 @@ pub struct Report {
     /// Within which they had to be, in seconds; it follows from the settings.
     pub agreement_within_s: f64,
     /// How often each kind of event was seen.
-    pub seen: BTreeMap<&'static str, u64>,
+    pub seen: Seen,
     /// Seconds of virtual time.
     pub flown_s: f64,
     /// Inputs given to robots.
@@ -84,9 +86,8 @@ pub(super) fn median_and_99(values: &mut [i64]) -> (f64, f64) {
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let who =
-            |robot: Option<RobotId>| robot.map_or_else(|| "the swarm".to_owned(), |id| format!("{id:?}"));
-        writeln!(f, "checker {} at {:.6} s, {}", self.checker, self.at_s, who(self.robot))?;
+        let who = self.robot.map_or_else(|| "the swarm".to_owned(), |id| format!("{id:?}"));
+        writeln!(f, "checker {} at {:.6} s, {who}", self.checker, self.at_s)?;
         writeln!(f, "  expected: {}", self.expected)?;
         write!(f, "  found:    {}", self.found)
     }

@@ -15,22 +15,22 @@ pub(super) struct Drawn<'a> {
     pub(super) is_calm: bool,
 }
 
-/// The session of each robot, and what is special about them in words.
+/// The session of each robot, and what is special about them, as text.
 pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig>, Vec<String>) {
-    let mut words = Vec::new();
+    let mut notes = Vec::new();
     let budget = swarm.radio.budget(swarm.robots);
-    let budget_words =
+    let budget_text =
         |budget: Option<u32>| budget.map_or_else(|| "none".to_owned(), |b| format!("{b} bytes/s"));
     let mut common =
         SessionConfig { cast: swarm.cast, radio_bytes_per_s: budget, ..SessionConfig::default() };
     common.peers_max = common.peers_max.max(swarm.robots);
     common.streams_max = common.streams_max.max(4 * swarm.robots);
     if swarm.is_calm {
-        words.push(format!("budget {}", budget_words(budget)));
-        return (vec![common; swarm.robots], words);
+        notes.push(format!("budget {}", budget_text(budget)));
+        return (vec![common; swarm.robots], notes);
     }
     if random.happens(0.1) {
-        words.push("the paper's own session".to_owned());
+        notes.push("the paper's own session".to_owned());
         common = SessionConfig {
             cast: swarm.cast,
             radio_bytes_per_s: budget,
@@ -51,17 +51,17 @@ pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig
     if random.happens(0.1) {
         common.link_bytes_per_s = Some(500 + random.below(5_000) as u32);
     }
-    words.push(format!("budget {}", budget_words(common.radio_bytes_per_s)));
+    notes.push(format!("budget {}", budget_text(common.radio_bytes_per_s)));
     if let Some(link) = common.link_bytes_per_s {
-        words.push(format!("each link {link} bytes/s"));
+        notes.push(format!("each link {link} bytes/s"));
     }
     let is_mixed = random.happens(0.3);
     if is_mixed {
-        words.push("each robot with options of its own".to_owned());
+        notes.push("each robot with options of its own".to_owned());
     }
     let is_tight = random.happens(0.25);
     if is_tight {
-        words.push("tight limits".to_owned());
+        notes.push("tight limits".to_owned());
     }
     let restarts = swarm.plan.iter().filter(|(_, action)| matches!(action, Action::Restart(_))).count();
     let sessions = (0..swarm.robots).scan(None, |first, _| {
@@ -88,7 +88,7 @@ pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig
     for session in &mut sessions {
         session.peer_timeout_ms = session.peer_timeout_ms.max(4 * rarest);
     }
-    (sessions, words)
+    (sessions, notes)
 }
 
 fn vary(random: &mut Random, session: &mut SessionConfig, swarm: &Drawn<'_>) {
@@ -117,7 +117,7 @@ fn vary(random: &mut Random, session: &mut SessionConfig, swarm: &Drawn<'_>) {
     }
 }
 
-/// Small limits on what others can make a robot hold.
+/// Small limits on what others can make a robot keep.
 fn tighten(random: &mut Random, session: &mut SessionConfig, restarts: usize) {
     if random.happens(0.6) {
         session.store_bytes_max = 1_000 + random.below(12_000) as usize;
@@ -131,7 +131,7 @@ fn tighten(random: &mut Random, session: &mut SessionConfig, restarts: usize) {
     if random.happens(0.3) {
         session.epochs_max = 1 + random.below(restarts as u64 + 1) as usize;
     }
-    // A state that is larger cannot be given at all.
+    // A snapshot that is larger cannot be sent at all.
     if random.happens(0.3) {
         session.snapshot_bytes_max = 50_000 + random.below(100_000) as usize;
     }

@@ -6,7 +6,7 @@ use super::preset::{RadioNumbers, RadioPreset, Topology};
 use super::purpose;
 use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
-use crate::Burst;
+use crate::{Burst, Link};
 use flockmap::sync::SwarmKey;
 use flockmap::{BatchConfig, Cast, Codec, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::random::Random;
@@ -50,8 +50,8 @@ pub(super) struct Settings {
     pub(super) broken: f64,
     /// The swarm has a key, and somebody without it is in reach.
     pub(super) key: Option<SwarmKey>,
-    /// What is special about the sessions, in words.
-    pub(super) words: Vec<String>,
+    /// What is special about the sessions, as text.
+    pub(super) notes: Vec<String>,
     pub(super) trouble: Trouble,
     /// Each robot hears by path: the number of who sent it.
     pub(super) has_paths: bool,
@@ -77,7 +77,8 @@ impl Settings {
 
         let (radio_name, radio) = draw_radio(options, &mut Random::new(seed, purpose::RADIO));
         let mut plan_random = Random::new(seed, purpose::PLAN);
-        let plan = if options.is_calm { Vec::new() } else { plan::draw(&mut plan_random, robots, mapping) };
+        let mut plan =
+            if options.is_calm { Vec::new() } else { plan::draw(&mut plan_random, robots, mapping) };
         let is_broken = plan_random.happens(0.12) && !options.is_calm;
         let has_key = plan_random.happens(0.2) && !options.is_calm;
         let broken = if is_broken && !has_key { plan_random.range(0.005, 0.08) } else { 0.0 };
@@ -85,32 +86,24 @@ impl Settings {
         let swarm = session::Drawn { robots, cast, radio: &radio, plan: &plan, is_calm: options.is_calm };
         let key = has_key
             .then(|| SwarmKey::from_bytes(core::array::from_fn(|at| (seed >> (at % 8)) as u8 ^ at as u8)));
-        let (mut sessions, mut words) = session::draw(&mut random, &swarm);
-        let mut plan = plan;
-        if trouble.restarts > 0 {
-            plan::add_field_day(
-                &mut plan,
-                &mut Random::new(seed, purpose::FIELD),
-                robots,
-                mapping,
-                trouble.restarts,
-            );
-        }
-        words.extend(trouble.words());
+        let (mut sessions, mut notes) = session::draw(&mut random, &swarm);
+        let mut field = Random::new(seed, purpose::FIELD);
+        plan::add_field_day(&mut plan, &mut field, robots, mapping, trouble.restarts);
+        notes.extend(trouble.notes());
         if trouble.has_small_limits {
             for (number, session) in sessions.iter_mut().enumerate() {
-                let mut random = Random::new(seed, purpose::LIMITS + ((number as u64) << 32));
+                let mut random = purpose::of_robot(seed, purpose::LIMITS, number);
                 let limits = trouble::limit(&mut random, session, robots, cast, &radio);
-                words.push(format!("robot {} has room for {limits}", number + 1));
+                notes.push(format!("robot {} has room for {limits}", number + 1));
             }
         }
         if let Some(budget) = options.budget_bytes_per_s {
             sessions.iter_mut().for_each(|session| session.radio_bytes_per_s = Some(budget.max(500)));
-            words.push(format!("but {budget} bytes/s, as asked"));
+            notes.push(format!("but {budget} bytes/s, as asked"));
         }
         let has_paths = trouble.has_paths && key.is_some() && cast == Cast::Unicast;
         let members = sessions.into_iter().enumerate().map(|(number, session)| {
-            let mut random = Random::new(seed, purpose::ROBOT + ((number as u64) << 32));
+            let mut random = purpose::of_robot(seed, purpose::ROBOT, number);
             let resolution = Resolution::from_metres(if is_table { TABLE_VOXEL_M } else { VOXEL_M })
                 .unwrap_or_else(|| unreachable!("these are allowed"));
             let mut config = RobotConfig::new(RobotId(number as u16 + 1), resolution, RANGE_M);
@@ -130,17 +123,15 @@ impl Settings {
                 scan_period: if is_table { 100_000 } else { 1_000 * (100 + random.below(200) as i64) },
                 has_no_returns: random.happens(0.4),
                 has_disk: (random.happens(0.4) || trouble.has_faulty_disks) && !options.is_calm,
-                clock_steps: if trouble.has_steps {
-                    trouble::steps(&mut Random::new(seed, purpose::CLOCKS + ((number as u64) << 32)), mapping)
-                } else {
-                    Vec::new()
+                clock_steps: match trouble.has_steps {
+                    true => trouble::steps(&mut purpose::of_robot(seed, purpose::CLOCKS, number), mapping),
+                    false => Vec::new(),
                 },
             }
         });
-        let members = members.collect();
         Self {
             options: *options,
-            members,
+            members: members.collect(),
             mapping,
             radio_name,
             radio,
@@ -149,7 +140,7 @@ impl Settings {
             plan,
             broken,
             key,
-            words,
+            notes,
             trouble,
             has_paths,
         }
@@ -201,12 +192,14 @@ fn draw_numbers(random: &mut Random) -> RadioNumbers {
     let topologies =
         [Topology::Full, Topology::Full, Topology::Full, Topology::Line, Topology::Ring, Topology::Star];
     RadioNumbers {
-        delay_micros: (random.unit() * random.unit() * 200_000.0) as i64,
-        jitter_micros: some(random, 0.7, 150_000.0) as i64,
-        loss: some(random, 0.7, 0.6),
-        duplication: some(random, 0.3, 0.3),
-        damage: some(random, 0.4, 0.2),
-        burst,
+        link: Link {
+            delay_micros: (random.unit() * random.unit() * 200_000.0) as i64,
+            jitter_micros: some(random, 0.7, 150_000.0) as i64,
+            loss: some(random, 0.7, 0.6),
+            duplication: some(random, 0.3, 0.3),
+            damage: some(random, 0.4, 0.2),
+            burst,
+        },
         rate_bytes_per_s: rate,
         is_shared,
         airtime_overhead_micros: if is_shared { random.below(3_000) as i64 } else { 0 },

@@ -15,10 +15,14 @@ pub(super) struct SimDisk {
     disk: MemoryDisk,
     random: Random,
     is_faulty: bool,
-    log: Option<StoreLog>,
+    run: Option<Run>,
+}
+
+/// What a run has on its disk.
+struct Run {
+    log: StoreLog,
     compaction: Option<Compaction>,
-    epochs: Option<EpochFile>,
-    pub(super) failures: u64,
+    epochs: EpochFile,
 }
 
 /// What a run finds on its disk.
@@ -36,9 +40,8 @@ impl Found {
 
 impl SimDisk {
     pub(super) fn new(seed: u64, number: usize, is_faulty: bool) -> Self {
-        let random = Random::new(seed, purpose::DISK + ((number as u64) << 32));
-        let (disk, log, compaction, epochs) = (MemoryDisk::default(), None, None, None);
-        Self { disk, random, is_faulty, log, compaction, epochs, failures: 0 }
+        let random = purpose::of_robot(seed, purpose::DISK, number);
+        Self { disk: MemoryDisk::default(), random, is_faulty, run: None }
     }
 
     /// The power comes back, and the robot looks at what is there.
@@ -72,17 +75,17 @@ impl SimDisk {
         // The next run relies on the clock then.
         let _ = epochs.keep(epoch);
         store.restore(robot, now);
-        self.log = Some(store.start(epoch).map_err(|error| error.to_string())?);
-        self.epochs = Some(epochs);
+        let log = store.start(epoch).map_err(|error| error.to_string())?;
+        self.run = Some(Run { log, compaction: None, epochs });
         Ok(())
     }
 
     /// Stores what an event says is to be stored.
     pub(super) fn note(&mut self, now: Stamp, event: &Event) {
-        let Some(log) = &mut self.log else { return };
+        let Some(Run { log, epochs, .. }) = &mut self.run else { return };
         if let Event::RunBegun(run) = event {
             log.note_epoch(run.epoch);
-            let _ = self.epochs.as_mut().map(|epochs| epochs.keep(run.epoch));
+            let _ = epochs.keep(run.epoch);
         }
         log.handle_timeout(now);
         log.note(now, event);
@@ -90,22 +93,18 @@ impl SimDisk {
 
     /// Lets a compaction go on, with no event of the robot left unread.
     pub(super) fn go_on(&mut self, robot: &Robot) {
-        let Some(log) = &mut self.log else { return };
-        if self.compaction.is_none() {
-            self.compaction = log.begin_compaction();
+        let Some(Run { log, compaction, .. }) = &mut self.run else { return };
+        if compaction.is_none() {
+            *compaction = log.begin_compaction();
         }
-        if let Some(compaction) = &mut self.compaction
-            && !compaction.step(robot)
-            && let Some(compaction) = self.compaction.take()
-        {
-            log.end_compaction(compaction.finish());
+        if let Some(done) = compaction.take_if(|compaction| !compaction.step(robot)) {
+            log.end_compaction(done.finish());
         }
     }
 
     /// The run ends, in the middle of whatever it was doing.
     pub(super) fn crash(&mut self) {
-        self.failures += self.log.take().map_or(0, |log| log.counters().failures);
-        (self.compaction, self.epochs) = (None, None);
+        self.run = None;
     }
 
     fn faults(&mut self) -> Faults {

@@ -87,30 +87,22 @@ impl Trouble {
         self.restarts as f64 / 12.0
     }
 
-    pub(super) fn words(&self) -> Vec<String> {
-        let mut words = Vec::new();
-        if self.restarts > 0 {
-            words.push(format!("a day in the field: {} restarts", self.restarts));
-        }
-        match self.boot {
-            Boot::GoesOn => {}
-            Boot::Repeats => words.push("every run begins at the same reading of its clock".to_owned()),
-            Boot::Rewinds => words.push("clocks are set back at each start".to_owned()),
-        }
-        if self.has_steps {
-            words.push("clocks that stamp scans are stepped while flying".to_owned());
-        }
-        if self.has_faulty_disks {
-            words.push("disks fail".to_owned());
-        }
-        if self.is_costly {
-            words.push("packages that cost more than they may".to_owned());
-        }
-        words
+    pub(super) fn notes(&self) -> Vec<String> {
+        let (restarts, boot) = (self.restarts, self.boot);
+        let field = format!("a day in the field: {restarts} restarts");
+        let notes = [
+            (restarts > 0, field.as_str()),
+            (boot == Boot::Repeats, "every run begins at the same reading of its clock"),
+            (boot == Boot::Rewinds, "clocks are set back at each start"),
+            (self.has_steps, "clocks that stamp scans are stepped while flying"),
+            (self.has_faulty_disks, "disks fail"),
+            (self.is_costly, "packages that cost more than they may"),
+        ];
+        notes.into_iter().filter(|(holds, _)| *holds).map(|(_, note)| note.to_owned()).collect()
     }
 }
 
-/// Small limits of one session, and what they are in words. Never so small that a robot that is there cannot be heard, or has no place.
+/// Small limits of one session, and what they are, as text. Never so small that a robot that is there cannot be heard, or has no place.
 pub(super) fn limit(
     random: &mut Random,
     session: &mut SessionConfig,
@@ -118,35 +110,35 @@ pub(super) fn limit(
     cast: Cast,
     radio: &RadioNumbers,
 ) -> String {
-    let mut words = Vec::new();
+    let mut notes = Vec::new();
     let least_peers = match radio.topology {
         Topology::Full | Topology::Star => robots - 1,
         Topology::Line | Topology::Ring => (robots - 1).min(2),
     };
     if random.happens(0.8) {
         session.streams_max = robots - 1 + random.below(4) as usize;
-        words.push(format!("{} streams", session.streams_max));
+        notes.push(format!("{} streams", session.streams_max));
     }
     if random.happens(0.5) {
         session.epochs_max = 1 + random.below(3) as usize;
-        words.push(format!("{} runs of a robot", session.epochs_max));
+        notes.push(format!("{} runs of a robot", session.epochs_max));
     }
     if random.happens(0.4) {
         session.store_bytes_max = 1_000 + random.below(6_000) as usize;
-        words.push(format!("a store of {} bytes", session.store_bytes_max));
+        notes.push(format!("a store of {} bytes", session.store_bytes_max));
     }
     if random.happens(0.5) {
         session.peers_max = least_peers + random.below(2) as usize;
-        words.push(format!("{} peers", session.peers_max));
+        notes.push(format!("{} peers", session.peers_max));
     }
     if random.happens(0.4) {
         let copies = if cast == Cast::Unicast { robots as u32 - 1 } else { 1 };
         let small = (400 * copies).max(500) + random.below(600) as u32;
         let budget = session.radio_bytes_per_s.map_or(small, |budget| budget.min(small));
         session.radio_bytes_per_s = Some(budget);
-        words.push(format!("{budget} bytes/s"));
+        notes.push(format!("{budget} bytes/s"));
     }
-    words.join(", ")
+    notes.join(", ")
 }
 
 /// Steps of the clock that stamps a robot's scans: when, and by how many microseconds.

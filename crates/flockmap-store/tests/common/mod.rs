@@ -75,7 +75,7 @@ impl Writer {
         self.notices.extend(std::iter::from_fn(|| self.log.poll_notice()));
     }
 
-    pub const fn counters(&self) -> StoreCounters {
+    pub fn counters(&self) -> StoreCounters {
         self.log.counters()
     }
 }
@@ -94,7 +94,7 @@ pub fn small_scan(random: &mut Random, stamp: Stamp) -> Scan {
     scan
 }
 
-/// Both robots fly; what the first one tells goes to its store. Returns the packages in the order of the store.
+/// Both robots fly; what the first one publishes goes to its store. Returns the packages in the order of the store.
 pub fn fly(
     swarm: &mut Swarm,
     writer: &mut Writer,
@@ -134,7 +134,7 @@ pub fn two(codec: Codec) -> Vec<RobotConfig> {
     (1..=2).map(|id| RobotConfig { codec, ..config(id) }).collect()
 }
 
-/// Layers voxel by voxel: the newest word on each.
+/// Layers voxel by voxel: the newest observation of each.
 #[derive(Clone, Default, PartialEq, Debug)]
 pub struct Model(pub BTreeMap<Stream, BTreeMap<Voxel, (Stamp, bool)>>);
 

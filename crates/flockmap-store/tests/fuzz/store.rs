@@ -45,17 +45,17 @@ fn honest() -> &'static [Package] {
                 let end = Stamp(i64::from(tick) * 100);
                 let batch = Batch { stream, start: end, end, resolution: resolution(), sensor: [0; 3] };
                 let base = Base { layer: Some(&layer), batches: &batches, readers: &[] };
-                let told =
+                let coded =
                     encoder.encode_batch_against(Codec::Flock, &batch, next, &changes, Some(&base), 400);
-                let told = told.expect("a batch that can be told");
+                let coded = coded.expect("a batch that can be coded");
                 layer.apply(&changes, end);
-                next += told.len() as u32;
+                next += coded.len() as u32;
                 batches.push((end, next - 1));
-                packages.extend(told);
+                packages.extend(coded);
             }
             let state = layer.snapshot().expect("something is known");
             let chunks = encoder.encode_snapshot(Codec::Flock, stream, next - 1, resolution(), &state, 300);
-            packages.extend(chunks.expect("a state that can be told"));
+            packages.extend(chunks.expect("a snapshot that can be coded"));
         }
         packages
     })

@@ -1,16 +1,16 @@
-//! Once links heal, all robots hold the same packages, and with them the same layers, within a time that follows from the settings.
+//! Once links heal, all robots have received the same packages, and with them the same layers, within a time that follows from the settings.
 //!
 //! Asked for is: of every run that still flies all packages, at every robot, whatever the limits are; of a run that has ended all that any
-//! robot holds, also beyond gaps. Left out are ended runs that a robot has forgotten, or for which it has no place (`streams_max`,
+//! robot has, also beyond gaps. Left out are ended runs that a robot has forgotten, or for which it has no place (`streams_max`,
 //! `epochs_max`), with those of the same robot before them; and ended runs that nobody passes on (`Relay::Never`).
 //!
-//! The time is the sum of: 50 s in which refused packages, declined snapshots and abandoned transfers are tried again; for
+//! The time is the sum of: 50 s in which backed-off packages, declined snapshots and abandoned transfers are tried again; for
 //! each hop four requests, and each robot's relay delay; and what all packages together take through the smallest budget, six times
 //! for each robot that has to get them. Where epochs come from clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
 
 use super::quiet::period_micros;
 use crate::swarm::truth::Truth;
-use flockmap::sync::Relay;
+use flockmap::sync::{IntervalSet, Relay};
 use flockmap::{Cast, Robot, RobotId, Stream};
 
 pub(in crate::swarm) const NAME: &str = "agreement";
@@ -33,15 +33,11 @@ pub(in crate::swarm) fn bound(
     let period = configs().map(period_micros).max().unwrap_or(0);
     let relay = configs().map(|config| 1_000 * i64::from(config.relay_delay_ms)).max().unwrap_or(0);
     let budgets = configs().flat_map(|config| {
-        let copies =
-            if config.cast == Cast::Unicast { (robots.len() as u64).saturating_sub(1).max(1) } else { 1 };
-        [
-            config.radio_bytes_per_s.map(|rate| u64::from(rate) / copies),
-            config.link_bytes_per_s.map(u64::from),
-        ]
+        let copies = if config.cast == Cast::Unicast { (robots.len() as u32).max(2) - 1 } else { 1 };
+        [config.radio_bytes_per_s.map(|rate| rate / copies), config.link_bytes_per_s]
     });
-    let budget = budgets.flatten().min().unwrap_or(2_000_000).max(1);
-    // Each package alone in its datagram.
+    let budget = u64::from(budgets.flatten().min().unwrap_or(2_000_000).max(1));
+    // Each package in a datagram of its own.
     let bytes = published_bytes + 80 * published_packages;
     let copies = robots.len() as u64;
     let sending = (6 * copies * bytes).saturating_mul(1_000_000) / budget;
@@ -68,12 +64,13 @@ pub(in crate::swarm) fn superseded(robots: &[&Robot]) -> Option<(RobotId, String
     })
 }
 
-/// The first thing that a robot lacks, in words; `None`: all agree.
+/// The first thing that a robot lacks, as text; `None`: all agree.
 pub(in crate::swarm) fn disagreement(
     truth: &Truth,
     robots: &[&Robot],
     forgotten: &Forgotten,
 ) -> Option<(RobotId, String)> {
+    let nothing = IntervalSet::new(0);
     for (stream, _) in truth.streams() {
         let is_alive = robots.iter().any(|robot| robot.own_stream() == stream);
         if !is_alive && !is_passed_on(robots, forgotten, stream) {
@@ -81,31 +78,19 @@ pub(in crate::swarm) fn disagreement(
         }
         for robot in robots {
             let id = robot.own_stream().origin;
-            let lacks = |low: u32, high: u32| {
-                let received = robot.session().received(stream)?;
-                received.missing(low, high).next()
-            };
-            let missing = |low: u32, high: u32| match robot.session().received(stream) {
-                None if low <= high => Some((low, high)),
-                None => None,
-                Some(_) => lacks(low, high),
-            };
+            let received = robot.session().received(stream).unwrap_or(&nothing);
             if is_alive {
-                if let Some((low, high)) = missing(1, truth.last(stream)) {
+                if let Some((low, high)) = received.missing(1, truth.last(stream)).next() {
                     return Some((id, format!("packages {low} to {high} of {stream:?}")));
                 }
                 continue;
             }
             for other in robots {
-                let received = other.session().received(stream);
-                let intervals = received.into_iter().flat_map(flockmap::sync::IntervalSet::intervals);
-                let gap = intervals.copied().find_map(|(low, high)| missing(low, high));
-                if let Some((low, high)) = gap {
+                let theirs = other.session().received(stream).unwrap_or(&nothing);
+                if let Some((low, high)) = theirs.difference(received).intervals().first() {
                     let whose = other.own_stream();
-                    return Some((
-                        id,
-                        format!("packages {low} to {high} of {stream:?}, which {whose:?} has"),
-                    ));
+                    let lacks = format!("packages {low} to {high} of {stream:?}, which {whose:?} has");
+                    return Some((id, lacks));
                 }
             }
         }
@@ -113,7 +98,7 @@ pub(in crate::swarm) fn disagreement(
     None
 }
 
-/// Whether some run that has ended is left out: then it may still be on its way to some robot when all agree.
+/// Whether some run that has ended is left out: then its packages may still be in flight to some robot when all agree.
 pub(in crate::swarm) fn leaves_out(truth: &Truth, robots: &[&Robot], forgotten: &Forgotten) -> bool {
     truth.streams().any(|(run, _)| {
         robots.iter().all(|robot| robot.own_stream() != run) && !is_passed_on(robots, forgotten, run)

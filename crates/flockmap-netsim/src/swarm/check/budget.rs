@@ -2,7 +2,7 @@
 //! of the robot's own clock.
 
 use super::Finding;
-use flockmap::{Cast, RobotId, SessionConfig, Stamp};
+use flockmap::{RobotId, SessionConfig, Stamp};
 use std::collections::{BTreeMap, VecDeque};
 
 const NAME: &str = "budget";
@@ -34,36 +34,24 @@ impl Budget {
         &mut self,
         config: &SessionConfig,
         now: Stamp,
-        peers: usize,
         bytes: usize,
         to: &[RobotId],
     ) -> Option<Finding> {
-        let copies = if config.cast == Cast::Unicast { peers.max(1) } else { 1 };
-        if let Some(rate) = config.radio_bytes_per_s
-            && let Some(found) = self.radio.add(rate, now, bytes * to.len().max(1), copies)
-        {
-            return Some(finding("radio_bytes_per_s", rate, found));
-        }
-        let rate = config.link_bytes_per_s?;
-        to.iter().find_map(|peer| {
-            let found = self.links.entry(*peer).or_default().add(rate, now, bytes, 1)?;
-            Some(finding("link_bytes_per_s", rate, found))
+        let copies = to.len().max(1);
+        let all = bytes * copies;
+        let radio = config.radio_bytes_per_s;
+        let radio = radio.and_then(|rate| self.radio.add("radio_bytes_per_s", rate, now, all, copies));
+        radio.or_else(|| {
+            let (rate, links) = (config.link_bytes_per_s?, &mut self.links);
+            let mut to = to.iter();
+            to.find_map(|to| links.entry(*to).or_default().add("link_bytes_per_s", rate, now, bytes, 1))
         })
     }
 }
 
-fn finding(option: &str, rate: u32, found: String) -> Finding {
-    let expected = if rate < THIN_BYTES_PER_S {
-        format!("{option}: in T seconds at most {FULL_DATAGRAM} + {rate} · T bytes")
-    } else {
-        format!("{option}: at most {rate} bytes in any second")
-    };
-    Finding { checker: NAME, expected, found }
-}
-
 impl Window {
     /// What is wrong after so many bytes more. `copies`: peers to whom one request has to fit, or nothing is promised.
-    fn add(&mut self, rate: u32, now: Stamp, bytes: usize, copies: usize) -> Option<String> {
+    fn add(&mut self, option: &str, rate: u32, now: Stamp, bytes: usize, copies: usize) -> Option<Finding> {
         let at_once = if rate < THIN_BYTES_PER_S { FULL_DATAGRAM as usize } else { rate as usize };
         let is_promised = copies * REQUEST_BYTES <= at_once;
         if rate < THIN_BYTES_PER_S {
@@ -72,18 +60,19 @@ impl Window {
             self.level = (self.level - since * i64::from(rate)).max(0) + bytes as i64 * 1_000_000;
             let over = self.level - FULL_DATAGRAM * 1_000_000;
             // A microsecond is the grain of the clock.
-            return (is_promised && over > i64::from(rate))
-                .then(|| format!("{} bytes more", over / 1_000_000));
+            return (is_promised && over > i64::from(rate)).then(|| {
+                let expected = format!("{option}: in T seconds at most {FULL_DATAGRAM} + {rate} · T bytes");
+                Finding::new(NAME, expected, format!("{} bytes more", over / 1_000_000))
+            });
         }
-        while let Some(&(at, old)) = self.sent.front()
-            && now.micros_since(at) >= 1_000_000
-        {
-            self.sent.pop_front();
+        while let Some((_, old)) = self.sent.pop_front_if(|(at, _)| now.micros_since(*at) >= 1_000_000) {
             self.sum -= old;
         }
         self.sent.push_back((now, bytes));
         self.sum += bytes;
-        (is_promised && self.sum > rate as usize)
-            .then(|| format!("{} bytes in the second before {now:?}", self.sum))
+        (is_promised && self.sum > rate as usize).then(|| {
+            let found = format!("{} bytes in the second before {now:?}", self.sum);
+            Finding::new(NAME, format!("{option}: at most {rate} bytes in any second"), found)
+        })
     }
 }

@@ -1,6 +1,6 @@
-//! The fused map of every robot says of every voxel what the words at hand say: the robot's own and those of the layers.
+//! The fused map of every robot says of every voxel what its own map and its layers say.
 //!
-//! Where they are one, it is that one. Where they differ and the clocks are known exactly, it is the newest (the own one is given the
+//! Where they say the same, it is that. Where they differ and the clocks are known exactly, it is the newest (the own one is given the
 //! priority of the configuration; at equal stamps Occupied). Where clocks are measured, it is one of them.
 
 use super::Finding;
@@ -31,58 +31,38 @@ pub(in crate::swarm) fn wrong_fused(
             .filter_map(|(stream, layer)| Some((stream.origin, *layer, layer.block(block)?)))
             .collect();
         for bit in 0..512 {
-            let mut words = published.iter().map(|(_, _, states)| states.get(bit)).chain([mapped.get(bit)]);
-            let (mut free, mut occupied) = (false, false);
-            words.by_ref().for_each(|state| match state {
-                State::Free => free = true,
-                State::Occupied => occupied = true,
-                State::Unknown => {}
-            });
-            let found = fused.get(bit);
-            let expected = match (free, occupied) {
-                (false, false) => State::Unknown,
-                (true, false) => State::Free,
-                (false, true) => State::Occupied,
-                (true, true) => {
-                    let [x, y, z] = bit_of(bit);
-                    let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
-                    let mut newest: Option<(Stamp, bool)> = None;
-                    let mut is_known = true;
-                    if mapped.get(bit) != State::Unknown {
-                        let seen = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
-                        newest = Some((seen.plus_micros(priority), mapped.get(bit) == State::Occupied));
-                    }
-                    for (origin, layer, _) in &published {
-                        let Some((state, stamp)) = layer.get(voxel) else { continue };
-                        match ahead(*origin) {
-                            Some(micros) => {
-                                let word = (stamp.plus_micros(micros), state == State::Occupied);
-                                newest = newest.max(Some(word));
-                            }
-                            None => is_known = false,
-                        }
-                    }
-                    match newest {
-                        Some((_, is_occupied)) if is_known => {
-                            if is_occupied {
-                                State::Occupied
-                            } else {
-                                State::Free
-                            }
-                        }
-                        _ if found == State::Unknown => State::Free,
-                        _ => found,
-                    }
+            let states = published.iter().map(|(_, _, states)| states.get(bit)).chain([mapped.get(bit)]);
+            let mut states = states.filter(|state| *state != State::Unknown);
+            let first = states.next().unwrap_or_default();
+            let (found, is_contested) = (fused.get(bit), states.any(|state| state != first));
+            if found == first && !is_contested {
+                continue;
+            }
+            let [x, y, z] = bit_of(bit);
+            let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
+            let expected = if is_contested {
+                let own = (mapped.get(bit) != State::Unknown).then(|| {
+                    let seen = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
+                    Some((seen.plus_micros(priority), mapped.get(bit) == State::Occupied))
+                });
+                // One of which the clock is not known leaves all of them open.
+                let all = published.iter().filter_map(|(origin, layer, _)| {
+                    let (state, stamp) = layer.get(voxel)?;
+                    Some(ahead(*origin).map(|micros| (stamp.plus_micros(micros), state == State::Occupied)))
+                });
+                let all: Option<Vec<_>> = all.chain(own).collect();
+                match all.and_then(|all| all.into_iter().max()) {
+                    Some((_, true)) => State::Occupied,
+                    Some((_, false)) => State::Free,
+                    None if found == State::Unknown => State::Free,
+                    None => found,
                 }
+            } else {
+                first
             };
             if found != expected {
-                let [x, y, z] = bit_of(bit);
-                let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
-                return Some(Finding {
-                    checker: NAME,
-                    expected: format!("{expected:?} at {voxel:?} in the fused map"),
-                    found: format!("{found:?}"),
-                });
+                let expected = format!("{expected:?} at {voxel:?} in the fused map");
+                return Some(Finding::new(NAME, expected, format!("{found:?}")));
             }
         }
     }

@@ -19,20 +19,17 @@ impl Identities {
     /// A robot starts.
     pub(in crate::swarm) fn started(&mut self, run: Stream, salt: Salt) -> Option<Finding> {
         let is_new = self.salts.insert(salt);
-        let salt = (!is_new).then(|| Finding {
-            checker: NAME,
-            expected: "a salt that no run had before".to_owned(),
-            found: format!("{salt:02x?} again, of {run:?}"),
+        let salt = (!is_new).then(|| {
+            Finding::new(NAME, "a salt that no run had before", format!("{salt:02x?} again, of {run:?}"))
         });
         self.begun(run).or(salt)
     }
 
     /// A run begins, at a start or while flying.
     pub(in crate::swarm) fn begun(&mut self, run: Stream) -> Option<Finding> {
-        (!self.runs.insert(run)).then(|| Finding {
-            checker: NAME,
-            expected: format!("an epoch that no run of {:?} had before", run.origin),
-            found: format!("{} again", run.epoch),
+        (!self.runs.insert(run)).then(|| {
+            let expected = format!("an epoch that no run of {:?} had before", run.origin);
+            Finding::new(NAME, expected, format!("{} again", run.epoch))
         })
     }
 }

@@ -1,9 +1,9 @@
-//! A robot's layer of an origin is at least as new as what that origin packed, at all indices held; the rest of what it may hold
-//! is the business of the checker `voxel`.
+//! A robot's layer of an origin is at least as new as what that origin published, in all packages received; what else it may have
+//! is what the checker `voxel` looks at.
 
 use super::Finding;
-use crate::swarm::truth::{Truth, Wrong};
-use flockmap::{Changes, Robot, Stream};
+use crate::swarm::truth::{Published, Truth};
+use flockmap::{Changes, Robot, Stream, Voxel};
 
 const NAME: &str = "layer";
 
@@ -14,20 +14,22 @@ pub(in crate::swarm) fn layer_after(
     stream: Stream,
     changes: &Changes,
 ) -> Option<Finding> {
-    let published = truth.published(stream)?;
-    let received = robot.session().received(stream)?;
-    let wrong = published.find_older(changes, robot.fusion().layer(stream), received)?;
-    Some(finding(stream, wrong))
+    older(truth.published(stream)?, robot, stream, changes.voxels().map(|(voxel, _)| voxel))
 }
 
-/// The whole layer. O(voxels that the origin told).
-pub(in crate::swarm) fn whole_layer(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
+/// The whole layer. O(voxels that the origin published).
+pub(super) fn whole_layer(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
     let published = truth.published(stream)?;
-    let received = robot.session().received(stream)?;
-    Some(finding(stream, published.find_older_in(robot.fusion().layer(stream), received)?))
+    older(published, robot, stream, published.voxels())
 }
 
-fn finding(stream: Stream, wrong: Wrong) -> Finding {
-    let expected = format!("{:?} of {stream:?}: {}", wrong.voxel, wrong.expected);
-    Finding { checker: NAME, expected, found: wrong.found }
+fn older(
+    published: &Published,
+    robot: &Robot,
+    stream: Stream,
+    voxels: impl Iterator<Item = Voxel>,
+) -> Option<Finding> {
+    let received = robot.session().received(stream)?;
+    let wrong = published.find_older(voxels, robot.fusion().layer(stream), received)?;
+    Some(Finding::of_voxel(NAME, stream, wrong))
 }

@@ -1,4 +1,4 @@
-//! The stated limits: `memory` on what a session and its robot hold, `in_flight` on packages sent and not yet confirmed.
+//! The stated limits: `memory` on what a session and its robot keep, `in_flight` on packages sent and not yet confirmed.
 
 use super::Finding;
 use flockmap::{Cast, Robot};
@@ -6,11 +6,11 @@ use flockmap::{Cast, Robot};
 const MEMORY: &str = "memory";
 const IN_FLIGHT: &str = "in_flight";
 
-/// Undecided packages and chunks, as the session states it.
+/// Pending packages and chunks, as the session states it.
 const PENDING_MAX: usize = 4_096;
-/// Refused ones that are remembered.
+/// Backed-off ones that are remembered.
 const BACKED_OFF_MAX: usize = 1_024;
-/// Packages that wait for their reference at a robot, and their bytes.
+/// Packages that wait for their base at a robot, and their bytes.
 const WAITING_MAX: usize = 1_024;
 const WAITING_BYTES_MAX: usize = 1 << 20;
 /// Intervals in the indices of one stream.
@@ -31,14 +31,14 @@ pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
         (MEMORY, "peers", load.peers, config.peers_max),
         (MEMORY, "streams of others", load.streams, config.streams_max),
         (MEMORY, "bytes in the store", session.store().bytes(), config.store_bytes_max),
-        (MEMORY, "packages undecided", load.pending, PENDING_MAX),
-        (MEMORY, "packages refused", load.backed_off, BACKED_OFF_MAX),
+        (MEMORY, "packages pending", load.pending, PENDING_MAX),
+        (MEMORY, "packages backed off", load.backed_off, BACKED_OFF_MAX),
         (MEMORY, "snapshots received at once", load.transfers, config.transfers_max),
         (MEMORY, "packages that wait", load.waiting, WAITING_MAX),
         (MEMORY, "bytes of packages that wait", load.waiting_bytes, WAITING_BYTES_MAX),
-        (MEMORY, "intervals held of a stream", intervals.unwrap_or(0), INTERVALS_MAX),
+        (MEMORY, "intervals received of a stream", intervals.unwrap_or(0), INTERVALS_MAX),
         (IN_FLIGHT, "packages in flight to a peer", load.in_flight_most, in_flight_max),
     ];
     let (checker, what, found, most) = limits.into_iter().find(|(_, _, found, most)| found > most)?;
-    Some(Finding { checker, expected: format!("{what}: at most {most}"), found: found.to_string() })
+    Some(Finding::new(checker, format!("{what}: at most {most}"), found.to_string()))
 }

@@ -27,7 +27,8 @@ pub(super) use still::Still;
 pub(super) use twice::Twice;
 pub(super) use work::Work;
 
-use flockmap::RobotId;
+use super::truth::{Truth, Wrong};
+use flockmap::{Robot, RobotId, Stream};
 
 pub(super) mod names {
     pub(in crate::swarm) use super::agreement::NAME as AGREEMENT;
@@ -39,9 +40,9 @@ pub(super) mod names {
     pub(in crate::swarm) const SETTINGS: &str = "settings";
 }
 
-pub(super) use layer::{layer_after, whole_layer};
+pub(super) use layer::layer_after;
 pub(super) use limits::limits;
-pub(super) use voxel::{voxels_of_merge, whole_voxels};
+pub(super) use voxel::voxels_of_merge;
 
 /// Something that must hold and did not.
 #[derive(Clone, PartialEq, Debug)]
@@ -64,4 +65,19 @@ pub(super) struct Finding {
     pub(super) checker: &'static str,
     pub(super) expected: String,
     pub(super) found: String,
+}
+
+impl Finding {
+    pub(super) fn new(checker: &'static str, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { checker, expected: expected.into(), found: found.into() }
+    }
+
+    fn of_voxel(checker: &'static str, stream: Stream, wrong: Wrong) -> Self {
+        Self::new(checker, format!("{:?} of {stream:?}: {}", wrong.voxel, wrong.expected), wrong.found)
+    }
+}
+
+/// The layer of a stream as a whole, by `voxel` and `layer`. O(voxels).
+pub(super) fn whole(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
+    voxel::whole_voxels(truth, robot, stream).or_else(|| layer::whole_layer(truth, robot, stream))
 }

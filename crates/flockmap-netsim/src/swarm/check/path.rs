@@ -13,7 +13,7 @@ const CHALLENGE_EVERY: i64 = 200_000;
 /// What one run of a robot asked and was answered.
 #[derive(Default)]
 pub(in crate::swarm) struct Paths {
-    /// Where each challenge went. Whoever answers it was there, whichever way the answer takes.
+    /// Where each challenge went. Whoever answers it was there, whichever path the answer takes.
     asked: BTreeMap<u64, Path>,
     answered: BTreeSet<Path>,
     /// Challenges to each run of a robot, and when the first was sent.
@@ -44,20 +44,14 @@ impl Paths {
             *count += 1;
             let most = 2 + (now - *first) / CHALLENGE_EVERY;
             if *count > most {
-                return Some(Finding {
-                    checker: NAME,
-                    expected: format!("at most {most} challenges to {to:?}"),
-                    found: format!("{count}"),
-                });
+                let expected = format!("at most {most} challenges to {to:?}");
+                return Some(Finding::new(NAME, expected, count.to_string()));
             }
         }
         if message.answer.is_some() {
             let Some(rest) = self.owed.checked_sub(1) else {
-                return Some(Finding {
-                    checker: NAME,
-                    expected: "no more answers than challenges that came".to_owned(),
-                    found: format!("one more, to {to:?}"),
-                });
+                let expected = "no more answers than challenges that came";
+                return Some(Finding::new(NAME, expected, format!("one more, to {to:?}")));
             };
             self.owed = rest;
         }
@@ -66,10 +60,9 @@ impl Paths {
 
     /// A path is one of those where what is for everyone goes.
     pub(in crate::swarm) fn used(&self, path: Path) -> Option<Finding> {
-        (!self.answered.contains(&path)).then(|| Finding {
-            checker: NAME,
-            expected: format!("nothing but PATH datagrams to {path:?}: no answer came back through it"),
-            found: "a datagram of another kind".to_owned(),
+        (!self.answered.contains(&path)).then(|| {
+            let expected = format!("nothing but PATH datagrams to {path:?}: no answer came back through it");
+            Finding::new(NAME, expected, "a datagram of another kind")
         })
     }
 }

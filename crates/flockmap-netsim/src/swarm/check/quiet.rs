@@ -2,7 +2,7 @@
 //! is quiet when nothing of them has flowed for a while, at the latest after the time in which all have to agree.
 
 use super::Finding;
-use flockmap::{Destination, Package, SessionConfig};
+use flockmap::{Package, RobotId, SessionConfig};
 
 const NAME: &str = "quiet";
 
@@ -14,7 +14,7 @@ pub(in crate::swarm) struct Quiet {
 }
 
 impl Quiet {
-    /// How long after agreement it is quiet: the last requests have told everybody.
+    /// How long after agreement it is quiet: everybody has got the last requests.
     pub(in crate::swarm) fn grace_micros(config: &SessionConfig) -> i64 {
         let period = period_micros(config);
         // An outsider may have made robots hear each other that do not.
@@ -32,25 +32,21 @@ impl Quiet {
         &mut self,
         config: &SessionConfig,
         now: i64,
-        to: Destination,
+        to: Option<RobotId>,
         packages: Option<&[Package]>,
     ) -> Option<Finding> {
         let since = now - self.from?;
         if let Some(packages) = packages {
             let what = packages.iter().map(|package| (package.header().stream, package.header().index));
-            return Some(Finding {
-                checker: NAME,
-                expected: "requests only: nobody misses anything".to_owned(),
-                found: format!("to {to:?}: packages {:?}", what.collect::<Vec<_>>()),
-            });
+            let found = format!("to {to:?}: packages {:?}", what.collect::<Vec<_>>());
+            return Some(Finding::new(NAME, "requests only: nobody misses anything", found));
         }
         self.requests += 1;
         let shortest = 900 * i64::from(config.request_period_idle_ms.min(config.request_period_active_ms));
         let most = 2 + (since / shortest.max(1)) as u64;
-        (self.requests > most).then(|| Finding {
-            checker: NAME,
-            expected: format!("at most {most} requests in {:.3} s", since as f64 / 1e6),
-            found: format!("{}", self.requests),
+        (self.requests > most).then(|| {
+            let expected = format!("at most {most} requests in {:.3} s", since as f64 / 1e6);
+            Finding::new(NAME, expected, self.requests.to_string())
         })
     }
 }

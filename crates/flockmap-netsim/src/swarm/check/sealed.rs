@@ -3,7 +3,7 @@
 
 use super::Finding;
 use flockmap::sync::wire::{Salt, SealedDatagram};
-use flockmap::{Destination, RobotId, Stream};
+use flockmap::{RobotId, Stream};
 use rustc_hash::FxHashSet;
 
 const NONCE: &str = "nonce";
@@ -13,26 +13,25 @@ const KEY: &str = "key";
 #[derive(Default)]
 pub(in crate::swarm) struct Sealed {
     sent: FxHashSet<(Salt, Option<RobotId>, u64)>,
-    /// Receiver, sender, whether it was for the receiver alone, counter.
+    /// Receiver, sender, whether it was for the receiver only, counter.
     taken: FxHashSet<(Stream, Stream, bool, u64)>,
 }
 
 impl Sealed {
-    /// A robot with a key sends.
-    pub(in crate::swarm) fn sent(&mut self, to: Destination, salt: Salt, bytes: &[u8]) -> Option<Finding> {
+    /// A robot with a key sends, to one or (`to` is `None`) to all.
+    pub(in crate::swarm) fn sent(
+        &mut self,
+        to: Option<RobotId>,
+        salt: Salt,
+        bytes: &[u8],
+    ) -> Option<Finding> {
         let Ok(datagram) = SealedDatagram::new_checked(bytes) else {
-            let expected = "a sealed datagram".to_owned();
-            return Some(Finding { checker: KEY, expected, found: "one that is not".to_owned() });
+            return Some(Finding::new(KEY, "a sealed datagram", "one that is not"));
         };
         let (sender, counter) = (datagram.sender(), datagram.counter());
-        let recipient = match to {
-            Destination::Peer(robot) => Some(robot),
-            Destination::Everyone => None,
-        };
-        (!self.sent.insert((salt, recipient, counter))).then(|| Finding {
-            checker: NONCE,
-            expected: format!("a counter that {sender:?} has not used for {recipient:?} before"),
-            found: format!("{counter} again"),
+        (!self.sent.insert((salt, to, counter))).then(|| {
+            let expected = format!("a counter that {sender:?} has not used for {to:?} before");
+            Finding::new(NONCE, expected, format!("{counter} again"))
         })
     }
 
@@ -45,17 +44,13 @@ impl Sealed {
     ) -> Option<Finding> {
         let datagram = SealedDatagram::new_checked(bytes).ok();
         let Some(datagram) = datagram.filter(|_| is_genuine) else {
-            let expected = "that what an outsider made is refused".to_owned();
-            return Some(Finding { checker: KEY, expected, found: "it was taken".to_owned() });
+            return Some(Finding::new(KEY, "that what an outsider made is refused", "it was taken"));
         };
         let (sender, counter) = (datagram.sender(), datagram.counter());
         // Own ones that are heard back are counted, and nothing else.
         let is_new = sender.origin == receiver.origin
             || self.taken.insert((receiver, sender, datagram.is_for_one(), counter));
-        (!is_new).then(|| Finding {
-            checker: KEY,
-            expected: format!("datagram {counter} of {sender:?} taken once"),
-            found: "taken again".to_owned(),
-        })
+        (!is_new)
+            .then(|| Finding::new(KEY, format!("datagram {counter} of {sender:?} taken once"), "taken again"))
     }
 }

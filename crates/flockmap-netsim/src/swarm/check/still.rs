@@ -20,10 +20,8 @@ impl Still {
             (self.at, self.calls) = (now, 0);
         }
         self.calls += 1;
-        (self.calls > CALLS_MAX).then(|| Finding {
-            checker: NAME,
-            expected: format!("at most {CALLS_MAX} calls and datagrams at one moment"),
-            found: "one more".to_owned(),
+        (self.calls > CALLS_MAX).then(|| {
+            Finding::new(NAME, format!("at most {CALLS_MAX} calls and datagrams at one moment"), "one more")
         })
     }
 }

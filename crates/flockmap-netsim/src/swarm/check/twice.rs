@@ -1,8 +1,8 @@
-//! Nothing is sent twice to a peer within a round trip, and nothing that the peer has said it holds.
+//! Nothing is sent twice to a peer within a round trip, and nothing that the peer has reported as received.
 //!
-//! Within the shortest time in which a word of the peer can have come back, nobody can know of a loss: a copy sent in that time
+//! Within the shortest time in which a report of the peer can have come back, nobody can know of a loss: a copy sent in that time
 //! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with, on its own clock; what it has found lost by then stays lost.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
-//! send are allowed, and counted as relayed. A chunk that is broadcast for one peer while another one begins the same set may go
+//! send are allowed, and counted as relayed. A chunk that is broadcast for one peer while another one begins the same snapshot may go
 //! out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions that compare successive requests (the paper's) measure no round trip and are
 //! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
 
@@ -15,7 +15,7 @@ use rustc_hash::FxHashMap;
 
 const NAME: &str = "twice";
 
-/// A package by its index, or a chunk by its set and number.
+/// A package by its index, or a chunk by its snapshot and number.
 type Item = (Stream, u32, Option<(u32, u32)>);
 
 /// What one robot knows of another, as the simulator sees it.
@@ -29,7 +29,7 @@ struct Pair {
     measured: Option<Stamp>,
 }
 
-/// All that one run of a robot sent and was told.
+/// All that one run of a robot sent, and what the others reported to it.
 #[derive(Default)]
 pub(in crate::swarm) struct Twice {
     peers: FxHashMap<RobotId, Pair>,
@@ -61,8 +61,7 @@ impl Twice {
     ) {
         let pair = self.peers.entry(header.sender.origin).or_default();
         let mut peers = robot.session().peers();
-        let is_measured = peers.any(|p| p.stream == header.sender && p.round_trip_micros.is_some());
-        if is_measured {
+        if peers.any(|peer| peer.stream == header.sender && peer.round_trip_micros.is_some()) {
             pair.measured.get_or_insert(now);
         }
         if pair.request.as_ref().is_none_or(|(stamp, _)| *stamp < header.stamp) {
@@ -97,7 +96,7 @@ impl Twice {
         for package in packages {
             let header = package.header();
             let chunk = match header.content {
-                ContentKind::Snapshot { set, chunk, .. } => Some((set, chunk)),
+                ContentKind::Snapshot { set: id, chunk, .. } => Some((id, chunk)),
                 ContentKind::Changes => None,
             };
             let item = (header.stream, header.index, chunk);
@@ -112,15 +111,13 @@ impl Twice {
                 let pair = self.peers.entry(peer).or_default();
                 let says_received = chunk.is_none()
                     && pair.request.as_ref().is_some_and(|(_, request)| {
-                        request
-                            .received
-                            .iter()
-                            .any(|received| received.stream == item.0 && received.received.contains(item.1))
+                        let mut of = request.received.iter().filter(|of| of.stream == item.0);
+                        of.any(|of| of.received.contains(item.1))
                     });
-                // To one that says to hold it nothing is sent, even if it hears it: it may take its word back.
+                // To one that reports it as received nothing is sent, even if it hears it: it may take that back.
                 let before = if says_received || *is_full { None } else { pair.sent.insert(item, now) };
                 if says_received {
-                    reasons.push(format!("{peer:?} has said that it holds it"));
+                    reasons.push(format!("{peer:?} has reported it as received"));
                 } else if let Some((before, shown)) = before
                     && is_noted
                     && now.0 - before < round_trip
@@ -136,18 +133,11 @@ impl Twice {
             }
             if reasons.len() == peers.len() {
                 let what = match chunk {
-                    Some((set, chunk)) => format!("chunk {chunk} of set {set:08x} of {:?}", item.0),
+                    Some((id, chunk)) => format!("chunk {chunk} of snapshot {id:08x} of {:?}", item.0),
                     None => format!("package {} of {:?}", item.1, item.0),
                 };
-                return Some(Finding {
-                    checker: NAME,
-                    expected: format!("a reason to send {what}"),
-                    found: if reasons.is_empty() {
-                        "no peer that hears".to_owned()
-                    } else {
-                        reasons.join("; ")
-                    },
-                });
+                let found = if reasons.is_empty() { "no peer that hears" } else { &reasons.join("; ") };
+                return Some(Finding::new(NAME, format!("a reason to send {what}"), found));
             }
         }
         None

@@ -1,12 +1,12 @@
-//! A layer of an origin never holds a state and stamp for a voxel that this origin never told.
+//! A layer of an origin never has a state and stamp of a voxel that this origin never published.
 
 use super::Finding;
-use crate::swarm::truth::{Truth, Wrong};
+use crate::swarm::truth::Truth;
 use flockmap::{Changes, Robot, Stamp, Stream};
 
 const NAME: &str = "voxel";
 
-/// After a package was merged: everything that it said was told by the batch that it is of. O(blocks).
+/// After a package was merged: everything that it says was published with the stamp of its batch. O(voxels of the package).
 pub(in crate::swarm) fn voxels_of_merge(
     truth: &Truth,
     stream: Stream,
@@ -15,23 +15,19 @@ pub(in crate::swarm) fn voxels_of_merge(
     stamp: Stamp,
 ) -> Option<Finding> {
     let Some(published) = truth.published(stream) else {
-        return Some(Finding {
-            checker: NAME,
-            expected: "a stream that somebody made".to_owned(),
-            found: format!("package {index} of {stream:?}"),
-        });
+        let found = format!("package {index} of {stream:?}");
+        return Some(Finding::new(NAME, "a stream that somebody made", found));
     };
-    let wrong = published.find_unpublished(changes, stamp)?;
-    Some(finding(stream, &wrong))
+    let wrong = published.find_unpublished(changes.voxels().map(|(voxel, state)| (voxel, state, stamp)))?;
+    Some(Finding::of_voxel(NAME, stream, wrong))
 }
 
 /// The whole layer. O(voxels).
-pub(in crate::swarm) fn whole_voxels(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
+pub(super) fn whole_voxels(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
     let (published, layer) = (truth.published(stream)?, robot.fusion().layer(stream)?);
-    Some(finding(stream, &published.find_untold_in(layer)?))
-}
-
-fn finding(stream: Stream, wrong: &Wrong) -> Finding {
-    let expected = format!("{:?} of {stream:?}: {}", wrong.voxel, wrong.expected);
-    Finding { checker: NAME, expected, found: wrong.found.clone() }
+    let voxels = layer.voxels().filter_map(|(voxel, _)| {
+        let (state, stamp) = layer.get(voxel)?;
+        Some((voxel, state, stamp))
+    });
+    Some(Finding::of_voxel(NAME, stream, published.find_unpublished(voxels)?))
 }

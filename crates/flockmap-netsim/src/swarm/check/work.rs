@@ -45,21 +45,14 @@ impl Work {
         if has_waited {
             self.carried += allowed;
         }
-        if steps <= allowed {
-            return None;
-        }
-        let more = steps - allowed;
-        if more <= self.carried {
-            self.carried -= more;
-            return None;
-        }
-        Some(Finding {
-            checker: NAME,
-            expected: format!(
+        let Some(rest) = self.carried.checked_sub(steps.saturating_sub(allowed)) else {
+            let expected = format!(
                 "at most {allowed} steps for {bytes} bytes with {packages} packages, and {} for packages that waited",
                 self.carried
-            ),
-            found: format!("{steps} steps"),
-        })
+            );
+            return Some(Finding::new(NAME, expected, format!("{steps} steps")));
+        };
+        self.carried = rest;
+        None
     }
 }

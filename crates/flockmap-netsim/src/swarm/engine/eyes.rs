@@ -1,4 +1,4 @@
-//! What a robot says and sends goes past the checkers.
+//! What a robot reports and sends goes past the checkers.
 
 use crate::swarm::broken;
 use crate::swarm::check::{self, Failure, Finding, names};
@@ -7,17 +7,17 @@ use crate::swarm::datagram::{Content, Keys};
 use crate::swarm::member::{Input, Member};
 use crate::swarm::outsider::Outsider;
 use crate::swarm::purpose;
+use crate::swarm::report::Seen;
 use crate::swarm::settings::Settings;
 use crate::swarm::truth::Truth;
 use crate::{Addressees, Datagram, Delivery, IP_UDP_BYTES, Watch};
-use flockmap::{Cast, Destination, Event, RobotId, Stamp, Stream};
+use flockmap::{Cast, Event, RobotId, Stamp, Stream};
 use flockmap_worlds::random::Random;
 use std::collections::BTreeMap;
 
 /// What the simulator knows of a flight, and what it has found.
 pub(super) struct Eyes {
     pub(super) settings: Settings,
-    robots: usize,
     pub(super) is_mapping: bool,
     broken: Random,
     pub(super) outsider: Option<Outsider>,
@@ -32,7 +32,7 @@ pub(super) struct Eyes {
     pub(super) at_work: Option<RobotId>,
     pub(super) failure: Option<Failure>,
     pub(super) events: Vec<(f64, String)>,
-    pub(super) seen: BTreeMap<&'static str, u64>,
+    pub(super) seen: Seen,
     pub(super) steps: u64,
     /// When packages were sent last.
     pub(super) last_packages: i64,
@@ -45,7 +45,6 @@ impl Eyes {
         let seed = settings.options.seed;
         let outsider = settings.key.is_some().then(|| Outsider::new(Random::new(seed, purpose::OUTSIDER)));
         Self {
-            robots: settings.members.len(),
             is_mapping: true,
             broken: Random::new(seed, purpose::BROKEN),
             outsider,
@@ -58,7 +57,7 @@ impl Eyes {
             at_work: None,
             failure: None,
             events: Vec::new(),
-            seen: BTreeMap::new(),
+            seen: Seen::new(),
             steps: 0,
             last_packages: 0,
             now: 0,
@@ -66,8 +65,8 @@ impl Eyes {
         }
     }
 
-    pub(super) fn say(&mut self, words: String) {
-        self.events.push((self.now as f64 / 1e6, words));
+    pub(super) fn say(&mut self, what: String) {
+        self.events.push((self.now as f64 / 1e6, what));
     }
 
     pub(super) fn found(&mut self, robot: RobotId, found: Option<Finding>) {
@@ -83,7 +82,7 @@ impl Eyes {
         self.failure.get_or_insert(Failure { checker, robot, at_s, expected, found });
     }
 
-    /// Takes what a robot tells.
+    /// Takes the events of a robot.
     fn drain(&mut self, number: usize, member: &mut Member) {
         let id = member.settings.config.id;
         let now = member.settings.clock.shows(self.now);
@@ -95,8 +94,8 @@ impl Eyes {
             match event {
                 Event::BatchClosed { changes, packages, .. } => {
                     if let Err(found) = self.truth.note_batch(&changes, &packages) {
-                        let expected = "packages that say what their batch changed".to_owned();
-                        self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
+                        let expected = "packages that say what their batch changed";
+                        self.fail(Some(id), Finding::new(names::PACKED, expected, found));
                     }
                 }
                 Event::Merged { stream, index, batch_end, changes, .. } => {
@@ -108,13 +107,11 @@ impl Eyes {
                         continue;
                     }
                     let found = check::voxels_of_merge(&self.truth, stream, index, &changes, batch_end);
-                    self.found(id, found);
-                    let found = check::layer_after(&self.truth, &robot, stream, &changes);
+                    let found = found.or_else(|| check::layer_after(&self.truth, &robot, stream, &changes));
                     self.found(id, found);
                 }
                 Event::CaughtUp { stream, .. } => {
-                    self.found(id, check::whole_voxels(&self.truth, &robot, stream));
-                    self.found(id, check::whole_layer(&self.truth, &robot, stream));
+                    self.found(id, check::whole(&self.truth, &robot, stream));
                 }
                 Event::RunBegun(run) => {
                     let found = self.identities.begun(run);
@@ -134,9 +131,8 @@ impl Eyes {
                 }
                 Event::PeerSeen(peer) | Event::PeerLost(peer) => member.twice.forget(peer.origin),
                 Event::EncodeFailed(error) => {
-                    let expected = "changes that can be coded".to_owned();
-                    let found = error.to_string();
-                    self.found(id, Some(Finding { checker: names::PACKED, expected, found }));
+                    let found = Finding::new(names::PACKED, "changes that can be coded", error.to_string());
+                    self.fail(Some(id), found);
                 }
                 _ => {}
             }
@@ -170,10 +166,8 @@ impl Watch<Member> for Eyes {
     fn called(&mut self, _now: Stamp, number: usize, member: &mut Member) {
         let id = member.settings.config.id;
         let now = member.settings.clock.shows(self.now);
-        let (Some(robot), input) = (&member.robot, std::mem::replace(&mut member.input, Input::Other)) else {
-            return;
-        };
-        if let Input::Datagram { bytes, is_genuine, is_taken } = input {
+        let (Some(robot), input) = (&member.robot, member.input.take()) else { return };
+        if let Some(Input { bytes, is_genuine, is_taken }) = input {
             let read = if is_taken { self.keys.read(&bytes, id) } else { None };
             let packages = match &read {
                 Some((_, Content::Packages(packages))) => packages.len(),
@@ -208,11 +202,7 @@ impl Watch<Member> for Eyes {
         let now = member.settings.clock.shows(self.now);
         let (to, path) = member.sent;
         let Some(robot) = &member.robot else { return };
-        let reader = match to {
-            Destination::Peer(peer) => peer,
-            Destination::Everyone => id,
-        };
-        let (packages, message) = match self.keys.read(&datagram.bytes, reader) {
+        let (packages, message) = match self.keys.read(&datagram.bytes, to.unwrap_or(id)) {
             Some((_, Content::Packages(packages))) => (Some(packages), None),
             Some((_, Content::Path(message))) => (None, Some(message)),
             _ => (None, None),
@@ -226,45 +216,37 @@ impl Watch<Member> for Eyes {
             self.found(id, found);
         }
         if let Some(outsider) = &mut self.outsider {
-            outsider.hear(self.now + self.settings.radio.delay_micros.max(0), &datagram.bytes);
+            outsider.hear(self.now + self.settings.radio.link.delay_micros.max(0), &datagram.bytes);
         }
         let config = robot.session().config();
-        let is_broadcast = config.cast == Cast::Broadcast;
-        let peers = || robot.session().peers().map(|peer| peer.stream.origin);
-        let counted: Vec<RobotId> = match to {
-            Destination::Peer(peer) => vec![peer],
-            Destination::Everyone => peers().collect(),
+        let peers = robot.session().peers().map(|peer| peer.stream.origin);
+        let counted: Vec<RobotId> = match (config.cast, to) {
+            // One datagram, whoever hears it.
+            (Cast::Broadcast, _) => Vec::new(),
+            (Cast::Unicast, Some(peer)) => vec![peer],
+            (Cast::Unicast, None) => peers.collect(),
         };
         let bytes = datagram.bytes.len() + IP_UDP_BYTES;
-        let mut found = if is_broadcast {
-            // One datagram, whoever hears it.
-            member.budget.sent(config, now, 1, bytes, &[])
-        } else {
-            member.budget.sent(config, now, counted.len(), bytes, &counted)
-        };
+        let mut found = member.budget.sent(config, now, bytes, &counted);
         // Those about paths have a checker of their own.
         if message.is_none() {
             found = found.or_else(|| member.quiet.sent(config, self.now, to, packages.as_deref()));
         }
         if let Some(packages) = &packages {
-            let one = match to {
-                Destination::Peer(peer) => Some(peer),
-                Destination::Everyone => None,
-            };
             // There and back, at the least.
-            let round_trip = 2 * self.settings.radio.delay_micros.max(0);
-            found = found.or_else(|| member.twice.sent(robot, (self.now, now), one, packages, round_trip));
+            let round_trip = 2 * self.settings.radio.link.delay_micros.max(0);
+            found = found.or_else(|| member.twice.sent(robot, (self.now, now), to, packages, round_trip));
         }
         if self.settings.has_paths {
             let paths = &mut member.paths;
             let used = match (to, path) {
-                (Destination::Everyone, _) => robot.session().paths().find_map(|(_, path)| paths.used(path)),
-                (Destination::Peer(to), Some(path)) => {
+                (None, _) => robot.session().paths().find_map(|(_, path)| paths.used(path)),
+                (Some(to), Some(path)) => {
                     let run = robot.session().peers().find(|peer| peer.stream.origin == to);
                     let run = run.map_or(Stream { origin: to, epoch: 0 }, |peer| peer.stream);
                     paths.sent(self.now, run, path, message.as_ref())
                 }
-                (_, None) => None,
+                (Some(_), None) => None,
             };
             found = found.or(used);
         }
@@ -283,7 +265,7 @@ impl Watch<Member> for Eyes {
     fn settled(&mut self, _now: Stamp, number: usize, member: &mut Member) {
         self.drain(number, member);
         if let Some(robot) = &member.robot
-            && (self.robots <= 8 || self.steps.is_multiple_of(16))
+            && (self.settings.members.len() <= 8 || self.steps.is_multiple_of(16))
         {
             self.found(member.settings.config.id, check::limits(robot));
         }

@@ -1,10 +1,11 @@
 //! What is done now and then: links heal, all have to agree, it has to be quiet, and whole layers are looked at.
 
-use super::{Engine, LOOK_EVERY, LOOK_WHOLE_EVERY, Phase, QUIET_PERIODS};
+use super::{Engine, LOOK_EVERY, LOOK_WHOLE_EVERY, Phase, QUIET_PERIODS, pairs};
 use crate::swarm::check::{self, Finding, names};
+use crate::swarm::member::NEVER;
 use crate::swarm::preset::Topology;
-use crate::{Faults, Link, Node};
-use flockmap::{Robot, RobotId};
+use crate::{Link, Node};
+use flockmap::{Robot, RobotId, SessionConfig};
 use std::collections::BTreeMap;
 
 impl Engine {
@@ -31,13 +32,7 @@ impl Engine {
                 self.next_look = until;
             }
             Phase::Grace { until, .. } if self.eyes.now >= until => {
-                let longest = self
-                    .network
-                    .nodes()
-                    .iter()
-                    .map(|m| check::period_micros(&m.settings.config.session))
-                    .max();
-                let until = self.eyes.now + QUIET_PERIODS * longest.unwrap_or(0);
+                let until = self.eyes.now + QUIET_PERIODS * self.longest(check::period_micros);
                 self.network.nodes_mut().iter_mut().for_each(|member| member.quiet.begin(self.eyes.now));
                 self.phase = Phase::Quiet { until };
                 self.next_look = until;
@@ -54,54 +49,46 @@ impl Engine {
     /// Mapping ends, links heal.
     pub(super) fn heal(&mut self) {
         let numbers = self.eyes.settings.radio;
-        let link = Link {
-            delay_micros: numbers.delay_micros,
-            jitter_micros: numbers.jitter_micros,
-            ..Link::default()
-        };
-        for a in 0..self.network.nodes().len() {
-            for b in (0..self.network.nodes().len()).filter(|b| a != *b) {
-                let (from, to) = (self.network.nodes()[a].id(), self.network.nodes()[b].id());
-                self.network.radio_mut().set_link(from, to, link);
-                self.network.radio_mut().set_faults(from, to, Faults::default());
-                let is_linked = numbers.is_linked(a, b, self.network.nodes().len());
-                self.network.radio_mut().set_open(from, to, is_linked);
-            }
+        let Link { delay_micros, jitter_micros, .. } = numbers.link;
+        let link = Link { delay_micros, jitter_micros, ..Link::PERFECT };
+        let count = self.network.nodes().len();
+        for (a, b) in pairs(count) {
+            let (from, to) = (self.network.ids()[a], self.network.ids()[b]);
+            self.network.radio_mut().set_link(from, to, link);
+            self.network.radio_mut().set_open(from, to, numbers.is_linked(a, b, count));
         }
         self.next_action = self.eyes.settings.plan.len();
-        // Who is gone stays gone only where nobody is heard by way of it.
+        self.eyes.outsider.iter_mut().for_each(|outsider| outsider.next = NEVER);
+        self.costly.iter_mut().for_each(|costly| costly.next = NEVER);
+        // Who is gone stays gone only where nobody is heard through it.
         if numbers.topology != Topology::Full || self.eyes.settings.trouble.restarts > 0 {
-            for number in 0..self.network.nodes().len() {
+            for number in 0..count {
                 if self.network.nodes()[number].robot.is_none() {
-                    self.eyes.events.push((
-                        self.eyes.now as f64 / 1e6,
-                        format!("restart of {:?}", self.network.nodes()[number].id()),
-                    ));
+                    self.eyes.say(format!("restart of {:?}", self.network.ids()[number]));
                     self.start(number);
                 }
             }
         }
-        let published: Vec<(u64, u64)> = self
-            .eyes
-            .truth
-            .streams()
-            .map(|(stream, published)| (published.bytes, u64::from(self.eyes.truth.last(stream))))
-            .collect();
-        let bytes: u64 = published.iter().map(|(bytes, _)| bytes).sum();
-        let packages: u64 = published.iter().map(|(_, packages)| packages).sum();
-        let robots: Vec<&Robot> =
-            self.network.nodes().iter().filter_map(|member| member.robot.as_ref()).collect();
-        let hops = numbers.hops(self.network.nodes().len());
+        let truth = &self.eyes.truth;
+        let bytes: u64 = truth.streams().map(|(_, published)| published.bytes).sum();
+        let packages: u64 = truth.streams().map(|(stream, _)| u64::from(truth.last(stream))).sum();
         let may_begin_anew = self.eyes.settings.trouble.has_epochs_of_clocks();
         // What is not packed yet is as much again at the most.
-        self.agreement_within =
-            check::bound(&robots, hops, 2 * bytes + 10_000, 2 * packages + 10, may_begin_anew);
+        let (bytes, packages) = (2 * bytes + 10_000, 2 * packages + 10);
+        let hops = numbers.hops(count);
+        self.agreement_within = check::bound(&self.robots(), hops, bytes, packages, may_begin_anew);
         if let Some(seconds) = self.eyes.settings.options.until_agreement_s {
             self.agreement_within = i64::from(seconds) * 1_000_000;
         }
         self.eyes.is_mapping = false;
         self.phase = Phase::Healing { until: self.eyes.now + self.agreement_within };
-        self.eyes.events.push((self.eyes.now as f64 / 1e6, "mapping ends, links heal".to_owned()));
+        self.eyes.say("mapping ends, links heal".to_owned());
+    }
+
+    /// The longest that some time of a session is, of all robots.
+    fn longest(&self, micros: impl Fn(&SessionConfig) -> i64) -> i64 {
+        let nodes = self.network.nodes().iter();
+        nodes.map(|member| micros(&member.settings.config.session)).max().unwrap_or(0)
     }
 
     pub(super) fn robots(&self) -> Vec<&Robot> {
@@ -128,24 +115,23 @@ impl Engine {
             } else if self.eyes.now >= until {
                 let within = self.agreement_within as f64 / 1e6;
                 let expected = format!("all packages everywhere {within:.1} s after links healed");
-                let found = format!("it lacks {lacks}");
-                self.eyes.found(robot, Some(Finding { checker: names::AGREEMENT, expected, found }));
+                let found = Finding::new(names::AGREEMENT, expected, format!("it lacks {lacks}"));
+                self.eyes.fail(Some(robot), found);
             }
             return;
         }
         self.agreement = Some(self.eyes.now - self.eyes.settings.mapping);
-        self.eyes.events.push((self.eyes.now as f64 / 1e6, "all agree".to_owned()));
+        self.eyes.say("all agree".to_owned());
         self.look_at_everything();
         if self.eyes.settings.options.until_agreement_s.is_some() {
             self.phase = Phase::Over;
             return;
         }
-        let grace =
-            self.network.nodes().iter().map(|m| check::Quiet::grace_micros(&m.settings.config.session)).max();
         // What waits at the radio is sent first: who hears an old request answers it.
         let waiting = self.network.radio().last_due().map_or(0, |last| (last.0 - self.eyes.now).max(0));
-        let travel = self.eyes.settings.radio.delay_micros + self.eyes.settings.radio.jitter_micros;
-        let grace = grace.unwrap_or(0) + waiting + 4 * travel;
+        let link = self.eyes.settings.radio.link;
+        let travel = link.delay_micros + link.jitter_micros;
+        let grace = self.longest(check::Quiet::grace_micros) + waiting + 4 * travel;
         let leaves_out = check::leaves_out(&self.eyes.truth, &self.robots(), &self.forgotten());
         let more = if leaves_out { self.agreement_within } else { 0 };
         let grace = if leaves_out { grace + check::pause_of_relays(&self.robots()) } else { grace };
@@ -156,9 +142,7 @@ impl Engine {
     pub(super) fn look_at_dirty_layers(&mut self) {
         for (number, stream) in core::mem::take(&mut self.eyes.dirty) {
             let Some(robot) = &self.network.nodes()[number].robot else { continue };
-            let found = check::whole_voxels(&self.eyes.truth, robot, stream)
-                .or_else(|| check::whole_layer(&self.eyes.truth, robot, stream));
-            let id = robot.own_stream().origin;
+            let (id, found) = (robot.own_stream().origin, check::whole(&self.eyes.truth, robot, stream));
             self.eyes.found(id, found);
         }
     }
@@ -172,8 +156,7 @@ impl Engine {
         for robot in &robots {
             let own = robot.own_stream();
             for (stream, _) in robot.fusion().layers() {
-                let found = check::whole_voxels(&self.eyes.truth, robot, stream)
-                    .or_else(|| check::whole_layer(&self.eyes.truth, robot, stream));
+                let found = check::whole(&self.eyes.truth, robot, stream);
                 findings.extend(found.map(|found| (own.origin, found)));
             }
             let ahead = |other: RobotId| {
@@ -183,11 +166,9 @@ impl Engine {
             findings.extend(check::wrong_fused(robot, ahead).map(|found| (own.origin, found)));
         }
         if let Some((robot, found)) = check::unequal_layer(&robots) {
-            let expected = "equal layers, since all packages are held".to_owned();
-            findings.push((robot, Finding { checker: names::AGREEMENT, expected, found }));
+            let expected = "equal layers, since all packages are received";
+            findings.push((robot, Finding::new(names::AGREEMENT, expected, found)));
         }
-        for (robot, found) in findings {
-            self.eyes.found(robot, Some(found));
-        }
+        findings.into_iter().for_each(|(robot, found)| self.eyes.fail(Some(robot), found));
     }
 }
