@@ -3,17 +3,17 @@
 use flockmap_grid::{BLOCK_SIDE, Layer, Stamp, VOXEL_LIMIT, Voxel, VoxelBox};
 
 /// What every receiver of a batch will hold of its stream: all packages before it.
-/// [`Codec::Flock`](crate::Codec::Flock) tells a batch against that in fewer bytes; the other codecs do not
+/// [`Codec::Flock`](crate::Codec::Flock) codes a batch against that in fewer bytes; the other codecs do not
 /// look at it.
 #[derive(Clone, Copy, Debug)]
 pub struct Base<'a> {
-    /// What the packages before the batch said, all of them. `None`: the batch is told without, so that
+    /// What the packages before the batch said, all of them. `None`: the batch is coded independent, so that
     /// nobody has to wait for what is still to be repaired. It takes more bytes.
     pub layer: Option<&'a Layer>,
     /// End of each batch before and the index of its last package, ascending. May begin with the first batch
     /// that is still remembered; may be empty, then packages name the one before their batch.
     pub batches: &'a [(Stamp, u32)],
-    /// Index and box of the newest packages before that were told against a layer, ascending. A package of
+    /// Index and box of the newest packages before that were coded against a layer, ascending. A package of
     /// the batch that changes what one of them looked at names it too: a receiver that merged it first could
     /// not decode the other any more.
     pub readers: &'a [(u32, VoxelBox)],

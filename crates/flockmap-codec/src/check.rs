@@ -11,7 +11,7 @@ use crate::codec::Codec;
 pub(crate) fn of_package(header: &[u8], payload: &[u8], content: &Hasher) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(header);
-    // No payload comes near the end of a `u32`: the box of the largest is told in 2²⁷ times a few bytes.
+    // No payload comes near the end of a `u32`: that of the largest box takes 2²⁷ times a few bytes.
     hasher.update(&(payload.len() as u32).to_le_bytes());
     hasher.combine(content);
     hasher.finalize()
@@ -32,9 +32,14 @@ pub(crate) fn of_chunk(parts: &[(Stamp, Changes)], sensors: &[(Stamp, [i32; 3])]
     hasher
 }
 
-/// Tells sets of chunks apart: the check of a whole snapshot, of the packages that it contains, and of all
-/// that decides how it is cut and coded, since chunks may be told against each other.
-pub(crate) fn of_set(codec: Codec, bytes_max: usize, [since, upto]: [u32; 2], state: &SnapshotVoxels) -> u32 {
+/// The id of a snapshot: a check of its whole state, of the packages that it contains, and of all that decides
+/// how it is cut and coded, since chunks may be coded against each other.
+pub(crate) fn snapshot_id(
+    codec: Codec,
+    bytes_max: usize,
+    [since, upto]: [u32; 2],
+    state: &SnapshotVoxels,
+) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(&[codec.id()]);
     hasher.update(&(bytes_max as u64).to_le_bytes());

@@ -7,7 +7,7 @@ use core::str::FromStr;
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 #[non_exhaustive]
 pub enum Codec {
-    /// 2 bits for each voxel of the box in nested order. The floor that the others are measured from.
+    /// 2 bits for each voxel of the box in nested order: what the others are measured from.
     Raw = 0,
     /// As `Raw`, then zlib level 6: the other half of the paper's Table II.
     NestedZlib = 1,
@@ -16,7 +16,7 @@ pub enum Codec {
     Paper = 2,
     /// The paper's baseline: for each changed voxel a 32-bit address in the box and a byte of state.
     Racer = 3,
-    /// Flockmap's own: decisions of an arithmetic coder with trained contexts, told against what the
+    /// Flockmap's own: decisions of an arithmetic coder with trained contexts, coded against what the
     /// receivers hold (`docs/codec.md`). A third of the bytes of `Paper` and less.
     Flock = 4,
 }

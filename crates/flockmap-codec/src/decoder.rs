@@ -42,8 +42,7 @@ impl Decoder {
     ///
     /// # Errors
     /// [`PackageError::BaseSuperseded`] if a later batch or a snapshot has been applied to a block that the
-    /// package builds on: what it was before is gone, and the package can only be replaced by a present
-    /// state.
+    /// package builds on: what it was before is gone, and the package can only be replaced by a snapshot.
     pub fn decode_against(
         &mut self,
         package: &Package,
@@ -140,8 +139,8 @@ impl Decoder {
     }
 }
 
-/// The chunks of one set that have been read, from the first on. In [`Codec::Flock`] each chunk is told against
-/// those before it; in the other codecs each can be read alone. Holds as much as a [`Layer`] of what was
+/// The chunks of one snapshot that have been read, from the first on. In [`Codec::Flock`] each chunk is coded
+/// against those before it; in the other codecs each is independent. Holds as much as a [`Layer`] of what was
 /// read.
 #[derive(Clone, Debug, Default)]
 pub struct ChunksRead {
@@ -155,7 +154,7 @@ impl ChunksRead {
         self.next
     }
 
-    /// Blocks told of so far.
+    /// Blocks with a known voxel so far.
     pub fn block_count(&self) -> usize {
         self.coded.block_count()
     }

@@ -56,10 +56,10 @@ impl Encoder {
     }
 
     /// The changes of a batch as packages of at most `bytes_max` bytes each, numbered from `first_index`.
-    /// Each has a tight box of its own and is useful alone; no two share a voxel. No changes: no packages.
+    /// Each has a tight box of its own and is of use without the others; no two share a voxel. No changes: no packages.
     ///
     /// The changes are cut in two across the longest side of their box until each piece fits. What a piece
-    /// will take is foretold from the pieces before it, so that few are encoded in vain.
+    /// will take is forecast from the pieces before it, so that few are encoded in vain.
     pub fn encode_batch(
         &mut self,
         codec: Codec,
@@ -71,7 +71,7 @@ impl Encoder {
         self.encode_batch_against(codec, batch, first_index, changes, None, bytes_max)
     }
 
-    /// As [`Self::encode_batch`], told against what the receivers hold already. Their headers say in
+    /// As [`Self::encode_batch`], coded against what the receivers hold already. Their headers say in
     /// `base` which packages a receiver must have before it can decode them, with
     /// [`Decoder::decode_against`](crate::Decoder::decode_against).
     pub fn encode_batch_against(
@@ -89,12 +89,12 @@ impl Encoder {
         check_batch(batch, first_index, changes)?;
         check_limit(bytes_max)?;
         // Only `flock` builds on what was before, and there is nothing before the first package.
-        let may_refer = codec == Codec::Flock && first_index > 1;
-        let base = base.filter(|_| may_refer);
+        let may_build = codec == Codec::Flock && first_index > 1;
+        let base = base.filter(|_| may_build);
         let room = |number: usize, region: &VoxelBox| {
             let index = u32::try_from(number).map_or(u32::MAX, |number| first_index.saturating_add(number));
-            // The reference is not known yet: one to the first package takes most.
-            let longest = Header { base: may_refer.into(), ..changes_header(codec, batch, index, *region) };
+            // The base is not known yet: the first package takes most bytes to name.
+            let longest = Header { base: may_build.into(), ..changes_header(codec, batch, index, *region) };
             bytes_max.saturating_sub(longest.byte_len())
         };
         let drafts = if codec == Codec::Flock {
@@ -124,7 +124,7 @@ impl Encoder {
     /// all before it, are in `state`. Always at least one chunk: where nothing is known, one that says so of a
     /// single voxel.
     ///
-    /// Chunks of [`Codec::Flock`] are told one against the other, see [`ChunksRead`](crate::ChunksRead). They
+    /// Chunks of [`Codec::Flock`] are coded one against the other, see [`ChunksRead`](crate::ChunksRead). They
     /// are those of [`Codec::Paper`] where that takes fewer bytes.
     pub fn encode_snapshot(
         &mut self,
@@ -169,7 +169,7 @@ impl Encoder {
         if codec != Codec::Flock || is_settled {
             return Ok(chunks);
         }
-        // A history without a pattern: the paper's way may be shorter.
+        // A history without a pattern: the paper's codec may be shorter.
         let paper = encode(Codec::Paper)?;
         Ok(if chunks.is_empty() || bytes(&paper) < bytes(&chunks) { paper } else { chunks })
     }
@@ -183,7 +183,7 @@ impl Encoder {
         state: &SnapshotVoxels,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
-        let set = check::of_set(codec, bytes_max, [since, upto], state);
+        let set = check::snapshot_id(codec, bytes_max, [since, upto], state);
         let header = |region: VoxelBox, [batch_start, batch_end]: [Stamp; 2], chunk, chunks| Header {
             stream,
             index: upto,

@@ -1,11 +1,11 @@
-//! What can be wrong with a package, and with a wish to make one.
+//! What can be wrong with a package, and with a call to make one.
 
 use flockmap_grid::BaseSuperseded;
 
 use crate::codec::Codec;
 use crate::limits::{BOX_VOXELS_MAX, FORMAT_VERSION, PACKAGE_BYTES_MIN};
 
-/// Bytes that are no package, or a package that does not decode to what was encoded. Its sender or the way is
+/// Bytes that are no package, or a package that does not decode to what was encoded. Its sender or the link is
 /// at fault, or it is of a newer Flockmap; nothing of it may be used. Ask for it again.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -85,8 +85,8 @@ pub enum PackageError {
         /// The newest package that is needed.
         base: u32,
     },
-    /// A chunk that is told against the chunks of its set before it, and is not the next of them.
-    #[error("chunks of this snapshot are told one against the other; chunk {chunk} of the set comes next")]
+    /// A chunk that is coded against the chunks of its snapshot before it, and is not the next of them.
+    #[error("chunks of this snapshot are coded one against the other; chunk {chunk} comes next")]
     ChunkMissing {
         /// The number of the chunk that comes next.
         chunk: u32,

@@ -26,7 +26,7 @@ pub struct Header {
     /// the stream. 0: none is needed. Always below `index`; 0 in a snapshot.
     pub base: u32,
     /// Whether the payload can be decoded without what earlier packages said. Its `base` is then only
-    /// what has to be merged first: an earlier package that is told against what this one changes. True for a
+    /// what has to be merged first: an earlier package that is coded against what this one changes. True for a
     /// snapshot, and where `base` is 0.
     pub is_independent: bool,
     /// Side of a voxel.
@@ -47,18 +47,18 @@ pub enum ContentKind {
     /// What changed in one batch; voxels of the box that are not named stay as they are.
     Changes,
     /// One chunk of the state of the stream after packages 1 to `index`, or of the part of it that packages
-    /// after `since` made. Who has packages 1 to `since` and all chunks of the set knows all that packages 1
+    /// after `since` made. Who has packages 1 to `since` and all chunks of the snapshot knows all that packages 1
     /// to `index` said.
     Snapshot {
         /// 0: the whole state. Else the chunks hold every voxel whose newest change is in the packages from
         /// `since` + 1 to `index`, and may hold others. Below `index`.
         since: u32,
-        /// Tells sets apart: a check of the whole state that was cut into chunks. Chunks of different sets must
-        /// not be counted together.
+        /// The id of the snapshot: a check of the whole state that was cut into chunks. Chunks with different ids
+        /// must not be counted together.
         set: u32,
         /// Number of this chunk, from 0.
         chunk: u32,
-        /// Number of chunks in the set, at least 1.
+        /// Number of chunks of the snapshot, at least 1.
         chunks: u32,
     },
 }
@@ -77,7 +77,7 @@ pub(crate) const CHECK_BYTES: usize = 4;
 
 const KIND_CHANGES: u8 = 0;
 const KIND_SNAPSHOT: u8 = 1;
-/// Changes that are told without what was before, and are to be merged after their reference.
+/// Changes that are coded without what was before, and are to be merged after their base.
 const KIND_INDEPENDENT: u8 = 2;
 /// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority; bit 7:
 /// the box is made of whole blocks, and counted in these.
@@ -165,7 +165,7 @@ impl Header {
         }
         let (content, base) = if kind == KIND_SNAPSHOT {
             let since = read_back(&mut reader, index, "since", "a span begins after an earlier package")?;
-            let set = reader.u32_le("set")?;
+            let set = reader.u32_le("snapshot id")?;
             let chunk = reader.number("chunk", u32_max)? as u32;
             let chunks = reader.number("chunks", u32_max)? as u32;
             if chunk >= chunks {
@@ -173,7 +173,7 @@ impl Header {
             }
             (ContentKind::Snapshot { since, set, chunk, chunks }, 0)
         } else {
-            let base = read_back(&mut reader, index, "reference", "a reference is an earlier package")?;
+            let base = read_back(&mut reader, index, "base", "a base is an earlier package")?;
             if base == 0 && kind == KIND_INDEPENDENT {
                 return Err(wrong("who is to be merged after another names it"));
             }
@@ -219,7 +219,7 @@ fn read_back(
     }
 }
 
-/// Real robots take the seconds since 1970 for their epoch, and their clocks tell the microseconds: what is
+/// Real robots take the seconds since 1970 for their epoch, and their clocks count microseconds: what is
 /// left of a stamp is the time since the run began, which is short. Any other epoch does no harm.
 fn epoch_micros(epoch: u64) -> i64 {
     i64::from(seconds_of_epoch(epoch)) * 1_000_000
@@ -237,7 +237,7 @@ fn read_resolution(reader: &mut Fields<'_>) -> Result<Resolution, PackageError> 
     u32::try_from(micrometres)
         .ok()
         .and_then(Resolution::from_micrometres)
-        // There is one way to write each.
+        // There is one form of each.
         .filter(|resolution| resolution_code(*resolution) == code)
         .ok_or(PackageError::Header {
             rule: "the resolution is 1,000 to 100,000,000 micrometres in its shorter form",

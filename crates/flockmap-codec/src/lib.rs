@@ -17,10 +17,10 @@
 //! | `piece`, `draft`, `deflate` | changes cut in two; what has no header yet; zlib |
 //! | `paper/` | two bits for each voxel along a Hilbert walk, then zlib; and what the paper compares with |
 //! | `flock/` | decisions of an arithmetic coder with trained contexts |
-//! | `encoder`, `decoder` | the way in and out: both codecs behind one face |
+//! | `encoder`, `decoder` | both codecs behind one face |
 //!
-//! `paper/` and `flock/` have the same shape: encode a batch, decode a batch, encode a snapshot (a present
-//! state), decode a chunk (a chunk) of one. They know payloads and no headers.
+//! `paper/` and `flock/` have the same shape: encode a batch, decode a batch, encode a snapshot,
+//! decode a chunk of one. They know payloads and no headers.
 //!
 //! ```
 //! use flockmap_codec::{Codec, Content, Batch, Encoder, PACKAGE_BYTES_MAX, Package};
@@ -38,11 +38,11 @@
 //!     sensor: [0, 0, 16],
 //! };
 //! let mut encoder = Encoder::new();
-//! let packages = encoder.encode_cycle(Codec::Paper, &batch, 1, &changes, PACKAGE_BYTES_MAX)?;
+//! let packages = encoder.encode_batch(Codec::Paper, &batch, 1, &changes, PACKAGE_BYTES_MAX)?;
 //! assert_eq!(packages.len(), 1);
 //!
 //! let received = Package::parse(packages[0].bytes())?;
-//! assert_eq!(received.header().cycle_end, Stamp(500_000));
+//! assert_eq!(received.header().batch_end, Stamp(500_000));
 //! assert_eq!(received.decode()?, Content::Changes(changes));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -30,8 +30,8 @@ pub enum Content {
 }
 
 impl Package {
-    /// Takes the bytes of exactly one package, no more and no less: where it ends is told by what carries it.
-    /// Reads its header; the payload is not looked at, and only [`Self::decode`] tells whether the package is
+    /// Takes the bytes of exactly one package, no more and no less: what carries it says where it ends.
+    /// Reads its header; the payload is not looked at, and only [`Self::decode`] finds whether the package is
     /// whole. Holds a copy of `bytes` and about 150 bytes more.
     pub fn parse(bytes: &[u8]) -> Result<Self, PackageError> {
         let (header, tail, _) = Header::read(bytes)?;

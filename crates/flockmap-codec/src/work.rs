@@ -12,7 +12,7 @@ const STEPS_PER_BYTE: u64 = 192;
 /// Steps that a payload may ask for beside, however short it is: its header has about as many bytes.
 pub(crate) const STEPS_FREE: u64 = 6_144;
 
-/// A block of 8³ voxels that a payload tells of, once for each stamp.
+/// A block of 8³ voxels with changes in a payload, once for each stamp.
 pub(crate) const BLOCK_STEPS: u64 = 128;
 /// A payload, or a section of one, in the model of `flock`.
 pub(crate) const SECTION_STEPS: u64 = 1_024;
@@ -23,7 +23,7 @@ const KNOWN_STEPS: u64 = 8;
 /// A block that `flock` says has changed: its surroundings are put together, its rows gone through and put
 /// back.
 pub(crate) const CHANGED_STEPS: u64 = 128;
-/// A block whose cells are taken in, of which something was known or is told: once, whatever looks at it.
+/// A block whose cells are taken in, of which something was known or changes: once, whatever looks at it.
 pub(crate) const TAKEN_IN_STEPS: u64 = 24;
 /// A decision by itself; a row whose unknown voxels are decided one by one, beside one step for each decision
 /// of these.
@@ -37,7 +37,7 @@ pub(crate) const GAP_CODED_BLOCK_STEPS: u64 = 320;
 const PLACES_PER_STEP: u64 = 4;
 /// Voxels of a zlib stream for one step.
 const VOXELS_PER_STEP: u64 = 32;
-/// A group of codes that tells of a voxel, and each byte of it that does.
+/// A group of codes that sets a voxel, and each byte of it that does.
 const GROUP_STEPS: u64 = 128;
 const CODE_BYTE_STEPS: u64 = 12;
 /// Where a chunk has stamps: voxels of its box for one step, and steps for each known voxel.
@@ -64,12 +64,12 @@ pub(crate) const fn bytes_for(steps: u64, spare: u64) -> usize {
     steps.saturating_sub(spare).div_ceil(STEPS_PER_BYTE) as usize
 }
 
-/// Steps for a zlib stream that tells so many voxels.
+/// Steps for a zlib stream of so many voxels.
 pub(crate) const fn of_stream(voxels: u64) -> u64 {
     voxels.div_ceil(VOXELS_PER_STEP)
 }
 
-/// Steps for so many groups of codes that tell of a voxel, with so many bytes that do.
+/// Steps for so many groups of codes that set a voxel, with so many bytes that do.
 pub(crate) const fn of_codes(groups: u64, bytes: u64) -> u64 {
     groups * GROUP_STEPS + bytes * CODE_BYTE_STEPS
 }

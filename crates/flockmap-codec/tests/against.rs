@@ -1,4 +1,4 @@
-//! Batches of `flock` told against what the receiver holds: right in every order, from wherever they were seen, and never wrong.
+//! Batches of `flock` coded against what the receiver holds: right in every order, from wherever they were seen, and never wrong.
 
 mod common;
 
@@ -48,7 +48,7 @@ fn content(decoder: &mut Decoder, package: &Package, layer: &Layer) -> Result<Ch
     }
 }
 
-/// Tells the batches one after the other. The receiver takes the packages of each in any order, some of them twice.
+/// Sends the batches one after the other. The receiver takes the packages of each in any order, some of them twice.
 fn check(
     batches: &[Changes],
     sensors: &[[i32; 3]],

@@ -69,7 +69,7 @@ fn with_box(package: &Package, size: [u32; 3]) -> Vec<u8> {
     for side in size {
         varint(u64::from(side.div_ceil(unit)) - 1, &mut bytes);
     }
-    // No reference, a check, a payload.
+    // No base, a check, a payload.
     bytes.extend([0; 5]);
     bytes.extend(&package.bytes()[package.bytes().len() - 1000..]);
     bytes
@@ -147,7 +147,7 @@ fn memory_stays_within_the_stated_limits() {
     a_snapshot_takes_few_bytes_for_each_known_voxel();
 }
 
-/// A layer of some 300,000 voxels whose blocks were each told of by a hundred batches or more: a wall of noise that thickens.
+/// A layer of some 300,000 voxels whose blocks were each changed by a hundred batches or more: a wall of noise that thickens.
 fn layer_of_many_stamps() -> Layer {
     let mut layer = Layer::default();
     let mut random = common::Random(7);
@@ -231,7 +231,7 @@ fn flock_holds_what_it_says_and_no_more_the_second_time() {
     let kept = HELD.load(Ordering::Relaxed) - held;
     // No more blocks than are known can be beside one.
     assert!(kept < 40_000 + 550 * layer.block_count(), "{kept}");
-    // From now on nothing but what is returned, and lists of it on the way.
+    // From now on nothing but what is returned, and lists of it meanwhile.
     let held = HELD.load(Ordering::Relaxed);
     for package in &packages {
         let (peak, _) = peak_of(|| decode(package));

@@ -141,7 +141,7 @@ fn honest_packages() -> Vec<(String, Vec<u8>)> {
     }
     for (name, changes) in contents() {
         for seed in [1, 6, 23, 64, 117] {
-            // The layer goes by the box of the package, which is that of a package told alone.
+            // The layer goes by the box of the package, which is that of an independent package.
             let alone = encoder.encode_whole(Codec::Flock, &batch, 7, &changes).unwrap();
             let layer = decode::layer_beside(&alone.header().region, batch.end, seed);
             let base = Base { layer: layer.as_ref(), batches: &[(Stamp(0), 3)], readers: &[] };

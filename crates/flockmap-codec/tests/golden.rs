@@ -2,7 +2,7 @@
 //! wherever no version of zlib has a say.
 //!
 //! After a change of layout, which is a change of [`FORMAT_VERSION`]: `FLOCKMAP_BLESS=1 cargo test -p flockmap-codec
-//! --test golden` writes new files, and its failure tells the new [`LAYOUT`]; keep the old files if the old version can
+//! --test golden` writes new files, and its failure says the new [`LAYOUT`]; keep the old files if the old version can
 //! still be read, or else to hold that it is refused.
 
 mod common;
@@ -59,7 +59,7 @@ struct Golden {
     name: String,
     package: Package,
     content: Content,
-    /// What the package is told against.
+    /// What the package is coded against.
     layer: Option<Layer>,
     /// Its bytes must be those of the file.
     same_bytes: bool,

@@ -174,7 +174,7 @@ fn two_voxels_with_much_empty_space_between_them_go_in_two_packages() {
     assert_eq!(join_chunks(&chunks.unwrap(), PACKAGE_BYTES_MAX), state.parts);
 }
 
-/// Not so in net changes. But whoever lost a batch, or starts again with the layer of before, may tell what was told.
+/// Not so in net changes. But whoever lost a batch, or starts again with the layer of before, may send what was sent.
 #[test]
 fn a_voxel_that_is_told_again_what_it_is_goes_in_a_package_told_alone() {
     let wall = |ys: core::ops::Range<i32>, state| {
@@ -294,7 +294,11 @@ fn chunks_of_flock_go_in_order_and_tell_where_the_sensor_was() {
 
     // After other chunks than its own a chunk says nothing.
     state.sensors.clear();
-    assert_ne!(encode(&state)[0].header().content, chunks[0].header().content, "sets are told apart");
+    assert_ne!(
+        encode(&state)[0].header().content,
+        chunks[0].header().content,
+        "each snapshot has its own id"
+    );
     let others = encode(&snapshot(&changes, 3, 2));
     let mut before = ChunksRead::default();
     let last = chunks.len().min(others.len()) - 1;
@@ -377,5 +381,5 @@ fn a_batch_in_the_forest_has_the_expected_sizes() {
     assert!(paper.1 / paper.0 < 1.09, "splitting costs no more than 9 %");
     assert!(paper.2 > 0.7 * PACKAGE_BYTES_MAX as f64, "packages are well filled");
     assert!(racer.1 / paper.1 > 8.0, "eight times fewer bytes than the list of addresses");
-    assert!(paper.0 / flock.1 > 1.5, "in datagrams, and told against nothing, still far below the paper");
+    assert!(paper.0 / flock.1 > 1.5, "in datagrams, and coded against nothing, still far below the paper");
 }

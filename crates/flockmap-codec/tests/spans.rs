@@ -1,4 +1,4 @@
-//! Packages, spans and whole states in any order: the newest word on each voxel stays.
+//! Packages, spans and whole states in any order: the newest state of each voxel stays.
 
 mod common;
 
@@ -9,7 +9,7 @@ use flockmap_codec::{Batch, ChunksRead, Codec, Content, Decoder, Encoder, PACKAG
 use flockmap_grid::{Changes, Layer, Stamp, State, Voxel};
 use proptest::prelude::*;
 
-/// The newest word on each voxel, Occupied first at equal stamps.
+/// The newest state of each voxel, Occupied first at equal stamps.
 type Naive = BTreeMap<Voxel, (Stamp, bool)>;
 
 fn note(naive: &mut Naive, changes: &Changes, stamp: Stamp) {
@@ -106,7 +106,7 @@ proptest! {
                 }
             }
             assert_same(&layer, &naive)?;
-            // What counts as held is known: the layer has every word of it, or a newer one.
+            // What counts as received is known: the layer has every voxel of it, or a newer state.
             let prefix = (1..held.len()).take_while(|index| held[*index]).count();
             let mut merged = layer.clone();
             if let Some(state) = after[prefix].snapshot() {

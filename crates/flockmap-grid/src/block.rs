@@ -1,6 +1,6 @@
 //! The states of the 8³ voxels of a block as bit planes, so that work is done 64 voxels at a time.
 
-use crate::{State, Voxel};
+use crate::{BlockIndex, State, Voxel};
 
 /// Voxels in a block.
 pub const BLOCK_VOXELS: usize = 512;
@@ -17,6 +17,60 @@ pub const fn voxel_bit(voxel: Voxel) -> usize {
 /// The place of a bit in its block: x, y, z, each 0 … 7. Inverse of [`voxel_bit`].
 pub const fn bit_of(bit: usize) -> [i32; 3] {
     [(bit & 7) as i32, ((bit >> 3) & 7) as i32, ((bit >> 6) & 7) as i32]
+}
+
+impl BlockIndex {
+    /// The voxel with this bit number (0 … 511) in the planes of the block.
+    pub const fn voxel(self, bit: usize) -> Voxel {
+        let (corner, [x, y, z]) = (self.corner(), bit_of(bit));
+        Voxel { x: corner.x + x, y: corner.y + y, z: corner.z + z }
+    }
+}
+
+/// The numbers of the bits (0 … 511) that are set in a plane, ascending.
+pub fn set_bits(plane: &Plane) -> impl Iterator<Item = usize> + use<> {
+    let plane = *plane;
+    (0..8).flat_map(move |z| {
+        let mut left = plane[z];
+        core::iter::from_fn(move || {
+            let bit = z * 64 + left.trailing_zeros() as usize;
+            (left != 0).then(|| {
+                left &= left - 1;
+                bit
+            })
+        })
+    })
+}
+
+/// Whether a bit is set in both planes.
+pub fn meet(a: &Plane, b: &Plane) -> bool {
+    a.iter().zip(b).any(|(a, b)| a & b != 0)
+}
+
+/// Lowest and highest x, y, z (0 … 7) of the set bits; `[7; 3]` and `[0; 3]` if none is set.
+pub(crate) fn extent(plane: &Plane) -> ([i32; 3], [i32; 3]) {
+    let all = plane.iter().fold(0, |all, slice| all | slice);
+    let columns = all.to_le_bytes().into_iter().fold(0, |columns, row| columns | row);
+    let first_z = plane.iter().position(|slice| *slice != 0).unwrap_or(7);
+    let last_z = plane.iter().rposition(|slice| *slice != 0).unwrap_or(0);
+    let low = [columns.trailing_zeros().min(7), all.trailing_zeros().min(63) / 8, first_z as u32];
+    let high = [7 - columns.leading_zeros().min(7), 7 - all.leading_zeros().min(63) / 8, last_z as u32];
+    (low.map(|at| at as i32), high.map(|at| at as i32))
+}
+
+/// The voxels of a block that lie in the box from `low` to `high`.
+pub(crate) fn plane_within(block: BlockIndex, low: Voxel, high: Voxel) -> Plane {
+    let corner = block.corner();
+    // Of one axis: a bit for each place within.
+    let within = |low: i32, high: i32, corner: i32| {
+        let [from, to] = [low - corner, high - corner + 1].map(|end| end.clamp(0, 8));
+        (1u64 << to) - (1 << from.min(to))
+    };
+    let row = within(low.x, high.x, corner.x);
+    let rows = within(low.y, high.y, corner.y);
+    let slice = (0..8).filter(|y| rows >> y & 1 == 1).fold(0, |slice, y| slice | row << (8 * y));
+    let slices = within(low.z, high.z, corner.z);
+    core::array::from_fn(|z| slice * (slices >> z & 1))
 }
 
 /// The states of a block: each voxel Free, Occupied or neither (Unknown; in a set of changes: unchanged).

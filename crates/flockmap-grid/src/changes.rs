@@ -1,7 +1,7 @@
 //! A set of voxels with their new state: what one map package says.
 
-use crate::block::{bit_of, voxel_bit};
-use crate::{BlockIndex, Plane, State, StateBlock, Voxel, VoxelBox};
+use crate::block::{extent, plane_within, set_bits, voxel_bit};
+use crate::{BlockIndex, State, StateBlock, Voxel, VoxelBox};
 
 /// Voxels that changed and the state that each has now, Free or Occupied. A change to Unknown is never sent
 /// (Sec. III-B of the paper), so a voxel that is neither is unchanged.
@@ -71,17 +71,9 @@ impl Changes {
 
     /// Every changed voxel with its new state, block by block.
     pub fn voxels(&self) -> impl Iterator<Item = (Voxel, State)> + '_ {
-        self.blocks.iter().flat_map(|(index, block)| {
-            let corner = index.corner();
-            let known = block.known();
-            (0..8).flat_map(move |z| {
-                Bits(known[z]).map(move |bit| {
-                    let bit = z * 64 + bit;
-                    let [x, y, z] = bit_of(bit);
-                    (Voxel::new(corner.x + x, corner.y + y, corner.z + z), block.get(bit))
-                })
-            })
-        })
+        self.blocks
+            .iter()
+            .flat_map(|(index, block)| set_bits(&block.known()).map(|bit| (index.voxel(bit), block.get(bit))))
     }
 
     /// As [`Self::voxels`], without borrowing.
@@ -94,8 +86,7 @@ impl Changes {
         let mut min = [i32::MAX; 3];
         let mut max = [i32::MIN; 3];
         for (index, block) in &self.blocks {
-            let known = block.known();
-            let (low, high) = extent(&known);
+            let (low, high) = extent(&block.known());
             let corner = index.corner();
             for (axis, c) in [corner.x, corner.y, corner.z].into_iter().enumerate() {
                 min[axis] = min[axis].min(c + low[axis]);
@@ -113,73 +104,17 @@ impl Changes {
         let mut blocks = Vec::new();
         for (index, block) in &self.blocks {
             if let Some(part) = index.voxel_box().intersection(region) {
-                let block =
-                    if part.volume() == 512 { *block } else { block.masked(&plane_of(*index, &part)) };
+                let block = if part.volume() == 512 {
+                    *block
+                } else {
+                    block.masked(&plane_within(*index, part.min(), part.max()))
+                };
                 if !block.is_empty() {
                     blocks.push((*index, block));
                 }
             }
         }
         Self { blocks }
-    }
-}
-
-/// Lowest and highest x, y, z (0 … 7) of the set bits; `[7; 3]` and `[0; 3]` if none is set.
-fn extent(plane: &Plane) -> ([i32; 3], [i32; 3]) {
-    let mut low = [7; 3];
-    let mut high = [0; 3];
-    let mut flat = 0u64;
-    for (z, &word) in plane.iter().enumerate() {
-        if word != 0 {
-            low[2] = low[2].min(z as i32);
-            high[2] = z as i32;
-        }
-        flat |= word;
-    }
-    if flat != 0 {
-        low[1] = (flat.trailing_zeros() / 8) as i32;
-        high[1] = (7 - flat.leading_zeros() / 8) as i32;
-        let mut row = flat;
-        row |= row >> 32;
-        row |= row >> 16;
-        row |= row >> 8;
-        let row = row as u8;
-        low[0] = row.trailing_zeros() as i32;
-        high[0] = 7 - row.leading_zeros() as i32;
-    }
-    (low, high)
-}
-
-/// The bits of `block` that lie in `part`, a box inside that block.
-fn plane_of(block: BlockIndex, part: &VoxelBox) -> Plane {
-    let corner = block.corner();
-    let (min, max) = (part.min(), part.max());
-    let ones = |low: i32, high: i32| (0xffu64 << low) & (0xff >> (7 - high));
-    let row = ones(min.x - corner.x, max.x - corner.x);
-    let mut slice = 0;
-    for y in min.y - corner.y..=max.y - corner.y {
-        slice |= row << (y * 8);
-    }
-    core::array::from_fn(
-        |z| {
-            if (min.z - corner.z..=max.z - corner.z).contains(&(z as i32)) { slice } else { 0 }
-        },
-    )
-}
-
-/// The numbers of the set bits of a word, ascending.
-struct Bits(u64);
-
-impl Iterator for Bits {
-    type Item = usize;
-
-    fn next(&mut self) -> Option<usize> {
-        if self.0 == 0 {
-            return None;
-        }
-        let bit = self.0.trailing_zeros() as usize;
-        self.0 &= self.0 - 1;
-        Some(bit)
     }
 }
 

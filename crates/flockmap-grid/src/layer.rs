@@ -4,14 +4,15 @@ use std::collections::BTreeMap;
 
 use rustc_hash::{FxHashMap, FxHashSet};
 
+use crate::block::{meet, set_bits};
 use crate::memory::table_bytes;
-use crate::snapshot::{SnapshotVoxels, places};
+use crate::snapshot::SnapshotVoxels;
 use crate::stamps::BlockStamps;
 use crate::{BlockIndex, Changes, Plane, Snapshot, Stamp, State, StateBlock, Voxel, VoxelBox, voxel_bit};
 
-/// State and stamp of every voxel that one stream has told of, in the frame of its origin.
+/// State and stamp of every voxel that one stream has published, in the frame of its origin.
 ///
-/// Every voxel keeps the word with the newest stamp (Sec. IV-C of the paper). So packages may be applied in any
+/// Every voxel keeps the state with the newest stamp (Sec. IV-C of the paper). So packages may be applied in any
 /// order and any number of times, and every robot that has applied the same ones holds the same layer.
 #[derive(Clone, Debug, Default)]
 pub struct Layer {
@@ -40,9 +41,9 @@ struct LayerBlock {
     before: Option<StateBlock>,
 }
 
-/// A block has been told of by a later batch already, or by a snapshot: what it was before is not known any more.
+/// A later batch has changed a block already, or a snapshot has: what it was before is not known any more.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
-#[error("block {block:?} holds words as new as {newest:?}: what was known before {stamp:?} is gone")]
+#[error("block {block:?} holds states as new as {newest:?}: what was known before {stamp:?} is gone")]
 pub struct BaseSuperseded {
     /// The block.
     pub block: BlockIndex,
@@ -274,7 +275,7 @@ impl Layer {
         let wanted = |index: &BlockIndex| {
             let block = self.blocks.get(index);
             block.into_iter().flat_map(move |block| {
-                let voxels = places(&block.states).map(|bit| (bit, block.stamps.get(bit)));
+                let voxels = set_bits(&block.states.known()).map(|bit| (bit, block.stamps.get(bit)));
                 voxels
                     .filter(move |(_, stamp)| is_wanted(*stamp))
                     .map(move |(bit, stamp)| (block, bit, stamp))
@@ -331,8 +332,7 @@ impl Layer {
             for word in block.states.free().iter().chain(block.states.occupied()) {
                 hash = mix(hash, *word);
             }
-            let known = block.states.known();
-            for bit in (0..512).filter(|bit| known[bit / 64] >> (bit % 64) & 1 == 1) {
+            for bit in set_bits(&block.states.known()) {
                 hash = mix(hash, block.stamps.get(bit).0 as u64);
             }
             // A sum does not depend on the order of the blocks.
@@ -349,12 +349,11 @@ impl LayerBlock {
             core::cmp::Ordering::Greater if is_batch => self.before = Some(self.states),
             // More of the same batch.
             core::cmp::Ordering::Equal if is_batch => {}
-            // An older word that comes late is a part of what was before, unless another one stands there: which of them is
+            // An older state that comes late is a part of what was before, unless another one stands there: which of them is
             // newer is not known.
             core::cmp::Ordering::Less => {
                 let is_certain = |before: &StateBlock| {
-                    let clash = |a: &Plane, b: &Plane| a.iter().zip(b).any(|(a, b)| a & b != 0);
-                    !clash(before.free(), new.occupied()) && !clash(before.occupied(), new.free())
+                    !meet(before.free(), new.occupied()) && !meet(before.occupied(), new.free())
                 };
                 self.before = self.before.filter(is_certain).map(|mut before| {
                     before.overlay(new);
@@ -366,26 +365,22 @@ impl LayerBlock {
         }
     }
 
-    /// Takes the voxels out of `mask` whose known word stands against a new one of this stamp.
+    /// Takes the voxels out of `mask` whose known state stands against a new one of this stamp.
     fn keep_newer(&self, mask: &mut Plane, new: &StateBlock, stamp: Stamp) {
         let known = self.states.known();
-        for z in 0..8 {
-            let mut rivals = mask[z] & known[z];
-            while rivals != 0 {
-                let bit = z * 64 + rivals.trailing_zeros() as usize;
-                rivals &= rivals - 1;
-                let stays = match self.stamps.get(bit).cmp(&stamp) {
-                    core::cmp::Ordering::Less => false,
-                    core::cmp::Ordering::Greater => true,
-                    core::cmp::Ordering::Equal => {
-                        !(new.get(bit) == State::Occupied && self.states.get(bit) == State::Free)
-                    }
-                };
-                if stays {
-                    mask[z] &= !(1 << (bit % 64));
+        let rivals: Plane = core::array::from_fn(|z| mask[z] & known[z]);
+        set_bits(&rivals).for_each(|bit| {
+            let stays = match self.stamps.get(bit).cmp(&stamp) {
+                core::cmp::Ordering::Less => false,
+                core::cmp::Ordering::Greater => true,
+                core::cmp::Ordering::Equal => {
+                    !(new.get(bit) == State::Occupied && self.states.get(bit) == State::Free)
                 }
+            };
+            if stays {
+                mask[bit / 64] &= !(1 << (bit % 64));
             }
-        }
+        });
     }
 }
 

@@ -19,7 +19,7 @@ mod snapshot;
 mod stamps;
 mod voxel;
 
-pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, voxel_bit};
+pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, meet, set_bits, voxel_bit};
 pub use changes::Changes;
 pub use fusion::{Fusion, FusionConfig, FusionError, MapView, RayEnd};
 pub use layer::{BaseSuperseded, LAYER_BLOCK_BYTES_MAX, Layer};

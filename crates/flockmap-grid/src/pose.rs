@@ -87,7 +87,7 @@ impl Pose {
             .then(|| Self { rotation: if is_unit { rotation } else { rotation.normalize() }, translation })
     }
 
-    /// A translation in metres alone. Numbers that are not finite are refused where the pose is used: [`Self::check`].
+    /// A translation in metres without a rotation. Numbers that are not finite are refused where the pose is used: [`Self::check`].
     pub fn from_translation(translation: [f64; 3]) -> Self {
         Self { rotation: DQuat::IDENTITY, translation: DVec3::from_array(translation) }
     }

@@ -1,5 +1,6 @@
 //! The state of a region as it is now, in place of the history of its changes.
 
+use crate::block::set_bits;
 use crate::{BlockIndex, Changes, Stamp, State, StateBlock, VoxelBox};
 
 /// What a layer holds in a box: every known voxel with its state and the stamp that it got it at.
@@ -77,7 +78,7 @@ impl SnapshotVoxels {
             let places_of = &places_of;
             part.blocks().iter().flat_map(move |(index, block)| {
                 let number = places_of.partition_point(|other| other < index) as u32;
-                places(block).map(move |place| (stamp, number, place, block.get(place)))
+                set_bits(&block.known()).map(move |place| (stamp, number, place, block.get(place)))
             })
         });
         Self::new(state.region, stamps, blocks, count, voxels, state.sensors.clone())
@@ -164,19 +165,4 @@ impl SnapshotVoxels {
     pub fn to_state(&self) -> Snapshot {
         Snapshot { region: self.region, parts: self.parts().collect(), sensors: self.sensors.clone() }
     }
-}
-
-/// The bit numbers of the known voxels of a block.
-pub(crate) fn places(block: &StateBlock) -> impl Iterator<Item = usize> + use<> {
-    let known = block.known();
-    (0..8).flat_map(move |z| {
-        let mut word = known[z];
-        core::iter::from_fn(move || {
-            let bit = word.trailing_zeros() as usize;
-            (word != 0).then(|| {
-                word &= word - 1;
-                z * 64 + bit
-            })
-        })
-    })
 }

@@ -1,5 +1,6 @@
 //! A stamp for each voxel of a block, exact and small.
 
+use crate::block::set_bits;
 use crate::{BLOCK_VOXELS, Plane, Stamp};
 
 /// Stamps of the voxels of a block, as a palette and an index into it for each voxel. A block is touched by a few
@@ -53,17 +54,10 @@ impl BlockStamps {
                 self.palette.len() - 1
             }
         };
-        for (z, word) in mask.iter().enumerate() {
-            let mut word = *word;
-            while word != 0 {
-                let bit = z * 64 + word.trailing_zeros() as usize;
-                word &= word - 1;
-                match &mut self.indices {
-                    Indices::One => {}
-                    Indices::Narrow(indices) => indices[bit] = number as u8,
-                    Indices::Wide(indices) => indices[bit] = number as u16,
-                }
-            }
+        match &mut self.indices {
+            Indices::One => {}
+            Indices::Narrow(indices) => set_bits(mask).for_each(|bit| indices[bit] = number as u8),
+            Indices::Wide(indices) => set_bits(mask).for_each(|bit| indices[bit] = number as u16),
         }
     }
 
@@ -101,16 +95,12 @@ impl BlockStamps {
             return;
         }
         let mut is_found = [false; STAMPS_MAX];
-        for (z, word) in in_use.iter().enumerate() {
-            let mut word = *word;
-            while word != 0 {
-                let number = self.index(z * 64 + word.trailing_zeros() as usize);
-                word &= word - 1;
-                if !core::mem::replace(&mut is_found[number], true) {
-                    found(self.palette[number]);
-                }
+        set_bits(in_use).for_each(|bit| {
+            let number = self.index(bit);
+            if !core::mem::replace(&mut is_found[number], true) {
+                found(self.palette[number]);
             }
-        }
+        });
     }
 
     fn index(&self, bit: usize) -> usize {
@@ -148,15 +138,13 @@ impl BlockStamps {
         let mut number_of = vec![usize::MAX; self.palette.len()];
         let mut palette = Vec::new();
         let mut renumbered = [0u16; BLOCK_VOXELS];
-        for (bit, new) in renumbered.iter_mut().enumerate() {
-            if in_use[bit / 64] >> (bit % 64) & 1 == 1 {
-                let old = self.index(bit);
-                if number_of[old] == usize::MAX {
-                    number_of[old] = palette.len();
-                    palette.push(self.palette[old]);
-                }
-                *new = number_of[old] as u16;
+        for bit in set_bits(in_use) {
+            let old = self.index(bit);
+            if number_of[old] == usize::MAX {
+                number_of[old] = palette.len();
+                palette.push(self.palette[old]);
             }
+            renumbered[bit] = number_of[old] as u16;
         }
         if palette.is_empty() {
             palette.push(self.newest());

@@ -43,6 +43,18 @@ impl Voxel {
         BlockIndex { x: self.x >> 3, y: self.y >> 3, z: self.z >> 3 }
     }
 
+    /// The lower of both indices on each axis.
+    #[must_use]
+    pub fn lowest(self, other: Self) -> Self {
+        Self { x: self.x.min(other.x), y: self.y.min(other.y), z: self.z.min(other.z) }
+    }
+
+    /// The higher of both indices on each axis.
+    #[must_use]
+    pub fn highest(self, other: Self) -> Self {
+        Self { x: self.x.max(other.x), y: self.y.max(other.y), z: self.z.max(other.z) }
+    }
+
     /// Whether every index is within ± [`VOXEL_LIMIT`].
     pub const fn in_limits(self) -> bool {
         const fn ok(v: i32) -> bool {
@@ -112,12 +124,13 @@ impl VoxelBox {
 
     /// The smallest box that holds both voxels. `None` if one lies outside ± [`VOXEL_LIMIT`].
     pub fn spanning(a: Voxel, b: Voxel) -> Option<Self> {
-        let min = Voxel::new(a.x.min(b.x), a.y.min(b.y), a.z.min(b.z));
-        let max = Voxel::new(a.x.max(b.x), a.y.max(b.y), a.z.max(b.z));
-        (min.in_limits() && max.in_limits()).then(|| Self {
-            min,
-            size: [(max.x - min.x) as u32 + 1, (max.y - min.y) as u32 + 1, (max.z - min.z) as u32 + 1],
-        })
+        (a.in_limits() && b.in_limits()).then(|| Self::between(a.lowest(b), a.highest(b)))
+    }
+
+    /// From the lowest to the highest voxel, both within ± [`VOXEL_LIMIT`].
+    fn between(min: Voxel, max: Voxel) -> Self {
+        let size = [(min.x, max.x), (min.y, max.y), (min.z, max.z)];
+        Self { min, size: size.map(|(min, max)| (max - min) as u32 + 1) }
     }
 
     /// The lowest voxel.
@@ -152,26 +165,13 @@ impl VoxelBox {
 
     /// The voxels that belong to both boxes.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
-        let (a, b) = (self.max(), other.max());
-        let min =
-            Voxel::new(self.min.x.max(other.min.x), self.min.y.max(other.min.y), self.min.z.max(other.min.z));
-        let max = Voxel::new(a.x.min(b.x), a.y.min(b.y), a.z.min(b.z));
-        if min.x > max.x || min.y > max.y || min.z > max.z {
-            return None;
-        }
-        Self::spanning(min, max)
+        let (min, max) = (self.min.highest(other.min), self.max().lowest(other.max()));
+        (min.x <= max.x && min.y <= max.y && min.z <= max.z).then(|| Self::between(min, max))
     }
 
     /// The smallest box that holds both boxes.
     pub fn union(&self, other: &Self) -> Self {
-        let (a, b) = (self.max(), other.max());
-        let min =
-            Voxel::new(self.min.x.min(other.min.x), self.min.y.min(other.min.y), self.min.z.min(other.min.z));
-        let max = Voxel::new(a.x.max(b.x), a.y.max(b.y), a.z.max(b.z));
-        Self {
-            min,
-            size: [(max.x - min.x) as u32 + 1, (max.y - min.y) as u32 + 1, (max.z - min.z) as u32 + 1],
-        }
+        Self::between(self.min.lowest(other.min), self.max().highest(other.max()))
     }
 
     /// All voxels in nested order: x slowest, z fastest (the paper's "nested iteration").

@@ -155,7 +155,7 @@ impl Fault {
         ReadError { path: path.to_owned(), place: self.place, problem: self.problem }
     }
 
-    /// The same fault with a byte of a message told as such.
+    /// The same fault with its byte as that of a message.
     pub(crate) fn in_message(self, topic: &str, number: u64) -> Self {
         let byte = match self.place {
             Place::Byte(byte) => Some(byte),

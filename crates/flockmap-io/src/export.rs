@@ -15,7 +15,7 @@ use crate::octomap::octomap_bytes;
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct ExportOptions {
     /// Whether `.ply` and `.pcd` hold free voxels too. Each point then has a `state` (1 occupied, 0 free), and in `.ply` a
-    /// colour. Default: occupied voxels alone. A `.bt` always holds both.
+    /// colour. Default: only occupied voxels. A `.bt` always holds both.
     pub free: bool,
 }
 

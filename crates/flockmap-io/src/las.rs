@@ -118,7 +118,7 @@ fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {
     Ok(Header { compressed, point_bytes, points, scale: [sx, sy, sz], offset: [ox, oy, oz], data_at, laszip })
 }
 
-/// The record that tells how the points are packed.
+/// The record that says how the points are packed.
 fn find_laszip(bytes: &[u8], header_bytes: u64, data_at: u64, records: u32) -> Result<LazVlr, Fault> {
     let from = bytes.get(header_bytes as usize..data_at as usize).unwrap_or_default();
     let mut head = Bytes::new(from, header_bytes);

@@ -1,7 +1,7 @@
 //! The messages of an MCAP file, one after another (<https://mcap.dev/spec>).
 //!
 //! Reads from start to end and needs no summary, so files of recorders that were switched off are read as far as
-//! they go. A damaged chunk is left out and told; what follows it is read. The framing is read here rather than by the
+//! they go. A damaged chunk is left out and reported; what follows it is read. The framing is read here rather than by the
 //! `mcap` crate so that each error has its byte, and sizes are checked before anything is held.
 
 use std::collections::HashMap;
@@ -105,7 +105,7 @@ impl McapReader {
                         return Some(Ok(Message { channel, data }));
                     }
                     Err(fault) => {
-                        // What follows in this chunk cannot be told apart any more.
+                        // Where the next record of this chunk begins is not known any more.
                         self.chunk.clear();
                         return Some(Err(Fault { place: self.chunk_place.clone(), ..fault }));
                     }
@@ -130,7 +130,7 @@ impl McapReader {
                 let id = body.u16("a message")?;
                 body.take(MESSAGE_HEADER_BYTES - 2, "a message")?;
                 let channel = self.channels.get(&id).cloned().ok_or_else(|| {
-                    let expected = "messages of channels that were told before";
+                    let expected = "messages of channels that were announced before";
                     Fault::damaged(Place::Whole, expected, format!("channel {id}"))
                 })?;
                 return Ok(Some((channel, self.chunk_at - body.rest().len()..self.chunk_at)));

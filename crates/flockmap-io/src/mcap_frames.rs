@@ -68,7 +68,7 @@ impl Iterator for McapFrames {
 }
 
 impl McapFrames {
-    /// The frames that `entries` tell of, one for each message of `topic`; `damages` were found by the first pass.
+    /// The frames that `entries` list, one for each message of `topic`; `damages` were found by the first pass.
     pub(crate) fn new(
         path: &Path,
         options: &RecordOptions,
@@ -102,7 +102,7 @@ impl McapFrames {
         }
         let message = match self.reader.as_mut().and_then(McapReader::next_message) {
             Some(Ok(message)) => message,
-            // Told by the first pass.
+            // Reported by the first pass.
             Some(Err(_)) => return,
             None => {
                 self.ended = true;

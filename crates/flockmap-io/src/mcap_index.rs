@@ -1,4 +1,4 @@
-//! What one pass through an MCAP file tells: its topics, the stamps of its scans, and its poses.
+//! What one pass through an MCAP file finds: its topics, the stamps of its scans, and its poses.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,7 +14,7 @@ use crate::track::{FrameTree, Track};
 const ENTRIES_MAX: usize = 1 << 22;
 /// Most frames that the scans of one topic may be in.
 const CLOUD_FRAMES_MAX: usize = 64;
-/// Most damages that are told apart.
+/// Most damages that are kept.
 pub(crate) const DAMAGES_MAX: usize = 16;
 
 #[derive(Default)]
@@ -101,7 +101,7 @@ impl McapIndex {
         Ok(())
     }
 
-    /// The topics of the file in words, for messages.
+    /// The topics of the file as text, for messages.
     pub(crate) fn topics(&self) -> String {
         let mut topics: Vec<String> = self
             .channels
@@ -115,7 +115,7 @@ impl McapIndex {
         topics.join(", ")
     }
 
-    /// What leads from frame to frame in words, for messages.
+    /// What leads from frame to frame as text, for messages.
     pub(crate) fn links(&self) -> String {
         let odometries = self.odometries.iter();
         let mut links: Vec<String> =

@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use flockmap_grid::{Resolution, State, Voxel};
+use flockmap_grid::{Resolution, State, Voxel, VoxelBox};
 
 use crate::bytes::Bytes;
 use crate::error::{Fault, ReadError, WriteError, excerpt};
@@ -37,12 +37,7 @@ pub struct Cube {
 impl Cube {
     /// The voxels of the cube, x slowest and z fastest.
     pub fn voxels(&self) -> impl Iterator<Item = Voxel> + use<> {
-        let (corner, side) = (self.corner, self.side as i32);
-        (0..side).flat_map(move |x| {
-            (0..side).flat_map(move |y| {
-                (0..side).map(move |z| Voxel::new(corner.x + x, corner.y + y, corner.z + z))
-            })
-        })
+        VoxelBox::new(self.corner, [self.side; 3]).into_iter().flat_map(|cube| cube.voxels())
     }
 
     /// Number of voxels.
@@ -203,7 +198,7 @@ fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(u64, Resolution), Fault>
     let size = size.ok_or_else(|| missing("size"))?;
     let resolution = resolution.ok_or_else(|| missing("res"))?;
     if size == 1 {
-        let found = "a single node, whose state the binary form does not tell";
+        let found = "a single node, whose state the binary form does not store";
         return Err(Fault::foreign(lines.place(), "a tree with leaves below its root", found));
     }
     Ok((size, resolution))

@@ -11,7 +11,7 @@ use crate::number::Number;
 /// Most fields of a point.
 const FIELDS_MAX: usize = 256;
 
-/// A parsed file. Points are as stored; `viewpoint` is the pose that the header tells.
+/// A parsed file. Points are as stored; `viewpoint` is the pose in the header.
 #[derive(Debug, Default)]
 pub(crate) struct Parsed {
     pub(crate) points: Vec<[f64; 3]>,

@@ -16,7 +16,7 @@ enum Format {
 struct Property {
     name: String,
     number: Number,
-    /// The number in front of a list that tells how long it is.
+    /// The number in front of a list that says how long it is.
     length: Option<Number>,
 }
 

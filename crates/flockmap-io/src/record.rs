@@ -13,7 +13,7 @@ pub struct RecordOptions {
     /// Topic of the scans in an MCAP file. Default: the only one with `sensor_msgs/msg/PointCloud2`, or of several the only one
     /// in a frame that odometry or tf leads to (maps and pictures for viewers lie in the frame of the map).
     pub points_topic: Option<String>,
-    /// Topic of `nav_msgs/msg/Odometry` in an MCAP file. Default: the one that tells of the frame of the scans.
+    /// Topic of `nav_msgs/msg/Odometry` in an MCAP file. Default: the one that gives the frame of the scans.
     pub odometry_topic: Option<String>,
     /// Frame in which poses are wanted, in an MCAP file. Default: the parent frame of the odometry, or else the root of tf.
     pub map_frame: Option<String>,
@@ -78,15 +78,15 @@ pub struct RecordSummary {
     pub frames: u64,
     /// Scans left out because no pose was known for their time.
     pub scans_without_pose: u64,
-    /// Points of all scans, where the record tells it without reading them.
+    /// Points of all scans, where the record says it without reading them.
     pub points: Option<u64>,
     /// Stamps of the first and of the last frame.
     pub span: Option<(Stamp, Stamp)>,
-    /// Length of the way from frame to frame, in metres.
+    /// Length of the path from frame to frame, in metres.
     pub path_m: f64,
-    /// Where the poses come from, in words.
+    /// Where the poses come from, as text.
     pub poses_from: String,
-    /// Damage found on the way through the file; what could be read is in the frames. At most 16 kept.
+    /// Damage found while reading the file; what could be read is in the frames. At most 16 kept.
     pub damages: Vec<ReadError>,
 }
 

@@ -1,4 +1,4 @@
-//! What a record shows to people beside the data: the map and the way flown, as coloured points.
+//! What a record shows to people beside the data: the map and the path flown, as coloured points.
 
 use flockmap_grid::{Resolution, Stamp, Voxel};
 
@@ -6,9 +6,9 @@ use flockmap_grid::{Resolution, Stamp, Voxel};
 pub(crate) const VIEW_VOXELS_MAX: usize = 1 << 18;
 /// Time between two pictures, in microseconds.
 const VIEW_PERIOD_MICROS: i64 = 2_000_000;
-/// Most points of a way; of a longer one every second is left out.
+/// Most points of a path; of a longer one every second is left out.
 const PATH_POINTS_MAX: usize = 4096;
-/// Distance of two points of a way, to begin with.
+/// Distance of two points of a path, to begin with.
 const PATH_STEP_M: f64 = 0.1;
 /// Orange: seen well before the colours of the map.
 const PATH_COLOUR: [u8; 3] = [255, 120, 0];

@@ -156,7 +156,7 @@ impl<W: Write + Seek> RecordWriter<W> {
         Ok(())
     }
 
-    /// Writes the index and ends the file. A writer that is dropped instead does the same but cannot tell of errors.
+    /// Writes the index and ends the file. A writer that is dropped instead does the same but cannot report errors.
     pub fn finish(mut self) -> Result<(), WriteError> {
         self.mcap.finish().map_err(|source| WriteError::Mcap { path: self.path.clone(), source })?;
         let path = self.path;

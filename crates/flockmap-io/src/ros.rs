@@ -129,7 +129,7 @@ pub(crate) fn decode_points(
         for point in row.chunks_exact(point_step as usize).take(width as usize) {
             let mut p = [x, y, z].map(|(offset, number)| {
                 let bytes = point.get(offset as usize..).unwrap_or_default();
-                // Telling these two apart here, and not all types at each number, takes half the time.
+                // Deciding between these two here, and not between all types at each number, takes half the time.
                 match number {
                     Number::F32 => Number::F32.read(bytes, big_endian),
                     _ => Number::F64.read(bytes, big_endian),

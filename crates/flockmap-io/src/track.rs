@@ -90,7 +90,7 @@ struct Edge {
 const FRAMES_MAX: usize = 10_000;
 
 impl FrameTree {
-    /// Takes over a transform `T_parent_child`. A frame that changes its parent keeps the new one alone.
+    /// Takes over a transform `T_parent_child`. A frame that changes its parent keeps only the new one.
     pub(crate) fn push(&mut self, parent: String, child: String, stamp: Stamp, pose: Pose, fixed: bool) {
         if self.edges.len() >= FRAMES_MAX && !self.edges.contains_key(&child) {
             return;
@@ -179,7 +179,7 @@ mod tests {
         let track = track(&[(400_000, 2.0, 3.0), (0, 0.0, -3.0)]);
         let pose = track.at(Stamp(100_000), REACH).unwrap();
         assert!((pose.translation()[0] - 0.5).abs() < 1e-12);
-        // From −3 rad the short way to 3 rad is over −π: 0.283 rad in all.
+        // From −3 rad the short path to 3 rad is over −π: 0.283 rad in all.
         let turned = Pose::from_yaw([0.0; 3], -3.0 - (2.0 * core::f64::consts::PI - 6.0) / 4.0);
         let expected = turned.transform([1.0, 0.0, 0.0]);
         let got = pose.transform([1.0, 0.0, 0.0]);

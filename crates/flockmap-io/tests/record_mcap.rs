@@ -139,7 +139,7 @@ fn pictures_for_viewers_are_shown_and_passed_over_by_readers() {
     let bytes = written_with_views(&frames);
     assert_eq!(read(&bytes, &RecordOptions::default()).unwrap(), (frames.clone(), vec![]));
     assert_eq!(bytes, written_with_views(&frames), "the same input gives the same bytes");
-    // Without tf, and without odometry, the scans are still told from the pictures.
+    // Without tf, and without odometry, the scans are still distinguished from the pictures.
     let all = Messages::of(&bytes);
     for dropped in ["/tf", "/robot7/odometry"] {
         let messages = Messages(all.0.iter().filter(|(topic, ..)| topic != dropped).cloned().collect());
@@ -409,7 +409,7 @@ fn with_poses(frames: &[Frame], poses: Vec<(&str, &str, Vec<u8>)>) -> Vec<u8> {
 fn odometry_of_the_body_and_fixed_tf_of_the_sensor_are_chained_and_interpolated() {
     let frames = frames(4);
     let mut poses = vec![("/tf_static", TF, pose_message(true, Stamp(0), "body", "robot7/lidar", 0.5, 0.0))];
-    // Body poses half way between the scans, at 2 m/s.
+    // Body poses midway between the scans, at 2 m/s.
     for i in 0..5 {
         let stamp = Stamp(4_950_000 + i * 100_000);
         poses.push(("/odom", ODOMETRY, pose_message(false, stamp, "odom", "/body", i as f64 * 0.2, 0.0)));

@@ -1,6 +1,6 @@
 //! A batch as payloads: with the model, or gap coded where that is shorter.
 
-use flockmap_grid::{Changes, Layer, Stamp, VoxelBox};
+use flockmap_grid::{Changes, Layer, Stamp, VoxelBox, meet};
 
 use super::block_box::{BOX_BLOCKS_MAX, BlockBox};
 use super::gap_coding;
@@ -8,7 +8,6 @@ use super::habits::Habits;
 use super::head::{Head, whole};
 use super::known::Known;
 use super::order;
-use super::planes::meet;
 use super::section::{self, Workspace};
 use super::tables::TableSet;
 use crate::codec::Codec;
@@ -19,7 +18,7 @@ use crate::limits::BOX_VOXELS_MAX;
 use crate::source::Batch;
 use crate::work::{self, Work};
 
-/// The first byte of a payload that is gap coded. Others tell a set of tables, of which there is none with
+/// The first byte of a payload that is gap coded. Others name a set of tables, of which there is none with
 /// this number.
 const GAP_CODED: u8 = 3;
 
@@ -42,7 +41,7 @@ pub(crate) fn encode_batch(
     if has_no_pattern && changes.len() > TRY_BOTH_MAX {
         return Ok(gap_coded(changes, &room));
     }
-    // The model has no words for a voxel that is told again what it is: such a batch is told alone.
+    // The model cannot say that a voxel stays what it is: a batch that does so is coded independent.
     let layer = layer.filter(|layer| !repeats(changes, layer, batch.end));
     let modelled = modelled(workspace, &Known::new(layer, batch.end), batch.sensor, changes, &room)?;
     if has_no_pattern {
@@ -140,8 +139,8 @@ pub(crate) fn decode_batch(
     }
 }
 
-/// From where the changes in a payload were seen, in sixteenths of a voxel. `None` if they were told without
-/// that.
+/// From where the changes in a payload were seen, in sixteenths of a voxel. `None` if they were coded
+/// without that.
 pub(crate) fn sensor(payload: &[u8], region: &VoxelBox) -> Option<[i32; 3]> {
     let blocks = BlockBox::of_voxels(region)?;
     if payload.first() == Some(&GAP_CODED) {

@@ -25,8 +25,8 @@ const SURE_ROW: usize = 2_580;
 const COLD_ROW: usize = 2_600;
 const COLD_SLICE: usize = 2_640;
 
-/// Makes the decisions of a block that has changes; `truth` is what a writer wants to tell, and `flips`
-/// whether any Free voxel becomes Occupied by it and any Occupied one Free. Returns what was told, and leaves
+/// Makes the decisions of a block that has changes; `truth` is what a writer has to say, and `flips`
+/// whether any Free voxel becomes Occupied by it and any Occupied one Free. Returns what was coded, and leaves
 /// it in `cells`.
 pub(crate) fn code<D: Decide>(
     decide: &mut D,
@@ -76,7 +76,7 @@ struct Block<'a, D> {
     cells: &'a mut Neighbourhood,
     coded: TurnedChanges,
     rays: Rays,
-    /// A row was told of although nothing beyond it had changed.
+    /// A row changed although nothing beyond it had.
     is_surprised: bool,
     /// The slice has changes although nothing beyond it had, and none was found yet.
     is_expected: bool,
@@ -270,7 +270,7 @@ impl<D: Decide> Block<'_, D> {
     }
 }
 
-/// The bits that are set, each alone.
+/// The bits that are set, one at a time.
 fn bits_of(byte: u8) -> impl Iterator<Item = u8> {
     (0..8).map(|x| 1 << x).filter(move |bit| byte & bit != 0)
 }

@@ -82,7 +82,7 @@ impl BlockCells {
         }
     }
 
-    /// Makes x run the other way if it does not run as asked for.
+    /// Reverses x if it does not run as asked for.
     #[inline]
     pub(crate) fn mirror(&mut self, is_mirrored: bool) {
         if self.is_mirrored != is_mirrored {

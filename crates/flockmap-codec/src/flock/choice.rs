@@ -1,4 +1,4 @@
-//! Which tables suit the changes of a batch: a few blocks are coded with each of them, for the costs alone.
+//! Which tables suit the changes of a batch: a few blocks are coded with each of them, only to add up what they cost.
 
 use flockmap_grid::BaseSuperseded;
 
@@ -7,6 +7,7 @@ use super::cells::Bits;
 use super::coder::Probability;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::known::Known;
+use super::log2::log2;
 use super::model::Model;
 use super::order::Changed;
 use super::orientation::Orientation;
@@ -21,7 +22,7 @@ const SAMPLE_RUN: usize = 4;
 /// Bits by which a set has to be ahead to be taken before all of them are looked at.
 const LEAD_BITS: u64 = 32;
 
-/// The set with which some of `blocks` take the fewest bits; as few as are needed to tell.
+/// The set with which some of `blocks` take the fewest bits; as few as are needed to choose.
 pub(crate) fn choose(
     model: &mut Model,
     known: &Known<'_>,
@@ -113,26 +114,12 @@ static COST: [u16; 256] = {
     let mut table = [0; 256];
     let mut n = 0;
     while n < 256 {
-        table[n] = cost_of(2 * n as u32 + 1);
+        // −log₂((2n + 1) / 512), rounded up.
+        table[n] = (9 * 256 - (log2(2 * n as u64 + 1) >> 24)) as u16;
         n += 1;
     }
     table
 };
-
-/// −log₂(n / 512) in 256ths, by squaring.
-const fn cost_of(n: u32) -> u16 {
-    let mut log = n.ilog2();
-    let mut number = (n as u64) << (31 - log);
-    let mut digit = 0;
-    while digit < 8 {
-        number = (number * number) >> 31;
-        let over = (number >> 32) as u32;
-        number >>= over;
-        log = 2 * log + over;
-        digit += 1;
-    }
-    (9 * 256 - log) as u16
-}
 
 #[cfg(test)]
 mod tests {
@@ -141,8 +128,8 @@ mod tests {
     #[test]
     fn costs_are_logarithms() {
         for n in [1u32, 3, 77, 255, 511] {
-            let exact = -(f64::from(n) / 512.0).log2() * 256.0;
-            assert!((f64::from(cost_of(n)) - exact).abs() < 1.01, "{n}: {} and {exact}", cost_of(n));
+            let (exact, cost) = (-(f64::from(n) / 512.0).log2() * 256.0, COST[n as usize / 2]);
+            assert!((f64::from(cost) - exact).abs() < 1.01, "{n}: {cost} and {exact}");
         }
     }
 }

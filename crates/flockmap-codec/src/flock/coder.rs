@@ -21,7 +21,7 @@ fn learn(probability: &mut Probability, bit: bool, rate: u32) {
     debug_assert!(*probability > 0);
 }
 
-/// A way that bits go: to bytes or from bytes.
+/// A direction in which bits go: to bytes or from bytes.
 pub(crate) trait CodeBit {
     /// Whether it looks at `truth`: it writes.
     const KNOWS: bool;
@@ -29,7 +29,7 @@ pub(crate) trait CodeBit {
     /// Passes a bit, which is set with this probability; the probability learns by one in 2ʳᵃᵗᵉ.
     fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool;
 
-    /// The same way.
+    /// The same direction.
     type Own<'b>: CodeBit
     where
         Self: 'b;
@@ -123,7 +123,7 @@ impl<'a> BitWriter<'a> {
         self.out.len() + self.end().1
     }
 
-    /// The last bytes. As few as tell the interval: what a reader finds beyond the end is zeros.
+    /// The last bytes. As few as name the interval: what a reader finds beyond the end is zeros.
     pub(crate) fn finish(self) {
         let (number, length) = self.end();
         if number >> 64 != 0 {
@@ -142,7 +142,7 @@ impl CodeBit for BitWriter<'_> {
     #[inline(always)]
     fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool {
         let share = (self.range >> 16) * u64::from(*probability);
-        // Two ways, as in reading.
+        // Two branches, as in reading.
         if truth {
             learn(probability, true, rate);
             self.take(share, true);
@@ -167,7 +167,7 @@ impl CodeBit for BitWriter<'_> {
     }
 }
 
-/// Carries into the bytes that are out. They never overflow: the number that they tell is below 1.
+/// Carries into the bytes that are out. They never overflow: the number that they make is below 1.
 #[cold]
 #[inline(never)]
 fn add_one(out: &mut [u8], start: usize) {
@@ -244,7 +244,7 @@ impl<'a> BitReader<'a> {
 impl<'a> CodeBit for BitReader<'a> {
     const KNOWS: bool = false;
 
-    /// Two ways for the two bits, which leaves it to the processor to guess the bit and go on; choosing
+    /// Two branches for the two bits, which leaves it to the processor to guess the bit and go on; choosing
     /// values by the bit would have to wait for it.
     #[inline(always)]
     fn code(&mut self, probability: &mut Probability, _: bool, rate: u32) -> bool {

@@ -1,4 +1,4 @@
-//! Decisions to bytes, and bytes to decisions: one piece of code, so that both learn in the same way.
+//! Decisions to bytes, and bytes to decisions: one piece of code, so that both learn alike.
 
 use super::cells::Bits;
 use super::coder::{CodeBit, Probability};

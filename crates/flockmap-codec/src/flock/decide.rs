@@ -1,4 +1,4 @@
-//! The decisions that a block is made of. Writing, reading and training each make them in their own way.
+//! The decisions that a block is made of. Writing, reading and training each have an implementation.
 
 use super::cells::Bits;
 
@@ -17,16 +17,16 @@ pub(crate) trait Decide {
 pub(crate) struct UnknownRow {
     pub(crate) voxels: u8,
     pub(crate) kind: RowKind,
-    /// By voxel: the cells around it, without those that are told of with this row; the lower and the higher
+    /// By voxel: the cells around it, without those that are coded with this row; the lower and the higher
     /// byte.
     pub(crate) near: [[u8; 8]; 2],
     /// By voxel: the cells along the ray from the sensor through it; the lower and the higher byte.
     pub(crate) ray: [[u8; 8]; 2],
-    /// What there is to add to the higher byte of `near` if the voxel before was told Free, and if Occupied.
+    /// What there is to add to the higher byte of `near` if the voxel before became Free, and if Occupied.
     pub(crate) beside: [u8; 2],
 }
 
-/// What is known of a row before its voxels are told.
+/// What is known of a row before its voxels are coded.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum RowKind {
     Ordinary = 0,
@@ -53,7 +53,7 @@ pub(crate) fn voxels<D: DecideVoxel>(decide: &mut D, row: &UnknownRow, truth: Bi
     let seen = u32::from(truth.free | truth.occupied);
     let ([near_low, near_high], [ray_low, ray_high]) = (row.near, row.ray);
     let ray = |x: usize| u16::from_le_bytes([ray_low[x & 7], ray_high[x & 7]]);
-    // What is told of a voxel goes to the contexts of the next.
+    // A coded voxel goes to the contexts of the next.
     let mut near_high = near_high;
     while left != 0 {
         let x = left.trailing_zeros() as usize & 7;

@@ -1,5 +1,5 @@
 //! What both sides know of the blocks round a package: the states before its batch, and what the package has
-//! told so far.
+//! said so far.
 
 use flockmap_grid::{BaseSuperseded, BlockIndex, StateBlock};
 
@@ -9,7 +9,7 @@ use super::known::{Known, KnownClasses};
 use super::neighbourhood::NOTHING;
 use super::orientation::{Orientation, TurnedChanges};
 
-/// The blocks that a package has looked at. 520 bytes for each that is known or was told of, and four for
+/// The blocks that a package has looked at. 520 bytes for each that is known or has changes, and four for
 /// each block in reach.
 #[derive(Default)]
 pub(crate) struct Field {
@@ -50,8 +50,8 @@ impl Field {
         &self.cells
     }
 
-    /// How many blocks have been taken in so far: those of which something was known, and those that were
-    /// told of.
+    /// How many blocks have been taken in so far: those of which something was known, and those with
+    /// changes.
     pub(crate) fn taken_in(&self) -> u64 {
         (self.classes.len() - FIRST_SLOT) as u64
     }
@@ -145,8 +145,8 @@ impl Field {
     #[inline(never)]
     fn admit(&mut self, place: usize, known: Option<&StateBlock>, orientation: Orientation) -> u32 {
         let is_mirrored = orientation.is_up[0];
-        // A block that only this batch told of was there before it too, without a voxel, where some of the
-        // batch has been merged already.
+        // Where some of this batch has been merged already, a block that nothing else has changed has an entry
+        // without a voxel.
         let known = known.map(|states| (states, KnownClasses::of(states)));
         let slot = match known.filter(|(_, classes)| classes.is_any()) {
             None => NOTHING,
@@ -172,7 +172,7 @@ impl Field {
         (slot as u32, &mut self.cells[slot])
     }
 
-    /// Takes in what was told of a block. Returns it as it is, not turned.
+    /// Takes in the changes of a block. Returns them as they are, not turned.
     pub(crate) fn note(
         &mut self,
         slots: &Around,

@@ -6,15 +6,15 @@ use super::block_box::{BlockBox, Places};
 use super::known::KnownClasses;
 use super::orientation::Orientation;
 
-/// The flags of the blocks of a box, as far as they are told.
+/// The flags of the blocks of a box, as far as they are coded.
 pub(crate) struct Flags<'a> {
     places: Places,
-    /// By place: 0 not told, 1 no changes, 2 changes.
+    /// By place: 0 not coded yet, 1 no changes, 2 changes.
     coded: &'a mut [u8],
 }
 
 impl<'a> Flags<'a> {
-    /// None is told yet. `coded` is memory to use.
+    /// None is coded yet. `coded` is memory to use.
     pub(crate) fn new(region: BlockBox, coded: &'a mut Vec<u8>) -> Self {
         let places = Places::round(region);
         coded.clear();

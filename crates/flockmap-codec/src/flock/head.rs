@@ -13,14 +13,14 @@ pub(crate) struct Head {
     pub(crate) set: TableSet,
     /// In sixteenths of a voxel, a [`whole`] number of units.
     pub(crate) sensor: [i32; 3],
-    /// Blocks of the box before the first that is told of.
+    /// Blocks of the box before the first that is coded.
     pub(crate) before: u64,
 }
 
-/// Sixteenths of a voxel to which the place of a sensor is told.
+/// Sixteenths of a voxel to which the place of a sensor is rounded.
 const SENSOR_UNIT: i32 = 4;
 
-/// A sensor as it can be told.
+/// A sensor as it is sent.
 pub(crate) fn whole(sensor: [i32; 3]) -> [i32; 3] {
     sensor.map(|at| at & -SENSOR_UNIT)
 }

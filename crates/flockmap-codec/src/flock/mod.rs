@@ -21,6 +21,7 @@ mod gap_coding;
 mod habits;
 mod head;
 mod known;
+mod log2;
 mod model;
 mod neighbourhood;
 mod order;

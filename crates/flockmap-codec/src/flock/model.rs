@@ -1,6 +1,6 @@
 //! The model at work: decisions about block after block, each in sight of what is known round it.
 
-use flockmap_grid::{BaseSuperseded, BlockIndex, StateBlock};
+use flockmap_grid::{BaseSuperseded, BlockIndex, StateBlock, meet};
 
 use super::block;
 use super::decide::Decide;
@@ -8,9 +8,8 @@ use super::field::Field;
 use super::known::{Known, KnownClasses};
 use super::neighbourhood::Neighbourhood;
 use super::orientation::{Distance, Orientation, TurnedChanges};
-use super::planes::meet;
 
-/// The blocks that a package has looked at, and the one under way.
+/// The blocks that a package has looked at, and the one being coded.
 #[derive(Default)]
 pub(crate) struct Model {
     pub(crate) field: Field,

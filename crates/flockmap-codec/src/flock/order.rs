@@ -1,7 +1,7 @@
 //! The order of blocks: octant by octant round the sensor, in each from far to near.
 //!
-//! What lies behind a voxel is told before it. If a far voxel was freed, then the ray that freed it went
-//! through the near ones, which tells more than the near ones tell of the far.
+//! What lies behind a voxel is coded before it. If a far voxel was freed, then the ray that freed it went
+//! through the near ones, which says more of these than they say of the far one.
 
 use flockmap_grid::{BlockIndex, Changes, StateBlock};
 

@@ -1,4 +1,4 @@
-//! How a block is turned, so that coding always goes the same way: from the farthest slice from the sensor to
+//! How a block is turned, so that coding always goes in one direction: from the farthest slice from the sensor to
 //! the nearest, along the axis on which the sensor is farthest away, and in each slice from the farthest row
 //! and voxel.
 
@@ -52,7 +52,7 @@ impl Orientation {
         mirrored(&self.swapped(plane), [false, self.is_up[1], self.is_up[2]])
     }
 
-    /// Runs x the right way again.
+    /// Runs x upwards again.
     pub(crate) fn back_x(self, plane: &Plane) -> Plane {
         mirrored(plane, [self.is_up[0], false, false])
     }

@@ -3,11 +3,6 @@
 
 use flockmap_grid::Plane;
 
-/// Whether a voxel is set in both.
-pub(crate) fn meet(a: &Plane, b: &Plane) -> bool {
-    a.iter().zip(b).any(|(a, b)| a & b != 0)
-}
-
 /// Reverses the bits of each byte.
 #[inline]
 pub(crate) const fn mirrored_bytes(word: u64) -> u64 {

@@ -2,7 +2,7 @@
 
 use super::orientation::Distance;
 
-/// How they lie in the slice under way.
+/// How they lie in the current slice.
 pub(crate) struct Rays {
     distance: Distance,
     /// Whether the axis of a slice along which the sensor is farther away is the one from row to row.
@@ -11,17 +11,6 @@ pub(crate) struct Rays {
     /// How far they move along x with each slice, in sixteenths of a voxel: 0 … 16.
     pub(crate) slope_x: usize,
 }
-
-/// 65,536 / (8·n + 4): one divided by a distance of n half voxels.
-static RECIPROCAL: [u32; 1024] = {
-    let mut table = [0; 1024];
-    let mut n = 0;
-    while n < 1024 {
-        table[n] = 65_536 / (8 * n as u32 + 4);
-        n += 1;
-    }
-    table
-};
 
 impl Rays {
     pub(crate) fn of(distance: Distance) -> Self {
@@ -32,7 +21,9 @@ impl Rays {
     #[inline]
     pub(crate) fn enter(&mut self, z: usize) {
         let along = (self.distance[2] + 56 - 16 * z as i32).max(0);
-        self.reciprocal = u64::from(RECIPROCAL[((along >> 3) as usize).min(1023)]);
+        // One divided by a distance of so many half voxels.
+        let half_voxels = (along as u32 >> 3).min(1023);
+        self.reciprocal = u64::from(65_536 / (8 * half_voxels + 4));
         self.slope_x = self.slope(self.distance[0]);
     }
 

@@ -1,9 +1,9 @@
 //! A section: blocks in order, cut where there is no more room. The payload of a package of changes is one; a
 //! chunk of a snapshot has one for each of its stamps.
 //!
-//! The payload: a varint, the number of blocks of the box before the first that is told of times four, plus
+//! The payload: a varint, the number of blocks of the box before the first that is coded times four, plus
 //! the set of tables; the sensor's position, three signed varints, in quarters of a voxel from the middle of
-//! the box; a varint, the number of blocks from the first to the last that is told of; the decisions. Blocks
+//! the box; a varint, the number of blocks from the first to the last that is coded; the decisions. Blocks
 //! are counted in the order of `order.rs`.
 
 use flockmap_grid::{BLOCK_SIDE, BaseSuperseded, Changes, VOXEL_LIMIT, VoxelBox};
@@ -27,7 +27,7 @@ use crate::error::PackageError;
 use crate::fields::Fields;
 use crate::work::{self, CHANGED_STEPS, TAKEN_IN_STEPS, Work};
 
-/// Zeros at the end of a payload that is short for its work, at most, unless it tells of one block: another
+/// Zeros at the end of a payload that is short for its work, at most, unless it has one block: another
 /// package takes no more.
 const PADDING_MAX: usize = 40;
 
@@ -38,7 +38,7 @@ pub(crate) struct Workspace {
     model: Model,
     probabilities: Box<Probabilities>,
     body: Vec<u8>,
-    /// Of each block of the box, whether it is told of and changed.
+    /// Of each block of the box, whether it is coded and changed.
     coded: Vec<u8>,
 }
 
@@ -130,7 +130,7 @@ fn write(
     let mut flags = Flags::new(region, coded);
     let mut left = blocks.iter();
     let mut next = left.next();
-    // Blocks told of, and those with changes.
+    // Coded blocks, and those with changes.
     let (mut length, mut count) = (0u64, 0);
     let (mut seen, mut mark) = (0, decisions.bits.mark());
     let of_box = work::of_box(region.size());
@@ -178,7 +178,7 @@ pub(crate) fn decode(
     let mut reader = Fields::new(payload);
     let Head { set, sensor, before } = Head::read(&region, &mut reader)?;
     let volume = region.volume() as u64;
-    let length = reader.number("blocks told of", volume - before)?;
+    let length = reader.number("coded blocks", volume - before)?;
     work.take(work::of_box(region.size()))?;
 
     let Workspace { model, probabilities, coded, .. } = workspace;

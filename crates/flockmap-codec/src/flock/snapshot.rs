@@ -1,15 +1,17 @@
-//! A snapshot as its own history: part by part in the order of their stamps, each told as a batch against the
+//! A snapshot as its own history: part by part in the order of their stamps, each coded as a batch against the
 //! older ones.
 //!
-//! So the stamps cost next to nothing, and what a later batch left of an earlier one is told where that batch
-//! told it. A chunk holds sections, each a part or a piece of one. Who has read the chunks before knows what
-//! the next one is told against. A chunk without sections says that nothing is known.
+//! So the stamps cost next to nothing, and what a later batch left of an earlier one is coded where that batch
+//! coded it. A chunk holds sections, each a part or a piece of one. Who has read the chunks before knows what
+//! the next one is coded against. A chunk without sections says that nothing is known.
 //!
 //! A section: the stamp, a varint, as the difference to the section before (the first: to the start in the
 //! header); the box in blocks, three varints for its lowest block as the difference to that of the chunk,
 //! three for its size less one; the length of the rest, a varint; the rest, as in a package of changes.
 
-use flockmap_grid::{BlockIndex, Changes, Layer, Snapshot, SnapshotVoxels, Stamp, StateBlock, VoxelBox};
+use flockmap_grid::{
+    BlockIndex, Changes, Layer, Snapshot, SnapshotVoxels, Stamp, StateBlock, VoxelBox, meet,
+};
 use rustc_hash::FxHashMap;
 
 use super::block_box::{BLOCK_UNITS, BOX_BLOCKS_MAX, BlockBox};
@@ -17,7 +19,6 @@ use super::habits::Habits;
 use super::head::{Head, whole};
 use super::known::Known;
 use super::order;
-use super::planes::meet;
 use super::section::{self, Section, Workspace};
 use super::tables::TableSet;
 use crate::bytes::put_varint;

@@ -120,17 +120,17 @@ fn a_usual_header_takes_few_bytes() {
 fn numbers_out_of_range_are_refused() {
     let refused = |edit: &dyn Fn(&mut Vec<u8>)| {
         // Version, kind and codec, origin, epoch, index 5, batch end, duration, resolution 0.1 m, box,
-        // reference.
+        // base.
         let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
         assert!(Header::read(&bytes).is_ok());
         edit(&mut bytes);
         Header::read(&bytes).unwrap_err().to_string()
     };
     assert_eq!(refused(&|b| b[4] = 0), "package header: indices begin at 1");
-    // One block, told as 8 × 8 × 8 voxels.
+    // One block, counted as 8 × 8 × 8 voxels.
     let blocks = refused(&|b| b[12..15].copy_from_slice(&[7; 3]));
     assert_eq!(blocks, "package header: a box of whole blocks is counted in blocks");
-    assert_eq!(refused(&|b| b[15] = 5), "package header: a reference is an earlier package");
+    assert_eq!(refused(&|b| b[15] = 5), "package header: a base is an earlier package");
     assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
     let urgent_state = refused(&|b| b[1] |= KIND_SNAPSHOT << KIND_SHIFT | 1 << 5);
     assert_eq!(urgent_state, "package header: a snapshot has priority 0");

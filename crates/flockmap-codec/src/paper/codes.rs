@@ -1,5 +1,5 @@
 //! Codes of two bits, four to a byte, the first in the lowest two bits; and where among many of them those
-//! are that tell of a voxel, so that what says nothing costs next to nothing.
+//! are that set a voxel, so that what says nothing costs next to nothing.
 
 use crate::work;
 
@@ -37,18 +37,18 @@ pub(crate) const PER_BYTE: usize = 4;
 #[derive(Clone, Copy)]
 pub(crate) struct Codes<'a> {
     pub(crate) packed: &'a [u8],
-    /// A byte of codes that tell of no voxel.
+    /// A byte of codes that set no voxel.
     pub(crate) nothing: u8,
 }
 
 impl<'a> Codes<'a> {
-    /// `background` is the code of a voxel that is not told of; the bits after the last code are the same as
+    /// `background` is the code of a voxel that is not set; the bits after the last code are the same as
     /// if there were more of these.
     pub(crate) const fn new(packed: &'a [u8], background: u8) -> Self {
         Self { packed, nothing: background * 0b0101_0101 }
     }
 
-    /// The bytes of each group that tells of a voxel, with the number of the first.
+    /// The bytes of each group that sets a voxel, with the number of the first.
     pub(crate) fn groups(self) -> impl Iterator<Item = (usize, &'a [u8])> {
         let nothing = u64::from_le_bytes([self.nothing; 8]);
         let firsts = (0..self.packed.len()).step_by(GROUP_BYTES);

@@ -179,7 +179,7 @@ impl Axis {
         Self { len: self.len - len, ..self }
     }
 
-    /// The same side walked the other way.
+    /// The same side walked backwards.
     fn back(self) -> Self {
         Self { stride: -self.stride, ..self }
     }

@@ -1,4 +1,4 @@
-//! The voxels that a box of codes tells of: found group by group, so that what says nothing costs next to
+//! The voxels that a box of codes sets: found group by group, so that what says nothing costs next to
 //! nothing.
 
 use flockmap_grid::{Changes, StateBlock, VoxelBox};
@@ -80,7 +80,7 @@ impl Found<'_> {
 /// Voxels with a code, along the Hilbert walk.
 struct Walk<'a, 'b, 'w> {
     codes: Codes<'a>,
-    /// The first code of each group that tells of a voxel, from the one that comes next.
+    /// The first code of each group that sets a voxel, from the one that comes next.
     groups: &'a [usize],
     places: Places,
     found: &'b mut Found<'w>,
@@ -103,7 +103,7 @@ impl Pick for Walk<'_, '_, '_> {
         let (mut at, end) = (step, step + leaf.len());
         while at < end {
             let bytes = packed.get(at / PER_BYTE..).unwrap_or_default();
-            // Eight bytes that tell of nothing, or one.
+            // Eight bytes that set nothing, or one.
             if bytes.first_chunk::<8>().is_some_and(|bytes| *bytes == [nothing; 8]) {
                 at = (at / PER_BYTE + 8) * PER_BYTE;
                 continue;

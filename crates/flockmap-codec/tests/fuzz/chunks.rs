@@ -1,4 +1,4 @@
-//! Any bytes as the chunks of a snapshot in `flock`, which are told one against the other.
+//! Any bytes as the chunks of a snapshot in `flock`, which are coded one against the other.
 //!
 //! Input: chunks, each behind its length as `u16 LE`.
 

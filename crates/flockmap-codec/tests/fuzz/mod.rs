@@ -1,4 +1,4 @@
-//! What the fuzzer runs, shared with the test that replays its corpus: `fuzz/README.md` tells how to run it.
+//! What the fuzzer runs, shared with the test that replays its corpus: `fuzz/README.md` says how to run it.
 
 mod choices;
 pub(crate) mod chunks;
@@ -15,7 +15,7 @@ pub(crate) use random::Random;
 use flockmap_codec::{ChunksRead, Codec, Content, Decoder, Encoder, Package};
 use flockmap_grid::{Snapshot, VOXEL_LIMIT, Voxel, VoxelBox};
 
-/// What one run leaves to the next: memory that is used again must not tell.
+/// What one run leaves to the next: memory that is used again must not change a result.
 #[derive(Default)]
 pub(crate) struct Fuzz {
     encoder: Encoder,

@@ -1,4 +1,4 @@
-//! A flight of a few batches, whatever it is: every package decodes to what was encoded, in any order that its references allow.
+//! A flight of a few batches, whatever it is: every package decodes to what was encoded, in any order that its bases allow.
 //!
 //! Input: choices.
 
@@ -13,7 +13,7 @@ use super::{Choices, Fuzz, Random};
 
 const BATCHES_MAX: usize = 5;
 
-/// The robot that tells.
+/// The robot that sends.
 struct Sender {
     stream: Stream,
     resolution: Resolution,
@@ -98,7 +98,7 @@ impl Sender {
         if choices.below(8) == 7 {
             let again =
                 Encoder::new().encode_batch_against(codec, &batch, first, &changes, Some(&base), bytes_max);
-            assert_eq!(again.as_ref(), Ok(&packages), "memory of earlier packages tells");
+            assert_eq!(again.as_ref(), Ok(&packages), "memory of earlier packages changes a result");
         }
 
         // One after the other, as they come where nothing is lost.
@@ -156,7 +156,7 @@ impl Sender {
                     voxels.push((Voxel::new(at[0], at[1], at[2]), State::Occupied));
                 }
                 3 | 4 => voxels.extend(inside.voxels().map(|voxel| (voxel, state))),
-                // What was there, the other way round.
+                // What was there, reversed.
                 5 => voxels.extend(inside.voxels().filter_map(|voxel| match self.state(voxel) {
                     State::Unknown => None,
                     State::Free => Some((voxel, State::Occupied)),
@@ -192,7 +192,7 @@ fn changes_in(content: Content) -> Changes {
     changes
 }
 
-/// Every package as soon as all up to its reference are held, and else later. None may be wrong or superseded.
+/// Every package as soon as all up to its base are received, and else later. None may be wrong or superseded.
 fn receive_in_any_order(
     fuzz: &mut Fuzz,
     choices: &mut Choices<'_>,

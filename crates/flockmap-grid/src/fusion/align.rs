@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use rustc_hash::FxHashMap;
 
 use super::rigid::{Planes, Rigid, is_dense, numbered, places};
+use crate::block::plane_within;
 use crate::{BlockIndex, Layer, Plane, Pose, Resolution, Stamp, State, StateBlock, Voxel};
 
 /// `T_own_origin` and its inverse, in voxel units.
@@ -80,7 +81,7 @@ impl Alignment {
                     *near = core::array::from_fn(|z| near[z] | occupied[z] & plane[z]);
                 };
                 if is_dense(*index, mask) {
-                    sources.each(|source, block| add(source, block, &box_in(source, ends)));
+                    sources.each(|source, block| add(source, block, &plane_within(source, ends[0], ends[1])));
                 } else {
                     self.backward.near_voxels(&self.forward, *index, mask, |source, plane| {
                         layer.block(source).into_iter().for_each(|block| add(source, block, plane));
@@ -165,7 +166,7 @@ impl<'a> Sources<'a> {
         self.blocks.iter().flatten().any(|block| *plane(block) != [0; 8])
     }
 
-    /// Hands on all that have Occupied voxels.
+    /// Calls `found` with all that have Occupied voxels.
     fn each(&self, mut found: impl FnMut(BlockIndex, &StateBlock)) {
         for (number, block) in (0..27).zip(self.blocks) {
             if let Some(block) = block.filter(|block| *block.occupied() != [0; 8]) {
@@ -184,21 +185,6 @@ impl<'a> Sources<'a> {
         }
         planes
     }
-}
-
-/// The voxels of a block that lie in a box.
-fn box_in(index: BlockIndex, [low, high]: [Voxel; 2]) -> Plane {
-    let corner = index.corner();
-    // Of one axis: a bit for each place within.
-    let within = |low: i32, high: i32, corner: i32| {
-        let [from, to] = [low - corner, high - corner + 1].map(|end| end.clamp(0, 8));
-        (1u64 << to) - (1 << from.min(to))
-    };
-    let row = within(low.x, high.x, corner.x);
-    let rows = within(low.y, high.y, corner.y);
-    let slice = (0..8).filter(|y| rows >> y & 1 == 1).fold(0, |slice, y| slice | row << (8 * y));
-    let slices = within(low.z, high.z, corner.z);
-    core::array::from_fn(|z| slice * (slices >> z & 1))
 }
 
 #[cfg(test)]

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 
 use crate::layer::SENSOR_BYTES;
 use crate::{
-    BLOCK_VOXELS, BlockIndex, Changes, Layer, Mapper, Plane, Pose, PoseError, Resolution, RobotId,
-    ScanReport, Snapshot, Stamp, State, StateBlock, Stream, Voxel, bit_of,
+    BlockIndex, Changes, Layer, Mapper, Plane, Pose, PoseError, Resolution, RobotId, ScanReport, Snapshot,
+    Stamp, State, StateBlock, Stream, Voxel, set_bits,
 };
 use align::Alignment;
 use received::Received;
@@ -27,7 +27,7 @@ pub struct FusionConfig {
     /// refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule, and 11 kB if each of its voxels changed last in another batch. One
     /// merge may go beyond by what it adds to the fused map in new places, at most 64 MiB. Default 512 MiB.
     pub layer_bytes_max: usize,
-    /// The same for the layer of the own stream: what of the own map was told. Default 256 MiB.
+    /// The same for the layer of the own stream: what of the own map was published. Default 256 MiB.
     pub own_layer_bytes_max: usize,
     /// Most streams that are kept. Default 256.
     pub streams_max: usize,
@@ -335,7 +335,7 @@ impl Fusion {
         self.origin_mut(origin).clock_offset_micros = micros;
     }
 
-    /// Leaves an origin's layers out of the fused map, or takes them in again. They are kept either way.
+    /// Leaves an origin's layers out of the fused map, or takes them in again. They are kept in any case.
     /// O(voxels of all layers).
     pub fn set_muted(&mut self, mapper: &Mapper, origin: RobotId, is_muted: bool) {
         if self.origin(origin).is_muted != is_muted {
@@ -397,8 +397,8 @@ impl Fusion {
             }
             for (((index, mask), mut fused), contested) in targets.iter().zip(fused).zip(contested) {
                 if contested != [0; 8] {
-                    for (voxel, bit) in voxels_of(*index, &contested) {
-                        fused.set(bit, self.winner(mapper, voxel));
+                    for bit in set_bits(&contested) {
+                        fused.set(bit, self.winner(mapper, index.voxel(bit)));
                     }
                 }
                 self.view.write(*index, mask, &fused);
@@ -406,7 +406,7 @@ impl Fusion {
         }
     }
 
-    /// The word that was made last on this robot's clock; of those made together, Occupied.
+    /// The state that was observed last on this robot's clock; of those observed together, Occupied.
     fn winner(&self, mapper: &Mapper, voxel: Voxel) -> State {
         let own = mapper.state(voxel);
         let own_stamp = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
@@ -449,16 +449,6 @@ impl Origin {
     fn look_up(&self, layer: &Layer, voxel: Voxel) -> Option<(State, Stamp)> {
         if self.alignment.is_identity() { layer.get(voxel) } else { self.alignment.look_up(layer, voxel) }
     }
-}
-
-/// The voxels of a block whose bits are set, with their bit numbers.
-fn voxels_of(index: BlockIndex, mask: &Plane) -> impl Iterator<Item = (Voxel, usize)> {
-    let corner = index.corner();
-    let mask = *mask;
-    (0..BLOCK_VOXELS).filter(move |bit| mask[bit / 64] >> (bit % 64) & 1 == 1).map(move |bit| {
-        let [x, y, z] = bit_of(bit);
-        (Voxel::new(corner.x + x, corner.y + y, corner.z + z), bit)
-    })
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use crate::Stamp;
 /// with its stamp or a newer one had come. A clock that is wrong, or an offset to it, can make observations count as older than they are, but
 /// never as newer than their arrival: so they hide nothing that this robot sees later.
 ///
-/// Times of arrival are told apart by a quarter of a second. At most 64 kB: when it is full, pairs of the older half become one.
+/// Times of arrival are a quarter of a second apart. At most 64 kB: when it is full, pairs of the older half become one.
 #[derive(Debug, Default)]
 pub(super) struct Received {
     /// Both numbers ascend.
@@ -176,7 +176,7 @@ mod tests {
         let made: Vec<i64> = (0..20_000).map(|arrival| received.made(Stamp(day + arrival), 0).0).collect();
         assert!(made.iter().zip(0..).all(|(made, arrival)| *made <= arrival * second + TICK));
         assert!(made.is_sorted());
-        // And what came lately is told apart exactly.
+        // And what came lately is kept exactly.
         assert!(made.iter().zip(0..).skip(18_500).all(|(made, arrival)| *made == arrival * second + TICK));
     }
 }

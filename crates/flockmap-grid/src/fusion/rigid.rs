@@ -1,6 +1,7 @@
 //! A rigid motion of the voxels of a block, a row of eight at a time.
 
-use crate::{BlockIndex, Plane, Pose, Resolution, VOXEL_LIMIT, Voxel, bit_of};
+use crate::block::{extent, plane_within};
+use crate::{BlockIndex, Plane, Pose, Resolution, VOXEL_LIMIT, Voxel, VoxelBox};
 
 /// A rigid motion in voxel units.
 #[derive(Clone, Copy, Debug)]
@@ -87,7 +88,7 @@ impl Rigid {
         [end(false), end(true)]
     }
 
-    /// Hands on each row of a block in which `mask` has voxels: the number of its first bit, the eight bits of `mask`, the images.
+    /// Calls `row` for each row of a block in which `mask` has voxels: the number of its first bit, the eight bits of `mask`, the images.
     #[inline(always)]
     fn rows(&self, index: BlockIndex, mask: &Plane, mut row: impl FnMut(usize, u8, &Row<f64>)) {
         let corner = index.corner();
@@ -113,9 +114,9 @@ impl Rigid {
         }
     }
 
-    /// Hands on each row of a block in which `mask` has voxels: the number of its first bit, the eight bits of `mask`, the voxels that
+    /// Calls `row` for each row of a block in which `mask` has voxels: the number of its first bit, the eight bits of `mask`, the voxels that
     /// hold the images of the centres. Reckoned in parts of a voxel, whole numbers that the compiler adds several at once; only what
-    /// comes so near to a border that these do not tell the side is worked out as [`Self::voxel`] does.
+    /// comes so near to a border that these do not settle the side is worked out as [`Self::voxel`] does.
     #[inline(always)]
     pub(super) fn each_row(
         &self,
@@ -274,16 +275,9 @@ fn floor(at: f64) -> i32 {
 
 /// The lowest and the highest voxel of a box that holds those of `mask`, which has some.
 fn corners(index: BlockIndex, mask: &Plane) -> (Voxel, Voxel) {
-    let all = mask.iter().fold(0, |all, slice| all | slice);
-    let columns = (0..8).fold(0u8, |columns, y| columns | (all >> (8 * y)) as u8);
-    let ends = |low: u32, high: u32| [low.min(7) as i32, 7 - high.min(7) as i32];
-    let x = ends(columns.trailing_zeros(), columns.leading_zeros());
-    let y = ends(all.trailing_zeros() / 8, all.leading_zeros() / 8);
-    let z = [mask.iter().position(|z| *z != 0), mask.iter().rposition(|z| *z != 0)]
-        .map(|z| z.unwrap_or_default() as i32);
-    let corner = index.corner();
-    let at = |end: usize| Voxel::new(corner.x + x[end], corner.y + y[end], corner.z + z[end]);
-    (at(0), at(1))
+    let (corner, (low, high)) = (index.corner(), extent(mask));
+    let at = |[x, y, z]: [i32; 3]| Voxel::new(corner.x + x, corner.y + y, corner.z + z);
+    (at(low), at(high))
 }
 
 /// Voxels near the images of a block.
@@ -367,27 +361,17 @@ impl Window {
                 }
             }
         }
-        for (number, plane) in planes.iter_mut().enumerate().filter(|(_, plane)| **plane != [0; 8]) {
-            let index = numbered(first, number as i32);
-            keep_in_grid(index, plane);
-            if *plane != [0; 8] {
-                found(index, plane);
+        let [low, high] = [-VOXEL_LIMIT, VOXEL_LIMIT].map(|end| Voxel::new(end, end, end));
+        for (number, mut plane) in (0..).zip(planes).filter(|(_, plane)| *plane != [0; 8]) {
+            let index = numbered(first, number);
+            // Only at its end does the grid cut a block.
+            if VoxelBox::new(index.corner(), [8; 3]).is_none() {
+                let in_grid = plane_within(index, low, high);
+                plane = core::array::from_fn(|z| plane[z] & in_grid[z]);
             }
-        }
-    }
-}
-
-/// Takes the voxels out of a plane that lie beyond the end of the grid.
-fn keep_in_grid(index: BlockIndex, plane: &mut Plane) {
-    let is_within = |at: i32| (-VOXEL_LIMIT / 8..VOXEL_LIMIT / 8).contains(&at);
-    if [index.x, index.y, index.z].into_iter().all(is_within) {
-        return;
-    }
-    let corner = index.corner();
-    for bit in 0..512 {
-        let [x, y, z] = bit_of(bit);
-        if !Voxel::new(corner.x + x, corner.y + y, corner.z + z).in_limits() {
-            plane[bit / 64] &= !(1 << (bit % 64));
+            if plane != [0; 8] {
+                found(index, &plane);
+            }
         }
     }
 }

@@ -27,7 +27,7 @@ fn naive(
 ) -> BTreeMap<Voxel, State> {
     let mut words: BTreeMap<Voxel, Vec<(Stamp, bool)>> = BTreeMap::new();
     for (index, block) in mapper.blocks() {
-        for (voxel, bit) in voxels_of(index, &block.known()) {
+        for (voxel, bit) in set_bits(&block.known()).map(|bit| (index.voxel(bit), bit)) {
             let stamp = mapper.last_seen(voxel).unwrap().plus_micros(fusion.config.own_priority_micros);
             words.entry(voxel).or_default().push((stamp, block.get(bit) == State::Occupied));
         }
@@ -362,7 +362,7 @@ fn what_came_with_a_stamp_of_the_future_hides_nothing_that_the_robot_sees_later(
             assert_eq!(
                 fusion.layer(stream(2)).unwrap().newest(),
                 Some(stamp),
-                "the layer keeps what it was told"
+                "the layer keeps what it received"
             );
             assert_eq!(fusion.map().state(Voxel::new(10, 0, 0)), State::Free);
             // Its clock is taken to be off otherwise later on.

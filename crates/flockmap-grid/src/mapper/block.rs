@@ -11,10 +11,10 @@ pub(super) const UNOBSERVED: i16 = i16::MIN;
 #[derive(Clone)]
 pub(super) struct MapBlock {
     log_odds: [i16; BLOCK_VOXELS],
-    /// Number of the scan that touched the voxel last; 0 = none, or one too long ago to be told apart.
+    /// Number of the scan that touched the voxel last; 0 = none, or one too long ago.
     seen: [u16; BLOCK_VOXELS],
     states: StateBlock,
-    /// The states that the swarm was told last.
+    /// The states that were published last.
     packed: StateBlock,
 }
 

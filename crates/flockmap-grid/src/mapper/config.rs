@@ -1,4 +1,4 @@
-//! What the mapper may be told: sensor model, range, limits; and the three presets.
+//! The options of the mapper: sensor model, range, limits; and the three presets.
 
 use crate::Resolution;
 
@@ -106,7 +106,7 @@ impl SensorModel {
     }
 }
 
-/// Everything a mapper may be told.
+/// The options of a mapper.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapperConfig {
     /// Side of a voxel.

@@ -1,4 +1,4 @@
-//! The mapper: scans in, occupancy out, and which voxels have changed since the swarm was last told.
+//! The mapper: scans in, occupancy out, and which voxels have changed since they were last published.
 
 mod block;
 mod config;
@@ -279,7 +279,7 @@ impl Mapper {
     }
 
     /// Keeps the byte cap before the scan is taken in: forgets the blocks farthest from the sensor, a tenth more than needed so that it does
-    /// not come to this at every scan. What is forgotten is no change: the swarm keeps what it was told. Returns where the blocks end that
+    /// not come to this at every scan. What is forgotten is no change: the swarm keeps what it received. Returns where the blocks end that
     /// are kept; of those that the scan touches, the ones beyond are not even made.
     fn forget_far_blocks(&mut self, start: [f64; 3], report: &mut ScanReport) -> Option<FarKey> {
         let blocks_max = self.config.blocks_max();

@@ -15,7 +15,7 @@ const LANES: usize = 8;
 /// Rays between two checks that no count runs over 16 bits.
 const BATCH: usize = 1 << 15;
 
-/// Counts are cut to this between batches. No rule tells more rays than this apart.
+/// Counts are cut to this between batches. No rule counts more rays than this.
 pub(super) const COUNT_MAX: u16 = u16::MAX - BATCH as u16;
 
 /// Steps that a group walks before its places are counted.
@@ -147,13 +147,11 @@ impl RayCounts {
     pub(super) fn cast(&mut self, start: [f64; 3], rays: &[Ray]) {
         self.clear();
         let from = voxel_of(start);
-        let (mut low, mut high) = (from.block(), from.block());
-        for ray in rays {
-            let b = voxel_of(ray.end).block();
-            low = BlockIndex::new(low.x.min(b.x), low.y.min(b.y), low.z.min(b.z));
-            high = BlockIndex::new(high.x.max(b.x), high.y.max(b.y), high.z.max(b.z));
+        let (mut low, mut high) = (from, from);
+        for end in rays.iter().map(|ray| voxel_of(ray.end)) {
+            (low, high) = (low.lowest(end), high.highest(end));
         }
-        self.window = Window::new(low, high);
+        self.window = Window::new(low.block(), high.block());
         if self.table.len() < self.window.blocks() {
             self.table.resize(self.window.blocks(), 0);
         }

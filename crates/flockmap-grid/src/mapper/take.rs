@@ -1,4 +1,4 @@
-//! Which changes are taken from the map to be told to the swarm.
+//! Which changes are taken from the map to be published.
 
 use super::{Mapper, Which};
 use crate::{BlockIndex, Changes, Plane, StateBlock};

@@ -14,7 +14,7 @@ fn written(bits: &[(Probability, bool)]) -> Vec<u8> {
         writer.put(*probability, *bit);
     }
     writer.finish();
-    assert_eq!(out[..2], [0xff, 0xff], "what stood before is left alone");
+    assert_eq!(out[..2], [0xff, 0xff], "what stood before stays");
     out.split_off(2)
 }
 

@@ -6,6 +6,7 @@ use flockmap_grid::{Changes, VoxelBox};
 
 use super::limits::bytes_min;
 use crate::flock::block_box::BlockBox;
+use crate::flock::log2::log2;
 use crate::limits::BOX_VOXELS_MAX;
 use crate::piece::{Measure, Piece};
 
@@ -42,26 +43,11 @@ fn choice(all: u64, some: u64) -> u128 {
     term(all).saturating_sub(term(some) + term(all.saturating_sub(some)))
 }
 
-/// The logarithm to base 2 in 2⁻³², rounded down; 0 for 0.
-fn log2(value: u64) -> u64 {
-    let Some(whole) = value.checked_ilog2() else { return 0 };
-    // 1 ≤ mantissa < 2 in 2⁻⁶³; its square is 2 or more if the next bit of the logarithm is set.
-    let mut mantissa = value << (63 - whole);
-    let mut log = u64::from(whole);
-    for _ in 0..32 {
-        let square = (u128::from(mantissa) * u128::from(mantissa)) >> 63;
-        let bit = (square >> 64) as u64;
-        mantissa = (square >> bit) as u64;
-        log = log << 1 | bit;
-    }
-    log
-}
-
 /// The changes in pieces of at most `payload_max` bytes each, with the tight box of each. No two share a
 /// voxel. A voxel that does not fit is a piece all the same (it takes 3 bytes).
 ///
 /// Cuts across the longest side of the box until each piece fits by [`estimate`] in a box of whole blocks;
-/// nothing is coded on the way.
+/// nothing is coded meanwhile.
 pub(crate) fn cut(changes: &Changes, payload_max: usize) -> Vec<(VoxelBox, Changes)> {
     let mut done = Vec::new();
     let mut waiting: Vec<Piece> = Piece::new(changes.clone(), Vec::new()).into_iter().collect();

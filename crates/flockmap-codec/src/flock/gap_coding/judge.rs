@@ -105,7 +105,7 @@ mod tests {
                 assert!(!judged(&rays(count, length, seed)), "{count} rays of {length}");
             }
         }
-        // Every voxel of the box changed, and what is a wall of obstacles is told by the states alone.
+        // Every voxel of the box changed; only the states show that it is a wall of obstacles.
         let wall = |v: Voxel| if v.x == 20 { State::Occupied } else { State::Free };
         let full = VoxelBox::new(Voxel::new(0, 0, 0), [40, 33, 20]).unwrap();
         assert!(!judged(&Changes::from_voxels(full.voxels().map(|v| (v, wall(v))))));

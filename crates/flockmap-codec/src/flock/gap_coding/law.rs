@@ -26,7 +26,7 @@ impl Gaps {
     pub(crate) fn new(left: u32, rest: u32) -> Self {
         let most = rest - left;
         let mut gaps = Self { most, beyond: [0; GROUP_LOG_MAX + 1], group_log: 0 };
-        // At least 2⁵, unless `most` is 0, where nothing is told; below 2³².
+        // At least 2⁵, unless `most` is 0, where nothing is coded; below 2³².
         let mut power = (u64::from(most) << 32) / u64::from(rest);
         gaps.beyond[0] = power as u32;
         // The smallest groups that a gap goes beyond in less than half of the cases. A power is then at least
@@ -39,7 +39,7 @@ impl Gaps {
         gaps
     }
 
-    /// Writes or reads the gap, at most `rest - left`. What follows from that is not told. A reader's `gap`
+    /// Writes or reads the gap, at most `rest - left`. What follows from that is not coded. A reader's `gap`
     /// means nothing.
     #[inline]
     pub(crate) fn code(&self, bits: &mut impl FineBits, gap: u32) -> u32 {

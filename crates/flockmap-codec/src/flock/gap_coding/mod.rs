@@ -1,4 +1,4 @@
-//! Gap coding: changes that lie anywhere in a box, each told by how far it is from the one before.
+//! Gap coding: changes that lie anywhere in a box, each given by how far it is from the one before.
 //!
 //! A set of changes without any pattern cannot cost less than h(r) + h(s) · r bits a voxel, where r is the
 //! share of voxels that changed, s the share of these that became Occupied and h the binary entropy. No

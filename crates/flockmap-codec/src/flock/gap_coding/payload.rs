@@ -1,7 +1,7 @@
-//! Payload: the bytes of one arithmetic coder, which tell the number of changes and then each of them, and
+//! Payload: the bytes of one arithmetic coder, which give the number of changes and then each of them, and
 //! zeros up to the length that [`voxels_max`] asks for.
 
-use flockmap_grid::{BlockIndex, Changes, StateBlock, VoxelBox};
+use flockmap_grid::{BlockIndex, Changes, State, StateBlock, VoxelBox, set_bits};
 
 use super::law::Gaps;
 use super::limits::{bytes_min, voxels_max};
@@ -26,13 +26,8 @@ pub(crate) fn encode(changes: &Changes, region: &VoxelBox, out: &mut Vec<u8>) {
     number(&mut bits, total as u32);
     for (index, block) in changes.blocks() {
         let part = order.part(*index);
-        for (z, (free, occupied)) in block.free().iter().zip(block.occupied()).enumerate() {
-            let mut changed = free | occupied;
-            while changed != 0 {
-                let bit = changed.trailing_zeros();
-                changed &= changed - 1;
-                walk.step(&mut bits, part.place(z as u32 * 64 + bit), occupied >> bit & 1 == 1);
-            }
+        for bit in set_bits(&block.known()) {
+            walk.step(&mut bits, part.place(bit as u32), block.get(bit) == State::Occupied);
         }
     }
     bits.finish();
@@ -126,7 +121,7 @@ impl Walk {
     #[inline]
     fn step(&mut self, bits: &mut impl FineBits, place: u32, is_occupied: bool) -> (u32, bool) {
         let gap = Gaps::new(self.left, self.rest).code(bits, place.wrapping_sub(self.next));
-        // As if one of each had come before the first: this costs as much as to tell the number of Occupied,
+        // As if one of each had come before the first: this costs as much as to send the number of Occupied,
         // and no more.
         let probability = (u64::from(self.occupied + 1) << 32) / u64::from(self.seen + 2);
         let is_occupied = bits.bit(probability as u32, is_occupied);

@@ -158,7 +158,7 @@ pub(super) fn any_changes() -> impl Strategy<Value = Changes> {
 fn encoded(changes: &Changes, region: &VoxelBox) -> Vec<u8> {
     let mut payload = vec![0xff; 3];
     encode(changes, region, &mut payload);
-    assert_eq!(payload[..3], [0xff; 3], "what stood before is left alone");
+    assert_eq!(payload[..3], [0xff; 3], "what stood before stays");
     payload.split_off(3)
 }
 
