@@ -1,5 +1,6 @@
 //! A sparse set of cells with fast exact ray casts: what is solid in a world.
 
+use crate::lattice::Lattice;
 use flockmap_grid::{Voxel, VoxelBox};
 
 /// Cells along one side of a chunk.
@@ -207,34 +208,8 @@ impl CellSet {
         for at in 0..self.table.len() {
             self.gap[at] = if occupied(self, at) { 0 } else { u8::MAX };
         }
-        // The largest-axis distance is separable: along each axis in turn, a forward and a backward sweep in
-        // which the distance along the axis and the distance found so far combine by their maximum.
-        let [nx, ny, nz] = self.chunks_along.map(|n| n as usize);
-        for (length, stride) in [(nx, 1), (ny, nx), (nz, nx * ny)] {
-            let mut line = vec![0u8; length];
-            for start in (0..self.gap.len()).filter(|at| at / stride % length == 0) {
-                for (i, slot) in line.iter_mut().enumerate() {
-                    *slot = self.gap[start + i * stride];
-                }
-                for i in 0..length {
-                    let mut best = line[i];
-                    for distance in 1..length {
-                        // Nothing at this distance or beyond can be nearer than the distance itself.
-                        if distance >= usize::from(best) {
-                            break;
-                        }
-                        let d = distance as u8;
-                        if i >= distance {
-                            best = best.min(line[i - distance].max(d));
-                        }
-                        if i + distance < length {
-                            best = best.min(line[i + distance].max(d));
-                        }
-                    }
-                    self.gap[start + i * stride] = best;
-                }
-            }
-        }
+        let chunks = Lattice::new(self.chunks_along.map(|n| n as usize));
+        chunks.spread(&mut self.gap, |distance| distance as u8, u8::max);
     }
 
     /// The first cell of the set that a ray enters, and where: `origin` and `direction` in cells,
@@ -363,7 +338,7 @@ impl Ray {
         core::array::from_fn(|a| self.crossing::<SIDE>(a, index[a]))
     }
 
-    /// Takes the first of the crossings `next` out of the box of `SIDE` cells at `index`, and tells whether
+    /// Takes the first of the crossings `next` out of the box of `SIDE` cells at `index`, and says whether
     /// it also leads out of the box of 4³ such boxes. `None` if the ray crosses nothing more.
     #[inline(always)]
     fn advance<const SIDE: i32>(
@@ -551,7 +526,7 @@ const fn cell_bit(cell: Voxel) -> u32 {
     ((cell.z & 3) << 4 | (cell.y & 3) << 2 | (cell.x & 3)) as u32
 }
 
-/// The numbers of the set bits of a word, ascending.
+/// The numbers of the set bits of a 64-bit word, ascending.
 struct Bits(u64);
 
 impl Iterator for Bits {

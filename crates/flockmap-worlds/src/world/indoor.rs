@@ -31,7 +31,7 @@ impl World {
     }
 }
 
-/// Rooms that chunk the floor, and the doors between them. Every room can be reached from every other.
+/// Rooms that tile the floor, and the doors between them. Every room can be reached from every other.
 struct Plan {
     rooms: Vec<Room>,
     doors: Vec<Door>,
