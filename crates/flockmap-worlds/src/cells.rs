@@ -93,24 +93,15 @@ impl CellSet {
             return Err(TooLarge);
         }
         // Brick by brick; one cell makes room for the brick that is then filled.
-        let ([x0, y0, z0], [x1, y1, z1]) = (brick_of(part.min()), brick_of(part.max()));
-        for z in z0..=z1 {
-            for y in y0..=y1 {
-                for x in x0..=x1 {
-                    let corner = Voxel::new(x * BRICK, y * BRICK, z * BRICK);
-                    let Some(inside) =
-                        VoxelBox::new(corner, [BRICK as u32; 3]).and_then(|brick| brick.intersection(&part))
-                    else {
-                        continue;
-                    };
-                    self.insert(inside.min())?;
-                    if inside.volume() > 1
-                        && let Some(slot) = self.slot(chunk_of(corner))
-                    {
-                        let mask = inside.voxels().fold(0u64, |mask, cell| mask | 1 << cell_bit(cell));
-                        self.chunks[self.table[slot] as usize - 1].bricks[brick_bit(corner)] |= mask;
-                    }
-                }
+        for corner in bricks_of(&part) {
+            let brick = VoxelBox::new(corner, [BRICK as u32; 3]);
+            let Some(inside) = brick.and_then(|brick| brick.intersection(&part)) else { continue };
+            self.insert(inside.min())?;
+            if inside.volume() > 1
+                && let Some(slot) = self.slot(chunk_of(corner))
+            {
+                let mask = inside.voxels().fold(0u64, |mask, cell| mask | 1 << cell_bit(cell));
+                self.chunks[self.table[slot] as usize - 1].bricks[brick_bit(corner)] |= mask;
             }
         }
         Ok(())
@@ -142,33 +133,12 @@ impl CellSet {
     /// Whether any cell of a box is in the set. Goes by bricks of 4³ cells.
     pub(crate) fn contains_any(&self, cells: &VoxelBox) -> bool {
         let Some(part) = cells.intersection(&self.region) else { return false };
-        let ([x0, y0, z0], [x1, y1, z1]) = (brick_of(part.min()), brick_of(part.max()));
-        (z0..=z1).any(|z| {
-            (y0..=y1).any(|y| {
-                (x0..=x1).any(|x| {
-                    let corner = Voxel::new(x * BRICK, y * BRICK, z * BRICK);
-                    let brick = self.brick(corner);
-                    let is_inside = |bit: i32| {
-                        let cell = Voxel::new(
-                            corner.x + (bit & 3),
-                            corner.y + (bit >> 2 & 3),
-                            corner.z + (bit >> 4),
-                        );
-                        part.contains(cell)
-                    };
-                    brick != 0 && Bits(brick).any(is_inside)
-                })
-            })
-        })
+        bricks_of(&part).any(|corner| Bits(self.brick(corner)).any(|bit| part.contains(cell_of(corner, bit))))
     }
 
     /// Every cell, in an order that depends only on which cells there are.
     pub(crate) fn iter(&self) -> impl Iterator<Item = Voxel> + '_ {
-        self.bricks().flat_map(|(corner, brick)| {
-            Bits(brick).map(move |bit| {
-                Voxel::new(corner.x + (bit & 3), corner.y + (bit >> 2 & 3), corner.z + (bit >> 4))
-            })
-        })
+        self.bricks().flat_map(|(corner, brick)| Bits(brick).map(move |bit| cell_of(corner, bit)))
     }
 
     /// Number of cells.
@@ -514,8 +484,17 @@ const fn chunk_of(cell: Voxel) -> [i32; 3] {
     [cell.x >> 4, cell.y >> 4, cell.z >> 4]
 }
 
-const fn brick_of(cell: Voxel) -> [i32; 3] {
-    [cell.x >> 2, cell.y >> 2, cell.z >> 2]
+/// The bricks that share cells with a box, by their lowest cells.
+fn bricks_of(cells: &VoxelBox) -> impl Iterator<Item = Voxel> + use<> {
+    let [low, high] =
+        [cells.min(), cells.max()].map(|cell| Voxel::new(cell.x >> 2, cell.y >> 2, cell.z >> 2));
+    let bricks = VoxelBox::spanning(low, high).into_iter().flat_map(|bricks| bricks.voxels());
+    bricks.map(|brick| Voxel::new(brick.x * BRICK, brick.y * BRICK, brick.z * BRICK))
+}
+
+/// The cell of a brick that has this bit.
+const fn cell_of(corner: Voxel, bit: i32) -> Voxel {
+    Voxel::new(corner.x + (bit & 3), corner.y + (bit >> 2 & 3), corner.z + (bit >> 4))
 }
 
 const fn brick_bit(cell: Voxel) -> usize {

@@ -163,7 +163,7 @@ mod tests {
                 let squares = blocked
                     .iter()
                     .filter(|(bx, by)| slab.cells.number_of([*bx, *by, 0]).is_some())
-                    .map(|(bx, by)| (bx.abs_diff(x)).pow(2) + (by.abs_diff(y)).pow(2));
+                    .map(|(bx, by)| bx.abs_diff(x).pow(2) + by.abs_diff(y).pow(2));
                 let nearest = squares.min().unwrap_or(u32::MAX).min(DISTANCE_CELLS_MAX.pow(2));
                 prop_assert!((slab.distance(cell) - 0.1 * f64::from(nearest).sqrt()).abs() < 1e-9);
             }

@@ -304,7 +304,7 @@ impl Pilot {
     /// Finds the paths to all places within a distance, clear of cells near others.
     fn flood(&mut self, from: [f64; 3], metres_max: f64, near_mates: &[usize]) {
         let (grid, heights) = (&self.grid, self.config.heights_m);
-        self.router.flood(grid, from, metres_max, false, |cell| is_closed(grid, heights, near_mates, cell));
+        self.router.flood(grid, from, metres_max, |cell| is_closed(grid, heights, near_mates, cell));
     }
 
     fn is_seen(&self, goal: &Goal) -> bool {

@@ -89,7 +89,7 @@ impl Seeable {
 /// One place in each box of the lattice in which a robot can be: the one nearest to its middle.
 fn places(truth: &NavigationGrid, start: [f64; 3], may_fly: impl Fn(usize) -> bool) -> Vec<[f64; 3]> {
     let mut router = Router::new(truth);
-    router.flood(truth, start, f64::INFINITY, false, |cell| !may_fly(cell));
+    router.flood(truth, start, f64::INFINITY, |cell| !may_fly(cell));
     let mut best: BTreeMap<[i64; 3], (f64, [f64; 3])> = BTreeMap::new();
     for cell in 0..truth.count() {
         if router.metres_to(truth, cell).is_none() {

@@ -103,18 +103,18 @@ impl Router {
     }
 
     /// Finds the cost of the path to every cell that can be reached from a place within `metres_max`; ask for
-    /// them with [`Self::metres_to`] until the next search. Rules as for [`Self::route`].
+    /// them with [`Self::metres_to`] until the next search. Rules as for [`Self::route`], and never through
+    /// Unknown cells.
     pub fn flood(
         &mut self,
         grid: &NavigationGrid,
         from: [f64; 3],
         metres_max: f64,
-        unknown_ok: bool,
         avoid: impl Fn(usize) -> bool,
     ) {
         self.search.clear();
         let Some(start) = grid.cells.cell_at(from) else { return };
-        let is_open = |cell: usize| grid.is_passable(cell, unknown_ok) && !avoid(cell);
+        let is_open = |cell: usize| grid.is_passable(cell, false) && !avoid(cell);
         let cost_max = (metres_max / grid.cells.side_m() * f64::from(10 * PRICE_OPEN)).min(4e9) as u32;
         self.search.begin(start, |_| 0);
         while let Some((cell, cost)) = self.search.visit().filter(|(_, cost)| *cost <= cost_max) {

@@ -193,7 +193,7 @@ fn a_route_is_as_short_as_the_flood_says_and_leads_out_of_a_tight_start() {
     // Right at the wall, nearer than the clearance.
     let from = [-0.3, 0.0, 1.0];
     assert!(!grid.is_passable(grid.cells().cell_at(from).unwrap(), false));
-    router.flood(&grid, from, 100.0, false, |_| false);
+    router.flood(&grid, from, 100.0, |_| false);
     let metres: Vec<Option<f64>> = (0..grid.count()).map(|cell| router.metres_to(&grid, cell)).collect();
     for cell in (0..grid.count()).step_by(97) {
         let route = router.route(&grid, &query(from, grid.cells().centre(cell)), |_| false);
