@@ -1,4 +1,4 @@
-//! Explores a world and tells how it goes: `explore forest|indoor|FILE [robots] [seed] [threads] [resolution range] [loss]
+//! Explores a world and reports how it goes: `explore forest|indoor|FILE [robots] [seed] [threads] [resolution range] [loss]
 //! [0: without no-returns] [seconds at most]`.
 
 use flockmap::Robot;

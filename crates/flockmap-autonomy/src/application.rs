@@ -1,7 +1,7 @@
 //! The application of the paper (Sec. V-B): two robots cross a dense thicket in line. The leader's LiDAR faces
-//! backwards, so it sees the way ahead only through the map of its follower.
+//! backwards, so it sees what lies ahead only through the map of its follower.
 //!
-//! Both are real [`flockmap::Robot`]s. Each plans on its own fused map alone; unknown space counts as free. What
+//! Both are real [`flockmap::Robot`]s. Each plans on nothing but its own fused map; unknown space counts as free. What
 //! becomes of them is judged in the world as it is.
 //!
 //! ```
@@ -28,6 +28,7 @@ use crate::MotionLimits;
 use flockmap::RobotError;
 use flockmap_grid::Stamp;
 use flockmap_worlds::SCAN_PERIOD_MICROS;
+use flockmap_worlds::curve::{distance, line};
 
 pub use course::Course;
 pub use judge::BODY_RADIUS_M;
@@ -37,8 +38,8 @@ pub use series::{Series, SeriesOptions, series};
 
 use pair::{FOLLOWER, LEADER, Pair};
 use pilot::{Flyer, Pilot, STEP_S, Surroundings};
+use route::POINT_EVERY_M;
 use sight::Sight;
-use slab::apart;
 
 /// The robots hover so long before they set off, in seconds, so that they find each other and have a map.
 const HOVER_S: f64 = 2.0;
@@ -47,7 +48,7 @@ const GOAL_RADIUS_M: f64 = 0.5;
 /// The leader flies slower, down to standing still, while the follower is farther behind than it should be by this much
 /// more.
 const STRETCH_M: [f64; 2] = [0.8, 2.0];
-/// The follower looks at the point so far ahead on the leader's way of flight.
+/// The follower looks at the point so far ahead on the leader's path.
 const LOOK_AHEAD_M: f64 = 2.0;
 /// Turning rate of both robots.
 const YAW_RATE_RAD_S: f64 = 1.4;
@@ -67,7 +68,7 @@ pub fn fly(course: &Course, options: &ApplicationOptions) -> Result<ApplicationO
     Ok(flight.into_outcome(ending.unwrap_or(Ending::TimeOut)))
 }
 
-/// A flight under way.
+/// A flight in progress.
 struct Flight<'a> {
     course: &'a Course,
     options: &'a ApplicationOptions,
@@ -76,7 +77,7 @@ struct Flight<'a> {
     limits: MotionLimits,
     pilots: [Pilot; 2],
     flyers: [Flyer; 2],
-    /// Where the leader was, each 10 cm, with the way to it from the follower's start.
+    /// Where the leader was, each 10 cm, with the line to it from the follower's start.
     trail: Vec<[f64; 2]>,
     path_m: f64,
 }
@@ -104,7 +105,7 @@ impl<'a> Flight<'a> {
             limits,
             pilots: [Pilot::new(limits), Pilot::new(limits)],
             flyers: [at(leader, ahead + core::f64::consts::PI), at(follower, ahead)],
-            trail: route::line([follower[0], follower[1]], [leader[0], leader[1]]).collect(),
+            trail: line([follower[0], follower[1]], [leader[0], leader[1]], POINT_EVERY_M).collect(),
             path_m: 0.0,
         })
     }
@@ -132,7 +133,7 @@ impl<'a> Flight<'a> {
     fn plan(&mut self) {
         let hovers = self.seconds() < HOVER_S;
         let [leader, follower] = self.flyers;
-        let gap = apart(leader.position, follower.position) - self.options.distance_m;
+        let gap = distance(leader.position, follower.position) - self.options.distance_m;
         let stretch = (STRETCH_M[1] - gap) / (STRETCH_M[1] - STRETCH_M[0]);
         let leader_speed = self.limits.speed_m_s * stretch.clamp(0.0, 1.0);
         let targets = [self.course.goal, self.follower_target()];
@@ -149,7 +150,7 @@ impl<'a> Flight<'a> {
     /// A point on the leader's trail at the wanted distance behind it.
     fn follower_target(&self) -> [f64; 2] {
         let leader = self.flyers[LEADER].position;
-        let far_enough = |point: &&[f64; 2]| apart(**point, leader) >= self.options.distance_m;
+        let far_enough = |point: &&[f64; 2]| distance(**point, leader) >= self.options.distance_m;
         let target = self.trail.iter().rev().find(far_enough);
         target.copied().unwrap_or(self.flyers[FOLLOWER].position)
     }
@@ -163,15 +164,15 @@ impl<'a> Flight<'a> {
                 pilot.step(flyer);
             }
             let leader = self.flyers[LEADER].position;
-            self.path_m += apart(before, leader);
+            self.path_m += distance(before, leader);
             self.turn();
-            if self.trail.last().is_none_or(|last| apart(*last, leader) >= 0.1) {
+            if self.trail.last().is_none_or(|last| distance(*last, leader) >= 0.1) {
                 self.trail.push(leader);
             }
             let at = self.now.plus_micros(SCAN_PERIOD_MICROS * step / steps);
             let [leader_at, follower_at] = [LEADER, FOLLOWER].map(|number| self.flyers[number].point());
             let ending = judge::collision(&self.course.world, leader_at, follower_at)
-                .or_else(|| (apart(leader, self.course.goal) <= GOAL_RADIUS_M).then_some(Ending::Goal));
+                .or_else(|| (distance(leader, self.course.goal) <= GOAL_RADIUS_M).then_some(Ending::Goal));
             if ending.is_some() || step == steps {
                 self.pair.advance(at);
                 self.now = at;
@@ -181,7 +182,7 @@ impl<'a> Flight<'a> {
         None
     }
 
-    /// The leader's LiDAR faces against its way of flight; the follower's looks along the leader's way ahead.
+    /// The leader's LiDAR faces against its direction of flight; the follower's looks along the leader's path ahead.
     fn turn(&mut self) {
         let leader = self.flyers[LEADER];
         if let Some(heading) = self.pilots[LEADER].heading(&leader) {

@@ -2,7 +2,7 @@
 //!
 //! A small relative of RACER's planner (Zhou et al., T-RO 2023): frontiers and viewpoints, a grid of regions that two
 //! robots divide between them whenever they hear each other, tours, A* paths, limits of speed and yaw rate. Each
-//! robot is a whole [`flockmap::Robot`] on an emulated radio and plans on its own fused map alone, so a map that comes late costs
+//! robot is a whole [`flockmap::Robot`] on an emulated radio and plans on nothing but its own fused map, so a map that comes late costs
 //! it time: it looks at what others have seen already.
 
 mod explorer;
@@ -19,7 +19,7 @@ use crate::{MotionLimits, NavigationError};
 use flockmap::{BatchConfig, Codec, RobotError, SessionConfig};
 use flockmap_grid::Resolution;
 use flockmap_netsim::RadioConfig;
-use flockmap_worlds::{Lidar, ScanOptions, ScanOptionsError};
+use flockmap_worlds::{Lidar, OptionError, ScanOptions};
 use thiserror::Error;
 
 pub use explorer::{Ended, Explorer, Outcome, Progress, RobotProgress};
@@ -37,13 +37,13 @@ pub struct ExploreOptions {
     pub range_m: f64,
     /// LiDAR of every robot; it sits at the robot's centre. Default Mid-360.
     pub lidar: Lidar,
-    /// How it scans. Default: with rays that hit nothing, so that the open sky can be told from what was not looked at.
+    /// How it scans. Default: with rays that hit nothing, so that the open sky differs from what was not looked at.
     pub scan: ScanOptions,
     /// The exploration ends after this time at the latest, in seconds. Default 600.
     pub seconds_max: f64,
     /// Speed, acceleration, yaw rate. Default 2 m/s, 2 m/s², 2 rad/s, as in MARSIM's launch files and RACER's planner.
     pub limits: MotionLimits,
-    /// Least distance to anything Occupied in a robot's map, in metres. A robot that finds no way to what it
+    /// Least distance to anything Occupied in a robot's map, in metres. A robot that finds no path to what it
     /// could look at makes do with 0.1 m less, down to 0.2. Default 0.3.
     pub clearance_m: f64,
     /// Robots keep this far apart, centre to centre, in metres, 0.8 … 5. Default 1.
@@ -95,18 +95,8 @@ impl Default for ExploreOptions {
 #[non_exhaustive]
 pub enum ExploreError {
     /// An option is out of its range.
-    #[error("{name} is {value}, expected {expected}")]
-    Option {
-        /// The option.
-        name: &'static str,
-        /// What it was.
-        value: f64,
-        /// What it may be.
-        expected: &'static str,
-    },
-    /// The scans cannot be taken so.
     #[error(transparent)]
-    Scan(#[from] ScanOptionsError),
+    Option(#[from] OptionError),
     /// The region cannot be divided into cells.
     #[error(transparent)]
     Region(#[from] NavigationError),

@@ -8,6 +8,7 @@
 pub mod application;
 mod exploration;
 mod navigation;
+mod threads;
 
 pub use exploration::{Ended, ExploreError, ExploreOptions, Explorer, Outcome, Progress, RobotProgress};
 pub use navigation::{

@@ -1,4 +1,4 @@
-//! How a robot finds its way in its own fused map: a coarse grid that follows the map, shortest ways through
+//! How a robot finds paths in its own fused map: a coarse grid that follows the map, shortest paths through
 //! it, and a body in motion.
 
 mod grid;
@@ -6,7 +6,6 @@ mod motion;
 mod route;
 
 pub use grid::{CellState, NavigationConfig, NavigationError, NavigationGrid};
-pub(crate) use motion::wrapped;
 pub use motion::{Motion, MotionLimits};
 pub use route::{NoRoute, RouteQuery, Router};
 

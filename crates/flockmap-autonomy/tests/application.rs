@@ -7,7 +7,7 @@ use flockmap_grid::Resolution;
 use flockmap_worlds::World;
 use std::sync::Arc;
 
-/// A wall, 3 m wide, across the straight way to the goal.
+/// A wall, 3 m wide, across the straight path to the goal.
 fn wall_ahead() -> Course {
     let wall = (-15..15).flat_map(|y| (0..25).map(move |z| [8.05, f64::from(y) * 0.1, f64::from(z) * 0.1]));
     Course {
@@ -71,7 +71,7 @@ fn every_thicket_can_be_crossed_and_none_by_flying_straight() {
             let from = [4.0, f64::from(dy - 1) * 0.2, 1.3];
             course.world.cast_ray(from, [1.0, 0.0, 0.0], 30.0).is_some()
         });
-        assert!(straight, "seed {seed}: nothing stands in the way");
+        assert!(straight, "seed {seed}: nothing stands between start and goal");
     }
     // A course that a wall divides is not passable.
     let mut course = wall_ahead();
@@ -80,7 +80,7 @@ fn every_thicket_can_be_crossed_and_none_by_flying_straight() {
 }
 
 #[test]
-fn a_series_does_not_depend_on_threads_and_ends_when_it_is_told_to() {
+fn a_series_does_not_depend_on_threads_and_ends_when_it_is_stopped() {
     let application = ApplicationOptions { seconds_max: 0.3, ..ApplicationOptions::default() };
     let options = |threads| SeriesOptions {
         seeds: 2,

@@ -1,5 +1,6 @@
 //! A sparse set of cells with fast exact ray casts: what is solid in a world.
 
+use crate::lattice::Lattice;
 use flockmap_grid::{Voxel, VoxelBox};
 
 /// Cells along one side of a chunk.
@@ -92,24 +93,15 @@ impl CellSet {
             return Err(TooLarge);
         }
         // Brick by brick; one cell makes room for the brick that is then filled.
-        let ([x0, y0, z0], [x1, y1, z1]) = (brick_of(part.min()), brick_of(part.max()));
-        for z in z0..=z1 {
-            for y in y0..=y1 {
-                for x in x0..=x1 {
-                    let corner = Voxel::new(x * BRICK, y * BRICK, z * BRICK);
-                    let Some(inside) =
-                        VoxelBox::new(corner, [BRICK as u32; 3]).and_then(|brick| brick.intersection(&part))
-                    else {
-                        continue;
-                    };
-                    self.insert(inside.min())?;
-                    if inside.volume() > 1
-                        && let Some(slot) = self.slot(chunk_of(corner))
-                    {
-                        let mask = inside.voxels().fold(0u64, |mask, cell| mask | 1 << cell_bit(cell));
-                        self.chunks[self.table[slot] as usize - 1].bricks[brick_bit(corner)] |= mask;
-                    }
-                }
+        for corner in bricks_of(&part) {
+            let brick = VoxelBox::new(corner, [BRICK as u32; 3]);
+            let Some(inside) = brick.and_then(|brick| brick.intersection(&part)) else { continue };
+            self.insert(inside.min())?;
+            if inside.volume() > 1
+                && let Some(slot) = self.slot(chunk_of(corner))
+            {
+                let mask = inside.voxels().fold(0u64, |mask, cell| mask | 1 << cell_bit(cell));
+                self.chunks[self.table[slot] as usize - 1].bricks[brick_bit(corner)] |= mask;
             }
         }
         Ok(())
@@ -141,33 +133,12 @@ impl CellSet {
     /// Whether any cell of a box is in the set. Goes by bricks of 4³ cells.
     pub(crate) fn contains_any(&self, cells: &VoxelBox) -> bool {
         let Some(part) = cells.intersection(&self.region) else { return false };
-        let ([x0, y0, z0], [x1, y1, z1]) = (brick_of(part.min()), brick_of(part.max()));
-        (z0..=z1).any(|z| {
-            (y0..=y1).any(|y| {
-                (x0..=x1).any(|x| {
-                    let corner = Voxel::new(x * BRICK, y * BRICK, z * BRICK);
-                    let brick = self.brick(corner);
-                    let is_inside = |bit: i32| {
-                        let cell = Voxel::new(
-                            corner.x + (bit & 3),
-                            corner.y + (bit >> 2 & 3),
-                            corner.z + (bit >> 4),
-                        );
-                        part.contains(cell)
-                    };
-                    brick != 0 && Bits(brick).any(is_inside)
-                })
-            })
-        })
+        bricks_of(&part).any(|corner| Bits(self.brick(corner)).any(|bit| part.contains(cell_of(corner, bit))))
     }
 
     /// Every cell, in an order that depends only on which cells there are.
     pub(crate) fn iter(&self) -> impl Iterator<Item = Voxel> + '_ {
-        self.bricks().flat_map(|(corner, brick)| {
-            Bits(brick).map(move |bit| {
-                Voxel::new(corner.x + (bit & 3), corner.y + (bit >> 2 & 3), corner.z + (bit >> 4))
-            })
-        })
+        self.bricks().flat_map(|(corner, brick)| Bits(brick).map(move |bit| cell_of(corner, bit)))
     }
 
     /// Number of cells.
@@ -207,34 +178,8 @@ impl CellSet {
         for at in 0..self.table.len() {
             self.gap[at] = if occupied(self, at) { 0 } else { u8::MAX };
         }
-        // The largest-axis distance is separable: along each axis in turn, a forward and a backward sweep in
-        // which the distance along the axis and the distance found so far combine by their maximum.
-        let [nx, ny, nz] = self.chunks_along.map(|n| n as usize);
-        for (length, stride) in [(nx, 1), (ny, nx), (nz, nx * ny)] {
-            let mut line = vec![0u8; length];
-            for start in (0..self.gap.len()).filter(|at| at / stride % length == 0) {
-                for (i, slot) in line.iter_mut().enumerate() {
-                    *slot = self.gap[start + i * stride];
-                }
-                for i in 0..length {
-                    let mut best = line[i];
-                    for distance in 1..length {
-                        // Nothing at this distance or beyond can be nearer than the distance itself.
-                        if distance >= usize::from(best) {
-                            break;
-                        }
-                        let d = distance as u8;
-                        if i >= distance {
-                            best = best.min(line[i - distance].max(d));
-                        }
-                        if i + distance < length {
-                            best = best.min(line[i + distance].max(d));
-                        }
-                    }
-                    self.gap[start + i * stride] = best;
-                }
-            }
-        }
+        let chunks = Lattice::new(self.chunks_along.map(|n| n as usize));
+        chunks.spread(&mut self.gap, |distance| distance as u8, u8::max);
     }
 
     /// The first cell of the set that a ray enters, and where: `origin` and `direction` in cells,
@@ -363,7 +308,7 @@ impl Ray {
         core::array::from_fn(|a| self.crossing::<SIDE>(a, index[a]))
     }
 
-    /// Takes the first of the crossings `next` out of the box of `SIDE` cells at `index`, and tells whether
+    /// Takes the first of the crossings `next` out of the box of `SIDE` cells at `index`, and says whether
     /// it also leads out of the box of 4³ such boxes. `None` if the ray crosses nothing more.
     #[inline(always)]
     fn advance<const SIDE: i32>(
@@ -539,8 +484,17 @@ const fn chunk_of(cell: Voxel) -> [i32; 3] {
     [cell.x >> 4, cell.y >> 4, cell.z >> 4]
 }
 
-const fn brick_of(cell: Voxel) -> [i32; 3] {
-    [cell.x >> 2, cell.y >> 2, cell.z >> 2]
+/// The bricks that share cells with a box, by their lowest cells.
+fn bricks_of(cells: &VoxelBox) -> impl Iterator<Item = Voxel> + use<> {
+    let [low, high] =
+        [cells.min(), cells.max()].map(|cell| Voxel::new(cell.x >> 2, cell.y >> 2, cell.z >> 2));
+    let bricks = VoxelBox::spanning(low, high).into_iter().flat_map(|bricks| bricks.voxels());
+    bricks.map(|brick| Voxel::new(brick.x * BRICK, brick.y * BRICK, brick.z * BRICK))
+}
+
+/// The cell of a brick that has this bit.
+const fn cell_of(corner: Voxel, bit: i32) -> Voxel {
+    Voxel::new(corner.x + (bit & 3), corner.y + (bit >> 2 & 3), corner.z + (bit >> 4))
 }
 
 const fn brick_bit(cell: Voxel) -> usize {
@@ -551,7 +505,7 @@ const fn cell_bit(cell: Voxel) -> u32 {
     ((cell.z & 3) << 4 | (cell.y & 3) << 2 | (cell.x & 3)) as u32
 }
 
-/// The numbers of the set bits of a word, ascending.
+/// The numbers of the set bits of a 64-bit word, ascending.
 struct Bits(u64);
 
 impl Iterator for Bits {

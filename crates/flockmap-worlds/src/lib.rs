@@ -5,18 +5,18 @@
 //! `libm` are used.
 //!
 //! ```
-//! use flockmap_worlds::{Flight, Lidar, Patrol, PatrolOptions, ScanOptions, World};
+//! use flockmap_worlds::{Flight, Lidar, ScanOptions, Trajectory, TrajectoryOptions, World};
 //! use std::sync::Arc;
 //!
 //! let world = Arc::new(World::indoor(1));
-//! let options = PatrolOptions { duration_s: 1.0, ..PatrolOptions::default() };
+//! let options = TrajectoryOptions { duration_s: 1.0, ..TrajectoryOptions::default() };
 //! let scan = ScanOptions { range_m: 7.0, ..ScanOptions::default() };
-//! for trajectory in Patrol::plan(&world, 2, 1, &options)? {
+//! for trajectory in Trajectory::plan(&world, 2, 1, &options)? {
 //!     let mut flight = Flight::new(Arc::clone(&world), Lidar::Mid360, scan, trajectory);
 //!     let first = flight.next().expect("ten scans a second");
 //!     assert!(!first.scan.points.is_empty());
 //! }
-//! # Ok::<(), flockmap_worlds::PatrolError>(())
+//! # Ok::<(), flockmap_worlds::TrajectoryError>(())
 //! ```
 #![forbid(unsafe_code)]
 
@@ -25,7 +25,9 @@ pub mod curve;
 mod flight;
 pub mod lattice;
 mod lidar;
+mod option_error;
 pub mod random;
+pub mod search;
 mod tracks;
 mod trajectory;
 mod world;
@@ -35,9 +37,9 @@ pub const IN_THE_WORLD: &str = "simulated robots are in their world, which is sm
 
 pub use flight::Flight;
 pub use lidar::{
-    Body, Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions, ScanOptionsError, Scanner, Shape, UnknownLidar,
-    UnknownRendering,
+    Body, Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions, Scanner, Shape, UnknownLidar, UnknownRendering,
 };
+pub use option_error::{Limit, OptionError};
 pub use random::Random;
 pub use tracks::{ObstacleOptions, Tracks, TracksError};
 pub use trajectory::{ROBOTS_MAX, Trajectory, TrajectoryError, TrajectoryOptions};

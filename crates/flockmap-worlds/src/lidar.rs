@@ -10,5 +10,5 @@ mod scanner;
 
 pub use body::{Body, Shape};
 pub use model::{Lidar, SCAN_PERIOD_MICROS, UnknownLidar};
-pub use options::{Rendering, ScanOptions, ScanOptionsError, UnknownRendering};
+pub use options::{Rendering, ScanOptions, UnknownRendering};
 pub use scanner::Scanner;

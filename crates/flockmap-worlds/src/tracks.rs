@@ -1,7 +1,8 @@
 //! Where things that move are at any time: obstacles on the loose, and team-mates on known flights.
 
+use crate::curve::between;
 use crate::random::Random;
-use crate::{Body, SCAN_PERIOD_MICROS, Shape, World};
+use crate::{Body, OptionError, SCAN_PERIOD_MICROS, Shape, World};
 use flockmap_grid::{Pose, Stamp, VoxelBox};
 use thiserror::Error;
 
@@ -41,15 +42,8 @@ impl Default for ObstacleOptions {
 #[non_exhaustive]
 pub enum TracksError {
     /// An option is out of its range.
-    #[error("{name} is {value}, expected {expected}")]
-    Option {
-        /// The option.
-        name: &'static str,
-        /// What it was.
-        value: f64,
-        /// What it may be.
-        expected: &'static str,
-    },
+    #[error(transparent)]
+    Option(#[from] OptionError),
     /// An obstacle finds no free place.
     #[error(
         "no free place for moving obstacle {number} of {count}: {tried} places tried for a width of {size_m:.2} m; use smaller ones"
@@ -73,14 +67,14 @@ pub enum TracksError {
 ///
 /// ```
 /// use flockmap_grid::Stamp;
-/// use flockmap_worlds::{ObstacleOptions, Patrol, PatrolOptions, Shape, Tracks, World};
+/// use flockmap_worlds::{ObstacleOptions, Shape, Tracks, Trajectory, TrajectoryOptions, World};
 ///
 /// let world = World::indoor(1);
 /// let options = ObstacleOptions { count: 5, duration_s: 10.0, ..ObstacleOptions::default() };
 /// let mut tracks = Tracks::obstacles(&world, 1, &options)?;
-/// let trajectory = PatrolOptions { duration_s: 1.0, ..PatrolOptions::default() };
+/// let flights = TrajectoryOptions { duration_s: 1.0, ..TrajectoryOptions::default() };
 /// let mut own = 0;
-/// for trajectory in Patrol::plan(&world, 2, 1, &trajectory)? {
+/// for trajectory in Trajectory::plan(&world, 2, 1, &flights)? {
 ///     own = tracks.push(Shape::ROBOT, trajectory.poses())?;
 /// }
 /// // What the second robot sees of the others: five obstacles and the first robot.
@@ -138,12 +132,8 @@ impl Tracks {
         if self.tracks.len() >= TRACKS_MAX {
             return Err(TracksError::TooMany);
         }
-        let mut places: Vec<(Stamp, [f64; 3])> = Vec::with_capacity(poses.len());
-        for (stamp, pose) in poses {
-            if places.last().is_none_or(|(last, _)| last < stamp) {
-                places.push((*stamp, pose.translation()));
-            }
-        }
+        let mut places = Vec::with_capacity(poses.len());
+        poses.iter().for_each(|(stamp, pose)| push(&mut places, *stamp, pose.translation()));
         self.tracks.push(Track { shape, places });
         Ok(self.tracks.len() - 1)
     }
@@ -181,15 +171,14 @@ impl Track {
             // Before the first or after the last.
             return self.places.get(next).or_else(|| self.places.last()).map(|(_, place)| *place);
         };
-        let share = (at.0 - from.0) as f64 / (to.0 - from.0) as f64;
-        Some(core::array::from_fn(|a| start[a] + (end[a] - start[a]) * share))
+        Some(between(start, end, (at.0 - from.0) as f64 / (to.0 - from.0) as f64))
     }
 }
 
-fn check(options: &ObstacleOptions) -> Result<(), TracksError> {
+fn check(options: &ObstacleOptions) -> Result<(), OptionError> {
     let ([small, large], [slow, fast]) = (options.size_m, options.speed_m_s);
     let count = options.count as f64;
-    let limits = [
+    OptionError::check(&[
         ("count", count, 0.0, TRACKS_MAX as f64, "0 to 1,024"),
         ("size_m[0]", small, 0.05, 5.0, "0.05 to 5"),
         ("size_m[1]", large, small, 5.0, "size_m[0] to 5"),
@@ -197,16 +186,10 @@ fn check(options: &ObstacleOptions) -> Result<(), TracksError> {
         ("speed_m_s[1]", fast, slow, 10.0, "speed_m_s[0] to 10"),
         ("duration_s", options.duration_s, 0.0, 14_400.0, "0 to 14,400"),
         ("count × duration_s", count * options.duration_s, 0.0, OBSTACLE_SECONDS_MAX, "up to 1,000,000"),
-    ];
-    for (name, value, low, high, expected) in limits {
-        if !(low <= value && value <= high) {
-            return Err(TracksError::Option { name, value, expected });
-        }
-    }
-    Ok(())
+    ])
 }
 
-/// The way of one obstacle, a tenth of a second at a time.
+/// The path of one obstacle, a tenth of a second at a time.
 fn roam(
     world: &World,
     shape: Shape,
@@ -277,10 +260,8 @@ fn turn_after(random: &mut Random) -> i64 {
 fn anywhere(world: &World, random: &mut Random) -> [f64; 3] {
     let side = world.resolution().metres();
     let (low, high) = (world.bounds().min(), world.bounds().max());
-    let axis = |low: i32, high: i32, random: &mut Random| {
-        random.range(f64::from(low) * side, (f64::from(high) + 1.0) * side)
-    };
-    [axis(low.x, high.x, random), axis(low.y, high.y, random), axis(low.z, high.z, random)]
+    [(low.x, high.x), (low.y, high.y), (low.z, high.z)]
+        .map(|(low, high)| random.range(f64::from(low) * side, (f64::from(high) + 1.0) * side))
 }
 
 /// Whether something of this shape fits here: inside of the world, in nothing solid, its centre not where the

@@ -23,7 +23,7 @@ impl Trajectory {
     /// Flights for `robots` robots that never touch anything and never come closer to each other than
     /// [`TrajectoryOptions::separation_m`].
     ///
-    /// The space is divided into as many connected parts of about the same size; each robot trajectories its own
+    /// The space is divided into as many connected parts of about the same size; each robot flies in its own
     /// part, so that no flight depends on another's timing (their sensors see across the borders). It starts
     /// near the common middle and visits places spread over its part, nearest first, again and again, at
     /// changing heights. Robots fly level, nose first. The same arguments give the same flights on every
@@ -53,7 +53,7 @@ impl Trajectory {
         &self.poses
     }
 
-    /// The poses alone.
+    /// The same, moved out.
     pub fn into_poses(self) -> Vec<(Stamp, Pose)> {
         self.poses
     }

@@ -28,7 +28,7 @@ const PARTS_MAX: usize = 50_000_000;
 pub struct World {
     resolution: Resolution,
     solid: CellSet,
-    /// Cells known to be free, where the source of the world tells; everything else is not to be flown in.
+    /// Cells known to be free, where the source of the world says so; everything else is not to be flown in.
     free: Option<CellSet>,
     /// Its surface as points, taken when it is first asked for.
     surface: OnceLock<Surface>,
@@ -124,7 +124,7 @@ impl World {
         self.solid.contains_any(cells)
     }
 
-    /// Whether it is known that the cell is free; `None` if the source of the world does not tell.
+    /// Whether it is known that the cell is free; `None` if the source of the world does not say.
     pub fn is_known_free(&self, cell: Voxel) -> Option<bool> {
         self.free.as_ref().map(|free| free.contains(cell))
     }
@@ -166,7 +166,7 @@ impl World {
         self.surface.get_or_init(|| Surface::new(&self.solid, self.resolution))
     }
 
-    /// A number that tells whether two worlds are the same: 64-bit FNV-1a over cell size, box and cells.
+    /// A number that two worlds share only if they are the same: 64-bit FNV-1a over cell size, box and cells.
     pub fn digest(&self) -> u64 {
         let mut digest = 0xcbf2_9ce4_8422_2325_u64;
         let mut add = |value: u64| {
@@ -190,7 +190,7 @@ impl World {
     fn from_parts(
         parts: impl Iterator<Item = Result<(VoxelBox, State), WorldError>>,
         resolution: Resolution,
-        tells_free: bool,
+        knows_free: bool,
     ) -> Result<Self, WorldError> {
         let mut boxes = Vec::new();
         let mut bounds: Option<VoxelBox> = None;
@@ -213,7 +213,7 @@ impl World {
             resolution_m: resolution.metres(),
         };
         let mut solid = CellSet::new(bounds).map_err(too_large)?;
-        let mut free = if tells_free { Some(CellSet::new(bounds).map_err(too_large)?) } else { None };
+        let mut free = if knows_free { Some(CellSet::new(bounds).map_err(too_large)?) } else { None };
         for (region, state) in boxes {
             let set = if state == State::Occupied { Some(&mut solid) } else { free.as_mut() };
             if let Some(set) = set {

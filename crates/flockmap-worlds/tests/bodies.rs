@@ -2,8 +2,8 @@
 
 use flockmap_grid::{Pose, Resolution, Stamp, VoxelBox};
 use flockmap_worlds::{
-    Body, Flight, Lidar, ObstacleOptions, Rendering, ScanOptions, Scanner, Shape, Tracks, TracksError,
-    Trajectory, TrajectoryOptions, World,
+    Body, Flight, Lidar, ObstacleOptions, OptionError, Rendering, ScanOptions, Scanner, Shape, Tracks,
+    TracksError, Trajectory, TrajectoryOptions, World,
 };
 use std::sync::Arc;
 
@@ -183,7 +183,7 @@ fn tracks_that_cannot_be_are_refused_with_the_reason() {
     let long = ObstacleOptions { count: 1_000, duration_s: 2_000.0, ..ObstacleOptions::default() };
     assert!(error(long).to_string().starts_with("count × duration_s is 2000000"));
     let nan = ObstacleOptions { size_m: [f64::NAN, 1.0], ..ObstacleOptions::default() };
-    assert!(matches!(error(nan), TracksError::Option { name: "size_m[0]", .. }));
+    assert!(matches!(error(nan), TracksError::Option(OptionError { name: "size_m[0]", .. })));
     let wall = World::from_points([[0.0; 3], [0.3; 3]], Resolution::from_metres(0.1).unwrap()).unwrap();
     let none = Tracks::obstacles(&wall, 1, &ObstacleOptions::default()).unwrap_err();
     assert!(none.to_string().starts_with("no free place for moving obstacle 1 of 10"), "{none}");

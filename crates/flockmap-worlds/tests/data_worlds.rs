@@ -1,10 +1,10 @@
-//! Patrols and scans in recorded and published worlds.
+//! Trajectories and scans in recorded and published worlds.
 
 use flockmap_worlds::{Lidar, OpenError, ScanOptions, Scanner, Trajectory, TrajectoryOptions, World};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Opens a world of the test data; `None`, with a word, where there is none.
+/// Opens a world of the test data; `None`, with a message, where there is none.
 fn open(name: &str) -> Option<World> {
     let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
     let folder = std::env::var_os("FLOCKMAP_DATA").map_or_else(|| PathBuf::from(default), PathBuf::from);

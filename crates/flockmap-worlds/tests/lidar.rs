@@ -199,7 +199,7 @@ fn drop_out_loses_the_stated_share_and_other_beams_with_every_scan() {
     for lossy in &lossy {
         let share = lossy.points.len() as f64 / full.points.len() as f64;
         assert!((share - 0.75).abs() < 0.01, "{share}");
-        // A lost return is no word that nothing was there.
+        // A lost return does not say that nothing was there.
         assert!(lossy.no_returns.len() <= Lidar::Vlp32.beams() - full.points.len());
     }
     assert_ne!(lossy[0].points, lossy[1].points);

@@ -125,7 +125,7 @@ fn a_pole_is_a_pole_before_a_wall() {
                 assert!((3.85..4.45).contains(&point[0]) && point[1].abs() < 0.27, "{lidar}: {point:?}");
             } else {
                 on_wall += 1;
-                // No wall is seen through the pole, which hides 0.3 m of it at half the way.
+                // No wall is seen through the pole, which hides 0.3 m of it at half the distance.
                 assert!((7.9..8.1).contains(&point[0]) && point[1].abs() > 0.25, "{lidar}: {point:?}");
             }
         }

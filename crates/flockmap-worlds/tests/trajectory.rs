@@ -1,4 +1,4 @@
-//! Patrols touch nothing, keep apart, keep their limits, and cover the world.
+//! Trajectories touch nothing, keep apart, keep their limits, and cover the world.
 
 use flockmap_grid::{Resolution, Stamp, State, Voxel, VoxelBox};
 use flockmap_worlds::{Flight, Lidar, ScanOptions, Trajectory, TrajectoryError, TrajectoryOptions, World};

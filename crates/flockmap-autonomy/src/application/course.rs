@@ -1,8 +1,9 @@
 //! Where the flight goes: a world, two places to start from, a goal.
 
 use super::route::{self, Keep};
-use super::slab::{Slab, Window, apart};
+use super::slab::{Slab, Window};
 use flockmap_worlds::World;
+use flockmap_worlds::curve::distance;
 use std::sync::Arc;
 
 /// A world with a start and a goal. Robots fly at constant heights.
@@ -20,13 +21,13 @@ pub struct Course {
     pub fence: [[f64; 2]; 2],
 }
 
-/// The follower flies higher than the leader, so that the leader does not hide its own way ahead from it.
+/// The follower flies higher than the leader, so that the leader does not hide what lies ahead of it from its follower.
 pub(super) const FOLLOWER_HIGHER_M: f64 = 0.5;
 
 /// Height of the leader above the ground of a thicket.
 const LEADER_HEIGHT_M: f64 = 1.3;
 
-/// A course counts as passable if a way keeps so far from everything (centre of a robot): 20 cm more than its body.
+/// A course counts as passable if a path keeps so far from everything (centre of a robot): 20 cm more than its body.
 const PASSABLE: Keep = Keep { clearance_m: 0.4, comfort_m: 0.41 };
 
 impl Course {
@@ -50,9 +51,9 @@ impl Course {
         let half_m = 0.5 * (high[0] - low[0]).max(high[1] - low[1]) + 1.0;
         let heights = [-0.3, 0.0, 0.3].map(|dz| self.leader_start[2] + dz);
         let mut slab = Slab::of_world(&self.world, &Window { centre, half_m, heights });
-        slab.fence(low, high);
+        slab.fence(self.fence);
         slab.measure();
-        let way = route::find(&slab, start, self.goal, &[], &PASSABLE);
-        way.and_then(|way| way.last().copied()).is_some_and(|end| apart(end, self.goal) < 0.1)
+        let path = route::find(&slab, start, self.goal, &[], &PASSABLE);
+        path.and_then(|path| path.last().copied()).is_some_and(|end| distance(end, self.goal) < 0.1)
     }
 }

@@ -3,6 +3,7 @@
 use super::Ending;
 use flockmap_grid::VoxelBox;
 use flockmap_worlds::World;
+use flockmap_worlds::curve::distance;
 
 /// A robot touches what is nearer to its centre than this, in metres.
 pub const BODY_RADIUS_M: f64 = 0.2;
@@ -26,12 +27,11 @@ fn clearance(world: &World, point: [f64; 3], most: f64) -> Option<f64> {
 
 /// What is wrong with these positions of leader and follower, if anything.
 pub(super) fn collision(world: &World, leader: [f64; 3], follower: [f64; 3]) -> Option<Ending> {
-    let apart = (0..3).map(|a| (leader[a] - follower[a]) * (leader[a] - follower[a])).sum::<f64>().sqrt();
     if clearance(world, leader, BODY_RADIUS_M).is_some() {
         Some(Ending::LeaderHit)
     } else if clearance(world, follower, BODY_RADIUS_M).is_some() {
         Some(Ending::FollowerHit)
-    } else if apart < 2.0 * BODY_RADIUS_M {
+    } else if distance(leader, follower) < 2.0 * BODY_RADIUS_M {
         Some(Ending::RobotsTouched)
     } else {
         None
@@ -44,7 +44,7 @@ mod tests {
     use flockmap_grid::Resolution;
 
     #[test]
-    fn who_touched_what_is_told_apart() {
+    fn who_touched_what_is_distinguished() {
         // One solid cell from 1.0 to 1.1 m on each axis.
         let world = World::from_points([[1.05, 1.05, 1.05]], Resolution::from_metres(0.1).unwrap()).unwrap();
         let away = [5.0, 5.0, 1.0];

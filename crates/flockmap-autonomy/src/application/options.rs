@@ -1,4 +1,4 @@
-//! What an application may be told.
+//! Options of an application.
 
 use flockmap::codec::Codec;
 use flockmap_grid::Resolution;
@@ -11,22 +11,22 @@ pub enum MapSync {
     None,
     /// Over an emulated radio.
     Radio {
-        /// Bytes a second that each robot can send, 28 bytes of IP and UDP counted for each datagram. The session is told the same
+        /// Bytes a second that each robot can send, 28 bytes of IP and UDP counted for each datagram. The session has the same
         /// budget. `None`: no limit (the session keeps its default of 2,000,000).
         rate_bytes_per_s: Option<u32>,
         /// Share of datagrams that are lost, 0 to 1.
         loss: f64,
-        /// Time on the way in milliseconds.
+        /// Delay of a datagram in milliseconds.
         delay_ms: u32,
     },
 }
 
-/// How the robots see, map, tell and fly. The defaults are the paper's where it gives a value.
+/// How the robots see, map, send and fly. The defaults are the paper's where it gives a value.
 #[derive(Clone, PartialEq, Debug)]
 pub struct ApplicationOptions {
     /// Seed of the radio and the sessions. The course has its own.
     pub seed: u64,
-    /// How the maps are kept in sync. Default a radio without limit or loss, 20 ms on the way.
+    /// How the maps are kept in sync. Default a radio without limit or loss, 20 ms of delay.
     pub sync: MapSync,
     /// Side of a voxel. Default 0.1 m (paper).
     pub resolution: Resolution,

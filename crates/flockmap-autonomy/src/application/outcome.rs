@@ -11,7 +11,7 @@ pub enum Ending {
     FollowerHit,
     /// The robots touched each other.
     RobotsTouched,
-    /// The time was over, or a robot found no way on until then.
+    /// The time was over, or a robot found no path on until then.
     TimeOut,
 }
 

@@ -1,8 +1,9 @@
 //! The same flight over many seeds and radios.
 
 use super::{ApplicationOptions, ApplicationOutcome, Course, Ending, MapSync, fly};
+use crate::threads::in_parallel;
 use flockmap::RobotError;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Which flights.
 #[derive(Clone, PartialEq, Debug)]
@@ -16,7 +17,7 @@ pub struct SeriesOptions {
     /// Budgets of further series, with the same losses, in which obstacles go out after `application.publish_period_ms` and free space after
     /// 2 s. Default 1 and 5 KB/s, where everything together is too much.
     pub obstacles_first_rates_bytes_per_s: Vec<u32>,
-    /// Time on the way of all radios, in milliseconds. Default 20.
+    /// Delay of all radios, in milliseconds. Default 20.
     pub delay_ms: u32,
     /// Threads that fly at once; no outcome depends on it. Default 2.
     pub threads: usize,
@@ -108,51 +109,23 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 /// [`RobotError`] names an option that cannot work.
 pub fn series(options: &SeriesOptions, flown: impl Fn() -> bool + Sync) -> Result<Vec<Series>, RobotError> {
     let plan = options.plan();
-    let slots: Vec<Mutex<Vec<Option<ApplicationOutcome>>>> =
-        (0..options.seeds).map(|_| Mutex::new(vec![None; plan.len()])).collect();
-    let next = Mutex::new((0, None::<RobotError>));
-    std::thread::scope(|scope| {
-        for _ in 0..options.threads.max(1) {
-            scope.spawn(|| {
-                loop {
-                    let slot = {
-                        let Ok(mut next) = next.lock() else { return };
-                        let Some(slot) = slots.get(next.0) else { return };
-                        next.0 += 1;
-                        (next.0 as u64, slot)
-                    };
-                    let (seed, slot) = slot;
-                    let course = Course::thicket(seed);
-                    for (number, flight) in plan.iter().enumerate() {
-                        let flight = ApplicationOptions { seed, ..flight.clone() };
-                        let result = fly(&course, &flight);
-                        match (result, slot.lock()) {
-                            (Ok(outcome), Ok(mut slot)) => slot[number] = Some(outcome),
-                            (Err(error), _) => {
-                                if let Ok(mut next) = next.lock() {
-                                    *next = (slots.len(), Some(error));
-                                }
-                                return;
-                            }
-                            (_, Err(_)) => return,
-                        }
-                        if !flown() {
-                            if let Ok(mut next) = next.lock() {
-                                next.0 = slots.len();
-                            }
-                            return;
-                        }
-                    }
-                }
-            });
-        }
+    let stopped = AtomicBool::new(false);
+    let mut seeds: Vec<Result<Vec<ApplicationOutcome>, RobotError>> =
+        (0..options.seeds).map(|_| Ok(Vec::new())).collect();
+    in_parallel(options.threads, &mut seeds, |number, outcomes| {
+        let seed = number as u64 + 1;
+        let course = Course::thicket(seed);
+        let flights = plan.iter().take_while(|_| !stopped.load(Ordering::Relaxed));
+        *outcomes = flights
+            .map(|flight| {
+                let outcome = fly(&course, &ApplicationOptions { seed, ..flight.clone() });
+                stopped.fetch_or(outcome.is_err() || !flown(), Ordering::Relaxed);
+                outcome
+            })
+            .collect();
     });
-    if let Ok((_, Some(error))) = next.into_inner() {
-        return Err(error);
-    }
-    let seeds: Vec<Vec<Option<ApplicationOutcome>>> =
-        slots.into_iter().map(|slot| slot.into_inner().unwrap_or_default()).collect();
-    let of = |number: usize| seeds.iter().map_while(move |seed| seed.get(number)?.clone()).collect();
+    let seeds = seeds.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let of = |number: usize| seeds.iter().map_while(move |seed| seed.get(number).cloned()).collect();
     Ok(plan
         .iter()
         .enumerate()

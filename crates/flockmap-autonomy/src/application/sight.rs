@@ -1,10 +1,8 @@
 //! What a robot sees: the part of a scan that its mapper makes use of.
 
 use flockmap_grid::{Pose, Scan, Stamp};
-use flockmap_worlds::{Lidar, World};
+use flockmap_worlds::{Body, Lidar, World};
 
-/// Half extents of a robot's body in metres, along the axes of the map.
-const BODY_HALF_M: [f64; 3] = [0.2, 0.2, 0.15];
 /// Returns from nearer than this are dropped.
 const RANGE_MIN_M: f64 = 0.3;
 
@@ -26,7 +24,6 @@ impl Sight {
     pub(super) fn scan(&self, world: &World, T_map_sensor: &Pose, stamp: Stamp, other: [f64; 3]) -> Scan {
         let rows = T_map_sensor.rotation_rows();
         let origin = T_map_sensor.translation();
-        let towards = core::array::from_fn(|a| other[a] - origin[a]);
         let mut scan = Scan { stamp, points: Vec::new(), no_returns: Vec::new() };
         for beam in self.lidar.directions(stamp) {
             let direction = rows.map(|row| row[0] * beam[0] + row[1] * beam[1] + row[2] * beam[2]);
@@ -41,7 +38,8 @@ impl Sight {
                     core::array::from_fn(|a| (0..3).map(|b| rows[b][a] * offset[b]).sum::<f64>()),
                 )
             });
-            let body = body_distance(towards, direction)
+            let body = Body::robot(other)
+                .distance_m(origin, direction)
                 .filter(|distance| *distance <= cut_m)
                 .map(|distance| (distance, beam.map(|v| v * distance)));
             let nearest = solid.into_iter().chain(body).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -55,17 +53,6 @@ impl Sight {
         }
         scan
     }
-}
-
-/// Distance along a unit vector to a robot whose centre is at `centre` from the eye.
-fn body_distance(centre: [f64; 3], direction: [f64; 3]) -> Option<f64> {
-    let (mut enters, mut leaves) = (0.0_f64, f64::INFINITY);
-    for a in 0..3 {
-        let ends = [-1.0, 1.0].map(|side| (centre[a] + side * BODY_HALF_M[a]) / direction[a]);
-        enters = enters.max(ends[0].min(ends[1]));
-        leaves = leaves.min(ends[0].max(ends[1]));
-    }
-    (enters <= leaves && leaves > 0.0).then_some(enters)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use super::setup::{check, default_region, heights, navigation};
 use super::sight::Sight;
 use super::{ExploreError, ExploreOptions, start};
 use crate::Motion;
+use crate::threads::in_parallel;
 use flockmap::{Robot, RobotConfig};
 use flockmap_grid::{RobotId, Stamp};
 use flockmap_io::Frame;
@@ -27,7 +28,7 @@ const IDLE_MICROS: i64 = 3_000_000;
 const IDLE_MAX_MICROS: i64 = 20_000_000;
 
 /// A robot that was not heard for so long takes all regions for its own.
-const ALONE_MICROS: i64 = 8_000_000;
+const UNHEARD_MICROS: i64 = 8_000_000;
 
 /// Metres from a robot's centre to the corners of its body (0.4 × 0.4 × 0.3 m).
 const BODY_RADIUS_M: f64 = 0.33;
@@ -144,7 +145,7 @@ impl Explorer {
         Self::new_watched(world, options, &|_, _| true)
     }
 
-    /// The same; while it works out what can be seen, `goes_on` is told how many of how many parts are done, and says
+    /// The same; while it works out what can be seen, `goes_on` is called with how many of how many parts are done, and says
     /// whether to go on. It is called from any of the threads.
     ///
     /// # Errors
@@ -161,7 +162,7 @@ impl Explorer {
         let truth = start::truth(&world, &navigation)?;
         let heights_m = heights(region_m, &options);
         let may_fly = |cell: usize| {
-            let z = truth.centre(cell)[2];
+            let z = truth.cells.centre(cell)[2];
             heights_m[0] <= z && z <= heights_m[1]
         };
         let places = start::places(&truth, options.robots, options.separation_m, may_fly);
@@ -219,7 +220,7 @@ impl Explorer {
             self.meet();
         }
         let now = self.network.now();
-        spread(self.options.threads, self.network.nodes_mut(), |number, member| {
+        in_parallel(self.options.threads, self.network.nodes_mut(), |number, member| {
             let others: Vec<Mate> = mates.iter().filter(|mate| mate.number != number).cloned().collect();
             member.pilot.plan(now, member.robot.map(), &others);
         });
@@ -233,7 +234,7 @@ impl Explorer {
         let places: Vec<[f64; 3]> = self.network.nodes().iter().map(|m| m.pilot.motion.position()).collect();
         let ids: Vec<RobotId> = self.network.nodes().iter().map(|m| m.robot.own_stream().origin).collect();
         let limits = self.options.limits;
-        spread(self.options.threads, self.network.nodes_mut(), |number, member| {
+        in_parallel(self.options.threads, self.network.nodes_mut(), |number, member| {
             let pose = member.pilot.motion.pose();
             // Where it will be when the scan ends, if nothing makes it brake meanwhile.
             let mut end = member.pilot.motion.clone();
@@ -305,7 +306,7 @@ impl Explorer {
         self.network.radio()
     }
 
-    /// What it was told.
+    /// Its options.
     pub const fn options(&self) -> &ExploreOptions {
         &self.options
     }
@@ -326,7 +327,7 @@ impl Explorer {
             next.step(dt, yaw, &limits);
             let path = next.stopping_path(&limits);
             let free = self.network.nodes().iter().all(|other| {
-                other.pilot.number == number
+                other.pilot.config.number == number
                     || are_apart(&path, &other.pilot.motion.stopping_path(&limits), self.options.separation_m)
             });
             let pilot = &mut self.network.nodes_mut()[number].pilot;
@@ -362,7 +363,7 @@ impl Explorer {
     fn hears(&self, robot: usize, other: usize) -> bool {
         let id = self.network.nodes()[other].robot.own_stream().origin;
         self.network.nodes()[robot].robot.session().peers().any(|peer| {
-            peer.stream.origin == id && self.network.now().micros_since(peer.last_heard) < ALONE_MICROS
+            peer.stream.origin == id && self.network.now().micros_since(peer.last_heard) < UNHEARD_MICROS
         })
     }
 
@@ -390,8 +391,8 @@ impl Explorer {
             (0..count).filter(|sender| *sender != receiver && self.hears(receiver, *sender)).all(|sender| {
                 let sender = &self.network.nodes()[sender].robot;
                 let packages = sender.counters().packages;
-                let held = self.network.nodes()[receiver].robot.session().received(sender.own_stream());
-                packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
+                let received = self.network.nodes()[receiver].robot.session().received(sender.own_stream());
+                packages == 0 || received.is_some_and(|received| u64::from(received.prefix()) >= packages)
             })
         })
     }
@@ -403,7 +404,7 @@ fn divide(a: &mut Pilot, b: &mut Pilot) {
     let places = [a.motion.position(), b.motion.position()];
     let work: Vec<f64> = a.work.iter().zip(&b.work).map(|(a, b)| a.max(*b)).collect();
     let away = |place: [f64; 3], region: usize| {
-        let centre = a.regions().centre(region);
+        let centre = a.config.regions.centre(region);
         distance([place[0], place[1], 0.0], centre)
     };
     let was_second: Vec<bool> = pool
@@ -414,32 +415,9 @@ fn divide(a: &mut Pilot, b: &mut Pilot) {
             _ => away(places[1], region) < away(places[0], region),
         })
         .collect();
-    let second = regions::divide(a.regions(), &pool, &work, places, &was_second);
+    let second = regions::divide(&a.config.regions, &pool, &work, places, &was_second);
     for (&region, is_second) in pool.iter().zip(second) {
         a.own[region] = !is_second;
         b.own[region] = is_second;
     }
-}
-
-/// Does something with each member, on as many threads.
-fn spread(threads: usize, members: &mut [Member], work: impl Fn(usize, &mut Member) + Sync) {
-    if threads <= 1 || members.len() <= 1 {
-        for (number, member) in members.iter_mut().enumerate() {
-            work(number, member);
-        }
-        return;
-    }
-    let mut parts: Vec<Vec<(usize, &mut Member)>> = (0..threads).map(|_| Vec::new()).collect();
-    for (number, member) in members.iter_mut().enumerate() {
-        parts[number % threads].push((number, member));
-    }
-    std::thread::scope(|scope| {
-        for part in parts.into_iter().filter(|part| !part.is_empty()) {
-            scope.spawn(|| {
-                for (number, member) in part {
-                    work(number, member);
-                }
-            });
-        }
-    });
 }

@@ -3,6 +3,7 @@
 use super::sight::Sight;
 use crate::{CellState, NavigationGrid};
 use flockmap_worlds::curve::distance;
+use flockmap_worlds::lattice::flood;
 use libm::atan2;
 
 /// A frontier reaches no further than this from its first cell, in metres.
@@ -15,9 +16,9 @@ const CELLS_MIN: usize = 6;
 pub(super) const DIRECTIONS_MAX: u32 = 3;
 
 /// How likely something comes back from an Unknown cell that was in view from none, one or two directions in vain.
-const CHANCES: [f64; DIRECTIONS_MAX as usize] = [1.0, 0.5, 0.25];
+const PROBABILITIES: [f64; DIRECTIONS_MAX as usize] = [1.0, 0.5, 0.25];
 
-/// A viewpoint from which fewer cells are expected to be seen is not worth the way.
+/// A viewpoint from which fewer cells are expected to be seen is not worth the flight.
 pub(super) const GAIN_MIN: f64 = 40.0;
 
 /// Cells of a frontier that viewpoints are judged by.
@@ -76,12 +77,13 @@ impl Frontiers {
     fn probability(&self, cell: usize, octant: u8) -> f64 {
         let looks = self.looks[cell];
         let is_new = looks >> octant & 1 == 0;
-        CHANCES.get(looks.count_ones() as usize).copied().filter(|_| is_new).unwrap_or(0.0)
+        PROBABILITIES.get(looks.count_ones() as usize).copied().filter(|_| is_new).unwrap_or(0.0)
     }
 
     /// Whether a cell is Free and has an Unknown one beside it that is worth looking at.
     pub(super) fn is_frontier(&self, grid: &NavigationGrid, cell: usize) -> bool {
-        grid.cell_state(cell) == CellState::Free && grid.beside(cell).any(|next| self.is_worth(grid, next))
+        grid.cell_state(cell) == CellState::Free
+            && grid.cells.beside(cell).any(|next| self.is_worth(grid, next))
     }
 
     /// How much is to be seen from a place now.
@@ -89,7 +91,7 @@ impl Frontiers {
         sight.gain(grid, place, yaw, |cell, octant| self.probability(cell, octant))
     }
 
-    /// Takes down what is to be seen from a viewpoint now, and drops it if that is not worth the way any more.
+    /// Takes down what is to be seen from a viewpoint now, and drops it if that is not worth the flight any more.
     pub(super) fn note_gain(&mut self, place: [f64; 3], gain: f64) {
         for frontier in &mut self.list {
             frontier.viewpoints.retain_mut(|viewpoint| {
@@ -118,7 +120,7 @@ impl Frontiers {
             stays
         });
         for frontier in &mut list {
-            frontier.viewpoints.retain(|v| grid.cell_at(v.place).is_some_and(&is_open));
+            frontier.viewpoints.retain(|v| grid.cells.cell_at(v.place).is_some_and(&is_open));
             if frontier.viewpoints.is_empty() {
                 frontier.patience = frontier.patience.saturating_sub(1);
                 if frontier.patience == 0 {
@@ -130,7 +132,13 @@ impl Frontiers {
             if !self.claimed[seed] && self.is_frontier(grid, seed) {
                 let cells = self.grow(grid, seed);
                 if cells.len() >= CELLS_MIN {
-                    let mut frontier = Frontier::new(grid, cells);
+                    let mut frontier = Frontier {
+                        found: cells.len(),
+                        centre: grid.cells.middle(&cells),
+                        cells,
+                        viewpoints: Vec::new(),
+                        patience: 0,
+                    };
                     self.find_viewpoints(&mut frontier, grid, sight, &is_open);
                     list.push(frontier);
                 } else {
@@ -153,7 +161,8 @@ impl Frontiers {
     /// Counts a visit to a frontier with these cells as so many looks in new directions at what is still Unknown beside
     /// them, whatever the map says: nobody goes to the same place for ever.
     pub(super) fn count_visit(&mut self, grid: &NavigationGrid, cells: &[u32], looks: u32) {
-        let mut beside: Vec<usize> = cells.iter().flat_map(|cell| grid.beside(*cell as usize)).collect();
+        let mut beside: Vec<usize> =
+            cells.iter().flat_map(|cell| grid.cells.beside(*cell as usize)).collect();
         beside.sort_unstable();
         beside.dedup();
         for cell in beside {
@@ -173,23 +182,16 @@ impl Frontiers {
 
     /// The frontier cells that hang together with a seed and are near it.
     fn grow(&mut self, grid: &NavigationGrid, seed: usize) -> Vec<u32> {
-        let origin = grid.centre(seed);
-        let mut cells = vec![seed as u32];
+        let origin = grid.cells.centre(seed);
         self.claimed[seed] = true;
-        let mut done = 0;
-        while let Some(&cell) = cells.get(done) {
-            done += 1;
-            for (next, _) in grid.cells().around(cell as usize) {
-                if !self.claimed[next]
-                    && distance(grid.centre(next), origin) <= REACH_M
-                    && self.is_frontier(grid, next)
-                {
-                    self.claimed[next] = true;
-                    cells.push(next as u32);
-                }
-            }
-        }
-        cells
+        let around = |cell| grid.cells.around(cell).map(|(next, _)| next);
+        flood(vec![seed as u32], around, |_, next| {
+            let is_new = !self.claimed[next]
+                && distance(grid.cells.centre(next), origin) <= REACH_M
+                && self.is_frontier(grid, next);
+            self.claimed[next] |= is_new;
+            is_new
+        })
     }
 
     /// Judges places on rings round the centre of a frontier: those that see a good part of it, and of these the ones
@@ -217,8 +219,10 @@ impl Frontiers {
                         centre[1] + radius * libm::sin(angle),
                         centre[2] + height,
                     ];
-                    let Some(cell) = grid.cell_at(place).filter(|cell| is_open(*cell)) else { continue };
-                    let place = grid.centre(cell);
+                    let Some(cell) = grid.cells.cell_at(place).filter(|cell| is_open(*cell)) else {
+                        continue;
+                    };
+                    let place = grid.cells.centre(cell);
                     let yaw = atan2(centre[1] - place[1], centre[0] - place[0]);
                     let sees = |cell: &&usize| {
                         sight.sees_beyond(grid, place, Some(yaw), **cell, |c, octant| {
@@ -242,19 +246,5 @@ impl Frontiers {
             }
         }
         frontier.viewpoints.retain(|viewpoint| viewpoint.gain >= GAIN_MIN);
-    }
-}
-
-impl Frontier {
-    fn new(grid: &NavigationGrid, cells: Vec<u32>) -> Self {
-        let mut sum = [0.0; 3];
-        for &cell in &cells {
-            let centre = grid.centre(cell as usize);
-            for a in 0..3 {
-                sum[a] += centre[a];
-            }
-        }
-        let centre = sum.map(|v| v / cells.len() as f64);
-        Self { found: cells.len(), cells, centre, viewpoints: Vec::new(), patience: 0 }
     }
 }

@@ -1,7 +1,7 @@
-//! Robots keep out of each other's way.
+//! Robots keep clear of each other.
 
 use crate::NavigationGrid;
-use flockmap_worlds::curve::distance;
+use flockmap_worlds::curve::{distance, line};
 
 /// Metres added to distances between paths for the space between their samples.
 const SAMPLE_SLACK_M: f64 = 0.06;
@@ -12,7 +12,7 @@ pub(super) struct Mate {
     pub(super) number: usize,
     /// Its path until it could come to rest, its position first.
     pub(super) stopping_path: Vec<[f64; 3]>,
-    /// The way that it would go if nobody were in it.
+    /// The path that it would take if nobody were on it.
     pub(super) intended: Option<Vec<[f64; 3]>>,
 }
 
@@ -27,30 +27,17 @@ pub(super) fn metres_to_path(point: [f64; 3], path: &[[f64; 3]]) -> f64 {
 }
 
 /// Cells nearer than this to where others are and will be until they could stop, ascending.
-pub(super) fn cells_near(grid: &NavigationGrid, mates: &[Mate], wide_m: f64) -> Vec<u32> {
-    let reach = (wide_m / grid.cell_m()).ceil() as i32;
+pub(super) fn cells_near(grid: &NavigationGrid, mates: &[Mate], wide_m: f64) -> Vec<usize> {
     let mut cells = Vec::new();
     for mate in mates {
         let mut last: Option<[f64; 3]> = None;
         for &point in &mate.stopping_path {
             // Every 20 cm and the ends will do.
             let is_end = mate.stopping_path.last() == Some(&point);
-            if !is_end && last.is_some_and(|last| distance(last, point) < 0.2) {
-                continue;
-            }
-            last = Some(point);
-            for z in -reach..=reach {
-                for y in -reach..=reach {
-                    for x in -reach..=reach {
-                        let d = [x, y, z].map(|i| f64::from(i) * grid.cell_m());
-                        let place = core::array::from_fn(|a| point[a] + d[a]);
-                        if let Some(cell) = grid.cell_at(place)
-                            && distance(grid.centre(cell), point) < wide_m
-                        {
-                            cells.push(cell as u32);
-                        }
-                    }
-                }
+            if is_end || last.is_none_or(|last| distance(last, point) >= 0.2) {
+                last = Some(point);
+                let near = grid.cells.near(point, wide_m);
+                cells.extend(near.filter(|cell| distance(grid.cells.centre(*cell), point) < wide_m));
             }
         }
     }
@@ -60,14 +47,7 @@ pub(super) fn cells_near(grid: &NavigationGrid, mates: &[Mate], wide_m: f64) -> 
 }
 
 /// A polyline with points at most 10 cm apart.
-pub(super) fn dense(line: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    let mut points: Vec<[f64; 3]> = line.first().copied().into_iter().collect();
-    for pair in line.windows(2) {
-        let steps = (distance(pair[0], pair[1]) / 0.1).ceil().max(1.0);
-        for step in 1..=steps as u32 {
-            let s = f64::from(step) / steps;
-            points.push(core::array::from_fn(|a| pair[0][a] + (pair[1][a] - pair[0][a]) * s));
-        }
-    }
-    points
+pub(super) fn dense(path: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let rest = path.windows(2).flat_map(|pair| line(pair[0], pair[1], 0.1));
+    path.first().copied().into_iter().chain(rest).collect()
 }

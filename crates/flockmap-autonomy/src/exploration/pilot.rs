@@ -5,10 +5,9 @@ use super::mates::{Mate, cells_near, dense, metres_to_path};
 use super::regions::{Regions, tour, work};
 use super::sight::Sight;
 use super::start::ROOM_M;
-use crate::navigation::wrapped;
 use crate::{Motion, MotionLimits, NavigationConfig, NavigationError, NavigationGrid, RouteQuery, Router};
 use flockmap_grid::{MapView, Stamp};
-use flockmap_worlds::curve::distance;
+use flockmap_worlds::curve::{distance, wrapped};
 use libm::atan2;
 
 /// Time between two plans, at least.
@@ -20,7 +19,7 @@ const PLAN_PERIOD_MICROS: i64 = 1_500_000;
 /// The same for a robot that has nothing to do.
 const IDLE_PAUSE_MICROS: i64 = 1_000_000;
 
-/// A robot that knows of something to look at but of no way for so long makes do with less clearance.
+/// A robot that knows of something to look at but of no path there for so long makes do with less clearance.
 const SHUT_IN_MICROS: i64 = 2_000_000;
 
 /// Metres by which it does, and the least clearance: that of its body.
@@ -36,20 +35,20 @@ const STAY_MICROS: i64 = 500_000;
 /// A goal counts as seen when this share of its frontier is left, or this share of what was to be seen from there.
 const SEEN_SHARE: f64 = 0.3;
 
-/// Metres around the robot within which ways are searched first.
+/// Metres around the robot within which paths are searched first.
 const NEAR_M: f64 = 30.0;
 
 /// The present goal counts for so much more than others, and so do those in the region that comes first.
 const LOYALTY: f64 = 1.5;
 const FIRST_REGION: f64 = 1.5;
 
-/// Seconds that every goal costs beside the way.
+/// Seconds that every goal costs beside the path.
 const STOP_S: f64 = 1.5;
 
 /// Seconds to turn by one radian in flight.
 const TURN_S: f64 = 0.6;
 
-/// Cells to be seen for each second of the way, at least: for less nobody sets out.
+/// Cells to be seen for each second of flight, at least: for less nobody sets out.
 const WORTH_MIN: f64 = 5.0;
 
 /// Goals whose gain is worked out anew before one is chosen.
@@ -58,10 +57,10 @@ const SHORT_LIST: usize = 16;
 /// Metres ahead within which the path is watched.
 const WATCH_M: f64 = 8.0;
 
-/// Distance beyond the separation at which ways lead past others, in metres.
+/// Distance beyond the separation at which paths lead past others, in metres.
 const DETOUR_M: f64 = 0.3;
 
-/// Cells looked at by a search for one way.
+/// Cells looked at by a search for one path.
 const EXPANSIONS_MAX: usize = 2_000_000;
 
 /// What a robot flies to.
@@ -69,7 +68,7 @@ const EXPANSIONS_MAX: usize = 2_000_000;
 struct Goal {
     place: [f64; 3],
     yaw: f64,
-    /// The frontier that is to be seen; empty: it only makes way.
+    /// The frontier that is to be seen; empty: it only lets another pass.
     cells: Vec<u32>,
     /// What was to be seen from there when it was chosen.
     gain: f64,
@@ -78,37 +77,7 @@ struct Goal {
 /// Viewpoints and what is to be seen from them.
 type Gains = Vec<([f64; 3], f64)>;
 
-/// Plans and flies one robot.
-pub(super) struct Pilot {
-    pub(super) number: usize,
-    pub(super) motion: Motion,
-    start: [f64; 3],
-    navigation: NavigationConfig,
-    grid: NavigationGrid,
-    router: Router,
-    frontiers: Frontiers,
-    sight: Sight,
-    regions: Regions,
-    /// The regions that this robot takes for its own.
-    pub(super) own: Vec<bool>,
-    /// Seconds of work in each region, as far as it knows.
-    pub(super) work: Vec<f64>,
-    limits: MotionLimits,
-    heights_m: [f64; 2],
-    separation_m: f64,
-    goal: Option<Goal>,
-    intended: Option<Vec<[f64; 3]>>,
-    planned: Option<Stamp>,
-    looked: Option<Stamp>,
-    arrived: Option<Stamp>,
-    /// Since when it has found nothing to do.
-    pub(super) idle_since: Option<Stamp>,
-    pub(super) path_m: f64,
-    /// Whether there is something to look at and no way to any of it.
-    is_cut_off: bool,
-}
-
-/// What a pilot is made with.
+/// Which robot a pilot flies, and how.
 pub(super) struct PilotConfig {
     pub(super) number: usize,
     pub(super) start: [f64; 3],
@@ -120,26 +89,39 @@ pub(super) struct PilotConfig {
     pub(super) separation_m: f64,
 }
 
+/// Plans and flies one robot.
+pub(super) struct Pilot {
+    pub(super) config: PilotConfig,
+    pub(super) motion: Motion,
+    grid: NavigationGrid,
+    router: Router,
+    frontiers: Frontiers,
+    /// The regions that this robot takes for its own.
+    pub(super) own: Vec<bool>,
+    /// Seconds of work in each region, as far as it knows.
+    pub(super) work: Vec<f64>,
+    goal: Option<Goal>,
+    intended: Option<Vec<[f64; 3]>>,
+    planned: Option<Stamp>,
+    looked: Option<Stamp>,
+    arrived: Option<Stamp>,
+    /// Since when it has found nothing to do.
+    pub(super) idle_since: Option<Stamp>,
+    pub(super) path_m: f64,
+}
+
 impl Pilot {
     pub(super) fn new(config: PilotConfig) -> Result<Self, NavigationError> {
         let count = config.regions.count();
         let mut grid = NavigationGrid::new(&config.navigation)?;
         grid.assume_free(config.start, ROOM_M);
         Ok(Self {
-            number: config.number,
             motion: Motion::new(config.start, 0.0),
-            start: config.start,
-            navigation: config.navigation,
             router: Router::new(&grid),
             frontiers: Frontiers::new(&grid),
             grid,
-            sight: config.sight,
-            regions: config.regions,
             own: vec![true; count],
             work: vec![0.0; count],
-            limits: config.limits,
-            heights_m: config.heights_m,
-            separation_m: config.separation_m,
             goal: None,
             intended: None,
             planned: None,
@@ -147,20 +129,16 @@ impl Pilot {
             arrived: None,
             idle_since: None,
             path_m: 0.0,
-            is_cut_off: false,
+            config,
         })
     }
 
     pub(super) fn mate(&self) -> Mate {
         Mate {
-            number: self.number,
-            stopping_path: self.motion.stopping_path(&self.limits),
+            number: self.config.number,
+            stopping_path: self.motion.stopping_path(&self.config.limits),
             intended: self.intended.clone(),
         }
-    }
-
-    pub(super) const fn regions(&self) -> &Regions {
-        &self.regions
     }
 
     /// Number of frontiers that it can look at from somewhere.
@@ -177,11 +155,11 @@ impl Pilot {
         let looks = self.looked.is_none_or(|at| now.micros_since(at) >= LOOK_PERIOD_MICROS);
         if looks {
             self.looked = Some(now);
-            self.frontiers.look(&self.grid, &self.sight, self.motion.position(), self.motion.yaw());
+            self.frontiers.look(&self.grid, &self.config.sight, self.motion.position(), self.motion.yaw());
         }
         let mut due = self.planned.is_none_or(|at| now.micros_since(at) >= PLAN_PERIOD_MICROS);
         if !self.path_is_clear() {
-            self.motion.brake(&self.limits);
+            self.motion.brake(&self.config.limits);
             self.goal = None;
             due = true;
         }
@@ -229,34 +207,26 @@ impl Pilot {
         }
     }
 
-    /// Whether there is something to look at in its regions, be there a way or not.
+    /// Whether there is something to look at in its regions, be there a path or not.
     fn has_targets(&self) -> bool {
-        let is_own = |centre| self.own[self.regions.at(centre)];
+        let is_own = |centre| self.own[self.config.regions.at(centre)];
         self.frontiers.list.iter().any(|frontier| !frontier.viewpoints.is_empty() && is_own(frontier.centre))
-    }
-
-    /// Whether the last flood came to one of these.
-    fn reaches_any(&self) -> bool {
-        let is_own = |centre| self.own[self.regions.at(centre)];
-        let own = self.frontiers.list.iter().filter(|frontier| is_own(frontier.centre));
-        let mut cells = own.flat_map(|f| &f.viewpoints).filter_map(|v| self.grid.cell_at(v.place));
-        cells.any(|cell| self.router.metres_to(&self.grid, cell).is_some())
     }
 
     /// Whether it has had nothing to do for a while though there is something to look at in its regions.
     fn is_shut_in(&self, now: Stamp) -> bool {
         self.idle_since.is_some_and(|since| now.micros_since(since) >= SHUT_IN_MICROS)
-            && self.navigation.clearance_m - CLEARANCE_STEP_M >= CLEARANCE_MIN_M - 1e-9
+            && self.config.navigation.clearance_m - CLEARANCE_STEP_M >= CLEARANCE_MIN_M - 1e-9
             && self.has_targets()
     }
 
-    /// Makes do with less clearance from now on: what was a way when less of it was known may have turned out too
+    /// Makes do with less clearance from now on: what was a path when less of it was known may have turned out too
     /// narrow.
     fn squeeze(&mut self) {
-        self.navigation.clearance_m -= CLEARANCE_STEP_M;
+        self.config.navigation.clearance_m -= CLEARANCE_STEP_M;
         // The same region as before, so it works, and cells keep their numbers.
-        if let Ok(mut grid) = NavigationGrid::new(&self.navigation) {
-            grid.assume_free(self.start, ROOM_M);
+        if let Ok(mut grid) = NavigationGrid::new(&self.config.navigation) {
+            grid.assume_free(self.config.start, ROOM_M);
             self.grid = grid;
             self.idle_since = None;
             self.planned = None;
@@ -275,7 +245,7 @@ impl Pilot {
             if ahead > WATCH_M {
                 break;
             }
-            let open = self.grid.cell_at(point).is_some_and(|cell| self.grid.is_passable(cell, false));
+            let open = self.grid.cells.cell_at(point).is_some_and(|cell| self.grid.is_passable(cell, false));
             if entered && !open {
                 return false;
             }
@@ -286,18 +256,18 @@ impl Pilot {
 
     /// Chooses the next goal and sets out for it.
     fn choose(&mut self, now: Stamp, mates: &[Mate]) {
-        let (grid, heights) = (&self.grid, self.heights_m);
-        self.frontiers.update(grid, &self.sight, |cell| {
+        let (grid, heights) = (&self.grid, self.config.heights_m);
+        self.frontiers.update(grid, &self.config.sight, |cell| {
             grid.is_passable(cell, false) && !is_closed(grid, heights, &[], cell)
         });
-        let mut cells = vec![0; self.regions.count()];
+        let mut cells = vec![0; self.config.regions.count()];
         for frontier in self.frontiers.list.iter().filter(|f| !f.viewpoints.is_empty()) {
-            cells[self.regions.at(frontier.centre)] += frontier.cells.len();
+            cells[self.config.regions.at(frontier.centre)] += frontier.cells.len();
         }
-        self.work = work(&self.regions.unknown_shares(grid), &cells);
+        self.work = work(&self.config.regions.unknown_shares(grid), &cells);
 
-        let from = self.motion.stopping_point(&self.limits);
-        let near_mates = cells_near(&self.grid, mates, self.separation_m + DETOUR_M);
+        let from = self.motion.stopping_point(&self.config.limits);
+        let near_mates = cells_near(&self.grid, mates, self.config.separation_m + DETOUR_M);
         self.intended = None;
         let mut goal = None;
         let has_targets = self.has_targets();
@@ -308,19 +278,18 @@ impl Pilot {
                 goal = self.best_goal(from);
             }
         }
-        self.is_cut_off = goal.is_none() && has_targets && !self.reaches_any();
         if let Some(goal) = goal {
             self.idle_since = None;
             self.go(from, goal, &near_mates);
             return;
         }
-        // Perhaps somebody is in the way.
+        // Perhaps somebody blocks the path.
         if has_targets && !near_mates.is_empty() {
             self.flood(from, f64::INFINITY, &[]);
             if let Some(goal) = self.best_goal(from) {
                 self.idle_since = None;
                 let query = self.query(from, goal.place);
-                let (grid, heights) = (&self.grid, self.heights_m);
+                let (grid, heights) = (&self.grid, self.config.heights_m);
                 let intended = self.router.route(grid, &query, |cell| is_closed(grid, heights, &[], cell));
                 self.intended = intended.ok();
             }
@@ -329,18 +298,19 @@ impl Pilot {
             self.idle_since.get_or_insert(now);
         }
         self.goal = None;
-        self.make_way(from, mates, &near_mates);
+        self.let_pass(from, mates, &near_mates);
     }
 
-    /// Finds the ways to all places within a distance, clear of cells near others.
-    fn flood(&mut self, from: [f64; 3], metres_max: f64, near_mates: &[u32]) {
-        let (grid, heights) = (&self.grid, self.heights_m);
-        self.router.flood(grid, from, metres_max, false, |cell| is_closed(grid, heights, near_mates, cell));
+    /// Finds the paths to all places within a distance, clear of cells near others.
+    fn flood(&mut self, from: [f64; 3], metres_max: f64, near_mates: &[usize]) {
+        let (grid, heights) = (&self.grid, self.config.heights_m);
+        self.router.flood(grid, from, metres_max, |cell| is_closed(grid, heights, near_mates, cell));
     }
 
     fn is_seen(&self, goal: &Goal) -> bool {
         self.frontiers.share_left(&self.grid, &goal.cells) <= SEEN_SHARE
-            || self.frontiers.gain(&self.grid, &self.sight, goal.place, goal.yaw) <= SEEN_SHARE * goal.gain
+            || self.frontiers.gain(&self.grid, &self.config.sight, goal.place, goal.yaw)
+                <= SEEN_SHARE * goal.gain
     }
 
     /// The goal in the own regions with the most to see for the time it takes; those in the first region of a tour
@@ -373,18 +343,18 @@ impl Pilot {
         let heading = (self.motion.speed() > 0.3).then(|| atan2(velocity[1], velocity[0]));
         let mut candidates: Vec<Candidate> = Vec::new();
         for (number, frontier) in self.frontiers.list.iter().enumerate() {
-            let region = self.regions.at(frontier.centre);
+            let region = self.config.regions.at(frontier.centre);
             if !self.own[region] {
                 continue;
             }
             for viewpoint in &frontier.viewpoints {
-                let cell = self.grid.cell_at(viewpoint.place);
+                let cell = self.grid.cells.cell_at(viewpoint.place);
                 let Some(metres) = cell.and_then(|cell| self.router.metres_to(&self.grid, cell)) else {
                     continue;
                 };
                 let ahead = atan2(viewpoint.place[1] - from[1], viewpoint.place[0] - from[0]);
                 let turn = heading.map_or(0.0, |heading| wrapped(ahead - heading).abs());
-                let seconds = metres / self.limits.speed_m_s + TURN_S * turn + STOP_S;
+                let seconds = metres / self.config.limits.speed_m_s + TURN_S * turn + STOP_S;
                 let Viewpoint { place, yaw, gain } = *viewpoint;
                 if gain >= WORTH_MIN * seconds {
                     candidates.push(Candidate { place, yaw, gain, seconds, frontier: number, region });
@@ -399,8 +369,9 @@ impl Pilot {
                 None => nearest.push((candidate.region, candidate.seconds)),
             }
         }
-        let first: Vec<f64> = nearest.iter().map(|(_, seconds)| seconds * self.limits.speed_m_s).collect();
-        let centre = |i: usize| self.regions.centre(nearest[i].0);
+        let first: Vec<f64> =
+            nearest.iter().map(|(_, seconds)| seconds * self.config.limits.speed_m_s).collect();
+        let centre = |i: usize| self.config.regions.centre(nearest[i].0);
         let order = tour(&first, |a, b| 1.2 * distance(centre(a), centre(b)));
         let first_region = nearest.get(*order.first()?)?.0;
         let present = self.goal.as_ref().map(|goal| goal.place);
@@ -413,7 +384,8 @@ impl Pilot {
         candidates.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
         candidates.truncate(SHORT_LIST);
         for candidate in &mut candidates {
-            candidate.gain = self.frontiers.gain(&self.grid, &self.sight, candidate.place, candidate.yaw);
+            candidate.gain =
+                self.frontiers.gain(&self.grid, &self.config.sight, candidate.place, candidate.yaw);
         }
         let gains = candidates.iter().map(|candidate| (candidate.place, candidate.gain)).collect();
         candidates.retain(|c| c.gain >= GAIN_MIN && c.gain >= WORTH_MIN * c.seconds);
@@ -425,39 +397,39 @@ impl Pilot {
         Some((gains, goal))
     }
 
-    fn go(&mut self, from: [f64; 3], goal: Goal, near_mates: &[u32]) {
+    fn go(&mut self, from: [f64; 3], goal: Goal, near_mates: &[usize]) {
         let unchanged = self.goal.as_ref().is_some_and(|old| old.place == goal.place);
         if unchanged && !self.motion.is_at_end() && !self.path_meets(near_mates) {
             self.goal = Some(goal);
             return;
         }
         let query = self.query(from, goal.place);
-        let (grid, heights) = (&self.grid, self.heights_m);
+        let (grid, heights) = (&self.grid, self.config.heights_m);
         let is_closed = |cell: usize| is_closed(grid, heights, near_mates, cell);
         match self.router.route(grid, &query, is_closed) {
             Ok(line) => {
-                self.motion.follow(&line, &self.limits, |a, b| {
-                    grid.line_fits(a, b, |cell| grid.is_passable(cell, false) && !is_closed(cell))
+                self.motion.follow(&line, &self.config.limits, |a, b| {
+                    grid.cells.line_fits(a, b, |cell| grid.is_passable(cell, false) && !is_closed(cell))
                 });
                 self.goal = Some(goal);
             }
             Err(_) => {
-                self.motion.brake(&self.limits);
+                self.motion.brake(&self.config.limits);
                 self.goal = None;
             }
         }
     }
 
-    /// Flies out of the way of a robot that wants to pass and comes before this one, or finds this one idle.
-    fn make_way(&mut self, from: [f64; 3], mates: &[Mate], near_mates: &[u32]) {
-        let wide = self.separation_m + DETOUR_M;
-        let before = |mate: &&Mate| self.idle_since.is_some() || mate.number < self.number;
+    /// Flies off the path of a robot that wants to pass and comes before this one, or finds this one idle.
+    fn let_pass(&mut self, from: [f64; 3], mates: &[Mate], near_mates: &[usize]) {
+        let wide = self.config.separation_m + DETOUR_M;
+        let before = |mate: &&Mate| self.idle_since.is_some() || mate.number < self.config.number;
         let paths: Vec<&Vec<[f64; 3]>> =
             mates.iter().filter(before).filter_map(|mate| mate.intended.as_ref()).collect();
-        let in_way = |place: [f64; 3]| {
+        let in_path = |place: [f64; 3]| {
             paths.iter().any(|intended| metres_to_path(place, &dense(intended)) < wide + 0.2)
         };
-        if !in_way(from) {
+        if !in_path(from) {
             return;
         }
         self.flood(from, NEAR_M, near_mates);
@@ -467,13 +439,13 @@ impl Pilot {
             let Some(metres) = self.router.metres_to(grid, cell) else { continue };
             if grid.is_passable(cell, false)
                 && best.is_none_or(|(least, _)| metres < least)
-                && !in_way(grid.centre(cell))
+                && !in_path(grid.cells.centre(cell))
             {
                 best = Some((metres, cell));
             }
         }
         if let Some((_, cell)) = best {
-            let place = grid.centre(cell);
+            let place = grid.cells.centre(cell);
             let goal = Goal { place, yaw: self.motion.yaw(), cells: Vec::new(), gain: 0.0 };
             self.go(from, goal, near_mates);
         }
@@ -484,15 +456,14 @@ impl Pilot {
     }
 
     /// Whether the path ahead leads through these cells.
-    fn path_meets(&self, cells: &[u32]) -> bool {
-        self.motion.path().iter().any(|point| {
-            self.grid.cell_at(*point).is_some_and(|cell| cells.binary_search(&(cell as u32)).is_ok())
-        })
+    fn path_meets(&self, cells: &[usize]) -> bool {
+        let mut path = self.motion.path().into_iter().filter_map(|point| self.grid.cells.cell_at(point));
+        path.any(|cell| cells.binary_search(&cell).is_ok())
     }
 }
 
 /// Whether a cell is not to be flown in for other reasons than the map: its height, or others (cells in ascending order).
-fn is_closed(grid: &NavigationGrid, heights_m: [f64; 2], near_mates: &[u32], cell: usize) -> bool {
-    let z = grid.centre(cell)[2];
-    z < heights_m[0] || z > heights_m[1] || near_mates.binary_search(&(cell as u32)).is_ok()
+fn is_closed(grid: &NavigationGrid, heights_m: [f64; 2], near_mates: &[usize], cell: usize) -> bool {
+    let z = grid.cells.centre(cell)[2];
+    z < heights_m[0] || z > heights_m[1] || near_mates.binary_search(&cell).is_ok()
 }

@@ -64,14 +64,14 @@ impl Regions {
 
     /// Share of each region's cells that are Unknown.
     pub(super) fn unknown_shares(&self, grid: &NavigationGrid) -> Vec<f64> {
-        let [nx, ny, nz] = grid.size();
+        let [nx, ny, nz] = grid.cells.size();
         let mut counts = vec![[0u32; 2]; self.count()];
         for y in 0..ny {
             for x in 0..nx {
-                let [unknown, all] = &mut counts[self.at(grid.centre(grid.number([x, y, 0])))];
+                let [unknown, all] = &mut counts[self.at(grid.cells.centre(grid.cells.number([x, y, 0])))];
                 *all += nz as u32;
                 *unknown += (0..nz)
-                    .filter(|&z| grid.cell_state(grid.number([x, y, z])) == CellState::Unknown)
+                    .filter(|&z| grid.cell_state(grid.cells.number([x, y, z])) == CellState::Unknown)
                     .count() as u32;
             }
         }

@@ -1,13 +1,15 @@
 //! What can be seen of a world at all.
 
 use super::sight::Sight;
+use crate::threads::in_parallel;
 use crate::{NavigationGrid, Router};
 use flockmap_grid::{BlockIndex, Mapper, Plane, Resolution, Voxel, voxel_bit};
 use flockmap_worlds::curve::distance;
+use flockmap_worlds::lattice::Lattice;
 use flockmap_worlds::random::hash_at;
 use flockmap_worlds::{ScanOptions, World};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Metres between places to look from, along x and y, and along z.
 const SPACING_M: [f64; 3] = [1.2, 1.2, 0.6];
@@ -35,8 +37,8 @@ pub(super) struct Eyes<'a> {
 }
 
 impl Seeable {
-    /// For robots that can start at `start` and fly where `may_fly` says, in the world as it is (`truth`). `goes_on` is told how
-    /// many of how many blocks are done; `None` once it has said no.
+    /// For robots that can start at `start` and fly where `may_fly` says, in the world as it is (`truth`). `goes_on` is called with
+    /// how many of how many blocks are done; `None` once it has said no.
     pub(super) fn new(
         eyes: &Eyes<'_>,
         truth: &NavigationGrid,
@@ -46,29 +48,20 @@ impl Seeable {
         goes_on: &(dyn Fn(usize, usize) -> bool + Sync),
     ) -> Option<Self> {
         let places = places(truth, start, may_fly);
-        let candidates: Vec<(BlockIndex, Plane)> =
+        let mut candidates: Vec<(BlockIndex, Plane)> =
             candidates(eyes.world, truth, start, eyes.resolution).into_iter().collect();
-        let part = candidates.len().div_ceil(threads.max(1)).max(1);
-        let done = AtomicUsize::new(0);
-        let parts: Vec<Option<Vec<(BlockIndex, Plane)>>> = std::thread::scope(|scope| {
-            let mut threads = Vec::new();
-            for part in candidates.chunks(part) {
-                let (places, done, count) = (&places, &done, candidates.len());
-                let seen = move |(index, plane): &(BlockIndex, Plane)| {
-                    goes_on(done.fetch_add(1, Ordering::Relaxed), count)
-                        .then(|| (*index, look(eyes, places, *index, plane)))
-                };
-                threads.push(scope.spawn(move || part.iter().map(seen).collect()));
+        let (done, stopped) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let count = candidates.len();
+        in_parallel(threads, &mut candidates, |_, (index, plane)| {
+            if !stopped.load(Ordering::Relaxed) {
+                stopped.fetch_or(!goes_on(done.fetch_add(1, Ordering::Relaxed), count), Ordering::Relaxed);
+                *plane = look(eyes, &places, *index, plane);
             }
-            let join = |thread: std::thread::ScopedJoinHandle<'_, _>| {
-                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-            };
-            threads.into_iter().map(join).collect()
         });
-        let mut blocks = BTreeMap::new();
-        for part in parts {
-            blocks.extend(part?);
+        if stopped.into_inner() {
+            return None;
         }
+        let blocks: BTreeMap<BlockIndex, Plane> = candidates.into_iter().collect();
         let count = blocks.values().flatten().map(|word: &u64| u64::from(word.count_ones())).sum();
         Some(Self { blocks, count })
     }
@@ -96,13 +89,13 @@ impl Seeable {
 /// One place in each box of the lattice in which a robot can be: the one nearest to its middle.
 fn places(truth: &NavigationGrid, start: [f64; 3], may_fly: impl Fn(usize) -> bool) -> Vec<[f64; 3]> {
     let mut router = Router::new(truth);
-    router.flood(truth, start, f64::INFINITY, false, |cell| !may_fly(cell));
+    router.flood(truth, start, f64::INFINITY, |cell| !may_fly(cell));
     let mut best: BTreeMap<[i64; 3], (f64, [f64; 3])> = BTreeMap::new();
     for cell in 0..truth.count() {
         if router.metres_to(truth, cell).is_none() {
             continue;
         }
-        let place = truth.centre(cell);
+        let place = truth.cells.centre(cell);
         let key: [i64; 3] = core::array::from_fn(|a| (place[a] / SPACING_M[a]).floor() as i64);
         let middle = core::array::from_fn(|a| (key[a] as f64 + 0.5) * SPACING_M[a]);
         let away = distance(place, middle);
@@ -122,52 +115,41 @@ fn candidates(
     start: [f64; 3],
     resolution: Resolution,
 ) -> BTreeMap<BlockIndex, Plane> {
-    let region = truth.region();
-    let (min, size) = (region.min(), region.size().map(|n| n as usize));
-    let number = |at: [usize; 3]| (at[2] * size[1] + at[1]) * size[0] + at[0];
-    let place_of = |v: Voxel| {
-        region.contains(v).then(|| [(v.x - min.x) as usize, (v.y - min.y) as usize, (v.z - min.z) as usize])
-    };
-    let (cell, voxel) = (world.resolution().metres(), resolution.metres());
+    let (region, side) = (truth.region(), resolution.metres());
+    let min = region.min();
+    let voxels =
+        Lattice::new(region.size().map(|n| n as usize)).placed([0.0; 3], [min.x, min.y, min.z], side);
+    let cell = world.resolution().metres();
     const OPEN: u8 = 0;
     const SOLID: u8 = 1;
     const REACHED: u8 = 2;
-    let mut marks = vec![OPEN; size.iter().product()];
+    let mut marks = vec![OPEN; voxels.count()];
     for solid in world.solid_cells() {
         let index = [solid.x, solid.y, solid.z].map(f64::from);
-        let middle = index.map(|i| ((i + 0.5) * cell / voxel).floor() as i32);
-        if let Some(at) = place_of(Voxel::new(middle[0], middle[1], middle[2])) {
-            marks[number(at)] = SOLID;
+        if let Some(voxel) = voxels.number_of(index.map(|i| ((i + 0.5) * cell / side).floor() as i32)) {
+            marks[voxel] = SOLID;
         }
     }
     let mut blocks: BTreeMap<BlockIndex, Plane> = BTreeMap::new();
-    let mut add = |at: [usize; 3]| {
-        let v = Voxel::new(min.x + at[0] as i32, min.y + at[1] as i32, min.z + at[2] as i32);
-        let bit = voxel_bit(v);
-        blocks.entry(v.block()).or_default()[bit >> 6] |= 1 << (bit & 63);
+    let mut add = |number: usize| {
+        let [x, y, z] = voxels.index(number);
+        let voxel = Voxel::new(x, y, z);
+        let bit = voxel_bit(voxel);
+        blocks.entry(voxel.block()).or_default()[bit >> 6] |= 1 << (bit & 63);
     };
-    let mut queue = Vec::new();
-    if let Some(at) = resolution.voxel_at(start).and_then(place_of) {
-        marks[number(at)] = REACHED;
-        queue.push(at);
-    }
-    while let Some(at) = queue.pop() {
-        add(at);
-        for axis in 0..3 {
-            for up in [false, true] {
-                let mut next = at;
-                next[axis] = if up { at[axis] + 1 } else { at[axis].wrapping_sub(1) };
-                if next[axis] >= size[axis] {
-                    continue;
+    let start = resolution.voxel_at(start).and_then(|at| voxels.number_of([at.x, at.y, at.z]));
+    let mut queue: Vec<usize> = start.into_iter().collect();
+    queue.iter().for_each(|voxel| marks[*voxel] = REACHED);
+    while let Some(voxel) = queue.pop() {
+        add(voxel);
+        for next in voxels.beside(voxel) {
+            match marks[next] {
+                OPEN => {
+                    marks[next] = REACHED;
+                    queue.push(next);
                 }
-                match marks[number(next)] {
-                    OPEN => {
-                        marks[number(next)] = REACHED;
-                        queue.push(next);
-                    }
-                    SOLID => add(next),
-                    _ => {}
-                }
+                SOLID => add(next),
+                _ => {}
             }
         }
     }

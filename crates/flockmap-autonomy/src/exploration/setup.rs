@@ -1,9 +1,8 @@
 //! What follows from the options.
 
-use super::{ExploreError, ExploreOptions};
+use super::ExploreOptions;
 use crate::{NavigationConfig, NavigationError};
-use flockmap_worlds::ROBOTS_MAX;
-use flockmap_worlds::World;
+use flockmap_worlds::{OptionError, ROBOTS_MAX, World};
 
 /// Cells of the navigation grids up to which they stay 20 cm wide.
 const CELLS_WANTED: f64 = 4e6;
@@ -46,8 +45,8 @@ pub(super) fn navigation(
 }
 
 /// Whether every option is in its range.
-pub(super) fn check(options: &ExploreOptions) -> Result<(), ExploreError> {
-    let ranges = [
+pub(super) fn check(options: &ExploreOptions) -> Result<(), OptionError> {
+    OptionError::check(&[
         ("robots", options.robots as f64, 1.0, ROBOTS_MAX as f64, "1 to 64"),
         ("threads", options.threads as f64, 1.0, 64.0, "1 to 64"),
         ("range_m", options.range_m, 1.0, 100.0, "1 to 100"),
@@ -59,11 +58,5 @@ pub(super) fn check(options: &ExploreOptions) -> Result<(), ExploreError> {
         ("separation_m", options.separation_m, 0.8, 5.0, "0.8 to 5"),
         ("height_m[0]", options.height_m[0], 0.0, 1_000.0, "0 to 1,000"),
         ("height_m[1]", options.height_m[1], options.height_m[0], 1_000.0, "height_m[0] to 1,000"),
-    ];
-    for (name, value, low, high, expected) in ranges {
-        if !(low <= value && value <= high) {
-            return Err(ExploreError::Option { name, value, expected });
-        }
-    }
-    Ok(())
+    ])
 }

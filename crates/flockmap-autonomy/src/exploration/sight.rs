@@ -1,8 +1,8 @@
-//! What a sensor sees from a place, as far as a planner can tell.
+//! What a sensor sees from a place, as far as a planner knows.
 
-use crate::navigation::wrapped;
 use crate::{CellState, NavigationGrid};
 use flockmap_worlds::Lidar;
+use flockmap_worlds::curve::wrapped;
 use libm::{atan2, cos, exp, sin, tan};
 
 /// Rays around and from the lowest to the highest elevation: those by which a place is judged, and those of a look,
@@ -13,7 +13,7 @@ const LOOK_FAN: [usize; 2] = [120, 36];
 /// Metres of Unknown space behind which nothing is expected to be seen.
 const DEPTH_M: f64 = 2.0;
 
-/// Metres of Unknown space that let one ray in e (2.7) through: what is unknown is mostly so because something is in the way.
+/// Metres of Unknown space that let one ray in e (2.7) through: what is unknown is mostly so because something hides it.
 const FADE_M: f64 = 0.9;
 
 /// The reach of a LiDAR on a robot that flies level.
@@ -80,11 +80,13 @@ impl Sight {
         frontier: usize,
         is_worth: impl Fn(usize, u8) -> bool,
     ) -> bool {
-        grid.beside(frontier).any(|next| {
-            let to = grid.centre(next);
+        grid.cells.beside(frontier).any(|next| {
+            let to = grid.cells.centre(next);
             is_worth(next, octant([to[0] - from[0], to[1] - from[1]]))
                 && self.covers(from, yaw, to)
-                && grid.line_fits(from, to, |cell| cell == next || grid.cell_state(cell) == CellState::Free)
+                && grid
+                    .cells
+                    .line_fits(from, to, |cell| cell == next || grid.cell_state(cell) == CellState::Free)
         })
     }
 
@@ -97,7 +99,7 @@ impl Sight {
         yaw: f64,
         probability: impl Fn(usize, u8) -> f64,
     ) -> f64 {
-        let step = grid.cell_m();
+        let step = grid.cells.side_m();
         let fade = exp(-step / FADE_M);
         let mut volume = 0.0;
         for (direction, solid_angle) in turned(&self.fan, yaw) {
@@ -106,7 +108,8 @@ impl Sight {
             let mut likely = 1.0;
             let mut away = step;
             while away <= self.range_m && depth < DEPTH_M {
-                let Some(cell) = grid.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away)) else {
+                let Some(cell) = grid.cells.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away))
+                else {
                     break;
                 };
                 match grid.cell_state(cell) {
@@ -135,13 +138,13 @@ impl Sight {
         from: [f64; 3],
         yaw: f64,
     ) -> impl Iterator<Item = (usize, u8)> + 'a {
-        let step = grid.cell_m();
+        let step = grid.cells.side_m();
         // Far out rays are few, and the map is a little behind.
         let steps = (0.9 * self.range_m / step) as usize;
         turned(&self.look_fan, yaw).filter_map(move |(direction, _)| {
             let cell = |i: usize| {
                 let away = (i + 1) as f64 * step;
-                grid.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away))
+                grid.cells.cell_at(core::array::from_fn(|a| from[a] + direction[a] * away))
             };
             let first = (0..steps).map_while(cell).find(|cell| grid.cell_state(*cell) != CellState::Free)?;
             (grid.cell_state(first) == CellState::Unknown)

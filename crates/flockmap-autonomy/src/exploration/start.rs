@@ -24,16 +24,9 @@ pub(super) fn truth(world: &World, config: &NavigationConfig) -> Result<Navigati
             solid.entry(voxel.block()).or_default()[bit >> 6] |= 1 << (bit & 63);
         }
     }
-    // Some way beyond the region, since things there block cells within.
-    let (min, max) = (grid.region().min().block(), grid.region().max().block());
-    for z in min.z - 2..=max.z + 2 {
-        for y in min.y - 2..=max.y + 2 {
-            for x in min.x - 2..=max.x + 2 {
-                let index = BlockIndex::new(x, y, z);
-                let occupied = solid.get(&index).copied().unwrap_or_default();
-                grid.take_in(index, StateBlock::new([u64::MAX; 8], occupied));
-            }
-        }
+    for index in grid.reached.blocks() {
+        let occupied = solid.get(&index).copied().unwrap_or_default();
+        grid.take_in(index, StateBlock::new([u64::MAX; 8], occupied));
     }
     Ok(grid)
 }
@@ -46,21 +39,14 @@ pub(super) fn places(
     separation_m: f64,
     may_fly: impl Fn(usize) -> bool,
 ) -> Vec<[f64; 3]> {
-    let cells = largest_part(truth, |cell| truth.is_passable(cell, false) && may_fly(cell));
-    let mut sum = [0.0; 3];
-    for &cell in &cells {
-        let centre = truth.centre(cell as usize);
-        for a in 0..3 {
-            sum[a] += centre[a];
-        }
-    }
-    let middle = sum.map(|v| v / cells.len().max(1) as f64);
-    let away = |cell: &u32| distance(truth.centre(*cell as usize), middle);
-    let mut by_distance = cells;
+    let open = (0..truth.count()).map(|cell| truth.is_passable(cell, false) && may_fly(cell)).collect();
+    let mut by_distance = truth.cells.largest_part(open);
+    let middle = truth.cells.middle(&by_distance);
+    let away = |cell: &u32| distance(truth.cells.centre(*cell as usize), middle);
     by_distance.sort_by(|a, b| away(a).total_cmp(&away(b)));
     let mut places: Vec<[f64; 3]> = Vec::new();
     for cell in by_distance {
-        let place = truth.centre(cell as usize);
+        let place = truth.cells.centre(cell as usize);
         let apart = |other: &[f64; 3]| {
             let (dx, dy) = (other[0] - place[0], other[1] - place[1]);
             (dx * dx + dy * dy).sqrt() >= separation_m + 0.5
@@ -75,47 +61,9 @@ pub(super) fn places(
     places
 }
 
-/// The largest set of cells that fit and hang together by faces, ascending; of two of a size the one with the
-/// lowest cell.
-fn largest_part(grid: &NavigationGrid, fits: impl Fn(usize) -> bool) -> Vec<u32> {
-    let mut open: Vec<bool> = (0..grid.count()).map(fits).collect();
-    let mut best = Vec::new();
-    for first in 0..grid.count() {
-        if !open[first] {
-            continue;
-        }
-        open[first] = false;
-        let mut part = vec![first as u32];
-        let mut done = 0;
-        while let Some(&cell) = part.get(done) {
-            done += 1;
-            for next in grid.beside(cell as usize) {
-                if open[next] {
-                    open[next] = false;
-                    part.push(next as u32);
-                }
-            }
-        }
-        if part.len() > best.len() {
-            best = part;
-        }
-    }
-    best.sort_unstable();
-    best
-}
-
 /// Whether nothing solid is near a place.
 fn has_room(truth: &NavigationGrid, place: [f64; 3]) -> bool {
-    let reach = (ROOM_M / truth.cell_m()).ceil() as i32;
-    let steps = -reach..=reach;
-    steps.clone().all(|z| {
-        steps.clone().all(|y| {
-            steps.clone().all(|x| {
-                let d = [x, y, z].map(|i| f64::from(i) * truth.cell_m());
-                let point = core::array::from_fn(|a| place[a] + d[a]);
-                d.iter().map(|d| d * d).sum::<f64>().sqrt() > ROOM_M
-                    || truth.cell_at(point).is_none_or(|cell| truth.cell_state(cell) != CellState::Occupied)
-            })
-        })
+    truth.cells.near(place, ROOM_M).all(|cell| {
+        distance(truth.cells.centre(cell), place) > ROOM_M || truth.cell_state(cell) != CellState::Occupied
     })
 }

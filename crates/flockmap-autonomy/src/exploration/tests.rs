@@ -118,7 +118,7 @@ fn options_that_cannot_work_are_refused_with_a_reason() {
 }
 
 #[test]
-fn working_out_what_can_be_seen_is_told_of_and_can_be_stopped() {
+fn working_out_what_can_be_seen_is_reported_and_can_be_stopped() {
     let world = Arc::new(two_rooms());
     let most = std::sync::Mutex::new((0, 0));
     let progress = |done: usize, of: usize| {

@@ -22,7 +22,7 @@ pub struct NavigationConfig {
     /// Least distance in metres between any point of a passable cell and any Occupied voxel, at most 8 cells.
     /// Default 0.3.
     pub clearance_m: f64,
-    /// Cells nearer than this to an Occupied voxel are avoided where there is another way that is not much
+    /// Cells nearer than this to an Occupied voxel are avoided where there is another path that is not much
     /// longer. Metres, at most 8 cells. Default 0.5.
     pub comfort_m: f64,
 }
@@ -80,16 +80,14 @@ pub enum CellState {
 /// Memory: 18 bytes a cell, and 150 bytes for each block of the map in the region.
 #[derive(Clone, Debug)]
 pub struct NavigationGrid {
-    resolution: Resolution,
     /// Voxels along a side of a cell.
     multiple: i32,
     /// The region in cells.
-    low: [i32; 3],
-    cells: Lattice,
+    pub(crate) cells: Lattice,
     /// The region in voxels.
     region: VoxelBox,
     /// Voxels that can block or crowd a cell of the region.
-    reached: VoxelBox,
+    pub(crate) reached: VoxelBox,
     free: Vec<u16>,
     occupied: Vec<u16>,
     /// For each cell the number of Occupied voxels nearer than the clearance, and nearer than the comfort.
@@ -153,10 +151,8 @@ impl NavigationGrid {
             Voxel::new(max.x + reach, max.y + reach, max.z + reach),
         );
         Ok(Self {
-            resolution: config.resolution,
             multiple,
-            low,
-            cells: Lattice::new(cells.map(|c| c as usize)),
+            cells: Lattice::new(cells.map(|c| c as usize)).placed([0.0; 3], low, cell_m),
             region,
             reached: reached.ok_or_else(bad_region)?,
             free: vec![0; count],
@@ -199,10 +195,8 @@ impl NavigationGrid {
     /// Takes the cells within a distance (metres) of a place for Free as long as nothing in them is Occupied:
     /// where a robot starts, it can see nothing below itself.
     pub fn assume_free(&mut self, place: [f64; 3], radius_m: f64) {
-        for number in 0..self.count() {
-            if distance(self.centre(number), place) <= radius_m {
-                self.assumed_free[number] = true;
-            }
+        for cell in self.cells.near(place, radius_m) {
+            self.assumed_free[cell] |= distance(self.cells.centre(cell), place) <= radius_m;
         }
     }
 
@@ -211,19 +205,9 @@ impl NavigationGrid {
         self.free.len()
     }
 
-    /// Cells along x, y, z.
-    pub const fn size(&self) -> [usize; 3] {
-        self.cells.size()
-    }
-
-    /// The cells without what is in them.
-    pub(crate) const fn cells(&self) -> &Lattice {
+    /// The cells, without what is in them.
+    pub const fn cells(&self) -> &Lattice {
         &self.cells
-    }
-
-    /// Side of a cell in metres.
-    pub fn cell_m(&self) -> f64 {
-        self.resolution.metres() * f64::from(self.multiple)
     }
 
     /// The voxels of the map that the grid covers.
@@ -259,47 +243,6 @@ impl NavigationGrid {
         self.crowded[number] > 0
     }
 
-    /// The number of the cell at these indices, counted from the lowest corner of the region.
-    pub const fn number(&self, at: [usize; 3]) -> usize {
-        self.cells.number(at)
-    }
-
-    /// The indices of a cell, counted from the lowest corner of the region.
-    pub const fn place(&self, number: usize) -> [usize; 3] {
-        self.cells.place(number)
-    }
-
-    /// The centre of a cell in metres.
-    pub fn centre(&self, number: usize) -> [f64; 3] {
-        let (at, side) = (self.place(number), self.cell_m());
-        core::array::from_fn(|a| (f64::from(self.low[a]) + at[a] as f64 + 0.5) * side)
-    }
-
-    /// The cell at a point in metres; `None` outside of the region.
-    pub fn cell_at(&self, point: [f64; 3]) -> Option<usize> {
-        let side = self.cell_m();
-        self.cells.number_at(core::array::from_fn(|a| (point[a] / side).floor() - f64::from(self.low[a])))
-    }
-
-    /// The cells that share a face with a cell.
-    pub fn beside(&self, number: usize) -> impl Iterator<Item = usize> + use<> {
-        self.cells.beside(number)
-    }
-
-    /// Whether the straight line between two points lies in the region and in cells that are passable.
-    pub fn is_line_passable(&self, a: [f64; 3], b: [f64; 3], unknown_ok: bool) -> bool {
-        self.line_fits(a, b, |cell| self.is_passable(cell, unknown_ok))
-    }
-
-    /// Whether every cell that the line from `a` to `b` touches is in the region and `fits`; asked for one
-    /// after the other from `a` on.
-    pub fn line_fits(&self, a: [f64; 3], b: [f64; 3], fits: impl FnMut(usize) -> bool) -> bool {
-        let (Some(from), Some(to)) = (self.cell_at(a), self.cell_at(b)) else { return false };
-        let side = self.cell_m();
-        let face_m = |axis: usize, face: usize| (f64::from(self.low[axis]) + face as f64) * side;
-        self.cells.line_fits((a, from), (b, to), face_m, fits)
-    }
-
     /// Puts the states of a block in the place of those taken in before.
     pub(crate) fn take_in(&mut self, index: BlockIndex, new: StateBlock) {
         if index.voxel_box().intersection(&self.reached).is_none() {
@@ -327,41 +270,32 @@ impl NavigationGrid {
     }
 
     fn count_free(&mut self, voxel: [i32; 3], more: bool) {
-        let cell = voxel.map(|v| v.div_euclid(self.multiple));
-        if let Some(number) = self.number_of([0, 1, 2].map(|a| cell[a] - self.low[a])) {
-            let count = &mut self.free[number];
+        if let Some(cell) = self.cells.number_of(voxel.map(|v| v.div_euclid(self.multiple))) {
+            let count = &mut self.free[cell];
             *count = if more { *count + 1 } else { *count - 1 };
         }
     }
 
     fn count_occupied(&mut self, voxel: [i32; 3], more: bool) {
-        let cell = voxel.map(|v| v.div_euclid(self.multiple));
-        let phase = voxel.map(|v| v.rem_euclid(self.multiple));
-        let place: [i32; 3] = core::array::from_fn(|a| cell[a] - self.low[a]);
-        let change = |count: &mut u32| *count = if more { *count + 1 } else { *count - 1 };
-        if let Some(number) = self.number_of(place) {
-            let count = &mut self.occupied[number];
+        let m = self.multiple;
+        let index = voxel.map(|v| v.div_euclid(m));
+        let phase = voxel.map(|v| v.rem_euclid(m));
+        if let Some(cell) = self.cells.number_of(index) {
+            let count = &mut self.occupied[cell];
             *count = if more { *count + 1 } else { *count - 1 };
         }
-        let m = self.multiple;
-        let kernel = core::mem::take(&mut self.kernels[((phase[2] * m + phase[1]) * m + phase[0]) as usize]);
-        for near in &kernel {
-            let at = core::array::from_fn(|a| place[a] + near.offset[a]);
-            if let Some(number) = self.number_of(at) {
+        let change = |count: &mut u32| *count = if more { *count + 1 } else { *count - 1 };
+        for near in &self.kernels[((phase[2] * m + phase[1]) * m + phase[0]) as usize] {
+            let at = core::array::from_fn(|a| index[a] + near.offset[a]);
+            if let Some(cell) = self.cells.number_of(at) {
                 if near.blocks {
-                    change(&mut self.blocked[number]);
+                    change(&mut self.blocked[cell]);
                 }
                 if near.crowds {
-                    change(&mut self.crowded[number]);
+                    change(&mut self.crowded[cell]);
                 }
             }
         }
-        self.kernels[((phase[2] * m + phase[1]) * m + phase[0]) as usize] = kernel;
-    }
-
-    fn number_of(&self, at: [i32; 3]) -> Option<usize> {
-        let inside = (0..3).all(|a| at[a] >= 0 && (at[a] as usize) < self.size()[a]);
-        inside.then(|| self.number(at.map(|v| v as usize)))
     }
 }
 

@@ -1,14 +1,10 @@
 //! A robot's body in motion along waypoints.
 
-use core::f64::consts::{PI, TAU};
 use flockmap_grid::Pose;
 use flockmap_worlds::curve::{
-    CREEP_M_S, SAMPLE_M, bend, distance, slow_in_bends, slow_to_reach, straight, towards,
+    CORNER_M, CREEP_M_S, SAMPLE_M, between, distance, rounded, slow_in_bends, slow_to_reach, towards, wrapped,
 };
 use libm::{cos, sin};
-
-/// Metres before a corner at which it is begun to be rounded.
-const CORNER_M: f64 = 1.2;
 
 /// How fast a robot can be.
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -78,10 +74,7 @@ impl Motion {
     pub fn position(&self) -> [f64; 3] {
         let from = self.points[self.segment];
         match self.points.get(self.segment + 1) {
-            Some(to) => {
-                let f = self.along / self.lengths[self.segment];
-                core::array::from_fn(|a| from[a] + (to[a] - from[a]) * f)
-            }
+            Some(to) => between(from, *to, self.along / self.lengths[self.segment]),
             None => from,
         }
     }
@@ -177,7 +170,7 @@ impl Motion {
     ) {
         let committed = self.stopping_path(limits);
         let speed = self.speed();
-        // The corner at which the new way leaves the old one is rounded only as far as the robot can still slow down.
+        // The corner at which the new path leaves the old one is rounded only as far as the robot can still slow down.
         let mut tail_m = straight_tail_m(&committed).min(CORNER_M);
         loop {
             let (points, kept) = rounded(&committed, tail_m, waypoints, &fits);
@@ -260,18 +253,6 @@ impl Motion {
     }
 }
 
-/// An angle as −π … π.
-pub(crate) fn wrapped(angle: f64) -> f64 {
-    let turn = angle % TAU;
-    if turn > PI {
-        turn - TAU
-    } else if turn < -PI {
-        turn + TAU
-    } else {
-        turn
-    }
-}
-
 /// Metres at the end of a path that are straight.
 fn straight_tail_m(path: &[[f64; 3]]) -> f64 {
     let Some(&end) = path.last() else { return 0.0 };
@@ -286,73 +267,4 @@ fn straight_tail_m(path: &[[f64; 3]]) -> f64 {
         tail = length;
     }
     tail
-}
-
-/// Samples of the committed path and on along the waypoints, corners rounded; at the end of the committed path at
-/// most `tail_m` metres before it. Also how many samples of the committed path are left.
-fn rounded(
-    committed: &[[f64; 3]],
-    tail_m: f64,
-    waypoints: &[[f64; 3]],
-    fits: &impl Fn([f64; 3], [f64; 3]) -> bool,
-) -> (Vec<[f64; 3]>, usize) {
-    let mut points = committed.to_vec();
-    let mut kept = points.len();
-    let mut line = vec![points[points.len() - 1]];
-    for &waypoint in waypoints {
-        if distance(waypoint, line[line.len() - 1]) > 1e-6 {
-            line.push(waypoint);
-        }
-    }
-    for i in 0..line.len() - 1 {
-        let (corner, after) = (line[i], line[i + 1]);
-        let before_m = if i == 0 { tail_m } else { 0.5 * distance(line[i - 1], corner) };
-        let mut cut = CORNER_M.min(before_m).min(0.5 * distance(corner, after));
-        let mut arc = Vec::new();
-        while cut > SAMPLE_M {
-            let before = if i == 0 { point_before(&points, cut) } else { towards(corner, line[i - 1], cut) };
-            arc = bend(before, corner, towards(corner, after, cut));
-            if arc.windows(2).all(|pair| fits(pair[0], pair[1])) {
-                break;
-            }
-            arc.clear();
-            cut /= 2.0;
-        }
-        match arc.first() {
-            Some(&start) if i == 0 => {
-                shorten_by(&mut points, cut);
-                kept = points.len();
-                points.push(start);
-            }
-            Some(&start) => straight(&mut points, start),
-            None => straight(&mut points, corner),
-        }
-        points.extend(arc.into_iter().skip(1));
-    }
-    if line.len() > 1 {
-        straight(&mut points, line[line.len() - 1]);
-    }
-    // What was committed stays sample by sample.
-    let mut samples: Vec<[f64; 3]> = points.iter().take(kept).copied().collect();
-    for &point in points.iter().skip(kept) {
-        if distance(samples[samples.len() - 1], point) > 1e-6 {
-            samples.push(point);
-        }
-    }
-    (samples, kept)
-}
-
-/// The point on the straight end of a path that lies `reach` metres before its end.
-fn point_before(path: &[[f64; 3]], reach: f64) -> [f64; 3] {
-    let end = path[path.len() - 1];
-    let start = path.iter().rev().find(|p| distance(**p, end) >= reach - 1e-9).unwrap_or(&path[0]);
-    towards(end, *start, reach)
-}
-
-/// Takes the samples within `reach` metres of the end off a path; the first always stays.
-fn shorten_by(path: &mut Vec<[f64; 3]>, reach: f64) {
-    let end = path[path.len() - 1];
-    while path.len() > 1 && distance(path[path.len() - 1], end) < reach {
-        path.pop();
-    }
 }

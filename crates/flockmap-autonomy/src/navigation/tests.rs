@@ -4,6 +4,7 @@ use flockmap_grid::{
     Voxel, VoxelBox,
 };
 use flockmap_worlds::World;
+use flockmap_worlds::curve::{distance, wrapped};
 use proptest::prelude::*;
 
 /// A fused map that is written to directly.
@@ -47,7 +48,7 @@ fn config(region_m: [[f64; 3]; 2]) -> NavigationConfig {
 
 /// What a cell should be, worked out from the voxels alone.
 fn naive(map: &Map, grid: &NavigationGrid, number: usize, clearance_m: f64) -> (CellState, bool) {
-    let corner = grid.centre(number).map(|v| ((v - 0.1) * 10.0).round() as i32);
+    let corner = grid.cells().centre(number).map(|v| ((v - 0.1) * 10.0).round() as i32);
     let cell = VoxelBox::new(Voxel::new(corner[0], corner[1], corner[2]), [2; 3]).unwrap();
     let count = |state| cell.voxels().filter(|v| map.fusion.map().state(*v) == state).count();
     let state = if count(State::Occupied) > 0 {
@@ -83,8 +84,8 @@ proptest! {
             grid.update(map.fusion.map());
             for number in 0..grid.count() {
                 let (state, passable) = naive(&map, &grid, number, clearance_m);
-                prop_assert_eq!(grid.cell_state(number), state, "{:?}", grid.centre(number));
-                prop_assert_eq!(grid.is_passable(number, false), passable, "{:?}", grid.centre(number));
+                prop_assert_eq!(grid.cell_state(number), state, "{:?}", grid.cells().centre(number));
+                prop_assert_eq!(grid.is_passable(number, false), passable, "{:?}", grid.cells().centre(number));
             }
         }
     }
@@ -96,7 +97,7 @@ fn a_map_made_anew_leaves_nothing_behind() {
     let mut grid = NavigationGrid::new(&config(REGION_M)).unwrap();
     map.set([(Voxel::new(0, 0, 5), State::Occupied), (Voxel::new(9, 9, 9), State::Free)]);
     grid.update(map.fusion.map());
-    assert_eq!(grid.cell_state(grid.cell_at([0.0, 0.0, 0.5]).unwrap()), CellState::Occupied);
+    assert_eq!(grid.cell_state(grid.cells().cell_at([0.0, 0.0, 0.5]).unwrap()), CellState::Occupied);
     map.fusion.set_muted(&map.mapper, RobotId(2), true);
     grid.update(map.fusion.map());
     assert!((0..grid.count()).all(|cell| grid.cell_state(cell) == CellState::Unknown));
@@ -148,8 +149,8 @@ fn a_route_leads_through_the_door_and_keeps_the_clearance() {
     let (from, to) = ([-2.0, -2.0, 1.0], [2.0, -2.0, 1.0]);
     let route = router.route(&grid, &query(from, to), |_| false).unwrap();
     assert_eq!((route[0], route[route.len() - 1]), (from, to));
-    let length: f64 = route.windows(2).map(|p| flockmap_worlds::curve::distance(p[0], p[1])).sum();
-    // The way by the door's middle is 8.7 m; a grid's ways are up to 8 % longer.
+    let length: f64 = route.windows(2).map(|p| distance(p[0], p[1])).sum();
+    // The path by the door's middle is 8.7 m; a grid's paths are up to 8 % longer.
     assert!((8.2..9.4).contains(&length), "{length} m: {route:?}");
     for pair in route.windows(2) {
         for step in 0..=100 {
@@ -169,17 +170,17 @@ fn there_is_no_route_through_a_closed_door_nor_through_the_unknown() {
     let mut map = Map::new();
     let mut grid = NavigationGrid::new(&config(ROOMS_M)).unwrap();
     let mut router = Router::new(&grid);
-    let way = query([-2.0, -2.0, 1.0], [2.0, -2.0, 1.0]);
-    assert_eq!(router.route(&grid, &way, |_| false), Err(NoRoute::End));
-    assert!(router.route(&grid, &RouteQuery { unknown_ok: true, ..way }, |_| false).is_ok());
+    let there = query([-2.0, -2.0, 1.0], [2.0, -2.0, 1.0]);
+    assert_eq!(router.route(&grid, &there, |_| false), Err(NoRoute::End));
+    assert!(router.route(&grid, &RouteQuery { unknown_ok: true, ..there }, |_| false).is_ok());
     map.show(&two_rooms(), [[-3.0, -3.0, 0.0], [2.95, 2.95, 1.95]]);
     map.set((14..24).flat_map(|y| (0..20).map(move |z| (Voxel::new(0, y, z), State::Occupied))));
     grid.update(map.fusion.map());
-    assert_eq!(router.route(&grid, &way, |_| false), Err(NoRoute::Unreachable));
-    let few = RouteQuery { expansions_max: 10, ..way };
+    assert_eq!(router.route(&grid, &there, |_| false), Err(NoRoute::Unreachable));
+    let few = RouteQuery { expansions_max: 10, ..there };
     assert_eq!(router.route(&grid, &few, |_| false), Err(NoRoute::GaveUp { expansions: 10 }));
-    assert_eq!(router.route(&grid, &query([9.0; 3], way.to), |_| false), Err(NoRoute::Start));
-    assert_eq!(router.route(&grid, &query(way.from, [0.05, 0.0, 1.0]), |_| false), Err(NoRoute::End));
+    assert_eq!(router.route(&grid, &query([9.0; 3], there.to), |_| false), Err(NoRoute::Start));
+    assert_eq!(router.route(&grid, &query(there.from, [0.05, 0.0, 1.0]), |_| false), Err(NoRoute::End));
 }
 
 #[test]
@@ -191,14 +192,14 @@ fn a_route_is_as_short_as_the_flood_says_and_leads_out_of_a_tight_start() {
     let mut router = Router::new(&grid);
     // Right at the wall, nearer than the clearance.
     let from = [-0.3, 0.0, 1.0];
-    assert!(!grid.is_passable(grid.cell_at(from).unwrap(), false));
-    router.flood(&grid, from, 100.0, false, |_| false);
+    assert!(!grid.is_passable(grid.cells().cell_at(from).unwrap(), false));
+    router.flood(&grid, from, 100.0, |_| false);
     let metres: Vec<Option<f64>> = (0..grid.count()).map(|cell| router.metres_to(&grid, cell)).collect();
     for cell in (0..grid.count()).step_by(97) {
-        let route = router.route(&grid, &query(from, grid.centre(cell)), |_| false);
+        let route = router.route(&grid, &query(from, grid.cells().centre(cell)), |_| false);
         assert_eq!(route.is_ok(), metres[cell].is_some() && grid.is_passable(cell, false));
         if let (Ok(route), Some(metres)) = (route, metres[cell]) {
-            let length: f64 = route.windows(2).map(|p| flockmap_worlds::curve::distance(p[0], p[1])).sum();
+            let length: f64 = route.windows(2).map(|p| distance(p[0], p[1])).sum();
             assert!(length <= metres + 0.2, "{length} m, {metres} m by the grid");
         }
     }
@@ -211,41 +212,41 @@ fn what_is_to_be_avoided_is_gone_round() {
     let mut grid = NavigationGrid::new(&config(ROOMS_M)).unwrap();
     grid.update(map.fusion.map());
     let mut router = Router::new(&grid);
-    let way = query([-2.0, -2.0, 1.0], [-2.0, 2.0, 1.0]);
+    let there = query([-2.0, -2.0, 1.0], [-2.0, 2.0, 1.0]);
     let middle = [-2.0, 0.0, 1.0];
-    let near = |cell| flockmap_worlds::curve::distance(grid.centre(cell), middle) < 0.8;
-    let route = router.route(&grid, &way, near).unwrap();
-    assert!(route.len() > 2 && route.iter().all(|p| flockmap_worlds::curve::distance(*p, middle) > 0.7));
+    let near = |cell| distance(grid.cells().centre(cell), middle) < 0.8;
+    let route = router.route(&grid, &there, near).unwrap();
+    assert!(route.len() > 2 && route.iter().all(|p| distance(*p, middle) > 0.7));
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 256, ..ProptestConfig::default() })]
 
     #[test]
-    fn motion_keeps_its_limits_whatever_it_is_told(
-        ways in prop::collection::vec(
+    fn motion_keeps_its_limits_whatever_is_asked_of_it(
+        paths in prop::collection::vec(
             (prop::collection::vec((-40i32..40, -40i32..40, 0i32..8), 1..5), 1usize..25, any::<bool>(), -3.0f64..3.0),
             1..8),
     ) {
         let limits = MotionLimits::default();
         let mut motion = Motion::new([0.0, 0.0, 1.0], 0.0);
-        for (waypoints, steps, brake, yaw) in ways {
+        for (waypoints, steps, brake, yaw) in paths {
             let mut line = vec![motion.stopping_point(&limits)];
             line.extend(waypoints.iter().map(|&(x, y, z)| [x, y, z].map(|v| f64::from(v) * 0.1)));
             let (before, speed) = (motion.position(), motion.speed());
             let stop = motion.stopping_path(&limits);
             if brake {
                 motion.brake(&limits);
-                prop_assert!(flockmap_worlds::curve::distance(motion.stopping_point(&limits), stop[stop.len() - 1]) < 1e-6);
+                prop_assert!(distance(motion.stopping_point(&limits), stop[stop.len() - 1]) < 1e-6);
             } else {
                 motion.follow(&line, &limits, |_, _| true);
             }
-            prop_assert!(flockmap_worlds::curve::distance(before, motion.position()) < 1e-9, "it jumps");
+            prop_assert!(distance(before, motion.position()) < 1e-9, "it jumps");
             prop_assert!((speed - motion.speed()).abs() < 0.011, "its speed jumps");
             for _ in 0..steps {
                 let (p, v, y) = (motion.position(), motion.speed(), motion.yaw());
                 motion.step(0.1, yaw, &limits);
-                let moved = flockmap_worlds::curve::distance(p, motion.position());
+                let moved = distance(p, motion.position());
                 prop_assert!(moved <= 0.15 + 1e-6, "{moved} m in 0.1 s");
                 // Braking again and again changes nothing once it brakes.
                 if brake {

@@ -1,4 +1,4 @@
-//! The way of a sensor during one scan.
+//! The path of a sensor during one scan.
 
 use super::SCAN_PERIOD_MICROS;
 use flockmap_grid::Pose;
@@ -28,7 +28,7 @@ impl Course {
             let [x, y, z, w] = T_map_start.quaternion_xyzw();
             let [mut ax, mut ay, mut az, mut aw] = product([-x, -y, -z, w], end.quaternion_xyzw());
             if aw < 0.0 {
-                // The same rotation, the short way.
+                // The same rotation, the shorter turn.
                 [ax, ay, az, aw] = [-ax, -ay, -az, -aw];
             }
             let sine = (ax * ax + ay * ay + az * az).sqrt();

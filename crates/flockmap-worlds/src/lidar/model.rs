@@ -8,7 +8,7 @@ pub const SCAN_PERIOD_MICROS: i64 = 100_000;
 /// A LiDAR: a scan pattern in the frame of the sensor (x forward, y left, z up), 10 scans a second.
 ///
 /// The patterns of Avia and Mid-360 run on with time and hardly ever repeat; which beams a scan has depends
-/// on its stamp alone. The other two have the same beams in every scan.
+/// on nothing but its stamp. The other two have the same beams in every scan.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub enum Lidar {
     /// Livox Avia: looks forward, 70.4° × 77.2°, 24,000 beams a scan. The rosette of the MARSIM simulator:
@@ -33,28 +33,30 @@ pub enum Lidar {
 #[error("\"{0}\" is no LiDAR: use mid360, avia, vlp32 or os128")]
 pub struct UnknownLidar(String);
 
+/// The names of each, its own first.
+const NAMES: [(&str, Lidar); 7] = [
+    ("avia", Lidar::Avia),
+    ("mid360", Lidar::Mid360),
+    ("mid-360", Lidar::Mid360),
+    ("vlp32", Lidar::Vlp32),
+    ("vlp-32", Lidar::Vlp32),
+    ("os128", Lidar::Os128),
+    ("os-128", Lidar::Os128),
+];
+
 impl core::str::FromStr for Lidar {
     type Err = UnknownLidar;
 
     fn from_str(name: &str) -> Result<Self, UnknownLidar> {
-        match name {
-            "avia" => Ok(Self::Avia),
-            "mid360" | "mid-360" => Ok(Self::Mid360),
-            "vlp32" | "vlp-32" => Ok(Self::Vlp32),
-            "os128" | "os-128" => Ok(Self::Os128),
-            _ => Err(UnknownLidar(name.to_owned())),
-        }
+        let named = NAMES.iter().find(|(known, _)| *known == name);
+        named.map(|(_, lidar)| *lidar).ok_or_else(|| UnknownLidar(name.to_owned()))
     }
 }
 
 impl core::fmt::Display for Lidar {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::Avia => "avia",
-            Self::Mid360 => "mid360",
-            Self::Vlp32 => "vlp32",
-            Self::Os128 => "os128",
-        })
+        let named = NAMES.iter().find(|(_, lidar)| lidar == self);
+        f.write_str(named.map_or("", |(name, _)| name))
     }
 }
 

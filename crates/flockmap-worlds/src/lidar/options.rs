@@ -1,5 +1,6 @@
 //! How a scan is taken.
 
+use crate::OptionError;
 use thiserror::Error;
 
 /// How beams meet a world.
@@ -56,31 +57,19 @@ impl Default for ScanOptions {
     }
 }
 
-/// An option of a scan that is out of its range.
-#[derive(Clone, PartialEq, Debug, Error)]
-#[error("{name} is {value}, expected {expected}")]
-pub struct ScanOptionsError {
-    name: &'static str,
-    value: f64,
-    expected: &'static str,
-}
-
 impl ScanOptions {
     /// Whether every option is in its range. A scanner works with others too, but not as one would expect
     /// (with a negative range it sees nothing).
-    pub fn check(&self) -> Result<(), ScanOptionsError> {
-        let limits = [
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub fn check(&self) -> Result<(), OptionError> {
+        OptionError::check(&[
             ("range_m", self.range_m, 0.1, 1_000.0, "0.1 to 1,000"),
             ("min_range_m", self.min_range_m, 0.0, self.range_m, "0 to range_m"),
             ("range_noise_m", self.range_noise_m, 0.0, 10.0, "0 to 10"),
             ("drop_out", self.drop_out, 0.0, 1.0, "0 to 1"),
-        ];
-        for (name, value, low, high, expected) in limits {
-            if !(low <= value && value <= high) {
-                return Err(ScanOptionsError { name, value, expected });
-            }
-        }
-        Ok(())
+        ])
     }
 }
 

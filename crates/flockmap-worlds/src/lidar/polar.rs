@@ -440,7 +440,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 fn pixel_at(x: f32, y: f32, z: f32, flat: f32, lowest: f32) -> (i32, i32) {
     let u = arc(y, x) / PIXEL_RAD + 900.0;
     let v = arc(z, flat) / PIXEL_RAD - lowest;
-    // Rounded by cutting off, which is the fast way; the offset keeps it positive.
+    // Rounded by cutting off, which is fast; the offset keeps it positive.
     ((u + 0.5) as i32, (v + 1_024.5) as i32 - 1_024)
 }
 

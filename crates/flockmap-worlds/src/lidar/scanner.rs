@@ -13,7 +13,7 @@ use std::sync::Arc;
 /// Images that are rendered for a scan in motion: one each 10 ms.
 const SLICES: usize = 10;
 
-/// A LiDAR that takes scans in a world. Everything it returns depends on its arguments alone, to the last
+/// A LiDAR that takes scans in a world. Everything it returns depends on nothing but its arguments, to the last
 /// bit and on every machine; a scanner only keeps buffers between scans (some 10 MB at most). Robots and
 /// threads have a scanner each and share the world.
 ///

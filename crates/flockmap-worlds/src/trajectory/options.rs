@@ -1,5 +1,6 @@
 //! How trajectories are flown, and why nobody can fly.
 
+use crate::OptionError;
 use flockmap_grid::Stamp;
 use thiserror::Error;
 
@@ -52,15 +53,8 @@ impl Default for TrajectoryOptions {
 #[non_exhaustive]
 pub enum TrajectoryError {
     /// An option is out of its range.
-    #[error("{name} is {value}, expected {expected}")]
-    Option {
-        /// The option.
-        name: &'static str,
-        /// What it was.
-        value: f64,
-        /// What it may be.
-        expected: &'static str,
-    },
+    #[error(transparent)]
+    Option(#[from] OptionError),
     /// There is no connected free space, whatever was tried.
     #[error(
         "no free space to fly in: a world of {size_m:?} m was searched in steps of {step_m} m for places at least {clearance_m} m from \
@@ -97,8 +91,8 @@ pub enum TrajectoryError {
 
 impl TrajectoryOptions {
     /// Whether every option is in its range.
-    pub(super) fn check(&self, robots: usize) -> Result<(), TrajectoryError> {
-        let limits = [
+    pub(super) fn check(&self, robots: usize) -> Result<(), OptionError> {
+        OptionError::check(&[
             ("duration_s", self.duration_s, 0.1, 14_400.0, "0.1 to 14,400"),
             ("speed_m_s", self.speed_m_s, 0.1, 20.0, "0.1 to 20"),
             ("acceleration_m_s2", self.acceleration_m_s2, 0.1, 20.0, "0.1 to 20"),
@@ -109,12 +103,6 @@ impl TrajectoryOptions {
             ("height_m[1]", self.height_m[1], self.height_m[0], 1_000.0, "height_m[0] to 1,000"),
             ("separation_m", self.separation_m, 0.0, 5.0, "0 to 5"),
             ("robots", robots as f64, 1.0, ROBOTS_MAX as f64, "1 to 64"),
-        ];
-        for (name, value, low, high, expected) in limits {
-            if !(low <= value && value <= high) {
-                return Err(TrajectoryError::Option { name, value, expected });
-            }
-        }
-        Ok(())
+        ])
     }
 }

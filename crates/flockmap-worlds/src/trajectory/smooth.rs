@@ -3,13 +3,9 @@
 use super::TrajectoryOptions;
 use super::region::Region;
 use super::space::Space;
-use crate::curve::{CREEP_M_S, SAMPLE_M, bend, distance, slow_in_bends, slow_to_reach, straight, towards};
-use core::f64::consts::{PI, TAU};
+use crate::curve::{CREEP_M_S, between, distance, rounded, slow_in_bends, slow_to_reach, wrapped};
 use flockmap_grid::{Pose, Stamp};
 use libm::{atan2, cos, sin};
-
-/// Metres before a corner at which it is begun to be rounded.
-const CORNER_M: f64 = 1.2;
 
 /// Poses every 0.1 s along the polyline `line`, which must lie in the region.
 pub(super) fn fly(
@@ -18,7 +14,8 @@ pub(super) fn fly(
     line: &[[f64; 3]],
     options: &TrajectoryOptions,
 ) -> Vec<(Stamp, Pose)> {
-    let points = rounded(space, region, line);
+    let fits = |a, b| space.lattice.line_fits(a, b, |cell| region.contains(cell));
+    let (points, _) = rounded(&line[..1], 0.0, &line[1..], fits);
     let lengths: Vec<f64> = points.windows(2).map(|pair| distance(pair[0], pair[1])).collect();
     let yaws = headings(&points);
     let speeds = speeds(&points, &lengths, &yaws, options);
@@ -42,42 +39,13 @@ pub(super) fn fly(
         }
         let (from, f) = if segment < lengths.len() { (segment, fraction) } else { (segment.max(1) - 1, 1.0) };
         let to = (from + 1).min(points.len() - 1);
-        let position = core::array::from_fn(|a| points[from][a] + (points[to][a] - points[from][a]) * f);
+        let position = between(points[from], points[to], f);
         let half = 0.5 * (yaws[from] + (yaws[to] - yaws[from]) * f);
         let pose = Pose::new(position, [0.0, 0.0, sin(half), cos(half)]);
         // Sine and cosine of one angle make a unit quaternion, and cells have finite places.
         poses.push((options.start.plus_micros(number * 100_000), pose.unwrap_or_default()));
     }
     poses
-}
-
-/// Samples along the line with its corners rounded as far as the region allows.
-fn rounded(space: &Space, region: &Region, line: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    let mut points = vec![line[0]];
-    for (i, &corner) in line.iter().enumerate().skip(1) {
-        let before = line[i - 1];
-        let Some(&after) = line.get(i + 1) else {
-            straight(&mut points, corner);
-            break;
-        };
-        let mut cut = CORNER_M.min(0.5 * distance(before, corner)).min(0.5 * distance(corner, after));
-        let mut arc = Vec::new();
-        while cut > SAMPLE_M {
-            arc = bend(towards(corner, before, cut), corner, towards(corner, after, cut));
-            if arc.windows(2).all(|pair| space.line_fits(pair[0], pair[1], |cell| region.contains(cell))) {
-                break;
-            }
-            arc.clear();
-            cut /= 2.0;
-        }
-        match arc.first() {
-            Some(&start) => straight(&mut points, start),
-            None => straight(&mut points, corner),
-        }
-        points.extend(arc.into_iter().skip(1));
-    }
-    points.dedup_by(|b, a| distance(*a, *b) < 1e-6);
-    points
 }
 
 /// For each point the direction of motion after it, in radians, without jumps of a full turn. Kept where the
@@ -92,13 +60,7 @@ fn headings(points: &[[f64; 3]]) -> Vec<f64> {
     let mut yaws = Vec::with_capacity(points.len());
     for pair in points.windows(2) {
         if let Some(next) = heading(pair) {
-            let mut turn = (next - last) % TAU;
-            if turn > PI {
-                turn -= TAU;
-            } else if turn < -PI {
-                turn += TAU;
-            }
-            last += turn;
+            last += wrapped(next - last);
         }
         yaws.push(last);
     }

@@ -2,6 +2,7 @@
 
 use super::World;
 use crate::cells::CellSet;
+use crate::curve::{between, distance};
 use crate::random::{hash_at, unit};
 use flockmap_grid::{Resolution, Voxel, VoxelBox};
 
@@ -40,11 +41,10 @@ impl Canvas {
 
     /// A solid ellipsoid with a surface that is rough by `roughness` (0 … 1) of its radii.
     pub(super) fn boulder(&mut self, centre: [f64; 3], radii: [f64; 3], roughness: f64, seed: u64) {
-        let (min, max) = around(centre, radii);
-        self.each_in(min, max, |canvas, cell, point| {
+        self.each_around(centre, radii, |canvas, cell, square| {
             let lump =
                 unit(hash_at(seed, i64::from(cell.x >> 2), i64::from(cell.y >> 2), i64::from(cell.z >> 2)));
-            if ellipsoid(point, centre, radii) <= 1.0 - roughness * lump {
+            if square <= 1.0 - roughness * lump {
                 canvas.put(cell);
             }
         });
@@ -53,9 +53,8 @@ impl Canvas {
     /// Leaves: an ellipsoid of which a share `density` of the cells is filled at random, thinning out to its
     /// rim.
     pub(super) fn foliage(&mut self, centre: [f64; 3], radii: [f64; 3], density: f64, seed: u64) {
-        let (min, max) = around(centre, radii);
-        self.each_in(min, max, |canvas, cell, point| {
-            let rim = 1.0 - ellipsoid(point, centre, radii);
+        self.each_around(centre, radii, |canvas, cell, square| {
+            let rim = 1.0 - square;
             let bits = hash_at(seed, i64::from(cell.x), i64::from(cell.y), i64::from(cell.z));
             if rim > 0.0 && unit(bits) < density * (2.0 * rim).min(1.0) {
                 canvas.put(cell);
@@ -66,23 +65,35 @@ impl Canvas {
     /// A straight piece of stem or branch from `a` to `b`, `radius_a` and `radius_b` thick at its ends; never
     /// thinner than one cell.
     pub(super) fn limb(&mut self, a: [f64; 3], b: [f64; 3], radius_a: f64, radius_b: f64) {
-        let along: [f64; 3] = core::array::from_fn(|i| b[i] - a[i]);
-        let length = along.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let steps = (length / (0.6 * CELL_M)).ceil().max(1.0) as u32;
+        let steps = (distance(a, b) / (0.6 * CELL_M)).ceil().max(1.0) as u32;
         for step in 0..=steps {
             let s = f64::from(step) / f64::from(steps);
-            let centre: [f64; 3] = core::array::from_fn(|i| a[i] + along[i] * s);
+            let centre = between(a, b, s);
             let radius = radius_a + (radius_b - radius_a) * s;
             self.put(voxel(centre.map(index_at)));
             if radius > 0.5 * CELL_M {
-                let (min, max) = around(centre, [radius; 3]);
-                self.each_in(min, max, |canvas, cell, point| {
-                    if ellipsoid(point, centre, [radius; 3]) <= 1.0 {
+                self.each_around(centre, [radius; 3], |canvas, cell, square| {
+                    if square <= 1.0 {
                         canvas.put(cell);
                     }
                 });
             }
         }
+    }
+
+    /// Calls `visit` for each cell of the canvas that an ellipsoid may reach, with the square of its distance from the centre
+    /// in radii.
+    fn each_around(
+        &mut self,
+        centre: [f64; 3],
+        radii: [f64; 3],
+        mut visit: impl FnMut(&mut Self, Voxel, f64),
+    ) {
+        let [min, max] = [-1.0, 1.0].map(|side| core::array::from_fn(|a| centre[a] + side * radii[a]));
+        self.each_in(min, max, |canvas, cell, point| {
+            let parts = (0..3).map(|a| (point[a] - centre[a]) / radii[a]);
+            visit(canvas, cell, parts.map(|v| v * v).sum());
+        });
     }
 
     fn put(&mut self, cell: Voxel) {
@@ -92,31 +103,17 @@ impl Canvas {
 
     /// Calls `visit` for each cell of the canvas whose centre lies in the box.
     fn each_in(&mut self, min: [f64; 3], max: [f64; 3], mut visit: impl FnMut(&mut Self, Voxel, [f64; 3])) {
-        let region = self.cells.region();
-        let low = min.map(|v| (v / CELL_M - 0.5).ceil());
-        let high = max.map(|v| (v / CELL_M - 0.5).floor());
-        let [x, y, z] = core::array::from_fn(|a| {
-            let bound = |v: Voxel| [v.x, v.y, v.z][a];
-            (low[a] as i32).max(bound(region.min()))..=(high[a] as i32).min(bound(region.max()))
-        });
-        for i in x {
-            for j in y.clone() {
-                for k in z.clone() {
-                    let centre = [i, j, k].map(|n| (f64::from(n) + 0.5) * CELL_M);
-                    visit(self, Voxel::new(i, j, k), centre);
-                }
-            }
+        let low = min.map(|v| (v / CELL_M - 0.5).ceil() as i32);
+        let high = max.map(|v| (v / CELL_M - 0.5).floor() as i32);
+        if (0..3).any(|a| low[a] > high[a]) {
+            return;
+        }
+        let cells = VoxelBox::spanning(voxel(low), voxel(high));
+        let inside = cells.and_then(|cells| cells.intersection(&self.cells.region()));
+        for cell in inside.into_iter().flat_map(|cells| cells.voxels()) {
+            visit(self, cell, [cell.x, cell.y, cell.z].map(|n| (f64::from(n) + 0.5) * CELL_M));
         }
     }
-}
-
-/// Square of the distance from the centre, in radii.
-fn ellipsoid(point: [f64; 3], centre: [f64; 3], radii: [f64; 3]) -> f64 {
-    (0..3).map(|a| (point[a] - centre[a]) / radii[a]).map(|v| v * v).sum()
-}
-
-fn around(centre: [f64; 3], radii: [f64; 3]) -> ([f64; 3], [f64; 3]) {
-    (core::array::from_fn(|a| centre[a] - radii[a]), core::array::from_fn(|a| centre[a] + radii[a]))
 }
 
 fn index_at(metres: f64) -> i32 {

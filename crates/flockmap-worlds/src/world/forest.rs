@@ -2,6 +2,7 @@
 
 use super::World;
 use super::draw::{CELL_M, Canvas};
+use crate::curve::between;
 use crate::random::{Random, hash_at, unit};
 use core::f64::consts::TAU;
 use libm::{cos, sin};
@@ -187,14 +188,13 @@ fn conifer(canvas: &mut Canvas, base: [f64; 3], random: &mut Random) {
             };
             let droop = if in_crown { random.range(-0.35, 0.05) } else { random.range(-0.3, 0.15) };
             let from = stem.at(s);
-            let to =
-                [from[0] + length * cos(heading), from[1] + length * sin(heading), from[2] + length * droop];
+            let to = away(from, heading, length, length * droop);
             canvas.limb(from, to, 0.03, 0.01);
             if in_crown && length > 0.15 {
                 let sprays = (length / 0.28).ceil() as u32;
                 for i in 1..=sprays {
                     let f = f64::from(i) / f64::from(sprays);
-                    let place = core::array::from_fn(|a| from[a] + (to[a] - from[a]) * f);
+                    let place = between(from, to, f);
                     let size = random.range(0.14, 0.24);
                     canvas.foliage(place, [size, size, 0.6 * size], 0.3, random.next_u64());
                 }
@@ -221,23 +221,19 @@ fn broadleaf(canvas: &mut Canvas, base: [f64; 3], random: &mut Random) {
         let heading = 2.4 * (k as f64) + random.range(-0.5, 0.5);
         let length = spread * (1.25 - s) * random.range(0.8, 1.3);
         let rise = random.range(0.35, 1.1);
-        let to = [from[0] + length * cos(heading), from[1] + length * sin(heading), from[2] + length * rise];
+        let to = away(from, heading, length, length * rise);
         let thick = (stem.radius_at(s) * 0.6).max(0.03);
         canvas.limb(from, to, thick, 0.025);
         let twigs = 2 + random.below(4);
         for _ in 0..twigs {
             let f = random.range(0.45, 1.0);
-            let start: [f64; 3] = core::array::from_fn(|a| from[a] + (to[a] - from[a]) * f);
+            let start = between(from, to, f);
             let side = heading + random.range(-1.2, 1.2);
             let reach = random.range(0.4, 1.0);
-            let end = [
-                start[0] + reach * cos(side),
-                start[1] + reach * sin(side),
-                start[2] + reach * random.range(-0.2, 0.7),
-            ];
+            let end = away(start, side, reach, reach * random.range(-0.2, 0.7));
             canvas.limb(start, end, 0.02, 0.01);
             for place in [0.55, 1.0] {
-                let centre = core::array::from_fn(|a| start[a] + (end[a] - start[a]) * place);
+                let centre = between(start, end, place);
                 let size = random.range(0.28, 0.6);
                 canvas.foliage(centre, [size, size, 0.7 * size], random.range(0.08, 0.2), random.next_u64());
             }
@@ -254,11 +250,7 @@ fn snag(canvas: &mut Canvas, base: [f64; 3], random: &mut Random) {
         let from = stem.at(random.range(0.3, 1.0));
         let heading = random.range(0.0, TAU);
         let length = random.range(0.3, 1.2);
-        let to = [
-            from[0] + length * cos(heading),
-            from[1] + length * sin(heading),
-            from[2] + length * random.range(-0.3, 0.4),
-        ];
+        let to = away(from, heading, length, length * random.range(-0.3, 0.4));
         canvas.limb(from, to, 0.03, 0.01);
     }
 }
@@ -278,7 +270,7 @@ fn ground_cover(canvas: &mut Canvas, ground: &Ground, seed: u64, half: [f64; 2],
             let heading = random.range(0.0, TAU);
             let length = size * random.range(0.5, 1.3);
             let out = length * random.range(0.2, 0.8);
-            let tip = [place[0] + out * cos(heading), place[1] + out * sin(heading), place[2] + length];
+            let tip = away(place, heading, out, length);
             let (leaf, density) = (random.range(0.2, 0.5) * size, random.range(0.15, 0.35));
             let leaf_seed = random.next_u64();
             if !on_trail {
@@ -312,7 +304,7 @@ fn ground_cover(canvas: &mut Canvas, ground: &Ground, seed: u64, half: [f64; 2],
         let (place, _) = spot(&mut random);
         let (heading, length, thick) =
             (random.range(0.0, TAU), random.range(2.0, 7.0), random.range(0.07, 0.22));
-        let (x, y) = (place[0] + length * cos(heading), place[1] + length * sin(heading));
+        let [x, y, _] = away(place, heading, length, 0.0);
         // Some hang in the branches of others.
         let lift = if random.happens(0.3) { random.range(0.3, 1.6) } else { 0.0 };
         let to = [x, y, ground.height(x, y) + thick + lift];
@@ -322,15 +314,16 @@ fn ground_cover(canvas: &mut Canvas, ground: &Ground, seed: u64, half: [f64; 2],
     for tree in trees {
         for _ in 0..3 {
             let (heading, length) = (random.range(0.0, TAU), random.range(0.3, 0.9));
-            let (x, y) = (tree.x + length * cos(heading), tree.y + length * sin(heading));
-            canvas.limb(
-                [tree.x, tree.y, ground.height(tree.x, tree.y) + 0.12],
-                [x, y, ground.height(x, y)],
-                0.07,
-                0.03,
-            );
+            let foot = [tree.x, tree.y, ground.height(tree.x, tree.y) + 0.12];
+            let [x, y, _] = away(foot, heading, length, 0.0);
+            canvas.limb(foot, [x, y, ground.height(x, y)], 0.07, 0.03);
         }
     }
+}
+
+/// The point this far from another, in a direction over the ground and up.
+fn away(from: [f64; 3], heading: f64, length: f64, up: f64) -> [f64; 3] {
+    [from[0] + length * cos(heading), from[1] + length * sin(heading), from[2] + up]
 }
 
 /// Value noise: random at whole coordinates, smooth between, 0 … 1.

@@ -31,7 +31,7 @@ impl World {
     }
 }
 
-/// Rooms that chunk the floor, and the doors between them. Every room can be reached from every other.
+/// Rooms that tile the floor, and the doors between them. Every room can be reached from every other.
 struct Plan {
     rooms: Vec<Room>,
     doors: Vec<Door>,
@@ -75,19 +75,17 @@ impl Plan {
         for room in &self.rooms {
             let Rect { min, max } = room.rect;
             for (axis, place) in [(0, min[0]), (0, max[0]), (1, min[1]), (1, max[1])] {
-                let (mut low, mut high) = ([min[0], min[1], FLOOR], [max[0], max[1], CEILING]);
-                low[axis] = place - HALF_WALL;
-                high[axis] = place + HALF_WALL;
-                low[1 - axis] -= HALF_WALL;
-                high[1 - axis] += HALF_WALL;
+                let along = [min[1 - axis] - HALF_WALL, max[1 - axis] + HALF_WALL];
+                let across = [place - HALF_WALL, place + HALF_WALL];
+                let (low, high) = boxed(axis, across, along, [FLOOR, CEILING]);
                 canvas.slab(low, high);
             }
         }
         for (axis, half) in [(0, hx), (1, hy)] {
             for side in [-1.0, 1.0] {
-                let (mut low, mut high) = ([-hx, -hy, FLOOR], [hx, hy, CEILING]);
-                low[axis] = if side < 0.0 { -half } else { half - OUTER_WALL };
-                high[axis] = if side < 0.0 { -half + OUTER_WALL } else { half };
+                let across = if side < 0.0 { [-half, -half + OUTER_WALL] } else { [half - OUTER_WALL, half] };
+                let reach = SIZE[1 - axis] / 2.0;
+                let (low, high) = boxed(axis, across, [-reach, reach], [FLOOR, CEILING]);
                 canvas.slab(low, high);
                 self.windows(canvas, axis, side * half, random);
             }
@@ -113,10 +111,8 @@ impl Plan {
         let mut along = -reach + 1.2;
         while along + 1.6 < reach - 1.0 {
             let mut span = |from: f64, to: f64, low: f64, high: f64, start: f64, end: f64, carve: bool| {
-                let (mut min, mut max) = ([start, start, low], [end, end, high]);
                 let (a, b) = (wall + inward * from, wall + inward * to);
-                min[axis] = a.min(b);
-                max[axis] = a.max(b);
+                let (min, max) = boxed(axis, [a.min(b), a.max(b)], [start, end], [low, high]);
                 if carve {
                     canvas.carve(min, max);
                 } else {
@@ -137,14 +133,9 @@ impl Plan {
 impl Door {
     /// Carves the opening and hangs an open leaf into it, if it is not a wide passage.
     fn draw(&self, canvas: &mut Canvas, random: &mut Random) {
-        let boxed = |across: [f64; 2], along: [f64; 2], up: [f64; 2]| {
-            let (mut min, mut max) = ([0.0, 0.0, up[0]], [0.0, 0.0, up[1]]);
-            (min[self.axis], max[self.axis]) = (across[0], across[1]);
-            (min[1 - self.axis], max[1 - self.axis]) = (along[0], along[1]);
-            (min, max)
-        };
         let half = self.width / 2.0;
         let (min, max) = boxed(
+            self.axis,
             [self.place - 0.2, self.place + 0.2],
             [self.along - half, self.along + half],
             [FLOOR, DOOR_HEIGHT],
@@ -158,10 +149,20 @@ impl Door {
             } else {
                 [self.along + half, self.along + half + 0.06]
             };
-            let (min, max) = boxed(across, along, [FLOOR + 0.02, DOOR_HEIGHT - 0.05]);
+            let (min, max) = boxed(self.axis, across, along, [FLOOR + 0.02, DOOR_HEIGHT - 0.05]);
             canvas.slab(min, max);
         }
     }
+}
+
+/// Lowest and highest corner of a box across a wall of constant x (`axis` 0) or y, along it, and up.
+fn boxed(axis: usize, across: [f64; 2], along: [f64; 2], up: [f64; 2]) -> ([f64; 3], [f64; 3]) {
+    let corner = |end: usize| {
+        let mut corner = [along[end], along[end], up[end]];
+        corner[axis] = across[end];
+        corner
+    };
+    (corner(0), corner(1))
 }
 
 /// Divides a rectangle into rooms of 3.4 m or more on each side.

@@ -10,7 +10,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum OpenError {
-    /// The name does not end in a known way.
+    /// The name has no known ending.
     #[error("{}: a world is an OctoMap (.bt) or a point cloud (.pcd, .ply, .las, .laz)", path.display())]
     Unknown {
         /// The file.

@@ -33,7 +33,7 @@ pub(crate) struct SurfacePoint {
     pub(crate) offset: [f32; 3],
     /// Unit normal of the surface, with any sign; all zero where the points around make no plane.
     pub(crate) normal: [f32; 3],
-    /// Which ways the surface is open: bit `2 · axis` down, bit `2 · axis + 1` up.
+    /// To which sides the surface is open: bit `2 · axis` down, bit `2 · axis + 1` up.
     open: u8,
 }
 
@@ -42,7 +42,7 @@ pub(crate) struct SurfacePoint {
 pub(crate) struct Patch {
     /// Centre of the cube in metres.
     centre: [f64; 3],
-    /// Which ways any of its points is open.
+    /// To which sides any of its points is open.
     open: u8,
     points: Range<u32>,
 }
@@ -342,7 +342,7 @@ fn normal(at: [f64; 3], around: &[[f64; 3]]) -> [f64; 3] {
 }
 
 /// Eigenvalues and eigenvectors (columns) of a symmetric matrix, by Jacobi's rotations. Converges
-/// quadratically; six sweeps are far more than doubles can tell apart.
+/// quadratically; six sweeps are far more than doubles can distinguish.
 fn eigen(mut m: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
     let mut vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     for _ in 0..6 {

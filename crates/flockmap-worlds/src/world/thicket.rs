@@ -1,4 +1,4 @@
-//! The generated thicket: a small dense forest to find a way through.
+//! The generated thicket: a small dense forest to find a path through.
 
 use super::World;
 use super::draw::Canvas;
@@ -79,7 +79,7 @@ fn stem(canvas: &mut Canvas, plant: &Plant, random: &mut Random) {
     canvas.limb(foot, top, radius, 0.9 * radius);
 }
 
-/// A bush: dense leaves on a short stem, from knee-high to above a robot's way.
+/// A bush: dense leaves on a short stem, from knee-high to above where a robot flies.
 fn bush(canvas: &mut Canvas, plant: &Plant, random: &mut Random) {
     let height = random.range(0.6, 2.4);
     let half = 0.5 * height;

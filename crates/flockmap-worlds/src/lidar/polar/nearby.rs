@@ -102,6 +102,6 @@ mod tests {
                 }
             }
         }
-        assert!(nearby.any(-3, 2, 4) && nearby.any(5, 900, 17), "never no where it cannot tell");
+        assert!(nearby.any(-3, 2, 4) && nearby.any(5, 900, 17), "never no where it does not know");
     }
 }

@@ -102,7 +102,7 @@ impl Site<'_> {
         }
     }
 
-    /// Places something of this size, turned by 0 or 90°, anywhere with a way around it.
+    /// Places something of this size, turned by 0 or 90°, anywhere with room around it.
     fn anywhere(&mut self, size: [f64; 2], draw: impl Fn(&mut Self, Rect)) {
         for _ in 0..12 {
             let extent = if self.random.happens(0.5) { size } else { [size[1], size[0]] };
@@ -205,7 +205,7 @@ impl Site<'_> {
         }
     }
 
-    /// A stream store with boards and things on them.
+    /// A shelf with boards and things on them.
     fn shelf(&mut self, rect: Rect) {
         let high = self.random.range(1.5, 2.3);
         let axis = usize::from(rect.size()[1] > rect.size()[0]);
