@@ -7,7 +7,7 @@ use maud::{Markup, html};
 pub enum Scale {
     /// Even steps from 0 on.
     Linear,
-    /// A decade has the same width everywhere. What is not above 0 lies on the floor of the axis.
+    /// A decade has the same width everywhere. What is not above 0 lies at its low end.
     Log,
 }
 
@@ -35,7 +35,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// A bar: name, class, length, and the length in words.
+/// A bar: name, class, length, and the length as text.
 pub struct Bar {
     pub name: String,
     pub class: &'static str,
@@ -43,7 +43,7 @@ pub struct Bar {
     pub text: String,
 }
 
-/// Classes of the page's style for lines that are just told apart, in the order of use.
+/// Classes of the page's style for lines that only have to differ, in the order of use.
 pub const COLOURS: [&str; 8] = ["c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8"];
 
 const WIDTH: f64 = 720.0;
