@@ -55,8 +55,8 @@ const BOTTOM: f64 = 58.0;
 /// A logarithmic axis shows at most so many decades below its top.
 const DECADES_MAX: f64 = 9.0;
 
-/// KB in each second on a logarithmic axis, so that lines a factor of ten apart can both be read. A second with nothing lies on the
-/// floor of the axis.
+/// KB in each second on a logarithmic axis, so that lines a factor of ten apart can both be read. A second with nothing lies at
+/// its low end.
 pub fn kb_per_second(lines: &[Line<'_>]) -> Markup {
     let (x, y) = (
         Axis { label: "time in s", scale: Scale::Linear },
