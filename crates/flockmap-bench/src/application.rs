@@ -11,10 +11,10 @@ use flockmap_autonomy::application::{
     self, ApplicationOptions, ApplicationOutcome, Course, Ending, MapSync, RobotTraffic, Series,
     SeriesOptions,
 };
+use flockmap_cli::document::DataTable;
 use flockmap_cli::measure::KB;
 use flockmap_cli::options::milliseconds;
 use flockmap_cli::progress::Progress;
-use flockmap_cli::table::Table;
 use flockmap_cli::{json_file, stop};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -42,7 +42,7 @@ pub struct ApplicationArgs {
     /// Shares of datagrams that the radio loses, separated by commas [default: 0,0.2,0.4]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub losses: Vec<f64>,
-    /// Budgets in KB/s of further series in which obstacles go out after --t-l and free space after 2 s, separated by commas; 0 for
+    /// Budgets in KB/s of further series in which obstacles go out after --publish-period and free space after 2 s, separated by commas; 0 for
     /// none [default: 1,5; with --quick 5]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub obstacles_first: Vec<f64>,
@@ -72,13 +72,13 @@ pub struct ApplicationArgs {
 /// All flights with one radio.
 #[derive(Serialize, Clone, Debug)]
 pub struct Row {
-    /// What the radio is, in words.
+    /// What the radio does.
     pub name: String,
     /// `None`: no limit, or no sync.
     pub rate_kb_s: Option<f64>,
     /// `None`: no sync.
     pub loss: Option<f64>,
-    /// Obstacles go out after t_l, free space after 2 s.
+    /// Obstacles go out after the publish period, free space after 2 s.
     pub obstacles_first: bool,
     pub flights: usize,
     pub successes: usize,
@@ -121,7 +121,7 @@ pub fn run(args: &ApplicationArgs) -> anyhow::Result<bool> {
     let options = options(args)?;
     let rows = measure(&options)?;
     println!(
-        "Two robots cross a thicket of 30 m, the leader's LiDAR faces backwards; {} seeds, {} m voxels, publish_period {} s, {} m/s\n",
+        "Two robots cross a thicket of 30 m, the leader's LiDAR faces backwards; {} seeds, {} m voxels, publish period {} s, {} m/s\n",
         options.seeds, args.resolution, args.publish_period, args.speed
     );
     print!("{}", table(&rows));
@@ -148,7 +148,7 @@ pub fn run(args: &ApplicationArgs) -> anyhow::Result<bool> {
 pub const NOTES: &str = "  \
   Success: the leader is at the goal and neither robot came within 0.2 m of anything solid, or within 0.4 m of the other, in the world
   as it is. KB of 1,024 bytes of UDP payload, mean over flights; max is the largest second of any flight. Age: from the scan that saw
-  an obstacle to its presence in the leader's map. Obstacles first: free space waits for 2 s. Poses and the leader's next 2 m of way are taken as shared; their bytes are not counted.";
+  an obstacle to its presence in the leader's map. Obstacles first: free space waits for 2 s. Poses and the leader's next 2 m of path are taken as shared; their bytes are not counted.";
 
 /// The paper's flight in numbers: Table III, KB/s of drone 1.
 pub const PAPER_TABLE_III: [(&str, f64); 4] =
@@ -165,15 +165,10 @@ fn options(args: &ApplicationArgs) -> anyhow::Result<SeriesOptions> {
         args.speed
     );
     ensure!(args.delay_ms <= 60_000, "--delay-ms is {}, expected at most 60,000", args.delay_ms);
-    let or_else = |given: &[f64], quick: &[f64], all: &[f64]| {
-        let chosen = if !given.is_empty() {
-            given
-        } else if args.quick {
-            quick
-        } else {
-            all
-        };
-        chosen.to_vec()
+    let or_else = |given: &[f64], quick: &[f64], all: &[f64]| match given {
+        [] if args.quick => quick.to_vec(),
+        [] => all.to_vec(),
+        given => given.to_vec(),
     };
     let rates = or_else(&args.rates, &[5.0, 25.0], &[1.0, 5.0, 25.0, 100.0]);
     let losses = or_else(&args.losses, &[0.0, 0.4], &[0.0, 0.2, 0.4]);
@@ -203,7 +198,7 @@ fn options(args: &ApplicationArgs) -> anyhow::Result<SeriesOptions> {
         threads: args.threads,
         application: ApplicationOptions {
             resolution,
-            publish_period_ms: milliseconds("--t-l", args.publish_period)?,
+            publish_period_ms: milliseconds("--publish-period", args.publish_period)?,
             codec: args.codec,
             speed_m_s: args.speed,
             ..ApplicationOptions::default()
@@ -214,7 +209,7 @@ fn options(args: &ApplicationArgs) -> anyhow::Result<SeriesOptions> {
 /// Flies all flights, with progress shown. Ctrl-C ends it with the flights made so far.
 pub fn measure(options: &SeriesOptions) -> anyhow::Result<Vec<Row>> {
     for seed in 1..=options.seeds {
-        ensure!(Course::thicket(seed).is_passable(), "the thicket of seed {seed} has no way through");
+        ensure!(Course::thicket(seed).is_passable(), "nothing passes through the thicket of seed {seed}");
     }
     let progress = Progress::new("flights", options.flights());
     let flown = || {
@@ -294,10 +289,10 @@ fn flight(outcome: &ApplicationOutcome) -> Value {
     })
 }
 
-fn table(rows: &[Row]) -> Table {
+fn table(rows: &[Row]) -> DataTable {
     let optional =
         |value: Option<f64>, digits: usize| value.map_or_else(|| "–".to_owned(), |v| format!("{v:.digits$}"));
-    Table::of(
+    DataTable::of_text(
         rows,
         &[
             ("sync", &|row| row.name.clone()),

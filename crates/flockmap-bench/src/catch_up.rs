@@ -9,11 +9,12 @@ use flockmap::codec::{Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::{Layer, Snapshot};
 use flockmap::sync::wire::{Datagram, Kind, parse_packages};
 use flockmap::{Codec, Event, Robot, RobotConfig, RobotId, SessionConfig, Stamp, Stream};
+use flockmap_cli::document::DataTable;
+use flockmap_cli::flight::Flight;
 use flockmap_cli::measure::SentBytes;
+use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, SourceArgs, budget};
-use flockmap_cli::progress::Progress;
-use flockmap_cli::sources::{Frames, Source};
-use flockmap_cli::table::{Table, thousands};
+use flockmap_cli::sources::Source;
 use flockmap_cli::{json_file, sources, stop};
 use flockmap_netsim::{Datagram as Sending, IP_UDP_BYTES, Link, Network, RadioConfig, Watch};
 use serde::Serialize;
@@ -81,26 +82,26 @@ struct Outage {
     vain_bytes: u64,
     /// Packages of that time: sent after it.
     repair_bytes: u64,
-    /// Requests from its end until all of that was held.
+    /// Requests from its end until all of that was received.
     request_bytes: u64,
     total_bytes: u64,
     /// What changed meanwhile and stayed so, coded once for each robot that missed it.
     coded_once_bytes: u64,
     ratio: f64,
-    /// From its end until all of that was held.
+    /// From its end until all of that was received.
     repair_s: f64,
 }
 
 /// A robot without a sensor and with an empty map comes when the flight is over.
 #[derive(Serialize, Debug)]
 struct Joiner {
-    /// Everything on the wire, requests of all among them, until it held all.
+    /// Everything on the wire, requests of all among them, until it had received all.
     total_bytes: u64,
     request_bytes: u64,
     /// The final maps with the stamp of every voxel, coded once.
     coded_once_bytes: u64,
     ratio: f64,
-    /// The same without stamps: a floor that nobody who merges by stamps can reach.
+    /// The same without stamps: a bound that nobody who merges by stamps can reach.
     coded_without_stamps_bytes: u64,
     seconds: f64,
     /// Most that one robot sent in any second.
@@ -118,11 +119,11 @@ pub fn run(args: &CatchUpArgs) -> anyhow::Result<bool> {
     ensure!(sources.robots.len() >= 2, "an outage needs at least two robots: --robots 2");
     let title = format!("catching up: {}", sources.title);
     let link = Link { loss: args.loss, delay_micros: (args.delay_ms * 1e3) as i64, ..Link::default() };
-    let mut flight = Flight::new(sources.robots, &base, link, args)?;
-    let outage = flight.fly(args)?;
-    let joiner = flight.join(&base)?;
-    let agreement = flight.agrees();
-    let seconds = flight.length.seconds();
+    let mut swarm = Swarm::new(sources.robots, &base, args, link)?;
+    let outage = swarm.fly(args)?;
+    let joiner = swarm.join(&base)?;
+    let agreement = swarm.agrees();
+    let seconds = swarm.flight.last_scan.seconds();
     let output = Output {
         title,
         seconds,
@@ -141,24 +142,18 @@ pub fn run(args: &CatchUpArgs) -> anyhow::Result<bool> {
 impl Output {
     fn print(&self) {
         println!("\n{}, {:.0} s, at most {} KB/s a robot", self.title, self.seconds, self.budget_kb_s);
-        let mut table = Table::new(["", "bytes", "coded once", "ratio", "took s"]);
-        if let Some(outage) = &self.outage {
-            table.row([
-                format!("outage of {:.0} s", outage.seconds),
-                thousands(outage.total_bytes),
-                thousands(outage.coded_once_bytes),
-                format!("{:.2}", outage.ratio),
-                format!("{:.1}", outage.repair_s),
-            ]);
-        }
+        let row = |name: String, bytes, once, ratio: f64, seconds: f64| {
+            [name, thousands(bytes), thousands(once), format!("{ratio:.2}"), format!("{seconds:.1}")]
+        };
         let joiner = &self.joiner;
-        table.row([
-            "late joiner".to_owned(),
-            thousands(joiner.total_bytes),
-            thousands(joiner.coded_once_bytes),
-            format!("{:.2}", joiner.ratio),
-            format!("{:.1}", joiner.seconds),
-        ]);
+        let outage = self.outage.as_ref().map(|o| {
+            let name = format!("outage of {:.0} s", o.seconds);
+            row(name, o.total_bytes, o.coded_once_bytes, o.ratio, o.repair_s)
+        });
+        let (total, once) = (joiner.total_bytes, joiner.coded_once_bytes);
+        let joined = row("late joiner".to_owned(), total, once, joiner.ratio, joiner.seconds);
+        let rows = outage.into_iter().chain([joined]);
+        let table = DataTable::unnamed(["", "bytes", "coded once", "ratio", "took s"], rows);
         println!("{table}");
         if let Some(outage) = &self.outage {
             println!(
@@ -178,11 +173,9 @@ impl Output {
     }
 }
 
-struct Flight {
-    network: Network<Robot>,
-    frames: Vec<Frames>,
-    length: Stamp,
-    expected: u64,
+/// The swarm, and what goes over the air.
+struct Swarm {
+    flight: Flight<Robot>,
     meter: Meter,
 }
 
@@ -235,23 +228,19 @@ impl Watch<Robot> for Meter {
 /// What a robot sends, it can read.
 const OWN: &str = "a robot sends sound datagrams";
 
-impl Flight {
-    fn new(sources: Vec<Source>, base: &RobotConfig, link: Link, args: &CatchUpArgs) -> anyhow::Result<Self> {
-        let expected = sources.iter().map(|source| source.frames_expected).sum();
-        let (mut robots, mut frames) = (Vec::new(), Vec::new());
-        for (number, source) in sources.into_iter().enumerate() {
-            let config = RobotConfig { id: RobotId(number as u16 + 1), ..base.clone() };
-            robots.push(Robot::new(config, Stamp(0))?);
-            frames.push(source.frames);
-        }
+impl Swarm {
+    fn new(sources: Vec<Source>, base: &RobotConfig, args: &CatchUpArgs, link: Link) -> anyhow::Result<Self> {
         let radio = RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() };
-        let network = Network::new(robots, radio, Stamp(0));
-        Ok(Self { network, frames, length: Stamp(0), expected, meter: Meter::default() })
+        let robot = |id| Ok(Robot::new(RobotConfig { id, ..base.clone() }, Stamp(0))?);
+        Ok(Self { flight: Flight::new(sources, radio, "scans", robot)?, meter: Meter::default() })
+    }
+
+    const fn network(&self) -> &Network<Robot> {
+        &self.flight.network
     }
 
     /// Flies all scans, with the outage in the middle.
     fn fly(&mut self, args: &CatchUpArgs) -> anyhow::Result<Option<Outage>> {
-        let progress = Progress::new("scans", self.expected);
         let total = args.source.seconds.unwrap_or(60.0);
         let begins = Stamp::from_seconds((total - args.outage) / 2.0);
         let ends = begins.plus_micros((args.outage * 1e6) as i64);
@@ -263,34 +252,27 @@ impl Flight {
         let mut plan = (args.outage > 0.0).then_some([begins, ends]).into_iter().flatten().peekable();
         let mut repair: Option<Repair> = None;
         let mut done = None;
-        while let Some(next) = self.frames.iter_mut().filter_map(Frames::next_stamp).min() {
-            ensure!(!stop::requested(), "interrupted");
+        while let Some(next) = self.flight.next_scan() {
             let until = next.min(plan.peek().copied().unwrap_or(next));
-            self.network.step(Some(until), &mut self.meter);
-            let now = self.network.now();
-            if plan.next_if(|at| *at <= now).is_some() {
+            self.flight.network.step(Some(until), &mut self.meter);
+            if plan.next_if(|at| *at <= self.network().now()).is_some() {
                 match &mut repair {
                     None => repair = Some(self.cut(args.outage)),
                     Some(repair) => self.heal(repair)?,
                 }
             }
             if let Some(repair) = repair.as_ref().filter(|r| done.is_none() && r.healed.is_some())
-                && self.is_repaired(repair)
+                && have_all(self.network().nodes(), &repair.upto)
             {
                 done = Some(self.outage_of(repair));
             }
-            for (frames, robot) in self.frames.iter_mut().zip(self.network.nodes_mut()) {
-                while frames.next_stamp().is_some_and(|at| at <= now) {
-                    if let Some(frame) = frames.next() {
-                        robot.insert_scan(now, &frame.scan, &frame.pose)?;
-                    }
-                    progress.step();
-                }
-            }
-            self.length = self.length.max(now);
+            self.flight.scan_due(|robot, _, now, frame| {
+                robot.insert_scan(now, &frame.scan, &frame.pose)?;
+                Ok(())
+            })?;
         }
-        for number in 0..self.network.nodes().len() {
-            self.network.call(number, &mut self.meter, Robot::flush);
+        for number in 0..self.network().nodes().len() {
+            self.flight.network.call(number, &mut self.meter, Robot::flush);
         }
         self.settle()?;
         if let Some(repair) = repair.filter(|_| done.is_none()) {
@@ -301,11 +283,11 @@ impl Flight {
 
     /// Cuts the first robot off.
     fn cut(&mut self, seconds: f64) -> Repair {
-        let others = self.network.ids()[1..].to_vec();
+        let others = self.network().ids()[1..].to_vec();
         for robot in others {
-            self.network.radio_mut().set_open_both(RobotId(1), robot, false);
+            self.flight.network.radio_mut().set_open_both(RobotId(1), robot, false);
         }
-        let from = self.newest();
+        let from = newest(self.network().nodes());
         self.meter.clear();
         self.meter.marks = from.iter().map(|(stream, newest)| (*stream, (newest + 1, u32::MAX))).collect();
         Repair {
@@ -321,14 +303,14 @@ impl Flight {
 
     /// Ends the outage, and weighs what was missed.
     fn heal(&mut self, repair: &mut Repair) -> anyhow::Result<()> {
-        let others = self.network.ids()[1..].to_vec();
+        let others = self.network().ids()[1..].to_vec();
         for other in &others {
-            self.network.radio_mut().set_open_both(RobotId(1), *other, true);
+            self.flight.network.radio_mut().set_open_both(RobotId(1), *other, true);
         }
         // What the others sent each other of that time was no loss.
         repair.vain = if others.len() == 1 { self.meter.marked } else { 0 };
-        repair.upto = self.newest();
-        for robot in self.network.nodes() {
+        repair.upto = newest(self.network().nodes());
+        for robot in self.network().nodes() {
             let own = robot.own_stream();
             let since = repair.batch_ends.get(&own).copied().unwrap_or(Stamp(i64::MIN));
             let state = robot.fusion().layer(own).and_then(|layer| layer.snapshot_since(since));
@@ -341,17 +323,8 @@ impl Flight {
             .iter()
             .map(|(stream, newest)| (*stream, (newest + 1, repair.upto.get(stream).copied().unwrap_or(0))))
             .collect();
-        repair.healed = Some(self.network.now());
+        repair.healed = Some(self.network().now());
         Ok(())
-    }
-
-    fn is_repaired(&self, repair: &Repair) -> bool {
-        self.network.nodes().iter().all(|robot| {
-            repair.upto.iter().all(|(stream, newest)| {
-                *newest == 0
-                    || robot.session().received(*stream).is_some_and(|held| held.contains_range(1, *newest))
-            })
-        })
     }
 
     fn outage_of(&self, repair: &Repair) -> Outage {
@@ -364,26 +337,20 @@ impl Flight {
             total_bytes: total,
             coded_once_bytes: repair.coded_once,
             ratio: total as f64 / repair.coded_once.max(1) as f64,
-            repair_s: repair.healed.map_or(0.0, |at| self.network.now().micros_since(at) as f64 / 1e6),
+            repair_s: repair.healed.map_or(0.0, |at| self.network().now().micros_since(at) as f64 / 1e6),
         }
-    }
-
-    /// The newest package of each robot.
-    fn newest(&self) -> BTreeMap<Stream, u32> {
-        let newest = |robot: &Robot| robot.session().store().newest_known(robot.own_stream());
-        self.network.nodes().iter().map(|robot| (robot.own_stream(), newest(robot))).collect()
     }
 
     /// One robot more, with an empty map.
     fn join(&mut self, base: &RobotConfig) -> anyhow::Result<Joiner> {
-        let id = RobotId(self.network.nodes().len() as u16 + 1);
+        let id = RobotId(self.network().nodes().len() as u16 + 1);
         self.meter.clear();
         self.meter.marks.clear();
-        let began = self.network.now();
-        self.network.join(Robot::new(RobotConfig { id, ..base.clone() }, began)?);
+        let began = self.network().now();
+        self.flight.network.join(Robot::new(RobotConfig { id, ..base.clone() }, began)?);
         self.settle()?;
         let (mut coded_once, mut without_stamps) = (0, 0);
-        for robot in self.network.nodes() {
+        for robot in self.network().nodes() {
             let own = robot.own_stream();
             let Some(layer) = robot.fusion().layer(own) else { continue };
             coded_once += coded_bytes(robot, own, layer.snapshot())?;
@@ -394,6 +361,7 @@ impl Flight {
             without_stamps += coded_bytes(robot, own, flat.snapshot())?;
         }
         let total = self.meter.requests + self.meter.packages;
+        let caught_up = self.network().nodes().last();
         let largest = self.meter.by_robot.values().map(SentBytes::largest_second).max().unwrap_or(0);
         Ok(Joiner {
             total_bytes: total,
@@ -401,47 +369,25 @@ impl Flight {
             coded_once_bytes: coded_once,
             ratio: total as f64 / coded_once.max(1) as f64,
             coded_without_stamps_bytes: without_stamps,
-            seconds: self.network.now().micros_since(began) as f64 / 1e6,
+            seconds: self.network().now().micros_since(began) as f64 / 1e6,
             max_kb_s: largest as f64 / 1024.0,
-            caught_up_by_states: self
-                .network
-                .nodes()
-                .last()
-                .map_or(0, |robot| robot.session().counters().caught_up),
+            caught_up_by_states: caught_up.map_or(0, |robot| robot.session().counters().caught_up),
         })
     }
 
-    /// Lets time pass until everyone holds everything.
+    /// Lets time pass until everyone has received everything.
     fn settle(&mut self) -> anyhow::Result<()> {
-        let until = self.network.now().plus_micros(SETTLE_MICROS_MAX);
-        loop {
-            let newest = self.newest();
-            let missing = |robot: &Robot| {
-                newest.iter().any(|(stream, newest)| {
-                    *newest > 0
-                        && !robot
-                            .session()
-                            .received(*stream)
-                            .is_some_and(|held| held.contains_range(1, *newest))
-                })
-            };
-            if !self.network.nodes().iter().any(missing) {
-                return Ok(());
-            }
-            ensure!(!stop::requested(), "interrupted");
-            ensure!(
-                self.network.now() < until,
-                "not everything had arrived an hour later; is the budget too small?"
-            );
-            self.network.step(None, &mut self.meter);
-        }
+        let until = self.network().now().plus_micros(SETTLE_MICROS_MAX);
+        let arrived = self.flight.settle(until, &mut self.meter, |robots| have_all(robots, &newest(robots)));
+        ensure!(!stop::requested(), "interrupted");
+        arrived.context("not everything had arrived an hour later; is the budget too small?").map(drop)
     }
 
     fn agrees(&self) -> bool {
-        self.network.nodes().iter().all(|sender| {
+        self.network().nodes().iter().all(|sender| {
             let own = sender.own_stream();
             let digest = |robot: &Robot| robot.fusion().layer(own).map(Layer::digest);
-            self.network.nodes().iter().all(|robot| digest(robot) == digest(sender))
+            self.network().nodes().iter().all(|robot| digest(robot) == digest(sender))
         })
     }
 }
@@ -457,12 +403,28 @@ struct Repair {
     healed: Option<Stamp>,
 }
 
-/// Bytes of the packages that tell a state.
+/// The newest package of each robot.
+fn newest(robots: &[Robot]) -> BTreeMap<Stream, u32> {
+    let newest = |robot: &Robot| robot.session().store().newest_known(robot.own_stream());
+    robots.iter().map(|robot| (robot.own_stream(), newest(robot))).collect()
+}
+
+/// Whether every robot has received all packages up to these.
+fn have_all(robots: &[Robot], newest: &BTreeMap<Stream, u32>) -> bool {
+    robots.iter().all(|robot| {
+        newest.iter().all(|(stream, newest)| {
+            let received = robot.session().received(*stream);
+            *newest == 0 || received.is_some_and(|received| received.contains_range(1, *newest))
+        })
+    })
+}
+
+/// Bytes of the packages that carry a snapshot.
 fn coded_bytes(robot: &Robot, stream: Stream, state: Option<Snapshot>) -> anyhow::Result<u64> {
     let Some(state) = state else { return Ok(0) };
     let config = robot.config();
     let chunks = Encoder::new()
         .encode_snapshot(config.codec, stream, 1, config.mapper.resolution, &state, PACKAGE_BYTES_MAX)
-        .context("a state cannot be coded")?;
+        .context("a snapshot cannot be coded")?;
     Ok(chunks.iter().map(|chunk| chunk.bytes().len() as u64).sum())
 }

@@ -1,13 +1,12 @@
-//! Methods of telling a map, side by side on the same batches of the same records.
+//! Methods of sending a map, side by side on the same batches of the same records.
 
-use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use flockmap::codec::Batch;
 use flockmap::grid::{Layer, Mapper, MapperConfig};
 use flockmap::{BatchConfig, Changes, Packer, RobotId, Stamp, Stream};
-use flockmap_cli::measure::{Comparison, KB, SentBytes, Times};
+use flockmap_cli::measure::{Comparison, KB, SentBytes, Times, blocks_of};
 use flockmap_cli::sources::Frame;
 use flockmap_cli::stop;
 use serde::Serialize;
@@ -66,32 +65,32 @@ pub struct Row {
     #[serde(skip)]
     pub compared: Comparison,
     #[serde(skip)]
-    stamps_agree: bool,
+    stamps_differ: bool,
 }
 
 impl Row {
     /// Whether the method does what it says: a lossless one has every voxel, and every stamp that it sends, right.
     pub fn is_as_promised(&self) -> bool {
-        !self.method.is_lossless() || (self.compared.known == self.compared.equal && self.stamps_agree)
+        !self.method.is_lossless() || (self.compared.known == self.compared.equal && !self.stamps_differ)
     }
 }
 
 impl CodecRun {
     /// Nothing measured yet. Each robot's messages go to so many `receivers`, one by one (unicast: N − 1).
     pub fn new(mapper: MapperConfig, batch: BatchConfig, methods: &[Method], receivers: usize) -> Self {
-        let benches = methods.iter().map(|method| Bench::new(*method)).collect();
+        let benches = methods.iter().map(|method| Bench { method: *method, sums: Sums::default() }).collect();
         let receivers = receivers.max(1) as u64;
         Self { mapper, batch, receivers, benches, seconds: 0.0, batches: 0, changed_voxels: 0 }
     }
 
     /// The record of one robot: maps it, closes batches, and gives each batch to every method. Stamps must begin near 0.
-    /// Calls `progress` after each scan. Ends early if the user asks for it. Returns what was told in the end.
+    /// Calls `progress` after each scan. Ends early if the user asks for it. Returns what was published in the end.
     pub fn record(
         &mut self,
         frames: impl IntoIterator<Item = Frame>,
         mut progress: impl FnMut(),
     ) -> anyhow::Result<Layer> {
-        let number = self.benches.first().map_or(0, |bench| bench.robots);
+        let number = self.benches.first().map_or(0, |bench| bench.sums.robots);
         let stream = Stream { origin: RobotId(number as u16 + 1), epoch: 1 };
         let mut mapper = Mapper::new(self.mapper.clone())?;
         let mut packer = Packer::new(self.batch, stream, self.mapper.resolution, Stamp(0));
@@ -153,12 +152,18 @@ impl CodecRun {
 /// One method over all records.
 struct Bench {
     method: Method,
+    sums: Sums,
+}
+
+/// What a method came to.
+#[derive(Default)]
+struct Sums {
     packages: u64,
     datagrams: u64,
     encode: Times,
     decode: Times,
     compared: Comparison,
-    stamps_agree: bool,
+    stamps_differ: bool,
     /// Robots so far, what they sent, and most that one sent in a second.
     robots: usize,
     total_bytes: u64,
@@ -181,21 +186,6 @@ struct Lane<'a> {
 const DATAGRAM_BYTES: usize = 1_472;
 
 impl Bench {
-    fn new(method: Method) -> Self {
-        Self {
-            method,
-            packages: 0,
-            datagrams: 0,
-            encode: Times::default(),
-            decode: Times::default(),
-            compared: Comparison::default(),
-            stamps_agree: true,
-            robots: 0,
-            total_bytes: 0,
-            second_bytes_max: 0,
-        }
-    }
-
     fn lane(&mut self, mapper: &MapperConfig, receivers: u64) -> anyhow::Result<Lane<'_>> {
         Ok(Lane {
             sender: self.method.sender(mapper),
@@ -209,22 +199,22 @@ impl Bench {
     }
 
     fn row(self, seconds: f64) -> Row {
-        let total_bytes = self.total_bytes;
-        let encode = self.encode.summary();
+        let Sums { packages, datagrams, total_bytes, compared, stamps_differ, .. } = self.sums;
+        let encode = self.sums.encode.summary();
         Row {
             method: self.method,
             total_bytes,
             avg_kb_s: total_bytes as f64 / KB / seconds.max(1e-3),
-            max_kb_s: self.second_bytes_max as f64 / KB,
-            packages: self.packages,
-            datagrams: self.datagrams,
+            max_kb_s: self.sums.second_bytes_max as f64 / KB,
+            packages,
+            datagrams,
             encode_ms_mean: encode.mean_ms,
             encode_ms_p99: encode.p99_ms,
-            decode_ms_mean: self.decode.summary().mean_ms,
+            decode_ms_mean: self.sums.decode.summary().mean_ms,
             timed: encode.count,
-            agreement: self.compared.share(),
-            compared: self.compared,
-            stamps_agree: self.stamps_agree,
+            agreement: compared.share(),
+            compared,
+            stamps_differ,
         }
     }
 }
@@ -242,10 +232,10 @@ impl Lane<'_> {
         self.sender
             .batch(now, batch, changes, &mut self.messages)
             .with_context(|| self.bench.method.to_string())?;
-        self.bench.encode.add(core::mem::take(&mut self.took) + started.elapsed());
+        self.bench.sums.encode.add(core::mem::take(&mut self.took) + started.elapsed());
         self.sender.published(batch, changes);
         let took = self.deliver(now)?;
-        self.bench.decode.add(took);
+        self.bench.sums.decode.add(took);
         Ok(())
     }
 
@@ -254,8 +244,8 @@ impl Lane<'_> {
         let mut took = Duration::ZERO;
         for message in self.messages.drain(..) {
             self.sent.add(now, message.len() as u64 * self.receivers);
-            self.bench.packages += self.receivers;
-            self.bench.datagrams += message.len().div_ceil(DATAGRAM_BYTES) as u64 * self.receivers;
+            self.bench.sums.packages += self.receivers;
+            self.bench.sums.datagrams += message.len().div_ceil(DATAGRAM_BYTES) as u64 * self.receivers;
             let started = Instant::now();
             self.receiver.receive(&message).with_context(|| self.bench.method.to_string())?;
             took += started.elapsed();
@@ -265,27 +255,15 @@ impl Lane<'_> {
 
     /// The record is over: compares with what the batches said.
     fn end(self, truth: &Layer) {
-        let compared = compare(&*self.receiver, truth);
-        let bench = self.bench;
-        bench.compared.known += compared.known;
-        bench.compared.equal += compared.equal;
-        bench.stamps_agree &= self.receiver.layer().is_none_or(|layer| layer.digest() == truth.digest());
-        bench.robots += 1;
-        bench.total_bytes += self.sent.total();
-        bench.second_bytes_max = bench.second_bytes_max.max(self.sent.largest_second());
+        let compared = Comparison::of(self.receiver.states(), blocks_of(truth));
+        let sums = &mut self.bench.sums;
+        sums.compared.known += compared.known;
+        sums.compared.equal += compared.equal;
+        sums.stamps_differ |= self.receiver.layer().is_some_and(|layer| layer.digest() != truth.digest());
+        sums.robots += 1;
+        sums.total_bytes += self.sent.total();
+        sums.second_bytes_max = sums.second_bytes_max.max(self.sent.largest_second());
     }
-}
-
-fn compare(receiver: &dyn Receiver, truth: &Layer) -> Comparison {
-    let received: HashMap<_, _> = receiver.states().collect();
-    let mut compared = Comparison::default();
-    for (index, block) in &received {
-        compared.add(Some(block), truth.block(*index));
-    }
-    for (_, block) in truth.blocks().filter(|(index, _)| !received.contains_key(index)) {
-        compared.add(None, Some(block));
-    }
-    compared
 }
 
 #[cfg(test)]

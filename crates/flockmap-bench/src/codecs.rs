@@ -6,11 +6,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use flockmap::codec::Codec;
+use flockmap_cli::document::DataTable;
 use flockmap_cli::measure::KB;
 use flockmap_cli::member::IP_UDP_BYTES;
+use flockmap_cli::numbers::{kb, percent, thousands};
 use flockmap_cli::options::{MapArgs, SourceArgs};
 use flockmap_cli::progress::Progress;
-use flockmap_cli::table::{Table, kb, percent, thousands};
 use flockmap_cli::{json_file, sources, stop};
 use serde::Serialize;
 
@@ -25,7 +26,7 @@ Examples:
   flockmap-bench codecs forest --lidar avia
   flockmap-bench codecs robot1.mcap robot2.mcap --resolution 0.2 --range 30 --json codecs.json
   flockmap-bench codecs forest --codec paper,flock
-  flockmap-bench codecs forest --codec paper,flock --t-l-occupied 0.1 --t-l 2
+  flockmap-bench codecs forest --codec paper,flock --obstacle-period 0.1 --publish-period 2
   flockmap-bench codecs forest --codec all
 
 A method is `flock`, Flockmap's own codec, in packages of at most 1,150 bytes; or another codec (raw, nested-zlib, paper,
@@ -157,7 +158,7 @@ fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
     let Outcome { seconds, batches, .. } = outcome;
     println!("{title}");
     println!(
-        "  {resolution_m} m voxels, {range_m} m range, publish_period {publish_period_s} s, d {}; {seconds:.1} s in all, {} batches, {} changed voxels{}\n",
+        "  {resolution_m} m voxels, {range_m} m range, publish period {publish_period_s} s, d {}; {seconds:.1} s in all, {} batches, {} changed voxels{}\n",
         thousands(*d as u64),
         thousands(*batches),
         thousands(*changed_voxels),
@@ -170,7 +171,7 @@ fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
         base.map_or_else(String::new, ratio)
     };
     let bits = |row: &Row| row.total_bytes as f64 * 8.0 / (*changed_voxels).max(1) as f64;
-    let table = Table::of(
+    let table = DataTable::of_text(
         methods,
         &[
             ("method", &|row| row.method.to_string()),
@@ -211,7 +212,7 @@ fn print_snapshots(rows: &[SnapshotRow]) {
         let ratio = |paper: u64| format!("×{:.3}", row.total_bytes as f64 / paper.max(1) as f64);
         base.map_or_else(String::new, ratio)
     };
-    let table = Table::of(
+    let table = DataTable::of_text(
         rows,
         &[
             ("method", &|row| row.name.clone()),

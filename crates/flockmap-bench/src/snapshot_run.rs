@@ -1,4 +1,4 @@
-//! The final map of each record as a snapshot: what a late joiner has to be told.
+//! The final map of each record as a snapshot: what a late joiner has to be sent.
 
 use std::time::Instant;
 
@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::baselines::Method;
 
 /// The snapshots of all records together, by one method.
-#[derive(Serialize, Debug)]
+#[derive(Serialize, Debug, Default)]
 pub struct SnapshotRow {
     pub name: String,
     /// Chunks with their headers.
@@ -24,7 +24,7 @@ pub struct SnapshotRow {
 /// Where a method does not cut its packages: 1 MiB, more than any of these maps takes under the paper's codec.
 const WHOLE_BYTES: usize = 1 << 20;
 
-/// Tells `layers` by each of the methods that make map packages, reads it back and compares.
+/// Codes `layers` by each of the methods that make map packages, reads it back and compares.
 ///
 /// # Errors
 /// If what comes back is not what went in.
@@ -36,13 +36,7 @@ pub fn run(layers: &[Layer], resolution: Resolution, methods: &[Method]) -> anyh
             Method::Datagrams(codec) => (*codec, PACKAGE_BYTES_MAX),
             _ => continue,
         };
-        let mut row = SnapshotRow {
-            name: method.to_string(),
-            total_bytes: 0,
-            chunks: 0,
-            encode_ms: 0.0,
-            decode_ms: 0.0,
-        };
+        let mut row = SnapshotRow { name: method.to_string(), ..SnapshotRow::default() };
         for layer in layers {
             row.add(codec, bytes_max, layer, resolution).with_context(|| row.name.clone())?;
         }
@@ -67,7 +61,7 @@ impl SnapshotRow {
         let started = Instant::now();
         let received = received(&chunks)?;
         self.decode_ms += started.elapsed().as_secs_f64() * 1e3;
-        ensure!(received.digest() == layer.digest(), "the snapshot is not what was told");
+        ensure!(received.digest() == layer.digest(), "the snapshot is not what was published");
         self.total_bytes += chunks.iter().map(|chunk| chunk.bytes().len() as u64).sum::<u64>();
         self.chunks += chunks.len() as u64;
         Ok(())

@@ -7,7 +7,7 @@ use maud::{Markup, html};
 pub enum Scale {
     /// Even steps from 0 on.
     Linear,
-    /// A decade has the same width everywhere. What is not above 0 lies on the floor of the axis.
+    /// A decade has the same width everywhere. What is not above 0 lies at its low end.
     Log,
 }
 
@@ -35,7 +35,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// A bar: name, class, length, and the length in words.
+/// A bar: name, class, length, and the length as text.
 pub struct Bar {
     pub name: String,
     pub class: &'static str,
@@ -43,7 +43,7 @@ pub struct Bar {
     pub text: String,
 }
 
-/// Classes of the page's style for lines that are just told apart, in the order of use.
+/// Classes of the page's style for lines that only have to differ, in the order of use.
 pub const COLOURS: [&str; 8] = ["c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8"];
 
 const WIDTH: f64 = 720.0;
@@ -55,8 +55,8 @@ const BOTTOM: f64 = 58.0;
 /// A logarithmic axis shows at most so many decades below its top.
 const DECADES_MAX: f64 = 9.0;
 
-/// KB in each second on a logarithmic axis, so that lines a factor of ten apart can both be read. A second with nothing lies on the
-/// floor of the axis.
+/// KB in each second on a logarithmic axis, so that lines a factor of ten apart can both be read. A second with nothing lies at
+/// its low end.
 pub fn kb_per_second(lines: &[Line<'_>]) -> Markup {
     let (x, y) = (
         Axis { label: "time in s", scale: Scale::Linear },

@@ -6,9 +6,11 @@
 pub mod chart;
 pub mod document;
 pub mod explore;
+pub mod flight;
 pub mod json_file;
 pub mod measure;
 pub mod member;
+pub mod numbers;
 pub mod options;
 pub mod parallel;
 pub mod picture;
@@ -19,5 +21,4 @@ pub mod robot_record;
 pub mod sources;
 pub mod stop;
 pub mod swarm;
-pub mod table;
 pub mod team;

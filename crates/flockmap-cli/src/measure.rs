@@ -1,6 +1,8 @@
 //! What is measured while a swarm runs: bytes over time, ages, times.
 
-use flockmap::grid::{Changes, Layer, StateBlock};
+use std::collections::BTreeMap;
+
+use flockmap::grid::{BlockIndex, Changes, Layer, StateBlock};
 use flockmap::{Stamp, State};
 use flockmap_node::Histogram;
 use serde::Serialize;
@@ -99,11 +101,6 @@ impl TimeSummary {
 }
 
 impl Times {
-    /// Those of several robots.
-    pub fn together<'a>(times: impl IntoIterator<Item = &'a Self>) -> Self {
-        Self(times.into_iter().flat_map(|times| times.0.iter().copied()).collect())
-    }
-
     pub fn add(&mut self, duration: std::time::Duration) {
         self.0.push(duration.as_secs_f64() * 1e3);
     }
@@ -211,9 +208,8 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Compares block by block. The function gives the block of the other map at the same place.
-    pub fn add(&mut self, ours: Option<&StateBlock>, theirs: Option<&StateBlock>) {
-        let (ours, theirs) = (ours.copied().unwrap_or_default(), theirs.copied().unwrap_or_default());
+    /// Counts the voxels of two blocks at the same place.
+    pub fn add(&mut self, ours: &StateBlock, theirs: &StateBlock) {
         let (a, b) = (ours.known(), theirs.known());
         for z in 0..8 {
             self.known += u64::from((a[z] | b[z]).count_ones());
@@ -222,22 +218,41 @@ impl Comparison {
         }
     }
 
+    /// Two maps, voxel by voxel.
+    pub fn of(ours: impl IntoIterator<Item = Block>, theirs: impl IntoIterator<Item = Block>) -> Self {
+        let mut comparison = Self::default();
+        side_by_side(ours, theirs).values().for_each(|[ours, theirs]| comparison.add(ours, theirs));
+        comparison
+    }
+
     /// Two layers, voxel by voxel.
     pub fn of_layers(ours: &Layer, theirs: &Layer) -> Self {
-        let mut comparison = Self::default();
-        for (index, block) in ours.blocks() {
-            comparison.add(Some(block), theirs.block(index));
-        }
-        for (_, block) in theirs.blocks().filter(|(index, _)| ours.block(*index).is_none()) {
-            comparison.add(None, Some(block));
-        }
-        comparison
+        Self::of(blocks_of(ours), blocks_of(theirs))
     }
 
     /// Share of equal voxels, 0 to 1; 1 if nothing is known.
     pub fn share(&self) -> f64 {
         if self.known == 0 { 1.0 } else { self.equal as f64 / self.known as f64 }
     }
+}
+
+/// A block of a map and its place.
+pub type Block = (BlockIndex, StateBlock);
+
+/// The blocks of a layer.
+pub fn blocks_of(layer: &Layer) -> impl Iterator<Item = Block> {
+    layer.blocks().map(|(index, block)| (index, *block))
+}
+
+/// The blocks of two maps by place; where one has none, nothing is known.
+pub fn side_by_side(
+    ours: impl IntoIterator<Item = Block>,
+    theirs: impl IntoIterator<Item = Block>,
+) -> BTreeMap<BlockIndex, [StateBlock; 2]> {
+    let mut blocks = BTreeMap::<_, [StateBlock; 2]>::new();
+    ours.into_iter().for_each(|(index, block)| blocks.entry(index).or_default()[0] = block);
+    theirs.into_iter().for_each(|(index, block)| blocks.entry(index).or_default()[1] = block);
+    blocks
 }
 
 #[cfg(test)]

@@ -1,15 +1,13 @@
 //! What is measured of one robot while it runs, in virtual time or in real time.
 
-use std::time::Duration;
-
 use flockmap::codec::{Codec, Encoder};
 use flockmap::grid::Layer;
 use flockmap::{Changes, Event, ScanReport, Stamp};
 
-use crate::measure::{AgesByState, SentBytes, Times};
+use crate::measure::{AgesByState, SentBytes};
 
 /// Bytes that IPv4 and UDP put before each datagram.
-pub const IP_UDP_BYTES: u64 = 28;
+pub const IP_UDP_BYTES: u64 = flockmap_netsim::IP_UDP_BYTES as u64;
 /// RACER sends an address of 4 bytes and a state byte for each voxel …
 const RACER_VOXEL_BYTES: u64 = 5;
 /// … in messages of 200 voxels …
@@ -31,49 +29,17 @@ pub struct Measures {
     /// What the paper's method would have sent for the same batches, each as one whole package, once.
     pub paper: SentBytes,
     pub paper_packages: u64,
-    /// Own changes closed into packages.
-    pub pack: Times,
-    /// A datagram of others decoded, merged and fused.
-    pub insert: Times,
-    /// A scan mapped.
-    pub map: Times,
     /// Ages of what was merged from others.
     pub ages: AgesByState,
     /// State and stamp of the scan that set it, of every voxel of the own map.
     pub onset: Layer,
     encoder: Encoder,
-    /// Time of the input whose events come next, and what it was.
-    input: Option<(Input, Duration)>,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Input {
-    Own,
-    Datagram,
 }
 
 impl Measures {
-    /// A scan was mapped; `took` if it was measured here.
-    pub fn scan(&mut self, took: Option<Duration>, report: &ScanReport, stamp: Stamp) {
-        if let Some(took) = took {
-            self.map.add(took);
-        }
+    /// A scan was mapped.
+    pub fn scan(&mut self, report: &ScanReport, stamp: Stamp) {
         self.onset.apply(&Changes::from_blocks(report.changed.clone()), stamp);
-    }
-
-    /// The robot was told the time, or to flush. Events follow.
-    pub fn own_input(&mut self, took: Duration) {
-        self.input = Some((Input::Own, took));
-    }
-
-    /// The robot was given a datagram. Events follow.
-    pub fn datagram_input(&mut self, took: Duration) {
-        self.input = Some((Input::Datagram, took));
-    }
-
-    /// A datagram came in.
-    pub fn datagram_received(&mut self, now: Stamp, bytes: usize) {
-        self.received.add(now, bytes as u64);
     }
 
     /// The robot put a datagram on the air, in so many copies.
@@ -82,29 +48,17 @@ impl Measures {
         self.datagrams += copies;
     }
 
-    /// Something came of the last input. Time is counted once for each input.
+    /// Something happened; only batches that were closed count here.
     pub fn event(&mut self, now: Stamp, event: &Event) {
-        match event {
-            Event::BatchClosed { batch, changes, .. } => {
-                if let Some((_, took)) = self.input.take_if(|(input, _)| *input == Input::Own) {
-                    self.pack.add(took);
-                }
-                let voxels = changes.len() as u64;
-                let messages = voxels.div_ceil(RACER_MESSAGE_VOXELS);
-                self.racer_messages += messages;
-                self.racer.add(now, voxels * RACER_VOXEL_BYTES + messages * RACER_MESSAGE_BYTES);
-                let index = self.paper_packages as u32 + 1;
-                if let Ok(whole) = self.encoder.encode_whole(Codec::Paper, batch, index, changes) {
-                    self.paper_packages += 1;
-                    self.paper.add(now, whole.bytes().len() as u64);
-                }
-            }
-            Event::Merged { .. } => {
-                if let Some((_, took)) = self.input.take_if(|(input, _)| *input == Input::Datagram) {
-                    self.insert.add(took);
-                }
-            }
-            _ => {}
+        let Event::BatchClosed { batch, changes, .. } = event else { return };
+        let voxels = changes.len() as u64;
+        let messages = voxels.div_ceil(RACER_MESSAGE_VOXELS);
+        self.racer_messages += messages;
+        self.racer.add(now, voxels * RACER_VOXEL_BYTES + messages * RACER_MESSAGE_BYTES);
+        let index = self.paper_packages as u32 + 1;
+        if let Ok(whole) = self.encoder.encode_whole(Codec::Paper, batch, index, changes) {
+            self.paper_packages += 1;
+            self.paper.add(now, whole.bytes().len() as u64);
         }
     }
 }

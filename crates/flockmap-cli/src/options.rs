@@ -140,10 +140,10 @@ impl MapArgs {
     pub fn batch(&self) -> anyhow::Result<BatchConfig> {
         ensure!(self.d > 0, "--d is 0, expected at least 1");
         let obstacle_period_ms =
-            self.obstacle_period.map(|seconds| milliseconds("--t-l-occupied", seconds)).transpose()?;
+            self.obstacle_period.map(|seconds| milliseconds("--obstacle-period", seconds)).transpose()?;
         Ok(BatchConfig {
             voxels_max: self.d,
-            publish_period_ms: milliseconds("--t-l", self.publish_period)?,
+            publish_period_ms: milliseconds("--publish-period", self.publish_period)?,
             obstacle_period_ms,
         })
     }

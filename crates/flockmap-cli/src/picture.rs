@@ -134,22 +134,21 @@ fn draw_one(
     }
     for ((x, y), heights) in block_columns {
         let own = snapshot.own.get(&(x, y)).copied().unwrap_or(0);
-        for (bit, height) in heights.into_iter().enumerate().filter(|(_, height)| *height >= -1) {
+        for (bit, above) in heights.into_iter().enumerate().filter(|(_, above)| *above >= -1) {
             let (column, row) =
                 (x * BLOCK_SIDE + bit as i32 % 8 - span[0], y * BLOCK_SIDE + bit as i32 / 8 - span[1]);
             if column < 0 || row < 0 || column >= columns || row >= rows {
                 continue;
             }
             let received = own >> bit & 1 == 0;
-            let colour = if height < 0 {
+            let colour = if above < 0 {
                 1 + u8::from(received)
             } else {
-                let shade = (height - from) as usize * SHADES / ((to - from) as usize + 1);
+                let shade = (above - from) as usize * SHADES / ((to - from) as usize + 1);
                 (3 + shade.min(SHADES - 1) + if received { SHADES } else { 0 }) as u8
             };
             // North up: y grows upwards.
-            let pixel = &mut pixels
-                [((height_of(row, scale, height_px(rows, scale))) * width + column / scale) as usize];
+            let pixel = &mut pixels[((height - 1 - row / scale) * width + column / scale) as usize];
             // Where a pixel is several columns, an obstacle hides free space.
             if *pixel < 3 || colour >= 3 {
                 *pixel = colour;
@@ -165,12 +164,4 @@ fn draw_one(
     encoder.set_compression(png::Compression::High);
     encoder.write_header()?.write_image_data(&pixels)?;
     Ok(Picture { png, width: width as u32, height: height as u32, pixel_m: side * f64::from(scale) })
-}
-
-const fn height_px(rows: i32, scale: i32) -> i32 {
-    (rows + scale - 1) / scale
-}
-
-const fn height_of(row: i32, scale: i32, height: i32) -> i32 {
-    height - 1 - row / scale
 }

@@ -22,7 +22,7 @@ pub fn exit_code(result: anyhow::Result<bool>) -> ExitCode {
     }
 }
 
-/// The command as it was given, for reports: the same words make the same run again.
+/// The command as it was given, for reports: it makes the same run again.
 pub fn command_line() -> String {
     let quoted = |word: String| {
         if word.contains(|c: char| c.is_whitespace() || "'\"$`\\&;|<>()".contains(c)) {

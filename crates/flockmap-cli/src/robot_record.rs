@@ -8,7 +8,8 @@ use flockmap::{Pose, Resolution, Scan, Stamp, Voxel};
 use flockmap_io::RecordWriter;
 use serde::Serialize;
 
-use crate::table::{Table, thousands};
+use crate::document::DataTable;
+use crate::numbers::thousands;
 
 /// A record that is being written, and what it holds so far.
 pub struct RobotRecord {
@@ -31,7 +32,7 @@ pub struct RecordFacts {
     pub no_returns: u64,
     /// From the first to the last scan.
     pub seconds: f64,
-    /// Length of the way from scan to scan.
+    /// Length of the path from scan to scan.
     pub path_m: f64,
     /// Pictures of the map.
     pub views: u64,
@@ -119,7 +120,7 @@ pub fn prepare_folder(folder: &Path, robots: usize) -> anyhow::Result<()> {
 
 /// Prints what records hold.
 pub fn print_table(records: &[RecordFacts]) {
-    let table = Table::of(
+    let table = DataTable::of_text(
         records,
         &[
             ("robot", &|r| r.robot.clone()),

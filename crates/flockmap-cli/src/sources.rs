@@ -1,6 +1,5 @@
 //! Where scans come from: records of robots, or simulated robots that fly through a world.
 
-use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -43,12 +42,12 @@ pub struct Source {
 /// The frames of a source, prepared ahead of use by a thread of its own.
 pub struct Frames {
     receiver: Receiver<anyhow::Result<Frame>>,
-    ready: VecDeque<Frame>,
+    next: Option<Frame>,
     /// Scans that could not be read. They are left out.
     pub damaged: u64,
 }
 
-/// Frames that a thread may prepare ahead of use; so many scans are held at most.
+/// Frames that a thread may prepare ahead of use; so many wait at most.
 const FRAMES_AHEAD: usize = 4;
 
 impl Frames {
@@ -62,16 +61,13 @@ impl Frames {
                 }
             }
         });
-        Self { receiver, ready: VecDeque::new(), damaged: 0 }
+        Self { receiver, next: None, damaged: 0 }
     }
 
     /// Stamp of the next frame, `None` at the end.
     pub fn next_stamp(&mut self) -> Option<Stamp> {
-        if self.ready.is_empty() {
-            let frame = self.receive()?;
-            self.ready.push_back(frame);
-        }
-        self.ready.front().map(|frame| frame.scan.stamp)
+        self.next = self.next.take().or_else(|| self.receive());
+        self.next.as_ref().map(|frame| frame.scan.stamp)
     }
 
     fn receive(&mut self) -> Option<Frame> {
@@ -93,10 +89,7 @@ impl Iterator for Frames {
     type Item = Frame;
 
     fn next(&mut self) -> Option<Frame> {
-        match self.ready.pop_front() {
-            Some(frame) => Some(frame),
-            None => self.receive(),
-        }
+        self.next.take().or_else(|| self.receive())
     }
 }
 
@@ -127,7 +120,7 @@ pub fn open(
         _ => {
             if let Some(world) = paths.iter().find(|path| is_world(path)) {
                 bail!(
-                    "{} is a world, not a record: name one world alone (with --robots N), or records only",
+                    "{} is a world, not a record: name one world (with --robots N), or records only",
                     world.display()
                 );
             }
@@ -156,8 +149,7 @@ pub fn check_scene(scene: &Path) -> anyhow::Result<()> {
 /// Whether this names a world to fly through.
 pub fn is_world(path: &Path) -> bool {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    path == Path::new("forest")
-        || path == Path::new("indoor")
+    matches!(path.to_str(), Some("forest" | "indoor"))
         || matches!(extension.as_deref(), Some("bt" | "pcd" | "ply" | "las" | "laz"))
 }
 
@@ -179,11 +171,8 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
     let earliest = records.iter().map(|(_, [first, _])| *first).min().unwrap_or_default();
     let title = records.iter().map(|(record, _)| record.name.as_str()).collect::<Vec<_>>().join(" + ");
     let zero = |first: Stamp| if real_stamps { earliest } else { first };
-    let team = if source.see_team_mates {
-        Team::new(records.iter().map(|(record, [first, _])| (record.poses.as_slice(), zero(*first))))
-    } else {
-        Team::default()
-    };
+    let seen = records.iter().filter(|_| source.see_team_mates);
+    let team = Team::new(seen.map(|(record, [first, _])| (record.poses.as_slice(), zero(*first))));
     let robots = records.into_iter().enumerate().map(|(number, (record, [first, last]))| {
         let name = record.name.clone();
         part(record, name, [first, last], zero(first), (team.clone(), number))
@@ -201,7 +190,7 @@ pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
     );
     let mut robots = Vec::new();
     for number in 0..parts {
-        // Each part reads the file for itself: only what is flown is held.
+        // Each part reads the file for itself: only what is flown is in memory.
         let (record, [first, last]) = open_spanned(path, source)?;
         let micros = last.micros_since(first) + 1;
         let from = first.plus_micros(micros * number / parts);
@@ -261,19 +250,14 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     options.speed_m_s = source.speed.unwrap_or(options.speed_m_s);
     let trajectories = Trajectory::plan(&world, source.robots, source.seed, &options)
         .with_context(|| format!("no flight for {} robots through {}", source.robots, path.display()))?;
-    let team = if source.see_team_mates {
-        Team::new(trajectories.iter().map(|trajectory| (trajectory.poses(), Stamp(0))))
-    } else {
-        Team::default()
-    };
+    let seen = || trajectories.iter().filter(|_| source.see_team_mates).map(Trajectory::poses);
+    let team = Team::new(seen().map(|poses| (poses, Stamp(0))));
     let obstacles =
         ObstacleOptions { count: source.moving_obstacles, duration_s: seconds, ..ObstacleOptions::default() };
     let mut tracks = Tracks::obstacles(&world, source.seed, &obstacles).context("--moving-obstacles")?;
     let mut own = vec![None; trajectories.len()];
-    if source.see_team_mates {
-        for (own, trajectory) in own.iter_mut().zip(&trajectories) {
-            *own = Some(tracks.push(Shape::ROBOT, trajectory.poses())?);
-        }
+    for (own, poses) in own.iter_mut().zip(seen()) {
+        *own = Some(tracks.push(Shape::ROBOT, poses)?);
     }
     let tracks = Arc::new(tracks);
     let robots = trajectories.into_iter().zip(own).enumerate().map(|(number, (trajectory, own))| {
@@ -328,11 +312,10 @@ const fn scan_options_of(robot: usize, options: ScanOptions) -> ScanOptions {
 
 /// The world that a name or file stands for.
 pub fn open_world(path: &Path, source: &SourceArgs) -> anyhow::Result<World> {
-    if path == Path::new("forest") {
-        return Ok(World::forest(source.seed));
-    }
-    if path == Path::new("indoor") {
-        return Ok(World::indoor(source.seed));
+    match path.to_str() {
+        Some("forest") => return Ok(World::forest(source.seed)),
+        Some("indoor") => return Ok(World::indoor(source.seed)),
+        _ => {}
     }
     let resolution = |side| {
         Resolution::from_metres(side)

@@ -3,70 +3,18 @@
 use std::time::Instant;
 
 use anyhow::Context;
-use flockmap::{Event, PoseError, Robot, RobotConfig, RobotId, Stamp};
-use flockmap_netsim::{Datagram, Delivery, Network, RadioConfig, Watch};
+use flockmap::{Event, Robot, RobotConfig, RobotId, Stamp};
+use flockmap_netsim::{Datagram, Delivery, RadioConfig, Watch};
 
+use crate::flight::Flight;
 use crate::measure::Times;
 use crate::member::Measures;
 use crate::picture::MapPicture;
-use crate::program::command_line;
-use crate::progress::Progress;
-use crate::report::{Course, Finished, Report, Settings};
-use crate::sources::{Frames, Source};
-use crate::stop;
+use crate::report::{Member, Run};
+use crate::sources::{Frame, Source};
 
 /// After the last scan, virtual time runs on for at most this long until everything has arrived.
-const SETTLE_SECONDS_MAX: f64 = 600.0;
-
-/// One robot of the swarm with what is measured of it.
-pub struct Member {
-    pub name: String,
-    pub robot: Robot,
-    pub measures: Measures,
-    /// Its map at three moments.
-    pub snapshots: Vec<MapPicture>,
-    pub frames_damaged: u64,
-}
-
-/// How a run went.
-pub struct Run {
-    pub members: Vec<Member>,
-    /// Time of the last scan.
-    pub last_scan: Stamp,
-    /// When everything had arrived everywhere; `None` if it has not.
-    pub arrived: Option<Stamp>,
-}
-
-impl Run {
-    /// What it comes to.
-    pub fn report(&self, title: String, settings: Settings) -> anyhow::Result<Report> {
-        let times = |of: fn(&Measures) -> &Times| {
-            Times::together(self.members.iter().map(|m| of(&m.measures))).summary()
-        };
-        let course = Course {
-            command: command_line(),
-            title,
-            record_s: self.last_scan.seconds(),
-            settle_s: self.arrived.map(|at| at.micros_since(self.last_scan).max(0) as f64 / 1e6),
-            interrupted: stop::requested(),
-            t_map: times(|m| &m.map),
-            t_pack: times(|m| &m.pack),
-            t_recv2insert: times(|m| &m.insert),
-        };
-        let finished: Vec<Finished<'_>> = self
-            .members
-            .iter()
-            .map(|m| Finished {
-                name: &m.name,
-                robot: &m.robot,
-                measures: &m.measures,
-                snapshots: &m.snapshots,
-                scans_damaged: m.frames_damaged,
-            })
-            .collect();
-        Report::new(course, settings, &finished)
-    }
-}
+pub const SETTLE_MICROS_MAX: i64 = 600_000_000;
 
 /// Runs all robots through their scans, and on until everything has arrived everywhere.
 pub fn run(
@@ -74,61 +22,39 @@ pub fn run(
     config: impl Fn(RobotId) -> RobotConfig,
     radio: RadioConfig,
 ) -> anyhow::Result<Run> {
-    let expected = sources.iter().map(|source| source.frames_expected).sum();
-    let progress = Progress::new("scans", expected);
+    let names: Vec<String> = sources.iter().map(|source| source.name.clone()).collect();
+    let mut pictures: Vec<Vec<MapPicture>> = names.iter().map(|_| Vec::new()).collect();
     let mut upcoming = moments(&sources).into_iter().peekable();
-    let (mut robots, mut inputs) = (Vec::new(), Vec::new());
-    for (number, source) in sources.into_iter().enumerate() {
-        robots.push(Robot::new(config(RobotId(number as u16 + 1)), Stamp(0))?);
-        inputs.push(Input { name: source.name, frames: source.frames, pictures: Vec::new() });
-    }
-    let mut meters = Meters::new(robots.len());
-    let mut network = Network::new(robots, radio, Stamp(0));
-    let mut last_scan = Stamp(0);
-    while let Some(next) = inputs.iter_mut().filter_map(|input| input.frames.next_stamp()).min() {
-        if stop::requested() {
-            break;
-        }
-        network.step(Some(next), &mut meters);
-        let now = network.now();
-        if next <= now {
-            last_scan = now;
-            for (number, input) in inputs.iter_mut().enumerate() {
-                while input.frames.next_stamp().is_some_and(|at| at <= now) {
-                    let scan = input.insert_scan(&mut network, number, &mut meters.measures[number]);
-                    scan.with_context(|| format!("a scan of robot {}", number + 1))?;
-                    progress.step();
-                }
-            }
-        }
-        if upcoming.next_if(|moment| *moment <= now).is_some() {
-            for (input, robot) in inputs.iter_mut().zip(network.nodes()) {
-                input.pictures.push(MapPicture::take(robot, next));
+    let mut meters = Meters::new(names.len());
+    let mut flight = Flight::new(sources, radio, "scans", |id| Ok(Robot::new(config(id), Stamp(0))?))?;
+    let ids = flight.network.ids().to_vec();
+    while let Some(next) = flight.next_scan() {
+        flight.network.step(Some(next), &mut meters);
+        flight.scan_due(|robot, number, now, frame| {
+            let inserted = meters.scan(robot, number, &ids, now, &frame);
+            inserted.with_context(|| format!("a scan of robot {}", number + 1))
+        })?;
+        if upcoming.next_if(|moment| *moment <= flight.network.now()).is_some() {
+            for (pictures, robot) in pictures.iter_mut().zip(flight.network.nodes()) {
+                pictures.push(MapPicture::take(robot, next));
             }
         }
     }
-    for number in 0..inputs.len() {
-        network.call(number, &mut meters, Robot::flush);
+    for number in 0..ids.len() {
+        flight.network.call(number, &mut meters, Robot::flush);
     }
-    progress.say("repairs".to_owned());
-    let until = last_scan.plus_micros((SETTLE_SECONDS_MAX * 1e6) as i64);
-    let arrived = loop {
-        if has_everything(network.nodes()) {
-            break Some(network.now());
-        }
-        if network.now() > until || stop::requested() {
-            break None;
-        }
-        network.step(None, &mut meters);
-    };
-    let now = network.now();
+    flight.progress.say("repairs".to_owned());
+    let last_scan = flight.last_scan;
+    let arrived = flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_everything);
+    let Flight { network, frames, .. } = flight;
+    let (now, [map, pack, insert]) = (network.now(), meters.times.map(|times| times.summary()));
+    let inputs = names.into_iter().zip(frames).zip(pictures);
     let members = network.into_nodes().into_iter().zip(inputs).zip(meters.measures);
-    let members = members.map(|((robot, mut input), measures)| {
-        input.pictures.push(MapPicture::take(&robot, now));
-        let (name, snapshots, frames_damaged) = (input.name, input.pictures, input.frames.damaged);
-        Member { name, robot, measures, snapshots, frames_damaged }
+    let members = members.map(|((robot, ((name, frames), mut pictures)), measures)| {
+        pictures.push(MapPicture::take(&robot, now));
+        Member { name, robot, measures, pictures, scans_damaged: frames.damaged }
     });
-    Ok(Run { members: members.collect(), last_scan, arrived })
+    Ok(Run { members: members.collect(), last_scan, arrived, map, pack, insert })
 }
 
 /// When pictures are taken: after one and two thirds of the longest source. The end is taken in any case.
@@ -137,39 +63,11 @@ fn moments(sources: &[Source]) -> [Stamp; 2] {
     [Stamp::from_seconds(seconds / 3.0), Stamp::from_seconds(seconds * 2.0 / 3.0)]
 }
 
-/// What a robot sees.
-struct Input {
-    name: String,
-    frames: Frames,
-    pictures: Vec<MapPicture>,
-}
-
-impl Input {
-    fn insert_scan(
-        &mut self,
-        network: &mut Network<Robot>,
-        number: usize,
-        measures: &mut Measures,
-    ) -> Result<(), PoseError> {
-        let (now, ids) = (network.now(), network.ids().to_vec());
-        let robot = &mut network.nodes_mut()[number];
-        if let Some(frame) = self.frames.next() {
-            for mate in &frame.team_mates {
-                if let Some(id) = ids.get(mate.number) {
-                    robot.set_teammate(*id, mate.position, now)?;
-                }
-            }
-            let started = Instant::now();
-            let report = robot.insert_scan(now, &frame.scan, &frame.pose)?;
-            measures.scan(Some(started.elapsed()), &report, frame.scan.stamp);
-        }
-        Ok(())
-    }
-}
-
 /// Measures what robots do. Robot `i` has the number `i` + 1.
 struct Meters {
     measures: Vec<Measures>,
+    /// To map a scan, to make packages of a batch, to take in a datagram with packages.
+    times: [Times; 3],
     is_datagram: bool,
     started: Instant,
 }
@@ -177,26 +75,54 @@ struct Meters {
 impl Meters {
     fn new(robots: usize) -> Self {
         let measures = (0..robots).map(|_| Measures::default()).collect();
-        Self { measures, is_datagram: false, started: Instant::now() }
+        Self { measures, times: Default::default(), is_datagram: false, started: Instant::now() }
+    }
+
+    /// Gives a robot what it sees.
+    fn scan(
+        &mut self,
+        robot: &mut Robot,
+        number: usize,
+        ids: &[RobotId],
+        now: Stamp,
+        frame: &Frame,
+    ) -> anyhow::Result<()> {
+        for mate in &frame.team_mates {
+            if let Some(id) = ids.get(mate.number) {
+                robot.set_teammate(*id, mate.position, now)?;
+            }
+        }
+        let started = Instant::now();
+        let report = robot.insert_scan(now, &frame.scan, &frame.pose)?;
+        self.times[0].add(started.elapsed());
+        self.measures[number].scan(&report, frame.scan.stamp);
+        Ok(())
     }
 }
 
 impl Watch<Robot> for Meters {
     fn begins(&mut self, now: Stamp, number: usize, _robot: &mut Robot, delivery: Option<&Delivery>) {
         if let Some(delivery) = delivery {
-            self.measures[number].datagram_received(now, delivery.bytes.len());
+            self.measures[number].received.add(now, delivery.bytes.len() as u64);
         }
         self.is_datagram = delivery.is_some();
         self.started = Instant::now();
     }
 
     fn called(&mut self, now: Stamp, number: usize, robot: &mut Robot) {
-        let took = self.started.elapsed();
-        match self.is_datagram {
-            true => self.measures[number].datagram_input(took),
-            false => self.measures[number].own_input(took),
-        }
+        // Time is counted once for each call.
+        let mut took = Some(self.started.elapsed());
         while let Some(event) = robot.poll_event() {
+            let times = match &event {
+                Event::BatchClosed { .. } if !self.is_datagram => Some(&mut self.times[1]),
+                Event::Merged { .. } if self.is_datagram => Some(&mut self.times[2]),
+                _ => None,
+            };
+            if let Some(times) = times
+                && let Some(took) = took.take()
+            {
+                times.add(took);
+            }
             if let Event::Merged { stream, changes, .. } = &event
                 && let sender = usize::from(stream.origin.0).wrapping_sub(1)
                 && let Ok([receiver, sender]) = self.measures.get_disjoint_mut([number, sender])
@@ -213,13 +139,13 @@ impl Watch<Robot> for Meters {
     }
 }
 
-/// Whether every robot holds all packages of every other.
+/// Whether every robot has received all packages of every other.
 fn has_everything(robots: &[Robot]) -> bool {
     robots.iter().all(|receiver| {
         robots.iter().all(|sender| {
             let packages = sender.counters().packages;
-            let held = receiver.session().received(sender.own_stream());
-            packages == 0 || held.is_some_and(|held| u64::from(held.prefix()) >= packages)
+            let received = receiver.session().received(sender.own_stream());
+            packages == 0 || received.is_some_and(|received| u64::from(received.prefix()) >= packages)
         })
     })
 }
@@ -227,7 +153,7 @@ fn has_everything(robots: &[Robot]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sources::Frame;
+    use crate::sources::Frames;
     use crate::team::TeamMate;
     use flockmap::{Pose, Resolution, Scan, State, Voxel};
 
@@ -253,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn robots_that_are_told_of_each_other_do_not_map_each_other() {
+    fn robots_that_know_of_each_other_do_not_map_each_other() {
         let resolution = Resolution::from_metres(0.1).unwrap();
         let config = |id| RobotConfig::new(id, resolution, 7.0);
         for (masked, seen) in [(true, State::Unknown), (false, State::Occupied)] {

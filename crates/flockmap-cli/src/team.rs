@@ -26,7 +26,7 @@ impl TeamMate {
 /// Where a robot was, in the order of the stamps.
 type Track = Vec<(Stamp, [f64; 3])>;
 
-/// The ways of all robots of a run, known beforehand.
+/// The tracks of all robots of a run, known beforehand.
 #[derive(Clone, Debug, Default)]
 pub struct Team {
     tracks: Arc<Vec<Track>>,

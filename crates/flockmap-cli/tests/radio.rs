@@ -87,7 +87,7 @@ impl Desk {
     }
 }
 
-/// Columns of the table, after the three words that name the robot.
+/// Columns of the table, after the three parts that name the robot.
 #[derive(Clone, Copy)]
 enum Column {
     SentBytes = 3,
@@ -120,8 +120,8 @@ fn robots_talk_through_the_radio_late_and_by_command_not_at_all() {
     desk.say("cut 3>1", "Cut");
     desk.send(3, 1, "lost");
     desk.wait_for(1, Column::Lost, 1);
-    desk.send(1, 3, "one way");
-    assert_eq!(desk.get(3), Some((1, "one way".into())));
+    desk.send(1, 3, "one direction");
+    assert_eq!(desk.get(3), Some((1, "one direction".into())));
     desk.say("join all", "Join");
     desk.send(3, 1, "again");
     assert_eq!(desk.get(1), Some((3, "again".into())));

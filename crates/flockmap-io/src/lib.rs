@@ -43,7 +43,7 @@ pub use cloud_reader::read_cloud;
 pub use describe::{Content, Description, Topic, describe};
 pub use error::{Place, Problem, ReadError, WriteError};
 pub use export::{ExportOptions, export_map, write_cloud};
-pub use octomap::{Cube, OCTOMAP_BYTES_MAX, OctoMap};
+pub use octomap::{Cube, OCTOMAP_BYTES_MAX, OctoMap, octomap_tree, read_octomap_tree};
 pub use record::{Frame, Frames, Record, RecordOptions, RecordSummary};
 pub use record_reader::open_record;
 pub use record_writer::RecordWriter;

@@ -21,6 +21,8 @@ pub const OCTOMAP_BYTES_MAX: u64 = 1 << 30;
 const DEPTH: u32 = 16;
 /// Indices run from −32,768 to 32,767 on each axis.
 const HALF: i32 = 1 << (DEPTH - 1);
+/// The lowest voxel of the root.
+const ROOT: Voxel = Voxel::new(-HALF, -HALF, -HALF);
 const FIRST_LINE: &str = "# Octomap OcTree binary file";
 
 /// A cube of voxels that all have one state: a leaf of the tree.
@@ -66,52 +68,13 @@ impl OctoMap {
         let mut header = HeaderLines::new(bytes);
         let (size, resolution) = parse_header(&mut header)?;
         let mut data = Bytes::new(header.rest(), header.at() as u64);
-        let mut map = Self { resolution, cubes: Vec::new(), nodes: size.min(1) };
-        if size > 0 {
-            map.read_node(&mut data, Voxel::new(-HALF, -HALF, -HALF), 0)?;
-        }
-        if map.nodes != size {
+        let mut cubes = Vec::new();
+        let nodes = if size > 0 { 1 + read_node(&mut data, ROOT, 0, &mut cubes)? } else { 0 };
+        if nodes != size {
             let expected = format!("{size} nodes, as the header says");
-            return Err(Fault::damaged(data.place(), expected, format!("{} nodes", map.nodes)));
+            return Err(Fault::damaged(data.place(), expected, format!("{nodes} nodes")));
         }
-        Ok(map)
-    }
-
-    /// Takes over the node at `depth` whose lowest voxel is `corner`, and all below it. At most 16 calls deep.
-    fn read_node(&mut self, data: &mut Bytes<'_>, corner: Voxel, depth: u32) -> Result<(), Fault> {
-        let place = data.place();
-        let children = data.u16("children of a node")?;
-        let side = 1i32 << (DEPTH - depth - 1);
-        let corners: [Voxel; 8] = core::array::from_fn(|child| {
-            let step = |axis: usize| side * (child >> axis & 1) as i32;
-            Voxel::new(corner.x + step(0), corner.y + step(1), corner.z + step(2))
-        });
-        let children =
-            || corners.into_iter().enumerate().map(|(i, corner)| (corner, children >> (2 * i) & 3));
-        for (corner, bits) in children() {
-            let state = match bits {
-                0 => continue,
-                1 => State::Free,
-                2 => State::Occupied,
-                _ if depth + 1 == DEPTH => {
-                    return Err(Fault::damaged(
-                        place,
-                        "no nodes below depth 16",
-                        "a node with children there",
-                    ));
-                }
-                _ => State::Unknown,
-            };
-            if state != State::Unknown {
-                self.cubes.push(Cube { corner, side: side as u32, state });
-            }
-            self.nodes += 1;
-        }
-        // A node is written whole before the nodes below it.
-        for (corner, _) in children().filter(|(_, bits)| *bits == 3) {
-            self.read_node(data, corner, depth + 1)?;
-        }
-        Ok(())
+        Ok(Self { resolution, cubes, nodes })
     }
 
     /// Side of a voxel.
@@ -153,6 +116,49 @@ impl OctoMap {
             ]
         })
     }
+}
+
+/// The leaves of a bare tree: what stands in a `.bt` file after its header. `None` if it is cut short, goes below depth 16, or
+/// does not end where the bytes do. Memory: at most 80 bytes for each of the bytes.
+pub fn read_octomap_tree(bytes: &[u8]) -> Option<Vec<Cube>> {
+    let (mut data, mut cubes) = (Bytes::new(bytes, 0), Vec::new());
+    read_node(&mut data, ROOT, 0, &mut cubes).ok()?;
+    data.rest().is_empty().then_some(cubes)
+}
+
+/// Takes over the node at `depth` whose lowest voxel is `corner`, and all below it. Returns the number of nodes below it.
+/// At most 16 calls deep.
+fn read_node(data: &mut Bytes<'_>, corner: Voxel, depth: u32, cubes: &mut Vec<Cube>) -> Result<u64, Fault> {
+    let place = data.place();
+    let children = data.u16("children of a node")?;
+    let side = 1i32 << (DEPTH - depth - 1);
+    let corners: [Voxel; 8] = core::array::from_fn(|child| {
+        let step = |axis: usize| side * (child >> axis & 1) as i32;
+        Voxel::new(corner.x + step(0), corner.y + step(1), corner.z + step(2))
+    });
+    let children = || corners.into_iter().enumerate().map(|(i, corner)| (corner, children >> (2 * i) & 3));
+    let mut nodes = 0;
+    for (corner, bits) in children() {
+        let state = match bits {
+            0 => continue,
+            1 => State::Free,
+            2 => State::Occupied,
+            _ if depth + 1 == DEPTH => {
+                let found = "a node with children there";
+                return Err(Fault::damaged(place, "no nodes below depth 16", found));
+            }
+            _ => State::Unknown,
+        };
+        if state != State::Unknown {
+            cubes.push(Cube { corner, side: side as u32, state });
+        }
+        nodes += 1;
+    }
+    // A node is written whole before the nodes below it.
+    for (corner, _) in children().filter(|(_, bits)| *bits == 3) {
+        nodes += read_node(data, corner, depth + 1, cubes)?;
+    }
+    Ok(nodes)
 }
 
 /// Nodes of the tree, and side of a voxel.
@@ -204,21 +210,32 @@ fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(u64, Resolution), Fault>
     Ok((size, resolution))
 }
 
-/// A `.bt` tree that OctoMap's own tools read; eight equal leaves are joined to one. Of two entries for one voxel the
-/// later counts; Unknown entries are left out. Memory: 24 bytes a voxel. Fails if an index is outside −32,768 … 32,767.
+/// A `.bt` file that OctoMap's own tools read. Fails if an index is outside −32,768 … 32,767.
 pub(crate) fn octomap_bytes(
     path: &Path,
     resolution: Resolution,
     voxels: impl IntoIterator<Item = (Voxel, State)>,
 ) -> Result<Vec<u8>, WriteError> {
+    let (data, nodes) = octomap_tree(voxels).map_err(|voxel| WriteError::Unfit {
+        path: path.to_owned(),
+        what: format!("voxel {voxel:?}"),
+        why: format!("an OctoMap reaches from index {} to {} on each axis", -HALF, HALF - 1),
+    })?;
+    let note = "# (feel free to add / change comments, but leave the first line as it is!)\n#";
+    let res = resolution.metres();
+    let header = format!("{FIRST_LINE}\n{note}\nid OcTree\nsize {nodes}\nres {res}\ndata\n");
+    Ok([header.as_bytes(), &data].concat())
+}
+
+/// A bare tree of these voxels, and its number of nodes with the root; eight equal leaves are joined to one. Of two entries for
+/// one voxel the later counts; Unknown entries are left out. Memory: 24 bytes a voxel.
+///
+/// # Errors
+/// Gives a voxel with an index outside −32,768 … 32,767.
+pub fn octomap_tree(voxels: impl IntoIterator<Item = (Voxel, State)>) -> Result<(Vec<u8>, u64), Voxel> {
     let mut leaves = Vec::new();
     for (voxel, state) in voxels.into_iter().filter(|(_, state)| *state != State::Unknown) {
-        let code = morton(voxel).ok_or_else(|| WriteError::Unfit {
-            path: path.to_owned(),
-            what: format!("voxel {voxel:?}"),
-            why: format!("an OctoMap reaches from index {} to {} on each axis", -HALF, HALF - 1),
-        })?;
-        leaves.push(Leaf { code, depth: DEPTH, state });
+        leaves.push(Leaf { code: morton(voxel).ok_or(voxel)?, depth: DEPTH, state });
     }
     leaves.sort_by_key(|leaf| leaf.code);
     leaves.dedup_by(|later, earlier| {
@@ -231,10 +248,7 @@ pub(crate) fn octomap_bytes(
     let leaves = join(leaves);
     let mut data = Vec::new();
     let nodes = if leaves.is_empty() { 0 } else { 1 + write_node(&leaves, 0, &mut data) };
-    let note = "# (feel free to add / change comments, but leave the first line as it is!)\n#";
-    let res = resolution.metres();
-    let header = format!("{FIRST_LINE}\n{note}\nid OcTree\nsize {nodes}\nres {res}\ndata\n");
-    Ok([header.as_bytes(), &data].concat())
+    Ok((data, nodes))
 }
 
 #[derive(Clone, Copy)]

@@ -10,11 +10,12 @@ use anyhow::{Context, Result, ensure};
 use flockmap::codec::Batch;
 use flockmap::grid::{Changes, Stamp, State, Voxel, VoxelBox};
 
-use crate::baselines::bytes::{MESSAGE_VOXELS_MAX, Packer, Reader, unpack, write_box};
+use crate::baselines::bytes::{
+    MESSAGE_VOXELS_MAX, Packer, Reader, nested_place, nested_voxel, put_varint, read_box, unpack,
+    varint_up_to, write_box,
+};
 use crate::baselines::morton::{interleave, separate};
-use crate::baselines::state_map::StateMap;
 use crate::baselines::traits::{Messages, Sender};
-use flockmap::codec::bytes::put_varint;
 
 const METHOD: &str = "address-delta-zstd";
 
@@ -75,31 +76,30 @@ impl Order {
     /// `None` if the box is too large for it.
     fn address(self, region: &VoxelBox, voxel: Voxel) -> Option<u64> {
         let (min, size) = (region.min(), region.size());
-        let [x, y, z] = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as u64);
         match self {
             Self::Nested => {
                 let fits = region.volume() <= u128::from(ADDRESS_MAX);
-                fits.then(|| (x * u64::from(size[1]) + y) * u64::from(size[2]) + z)
+                fits.then(|| nested_place(region, voxel))
             }
             Self::Morton => {
                 let fits = size.iter().all(|side| *side <= 1 << MORTON_BITS);
-                fits.then(|| interleave([x, y, z]))
+                let place = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as u64);
+                fits.then(|| interleave(place))
             }
         }
     }
 
     /// `None` if there is no such voxel in the box.
     fn voxel(self, region: &VoxelBox, address: u64) -> Option<Voxel> {
-        let (min, size) = (region.min(), region.size().map(u64::from));
-        let [x, y, z] = match self {
-            Self::Nested => {
-                let (xy, z) = (address / size[2], address % size[2]);
-                [xy / size[1], xy % size[1], z]
+        match self {
+            Self::Nested => nested_voxel(region, address),
+            Self::Morton => {
+                let (min, place) = (region.min(), separate(address));
+                let is_inside = place.iter().zip(region.size()).all(|(at, side)| *at < u64::from(side));
+                let [x, y, z] = place.map(|at| at as i32);
+                is_inside.then(|| Voxel::new(min.x + x, min.y + y, min.z + z))
             }
-            Self::Morton => separate(address),
-        };
-        let inside = x < size[0] && y < size[1] && z < size[2];
-        inside.then(|| Voxel::new(min.x + x as i32, min.y + y as i32, min.z + z as i32))
+        }
     }
 }
 
@@ -143,39 +143,33 @@ fn runs(list: &[(u64, State)]) -> Vec<u8> {
     out
 }
 
-/// Takes in a message. Memory: what it unpacks to, at most 64 MiB, and 16 bytes for each of at most 2²³ voxels.
-pub(crate) fn apply(message: &[u8], map: &mut StateMap) -> Result<()> {
-    let mut reader = Reader::new(METHOD, message);
-    let layout = reader.u8("a layout")?;
-    let rule = "a box within the grid";
-    let region = reader.voxel_box(u64::from(u32::MAX), rule)?;
+/// What a message changes. Memory: what it unpacks to, at most 64 MiB, and 16 bytes for each of at most 2²³ voxels.
+pub(crate) fn parse(message: &[u8]) -> Option<Changes> {
+    let mut reader = Reader::new(message);
+    let layout = reader.u8()?;
+    let region = read_box(&mut reader, u64::from(u32::MAX))?;
     let lists = unpack(&mut reader)?;
-    let mut lists = Reader::new(METHOD, &lists);
+    let mut lists = Reader::new(&lists);
     let voxels = match layout {
         0 => read_singles(&mut lists, &region)?,
         1 => read_runs(&mut lists, &region, Order::Nested)?,
         2 => read_runs(&mut lists, &region, Order::Morton)?,
-        _ => return Err(reader.wrong("a layout of 0, 1 or 2")),
+        _ => return None,
     };
-    if !lists.is_empty() {
-        return Err(reader.wrong("nothing after the lists"));
-    }
-    map.apply(&Changes::from_voxels(voxels))?;
-    Ok(())
+    lists.is_empty().then(|| Changes::from_voxels(voxels))
 }
 
-fn read_singles(lists: &mut Reader<'_>, region: &VoxelBox) -> Result<Vec<(Voxel, State)>> {
-    let rule = "at most 2²³ voxels, all in the box, and a bit of state for each";
+fn read_singles(lists: &mut Reader<'_>, region: &VoxelBox) -> Option<Vec<(Voxel, State)>> {
     // A distance takes a byte at least.
-    let count = lists.varint(MESSAGE_VOXELS_MAX.min(lists.rest().len() as u64), rule)? as usize;
+    let count = varint_up_to(lists, MESSAGE_VOXELS_MAX.min(lists.rest().len() as u64))? as usize;
     let mut voxels = Vec::with_capacity(count);
     let mut next = 0u64;
     for _ in 0..count {
-        let address = next + lists.varint(ADDRESS_MAX - next, rule)?;
-        voxels.push((Order::Nested.voxel(region, address).ok_or_else(|| lists.wrong(rule))?, State::Free));
+        let address = next + varint_up_to(lists, ADDRESS_MAX - next)?;
+        voxels.push((Order::Nested.voxel(region, address)?, State::Free));
         next = address + 1;
     }
-    let bits = lists.take(count.div_ceil(8), rule)?;
+    let bits = lists.bytes(count.div_ceil(8))?;
     for (eight, byte) in voxels.chunks_mut(8).zip(bits) {
         for (bit, (_, state)) in eight.iter_mut().enumerate() {
             if byte >> bit & 1 == 1 {
@@ -183,42 +177,35 @@ fn read_singles(lists: &mut Reader<'_>, region: &VoxelBox) -> Result<Vec<(Voxel,
             }
         }
     }
-    Ok(voxels)
+    Some(voxels)
 }
 
-fn read_runs(lists: &mut Reader<'_>, region: &VoxelBox, order: Order) -> Result<Vec<(Voxel, State)>> {
-    let rule = "runs of at most 2²³ voxels, all in the box, and as many states";
+fn read_runs(lists: &mut Reader<'_>, region: &VoxelBox, order: Order) -> Option<Vec<(Voxel, State)>> {
     // A run takes two bytes at least.
-    let count = lists.varint(lists.rest().len() as u64 / 2, rule)? as usize;
-    let mut gaps = Vec::with_capacity(count);
-    for _ in 0..count {
-        gaps.push(lists.varint(ADDRESS_MAX, rule)?);
-    }
+    let count = varint_up_to(lists, lists.rest().len() as u64 / 2)?;
+    let gaps = (0..count).map(|_| varint_up_to(lists, ADDRESS_MAX)).collect::<Option<Vec<_>>>()?;
     let mut voxels: Vec<(Voxel, State)> = Vec::new();
     let mut next = 0u64;
     for gap in gaps {
         let room = MESSAGE_VOXELS_MAX - voxels.len() as u64;
-        let length = 1 + lists.varint(room.checked_sub(1).ok_or_else(|| lists.wrong(rule))?, rule)?;
-        let first =
-            next.checked_add(gap).filter(|first| *first <= ADDRESS_MAX).ok_or_else(|| lists.wrong(rule))?;
+        let length = 1 + varint_up_to(lists, room.checked_sub(1)?)?;
+        let first = next.checked_add(gap).filter(|first| *first <= ADDRESS_MAX)?;
         next = first + length;
         for address in first..next {
-            voxels.push((order.voxel(region, address).ok_or_else(|| lists.wrong(rule))?, State::Free));
+            voxels.push((order.voxel(region, address)?, State::Free));
         }
     }
     let (mut done, mut state) = (0usize, State::Free);
     while done < voxels.len() {
-        let length = lists.varint((voxels.len() - done) as u64, rule)? as usize;
+        let length = varint_up_to(lists, (voxels.len() - done) as u64)? as usize;
         if length == 0 && done > 0 {
-            return Err(lists.wrong(rule));
+            return None;
         }
-        if let Some(run) = voxels.get_mut(done..done + length) {
-            run.iter_mut().for_each(|voxel| voxel.1 = state);
-        }
+        voxels.get_mut(done..done + length)?.iter_mut().for_each(|voxel| voxel.1 = state);
         done += length;
         state = if state == State::Free { State::Occupied } else { State::Free };
     }
-    Ok(voxels)
+    Some(voxels)
 }
 
 #[cfg(test)]
@@ -240,7 +227,7 @@ mod tests {
                     changes.voxels().map(|(v, s)| (order.address(&region, v).unwrap(), s)).collect();
                 list.sort_unstable_by_key(|(address, _)| *address);
                 let lists = if layout == 0 { singles(&list) } else { runs(&list) };
-                let mut reader = Reader::new(METHOD, &lists);
+                let mut reader = Reader::new(&lists);
                 let read = if layout == 0 {
                     read_singles(&mut reader, &region)
                 } else {

@@ -1,7 +1,7 @@
-//! Reading and writing the bytes of messages, with errors that say what was expected.
+//! What the messages of several methods are made of. What reads them gives `None` for damaged ones.
 
-use anyhow::{Context, Error, Result, anyhow, ensure};
-use flockmap::codec::bytes::{self, put_varint};
+use anyhow::{Context, Result, ensure};
+pub(crate) use flockmap::codec::bytes::{Reader, put_varint};
 use flockmap::grid::{Voxel, VoxelBox};
 
 /// Most bytes that the packed part of a message may become, 64 MiB.
@@ -17,69 +17,40 @@ pub(crate) fn write_box(out: &mut Vec<u8>, region: &VoxelBox) {
     region.size().into_iter().for_each(|side| put_varint(out, u64::from(side)));
 }
 
-/// Reads a message of one method from the front.
-pub(crate) struct Reader<'a> {
-    method: &'static str,
-    bytes: bytes::Reader<'a>,
+/// A box as [`write_box`] puts it, with sides of at most so many voxels.
+pub(crate) fn read_box(reader: &mut Reader<'_>, side_max: u64) -> Option<VoxelBox> {
+    let [x, y, z] = [reader.u32()?, reader.u32()?, reader.u32()?].map(|index| index as i32);
+    let mut side = || Some(varint_up_to(reader, side_max)? as u32);
+    VoxelBox::new(Voxel::new(x, y, z), [side()?, side()?, side()?])
 }
 
-impl<'a> Reader<'a> {
-    pub(crate) const fn new(method: &'static str, bytes: &'a [u8]) -> Self {
-        Self { method, bytes: bytes::Reader::new(bytes) }
-    }
+/// A varint of at most `max`.
+pub(crate) fn varint_up_to(reader: &mut Reader<'_>, max: u64) -> Option<u64> {
+    reader.varint().filter(|value| *value <= max)
+}
 
-    /// What is wrong, as an error.
-    pub(crate) fn wrong(&self, rule: &str) -> Error {
-        anyhow!("damaged message of {}: expected {rule}", self.method)
+/// Some numbers of 8 bytes.
+pub(crate) fn read_f64s<const N: usize>(reader: &mut Reader<'_>) -> Option<[f64; N]> {
+    let mut numbers = [0.0; N];
+    for number in &mut numbers {
+        *number = f64::from_le_bytes(reader.array()?);
     }
+    Some(numbers)
+}
 
-    pub(crate) const fn is_empty(&self) -> bool {
-        self.bytes.is_empty()
-    }
+/// The place of a voxel in a box that holds it, in nested order: x slowest, z fastest. The box has at most 2⁶³ voxels.
+pub(crate) fn nested_place(region: &VoxelBox, voxel: Voxel) -> u64 {
+    let (min, [_, ny, nz]) = (region.min(), region.size().map(u64::from));
+    let [x, y, z] = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as u64);
+    (x * ny + y) * nz + z
+}
 
-    /// What has not been read.
-    pub(crate) const fn rest(&self) -> &'a [u8] {
-        self.bytes.rest()
-    }
-
-    pub(crate) fn take(&mut self, count: usize, rule: &'static str) -> Result<&'a [u8]> {
-        self.bytes.bytes(count).ok_or_else(|| self.wrong(rule))
-    }
-
-    pub(crate) fn array<const N: usize>(&mut self, rule: &'static str) -> Result<[u8; N]> {
-        self.bytes.array().ok_or_else(|| self.wrong(rule))
-    }
-
-    pub(crate) fn u8(&mut self, rule: &'static str) -> Result<u8> {
-        self.array::<1>(rule).map(|[byte]| byte)
-    }
-
-    pub(crate) fn u32(&mut self, rule: &'static str) -> Result<u32> {
-        self.array(rule).map(u32::from_le_bytes)
-    }
-
-    pub(crate) fn i32(&mut self, rule: &'static str) -> Result<i32> {
-        self.array(rule).map(i32::from_le_bytes)
-    }
-
-    pub(crate) fn f64(&mut self, rule: &'static str) -> Result<f64> {
-        self.array(rule).map(f64::from_le_bytes)
-    }
-
-    /// A box as [`write_box`] puts it, with sides of at most so many voxels.
-    pub(crate) fn voxel_box(&mut self, side_max: u64, rule: &'static str) -> Result<VoxelBox> {
-        let min = Voxel::new(self.i32(rule)?, self.i32(rule)?, self.i32(rule)?);
-        let mut size = [0; 3];
-        for side in &mut size {
-            *side = self.varint(side_max, rule)? as u32;
-        }
-        VoxelBox::new(min, size).ok_or_else(|| self.wrong(rule))
-    }
-
-    /// A number of at most `max`.
-    pub(crate) fn varint(&mut self, max: u64, rule: &'static str) -> Result<u64> {
-        self.bytes.varint().filter(|value| *value <= max).ok_or_else(|| self.wrong(rule))
-    }
+/// The voxel at a place in nested order; `None` beyond the box.
+pub(crate) fn nested_voxel(region: &VoxelBox, place: u64) -> Option<Voxel> {
+    let (min, [nx, ny, nz]) = (region.min(), region.size().map(u64::from));
+    let (xy, z) = (place / nz, place % nz);
+    let (x, y) = (xy / ny, xy % ny);
+    (x < nx).then(|| Voxel::new(min.x + x as i32, min.y + y as i32, min.z + z as i32))
 }
 
 /// Packs with zstd.
@@ -111,11 +82,10 @@ impl Packer {
 
 /// What the rest of a message was made of by [`Packer::pack`]. Takes the memory that the message asks for, at most
 /// [`UNPACKED_BYTES_MAX`].
-pub(crate) fn unpack(reader: &mut Reader<'_>) -> Result<Vec<u8>> {
-    let rule = "a length of at most 64 MiB and one zstd frame of that length";
-    let length = reader.varint(UNPACKED_BYTES_MAX as u64, rule)? as usize;
-    let plain = zstd::bulk::decompress(reader.rest(), length).map_err(|_| reader.wrong(rule))?;
-    if plain.len() == length { Ok(plain) } else { Err(reader.wrong(rule)) }
+pub(crate) fn unpack(reader: &mut Reader<'_>) -> Option<Vec<u8>> {
+    let length = varint_up_to(reader, UNPACKED_BYTES_MAX as u64)? as usize;
+    let plain = zstd::bulk::decompress(reader.rest(), length).ok()?;
+    (plain.len() == length).then_some(plain)
 }
 
 #[cfg(test)]
@@ -127,23 +97,22 @@ mod tests {
         for value in [0, 1, 127, 128, 300, 1 << 40, (1 << 63) - 1] {
             let mut out = Vec::new();
             put_varint(&mut out, value);
-            assert_eq!(Reader::new("test", &out).varint(value, "n").unwrap(), value);
-            assert!(value == 0 || Reader::new("test", &out).varint(value - 1, "n").is_err());
+            assert_eq!(varint_up_to(&mut Reader::new(&out), value), Some(value));
+            assert!(value == 0 || varint_up_to(&mut Reader::new(&out), value - 1).is_none());
         }
-        assert!(Reader::new("test", &[0xff; 12]).varint(u64::MAX, "n").is_err());
     }
 
     #[test]
     fn a_frame_is_no_larger_than_it_says() {
         let packed = Packer::new("test", 3).pack(&[7; 5_000]).unwrap();
-        assert_eq!(unpack(&mut Reader::new("test", &packed)).unwrap(), [7; 5_000]);
+        assert_eq!(unpack(&mut Reader::new(&packed)).unwrap(), [7; 5_000]);
         let mut small = Vec::new();
         put_varint(&mut small, 4_999);
         small.extend_from_slice(&packed[2..]);
-        assert!(unpack(&mut Reader::new("test", &small)).is_err());
+        assert!(unpack(&mut Reader::new(&small)).is_none());
         let mut huge = Vec::new();
         put_varint(&mut huge, UNPACKED_BYTES_MAX as u64 + 1);
         huge.extend_from_slice(&packed[2..]);
-        assert!(unpack(&mut Reader::new("test", &huge)).is_err());
+        assert!(unpack(&mut Reader::new(&huge)).is_none());
     }
 }

@@ -11,10 +11,11 @@ use flockmap::grid::{
     BLOCK_VOXELS, Changes, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox, bit_of, voxel_bit,
 };
 
-use crate::baselines::bytes::{Reader, write_box};
+use crate::baselines::bytes::{
+    Reader, nested_place, nested_voxel, put_varint, read_box, varint_up_to, write_box,
+};
 use crate::baselines::state_map::StateMap;
 use crate::baselines::traits::{Messages, Sender};
-use flockmap::codec::bytes::put_varint;
 
 /// What the region is.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -74,7 +75,6 @@ impl Sender for ColagSender {
 
 impl ColagSender {
     fn list(&self, region: &VoxelBox, first: u32, occupied: &mut Vec<u32>, unknown: &mut Vec<u32>) {
-        let (min, [_, ny, nz]) = (region.min(), region.size());
         for index in region.blocks() {
             let block = self.published.block(index);
             let corner = index.corner();
@@ -87,61 +87,49 @@ impl ColagSender {
                 let [x, y, z] = bit_of(bit);
                 let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
                 if region.contains(voxel) {
-                    let [x, y, z] = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as u32);
-                    list.push(first + (x * ny + y) * nz + z);
+                    list.push(first + nested_place(region, voxel) as u32);
                 }
             }
         }
     }
 }
 
-/// Takes in a message. Memory: 160 bytes for each block of the region, at most 2²⁶ voxels.
-pub(crate) fn apply(message: &[u8], map: &mut StateMap) -> Result<()> {
-    let mut reader = Reader::new(METHOD, message);
-    let rule = "a list of boxes within the grid, of 2²⁶ voxels at most together";
+/// What a message changes: what it says to be unknown stays as it was. Memory: 160 bytes for each block of the region, at most
+/// 2²⁶ voxels.
+pub(crate) fn parse(message: &[u8]) -> Option<Changes> {
+    let mut reader = Reader::new(message);
     // A box takes 15 bytes at least.
-    let count = reader.varint(message.len() as u64 / 15, rule)?;
+    let count = varint_up_to(&mut reader, message.len() as u64 / 15)?;
     let mut boxes = Vec::with_capacity(count as usize);
     let mut volume = 0u64;
     for _ in 0..count {
-        let region = reader.voxel_box(VOXEL_LIMIT as u64, rule)?;
+        let region = read_box(&mut reader, VOXEL_LIMIT as u64)?;
         if region.volume() > u128::from(REGION_VOXELS_MAX - volume) {
-            return Err(reader.wrong(rule));
+            return None;
         }
         boxes.push((volume, region));
         volume += region.volume() as u64;
     }
-    let rule = "4-byte addresses of occupied, then of unknown voxels in the boxes";
-    let occupied = reader.varint(reader.rest().len() as u64 / 4, rule)? as usize;
+    let occupied = reader.varint()?;
     let (addresses, rest) = reader.rest().as_chunks::<4>();
-    let (occupied, unknown) = addresses.split_at_checked(occupied).ok_or_else(|| reader.wrong(rule))?;
+    let (occupied, unknown) = addresses.split_at_checked(usize::try_from(occupied).ok()?)?;
     if !rest.is_empty() {
-        return Err(reader.wrong(rule));
+        return None;
     }
 
     let all_free = StateBlock::new([!0; 8], [0; 8]);
-    let mut said = StateMap::default();
+    let mut states = StateMap::default();
     for (_, region) in &boxes {
         let blocks = region.blocks().map(|index| (index, all_free)).collect();
-        said.apply(&Changes::from_blocks(blocks).within(region))?;
+        states.apply(&Changes::from_blocks(blocks).within(region)).ok()?;
     }
     let lists = [(occupied, State::Occupied), (unknown, State::Unknown)];
     for (address, state) in lists.iter().flat_map(|(list, state)| list.iter().map(move |a| (a, *state))) {
         let address = u64::from(u32::from_le_bytes(*address));
         let at = boxes.partition_point(|(first, _)| *first <= address);
-        let (first, region) =
-            at.checked_sub(1).and_then(|at| boxes.get(at)).ok_or_else(|| reader.wrong(rule))?;
-        let (min, [nx, ny, nz]) = (region.min(), region.size().map(u64::from));
-        let place = address - first;
-        let (xy, z) = (place / nz, place % nz);
-        let (x, y) = (xy / ny, xy % ny);
-        if x >= nx {
-            return Err(reader.wrong(rule));
-        }
-        let voxel = Voxel::new(min.x + x as i32, min.y + y as i32, min.z + z as i32);
-        said.set(voxel.block(), voxel_bit(voxel), state);
+        let (first, region) = boxes.get(at.checked_sub(1)?)?;
+        let voxel = nested_voxel(region, address - first)?;
+        states.set(voxel.block(), voxel_bit(voxel), state);
     }
-    // What is said to be unknown stays as it was told before.
-    said.blocks().try_for_each(|(index, block)| map.overlay(index, &block))?;
-    Ok(())
+    Some(Changes::from_blocks(states.blocks().collect()))
 }

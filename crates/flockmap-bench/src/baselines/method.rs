@@ -11,15 +11,15 @@ use serde::{Serialize, Serializer};
 use crate::baselines::address_delta::AddressDeltaSender;
 use crate::baselines::colag::{ColagSender, Region};
 use crate::baselines::gvp::GvpSender;
-use crate::baselines::map_receiver::MapReceiver;
 use crate::baselines::octomap_diff::OctomapDiffSender;
 use crate::baselines::package::{PackageReceiver, PackageSender};
 use crate::baselines::relay_points::Points;
 use crate::baselines::scan_relay::{RelayReceiver, RelaySender};
+use crate::baselines::state_map::MapReceiver;
 use crate::baselines::traits::{Receiver, Sender};
 use crate::baselines::{address_delta, colag, gvp, octomap_diff};
 
-/// A way of telling others what a robot maps. Every one is given the same batches of the same map.
+/// A method of sending others what a robot maps. Every one is given the same batches of the same map.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 #[non_exhaustive]
 pub enum Method {
@@ -70,7 +70,7 @@ impl Method {
         Self::ScanRelay1cm,
     ];
 
-    /// The half that tells, with nothing told yet. `config` is that of the mapper whose batches it will be given.
+    /// The half that sends, with nothing sent yet. `config` is that of the mapper whose batches it will be given.
     pub fn sender(self, config: &MapperConfig) -> Box<dyn Sender> {
         match self {
             Self::Whole(codec) => Box::new(PackageSender::new(codec, false)),
@@ -94,23 +94,17 @@ impl Method {
     pub fn receiver(self, config: &MapperConfig) -> Result<Box<dyn Receiver>> {
         Ok(match self {
             Self::Whole(_) | Self::Datagrams(_) => Box::new(PackageReceiver::default()),
-            Self::Colag | Self::ColagBlocks => Box::new(MapReceiver::new(colag::apply)),
-            Self::Gvp => Box::new(MapReceiver::new(gvp::apply)),
-            Self::OctomapDiff | Self::OctomapDiff10s => Box::new(MapReceiver::new(octomap_diff::apply)),
-            Self::AddressDeltaZstd => Box::new(MapReceiver::new(address_delta::apply)),
-            Self::ScanRelay => Box::new(RelayReceiver::new(Points::Exact, config)?),
-            Self::ScanRelay1cm => Box::new(RelayReceiver::new(Points::Centimetre, config)?),
+            Self::Colag | Self::ColagBlocks => Box::new(MapReceiver::new(colag::parse)),
+            Self::Gvp => Box::new(MapReceiver::new(gvp::parse)),
+            Self::OctomapDiff | Self::OctomapDiff10s => Box::new(MapReceiver::new(octomap_diff::parse)),
+            Self::AddressDeltaZstd => Box::new(MapReceiver::new(address_delta::parse)),
+            Self::ScanRelay | Self::ScanRelay1cm => Box::new(RelayReceiver::new(config)?),
         })
     }
 
     /// Whether the receiver must come to hold exactly what the sender packed.
     pub const fn is_lossless(self) -> bool {
-        match self {
-            Self::Whole(_) | Self::Datagrams(_) => true,
-            Self::Colag | Self::ColagBlocks | Self::OctomapDiff | Self::AddressDeltaZstd => true,
-            Self::ScanRelay => true,
-            Self::Gvp | Self::OctomapDiff10s | Self::ScanRelay1cm => false,
-        }
+        !matches!(self, Self::Gvp | Self::OctomapDiff10s | Self::ScanRelay1cm)
     }
 
     /// In a sentence: what it sends, what is kept of its behaviour, where it is from.
@@ -127,17 +121,17 @@ impl Method {
                 "RACER as the paper describes it: a 4-byte address and a byte of state for every change of state, in one package a batch."
             }
             Self::Whole(Codec::Flock) => {
-                "Flockmap's own codec in one package a batch, which stands for itself: told against nothing."
+                "Flockmap's own codec in one package a batch, which stands for itself: coded independently of all others."
             }
             Self::Whole(_) => "A codec of map packages, one package a batch.",
             Self::Datagrams(Codec::Flock) => {
-                "Flockmap's own codec: decisions of an arithmetic coder with trained contexts, told against what the receiver holds, in packages of at most 1,150 bytes."
+                "Flockmap's own codec: decisions of an arithmetic coder with trained contexts, coded against what the receiver holds, in packages of at most 1,150 bytes."
             }
             Self::Datagrams(_) => {
                 "The same codec, cut into packages of at most 1,150 bytes, each useful on its own."
             }
             Self::Colag => {
-                "ColAG (the paper's [6]): 4-byte addresses of the occupied and the unknown voxels in a region round the robot, all else free. The region is no larger than the box of the batch's changes, told once a batch; what is said to be unknown erases nothing, so every change arrives."
+                "ColAG (the paper's [6]): 4-byte addresses of the occupied and the unknown voxels in a region round the robot, all else free. The region is no larger than the box of the batch's changes, sent once a batch; what is said to be unknown erases nothing, so every change arrives."
             }
             Self::ColagBlocks => {
                 "ColAG with the least region it could have, which it has not: the boxes of the changes in each block of 8³ voxels, once a batch."

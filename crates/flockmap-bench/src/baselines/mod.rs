@@ -1,5 +1,5 @@
-//! Ways of telling others what a robot maps, ours and other people's, all behind the same two traits: a [`Sender`]
-//! that makes messages and a [`Receiver`] that makes a map of them, from the bytes alone.
+//! Methods of sending others what a robot maps, ours and other people's, all behind the same two traits: a [`Sender`]
+//! that makes messages and a [`Receiver`] that makes a map of them, from nothing but the bytes.
 //!
 //! Every rival is shown at its best, and every lossy or stale behaviour that it has is kept: [`Method::about`] says
 //! in a sentence what is sent, what is kept, and where it comes from.
@@ -8,7 +8,6 @@ mod address_delta;
 mod bytes;
 mod colag;
 mod gvp;
-mod map_receiver;
 mod method;
 mod morton;
 mod octomap_diff;

@@ -12,7 +12,7 @@ pub(crate) struct PackageSender {
     datagrams: bool,
     encoder: Encoder,
     next_index: u32,
-    /// What was told so far, and the last package of each batch: what the next batch is told against.
+    /// What was sent so far, and the last package of each batch: what the next batch is coded against.
     layer: Layer,
     batches: Vec<(Stamp, u32)>,
 }
@@ -77,7 +77,7 @@ impl Receiver for PackageReceiver {
             Content::Changes(changes) => {
                 self.layer.apply(&changes, package.header().batch_end);
             }
-            // No sender here makes one; it says the same in another way.
+            // No sender here makes one; it holds the same in another form.
             Content::Snapshot(state) => {
                 self.layer.apply_snapshot(&state);
             }

@@ -8,12 +8,9 @@
 //! varints. Layout 3: octrees, level by level from the root: for each node a byte with a bit for each child that holds points;
 //! after 20 levels, for each leaf the number of its points less 1, as varints. Empty lists have no tree.
 
-use anyhow::Result;
-
-use crate::baselines::bytes::Reader;
+use crate::baselines::bytes::{Reader, put_varint, varint_up_to};
 use crate::baselines::morton::{interleave, separate};
 use crate::baselines::traits::Observation;
-use flockmap::codec::bytes::put_varint;
 
 /// Most points in a message, 2²²: 48 MiB as points.
 pub(crate) const POINTS_MAX: usize = 1 << 22;
@@ -163,10 +160,9 @@ pub(crate) fn read(
     layout: u8,
     counts: &[[usize; 2]],
     reader: &mut Reader<'_>,
-) -> Result<Vec<[Vec<[f32; 3]>; 2]>> {
-    let rule = "at most 2²² points";
+) -> Option<Vec<[Vec<[f32; 3]>; 2]>> {
     let total = counts.iter().flatten().try_fold(0usize, |sum, count| sum.checked_add(*count));
-    let total = total.filter(|total| *total <= POINTS_MAX).ok_or_else(|| reader.wrong(rule))?;
+    let total = total.filter(|total| *total <= POINTS_MAX)?;
     let mut points = match layout {
         0 | 1 => read_planes(step(layout), total, reader)?,
         2 | 3 => {
@@ -174,15 +170,15 @@ pub(crate) fn read(
             let metres = |code| separate(code).map(|v| ((v as i64 - HALF) as f64 / CENTIMETRES) as f32);
             codes.into_iter().map(metres).collect()
         }
-        _ => return Err(reader.wrong("a layout of 0 to 3")),
+        _ => return None,
     }
     .into_iter();
     let mut list = |count: usize| points.by_ref().take(count).collect();
-    Ok(counts.iter().map(|[returns, no_returns]| [list(*returns), list(*no_returns)]).collect())
+    Some(counts.iter().map(|[returns, no_returns]| [list(*returns), list(*no_returns)]).collect())
 }
 
-fn read_planes(step: usize, total: usize, reader: &mut Reader<'_>) -> Result<Vec<[f32; 3]>> {
-    let bytes = reader.take(12 * total, "12 bytes for each point")?;
+fn read_planes(step: usize, total: usize, reader: &mut Reader<'_>) -> Option<Vec<[f32; 3]>> {
+    let bytes = reader.bytes(12 * total)?;
     let mut numbers = vec![[0u32; 3]; total];
     for (plane, bytes) in bytes.chunks(total.max(1)).enumerate() {
         let (axis, shift) = (plane / 4, 8 * (plane % 4));
@@ -197,34 +193,34 @@ fn read_planes(step: usize, total: usize, reader: &mut Reader<'_>) -> Result<Vec
             *number = core::array::from_fn(|axis| before[axis].wrapping_add(difference(number[axis])));
         }
     }
-    Ok(numbers.into_iter().map(|point| point.map(f32::from_bits)).collect())
+    Some(numbers.into_iter().map(|point| point.map(f32::from_bits)).collect())
 }
 
-fn read_codes(counts: &[[usize; 2]], reader: &mut Reader<'_>) -> Result<Vec<u64>> {
-    let rule = "ascending codes of 60 bits";
+/// Ascending codes of 60 bits.
+fn read_codes(counts: &[[usize; 2]], reader: &mut Reader<'_>) -> Option<Vec<u64>> {
     let mut codes = Vec::new();
     for count in counts.iter().flatten() {
         let mut code = 0;
         for _ in 0..*count {
-            code += reader.varint((1 << (3 * LEVELS)) - 1 - code, rule)?;
+            code += varint_up_to(reader, (1 << (3 * LEVELS)) - 1 - code)?;
             codes.push(code);
         }
     }
-    Ok(codes)
+    Some(codes)
 }
 
-fn read_octrees(counts: &[[usize; 2]], reader: &mut Reader<'_>) -> Result<Vec<u64>> {
-    let rule = "octrees with no more nodes in a level than points";
+/// Octrees with no more nodes in a level than points.
+fn read_octrees(counts: &[[usize; 2]], reader: &mut Reader<'_>) -> Option<Vec<u64>> {
     let mut lists: Vec<Vec<u64>> =
         counts.iter().flatten().map(|count| vec![0; usize::from(*count > 0)]).collect();
     for _ in 0..LEVELS {
         for (nodes, count) in lists.iter_mut().zip(counts.iter().flatten()) {
             let mut next = Vec::with_capacity(nodes.len());
             for node in nodes.iter() {
-                let children = reader.u8(rule)?;
+                let children = reader.u8()?;
                 next.extend((0..8).filter(|child| children >> child & 1 == 1).map(|child| node << 3 | child));
                 if children == 0 || next.len() > *count {
-                    return Err(reader.wrong(rule));
+                    return None;
                 }
             }
             *nodes = next;
@@ -234,15 +230,15 @@ fn read_octrees(counts: &[[usize; 2]], reader: &mut Reader<'_>) -> Result<Vec<u6
     for (leaves, count) in lists.iter().zip(counts.iter().flatten()) {
         let end = codes.len() + count;
         for leaf in leaves {
-            let room = end.checked_sub(codes.len() + 1).ok_or_else(|| reader.wrong(rule))?;
-            let more = reader.varint(room as u64, rule)? as usize;
+            let room = end.checked_sub(codes.len() + 1)?;
+            let more = varint_up_to(reader, room as u64)? as usize;
             codes.extend(core::iter::repeat_n(*leaf, 1 + more));
         }
         if codes.len() != end {
-            return Err(reader.wrong("as many points in the leaves as the scan has"));
+            return None;
         }
     }
-    Ok(codes)
+    Some(codes)
 }
 
 #[cfg(test)]
@@ -264,7 +260,7 @@ mod tests {
         let mut bytes = Vec::new();
         write(layout, scans, &mut bytes);
         let counts: Vec<_> = scans.iter().map(ScanPoints::counts).collect();
-        let mut reader = Reader::new("test", &bytes);
+        let mut reader = Reader::new(&bytes);
         let read = read(layout, &counts, &mut reader).unwrap();
         assert!(reader.is_empty());
         read

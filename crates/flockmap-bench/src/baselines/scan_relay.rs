@@ -3,21 +3,20 @@
 //! At the end of each batch all its scans go out in one message, since a mapper gives an equal map only if it takes the same
 //! changes at the same times. The order of the points of a scan makes no difference to a mapper, so a relay may choose it.
 //!
-//! A message: what the batch took, 0 all changes, 1 occupied voxels alone, 2 nothing since it goes on; layout (u8); then length and zstd frame of the scans. For each scan: a 1;
+//! A message: what the batch took, 0 all changes, 1 only occupied voxels, 2 nothing since it goes on; layout (u8); then length and zstd frame of the scans. For each scan: a 1;
 //! stamp (i64); pose (translation and quaternion, 7 × f64); number of masks; their centres and radii (4 × f64); number of
 //! points; number of rays without a return. A 0 ends the scans; then come the points of all scans, as the module `relay_points` says.
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use flockmap::codec::Batch;
 use flockmap::grid::{
     BlockIndex, Changes, Mapper, MapperConfig, Pose, Scan, Sphere, Stamp, StateBlock, Which,
 };
 
-use crate::baselines::bytes::{Packer, Reader, unpack};
+use crate::baselines::bytes::{Packer, Reader, put_varint, read_f64s, unpack, varint_up_to};
 use crate::baselines::relay_points::{self, Points};
-use crate::baselines::state_map::StateMap;
+use crate::baselines::state_map::{DAMAGED, StateMap};
 use crate::baselines::traits::{Messages, Observation, Receiver, Sender};
-use flockmap::codec::bytes::put_varint;
 
 /// Most masks of a scan.
 const MASKS_MAX: u64 = 4_096;
@@ -122,58 +121,23 @@ impl RelaySender {
 
 /// Casts the scans into a mapper of its own.
 pub(crate) struct RelayReceiver {
-    method: &'static str,
     mapper: Mapper,
     map: StateMap,
 }
 
 impl RelayReceiver {
-    pub(crate) fn new(points: Points, config: &MapperConfig) -> Result<Self> {
-        Ok(Self { method: points.method(), mapper: Mapper::new(config.clone())?, map: StateMap::default() })
+    pub(crate) fn new(config: &MapperConfig) -> Result<Self> {
+        Ok(Self { mapper: Mapper::new(config.clone())?, map: StateMap::default() })
     }
-}
-
-struct Head {
-    scan: Scan,
-    pose: Pose,
-    masks: Vec<Sphere>,
 }
 
 impl Receiver for RelayReceiver {
     fn receive(&mut self, message: &[u8]) -> Result<()> {
-        let mut reader = Reader::new(self.method, message);
-        let which = match reader.u8("what the batch took")? {
-            TOOK_ALL => Some(Which::All),
-            TOOK_OCCUPIED => Some(Which::Occupied),
-            GOES_ON => None,
-            _ => return Err(reader.wrong("0, 1 or 2 for what the batch took")),
-        };
-        let layout = reader.u8("a layout")?;
-        let plain = unpack(&mut reader)?;
-        let mut plain = Reader::new(self.method, &plain);
-        let mut heads = Vec::new();
-        let mut counts = Vec::new();
-        while plain.u8("a 1 before each scan, a 0 after the last")? == 1 {
-            let (head, count) = read_head(&mut plain)?;
-            heads.push(head);
-            counts.push(count);
+        let (which, seen) = parse(message).context(DAMAGED)?;
+        for (scan, pose, masks) in &seen {
+            self.mapper.insert(scan, pose, masks);
         }
-        for (head, [returns, no_returns]) in
-            heads.iter_mut().zip(relay_points::read(layout, &counts, &mut plain)?)
-        {
-            head.scan.points = returns;
-            head.scan.no_returns = no_returns;
-        }
-        if !plain.is_empty() {
-            return Err(plain.wrong("nothing after the points"));
-        }
-        for head in &heads {
-            self.mapper.insert(&head.scan, &head.pose, &head.masks);
-        }
-        if let Some(which) = which {
-            self.map.apply(&self.mapper.take_changes(which))?;
-        }
-        Ok(())
+        which.map_or(Ok(()), |which| self.map.apply(&self.mapper.take_changes(which)))
     }
 
     fn states(&self) -> Box<dyn Iterator<Item = (BlockIndex, StateBlock)> + '_> {
@@ -181,26 +145,46 @@ impl Receiver for RelayReceiver {
     }
 }
 
-fn read_head(plain: &mut Reader<'_>) -> Result<(Head, [usize; 2])> {
-    let stamp = Stamp(i64::from_le_bytes(plain.array("a stamp")?));
-    let rule = "a pose: 7 numbers";
-    let mut pose = [0.0; 7];
-    for number in &mut pose {
-        *number = plain.f64(rule)?;
+type Seen = (Scan, Pose, Vec<Sphere>);
+
+/// What the batch took, if it ends here, and the scans.
+fn parse(message: &[u8]) -> Option<(Option<Which>, Vec<Seen>)> {
+    let mut reader = Reader::new(message);
+    let which = match reader.u8()? {
+        TOOK_ALL => Some(Which::All),
+        TOOK_OCCUPIED => Some(Which::Occupied),
+        GOES_ON => None,
+        _ => return None,
+    };
+    let layout = reader.u8()?;
+    let plain = unpack(&mut reader)?;
+    let mut plain = Reader::new(&plain);
+    let (mut seen, mut counts) = (Vec::new(), Vec::new());
+    while plain.u8()? == 1 {
+        let (head, count) = read_head(&mut plain)?;
+        seen.push(head);
+        counts.push(count);
     }
-    let [x, y, z, qx, qy, qz, qw] = pose;
-    let pose = Pose::new([x, y, z], [qx, qy, qz, qw]).ok_or_else(|| plain.wrong(rule))?;
-    let rule = "at most 4,096 masks";
-    let masks = plain.varint(MASKS_MAX, rule)?;
-    let masks = (0..masks).map(|_| {
-        let centre = [plain.f64(rule)?, plain.f64(rule)?, plain.f64(rule)?];
-        Ok(Sphere { centre, radius: plain.f64(rule)? })
+    let lists = relay_points::read(layout, &counts, &mut plain)?;
+    for ((scan, ..), [returns, no_returns]) in seen.iter_mut().zip(lists) {
+        (scan.points, scan.no_returns) = (returns, no_returns);
+    }
+    plain.is_empty().then_some((which, seen))
+}
+
+/// A scan without its points, and how many there are, and rays without a return.
+fn read_head(plain: &mut Reader<'_>) -> Option<(Seen, [usize; 2])> {
+    let stamp = Stamp(plain.i64()?);
+    let [x, y, z, qx, qy, qz, qw] = read_f64s(plain)?;
+    let pose = Pose::new([x, y, z], [qx, qy, qz, qw])?;
+    let masks = (0..varint_up_to(plain, MASKS_MAX)?).map(|_| {
+        let [x, y, z, radius] = read_f64s(plain)?;
+        Some(Sphere { centre: [x, y, z], radius })
     });
-    let masks = masks.collect::<Result<Vec<_>>>()?;
-    let rule = "numbers of points and of rays without a return";
-    let max = relay_points::POINTS_MAX as u64;
-    let counts = [plain.varint(max, rule)? as usize, plain.varint(max, rule)? as usize];
-    Ok((Head { scan: Scan { stamp, ..Scan::default() }, pose, masks }, counts))
+    let masks = masks.collect::<Option<_>>()?;
+    let mut count = || Some(varint_up_to(plain, relay_points::POINTS_MAX as u64)? as usize);
+    let counts = [count()?, count()?];
+    Some(((Scan { stamp, ..Scan::default() }, pose, masks), counts))
 }
 
 #[cfg(test)]
@@ -214,7 +198,7 @@ mod tests {
         let config = MapperConfig::preset(Preset::RogMap, resolution, 5.0);
         let mut mapper = Mapper::new(config.clone()).unwrap();
         let mut sender = RelaySender { waiting_max: 100, ..RelaySender::new(Points::Exact, &config) };
-        let mut receiver = RelayReceiver::new(Points::Exact, &config).unwrap();
+        let mut receiver = RelayReceiver::new(&config).unwrap();
         let mut out = Vec::new();
         for number in 0..10u8 {
             let point = |n: u8| [2.0, f32::from(n) * 0.1 - 1.0, f32::from(number) * 0.1];

@@ -1,13 +1,18 @@
-//! A map of states alone: what a receiver makes of messages without stamps.
+//! A map of states without stamps: what a receiver makes of messages without stamps.
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use flockmap::grid::{BlockIndex, Changes, State, StateBlock, Voxel, voxel_bit};
 use rustc_hash::FxHashMap;
+
+use crate::baselines::traits::Receiver;
+
+/// Of a message that no sender made.
+pub(crate) const DAMAGED: &str = "damaged message";
 
 /// Most blocks that a map of states holds, 2²¹: about 340 MB, room for a million cubic metres at 0.1 m voxels.
 pub const BLOCKS_MAX: usize = 1 << 21;
 
-/// States by block; what is told last holds. At most [`BLOCKS_MAX`] blocks.
+/// States by block; the newest message holds. At most [`BLOCKS_MAX`] blocks.
 #[derive(Clone, Debug, Default)]
 pub struct StateMap {
     blocks: FxHashMap<BlockIndex, StateBlock>,
@@ -58,5 +63,28 @@ impl StateMap {
     /// All blocks, in no order.
     pub fn blocks(&self) -> impl Iterator<Item = (BlockIndex, StateBlock)> + '_ {
         self.blocks.iter().map(|(index, block)| (*index, *block))
+    }
+}
+
+/// The receiver of every method whose messages hold states and no stamps.
+pub(crate) struct MapReceiver {
+    map: StateMap,
+    /// What a message changes; `None` if it is damaged.
+    parse: fn(&[u8]) -> Option<Changes>,
+}
+
+impl MapReceiver {
+    pub(crate) fn new(parse: fn(&[u8]) -> Option<Changes>) -> Self {
+        Self { map: StateMap::default(), parse }
+    }
+}
+
+impl Receiver for MapReceiver {
+    fn receive(&mut self, message: &[u8]) -> Result<()> {
+        self.map.apply(&(self.parse)(message).context(DAMAGED)?)
+    }
+
+    fn states(&self) -> Box<dyn Iterator<Item = (BlockIndex, StateBlock)> + '_> {
+        Box::new(self.map.blocks())
     }
 }

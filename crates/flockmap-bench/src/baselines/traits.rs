@@ -18,7 +18,7 @@ pub struct Observation<'a> {
 /// Messages, in the order in which they go out.
 pub type Messages = Vec<Vec<u8>>;
 
-/// The half that tells. Every method is given the same scans and the same batches, in this order: for each scan [`Self::scan`], then
+/// The half that sends. Every method is given the same scans and the same batches, in this order: for each scan [`Self::scan`], then
 /// [`Self::batch`] for each batch that it closes. What its rules keep back at the end of the record stays unsent.
 pub trait Sender: Send {
     /// A scan has been mapped. Appends messages to `out`; most methods wait for the batch.
@@ -46,7 +46,7 @@ pub trait Receiver: Send {
     /// most 256 MB.
     ///
     /// # Errors
-    /// If the message is damaged. What it said before the damage may be in the map or not.
+    /// If the message is damaged, or the map is full.
     fn receive(&mut self, message: &[u8]) -> Result<()>;
 
     /// All blocks of which anything is known, in no order.

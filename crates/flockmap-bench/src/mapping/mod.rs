@@ -5,15 +5,17 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use clap::Args;
+use flockmap::codec::bytes::Reader;
 use flockmap::grid::Mapper;
 use flockmap::{Changes, MapperConfig, Preset, Resolution, State, Voxel};
-use flockmap_cli::measure::{Comparison, TimeSummary, Times};
+use flockmap_cli::document::DataTable;
+use flockmap_cli::measure::{Comparison, TimeSummary, Times, side_by_side};
+use flockmap_cli::numbers::{percent, thousands};
 use flockmap_cli::options::SourceArgs;
 use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{self, Frame};
-use flockmap_cli::table::{Table, percent, thousands};
 use flockmap_cli::{json_file, stop};
 use flockmap_worlds::Lidar;
 use serde::Serialize;
@@ -24,7 +26,7 @@ use serde::Serialize;
 Example:
   flockmap-bench mapping --scans 40
 
-Needs a C++ compiler and Debian's liboctomap-dev for the OctoMap half; without them that half is skipped with a word.")]
+Needs a C++ compiler and Debian's liboctomap-dev for the OctoMap half; without them that half is skipped, and the output says why.")]
 pub struct MappingArgs {
     /// World to fly through: forest, indoor, or a world file
     #[arg(long, value_name = "SCENE", default_value = "forest")]
@@ -108,17 +110,14 @@ pub fn run(args: &MappingArgs) -> anyhow::Result<bool> {
     ensure!((1..=100_000).contains(&args.scans), "--scans is {}, expected 1 to 100,000", args.scans);
     let frames = fly(args)?;
     let rays: usize = frames.iter().map(|frame| frame.scan.points.len() + frame.scan.no_returns.len()).sum();
-    let presets = [Preset::RogMap, Preset::Racer, Preset::OctoMap];
     let mut results = Vec::new();
-    for preset in presets {
-        results
-            .push((preset.to_string(), map(&frames, MapperConfig::preset(preset, resolution, args.range))?));
+    for preset in [Preset::RogMap, Preset::Racer, Preset::OctoMap] {
+        let config = MapperConfig::preset(preset, resolution, args.range);
+        results.push((preset.to_string(), map(&frames, config)?));
     }
     let octomap = run_octomap(&frames, args);
-    let (octomap, octomap_skipped) = match octomap {
-        Ok(mapped) => (Some(mapped), None),
-        Err(reason) => (None, Some(format!("{reason:#}"))),
-    };
+    let octomap_skipped = octomap.as_ref().err().map(|reason| format!("{reason:#}"));
+    let octomap = octomap.ok();
     let ours = results.last().map(|(_, mapped)| &mapped.map);
     let differences = octomap.as_ref().zip(ours).map(|(octomap, ours)| compare(ours, &octomap.map));
     let octomap_ms = octomap.as_ref().map(|mapped| mapped.times.summary().mean_ms);
@@ -173,12 +172,7 @@ fn map(frames: &[Frame], config: MapperConfig) -> anyhow::Result<Mapped> {
 
 fn row(name: &str, mapped: &Mapped, octomap_ms: Option<f64>) -> Row {
     let time = mapped.times.summary();
-    let occupied: usize = mapped
-        .map
-        .blocks()
-        .iter()
-        .map(|(_, block)| block.occupied().iter().map(|plane| plane.count_ones() as usize).sum::<usize>())
-        .sum();
+    let occupied = mapped.map.voxels().filter(|(_, state)| *state == State::Occupied).count();
     let known = mapped.map.len();
     Row {
         name: name.to_owned(),
@@ -202,10 +196,7 @@ fn run_octomap(frames: &[Frame], args: &MappingArgs) -> anyhow::Result<Mapped> {
         .arg(path("octomap_bench.cpp"))
         .args(["-loctomap", "-loctomath"])
         .output();
-    let compiled = match compiled {
-        Err(error) => bail!("there is no C++ compiler `c++` ({error})"),
-        Ok(compiled) => compiled,
-    };
+    let compiled = compiled.map_err(|error| anyhow!("there is no C++ compiler `c++` ({error})"))?;
     if !compiled.status.success() {
         let text = String::from_utf8_lossy(&compiled.stderr);
         if text.contains("octomap/octomap.h") || text.contains("-loctomap") {
@@ -238,16 +229,12 @@ fn run_octomap(frames: &[Frame], args: &MappingArgs) -> anyhow::Result<Mapped> {
     }
     ensure!(running.wait()?.success(), "its program failed");
     let dump = std::fs::read(path("map.bin"))?;
-    let (voxels, _) = dump.as_chunks::<13>();
-    let voxel = |bytes: &[u8; 13]| {
-        let [x, y, z] = [0, 4, 8].map(|at| {
-            let mut number = [0; 4];
-            number.copy_from_slice(&bytes[at..at + 4]);
-            i32::from_le_bytes(number)
-        });
-        (Voxel::new(x, y, z), if bytes[12] == 1 { State::Occupied } else { State::Free })
-    };
-    Ok(Mapped { times, map: Changes::from_voxels(voxels.iter().map(voxel)), memory_bytes })
+    let mut reader = Reader::new(&dump);
+    let voxels = std::iter::from_fn(|| {
+        let [x, y, z] = [reader.u32()?, reader.u32()?, reader.u32()?].map(|index| index as i32);
+        Some((Voxel::new(x, y, z), if reader.u8()? == 1 { State::Occupied } else { State::Free }))
+    });
+    Ok(Mapped { times, map: Changes::from_voxels(voxels), memory_bytes })
 }
 
 /// Scans as OctoMap takes them: points in the map's frame, as `f32`.
@@ -255,15 +242,12 @@ fn write_scans(path: &Path, frames: &[Frame]) -> anyhow::Result<()> {
     let mut out = std::io::BufWriter::new(std::fs::File::create(path)?);
     out.write_all(&(frames.len() as u32).to_le_bytes())?;
     for frame in frames {
-        let mut write = |point: [f64; 3]| -> std::io::Result<()> {
-            point.iter().try_for_each(|v| out.write_all(&(*v as f32).to_le_bytes()))
-        };
-        write(frame.pose.translation())?;
+        let bytes = |point: [f64; 3]| point.map(|v| (v as f32).to_le_bytes()).concat();
+        out.write_all(&bytes(frame.pose.translation()))?;
         out.write_all(&((frame.scan.points.len() + frame.scan.no_returns.len()) as u32).to_le_bytes())?;
         // OctoMap cuts what lies beyond the range by itself.
         for point in frame.scan.points.iter().chain(&frame.scan.no_returns) {
-            let point = frame.pose.transform(point.map(f64::from));
-            point.iter().try_for_each(|v| out.write_all(&(*v as f32).to_le_bytes()))?;
+            out.write_all(&bytes(frame.pose.transform(point.map(f64::from))))?;
         }
     }
     out.flush()?;
@@ -273,16 +257,9 @@ fn write_scans(path: &Path, frames: &[Frame]) -> anyhow::Result<()> {
 fn compare(ours: &Changes, theirs: &Changes) -> Differences {
     let mut differences = Differences::default();
     let mut all = Comparison::default();
-    let block_at = |changes: &Changes, index| {
-        let at = changes.blocks().binary_search_by_key(&index, |(index, _)| *index);
-        at.ok().and_then(|at| changes.blocks().get(at)).map(|(_, block)| *block).unwrap_or_default()
-    };
-    let mut indices: Vec<_> = ours.blocks().iter().chain(theirs.blocks()).map(|(index, _)| *index).collect();
-    indices.sort_unstable();
-    indices.dedup();
-    for index in indices {
-        let (a, b) = (block_at(ours, index), block_at(theirs, index));
-        all.add(Some(&a), Some(&b));
+    let blocks = |changes: &Changes| changes.blocks().to_vec();
+    for [a, b] in side_by_side(blocks(ours), blocks(theirs)).values() {
+        all.add(a, b);
         for z in 0..8 {
             let ones = |bits: u64| u64::from(bits.count_ones());
             differences.free_here += ones(a.free()[z] & b.occupied()[z]);
@@ -300,7 +277,7 @@ fn print(output: &Output) {
         "{}: {} scans of {} ({:.0} rays each), {} m voxels, {} m range\n",
         output.scene, output.scans, output.lidar, output.rays_per_scan, output.resolution_m, output.range_m
     );
-    let table = Table::of(
+    let table = DataTable::of_text(
         &output.mappers,
         &[
             ("mapper", &|row| row.name.clone()),

@@ -44,7 +44,7 @@ pub fn section(rows: &[Row]) -> Section {
     let [(_, tx_avg, tx_max), (_, rx_avg, rx_max)] = TABLE_THREE;
     let parts = vec![
         Part::Words(format!(
-            "Two robots cross a small dense forest of 30 m. The leader's LiDAR faces backwards: it sees the way ahead only through the map of its \
+            "Two robots cross a small dense forest of 30 m. The leader's LiDAR faces backwards: it sees what lies ahead only through the map of its \
              follower. The same flights with and without sync, with budgets, and with loss. The paper flew this for real, \"multiple times\" with \
              success, and measured {tx_avg} KB/s sent and {rx_avg} received on average, {tx_max} and {rx_max} in the largest second (its Table III)."
         )),

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use flockmap_cli::document::{Part, Section};
+use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::SourceArgs;
 use flockmap_cli::sources::{self, Sources};
-use flockmap_cli::table::thousands;
 
 use super::args::PaperArgs;
 use super::figures::PUBLISH_PERIOD_S;
@@ -60,7 +60,7 @@ pub fn section(args: &PaperArgs, measured: Option<&Measured>) -> Section {
     match measured {
         Some(Measured { title, methods }) => {
             let note = format!(
-                "{title}: {} m voxels, {} m range, publish_period {PUBLISH_PERIOD_S} s; {} voxels changed.",
+                "{title}: {} m voxels, {} m range, publish period {PUBLISH_PERIOD_S} s; {} voxels changed.",
                 args.beyond_resolution,
                 args.beyond_range,
                 thousands(methods.changed_voxels)

@@ -79,7 +79,7 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Option<Flown>> {
             range_m: LIDAR_RANGE_M,
             seed: plan.seed,
             rendering: plan.rendering,
-            // Explorers have to tell the open sky from what they have not looked at.
+            // Explorers have to distinguish the open sky from what they have not looked at.
             no_returns: true,
             ..ScanOptions::default()
         },

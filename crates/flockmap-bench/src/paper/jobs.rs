@@ -3,24 +3,16 @@
 use flockmap_cli::parallel::in_parallel;
 use flockmap_cli::{progress, stop};
 
-/// A piece of work with its name for progress.
-pub struct Job<'a, T> {
-    pub name: String,
-    work: Box<dyn FnOnce() -> anyhow::Result<T> + Send + 'a>,
-}
-
-impl<'a, T> Job<'a, T> {
-    pub fn new(name: impl Into<String>, work: impl FnOnce() -> anyhow::Result<T> + Send + 'a) -> Self {
-        Self { name: name.into(), work: Box::new(work) }
-    }
-}
-
-/// Does all jobs, so many at a time. Results are in the order of the jobs, whatever order they end in; `None` for what Ctrl-C
-/// kept from being done, or from being done to its end.
-pub fn run<T: Send>(threads: usize, jobs: Vec<Job<'_, T>>) -> anyhow::Result<Vec<Option<T>>> {
+/// Does the same work for all jobs, each with its name for progress, so many at a time. Results are in the order of the jobs,
+/// whatever order they end in; `None` for what Ctrl-C kept from being done, or from being done to its end.
+pub fn run<J: Send, T: Send>(
+    threads: usize,
+    jobs: Vec<(String, J)>,
+    work: impl Fn(J) -> anyhow::Result<T> + Sync,
+) -> anyhow::Result<Vec<Option<T>>> {
     let count = jobs.len();
-    let mut done = in_parallel(threads.min(count), jobs, |job| {
-        let result = progress::within(&job.name, job.work);
+    let mut done = in_parallel(threads.min(count), jobs, |(name, job)| {
+        let result = progress::within(&name, || work(job));
         // What was ended in the middle is not a result.
         (!stop::requested() || result.is_err()).then_some(result)
     });
@@ -35,20 +27,19 @@ mod tests {
     #[test]
     fn results_keep_the_order_of_the_jobs() {
         for threads in [1, 2, 8] {
-            let jobs = (0..20u64).map(|n| {
-                Job::new(n.to_string(), move || {
-                    std::thread::sleep(std::time::Duration::from_micros(20 * (20 - n)));
-                    Ok(n * n)
-                })
+            let jobs = (0..20u64).map(|n| (n.to_string(), n)).collect();
+            let results = run(threads, jobs, |n| {
+                std::thread::sleep(std::time::Duration::from_micros(20 * (20 - n)));
+                Ok(n * n)
             });
-            let results = run(threads, jobs.collect()).unwrap();
-            assert_eq!(results, (0..20).map(|n| Some(n * n)).collect::<Vec<_>>());
+            assert_eq!(results.unwrap(), (0..20).map(|n| Some(n * n)).collect::<Vec<_>>());
         }
     }
 
     #[test]
-    fn an_error_is_told() {
-        let jobs = vec![Job::new("good", || Ok(1)), Job::new("bad", || anyhow::bail!("broken"))];
-        assert_eq!(run(2, jobs).unwrap_err().to_string(), "broken");
+    fn an_error_is_passed_on() {
+        let jobs = vec![("good".to_owned(), true), ("bad".to_owned(), false)];
+        let results = run(2, jobs, |good| if good { Ok(1) } else { anyhow::bail!("broken") });
+        assert_eq!(results.unwrap_err().to_string(), "broken");
     }
 }

@@ -5,14 +5,14 @@ use flockmap_cli::chart::{self, Bar};
 use flockmap_cli::document::{Cell, DataTable};
 use flockmap_cli::measure::KB;
 use flockmap_cli::member::IP_UDP_BYTES;
-use flockmap_cli::table::percent_short;
+use flockmap_cli::numbers::percent_short;
 use maud::{Markup, html};
 
 use crate::baselines::Method;
 use crate::codec_run::{self, Outcome};
 
 /// What a method cost on one record, all robots together.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct MethodRow {
     pub name: String,
     /// In a sentence, what it is.
@@ -32,7 +32,7 @@ pub struct MethodRow {
     pub agreement: f64,
     /// Whether every voxel must be right.
     pub is_lossless: bool,
-    /// Whether it keeps that word.
+    /// Whether it does what it promises.
     pub is_as_promised: bool,
     /// Mean time for a batch at the sender and at a receiver, where it was measured.
     pub encode_ms: Option<f64>,

@@ -22,31 +22,31 @@ use std::time::Instant;
 use anyhow::Context;
 use flockmap_cli::document::{Cell, DataTable, Document, Part, Section};
 use flockmap_cli::measure::KB;
+use flockmap_cli::numbers::percent_short;
 use flockmap_cli::parallel::cores;
 use flockmap_cli::robot_record::RecordFacts;
-use flockmap_cli::table::percent_short;
 use flockmap_cli::{progress, stop};
-use serde_json::{Map, json};
+use serde_json::json;
 
 use crate::random;
 pub use args::PaperArgs;
 use args::Stage;
 use figures::Scene;
 use flown::{Explored, FlightPlan, Flights, Flown};
-use jobs::Job;
 
 /// Of what can be seen an exploration must see this share.
 const SEEN_SHARE: f64 = 0.95;
 
-/// The order in which stages are done, and in which they stand in the report.
-const ORDER: [Stage; 7] = [
-    Stage::Table1,
-    Stage::Table2,
-    Stage::Table3,
-    Stage::Table4,
-    Stage::Fig5,
-    Stage::Application,
-    Stage::Beyond,
+/// In the order in which stages are done, and in which they stand in the report: a name, and the seconds that it took on two cores,
+/// as it is and quick. For the time left: only their proportions count.
+static STAGES: [(Stage, &str, [f64; 2]); 7] = [
+    (Stage::Table1, "Table I, all methods on four explorations", [400.0, 45.0]),
+    (Stage::Table2, "Table II, Hilbert walk against nested order", [20.0, 1.0]),
+    (Stage::Table3, "Table III, an emulated Wi-Fi", [60.0, 4.0]),
+    (Stage::Table4, "Table IV, times, one core", [15.0, 2.0]),
+    (Stage::Fig5, "Fig. 5, changes drawn at random", [40.0, 6.0]),
+    (Stage::Application, "the application, flying on a team-mate's map", [500.0, 35.0]),
+    (Stage::Beyond, "recordings", [60.0, 10.0]),
 ];
 
 /// A report in the making.
@@ -54,13 +54,12 @@ struct Bench<'a> {
     args: &'a PaperArgs,
     threads: usize,
     stages: Vec<Stage>,
-    /// Stages begun so far, and what they take, as far as it can be foretold.
+    /// Stages begun so far, and the seconds that all are expected to take.
     begun: usize,
     expected_s: Vec<f64>,
     started: Instant,
     sections: Vec<Section>,
     verdicts: Vec<(bool, String)>,
-    facts: Map<String, serde_json::Value>,
     skipped: Vec<&'static str>,
     is_good: bool,
     timings: Vec<(String, f64)>,
@@ -68,7 +67,8 @@ struct Bench<'a> {
 
 /// Runs the command. Whether every lossless method is lossless.
 pub fn run(args: &PaperArgs) -> anyhow::Result<bool> {
-    let stages = if args.only.is_empty() { ORDER.to_vec() } else { args.only.clone() };
+    let all = STAGES.iter().map(|(stage, ..)| *stage);
+    let stages = if args.only.is_empty() { all.collect() } else { args.only.clone() };
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let temporary;
@@ -87,7 +87,6 @@ pub fn run(args: &PaperArgs) -> anyhow::Result<bool> {
         started: Instant::now(),
         sections: Vec::new(),
         verdicts: Vec::new(),
-        facts: Map::new(),
         skipped: Vec::new(),
         is_good: true,
         stages,
@@ -115,28 +114,19 @@ impl Bench<'_> {
         scenes
     }
 
-    /// Seconds that each stage took on two cores, in the order of the stages. For the time left: only their proportions count.
+    /// Seconds that the flights and each stage took on two cores.
     fn expected(&self) -> Vec<f64> {
-        let quick = self.args.quick;
         let flights = match self.scenes().len() {
             0 => None,
             1 => Some([130.0, 20.0]),
             _ => Some([300.0, 40.0]),
         };
-        let stage = |stage: Stage| match stage {
-            Stage::Table1 => [400.0, 45.0],
-            Stage::Table2 => [20.0, 1.0],
-            Stage::Table3 => [60.0, 4.0],
-            Stage::Table4 => [15.0, 2.0],
-            Stage::Fig5 => [40.0, 6.0],
-            Stage::Application => [500.0, 35.0],
-            Stage::Beyond => [60.0, 10.0],
-        };
-        let stages = ORDER.into_iter().filter(|stage| self.stages.contains(stage)).map(stage);
-        flights.into_iter().chain(stages).map(|seconds| seconds[usize::from(quick)]).collect()
+        let wanted = STAGES.iter().filter(|(stage, ..)| self.stages.contains(stage));
+        let seconds = flights.into_iter().chain(wanted.map(|(.., seconds)| *seconds));
+        seconds.map(|seconds| seconds[usize::from(self.args.quick)]).collect()
     }
 
-    /// About how many seconds are left before the stage that begins now, in words.
+    /// About how many seconds are left before the stage that begins now, as text.
     fn left(&self) -> String {
         let done: f64 = self.expected_s.iter().take(self.begun - 1).sum();
         let left: f64 = self.expected_s.iter().skip(self.begun - 1).sum();
@@ -151,16 +141,22 @@ impl Bench<'_> {
         }
     }
 
-    /// Does a stage, unless it is not wanted or the user wants an end. `None` if it was not done, or not to its end.
+    /// Does a stage, unless it is not wanted.
     fn stage<T>(
         &mut self,
-        stage: Option<Stage>,
+        stage: Stage,
+        work: impl FnOnce(&mut Self) -> anyhow::Result<T>,
+    ) -> anyhow::Result<Option<T>> {
+        let wanted = STAGES.iter().find(|(other, ..)| *other == stage && self.stages.contains(&stage));
+        wanted.map_or(Ok(None), |(_, name, _)| self.part(name, work))
+    }
+
+    /// Does a part, unless the user wants an end. `None` if it was not done, or not to its end.
+    fn part<T>(
+        &mut self,
         name: &'static str,
         work: impl FnOnce(&mut Self) -> anyhow::Result<T>,
     ) -> anyhow::Result<Option<T>> {
-        if stage.is_some_and(|stage| !self.stages.contains(&stage)) {
-            return Ok(None);
-        }
         self.begun += 1;
         if stop::requested() {
             self.skipped.push(name);
@@ -190,24 +186,19 @@ impl Bench<'_> {
         }
         self.tables(&flights)?;
         let plan = random::Plan::new(self.args.quick, self.args.seed);
-        if let Some(figure) =
-            self.stage(Some(Stage::Fig5), "Fig. 5, changes drawn at random", |_| random::measure(&plan))?
-        {
+        if let Some(figure) = self.stage(Stage::Fig5, |_| random::measure(&plan))? {
             self.is_good &= figure.lossless;
             self.sections.push(random::section(&figure, &plan));
         }
         let (args, threads) = (self.args, self.threads);
         let seeds = u64::from(args.seeds.unwrap_or(if args.quick { 2 } else { 20 }));
-        if let Some(rows) =
-            self.stage(Some(Stage::Application), "the application, flying on a team-mate's map", |_| {
-                application::measure(seeds, args.quick, threads)
-            })?
-        {
+        let flown = self.stage(Stage::Application, |_| application::measure(seeds, args.quick, threads))?;
+        if let Some(rows) = flown {
             self.verdicts.extend(application::verdicts(&rows));
             self.sections.push(application::section(&rows));
         }
         let records: Vec<PathBuf> = beyond::records(self.args);
-        if let Some(measured) = self.stage(Some(Stage::Beyond), "recordings", |bench| {
+        if let Some(measured) = self.stage(Stage::Beyond, |bench| {
             if records.is_empty() { Ok(None) } else { beyond::measure(bench.args, &records, bench.threads) }
         })? {
             self.is_good &= measured.iter().flat_map(|m| &m.methods.rows).all(|row| row.is_as_promised);
@@ -223,73 +214,56 @@ impl Bench<'_> {
             return Ok(Vec::new());
         }
         if let Some(folder) = &self.args.flights {
-            let flown = self.stage(None, "opening the flights", |_| {
+            let flown = self.part("opening the flights", |_| {
                 scenes.iter().map(|scene| flown::open(*scene, folder)).collect()
             })?;
             return Ok(flown.unwrap_or_default());
         }
-        let flown = self.stage(None, "exploring", |bench| {
+        let flown = self.part("exploring", |bench| {
             // What robots do between their scans is done one after the other: two flights side by side leave no core idle.
             let threads = (bench.threads / scenes.len()).max(1);
             let args = bench.args;
-            let job = |scene: Scene| {
-                Job::new(
-                    format!("exploring the {} with {} robots", scene.words(), scene.robots()),
-                    move || {
-                        let plan = FlightPlan {
-                            scene,
-                            world: Arc::new(scene.world(args.seed)),
-                            seed: args.seed,
-                            lidar: args.lidar,
-                            rendering: args.rendering,
-                            seconds_max: args.seconds.unwrap_or(if args.quick { 10.0 } else { 400.0 }),
-                            threads,
-                        };
-                        flown::fly(&plan, records)
-                    },
-                )
+            let job = |scene: &Scene| {
+                (format!("exploring the {} with {} robots", scene.words(), scene.robots()), *scene)
             };
-            jobs::run(bench.threads, scenes.iter().map(|scene| job(*scene)).collect())
+            jobs::run(bench.threads, scenes.iter().map(job).collect(), |scene| {
+                let plan = FlightPlan {
+                    scene,
+                    world: Arc::new(scene.world(args.seed)),
+                    seed: args.seed,
+                    lidar: args.lidar,
+                    rendering: args.rendering,
+                    seconds_max: args.seconds.unwrap_or(if args.quick { 10.0 } else { 400.0 }),
+                    threads,
+                };
+                flown::fly(&plan, records)
+            })
         })?;
         // Whatever Ctrl-C kept from being flown, in part or at all, is left out.
         Ok(flown.into_iter().flatten().flatten().flatten().collect())
     }
 
     fn tables(&mut self, flights: &Flights) -> anyhow::Result<()> {
-        let seed = self.args.seed;
-        let forest = flights.get(Scene::Forest);
+        let (seed, quick, threads) = (self.args.seed, self.args.quick, self.threads);
         if let Some(measured) =
-            self.stage(Some(Stage::Table1), "Table I, all methods on four explorations", |bench| {
-                table1::measure(flights, seed, bench.args.quick, bench.threads)
-            })?
+            self.stage(Stage::Table1, |_| table1::measure(flights, seed, quick, threads))?
         {
             self.is_good &= measured.iter().flat_map(|row| &row.methods.rows).all(|row| row.is_as_promised);
             self.verdicts.extend(table1::verdicts(&measured));
             self.sections.push(table1::section(&measured));
             self.sections.extend(table1::fig6(&measured));
         }
-        let Some(forest) = forest else { return Ok(()) };
-        if let Some(Some(rows)) =
-            self.stage(Some(Stage::Table2), "Table II, Hilbert walk against nested order", |bench| {
-                table2::measure(forest, bench.threads)
-            })?
-        {
+        let Some(forest) = flights.get(Scene::Forest) else { return Ok(()) };
+        if let Some(rows) = self.stage(Stage::Table2, |_| table2::measure(forest, threads))?.flatten() {
             self.sections.push(table2::section(&rows));
         }
-        if let Some(Some(measured)) =
-            self.stage(Some(Stage::Table3), "Table III, an emulated Wi-Fi", |bench| {
-                table3::measure(forest, seed, bench.threads)
-            })?
-        {
+        let measured = self.stage(Stage::Table3, |_| table3::measure(forest, seed, threads))?.flatten();
+        if let Some(measured) = measured {
             self.is_good &= measured.ours.report.is_good() && measured.paper.report.is_good();
             self.sections.push(table3::section(&measured));
         }
-        if let Some(measured) =
-            self.stage(Some(Stage::Table4), "Table IV, times, one core", |_| table4::measure(forest))?
-            && measured.batches > 0
-        {
-            self.sections.push(table4::section(&measured));
-        }
+        let measured = self.stage(Stage::Table4, |_| table4::measure(forest))?;
+        self.sections.extend(measured.filter(|measured| measured.batches > 0).as_ref().map(table4::section));
         Ok(())
     }
 
@@ -310,19 +284,14 @@ impl Bench<'_> {
         let mut sections = core::mem::take(&mut self.sections);
         sections.push(deviations(self.args));
         sections.push(self.effort());
-        self.facts.extend([
+        let facts = [
             ("seed".to_owned(), json!(self.args.seed)),
             ("quick".to_owned(), json!(self.args.quick)),
             ("interrupted".to_owned(), json!(stop::requested())),
             ("missing".to_owned(), json!(self.skipped)),
-        ]);
-        Document {
-            title: "The paper's evaluation, repeated".to_owned(),
-            verdicts,
-            sections,
-            facts: core::mem::take(&mut self.facts),
-            ..Document::default()
-        }
+        ];
+        let title = "The paper's evaluation, repeated".to_owned();
+        Document { title, verdicts, sections, facts: facts.into_iter().collect(), ..Document::default() }
     }
 
     /// How long it took.
@@ -394,7 +363,7 @@ fn deviations(args: &PaperArgs) -> Section {
             args.rendering
         ),
         "Exploration: a small relative of RACER's planner (frontiers, viewpoints, regions divided pairwise), in which each robot plans on its own fused map, over \
-         a perfect radio, and is published of rays that hit nothing, so that it need not go on looking at the open sky; the tables leave these rays out. One flight for each scene serves both of its rows and Table II, as the paper's one record does; it is flown with the maps of the first of them."
+         a perfect radio, and knows of rays that hit nothing, so that it need not go on looking at the open sky; the tables leave these rays out. One flight for each scene serves both of its rows and Table II, as the paper's one record does; it is flown with the maps of the first of them."
             .to_owned(),
         "Team-mates are seen in the scans and left out of the maps. The paper does not say what it does with them.".to_owned(),
         "Mapper: ROG-Map's rules and published values. The paper uses it on its robots and does not say what its simulation used.".to_owned(),

@@ -9,30 +9,16 @@ use flockmap_netsim::{Link, RadioConfig};
 
 use super::methods::MethodRow;
 
-/// What is run.
-pub struct StackPlan {
-    pub title: String,
-    pub robot: RobotConfig,
-    pub link: Link,
-}
-
 /// What came of it.
 pub struct Stack {
     pub report: Report,
-    /// UDP payload of each robot over time.
-    pub traffic: Vec<Traffic>,
-}
-
-/// What one robot sent and received.
-pub struct Traffic {
-    pub sent: SentBytes,
-    pub received: SentBytes,
+    /// UDP payload that each robot sent and received over time.
+    pub traffic: Vec<[SentBytes; 2]>,
 }
 
 /// Runs robots with unicast through their records.
-pub fn run(plan: &StackPlan, sources: Vec<Source>) -> anyhow::Result<Stack> {
-    let StackPlan { title, robot, link } = plan;
-    let radio = RadioConfig { seed: robot.seed, link: *link, ..RadioConfig::default() };
+pub fn run(title: String, robot: &RobotConfig, link: Link, sources: Vec<Source>) -> anyhow::Result<Stack> {
+    let radio = RadioConfig { seed: robot.seed, link, ..RadioConfig::default() };
     let run = swarm::run(sources, |id| RobotConfig { id, ..robot.clone() }, radio)?;
     let radio = format!(
         "{} % of datagrams lost, {} ms delay, up to {} ms jitter",
@@ -40,17 +26,9 @@ pub fn run(plan: &StackPlan, sources: Vec<Source>) -> anyhow::Result<Stack> {
         link.delay_micros as f64 / 1e3,
         link.jitter_micros as f64 / 1e3
     );
-    let settings = Settings::new(robot, Preset::RogMap, &radio);
-    let report = run.report(title.clone(), settings)?;
-    let traffic = run
-        .members
-        .iter()
-        .map(|member| Traffic {
-            sent: member.measures.sent.clone(),
-            received: member.measures.received.clone(),
-        })
-        .collect();
-    Ok(Stack { report, traffic })
+    let report = Report::new(&run, title, Settings::new(robot, Preset::RogMap, &radio))?;
+    let traffic = run.members.into_iter().map(|member| [member.measures.sent, member.measures.received]);
+    Ok(Stack { report, traffic: traffic.collect() })
 }
 
 impl Stack {
@@ -61,8 +39,6 @@ impl Stack {
             name: name.to_owned(),
             about: about.to_owned(),
             total_bytes: sum.total_bytes,
-            paper_bytes: 0,
-            changed_voxels: 0,
             ip_udp_bytes: sum.ip_udp_bytes,
             avg_kb_s: sum.avg_kb_s / robots.len().max(1) as f64,
             max_kb_s: robots.iter().map(|robot| robot.bytes.max_kb_s).fold(0.0, f64::max),
@@ -70,7 +46,7 @@ impl Stack {
             is_lossless: true,
             is_as_promised: self.report.is_good(),
             encode_ms: Some(self.report.t_pack.mean_ms),
-            decode_ms: None,
+            ..MethodRow::default()
         }
     }
 }

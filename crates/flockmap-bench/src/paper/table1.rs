@@ -2,8 +2,8 @@
 
 use flockmap_cli::document::{Cell, DataTable, Part, Section};
 use flockmap_cli::measure::KB;
+use flockmap_cli::numbers::{percent_short, thousands};
 use flockmap_cli::report::Report;
-use flockmap_cli::table::{percent_short, thousands};
 use maud::html;
 
 use super::figures::{TABLE_ONE, TableOneRow};

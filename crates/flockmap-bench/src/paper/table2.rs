@@ -5,7 +5,7 @@ use flockmap_cli::document::{Cell, DataTable, Part, Section};
 
 use super::figures::{Scene, TABLE_TWO, TABLE_TWO_RANGE_M};
 use super::flown::Flown;
-use super::jobs::{self, Job};
+use super::jobs;
 use super::methods::MethodRows;
 use super::settings::mapper;
 use super::team;
@@ -14,14 +14,14 @@ use crate::baselines::Method;
 /// Measures both orders on the forest.
 pub fn measure(flown: &Flown, threads: usize) -> anyhow::Result<Option<MethodRows>> {
     let methods = [Method::Whole(Codec::Paper), Method::Whole(Codec::NestedZlib)];
-    let robots = (0..flown.scene.robots()).map(|robot| {
-        Job::new(format!("Table II, robot {}", robot + 1), move || {
-            let source = flown.sources(TABLE_TWO_RANGE_M)?.swap_remove(robot);
-            let mapper = mapper(0.1, TABLE_TWO_RANGE_M)?;
-            team::codecs(source, &mapper, flown.scene.robots() - 1, &methods, |_, _| true)
-        })
-    });
-    let outcomes: Option<Vec<_>> = jobs::run(threads, robots.collect())?.into_iter().collect();
+    let robots = (0..flown.scene.robots()).map(|robot| (format!("Table II, robot {}", robot + 1), robot));
+    let outcomes: Option<Vec<_>> = jobs::run(threads, robots.collect(), |robot| {
+        let source = flown.sources(TABLE_TWO_RANGE_M)?.swap_remove(robot);
+        let mapper = mapper(0.1, TABLE_TWO_RANGE_M)?;
+        team::codecs(source, &mapper, flown.scene.robots() - 1, &methods, |_, _| true)
+    })?
+    .into_iter()
+    .collect();
     Ok(outcomes.map(|outcomes| MethodRows::of_robots(&outcomes, flown.scene.robots() - 1)))
 }
 

@@ -10,9 +10,9 @@ use maud::{Markup, html};
 
 use super::figures::{CHANGES_MAX, FLIGHT_PUBLISH_PERIOD_S, FLIGHT_UPDATE_BOX_M, TABLE_THREE};
 use super::flown::{Flown, LIDAR_RANGE_M};
-use super::jobs::{self, Job};
+use super::jobs;
 use super::settings::{batch, mapper, robot};
-use super::stack::{self, Stack, StackPlan, Traffic};
+use super::stack::{self, Stack};
 
 /// The emulated Wi-Fi: every tenth datagram is lost.
 pub const WIFI: Link = Link { loss: 0.1, delay_micros: 10_000, jitter_micros: 10_000, ..Link::PERFECT };
@@ -23,27 +23,26 @@ pub struct Measured {
     pub paper: Stack,
 }
 
-/// What is run: the paper's settings of its real flight.
-pub fn plan(codec: Codec, session: SessionConfig, seed: u64) -> anyhow::Result<StackPlan> {
+/// A robot with the paper's settings of its real flight.
+pub fn flight_robot(codec: Codec, session: SessionConfig, seed: u64) -> anyhow::Result<RobotConfig> {
     let mut mapper = mapper(0.1, LIDAR_RANGE_M)?;
     mapper.update_box_m = Some(FLIGHT_UPDATE_BOX_M);
     let robot = robot(mapper, batch(FLIGHT_PUBLISH_PERIOD_S, CHANGES_MAX), seed);
-    let title = "two nodes over an emulated Wi-Fi".to_owned();
-    Ok(StackPlan { title, robot: RobotConfig { codec, session, ..robot }, link: WIFI })
+    Ok(RobotConfig { codec, session, ..robot })
 }
 
 /// Runs both sessions on the forest.
 pub fn measure(flown: &Flown, seed: u64, threads: usize) -> anyhow::Result<Option<Measured>> {
-    let sessions = [
-        ("ours", Codec::Flock, SessionConfig::default()),
-        ("the paper's", Codec::Paper, SessionConfig::paper()),
+    let sessions = vec![
+        ("Table III, ours".to_owned(), (Codec::Flock, SessionConfig::default())),
+        ("Table III, the paper's".to_owned(), (Codec::Paper, SessionConfig::paper())),
     ];
-    let jobs = sessions.into_iter().map(|(name, codec, session)| {
-        Job::new(format!("Table III, {name}"), move || {
-            stack::run(&plan(codec, session, seed)?, flown.sources(LIDAR_RANGE_M)?)
-        })
-    });
-    let mut stacks = jobs::run(threads, jobs.collect())?.into_iter();
+    let stacks = jobs::run(threads, sessions, |(codec, session)| {
+        let robot = flight_robot(codec, session, seed)?;
+        let title = "two nodes over an emulated Wi-Fi".to_owned();
+        stack::run(title, &robot, WIFI, flown.sources(LIDAR_RANGE_M)?)
+    })?;
+    let mut stacks = stacks.into_iter();
     let (Some(Some(ours)), Some(Some(paper))) = (stacks.next(), stacks.next()) else { return Ok(None) };
     Ok(Some(Measured { ours, paper }))
 }
@@ -59,7 +58,7 @@ pub fn section(measured: &Measured) -> Section {
     let mut lines = Vec::new();
     for (session, stack) in [("Flockmap", &measured.ours), ("as in the paper", &measured.paper)] {
         let seconds = stack.report.record_s.max(1e-3);
-        for (number, Traffic { sent, received }) in stack.traffic.iter().enumerate() {
+        for (number, [sent, received]) in stack.traffic.iter().enumerate() {
             let avg = |of: &SentBytes| of.total() as f64 / KB / seconds;
             let max = |of: &SentBytes| of.largest_second() as f64 / KB;
             let kb_s = [avg(sent), avg(received), max(sent), max(received)];
@@ -91,7 +90,7 @@ pub fn section(measured: &Measured) -> Section {
     let parts = vec![
         Part::Words(format!(
             "The two robots of the forest over an emulated Wi-Fi: {:.0} % of all datagrams lost, {:.0} ms delay and up to {:.0} ms jitter. \
-             0.1 m voxels, an update box of ±{} × ±{} × ±{} m, publish_period {FLIGHT_PUBLISH_PERIOD_S} s, as in the paper's real flight.",
+             0.1 m voxels, an update box of ±{} × ±{} × ±{} m, publish period {FLIGHT_PUBLISH_PERIOD_S} s, as in the paper's real flight.",
             WIFI.loss * 100.0,
             WIFI.delay_micros as f64 / 1e3,
             WIFI.jitter_micros as f64 / 1e3,
@@ -108,7 +107,7 @@ pub fn section(measured: &Measured) -> Section {
 /// What robot 1 sends and receives in each second.
 fn fig9(measured: &Measured) -> Markup {
     let chart = |stack: &Stack| {
-        let Traffic { sent, received } = stack.traffic.first()?;
+        let [sent, received] = stack.traffic.first()?;
         // The last second is a part of one.
         let whole = (stack.report.record_s.floor() as usize).max(2);
         let series = |sent: &SentBytes| -> Vec<f64> {

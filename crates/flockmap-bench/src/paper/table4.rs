@@ -1,4 +1,4 @@
-//! Table IV: the time to pack a batch, and from receiving it to the fused map. Runs alone on one core.
+//! Table IV: the time to pack a batch, and from receiving it to the fused map. Nothing else runs meanwhile, and all of it on one core.
 
 use std::time::{Duration, Instant};
 
@@ -42,8 +42,8 @@ struct Node {
 
 /// Measures both robots of the forest, one after the other, on this thread.
 pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
-    let plan = table3::plan(Codec::Paper, SessionConfig::default(), 0)?;
-    let resolution = plan.robot.mapper.resolution;
+    let robot = table3::flight_robot(Codec::Paper, SessionConfig::default(), 0)?;
+    let resolution = robot.mapper.resolution;
     let mut sources = flown.sources(LIDAR_RANGE_M)?;
     sources.truncate(2);
     let stream = |number: usize| Stream { origin: RobotId(number as u16 + 1), epoch: 1 };
@@ -51,8 +51,8 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
     for number in 0..sources.len() {
         let fusion = || Fusion::new(stream(number), resolution, FusionConfig::default());
         nodes.push(Node {
-            mapper: Mapper::new(plan.robot.mapper.clone())?,
-            packer: Packer::new(plan.robot.batch, stream(number), resolution, Stamp(0)),
+            mapper: Mapper::new(robot.mapper.clone())?,
+            packer: Packer::new(robot.batch, stream(number), resolution, Stamp(0)),
             fusions: [fusion(), fusion()],
         });
     }
@@ -92,7 +92,7 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
     Ok(measured)
 }
 
-/// Packs a batch both ways and merges it at the receiver. Returns how many packages it came to.
+/// Packs a batch whole and cut, and merges it at the receiver. Returns how many packages it came to.
 fn one_batch(
     measured: &mut Measured,
     encoder: &mut Encoder,

@@ -9,10 +9,10 @@ use flockmap_cli::sources::{Frame, Source};
 use flockmap_netsim::{Link, RadioConfig};
 
 use super::figures::{CHANGES_MAX, PUBLISH_PERIOD_S};
-use super::jobs::{self, Job};
+use super::jobs;
 use super::methods::{self, MethodRow, MethodRows};
 use super::settings::{batch, robot};
-use super::stack::{self, Stack, StackPlan};
+use super::stack::{self, Stack};
 use crate::baselines::Method;
 use crate::baselines::racer_code::{RacerCast, RacerConfig};
 use crate::codec_run::{CodecRun, Outcome};
@@ -84,16 +84,15 @@ pub fn measure(teams: &[Team<'_>], seed: u64, threads: usize) -> anyhow::Result<
         order.extend((0..team.robots).map(|robot| (number, Task::Relay(robot))));
     }
     let pieces = order.iter().map(|&(number, task)| {
-        let team = &teams[number];
         let name = match task {
             Task::Stack => "whole stack".to_owned(),
             Task::Rival => RACER_CODE.to_owned(),
             Task::Robot(robot) => format!("robot {}", robot + 1),
             Task::Relay(robot) => format!("scans relayed, robot {}", robot + 1),
         };
-        Job::new(format!("{}, {name}", team.name), move || team.piece(task, seed))
+        (format!("{}, {name}", teams[number].name), (number, task))
     });
-    let pieces = jobs::run(threads, pieces.collect())?;
+    let pieces = jobs::run(threads, pieces.collect(), |(number, task)| teams[number].piece(task, seed))?;
     let mut done: Vec<Done> = teams.iter().map(|_| Done::default()).collect();
     for ((number, _), piece) in order.iter().zip(pieces) {
         match piece {
@@ -129,8 +128,7 @@ impl Team<'_> {
 
     fn stack(&self, sources: Vec<Source>, seed: u64) -> anyhow::Result<Stack> {
         let robot = robot(self.mapper.clone(), batch(PUBLISH_PERIOD_S, CHANGES_MAX), seed);
-        let plan = StackPlan { title: self.title.clone(), robot, link: Link::default() };
-        stack::run(&plan, sources)
+        stack::run(self.title.clone(), &robot, Link::default(), sources)
     }
 
     fn measured(&self, done: Done) -> Option<Measured> {
@@ -182,16 +180,12 @@ fn rival(mapper: &MapperConfig, sources: Vec<Source>, seed: u64) -> anyhow::Resu
             percent(agreement.missing)
         ),
         total_bytes,
-        paper_bytes: 0,
-        changed_voxels: 0,
         ip_udp_bytes: run.members.iter().map(|member| member.datagrams).sum::<u64>() * IP_UDP_BYTES,
         avg_kb_s: total_bytes as f64 / KB / seconds / f64::from(robots.max(1)),
         max_kb_s: run.members.iter().map(|member| member.sent.largest_second()).max().unwrap_or(0) as f64
             / KB,
         agreement: agreement.compared.share(),
-        is_lossless: false,
         is_as_promised: true,
-        encode_ms: None,
-        decode_ms: None,
+        ..MethodRow::default()
     })
 }

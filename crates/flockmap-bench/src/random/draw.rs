@@ -43,7 +43,7 @@ pub struct Map3 {
     /// Voxels along x, y, z.
     pub size: [u32; 3],
     pub voxels: u64,
-    /// Bytes of the shortest address that tells all voxels apart.
+    /// Bytes of the shortest address that is another one for each voxel.
     pub address_bytes: u32,
     pub points: Vec<Point>,
 }
@@ -91,7 +91,7 @@ pub fn measure(plan: &Plan) -> anyhow::Result<Figure> {
     let weight = |size: usize| volume(plan.sizes[size]).div_ceil(1 << 15);
     let progress = Progress::new("Fig. 5: voxels drawn, in 32³", jobs.iter().map(|j| weight(j.0)).sum());
     let mut points = in_parallel(cores().min(jobs.len()), jobs, |(size, ratio)| {
-        let point = Bench::new().point(plan, size, ratio);
+        let point = point(plan, size, ratio);
         progress.add(weight(size));
         ((size, ratio), point)
     });
@@ -114,7 +114,7 @@ fn volume(size: [u32; 3]) -> u64 {
     size.into_iter().map(u64::from).product()
 }
 
-/// Bytes of the shortest address that tells so many voxels apart.
+/// Bytes of the shortest address that is another one for each of so many voxels.
 fn address_bytes(voxels: u64) -> u32 {
     (u64::BITS - voxels.saturating_sub(1).leading_zeros()).div_ceil(8).max(1)
 }
@@ -124,13 +124,13 @@ fn entropy(share: f64) -> f64 {
     [share, 1.0 - share].into_iter().filter(|p| *p > 0.0).map(|p| -p * p.log2()).sum()
 }
 
-/// Exactly `count` voxels of the map, each Free or Occupied with the same chance. Two opposite corners of the map are always
+/// Exactly `count` voxels of the map, each Free or Occupied with the same probability. Two opposite corners of the map are always
 /// among them: the whole map is the box then, as in the paper's figure, and no method gains from a smaller one.
 fn draw(size: [u32; 3], count: u64, random: &mut Random) -> Changes {
     let voxels = volume(size);
     let last = [size[0] as i32 - 1, size[1] as i32 - 1, size[2] as i32 - 1];
     let corners = [Voxel::new(0, 0, 0), Voxel::new(last[0], last[1], last[2])];
-    // Selection sampling (Knuth, vol. 2, algorithm S): every set of voxels has the same chance.
+    // Selection sampling (Knuth, vol. 2, algorithm S): every set of voxels has the same probability.
     let (mut left, mut wanted) = (voxels - 2, count.saturating_sub(2));
     let mut blocks = Vec::new();
     let sides = size.map(|side| side as i32 / 8);
@@ -160,78 +160,68 @@ fn draw(size: [u32; 3], count: u64, random: &mut Random) -> Changes {
     Changes::from_blocks(blocks)
 }
 
-/// Encodes and decodes on one thread.
-struct Bench {
-    encoder: Encoder,
-    decoder: Decoder,
-}
-
 /// A point, the largest header, and whether every codec is lossless.
 type Measured = anyhow::Result<(Point, usize, bool)>;
 
-impl Bench {
-    fn new() -> Self {
-        Self { encoder: Encoder::new(), decoder: Decoder::new() }
-    }
-
-    fn point(&mut self, plan: &Plan, size_number: usize, ratio_number: usize) -> Measured {
-        let (size, ratio) = (plan.sizes[size_number], plan.ratios[ratio_number]);
-        let voxels = volume(size);
-        ensure!(
-            size.iter().all(|side| *side > 0 && side % 8 == 0),
-            "a map of {size:?} voxels: sides must be multiples of 8"
-        );
-        let changed = ((voxels as f64 * ratio).round() as u64).clamp(2, voxels);
-        let batch = Batch {
-            stream: Stream { origin: RobotId(1), epoch: 1 },
-            start: Stamp(0),
-            end: Stamp(500_000),
-            resolution: Resolution::from_micrometres(100_000)
-                .ok_or_else(|| anyhow::anyhow!("0.1 m is a resolution"))?,
-            sensor: [0; 3],
-        };
-        let mut costs: Vec<(&'static str, Vec<u64>)> =
-            Codec::ALL.into_iter().map(|codec| (codec.name(), Vec::new())).collect();
-        let (mut header_bytes, mut lossless) = (0, true);
-        for number in 0..plan.draws {
-            let purpose = (size_number as u64) << 48 | (ratio_number as u64) << 32 | u64::from(number);
-            let changes = draw(size, changed, &mut Random::new(plan.seed, purpose));
-            for (codec, (_, bytes)) in Codec::ALL.into_iter().zip(&mut costs) {
-                // What these two need does not depend on the draw.
-                if let (Codec::Raw | Codec::Racer, Some(&first)) = (codec, bytes.first()) {
-                    bytes.push(first);
-                    continue;
-                }
-                let package = self.encoder.encode_whole(codec, &batch, 1, &changes)?;
-                bytes.push(package.bytes().len() as u64);
-                if codec == Codec::Raw {
-                    header_bytes = header_bytes.max(package.bytes().len() - voxels.div_ceil(4) as usize);
-                }
-                if number == 0 {
-                    let decoded = self.decoder.decode(&Package::parse(package.bytes())?)?;
-                    lossless &= matches!(&decoded, Content::Changes(decoded) if *decoded == changes);
-                }
+/// Draws one point, encodes and decodes.
+fn point(plan: &Plan, size_number: usize, ratio_number: usize) -> Measured {
+    let (size, ratio) = (plan.sizes[size_number], plan.ratios[ratio_number]);
+    let voxels = volume(size);
+    ensure!(
+        size.iter().all(|side| *side > 0 && side % 8 == 0),
+        "a map of {size:?} voxels: sides must be multiples of 8"
+    );
+    let changed = ((voxels as f64 * ratio).round() as u64).clamp(2, voxels);
+    let batch = Batch {
+        stream: Stream { origin: RobotId(1), epoch: 1 },
+        start: Stamp(0),
+        end: Stamp(500_000),
+        resolution: Resolution::from_micrometres(100_000)
+            .ok_or_else(|| anyhow::anyhow!("0.1 m is a resolution"))?,
+        sensor: [0; 3],
+    };
+    let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
+    let mut costs: Vec<(&'static str, Vec<u64>)> =
+        Codec::ALL.into_iter().map(|codec| (codec.name(), Vec::new())).collect();
+    let (mut header_bytes, mut lossless) = (0, true);
+    for number in 0..plan.draws {
+        let purpose = (size_number as u64) << 48 | (ratio_number as u64) << 32 | u64::from(number);
+        let changes = draw(size, changed, &mut Random::new(plan.seed, purpose));
+        for (codec, (_, bytes)) in Codec::ALL.into_iter().zip(&mut costs) {
+            // What these two need does not depend on the draw.
+            if let (Codec::Raw | Codec::Racer, Some(&first)) = (codec, bytes.first()) {
+                bytes.push(first);
+                continue;
             }
-            if stop::requested() {
-                break;
+            let package = encoder.encode_whole(codec, &batch, 1, &changes)?;
+            bytes.push(package.bytes().len() as u64);
+            if codec == Codec::Raw {
+                header_bytes = header_bytes.max(package.bytes().len() - voxels.div_ceil(4) as usize);
+            }
+            if number == 0 {
+                let decoded = decoder.decode(&Package::parse(package.bytes())?)?;
+                lossless &= matches!(&decoded, Content::Changes(decoded) if *decoded == changes);
             }
         }
-        let address = u64::from(address_bytes(voxels));
-        let fixed = [(RACER_SHORT, changed * (address + 1)), (RACER_ADDRESSES, changed * address)];
-        costs.extend(fixed.map(|(name, bytes)| (name, vec![bytes])));
-        let cost = |(name, bytes): (&'static str, Vec<u64>)| Cost {
-            name,
-            mean_bytes: bytes.iter().sum::<u64>() as f64 / bytes.len().max(1) as f64,
-            smallest_bytes: bytes.iter().copied().min().unwrap_or(0),
-            largest_bytes: bytes.iter().copied().max().unwrap_or(0),
-        };
-        let limit_bytes = (entropy(ratio) + ratio) * voxels as f64 / 8.0;
-        Ok((
-            Point { ratio, changed, limit_bytes, methods: costs.into_iter().map(cost).collect() },
-            header_bytes,
-            lossless,
-        ))
+        if stop::requested() {
+            break;
+        }
     }
+    let address = u64::from(address_bytes(voxels));
+    let fixed = [(RACER_SHORT, changed * (address + 1)), (RACER_ADDRESSES, changed * address)];
+    costs.extend(fixed.map(|(name, bytes)| (name, vec![bytes])));
+    let cost = |(name, bytes): (&'static str, Vec<u64>)| Cost {
+        name,
+        mean_bytes: bytes.iter().sum::<u64>() as f64 / bytes.len().max(1) as f64,
+        smallest_bytes: bytes.iter().copied().min().unwrap_or(0),
+        largest_bytes: bytes.iter().copied().max().unwrap_or(0),
+    };
+    let limit_bytes = (entropy(ratio) + ratio) * voxels as f64 / 8.0;
+    Ok((
+        Point { ratio, changed, limit_bytes, methods: costs.into_iter().map(cost).collect() },
+        header_bytes,
+        lossless,
+    ))
 }
 
 #[cfg(test)]

@@ -74,7 +74,7 @@ pub fn run(args: &RandomArgs) -> anyhow::Result<bool> {
     Ok(figure.lossless)
 }
 
-/// Whether all is well, in words.
+/// Whether all is well, as text.
 pub fn verdicts(figure: &Figure) -> Vec<(bool, String)> {
     let mut verdicts = Vec::new();
     if stop::requested() {

@@ -46,7 +46,7 @@ fn samples(recordings: &[Recording], scans: Option<Scans>) -> Vec<Sample<'_>> {
     recordings.iter().filter(fits).map(sample).collect()
 }
 
-/// At most `wanted` batches at even distances, of those that are or are not of obstacles alone.
+/// At most `wanted` batches at even distances, of those that hold only obstacles, or of the others.
 fn choose(recording: &Recording, of_obstacles: bool, wanted: usize) -> Vec<usize> {
     let batches = recording.batches.iter().enumerate();
     let fitting: Vec<usize> = batches

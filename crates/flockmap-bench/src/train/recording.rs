@@ -13,7 +13,7 @@ use flockmap_worlds::{ScanOptions, Scanner, Trajectory, TrajectoryOptions, World
 
 use super::scenes::{MapSize, Place, ROBOTS, Scans, Scene};
 
-/// When batches close. Each flight is mapped in both ways, as robots can be told either.
+/// When batches close. Each flight is mapped with both, as robots can be set to either.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Closing {
     /// All changes every half second.
@@ -55,7 +55,7 @@ struct Flight<'a> {
     poses: Vec<(Stamp, Pose)>,
 }
 
-/// Flies all scenes and maps every flight at every size, in both ways of closing. The same recordings in the same order, whatever
+/// Flies all scenes and maps every flight at every size, with both closings. The same recordings in the same order, whatever
 /// the number of threads. Holds all batches: about 130 bytes for each block of 8³ voxels that changed.
 pub fn record(scenes: &[Scene], threads: usize) -> anyhow::Result<Vec<Recording>> {
     let progress = Progress::new("worlds", scenes.len() as u64);

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// The program with these words.
+/// The program with these arguments.
 pub(crate) fn command(words: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_flockmap-bench"));
     command.args(words.split_whitespace()).env_remove("FLOCKMAP_DATA");

@@ -12,12 +12,12 @@ use flockmap_cli::measure::TimeSummary;
 use flockmap_cli::member::Measures;
 use flockmap_cli::options::{MapArgs, SourceArgs};
 use flockmap_cli::picture::MapPicture;
-use flockmap_cli::program::command_line;
 use flockmap_cli::progress::Progress;
-use flockmap_cli::report::{Course, Finished, Report, Settings};
+use flockmap_cli::report::{Member, Report, Run, Settings};
 use flockmap_cli::{sources, stop, team};
 use flockmap_node::{
-    Clock, Node, NodeHandle, NodeOptions, Observation, SendResult, Sensor, Transport, UdpOptions, UdpSockets,
+    Clock, Histogram, Node, NodeHandle, NodeOptions, Observation, SendResult, Sensor, Timings, Transport,
+    UdpOptions, UdpSockets,
 };
 
 /// Fly a swarm over real UDP sockets on this machine and report what it cost
@@ -52,7 +52,7 @@ const SETTLE_MAX: Duration = Duration::from_secs(20);
 /// How often nodes are asked how they do.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
-/// What a node tells of itself while it runs. It is counted on the thread of the demo, so that counting costs the nodes nothing.
+/// What a node reports while it runs. It is counted on the thread of the demo, so that counting costs the nodes nothing.
 enum Update {
     Scan { stamp: Stamp, report: ScanReport },
     Event { now: Stamp, event: Event },
@@ -60,12 +60,12 @@ enum Update {
 }
 
 /// A robot of the demo.
-struct Member {
+struct Flyer {
     name: String,
     stream: Stream,
     measures: Measures,
-    snapshots: Vec<MapPicture>,
-    last_scan: Option<Stamp>,
+    pictures: Vec<MapPicture>,
+    last_scan: Stamp,
 }
 
 /// Runs the command. Whether everything arrived and every voxel is equal.
@@ -77,52 +77,42 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
 
     let clock = Clock::at(Stamp(0));
     let (updates, reported) = channel();
-    let (mut members, nodes) = start(sources.robots, &base, clock, &updates)?;
+    let (mut flyers, nodes) = start(sources.robots, &base, clock, &updates)?;
     drop(updates);
-    let interrupted = fly(&mut members, &nodes, clock, &reported, seconds);
-    let arrived = settle(&mut members, &nodes, clock, &reported)?;
-    for (member, node) in members.iter_mut().zip(&nodes) {
-        let snapshot = node.with_robot(|robot, now| MapPicture::take(robot, since_begin(now)));
-        member.snapshots.extend(snapshot);
+    fly(&mut flyers, &nodes, clock, &reported, seconds);
+    let arrived = settle(&mut flyers, &nodes, clock, &reported)?;
+    let mut ended = Vec::new();
+    for (flyer, node) in flyers.iter_mut().zip(&nodes) {
+        flyer.pictures.extend(picture(node));
         node.stop();
     }
-    let mut ended = Vec::new();
     for node in nodes {
         ended.push(node.join().context("a node ended with an error")?);
     }
-    reported.try_iter().for_each(|news| take_in(&mut members, news));
+    reported.try_iter().for_each(|update| count(&mut flyers, update));
 
-    let times = |of: fn(&flockmap_node::Timings) -> &flockmap_node::Histogram| {
-        TimeSummary::of_histograms(ended.iter().map(|e| of(&e.status.timings)))
+    let times = |of: fn(&Timings) -> &Histogram| {
+        TimeSummary::of_histograms(ended.iter().map(|ended| of(&ended.status.timings)))
     };
-    let course = Course {
-        command: command_line(),
-        title,
-        record_s: last_scan(&members).micros_since(BEGIN) as f64 / 1e6,
-        settle_s: arrived.map(|at| at.micros_since(last_scan(&members)).max(0) as f64 / 1e6),
-        interrupted,
-        t_map: times(|t| &t.insert_scan),
-        t_pack: times(|t| &t.pack),
-        t_recv2insert: times(|t| &t.receive_to_insert),
-    };
+    let [map, pack, insert] =
+        [times(|t| &t.insert_scan), times(|t| &t.pack), times(|t| &t.receive_to_insert)];
+    let last_scan = flyers.iter().map(|flyer| flyer.last_scan).max().unwrap_or_default();
+    let members = flyers.into_iter().zip(ended).map(|(flyer, ended)| {
+        let Flyer { name, measures, pictures, .. } = flyer;
+        Member { name, robot: ended.robot, measures, pictures, scans_damaged: 0 }
+    });
+    let run = Run { members: members.collect(), last_scan, arrived, map, pack, insert };
     let radio = "UDP sockets on the loopback of this machine, in real time";
-    let settings = Settings::new(&base, args.map.mapper, radio);
-    let finished: Vec<Finished<'_>> = members
-        .iter()
-        .zip(&ended)
-        .map(|(member, ended)| Finished {
-            name: &member.name,
-            robot: &ended.robot,
-            measures: &member.measures,
-            snapshots: &member.snapshots,
-            scans_damaged: 0,
-        })
-        .collect();
-    let report = Report::new(course, settings, &finished)?;
+    let report = Report::new(&run, title, Settings::new(&base, args.map.mapper, radio))?;
     let document = report.document();
     document.print(false);
     document.write(&args.out, &report)?;
     Ok(report.is_good())
+}
+
+/// The map of a node as it is now; `None` if the node has ended.
+fn picture(node: &NodeHandle) -> Option<MapPicture> {
+    node.with_robot(|robot, now| MapPicture::take(robot, since_begin(now)))
 }
 
 type Updates = Sender<(usize, Update)>;
@@ -132,14 +122,14 @@ fn start(
     base: &RobotConfig,
     clock: Clock,
     updates: &Updates,
-) -> anyhow::Result<(Vec<Member>, Vec<NodeHandle>)> {
+) -> anyhow::Result<(Vec<Flyer>, Vec<NodeHandle>)> {
     let options = UdpOptions::new("127.0.0.1:0".parse()?);
     let mut sockets = Vec::new();
     for _ in &robots {
         sockets.push(UdpSockets::bind(&options)?);
     }
     let addresses = sockets.iter().map(UdpSockets::local_addr).collect::<io::Result<Vec<_>>>()?;
-    let (mut members, mut nodes) = (Vec::new(), Vec::new());
+    let (mut flyers, mut nodes) = (Vec::new(), Vec::new());
     for (number, (source, mut sockets)) in robots.into_iter().zip(sockets).enumerate() {
         for (_, address) in addresses.iter().enumerate().filter(|(other, _)| *other != number) {
             sockets.add_peer(*address);
@@ -150,7 +140,7 @@ fn start(
         options.name.clone_from(&source.name);
         options.clock = clock;
         let frames = source.frames.map(|mut frame| {
-            // A node is told of team-mates over its socket; here the scans come without them.
+            // A node hears of team-mates over its socket; here the scans come without them.
             let masks = frame.masks();
             team::cut_out(&mut frame.scan, &frame.pose, &masks);
             Ok(flockmap_node::Frame { scan: frame.scan, t_map_sensor: frame.pose, points_dropped: 0 })
@@ -176,42 +166,33 @@ fn start(
         let meter = updates.clone();
         let make = move || Ok(Metered { inner: sockets.into_transport()?, clock, number, updates: meter });
         nodes.push(Node::start(options, make)?);
-        members.push(Member {
-            name: source.name,
-            stream,
-            measures: Measures::default(),
-            snapshots: Vec::new(),
-            last_scan: None,
-        });
+        let (name, measures, pictures) = (source.name, Measures::default(), Vec::new());
+        flyers.push(Flyer { name, stream, measures, pictures, last_scan: Stamp(0) });
     }
-    Ok((members, nodes))
+    Ok((flyers, nodes))
 }
 
-/// Waits until the last robot has played its last scan. Whether Ctrl-C ended it early.
+/// Waits until the last robot has played its last scan, or until Ctrl-C.
 fn fly(
-    members: &mut [Member],
+    flyers: &mut [Flyer],
     nodes: &[NodeHandle],
     clock: Clock,
     reported: &Receiver<(usize, Update)>,
     seconds: f64,
-) -> bool {
+) {
     let progress = Progress::new("flying", seconds.ceil() as u64);
     let mut moments = [seconds / 3.0, seconds * 2.0 / 3.0].into_iter().peekable();
     loop {
         let look_at = Instant::now() + LOOK_EVERY;
-        while let Ok(news) = reported.recv_timeout(look_at.saturating_duration_since(Instant::now())) {
-            take_in(members, news);
+        while let Ok(update) = reported.recv_timeout(look_at.saturating_duration_since(Instant::now())) {
+            count(flyers, update);
         }
-        let flown = clock.now().micros_since(BEGIN) as f64 / 1e6;
+        let flown = since_begin(clock.now()).seconds();
         if moments.next_if(|moment| *moment <= flown).is_some() {
-            for (member, node) in members.iter_mut().zip(nodes) {
-                let take =
-                    |robot: &mut flockmap::Robot, now: Stamp| MapPicture::take(robot, since_begin(now));
-                member.snapshots.extend(node.with_robot(take));
-            }
+            flyers.iter_mut().zip(nodes).for_each(|(flyer, node)| flyer.pictures.extend(picture(node)));
         }
         let statuses: Vec<_> = nodes.iter().filter_map(NodeHandle::status).collect();
-        let bytes: u64 = members.iter().map(|m| m.measures.sent.total()).sum();
+        let bytes: u64 = flyers.iter().map(|flyer| flyer.measures.sent.total()).sum();
         let voxels: usize = statuses.iter().map(|s| s.map_voxels.0 + s.map_voxels.1).max().unwrap_or(0);
         progress.say(format!(
             "flying ({:.1} KB/s, {:.2} million voxels known)",
@@ -219,69 +200,68 @@ fn fly(
             voxels as f64 / 1e6
         ));
         progress.set(flown.clamp(0.0, seconds) as u64);
-        if stop::requested() {
-            return true;
-        }
-        if statuses.iter().all(|status| status.sensor_ended) {
-            return false;
+        if stop::requested() || statuses.iter().all(|status| status.sensor_ended) {
+            return;
         }
     }
 }
 
-/// Closes the last batches and waits until everything has arrived everywhere. When it had; `None` if it did not
-/// happen.
+/// Closes the last batches and waits until everything has arrived everywhere. When it had, counted from the begin; `None` if it
+/// did not happen.
 fn settle(
-    members: &mut [Member],
+    flyers: &mut [Flyer],
     nodes: &[NodeHandle],
     clock: Clock,
     reported: &Receiver<(usize, Update)>,
 ) -> anyhow::Result<Option<Stamp>> {
     let began = Instant::now();
     for node in nodes {
-        node.with_robot(|robot, now| robot.flush(now)).context("a node has ended too early")?;
+        node.with_robot(|robot, now| robot.flush(now)).context(ENDED)?;
     }
-    let streams: Vec<Stream> = members.iter().map(|m| m.stream).collect();
+    let streams: Vec<Stream> = flyers.iter().map(|flyer| flyer.stream).collect();
     while began.elapsed() < SETTLE_MAX {
-        let mut packages = Vec::new();
-        let mut held = Vec::new();
+        // The own packages of each robot, and how many it has received of each.
+        let (mut packages, mut received) = (Vec::new(), Vec::new());
         for node in nodes {
             let streams = streams.clone();
             let state = node.with_robot(move |robot, _| {
-                let held =
-                    |s: &Stream| robot.session().received(*s).map_or(0, |held| u64::from(held.prefix()));
-                (robot.counters().packages, streams.iter().map(held).collect::<Vec<_>>())
+                let of = |s: &Stream| robot.session().received(*s).map_or(0, |set| u64::from(set.prefix()));
+                (robot.counters().packages, streams.iter().map(of).collect::<Vec<_>>())
             });
-            let (own, of_each) = state.context("a node has ended too early")?;
+            let (own, of_each) = state.context(ENDED)?;
             packages.push(own);
-            held.push(of_each);
+            received.push(of_each);
         }
-        reported.try_iter().for_each(|news| take_in(members, news));
-        if held.iter().all(|of_each| of_each.iter().zip(&packages).all(|(held, packages)| held >= packages)) {
-            return Ok(Some(clock.now()));
+        reported.try_iter().for_each(|update| count(flyers, update));
+        if received.iter().all(|of_each| of_each.iter().zip(&packages).all(|(got, packages)| got >= packages))
+        {
+            return Ok(Some(since_begin(clock.now())));
         }
         std::thread::sleep(Duration::from_millis(20));
     }
     Ok(None)
 }
 
-/// Counts what a node told. A node tells of a scan before it sends what came of it, so the scan is always counted first.
-fn take_in(members: &mut [Member], (number, news): (usize, Update)) {
+const ENDED: &str = "a node has ended too early";
+
+/// Counts what a node reported. It reports a scan before it sends what came of it, so the scan is always counted first.
+fn count(flyers: &mut [Flyer], (number, update): (usize, Update)) {
     // The age counts from the scan that the sender made the voxel of.
-    if let Update::Event { now, event: Event::Merged { stream, changes, .. } } = &news
-        && let Some(sender) = members.iter().position(|m| m.stream == *stream)
-        && let Ok([receiver, sender]) = members.get_disjoint_mut([number, sender])
+    if let Update::Event { now, event: Event::Merged { stream, changes, .. } } = &update
+        && let Some(sender) = flyers.iter().position(|flyer| flyer.stream == *stream)
+        && let Ok([receiver, sender]) = flyers.get_disjoint_mut([number, sender])
     {
         receiver.measures.ages.add(*now, changes, &sender.measures.onset);
     }
-    let Some(member) = members.get_mut(number) else { return };
-    match news {
+    let Some(flyer) = flyers.get_mut(number) else { return };
+    match update {
         Update::Scan { stamp, report } => {
-            member.measures.scan(None, &report, stamp);
-            member.last_scan = member.last_scan.max(Some(stamp));
+            flyer.measures.scan(&report, stamp);
+            flyer.last_scan = flyer.last_scan.max(since_begin(stamp));
         }
-        Update::Event { now, event } => member.measures.event(since_begin(now), &event),
+        Update::Event { now, event } => flyer.measures.event(since_begin(now), &event),
         Update::SendResult { now, bytes, copies } => {
-            member.measures.datagram_sent(since_begin(now), bytes, u64::from(copies));
+            flyer.measures.datagram_sent(since_begin(now), bytes, u64::from(copies));
         }
     }
 }
@@ -290,11 +270,7 @@ fn since_begin(now: Stamp) -> Stamp {
     Stamp(now.micros_since(BEGIN))
 }
 
-fn last_scan(members: &[Member]) -> Stamp {
-    members.iter().filter_map(|m| m.last_scan).max().unwrap_or(BEGIN)
-}
-
-/// UDP sockets that tell of every datagram sent.
+/// UDP sockets that report every datagram sent.
 struct Metered<T> {
     inner: T,
     clock: Clock,

@@ -6,9 +6,9 @@ use anyhow::{Context, bail};
 use clap::Args;
 use flockmap::grid::{Changes, Mapper};
 use flockmap::{Resolution, State, Voxel};
+use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, SourceArgs};
 use flockmap_cli::progress::Progress;
-use flockmap_cli::table::thousands;
 use flockmap_cli::{sources, stop};
 use flockmap_io::{ExportOptions, OctoMap, export_map, read_cloud};
 

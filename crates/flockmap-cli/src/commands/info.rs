@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use flockmap::State;
 use flockmap::codec::{Content, ContentKind, Package};
 use flockmap_cli::json_file;
-use flockmap_cli::table::thousands;
+use flockmap_cli::numbers::thousands;
 use flockmap_io::describe;
 use flockmap_node::store::{inspect, is_store};
 use serde_json::{Value, json};
@@ -133,38 +133,28 @@ fn store(folder: &Path) -> anyhow::Result<(String, Value)> {
             thousands(s.chunk_bytes)
         );
     }
-    let segments: Vec<Value> = inspection
-        .segments
-        .iter()
-        .map(|s| {
-            json!({"name": s.name, "bytes": s.bytes, "fault": s.fault, "is_compacted": s.is_compacted, "records": s.records,
-                "unreadable": s.unreadable, "skipped_bytes": s.skipped_bytes, "torn_bytes": s.torn_bytes})
-        })
-        .collect();
-    let streams: Vec<Value> = inspection
-        .streams
-        .iter()
-        .map(|(stream, s)| {
-            json!({"origin": stream.origin.0, "epoch": stream.epoch, "held": s.received.intervals(), "packages": s.packages,
-                "package_bytes": s.package_bytes, "chunks": s.chunks, "chunk_bytes": s.chunk_bytes})
-        })
-        .collect();
+    let segments = inspection.segments.iter().map(|s| {
+        json!({"name": s.name, "bytes": s.bytes, "fault": s.fault, "is_compacted": s.is_compacted, "records": s.records,
+            "unreadable": s.unreadable, "skipped_bytes": s.skipped_bytes, "torn_bytes": s.torn_bytes})
+    });
+    let streams = inspection.streams.iter().map(|(stream, s)| {
+        json!({"origin": stream.origin.0, "epoch": stream.epoch, "held": s.received.intervals(), "packages": s.packages,
+            "package_bytes": s.package_bytes, "chunks": s.chunks, "chunk_bytes": s.chunk_bytes})
+    });
     let own = inspection.identity.map(
         |own| json!({"robot": own.robot.0, "swarm": own.swarm, "resolution_m": own.resolution.metres()}),
     );
-    let content = json!({"kind": "store", "own": own, "segments": segments, "streams": streams});
+    let content = json!({"kind": "store", "own": own, "segments": segments.collect::<Value>(),
+        "streams": streams.collect::<Value>()});
     Ok((text, json!({"path": folder, "bytes": bytes, "content": content})))
 }
 
 fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {
     let bytes = std::fs::read(&args.file).with_context(|| format!("cannot read {}", args.file.display()))?;
-    let package = match Package::parse(&bytes) {
-        Ok(package) => package,
-        Err(error) => bail!(
-            "{}: neither a record, a map, nor a cloud by its ending, and as a map package: {error}",
-            args.file.display()
-        ),
-    };
+    let file = args.file.display();
+    let package = Package::parse(&bytes).map_err(|error| {
+        anyhow!("{file}: neither a record, a map, nor a cloud by its ending, and as a map package: {error}")
+    })?;
     let content = package.decode().with_context(|| args.file.display().to_string())?;
     let h = package.header();
     let (size, min, max) = (h.region.size(), h.region.min(), h.region.max());

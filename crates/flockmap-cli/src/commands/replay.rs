@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use flockmap::{Codec, RobotConfig, SessionConfig};
 use flockmap_cli::options::{CastName, MapArgs, SourceArgs, budget, delay_micros, share};
-use flockmap_cli::report::Settings;
+use flockmap_cli::report::{Report, Settings};
 use flockmap_cli::{json_file, sources, swarm};
 use flockmap_netsim::{Link, RadioConfig};
 
@@ -79,7 +79,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     let base = RobotConfig { session: session(args)?, ..args.map.robot(args.codec, args.source.seed)? };
     base.session.validate()?;
     let sources = match args.records.as_slice() {
-        // One robot alone has nobody to sync with.
+        // A single robot has nobody to sync with.
         [record] if !sources::is_world(record) && args.source.robots > 1 => {
             sources::open_parts(record, &args.source)?
         }
@@ -89,7 +89,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     let title = format!("replay of {}", sources.title);
     let run = swarm::run(sources.robots, |id| RobotConfig { id, ..base.clone() }, radio)?;
     let settings = Settings::new(&base, args.map.mapper, &radio_in_words(args));
-    let report = run.report(title, settings)?;
+    let report = Report::new(&run, title, settings)?;
     let document = report.document();
     document.print(false);
     json_file::write_asked(args.json.as_deref(), &report)?;

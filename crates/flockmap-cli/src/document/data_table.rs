@@ -1,8 +1,10 @@
 //! Tables whose cells keep their values, so that every form of them says the same.
 
+use core::fmt;
+
 use serde_json::{Value, json};
 
-use crate::table::{Table, percent, thousands};
+use crate::numbers::{percent, thousands};
 
 /// A table of values.
 #[derive(Default)]
@@ -24,10 +26,13 @@ pub struct DataTable {
 /// One column of rows of `R`: its name in CSV and JSON, with unit; its heading for people; its cell in a row.
 pub type Column<'a, R> = (&'static str, &'static str, &'a dyn Fn(&R) -> Cell);
 
+/// One column of rows of `R` for people only: its heading, and its cell in a row.
+pub type TextColumn<'a, R> = (&'static str, &'a dyn Fn(&R) -> String);
+
 /// One value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell {
-    /// Words.
+    /// Text.
     Text(String),
     /// A whole number.
     Whole(u64),
@@ -40,16 +45,21 @@ pub enum Cell {
 }
 
 impl DataTable {
-    /// A table without rows.
-    pub fn new(id: impl Into<String>, columns: &[(&'static str, &'static str)]) -> Self {
-        Self { id: id.into(), columns: columns.to_vec(), ..Self::default() }
-    }
-
     /// A table with a row for each of these.
     pub fn of<R>(id: impl Into<String>, rows: &[R], columns: &[Column<'_, R>]) -> Self {
         let names = columns.iter().map(|(key, heading, _)| (*key, *heading)).collect();
         let row = |row: &R| columns.iter().map(|(.., cell)| cell(row)).collect();
         Self { id: id.into(), columns: names, rows: rows.iter().map(row).collect(), ..Self::default() }
+    }
+
+    /// A table without a name: headings, and what stands below them in a row for each of these.
+    pub fn of_text<R>(rows: &[R], columns: &[TextColumn<'_, R>]) -> Self {
+        let row = |row: &R| columns.iter().map(|(_, cell)| Cell::Text(cell(row))).collect();
+        Self {
+            columns: columns.iter().map(|(heading, _)| ("", *heading)).collect(),
+            rows: rows.iter().map(row).collect(),
+            ..Self::default()
+        }
     }
 
     /// A table without a name, of cells that are ready.
@@ -71,11 +81,6 @@ impl DataTable {
         Self { note: note.into(), ..self }
     }
 
-    /// One row more.
-    pub fn row(&mut self, cells: impl IntoIterator<Item = Cell>) {
-        self.rows.push(cells.into_iter().collect());
-    }
-
     pub(super) fn csv(&self) -> String {
         let line = |cells: Vec<String>| cells.join(",") + "\n";
         let mut csv = line(self.columns.iter().map(|(key, _)| quoted(key)).collect());
@@ -93,16 +98,40 @@ impl DataTable {
         };
         self.rows.iter().map(row).collect()
     }
+}
 
-    pub(super) fn text(&self) -> Table {
-        let mut table = Table::new(self.columns.iter().map(|(_, heading)| *heading));
-        self.rows.iter().for_each(|row| table.row(row.iter().map(Cell::shown)));
-        table
+/// For people: the first column is set left, the others right.
+impl fmt::Display for DataTable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let headings = self.columns.iter().map(|(_, heading)| (*heading).to_owned()).collect();
+        let rows = self.rows.iter().map(|row| row.iter().map(Cell::shown).collect());
+        let lines: Vec<Vec<String>> = [headings].into_iter().chain(rows).collect();
+        let width = |column: usize| {
+            lines
+                .iter()
+                .filter_map(|line| line.get(column))
+                .map(|cell| cell.chars().count())
+                .max()
+                .unwrap_or(0)
+        };
+        let widths: Vec<usize> = (0..self.columns.len()).map(width).collect();
+        for (number, line) in lines.iter().enumerate() {
+            let mut text = String::from(" ");
+            for (column, (cell, width)) in line.iter().zip(&widths).enumerate() {
+                text += &if column == 0 { format!(" {cell:<width$}") } else { format!("  {cell:>width$}") };
+            }
+            writeln!(f, "{}", text.trim_end())?;
+            if number == 0 {
+                let all: usize = widths.iter().sum::<usize>() + 2 * widths.len().saturating_sub(1);
+                writeln!(f, "  {}", "─".repeat(all))?;
+            }
+        }
+        Ok(())
     }
 }
 
 impl Cell {
-    /// Words.
+    /// Text.
     pub fn text(text: impl Into<String>) -> Self {
         Self::Text(text.into())
     }

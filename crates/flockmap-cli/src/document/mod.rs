@@ -1,4 +1,4 @@
-//! A report of tables, charts and words: said once, then printed, and written as a page, as CSV and as JSON.
+//! A report of tables, charts and text: stated once, then printed, and written as a page, as CSV and as JSON.
 
 mod data_table;
 mod files;
@@ -6,7 +6,7 @@ mod model;
 mod page;
 mod text;
 
-pub use data_table::{Cell, Column, DataTable};
+pub use data_table::{Cell, Column, DataTable, TextColumn};
 pub use model::{Document, Part, Section};
 
 #[cfg(test)]
@@ -15,11 +15,16 @@ mod tests {
     use serde_json::{Map, Value, json};
 
     fn document() -> Document {
-        let mut table =
-            DataTable::new("bytes", &[("name", "who"), ("total_bytes", "bytes"), ("kb_s", "KB/s")]);
-        table.row([Cell::text("a, \"b\" <c>"), Cell::Whole(1_234_567), Cell::Number(2.345_6, 2)]);
-        table.row([Cell::text("d"), Cell::Missing, Cell::Number(f64::NAN, 2)]);
-        table.note = "a `b<` & `c`".to_owned();
+        let table = DataTable {
+            id: "bytes".to_owned(),
+            columns: vec![("name", "who"), ("total_bytes", "bytes"), ("kb_s", "KB/s")],
+            rows: vec![
+                vec![Cell::text("a, \"b\" <c>"), Cell::Whole(1_234_567), Cell::Number(2.345_6, 2)],
+                vec![Cell::text("d"), Cell::Missing, Cell::Number(f64::NAN, 2)],
+            ],
+            ..DataTable::default()
+        }
+        .with_note("a `b<` & `c`");
         Document {
             title: "T".to_owned(),
             verdicts: vec![(true, "fine".to_owned())],
@@ -42,7 +47,15 @@ mod tests {
         for expected in ["a, &quot;b&quot; &lt;c&gt;", "1,234,567", "2.35"] {
             assert!(page.contains(expected), "{page}");
         }
-        assert!(table.text().to_string().contains("1,234,567"));
+        assert!(table.to_string().contains("1,234,567"));
+    }
+
+    #[test]
+    fn columns_line_up() {
+        let rows = [["a", "1"], ["längst", "1,000,000"]].map(|row| row.map(str::to_owned));
+        let text = DataTable::unnamed(["name", "bytes"], rows).to_string();
+        let ends: Vec<usize> = text.lines().map(|l| l.chars().count()).collect();
+        assert!(ends.windows(2).all(|w| w[0] == w[1]), "{text}");
     }
 
     #[test]

@@ -13,7 +13,7 @@ pub struct Document {
     pub title: String,
     /// How it was made, in a line under the title of the text.
     pub about: String,
-    /// Verdicts at the top of the page and the end of the text: whether it is good, and in what words.
+    /// Verdicts at the top of the page and the end of the text: whether it is good, and the text.
     pub verdicts: Vec<(bool, String)>,
     /// Its parts.
     pub sections: Vec<Section>,
@@ -34,11 +34,11 @@ pub struct Section {
 pub enum Part {
     /// A paragraph.
     Words(String),
-    /// Words, one point each.
+    /// Paragraphs, one point each.
     Points(Vec<String>),
     /// A table with its note.
     Table(DataTable),
-    /// Charts and pictures, for the page alone.
+    /// Charts and pictures, only for the page.
     Figure(Markup),
 }
 

@@ -79,7 +79,7 @@ fn of_table(table: &DataTable) -> Markup {
     }
 }
 
-/// Words; what stands between backticks is code.
+/// Text; what stands between backticks is code.
 fn inline(words: &str) -> Markup {
     html! {
         @for (number, piece) in words.split('`').enumerate() {

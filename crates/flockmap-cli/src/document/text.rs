@@ -28,7 +28,7 @@ impl Document {
                         points.iter().for_each(|point| println!("{}", wrapped(point, "  - ", "    ")));
                     }
                     Part::Table(table) => {
-                        println!("{}{}", table.text(), wrapped(&table.note, "  ", "  ").trim_end());
+                        println!("{table}{}", wrapped(&table.note, "  ", "  ").trim_end());
                     }
                     Part::Figure(_) => {}
                 }
@@ -39,7 +39,7 @@ impl Document {
     }
 }
 
-/// Words in lines of at most some 120 characters.
+/// Text in lines of at most some 120 characters.
 fn wrapped(words: &str, first: &str, others: &str) -> String {
     let mut text = String::new();
     let mut line = first.to_owned();

@@ -6,7 +6,7 @@ use super::{Baseline, Bytes, Report, RobotReport};
 use crate::chart::{self, Line};
 use crate::document::{DataTable, Document, Part, Section};
 use crate::measure::KB;
-use crate::table::{kb, percent, thousands};
+use crate::numbers::{kb, percent, thousands};
 
 impl Report {
     /// Its tables, charts and pictures.
@@ -20,7 +20,7 @@ impl Report {
                 if self.interrupted { " (partial: ended by Ctrl-C)" } else { "" }
             ),
             about: format!(
-                "{} m voxels, {} m range, publish_period {} s{obstacle_period}, d {}, mapper {}, codec {}, {}; {}",
+                "{} m voxels, {} m range, publish period {} s{obstacle_period}, d {}, mapper {}, codec {}, {}; {}",
                 s.resolution_m,
                 s.range_m,
                 s.publish_period_s,
@@ -43,14 +43,14 @@ impl Report {
                 Section::new("bytes", "Bytes", vec![Part::Table(self.bytes())]),
                 Section::new("age", "Age", vec![Part::Table(self.ages())]),
                 Section::new("time", "Time", vec![Part::Table(self.times())]),
-                Section::new("layers", "Layers", vec![Part::Table(self.held()), Part::Table(self.layers())]),
+                Section::new("layers", "Layers", vec![Part::Table(self.known()), Part::Table(self.layers())]),
                 Section::new("settings", "Settings", vec![Part::Table(self.settings())]),
             ],
             ..Document::default()
         }
     }
 
-    /// In words, how it ended, and what is not as it must be.
+    /// How it ended, and what is not as it must be.
     fn verdicts(&self) -> Vec<(bool, String)> {
         let agreement = format!("agreement {}: {}", percent(self.agreement_all), self.verdict());
         let wrong = self.agreement.iter().filter(|p| !p.is_equal() || p.packages_held != p.packages);
@@ -194,12 +194,12 @@ impl Report {
             }
         };
         let sum = |of: fn(&RobotReport) -> u64| self.robots.iter().map(of).sum::<u64>();
-        let (held, in_parts) = (sum(|r| r.batches_deferred), sum(|r| r.batches_in_parts));
-        let budget = match held + in_parts {
+        let (deferred, in_parts) = (sum(|r| r.batches_deferred), sum(|r| r.batches_in_parts));
+        let budget = match deferred + in_parts {
             0 => String::new(),
             _ => format!(
-                " For want of budget, {} of {} batches waited and {} told only what was nearest; the rest came later.",
-                thousands(held),
+                " For want of budget, {} of {} batches waited and {} held only what was nearest; the rest came later.",
+                thousands(deferred),
                 thousands(sum(|r| r.batches)),
                 thousands(in_parts)
             ),
@@ -239,7 +239,7 @@ impl Report {
     }
 
     /// What each robot knows.
-    fn held(&self) -> DataTable {
+    fn known(&self) -> DataTable {
         let rows = self.robots.iter().map(|r| {
             let layers = r.layers.iter().map(|l| format!("{}: {}", l.origin, thousands(l.voxels as u64)));
             let layers = layers.collect::<Vec<_>>().join(", ");
@@ -262,7 +262,7 @@ impl Report {
             [name, thousands(pair.voxels), percent(pair.agreement), packages]
         });
         let table = DataTable::unnamed(["layer", "voxels", "equal", "packages"], rows).with_note(
-            "What each robot holds of each, beside what that robot told and what its own map says.",
+            "What each robot has received of each, beside what that robot published and what its own map says.",
         );
         DataTable { is_long: true, ..table }
     }
@@ -274,8 +274,8 @@ impl Report {
         let rows = [
             ("voxel side", format!("{} m", s.resolution_m)),
             ("range", format!("{} m", s.range_m)),
-            ("publish_period", format!("{} s", s.publish_period_s)),
-            ("publish_period of obstacles", obstacle_period),
+            ("publish period", format!("{} s", s.publish_period_s)),
+            ("obstacle period", obstacle_period),
             ("d", format!("{} voxels", thousands(s.d as u64))),
             ("mapper", s.mapper.clone()),
             ("codec", s.codec.clone()),

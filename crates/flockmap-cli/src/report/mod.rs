@@ -2,12 +2,14 @@
 
 mod document;
 
-use flockmap::{Cast, Preset, Robot, RobotConfig, Stream};
+use flockmap::{Cast, Preset, Robot, RobotConfig, Stamp, Stream};
 use serde::Serialize;
 
 use crate::measure::{AgeSummary, AgesByState, Comparison, KB, SentBytes, TimeSummary};
 use crate::member::{IP_UDP_BYTES, Measures};
 use crate::picture::{MapPicture, Picture};
+use crate::program::command_line;
+use crate::stop;
 
 /// The paper's time from the start of a batch to its package, Table IV.
 pub const PAPER_T_PACK_MS: f64 = 5.30;
@@ -65,7 +67,7 @@ pub struct Settings {
     pub mapper: String,
     pub codec: String,
     pub cast: &'static str,
-    /// The radio in words.
+    /// What the radio does to datagrams.
     pub radio: String,
     pub seed: u64,
 }
@@ -128,7 +130,7 @@ pub struct RobotReport {
     pub batches: u64,
     /// Batches that were due and waited for the budget.
     pub batches_deferred: u64,
-    /// Batches that told only what was nearest, since the budget has no room for more.
+    /// Batches that hold only what was nearest, since the budget has no room for more.
     pub batches_in_parts: u64,
     pub changed_voxels: u64,
     pub own_packages: u64,
@@ -191,24 +193,28 @@ pub struct Pictures {
 }
 
 /// One robot at the end of a run.
-pub struct Finished<'a> {
-    pub name: &'a str,
-    pub robot: &'a Robot,
-    pub measures: &'a Measures,
-    pub snapshots: &'a [MapPicture],
+pub struct Member {
+    pub name: String,
+    pub robot: Robot,
+    pub measures: Measures,
+    /// Its map at several moments.
+    pub pictures: Vec<MapPicture>,
     pub scans_damaged: u64,
 }
 
-/// How the run went.
-pub struct Course {
-    pub command: String,
-    pub title: String,
-    pub record_s: f64,
-    pub settle_s: Option<f64>,
-    pub interrupted: bool,
-    pub t_map: TimeSummary,
-    pub t_pack: TimeSummary,
-    pub t_recv2insert: TimeSummary,
+/// How a run went. The paper's times in the report are `t_pack` and `t_recv2insert`.
+pub struct Run {
+    pub members: Vec<Member>,
+    /// Time of the last scan.
+    pub last_scan: Stamp,
+    /// When everything had arrived everywhere; `None` if it has not.
+    pub arrived: Option<Stamp>,
+    /// To map a scan.
+    pub map: TimeSummary,
+    /// To make packages of a batch.
+    pub pack: TimeSummary,
+    /// To take a datagram into the fused map.
+    pub insert: TimeSummary,
 }
 
 /// Robots whose maps are drawn.
@@ -216,8 +222,8 @@ const PICTURED_MAX: usize = 6;
 
 impl Report {
     /// Puts everything together.
-    pub fn new(course: Course, settings: Settings, robots: &[Finished<'_>]) -> anyhow::Result<Self> {
-        let Course { command, title, record_s, settle_s, interrupted, t_map, t_pack, t_recv2insert } = course;
+    pub fn new(run: &Run, title: String, settings: Settings) -> anyhow::Result<Self> {
+        let (robots, record_s) = (&run.members, run.last_scan.seconds());
         let seconds = record_s.max(1e-3);
         // Copies of each datagram that RACER, and the paper, would have to send.
         let copies = if settings.cast == "broadcast" { 1 } else { robots.len().saturating_sub(1) as u64 };
@@ -225,8 +231,8 @@ impl Report {
         let datagrams = robots.iter().map(|r| r.measures.datagrams).sum();
         let sum_bytes = bytes_of(&sum, datagrams, 1, seconds);
         let baseline = |sent: &dyn Fn(&Measures) -> (&SentBytes, u64)| {
-            let together = SentBytes::together(robots.iter().map(|r| sent(r.measures).0));
-            let datagrams = robots.iter().map(|r| sent(r.measures).1).sum();
+            let together = SentBytes::together(robots.iter().map(|r| sent(&r.measures).0));
+            let datagrams = robots.iter().map(|r| sent(&r.measures).1).sum();
             let bytes = bytes_of(&together, datagrams, copies, seconds);
             let ratio = bytes.total_bytes as f64 / sum_bytes.total_bytes.max(1) as f64;
             (Baseline { bytes, ratio }, together)
@@ -242,18 +248,18 @@ impl Report {
         robots.iter().for_each(|r| ages.merge(&r.measures.ages));
         let mut pictures = Vec::new();
         for robot in robots.iter().take(PICTURED_MAX) {
-            let drawn = crate::picture::draw(robot.snapshots)?;
-            let moments = robot.snapshots.iter().map(|s| s.at.seconds()).zip(drawn).collect();
-            pictures.push(Pictures { robot: robot.name.to_owned(), moments });
+            let drawn = crate::picture::draw(&robot.pictures)?;
+            let moments = robot.pictures.iter().map(|picture| picture.at.seconds()).zip(drawn).collect();
+            pictures.push(Pictures { robot: robot.name.clone(), moments });
         }
         Ok(Self {
-            command,
+            command: command_line(),
             title,
             version: env!("CARGO_PKG_VERSION"),
             complete: agreement.iter().all(|pair| pair.packages_held == pair.packages),
-            interrupted,
+            interrupted: stop::requested(),
             record_s,
-            settle_s,
+            settle_s: run.arrived.map(|at| at.micros_since(run.last_scan).max(0) as f64 / 1e6),
             robots: robots.iter().map(|robot| robot_report(robot, seconds)).collect(),
             sum: sum_bytes,
             racer,
@@ -262,9 +268,9 @@ impl Report {
             agreement,
             age_occupied: ages.occupied.summary(),
             age_free: ages.free.summary(),
-            t_map,
-            t_pack,
-            t_recv2insert,
+            t_map: run.map,
+            t_pack: run.pack,
+            t_recv2insert: run.insert,
             paper_t_pack_ms: PAPER_T_PACK_MS,
             paper_t_recv2insert_ms: PAPER_T_INSERT_MS,
             kb_per_second: kb_series(&sum, 1),
@@ -295,8 +301,8 @@ fn kb_series(sent: &SentBytes, copies: u64) -> Vec<f64> {
     sent.per_second().into_iter().map(|bytes| (bytes * copies) as f64 / KB).collect()
 }
 
-fn robot_report(finished: &Finished<'_>, seconds: f64) -> RobotReport {
-    let Finished { name, robot, measures, scans_damaged, .. } = finished;
+fn robot_report(member: &Member, seconds: f64) -> RobotReport {
+    let Member { name, robot, measures, scans_damaged, .. } = member;
     let (session, counters) = (robot.session().counters(), robot.counters());
     let (free, occupied) = robot.map().count();
     let layer = |(stream, layer): (Stream, &flockmap::grid::Layer)| LayerReport {
@@ -307,7 +313,7 @@ fn robot_report(finished: &Finished<'_>, seconds: f64) -> RobotReport {
         memory_bytes: layer.memory_bytes(),
     };
     RobotReport {
-        name: (*name).to_owned(),
+        name: name.clone(),
         id: robot.own_stream().origin.0,
         bytes: bytes_of(&measures.sent, measures.datagrams, 1, seconds),
         requests: session.requests_out.datagrams,
@@ -333,23 +339,23 @@ fn robot_report(finished: &Finished<'_>, seconds: f64) -> RobotReport {
 }
 
 /// Every robot's layer of every other beside the original, and its own layer beside its mapper.
-fn pairs(robots: &[Finished<'_>]) -> Vec<Pair> {
+fn pairs(robots: &[Member]) -> Vec<Pair> {
     let none = flockmap::grid::Layer::default();
     let mut pairs = Vec::new();
-    for origin in robots.iter().map(|f| f.robot) {
+    for origin in robots.iter().map(|member| &member.robot) {
         let stream = origin.own_stream();
         let reported = origin.fusion().layer(stream).unwrap_or(&none);
         let packages = origin.counters().packages;
-        for receiver in robots.iter().map(|f| f.robot) {
+        for receiver in robots.iter().map(|member| &member.robot) {
             let layer = receiver.fusion().layer(stream).unwrap_or(&none);
             let mut compared = Comparison::of_layers(layer, reported);
-            // What the origin's own map knows now must be what it told, too. A voxel that has become Unknown since stays as told.
+            // What the origin's own map knows now must be what it published, too. A voxel that has become Unknown since stays as published.
             for (index, block) in origin.mapper().blocks() {
-                let held = layer.block(index).copied().unwrap_or_default();
-                let wrong: u32 = block.minus(&held).known_count();
+                let received = layer.block(index).copied().unwrap_or_default();
+                let wrong: u32 = block.minus(&received).known_count();
                 compared.equal = compared.equal.saturating_sub(u64::from(wrong));
             }
-            let held = receiver.session().received(stream).map_or(0, |held| u64::from(held.prefix()));
+            let received = receiver.session().received(stream).map_or(0, |set| u64::from(set.prefix()));
             pairs.push(Pair {
                 receiver: receiver.own_stream().origin.0,
                 origin: stream.origin.0,
@@ -357,7 +363,11 @@ fn pairs(robots: &[Finished<'_>]) -> Vec<Pair> {
                 equal: compared.equal,
                 agreement: compared.share(),
                 stamps_equal: layer.digest() == reported.digest(),
-                packages_held: if receiver.own_stream() == stream { packages } else { held.min(packages) },
+                packages_held: if receiver.own_stream() == stream {
+                    packages
+                } else {
+                    received.min(packages)
+                },
                 packages,
             });
         }

@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-/// Runs the program with these words.
+/// Runs the program with these arguments.
 pub(crate) fn flockmap(words: &str) -> Output {
     let words: Vec<&str> = words.split_whitespace().collect();
     Command::new(env!("CARGO_BIN_EXE_flockmap")).args(words).output().expect("the program starts")

@@ -1,4 +1,4 @@
-//! What a robot of RACER's is told.
+//! How a robot of RACER's is set up.
 
 use flockmap::grid::{MapperConfig, RobotId, Voxel, VoxelBox};
 
@@ -21,7 +21,7 @@ pub enum RacerCast {
     Unicast,
 }
 
-/// What a [`RacerRobot`] is told.
+/// How a [`RacerRobot`](super::RacerRobot) is set up.
 #[derive(Clone, Debug)]
 pub struct RacerConfig {
     /// Its id, 1 to `robots`.
@@ -31,7 +31,7 @@ pub struct RacerConfig {
     /// How it maps. RACER has a map of its own; any will do, as only the first touch and the state are used.
     pub mapper: MapperConfig,
     /// The grid, known beforehand to all robots: addresses count its voxels, z fastest. At most 2³² voxels. What lies
-    /// outside is not told.
+    /// outside is not sent.
     pub region: VoxelBox,
     /// Who hears a chunk.
     pub cast: RacerCast,

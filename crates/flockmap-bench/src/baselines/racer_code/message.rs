@@ -1,14 +1,12 @@
 //! The two messages and their ROS 1 serialisation: little-endian, a list begins with its length as `u32`.
 
-use anyhow::{Error, Result, anyhow};
+use flockmap::codec::bytes::Reader;
 use flockmap::sync::IntervalSet;
 
 use super::config::CHUNK_VOXELS;
-use crate::baselines::bytes::Reader;
 
-const NAME: &str = "racer-code";
-/// The rule that a message cut short breaks.
-const BYTES: &str = "the bytes that it announces";
+/// Largest index of a chunk.
+const INDEX_MAX: u32 = i32::MAX as u32;
 
 /// Which message a datagram is. In ROS a topic has a connection of its own, so this takes no bytes in the message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -53,32 +51,18 @@ impl ChunkData {
         out
     }
 
-    /// Reads the message. Memory: at most as many bytes.
-    ///
-    /// # Errors
-    /// Names the rule that is broken.
-    pub fn parse(bytes: &[u8]) -> Result<Self> {
-        let mut reader = Reader::new(NAME, bytes);
-        let (from, to, owner) = (reader.i32(BYTES)?, reader.i32(BYTES)?, reader.i32(BYTES)?);
-        let count = reader.u32(BYTES)? as usize;
-        if count > CHUNK_VOXELS {
-            return Err(broken("at most 200 voxels in a chunk"));
-        }
-        let addresses = (0..count).map(|_| reader.u32(BYTES)).collect::<Result<Vec<_>, _>>()?;
-        if reader.u32(BYTES)? as usize != count {
-            return Err(broken("as many states as addresses"));
-        }
-        let states = reader.take(count, BYTES)?.to_vec();
-        if states.iter().any(|state| *state > 1) {
-            return Err(broken("states of 0 or 1"));
-        }
-        let index = reader.u32(BYTES)?;
-        if index == 0 || index > i32::MAX as u32 {
-            return Err(broken("an index of 1 to 2³¹ − 1"));
-        }
-        reader.take(4 + 24, BYTES)?;
-        end(&reader)?;
-        Ok(Self { from, to, owner, index, addresses, states })
+    /// Reads the message; `None` if it is damaged. Memory: at most as many bytes.
+    pub fn parse(bytes: &[u8]) -> Option<Self> {
+        let mut reader = Reader::new(bytes);
+        let [from, to, owner] = [reader.u32()?, reader.u32()?, reader.u32()?].map(|id| id as i32);
+        let count = reader.u32().filter(|count| *count as usize <= CHUNK_VOXELS)?;
+        let addresses = (0..count).map(|_| reader.u32()).collect::<Option<Vec<_>>>()?;
+        reader.u32().filter(|states| *states == count)?;
+        let states = reader.bytes(count as usize)?.to_vec();
+        let index = reader.u32().filter(|index| (1..=INDEX_MAX).contains(index))?;
+        reader.bytes(4 + 24)?;
+        let is_sound = reader.is_empty() && states.iter().all(|state| *state <= 1);
+        is_sound.then_some(Self { from, to, owner, index, addresses, states })
     }
 }
 
@@ -111,44 +95,22 @@ impl ChunkStamps {
         out
     }
 
-    /// Reads the message. Memory: at most six times as many bytes.
-    ///
-    /// # Errors
-    /// Names the rule that is broken.
-    pub fn parse(bytes: &[u8]) -> Result<Self> {
-        let mut reader = Reader::new(NAME, bytes);
-        let from = reader.i32(BYTES)?;
-        let owners = reader.u32(BYTES)? as usize;
-        if owners > bytes.len() / 4 {
-            return Err(broken("no more lists than bytes"));
-        }
-        let mut held = Vec::with_capacity(owners);
+    /// Reads the message; `None` if it is damaged. Memory: at most six times as many bytes.
+    pub fn parse(bytes: &[u8]) -> Option<Self> {
+        let mut reader = Reader::new(bytes);
+        let from = reader.u32()? as i32;
+        let owners = reader.u32().filter(|owners| *owners as usize <= bytes.len() / 4)?;
+        let mut held = Vec::with_capacity(owners as usize);
         for _ in 0..owners {
-            let bounds = reader.u32(BYTES)? as usize;
-            if bounds % 2 == 1 || bounds > bytes.len() / 4 {
-                return Err(broken("two bounds for each interval"));
-            }
-            let mut intervals = Vec::with_capacity(bounds / 2);
-            for _ in 0..bounds / 2 {
-                let (low, high) = (reader.u32(BYTES)?, reader.u32(BYTES)?);
-                if low == 0 || low > high || high > i32::MAX as u32 {
-                    return Err(broken("intervals of indices from 1 to 2³¹ − 1"));
-                }
-                intervals.push((low, high));
-            }
-            held.push(IntervalSet::from_intervals(0, intervals));
+            let bounds =
+                reader.u32().filter(|bounds| bounds % 2 == 0 && *bounds as usize <= bytes.len() / 4)?;
+            let intervals = (0..bounds / 2).map(|_| {
+                let (low, high) = (reader.u32()?, reader.u32()?);
+                (0 < low && low <= high && high <= INDEX_MAX).then_some((low, high))
+            });
+            held.push(IntervalSet::from_intervals(0, intervals.collect::<Option<_>>()?));
         }
-        let time_s = reader.f64(BYTES)?;
-        end(&reader)?;
-        Ok(Self { from, held, time_s })
+        let time_s = f64::from_le_bytes(reader.array()?);
+        reader.is_empty().then_some(Self { from, held, time_s })
     }
-}
-
-pub(super) fn broken(rule: &str) -> Error {
-    anyhow!("damaged message of {NAME}: expected {rule}")
-}
-
-/// Nothing may stand after the message.
-fn end(reader: &Reader<'_>) -> Result<()> {
-    if reader.is_empty() { Ok(()) } else { Err(broken("nothing after the message")) }
 }

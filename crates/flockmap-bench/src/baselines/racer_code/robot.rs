@@ -2,20 +2,19 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use flockmap::grid::{
     Changes, Mapper, Plane, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, State, Voxel, bit_of,
 };
 use flockmap::sync::IntervalSet;
 
 use super::config::{ANSWER_PAUSE_S, BEAT_MICROS, CHUNK_VOXELS, QUEUE_CHUNKS_MAX, RacerCast, RacerConfig};
-use super::message::{ChunkData, ChunkStamps, Topic, broken};
+use super::message::{ChunkData, ChunkStamps, Topic};
+use crate::baselines::bytes::{nested_place, nested_voxel};
 use crate::baselines::state_map::StateMap;
 
-/// Chunks held of all owners together: 52 million voxels, about 300 MB. More are not taken in.
+/// Chunks of all owners together: 52 million voxels, about 300 MB. More are not taken in.
 const CHUNKS_MAX: usize = 1 << 18;
-/// Events that wait to be polled; of more, the oldest are dropped.
-const EVENTS_MAX: usize = 1 << 16;
 
 /// A message to send.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -28,26 +27,13 @@ pub struct RacerTransmit {
     pub bytes: Vec<u8>,
 }
 
-/// Something worth knowing. At most 65,536 are kept for polling.
-#[derive(Clone, PartialEq, Eq, Debug)]
-#[non_exhaustive]
-pub enum RacerEvent {
-    /// A chunk of another robot was taken in.
-    Inserted {
-        /// Whose observations these are.
-        owner: RobotId,
-        /// What it says.
-        changes: Changes,
-    },
-}
-
 /// What a robot counted.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 #[non_exhaustive]
 pub struct RacerCounters {
     /// Voxels that were known for the first time by an own ray.
     pub listed: u64,
-    /// Of these, outside of the grid: never told.
+    /// Of these, outside of the grid: never sent.
     pub outside: u64,
     /// Own chunks cut.
     pub chunks: u64,
@@ -88,7 +74,6 @@ pub struct RacerRobot {
     /// Time of the announcement that was last answered, by robot.
     answered_s: BTreeMap<RobotId, f64>,
     next_beat: Stamp,
-    events: VecDeque<RacerEvent>,
     counters: RacerCounters,
 }
 
@@ -133,7 +118,6 @@ impl RacerRobot {
             answered_s: BTreeMap::new(),
             // Robots are started one after the other: their beats do not fall together.
             next_beat: now.plus_micros(i64::from(id) * 17_000 % BEAT_MICROS),
-            events: VecDeque::new(),
             counters: RacerCounters::default(),
             config,
         })
@@ -174,14 +158,14 @@ impl RacerRobot {
     /// Takes in a datagram: an announcement is answered at once, a chunk waits for the next beat.
     ///
     /// # Errors
-    /// Says what was wrong with it. It is counted and needs no action.
+    /// If it is damaged. That is counted and needs no action.
     pub fn handle_datagram(&mut self, topic: Topic, bytes: &[u8]) -> Result<()> {
         let result = match topic {
             Topic::Stamps => ChunkStamps::parse(bytes).and_then(|stamps| self.answer(&stamps)),
             Topic::Chunk => ChunkData::parse(bytes).and_then(|chunk| self.buffer(chunk)),
         };
-        self.counters.damaged += u64::from(result.is_err());
-        result
+        self.counters.damaged += u64::from(result.is_none());
+        result.context("damaged message of racer-code")
     }
 
     /// Lets time pass: at each beat, what was received is taken in, and what is held is announced.
@@ -200,7 +184,7 @@ impl RacerRobot {
         held.push(IntervalSet::new(0));
         let stamps = ChunkStamps { from: self.config.id.0.into(), held, time_s: now.seconds() };
         self.counters.stamps_sent += 1;
-        self.send(None, Topic::Stamps, stamps.emit());
+        self.outgoing.push_back(RacerTransmit { to: None, topic: Topic::Stamps, bytes: stamps.emit() });
     }
 
     // Outputs.
@@ -213,11 +197,6 @@ impl RacerRobot {
     /// When to call [`handle_timeout`](Self::handle_timeout).
     pub const fn poll_timeout(&self) -> Stamp {
         self.next_beat
-    }
-
-    /// The next event.
-    pub fn poll_event(&mut self) -> Option<RacerEvent> {
-        self.events.pop_front()
     }
 
     // Queries.
@@ -233,13 +212,13 @@ impl RacerRobot {
         &self.map
     }
 
-    /// The own map, of own scans alone.
+    /// The own map, of own scans only.
     #[cfg(test)]
     pub const fn mapper(&self) -> &Mapper {
         &self.mapper
     }
 
-    /// All that this robot was told of an owner, by whomever. Made anew at each call. O(voxels told).
+    /// All that this robot has received of an owner, from whomever. Made anew at each call. O(voxels received).
     pub fn observed_by(&self, owner: RobotId) -> Changes {
         let chunks = self.owner(owner).map(|owner| owner.chunks.values()).into_iter().flatten();
         Changes::from_voxels(
@@ -264,7 +243,7 @@ impl RacerRobot {
         &self.counters
     }
 
-    /// What it was told.
+    /// How it was set up.
     pub const fn config(&self) -> &RacerConfig {
         &self.config
     }
@@ -272,15 +251,15 @@ impl RacerRobot {
     // Helpers.
 
     /// Sends all that the sender of an announcement lacks, unless it was answered a moment ago.
-    fn answer(&mut self, stamps: &ChunkStamps) -> Result<()> {
+    fn answer(&mut self, stamps: &ChunkStamps) -> Option<()> {
         let requester = self.robot(stamps.from)?;
         if requester == self.config.id {
-            return Ok(());
+            return Some(());
         }
         let answered = self.answered_s.get(&requester);
         if answered.is_some_and(|answered| stamps.time_s - answered < ANSWER_PAUSE_S) {
             self.counters.throttled += 1;
-            return Ok(());
+            return Some(());
         }
         self.answered_s.insert(requester, stamps.time_s);
         let to = match self.config.cast {
@@ -295,7 +274,8 @@ impl RacerRobot {
             for index in missing.intervals().iter().flat_map(|(low, high)| *low..=*high) {
                 let Some(chunk) = owner.chunks.get_mut(&index) else { continue };
                 let states = chunk.states.get_or_insert_with(|| {
-                    let voxels = chunk.addresses.iter().map(|address| voxel_at(&self.config, *address));
+                    let voxel = |address: &u32| nested_voxel(&self.config.region, u64::from(*address));
+                    let voxels = chunk.addresses.iter().filter_map(voxel);
                     voxels.map(|voxel| u8::from(self.map.state(voxel) == State::Occupied)).collect()
                 });
                 let data = ChunkData {
@@ -313,53 +293,37 @@ impl RacerRobot {
                 } else {
                     chunk.sent_to.push(requester);
                 }
-                if self.outgoing.len() >= QUEUE_CHUNKS_MAX {
-                    self.outgoing.pop_front();
-                    self.counters.dropped += 1;
-                }
-                self.outgoing.push_back(RacerTransmit { to, topic: Topic::Chunk, bytes: data.emit() });
+                let transmit = RacerTransmit { to, topic: Topic::Chunk, bytes: data.emit() };
+                self.counters.dropped += put(&mut self.outgoing, transmit);
             }
         }
-        Ok(())
+        Some(())
     }
 
     /// Whom a chunk is meant for is not looked at: what is heard is taken in.
-    fn buffer(&mut self, chunk: ChunkData) -> Result<()> {
+    fn buffer(&mut self, chunk: ChunkData) -> Option<()> {
         self.robot(chunk.owner)?;
         let volume = self.config.region.volume();
-        let fits = chunk.addresses.iter().all(|address| u128::from(*address) < volume);
-        ensure!(fits, broken("addresses within the grid"));
-        if self.buffer.len() >= QUEUE_CHUNKS_MAX {
-            self.buffer.pop_front();
-            self.counters.dropped += 1;
-        }
-        self.buffer.push_back(chunk);
-        Ok(())
+        chunk.addresses.iter().all(|address| u128::from(*address) < volume).then_some(())?;
+        self.counters.dropped += put(&mut self.buffer, chunk);
+        Some(())
     }
 
     /// Overwrites the map with a chunk whose number was not seen before.
     fn insert_chunk(&mut self, chunk: ChunkData) {
         // Checked when it came in.
-        let Ok(owner) = self.robot(chunk.owner) else { return };
+        let Some(owner) = self.robot(chunk.owner) else { return };
         if owner == self.config.id || self.held(owner).is_none_or(|held| held.contains(chunk.index)) {
             self.counters.duplicates += 1;
             return;
         }
-        if self.chunks_held >= CHUNKS_MAX {
-            self.counters.dropped += 1;
-            return;
-        }
         let changes = Changes::from_voxels(self.voxels(&chunk.addresses, &chunk.states));
-        if self.map.apply(&changes).is_err() {
+        if self.chunks_held >= CHUNKS_MAX || self.map.apply(&changes).is_err() {
             self.counters.dropped += 1;
             return;
         }
         let ChunkData { addresses, states, index, .. } = chunk;
         self.keep(owner, index, Chunk { addresses, states: Some(states), sent_to: Vec::new() });
-        if self.events.len() >= EVENTS_MAX {
-            self.events.pop_front();
-        }
-        self.events.push_back(RacerEvent::Inserted { owner, changes });
     }
 
     fn keep(&mut self, owner: RobotId, index: u32, chunk: Chunk) {
@@ -371,46 +335,32 @@ impl RacerRobot {
         }
     }
 
-    fn send(&mut self, to: Option<RobotId>, topic: Topic, bytes: Vec<u8>) {
-        self.outgoing.push_back(RacerTransmit { to, topic, bytes });
-    }
-
     /// A robot of the swarm by the number in a message.
-    fn robot(&self, number: i32) -> Result<RobotId> {
-        match u16::try_from(number) {
-            Ok(id) if (1..=self.config.robots).contains(&id) => Ok(RobotId(id)),
-            _ => Err(broken("robots of the swarm")),
-        }
+    fn robot(&self, number: i32) -> Option<RobotId> {
+        u16::try_from(number).ok().filter(|id| (1..=self.config.robots).contains(id)).map(RobotId)
     }
 
     fn owner(&self, id: RobotId) -> Option<&Owner> {
         self.owners.get(usize::from(id.0).checked_sub(1)?)
     }
 
-    /// Number of a voxel in the grid, z fastest; `None` outside.
+    /// Number of a voxel in the grid, which has at most 2³²; `None` outside.
     fn address(&self, voxel: Voxel) -> Option<u32> {
-        let (region, min) = (&self.config.region, self.config.region.min());
-        let [_, size_y, size_z] = region.size().map(u64::from);
-        let at = |value: i32, min: i32| u64::from(value.abs_diff(min));
-        region.contains(voxel).then(|| {
-            let address = (at(voxel.x, min.x) * size_y + at(voxel.y, min.y)) * size_z + at(voxel.z, min.z);
-            // Below the volume of the region, which is at most 2³².
-            address as u32
-        })
+        let region = &self.config.region;
+        region.contains(voxel).then(|| nested_place(region, voxel) as u32)
     }
 
     fn voxels<'a>(&self, addresses: &'a [u32], states: &'a [u8]) -> impl Iterator<Item = (Voxel, State)> {
-        addresses.iter().zip(states).map(|(address, state)| {
+        addresses.iter().zip(states).filter_map(|(address, state)| {
             let state = if *state == 1 { State::Occupied } else { State::Free };
-            (voxel_at(&self.config, *address), state)
+            Some((nested_voxel(&self.config.region, u64::from(*address))?, state))
         })
     }
 }
 
-/// The voxel with a number below the volume of the grid.
-fn voxel_at(config: &RacerConfig, address: u32) -> Voxel {
-    let min = config.region.min();
-    let [_, size_y, size_z] = config.region.size();
-    let (plane, z) = (address / size_z, address % size_z);
-    Voxel::new(min.x + (plane / size_y) as i32, min.y + (plane % size_y) as i32, min.z + z as i32)
+/// Puts a chunk into a queue. Returns how many were dropped for it.
+fn put<T>(queue: &mut VecDeque<T>, chunk: T) -> u64 {
+    let dropped = if queue.len() >= QUEUE_CHUNKS_MAX { queue.pop_front() } else { None };
+    queue.push_back(chunk);
+    u64::from(dropped.is_some())
 }

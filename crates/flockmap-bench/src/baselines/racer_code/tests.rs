@@ -125,7 +125,7 @@ fn a_voxel_that_flips_after_its_chunk_was_sent_stays_stale() {
 
 #[test]
 fn states_are_those_of_the_first_transmission() {
-    // It flips after its chunk is cut and before anybody asks for it: the newer state is told.
+    // It flips after its chunk is cut and before anybody asks for it: the newer state is sent.
     let mut robots = [robot(1, 2), robot(2, 2)];
     scan(&mut robots[0], 0, 31);
     list(&mut robots[0], 300);
@@ -139,7 +139,7 @@ fn states_are_those_of_the_first_transmission() {
 }
 
 #[test]
-fn what_a_team_mate_told_is_not_listed_again() {
+fn what_a_team_mate_sent_is_not_listed_again() {
     let mut robots = [robot(1, 2), robot(2, 2)];
     list(&mut robots[0], 300);
     for _ in 0..5 {
@@ -277,7 +277,7 @@ fn the_new_chunks_of_an_owner_that_starts_again_are_taken_for_known() {
     }
     assert_eq!(robots[1].observed_by(RobotId(1)), before, "no run, so chunk 1 is known already");
     assert_eq!(robots[1].state(Voxel::new(5, 503, 0)), State::Unknown);
-    // Nor does it get back what it told before.
+    // Nor does it get back what it sent before.
     assert_eq!(robots[0].state(Voxel::new(5, 0, 0)), State::Unknown);
 }
 
@@ -297,7 +297,7 @@ fn a_received_chunk_overwrites_what_the_robot_saw_itself() {
 }
 
 #[test]
-fn every_voxel_of_the_grid_has_its_address_and_what_lies_outside_is_not_told() {
+fn every_voxel_of_the_grid_has_its_address_and_what_lies_outside_is_not_sent() {
     let region = VoxelBox::new(Voxel::new(-2, 0, 0), [20, 3, 4]).unwrap();
     let mut small = RacerRobot::new(RacerConfig { region, ..config(1, 2) }, Stamp(0)).unwrap();
     let chunk = |index, addresses: Vec<u32>| {

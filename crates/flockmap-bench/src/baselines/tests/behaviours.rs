@@ -114,7 +114,7 @@ fn colag_lists_what_is_unknown_again_and_again() {
     };
     let head = 1 + 12 + 3 + 1;
     assert_eq!(colag.batch(0, &corners(0, 9)), head + 4 * 999, "one free voxel in 1,000");
-    assert_eq!(colag.batch(500, &corners(0, 9)), head + 4 * 999, "told before, told again");
+    assert_eq!(colag.batch(500, &corners(0, 9)), head + 4 * 999, "sent before, sent again");
     let mut blocks = ByHand::new(Method::ColagBlocks);
     assert!(blocks.batch(0, &corners(0, 9)) < 50);
 }

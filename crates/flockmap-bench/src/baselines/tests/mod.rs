@@ -57,7 +57,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// A flight of so many scans; a batch closes every third scan, and once for obstacles alone in between.
+    /// A flight of so many scans; a batch closes every third scan, and once for obstacles only in between.
     pub fn new(method: Method, seed: u64, scans: i64) -> Self {
         let config = config();
         let mut mapper = Mapper::new(config.clone()).unwrap();

@@ -1,7 +1,7 @@
-//! What happens to datagrams between the robots: the emulated radio of `flockmap-sim`, in the time of the wall.
+//! What happens to datagrams between the robots: the emulated radio of `flockmap-netsim`, in the time of the wall.
 
 use flockmap::{RobotId, Stamp};
-use flockmap_netsim::{IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
+use flockmap_netsim::{Delivery, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};
 use flockmap_worlds::Random;
 
 use super::command::{LinkChange, Links, RadioCommand};
@@ -11,7 +11,6 @@ use super::command::{LinkChange, Links, RadioCommand};
 struct Figures {
     link: Link,
     bit_flips: f64,
-    is_cut: bool,
 }
 
 /// The radio between robots 1 to N.
@@ -22,16 +21,6 @@ pub struct Air {
     random: Random,
     /// Datagrams to each robot that arrived with a wrong bit.
     flipped: Vec<u64>,
-}
-
-/// A datagram that has come through.
-pub struct Through {
-    /// Who sent it, from 1.
-    pub from: usize,
-    /// Who gets it, from 1.
-    pub to: usize,
-    /// Its payload, perhaps with a wrong bit.
-    pub bytes: Vec<u8>,
 }
 
 impl Air {
@@ -45,7 +34,7 @@ impl Air {
             random: Random::new(seed, 0x666c_6970),
             flipped: vec![0; robots],
         };
-        air.change(Links::All, |link| link.apply(figures));
+        air.change(Links::All, figures);
         air
     }
 
@@ -54,17 +43,12 @@ impl Air {
         match command {
             RadioCommand::Split(groups) => {
                 let group_of = |robot| groups.iter().position(|group| group.contains(&robot));
-                for from in 1..=self.links.len() {
-                    for to in 1..=self.links.len() {
-                        let is_cut = group_of(from).is_none() || group_of(from) != group_of(to);
-                        self.change(Links::FromTo(from, to), |link| link.is_cut = is_cut);
-                    }
-                }
+                self.open(Links::All, |from, to| group_of(from).is_some() && group_of(from) == group_of(to));
             }
-            RadioCommand::Cut(links) => self.change(*links, |link| link.is_cut = true),
-            RadioCommand::Join(links) => self.change(*links, |link| link.is_cut = false),
-            RadioCommand::Heal => self.change(Links::All, |link| link.is_cut = false),
-            RadioCommand::Link(links, figures) => self.change(*links, |link| link.apply(*figures)),
+            RadioCommand::Cut(links) => self.open(*links, |_, _| false),
+            RadioCommand::Join(links) => self.open(*links, |_, _| true),
+            RadioCommand::Heal => self.open(Links::All, |_, _| true),
+            RadioCommand::Link(links, figures) => self.change(*links, *figures),
             RadioCommand::Status | RadioCommand::End => {}
         }
     }
@@ -79,17 +63,18 @@ impl Air {
         self.radio.next_due()
     }
 
-    /// The next datagram that has come through by now. Call it until it gives `None`.
-    pub fn deliver_due(&mut self, now: Stamp) -> Option<Through> {
-        let delivery = self.radio.deliver_due(now)?;
-        let (from, to) = (usize::from(delivery.from.0), usize::from(delivery.to.0));
-        let mut bytes = delivery.bytes.to_vec();
-        if self.random.happens(self.links[from - 1][to - 1].bit_flips) && !bytes.is_empty() {
+    /// The next datagram that has come through by now, perhaps with a wrong bit. Call it until it gives `None`.
+    pub fn deliver_due(&mut self, now: Stamp) -> Option<Delivery> {
+        let mut delivery = self.radio.deliver_due(now)?;
+        let [from, to] = [delivery.from, delivery.to].map(|id| usize::from(id.0) - 1);
+        if self.random.happens(self.links[from][to].bit_flips) && !delivery.bytes.is_empty() {
+            let mut bytes = delivery.bytes.to_vec();
             let bit = self.random.below(bytes.len() as u64 * 8) as usize;
             bytes[bit / 8] ^= 1 << (bit % 8);
-            self.flipped[to - 1] += 1;
+            delivery.bytes = bytes.into();
+            self.flipped[to] += 1;
         }
-        Some(Through { from, to, bytes })
+        Some(delivery)
     }
 
     /// What a robot sent and received, and with how many wrong bits.
@@ -97,17 +82,18 @@ impl Air {
         (self.radio.traffic(id(robot)), self.flipped[robot - 1])
     }
 
-    fn change(&mut self, links: Links, mut change: impl FnMut(&mut Figures)) {
-        for from in 1..=self.links.len() {
-            for to in 1..=self.links.len() {
-                if from != to && links.contain(from, to) {
-                    let figures = &mut self.links[from - 1][to - 1];
-                    change(figures);
-                    // The same draws are taken for a link that is cut, so that a cut changes no other link.
-                    let loss = if figures.is_cut { 1.0 } else { figures.link.loss };
-                    self.radio.set_link(id(from), id(to), Link { loss, ..figures.link });
-                }
-            }
+    /// Opens or cuts links.
+    fn open(&mut self, links: Links, is_open: impl Fn(usize, usize) -> bool) {
+        for (from, to) in links.among(self.links.len()) {
+            self.radio.set_open(id(from), id(to), is_open(from, to));
+        }
+    }
+
+    fn change(&mut self, links: Links, change: LinkChange) {
+        for (from, to) in links.among(self.links.len()) {
+            let figures = &mut self.links[from - 1][to - 1];
+            figures.apply(change);
+            self.radio.set_link(id(from), id(to), figures.link);
         }
     }
 }
@@ -135,7 +121,9 @@ mod tests {
     /// Who gets a datagram that robot `from` sends to all others, right now.
     fn reached(air: &mut Air, from: usize) -> Vec<usize> {
         (1..=4).filter(|to| *to != from).for_each(|to| air.send(Stamp(0), from, to, b"hello"));
-        std::iter::from_fn(|| air.deliver_due(Stamp(1_000_000))).map(|through| through.to).collect()
+        std::iter::from_fn(|| air.deliver_due(Stamp(1_000_000)))
+            .map(|delivery| usize::from(delivery.to.0))
+            .collect()
     }
 
     #[test]
@@ -149,7 +137,7 @@ mod tests {
         assert_eq!(reached(&mut air, 3), [1, 2]);
         assert!(reached(&mut air, 4).is_empty());
         say(&mut air, "split 1,2");
-        assert!(reached(&mut air, 3).is_empty(), "who is not named is alone");
+        assert!(reached(&mut air, 3).is_empty(), "who is not named hears nobody");
         say(&mut air, "heal");
         assert_eq!(reached(&mut air, 1), [2, 4]);
         say(&mut air, "cut 2>1");

@@ -1,4 +1,4 @@
-//! What may be said to `flockmap radio`.
+//! The arguments of `flockmap radio`.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -7,7 +7,7 @@ use clap::Args;
 
 use super::command::{LinkChange, Timed};
 
-/// A bad radio on a desk: robots talk through it, and it loses, delays, doubles and damages what they say
+/// A bad radio on a desk: robots talk through it, and it loses, delays, doubles and damages what they send
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct RadioArgs {
@@ -18,25 +18,25 @@ pub struct RadioArgs {
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7800")]
     pub listen: SocketAddr,
     /// Share of datagrams that are lost, 0 to 1
-    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = share)]
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 1.0))]
     pub loss: f64,
-    /// Time on the way in milliseconds, each way
-    #[arg(long, value_name = "D", default_value_t = 0.0, value_parser = millis)]
+    /// Time from robot to robot in milliseconds
+    #[arg(long, value_name = "D", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 60_000.0))]
     pub delay_ms: f64,
     /// Each datagram is late by up to so many milliseconds more, so that they overtake each other
-    #[arg(long, value_name = "J", default_value_t = 0.0, value_parser = millis)]
+    #[arg(long, value_name = "J", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 60_000.0))]
     pub jitter_ms: f64,
     /// Share of datagrams that arrive twice, 0 to 1
-    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = share)]
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 1.0))]
     pub duplication: f64,
     /// Share of datagrams that arrive with one bit turned over, 0 to 1
-    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = share)]
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 1.0))]
     pub bit_flips: f64,
     /// Most kilobytes (1,024 bytes) a second that each robot can send, IP and UDP headers counted; what comes faster waits, up to 256
     /// KiB of it [default: no limit]
-    #[arg(long, value_name = "B", value_parser = rate)]
+    #[arg(long, value_name = "B", value_parser = |text: &str| within(text, 0.1, 4_000_000.0))]
     pub rate_kb_s: Option<f64>,
-    /// Seed of all that is left to chance
+    /// Seed of all that is random
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Carry out a command so many seconds after the start; may be given many times
@@ -70,32 +70,20 @@ Examples:
   flockmap radio 127.0.0.1:7701 127.0.0.1:7702 --jitter-ms 30 --duplication 0.02 --bit-flips 0.01 --at \"0 link 1>2 loss=0.5\"
 
 Stands between robots (`flockmap node`) and does to their datagrams what a bad radio would. Robot N appears to the others at the port of
---listen plus N. In the configuration of each robot give the addresses of the others there, and no other track: what to write is
+--listen plus N. In the configuration of each robot give the addresses of the others there, and no other path: what to write is
 printed at the start. A datagram counts for the link from the robot whose address it comes from to the robot at whose port it arrives;
 what comes from elsewhere is dropped and counted.
 
 Commands, on standard input or with --at:
   split 1,2/3,4     only robots of one group hear each other; one that is not named hears nobody
-  cut LINKS         nothing passes; LINKS is 1-2 (both tracks), 1>2 (one track), 1 (all of robot 1) or all
+  cut LINKS         nothing passes; LINKS is 1-2 (both directions), 1>2 (one direction), 1 (all of robot 1) or all
   join LINKS        it passes again
   heal              everything passes again
   link LINKS loss=P delay-ms=D jitter-ms=J duplication=P bit-flips=P
   status            the table so far
   end               the table, and the end
 
-docs/bad-radio.md tells it step by step.";
-
-fn share(text: &str) -> Result<f64, String> {
-    within(text, 0.0, 1.0)
-}
-
-fn millis(text: &str) -> Result<f64, String> {
-    within(text, 0.0, 60_000.0)
-}
-
-fn rate(text: &str) -> Result<f64, String> {
-    within(text, 0.1, 4_000_000.0)
-}
+docs/bad-radio.md shows it step by step.";
 
 fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "not a number".to_owned())?;

@@ -1,4 +1,4 @@
-//! What can be said to a running radio: on its standard input, or beforehand with `--at`.
+//! The commands of a running radio: on its standard input, or beforehand with `--at`.
 
 use std::str::FromStr;
 
@@ -39,7 +39,7 @@ pub enum Links {
 pub struct LinkChange {
     /// Share of datagrams lost.
     pub loss: Option<f64>,
-    /// Milliseconds on the way.
+    /// Milliseconds from robot to robot.
     pub delay_ms: Option<f64>,
     /// Up to so many milliseconds more.
     pub jitter_ms: Option<f64>,
@@ -59,14 +59,18 @@ pub struct Timed {
 }
 
 impl Links {
-    /// Whether a link is one of them.
-    pub fn contain(self, from: usize, to: usize) -> bool {
-        match self {
-            Self::All => true,
-            Self::Of(robot) => from == robot || to == robot,
-            Self::Between(a, b) => (from, to) == (a, b) || (from, to) == (b, a),
-            Self::FromTo(a, b) => (from, to) == (a, b),
-        }
+    /// These links of so many robots, each from one robot to another.
+    pub fn among(self, robots: usize) -> impl Iterator<Item = (usize, usize)> {
+        let all = (1..=robots).flat_map(move |from| (1..=robots).map(move |to| (from, to)));
+        all.filter(move |&(from, to)| {
+            from != to
+                && match self {
+                    Self::All => true,
+                    Self::Of(robot) => from == robot || to == robot,
+                    Self::Between(a, b) => (from, to) == (a, b) || (from, to) == (b, a),
+                    Self::FromTo(a, b) => (from, to) == (a, b),
+                }
+        })
     }
 
     fn robots(self) -> Vec<usize> {

@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use flockmap::Stamp;
+use flockmap_cli::document::DataTable;
+use flockmap_cli::numbers::thousands;
 use flockmap_cli::program::command_line;
-use flockmap_cli::table::{Table, thousands};
 use flockmap_cli::{json_file, stop};
 use serde_json::json;
 
@@ -59,7 +60,7 @@ struct Radio {
     send_failed: u64,
 }
 
-/// Runs the radio until it is told to end.
+/// Runs the radio until `end`, Ctrl-C or --seconds.
 ///
 /// # Errors
 /// A robot that does not exist is named, a port cannot be opened.
@@ -134,9 +135,10 @@ impl Radio {
             while let Some(next) = timed.pop_if(|next| due_at(next) <= now) {
                 self.command(&next.command);
             }
-            while let Some(through) = self.air.deliver_due(now) {
-                let (socket, to) = (&self.sockets[through.from - 1], self.robots[through.to - 1]);
-                self.send_failed += u64::from(!sends(socket, &through.bytes, to));
+            while let Some(delivery) = self.air.deliver_due(now) {
+                let [from, to] = [delivery.from, delivery.to].map(|id| usize::from(id.0) - 1);
+                let is_sent = sends(&self.sockets[from], &delivery.bytes, self.robots[to]);
+                self.send_failed += u64::from(!is_sent);
             }
             if end.is_some_and(|end| end <= now) {
                 break;
@@ -191,11 +193,10 @@ impl Radio {
     }
 
     fn table(&self) -> String {
-        let mut table = Table::new(["robot", "sent", "KB", "dropped", "received", "KB", "lost", "wrong bit"]);
-        for number in 1..=self.robots.len() {
+        let rows = (1..=self.robots.len()).map(|number| {
             let (traffic, flipped) = self.air.traffic(number);
             let kb = |bytes: u64| thousands(bytes.div_ceil(1_024));
-            table.row([
+            [
                 format!("{number} at {}", self.robots[number - 1]),
                 thousands(traffic.sent),
                 kb(traffic.sent_bytes),
@@ -204,8 +205,10 @@ impl Radio {
                 kb(traffic.received_bytes),
                 thousands(traffic.lost),
                 thousands(flipped),
-            ]);
-        }
+            ]
+        });
+        let headings = ["robot", "sent", "KB", "dropped", "received", "KB", "lost", "wrong bit"];
+        let table = DataTable::unnamed(headings, rows);
         let rest = format!(
             "  {:.1} s; {} datagrams from strangers, {} that the system did not take",
             self.began.elapsed().as_secs_f64(),
@@ -248,7 +251,7 @@ fn appears_at(listen: SocketAddr, robot: usize) -> anyhow::Result<SocketAddr> {
     Ok(SocketAddr::new(listen.ip(), port))
 }
 
-/// Whether the system took the datagram. That an earlier one found nobody is told here too, and is no fault of this one.
+/// Whether the system took the datagram. That an earlier one found nobody is reported here too, and is no fault of this one.
 fn sends(socket: &UdpSocket, bytes: &[u8], to: SocketAddr) -> bool {
     (0..2).any(|_| socket.send_to(bytes, to).is_ok())
 }
@@ -265,7 +268,7 @@ fn read_datagrams(socket: Arc<UdpSocket>, to: usize, sender: SyncSender<Input>) 
                         return;
                     }
                 }
-                // A robot that is off, told about an earlier datagram.
+                // A robot that is off: the system reports it of an earlier datagram.
                 Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
                 Err(_) => std::thread::sleep(Duration::from_millis(1)),
             }

@@ -7,11 +7,12 @@ use anyhow::ensure;
 use clap::Args;
 use flockmap::{Codec, SessionConfig};
 use flockmap_autonomy::{Ended, ExploreOptions, Explorer};
+use flockmap_cli::document::DataTable;
+use flockmap_cli::numbers::{kb, thousands};
 use flockmap_cli::options::{MapArgs, SourceArgs, budget, delay_micros, share};
 use flockmap_cli::parallel::cores;
 use flockmap_cli::program::command_line;
 use flockmap_cli::robot_record::{self, RecordFacts};
-use flockmap_cli::table::{Table, kb, thousands};
 use flockmap_cli::{explore, json_file, sources, stop};
 use flockmap_netsim::{IP_UDP_BYTES, Link, RadioConfig, Traffic};
 use serde_json::{Value, json};
@@ -55,7 +56,7 @@ pub struct SimExploreArgs {
     /// Codec of the packages: flock, paper, nested-zlib, raw or racer
     #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
     pub codec: Codec,
-    /// Leave out the pictures of map and way
+    /// Leave out the pictures of map and track
     #[arg(long)]
     pub no_view: bool,
     /// Threads on which robots scan, map and plan; what happens never depends on it [default: as many as there are cores]
@@ -132,7 +133,7 @@ fn print_outcome(explorer: &Explorer, args: &SimExploreArgs) {
     let outcome = explorer.outcome();
     let seconds = outcome.seconds.max(0.1);
     let robots: Vec<_> = outcome.path_m.iter().zip(sent(explorer, args)).zip(1..).collect();
-    let table = Table::of(
+    let table = DataTable::of_text(
         &robots,
         &[
             ("robot", &|(_, number)| format!("robot{number}")),

@@ -38,7 +38,7 @@ pub struct SimFlyArgs {
     /// Folder for the files robot1.mcap, robot2.mcap …
     #[arg(long, value_name = "DIR", default_value = "flockmap-flight")]
     pub out: PathBuf,
-    /// Leave out the pictures of map and way
+    /// Leave out the pictures of map and track
     #[arg(long)]
     pub no_view: bool,
     /// Robots are not seen in each other's scans
@@ -59,7 +59,7 @@ pub struct SimFlyArgs {
 /// Runs the command.
 pub fn run(args: &SimFlyArgs) -> anyhow::Result<bool> {
     ensure!(args.threads.is_none_or(|n| (1..=1_000).contains(&n)), "--threads must be 1 to 1,000");
-    // Wrong options are told before anything is made.
+    // Wrong options are errors before anything is made.
     args.map.mapper()?;
     let source = SourceArgs { see_team_mates: !args.hide_team_mates, ..args.source.clone() };
     let sources = sources::open_scene(&args.scene, &source, args.map.range)?;
@@ -78,7 +78,7 @@ pub fn run(args: &SimFlyArgs) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// Records every robot, several at the same time. Each file depends on its own robot alone.
+/// Records every robot, several at the same time. Each file depends on its own robot only.
 fn write_all(robots: Vec<Source>, args: &SimFlyArgs) -> anyhow::Result<Vec<RecordFacts>> {
     let threads = args.threads.unwrap_or_else(cores).min(robots.len());
     let progress = Progress::new("scans", robots.iter().map(|source| source.frames_expected).sum());

@@ -8,12 +8,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use clap::{Args, Parser};
+use flockmap_cli::document::DataTable;
 use flockmap_cli::json_file;
+use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::CastName;
 use flockmap_cli::parallel::{cores, in_parallel};
 use flockmap_cli::program::command_line;
 use flockmap_cli::progress::Progress;
-use flockmap_cli::table::{Table, thousands};
 use flockmap_netsim::swarm::{Report, SwarmOptions, describe, fly};
 use serde_json::{Value, json};
 
@@ -37,13 +38,13 @@ budget (bytes of any second), quiet (nothing but requests when nothing is missin
 nonce and key (sealed datagrams), identity (no run twice), path (an address is used after it has answered), work (what a datagram can cost),
 crash (no panic). A failure names the checker, the robot, the time, and the one command that repeats it; the exit code is 1 then.")]
 pub struct SimSwarmArgs {
-    /// Decides everything that is left to chance
+    /// Decides everything that is random
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
     /// Fly so many seeds, from --seed on, and sum up
     #[arg(long, value_name = "N")]
     pub seeds: Option<u64>,
-    /// Fly what a file says: options of this command on each line, words after a # are for people
+    /// Fly what a file says: options of this command on each line, what follows a # is for people
     #[arg(long, value_name = "FILE", conflicts_with_all = ["seed", "seeds", "robots", "radio", "seconds", "cast", "budget", "calm", "json"])]
     pub file: Option<PathBuf>,
     /// Robots, 2 to 200 [default: drawn, 2 to 6]
@@ -61,7 +62,7 @@ pub struct SimSwarmArgs {
     /// Bytes that each robot may send in a second, 500 or more [default: drawn]
     #[arg(long, value_name = "BYTES_PER_S")]
     pub budget: Option<u32>,
-    /// No crashes, partitions, half-open links, tight limits or mixed settings: the radio alone
+    /// No crashes, partitions, half-open links, tight limits or mixed settings: only the radio
     #[arg(long)]
     pub calm: bool,
     /// Threads that fly several seeds; what happens never depends on it [default: as many as there are cores]
@@ -72,8 +73,8 @@ pub struct SimSwarmArgs {
     pub json: Option<PathBuf>,
 }
 
-/// Of many seeds, failures told in full.
-const FAILURES_TOLD: usize = 5;
+/// Of many seeds, failures shown in full.
+const FAILURES_SHOWN: usize = 5;
 
 /// A line of a file of flights.
 #[derive(Parser, Debug)]
@@ -122,11 +123,11 @@ fn from_file(path: &Path, threads: Option<usize>) -> anyhow::Result<bool> {
     let mut flights = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
         let place = || format!("{}, line {number}", path.display());
-        let words = line.split('#').next().unwrap_or("").trim();
-        if words.is_empty() {
+        let options = line.split('#').next().unwrap_or("").trim();
+        if options.is_empty() {
             continue;
         }
-        let Line { args } = Line::try_parse_from(words.split_whitespace()).with_context(place)?;
+        let Line { args } = Line::try_parse_from(options.split_whitespace()).with_context(place)?;
         ensure!(args.file.is_none(), "{}: a file of flights names no other", place());
         let args = SimSwarmArgs { threads: args.threads.or(threads), ..args };
         flights.push((args, line.to_owned()));
@@ -148,21 +149,20 @@ fn from_file(path: &Path, threads: Option<usize>) -> anyhow::Result<bool> {
     Ok(failed.is_empty())
 }
 
-/// Flies one, and tells of it only what is wrong. What was drawn stands before that, whatever becomes of the flight.
+/// Flies one, and says of it only what is wrong. What was drawn stands before that, whatever becomes of the flight.
 fn quietly(args: &SimSwarmArgs) -> bool {
     let options = options(args, args.seed);
     println!("{}", options.command());
     let _ = std::io::stdout().flush();
     let report = fly(&options);
-    if let Some(failure) = &report.failure {
-        println!("FAILED: {failure}\n  again:    {}", report.command);
-    }
+    print!("{}", failed(&report));
     report.is_good()
 }
 
 fn one(args: &SimSwarmArgs) -> anyhow::Result<bool> {
     let options = options(args, args.seed);
-    print!("{}", head(&options));
+    println!("{}\n", options.command());
+    describe(&options).iter().for_each(|line| println!("  {line}"));
     // It is there even where the flight never ends.
     let _ = std::io::stdout().flush();
     let report = fly(&options);
@@ -220,21 +220,12 @@ fn many(args: &SimSwarmArgs, seeds: u64) -> anyhow::Result<bool> {
     Ok(sum.failures.is_empty())
 }
 
-/// What was drawn.
-fn head(options: &SwarmOptions) -> String {
-    let mut text = format!("{}\n\n", options.command());
-    for line in describe(options) {
-        text += &format!("  {line}\n");
-    }
-    text
-}
-
 fn account(report: &Report) -> String {
     let mut text = "\n".to_owned();
     for (at, what) in &report.events {
         text += &format!("  {at:>9.3} s  {what}\n");
     }
-    let table = Table::of(
+    let table = DataTable::of_text(
         &report.robots,
         &[
             ("robot", &|r| format!("{}{}", r.id, if r.is_alive { "" } else { " (gone)" })),
@@ -254,31 +245,28 @@ fn account(report: &Report) -> String {
     let seen = report.seen.iter().filter(|(_, count)| **count > 0);
     let seen: Vec<String> = seen.map(|(name, count)| format!("{name} {}", thousands(*count))).collect();
     text += &format!("  seen: {}\n\n", seen.join(", "));
-    match (&report.failure, report.agreement_s) {
-        (Some(failure), _) => text += &format!("FAILED: {failure}\n  again:    {}\n", report.command),
-        (None, Some(agreement)) => {
-            text += &format!(
-                "  all maps equal {agreement:.2} s after links healed (within {:.1} s), then quiet; {:.1} s of virtual time\n",
-                report.agreement_within_s, report.flown_s
-            );
-        }
-        (None, None) => {}
+    if let (None, Some(agreement)) = (&report.failure, report.agreement_s) {
+        text += &format!(
+            "  all maps equal {agreement:.2} s after links healed (within {:.1} s), then quiet; {:.1} s of virtual time\n",
+            report.agreement_within_s, report.flown_s
+        );
     }
-    text
+    text + &failed(report)
+}
+
+/// What a checker found, and how to see it again.
+fn failed(report: &Report) -> String {
+    let again = &report.command;
+    let failure = report.failure.as_ref();
+    failure.map_or_else(String::new, |failure| format!("FAILED: {failure}\n  again:    {again}\n"))
 }
 
 fn summary(sum: &mut Sum, took: Duration, threads: usize) -> String {
     let mut text = String::new();
-    let mut table = Table::new(["seen", "in flights", "in all"]);
-    for (name, (flights, all)) in &sum.seen {
-        table.row([(*name).to_owned(), thousands(*flights), thousands(*all)]);
-    }
-    text += &format!("{table}\n");
-    for (_, report) in sum.failures.iter().take(FAILURES_TOLD) {
-        if let Some(failure) = &report.failure {
-            text += &format!("FAILED: {failure}\n  again:    {}\n", report.command);
-        }
-    }
+    let seen = sum.seen.iter();
+    let seen = seen.map(|(name, (flights, all))| [(*name).to_owned(), thousands(*flights), thousands(*all)]);
+    text += &format!("{}\n", DataTable::unnamed(["seen", "in flights", "in all"], seen));
+    sum.failures.iter().take(FAILURES_SHOWN).for_each(|(_, report)| text += &failed(report));
     let mut by_checker = BTreeMap::<&str, Vec<u64>>::new();
     for (seed, report) in &sum.failures {
         by_checker.entry(report.failure.as_ref().map_or("", |f| f.checker)).or_default().push(*seed);
@@ -312,45 +300,33 @@ fn summary(sum: &mut Sum, took: Duration, threads: usize) -> String {
 }
 
 fn one_as_json(report: &Report) -> Value {
-    let robots: Vec<Value> = report
-        .robots
-        .iter()
-        .map(|robot| {
-            json!({
-                "robot": robot.id, "runs": robot.runs, "alive": robot.is_alive, "packages": robot.packages,
-                "package_bytes": robot.package_bytes, "datagrams": robot.datagrams, "bytes": robot.bytes,
-                "requests": robot.requests, "request_bytes": robot.request_bytes, "airtime_s": robot.airtime_s,
-                "merged": robot.merged, "age_median_s": robot.age_median_s, "age_99_s": robot.age_99_s,
-            })
+    let robots = report.robots.iter().map(|robot| {
+        json!({
+            "robot": robot.id, "runs": robot.runs, "alive": robot.is_alive, "packages": robot.packages,
+            "package_bytes": robot.package_bytes, "datagrams": robot.datagrams, "bytes": robot.bytes,
+            "requests": robot.requests, "request_bytes": robot.request_bytes, "airtime_s": robot.airtime_s,
+            "merged": robot.merged, "age_median_s": robot.age_median_s, "age_99_s": robot.age_99_s,
         })
-        .collect();
-    let events: Vec<Value> =
-        report.events.iter().map(|(at, what)| json!({"at_s": at, "what": what})).collect();
+    });
+    let events = report.events.iter().map(|(at, what)| json!({"at_s": at, "what": what}));
     json!({
-        "command": report.command, "settings": report.settings, "events": events, "robots": robots,
-        "mapping_s": report.mapping_s, "agreement_s": report.agreement_s,
+        "command": report.command, "settings": report.settings, "events": events.collect::<Value>(),
+        "robots": robots.collect::<Value>(), "mapping_s": report.mapping_s, "agreement_s": report.agreement_s,
         "agreement_within_s": report.agreement_within_s, "seen": report.seen, "flown_s": report.flown_s,
         "steps": report.steps, "failure": report.failure.as_ref().map(ToString::to_string),
     })
 }
 
 fn many_as_json(args: &SimSwarmArgs, sum: &Sum) -> Value {
-    let failures: Vec<Value> = sum
-        .failures
-        .iter()
-        .map(|(seed, report)| {
-            let failure = report.failure.as_ref().map(ToString::to_string);
-            json!({"seed": seed, "command": report.command, "failure": failure})
-        })
-        .collect();
-    let seen: BTreeMap<_, _> = sum
-        .seen
-        .iter()
-        .map(|(name, (flights, all))| (*name, json!({"flights": flights, "all": all})))
-        .collect();
+    let failures = sum.failures.iter().map(|(seed, report)| {
+        let failure = report.failure.as_ref().map(ToString::to_string);
+        json!({"seed": seed, "command": report.command, "failure": failure})
+    });
+    let seen = sum.seen.iter();
+    let seen = seen.map(|(name, (flights, all))| (*name, json!({"flights": flights, "all": all})));
     json!({
         "command": command_line(), "seed": args.seed, "flights": sum.flights, "robots": sum.robots,
-        "steps": sum.steps, "flown_s": sum.flown_s, "agreement_s": sum.agreement_s, "seen": seen,
-        "failures": failures,
+        "steps": sum.steps, "flown_s": sum.flown_s, "agreement_s": sum.agreement_s,
+        "seen": seen.collect::<BTreeMap<_, _>>(), "failures": failures.collect::<Value>(),
     })
 }
