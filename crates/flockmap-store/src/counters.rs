@@ -20,6 +20,7 @@ pub struct Restored {
 
 /// What a store did in this run.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct StoreCounters {
     /// Packages that came back at the start: [`Restored::packages`].
@@ -49,6 +50,7 @@ pub struct StoreCounters {
     /// Times that this failed; the log went on.
     pub compactions_failed: u64,
     /// Bytes on disk now.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub disk_bytes: u64,
 }
 
