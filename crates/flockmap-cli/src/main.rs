@@ -64,7 +64,7 @@ fn main() -> ExitCode {
 mod tests {
     use super::*;
     use clap::CommandFactory;
-    use flockmap_cli::options::CastName;
+    use flockmap::Cast;
 
     fn parse(line: &str) -> Result<Cli, clap::Error> {
         Cli::try_parse_from(line.split_whitespace())
@@ -97,7 +97,7 @@ mod tests {
         let Command::Replay(args) = cli.command else { panic!("{cli:?}") };
         assert_eq!(args.records.len(), 2);
         assert_eq!((args.loss, args.delay_ms, args.map.d), (0.2, 50.0, 100));
-        assert_eq!(args.cast, CastName::Broadcast);
+        assert_eq!(args.cast, Cast::Broadcast);
         assert_eq!((args.map.resolution, args.map.range, args.map.publish_period), (0.1, 7.0, 0.5));
     }
 

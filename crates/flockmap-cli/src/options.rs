@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use flockmap::grid::{MapperConfig, Preset};
-use flockmap::{BatchConfig, Cast, Codec, Resolution, RobotConfig, RobotId};
+use flockmap::{BatchConfig, Codec, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::{Lidar, Rendering};
+use serde::de::{DeserializeOwned, IntoDeserializer as _};
 
 /// How robots map and pack.
 #[derive(Args, Debug, Clone)]
@@ -109,15 +110,6 @@ impl Default for SourceArgs {
     }
 }
 
-/// How datagrams go out.
-#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CastName {
-    /// To each robot on its own; every copy counts
-    Unicast,
-    /// Once for all, as on a shared radio
-    Broadcast,
-}
-
 impl MapArgs {
     /// The side of a voxel.
     pub fn resolution(&self) -> anyhow::Result<Resolution> {
@@ -178,11 +170,7 @@ pub fn budget(kb_s: f64) -> anyhow::Result<u32> {
     Ok(bytes as u32)
 }
 
-impl From<CastName> for Cast {
-    fn from(name: CastName) -> Self {
-        match name {
-            CastName::Unicast => Self::Unicast,
-            CastName::Broadcast => Self::Broadcast,
-        }
-    }
+/// An option by its name in configuration files.
+pub fn named<T: DeserializeOwned>(name: &str) -> Result<T, serde::de::value::Error> {
+    T::deserialize(name.into_deserializer())
 }

@@ -5,6 +5,8 @@ use core::str::FromStr;
 
 /// How the payload of a package is coded. All are lossless.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
 #[non_exhaustive]
 pub enum Codec {
     /// 2 bits for each voxel of the box in nested order: what the others are measured from.

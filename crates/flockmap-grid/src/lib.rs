@@ -17,6 +17,9 @@ mod pose;
 mod scan;
 mod snapshot;
 mod stamps;
+#[cfg(feature = "serde")]
+#[doc(hidden)]
+pub mod units;
 mod voxel;
 
 pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, meet, set_bits, voxel_bit};
@@ -24,8 +27,8 @@ pub use changes::Changes;
 pub use fusion::{Fusion, FusionConfig, FusionError, MapView, RayEnd};
 pub use layer::{BaseSuperseded, LAYER_BLOCK_BYTES_MAX, Layer};
 pub use mapper::{
-    ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport,
-    SensorModel, Sphere, Which,
+    ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport, Sphere,
+    Which,
 };
 pub use origin::{RobotId, Stamp, Stream, epoch, seconds_of_epoch};
 pub use pose::{Pose, PoseError};

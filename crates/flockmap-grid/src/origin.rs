@@ -4,6 +4,7 @@ use core::fmt;
 
 /// A robot of the swarm. Unique within the swarm; chosen by the user.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
 pub struct RobotId(pub u16);
 
 impl fmt::Debug for RobotId {

@@ -199,6 +199,8 @@ impl fmt::Debug for VoxelBox {
 
 /// Side of a voxel. Held as a whole number of micrometres so that two robots always agree on it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(try_from = "f64", into = "f64"))]
 pub struct Resolution {
     micrometres: u32,
 }

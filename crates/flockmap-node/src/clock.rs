@@ -15,7 +15,7 @@ const LOOK_PERIOD: Duration = Duration::from_secs(1);
 const READING_MAX: Duration = Duration::from_millis(1);
 
 /// The time in microseconds since 1970 as the machine had it when the clock was made, counted on from there by the
-/// monotonic clock: it never runs backwards or jumps, whatever is done to the machine's time. Copies tell the same time.
+/// monotonic clock: it never runs backwards or jumps, whatever is done to the machine's time. Copies show the same time.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     began: Instant,
@@ -114,7 +114,7 @@ impl StepWatch {
     }
 
     fn note(&mut self, ahead: i64) -> Option<String> {
-        // A slow drift is followed without a word.
+        // A slow drift is followed and not reported.
         let before = std::mem::replace(&mut self.ahead, ahead);
         let step = ahead.saturating_sub(before);
         let seconds = |micros: i64| micros as f64 / 1e6;

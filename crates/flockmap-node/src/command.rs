@@ -1,4 +1,4 @@
-//! What the forward a node, and its metrics, ask of its driver.
+//! What the handle of a node, and its metrics, ask of its driver.
 
 use flockmap::{Robot, Stamp};
 
@@ -7,7 +7,7 @@ use crate::NodeStatus;
 /// Something to do with the robot at a time.
 pub(crate) type RobotCall = Box<dyn FnOnce(&mut Robot, Stamp) + Send>;
 
-/// What the forward a node can ask.
+/// What can be asked.
 pub(crate) enum Command {
     Robot(RobotCall),
     Status(Box<dyn FnOnce(NodeStatus) + Send>),

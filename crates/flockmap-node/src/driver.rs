@@ -9,7 +9,7 @@ use crate::clock::StepWatch;
 use crate::command::Command;
 use crate::options::{NodeOptions, Observation};
 use crate::sensor::Input;
-use crate::status::StatusLine;
+use crate::status::{StatusLine, histogram};
 use crate::store_writer::StoreWriter;
 use crate::transport::is_unreachable;
 use crate::{Histogram, Level, NodeCounters, NodeStatus, Timings, Transport};
@@ -33,7 +33,7 @@ pub(crate) struct Driver<T> {
     /// The highest epoch that was on disk at the start or was given to the store since.
     epoch_kept: u64,
     transport: T,
-    /// The paths that the transport was told.
+    /// The paths that the transport has.
     paths: Vec<Path>,
     inputs: Receiver<Input>,
     commands: UnboundedReceiver<Command>,
@@ -96,7 +96,7 @@ impl<T: Transport> Driver<T> {
             warnings_left_out: 0,
             counters: NodeCounters::default(),
             timings: Timings::default(),
-            recent_age: Histogram::default(),
+            recent_age: histogram(),
         }
     }
 
@@ -147,7 +147,7 @@ impl<T: Transport> Driver<T> {
         }
     }
 
-    /// Lets time pass for the robot, tells its events, and sends all it has to send.
+    /// Lets time pass for the robot, reports its events, and sends all it has to send.
     async fn pump(&mut self) {
         let clock = self.options.clock;
         let now = clock.now();
@@ -179,7 +179,7 @@ impl<T: Transport> Driver<T> {
         }
     }
 
-    /// Tells the transport where robots are reached, if that has changed. Before it receives again: what it is told it does not forget.
+    /// Gives the transport the paths on which robots are reached, if they have changed. Before it receives again: it does not forget those.
     fn send_paths(&mut self) {
         let paths = || self.robot.session().paths().map(|(_, path)| path);
         if !paths().eq(self.paths.iter().copied()) {
@@ -199,7 +199,7 @@ impl<T: Transport> Driver<T> {
         let took = micros(began.elapsed());
         self.take_events(now, |timings, event| {
             if let Event::BatchClosed { .. } = event {
-                timings.pack.add(took);
+                timings.pack.saturating_record(took);
             }
         });
     }
@@ -213,7 +213,7 @@ impl<T: Transport> Driver<T> {
         let took = micros(began.elapsed());
         self.take_events(now, |timings, event| {
             if let Event::Merged { .. } = event {
-                timings.receive_to_insert.add(took);
+                timings.receive_to_insert.saturating_record(took);
             }
         });
         if let Err(error) = result {
@@ -246,7 +246,7 @@ impl<T: Transport> Driver<T> {
                     Ok(report) => report,
                     Err(error) => return self.take_fault(format!("scan left out: {error}")),
                 };
-                self.timings.insert_scan.add(micros(began.elapsed()));
+                self.timings.insert_scan.saturating_record(micros(began.elapsed()));
                 if let Some(observer) = &mut self.options.observer {
                     observer(now, &self.robot, Observation::Scan { scan: &frame.scan, report: &report });
                 }
@@ -285,7 +285,7 @@ impl<T: Transport> Driver<T> {
         }
     }
 
-    /// Tells the events of the robot to whom they concern.
+    /// Reports the events of the robot to store, observer and log.
     fn take_events(&mut self, now: Stamp, mut time: impl FnMut(&mut Timings, &Event)) {
         while let Some(event) = self.robot.poll_event() {
             time(&mut self.timings, &event);
@@ -305,13 +305,13 @@ impl<T: Transport> Driver<T> {
                 Event::BatchClosed { .. } => self.active = Instant::now(),
                 Event::Merged { stream, batch_end, changes, .. } => {
                     self.active = Instant::now();
-                    // A chunk of a snapshot tells of many times.
+                    // A chunk of a snapshot has many stamps.
                     if let Some(offset) = self.robot.session().clock_offset(stream)
                         && !changes.is_empty()
                     {
                         let age = now.micros_since(batch_end).saturating_add(offset).max(0).unsigned_abs();
-                        self.timings.age.add(age);
-                        self.recent_age.add(age);
+                        self.timings.age.saturating_record(age);
+                        self.recent_age.saturating_record(age);
                     }
                 }
                 Event::Refused { stream, index, reason } => {
@@ -326,11 +326,11 @@ impl<T: Transport> Driver<T> {
                 Event::RunBegun(run) => {
                     self.options.log.warn(format!(
                         "a run of this robot with a higher epoch than its own was heard of, from a time when its clock was ahead, or of another robot with the same id: \
-                         it goes on as {run:?}, with all that it had told"
+                         it goes on as {run:?}, with all that it had published"
                     ));
                 }
                 Event::RunForgotten(run) => {
-                    self.warn(|| format!("the map of {run:?}, which has ended, is given up for a newer one: raise streams_max or epochs_max to keep more"));
+                    self.warn(|| format!("the map of {run:?}, which has ended, is dropped for a newer one: raise streams_max or epochs_max to keep more"));
                 }
                 Event::SameIdentity => {
                     self.warn(|| "another robot uses the id of this one; give one of them another".into());
@@ -398,7 +398,7 @@ impl<T: Transport> Driver<T> {
 
     fn say_status(&mut self) {
         if self.options.status_period.is_some() {
-            let age = std::mem::take(&mut self.recent_age);
+            let age = std::mem::replace(&mut self.recent_age, histogram());
             let line = self.line.next(&self.status(), &age);
             self.options.log.say(Level::Status, line);
         }

@@ -21,7 +21,7 @@ pub(crate) struct Kept {
 }
 
 impl Kept {
-    /// A disk that fails is said, and no reason not to fly.
+    /// A disk that fails is logged, and no reason not to fly.
     pub(crate) fn open(config: &NodeConfig, robot: &RobotConfig, random: u32, log: &Log) -> Result<Self> {
         let store = open_store(config, robot)?;
         let folder = config.state_folder(|name| std::env::var_os(name));
@@ -38,8 +38,8 @@ impl Kept {
                 "the clock of this machine is years behind, and no former run is known here: if team-mates know one, this robot begins anew when it hears of it",
             );
         }
-        let epoch =
-            next_epoch(last, seconds, random).with_context(|| spent(config, folder, epoch_file.as_ref()))?;
+        let epoch = next_epoch(last, seconds, random)
+            .with_context(|| exhausted(config, folder, epoch_file.as_ref()))?;
         if let Some(Err(fault)) = epoch_file.as_mut().map(|file| file.keep(epoch)) {
             log.warn(format!("{fault}. The next run relies on the store, if there is one, and on the clock"));
         }
@@ -78,7 +78,7 @@ fn open_epoch_file(path: &PathBuf, robot: &RobotConfig, log: &Log) -> Option<Epo
 }
 
 /// What to do where there is no higher epoch.
-fn spent(config: &NodeConfig, folder: Option<PathBuf>, file: Option<&EpochFile>) -> String {
+fn exhausted(config: &NodeConfig, folder: Option<PathBuf>, file: Option<&EpochFile>) -> String {
     let file = folder.zip(file).map(|(folder, file)| folder.join(file.name()));
     let places: Vec<String> = [file.as_ref(), config.store.path.as_ref()]
         .into_iter()

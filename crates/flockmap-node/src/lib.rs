@@ -22,9 +22,9 @@
 //! | [`NodeConfig`] | the configuration file; [`EXAMPLE`] shows every key |
 //! | [`Transport`], [`UdpTransport`] | how datagrams travel; others can stand beside UDP |
 //! | [`Sensor`] | a recording or simulation in real time, a channel, or a socket that any program feeds |
-//! | [`Node`], [`NodeHandle`] | the robot at work, and the forward it |
+//! | [`Node`], [`NodeHandle`] | the robot at work, and access to it while it runs |
 //! | [`store`], [`StoreWriter`] | packages on disk, so that a rebooted robot has its map again, and the epoch of its run |
-//! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; what is left at the end |
+//! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; the summary at the end |
 #![forbid(unsafe_code)]
 
 mod advice;
@@ -32,7 +32,6 @@ mod clock;
 mod command;
 mod config;
 mod driver;
-mod histogram;
 mod kept;
 mod log;
 mod metrics;
@@ -47,19 +46,17 @@ mod transport;
 
 pub use clock::Clock;
 pub use config::{
-    AlignmentSection, BatchSection, CodecSection, ConfigError, EXAMPLE, FoundKey, FusionSection,
-    KEY_VARIABLE, MapSection, MetricsSection, NetworkSection, NodeConfig, OutputSection, Secret,
-    SensorSection, SessionSection, StateSection, StoreSection, TeammatesSection,
+    AlignmentSection, Behaviour, CodecSection, ConfigError, EXAMPLE, FoundKey, KEY_VARIABLE, MetricsSection,
+    NodeConfig, OutputSection, Secret, SensorSection, StateSection, StoreSection, TeammatesSection, schema,
 };
 pub use flockmap_io::{Frame, Frames};
 pub use flockmap_store as store;
-pub use histogram::Histogram;
 pub use log::{Level, Log};
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
 pub use run::run;
 pub use sensor::{MESSAGE_VERSION, MessageError, MessageLimits, Sensor, SensorMessage};
-pub use status::{GivenUp, NodeCounters, NodeStatus, StreamStatus, Timings};
+pub use status::{GivenUp, Histogram, NodeCounters, NodeStatus, StreamStatus, Timings};
 pub use store_writer::StoreWriter;
 pub use summary::{StreamSummary, Summary, TimingSummary};
 pub use transport::{SendResult, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};

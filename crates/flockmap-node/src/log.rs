@@ -1,4 +1,4 @@
-//! What a node has to say, line by line.
+//! The log of a node, line by line.
 
 use std::fmt;
 use std::io::{IsTerminal, Write as _};
@@ -43,7 +43,7 @@ impl Log {
             let mut shown = status_shown.lock().unwrap_or_else(PoisonError::into_inner);
             let clear = if *shown { "\r\x1b[K" } else { "" };
             *shown = level == Level::Status && is_terminal;
-            let word = match level {
+            let prefix = match level {
                 Level::Status | Level::Info => "",
                 Level::Warning => "warning: ",
                 Level::Error => "error: ",
@@ -51,7 +51,7 @@ impl Log {
             let end = if *shown { "" } else { "\n" };
             let mut out = std::io::stderr().lock();
             // There is nowhere else to complain.
-            let _ = write!(out, "{clear}{name}: {word}{text}{end}").and_then(|()| out.flush());
+            let _ = write!(out, "{clear}{name}: {prefix}{text}{end}").and_then(|()| out.flush());
         })
     }
 

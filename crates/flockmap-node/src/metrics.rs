@@ -15,7 +15,7 @@ use tokio::task::{AbortHandle, JoinSet};
 use crate::advice::listen_error;
 use crate::command::Command;
 
-/// Clients that may be connected at once. Of more, the one that has been idle for longest gives way; if none is, more wait.
+/// Clients that may be connected at once. Of more, the one that has been idle for longest is closed; if none is, more wait.
 /// Worst case held: a request and an answer for each.
 const CLIENTS_MAX: usize = 16;
 
@@ -169,7 +169,7 @@ mod tests {
             }
             let mut late = TcpStream::connect(address).await.unwrap();
             late.write_all(REQUEST).await.unwrap();
-            // The node answers nobody: each is told so, none was closed.
+            // The node answers nobody: each gets that as an answer, none was closed.
             waiting.clear();
             for client in &mut asked {
                 assert!(answer_of(client).await.starts_with("HTTP/1.1 503"));

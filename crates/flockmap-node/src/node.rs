@@ -1,4 +1,4 @@
-//! One robot on a thread of its own, and the forward it.
+//! One robot on a thread of its own, and the handle to it.
 
 use std::fmt;
 use std::future::Future;
@@ -238,7 +238,7 @@ impl fmt::Debug for Ended {
     }
 }
 
-/// The forward a running node. Dropping it stops the node.
+/// The handle to a running node. Dropping it stops the node.
 #[derive(Debug)]
 pub struct NodeHandle {
     name: String,

@@ -1,4 +1,4 @@
-//! What a node may be told.
+//! The options of a node.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -38,7 +38,7 @@ pub enum Observation<'a> {
         /// What it changed.
         report: &'a ScanReport,
     },
-    /// The robot told an event.
+    /// The robot reported an event.
     Event(&'a Event),
 }
 
@@ -46,7 +46,7 @@ pub enum Observation<'a> {
 /// it must not wait for the node: use the robot that is given, not the [`NodeHandle`].
 pub type Observer = Box<dyn FnMut(Stamp, &Robot, Observation<'_>) + Send>;
 
-/// Everything a node may be told.
+/// All options of a node.
 pub struct NodeOptions {
     /// The robot.
     pub robot: RobotConfig,
@@ -69,11 +69,11 @@ pub struct NodeOptions {
     pub epoch_file: Option<EpochFile>,
     /// Serve counters as Prometheus text here.
     pub prometheus: Option<SocketAddr>,
-    /// Say a line of counters each such time.
+    /// Log a line of counters each such time.
     pub status_period: Option<Duration>,
     /// When the node ends by itself.
     pub end: EndOptions,
-    /// Told of every scan and event.
+    /// Called with every scan and event.
     pub observer: Option<Observer>,
     /// Where lines go.
     pub log: Log,

@@ -1,11 +1,10 @@
-//! One robot from a configuration file, until it is told to end.
+//! One robot from a configuration file, until it is asked to end.
 
 use std::env::VarError;
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use flockmap::RobotId;
 use flockmap::sync::SwarmKey;
 use flockmap_io::{ExportOptions, RecordOptions, export_map, open_record};
 
@@ -28,7 +27,7 @@ pub fn run(config_path: &Path) -> Result<()> {
     let mut options = options(&config, &log)?;
     options.robot.session.swarm_key = swarm_key(&config, config_path, &log)?;
     options.robot.session.salt = random_bytes()?;
-    let sockets = UdpSockets::bind(&config.udp()?)?;
+    let sockets = UdpSockets::bind(&config.network)?;
     let address = sockets.local_addr()?;
     let own = (options.robot.id, options.robot.epoch);
 
@@ -62,7 +61,7 @@ fn options(config: &NodeConfig, log: &Log) -> Result<NodeOptions> {
     options.sensor = sensor;
     options.alignments = config.alignments()?;
     options.clock_offsets = config.clock_offsets()?;
-    options.muted = config.fusion.muted.iter().copied().map(RobotId).collect();
+    options.muted = config.muted.clone();
     options.prometheus = config.metrics.prometheus;
     let period = seconds("[metrics] status_period_s", config.metrics.status_period_s)?;
     options.status_period = (!period.is_zero()).then_some(period);

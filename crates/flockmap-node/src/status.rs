@@ -1,17 +1,18 @@
 //! The counters of a node: as values, as one line, and as Prometheus text.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::time::Duration;
 
 use flockmap::sync::{Counters, PeerInfo};
 use flockmap::{Robot, RobotCounters, Stream};
 use serde::Serialize;
+use serde_json::Value;
 
-use crate::Histogram;
 use crate::store::StoreCounters;
 
 /// What a node counted, beside its robot and its session. Bytes are those of UDP payloads.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize)]
 #[non_exhaustive]
 pub struct NodeCounters {
     /// Datagrams received.
@@ -26,7 +27,7 @@ pub struct NodeCounters {
     pub send_failed: u64,
     /// Times that receiving failed.
     pub receive_errors: u64,
-    /// Times that a robot was told to be off (ICMP).
+    /// Times that the network reported a robot as off (ICMP).
     pub unreachable: u64,
     /// Datagrams that the session refused; its own counters say why.
     pub datagrams_refused: u64,
@@ -44,8 +45,11 @@ pub struct NodeCounters {
     pub clock_steps: u64,
 }
 
+/// Durations in microseconds; what is read back is off by a thousandth at most.
+pub type Histogram = hdrhistogram::Histogram<u64>;
+
 /// How long things took, in microseconds.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Timings {
     /// Inserting a scan.
@@ -58,14 +62,26 @@ pub struct Timings {
     pub age: Histogram,
 }
 
-/// What a node holds of one stream.
+impl Default for Timings {
+    fn default() -> Self {
+        let [insert_scan, pack, receive_to_insert, age] = [(); 4].map(|()| histogram());
+        Self { insert_scan, pack, receive_to_insert, age }
+    }
+}
+
+/// A histogram without durations.
+pub(crate) fn histogram() -> Histogram {
+    Histogram::new(3).expect("three digits are allowed")
+}
+
+/// What a node has of one stream.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct StreamStatus {
     /// The stream.
     pub stream: Stream,
-    /// Packages held.
+    /// Packages received.
     pub received: u64,
-    /// Packages that are known to exist and not held.
+    /// Packages that are known to exist and not received.
     pub missing: u64,
     /// The highest index that is known to exist.
     pub newest: u32,
@@ -73,7 +89,7 @@ pub struct StreamStatus {
     pub voxels: usize,
 }
 
-/// What a robot has given up, since it may know only so many streams and so many runs of each robot.
+/// What a robot has dropped, since it may know only so many streams and so many runs of each robot.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize)]
 pub struct GivenUp {
     /// Ended runs that were forgotten, with their maps.
@@ -152,17 +168,27 @@ impl NodeStatus {
         }
     }
 
-    /// Packages held and missing, over all streams.
+    /// Packages received and missing, over all streams.
     pub fn packages(&self) -> (u64, u64) {
         self.streams
             .iter()
             .fold((0, 0), |(received, missing), s| (received + s.received, missing + s.missing))
     }
 
-    /// What this robot has given up for want of room. Anything but 0: raise `streams_max` or `epochs_max`.
+    /// What this robot has dropped for want of room. Anything but 0: raise `streams_max` or `epochs_max`.
     pub const fn given_up(&self) -> GivenUp {
         let Counters { streams_forgotten, too_many_streams, .. } = self.session;
         GivenUp { runs_forgotten: streams_forgotten, streams_refused: too_many_streams }
+    }
+
+    /// All counters by name, of the node, the robot, the session and the store.
+    pub(crate) fn counters(&self) -> [(&'static str, BTreeMap<String, u64>); 4] {
+        [
+            ("node", named(&self.node)),
+            ("robot", named(&self.robot)),
+            ("session", named(&self.session)),
+            ("store", named(&self.store)),
+        ]
     }
 
     /// Everything as Prometheus text (format 0.0.4), each line labelled with the name of the robot.
@@ -177,12 +203,7 @@ impl NodeStatus {
             }
         };
         let one = |value: f64| vec![(String::new(), value)];
-        for (prefix, counters) in [
-            ("node", node_counters(&self.node)),
-            ("robot", robot_counters(&self.robot)),
-            ("session", session_counters(&self.session)),
-            ("store", store_counters(&self.store)),
-        ] {
+        for (prefix, counters) in self.counters() {
             for (name, count) in counters {
                 metric("counter", &format!("{prefix}_{name}_total"), one(count as f64));
             }
@@ -217,10 +238,10 @@ impl NodeStatus {
             // The samples of a summary have names of their own, so this is written by hand.
             let _ = writeln!(out, "# TYPE flockmap_{name} summary");
             for quantile in [0.5, 0.9, 0.99] {
-                let value = histogram.quantile(quantile) as f64 / 1e6;
+                let value = histogram.value_at_quantile(quantile) as f64 / 1e6;
                 let _ = writeln!(out, "flockmap_{name}{{robot=\"{robot}\",quantile=\"{quantile}\"}} {value}");
             }
-            let (sum, count) = (histogram.mean() * histogram.count() as f64 / 1e6, histogram.count());
+            let (sum, count) = (histogram.mean() * histogram.len() as f64 / 1e6, histogram.len());
             let _ = writeln!(out, "flockmap_{name}_sum{{robot=\"{robot}\"}} {sum}");
             let _ = writeln!(out, "flockmap_{name}_count{{robot=\"{robot}\"}} {count}");
         }
@@ -262,9 +283,9 @@ impl StatusLine {
                 format!(" | GIVEN UP {runs_forgotten} runs, {streams_refused} refused")
             }
         };
-        let age = match age.count() {
+        let age = match age.len() {
             0 => "–".to_owned(),
-            _ => format!("{:.2} s", age.quantile(0.5) as f64 / 1e6),
+            _ => format!("{:.2} s", age.value_at_quantile(0.5) as f64 / 1e6),
         };
         format!(
             "peers {} | in {rate_in:.1} out {rate_out:.1} KB/s | {} batches | packages {received} received {missing} missing | \
@@ -281,52 +302,20 @@ fn escape(label: &str) -> String {
     label.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
-/// Names and values of the given fields.
-macro_rules! fields {
-    ($from:expr; $($field:ident)*) => { vec![$((stringify!($field), $from.$field)),*] };
-}
-
-pub(crate) type Named = Vec<(&'static str, u64)>;
-
-pub(crate) fn node_counters(c: &NodeCounters) -> Named {
-    fields!(c; datagrams_in bytes_in datagrams_out bytes_out send_failed receive_errors unreachable
-            datagrams_refused frames frames_late points_dropped sensor_faults
-            sensor_yielded clock_steps)
-}
-
-pub(crate) fn robot_counters(c: &RobotCounters) -> Named {
-    fields!(c; scans scans_ahead steps points_ignored points_masked blocks_forgotten batches batches_deferred batches_in_parts changes
-            packages package_bytes merged superseded damaged no_room foreign_resolution
-            snapshots runs_begun batches_independent events_dropped)
-}
-
-pub(crate) fn store_counters(c: &StoreCounters) -> Named {
-    let r = &c.restored;
-    let mut named = vec![("restored", r.packages), ("restored_merged", r.merged)];
-    named.extend(fields!(r; unreadable skipped_bytes torn_bytes damaged_segments));
-    named.extend(fields!(c; written written_bytes left_out syncs failures compactions compactions_failed));
-    named
-}
-
-pub(crate) fn session_counters(c: &Counters) -> Named {
-    let mut named = vec![
-        ("requests_out", c.requests_out.datagrams),
-        ("requests_out_bytes", c.requests_out.bytes),
-        ("packages_out", c.packages_out.datagrams),
-        ("packages_out_bytes", c.packages_out.bytes),
-        ("requests_in", c.requests_in.datagrams),
-        ("requests_in_bytes", c.requests_in.bytes),
-        ("packages_in", c.packages_in.datagrams),
-        ("packages_in_bytes", c.packages_in.bytes),
-        ("paths_out", c.paths_out.datagrams),
-        ("paths_out_bytes", c.paths_out.bytes),
-    ];
-    named.extend(fields!(c; paths_validated published sent relayed chunks_sent confirmed lost suppressed gap_requests delayed_by_budget
-            delayed_by_window received waited waiting_dropped accepted repaired chunks_accepted caught_up duplicates rejected undecodable
-            snapshots_restarted own_returned damaged foreign_version foreign_swarm forged replayed unknown_run unsealed
-            sealed_without_key malformed own_heard same_identity epoch_too_low stale_epoch stale_requests too_many_peers
-            streams_forgotten too_many_streams too_fragmented events_overflowed too_many_transfers transfers_dropped
-            snapshots_wanted snapshots_unusable));
+/// Counters by name; of traffic the datagrams, and the bytes under a name of their own.
+fn named(counters: &impl Serialize) -> BTreeMap<String, u64> {
+    let mut named = BTreeMap::new();
+    let mut add = |name: String, count: &Value| named.insert(name, count.as_u64().unwrap_or_default());
+    if let Ok(Value::Object(fields)) = serde_json::to_value(counters) {
+        for (name, count) in fields {
+            if let Value::Object(traffic) = &count {
+                add(format!("{name}_bytes"), &traffic["bytes"]);
+                add(name, &traffic["datagrams"]);
+            } else {
+                add(name, &count);
+            }
+        }
+    }
     named
 }
 
@@ -340,7 +329,7 @@ mod tests {
         let robot = Robot::new(config, Stamp(0)).unwrap();
         let node = NodeCounters { bytes_in: 2_048, bytes_out: 10_240, ..NodeCounters::default() };
         let mut timings = Timings::default();
-        timings.pack.add(1_500);
+        timings.pack.saturating_record(1_500);
         let second = Duration::from_secs(2);
         NodeStatus::new(name, &robot, second, second, false, node, &timings)
     }
@@ -351,31 +340,31 @@ mod tests {
             let fields = debug.split(['{', ',']).filter_map(|part| part.trim().split_once(':'));
             fields.map(|(name, _)| name.to_owned()).collect()
         };
-        let check = |debug: String, named: Named| {
+        let check = |debug: String, named: BTreeMap<String, u64>| {
             for name in
                 names_of(debug).iter().filter(|n| !["datagrams", "bytes", "disk_bytes"].contains(&n.as_str()))
             {
-                assert!(named.iter().any(|(known, _)| known == name), "{name} is left out");
+                assert!(named.contains_key(name), "{name} is left out");
             }
         };
         let s = status("r");
-        check(format!("{:?}", s.node), node_counters(&s.node));
-        check(format!("{:?}", s.robot), robot_counters(&s.robot));
-        check(format!("{:?}", s.session), session_counters(&s.session));
-        check(format!("{:?}", s.store), store_counters(&s.store));
+        check(format!("{:?}", s.node), named(&s.node));
+        check(format!("{:?}", s.robot), named(&s.robot));
+        check(format!("{:?}", s.session), named(&s.session));
+        check(format!("{:?}", s.store), named(&s.store));
     }
 
     #[test]
     fn the_line_tells_rates_since_the_line_before() {
         let mut line = StatusLine::default();
         let mut now = status("r");
-        let first = line.next(&now, &Histogram::default());
+        let first = line.next(&now, &histogram());
         assert!(first.contains("peers 0 | in 1.0 out 5.0 KB/s | 0 batches"), "{first}");
         assert!(first.ends_with("age –"), "{first}");
         now.uptime = Duration::from_secs(3);
         now.node.bytes_in += 4_096;
-        let mut age = Histogram::default();
-        age.add(250_000);
+        let mut age = histogram();
+        age.saturating_record(250_000);
         let second = line.next(&now, &age);
         assert!(second.contains("in 4.0 out 0.0 KB/s"), "{second}");
         assert!(second.ends_with("age 0.25 s"), "{second}");

@@ -1,4 +1,4 @@
-//! The threads on which the robot's disk is written, and the forward them: the robot never waits for it.
+//! The threads on which the robot's disk is written, and the channel to them: the robot never waits for it.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
@@ -55,7 +55,7 @@ enum Job {
     Flush(SyncSender<()>),
 }
 
-/// A compaction on its way.
+/// A compaction that has begun.
 #[derive(Debug)]
 struct Running {
     copies: SyncSender<Step>,
@@ -69,7 +69,7 @@ enum Step {
 }
 
 impl StoreWriter {
-    /// Takes the store of this run, and the file of its epoch, each if there is one. A system that gives no thread is told, and stores nothing.
+    /// Takes the store of this run, and the file of its epoch, each if there is one. Where the system gives no thread, that is logged and nothing is stored.
     pub fn start(store: Option<StoreLog>, epochs: Option<EpochFile>, log: Log) -> Self {
         let shared = Arc::new(Shared {
             log,
@@ -81,7 +81,7 @@ impl StoreWriter {
         });
         let has_store = store.is_some();
         let mut writer = Writer { shared: Arc::clone(&shared), store, epochs, began: Instant::now() };
-        writer.tell();
+        writer.report();
         let (jobs, jobs_in) = channel();
         let thread = std::thread::Builder::new().name("store".into()).spawn(move || writer.run(&jobs_in));
         let (thread, jobs) = match thread {
@@ -101,7 +101,7 @@ impl StoreWriter {
     /// Stores what an event says is to be stored.
     pub fn note(&self, event: &Event) {
         if let Some(contents) = contents_of(event).filter(|_| self.has_store) {
-            // Without a thread nothing is kept, which was told.
+            // Without a thread nothing is kept, which was logged.
             let _ = self.give(Job::Contents(contents));
         }
         let packages = packages_of(event);
@@ -135,7 +135,7 @@ impl StoreWriter {
     /// than it keeps events of. What is noted from here on is of this run.
     pub fn note_run(&mut self, robot: &Robot) {
         let run = robot.own_stream();
-        // Without a thread nothing is kept, which was told.
+        // Without a thread nothing is kept, which was logged.
         let _ = self.give(Job::Epoch(run.epoch));
         let packages: Vec<_> = robot
             .session()
@@ -149,7 +149,7 @@ impl StoreWriter {
         }
     }
 
-    /// Does a part of a compaction if one is on its way: copies one layer. To be called often, between two events, with no event left unread.
+    /// Does a part of a compaction if one has begun: copies one layer. To be called often, between two events, with no event left unread.
     pub fn step(&mut self, robot: &Robot) {
         if self.running.is_none() {
             let Some(compaction) = lock(&self.shared.wanted).take() else { return };
@@ -196,7 +196,7 @@ impl StoreWriter {
 
     fn begin_compaction(&mut self, compaction: Compaction) -> Option<Running> {
         if let Some(before) = self.compaction_thread.take() {
-            // It has told its end.
+            // It has reported its end.
             let _ = before.join();
         }
         let (copies, copies_in) = sync_channel(1);
@@ -206,7 +206,7 @@ impl StoreWriter {
         let work = move || {
             let Ok(compaction) = handed.recv() else { return };
             let compacted = compact(compaction, &copies_in, &busy);
-            // Without a writer there is nothing to tell.
+            // Without a writer there is nothing to report to.
             let _ = jobs.send(Job::Compacted(compacted));
         };
         match std::thread::Builder::new().name("store compaction".into()).spawn(work) {
@@ -339,14 +339,14 @@ impl Writer {
         }
     }
 
-    /// Does something with the store, if there is one, and tells what came of it.
+    /// Does something with the store, if there is one, and reports what came of it.
     fn with_store<T>(&mut self, work: impl FnOnce(&mut StoreLog) -> T) -> Option<T> {
         let done = work(self.store.as_mut()?);
-        self.tell();
+        self.report();
         Some(done)
     }
 
-    fn tell(&mut self) {
+    fn report(&mut self) {
         let Some(store) = &mut self.store else { return };
         while let Some(notice) = store.poll_notice() {
             let level = match notice {

@@ -1,12 +1,11 @@
-//! What is left to say at the end, as JSON.
+//! The summary of a node at its end, as JSON.
 
 use std::collections::BTreeMap;
 
 use flockmap::Robot;
 use serde::Serialize;
 
-use crate::status::{GivenUp, node_counters, robot_counters, session_counters, store_counters};
-use crate::{Histogram, NodeStatus};
+use crate::{GivenUp, Histogram, NodeStatus};
 
 /// A node at its end.
 #[derive(Clone, PartialEq, Debug, Serialize)]
@@ -25,24 +24,24 @@ pub struct Summary {
     pub map_occupied: usize,
     /// Every stream known, by origin and epoch.
     pub streams: Vec<StreamSummary>,
-    /// What was given up for want of room.
+    /// What was dropped for want of room.
     pub given_up: GivenUp,
     /// Counters of the node, the robot, the session and the store, by name.
-    pub counters: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
+    pub counters: BTreeMap<&'static str, BTreeMap<String, u64>>,
     /// How long things took.
     pub timings: BTreeMap<&'static str, TimingSummary>,
 }
 
-/// What a node holds of one stream at its end.
+/// What a node has of one stream at its end.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize)]
 pub struct StreamSummary {
     /// The robot.
     pub origin: u16,
     /// Its run.
     pub epoch: u64,
-    /// Indices held, as closed intervals.
+    /// Indices received, as closed intervals.
     pub received: Vec<(u32, u32)>,
-    /// Packages that are known to exist and not held.
+    /// Packages that are known to exist and not received.
     pub missing: u64,
     /// Voxels of its layer.
     pub voxels: usize,
@@ -69,17 +68,17 @@ impl From<&Histogram> for TimingSummary {
     fn from(histogram: &Histogram) -> Self {
         let ms = |micros: u64| micros as f64 / 1e3;
         Self {
-            count: histogram.count(),
+            count: histogram.len(),
             mean_ms: histogram.mean() / 1e3,
-            p50_ms: ms(histogram.quantile(0.5)),
-            p99_ms: ms(histogram.quantile(0.99)),
+            p50_ms: ms(histogram.value_at_quantile(0.5)),
+            p99_ms: ms(histogram.value_at_quantile(0.99)),
             max_ms: ms(histogram.max()),
         }
     }
 }
 
 impl Summary {
-    /// What to say of a node. O(voxels), for the digests.
+    /// The summary of a node. O(voxels), for the digests.
     pub(crate) fn new(robot: &Robot, status: &NodeStatus) -> Self {
         let session = robot.session();
         let streams = status.streams.iter().map(|s| StreamSummary {
@@ -95,12 +94,6 @@ impl Summary {
                 robot.fusion().layer(s.stream).map_or(0, flockmap::grid::Layer::digest)
             ),
         });
-        let counters = [
-            ("node", node_counters(&status.node)),
-            ("robot", robot_counters(&status.robot)),
-            ("session", session_counters(&status.session)),
-            ("store", store_counters(&status.store)),
-        ];
         Self {
             id: status.own.origin.0,
             name: status.name.clone(),
@@ -110,7 +103,7 @@ impl Summary {
             map_occupied: status.map_voxels.1,
             streams: streams.collect(),
             given_up: status.given_up(),
-            counters: counters.into_iter().map(|(part, named)| (part, named.into_iter().collect())).collect(),
+            counters: status.counters().into(),
             timings: status.timings.all().into_iter().map(|(name, h)| (name, h.into())).collect(),
         }
     }

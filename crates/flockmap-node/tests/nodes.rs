@@ -395,7 +395,7 @@ fn log_lines_tell_of_peers() {
     let options = NodeOptions { log, ..NodeOptions::new(config(1)) };
     let _one = Node::start(options, move || first.into_transport()).unwrap();
     let _two = Node::start(NodeOptions::new(config(2)), move || second.into_transport()).unwrap();
-    wait_until("the peer is told", || lines.lock().unwrap().iter().any(|l| l == "hears robot 2 epoch 1"));
+    wait_until("the peer is reported", || lines.lock().unwrap().iter().any(|l| l == "hears robot 2 epoch 1"));
 }
 
 /// Starts a robot that plays its corridor.
@@ -417,7 +417,7 @@ fn a_robot_that_starts_again_gets_everything_back() {
     let mut next = || sockets.next().unwrap();
     let (one, two, three) = (next(), next(), next());
     let address = two.local_addr().unwrap();
-    let peers = vec![one.local_addr().unwrap(), three.local_addr().unwrap()];
+    let peers = [&one, &three].map(|other| other.local_addr().unwrap().to_string()).to_vec();
     let one = start_playing(1, 1, one, |_| {});
     let three = start_playing(3, 1, three, |_| {});
     let two = start_playing(2, 1, two, |options| options.end.linger = Duration::ZERO);
@@ -470,7 +470,7 @@ fn one_broadcast_serves_all() {
     let nodes: Vec<NodeHandle> = (1..=3).map(start).collect();
     wait_until_equal(&nodes, 3);
     let status = nodes[0].status().unwrap();
-    // One copy of each package for two others, and what is lost on the way again.
+    // One copy of each package for two others, and again what is lost.
     assert!(status.session.sent < 2 * status.robot.packages, "{status:?}");
     assert!(status.session.own_heard > 0, "a broadcast comes back");
 }

@@ -49,9 +49,9 @@ fn see_and_send(
     let digest = |node: &NodeHandle| {
         node.with_robot(move |robot, _| robot.fusion().layer(own).map(flockmap::grid::Layer::digest)).unwrap()
     };
-    let told = digest(node);
-    assert!(told.is_some());
-    wait_until("the other one knows it", || digest(other) == told);
+    let own = digest(node);
+    assert!(own.is_some());
+    wait_until("the other one knows it", || digest(other) == own);
 }
 
 fn bound() -> UdpSockets {
@@ -221,7 +221,7 @@ fn who_copies_a_robot_s_datagrams_draws_challenges_and_nothing_else() {
             see_and_send(&one, &two.0, 2 * place);
             see_and_send(&two, &one.0, 2 * place + 1);
         }
-        let told = two.0.status().unwrap().session.packages_out.bytes as usize;
+        let sent = two.0.status().unwrap().session.packages_out.bytes as usize;
         assert_eq!(two.0.with_robot(|robot, _| robot.session().paths().count()), Some(1));
         two.0.stop();
         one.0.stop();
@@ -234,10 +234,10 @@ fn who_copies_a_robot_s_datagrams_draws_challenges_and_nothing_else() {
         }
         let counts = counts.lock().unwrap();
         println!(
-            "key {has_key}: {} B copied drew {drawn} B; {told} B of packages went to the robot",
+            "key {has_key}: {} B copied drew {drawn} B; {sent} B of packages went to the robot",
             counts.bytes
         );
-        assert!(counts.datagrams > 5 && told > 500);
+        assert!(counts.datagrams > 5 && sent > 500);
         assert!(drawn <= counts.bytes, "{drawn} B for {} B", counts.bytes);
     }
 }
@@ -248,7 +248,7 @@ fn who_never_answers_gets_challenges_and_nothing_else() {
         let two = bound();
         let to = two.local_addr().unwrap();
         let two = start(2, has_key, move || two.into_transport());
-        // There is much to tell.
+        // There is much to send.
         for mut frame in corridor(1, 5) {
             frame.scan.stamp = two.0.clock().now();
             two.1.blocking_send(frame).unwrap();

@@ -65,7 +65,7 @@ fn a_terminated_node_ends_cleanly() {
     assert!(lines.any(|line| line.contains("takes scans at 127.0.0.1:")), "the node runs");
     let killed = Command::new("kill").args(["-TERM", &node.id().to_string()]).status().unwrap();
     assert!(killed.success());
-    assert!(lines.any(|line| line.contains("SIGTERM")), "the signal is told");
+    assert!(lines.any(|line| line.contains("SIGTERM")), "the signal is reported");
     assert!(lines.any(|line| line.contains("summary in")));
     assert!(node.wait().unwrap().success());
     assert!(std::fs::read_to_string(dir.join("end.json")).unwrap().contains("\"digest\""));
@@ -111,7 +111,7 @@ impl SocketNode {
         Self { process, lines }
     }
 
-    /// Reads on until a line with these words; `false` if the node ended before.
+    /// Reads on until a line with this text; `false` if the node ended before.
     fn says(&mut self, words: &str) -> bool {
         self.lines.any(|line| line.contains(words))
     }
@@ -201,7 +201,7 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     let sockets = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap();
     let address = sockets.local_addr().unwrap();
     let mate = Node::start(NodeOptions::new(config(2)), move || sockets.into_transport()).unwrap();
-    // Stream, digest of its layer, packages held.
+    // Stream, digest of its layer, packages received.
     let own_streams = || -> Vec<(Stream, u64, u64)> {
         let read = |robot: &mut flockmap::Robot| {
             let of_one = robot.fusion().layers().filter(|(stream, _)| stream.origin == RobotId(1));
@@ -213,7 +213,7 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     let path = dir.join("robot.toml");
     let write_config = |sensor: &str| {
         let text = format!(
-            "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[batch]\nt_l_ms = 100\n[state]\npath = \"state\"\n[network]\nbind = \"127.0.0.1:0\"\n\
+            "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[batch]\npublish_period_ms = 100\n[state]\npath = \"state\"\n[network]\nbind = \"127.0.0.1:0\"\n\
              peers = [\"{address}\"]\n[store]\npath = \"store\"\nsync_ms = 100\n[metrics]\nstatus_period_s = 0.0\n\
              [output]\nreport_json = \"end.json\"\n{sensor}"
         );
@@ -243,10 +243,10 @@ fn a_killed_node_has_its_map_again_and_asks_only_for_what_it_misses() {
     assert!(end["epoch"].as_u64().unwrap() > stream.epoch);
     let streams = end["streams"].as_array().unwrap();
     let former = streams.iter().find(|s| s["epoch"] == stream.epoch).unwrap();
-    // The team-mate may have got the end of the last batch from the restarted robot, or the other way round.
+    // The team-mate may have got the end of the last batch from the restarted robot, or the reverse.
     let now = own_streams().into_iter().find(|(of, _, _)| *of == stream).unwrap();
     assert_eq!(former["digest"], format!("{:016x}", now.1), "equal at both");
-    assert!(now.2 >= received, "{now:?}, {received} held before");
+    assert!(now.2 >= received, "{now:?}, {received} before");
     assert_eq!(former["missing"], 0);
     let map = end["map_free"].as_u64().unwrap() + end["map_occupied"].as_u64().unwrap();
     assert_eq!(map, former["voxels"].as_u64().unwrap(), "its map is what it saw before");

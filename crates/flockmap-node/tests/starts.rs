@@ -1,5 +1,5 @@
 //! Two starts of a robot whose clock shows the same second of 1970 each time, and whose disk has lost the epoch: nothing of a run comes twice, and both
-//! maps arrive. All datagrams are recorded on their way.
+//! maps arrive. All datagrams are recorded.
 #![cfg(unix)]
 
 mod common;
@@ -81,7 +81,7 @@ fn pass_on(
     std::thread::spawn(move || {
         let mut buffer = [0; 2_048];
         loop {
-            // An error tells that a robot is off.
+            // An error means that a robot is off.
             let Ok((length, sender)) = from.recv_from(&mut buffer) else { continue };
             datagrams.lock().unwrap().push(buffer[..length].to_vec());
             let _ = send(&buffer[..length], sender);
@@ -173,7 +173,7 @@ fn layer(node: &NodeHandle, stream: Stream) -> Option<(String, usize)> {
     node.with_robot(move |robot, _| read(robot)).unwrap()
 }
 
-/// Starts a robot twice; `start` runs it until its team-mate has its map, as far as it can tell, and returns its summary.
+/// Starts a robot twice; `start` runs it until its team-mate has its map, as far as it knows, and returns its summary.
 fn two_starts(case: Case, mut start: impl FnMut(u32, &Recorder, &NodeHandle) -> serde_json::Value) {
     let (mate, address) = team_mate(case);
     let recorder = Recorder::start(address);
@@ -304,7 +304,7 @@ fn two_starts_of_a_program_in_1970_share_nothing_and_both_maps_arrive() {
         write_record(&dir, 2.0);
         two_starts(case, |number, recorder, _| {
             let mut text = format!(
-                "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[batch]\nt_l_ms = 100\n[state]\npath = \"state{number}\"\n\
+                "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[batch]\npublish_period_ms = 100\n[state]\npath = \"state{number}\"\n\
                  [network]\nbind = \"127.0.0.1:0\"\npeers = [\"{}\"]\n[sensor]\nrecord = \"robot1.mcap\"\n\
                  [metrics]\nstatus_period_s = 0.0\n[output]\nreport_json = \"end.json\"\nend_when_quiet_s = 3.0\nlinger_ms = {}\n",
                 recorder.near,

@@ -2,11 +2,14 @@
 
 /// What came back from a store.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct Restored {
     /// Packages, and chunks of snapshots, that were read.
+    #[cfg_attr(feature = "serde", serde(rename = "restored"))]
     pub packages: u64,
     /// Of these: merged. The others wait for packages that are gone, say what is known already, or have no room: see the robot's counters.
+    #[cfg_attr(feature = "serde", serde(rename = "restored_merged"))]
     pub merged: u64,
     /// Records that are whole and cannot be used: of another version of the packages.
     pub unreadable: u64,
@@ -20,9 +23,11 @@ pub struct Restored {
 
 /// What a store did in this run.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct StoreCounters {
     /// What came back at the start.
+    #[cfg_attr(feature = "serde", serde(flatten))]
     pub restored: Restored,
     /// Packages written in this run.
     pub written: u64,
@@ -39,5 +44,6 @@ pub struct StoreCounters {
     /// Times that this failed; the log went on.
     pub compactions_failed: u64,
     /// Bytes on disk now.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub disk_bytes: u64,
 }

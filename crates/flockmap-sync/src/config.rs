@@ -6,6 +6,8 @@ use crate::wire::{DATAGRAM_BYTES_MAX, Salt};
 
 /// How packages go out.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
 pub enum Cast {
     /// To each peer on its own. Each link is then counted, and paced, on its own.
     Unicast,
@@ -16,6 +18,8 @@ pub enum Cast {
 
 /// Which of the packages that a peer misses goes first.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
 pub enum Order {
     /// The newest batch: what a planner needs now comes first, old gaps fill later.
     NewestFirst,
@@ -25,6 +29,8 @@ pub enum Order {
 
 /// Who answers for packages of other origins.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
 pub enum Relay {
     /// The origin answers first. If the requester does not hear the origin, the robot with the lowest id of those
     /// that the requester hears answers at once; the next ones only for what stays missing for `relay_delay_ms`,
@@ -38,6 +44,8 @@ pub enum Relay {
 
 /// When a package that was sent and is still missing at the peer counts as lost.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
 pub enum InFlight {
     /// When the peer has heard something sent later and waited for reordered datagrams, or, if it has heard
     /// nothing since, when the measured round trip has passed.
@@ -50,15 +58,19 @@ pub enum InFlight {
 /// Options of a [`Session`](crate::Session). The default suits a swarm of up to some ten robots on Wi-Fi or a
 /// mesh radio.
 #[derive(Clone, PartialEq, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(default, deny_unknown_fields))]
 pub struct SessionConfig {
     /// Robots of other swarms are ignored. Default 0.
     pub swarm: u16,
     /// The secret of the swarm: all that is sent is sealed with it, and only what it opens is believed. Default `None`: anybody
     /// in reach of the radio can read and change the map. Needs a [`salt`](Self::salt).
     /// Holds, against replays, 160 bytes for each robot id that a holder of the key used (10 MiB for all 65,536), 512 more for each peer.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub swarm_key: Option<SwarmKey>,
     /// With a key: random bytes, drawn anew for **every** run (`getrandom`), which make a key of its own for it: so no nonce comes
     /// twice, whatever the clock and the epoch are. All zero, as by default, is refused where there is a key.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub salt: Salt,
     /// Unicast or broadcast. Default unicast.
     pub cast: Cast,
@@ -95,8 +107,13 @@ pub struct SessionConfig {
     pub round_trip_initial_ms: u32,
     /// Offer the snapshot instead of packages when at least so many bytes are missing and the state costs
     /// less. Default 65,536; `None`: only if a missing package is not stored any more.
+    #[cfg_attr(
+        feature = "serde",
+        serde(rename = "snapshot_kb_min", with = "flockmap_grid::units::UnlessZero::<1_024, 0>")
+    )]
     pub snapshot_bytes_min: Option<u32>,
     /// Send the snapshot when the missing indices span more than this (the paper's rule). Default `None`.
+    #[cfg_attr(feature = "serde", serde(with = "flockmap_grid::units::UnlessZero::<1, 0>"))]
     pub snapshot_range_max: Option<u32>,
 
     // How much to send.
@@ -109,15 +126,25 @@ pub struct SessionConfig {
     ///
     /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (an eighth of
     /// the budget over time, but three within `peer_timeout_ms`), so that control leaves room for the map.
+    #[cfg_attr(
+        feature = "serde",
+        serde(rename = "budget_kb_s", with = "flockmap_grid::units::UnlessZero::<1_024, 500>")
+    )]
     pub radio_bytes_per_s: Option<u32>,
     /// Bytes that go out to one peer in any second (unicast), requests included. As `radio_bytes_per_s`, for each
     /// link. Default `None`: no limit.
+    #[cfg_attr(
+        feature = "serde",
+        serde(rename = "link_budget_kb_s", with = "flockmap_grid::units::UnlessZero::<1_024, 500>")
+    )]
     pub link_bytes_per_s: Option<u32>,
     /// How much of a second's budget may go out at once; the rest is spread. 10 to 1,000. Default 50.
     pub burst_ms: u32,
     /// Bytes counted for each datagram beside its payload. Default 28: IPv4 and UDP headers.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub datagram_overhead_bytes: u32,
     /// Longest datagram made, in bytes of UDP payload; 1,181 to 1,200, with a key 1,199 to 1,200. Default 1,200.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub datagram_bytes_max: usize,
 
     // Limits on what others can make this robot hold.
@@ -133,13 +160,17 @@ pub struct SessionConfig {
     /// Runs kept of one origin; of more, the oldest is forgotten. Default 4.
     pub epochs_max: usize,
     /// Bytes of stored packages, with 400 bytes of bookkeeping for each. Default 64 MiB.
+    #[cfg_attr(feature = "serde", serde(rename = "store_mb", with = "flockmap_grid::units::Mebibytes"))]
     pub store_bytes_max: usize,
     /// Packages sent to one peer and not yet confirmed; more wait. By broadcast up to as many again are noted that other peers were sent, and
     /// this one has heard. Default 4,096.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub in_flight_max: usize,
-    /// Bytes of snapshot chunks kept for sending. A snapshot in flight to a peer that takes it is dropped for no other: that one waits. Default 16 MiB.
+    /// Bytes of snapshot chunks kept for sending. A snapshot that a peer is receiving is not dropped for another: that one waits. Default 16 MiB.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub snapshot_bytes_max: usize,
     /// Snapshots received at once. Default 8. Worst case 8 KiB each.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub transfers_max: usize,
 }
 

@@ -2,6 +2,7 @@
 
 /// Datagrams and their bytes, with the overhead of each datagram (`datagram_overhead_bytes`) counted in.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Traffic {
     /// Datagrams.
     pub datagrams: u64,
@@ -18,6 +19,7 @@ impl Traffic {
 
 /// All that a session counted since it began. Nothing is dropped without a count here.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct Counters {
     /// Requests sent. A datagram to everyone by unicast counts once for each known peer.

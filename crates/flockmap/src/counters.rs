@@ -2,6 +2,7 @@
 
 /// What a robot counted, beside its session's counters.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct RobotCounters {
     /// Scans taken in.

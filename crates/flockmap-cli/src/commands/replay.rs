@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use flockmap::{Codec, RobotConfig, SessionConfig};
-use flockmap_cli::options::{CastName, MapArgs, SourceArgs, budget, delay_micros, share};
+use flockmap::{Cast, Codec, RobotConfig, SessionConfig};
+use flockmap_cli::options::{MapArgs, SourceArgs, budget, delay_micros, named, share};
 use flockmap_cli::report::{Report, Settings};
 use flockmap_cli::{json_file, sources, swarm};
 use flockmap_netsim::{Link, RadioConfig};
@@ -43,9 +43,9 @@ pub struct ReplayArgs {
     /// it holds on average, with one datagram of 1,228 bytes at once [default: 1,953]
     #[arg(long, value_name = "B")]
     pub budget_kb_s: Option<f64>,
-    /// Unicast or broadcast
-    #[arg(long, value_enum, default_value_t = CastName::Unicast)]
-    pub cast: CastName,
+    /// unicast: to each robot on its own, every copy counts; broadcast: once for all, as on a shared radio
+    #[arg(long, value_name = "NAME", value_parser = named::<Cast>, default_value = "unicast")]
+    pub cast: Cast,
     /// Codec of the packages: flock, paper, nested-zlib, raw or racer
     #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
     pub codec: Codec,
@@ -101,7 +101,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
 
 fn session(args: &ReplayArgs) -> anyhow::Result<SessionConfig> {
     let mut session = if args.paper_session { SessionConfig::paper() } else { SessionConfig::default() };
-    session.cast = args.cast.into();
+    session.cast = args.cast;
     session.radio_bytes_per_s = args.budget_kb_s.map(budget).transpose()?.or(session.radio_bytes_per_s);
     Ok(session)
 }

@@ -19,17 +19,23 @@ pub use view::{MapView, RayEnd};
 
 /// How layers become one map.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(default, deny_unknown_fields))]
 pub struct FusionConfig {
     /// A robot's own observation of a voxel wins over a team-mate's that is newer by up to this much.
     /// Microseconds; default 1 s.
+    #[cfg_attr(feature = "serde", serde(rename = "own_priority_ms", with = "crate::units::Times::<1_000>"))]
     pub own_priority_micros: i64,
     /// Most bytes that the layers of all other streams may hold together, with what they add to the fused map; what goes beyond is
     /// refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule, and 11 kB if each of its voxels changed last in another batch. One
     /// merge may go beyond by what it adds to the fused map in new places, at most 64 MiB. Default 512 MiB.
+    #[cfg_attr(feature = "serde", serde(rename = "layers_mb", with = "crate::units::Mebibytes"))]
     pub layer_bytes_max: usize,
     /// The same for the layer of the own stream: what of the own map was published. Default 256 MiB.
+    #[cfg_attr(feature = "serde", serde(rename = "own_layer_mb", with = "crate::units::Mebibytes"))]
     pub own_layer_bytes_max: usize,
     /// Most streams that are kept. Default 256.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub streams_max: usize,
 }
 

@@ -7,6 +7,8 @@ pub const LOG_ODDS_UNITS_PER_NAT: f64 = 1024.0;
 
 /// Rules and values of a known mapper.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
 pub enum Preset {
     /// ROG-Map (its yaml files): every ray counts; hits win over the misses of the same scan; Unknown is a band of
     /// values between Free and Occupied. The default.
@@ -15,6 +17,7 @@ pub enum Preset {
     /// RACER's map with the values of C2-Explorer on LiDAR: one update a voxel and scan; the first touch decides.
     Racer,
     /// OctoMap's `insertPointCloud` with its default sensor model: one update a voxel and scan.
+    #[cfg_attr(feature = "serde", serde(rename = "octomap"))]
     OctoMap,
 }
 
@@ -41,9 +44,21 @@ impl core::fmt::Display for Preset {
     }
 }
 
-/// How hits and misses add up to a state. Probabilities 0.001 … 0.999, so that sums fit 16 bits.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub struct SensorModel {
+/// All options of a mapper. How hits and misses add up to a state is in probabilities, 0.001 … 0.999, so that sums fit 16 bits.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(deny_unknown_fields))]
+pub struct MapperConfig {
+    /// Side of a voxel. The same for all robots of a swarm.
+    #[cfg_attr(feature = "serde", serde(rename = "resolution_m"))]
+    pub resolution: Resolution,
+    /// Rays longer than this are cut there and end without a hit. Metres, above 0; at most 500 voxels.
+    pub range_m: f64,
+    /// Points nearer than this are ignored (the robot's own body). Metres; default 0.
+    pub range_min_m: f64,
+    /// Half extents in metres, along the axes of the map, of a box around the sensor: rays are cut at its
+    /// faces and end there without a hit. `None`: only the range limits.
+    pub update_box_m: Option<[f64; 3]>,
     /// Probability that a voxel is occupied, given one ray that ends in it. More than 0.5.
     pub p_hit: f64,
     /// Probability that a voxel is occupied, given one ray that passes through. Less than 0.5.
@@ -63,33 +78,45 @@ pub struct SensorModel {
     /// Rays cut at the range or at the update box are dropped when they end below this height in the map
     /// frame, in metres (RACER: 0.2, so that the ground is not cleared by rays which never reached it).
     pub drop_cut_rays_below_m: Option<f64>,
+    /// The blocks of the map and their tables are kept within this many bytes, also while a scan is taken in, by forgetting those farthest
+    /// from the sensor: 2.5 kB a block at most. What scans need comes on top and is kept for the next one: for each block of 8³ voxels that the
+    /// largest scan so far touched 1.3 kB, and as much again if rays end in it (for a moment 3.9 kB in all, while lists grow); and 88 bytes for each
+    /// of its points (for a moment 144). The worst case is [`Self::memory_max`]. Default 512 MiB.
+    #[cfg_attr(feature = "serde", serde(rename = "memory_mb", with = "crate::units::Mebibytes"))]
+    pub memory_bytes_max: usize,
 }
 
-impl SensorModel {
-    /// The values of a preset. Sources: ROG-Map's example yaml files; C2-Explorer's launch file; OctoMap's defaults.
-    pub const fn preset(preset: Preset) -> Self {
+impl MapperConfig {
+    /// A preset's values at this resolution and range, with the default limits. Sources: ROG-Map's example yaml files; C2-Explorer's
+    /// launch file; OctoMap's defaults.
+    pub const fn preset(preset: Preset, resolution: Resolution, range_m: f64) -> Self {
+        let rog_map = Self {
+            resolution,
+            range_m,
+            range_min_m: 0.0,
+            update_box_m: None,
+            p_hit: 0.90,
+            p_miss: 0.49,
+            p_min: 0.12,
+            p_max: 0.98,
+            p_occupied: 0.85,
+            p_free: 0.499,
+            every_ray_counts: true,
+            start_at_occupied: false,
+            drop_cut_rays_below_m: None,
+            memory_bytes_max: 512 << 20,
+        };
         match preset {
-            Preset::RogMap => Self {
-                p_hit: 0.90,
-                p_miss: 0.49,
-                p_min: 0.12,
-                p_max: 0.98,
-                p_occupied: 0.85,
-                p_free: 0.499,
-                every_ray_counts: true,
-                start_at_occupied: false,
-                drop_cut_rays_below_m: None,
-            },
+            Preset::RogMap => rog_map,
             Preset::Racer => Self {
-                p_hit: 0.90,
                 p_miss: 0.48,
                 p_min: 0.10,
-                p_max: 0.98,
                 p_occupied: 0.80,
                 p_free: 0.80,
                 every_ray_counts: false,
                 start_at_occupied: true,
                 drop_cut_rays_below_m: Some(0.2),
+                ..rog_map
             },
             Preset::OctoMap => Self {
                 p_hit: 0.7,
@@ -99,44 +126,8 @@ impl SensorModel {
                 p_occupied: 0.5,
                 p_free: 0.5,
                 every_ray_counts: false,
-                start_at_occupied: false,
-                drop_cut_rays_below_m: None,
+                ..rog_map
             },
-        }
-    }
-}
-
-/// The options of a mapper.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MapperConfig {
-    /// Side of a voxel.
-    pub resolution: Resolution,
-    /// Rays longer than this are cut there and end without a hit. Metres, above 0; at most 500 voxels.
-    pub range_m: f64,
-    /// Points nearer than this are ignored (the robot's own body). Metres; default 0.
-    pub range_min_m: f64,
-    /// Half extents in metres, along the axes of the map, of a box around the sensor: rays are cut at its
-    /// faces and end there without a hit. `None`: only the range limits.
-    pub update_box_m: Option<[f64; 3]>,
-    /// How hits and misses add up.
-    pub sensor: SensorModel,
-    /// The blocks of the map and their tables are kept within this many bytes, also while a scan is taken in, by forgetting those farthest
-    /// from the sensor: 2.5 kB a block at most. What scans need comes on top and is kept for the next one: for each block of 8³ voxels that the
-    /// largest scan so far touched 1.3 kB, and as much again if rays end in it (for a moment 3.9 kB in all, while lists grow); and 88 bytes for each
-    /// of its points (for a moment 144). The worst case is [`Self::memory_max`]. Default 512 MiB.
-    pub memory_bytes_max: usize,
-}
-
-impl MapperConfig {
-    /// A preset's values at this resolution and range, with the default limits.
-    pub const fn preset(preset: Preset, resolution: Resolution, range_m: f64) -> Self {
-        Self {
-            resolution,
-            range_m,
-            range_min_m: 0.0,
-            update_box_m: None,
-            sensor: SensorModel::preset(preset),
-            memory_bytes_max: 512 << 20,
         }
     }
 }
@@ -191,30 +182,29 @@ impl MapperConfig {
         {
             return Err(ConfigError::UpdateBox(half));
         }
-        let s = &self.sensor;
-        let all = [s.p_hit, s.p_miss, s.p_min, s.p_max, s.p_occupied, s.p_free];
+        let all = [self.p_hit, self.p_miss, self.p_min, self.p_max, self.p_occupied, self.p_free];
         if !all.iter().all(|p| (0.001..=0.999).contains(p)) {
             return Err(ConfigError::Sensor("every probability must be within 0.001 … 0.999"));
         }
-        if !(s.p_hit > 0.5 && s.p_miss < 0.5) {
+        if !(self.p_hit > 0.5 && self.p_miss < 0.5) {
             return Err(ConfigError::Sensor("p_hit must be above 0.5 and p_miss below 0.5"));
         }
-        if !(s.p_min < s.p_free && s.p_free <= s.p_occupied && s.p_occupied < s.p_max) {
+        if !(self.p_min < self.p_free && self.p_free <= self.p_occupied && self.p_occupied < self.p_max) {
             return Err(ConfigError::Sensor("expected p_min < p_free <= p_occupied < p_max"));
         }
         let units = |p: f64| (libm::log(p / (1.0 - p)) * LOG_ODDS_UNITS_PER_NAT).round() as i16;
-        let occupied = units(s.p_occupied);
-        let (min, max, miss) = (units(s.p_min), units(s.p_max), units(s.p_miss).min(-1));
-        let occupied_from = if s.start_at_occupied { occupied + 1 } else { occupied };
+        let occupied = units(self.p_occupied);
+        let (min, max, miss) = (units(self.p_min), units(self.p_max), units(self.p_miss).min(-1));
+        let occupied_from = if self.start_at_occupied { occupied + 1 } else { occupied };
         Ok(Rules {
-            hit: units(s.p_hit).max(1),
+            hit: units(self.p_hit).max(1),
             miss,
             min,
             max,
             occupied_from,
-            free_below: if s.p_free == s.p_occupied { occupied_from } else { units(s.p_free) },
-            start: if s.start_at_occupied { occupied } else { 0 },
-            rays_max: if s.every_ray_counts {
+            free_below: if self.p_free == self.p_occupied { occupied_from } else { units(self.p_free) },
+            start: if self.start_at_occupied { occupied } else { 0 },
+            rays_max: if self.every_ray_counts {
                 // Enough misses to go from the top to the bottom; also keeps the product within 16 bits.
                 (i32::from(max) - i32::from(min)).unsigned_abs().div_ceil(i32::from(miss).unsigned_abs())
                     as u16

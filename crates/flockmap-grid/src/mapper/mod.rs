@@ -12,7 +12,7 @@ use crate::memory::table_bytes;
 use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::MapBlock;
 use config::Rules;
-pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset, SensorModel};
+pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset};
 pub use memory::MAP_BLOCK_BYTES;
 use memory::{ENTRY_BYTES, FarKey, PENDING_BYTES};
 use rays::{Ray, RayCounts};
@@ -215,7 +215,7 @@ impl Mapper {
         let rotation = T_map_sensor.rotation_rows().map(|row| row.map(|v| v * scale));
         let (range, range_min) = (self.config.range_m * scale, self.config.range_min_m * scale);
         let half_box = self.config.update_box_m.map(|half| half.map(|h| h * scale));
-        let lowest_cut_end = self.config.sensor.drop_cut_rays_below_m.map(|z| z * scale);
+        let lowest_cut_end = self.config.drop_cut_rays_below_m.map(|z| z * scale);
         let masks: Vec<([f64; 3], f64)> =
             teammates.iter().map(|s| (s.centre.map(|c| c * scale), (s.radius * scale).powi(2))).collect();
         self.rays.clear();

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use flockmap::sync::SwarmKey;
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use super::convert::value;
@@ -16,7 +17,7 @@ pub const KEY_VARIABLE: &str = "FLOCKMAP_SWARM_KEY";
 const FILE_BYTES_MAX: u64 = 4_096;
 
 /// A text that is never printed.
-#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[derive(Clone, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct Secret(String);
 
@@ -42,16 +43,15 @@ impl NodeConfig {
     /// environment variable, whose value is `variable`.
     ///
     /// # Errors
-    /// More than one place has a key, or what stands there is none. The text never tells what it is.
+    /// More than one place has a key, or what stands there is none. The text never contains it.
     pub fn swarm_key(
         &self,
         config_path: &Path,
         variable: Option<&str>,
     ) -> Result<Option<FoundKey>, ConfigError> {
-        let session = &self.session;
         let places = [
-            ("[session] swarm_key", session.swarm_key.is_some()),
-            ("[session] swarm_key_file", session.swarm_key_file.is_some()),
+            ("[session] swarm_key", self.swarm_key.is_some()),
+            ("[session] swarm_key_file", self.swarm_key_file.is_some()),
             (KEY_VARIABLE, variable.is_some()),
         ];
         let given: Vec<&str> =
@@ -59,14 +59,14 @@ impl NodeConfig {
         if let [first, second, ..] = given[..] {
             return Err(value(first, format!("given, and {second} too"), "the swarm key in one place"));
         }
-        if let Some(Secret(text)) = &session.swarm_key {
+        if let Some(Secret(text)) = &self.swarm_key {
             return found("[session] swarm_key", text, "the configuration".into(), Some(config_path))
                 .map(Some);
         }
         if let Some(text) = variable {
             return found(KEY_VARIABLE, text, format!("the environment ({KEY_VARIABLE})"), None).map(Some);
         }
-        let Some(path) = &session.swarm_key_file else { return Ok(None) };
+        let Some(path) = &self.swarm_key_file else { return Ok(None) };
         let name = "[session] swarm_key_file";
         let fail = |error: std::io::Error| {
             value(name, format!("\"{}\" ({error})", path.display()), "a file that can be read")
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_key_is_named_by_its_place_and_not_told() {
+    fn what_is_no_key_is_named_by_its_place_and_not_printed() {
         let nearly = &HEX[1..];
         let error = find(&format!("swarm_key = \"{nearly}\""), None).unwrap_err();
         assert!(error.starts_with("[session] swarm_key") && error.contains("63 characters"), "{error}");

@@ -3,45 +3,68 @@
 mod convert;
 mod key;
 mod parse;
+mod schema;
 
 use std::collections::BTreeMap;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use flockmap::{BatchConfig, Codec, FusionConfig, MapperConfig, Preset, RobotId, SessionConfig};
+use schemars::JsonSchema;
 use serde::Deserialize;
+
+use crate::UdpOptions;
 
 pub(crate) use convert::{seconds, value};
 pub use key::{FoundKey, KEY_VARIABLE, Secret};
 pub use parse::ConfigError;
+pub use schema::schema;
 
 /// A configuration with every key, its meaning and its default: `robot.example.toml`.
 pub const EXAMPLE: &str = include_str!("../../robot.example.toml");
 
 /// A whole configuration. Only `id` and `[map] resolution_m` and `range_m` must be given.
-#[derive(Clone, PartialEq, Debug, Deserialize)]
+///
+/// A field with a dot in its name stands in the section before the dot, among the options of the robot.
+#[derive(Clone, PartialEq, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeConfig {
     /// Number of the robot, 0 to 65,535, unique in the swarm.
-    pub id: u16,
+    pub id: RobotId,
     /// Name in logs. Default `robotID`.
     pub name: Option<String>,
     /// In place of the seconds since 1970 that the machine's clock shows, from which the epoch of a run is made. If a former run is known
     /// that had as much or more, one more than that counts.
     pub epoch: Option<u32>,
     /// The mapper.
-    pub map: MapSection,
+    pub map: MapperConfig,
+    /// What `[map]` does not say is as in this preset.
+    #[serde(default, rename = "map.mapper")]
+    pub mapper: Preset,
     /// When changes are packed.
     #[serde(default)]
-    pub batch: BatchSection,
+    pub batch: BatchConfig,
     /// How they are coded.
     #[serde(default)]
     pub codec: CodecSection,
-    /// How robots talk.
+    /// How robots exchange packages.
     #[serde(default)]
-    pub session: SessionSection,
+    pub session: SessionConfig,
+    /// What `[session]` does not say is as in this preset.
+    #[serde(default, rename = "session.behaviour")]
+    pub behaviour: Behaviour,
+    /// The secret of the swarm: 64 hex digits, or base64. Here, in a file, or in the environment variable `FLOCKMAP_SWARM_KEY`.
+    #[serde(rename = "session.swarm_key")]
+    pub swarm_key: Option<Secret>,
+    /// A file with nothing but the secret of the swarm.
+    #[serde(rename = "session.swarm_key_file")]
+    pub swarm_key_file: Option<PathBuf>,
     /// How layers become one map.
     #[serde(default)]
-    pub fusion: FusionSection,
+    pub fusion: FusionConfig,
+    /// Robots whose layers are left out of the map.
+    #[serde(default, rename = "fusion.muted")]
+    pub muted: Vec<RobotId>,
     /// What survives a reboot.
     #[serde(default)]
     pub store: StoreSection,
@@ -50,7 +73,7 @@ pub struct NodeConfig {
     pub state: StateSection,
     /// Sockets.
     #[serde(default)]
-    pub network: NetworkSection,
+    pub network: UdpOptions,
     /// Where scans come from.
     #[serde(default)]
     pub sensor: SensorSection,
@@ -59,11 +82,11 @@ pub struct NodeConfig {
     pub metrics: MetricsSection,
     /// How the frames of other robots lie in the own one, by id.
     #[serde(default)]
-    pub alignment: BTreeMap<String, AlignmentSection>,
+    pub alignment: BTreeMap<RobotId, AlignmentSection>,
     /// How far the clocks of other robots are ahead of the own one, in milliseconds, by id. By the own id: that of former runs, 0 if the
     /// clock goes on through a restart.
     #[serde(default)]
-    pub clock_offset_ms: BTreeMap<String, f64>,
+    pub clock_offset_ms: BTreeMap<RobotId, f64>,
     /// Team-mates in view of the sensor.
     #[serde(default)]
     pub teammates: TeammatesSection,
@@ -72,147 +95,30 @@ pub struct NodeConfig {
     pub output: OutputSection,
 }
 
-/// `[map]`
-#[derive(Clone, PartialEq, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MapSection {
-    /// Side of a voxel in metres. The same for all robots of the swarm.
-    pub resolution_m: f64,
-    /// Longest ray in metres; longer ones are cut there.
-    pub range_m: f64,
-    /// Points nearer than this are ignored. Metres.
-    #[serde(default)]
-    pub range_min_m: f64,
-    /// `rog-map`, `racer` or `octomap`.
-    #[serde(default = "default_mapper")]
-    pub mapper: String,
-    /// Memory of the own map in MiB; blocks farthest from the robot are forgotten beyond it.
-    #[serde(default = "default_memory_mb")]
-    pub memory_mb: u32,
-    /// Half extents of a box around the sensor beyond which rays are cut. Metres.
-    pub update_box_m: Option<[f64; 3]>,
-    /// In place of the mapper's own value.
-    pub p_hit: Option<f64>,
-    /// In place of the mapper's own value.
-    pub p_miss: Option<f64>,
-    /// In place of the mapper's own value.
-    pub p_min: Option<f64>,
-    /// In place of the mapper's own value.
-    pub p_max: Option<f64>,
-    /// In place of the mapper's own value.
-    pub p_occupied: Option<f64>,
-    /// In place of the mapper's own value.
-    pub p_free: Option<f64>,
+/// Where the values of `[session]` start from.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Behaviour {
+    /// As in [`SessionConfig::default`].
+    #[default]
+    Default,
+    /// The paper's own behaviour: [`SessionConfig::paper`].
+    Paper,
 }
 
-fn default_mapper() -> String {
-    "rog-map".into()
-}
-
-const fn default_memory_mb() -> u32 {
-    512
-}
-
-/// `[batch]`: what is not given is as in [`flockmap::BatchConfig`].
-#[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct BatchSection {
-    /// Longest time until changes are packed.
-    pub publish_period_ms: Option<u32>,
-    /// The same for obstacles alone.
-    pub obstacle_period_ms: Option<u32>,
-    /// Most voxels that may have changed until they are packed.
-    pub voxels_max: Option<usize>,
-}
-
-/// `[codec]`
-#[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize)]
+/// `[codec]`: what is not given is as in [`flockmap::RobotConfig`].
+#[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CodecSection {
-    /// `flock`, `paper`, `nested-zlib`, `raw` or `racer`.
-    pub name: Option<String>,
-    /// `flock` tells changes against what the others hold, and for so long at most they may lack a part of it: where repair takes
-    /// longer, batches are told alone. 0: they never are.
+    /// How packages are coded. Those of others are read in every codec.
+    pub name: Option<Codec>,
+    /// `flock` codes changes against what the others have received, and for so long at most they may lack a part of it: where repair
+    /// takes longer, batches are coded independently. 0: they never are.
     pub repair_delay_max_ms: Option<u32>,
 }
 
-/// `[session]`: what is not given is as in [`flockmap::SessionConfig`].
-#[derive(Clone, PartialEq, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SessionSection {
-    /// Where the values start from: `default`, or `paper` for the paper's own behaviour.
-    pub behaviour: Option<String>,
-    /// Robots of other swarms are ignored.
-    pub swarm: Option<u16>,
-    /// The secret of the swarm: 64 hex digits, or base64. Here, in a file, or in the environment variable [`KEY_VARIABLE`].
-    pub swarm_key: Option<Secret>,
-    /// A file with nothing but the key.
-    pub swarm_key_file: Option<PathBuf>,
-    /// `unicast` or `broadcast`.
-    pub cast: Option<String>,
-    /// KiB that may go out in a second over all links, at least 0.49; 0: no limit.
-    pub budget_kb_s: Option<f64>,
-    /// KiB that may go out to one robot in a second; 0: no limit.
-    pub link_budget_kb_s: Option<f64>,
-    /// How much of a second's budget may go out at once.
-    pub burst_ms: Option<u32>,
-    /// Pause between requests while packages flow.
-    pub request_period_active_ms: Option<u32>,
-    /// Pause between requests when nothing flows.
-    pub request_period_idle_ms: Option<u32>,
-    /// Packages count as flowing for so long after the last one.
-    pub active_for_ms: Option<u32>,
-    /// Whether a gap is asked for at once.
-    pub gap_requests: Option<bool>,
-    /// How long to wait for reordered datagrams.
-    pub reorder_patience_ms: Option<u32>,
-    /// Least pause between requests for gaps.
-    pub gap_request_pause_ms: Option<u32>,
-    /// Whether new packages are sent without waiting for a request.
-    pub push: Option<bool>,
-    /// `newest-first` or `oldest-first`.
-    pub order: Option<String>,
-    /// `ranked`, `always` or `never`.
-    pub relay: Option<String>,
-    /// How long a package stays missing before the next robot in line sends it.
-    pub relay_delay_ms: Option<u32>,
-    /// `round-trip` or `previous-request`.
-    pub in_flight: Option<String>,
-    /// Round trip taken until one is measured.
-    pub round_trip_initial_ms: Option<u32>,
-    /// The snapshot is offered from so many missing KiB on; 0: only in place of what is not stored any more.
-    pub snapshot_kb_min: Option<u32>,
-    /// The snapshot is sent when the missing indices span more than this; 0: never for that reason.
-    pub snapshot_range_max: Option<u32>,
-    /// A peer not heard for so long is forgotten.
-    pub peer_timeout_ms: Option<u32>,
-    /// Peers known at once.
-    pub peers_max: Option<usize>,
-    /// Streams known at once.
-    pub streams_max: Option<usize>,
-    /// Runs kept of one robot.
-    pub epochs_max: Option<usize>,
-    /// Memory of stored packages in MiB.
-    pub store_mb: Option<u32>,
-}
-
-/// `[fusion]`: what is not given is as in [`flockmap::FusionConfig`].
-#[derive(Clone, PartialEq, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FusionSection {
-    /// An own observation wins over a team-mate's that is newer by up to this.
-    pub own_priority_ms: Option<u32>,
-    /// Memory of the layers of others, and of what they add to the map, in MiB.
-    pub layers_mb: Option<u32>,
-    /// Memory of the own layer in MiB.
-    pub own_layer_mb: Option<u32>,
-    /// Robots whose layers are left out of the map.
-    #[serde(default)]
-    pub muted: Vec<u16>,
-}
-
 /// `[store]`
-#[derive(Clone, PartialEq, Eq, Debug, Deserialize)]
+#[derive(Clone, PartialEq, Eq, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct StoreSection {
     /// Folder of the store; made if need be.
@@ -230,55 +136,15 @@ impl Default for StoreSection {
 }
 
 /// `[state]`
-#[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize)]
+#[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StateSection {
     /// Folder for the epoch of the newest run, a small file; made if need be. Default: [`NodeConfig::state_folder`].
     pub path: Option<PathBuf>,
 }
 
-/// `[network]`
-#[derive(Clone, PartialEq, Eq, Debug, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct NetworkSection {
-    /// Own address and port.
-    pub bind: SocketAddr,
-    /// Robots to send to from the start, as `ADDRESS:PORT` or `NAME:PORT`.
-    pub peers: Vec<String>,
-    /// Address and port for what is for everyone.
-    pub broadcast: Option<SocketAddr>,
-    /// Group and port for what is for everyone.
-    pub multicast: Option<SocketAddr>,
-    /// IPv4 address of the interface for the group.
-    pub multicast_interface: Option<Ipv4Addr>,
-    /// Index of the interface for an IPv6 group.
-    pub multicast_interface_index: u32,
-    /// How many networks a datagram to the group may cross.
-    pub multicast_ttl: u32,
-    /// Room for received datagrams in KiB.
-    pub receive_buffer_kb: u32,
-    /// Room for datagrams to send in KiB.
-    pub send_buffer_kb: u32,
-}
-
-impl Default for NetworkSection {
-    fn default() -> Self {
-        Self {
-            bind: SocketAddr::from(([0, 0, 0, 0], 7700)),
-            peers: Vec::new(),
-            broadcast: None,
-            multicast: None,
-            multicast_interface: None,
-            multicast_interface_index: 0,
-            multicast_ttl: 1,
-            receive_buffer_kb: 4_096,
-            send_buffer_kb: 1_024,
-        }
-    }
-}
-
 /// `[sensor]`: at most one of `record`, `listen_tcp` and `listen_unix`.
-#[derive(Clone, PartialEq, Debug, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SensorSection {
     /// An `.mcap`, or a folder of scans, played in real time.
@@ -330,7 +196,7 @@ impl Default for SensorSection {
 }
 
 /// `[metrics]`
-#[derive(Clone, PartialEq, Debug, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MetricsSection {
     /// Serve counters as Prometheus text at `http://ADDRESS:PORT/metrics`.
@@ -346,7 +212,7 @@ impl Default for MetricsSection {
 }
 
 /// `[alignment.ID]`: `T_own_origin`.
-#[derive(Clone, PartialEq, Debug, Default, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AlignmentSection {
     /// Where the origin of the other robot's frame lies, in metres.
@@ -358,8 +224,8 @@ pub struct AlignmentSection {
     pub yaw_deg: Option<f64>,
 }
 
-/// `[teammates]`
-#[derive(Clone, PartialEq, Debug, Default, Deserialize)]
+/// `[teammates]`: what is not given is as in [`flockmap::RobotConfig`].
+#[derive(Clone, PartialEq, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TeammatesSection {
     /// Returns so near to a team-mate are no obstacle.
@@ -369,7 +235,7 @@ pub struct TeammatesSection {
 }
 
 /// `[output]`. None of these files is a secret: they get the permissions that the umask leaves.
-#[derive(Clone, PartialEq, Debug, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct OutputSection {
     /// The fused map is written here at the end: `.ply`, `.pcd` or `.bt`.

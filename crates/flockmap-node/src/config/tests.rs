@@ -1,5 +1,10 @@
 use super::*;
+use std::collections::BTreeSet;
+
 use flockmap::{Cast, Codec, RobotId};
+use serde_json::Value;
+
+use crate::UdpSockets;
 
 const MINIMAL: &str = "id = 1\n[map]\nresolution_m = 0.1\nrange_m = 7.0\n";
 
@@ -36,7 +41,7 @@ fn the_defaults_in_the_example_are_the_defaults() {
     let (given, default) = (parse(&text).unwrap(), parse(MINIMAL).unwrap());
     assert_eq!(given.robot(9).unwrap(), default.robot(9).unwrap());
     assert_eq!(given.robot_name(), default.robot_name());
-    assert_eq!(given.udp().unwrap(), default.udp().unwrap());
+    assert_eq!(given.network, default.network);
     assert_eq!(given.sensor, default.sensor);
     assert_eq!(given.metrics, default.metrics);
     assert_eq!(given.output, default.output);
@@ -47,30 +52,105 @@ fn the_defaults_in_the_example_are_the_defaults() {
 fn every_key_is_in_the_example_and_every_example_can_be_uncommented() {
     let text = uncommented(|line| !line.starts_with("#yaw"));
     let config = parse(&text).unwrap();
-    assert!(config.robot(1).is_ok() && config.udp().is_ok());
+    assert!(config.robot(1).is_ok());
     assert_eq!(config.alignments().unwrap().len(), 1);
     assert_eq!(config.clock_offsets().unwrap(), [(RobotId(2), 12_500)]);
 
-    let sections =
-        ["", "map", "batch", "codec", "session", "fusion", "store", "state", "network", "sensor", "metrics"];
-    for section in sections.iter().chain(&["alignment.2", "teammates", "output"]) {
-        // An error about an unknown key lists the known ones.
-        let text = match *section {
-            "" => format!("nonsense = 1\n{MINIMAL}"),
-            "map" => format!("{MINIMAL}nonsense = 1\n"),
-            _ => format!("{MINIMAL}[{section}]\nnonsense = 1\n"),
-        };
-        let error = parse(&text).unwrap_err();
-        let known =
-            error.lines().find_map(|line| line.strip_prefix("unknown field `nonsense`, expected ")).unwrap();
-        for key in known.split('`').skip(1).step_by(2) {
-            let shown = EXAMPLE.lines().any(|line| {
-                let line = line.trim_start_matches('#');
-                line.starts_with(&format!("{key} =")) || line.starts_with(&format!("[{key}"))
-            });
-            assert!(shown, "{key} of [{section}] is not in the example");
+    for (section, key) in keys_of(&schema()) {
+        let shown = EXAMPLE.lines().any(|line| {
+            let line = line.trim_start_matches('#');
+            line.starts_with(&format!("{key} =")) || line.starts_with(&format!("[{key}"))
+        });
+        assert!(shown, "{key} of [{section}] is not in the example");
+    }
+}
+
+/// Section and name of each key in a schema; keys of the whole file have no section.
+fn keys_of(schema: &Value) -> BTreeSet<(String, String)> {
+    let properties = |of: &Value| of["properties"].as_object().cloned().unwrap_or_default();
+    let mut keys = BTreeSet::new();
+    for (section, inside) in properties(schema) {
+        // Of a table of robots, those of each.
+        let each = inside["patternProperties"].as_object().and_then(|each| each.values().next());
+        let names = properties(each.unwrap_or(&inside)).into_iter();
+        keys.extend(names.map(|(key, _)| (section.clone(), key)));
+        keys.insert((String::new(), section));
+    }
+    keys
+}
+
+/// Whether a value is one that the schema allows, as far as types and names go.
+fn check(at: &str, value: &toml::Value, schema: &Value) {
+    if let Some(choices) = schema["anyOf"].as_array().or_else(|| schema["oneOf"].as_array()) {
+        let name = |choice: &Value| choice["const"].as_str().is_none_or(|name| value.as_str() == Some(name));
+        return assert!(choices.iter().any(name), "{at} is {value}, expected {choices:?}");
+    }
+    let kinds = match &schema["type"] {
+        Value::Array(kinds) => kinds.clone(),
+        kind => vec![kind.clone()],
+    };
+    let kind = match value {
+        toml::Value::String(_) => "string",
+        toml::Value::Integer(_) => "integer",
+        toml::Value::Float(_) => "number",
+        toml::Value::Boolean(_) => "boolean",
+        toml::Value::Array(_) => "array",
+        _ => "object",
+    };
+    let fits = |known: &Value| *known == kind || (*known == "number" && kind == "integer");
+    assert!(kinds.iter().any(fits), "{at} is {value}, expected {kinds:?}");
+    for (key, value) in value.as_table().into_iter().flatten() {
+        let each = schema["patternProperties"].as_object().and_then(|each| each.values().next());
+        let inside = schema["properties"].get(key).or(each);
+        check(
+            &format!("{at}.{key}"),
+            value,
+            inside.unwrap_or_else(|| panic!("{at}.{key} is not in the schema")),
+        );
+    }
+    for key in schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str) {
+        assert!(value.get(key).is_some(), "{at}.{key} is not given");
+    }
+}
+
+#[test]
+fn the_schema_allows_the_example_and_has_every_key_of_the_documents() {
+    let schema = schema();
+    for text in [EXAMPLE.to_owned(), uncommented(|_| true)] {
+        check("", &toml::Value::Table(text.parse().unwrap()), &schema);
+    }
+    assert_eq!(schema["additionalProperties"], false);
+    assert_eq!(schema["properties"]["session"]["additionalProperties"], false);
+    assert_eq!(schema["required"], serde_json::json!(["id", "map"]));
+    let cast = &schema["properties"]["session"]["properties"]["cast"];
+    assert!(cast.to_string().contains("\"broadcast\""), "{cast}");
+
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+    let documents = std::fs::read_dir(format!("{root}/docs")).unwrap().map(|entry| entry.unwrap().path());
+    let mut blocks = 0;
+    for path in documents.chain([format!("{root}/README.md").into()]) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        for block in text.split("```toml\n").skip(1) {
+            let block = block.split("```").next().unwrap();
+            for (section, keys) in &block.parse::<toml::Table>().unwrap() {
+                let inside = &schema["properties"][section];
+                assert!(inside.is_object(), "{}: {section} is not in the schema", path.display());
+                for key in keys.as_table().into_iter().flat_map(toml::Table::keys) {
+                    let known = inside["properties"].get(key).is_some();
+                    assert!(known, "{}: {key} of [{section}] is not in the schema", path.display());
+                }
+            }
+            blocks += 1;
+        }
+        // `[section] key` in a sentence.
+        for span in text.split('`').skip(1).step_by(2).filter_map(|span| span.strip_prefix('[')) {
+            let Some((section, rest)) = span.split_once("] ") else { continue };
+            let key = rest.split(' ').next().unwrap_or_default();
+            let known = schema["properties"][section]["properties"].get(key).is_some();
+            assert!(known, "{}: {key} of [{section}] is not in the schema", path.display());
         }
     }
+    assert!(blocks >= 2, "{blocks} blocks of TOML");
 }
 
 #[test]
@@ -83,27 +163,52 @@ fn an_unknown_key_is_named_with_its_line_and_the_nearest_known_one() {
     let error = parse(&format!("{MINIMAL}[sesion]\nswarm = 1\n")).unwrap_err();
     assert!(error.contains("line 5") && error.ends_with("did you mean `session`?"), "{error}");
 
-    let error = parse(&format!("{MINIMAL}[batch]\nt_l_s = 1\n")).unwrap_err();
+    let error = parse(&format!("{MINIMAL}[batch]\npublish_period_s = 1\n")).unwrap_err();
     assert!(error.ends_with("did you mean `publish_period_ms`?"), "{error}");
+    let error = parse(&format!("{MINIMAL}[session]\nswarm_kye_file = \"x\"\n")).unwrap_err();
+    assert!(error.ends_with("did you mean `swarm_key_file`?"), "{error}");
+}
+
+#[test]
+fn a_key_that_has_another_name_now_is_named_by_it() {
+    for (text, line, says) in [
+        ("[cycle]\nt_l_ms = 500\n", "line 5", "`cycle` is called `batch` now"),
+        ("[batch]\nt_l_ms = 500\n", "line 6", "`t_l_ms` is called `publish_period_ms` now"),
+        ("[batch]\nt_l_occupied_ms = 500\n", "line 6", "`obstacle_period_ms` now"),
+        ("[batch]\nchanges_max = 500\n", "line 6", "`voxels_max` now"),
+        ("[session]\npresent_state_kb_min = 64\n", "line 6", "`snapshot_kb_min` now"),
+        ("[session]\npresent_state_range_max = 64\n", "line 6", "`snapshot_range_max` now"),
+    ] {
+        let error = parse(&format!("{MINIMAL}{text}")).unwrap_err();
+        assert!(error.contains(line) && error.ends_with(says), "{error}");
+    }
 }
 
 #[test]
 fn a_value_that_cannot_work_is_named_with_what_would() {
-    let robot = |text: &str| parse(text).unwrap().robot(1).unwrap_err().to_string();
-    let error = robot(&format!("{MINIMAL}mapper = \"octmap\"\n"));
-    assert!(error.contains("[map] mapper") && error.contains("did you mean \"octomap\"?"), "{error}");
-    let error = robot(&format!("{MINIMAL}[session]\nbudget_kb_s = 0.4\n"));
-    assert!(error.contains("budget_kb_s is 0.4") && error.contains("at least 0.49"), "{error}");
-    let error = robot(&MINIMAL.replace("0.1", "-0.1"));
-    assert!(error.contains("resolution_m is -0.1"), "{error}");
+    for (text, says) in [
+        ("mapper = \"octmap\"\n", ["line 5", "`rog-map`, `racer`, `octomap`", "did you mean `octomap`?"]),
+        (
+            "[session]\nbudget_kb_s = 0.4\n",
+            ["line 6", "budget_kb_s = 0.4", "0 for no limit, or at least 0.49"],
+        ),
+        ("[session]\nrelay = \"all\"\n", ["line 6", "relay = \"all\"", "`ranked`, `always`, `never`"]),
+        ("[session]\nbehaviour = \"papr\"\n", ["line 6", "`default` or `paper`", "did you mean `paper`?"]),
+        ("[alignment.two]\nyaw_deg = 1.0\n", ["line 5", "[alignment.two]", "invalid digit"]),
+    ] {
+        let error = parse(&format!("{MINIMAL}{text}")).unwrap_err();
+        assert!(says.iter().all(|part| error.contains(part)), "{error}");
+    }
+    let error = parse(&MINIMAL.replace("0.1", "-0.1")).unwrap_err();
+    assert!(error.contains("resolution_m = -0.1") && error.contains("0.001 to 100"), "{error}");
+    let error = parse(&format!("{MINIMAL}range_min_m = 7.5\n")).unwrap().robot(1).unwrap_err().to_string();
+    assert!(error.contains("[map] range_min_m is 7.5") && error.contains("less than range_m"), "{error}");
     let error = parse(&MINIMAL.replace("0.1", "\"fine\"")).unwrap_err();
     assert!(error.contains("line 3"), "{error}");
 
     let config = parse(&format!("{MINIMAL}[network]\npeers = [\"10.0.0.2\"]\n")).unwrap();
-    let error = config.udp().unwrap_err().to_string();
+    let error = UdpSockets::bind(&config.network).unwrap_err().to_string();
     assert!(error.contains("\"10.0.0.2\"") && error.contains("ADDRESS:PORT"), "{error}");
-    let config = parse(&format!("{MINIMAL}[alignment.two]\nyaw_deg = 1.0\n")).unwrap();
-    assert!(config.alignments().unwrap_err().to_string().contains("two"));
     let both = "[alignment.2]\nyaw_deg = 1.0\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n";
     assert!(parse(&format!("{MINIMAL}{both}")).unwrap().alignments().is_err());
     let bad = "[alignment.2]\ntranslation_m = [nan, 0.0, 0.0]\n";
@@ -125,9 +230,20 @@ fn the_mode_of_the_sensor_socket_is_octal_and_lets_the_owner_in() {
 }
 
 #[test]
-fn words_become_options() {
+fn a_preset_lies_below_what_is_given() {
+    let text = "[session]\nbehaviour = \"paper\"\npush = true\nsnapshot_range_max = 0\n";
+    let session = parse(&format!("{MINIMAL}{text}")).unwrap().session;
+    let expected = SessionConfig { push: true, snapshot_range_max: None, ..SessionConfig::paper() };
+    assert_eq!(session, expected);
+    let map = parse(&format!("{MINIMAL}mapper = \"racer\"\np_hit = 0.8\nmemory_mb = 1\n")).unwrap().map;
+    let preset = MapperConfig::preset(Preset::Racer, map.resolution, 7.0);
+    assert_eq!(map, MapperConfig { p_hit: 0.8, memory_bytes_max: 1 << 20, ..preset });
+}
+
+#[test]
+fn keys_become_options() {
     let text = format!(
-        "name = \"alice\"\nepoch = 7\n{MINIMAL}[batch]\nt_l_occupied_ms = 100\n[codec]\nname = \"raw\"\n\
+        "name = \"alice\"\nepoch = 7\n{MINIMAL}[batch]\nobstacle_period_ms = 100\n[codec]\nname = \"raw\"\n\
          [session]\nbehaviour = \"paper\"\ncast = \"broadcast\"\nbudget_kb_s = 100\nrelay = \"never\"\n\
          [network]\nbind = \"127.0.0.1:1\"\npeers = [\"127.0.0.1:2\"]\n"
     );
@@ -138,7 +254,8 @@ fn words_become_options() {
     assert_eq!(robot.batch.obstacle_period_ms, Some(100));
     assert_eq!((robot.session.cast, robot.session.push), (Cast::Broadcast, false));
     assert_eq!(robot.session.radio_bytes_per_s, Some(102_400));
-    assert_eq!(config.udp().unwrap().peers, ["127.0.0.1:2".parse().unwrap()]);
+    assert_eq!(robot.session.snapshot_range_max, Some(100), "as in the paper");
+    assert_eq!(config.network.peers, ["127.0.0.1:2"]);
 }
 
 #[test]

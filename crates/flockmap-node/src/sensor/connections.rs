@@ -17,11 +17,11 @@ use crate::Clock;
 /// Programs that may be connected at once. Worst case held: the longest message for each.
 const CONNECTIONS_MAX: usize = 8;
 
-/// A connection must have said nothing for so long to give way to another program.
+/// A connection must have sent nothing for so long to be closed for another program.
 const SILENT_MIN: Duration = Duration::from_secs(5);
 
-/// A program that finds all places taken is given so long for its first word. One that only looked whether somebody listens is gone
-/// by then, and nobody gives way to it.
+/// A program that finds all places taken is given so long for its first byte. One that only looked whether somebody listens is gone
+/// by then, and nobody is closed for it.
 const FIRST_ANSWER_MAX: Duration = Duration::from_secs(1);
 
 /// After a connection could not be accepted.
@@ -72,7 +72,7 @@ pub(super) async fn serve(
     }
 }
 
-/// Whether a connection ends before its first word.
+/// Whether a connection ends before its first byte.
 async fn is_gone(stream: &mut (impl AsyncBufRead + Unpin)) -> bool {
     matches!(timeout(FIRST_ANSWER_MAX, stream.fill_buf()).await, Ok(Ok([]) | Err(_)))
 }
@@ -166,10 +166,6 @@ impl Silence {
         self.set(Some(Instant::now()));
     }
 
-    fn end(&self) {
-        self.set(None);
-    }
-
     fn since(&self) -> Option<Instant> {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -196,7 +192,7 @@ impl<S: AsyncRead + Unpin> Reader<S> {
         loop {
             self.silence.begin();
             let bytes = self.read_message().await;
-            self.silence.end();
+            self.silence.set(None);
             let bytes = match bytes {
                 Ok(Some(bytes)) => bytes,
                 Ok(None) => return Input::Note(format!("{name} ended after {count} messages")),
@@ -226,7 +222,7 @@ impl<S: AsyncRead + Unpin> Reader<S> {
         }
     }
 
-    /// A stamp of the system clock tells how old the scan is now, and that holds on every clock. A scan from the future, within
+    /// A stamp of the system clock shows how old the scan is now, and that holds on every clock. A scan from the future, within
     /// what is allowed, is of now. An error is how far the stamp is off.
     fn on_the_node_s_clock(&self, stamp: Stamp) -> Result<Stamp, i64> {
         let (now, system_now) = self.clock.now_and_system_now();
@@ -264,7 +260,7 @@ impl<S: AsyncRead + Unpin> Reader<S> {
         let mut bytes = Vec::new();
         while bytes.len() < length {
             let rest = length - bytes.len();
-            // Room for as much as has come, so that a length alone takes no memory.
+            // Room for as much as has come, so that a length without content takes no memory.
             bytes.reserve_exact(rest.min(bytes.len().max(1_024)));
             let mut stream = (&mut self.stream).take(rest as u64);
             if stream.read_buf(&mut bytes).await.map_err(|error| error.to_string())? == 0 {
@@ -348,7 +344,7 @@ mod tests {
         SYSTEM.store(began_at, Ordering::Relaxed);
         let clock = Clock::with_system_time(system);
         let before_all = clock.now();
-        // Back to 1970, an hour ahead, and the other way round.
+        // Back to 1970, an hour ahead, and back again.
         for time in [began_at, 5_000_000, began_at + HOUR, began_at - HOUR, 900_000 * HOUR] {
             let under_way = SYSTEM.swap(time, Ordering::Relaxed);
             let newest = clock.now();

@@ -103,72 +103,52 @@ pub enum MessageError {
 impl SensorMessage {
     /// Reads what follows the length. Allocates only what the bytes at hand fill.
     pub fn parse(bytes: &[u8], limits: &MessageLimits) -> Result<Self, MessageError> {
-        let size = |expected: u64| MessageError::Size { got: bytes.len(), expected };
+        let wrong_length = MessageError::Length { got: bytes.len() as u64, max: limits.bytes_max() };
         if bytes.len() < HEADER_BYTES || bytes.len() > limits.bytes_max() {
-            return Err(MessageError::Length { got: bytes.len() as u64, max: limits.bytes_max() });
+            return Err(wrong_length);
         }
-        let mut rest = Rest(bytes);
-        let too_short = || size(HEADER_BYTES as u64);
-        let magic = rest.take().ok_or_else(too_short)?;
+        let mut reader = Reader { rest: bytes, got: bytes.len(), expected: HEADER_BYTES as u64 };
+        let magic = reader.take()?;
         if magic != MAGIC {
             return Err(MessageError::Magic { got: magic });
         }
-        let [version, kind] = rest.take().ok_or_else(too_short)?;
+        let [version, kind] = reader.take()?;
         if version != MESSAGE_VERSION {
             return Err(MessageError::Version { got: version });
         }
-        let robot = RobotId(u16::from_le_bytes(rest.take().ok_or_else(too_short)?));
+        let robot = RobotId(u16::from_le_bytes(reader.take()?));
         match kind {
-            1 => Self::parse_scan(rest, limits).ok_or_else(|| size(SCAN_HEADER_BYTES as u64))?.map_err(|e| {
-                match e {
-                    Fault::Size(expected) => size(expected),
-                    Fault::Pose(got) => MessageError::Pose { got },
-                    Fault::Count => MessageError::Length { got: bytes.len() as u64, max: limits.bytes_max() },
+            1 => {
+                reader.expected = SCAN_HEADER_BYTES as u64;
+                let stamp = Stamp(i64::from_le_bytes(reader.take()?));
+                let numbers = reader.numbers()?;
+                let points = u32::from_le_bytes(reader.take()?);
+                let no_returns = u32::from_le_bytes(reader.take()?);
+                let count = u64::from(points) + u64::from(no_returns);
+                if count > u64::from(limits.scan_points_max) {
+                    return Err(wrong_length);
                 }
-            }),
+                reader.expected += count * POINT_BYTES as u64;
+                reader.check_length()?;
+                let t_map_sensor = pose(numbers)?;
+                let scan =
+                    Scan { stamp, points: reader.points(points)?, no_returns: reader.points(no_returns)? };
+                Ok(Self::Scan(Frame { scan, t_map_sensor, points_dropped: 0 }))
+            }
             2 => {
-                let numbers = rest.numbers().filter(|_| rest.0.is_empty());
-                let got = numbers.ok_or_else(|| size(HEADER_BYTES as u64 + 56))?;
-                Ok(Self::Alignment(robot, pose(got).ok_or(MessageError::Pose { got })?))
+                reader.expected += 56;
+                reader.check_length()?;
+                Ok(Self::Alignment(robot, pose(reader.numbers()?)?))
             }
             3 => {
-                let numbers = rest.numbers().filter(|_| rest.0.is_empty());
-                let [x, y, z] = numbers.ok_or_else(|| size(HEADER_BYTES as u64 + 24))?;
-                let got = [x, y, z, 0.0, 0.0, 0.0, 1.0];
-                pose(got).ok_or(MessageError::Pose { got })?;
+                reader.expected += 24;
+                reader.check_length()?;
+                let [x, y, z] = reader.numbers()?;
+                pose([x, y, z, 0.0, 0.0, 0.0, 1.0])?;
                 Ok(Self::Teammate(robot, [x, y, z]))
             }
             got => Err(MessageError::Kind { got }),
         }
-    }
-
-    /// `None` if the bytes end before the points.
-    fn parse_scan(mut rest: Rest<'_>, limits: &MessageLimits) -> Option<Result<Self, Fault>> {
-        let stamp = Stamp(i64::from_le_bytes(rest.take()?));
-        let numbers = rest.numbers()?;
-        let points = u32::from_le_bytes(rest.take()?);
-        let no_returns = u32::from_le_bytes(rest.take()?);
-        let count = u64::from(points) + u64::from(no_returns);
-        let expected = SCAN_HEADER_BYTES as u64 + count * POINT_BYTES as u64;
-        if count > u64::from(limits.scan_points_max) {
-            return Some(Err(Fault::Count));
-        }
-        if rest.0.len() as u64 != count * POINT_BYTES as u64 {
-            return Some(Err(Fault::Size(expected)));
-        }
-        let Some(t_map_sensor) = pose(numbers) else { return Some(Err(Fault::Pose(numbers))) };
-        let (first, second) = rest.0.split_at_checked(points as usize * POINT_BYTES)?;
-        let read = |bytes: &[u8]| -> Vec<[f32; 3]> {
-            let (points, _) = bytes.as_chunks::<POINT_BYTES>();
-            points
-                .iter()
-                .map(|&[a, b, c, d, e, f, g, h, i, j, k, l]| {
-                    [[a, b, c, d], [e, f, g, h], [i, j, k, l]].map(f32::from_le_bytes)
-                })
-                .collect()
-        };
-        let scan = Scan { stamp, points: read(first), no_returns: read(second) };
-        Some(Ok(Self::Scan(Frame { scan, t_map_sensor, points_dropped: 0 })))
     }
 
     /// The message with its length, as it goes over the connection.
@@ -206,14 +186,9 @@ impl SensorMessage {
     }
 }
 
-enum Fault {
-    Size(u64),
-    Count,
-    Pose([f64; 7]),
-}
-
-fn pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Option<Pose> {
-    Pose::new([x, y, z], [qx, qy, qz, qw])
+fn pose(got: [f64; 7]) -> Result<Pose, MessageError> {
+    let [x, y, z, quaternion @ ..] = got;
+    Pose::new([x, y, z], quaternion).ok_or(MessageError::Pose { got })
 }
 
 fn put_pose(out: &mut Vec<u8>, pose: &Pose) {
@@ -221,22 +196,47 @@ fn put_pose(out: &mut Vec<u8>, pose: &Pose) {
     out.extend(numbers.flat_map(f64::to_le_bytes));
 }
 
-/// The bytes not read yet.
-struct Rest<'a>(&'a [u8]);
+/// A message that is being read.
+struct Reader<'a> {
+    /// The bytes not read yet.
+    rest: &'a [u8],
+    /// Bytes of the whole message.
+    got: usize,
+    /// Bytes that it should have, as far as is known.
+    expected: u64,
+}
 
-impl Rest<'_> {
-    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (taken, rest) = self.0.split_first_chunk::<N>()?;
-        self.0 = rest;
-        Some(*taken)
+impl Reader<'_> {
+    const fn wrong_size(&self) -> MessageError {
+        MessageError::Size { got: self.got, expected: self.expected }
     }
 
-    fn numbers<const N: usize>(&mut self) -> Option<[f64; N]> {
+    fn check_length(&self) -> Result<(), MessageError> {
+        if self.got as u64 == self.expected { Ok(()) } else { Err(self.wrong_size()) }
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], MessageError> {
+        let (taken, rest) = self.rest.split_first_chunk::<N>().ok_or_else(|| self.wrong_size())?;
+        self.rest = rest;
+        Ok(*taken)
+    }
+
+    fn numbers<const N: usize>(&mut self) -> Result<[f64; N], MessageError> {
         let mut numbers = [0.0; N];
         for number in &mut numbers {
             *number = f64::from_le_bytes(self.take()?);
         }
-        Some(numbers)
+        Ok(numbers)
+    }
+
+    fn points(&mut self, count: u32) -> Result<Vec<[f32; 3]>, MessageError> {
+        let points = self.rest.split_at_checked(count as usize * POINT_BYTES);
+        let (points, rest) = points.ok_or_else(|| self.wrong_size())?;
+        self.rest = rest;
+        let point = |&[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; POINT_BYTES]| {
+            [[a, b, c, d], [e, f, g, h], [i, j, k, l]].map(f32::from_le_bytes)
+        };
+        Ok(points.as_chunks().0.iter().map(point).collect())
     }
 }
 

@@ -34,8 +34,8 @@ pub enum Sensor {
         speed: f64,
         /// Frames of the first so many seconds of the recording are left out.
         skip: Duration,
-        /// When the first frame is played, on the node's clock; default: as soon as the node runs. The robots of a
-        /// swarm begin together this way.
+        /// When the first frame is played, on the node's clock; default: as soon as the node runs. So the robots of a
+        /// swarm begin together.
         begin: Option<Stamp>,
     },
     /// Frames as they come, with stamps on the node's clock. A frame that finds more than four waiting makes the
@@ -93,7 +93,7 @@ pub(crate) enum Input {
     Fault(String),
     /// A silent connection was closed, since there was no room for another program: one line. It is counted.
     Yielded(String),
-    /// Something worth telling.
+    /// Something worth a line in the log.
     Note(String),
 }
 

@@ -29,7 +29,7 @@ struct Known {
 }
 
 impl Addresses {
-    /// A datagram came from here, to the group or to this robot alone.
+    /// A datagram came from here, to the group or to this robot only.
     pub(super) fn note(&mut self, address: SocketAddr, by_group: bool) -> Path {
         self.heard += 1;
         let heard = self.heard;

@@ -11,7 +11,7 @@ use flockmap::{Path, Transmit};
 pub(crate) use udp::is_unreachable;
 pub use udp::{UdpError, UdpOptions, UdpSockets, UdpTransport};
 
-/// A way for datagrams of up to 1,200 bytes between robots. They may be lost, doubled and reordered.
+/// Carries datagrams of up to 1,200 bytes between robots. They may be lost, doubled and reordered.
 ///
 /// It lives on the one thread of its node, within a tokio runtime.
 pub trait Transport: 'static {

@@ -2,11 +2,13 @@
 
 use std::future::poll_fn;
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs as _, UdpSocket};
 use std::task::Poll;
 use std::time::Duration;
 
 use flockmap::{Destination, Path, Transmit};
+use schemars::JsonSchema;
+use serde::Deserialize;
 use socket2::{Domain, Protocol, Socket, Type};
 use tokio::io::ReadBuf;
 
@@ -17,27 +19,29 @@ use crate::advice::{listen_error, with};
 /// A radio whose queue stays full for so long loses the datagram, which is repaired later; the node must go on.
 const SEND_WAIT_MAX: Duration = Duration::from_millis(20);
 
-/// Where to listen and whom to send to.
-#[derive(Clone, PartialEq, Eq, Debug)]
+/// Where to listen and whom to send to: `[network]`.
+#[derive(Clone, PartialEq, Eq, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
 pub struct UdpOptions {
-    /// Own address and port. Port 0: the system chooses. `[::]` serves IPv4 too.
+    /// Own address and port. Port 0: the system chooses. `[::]` serves IPv4 too. Default `0.0.0.0:7700`.
     pub bind: SocketAddr,
-    /// Robots that are sent to before they were heard. Those heard from elsewhere are sent to there once an answer has come back from there.
-    pub peers: Vec<SocketAddr>,
+    /// Robots that are sent to before they were heard, as `ADDRESS:PORT` or `NAME:PORT`; names are looked up once. Those heard from
+    /// elsewhere are sent to there once an answer has come back from there.
+    pub peers: Vec<String>,
     /// What is for everyone goes here in one datagram. IPv4.
     pub broadcast: Option<SocketAddr>,
     /// What is for everyone goes to this group in one datagram. IPv4 or IPv6.
     pub multicast: Option<SocketAddr>,
     /// Address of the interface for an IPv4 group; default: the system chooses.
-    pub multicast_interface_v4: Option<Ipv4Addr>,
+    pub multicast_interface: Option<Ipv4Addr>,
     /// Index of the interface for an IPv6 group; default 0: the system chooses.
-    pub multicast_interface_v6: u32,
+    pub multicast_interface_index: u32,
     /// How many networks a datagram to the group may cross. Default 1: the own one.
     pub multicast_ttl: u32,
-    /// Room for datagrams that were not read yet, in bytes, if the system grants it. Default 4 MiB.
-    pub receive_buffer_bytes: usize,
-    /// Room for datagrams that were not sent yet, in bytes, if the system grants it. Default 1 MiB.
-    pub send_buffer_bytes: usize,
+    /// Room for datagrams that were not read yet, in KiB, if the system grants it. Default 4,096.
+    pub receive_buffer_kb: u32,
+    /// Room for datagrams that were not sent yet, in KiB, if the system grants it. Default 1,024.
+    pub send_buffer_kb: u32,
 }
 
 impl UdpOptions {
@@ -48,12 +52,18 @@ impl UdpOptions {
             peers: Vec::new(),
             broadcast: None,
             multicast: None,
-            multicast_interface_v4: None,
-            multicast_interface_v6: 0,
+            multicast_interface: None,
+            multicast_interface_index: 0,
             multicast_ttl: 1,
-            receive_buffer_bytes: 4 << 20,
-            send_buffer_bytes: 1 << 20,
+            receive_buffer_kb: 4_096,
+            send_buffer_kb: 1_024,
         }
+    }
+}
+
+impl Default for UdpOptions {
+    fn default() -> Self {
+        Self::new(SocketAddr::from(([0, 0, 0, 0], 7_700)))
     }
 }
 
@@ -91,7 +101,9 @@ impl UdpSockets {
     /// # Errors
     /// The options contradict each other, or the system refuses (port in use, no such address, not allowed).
     pub fn bind(options: &UdpOptions) -> Result<Self, UdpError> {
-        check(options)?;
+        let peers =
+            options.peers.iter().map(|peer| look_up(peer, options.bind)).collect::<Result<Vec<_>, _>>()?;
+        check(options, &peers)?;
         let everyone = options.multicast.or(options.broadcast);
         let shares_port = everyone
             .is_some_and(|all| all.port() == options.bind.port() && options.bind.ip().is_unspecified());
@@ -106,24 +118,15 @@ impl UdpSockets {
             main.set_broadcast(true).map_err(system("allow broadcast on", options.bind))?;
         }
         let group = match everyone {
-            Some(all) if shares_port => {
-                if options.multicast.is_some() {
-                    join(&main, options, all)?;
-                }
-                None
-            }
-            Some(all) => {
-                let socket = open(options, all, true)?;
-                if options.multicast.is_some() {
-                    join(&socket, options, all)?;
-                }
-                Some(socket.into())
-            }
-            None => None,
+            Some(all) if !shares_port => Some(open(options, all, true)?),
+            _ => None,
         };
+        if let Some(all) = options.multicast {
+            join(group.as_ref().unwrap_or(&main), options, all)?;
+        }
         let main: UdpSocket = main.into();
-        let mut sockets = Self { main, group, peers: Vec::new(), everyone };
-        options.peers.iter().for_each(|peer| sockets.add_peer(*peer));
+        let mut sockets = Self { main, group: group.map(Into::into), peers: Vec::new(), everyone };
+        peers.into_iter().for_each(|peer| sockets.add_peer(peer));
         Ok(sockets)
     }
 
@@ -228,7 +231,7 @@ async fn send_one(
     for _ in 0..2 {
         match tokio::time::timeout(SEND_WAIT_MAX, socket.send_to(bytes, address)).await {
             Ok(Ok(_)) => return sent.copies += 1,
-            // The error tells of an earlier datagram and is used up now.
+            // The error is about an earlier datagram and is used up now.
             Ok(Err(error)) if is_unreachable(&error) => {}
             _ => break,
         }
@@ -236,16 +239,28 @@ async fn send_one(
     sent.failed += 1;
 }
 
-/// What ICMP told of an earlier datagram: the robot there is off, which is no fault of this one.
+/// What ICMP reported of an earlier datagram: the robot there is off, which is no fault of this one.
 pub(crate) fn is_unreachable(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionRefused, ConnectionReset, HostUnreachable};
     matches!(error.kind(), ConnectionRefused | ConnectionReset | HostUnreachable)
 }
 
-fn check(options: &UdpOptions) -> Result<(), UdpError> {
+/// The address of a robot.
+fn look_up(peer: &str, bind: SocketAddr) -> Result<SocketAddr, UdpError> {
+    let fail = |error: &str| {
+        UdpError::Options(format!(
+            "[network] peers has \"{peer}\"{error}, expected ADDRESS:PORT, [ADDRESS]:PORT or NAME:PORT of a robot"
+        ))
+    };
+    let found = peer.to_socket_addrs().map_err(|error| fail(&format!(" ({error})")))?;
+    // A socket that was bound to IPv4 cannot reach the rest.
+    found.min_by_key(|address| address.is_ipv4() != bind.is_ipv4()).ok_or_else(|| fail(""))
+}
+
+fn check(options: &UdpOptions, peers: &[SocketAddr]) -> Result<(), UdpError> {
     let fail = |text: String| Err(UdpError::Options(text));
     let UdpOptions { bind, broadcast, multicast, .. } = options;
-    if let Some(peer) = options.peers.iter().find(|peer| peer.is_ipv6() && bind.is_ipv4()) {
+    if let Some(peer) = peers.iter().find(|peer| peer.is_ipv6() && bind.is_ipv4()) {
         return fail(format!("peer {peer} is IPv6 and bind = {bind} is IPv4; bind [::]:PORT to reach both"));
     }
     if broadcast.is_some() && multicast.is_some() {
@@ -268,7 +283,7 @@ fn check(options: &UdpOptions) -> Result<(), UdpError> {
             "broadcast = {address} with bind = {bind}: IPv6 has no broadcast, use multicast"
         ));
     }
-    for address in options.peers.iter().chain(broadcast).chain(multicast) {
+    for address in peers.iter().chain(broadcast).chain(multicast) {
         if address.port() == 0 {
             return fail(format!("{address} has port 0, expected the port where the others listen"));
         }
@@ -289,8 +304,8 @@ fn open(options: &UdpOptions, address: SocketAddr, shared: bool) -> Result<Socke
         socket.set_reuse_port(true).map_err(system("share", address))?;
     }
     // The system may grant less; bursts are then lost and repaired.
-    let _ = socket.set_recv_buffer_size(options.receive_buffer_bytes);
-    let _ = socket.set_send_buffer_size(options.send_buffer_bytes);
+    let _ = socket.set_recv_buffer_size((options.receive_buffer_kb as usize) << 10);
+    let _ = socket.set_send_buffer_size((options.send_buffer_kb as usize) << 10);
     socket.set_nonblocking(true).map_err(system("set non-blocking", address))?;
     let option = if address == options.bind { "[network] bind" } else { "[network]" };
     socket
@@ -321,32 +336,29 @@ fn refuse_a_second_node(bind: SocketAddr) -> Result<(), UdpError> {
 }
 
 fn send_to_group(socket: &Socket, options: &UdpOptions, group: SocketAddr) -> Result<(), UdpError> {
-    let fail = system("send to the group", group);
-    match group.ip() {
-        IpAddr::V4(_) => {
-            if let Some(interface) = options.multicast_interface_v4 {
-                socket.set_multicast_if_v4(&interface).map_err(system("send to the group", group))?;
-            }
-            socket.set_multicast_ttl_v4(options.multicast_ttl).map_err(fail)
-        }
-        IpAddr::V6(_) => {
-            socket
-                .set_multicast_if_v6(options.multicast_interface_v6)
-                .map_err(system("send to the group", group))?;
-            socket.set_multicast_hops_v6(options.multicast_ttl).map_err(fail)
-        }
+    let hops = options.multicast_ttl;
+    match group {
+        SocketAddr::V4(_) => socket
+            .set_multicast_if_v4(&interface_v4(options))
+            .and_then(|()| socket.set_multicast_ttl_v4(hops)),
+        SocketAddr::V6(_) => socket
+            .set_multicast_if_v6(options.multicast_interface_index)
+            .and_then(|()| socket.set_multicast_hops_v6(hops)),
     }
+    .map_err(system("send to the group", group))
 }
 
 fn join(socket: &Socket, options: &UdpOptions, group: SocketAddr) -> Result<(), UdpError> {
     match group.ip() {
-        IpAddr::V4(ip) => {
-            let interface = options.multicast_interface_v4.unwrap_or(Ipv4Addr::UNSPECIFIED);
-            socket.join_multicast_v4(&ip, &interface)
-        }
-        IpAddr::V6(ip) => socket.join_multicast_v6(&ip, options.multicast_interface_v6),
+        IpAddr::V4(ip) => socket.join_multicast_v4(&ip, &interface_v4(options)),
+        IpAddr::V6(ip) => socket.join_multicast_v6(&ip, options.multicast_interface_index),
     }
     .map_err(system("join the group", group))
+}
+
+/// The interface for an IPv4 group; 0.0.0.0 leaves the choice to the system.
+fn interface_v4(options: &UdpOptions) -> Ipv4Addr {
+    options.multicast_interface.unwrap_or(Ipv4Addr::UNSPECIFIED)
 }
 
 fn system(what: &'static str, address: SocketAddr) -> impl Fn(io::Error) -> UdpError {

@@ -8,10 +8,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use clap::{Args, Parser};
+use flockmap::Cast;
 use flockmap_cli::document::DataTable;
 use flockmap_cli::json_file;
 use flockmap_cli::numbers::thousands;
-use flockmap_cli::options::CastName;
+use flockmap_cli::options::named;
 use flockmap_cli::parallel::{cores, in_parallel};
 use flockmap_cli::program::command_line;
 use flockmap_cli::progress::Progress;
@@ -56,9 +57,9 @@ pub struct SimSwarmArgs {
     /// Seconds of mapping before links heal [default: drawn, 2 to 8]
     #[arg(long, value_name = "T")]
     pub seconds: Option<f64>,
-    /// To each peer on its own, or to all at once [default: drawn]
-    #[arg(long, value_name = "CAST")]
-    pub cast: Option<CastName>,
+    /// unicast: to each peer on its own; broadcast: to all at once [default: drawn]
+    #[arg(long, value_name = "CAST", value_parser = named::<Cast>)]
+    pub cast: Option<Cast>,
     /// Bytes that each robot may send in a second, 500 or more [default: drawn]
     #[arg(long, value_name = "BYTES_PER_S")]
     pub budget: Option<u32>,
@@ -110,7 +111,7 @@ fn options(args: &SimSwarmArgs, seed: u64) -> SwarmOptions {
         robots: args.robots,
         radio: args.radio,
         seconds: args.seconds,
-        cast: args.cast.map(Into::into),
+        cast: args.cast,
         budget_bytes_per_s: args.budget,
         is_calm: args.calm,
         ..SwarmOptions::new(seed)

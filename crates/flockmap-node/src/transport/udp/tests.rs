@@ -82,7 +82,7 @@ fn one_datagram_to_a_group_reaches_every_member() {
     let port = bound("127.0.0.1:0").local_addr().unwrap().port();
     let options = UdpOptions {
         multicast: Some(address(&format!("239.77.7.7:{port}"))),
-        multicast_interface_v4: Some(Ipv4Addr::LOCALHOST),
+        multicast_interface: Some(Ipv4Addr::LOCALHOST),
         ..UdpOptions::new(address("127.0.0.1:0"))
     };
     let (a, b, c) = match [0; 3].map(|_| UdpSockets::bind(&options)) {
@@ -180,10 +180,10 @@ fn options_that_contradict_each_other_are_refused() {
         let text = UdpSockets::bind(&options).unwrap_err().to_string();
         assert!(text.contains(word), "{text}");
     };
-    refused(UdpOptions { peers: vec![address("[::1]:7700")], ..base() }, "[::]:PORT");
+    refused(UdpOptions { peers: vec!["[::1]:7700".into()], ..base() }, "[::]:PORT");
     refused(UdpOptions { multicast: Some(address("10.0.0.1:7700")), ..base() }, "no group");
     refused(UdpOptions { multicast: Some(address("[ff02::77]:7700")), ..base() }, "IP versions");
-    refused(UdpOptions { peers: vec![address("10.0.0.1:0")], ..base() }, "port 0");
+    refused(UdpOptions { peers: vec!["10.0.0.1:0".into()], ..base() }, "port 0");
     let both = UdpOptions {
         broadcast: Some(address("10.0.0.255:7700")),
         multicast: Some(address("239.7.7.7:7700")),
@@ -205,10 +205,10 @@ fn a_second_node_does_not_get_what_is_sent_to_a_live_one() {
     let port = bound("127.0.0.1:0").local_addr().unwrap().port();
     let options = UdpOptions {
         multicast: Some(address(&format!("239.77.7.8:{port}"))),
-        multicast_interface_v4: Some(Ipv4Addr::LOCALHOST),
+        multicast_interface: Some(Ipv4Addr::LOCALHOST),
         ..UdpOptions::new(address(&format!("0.0.0.0:{port}")))
     };
-    // A robot with a port of its own is in nobody's way.
+    // A robot with a port of its own disturbs nobody.
     let beside = UdpOptions { bind: address("127.0.0.1:0"), ..options.clone() };
     let (_beside, _first) = match [&beside, &options].map(UdpSockets::bind) {
         [Ok(beside), Ok(first)] => (beside, first),
