@@ -280,6 +280,6 @@ pub fn packages_of(event: &Event) -> &[Package] {
 
 /// What an event says that a snapshot contains, which is to be stored behind its chunks.
 pub fn contents_of(event: &Event) -> Option<Contents> {
-    let Event::SnapshotContains { stream, set, received } = event else { return None };
-    Some(Contents { stream: *stream, snapshot_id: *set, intervals: received.intervals().to_vec() })
+    let Event::SnapshotContains { stream, snapshot_id, received } = event else { return None };
+    Some(Contents { stream: *stream, snapshot_id: *snapshot_id, intervals: received.intervals().to_vec() })
 }
