@@ -21,11 +21,11 @@ fn codecs_puts_the_methods_in_their_order() {
             "changed_voxels",
             "d",
             "methods",
-            "snapshots",
+            "publish_period_s",
             "range_m",
             "records",
             "resolution_m",
-            "publish_period_s"
+            "snapshots",
         ]
     );
     let methods = output["methods"].as_array().unwrap();

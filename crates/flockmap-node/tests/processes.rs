@@ -39,7 +39,7 @@ fn a_robot_plays_its_record_and_leaves_a_map_and_a_summary() {
     assert_eq!(summary["streams"][0]["origin"], 7);
     let packages = summary["counters"]["robot"]["packages"].as_u64().unwrap();
     assert!(packages > 0);
-    assert_eq!(summary["streams"][0]["held"], serde_json::json!([[1, packages]]));
+    assert_eq!(summary["streams"][0]["received"], serde_json::json!([[1, packages]]));
     let map = flockmap_io::read_cloud(dir.join("map.ply")).unwrap();
     assert_eq!(map.points.len() as u64, summary["map_occupied"].as_u64().unwrap());
     std::fs::remove_dir_all(&dir).unwrap();

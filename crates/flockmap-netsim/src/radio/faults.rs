@@ -1,20 +1,9 @@
 //! What a bad link does to datagrams beside plain loss: it fades for a while, and flips bits.
 
-use super::Link;
+use super::link::Link;
 use flockmap_grid::{RobotId, Stamp};
 use flockmap_worlds::random::{Random, mix};
 use std::sync::Arc;
-
-/// A link that is good and bad alternately (Gilbert, Elliott). How long each lasts is uniform between 0 and twice its mean.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub struct Burst {
-    /// Mean time between bursts of loss, in milliseconds. At least 1.
-    pub good_ms: u32,
-    /// Mean time of a burst, in milliseconds. At least 1.
-    pub bad_ms: u32,
-    /// Share of the datagrams that are lost in a burst, 0 … 1.
-    pub loss: f64,
-}
 
 /// Bursts and damage of one link as time goes by. Its random numbers are its own: without either none is drawn, and nothing else changes.
 #[derive(Clone, Debug)]
