@@ -2,6 +2,7 @@
 //! is what the checker `voxel` looks at.
 
 use super::Finding;
+use super::voxel::whole_voxels;
 use crate::swarm::truth::{Published, Truth};
 use flockmap::{Changes, Robot, Stream, Voxel};
 
@@ -32,4 +33,9 @@ fn older(
     let received = robot.session().received(stream)?;
     let wrong = published.find_older(voxels, robot.fusion().layer(stream), received)?;
     Some(Finding::of_voxel(NAME, stream, wrong))
+}
+
+/// The layer of a stream as a whole, by `voxel` and `layer`. O(voxels).
+pub(in crate::swarm) fn whole(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
+    whole_voxels(truth, robot, stream).or_else(|| whole_layer(truth, robot, stream))
 }

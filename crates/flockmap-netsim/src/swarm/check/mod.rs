@@ -27,8 +27,8 @@ pub(super) use still::Still;
 pub(super) use twice::Twice;
 pub(super) use work::Work;
 
-use super::truth::{Truth, Wrong};
-use flockmap::{Robot, RobotId, Stream};
+use super::truth::Wrong;
+use flockmap::{RobotId, Stream};
 
 pub(super) mod names {
     pub(in crate::swarm) use super::agreement::NAME as AGREEMENT;
@@ -40,7 +40,7 @@ pub(super) mod names {
     pub(in crate::swarm) const SETTINGS: &str = "settings";
 }
 
-pub(super) use layer::layer_after;
+pub(super) use layer::{layer_after, whole};
 pub(super) use limits::limits;
 pub(super) use voxel::voxels_of_merge;
 
@@ -75,9 +75,4 @@ impl Finding {
     fn of_voxel(checker: &'static str, stream: Stream, wrong: Wrong) -> Self {
         Self::new(checker, format!("{:?} of {stream:?}: {}", wrong.voxel, wrong.expected), wrong.found)
     }
-}
-
-/// The layer of a stream as a whole, by `voxel` and `layer`. O(voxels).
-pub(super) fn whole(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
-    voxel::whole_voxels(truth, robot, stream).or_else(|| layer::whole_layer(truth, robot, stream))
 }
