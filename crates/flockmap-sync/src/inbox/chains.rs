@@ -15,7 +15,7 @@ pub(crate) type ChainId = (Stream, u32);
 #[derive(Debug)]
 pub(crate) struct Chains {
     chains: Vec<Chain>,
-    /// As many as are received at once: none of these has to go for another of them, so many side by side all become complete.
+    /// As many as are received at once, so that none that is still received has to go for another.
     max: usize,
 }
 
@@ -56,7 +56,7 @@ impl Chains {
     }
 
     /// Makes a place for the snapshot of a chunk, if it has none. Returns the one that had to go for it: one that is not received any more,
-    /// or of those the one that was left alone longest.
+    /// else the one that was left alone longest.
     pub(crate) fn open(
         &mut self,
         id: ChainId,
