@@ -183,7 +183,7 @@ impl Encoder {
         state: &SnapshotVoxels,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
-        let set = check::snapshot_id(codec, bytes_max, [since, upto], state);
+        let id = check::snapshot_id(codec, bytes_max, [since, upto], state);
         let header = |region: VoxelBox, [batch_start, batch_end]: [Stamp; 2], chunk, chunks| Header {
             stream,
             index: upto,
@@ -194,7 +194,7 @@ impl Encoder {
             resolution,
             region,
             codec,
-            content: ContentKind::Snapshot { since, set, chunk, chunks },
+            content: ContentKind::Snapshot { since, id, chunk, chunks },
             priority: Priority::Obstacles,
         };
         // There are no more chunks than voxels, or than blocks where these are not cut.

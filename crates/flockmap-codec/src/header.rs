@@ -55,7 +55,7 @@ pub enum ContentKind {
         since: u32,
         /// The id of the snapshot: a check of the whole state that was cut into chunks. Chunks with different ids
         /// must not be counted together.
-        set: u32,
+        id: u32,
         /// Number of this chunk, from 0.
         chunk: u32,
         /// Number of chunks of the snapshot, at least 1.
@@ -110,9 +110,9 @@ impl Header {
         write_box(&self.region, unit, out);
         match self.content {
             ContentKind::Changes => write_back(self.index, self.base, out),
-            ContentKind::Snapshot { since, set, chunk, chunks } => {
+            ContentKind::Snapshot { since, id, chunk, chunks } => {
                 write_back(self.index, since, out);
-                out.extend_from_slice(&set.to_le_bytes());
+                out.extend_from_slice(&id.to_le_bytes());
                 put_varint(out, u64::from(chunk));
                 put_varint(out, u64::from(chunks));
             }
@@ -165,13 +165,13 @@ impl Header {
         }
         let (content, base) = if kind == KIND_SNAPSHOT {
             let since = read_back(&mut reader, index, "since", "a span begins after an earlier package")?;
-            let set = reader.u32_le("snapshot id")?;
+            let id = reader.u32_le("snapshot id")?;
             let chunk = reader.number("chunk", u32_max)? as u32;
             let chunks = reader.number("chunks", u32_max)? as u32;
             if chunk >= chunks {
                 return Err(wrong("a chunk number is below the number of chunks"));
             }
-            (ContentKind::Snapshot { since, set, chunk, chunks }, 0)
+            (ContentKind::Snapshot { since, id, chunk, chunks }, 0)
         } else {
             let base = read_back(&mut reader, index, "base", "a base is an earlier package")?;
             if base == 0 && kind == KIND_INDEPENDENT {

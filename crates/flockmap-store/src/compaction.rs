@@ -76,7 +76,7 @@ impl StreamCopy {
         let chunks = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
         let chunks = chunks.map_err(|error| cannot(&error.to_string()))?;
         let contents = match chunks.first().map(|chunk| chunk.header().content) {
-            Some(ContentKind::Snapshot { set: snapshot_id, .. }) if !is_whole => {
+            Some(ContentKind::Snapshot { id: snapshot_id, .. }) if !is_whole => {
                 Some(Contents { stream, snapshot_id, intervals: received.intervals().to_vec() })
             }
             _ => None,

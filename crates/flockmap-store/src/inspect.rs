@@ -190,7 +190,7 @@ impl Inspection {
                         facts.package_bytes += bytes;
                         let _ = facts.received.insert(header.index);
                     }
-                    ContentKind::Snapshot { set: id, chunk, chunks, since } => {
+                    ContentKind::Snapshot { id, chunk, chunks, since } => {
                         facts.chunks += 1;
                         facts.chunk_bytes += bytes;
                         let is_known = since == 0 || facts.received.contains_range(1, since);

@@ -271,9 +271,9 @@ impl Inbox {
         self.undecodable.remove(&stream);
     }
 
-    /// For want of room one set takes the place of another, the one of which nothing has come for longest. By unicast a robot sends one set of a
-    /// stream at a time, so a newer one takes over. By broadcast two sets for two robots would push each other out without end: there, and of
-    /// other robots and streams, only a set that goes on from what is held takes a place, and that of one that does not go on: complete or,
+    /// For want of room one snapshot takes the place of another, the one of which nothing has come for longest. By unicast a robot sends one snapshot of a
+    /// stream at a time, so a newer one takes over. By broadcast two snapshots for two robots would push each other out without end: there, and of
+    /// other robots and streams, only a snapshot that goes on from what was received takes a place, and that of one that does not go on: complete or,
     /// of the same stream, not, it waits for packages before it; or it is from the own disk. What that brought is merged; what it
     /// contains may have to come again. Whether one went.
     pub(crate) fn make_room(&mut self, newcomer: &Transfer, own: RobotId, cast: Cast, store: &Store) -> bool {

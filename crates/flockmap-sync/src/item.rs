@@ -15,7 +15,7 @@ impl Item {
         let header = package.header();
         match header.content {
             ContentKind::Changes => Self::Package { stream: header.stream, index: header.index },
-            ContentKind::Snapshot { set: snapshot_id, chunk, .. } => {
+            ContentKind::Snapshot { id: snapshot_id, chunk, .. } => {
                 Self::Chunk { stream: header.stream, snapshot_id, chunk }
             }
         }

@@ -71,7 +71,7 @@ pub(crate) struct Peer {
     pub(crate) streams: BTreeMap<Stream, PeerStream>,
     /// The ledger: what is in flight to it. Also of streams of which it takes nothing now: it may have room when that arrives.
     pub(crate) in_flight: VecDeque<SentPackage>,
-    /// Not before this a chunk is offered to it of a set that it does not take.
+    /// Not before this a chunk is offered to it of a snapshot that it does not take.
     pub(crate) offer_at: Stamp,
     /// What to send next, best first, if nothing changes.
     pub(crate) queue: VecDeque<Item>,

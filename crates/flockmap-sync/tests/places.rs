@@ -65,7 +65,7 @@ impl One {
                 continue;
             }
             for package in parse_packages(&datagram).unwrap() {
-                if let ContentKind::Snapshot { since, set: id, chunk, chunks } = package.header().content {
+                if let ContentKind::Snapshot { since, id, chunk, chunks } = package.header().content {
                     self.sent.insert(((since, package.header().index, id, chunks), chunk));
                 }
             }

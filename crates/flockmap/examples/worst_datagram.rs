@@ -210,7 +210,7 @@ fn package(case: &Case, draft: &Draft, index: u32, decoder: &mut Decoder, layer:
     let [x, y, z] = draft.size.map(|side| -(side as i32 / 2) & !7);
     let content = match case.is_snapshot {
         false => ContentKind::Changes,
-        true => ContentKind::Snapshot { since: 0, set: index, chunk: 0, chunks: 1 },
+        true => ContentKind::Snapshot { since: 0, id: index, chunk: 0, chunks: 1 },
     };
     let mut header = Header {
         stream: SENDER,

@@ -49,7 +49,7 @@ impl Readers {
     pub(crate) fn snapshot_of(package: &Package) -> Option<SnapshotId> {
         let header = package.header();
         match header.content {
-            ContentKind::Snapshot { set: snapshot_id, .. } if header.codec == Codec::Flock => {
+            ContentKind::Snapshot { id: snapshot_id, .. } if header.codec == Codec::Flock => {
                 Some((header.stream, snapshot_id))
             }
             _ => None,

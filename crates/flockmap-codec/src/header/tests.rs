@@ -17,7 +17,7 @@ fn header() -> impl Strategy<Value = Header> {
     let content = prop_oneof![
         Just(ContentKind::Changes),
         (any::<u32>(), any::<u32>(), 0..9u32, 9..2_000u32)
-            .prop_map(|(since, set, chunk, chunks)| ContentKind::Snapshot { since, set, chunk, chunks }),
+            .prop_map(|(since, id, chunk, chunks)| ContentKind::Snapshot { since, id, chunk, chunks }),
     ];
     let content = (content, 0..Priority::ALL.len());
     let codec = (0..Codec::ALL.len()).prop_map(|at| Codec::ALL[at]);

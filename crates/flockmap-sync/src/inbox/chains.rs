@@ -48,7 +48,7 @@ impl Chains {
     pub(crate) fn place_of(package: &Package) -> Option<(ChainId, u32)> {
         let header = package.header();
         match header.content {
-            ContentKind::Snapshot { set: snapshot_id, chunk, .. } if header.codec == Codec::Flock => {
+            ContentKind::Snapshot { id: snapshot_id, chunk, .. } if header.codec == Codec::Flock => {
                 Some(((header.stream, snapshot_id), chunk))
             }
             _ => None,

@@ -8,7 +8,7 @@ use flockmap_grid::Stamp;
 /// Intervals kept of what a peer states to hold of one stream; of more, the newest.
 pub(crate) const PEER_INTERVALS_MAX: usize = 256;
 
-/// A set counts as ignored when chunks of it got lost four times and the peer has not spoken of it .
+/// A snapshot counts as ignored when chunks of it got lost four times and the peer has not spoken of it.
 const UNHEEDED_MAX: u8 = 5;
 /// Something sent and not yet confirmed.
 #[derive(Clone, Copy, Debug)]
@@ -25,9 +25,9 @@ pub(crate) struct Sending {
     pub(crate) snapshot_id: u32,
     pub(crate) since: u32,
     pub(crate) upto: u32,
-    /// When the peer last spoke of the set, or it was begun.
+    /// When the peer last spoke of the snapshot, or it was begun.
     pub(crate) named_at: Stamp,
-    /// 0: the peer spoke of the set. Else how often chunks got lost since then, or since it was begun, and one more.
+    /// 0: the peer spoke of the snapshot. Else how often chunks got lost since then, or since it was begun, and one more.
     pub(crate) unheeded: u8,
     /// When chunks of it got lost last.
     pub(crate) lost_at: Stamp,
@@ -107,13 +107,13 @@ impl Sending {
         self.unheeded >= UNHEEDED_MAX
     }
 
-    /// Chunks got lost, and the peer does not speak of the set.
+    /// Chunks got lost, and the peer does not speak of the snapshot.
     pub(crate) fn note_unheeded(&mut self, now: Stamp) {
         self.unheeded = self.unheeded.saturating_add(1).min(UNHEEDED_MAX);
         self.lost_at = now;
     }
 
-    /// A peer that does not speak of the set for long has forgotten it, or has not heard of it yet.
+    /// A peer that does not speak of the snapshot for long has forgotten it, or has not heard of it yet.
     pub(crate) fn note_silence(&mut self, now: Stamp) {
         if now.micros_since(self.named_at) > ABANDONED {
             self.named_at = now;

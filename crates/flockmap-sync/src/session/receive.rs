@@ -29,7 +29,7 @@ impl Session {
             } else if self.open_stream(stream) {
                 match package.header().content {
                     ContentKind::Changes => self.receive_changes(now, sender.origin, package),
-                    ContentKind::Snapshot { since, set: snapshot_id, chunk, chunks } => {
+                    ContentKind::Snapshot { since, id: snapshot_id, chunk, chunks } => {
                         let incoming =
                             Transfer::new(sender.origin, stream, [since, index], snapshot_id, chunks, now);
                         self.receive_chunk(now, incoming, chunk, package);

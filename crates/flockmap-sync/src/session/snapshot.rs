@@ -12,7 +12,7 @@ use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
-/// Of sets that a peer ignores single chunks of such sets are offered, with this pause: who has no place for a set is not to be sent it over and over.
+/// Of snapshots that a peer ignores single chunks are offered, with this pause: who has no place for a snapshot is not to be sent it over and over.
 pub(super) const OFFER_PAUSE: i64 = 5_000_000;
 
 /// Of a run that has ended, a gap is taken for one that nobody fills when nothing new has come for so long.
@@ -26,7 +26,7 @@ const ASK_AGAIN_NO_ROOM: i64 = 5_000_000;
 const ASK_AGAIN_DECLINED: i64 = 30_000_000;
 
 impl Session {
-    /// The answer to [`Event::SnapshotWanted`]: the layer of the stream, or what of it is newer, as chunks, all of one set, all with
+    /// The answer to [`Event::SnapshotWanted`]: the layer of the stream, or what of it is newer, as chunks, all of one snapshot, all with
     /// `since` and the index `upto` of the event. No chunks: there is none to give now; it is asked for again later.
     /// Chunks that cannot be used are counted and dropped.
     pub fn provide_snapshot(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) {
@@ -50,7 +50,7 @@ impl Session {
     }
 
     /// Drops snapshots that nobody is sent, those first that were not used for longest. What is in flight to a peer that speaks of it
-    /// stays: sets that push each other out are never complete anywhere.
+    /// stays: snapshots that push each other out are never complete anywhere.
     fn make_room_for_chunks(&mut self, bytes: usize) -> bool {
         loop {
             let received: usize = self.outbox.snapshots.iter().map(|outgoing| outgoing.bytes).sum();
@@ -72,7 +72,7 @@ impl Session {
     fn check_chunks(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) -> Option<Outgoing> {
         let first = chunks.first()?.header();
         let (upto, count) = (first.index, chunks.len() as u32);
-        let ContentKind::Snapshot { since, set: snapshot_id, .. } = first.content else {
+        let ContentKind::Snapshot { since, id: snapshot_id, .. } = first.content else {
             self.report.counters.snapshots_unusable += 1;
             return None;
         };
@@ -89,7 +89,7 @@ impl Session {
                     && chunk.header().index == upto
                     && chunk.bytes().len() <= longest
                     && chunk.header().content
-                        == ContentKind::Snapshot { since, set: snapshot_id, chunk: number, chunks: count }
+                        == ContentKind::Snapshot { since, id: snapshot_id, chunk: number, chunks: count }
             });
         if !usable {
             self.report.counters.snapshots_unusable += 1;

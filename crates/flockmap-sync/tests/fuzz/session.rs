@@ -136,7 +136,7 @@ impl Run<'_> {
             _ => {}
         }
         if let Some(first) = chunks.first().map(Package::header)
-            && let ContentKind::Snapshot { since, set: snapshot_id, chunks, .. } = first.content
+            && let ContentKind::Snapshot { since, id: snapshot_id, chunks, .. } = first.content
         {
             self.given = Some((stream, (since, first.index), snapshot_id, chunks));
         }

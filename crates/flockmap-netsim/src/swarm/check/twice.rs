@@ -96,7 +96,7 @@ impl Twice {
         for package in packages {
             let header = package.header();
             let chunk = match header.content {
-                ContentKind::Snapshot { set: id, chunk, .. } => Some((id, chunk)),
+                ContentKind::Snapshot { id, chunk, .. } => Some((id, chunk)),
                 ContentKind::Changes => None,
             };
             let item = (header.stream, header.index, chunk);
