@@ -1,6 +1,7 @@
 //! Who observed, in which run, and when.
 
 use core::fmt;
+use core::time::Duration;
 
 /// A robot of the swarm. Unique within the swarm; chosen by the user.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -67,6 +68,18 @@ impl Stamp {
     /// The stamp in seconds.
     pub fn seconds(self) -> f64 {
         self.0 as f64 / 1e6
+    }
+
+    /// This stamp moved on; saturates at the end of the range. Parts of a microsecond do not count.
+    pub const fn plus(self, span: Duration) -> Self {
+        let micros = span.as_micros();
+        Self(self.0.saturating_add_unsigned(if micros > u64::MAX as u128 { u64::MAX } else { micros as u64 }))
+    }
+
+    /// How long ago `earlier` was; zero if it is later than this stamp.
+    pub const fn since(self, earlier: Self) -> Duration {
+        let micros = self.micros_since(earlier);
+        Duration::from_micros(if micros < 0 { 0 } else { micros as u64 })
     }
 
     /// This stamp moved by some microseconds; saturates at the ends of the range.

@@ -306,7 +306,7 @@ impl<T: Transport> Driver<T> {
                 Event::Merged { stream, batch_end, changes, .. } => {
                     self.active = Instant::now();
                     // A chunk of a snapshot has many stamps.
-                    if let Some(offset) = self.robot.session().clock_offset(stream)
+                    if let Some(offset) = self.robot.session().clock_offset_micros(stream)
                         && !changes.is_empty()
                     {
                         let age = now.micros_since(batch_end).saturating_add(offset).max(0).unsigned_abs();

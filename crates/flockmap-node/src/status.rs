@@ -229,7 +229,7 @@ impl NodeStatus {
             let label = |p: &PeerInfo| format!(",peer=\"{}\"", p.stream.origin);
             self.peers.iter().filter_map(|p| Some((label(p), value(p)?))).collect()
         };
-        metric("gauge", "peer_round_trip_seconds", by_peer(&|p| Some(p.round_trip_micros? as f64 / 1e6)));
+        metric("gauge", "peer_round_trip_seconds", by_peer(&|p| Some(p.round_trip?.as_secs_f64())));
         metric("gauge", "peer_clock_offset_seconds", by_peer(&|p| Some(p.clock_offset_micros? as f64 / 1e6)));
         metric("counter", "peer_bytes_in_total", by_peer(&|p| Some(p.traffic_in.bytes as f64)));
 

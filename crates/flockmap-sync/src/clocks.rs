@@ -63,7 +63,7 @@ impl Clocks {
             let is_it =
                 |r: &&crate::wire::ClockReport| r.robot == run.origin && r.epoch_low == run.epoch as u16;
             let report = peer.clocks.iter().find(is_it)?;
-            Some((peer.round_trip.micros()?, peer.clock.offset()?.checked_add(report.offset_micros)?))
+            Some((peer.round_trip.mean()?, peer.clock.offset()?.checked_add(report.offset_micros)?))
         });
         by_path.min().map(|(_, offset)| offset).or_else(|| self.measured.get(&run).copied())
     }

@@ -3,6 +3,7 @@
 use crate::SwarmKey;
 use crate::store::StoreLimits;
 use crate::wire::{DATAGRAM_BYTES_MAX, Salt};
+use core::time::Duration;
 
 /// How packages go out.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -174,6 +175,14 @@ pub struct SessionConfig {
     pub transfers_max: usize,
 }
 
+/// Of a round trip that varies, no longer than this is taken for reordering, unless an option says more.
+const PATIENCE_MAX: Duration = Duration::from_millis(500);
+
+/// An option in milliseconds as a span.
+pub(crate) const fn ms(count: u32) -> Duration {
+    Duration::from_millis(count as u64)
+}
+
 impl Default for SessionConfig {
     fn default() -> Self {
         Self {
@@ -245,6 +254,16 @@ impl SessionConfig {
             snapshot_range_max: Some(100),
             ..Self::default()
         }
+    }
+
+    /// How long a gap may come from reordering, where the round trip varies like this.
+    pub(crate) fn patience(&self, variation: Duration) -> Duration {
+        (2 * variation).min(PATIENCE_MAX).max(ms(self.reorder_patience_ms))
+    }
+
+    /// How long a relay with this rank waits for those before it.
+    pub(crate) fn relay_delay(&self, rank: u32) -> Duration {
+        ms(self.relay_delay_ms).saturating_mul(rank)
     }
 
     /// Checks that every option is in its range.

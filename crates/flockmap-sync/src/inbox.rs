@@ -12,6 +12,7 @@ pub(crate) use waiting::WAITING_BYTES_MAX;
 use crate::item::Item;
 use crate::{Cast, IntervalSet, Store};
 use chains::{ChainId, Chains, Place};
+use core::time::Duration;
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,7 +21,7 @@ use waiting::Waiting;
 /// Packages and chunks that are in here at a time; more are dropped, counted, and come again by a later request.
 pub(crate) const PENDING_MAX: usize = 4_096;
 /// What was damaged, or had no room, is not asked for again for so long.
-const BACK_OFF: i64 = 10_000_000;
+const BACK_OFF: Duration = Duration::from_secs(10);
 /// Of these so many are remembered; of more, the one whose pause ends first is asked for again.
 const BACKED_OFF_MAX: usize = 1_024;
 /// Intervals in the undecodable indices of one stream.
@@ -207,7 +208,7 @@ impl Inbox {
         {
             self.backed_off.remove(&first);
         }
-        self.backed_off.insert(item, now.plus_micros(BACK_OFF));
+        self.backed_off.insert(item, now.plus(BACK_OFF));
     }
 
     pub(crate) fn end_back_off(&mut self, item: Item) {

@@ -1,54 +1,60 @@
 //! What is measured of the link to a peer: round trip and offset between the clocks, both from echoed stamps.
 
+use core::time::Duration;
 use flockmap_grid::Stamp;
 use std::collections::VecDeque;
 
-/// Smoothed round-trip time as in RFC 6298, in microseconds.
+/// Smoothed round-trip time as in RFC 6298.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RoundTrip {
-    smoothed: Option<(i64, i64)>,
-    initial: i64,
+    /// Mean and variation in microseconds.
+    smoothed_micros: Option<(u64, u64)>,
+    initial: Duration,
 }
 
 /// Variation counts at least this much: timers of operating systems are no finer.
-const GRANULARITY: i64 = 5_000;
-const TIMEOUT_MIN: i64 = 20_000;
+const GRANULARITY_MICROS: u64 = 5_000;
+const TIMEOUT_MIN: Duration = Duration::from_millis(20);
+/// Samples out of this range come of a clock that jumped.
+const SAMPLE_MAX: Duration = Duration::from_secs(60);
 /// A slow radio with a long queue is not a lossy one.
-const TIMEOUT_MAX: i64 = 30_000_000;
+const TIMEOUT_MAX: Duration = Duration::from_secs(30);
 
 impl RoundTrip {
-    pub(crate) const fn new(initial_micros: i64) -> Self {
-        Self { smoothed: None, initial: initial_micros }
+    pub(crate) const fn new(initial: Duration) -> Self {
+        Self { smoothed_micros: None, initial }
     }
 
     /// Takes a sample in; one out of range (a clock that jumped) is ignored.
-    pub(crate) fn sample(&mut self, micros: i64) {
-        if !(0..=60_000_000).contains(&micros) {
+    pub(crate) fn sample(&mut self, round_trip: Duration) {
+        if round_trip > SAMPLE_MAX {
             return;
         }
-        self.smoothed = Some(match self.smoothed {
+        let micros = round_trip.as_micros() as u64;
+        self.smoothed_micros = Some(match self.smoothed_micros {
             None => (micros, micros / 2),
             Some((mean, variation)) => {
-                let variation = (3 * variation + (mean - micros).abs()) / 4;
+                let variation = (3 * variation + mean.abs_diff(micros)) / 4;
                 ((7 * mean + micros) / 8, variation)
             }
         });
     }
 
     /// The smoothed round trip, once measured.
-    pub(crate) fn micros(&self) -> Option<i64> {
-        self.smoothed.map(|(mean, _)| mean)
+    pub(crate) fn mean(&self) -> Option<Duration> {
+        self.smoothed_micros.map(|(mean, _)| Duration::from_micros(mean))
     }
 
-    /// The smoothed variation of the round trip; 0 as long as it is unknown.
-    pub(crate) fn variation(&self) -> i64 {
-        self.smoothed.map_or(0, |(_, variation)| variation)
+    /// The smoothed variation of the round trip; zero as long as it is unknown.
+    pub(crate) fn variation(&self) -> Duration {
+        Duration::from_micros(self.smoothed_micros.map_or(0, |(_, variation)| variation))
     }
 
     /// After this time without a sign, what was sent counts as lost.
-    pub(crate) fn timeout(&self) -> i64 {
-        self.smoothed.map_or(self.initial, |(mean, variation)| {
-            (mean + (4 * variation).max(GRANULARITY)).clamp(TIMEOUT_MIN, TIMEOUT_MAX)
+    pub(crate) fn timeout(&self) -> Duration {
+        self.smoothed_micros.map_or(self.initial, |(mean, variation)| {
+            let micros = mean + (4 * variation).max(GRANULARITY_MICROS);
+            Duration::from_micros(micros).clamp(TIMEOUT_MIN, TIMEOUT_MAX)
         })
     }
 }
@@ -85,19 +91,19 @@ pub(crate) struct ClockFilter {
 
 const SAMPLES_MAX: usize = 16;
 /// Older samples are forgotten, as clocks drift (100 ppm: 3 ms in that time).
-const SAMPLE_LIFE: i64 = 30_000_000;
+const SAMPLE_LIFE: Duration = Duration::from_secs(30);
 
 impl ClockFilter {
     /// Takes in an exchange: own send, peer's receipt, peer's send, own receipt. The peer's two are on its clock.
     pub(crate) fn sample(&mut self, sent: Stamp, peer_received: Stamp, peer_sent: Stamp, received: Stamp) {
         let round_trip = received.micros_since(sent).saturating_sub(peer_sent.micros_since(peer_received));
-        if !(0..=60_000_000).contains(&round_trip) {
+        if !(0..=SAMPLE_MAX.as_micros() as i64).contains(&round_trip) {
             return;
         }
         let (there, back) = (peer_received.micros_since(sent), peer_sent.micros_since(received));
         let offset = ((i128::from(there) + i128::from(back)).div_euclid(2)) as i64;
         while self.samples.len() >= SAMPLES_MAX
-            || self.samples.front().is_some_and(|s| received.micros_since(s.0) > SAMPLE_LIFE)
+            || self.samples.front().is_some_and(|s| received.since(s.0) > SAMPLE_LIFE)
         {
             self.samples.pop_front();
         }
@@ -116,17 +122,17 @@ mod tests {
 
     #[test]
     fn round_trip_follows_its_samples() {
-        let mut round_trip = RoundTrip::new(300_000);
-        assert_eq!(round_trip.timeout(), 300_000);
+        let mut round_trip = RoundTrip::new(Duration::from_millis(300));
+        assert_eq!(round_trip.timeout(), Duration::from_millis(300));
         for _ in 0..50 {
-            round_trip.sample(40_000);
+            round_trip.sample(Duration::from_millis(40));
         }
-        assert_eq!(round_trip.micros(), Some(40_000));
-        assert_eq!(round_trip.timeout(), 40_000 + GRANULARITY);
-        round_trip.sample(-5);
-        assert_eq!(round_trip.micros(), Some(40_000));
-        round_trip.sample(200_000);
-        assert!(round_trip.timeout() > 100_000);
+        assert_eq!(round_trip.mean(), Some(Duration::from_millis(40)));
+        assert_eq!(round_trip.timeout(), Duration::from_micros(40_000 + GRANULARITY_MICROS));
+        round_trip.sample(SAMPLE_MAX + Duration::from_micros(1));
+        assert_eq!(round_trip.mean(), Some(Duration::from_millis(40)));
+        round_trip.sample(Duration::from_millis(200));
+        assert!(round_trip.timeout() > Duration::from_millis(100));
     }
 
     #[test]

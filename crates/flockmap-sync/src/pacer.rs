@@ -8,9 +8,9 @@ use flockmap_grid::Stamp;
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::VecDeque;
 
-const SECOND: i64 = 1_000_000;
+const SECOND_MICROS: i64 = 1_000_000;
 /// Bytes sent within one such slot are counted as sent at its end, so the second is kept to the safe side.
-const SLOT: i64 = 10_000;
+const SLOT_MICROS: i64 = 10_000;
 /// Budgets of at least so much hold in every second.
 const THIN_BYTES_PER_S: i64 = 2_000;
 
@@ -32,7 +32,8 @@ impl Pacer {
     /// Of less than 2,000 bytes a second: at most `burst_bytes` + `bytes_per_s` · T in any T seconds.
     pub(crate) fn new(bytes_per_s: u32, burst_bytes: u32) -> Self {
         let is_thin = i64::from(bytes_per_s) < THIN_BYTES_PER_S;
-        let burst = i64::from(if is_thin { burst_bytes } else { burst_bytes.min(bytes_per_s) }) * SECOND;
+        let burst =
+            i64::from(if is_thin { burst_bytes } else { burst_bytes.min(bytes_per_s) }) * SECOND_MICROS;
         Self {
             bytes_per_s: i64::from(bytes_per_s),
             burst,
@@ -50,7 +51,7 @@ impl Pacer {
         }
         self.advance(now);
         // A debt is allowed for one datagram longer than the burst: it is paid before the next.
-        let lacking = (bytes as i64 * SECOND).min(self.burst) - self.tokens;
+        let lacking = (bytes as i64 * SECOND_MICROS).min(self.burst) - self.tokens;
         let bucket = (lacking > 0).then(|| now.plus_micros(ceil_div(lacking, self.bytes_per_s)));
         if self.bytes_per_s < THIN_BYTES_PER_S {
             return bucket;
@@ -61,7 +62,7 @@ impl Pacer {
             let mut ready = now.plus_micros(1);
             for &(slot, sent) in &self.sent {
                 over -= sent;
-                ready = Stamp((slot + 1) * SLOT + SECOND);
+                ready = Stamp((slot + 1) * SLOT_MICROS + SECOND_MICROS);
                 if over <= 0 {
                     break;
                 }
@@ -74,12 +75,12 @@ impl Pacer {
     /// Counts bytes as sent.
     pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
         self.advance(now);
-        self.tokens -= bytes as i64 * SECOND;
+        self.tokens -= bytes as i64 * SECOND_MICROS;
         if self.bytes_per_s < THIN_BYTES_PER_S {
             return;
         }
         self.sent_sum += bytes as i64;
-        let slot = now.0.div_euclid(SLOT);
+        let slot = now.0.div_euclid(SLOT_MICROS);
         match self.sent.back_mut() {
             Some(last) if last.0 == slot => last.1 += bytes as i64,
             _ => self.sent.push_back((slot, bytes as i64)),
@@ -87,11 +88,11 @@ impl Pacer {
     }
 
     fn advance(&mut self, now: Stamp) {
-        let elapsed = now.micros_since(self.filled_at).clamp(0, SECOND * 3_600);
+        let elapsed = now.micros_since(self.filled_at).clamp(0, SECOND_MICROS * 3_600);
         self.tokens = self.tokens.saturating_add(elapsed.saturating_mul(self.bytes_per_s)).min(self.burst);
         self.filled_at = self.filled_at.max(now);
         while let Some(&(slot, sent)) = self.sent.front()
-            && (slot + 1) * SLOT + SECOND <= now.0
+            && (slot + 1) * SLOT_MICROS + SECOND_MICROS <= now.0
         {
             self.sent_sum -= sent;
             self.sent.pop_front();
@@ -134,7 +135,7 @@ mod tests {
                 }
                 pacer.spend(now, bytes);
                 sent.push((now.0, bytes));
-                let second: usize = sent.iter().filter(|s| s.0 > now.0 - SECOND).map(|s| s.1).sum();
+                let second: usize = sent.iter().filter(|s| s.0 > now.0 - SECOND_MICROS).map(|s| s.1).sum();
                 prop_assert!(second <= bytes_per_s as usize, "{second} bytes in a second");
             }
         }
@@ -161,8 +162,8 @@ mod tests {
                 let mut sum = 0;
                 for &(at, bytes) in sent.iter().rev() {
                     sum += bytes;
-                    let allowed = 1_300 * SECOND + i64::from(bytes_per_s) * (now.0 - at);
-                    prop_assert!(sum * SECOND <= allowed, "{sum} bytes in {} µs", now.0 - at);
+                    let allowed = 1_300 * SECOND_MICROS + i64::from(bytes_per_s) * (now.0 - at);
+                    prop_assert!(sum * SECOND_MICROS <= allowed, "{sum} bytes in {} µs", now.0 - at);
                 }
             }
         }
@@ -173,7 +174,7 @@ mod tests {
         for bytes_per_s in [500, 1_024, 1_999] {
             let mut pacer = Pacer::new(bytes_per_s, 1_300);
             let (mut now, mut sent) = (Stamp(0), 0);
-            while now < Stamp(100 * SECOND) {
+            while now < Stamp(100 * SECOND_MICROS) {
                 match pacer.wait(now, 1_228) {
                     Some(ready) => now = ready,
                     None => {
@@ -190,7 +191,7 @@ mod tests {
     fn spreads_over_time_and_uses_the_budget() {
         let mut pacer = Pacer::new(10_000, 2_000);
         let (mut now, mut sent) = (Stamp(0), 0);
-        while now < Stamp(10 * SECOND) {
+        while now < Stamp(10 * SECOND_MICROS) {
             match pacer.wait(now, 1_000) {
                 Some(ready) => now = ready,
                 None => {

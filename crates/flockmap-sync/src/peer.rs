@@ -4,6 +4,7 @@ mod stream;
 
 pub(crate) use stream::{PEER_INTERVALS_MAX, PeerRequest, PeerStream, Sending, SentPackage};
 
+use crate::config::ms;
 use crate::counters::Traffic;
 use crate::item::Item;
 use crate::link::{ClockFilter, Loss, RoundTrip};
@@ -11,6 +12,7 @@ use crate::pacer::Pacer;
 use crate::path::PeerPath;
 use crate::wire::OriginRange;
 use crate::{IntervalSet, SessionConfig};
+use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -21,14 +23,14 @@ const ORIGIN_INTERVALS_MAX: usize = 256;
 pub(crate) const UNPLACED_MAX: usize = 128;
 
 /// Datagrams that follow each other within this time are one burst.
-const BURST: i64 = 100_000;
+const BURST_MICROS: i64 = 100_000;
 /// A peer is silent after so many of its usual pauses. Of a radio that loses every second datagram, one pause in thousands is that long.
 const SILENT_PAUSES: i64 = 8;
 /// And not before this time.
-const SILENT_MIN: i64 = 1_500_000;
+const SILENT_MIN_MICROS: i64 = 1_500_000;
 
 /// A robot has heard those in reach, and said so, after this time.
-const ACQUAINTANCE: i64 = 1_000_000;
+const ACQUAINTANCE: Duration = Duration::from_secs(1);
 
 /// Whether there is a sign of life of a robot: it is heard here, or by a peer.
 pub(crate) fn is_heard(peers: &BTreeMap<RobotId, Peer>, robot: RobotId) -> bool {
@@ -48,8 +50,8 @@ pub(crate) struct Peer {
     pub(crate) stream: Stream,
     pub(crate) last_heard: Stamp,
     first_heard: Stamp,
-    /// Smoothed pause between its datagrams in microseconds, each burst taken as one.
-    pause: i64,
+    /// Smoothed pause between its datagrams, each burst taken as one.
+    pause_micros: i64,
     /// Newest send stamp of any of its datagrams, and when that one was received.
     pub(crate) newest_stamp: Stamp,
     pub(crate) newest_stamp_at: Stamp,
@@ -94,7 +96,7 @@ impl Peer {
             stream,
             last_heard: now,
             first_heard: now,
-            pause: 1_000_000,
+            pause_micros: 1_000_000,
             newest_stamp: Stamp(i64::MIN),
             newest_stamp_at: now,
             request: None,
@@ -110,7 +112,7 @@ impl Peer {
             offer_at: now,
             queue: VecDeque::new(),
             queue_stale: false,
-            round_trip: RoundTrip::new(i64::from(config.round_trip_initial_ms) * 1_000),
+            round_trip: RoundTrip::new(ms(config.round_trip_initial_ms)),
             clock: ClockFilter::default(),
             loss: Loss::default(),
             pacer: config
@@ -126,20 +128,20 @@ impl Peer {
     /// Notes that something of it was heard.
     pub(crate) fn note_heard(&mut self, now: Stamp) {
         let pause = now.micros_since(self.last_heard);
-        if pause >= BURST {
-            self.pause += (pause - self.pause) / 8;
+        if pause >= BURST_MICROS {
+            self.pause_micros += (pause - self.pause_micros) / 8;
         }
         self.last_heard = now;
     }
 
     /// Whether it may not have said yet whom it hears.
-    pub(crate) const fn is_new(&self, now: Stamp) -> bool {
-        now.micros_since(self.first_heard) < ACQUAINTANCE
+    pub(crate) fn is_new(&self, now: Stamp) -> bool {
+        now.since(self.first_heard) < ACQUAINTANCE
     }
 
     /// Whether it has said nothing for far longer than usual: then most of what is sent to it is sent in vain.
     pub(crate) fn is_silent(&self, now: Stamp) -> bool {
-        now.micros_since(self.last_heard) > (SILENT_PAUSES * self.pause).max(SILENT_MIN)
+        now.micros_since(self.last_heard) > (SILENT_PAUSES * self.pause_micros).max(SILENT_MIN_MICROS)
     }
 
     /// Whether the peer hears this robot; assumed if its list was cut.
@@ -224,7 +226,7 @@ impl Peer {
         }
         let timeout = self.round_trip.timeout();
         if self.in_flight.len() >= in_flight_max
-            && self.in_flight.front().is_some_and(|oldest| now.micros_since(oldest.at) >= timeout)
+            && self.in_flight.front().is_some_and(|oldest| now.since(oldest.at) >= timeout)
         {
             self.in_flight.pop_front();
         }
@@ -302,7 +304,7 @@ mod tests {
         peer.cover(item(1, 2), Stamp(2), 6);
         assert_eq!((peer.in_flight.len(), peer.in_flight[0].item), (6, item(1, 1)));
         assert!(!peer.lacks(item(1, 2)), "it is kept back until the next request");
-        peer.cover(item(1, 2), Stamp(peer.round_trip.timeout()), 6);
+        peer.cover(item(1, 2), Stamp(0).plus(peer.round_trip.timeout()), 6);
         assert_eq!((peer.in_flight.len(), peer.in_flight[5].item), (6, item(1, 2)));
     }
 }

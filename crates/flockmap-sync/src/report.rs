@@ -3,6 +3,7 @@
 use crate::Counters;
 use crate::counters::Traffic;
 use crate::event::Event;
+use core::time::Duration;
 use flockmap_grid::{Stamp, Stream};
 use std::collections::VecDeque;
 
@@ -23,8 +24,8 @@ pub struct PeerInfo {
     pub last_heard: Stamp,
     /// Whether it hears this robot, as far as its last request says.
     pub hears_us: bool,
-    /// Smoothed round trip in microseconds, once measured.
-    pub round_trip_micros: Option<i64>,
+    /// Smoothed round trip, once measured.
+    pub round_trip: Option<Duration>,
     /// Its clock minus the own clock in microseconds: as given, else as measured.
     pub clock_offset_micros: Option<i64>,
     /// Packages sent to it and not yet confirmed.

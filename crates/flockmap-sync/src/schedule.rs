@@ -1,6 +1,7 @@
 //! When requests go out.
 
 use crate::timers::{Timer, Timers};
+use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 /// When requests are due, and where they begin.
@@ -13,7 +14,7 @@ pub(crate) struct Schedule {
     pub(crate) probes_left: u8,
     pub(crate) last: Stamp,
     /// Least pause after the last request, so that requests leave most of a small budget to packages.
-    pub(crate) budget_pause: i64,
+    pub(crate) budget_pause: Duration,
     pub(crate) last_activity: Stamp,
     /// Requests made: lists that do not fit begin at another place each time.
     pub(crate) count: usize,
@@ -37,7 +38,7 @@ impl Schedule {
             gap_tries: 0,
             probes_left: 0,
             last: never,
-            budget_pause: 0,
+            budget_pause: Duration::ZERO,
             last_activity: never,
             count: 0,
             cursor: RobotId(0),
@@ -45,6 +46,11 @@ impl Schedule {
             superseded: None,
             superseded_sent: None,
         }
+    }
+
+    /// A span below this one.
+    pub(crate) fn jitter(&mut self, below: Duration) -> Duration {
+        Duration::from_micros(self.random(below.as_micros() as u64))
     }
 
     /// A number from 0 to `below` − 1 (SplitMix64).

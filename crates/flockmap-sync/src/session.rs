@@ -17,6 +17,7 @@ mod timing;
 mod transfers;
 
 use crate::clocks::Clocks;
+use crate::config::ms;
 use crate::event::{Destination, Event, PublishError, Transmit};
 use crate::identity::Identity;
 use crate::inbox::{Inbox, PENDING_MAX};
@@ -199,7 +200,8 @@ impl Session {
         if mutation::is(Mutation::TimeStandsStill) {
             return Some(self.clocks.now());
         }
-        let lost = self.peers.values().map(|peer| peer.last_heard.plus_micros(self.peer_timeout())).min();
+        let lost =
+            self.peers.values().map(|peer| peer.last_heard.plus(ms(self.config.peer_timeout_ms))).min();
         // A request that is due already waits for the budget, like everything else: the timer of that says until when.
         let budget = self.schedule.timers.get(Timer::Budget);
         let request = self.schedule.timers.next(&Timer::REQUESTS);
@@ -241,8 +243,8 @@ impl Session {
             stream: peer.stream,
             last_heard: peer.last_heard,
             hears_us: peer.hears(self.identity.own.origin),
-            round_trip_micros: peer.round_trip.micros(),
-            clock_offset_micros: self.clock_offset(peer.stream),
+            round_trip: peer.round_trip.mean(),
+            clock_offset_micros: self.clock_offset_micros(peer.stream),
             in_flight: peer.in_flight.len(),
             traffic_in: peer.traffic_in,
             traffic_out: peer.traffic_out,
@@ -268,7 +270,7 @@ impl Session {
 
     /// The clock of a stream's robot minus the own clock, in microseconds: as given, else as measured with that
     /// robot, else through a peer that hears it, else as last measured.
-    pub fn clock_offset(&self, stream: Stream) -> Option<i64> {
+    pub fn clock_offset_micros(&self, stream: Stream) -> Option<i64> {
         if stream == self.identity.own {
             return Some(0);
         }
@@ -300,12 +302,9 @@ impl Session {
     /// Moves the own clock on and forgets peers that fell silent.
     fn advance(&mut self, now: Stamp) -> Stamp {
         let now = self.clocks.advance(now);
-        let timeout = self.peer_timeout();
-        while let Some(lost) = self
-            .peers
-            .values()
-            .find(|peer| now.micros_since(peer.last_heard) >= timeout)
-            .map(|peer| peer.stream)
+        let timeout = ms(self.config.peer_timeout_ms);
+        while let Some(lost) =
+            self.peers.values().find(|peer| now.since(peer.last_heard) >= timeout).map(|peer| peer.stream)
         {
             self.silence(lost.origin);
             self.identity.replays.forget_window(lost.origin);
@@ -345,10 +344,6 @@ impl Session {
     /// Longest package that fits into a datagram: header, record type and length go off.
     const fn package_bytes_max(&self) -> usize {
         self.plain_bytes_max(Kind::Packages) - crate::wire::HEADER_BYTES - 3
-    }
-
-    fn peer_timeout(&self) -> i64 {
-        i64::from(self.config.peer_timeout_ms) * 1_000
     }
 
     const fn header(&self, now: Stamp, kind: Kind) -> DatagramHeader {

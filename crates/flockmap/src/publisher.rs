@@ -5,6 +5,7 @@ mod packer;
 mod repair;
 mod sent;
 
+use core::time::Duration;
 use flockmap_codec::{Base, Batch, Codec, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Span};
 use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Plane, Pose, Stamp, Stream, Which};
 use flockmap_sync::{Pace, Session};
@@ -15,10 +16,10 @@ pub use packer::Packer;
 use repair::RepairDelay;
 use sent::SentHistory;
 
-/// A batch that the budget holds back is looked at again after so many microseconds.
-const DEFER_PAUSE: i64 = 10_000;
+/// A batch that the budget holds back is looked at again after so long.
+const DEFER_PAUSE: Duration = Duration::from_millis(10);
 /// And where there was nothing to publish, after so many.
-const NOTHING_PAUSE: i64 = 50_000;
+const NOTHING_PAUSE: Duration = Duration::from_millis(50);
 
 /// Takes what has changed from the mapper, when and as far as the radio takes it, and makes packages of it.
 pub(crate) struct Publisher {
@@ -126,10 +127,10 @@ impl Publisher {
         };
         let room = self.cost.room(bytes_per_s);
         let since = self.deferred.map_or(now, |deferred| deferred.since);
-        if waits && now.micros_since(since) < room.defer_max {
+        if waits && now.since(since) < room.defer_max {
             counters.batches_deferred += u64::from(self.deferred.is_none());
-            self.deferred = Some(Deferred { since, until: now.plus_micros(DEFER_PAUSE) });
-            if now.micros_since(since) >= self.packer.period() {
+            self.deferred = Some(Deferred { since, until: now.plus(DEFER_PAUSE) });
+            if now.since(since) >= self.packer.period() {
                 self.packer.note_late();
             }
             return None;
@@ -138,7 +139,7 @@ impl Publisher {
         let closed = self.packer.close_part(now, mapper, room, |block| believed_occupied(fusion, block));
         if closed.is_none() {
             // There may be nothing but what a team-mate knows better.
-            self.deferred = Some(Deferred { since: now, until: now.plus_micros(NOTHING_PAUSE) });
+            self.deferred = Some(Deferred { since: now, until: now.plus(NOTHING_PAUSE) });
         } else {
             counters.batches_in_parts +=
                 u64::from(self.packer.deadline(mapper).is_some_and(|due| due <= now));

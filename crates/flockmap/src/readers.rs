@@ -1,5 +1,6 @@
 //! Snapshots whose chunks build on one another, as far as they have been read.
 
+use core::time::Duration;
 use flockmap_codec::{ChunksRead, Codec, ContentKind, Decoder, Package, PackageError};
 use flockmap_grid::{Snapshot, Stamp, Stream};
 
@@ -9,7 +10,7 @@ use crate::Refusal;
 const BYTES_MIN: usize = 8 << 20;
 
 /// A snapshot of which nothing more was merged for so long goes for others: as long as the session waits for chunks of one.
-const STALE: i64 = 30_000_000;
+const STALE: Duration = Duration::from_secs(30);
 
 /// Bytes that the snapshots being read may hold together: half of what layers may hold.
 pub(crate) const fn bytes_max(layer_bytes_max: usize) -> usize {
@@ -76,7 +77,7 @@ impl Readers {
             (reader.number, reader.read.memory_bytes(), reader.read.memory_bytes_with(chunk));
         let refused = Refusal::Chunks { received, max };
         // First those that stay whatever comes, then the others, of which as many stay as fit.
-        let rank = |reader: &Reader| (now.micros_since(reader.progress_at) >= STALE, reader.number);
+        let rank = |reader: &Reader| (now.since(reader.progress_at) >= STALE, reader.number);
         let others = self.readers.iter().filter(|other| other.id != id);
         let mut others: Vec<_> = others.map(|other| (rank(other), other)).collect();
         others.sort_unstable_by_key(|(rank, _)| *rank);
@@ -200,7 +201,7 @@ mod tests {
         assert_eq!(readers.readers.len(), 3, "nothing goes where something is refused");
         assert_eq!(give(&mut readers, now, 1, 1).unwrap(), [2]);
         // The first stands still: for the time of a transfer it keeps its place.
-        assert!(give(&mut readers, Stamp(STALE - 1), 3, 0).is_err());
-        assert_eq!(give(&mut readers, Stamp(STALE), 3, 0).unwrap(), [1]);
+        assert!(give(&mut readers, Stamp(0).plus(STALE - Duration::from_micros(1)), 3, 0).is_err());
+        assert_eq!(give(&mut readers, Stamp(0).plus(STALE), 3, 0).unwrap(), [1]);
     }
 }

@@ -6,6 +6,7 @@ mod restore;
 
 pub use restore::RestoreError;
 
+use core::time::Duration;
 use std::collections::BTreeMap;
 
 use std::borrow::Cow;
@@ -105,12 +106,12 @@ impl Robot {
         T_map_sensor.check(self.config.mapper.resolution)?;
         let now = self.advance(now);
         let stamp = scan.stamp.min(now);
-        let timeout = 1_000 * i64::from(self.config.teammate_timeout_ms);
+        let timeout = Duration::from_millis(self.config.teammate_timeout_ms.into());
         let radius = self.config.teammate_radius_m;
         let masks = self.teammates.values_mut().filter_map(|teammate| {
             // Else it would not be taken for an obstacle for as long as its clock is ahead.
             teammate.seen = teammate.seen.min(now);
-            let is_fresh = now.micros_since(teammate.seen) <= timeout;
+            let is_fresh = now.since(teammate.seen) <= timeout;
             is_fresh.then_some(Sphere { centre: teammate.position, radius })
         });
         let masks: Vec<Sphere> = masks.collect();

@@ -26,7 +26,7 @@ struct Arrival {
 }
 
 /// Times of arrival are rounded up to a multiple of this.
-const TICK: i64 = 250_000;
+const TICK_MICROS: i64 = 250_000;
 /// Most of them.
 const ARRIVALS_MAX: usize = 4_096;
 
@@ -34,7 +34,7 @@ impl Received {
     /// Notes that something with this stamp has come. With how far the clock is off now, whether something that came earlier counts as made
     /// at another time than before, which can be once in a thousand arrivals.
     pub(super) fn note(&mut self, stamp: Stamp, now: Stamp, clock_offset_micros: i64) -> bool {
-        let by = Stamp(now.0.saturating_sub(now.0.rem_euclid(TICK)).saturating_add(TICK));
+        let by = Stamp(now.0.saturating_sub(now.0.rem_euclid(TICK_MICROS)).saturating_add(TICK_MICROS));
         let mut is_changed = false;
         match self.arrivals.last_mut() {
             Some(last) if stamp <= last.newest => return false,
@@ -109,7 +109,7 @@ mod tests {
     /// The rule in plain words: not before anything of the stream with that stamp or a newer one had come, to a tick.
     fn naive(arrivals: &[(Stamp, Stamp)], stamp: Stamp, offset: i64) -> Stamp {
         let came = arrivals.iter().filter(|(other, _)| *other >= stamp).map(|(_, at)| i128::from(at.0)).min();
-        let tick = i128::from(TICK);
+        let tick = i128::from(TICK_MICROS);
         let by = came.map(|at| (at.div_euclid(tick) + 1) * tick);
         let stated = (i128::from(stamp.0) + i128::from(offset)).clamp(i64::MIN.into(), i64::MAX.into());
         let made = by.map_or(stated, |by| by.min(stated));
@@ -137,7 +137,7 @@ mod tests {
                 for (offset, _) in &asked {
                     let made = received.made(Stamp(stamp), *offset);
                     prop_assert_eq!(made, naive(&model, Stamp(stamp), *offset));
-                    prop_assert!(made <= now.plus_micros(TICK));
+                    prop_assert!(made <= now.plus_micros(TICK_MICROS));
                 }
             }
             // Of what stands in a layer, every stamp has come.
@@ -174,9 +174,11 @@ mod tests {
         }
         assert!((1..20).contains(&changed), "{changed} times something that came earlier counts otherwise");
         let made: Vec<i64> = (0..20_000).map(|arrival| received.made(Stamp(day + arrival), 0).0).collect();
-        assert!(made.iter().zip(0..).all(|(made, arrival)| *made <= arrival * second + TICK));
+        assert!(made.iter().zip(0..).all(|(made, arrival)| *made <= arrival * second + TICK_MICROS));
         assert!(made.is_sorted());
         // And what came lately is kept exactly.
-        assert!(made.iter().zip(0..).skip(18_500).all(|(made, arrival)| *made == arrival * second + TICK));
+        assert!(
+            made.iter().zip(0..).skip(18_500).all(|(made, arrival)| *made == arrival * second + TICK_MICROS)
+        );
     }
 }

@@ -2,11 +2,12 @@
 
 use crate::IntervalSet;
 use crate::store::RECEIVED_INTERVALS_MAX;
+use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
 /// Silence after which a transfer is dropped.
-pub(crate) const ABANDONED: i64 = 30_000_000;
+pub(crate) const ABANDONED: Duration = Duration::from_secs(30);
 
 /// A snapshot that is being received.
 #[derive(Debug)]
@@ -71,6 +72,6 @@ impl Transfer {
 
     /// Nothing has come of it for long. A complete one waits longer, for the packages before it.
     pub(crate) fn is_abandoned(&self, now: Stamp) -> bool {
-        now.micros_since(self.touched) > if self.is_complete() { 10 * ABANDONED } else { ABANDONED }
+        now.since(self.touched) > if self.is_complete() { 10 * ABANDONED } else { ABANDONED }
     }
 }

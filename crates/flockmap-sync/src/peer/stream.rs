@@ -115,7 +115,7 @@ impl Sending {
 
     /// A peer that does not speak of the snapshot for long has forgotten it, or has not heard of it yet.
     pub(crate) fn note_silence(&mut self, now: Stamp) {
-        if now.micros_since(self.named_at) > ABANDONED {
+        if now.since(self.named_at) > ABANDONED {
             self.named_at = now;
             self.unheeded = UNHEEDED_MAX;
             self.accepted = IntervalSet::new(PEER_INTERVALS_MAX);

@@ -7,13 +7,14 @@ use crate::outbox::Outbox;
 use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, Sending, SentPackage};
 use crate::wire::{DatagramHeader, Request, TransferProgress};
 use crate::{InFlight, IntervalSet, Relay};
+use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::BTreeSet;
 
 /// A stamp below an earlier one means that the datagram was overtaken in flight, since the clock of a run never goes back. But the earlier
 /// one may be false where there is no key: then it counts for so long.
-const UNSEALED_STAMP_COUNTS: i64 = 5_000_000;
+const UNSEALED_STAMP_COUNTS: Duration = Duration::from_secs(5);
 
 /// A peer that got one package in so many of those that it missed one relay delay ago is being served.
 const SERVED_SHARE: u64 = 16;
@@ -23,7 +24,7 @@ impl Session {
         let id = header.sender.origin;
         let Some(peer) = self.peers.get(&id) else { return };
         let superseded =
-            |(newest, at): (Stamp, Stamp)| header.stamp <= newest && self.stamp_counts(now.micros_since(at));
+            |(newest, at): (Stamp, Stamp)| header.stamp <= newest && self.stamp_counts(now.since(at));
         if peer.request.is_some_and(superseded) {
             self.report.counters.stale_requests += 1;
             return;
@@ -38,8 +39,8 @@ impl Session {
         }
     }
 
-    /// Whether a stamp that came so many microseconds ago still shows which datagrams are older.
-    pub(super) const fn stamp_counts(&self, age: i64) -> bool {
+    /// Whether a stamp that came so long ago still shows which datagrams are older.
+    pub(super) fn stamp_counts(&self, age: Duration) -> bool {
         self.config.swarm_key.is_some() || age < UNSEALED_STAMP_COUNTS
     }
 
@@ -49,7 +50,7 @@ impl Session {
         now: Stamp,
         header: &DatagramHeader,
         request: &Request,
-    ) -> Option<(Stamp, i64)> {
+    ) -> Option<(Stamp, Duration)> {
         let peer = self.peers.get_mut(&header.sender.origin)?;
         peer.request = Some((header.stamp, now));
         peer.queue_stale = true;
@@ -60,9 +61,11 @@ impl Session {
             echo.robot == self.identity.own.origin && echo.epoch_low == self.identity.own.epoch as u16
         };
         let echo = request.echoes.iter().find(own)?;
-        let (sent, age) = (echo.stamp(now), i64::from(echo.age_micros));
-        peer.round_trip.sample(now.micros_since(sent) - age);
-        peer.clock.sample(sent, header.stamp.plus_micros(-age), header.stamp, now);
+        let (sent, age) = (echo.stamp(now), Duration::from_micros(echo.age_micros.into()));
+        if let Some(round_trip) = now.since(sent).checked_sub(age) {
+            peer.round_trip.sample(round_trip);
+        }
+        peer.clock.sample(sent, header.stamp.plus_micros(-i64::from(echo.age_micros)), header.stamp, now);
         if let Some(offset) = peer.clock.offset()
             && self.store.received(peer.stream).is_some()
         {
@@ -162,17 +165,22 @@ impl Session {
     }
 
     /// Goes through all that is in flight to the peer: confirmed, lost or still in flight.
-    fn settle_in_flight(&mut self, now: Stamp, id: RobotId, request: &Request, echo: Option<(Stamp, i64)>) {
+    fn settle_in_flight(
+        &mut self,
+        now: Stamp,
+        id: RobotId,
+        request: &Request,
+        echo: Option<(Stamp, Duration)>,
+    ) {
         let Some(peer) = self.peers.get_mut(&id) else { return };
-        let patience = (2 * peer.round_trip.variation())
-            .clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
+        let patience = self.config.patience(peer.round_trip.variation());
         let timeout = peer.round_trip.timeout();
         let is_lost = |sent: &SentPackage| match self.config.in_flight {
             InFlight::PreviousRequest => sent.requests >= 2,
             InFlight::RoundTrip => match echo.filter(|(stamp, _)| *stamp >= sent.at) {
                 // The peer has heard something sent with it or later: how long has it waited since?
-                Some((stamp, age)) => stamp.micros_since(sent.at) + age >= patience,
-                None => now.micros_since(sent.at) >= timeout,
+                Some((stamp, age)) => stamp.since(sent.at) + age >= patience,
+                None => now.since(sent.at) >= timeout,
             },
         };
         let (mut confirmed, mut lost) = (0, 0);
@@ -229,7 +237,7 @@ impl Session {
             if let Some(sending) = sending.filter(|sending| sending.snapshot_id == snapshot_id) {
                 sending.note_unheeded(now);
                 if sending.is_ignored() {
-                    peer.offer_at = now.plus_micros(OFFER_PAUSE);
+                    peer.offer_at = now.plus(OFFER_PAUSE);
                 }
             }
         }
@@ -258,14 +266,14 @@ impl Session {
         };
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(received) = self.store.received(stream) else { return };
-        let delay = i64::from(relay_rank) * i64::from(self.config.relay_delay_ms) * 1_000;
+        let delay = self.config.relay_delay(relay_rank);
         let Some(theirs) = peer.theirs(stream, now) else { return };
         if relay_rank == 0 {
             return;
         }
         let mut missing = received.within(theirs.from.max(1), u32::MAX).difference(&theirs.received);
         missing.keep_newest(PEER_INTERVALS_MAX);
-        if now.micros_since(theirs.missing_then.0) >= delay {
+        if now.since(theirs.missing_then.0) >= delay {
             let then = &theirs.missing_then.1;
             let still = then.intersection(&missing);
             // Where much of it has come meanwhile, or is coming as a snapshot, somebody is at it.

@@ -161,7 +161,7 @@ impl Session {
         }
         let overhead = self.config.datagram_overhead_bytes as usize;
         let newest_at = self.peers.get(&id).map_or(now, |peer| peer.newest_stamp_at);
-        let newest_counts = self.stamp_counts(now.micros_since(newest_at));
+        let newest_counts = self.stamp_counts(now.since(newest_at));
         if let Some(peer) = self.peers.get_mut(&id) {
             peer.note_heard(now);
             peer.traffic_in.add(1, bytes + overhead);

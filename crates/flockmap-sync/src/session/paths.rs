@@ -5,19 +5,18 @@ use super::Session;
 use crate::Cast;
 use crate::event::{Destination, Transmit};
 use crate::path::{Path, PeerPath};
-use crate::peer::Peer;
-use crate::timers::Timer;
 use crate::wire::{Kind, PathMessage};
+use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp};
 use flockmap_mutation::{self as mutation, Mutation};
 
 /// Challenges and answers that wait to be sent; more are dropped, and come again.
 const WAITING_MAX: usize = 64;
 /// Least pause between two challenges to a peer: each is an answer to a datagram, and not longer than the shortest of these.
-const CHALLENGE_PAUSE: i64 = 200_000;
+const CHALLENGE_PAUSE: Duration = Duration::from_millis(200);
 
-fn challenge_pause() -> i64 {
-    if mutation::is(Mutation::PathAskedAtOnce) { 0 } else { CHALLENGE_PAUSE }
+fn challenge_pause() -> Duration {
+    if mutation::is(Mutation::PathAskedAtOnce) { Duration::ZERO } else { CHALLENGE_PAUSE }
 }
 
 impl Session {
@@ -42,7 +41,7 @@ impl Session {
             return;
         }
         let number = match peer.path.tried {
-            Some((.., at)) if now.micros_since(at) < challenge_pause() => return,
+            Some((.., at)) if now.since(at) < challenge_pause() => return,
             Some((tried, number, _)) if tried == path => number,
             _ => number,
         };
@@ -80,15 +79,8 @@ impl Session {
         let &(id, path, message) = self.outbox.path_waiting.front()?;
         let bytes = message.emit(self.header(now, Kind::Path));
         let cost = bytes.len() + self.overhead(Kind::Path);
-        let link = self.peers.get_mut(&id).and_then(|peer: &mut Peer| peer.pacer.as_mut());
-        let mut pacers: Vec<_> = self.outbox.radio.iter_mut().chain(link).collect();
-        if let Some(ready) = pacers.iter_mut().filter_map(|pacer| pacer.wait(now, cost)).max() {
-            self.schedule.timers.set(Timer::Budget, ready);
-            self.report.counters.delayed_by_budget += 1;
+        if !self.spend(now, Destination::Peer(id), cost, 1) {
             return None;
-        }
-        for pacer in pacers {
-            pacer.spend(now, cost);
         }
         self.outbox.path_waiting.pop_front();
         self.report.counters.paths_out.add(1, cost);

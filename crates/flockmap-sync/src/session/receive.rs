@@ -204,7 +204,7 @@ impl Session {
     }
 
     fn accept_changes(&mut self, now: Stamp, stream: Stream, index: u32, package: &Package) {
-        let offset = self.clock_offset(stream);
+        let offset = self.clock_offset_micros(stream);
         let fresh_at =
             offset.map_or(now, |offset| package.header().batch_end.plus_micros(offset.saturating_neg()));
         let fills_gap =

@@ -31,18 +31,8 @@ impl Session {
         let (request, urgent) = self.request(now);
         let (bytes, origins) = request.emit_in_order(header, self.request_bytes_max(copies as usize), urgent);
         let each = bytes.len() + self.overhead(Kind::Request);
-        let total = each * copies as usize;
-        let radio = self.outbox.radio.iter_mut().map(|radio| (radio, total));
-        let links = self.peers.iter_mut().filter(|(id, _)| to.includes(**id));
-        let links = links.filter_map(|(_, peer)| Some((peer.pacer.as_mut()?, each)));
-        let mut pacers: Vec<_> = radio.chain(links).collect();
-        if let Some(ready) = pacers.iter_mut().filter_map(|(pacer, bytes)| pacer.wait(now, *bytes)).max() {
-            self.schedule.timers.set(Timer::Budget, ready);
-            self.report.counters.delayed_by_budget += 1;
+        if !self.spend(now, to, each, copies as usize) {
             return None;
-        }
-        for (pacer, bytes) in pacers {
-            pacer.spend(now, bytes);
         }
         self.schedule.budget_pause = self.budget_pause(each, copies as usize);
         self.report.counters.requests_out.add(copies, each);
@@ -62,6 +52,21 @@ impl Session {
             Destination::Everyone => None,
         };
         Some(Transmit { to, path, bytes })
+    }
+
+    /// Takes bytes from the budgets of the radio and of the links. `false`, with nothing taken: one of them has no room, and a timer says when it has.
+    pub(super) fn spend(&mut self, now: Stamp, to: Destination, each: usize, copies: usize) -> bool {
+        let radio = self.outbox.radio.iter_mut().map(|radio| (radio, each * copies));
+        let links = self.peers.iter_mut().filter(|(id, _)| to.includes(**id));
+        let links = links.filter_map(|(_, peer)| Some((peer.pacer.as_mut()?, each)));
+        let mut pacers: Vec<_> = radio.chain(links).collect();
+        if let Some(ready) = pacers.iter_mut().filter_map(|(pacer, bytes)| pacer.wait(now, *bytes)).max() {
+            self.schedule.timers.set(Timer::Budget, ready);
+            self.report.counters.delayed_by_budget += 1;
+            return false;
+        }
+        pacers.into_iter().for_each(|(pacer, bytes)| pacer.spend(now, bytes));
+        true
     }
 
     /// Longest request that leaves most of a second's worth of a small budget to packages.
@@ -104,10 +109,7 @@ impl Session {
                 age_micros: now.micros_since(peer.newest_stamp_at).clamp(0, i64::from(u32::MAX)) as u32,
             })
             .collect();
-        if !echoes.is_empty() {
-            let start = count * 8 % echoes.len();
-            echoes.rotate_left(start);
-        }
+        rotate(&mut echoes, count.wrapping_mul(8));
         let (received, urgent) = self.received_lists(now);
         let transfers = self.inbox.transfers.iter().map(|transfer| TransferProgress {
             source: transfer.source,
@@ -120,10 +122,7 @@ impl Session {
             accepted: union_with(&transfer.accepted, self.inbox.unwanted_chunks(transfer, now)),
         });
         let mut transfers: Vec<TransferProgress> = transfers.collect();
-        if !transfers.is_empty() {
-            let start = count % transfers.len();
-            transfers.rotate_left(start);
-        }
+        rotate(&mut transfers, count);
         let request = Request {
             origins: Some(OriginRange::all_from(self.schedule.cursor)),
             all_echoes: true,
@@ -147,10 +146,7 @@ impl Session {
             received: self.stated_as_received(stream, now),
         };
         let mut urgent: Vec<Stream> = self.gaps(now).collect();
-        if !urgent.is_empty() {
-            let start = self.schedule.count % urgent.len();
-            urgent.rotate_left(start);
-        }
+        rotate(&mut urgent, self.schedule.count);
         urgent.truncate(URGENT_MAX);
         let own = Some(self.identity.own).filter(|own| self.store.newest_known(*own) > 0);
         let first = own.into_iter().chain(self.schedule.superseded);
@@ -188,10 +184,7 @@ impl Session {
                 (!undecodable.is_empty()).then_some(SnapshotRequest { stream, since, from: 1, undecodable })
             })
             .collect();
-        if !wanted.is_empty() {
-            let start = self.schedule.count % wanted.len();
-            wanted.rotate_left(start);
-        }
+        rotate(&mut wanted, self.schedule.count);
         wanted
     }
 
@@ -245,6 +238,13 @@ impl Session {
                 })
             })
             .collect()
+    }
+}
+
+/// A list that may be cut begins at another place each time.
+fn rotate<T>(list: &mut [T], start: usize) {
+    if !list.is_empty() {
+        list.rotate_left(start % list.len());
     }
 }
 

@@ -4,13 +4,16 @@ use super::Session;
 use crate::event::Event;
 use crate::identity::Anew;
 use crate::wire::Request;
+use core::time::Duration;
 use flockmap_grid::{Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
 /// After beginning anew, it is done again not before this time; each time twice as long, up to the longest. Two robots with the same
 /// id would else outdo each other without end.
-const ANEW_PAUSE: i64 = 10_000_000;
-const ANEW_PAUSE_MAX: i64 = 3_600_000_000;
+const ANEW_PAUSE: Duration = Duration::from_secs(10);
+const ANEW_PAUSE_MAX: Duration = Duration::from_secs(3_600);
+/// Least pause between two reports that another robot has the same id.
+const SAME_IDENTITY_PAUSE: Duration = Duration::from_secs(10);
 
 impl Session {
     /// Looks at a stream that somebody named. One of the own id with an epoch that is not below the own one: a run before this one had a
@@ -37,11 +40,9 @@ impl Session {
         if self.identity.anew.not_before.is_none_or(|at| at <= now)
             && !mutation::is(Mutation::BeginAnewIgnored)
         {
-            let pause = (ANEW_PAUSE << self.identity.anew.times.min(16)).min(ANEW_PAUSE_MAX);
-            self.identity.anew = Anew {
-                times: self.identity.anew.times.saturating_add(1),
-                not_before: Some(now.plus_micros(pause)),
-            };
+            let pause = (ANEW_PAUSE * (1 << self.identity.anew.times.min(16))).min(ANEW_PAUSE_MAX);
+            self.identity.anew =
+                Anew { times: self.identity.anew.times.saturating_add(1), not_before: Some(now.plus(pause)) };
             self.report.counters.epoch_too_low += 1;
             self.push_event(Event::EpochTooLow { used });
         }
@@ -65,7 +66,7 @@ impl Session {
 
     pub(super) fn send_same_identity(&mut self, now: Stamp) {
         self.report.counters.same_identity += 1;
-        if self.identity.same_identity_sent.is_none_or(|sent| now.micros_since(sent) >= 10_000_000) {
+        if self.identity.same_identity_sent.is_none_or(|sent| now.since(sent) >= SAME_IDENTITY_PAUSE) {
             self.identity.same_identity_sent = Some(now);
             self.push_event(Event::SameIdentity);
         }

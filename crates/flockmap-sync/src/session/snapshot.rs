@@ -8,22 +8,23 @@ use crate::outbox::Outgoing;
 use crate::peer::{Peer, Sending, has_no_robot};
 use crate::store::Missing;
 use crate::wire::CONTENTS_BYTES_MAX;
+use core::time::Duration;
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
 /// Of snapshots that a peer ignores single chunks are offered, with this pause: who has no place for a snapshot is not to be sent it over and over.
-pub(super) const OFFER_PAUSE: i64 = 5_000_000;
+pub(super) const OFFER_PAUSE: Duration = Duration::from_secs(5);
 
 /// Of a run that has ended, a gap is taken for one that nobody fills when nothing new has come for so long.
-const GAP_STANDS: i64 = 10_000_000;
+const GAP_STANDS: Duration = Duration::from_secs(10);
 /// Longest chunk of a state of a history with gaps: what it contains goes with every chunk.
 const PARTS_CHUNK_BYTES_MAX: usize = flockmap_codec::PACKAGE_BYTES_MAX - CONTENTS_BYTES_MAX;
 
 /// The driver is asked again for the state of a stream after so long; where there was no room for it, and after it declined, later.
-const ASK_AGAIN: i64 = 2_000_000;
-const ASK_AGAIN_NO_ROOM: i64 = 5_000_000;
-const ASK_AGAIN_DECLINED: i64 = 30_000_000;
+const ASK_AGAIN: Duration = Duration::from_secs(2);
+const ASK_AGAIN_NO_ROOM: Duration = Duration::from_secs(5);
+const ASK_AGAIN_DECLINED: Duration = Duration::from_secs(30);
 
 impl Session {
     /// The answer to [`Event::SnapshotWanted`]: the layer of the stream, or what of it is newer, as chunks, all of one snapshot, all with
@@ -32,14 +33,14 @@ impl Session {
     pub fn provide_snapshot(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) {
         let now = self.advance(now);
         let Some(outgoing) = self.check_chunks(now, stream, chunks) else {
-            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN_DECLINED));
+            self.outbox.asked.insert(stream, now.plus(ASK_AGAIN_DECLINED));
             return;
         };
         self.outbox
             .snapshots
             .retain(|other| other.stream != stream || other.snapshot_id != outgoing.snapshot_id);
         if !self.make_room_for_chunks(outgoing.bytes) {
-            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN_NO_ROOM));
+            self.outbox.asked.insert(stream, now.plus(ASK_AGAIN_NO_ROOM));
             return;
         }
         self.outbox.snapshots.push(outgoing);
@@ -137,10 +138,10 @@ impl Session {
         let beyond = received.within(received.prefix().saturating_add(2), u32::MAX);
         let (Some(upto), Some(touched)) = (beyond.last(), self.store.touched(stream)) else { return };
         let is_withheld = mutation::is(Mutation::GapStatesWithheld);
-        if !self.has_ended(stream) || now.micros_since(touched) < GAP_STANDS || is_withheld {
+        if !self.has_ended(stream) || now.since(touched) < GAP_STANDS || is_withheld {
             return;
         }
-        let delay = i64::from(relay_rank) * i64::from(self.config.relay_delay_ms) * 1_000;
+        let delay = self.config.relay_delay(relay_rank);
         let Some(theirs) = self.peers.get(&id).and_then(|peer| peer.streams.get(&stream)) else { return };
         if theirs.sending.is_some() {
             return;
@@ -149,10 +150,8 @@ impl Session {
         if relay_rank > 0 {
             lacks = lacks.intersection(&theirs.overdue);
         }
-        let request = theirs
-            .snapshot_request
-            .as_ref()
-            .filter(|request| now.micros_since(request.stated_since) >= delay);
+        let request =
+            theirs.snapshot_request.as_ref().filter(|request| now.since(request.stated_since) >= delay);
         let request = request.map(|request| request.undecodable.intersection(&beyond));
         if self.store.first_unstored(stream, &lacks).is_none()
             && request.is_none_or(|request| request.is_empty())
@@ -180,7 +179,7 @@ impl Session {
     /// Asks the driver for a state of a stream, unless that was done a moment ago.
     fn request_snapshot(&mut self, now: Stamp, stream: Stream, wanted: Event) {
         if self.outbox.asked.get(&stream).is_none_or(|&again| again <= now) {
-            self.outbox.asked.insert(stream, now.plus_micros(ASK_AGAIN));
+            self.outbox.asked.insert(stream, now.plus(ASK_AGAIN));
             self.report.counters.snapshots_wanted += 1;
             self.push_event(wanted);
         }
@@ -222,8 +221,8 @@ impl Session {
             missing = missing.intersection(&theirs.overdue);
         }
         // Those further down the line wait whether others give it.
-        let delay = i64::from(relay_rank) * i64::from(self.config.relay_delay_ms) * 1_000;
-        let wanted = request.filter(|(.., at)| now.micros_since(*at) >= delay).map(|(_, upto, _)| upto);
+        let delay = self.config.relay_delay(relay_rank);
+        let wanted = request.filter(|(.., at)| now.since(*at) >= delay).map(|(_, upto, _)| upto);
         let Some(first) = missing.first().into_iter().chain(wanted).min() else { return };
         // Where packages are stored and cost less than the state, it is the part that they cannot bring that is wanted.
         since_max = if since_max == u32::MAX { first.saturating_sub(1) } else { since_max };

@@ -1,17 +1,19 @@
 //! When requests go out.
 
 use super::Session;
+use crate::config::ms;
 use crate::event::Destination;
 use crate::peer::Peer;
 use crate::timers::Timer;
+use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 /// New peers are greeted after at most so long, each robot at another time.
-const GREETING_JITTER: u64 = 20_000;
+const GREETING_JITTER: Duration = Duration::from_millis(20);
 /// Least pause before a greeting, so that ever new runs of a faulty peer do not make us talk without end.
-const GREETING_PAUSE: i64 = 50_000;
+const GREETING_PAUSE: Duration = Duration::from_millis(50);
 /// Least pause between requests that go out because a robot was heard in a former run: replays must not make us talk.
-const SUPERSEDED_PAUSE: i64 = 1_000_000;
+const SUPERSEDED_PAUSE: Duration = Duration::from_secs(1);
 /// So many requests for gaps go out at the shortest pause; after that the pause doubles each time. Over a radio that loses every
 /// second datagram, one round of request and answer in four succeeds.
 const GAP_TRIES: u32 = 10;
@@ -22,21 +24,21 @@ const SMALL_SWARM: usize = 8;
 /// After so many requests that brought nothing, a gap does not count as something that flows.
 const ACTIVE_TRIES: u32 = 64;
 /// Longest pause between requests for gaps that stay; periodic ones go on beside them.
-const GAP_PAUSE_MAX: i64 = 60_000_000;
+const GAP_PAUSE_MAX: Duration = Duration::from_secs(60);
 /// Requests in which the peers are made to look whether the end of a burst is lost.
 const PROBES: u8 = 2;
 /// Packages that follow this soon make a probe needless.
-const PROBE_AFTER: i64 = 120_000;
+const PROBE_AFTER: Duration = Duration::from_millis(120);
 /// Share of losses above which that is worth a datagram; below, the next packages show it soon enough.
 const PROBE_LOSS_MIN: u32 = crate::link::LOSS_ONE / 6;
 /// Requests take at most one part in so many of a budget over time …
-const BUDGET_SHARE_OVER_TIME: i64 = 8;
+const BUDGET_SHARE_OVER_TIME: u64 = 8;
 
 impl Session {
     /// Packages flow: the next periodic request is due sooner.
     pub(super) fn note_activity(&mut self, now: Stamp) {
-        let period = i64::from(self.config.request_period_active_ms) * 1_000;
-        let soon = now.plus_micros(period).max(self.schedule.last.plus_micros(self.schedule.budget_pause));
+        let period = ms(self.config.request_period_active_ms);
+        let soon = now.plus(period).max(self.schedule.last.plus(self.schedule.budget_pause));
         self.schedule.last_activity = now;
         self.schedule.timers.set_sooner(Timer::Request, soon);
     }
@@ -44,14 +46,14 @@ impl Session {
     /// A new peer: it should learn soon that it is heard.
     pub(super) fn greet(&mut self, now: Stamp) {
         let pause = GREETING_PAUSE.max(self.schedule.budget_pause);
-        let at = now.max(self.schedule.last.plus_micros(pause));
-        let at = at.plus_micros(self.schedule.random(GREETING_JITTER) as i64);
+        let at = now.max(self.schedule.last.plus(pause));
+        let at = at.plus(self.schedule.jitter(GREETING_JITTER));
         self.schedule.timers.set_sooner(Timer::Greeting, at);
     }
 
     /// A robot was heard in a run before the newest one that is known of it: it should learn of that one, and begin anew above it.
     pub(super) fn send_superseded(&mut self, now: Stamp, newest: Stream) {
-        if self.schedule.superseded_sent.is_none_or(|sent| now.micros_since(sent) >= SUPERSEDED_PAUSE) {
+        if self.schedule.superseded_sent.is_none_or(|sent| now.since(sent) >= SUPERSEDED_PAUSE) {
             self.schedule.superseded_sent = Some(now);
             self.schedule.superseded = Some(newest);
             self.greet(now);
@@ -76,20 +78,20 @@ impl Session {
             return;
         }
         let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
-        let patience = others.map(|peer| 2 * peer.round_trip.variation()).max().unwrap_or(0);
-        let patience = patience.clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
-        let at = now.plus_micros(patience).max(self.schedule.last.plus_micros(self.gap_pause(except)));
+        let variation = others.map(|peer| peer.round_trip.variation()).max().unwrap_or_default();
+        let patience = self.config.patience(variation);
+        let at = now.plus(patience).max(self.schedule.last.plus(self.gap_pause(except)));
         self.schedule.timers.set_sooner(Timer::Gap, at);
     }
 
     /// Pause between two requests for gaps: an answer needs the round trip at least.
-    fn gap_pause(&self, except: Option<RobotId>) -> i64 {
+    fn gap_pause(&self, except: Option<RobotId>) -> Duration {
         let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
         let tries = if others.clone().count() > SMALL_SWARM { GAP_TRIES_OF_MANY } else { GAP_TRIES };
-        let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
-        let shortest = (i64::from(self.config.gap_request_pause_ms) * 1_000).max(round_trip);
+        let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
+        let shortest = ms(self.config.gap_request_pause_ms).max(round_trip);
         let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
-        (shortest << doublings).min(GAP_PAUSE_MAX).max(self.schedule.budget_pause)
+        shortest.saturating_mul(1 << doublings).min(GAP_PAUSE_MAX).max(self.schedule.budget_pause)
     }
 
     /// A gap was filled: answers come, so what is still missing is worth asking for soon.
@@ -103,7 +105,7 @@ impl Session {
         let timeout = self.peers.values().filter(is_lossy).map(|peer| peer.round_trip.timeout()).max();
         match timeout {
             Some(timeout) => {
-                self.schedule.timers.set(Timer::Probe, now.plus_micros(timeout.max(PROBE_AFTER)));
+                self.schedule.timers.set(Timer::Probe, now.plus(timeout.max(PROBE_AFTER)));
                 self.schedule.probes_left = PROBES;
             }
             None => self.schedule.timers.stop(Timer::Probe),
@@ -114,7 +116,7 @@ impl Session {
     fn is_waiting_for_request(&self, now: Stamp) -> bool {
         self.peers.values().any(|peer| {
             let timeout = peer.round_trip.timeout();
-            peer.in_flight.back().is_some_and(|sent| now.micros_since(sent.at) >= timeout / 2)
+            peer.in_flight.back().is_some_and(|sent| now.since(sent.at) >= timeout / 2)
         })
     }
 
@@ -145,36 +147,36 @@ impl Session {
 
     /// Pause after a request of so many bytes, so that requests take no more than their share of the budget; short
     /// enough that the peers do not lose sight of this robot.
-    pub(super) fn budget_pause(&self, each: usize, copies: usize) -> i64 {
+    pub(super) fn budget_pause(&self, each: usize, copies: usize) -> Duration {
         let pause = |bytes: usize, rate: Option<u32>| {
-            rate.map_or(0, |rate| bytes as i64 * BUDGET_SHARE_OVER_TIME * 1_000_000 / i64::from(rate.max(1)))
+            let micros =
+                |rate: u32| bytes as u64 * BUDGET_SHARE_OVER_TIME * 1_000_000 / u64::from(rate.max(1));
+            Duration::from_micros(rate.map_or(0, micros))
         };
         pause(each * copies, self.config.radio_bytes_per_s)
             .max(pause(each, self.config.link_bytes_per_s))
-            .min(self.peer_timeout() / 3)
+            .min(ms(self.config.peer_timeout_ms) / 3)
     }
 
     pub(super) fn schedule_next(&mut self, now: Stamp, for_gap: bool, to: Destination) {
         if to == Destination::Everyone {
-            let flows =
-                now.micros_since(self.schedule.last_activity) < i64::from(self.config.active_for_ms) * 1_000;
+            let flows = now.since(self.schedule.last_activity) < ms(self.config.active_for_ms);
             let active = flows || (self.schedule.gap_tries < ACTIVE_TRIES && self.has_gap(now));
             let period = match active {
                 true => self.config.request_period_active_ms,
                 false => self.config.request_period_idle_ms,
             };
-            let period = u64::from(period) * 1_000;
-            let period = period.max(self.schedule.budget_pause as u64);
-            let jittered = period - period / 10 + self.schedule.random(period / 5);
-            self.schedule.timers.set(Timer::Request, now.plus_micros(jittered as i64));
+            let period = ms(period).max(self.schedule.budget_pause);
+            let jittered = period - period / 10 + self.schedule.jitter(period / 5);
+            self.schedule.timers.set(Timer::Request, now.plus(jittered));
             self.schedule.timers.stop(Timer::Greeting);
-            let timeout = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or(0);
+            let timeouts = self.peers.values().map(|peer| peer.round_trip.timeout());
             self.schedule.probes_left = self.schedule.probes_left.saturating_sub(1);
             if self.schedule.probes_left == 0 {
                 self.schedule.timers.stop(Timer::Probe);
             } else if self.schedule.timers.get(Timer::Probe).is_some() {
-                let at = now.plus_micros(timeout.max(self.schedule.budget_pause));
-                self.schedule.timers.set(Timer::Probe, at);
+                let pause = timeouts.fold(self.schedule.budget_pause, Duration::max);
+                self.schedule.timers.set(Timer::Probe, now.plus(pause));
             }
         }
         self.schedule.last = now;
@@ -187,10 +189,9 @@ impl Session {
         if self.schedule.timers.get(Timer::Gap).is_some() {
             // The request has just said all that is missing; say it again after a pause that grows.
             let pause = self.gap_pause(None);
-            let periodic = i64::from(self.config.request_period_active_ms) * 1_000;
-            let periodic = periodic.max(self.schedule.budget_pause);
+            let periodic = ms(self.config.request_period_active_ms).max(self.schedule.budget_pause);
             match pause < periodic {
-                true => self.schedule.timers.set(Timer::Gap, now.plus_micros(pause)),
+                true => self.schedule.timers.set(Timer::Gap, now.plus(pause)),
                 false => self.schedule.timers.stop(Timer::Gap),
             }
         }

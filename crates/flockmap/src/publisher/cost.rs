@@ -1,5 +1,6 @@
 //! How many voxels a batch may publish where the radio takes less than the map changes.
 
+use core::time::Duration;
 use flockmap_codec::Package;
 use flockmap_grid::Changes;
 
@@ -32,8 +33,8 @@ pub(crate) struct Room {
     pub(crate) obstacles: usize,
     /// If it is any other.
     pub(crate) voxels: usize,
-    /// How long packages that wait can hold it back, in microseconds.
-    pub(crate) defer_max: i64,
+    /// How long packages that wait can hold it back.
+    pub(crate) defer_max: Duration,
 }
 
 impl Default for Cost {
@@ -63,7 +64,7 @@ impl Cost {
         Room {
             obstacles: voxels(self.obstacle),
             voxels: voxels(self.voxel),
-            defer_max: (DEFER_PARTS * micros) as i64,
+            defer_max: Duration::from_micros(DEFER_PARTS * micros),
         }
     }
 }
@@ -96,9 +97,9 @@ mod tests {
         let near = |voxels: usize, bytes: u64, of: u64| (voxels as u64 * bytes / of).abs_diff(2_000) <= 100;
         assert!(near(room.obstacles, bytes.0, 1_000), "{room:?}, {bytes:?}");
         assert!(near(room.voxels, bytes.1, 4_000), "{room:?}, {bytes:?}");
-        assert_eq!(room.defer_max, 2_000_000);
+        assert_eq!(room.defer_max, Duration::from_secs(2));
         // Of a thin radio, a part takes longer.
-        assert_eq!(cost.room(500).defer_max, 8 * 1_200_000);
+        assert_eq!(cost.room(500).defer_max, Duration::from_millis(8 * 1_200));
         // Nothing was learnt from a batch without voxels, and no rate is too small.
         cost.note_batch(&Changes::default(), &[]);
         assert_eq!(cost.room(8_000), room);

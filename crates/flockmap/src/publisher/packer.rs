@@ -1,5 +1,6 @@
 //! When a batch of mapping ends, and what it holds (the paper's Alg. 1).
 
+use core::time::Duration;
 use flockmap_codec::Batch;
 use flockmap_grid::{BlockIndex, Changes, Mapper, Plane, Pose, Resolution, Stamp, Stream, Which};
 
@@ -82,10 +83,10 @@ impl Packer {
         if mapper.pending() >= self.config.voxels_max {
             return Some(Stamp(i64::MIN));
         }
-        let free = self.closed_free.plus_micros(self.period());
+        let free = self.closed_free.plus(self.period());
         Some(match self.config.obstacle_period_ms {
             None => free,
-            Some(ms) => free.min(self.closed_occupied.plus_micros(1_000 * i64::from(ms))),
+            Some(ms) => free.min(self.closed_occupied.plus(Duration::from_millis(ms.into()))),
         })
     }
 
@@ -145,9 +146,9 @@ impl Packer {
         Some((self.batch(start, end, middle), changes))
     }
 
-    /// The longest that a batch with changes waits if nothing holds it back, in microseconds.
-    pub(crate) const fn period(&self) -> i64 {
-        1_000 * self.config.publish_period_ms as i64
+    /// The longest that a batch with changes waits if nothing holds it back.
+    pub(crate) const fn period(&self) -> Duration {
+        Duration::from_millis(self.config.publish_period_ms as u64)
     }
 
     /// Notes that a batch was deferred for so long that what it publishes is late.
@@ -161,7 +162,7 @@ impl Packer {
     }
 
     fn everything_is_due(&self, now: Stamp, mapper: &Mapper) -> bool {
-        now >= self.closed_free.plus_micros(self.period())
+        now >= self.closed_free.plus(self.period())
             || mapper.pending() >= self.config.voxels_max
             || self.config.obstacle_period_ms.is_none()
     }
@@ -303,7 +304,7 @@ mod tests {
             obstacle_period_ms: Some(100),
             ..BatchConfig::default()
         });
-        let room = |voxels| Room { obstacles: 1, voxels, defer_max: 0 };
+        let room = |voxels| Room { obstacles: 1, voxels, defer_max: Duration::ZERO };
         for (i, point) in [[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 1.0]].into_iter().enumerate() {
             scan(&mut packer, &mut mapper, 100 + i as i64, point);
         }
@@ -334,7 +335,7 @@ mod tests {
         let scan = Scan { stamp: Stamp(100 * MS), points: points.collect(), no_returns: Vec::new() };
         mapper.insert(&scan, &Pose::IDENTITY, &[]);
         packer.note_scan(scan.stamp, &Pose::IDENTITY);
-        let room = Room { obstacles: 10, voxels: 10, defer_max: 0 };
+        let room = Room { obstacles: 10, voxels: 10, defer_max: Duration::ZERO };
         let parts: Vec<bool> = (0..8)
             .map(|_| packer.close_part(Stamp(200 * MS), &mut mapper, room, |_| [0; 8]).unwrap().1)
             .map(|changes| changes.voxels().all(|(_, state)| state == State::Occupied))
@@ -349,7 +350,7 @@ mod tests {
         scan(&mut packer, &mut mapper, 100, [3.0, 0.0, 0.0]);
         // A team-mate has put something at the second block of the ray.
         let believed = |block: BlockIndex| if block == BlockIndex::new(1, 0, 0) { [!0; 8] } else { [0; 8] };
-        let room = |voxels| Room { obstacles: 100, voxels, defer_max: 0 };
+        let room = |voxels| Room { obstacles: 100, voxels, defer_max: Duration::ZERO };
         let mut close = |ms: i64, voxels| {
             let closed = packer.close_part(Stamp(ms * MS), &mut mapper, room(voxels), believed);
             let changes = closed.map(|(_, changes)| changes);

@@ -1,5 +1,6 @@
 //! How long it takes until the others hold a batch whole, as the sender sees it.
 
+use core::time::Duration;
 use std::collections::{BTreeMap, VecDeque};
 
 use flockmap_grid::{Stamp, Stream};
@@ -18,8 +19,8 @@ const SLOWEST_LEFT_OUT: usize = BATCHES / 10;
 ///
 /// A peer counts from when it held a batch whole for the first time: one that joins late catches up first.
 pub(crate) struct RepairDelay {
-    /// Limit in microseconds; 0: never slow.
-    limit: i64,
+    /// Zero: never slow.
+    limit: Duration,
     /// When batches were published and the last package of each, oldest first.
     batches: VecDeque<(Stamp, u32)>,
     peers: BTreeMap<Stream, PeerDelay>,
@@ -33,13 +34,13 @@ struct PeerDelay {
     /// When it last said so.
     asked_at: Option<Stamp>,
     /// Delay of the newest batches that it holds, oldest first.
-    delays: VecDeque<i64>,
+    delays: VecDeque<Duration>,
 }
 
 impl RepairDelay {
     pub(crate) fn new(limit_ms: u32) -> Self {
         Self {
-            limit: 1_000 * i64::from(limit_ms),
+            limit: Duration::from_millis(limit_ms.into()),
             batches: VecDeque::new(),
             peers: BTreeMap::new(),
             is_slow: false,
@@ -66,10 +67,11 @@ impl RepairDelay {
             live.insert(stream, peer);
         }
         self.peers = live;
-        let slowest = self.peers.values().filter_map(|peer| peer.delay(&self.batches)).max().unwrap_or(0);
+        let slowest =
+            self.peers.values().filter_map(|peer| peer.delay(&self.batches)).max().unwrap_or_default();
         // Not to and fro: it has to become twice as good.
         let limit = if self.is_slow { self.limit / 2 } else { self.limit };
-        self.is_slow = self.limit > 0 && slowest > limit;
+        self.is_slow = !self.limit.is_zero() && slowest > limit;
     }
 
     /// Whether packages would wait too long for those that they build on.
@@ -86,7 +88,7 @@ impl PeerDelay {
             {
                 // What it held before it was known to hold anything is no measure.
                 let missing_until = self.asked_at.filter(|_| !is_first).unwrap_or(*published);
-                self.delays.push_back(missing_until.micros_since(*published).max(0));
+                self.delays.push_back(missing_until.since(*published));
             }
             self.prefix = prefix;
         }
@@ -96,11 +98,11 @@ impl PeerDelay {
 
     /// The delay that nine of ten of the newest batches keep, those counted that are missing still. `None` for a peer that has never
     /// held a batch whole.
-    fn delay(&self, batches: &VecDeque<(Stamp, u32)>) -> Option<i64> {
+    fn delay(&self, batches: &VecDeque<(Stamp, u32)>) -> Option<Duration> {
         let asked_at = self.asked_at.filter(|_| !self.delays.is_empty())?;
         let missing = batches.iter().filter(|(_, last)| *last > self.prefix);
-        let missing = missing.map(|(published, _)| asked_at.micros_since(*published).max(0));
-        let mut newest_first: Vec<i64> =
+        let missing = missing.map(|(published, _)| asked_at.since(*published));
+        let mut newest_first: Vec<Duration> =
             missing.rev().chain(self.delays.iter().rev().copied()).take(BATCHES).collect();
         newest_first.sort_unstable_by(|a, b| b.cmp(a));
         newest_first.get(SLOWEST_LEFT_OUT.min(newest_first.len() - 1)).copied()

@@ -131,7 +131,7 @@ impl Robot {
 
     /// Sets for the fusion how far the clock of a stream is off.
     fn note_clock(&mut self, stream: Stream) {
-        if let Some(offset) = self.session.clock_offset(stream) {
+        if let Some(offset) = self.session.clock_offset_micros(stream) {
             self.fusion.set_clock_offset(stream.origin, offset.saturating_neg());
         }
     }

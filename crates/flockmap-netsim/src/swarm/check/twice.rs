@@ -61,7 +61,7 @@ impl Twice {
     ) {
         let pair = self.peers.entry(header.sender.origin).or_default();
         let mut peers = robot.session().peers();
-        if peers.any(|peer| peer.stream == header.sender && peer.round_trip_micros.is_some()) {
+        if peers.any(|peer| peer.stream == header.sender && peer.round_trip.is_some()) {
             pair.measured.get_or_insert(now);
         }
         if pair.request.as_ref().is_none_or(|(stamp, _)| *stamp < header.stamp) {
