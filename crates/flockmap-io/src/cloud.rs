@@ -26,17 +26,12 @@ impl PointCloud {
     pub fn from_points(points: &[[f64; 3]]) -> Self {
         let finite = |p: &&[f64; 3]| p.iter().all(|v| v.is_finite() && v.abs() < 1e15);
         let far = points.iter().filter(finite).flatten().any(|v| v.abs() > ORIGIN_BEYOND_M);
-        let mut origin = [0.0; 3];
-        if far {
-            let lowest = |axis: usize| {
-                points.iter().filter(finite).filter_map(|p| p.get(axis)).fold(f64::INFINITY, |a, &b| a.min(b))
-            };
-            origin = core::array::from_fn(|axis| lowest(axis).floor());
-        }
+        let lowest =
+            |axis: usize| points.iter().filter(finite).map(|p| p[axis]).fold(f64::INFINITY, f64::min);
+        let origin = if far { core::array::from_fn(|axis| lowest(axis).floor()) } else { [0.0; 3] };
         let mut taken = Vec::with_capacity(points.len());
-        for p in points.iter().filter(finite) {
-            taken.push(core::array::from_fn(|axis| (p[axis] - origin[axis]) as f32));
-        }
+        let seen_from_origin = |p: &[f64; 3]| core::array::from_fn(|axis| (p[axis] - origin[axis]) as f32);
+        taken.extend(points.iter().filter(finite).map(seen_from_origin));
         let dropped = (points.len() - taken.len()) as u64;
         Self { points: taken, origin, dropped }
     }

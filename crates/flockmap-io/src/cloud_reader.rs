@@ -18,8 +18,7 @@ pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud, ReadError> {
         "pcd" => |bytes| {
             let mut parsed = pcd::parse(bytes, CLOUD_POINTS_MAX)?;
             parsed.points.iter_mut().for_each(|p| *p = parsed.viewpoint.transform(*p));
-            let cloud = PointCloud::from_points(&parsed.points);
-            Ok(PointCloud { dropped: cloud.dropped + parsed.dropped, ..cloud })
+            Ok(PointCloud::from_points(&parsed.points))
         },
         "ply" => |bytes| ply::parse(bytes).map(|points| PointCloud::from_points(&points)),
         "las" | "laz" => |bytes| las::parse(bytes).map(|points| PointCloud::from_points(&points)),

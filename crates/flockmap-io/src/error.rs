@@ -121,6 +121,14 @@ impl WriteError {
     pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
         move |source| Self::Io { path: path.to_owned(), source }
     }
+
+    pub(crate) fn mcap(path: &Path) -> impl FnOnce(mcap::McapError) -> Self + '_ {
+        move |source| Self::Mcap { path: path.to_owned(), source }
+    }
+
+    pub(crate) fn unfit(path: &Path, what: impl Into<String>, why: impl Into<String>) -> Self {
+        Self::Unfit { path: path.to_owned(), what: what.into(), why: why.into() }
+    }
 }
 
 /// A [`ReadError`] before it is known in which file: parsers work on bytes.
@@ -177,6 +185,14 @@ impl fmt::Display for Place {
             }
         }
     }
+}
+
+/// Whether there is room for one more of `what` beside those that are held.
+pub(crate) fn check_room(what: &'static str, held: usize, most: usize) -> Result<(), Fault> {
+    if held >= most {
+        return Err(Fault::too_large(Place::Whole, what, held as u64 + 1, most as u64));
+    }
+    Ok(())
 }
 
 /// Text out of a file, made fit for an error message: one line, at most 60 characters.

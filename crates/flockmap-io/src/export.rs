@@ -84,11 +84,7 @@ impl Form {
 }
 
 fn unknown_ending(path: &Path, known: &str) -> WriteError {
-    WriteError::Unfit {
-        path: path.to_owned(),
-        what: "a file with this ending".into(),
-        why: format!("{known} can be written"),
-    }
+    WriteError::unfit(path, "a file with this ending", format!("{known} can be written"))
 }
 
 /// What is written of each point: `f32` or `f64`, and whether its state.

@@ -18,7 +18,6 @@ const LAZ_POINTS_PER_BYTE_MAX: u64 = 64;
 const BATCH: u64 = 10_000;
 
 struct Header {
-    compressed: bool,
     point_bytes: u64,
     points: u64,
     scale: [f64; 3],
@@ -31,24 +30,18 @@ struct Header {
 pub(crate) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, Fault> {
     let header = parse_header(bytes)?;
     if header.points > CLOUD_POINTS_MAX {
-        return Err(Fault::too_large(
-            Place::Byte(0),
-            "the number of points",
-            header.points,
-            CLOUD_POINTS_MAX,
-        ));
+        let what = "the number of points";
+        return Err(Fault::too_large(Place::Byte(0), what, header.points, CLOUD_POINTS_MAX));
     }
     let data = bytes.get(header.data_at as usize..).unwrap_or_default();
-    if header.compressed {
-        return unpack(bytes, &header);
+    if let Some(laszip) = &header.laszip {
+        return unpack(bytes, &header, laszip);
     }
     let needed = header.points * header.point_bytes;
     if needed > data.len() as u64 {
-        return Err(Fault::truncated(
-            Place::Byte(header.data_at),
-            format!("{needed} bytes for {} points of {} bytes", header.points, header.point_bytes),
-            format!("{} bytes", data.len()),
-        ));
+        let expected = format!("{needed} bytes for {} points of {} bytes", header.points, header.point_bytes);
+        let found = format!("{} bytes", data.len());
+        return Err(Fault::truncated(Place::Byte(header.data_at), expected, found));
     }
     let mut points = Vec::with_capacity(header.points as usize);
     take_points(data.get(..needed as usize).unwrap_or_default(), &header, &mut points);
@@ -108,14 +101,11 @@ fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {
         return Err(Fault::damaged(Place::Byte(105), "points of at least 20 bytes", point_bytes.to_string()));
     }
     if data_at > bytes.len() as u64 || data_at < header_bytes {
-        return Err(Fault::damaged(
-            Place::Byte(96),
-            format!("points that begin between byte {header_bytes} and {}", bytes.len()),
-            format!("byte {data_at}"),
-        ));
+        let expected = format!("points that begin between byte {header_bytes} and {}", bytes.len());
+        return Err(Fault::damaged(Place::Byte(96), expected, format!("byte {data_at}")));
     }
     let laszip = if compressed { Some(find_laszip(bytes, header_bytes, data_at, records)?) } else { None };
-    Ok(Header { compressed, point_bytes, points, scale: [sx, sy, sz], offset: [ox, oy, oz], data_at, laszip })
+    Ok(Header { point_bytes, points, scale: [sx, sy, sz], offset: [ox, oy, oz], data_at, laszip })
 }
 
 /// The record that says how the points are packed.
@@ -135,23 +125,16 @@ fn find_laszip(bytes: &[u8], header_bytes: u64, data_at: u64, records: u32) -> R
                 .map_err(|e| Fault::damaged(place, "a LASzip record", e.to_string()));
         }
     }
-    Err(Fault::damaged(
-        Place::Byte(header_bytes),
-        "a LASzip record, since the points are packed",
-        format!("{records} other records"),
-    ))
+    let expected = "a LASzip record, since the points are packed";
+    Err(Fault::damaged(Place::Byte(header_bytes), expected, format!("{records} other records")))
 }
 
 /// Unpacks the points of a LAZ file.
-fn unpack(bytes: &[u8], header: &Header) -> Result<Vec<[f64; 3]>, Fault> {
-    let Some(laszip) = &header.laszip else { return Ok(Vec::new()) };
+fn unpack(bytes: &[u8], header: &Header, laszip: &LazVlr) -> Result<Vec<[f64; 3]>, Fault> {
     let place = || Place::Byte(header.data_at);
     if laszip.items_size() != header.point_bytes {
-        return Err(Fault::damaged(
-            place(),
-            format!("packed points of {} bytes", header.point_bytes),
-            format!("{} bytes", laszip.items_size()),
-        ));
+        let expected = format!("packed points of {} bytes", header.point_bytes);
+        return Err(Fault::damaged(place(), expected, format!("{} bytes", laszip.items_size())));
     }
     let most = bytes.len() as u64 * LAZ_POINTS_PER_BYTE_MAX;
     if header.points > most {

@@ -11,25 +11,18 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
+use mcap::MAGIC;
+use mcap::records::op;
+
 use crate::bytes::Bytes;
 use crate::error::{Fault, Place};
 
-const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// Opcode and length in front of each record.
 const RECORD_HEADER_BYTES: u64 = 9;
 /// Channel, sequence, log time and publish time come before the data of a message.
 const MESSAGE_HEADER_BYTES: u64 = 2 + 4 + 8 + 8;
 /// Longest name of a topic, type or encoding.
 const NAME_BYTES_MAX: u32 = 4096;
-
-mod op {
-    pub(super) const FOOTER: u8 = 0x02;
-    pub(super) const SCHEMA: u8 = 0x03;
-    pub(super) const CHANNEL: u8 = 0x04;
-    pub(super) const MESSAGE: u8 = 0x05;
-    pub(super) const CHUNK: u8 = 0x06;
-    pub(super) const DATA_END: u8 = 0x0f;
-}
 
 /// What is said about the messages of one topic.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]

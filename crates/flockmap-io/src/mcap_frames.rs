@@ -1,7 +1,7 @@
 //! The scans of an MCAP record, read as they are asked for and put in the order of their stamps.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use flockmap_grid::{Pose, Scan, Stamp};
 
@@ -23,6 +23,7 @@ pub(crate) struct Entry {
 }
 
 /// The second pass: the scans, put in order.
+#[derive(Default)]
 pub(crate) struct McapFrames {
     path: PathBuf,
     options: RecordOptions,
@@ -47,19 +48,16 @@ impl Iterator for McapFrames {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            while let Some(frame) = self.waiting.remove(&self.next_rank) {
-                self.next_rank += 1;
-                if let Some(frame) = frame {
+            // Scans are missing if the file changed in between; what is left still comes in order.
+            while let Some(next) =
+                self.waiting.first_entry().filter(|e| self.ended || *e.key() == self.next_rank)
+            {
+                self.next_rank = next.key() + 1;
+                if let Some(frame) = next.remove() {
                     return Some(Ok(frame));
                 }
             }
             if self.ended {
-                // Scans are missing if the file changed in between; what is left still comes in order.
-                while let Some((_, frame)) = self.waiting.pop_first() {
-                    if let Some(frame) = frame {
-                        return Some(Ok(frame));
-                    }
-                }
                 return (!self.damages.is_empty()).then(|| Err(self.damages.remove(0)));
             }
             self.read_one();
@@ -70,27 +68,14 @@ impl Iterator for McapFrames {
 impl McapFrames {
     /// The frames that `entries` list, one for each message of `topic`; `damages` were found by the first pass.
     pub(crate) fn new(
-        path: &Path,
-        options: &RecordOptions,
-        topic: &str,
+        path: PathBuf,
+        options: RecordOptions,
+        topic: String,
         no_returns: Option<String>,
         entries: Vec<Option<Entry>>,
         damages: Vec<ReadError>,
     ) -> Self {
-        Self {
-            path: path.to_owned(),
-            options: options.clone(),
-            topic: topic.to_owned(),
-            no_returns,
-            rays: None,
-            reader: None,
-            entries,
-            number: 0,
-            waiting: BTreeMap::new(),
-            next_rank: 0,
-            damages,
-            ended: false,
-        }
+        Self { path, options, topic, no_returns, entries, damages, ..Self::default() }
     }
 
     fn read_one(&mut self) {
@@ -100,23 +85,20 @@ impl McapFrames {
                 Err(fault) => self.damages.push(fault.in_file(&self.path)),
             }
         }
-        let message = match self.reader.as_mut().and_then(McapReader::next_message) {
-            Some(Ok(message)) => message,
-            // Reported by the first pass.
-            Some(Err(_)) => return,
-            None => {
-                self.ended = true;
-                return;
-            }
+        let Some(message) = self.reader.as_mut().and_then(McapReader::next_message) else {
+            self.ended = true;
+            return;
         };
+        // Damage was reported by the first pass.
+        let Ok(message) = message else { return };
         if message.channel.encoding != "cdr" || message.channel.schema != ros::POINT_CLOUD {
             return;
         }
         let points_max = self.options.scan_points_max;
         if self.no_returns.as_ref() == Some(&message.channel.topic) {
-            let stamp = ros::CloudHeader::decode(message.data).map(|cloud| cloud.header.stamp);
+            let header = ros::decode_cloud_header(message.data);
             let rays = ros::decode_points(message.data, points_max, None);
-            self.rays = stamp.ok().zip(rays.ok().map(|cloud| cloud.points));
+            self.rays = header.ok().zip(rays.ok()).map(|((header, _), rays)| (header.stamp, rays.points));
             return;
         }
         if message.channel.topic != self.topic {

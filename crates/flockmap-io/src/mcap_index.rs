@@ -5,7 +5,7 @@ use std::path::Path;
 
 use flockmap_grid::Stamp;
 
-use crate::error::{Fault, Place, Problem, ReadError};
+use crate::error::{Fault, Place, Problem, ReadError, check_room};
 use crate::mcap_file::{Channel, McapReader, Message};
 use crate::ros;
 use crate::track::{FrameTree, Track};
@@ -73,13 +73,13 @@ impl McapIndex {
         match channel.schema.as_str() {
             ros::POINT_CLOUD => {
                 let topic = self.clouds.entry(channel.topic.clone()).or_default();
-                limit("the number of scans", topic.scans.len())?;
+                check_room("the number of scans", topic.scans.len(), ENTRIES_MAX)?;
                 let scan = topic.take(message.data);
                 topic.scans.push(scan.as_ref().ok().copied());
                 scan.map(drop).map_err(in_message)?;
             }
             ros::ODOMETRY => {
-                limit("the number of poses", self.poses)?;
+                check_room("the number of poses", self.poses, ENTRIES_MAX)?;
                 let odometry = ros::decode_odometry(message.data).map_err(in_message)?;
                 self.poses += 1;
                 let topic = self.odometries.entry(channel.topic.clone()).or_insert_with(|| OdometryTopic {
@@ -90,7 +90,7 @@ impl McapIndex {
                 topic.track.push(odometry.header.stamp, odometry.pose);
             }
             ros::TRANSFORMS => {
-                limit("the number of poses", self.poses + self.transforms.poses())?;
+                check_room("the number of poses", self.poses + self.transforms.poses(), ENTRIES_MAX)?;
                 let fixed = channel.topic.ends_with("tf_static");
                 for t in ros::decode_transforms(message.data).map_err(in_message)? {
                     self.transforms.push(t.header.frame, t.child, t.header.stamp, t.pose, fixed);
@@ -103,51 +103,38 @@ impl McapIndex {
 
     /// The topics of the file as text, for messages.
     pub(crate) fn topics(&self) -> String {
-        let mut topics: Vec<String> = self
-            .channels
-            .keys()
-            .take(20)
-            .map(|c| format!("{} ({}, encoding {})", c.topic, c.schema, c.encoding))
-            .collect();
-        if topics.is_empty() {
-            topics.push("no message".into());
-        }
-        topics.join(", ")
+        let topics = self.channels.keys().take(20);
+        let topics = topics.map(|c| format!("{} ({}, encoding {})", c.topic, c.schema, c.encoding));
+        listed(topics.collect(), "no message")
     }
 
     /// What leads from frame to frame as text, for messages.
     pub(crate) fn links(&self) -> String {
         let odometries = self.odometries.iter();
-        let mut links: Vec<String> =
-            odometries.map(|(topic, o)| format!("{} → {} ({topic})", o.parent, o.child)).collect();
-        links.extend(self.transforms.links().into_iter().take(16).map(|link| format!("{link} (tf)")));
-        if links.is_empty() {
-            links.push("no odometry and no tf".into());
-        }
-        links.join(", ")
+        let odometries = odometries.map(|(topic, o)| format!("{} → {} ({topic})", o.parent, o.child));
+        let tf = self.transforms.links().into_iter().take(16).map(|link| format!("{link} (tf)"));
+        listed(odometries.chain(tf).collect(), "no odometry and no tf")
     }
 }
 
 impl CloudTopic {
     /// Stamp and number of the frame of one message.
     fn take(&mut self, message: &[u8]) -> Result<(Stamp, u16), Fault> {
-        let cloud = ros::CloudHeader::decode(message)?;
-        self.points = self.points.saturating_add(cloud.points);
-        let frame = self.frames.iter().position(|f| *f == cloud.header.frame).unwrap_or(self.frames.len());
+        let (header, points) = ros::decode_cloud_header(message)?;
+        self.points = self.points.saturating_add(points);
+        let frame = self.frames.iter().position(|f| *f == header.frame).unwrap_or(self.frames.len());
         if frame >= CLOUD_FRAMES_MAX {
             let expected = format!("scans in at most {CLOUD_FRAMES_MAX} frames");
             return Err(Fault::damaged(Place::Whole, expected, "one more"));
         }
         if frame == self.frames.len() {
-            self.frames.push(cloud.header.frame);
+            self.frames.push(header.frame);
         }
-        Ok((cloud.header.stamp, frame as u16))
+        Ok((header.stamp, frame as u16))
     }
 }
 
-fn limit(what: &'static str, held: usize) -> Result<(), Fault> {
-    if held >= ENTRIES_MAX {
-        return Err(Fault::too_large(Place::Whole, what, held as u64 + 1, ENTRIES_MAX as u64));
-    }
-    Ok(())
+/// Texts for a message, or that there is none.
+fn listed(texts: Vec<String>, none: &str) -> String {
+    if texts.is_empty() { none.to_owned() } else { texts.join(", ") }
 }

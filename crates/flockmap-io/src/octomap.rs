@@ -8,6 +8,7 @@
 use std::path::Path;
 
 use flockmap_grid::{Resolution, State, Voxel, VoxelBox};
+use glam::DVec3;
 
 use crate::bytes::Bytes;
 use crate::error::{Fault, ReadError, WriteError, excerpt};
@@ -106,15 +107,11 @@ impl OctoMap {
     pub fn bounds(&self) -> Option<[[f64; 3]; 2]> {
         let side = self.resolution.metres();
         let corners = |cube: &Cube| {
-            let low = [cube.corner.x, cube.corner.y, cube.corner.z].map(|v| f64::from(v) * side);
-            [low, low.map(|v| v + f64::from(cube.side) * side)]
+            let low = DVec3::from([cube.corner.x, cube.corner.y, cube.corner.z].map(f64::from)) * side;
+            [low, low + f64::from(cube.side) * side]
         };
-        self.cubes.iter().map(corners).reduce(|a, b| {
-            [
-                core::array::from_fn(|axis| a[0][axis].min(b[0][axis])),
-                core::array::from_fn(|axis| a[1][axis].max(b[1][axis])),
-            ]
-        })
+        let both = self.cubes.iter().map(corners).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        both.map(|corners| corners.map(DVec3::into))
     }
 }
 
@@ -216,10 +213,9 @@ pub(crate) fn octomap_bytes(
     resolution: Resolution,
     voxels: impl IntoIterator<Item = (Voxel, State)>,
 ) -> Result<Vec<u8>, WriteError> {
-    let (data, nodes) = octomap_tree(voxels).map_err(|voxel| WriteError::Unfit {
-        path: path.to_owned(),
-        what: format!("voxel {voxel:?}"),
-        why: format!("an OctoMap reaches from index {} to {} on each axis", -HALF, HALF - 1),
+    let (data, nodes) = octomap_tree(voxels).map_err(|voxel| {
+        let why = format!("an OctoMap reaches from index {} to {} on each axis", -HALF, HALF - 1);
+        WriteError::unfit(path, format!("voxel {voxel:?}"), why)
     })?;
     let note = "# (feel free to add / change comments, but leave the first line as it is!)\n#";
     let res = resolution.metres();
@@ -233,31 +229,21 @@ pub(crate) fn octomap_bytes(
 /// # Errors
 /// Gives a voxel with an index outside −32,768 … 32,767.
 pub fn octomap_tree(voxels: impl IntoIterator<Item = (Voxel, State)>) -> Result<(Vec<u8>, u64), Voxel> {
-    let mut leaves = Vec::new();
+    let mut known = Vec::new();
     for (voxel, state) in voxels.into_iter().filter(|(_, state)| *state != State::Unknown) {
-        leaves.push(Leaf { code: morton(voxel).ok_or(voxel)?, depth: DEPTH, state });
+        known.push((morton(voxel).ok_or(voxel)?, state));
     }
-    leaves.sort_by_key(|leaf| leaf.code);
-    leaves.dedup_by(|later, earlier| {
-        let same = later.code == earlier.code;
-        if same {
-            *earlier = *later;
-        }
-        same
-    });
-    let leaves = join(leaves);
+    // Turned round, the one that came last stands first among its equals, and the first is kept.
+    known.reverse();
+    known.sort_by_key(|(code, _)| *code);
+    known.dedup_by_key(|(code, _)| *code);
     let mut data = Vec::new();
-    let nodes = if leaves.is_empty() { 0 } else { 1 + write_node(&leaves, 0, &mut data) };
+    let nodes = if known.is_empty() { 0 } else { 1 + write_node(&known, 0, &mut data) };
     Ok((data, nodes))
 }
 
-#[derive(Clone, Copy)]
-struct Leaf {
-    /// Three bits a level, the root's children in the highest of 48 bits.
-    code: u64,
-    depth: u32,
-    state: State,
-}
+/// A voxel by its path, three bits a level, the root's children in the highest of 48 bits.
+type Known = (u64, State);
 
 /// The path to a voxel: three bits a level (x, y, z from bit 0), highest level first.
 fn morton(voxel: Voxel) -> Option<u64> {
@@ -267,46 +253,27 @@ fn morton(voxel: Voxel) -> Option<u64> {
     Some(bits(x) | bits(y) << 1 | bits(z) << 2)
 }
 
-/// Joins eight sibling leaves of one state to one, again and again; never up to the root itself.
-fn join(leaves: Vec<Leaf>) -> Vec<Leaf> {
-    let mut joined: Vec<Leaf> = Vec::with_capacity(leaves.len());
-    for leaf in leaves {
-        joined.push(leaf);
-        while let Some(&last) = joined.last() {
-            let span = 3 * (DEPTH - last.depth);
-            let is_last_child = last.code >> span & 7 == 7;
-            let Some(first) = joined.len().checked_sub(8) else { break };
-            let siblings = joined.get(first..).unwrap_or_default();
-            let parent = last.code >> (span + 3);
-            let same = siblings
-                .iter()
-                .all(|s| s.depth == last.depth && s.state == last.state && s.code >> (span + 3) == parent);
-            if last.depth == 1 || !is_last_child || !same {
-                break;
-            }
-            joined.truncate(first);
-            joined.push(Leaf { code: parent << (span + 3), depth: last.depth - 1, state: last.state });
-        }
-    }
-    joined
+/// Whether voxels of one cube fill it, and all have one state: then the cube is a leaf. `bits` is the length of a path within it.
+fn are_one_leaf(voxels: &[Known], bits: u32) -> bool {
+    voxels.len() as u64 == 1 << bits && voxels.windows(2).all(|pair| pair[0].1 == pair[1].1)
 }
 
-/// Writes the node at `depth` that holds just these leaves, and all below it. Returns the number of nodes below it.
-fn write_node(leaves: &[Leaf], depth: u32, data: &mut Vec<u8>) -> u64 {
+/// Writes the node at `depth` that holds just these voxels, and all below it. Returns the number of nodes below it.
+fn write_node(voxels: &[Known], depth: u32, data: &mut Vec<u8>) -> u64 {
     let shift = 3 * (DEPTH - depth - 1);
     let mut children = 0u16;
     let mut nodes = 0;
-    let parts: [&[Leaf]; 8] = core::array::from_fn(|child| {
-        let start = leaves.partition_point(|leaf| ((leaf.code >> shift & 7) as usize) < child);
-        let end = leaves.partition_point(|leaf| (leaf.code >> shift & 7) as usize <= child);
-        leaves.get(start..end).unwrap_or_default()
+    let parts: [&[Known]; 8] = core::array::from_fn(|child| {
+        let start = voxels.partition_point(|(code, _)| ((code >> shift & 7) as usize) < child);
+        let end = voxels.partition_point(|(code, _)| (code >> shift & 7) as usize <= child);
+        voxels.get(start..end).unwrap_or_default()
     });
     for (child, part) in parts.iter().enumerate() {
-        let bits = match part {
-            [] => continue,
-            [leaf] if leaf.depth == depth + 1 && leaf.state == State::Free => 1,
-            [leaf] if leaf.depth == depth + 1 => 2,
-            _ => 3,
+        let bits = match part.first() {
+            None => continue,
+            Some(_) if !are_one_leaf(part, shift) => 3,
+            Some((_, State::Free)) => 1,
+            Some(_) => 2,
         };
         nodes += 1;
         children |= bits << (2 * child);

@@ -1,5 +1,7 @@
 //! Point Cloud Data files (PCL's `.pcd`, versions .5 to .7): ascii, binary and binary_compressed.
 
+use std::borrow::Cow;
+
 use flockmap_grid::Pose;
 
 use crate::bytes::Bytes;
@@ -11,11 +13,10 @@ use crate::number::Number;
 /// Most fields of a point.
 const FIELDS_MAX: usize = 256;
 
-/// A parsed file. Points are as stored; `viewpoint` is the pose in the header.
+/// A parsed file. Points are as stored, also those that are no numbers; `viewpoint` is the pose in the header.
 #[derive(Debug, Default)]
 pub(crate) struct Parsed {
     pub(crate) points: Vec<[f64; 3]>,
-    pub(crate) dropped: u64,
     pub(crate) viewpoint: Pose,
     pub(crate) viewpoint_line: u64,
 }
@@ -92,18 +93,17 @@ pub(crate) fn parse(bytes: &[u8], points_max: u64) -> Result<Parsed, Fault> {
     }
     let needed = layout.points.saturating_mul(layout.point_bytes);
     let points_of = || format!("{needed} bytes for {} points of {} bytes", layout.points, layout.point_bytes);
-    let columns;
-    let (data, is_columns) = if layout.data == Data::Compressed {
-        columns = unpack(data, lines.at() as u64, needed, points_of)?;
-        (columns.as_slice(), true)
+    let is_columns = layout.data == Data::Compressed;
+    let data = if is_columns {
+        Cow::Owned(unpack(data, lines.at() as u64, needed, points_of)?)
     } else if needed > data.len() as u64 {
         return Err(Fault::truncated(place, points_of(), format!("{} bytes", data.len())));
     } else {
-        (data, false)
+        Cow::Borrowed(data)
     };
     parsed.points.reserve(layout.points as usize);
     for i in 0..layout.points {
-        parsed.push(layout.axes.map(|axis| {
+        parsed.points.push(layout.axes.map(|axis| {
             // A column holds one field of all points; those before it are as long for each point as its offset.
             let at = if is_columns {
                 axis.offset * layout.points + i * axis.size
@@ -115,16 +115,6 @@ pub(crate) fn parse(bytes: &[u8], points_max: u64) -> Result<Parsed, Fault> {
         }));
     }
     Ok(parsed)
-}
-
-impl Parsed {
-    fn push(&mut self, point: [f64; 3]) {
-        if point.iter().all(|v| v.is_finite()) {
-            self.points.push(point);
-        } else {
-            self.dropped += 1;
-        }
-    }
 }
 
 fn parse_header(lines: &mut HeaderLines<'_>, parsed: &mut Parsed) -> Result<Layout, Fault> {
@@ -259,17 +249,13 @@ fn parse_ascii(data: &[u8], first: u64, layout: &Layout, parsed: &mut Parsed) ->
         if text.is_empty() {
             continue;
         }
-        let mut point = [None; 3];
-        let mut words = 0;
-        for word in text.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty()) {
-            for (v, _) in point.iter_mut().zip(layout.axes).filter(|(_, axis)| axis.word == words) {
-                *v = core::str::from_utf8(word).ok().and_then(|w| w.parse::<f64>().ok());
-            }
-            words += 1;
-        }
+        let words = || text.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
+        let number = |word| core::str::from_utf8(word).ok()?.parse::<f64>().ok();
+        let (point, words) =
+            (layout.axes.map(|axis| words().nth(axis.word as usize).and_then(number)), words().count());
         let found = match point {
-            [Some(x), Some(y), Some(z)] if words == layout.words => {
-                parsed.push([x, y, z]);
+            [Some(x), Some(y), Some(z)] if words as u64 == layout.words => {
+                parsed.points.push([x, y, z]);
                 read += 1;
                 continue;
             }
@@ -371,10 +357,10 @@ mod tests {
     }
 
     #[test]
-    fn points_that_are_no_numbers_are_dropped_and_counted() {
+    fn points_that_are_no_numbers_are_read_as_such() {
         let text = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nDATA ascii\nnan 1 2\n1 2 3\n";
-        let parsed = parse(text.as_bytes(), 10).unwrap();
-        assert_eq!((parsed.points, parsed.dropped), (vec![[1.0, 2.0, 3.0]], 1));
+        let [first, second] = parse(text.as_bytes(), 10).unwrap().points[..] else { panic!("two points") };
+        assert!(first[0].is_nan() && first[1..] == [1.0, 2.0] && second == [1.0, 2.0, 3.0], "{first:?}");
     }
 
     #[test]

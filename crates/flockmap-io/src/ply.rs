@@ -9,8 +9,7 @@ use crate::number::Number;
 #[derive(Clone, Copy, PartialEq)]
 enum Format {
     Ascii,
-    LittleEndian,
-    BigEndian,
+    Binary { big_endian: bool },
 }
 
 struct Property {
@@ -36,10 +35,9 @@ pub(crate) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, Fault> {
             line: header.line() + 1,
             words: Vec::new(),
         },
-        format => Source::Binary {
-            bytes: Bytes::new(header.rest(), header.at() as u64),
-            big_endian: format == Format::BigEndian,
-        },
+        Format::Binary { big_endian } => {
+            Source::Binary { bytes: Bytes::new(header.rest(), header.at() as u64), big_endian }
+        }
     };
     let mut points = Vec::new();
     for element in &elements {
@@ -153,8 +151,8 @@ fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(Format, Vec<Element>), F
             ["format", name, "1.0"] => {
                 format = Some(match *name {
                     "ascii" => Format::Ascii,
-                    "binary_little_endian" => Format::LittleEndian,
-                    "binary_big_endian" => Format::BigEndian,
+                    "binary_little_endian" => Format::Binary { big_endian: false },
+                    "binary_big_endian" => Format::Binary { big_endian: true },
                     _ => return Err(damaged("format ascii, binary_little_endian or binary_big_endian")),
                 });
             }

@@ -97,18 +97,16 @@ impl RecordSummary {
     }
 
     pub(crate) fn from_poses(poses: &[(Stamp, Pose)]) -> Self {
-        let mut summary = Self::default();
-        let mut previous: Option<[f64; 3]> = None;
-        for &(stamp, pose) in poses {
-            let place = pose.translation();
-            if let Some(p) = previous {
-                summary.path_m += p.iter().zip(place).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
-            }
-            previous = Some(place);
-            summary.span = Some((summary.span.map_or(stamp, |(first, _)| first), stamp));
-            summary.frames += 1;
+        let steps = poses.iter().zip(poses.iter().skip(1)).map(|((_, a), (_, b))| {
+            let (a, b) = (a.translation(), b.translation());
+            a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+        });
+        Self {
+            frames: poses.len() as u64,
+            span: poses.first().zip(poses.last()).map(|((first, _), (last, _))| (*first, *last)),
+            path_m: steps.fold(0.0, |path, step| path + step),
+            ..Self::default()
         }
-        summary
     }
 }
 

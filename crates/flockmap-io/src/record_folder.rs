@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use flockmap_grid::{Pose, Scan, Stamp};
 
-use crate::error::{Fault, Place, ReadError, excerpt};
+use crate::error::{Fault, Place, ReadError, check_room, excerpt};
 use crate::file::{name_of, read_whole};
 use crate::pcd;
 use crate::record::{Frame, Frames, Record, RecordOptions, RecordSummary};
@@ -25,43 +25,36 @@ pub(crate) fn open(folder: &Path, options: &RecordOptions) -> Result<Record, Rea
     let poses = read_rows(&poses_path, kitti_pose)?;
     let rows = rows(&scans, poses.len()).map_err(|fault| fault.in_file(folder))?;
     let stamps = stamps(folder, options, &rows)?;
-    let mut entries: Vec<Entry> = scans
+    let mut entries: Vec<((Stamp, Pose), PathBuf)> = scans
         .into_iter()
         .zip(rows)
         .zip(stamps)
-        .map(|((path, row), stamp)| Entry { stamp, pose: poses.get(row).copied().unwrap_or_default(), path })
+        .map(|((path, row), stamp)| ((stamp, poses.get(row).copied().unwrap_or_default()), path))
         .collect();
-    entries.sort_by_key(|entry| entry.stamp);
-    let poses: Vec<(Stamp, Pose)> = entries.iter().map(|e| (e.stamp, e.pose)).collect();
+    entries.sort_by_key(|((stamp, _), _)| *stamp);
+    let poses: Vec<(Stamp, Pose)> = entries.iter().map(|(at, _)| *at).collect();
     let mut summary = RecordSummary::from_poses(&poses);
     summary.scans = summary.frames;
     summary.poses_from = poses_path.display().to_string();
     let points_max = options.scan_points_max;
-    let frames = entries.into_iter().map(move |entry| read_frame(&entry, points_max));
+    let frames = entries.into_iter().map(move |(at, path)| read_frame(at, &path, points_max));
     Ok(Record { name: name_of(folder), summary, poses, frames: Frames::new(frames) })
 }
 
-struct Entry {
-    stamp: Stamp,
-    pose: Pose,
-    path: PathBuf,
-}
-
-fn read_frame(entry: &Entry, points_max: u64) -> Result<Frame, ReadError> {
-    let bytes = read_whole(&entry.path, FILE_BYTES_MAX)?;
-    let parsed = pcd::parse(&bytes, points_max).map_err(|fault| fault.in_file(&entry.path))?;
+fn read_frame((stamp, pose): (Stamp, Pose), path: &Path, points_max: u64) -> Result<Frame, ReadError> {
+    let bytes = read_whole(path, FILE_BYTES_MAX)?;
+    let parsed = pcd::parse(&bytes, points_max).map_err(|fault| fault.in_file(path))?;
     if parsed.viewpoint != Pose::IDENTITY {
         let expected = "VIEWPOINT 0 0 0 1 0 0 0: the pose of a scan comes from the pose file";
         let place = Place::Line(parsed.viewpoint_line);
-        return Err(Fault::foreign(place, expected, "another pose").in_file(&entry.path));
+        return Err(Fault::foreign(place, expected, "another pose").in_file(path));
     }
     let mut points = Vec::with_capacity(parsed.points.len());
-    points.extend(parsed.points.iter().map(|p| p.map(|v| v as f32)));
-    Ok(Frame {
-        scan: Scan { stamp: entry.stamp, points, no_returns: Vec::new() },
-        t_map_sensor: entry.pose,
-        points_dropped: parsed.dropped,
-    })
+    let finite = parsed.points.iter().filter(|p| p.iter().all(|v| v.is_finite()));
+    points.extend(finite.map(|p| p.map(|v| v as f32)));
+    let points_dropped = (parsed.points.len() - points.len()) as u64;
+    let scan = Scan { stamp, points, no_returns: Vec::new() };
+    Ok(Frame { scan, t_map_sensor: pose, points_dropped })
 }
 
 /// The scans of the folder in the order of their names, numbers taken as numbers.
@@ -75,11 +68,8 @@ fn scan_files(folder: &Path) -> Result<Vec<PathBuf>, ReadError> {
     for file in std::fs::read_dir(&scans).map_err(io)? {
         let path = file.map_err(io)?.path();
         if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
-            if files.len() >= ROWS_MAX {
-                let what = "the number of scans";
-                return Err(Fault::too_large(Place::Whole, what, files.len() as u64 + 1, ROWS_MAX as u64)
-                    .in_file(&scans));
-            }
+            check_room("the number of scans", files.len(), ROWS_MAX)
+                .map_err(|fault| fault.in_file(&scans))?;
             files.push(path);
         }
     }
@@ -150,10 +140,7 @@ fn read_rows<T>(path: &Path, parse: impl Fn(&str) -> Option<T>) -> Result<Vec<T>
     let lines = text.split(|&b| b == b'\n').filter(|_| !text.is_empty());
     let mut rows = Vec::new();
     for (line, number) in lines.zip(1u64..) {
-        if rows.len() >= ROWS_MAX {
-            let what = "the number of rows";
-            return Err(Fault::too_large(Place::Whole, what, number, ROWS_MAX as u64).in_file(path));
-        }
+        check_room("the number of rows", rows.len(), ROWS_MAX).map_err(|fault| fault.in_file(path))?;
         let row = core::str::from_utf8(line).ok().and_then(&parse).ok_or_else(|| {
             let expected =
                 "a pose (12 numbers: a rotation and a place, row by row) or a time (1 number, seconds)";

@@ -71,7 +71,8 @@ pub(crate) fn plan(path: &Path, options: &RecordOptions, index: McapIndex) -> Re
     summary.damages.clone_from(&index.damages);
     let no_returns = topic.rsplit_once('/').map(|(base, _)| format!("{base}{}", ros::NO_RETURNS));
     let no_returns = no_returns.filter(|t| t != topic && index.clouds.contains_key(t));
-    let frames = McapFrames::new(path, options, topic, no_returns, entries, index.damages.clone());
+    let damages = index.damages.clone();
+    let frames = McapFrames::new(path.into(), options.clone(), topic.into(), no_returns, entries, damages);
     Ok(Record { name: name_of(path), summary, poses, frames: Frames::new(frames) })
 }
 
@@ -128,6 +129,7 @@ fn only<'a, T: Copy>(topics: &[(&'a str, T)], expected: &str) -> Result<Option<(
 }
 
 /// Where the poses of scans in one frame come from: odometry, tf, or both one after the other.
+#[derive(Default)]
 struct PoseSource<'a> {
     frame: &'a str,
     odometry: Option<&'a OdometryTopic>,
@@ -172,8 +174,7 @@ fn choose_poses<'a>(
         let found: Vec<_> = candidates.iter().filter(|(_, o)| fits(o)).copied().collect();
         only(&found, "one topic of odometry for the scans, or the name of the one to take")
     };
-    let source =
-        PoseSource { frame, odometry: None, tf_from: None, registered: false, described: String::new() };
+    let source = PoseSource { frame, ..PoseSource::default() };
     // In this order: the sensor itself, a frame that the sensor is fixed to, and points that are already in the map.
     if let Some((topic, o)) = fitting(&|o| o.child == frame || o.child.is_empty())? {
         let described = format!("odometry {topic}: \"{}\" → \"{frame}\"", o.parent);

@@ -69,11 +69,7 @@ impl Travelled {
             return;
         }
         if self.places.len() >= PATH_POINTS_MAX {
-            let mut number = 0;
-            self.places.retain(|_| {
-                number += 1;
-                number % 2 == 1
-            });
+            self.places = self.places.iter().copied().step_by(2).collect();
             self.step_m *= 2.0;
         }
         self.places.push(place);
@@ -122,11 +118,8 @@ fn colour(z: f32) -> [u8; 3] {
     let at = (if turn <= 1.0 { turn } else { 2.0 - turn }) * steps;
     let low = (at as usize).min(RAMP.len() - 2);
     let share = at - low as f32;
-    let (a, b) = (RAMP.get(low).copied().unwrap_or_default(), RAMP.get(low + 1).copied().unwrap_or_default());
-    core::array::from_fn(|i| {
-        let (a, b) = (f32::from(a.get(i).copied().unwrap_or(0)), f32::from(b.get(i).copied().unwrap_or(0)));
-        (a + (b - a) * share) as u8
-    })
+    let [a, b] = [RAMP[low], RAMP[low + 1]].map(|colour| colour.map(f32::from));
+    core::array::from_fn(|i| (a[i] + (b[i] - a[i]) * share) as u8)
 }
 
 #[cfg(test)]

@@ -78,10 +78,7 @@ impl<W: Write + Seek> RecordWriter<W> {
             let schemas = [schema(ros::POINT_CLOUD)?, schema(ros::ODOMETRY)?, schema(ros::TRANSFORMS)?];
             Ok((mcap, schemas))
         };
-        let (mcap, schemas) = match make() {
-            Ok(made) => made,
-            Err(source) => return Err(WriteError::Mcap { path, source }),
-        };
+        let (mcap, schemas) = make().map_err(WriteError::mcap(&path))?;
         let (robot, sensor_frame) = (robot.to_owned(), format!("{robot}/lidar"));
         let (schedule, travelled) = Default::default();
         let mut writer = Self { path, mcap, robot, sensor_frame, schemas, sequence: 0, schedule, travelled };
@@ -97,7 +94,8 @@ impl<W: Write + Seek> RecordWriter<W> {
         self.check_stamp(scan.stamp)?;
         let most = (u32::MAX / 12) as usize;
         if scan.points.len().max(scan.no_returns.len()) > most {
-            return Err(self.unfit("a scan".into(), "a PointCloud2 holds at most 2³² bytes"));
+            let why = "a PointCloud2 holds at most 2³² bytes";
+            return Err(WriteError::unfit(&self.path, "a scan", why));
         }
         let in_sensor = Header { stamp: scan.stamp, frame: self.sensor_frame.clone() };
         let transform = Transform {
@@ -158,9 +156,8 @@ impl<W: Write + Seek> RecordWriter<W> {
 
     /// Writes the index and ends the file. A writer that is dropped instead does the same but cannot report errors.
     pub fn finish(mut self) -> Result<(), WriteError> {
-        self.mcap.finish().map_err(|source| WriteError::Mcap { path: self.path.clone(), source })?;
-        let path = self.path;
-        self.mcap.into_inner().flush().map_err(WriteError::io(&path))
+        self.mcap.finish().map_err(WriteError::mcap(&self.path))?;
+        self.mcap.into_inner().flush().map_err(WriteError::io(&self.path))
     }
 
     fn topic(&self, name: &str) -> String {
@@ -170,14 +167,15 @@ impl<W: Write + Seek> RecordWriter<W> {
     /// The channel of a topic, which is made when it is asked for the first time.
     fn channel(&mut self, schema: u16, topic: &str) -> Result<u16, WriteError> {
         let channel = self.mcap.add_channel(schema, topic, "cdr", &Default::default());
-        channel.map_err(|source| self.failed(source))
+        channel.map_err(WriteError::mcap(&self.path))
     }
 
     fn check_stamp(&self, stamp: Stamp) -> Result<(), WriteError> {
         if ros::can_be_written(stamp) {
             return Ok(());
         }
-        Err(self.unfit(format!("the stamp {stamp:?}"), "ROS 2 counts seconds from 0 to 2³¹ − 1"))
+        let why = "ROS 2 counts seconds from 0 to 2³¹ − 1";
+        Err(WriteError::unfit(&self.path, format!("the stamp {stamp:?}"), why))
     }
 
     fn message(&mut self, schema: u16, topic: &str, stamp: Stamp, data: &[u8]) -> Result<(), WriteError> {
@@ -185,15 +183,7 @@ impl<W: Write + Seek> RecordWriter<W> {
         let time = stamp.0.unsigned_abs() * 1_000;
         let header =
             MessageHeader { channel_id, sequence: self.sequence, log_time: time, publish_time: time };
-        self.mcap.write_to_known_channel(&header, data).map_err(|source| self.failed(source))
-    }
-
-    fn unfit(&self, what: String, why: &str) -> WriteError {
-        WriteError::Unfit { path: self.path.clone(), what, why: why.into() }
-    }
-
-    fn failed(&self, source: mcap::McapError) -> WriteError {
-        WriteError::Mcap { path: self.path.clone(), source }
+        self.mcap.write_to_known_channel(&header, data).map_err(WriteError::mcap(&self.path))
     }
 }
 

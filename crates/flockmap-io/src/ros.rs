@@ -41,19 +41,12 @@ fn frame_name(cdr: &mut CdrReader<'_>) -> Result<String, Fault> {
     Ok(name.strip_prefix('/').map(str::to_owned).unwrap_or(name))
 }
 
-/// A point cloud message without its points: cheap to read.
-pub(crate) struct CloudHeader {
-    pub(crate) header: Header,
-    pub(crate) points: u64,
-}
-
-impl CloudHeader {
-    pub(crate) fn decode(message: &[u8]) -> Result<Self, Fault> {
-        let mut cdr = CdrReader::new(message)?;
-        let header = Header::read(&mut cdr)?;
-        let (height, width): (u32, u32) = cdr.read("the height and width")?;
-        Ok(Self { header, points: u64::from(height) * u64::from(width) })
-    }
+/// The header of a point cloud message and the number of its points: cheap to read.
+pub(crate) fn decode_cloud_header(message: &[u8]) -> Result<(Header, u64), Fault> {
+    let mut cdr = CdrReader::new(message)?;
+    let header = Header::read(&mut cdr)?;
+    let (height, width): (u32, u32) = cdr.read("the height and width")?;
+    Ok((header, u64::from(height) * u64::from(width)))
 }
 
 /// The points of a point cloud message.
@@ -331,7 +324,7 @@ mod tests {
                 if let Ok(cloud) = decode_points(&message, 1000, None) {
                     prop_assert!(cloud.points.len() <= 1000);
                 }
-                let _ = CloudHeader::decode(&message);
+                let _ = decode_cloud_header(&message);
                 let _ = decode_odometry(&message);
                 let _ = decode_transforms(&message);
             }
@@ -344,8 +337,7 @@ mod tests {
         let message = encode_points(&header(), &points);
         let cloud = decode_points(&message, 3, None).unwrap();
         assert_eq!(cloud, CloudPoints { points: vec![points[0], points[2]], dropped: 1 });
-        let head = CloudHeader::decode(&message).unwrap();
-        assert_eq!((head.header, head.points), (header(), 3));
+        assert_eq!(decode_cloud_header(&message).unwrap(), (header(), 3));
         let pose = Pose::new([1.0, -2.0, 3.0], [0.1, 0.5, -0.7, 0.3]).unwrap();
         let transform = Transform { header: header(), child: "robot1/lidar".into(), pose };
         assert_eq!(decode_odometry(&encode_odometry(&transform)).unwrap(), transform);

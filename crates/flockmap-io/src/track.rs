@@ -29,14 +29,10 @@ impl Track {
 
     /// Puts the poses in order; of several with one stamp the last counts. Needed before [`Self::at`].
     pub(crate) fn sort(&mut self) {
+        // Turned round, the one that came last stands first among its equals, and the first is kept.
+        self.poses.reverse();
         self.poses.sort_by_key(|(stamp, _)| *stamp);
-        self.poses.dedup_by(|later, earlier| {
-            let same = later.0 == earlier.0;
-            if same {
-                *earlier = *later;
-            }
-            same
-        });
+        self.poses.dedup_by_key(|(stamp, _)| *stamp);
         self.sorted = true;
     }
 
@@ -79,7 +75,7 @@ pub(crate) struct FrameTree {
     poses: usize,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Edge {
     parent: String,
     moving: Track,
@@ -95,13 +91,9 @@ impl FrameTree {
         if self.edges.len() >= FRAMES_MAX && !self.edges.contains_key(&child) {
             return;
         }
-        let edge = self.edges.entry(child).or_insert_with(|| Edge {
-            parent: parent.clone(),
-            moving: Track::default(),
-            fixed: None,
-        });
+        let edge = self.edges.entry(child).or_default();
         if edge.parent != parent {
-            *edge = Edge { parent, moving: Track::default(), fixed: None };
+            *edge = Edge { parent, ..Edge::default() };
         }
         if fixed {
             edge.fixed = Some(pose);

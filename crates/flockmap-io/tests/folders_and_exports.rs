@@ -59,6 +59,18 @@ fn scans_with_other_names_have_the_rows_in_order() {
 }
 
 #[test]
+fn points_of_a_scan_that_are_no_numbers_are_dropped_and_counted() {
+    let folder = Folder::new();
+    scans(&folder, ["0", "1", "2"], 3);
+    let text =
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nDATA ascii\nnan 1 2\n1 2 3\n";
+    std::fs::write(folder.join("Scans/0.pcd"), text).unwrap();
+    let mut frames = open_record(folder.join(""), &RecordOptions::default()).unwrap().frames;
+    let frame = frames.next().unwrap().unwrap();
+    assert_eq!((frame.scan.points, frame.points_dropped), (vec![[1.0, 2.0, 3.0]], 1));
+}
+
+#[test]
 fn what_is_missing_in_a_folder_is_told() {
     let folder = Folder::new();
     let error = |options: &RecordOptions| open(&folder, options).unwrap_err();

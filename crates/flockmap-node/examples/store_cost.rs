@@ -59,7 +59,7 @@ fn main() -> anyhow::Result<()> {
     for epoch in 2..=66 {
         drop(open()?.start(epoch)?);
     }
-    let (again, mut store) = restart(67)?;
+    let (again, store) = restart(67)?;
     let (began, mut longest) = (Instant::now(), Duration::ZERO);
     while store.counters().compactions + store.counters().compactions_failed + store.counters().failures == 0
     {

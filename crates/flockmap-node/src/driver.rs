@@ -164,7 +164,7 @@ impl<T: Transport> Driver<T> {
             self.counters.send_failed += u64::from(sent.failed);
         }
         self.take_events(clock.now(), |_, _| {});
-        if let Some(store) = &mut self.store {
+        if let Some(store) = &self.store {
             store.step(&self.robot);
         }
         if let Some(step) = self.clock_steps.poll() {
@@ -337,12 +337,10 @@ impl<T: Transport> Driver<T> {
                 }
                 Event::NoncesExhausted => {
                     let text = "this run has sent all that can be sealed: nothing more goes out; start again";
-                    self.options.log.say(Level::Error, text);
+                    self.options.log.error(text);
                 }
                 Event::EncodeFailed(error) => {
-                    self.options
-                        .log
-                        .say(Level::Error, format!("own changes are lost to the others: {error}"));
+                    self.options.log.error(format!("own changes are lost to the others: {error}"));
                 }
                 _ => {}
             }
@@ -377,18 +375,20 @@ impl<T: Transport> Driver<T> {
         let now = Instant::now();
         let robot = self.robot.poll_timeout().map(|due| self.options.clock.instant_of(due));
         let status = self.options.status_period.map(|_| self.status_due);
-        let after = self.options.end.after.map(|after| later(self.began, after));
-        let quiet =
-            self.options.end.when_quiet.filter(|_| self.inputs_ended).map(|quiet| later(self.active, quiet));
         let idle = now + Duration::from_secs(60);
-        [robot, status, after, quiet, until].into_iter().flatten().fold(idle, Instant::min)
+        [robot, status, until].into_iter().flatten().chain(self.ends()).fold(idle, Instant::min)
+    }
+
+    /// When it ends by itself, as far as is known.
+    fn ends(&self) -> impl Iterator<Item = Instant> {
+        let after = self.options.end.after.map(|after| later(self.began, after));
+        let quiet = self.options.end.when_quiet.filter(|_| self.inputs_ended);
+        after.into_iter().chain(quiet.map(|quiet| later(self.active, quiet)))
     }
 
     fn is_over(&self) -> bool {
-        let end = &self.options.end;
-        self.stopped
-            || end.after.is_some_and(|after| self.began.elapsed() >= after)
-            || end.when_quiet.is_some_and(|quiet| self.inputs_ended && self.active.elapsed() >= quiet)
+        let now = Instant::now();
+        self.stopped || self.ends().any(|end| now >= end)
     }
 
     /// Whether every peer has confirmed all that was sent.
@@ -405,16 +405,14 @@ impl<T: Transport> Driver<T> {
     }
 
     fn status(&self) -> NodeStatus {
-        let status = NodeStatus::new(
-            &self.options.name,
-            &self.robot,
-            self.began.elapsed(),
-            self.active.elapsed(),
-            self.inputs_ended,
-            self.counters,
-            &self.timings,
-        );
-        NodeStatus { store: self.store.as_ref().map(StoreWriter::counters).unwrap_or_default(), ..status }
+        NodeStatus {
+            uptime: self.began.elapsed(),
+            quiet_for: self.active.elapsed(),
+            sensor_ended: self.inputs_ended,
+            node: self.counters,
+            store: self.store.as_ref().map(StoreWriter::counters).unwrap_or_default(),
+            ..NodeStatus::new(&self.options.name, &self.robot, &self.timings)
+        }
     }
 }
 

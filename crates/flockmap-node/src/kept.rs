@@ -1,5 +1,6 @@
 //! What a node finds of its former runs when it starts, and the epoch that it takes after them.
 
+use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -60,16 +61,13 @@ fn open_store(config: &NodeConfig, robot: &RobotConfig) -> Result<Option<Store>>
 }
 
 fn open_epoch_file(path: &PathBuf, robot: &RobotConfig, log: &Log) -> Option<EpochFile> {
-    let folder = match Folder::shared(path) {
-        Ok(folder) => folder,
-        Err(error) => {
-            let path = path.display();
-            log.warn(format!(
-                "cannot make the folder {path} for the epoch: {error}. The next run relies on the store, if there is one, and on the clock; [state] path names another folder"
-            ));
-            return None;
-        }
+    let cannot = |error: &io::Error| {
+        let path = path.display();
+        log.warn(format!(
+            "cannot make the folder {path} for the epoch: {error}. The next run relies on the store, if there is one, and on the clock; [state] path names another folder"
+        ));
     };
+    let folder = Folder::shared(path).inspect_err(cannot).ok()?;
     let (file, fault) = EpochFile::open(Arc::new(folder), robot.session.swarm, robot.id);
     if let Some(fault) = fault {
         log.warn(format!("in {}: {fault}", path.display()));
@@ -80,11 +78,8 @@ fn open_epoch_file(path: &PathBuf, robot: &RobotConfig, log: &Log) -> Option<Epo
 /// What to do where there is no higher epoch.
 fn exhausted(config: &NodeConfig, folder: Option<PathBuf>, file: Option<&EpochFile>) -> String {
     let file = folder.zip(file).map(|(folder, file)| folder.join(file.name()));
-    let places: Vec<String> = [file.as_ref(), config.store.path.as_ref()]
-        .into_iter()
-        .flatten()
-        .map(|path| path.display().to_string())
-        .collect();
+    let places = file.iter().chain(&config.store.path);
+    let places: Vec<String> = places.map(|path| path.display().to_string()).collect();
     format!(
         "robot {} has no epoch left: remove {}, with what it has on disk of former maps. Who has heard the last run takes the next one for an older one: give the robot \
          another id, or start the whole swarm again",

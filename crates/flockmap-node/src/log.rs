@@ -67,6 +67,10 @@ impl Log {
     pub(crate) fn warn(&self, text: impl AsRef<str>) {
         self.say(Level::Warning, text);
     }
+
+    pub(crate) fn error(&self, text: impl AsRef<str>) {
+        self.say(Level::Error, text);
+    }
 }
 
 impl fmt::Debug for Log {

@@ -1,7 +1,6 @@
 //! One robot on a thread of its own, and the handle to it.
 
 use std::fmt;
-use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::mpsc as std_mpsc;
@@ -9,15 +8,15 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use flockmap::{Robot, Stamp};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::mpsc;
 
 use crate::command::Command;
 use crate::driver::Driver;
 use crate::options::NodeOptions;
-use crate::sensor::{INPUTS_WAITING_MAX, Input, Sensor, SensorSocket, play};
+use crate::sensor::{INPUTS_WAITING_MAX, Input, MessageLimits, Sensor, SensorSocket, play, serve};
 use crate::store::{Store, StoreError, StoreLog};
 use crate::store_writer::StoreWriter;
-use crate::{Clock, NodeStatus, Summary, Transport};
+use crate::{Clock, ConfigError, NodeStatus, Summary, Transport};
 
 /// Why a node could not start.
 #[derive(Debug, thiserror::Error)]
@@ -30,15 +29,8 @@ pub enum StartError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// An option of the node cannot work.
-    #[error("{option} is {got}, expected {expected}")]
-    Option {
-        /// Name of the option.
-        option: &'static str,
-        /// Its value.
-        got: String,
-        /// What would work.
-        expected: &'static str,
-    },
+    #[error(transparent)]
+    Option(#[from] ConfigError),
     /// The system refused something.
     #[error("cannot {what}: {source}")]
     System {
@@ -53,12 +45,8 @@ pub enum StartError {
 #[derive(Debug)]
 pub struct Node;
 
-/// The addresses that the system chose.
-#[derive(Clone, Debug, Default)]
-struct Addresses {
-    sensor: Option<String>,
-    prometheus: Option<SocketAddr>,
-}
+/// The addresses that the system chose: of the sensor socket, and of the counters.
+type Addresses = (Option<String>, Option<SocketAddr>);
 
 impl Node {
     /// Starts a robot on a thread of its own. `make_transport` is called there, within a tokio runtime. Returns when
@@ -74,19 +62,11 @@ impl Node {
         let (commands, commands_in) = mpsc::unbounded_channel();
         let commands_weak = commands.downgrade();
         let (started, start) = std_mpsc::channel();
-        let (ended, end) = oneshot::channel();
-        let work = move || {
-            let result = Self::work(options, make_transport, (commands_weak, commands_in), &started);
-            // Nobody may be waiting.
-            let _ = ended.send(());
-            result
-        };
-        let thread = std::thread::Builder::new()
-            .name(format!("node {name}"))
-            .spawn(work)
-            .map_err(|source| StartError::System { what: "start a thread".into(), source })?;
+        let work = move || Self::work(options, make_transport, (commands_weak, commands_in), &started);
+        let thread = std::thread::Builder::new().name(format!("node {name}")).spawn(work);
+        let thread = thread.map_err(system("start a thread"))?;
         match start.recv() {
-            Ok(addresses) => Ok(NodeHandle { name, clock, commands, thread, end: Some(end), addresses }),
+            Ok(addresses) => Ok(NodeHandle { name, clock, commands, thread, addresses }),
             Err(std_mpsc::RecvError) => match thread.join() {
                 Ok(Err(error)) => Err(error),
                 Ok(Ok(_)) => Err(died("ended before it had started")),
@@ -101,40 +81,27 @@ impl Node {
         (commands, commands_in): (mpsc::WeakUnboundedSender<Command>, mpsc::UnboundedReceiver<Command>),
         started: &std_mpsc::Sender<Addresses>,
     ) -> Result<Ended, StartError> {
-        let system = |what: &str| {
-            let what = what.to_owned();
-            move |source| StartError::System { what, source }
-        };
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .map_err(system("start the runtime"))?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.map_err(system("start the runtime"))?;
         runtime.block_on(async move {
             let mut robot = Robot::new(options.robot.clone(), options.clock.now())?;
             let transport = make_transport().map_err(system("start the transport"))?;
             let sensor_socket = SensorSocket::open(&options.sensor)
                 .await
-                .map_err(system(&format!("open the sensor socket {}", options.sensor.place())))?;
-            let prometheus = match options.prometheus {
-                Some(address) => Some(
-                    crate::metrics::listen(address)
-                        .await
-                        .map_err(system(&format!("serve metrics at {address}")))?,
-                ),
-                None => None,
-            };
+                .map_err(system(format!("open the sensor socket {}", options.sensor.place())))?;
+            let mut prometheus = None;
+            if let Some(address) = options.prometheus {
+                let listener = crate::metrics::listen(address).await;
+                prometheus = Some(listener.map_err(system(format!("serve metrics at {address}")))?);
+            }
             // After all else that can stop the start: each leaves a segment.
-            let store = match options.store.take() {
-                Some(store) => Some(restore(store, &mut robot, &options)?),
-                None => None,
-            };
+            let store = options.store.take();
+            let store = store.map(|store| restore(store, &mut robot, &options)).transpose()?;
             let epoch_file = options.epoch_file.take();
             let store = (store.is_some() || epoch_file.is_some())
                 .then(|| StoreWriter::start(store, epoch_file, options.log.clone()));
-            let addresses = Addresses {
-                sensor: sensor_socket.as_ref().map(SensorSocket::address),
-                prometheus: prometheus.as_ref().and_then(|listener| listener.local_addr().ok()),
-            };
+            let sensor_address = sensor_socket.as_ref().map(|(socket, _)| socket.address());
+            let prometheus_address = prometheus.as_ref().and_then(|listener| listener.local_addr().ok());
 
             let (inputs, inputs_in) = mpsc::channel(INPUTS_WAITING_MAX);
             let sensor = std::mem::replace(&mut options.sensor, Sensor::None);
@@ -144,7 +111,7 @@ impl Node {
             }
             let driver = Driver::new(options, (robot, store), transport, inputs_in, commands_in);
             // The caller waits for this.
-            let _ = started.send(addresses);
+            let _ = started.send((sensor_address, prometheus_address));
             let (robot, status) = driver.drive().await;
             Ok(Ended { summary: Summary::new(&robot, &status), robot, status })
         })
@@ -182,27 +149,21 @@ fn restore(mut store: Store, robot: &mut Robot, options: &NodeOptions) -> Result
 
 fn start_sensor(
     sensor: Sensor,
-    socket: Option<SensorSocket>,
+    socket: Option<(SensorSocket, MessageLimits)>,
     clock: Clock,
     inputs: mpsc::Sender<Input>,
 ) -> Result<(), StartError> {
-    if let Some(socket) = socket {
-        tokio::spawn(socket.serve(clock, inputs));
+    if let Some((socket, limits)) = socket {
+        tokio::spawn(serve(socket, limits, clock, inputs));
         return Ok(());
     }
     match sensor {
         Sensor::Play { frames, speed, skip, begin } => {
-            if !(speed > 0.0 && speed <= 1e6) {
-                return Err(StartError::Option {
-                    option: "speed",
-                    got: speed.to_string(),
-                    expected: "more than 0 and at most 1,000,000",
-                });
-            }
+            let speed = crate::config::speed("speed", speed)?;
             std::thread::Builder::new()
                 .name("sensor".into())
                 .spawn(move || play(frames, speed, skip, begin, &clock, &inputs))
-                .map_err(|source| StartError::System { what: "start a thread".into(), source })?;
+                .map_err(system("start a thread"))?;
         }
         Sensor::Channel(mut frames) => {
             tokio::spawn(async move {
@@ -218,8 +179,12 @@ fn start_sensor(
     Ok(())
 }
 
+fn system(what: impl Into<String>) -> impl FnOnce(io::Error) -> StartError {
+    move |source| StartError::System { what: what.into(), source }
+}
+
 fn died(how: &str) -> StartError {
-    StartError::System { what: "run the node".into(), source: io::Error::other(format!("its thread {how}")) }
+    system("run the node")(io::Error::other(format!("its thread {how}")))
 }
 
 /// What is left of a node that has ended.
@@ -245,7 +210,6 @@ pub struct NodeHandle {
     clock: Clock,
     commands: mpsc::UnboundedSender<Command>,
     thread: JoinHandle<Result<Ended, StartError>>,
-    end: Option<oneshot::Receiver<()>>,
     addresses: Addresses,
 }
 
@@ -262,12 +226,12 @@ impl NodeHandle {
 
     /// Where sensor programs connect, if the node has such a socket.
     pub fn sensor_address(&self) -> Option<&str> {
-        self.addresses.sensor.as_deref()
+        self.addresses.0.as_deref()
     }
 
     /// Where counters are served, if they are.
     pub const fn prometheus_address(&self) -> Option<SocketAddr> {
-        self.addresses.prometheus
+        self.addresses.1
     }
 
     /// Runs a function on the robot, between two steps of the node, and waits for the result: read maps, set alignments,
@@ -305,14 +269,8 @@ impl NodeHandle {
     }
 
     /// Waits until the node has ended, without stopping it.
-    pub fn ended(&mut self) -> impl Future<Output = ()> + use<> {
-        let end = self.end.take();
-        async move {
-            if let Some(end) = end {
-                // An error means the same: the thread is gone.
-                let _ = end.await;
-            }
-        }
+    pub async fn ended(&self) {
+        self.commands.closed().await;
     }
 
     /// Waits until the node has ended, without stopping it, and returns what is left of it.

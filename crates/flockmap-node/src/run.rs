@@ -8,12 +8,12 @@ use anyhow::{Context, Result, bail};
 use flockmap::sync::SwarmKey;
 use flockmap_io::{ExportOptions, RecordOptions, export_map, open_record};
 
-use crate::config::{seconds, value};
+use crate::config::{seconds, speed, value, within};
 use crate::kept::Kept;
 use crate::sensor::repeated;
 use crate::{
-    EndOptions, Ended, KEY_VARIABLE, Level, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions,
-    Sensor, UdpSockets,
+    EndOptions, Ended, KEY_VARIABLE, Log, MessageLimits, Node, NodeConfig, NodeHandle, NodeOptions, Sensor,
+    UdpSockets,
 };
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
@@ -37,7 +37,7 @@ pub fn run(config_path: &Path) -> Result<()> {
         let _context = runtime.enter();
         Signals::new().context("cannot listen to signals")?
     };
-    let mut node = Node::start(options, move || sockets.into_transport())?;
+    let node = Node::start(options, move || sockets.into_transport())?;
     log.info(format!("robot {} epoch {} listens on {address}", own.0, own.1));
     if let Some(sensor) = node.sensor_address() {
         log.info(format!("takes scans at {sensor}"));
@@ -45,7 +45,7 @@ pub fn run(config_path: &Path) -> Result<()> {
     if let Some(address) = node.prometheus_address() {
         log.info(format!("serves counters at http://{address}/metrics"));
     }
-    runtime.block_on(until_ended(&mut node, signals, &log));
+    runtime.block_on(until_ended(&node, signals, &log));
     finish(&config, &node.join()?, &log)
 }
 
@@ -139,11 +139,9 @@ fn random_bytes<const N: usize>() -> Result<[u8; N]> {
 fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
     let section = &config.sensor;
     let error = seconds("[sensor] stamp_error_max_s", section.stamp_error_max_s)?;
-    if section.scan_points_max == 0 || section.scan_points_max > 1 << 26 {
-        bail!(value("[sensor] scan_points_max", section.scan_points_max, "1 to 67,108,864"));
-    }
+    let points_max = section.scan_points_max;
     let limits = MessageLimits {
-        scan_points_max: section.scan_points_max,
+        scan_points_max: within("[sensor] scan_points_max", points_max, 1..=1 << 26, "1 to 67,108,864")?,
         stamp_error_max_micros: i64::try_from(error.as_micros()).unwrap_or(i64::MAX),
     };
     match (&section.record, section.listen_tcp, &section.listen_unix) {
@@ -152,31 +150,26 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
             Ok(Sensor::None)
         }
         (Some(path), None, None) => {
-            if !(section.speed > 0.0 && section.speed <= 1e6) {
-                bail!(value("[sensor] speed", section.speed, "more than 0 and at most 1,000,000"));
-            }
+            let speed = speed("[sensor] speed", section.speed)?;
             let skip = seconds("[sensor] start_s", section.start_s)?;
             let options = RecordOptions {
                 points_topic: section.points_topic.clone(),
                 odometry_topic: section.odometry_topic.clone(),
                 map_frame: section.map_frame.clone(),
                 poses: section.poses.clone(),
-                scan_points_max: u64::from(section.scan_points_max),
+                scan_points_max: u64::from(points_max),
                 ..RecordOptions::default()
             };
-            if section.repeat == 0 {
-                bail!(value("[sensor] repeat", section.repeat, "1 or more"));
-            }
+            let repeat = within("[sensor] repeat", section.repeat, 1.., "1 or more")?;
             let record = open_record(path, &options)?;
             let summary = &record.summary;
             let (scans, length) = (summary.frames, summary.duration_s());
-            let rounds =
-                if section.repeat == 1 { String::new() } else { format!(", {} times", section.repeat) };
+            let rounds = if repeat == 1 { String::new() } else { format!(", {repeat} times") };
             log.info(format!("plays {}: {scans} scans, {length:.1} s{rounds}", path.display()));
             let again = path.clone();
             let open = move || open_record(&again, &options).map(|record| record.frames);
-            let frames = repeated(record.frames, section.repeat, open);
-            Ok(Sensor::Play { frames, speed: section.speed, skip, begin: None })
+            let frames = repeated(record.frames, repeat, open);
+            Ok(Sensor::Play { frames, speed, skip, begin: None })
         }
         (None, Some(address), None) => {
             if !address.ip().is_loopback() {
@@ -199,7 +192,7 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
 }
 
 /// Waits for the node, and stops it on a signal; a second one stops it at once.
-async fn until_ended(node: &mut NodeHandle, mut signals: Signals, log: &Log) {
+async fn until_ended(node: &NodeHandle, mut signals: Signals, log: &Log) {
     let ended = node.ended();
     tokio::pin!(ended);
     loop {
@@ -270,7 +263,7 @@ fn finish(config: &NodeConfig, ended: &Ended, log: &Log) -> Result<()> {
         let map = ended.robot.map();
         let options = ExportOptions { free: output.save_free };
         let count = export_map(path, map.resolution(), map.voxels(), &options)?;
-        log.say(Level::Info, format!("{count} voxels in {}", path.display()));
+        log.info(format!("{count} voxels in {}", path.display()));
     }
     summary
 }

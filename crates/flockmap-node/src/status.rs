@@ -131,15 +131,8 @@ pub struct NodeStatus {
 }
 
 impl NodeStatus {
-    pub(crate) fn new(
-        name: &str,
-        robot: &Robot,
-        uptime: Duration,
-        quiet_for: Duration,
-        sensor_ended: bool,
-        node: NodeCounters,
-        timings: &Timings,
-    ) -> Self {
+    /// What the robot says; of the node, that it has just begun.
+    pub(crate) fn new(name: &str, robot: &Robot, timings: &Timings) -> Self {
         let (session, fusion) = (robot.session(), robot.fusion());
         let of_stream = |stream| {
             let missing = session.store().missing(stream);
@@ -154,13 +147,13 @@ impl NodeStatus {
         Self {
             name: name.to_owned(),
             own: robot.own_stream(),
-            uptime,
-            quiet_for,
-            sensor_ended,
+            uptime: Duration::ZERO,
+            quiet_for: Duration::ZERO,
+            sensor_ended: false,
             map_voxels: robot.map().count(),
             peers: session.peers().collect(),
             streams: session.streams().map(of_stream).collect(),
-            node,
+            node: NodeCounters::default(),
             robot: *robot.counters(),
             session: *session.counters(),
             store: StoreCounters::default(),
@@ -170,9 +163,8 @@ impl NodeStatus {
 
     /// Packages received and missing, over all streams.
     pub fn packages(&self) -> (u64, u64) {
-        self.streams
-            .iter()
-            .fold((0, 0), |(received, missing), s| (received + s.received, missing + s.missing))
+        let sum = |of: fn(&StreamStatus) -> u64| self.streams.iter().map(of).sum();
+        (sum(|s| s.received), sum(|s| s.missing))
     }
 
     /// What this robot has dropped for want of room. Anything but 0: raise `streams_max` or `epochs_max`.
@@ -331,7 +323,7 @@ mod tests {
         let mut timings = Timings::default();
         timings.pack.saturating_record(1_500);
         let second = Duration::from_secs(2);
-        NodeStatus::new(name, &robot, second, second, false, node, &timings)
+        NodeStatus { uptime: second, quiet_for: second, node, ..NodeStatus::new(name, &robot, &timings) }
     }
 
     #[test]

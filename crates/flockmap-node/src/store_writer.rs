@@ -24,14 +24,14 @@ const PACKAGES_AT_ONCE: usize = 256;
 /// Takes what is to be on disk. Never waits for the disk. Dropping it writes what waits, makes it safe, and lets go of the folder.
 #[derive(Debug)]
 pub struct StoreWriter {
-    jobs: Option<Sender<Job>>,
+    jobs: Sender<Job>,
     thread: Option<JoinHandle<()>>,
     shared: Arc<Shared>,
     has_store: bool,
     /// The run that was begun while flying, and the last of its packages that was stored with it.
     begun: Option<(Stream, u32)>,
-    running: Option<Running>,
-    compaction_thread: Option<JoinHandle<()>>,
+    /// The copies that a compaction asks for.
+    asked: Option<Receiver<Asked>>,
 }
 
 /// What the threads share.
@@ -41,8 +41,6 @@ struct Shared {
     counters: Mutex<StoreCounters>,
     /// Left out before they came to the store.
     left_out: AtomicU64,
-    /// A compaction that waits for copies.
-    wanted: Mutex<Option<Compaction>>,
     waiting_bytes: AtomicUsize,
     is_slowness_logged: AtomicBool,
 }
@@ -53,19 +51,13 @@ enum Job {
     Epoch(u64),
     Compacted(Compacted),
     Flush(SyncSender<()>),
-}
-
-/// A compaction that has begun.
-#[derive(Debug)]
-struct Running {
-    copies: SyncSender<Step>,
-    is_busy: Arc<AtomicBool>,
-    last: Option<Stream>,
-}
-
-enum Step {
-    Stream(Box<StreamCopy>),
     End,
+}
+
+/// A compaction asks for the next stream after one, to be given here; `None` says that there is none any more.
+struct Asked {
+    after: Option<Stream>,
+    answer: SyncSender<Option<StreamCopy>>,
 }
 
 impl StoreWriter {
@@ -75,27 +67,28 @@ impl StoreWriter {
             log,
             counters: Mutex::default(),
             left_out: AtomicU64::new(0),
-            wanted: Mutex::default(),
             waiting_bytes: AtomicUsize::new(0),
             is_slowness_logged: AtomicBool::new(false),
         });
         let has_store = store.is_some();
-        let mut writer = Writer { shared: Arc::clone(&shared), store, epochs, began: Instant::now() };
-        writer.report();
         let (jobs, jobs_in) = channel();
-        let thread = std::thread::Builder::new().name("store".into()).spawn(move || writer.run(&jobs_in));
-        let (thread, jobs) = match thread {
-            Ok(thread) => (Some(thread), Some(jobs)),
-            Err(error) => {
-                shared.counters().failures += u64::from(has_store);
-                shared.log.say(
-                    Level::Error,
-                    format!("store: cannot start a thread: {error}. The robot flies on in memory"),
-                );
-                (None, None)
-            }
+        let (asks, asked) = channel();
+        let mut writer = Writer {
+            shared: Arc::clone(&shared),
+            store,
+            epochs,
+            began: Instant::now(),
+            jobs: jobs.clone(),
+            asks,
+            compaction: None,
         };
-        Self { jobs, thread, shared, has_store, begun: None, running: None, compaction_thread: None }
+        writer.report();
+        let thread = std::thread::Builder::new().name("store".into()).spawn(move || writer.run(&jobs_in));
+        if let Err(error) = &thread {
+            shared.counters().failures += u64::from(has_store);
+            shared.log.error(format!("store: cannot start a thread: {error}. The robot flies on in memory"));
+        }
+        Self { jobs, thread: thread.ok(), shared, has_store, begun: None, asked: Some(asked) }
     }
 
     /// Stores what an event says is to be stored.
@@ -137,39 +130,19 @@ impl StoreWriter {
         let run = robot.own_stream();
         // Without a thread nothing is kept, which was logged.
         let _ = self.give(Job::Epoch(run.epoch));
-        let packages: Vec<_> = robot
-            .session()
-            .store()
-            .range(run, 1, u32::MAX)
-            .map(|(_, stored)| stored.package.clone())
-            .collect();
+        let stored = robot.session().store().range(run, 1, u32::MAX);
+        let packages: Vec<_> = stored.map(|(_, stored)| stored.package.clone()).collect();
         self.begun = packages.last().map(|last| (run, last.header().index));
         for packages in packages.chunks(PACKAGES_AT_ONCE) {
             self.store(packages.to_vec());
         }
     }
 
-    /// Does a part of a compaction if one has begun: copies one layer. To be called often, between two events, with no event left unread.
-    pub fn step(&mut self, robot: &Robot) {
-        if self.running.is_none() {
-            let Some(compaction) = lock(&self.shared.wanted).take() else { return };
-            self.running = self.begin_compaction(compaction);
-        }
-        let Some(running) = &mut self.running else { return };
-        if running.is_busy.swap(true, Ordering::Acquire) {
-            // One that failed takes no more.
-            if self.compaction_thread.as_ref().is_none_or(JoinHandle::is_finished) {
-                self.running = None;
-            }
-            return;
-        }
-        let step = StreamCopy::next(robot, running.last).map_or(Step::End, |copy| {
-            running.last = Some(copy.stream());
-            Step::Stream(Box::new(copy))
-        });
-        let is_over = matches!(step, Step::End);
-        if running.copies.send(step).is_err() || is_over {
-            self.running = None;
+    /// Does a part of a compaction if one asks for it: copies one layer. To be called often, between two events, with no event left unread.
+    pub fn step(&self, robot: &Robot) {
+        if let Some(Asked { after, answer }) = self.asked.as_ref().and_then(|asked| asked.try_recv().ok()) {
+            // It waits for this.
+            let _ = answer.send(StreamCopy::next(robot, after));
         }
     }
 
@@ -191,63 +164,35 @@ impl StoreWriter {
 
     /// Whether it is taken.
     fn give(&self, job: Job) -> bool {
-        self.jobs.as_ref().is_some_and(|jobs| jobs.send(job).is_ok())
-    }
-
-    fn begin_compaction(&mut self, compaction: Compaction) -> Option<Running> {
-        if let Some(before) = self.compaction_thread.take() {
-            // It has reported its end.
-            let _ = before.join();
-        }
-        let (copies, copies_in) = sync_channel(1);
-        let is_busy = Arc::new(AtomicBool::new(false));
-        let (jobs, busy) = (self.jobs.clone()?, Arc::clone(&is_busy));
-        let (hand_over, handed) = sync_channel(1);
-        let work = move || {
-            let Ok(compaction) = handed.recv() else { return };
-            let compacted = compact(compaction, &copies_in, &busy);
-            // Without a writer there is nothing to report to.
-            let _ = jobs.send(Job::Compacted(compacted));
-        };
-        match std::thread::Builder::new().name("store compaction".into()).spawn(work) {
-            Ok(thread) => {
-                self.compaction_thread = Some(thread);
-                // It waits for this.
-                let _ = hand_over.send(compaction);
-                Some(Running { copies, is_busy, last: None })
-            }
-            Err(error) => {
-                let compacted = compaction.abandon(&format!("cannot start a thread: {error}"));
-                self.give(Job::Compacted(compacted));
-                None
-            }
-        }
+        self.jobs.send(job).is_ok()
     }
 }
 
-/// Writes a compacted segment of the copies that come.
-fn compact(mut compaction: Compaction, copies: &Receiver<Step>, is_busy: &AtomicBool) -> Compacted {
+/// Writes a compacted segment of the copies that it asks for. `None`: the node has ended before the first of them.
+fn compact(mut compaction: Compaction, asks: &Sender<Asked>) -> Option<Compacted> {
+    let mut last = None;
     loop {
-        let goes_on = match copies.recv() {
-            Ok(Step::Stream(copy)) => compaction.add(*copy),
-            Ok(Step::End) => false,
-            Err(_) => return compaction.abandon("the node ended before"),
-        };
-        if !goes_on {
-            return compaction.finish();
+        let (answer, answered) = sync_channel(1);
+        // Where nobody answers any more, the answer says so.
+        let _ = asks.send(Asked { after: last, answer });
+        match answered.recv() {
+            Ok(Some(copy)) => {
+                last = Some(copy.stream());
+                if !compaction.add(copy) {
+                    return Some(compaction.finish());
+                }
+            }
+            Ok(None) => return Some(compaction.finish()),
+            Err(_) => return last.map(|_| compaction.abandon("the node ended before")),
         }
-        is_busy.store(false, Ordering::Release);
     }
 }
 
 impl Drop for StoreWriter {
     fn drop(&mut self) {
         // A compaction that is not complete ends without its last step.
-        self.running = None;
-        if let Some(thread) = self.compaction_thread.take() {
-            let _ = thread.join();
-        }
-        self.jobs = None;
+        self.asked = None;
+        self.give(Job::End);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -256,12 +201,8 @@ impl Drop for StoreWriter {
 
 impl Shared {
     fn counters(&self) -> MutexGuard<'_, StoreCounters> {
-        lock(&self.counters)
+        self.counters.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What the thread works on.
@@ -271,6 +212,11 @@ struct Writer {
     epochs: Option<EpochFile>,
     /// Time counts from here.
     began: Instant,
+    /// For its compactions: where they report their end, and ask for copies.
+    jobs: Sender<Job>,
+    asks: Sender<Asked>,
+    /// The thread of the last one.
+    compaction: Option<JoinHandle<()>>,
 }
 
 impl Writer {
@@ -278,22 +224,26 @@ impl Writer {
         self.consider_compaction();
         loop {
             let due = self.store.as_ref().and_then(StoreLog::poll_timeout);
-            let job = match due {
-                None => jobs.recv().map_err(|_| RecvTimeoutError::Disconnected),
-                Some(due) => {
-                    let micros = due.micros_since(self.now()).max(0).unsigned_abs();
-                    jobs.recv_timeout(Duration::from_micros(micros))
+            let wait = due.map_or(Duration::MAX, |due| {
+                Duration::from_micros(due.micros_since(self.now()).max(0).unsigned_abs())
+            });
+            match jobs.recv_timeout(wait) {
+                Ok(Job::End) | Err(RecvTimeoutError::Disconnected) => break,
+                Ok(job) => {
+                    self.work(job);
+                    self.consider_compaction();
                 }
-            };
-            match job {
-                Ok(job) => self.work(job),
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => break,
             }
             // While jobs keep coming, the time-out does not.
             let now = self.now();
             self.with_store(|store| store.handle_timeout(now));
         }
+        if let Some(compaction) = self.compaction.take() {
+            let _ = compaction.join();
+        }
+        // It has reported its end.
+        jobs.try_iter().for_each(|job| self.work(job));
         self.with_store(StoreLog::sync);
     }
 
@@ -303,28 +253,25 @@ impl Writer {
             Job::Store(packages) => {
                 self.shared.waiting_bytes.fetch_sub(bytes_of(&packages), Ordering::Relaxed);
                 self.with_store(|store| store.append(now, &packages));
-                self.consider_compaction();
             }
             Job::Contents(contents) => {
                 self.with_store(|store| store.append_contents(now, contents));
-                self.consider_compaction();
             }
             Job::Epoch(epoch) => {
                 if let Some(Err(fault)) = self.epochs.as_mut().map(|file| file.keep(epoch)) {
                     self.shared.log.warn(fault.to_string());
                 }
                 self.with_store(|store| store.note_epoch(epoch));
-                self.consider_compaction();
             }
             Job::Compacted(compacted) => {
                 self.with_store(|store| store.end_compaction(compacted));
-                self.consider_compaction();
             }
             Job::Flush(done) => {
                 self.with_store(StoreLog::sync);
                 // Who asked may be gone.
                 let _ = done.send(());
             }
+            Job::End => {}
         }
     }
 
@@ -333,9 +280,25 @@ impl Writer {
     }
 
     fn consider_compaction(&mut self) {
-        let compaction = self.with_store(StoreLog::begin_compaction).flatten();
-        if compaction.is_some() {
-            *lock(&self.shared.wanted) = compaction;
+        let Some(compaction) = self.with_store(StoreLog::begin_compaction).flatten() else { return };
+        let (jobs, asks) = (self.jobs.clone(), self.asks.clone());
+        let (hand_over, handed) = sync_channel(1);
+        let work = move || {
+            if let Some(compacted) = handed.recv().ok().and_then(|compaction| compact(compaction, &asks)) {
+                // Without a writer there is nothing to report to.
+                let _ = jobs.send(Job::Compacted(compacted));
+            }
+        };
+        match std::thread::Builder::new().name("store compaction".into()).spawn(work) {
+            Ok(thread) => {
+                self.compaction = Some(thread);
+                // It waits for this.
+                let _ = hand_over.send(compaction);
+            }
+            Err(error) => {
+                let compacted = compaction.abandon(&format!("cannot start a thread: {error}"));
+                self.with_store(|store| store.end_compaction(compacted));
+            }
         }
     }
 

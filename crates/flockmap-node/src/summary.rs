@@ -81,18 +81,16 @@ impl Summary {
     /// The summary of a node. O(voxels), for the digests.
     pub(crate) fn new(robot: &Robot, status: &NodeStatus) -> Self {
         let session = robot.session();
-        let streams = status.streams.iter().map(|s| StreamSummary {
-            origin: s.stream.origin.0,
-            epoch: s.stream.epoch,
-            received: session
-                .received(s.stream)
-                .map_or_else(Vec::new, |received| received.intervals().to_vec()),
-            missing: s.missing,
-            voxels: s.voxels,
-            digest: format!(
-                "{:016x}",
-                robot.fusion().layer(s.stream).map_or(0, flockmap::grid::Layer::digest)
-            ),
+        let streams = status.streams.iter().map(|s| {
+            let digest = robot.fusion().layer(s.stream).map_or(0, flockmap::grid::Layer::digest);
+            StreamSummary {
+                origin: s.stream.origin.0,
+                epoch: s.stream.epoch,
+                received: session.received(s.stream).map_or_else(Vec::new, |r| r.intervals().to_vec()),
+                missing: s.missing,
+                voxels: s.voxels,
+                digest: format!("{digest:016x}"),
+            }
         });
         Self {
             id: status.own.origin.0,

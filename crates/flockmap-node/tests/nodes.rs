@@ -52,7 +52,7 @@ fn three_nodes_end_with_equal_layers() {
     wait_until_equal(&nodes, 3);
     let status = nodes[0].status().unwrap();
     assert_eq!((status.peers.len(), status.node.frames, status.robot.scans), (2, 20, 20));
-    assert!(status.timings.pack.len() > 0 && status.timings.receive_to_insert.len() > 0);
+    assert!(!status.timings.pack.is_empty() && !status.timings.receive_to_insert.is_empty());
     assert!(status.node.bytes_out > 0 && status.packages().1 == 0, "{status:?}");
     for node in &nodes {
         node.stop();

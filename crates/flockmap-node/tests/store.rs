@@ -56,7 +56,7 @@ fn what_is_noted_is_on_disk_and_is_made_shorter_beside_it() {
     }
     let (log, lines) = told();
     let mut robot = robot(66);
-    let mut writer = StoreWriter::start(Some(open(&disk).start(66).unwrap()), None, log);
+    let writer = StoreWriter::start(Some(open(&disk).start(66).unwrap()), None, log);
     let packages = see(&mut robot, &writer, 10);
     writer.flush();
     assert_eq!((writer.counters().written, writer.counters().left_out), (packages, 0));
@@ -106,7 +106,7 @@ fn after_a_log_that_could_not_be_made_shorter_it_is_tried_again() {
     let options = StoreOptions { bytes_max: 64 << 10, ..StoreOptions::default() };
     let (log, lines) = told();
     let mut robot = robot(1);
-    let mut writer = StoreWriter::start(Some(open_with(&disk, options).start(1).unwrap()), None, log);
+    let writer = StoreWriter::start(Some(open_with(&disk, options).start(1).unwrap()), None, log);
     let mut failed = 0;
     // The map soon takes more than a compacted segment may.
     for frame in corridor(1, 2_000) {

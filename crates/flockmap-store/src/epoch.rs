@@ -19,10 +19,7 @@ pub fn next_epoch(last: Option<u64>, seconds: u64, random: u32) -> Result<u64, E
     if mutation::is(Mutation::EpochRepeated) {
         return Ok(1 << 32);
     }
-    let above = match last {
-        None => 0,
-        Some(last) => last.checked_add(1).ok_or(EpochsExhausted)?,
-    };
+    let above = last.map_or(Some(0), |last| last.checked_add(1)).ok_or(EpochsExhausted)?;
     let believed = if seconds < u64::from(u32::MAX) { seconds } else { 0 };
     let high = last.map_or(believed, |last| believed.max((last >> 32) + 1));
     if high < u64::from(u32::MAX) {

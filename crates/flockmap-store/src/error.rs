@@ -17,12 +17,9 @@ pub enum StoreError {
         /// Its answer.
         source: io::Error,
     },
-    /// Another node has the folder.
-    #[error("store: {path} is in use by another node: give each node a folder of its own")]
-    InUse {
-        /// The folder.
-        path: PathBuf,
-    },
+    /// Another node has this folder.
+    #[error("store: {} is in use by another node: give each node a folder of its own", .0.display())]
+    InUse(PathBuf),
     /// It belongs to another robot.
     #[error("store: {name} is of {got:?}, this robot is {own:?}: give it another folder, or empty this one")]
     Foreign {
@@ -44,12 +41,9 @@ pub enum StoreError {
         /// Its version.
         got: u8,
     },
-    /// An option cannot work.
-    #[error("store: bytes_max is {got}, expected at least {}", crate::store_log::BYTES_MAX_MIN)]
-    BytesMax {
-        /// Its value.
-        got: u64,
-    },
+    /// An option cannot work with this value.
+    #[error("store: bytes_max is {0}, expected at least {least}", least = crate::store_log::BYTES_MAX_MIN)]
+    BytesMax(u64),
     /// The epoch of the robot was used before.
     #[error("store: epoch {got} was used before: the last one was {last}, give a higher one")]
     Epoch {

@@ -30,10 +30,10 @@ impl Folder {
         let lock = options().create(true).truncate(false).open(path.join(LOCK)).map_err(fail)?;
         match lock.try_lock() {
             Ok(()) => {}
-            Err(std::fs::TryLockError::WouldBlock) => return Err(StoreError::InUse { path }),
+            Err(std::fs::TryLockError::WouldBlock) => return Err(StoreError::InUse(path)),
             Err(std::fs::TryLockError::Error(error)) => return Err(fail(error)),
         }
-        let warning = (!is_new && others_can_enter(&path)).then(|| {
+        let warning = (!is_new && others_may(&path, 0o077)).then(|| {
             let path = path.display();
             format!(
                 "other users of this machine can look into {path}, which has the map in it: chmod 700 {path}"
@@ -135,13 +135,15 @@ fn options() -> OpenOptions {
     options
 }
 
+/// Whether a file or folder gives others than its owner one of these permissions.
 #[cfg(unix)]
-fn others_can_enter(path: &Path) -> bool {
+pub fn others_may(path: &Path, permissions: u32) -> bool {
     use std::os::unix::fs::PermissionsExt;
-    std::fs::metadata(path).is_ok_and(|folder| folder.permissions().mode() & 0o077 != 0)
+    std::fs::metadata(path).is_ok_and(|there| there.permissions().mode() & permissions != 0)
 }
 
+/// Other systems have no such permissions.
 #[cfg(not(unix))]
-fn others_can_enter(_: &Path) -> bool {
+pub const fn others_may(_: &Path, _: u32) -> bool {
     false
 }

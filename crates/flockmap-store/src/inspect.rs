@@ -118,7 +118,7 @@ pub fn inspect(folder: &Path) -> io::Result<Inspection> {
     segments.sort();
     for name in old {
         let bytes = std::fs::metadata(folder.join(&name))?.len();
-        let fault = Some("written by another version (1)".into());
+        let fault = Some(NoHeader::Version(1).to_string());
         inspection.segments.push(SegmentFacts { name, bytes, fault, ..SegmentFacts::default() });
     }
     let mut snapshots = Snapshots::default();
@@ -152,13 +152,9 @@ impl Inspection {
                 facts.torn_bytes = scan.tail().1;
                 facts.fault = scan.error.map(|error| format!("cannot be read to its end: {error}"));
             }
-            Err(NoHeader::Torn) => {
-                facts.torn_bytes = bytes;
-                facts.fault = Some("ends within its header".into());
-            }
-            Err(NoHeader::Damaged) => facts.fault = Some("its header is damaged".into()),
-            Err(NoHeader::Version(version)) => {
-                facts.fault = Some(format!("written by another version ({version})"));
+            Err(fault) => {
+                facts.torn_bytes = if fault == NoHeader::Torn { bytes } else { 0 };
+                facts.fault = Some(fault.to_string());
             }
         }
         self.segments.push(facts);

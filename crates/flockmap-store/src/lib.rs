@@ -28,7 +28,7 @@ pub use counters::{Restored, StoreCounters};
 pub use disk::{Disk, DiskFile};
 pub use epoch::{EpochFault, EpochFile, EpochsExhausted, next_epoch};
 pub use error::StoreError;
-pub use folder::Folder;
+pub use folder::{Folder, others_may};
 pub use inspect::{Inspection, SegmentFacts, StreamFacts, inspect, is_store};
 pub use record::Contents;
 pub use segment::{Identity, STORE_VERSION};

@@ -10,15 +10,13 @@ use crate::{Disk, DiskFile};
 #[derive(Debug)]
 pub(crate) struct Log {
     disk: Arc<dyn Disk>,
-    identity: Identity,
-    epoch: u64,
     shares: Shares,
     /// While a compaction runs: bytes that it leaves to the segments.
     limit: Option<u64>,
     segments: BTreeMap<(u32, u64), u64>,
+    /// The segment that is written.
+    header: SegmentHeader,
     file: Box<dyn DiskFile>,
-    number: u32,
-    seed: u32,
     buffer: Vec<u8>,
     is_synced: bool,
 }
@@ -79,6 +77,16 @@ pub(crate) fn create(disk: &dyn Disk, header: &SegmentHeader, name: &str) -> io:
     Ok(file)
 }
 
+fn begin_segment(
+    disk: &dyn Disk,
+    header: &SegmentHeader,
+    segments: &mut BTreeMap<(u32, u64), u64>,
+) -> Result<Box<dyn DiskFile>, LogError> {
+    let file = create(disk, header, &header.name()).map_err(cannot("begin a segment"))?;
+    segments.insert((header.number, header.epoch), HEADERS_BYTES as u64);
+    Ok(file)
+}
+
 impl Log {
     /// Begins the first segment of a run.
     pub(crate) fn begin(
@@ -86,7 +94,7 @@ impl Log {
         identity: Identity,
         epoch: u64,
         shares: Shares,
-        segments: BTreeMap<(u32, u64), u64>,
+        mut segments: BTreeMap<(u32, u64), u64>,
     ) -> Result<Self, LogError> {
         // It may go beyond the share of the log: where that was larger once, it can be made shorter now.
         if segments.values().sum::<u64>() + HEADERS_BYTES as u64 > shares.all {
@@ -94,14 +102,9 @@ impl Log {
         }
         let number = segments.keys().next_back().map_or(0, |(number, _)| *number).saturating_add(1);
         let header = SegmentHeader { identity, epoch, number, is_compacted: false };
-        let file = create(&*disk, &header, &header.name()).map_err(cannot("begin a segment"))?;
-        let seed = header.seed();
-        let (buffer, is_synced) = (Vec::new(), true);
-        let limit = None;
-        let mut log =
-            Self { disk, identity, epoch, shares, limit, segments, file, number, seed, buffer, is_synced };
-        log.segments.insert((number, epoch), HEADERS_BYTES as u64);
-        Ok(log)
+        let file = begin_segment(&*disk, &header, &mut segments)?;
+        let (limit, buffer, is_synced) = (None, Vec::new(), true);
+        Ok(Self { disk, shares, limit, segments, header, file, buffer, is_synced })
     }
 
     /// Bytes of all segments.
@@ -116,7 +119,7 @@ impl Log {
     /// Hands records to the system, which are written behind each other with the seed that is given. Returns their bytes.
     pub(crate) fn append(&mut self, write: impl FnOnce(u32, &mut Vec<u8>)) -> Result<u64, LogError> {
         self.buffer.clear();
-        write(self.seed, &mut self.buffer);
+        write(self.header.seed(), &mut self.buffer);
         let bytes = self.buffer.len() as u64;
         let limit = self.limit.unwrap_or_else(|| self.shares.log() - self.shares.reserve());
         if self.bytes() + bytes > limit {
@@ -124,54 +127,44 @@ impl Log {
         }
         self.is_synced = false;
         self.file.write_all(&self.buffer).map_err(cannot("write"))?;
-        *self.segments.entry((self.number, self.epoch)).or_default() += bytes;
+        *self.segments.entry((self.header.number, self.header.epoch)).or_default() += bytes;
         Ok(bytes)
     }
 
-    pub(crate) const fn is_synced(&self) -> bool {
-        self.is_synced
-    }
-
-    /// Returns when all that was written is on the disk.
-    pub(crate) fn sync(&mut self) -> Result<(), LogError> {
+    /// Returns when all that was written is on the disk, and whether it was not before.
+    pub(crate) fn sync(&mut self) -> Result<bool, LogError> {
         if !self.is_synced {
             self.file.sync().map_err(cannot("sync"))?;
-            self.is_synced = true;
         }
-        Ok(())
+        Ok(!std::mem::replace(&mut self.is_synced, true))
     }
 
     /// Goes on in a new segment, and leaves a number free before it: for the segment that is to replace all before. That may take so many bytes, until
     /// [`Self::end_snapshot`].
     pub(crate) fn roll(&mut self, snapshot: u64) -> Result<SegmentHeader, LogError> {
         self.limit = Some(self.shares.all - snapshot);
-        let number = self.number.saturating_add(1);
-        let compacted =
-            SegmentHeader { identity: self.identity, epoch: self.epoch, number, is_compacted: true };
-        self.go_on_in(number.saturating_add(1))?;
+        let number = self.header.number.saturating_add(1);
+        let compacted = SegmentHeader { number, is_compacted: true, ..self.header };
+        self.go_on_in(SegmentHeader { number: number.saturating_add(1), ..self.header })?;
         Ok(compacted)
     }
 
     /// Goes on in a new segment, under a higher epoch. One that is not higher changes nothing.
     pub(crate) fn begin_epoch(&mut self, epoch: u64) -> Result<(), LogError> {
-        if epoch <= self.epoch {
+        if epoch <= self.header.epoch {
             return Ok(());
         }
-        self.epoch = epoch;
-        self.go_on_in(self.number.saturating_add(1))
+        let number = self.header.number.saturating_add(1);
+        self.go_on_in(SegmentHeader { epoch, number, ..self.header })
     }
 
-    fn go_on_in(&mut self, number: u32) -> Result<(), LogError> {
+    fn go_on_in(&mut self, header: SegmentHeader) -> Result<(), LogError> {
         self.sync()?;
         if self.bytes() + HEADERS_BYTES as u64 > self.limit.unwrap_or_else(|| self.shares.log()) {
             return Err(LogError::Full(self.shares.all));
         }
-        let (identity, epoch) = (self.identity, self.epoch);
-        let header = SegmentHeader { identity, epoch, number, is_compacted: false };
-        self.file = create(&*self.disk, &header, &header.name()).map_err(cannot("begin a segment"))?;
-        self.number = number;
-        self.seed = header.seed();
-        self.segments.insert((number, epoch), HEADERS_BYTES as u64);
+        self.file = begin_segment(&*self.disk, &header, &mut self.segments)?;
+        self.header = header;
         Ok(())
     }
 

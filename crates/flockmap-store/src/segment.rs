@@ -35,13 +35,16 @@ pub(crate) struct SegmentHeader {
 }
 
 /// Why a segment has no header that can be used.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
 pub(crate) enum NoHeader {
     /// The file ends before it.
+    #[error("ends within its header")]
     Torn,
     /// Neither of its two copies is sound.
+    #[error("its header is damaged")]
     Damaged,
     /// Sound, and of another version.
+    #[error("written by another version ({0})")]
     Version(u8),
 }
 
@@ -120,9 +123,8 @@ pub(crate) fn parse_name(name: &str) -> Option<(u32, u64)> {
 /// Whether this is a segment of version 1, whose epochs had 32 bits.
 pub(crate) fn is_of_version_1(name: &str) -> bool {
     let parts = name.strip_suffix(".log").and_then(|name| name.split_once('-'));
-    let are_digits =
-        |text: &str, count: usize| text.len() == count && text.bytes().all(|b| b.is_ascii_digit());
     parts.is_some_and(|(number, epoch)| {
-        number.len() >= 8 && are_digits(number, number.len()) && are_digits(epoch, 10)
+        let are_digits = number.bytes().chain(epoch.bytes()).all(|b| b.is_ascii_digit());
+        number.len() >= 8 && epoch.len() == 10 && are_digits
     })
 }

@@ -60,7 +60,7 @@ impl Store {
     /// [`StoreError`], but not [`StoreError::Disk`]: it is not one of this robot, or an option cannot work.
     pub fn open(disk: Arc<dyn Disk>, identity: Identity, options: StoreOptions) -> Result<Self, StoreError> {
         if options.bytes_max < BYTES_MAX_MIN {
-            return Err(StoreError::BytesMax { got: options.bytes_max });
+            return Err(StoreError::BytesMax(options.bytes_max));
         }
         let names = match disk.names() {
             Ok(names) => names,

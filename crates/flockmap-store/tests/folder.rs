@@ -131,7 +131,7 @@ fn a_store_is_of_one_robot_one_version_and_one_process() {
     let folder = place.0.join("store");
     let disk = Arc::new(Folder::open(&folder).unwrap());
     let error = Store::open_folder(&folder, identity(), OPTIONS).unwrap_err();
-    assert!(matches!(error, StoreError::InUse { .. }), "{error}");
+    assert!(matches!(error, StoreError::InUse(_)), "{error}");
     let store = Store::open(disk.clone(), identity(), OPTIONS).unwrap();
     assert_eq!(store.last_epoch(), None);
     drop(store.start(7).unwrap());

@@ -1,6 +1,7 @@
 //! From the configuration to the options of the parts, where a rule lies in between.
 
 use std::ffi::OsString;
+use std::ops::{Bound, RangeBounds};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -20,14 +21,9 @@ impl NodeConfig {
     /// Names the key, its value and what was expected.
     pub fn robot(&self, epoch: u64) -> Result<RobotConfig, ConfigError> {
         let Self { map, codec, teammates, .. } = self;
-        if !(0.0..map.range_m).contains(&map.range_min_m) {
-            return Err(value("[map] range_min_m", map.range_min_m, "0 or more, and less than range_m"));
-        }
+        within("[map] range_min_m", map.range_min_m, 0.0..map.range_m, "0 or more, and less than range_m")?;
         let default = RobotConfig::new(self.id, map.resolution, map.range_m);
         let radius = teammates.radius_m.unwrap_or(default.teammate_radius_m);
-        if !(0.0..=100.0).contains(&radius) {
-            return Err(value("[teammates] radius_m", radius, "0 to 100"));
-        }
         Ok(RobotConfig {
             epoch,
             mapper: map.clone(),
@@ -36,7 +32,7 @@ impl NodeConfig {
             repair_delay_max_ms: codec.repair_delay_max_ms.unwrap_or(default.repair_delay_max_ms),
             session: self.session.clone(),
             fusion: self.fusion.clone(),
-            teammate_radius_m: radius,
+            teammate_radius_m: within("[teammates] radius_m", radius, 0.0..=100.0, "0 to 100")?,
             teammate_timeout_ms: teammates.timeout_ms.unwrap_or(default.teammate_timeout_ms),
             ..default
         })
@@ -99,9 +95,8 @@ impl NodeConfig {
     /// What is no number of milliseconds.
     pub fn clock_offsets(&self) -> Result<Vec<(RobotId, i64)>, ConfigError> {
         let offset = |(&id, ms): (&RobotId, &f64)| {
-            if !ms.is_finite() {
-                return Err(value(&format!("[clock_offset_ms] {id}"), ms, "a finite number of milliseconds"));
-            }
+            let key = format!("[clock_offset_ms] {id}");
+            let ms = within(&key, *ms, f64::MIN..=f64::MAX, "a finite number of milliseconds")?;
             Ok((id, (ms * 1e3).round() as i64))
         };
         self.clock_offset_ms.iter().map(offset).collect()
@@ -110,10 +105,22 @@ impl NodeConfig {
 
 /// A time in seconds that is a time.
 pub(crate) fn seconds(key: &str, seconds: f64) -> Result<Duration, ConfigError> {
-    if !(0.0..=1e8).contains(&seconds) {
-        return Err(value(key, seconds, "seconds, 0 to 100,000,000"));
-    }
-    Ok(Duration::from_secs_f64(seconds))
+    within(key, seconds, 0.0..=1e8, "seconds, 0 to 100,000,000").map(Duration::from_secs_f64)
+}
+
+/// How fast a record may be played.
+pub(crate) fn speed(key: &str, speed: f64) -> Result<f64, ConfigError> {
+    within(key, speed, (Bound::Excluded(0.0), Bound::Included(1e6)), "more than 0 and at most 1,000,000")
+}
+
+/// A number that is among those allowed.
+pub(crate) fn within<T: PartialOrd + ToString>(
+    key: &str,
+    number: T,
+    allowed: impl RangeBounds<T>,
+    expected: &str,
+) -> Result<T, ConfigError> {
+    if allowed.contains(&number) { Ok(number) } else { Err(value(key, number, expected)) }
 }
 
 pub(crate) fn value(key: &str, got: impl ToString, expected: impl Into<String>) -> ConfigError {

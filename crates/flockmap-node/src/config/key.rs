@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use flockmap::sync::SwarmKey;
+use flockmap_store::others_may;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -83,22 +84,11 @@ fn found(name: &str, text: &str, place: String, file: Option<&Path>) -> Result<F
         // The error says what was expected as well, and not what the text is.
         ConfigError::Key { key: name.to_owned(), place: place.clone(), error }
     })?;
-    let warning = file.filter(|file| others_can_read(file)).map(|file| {
+    let warning = file.filter(|file| others_may(file, 0o044)).map(|file| {
         let file = file.display();
         format!("{file} holds the swarm key and other users of this machine can read it: chmod 600 {file}")
     });
     Ok(FoundKey { key, place, warning })
-}
-
-#[cfg(unix)]
-fn others_can_read(path: &Path) -> bool {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::metadata(path).is_ok_and(|file| file.permissions().mode() & 0o044 != 0)
-}
-
-#[cfg(not(unix))]
-fn others_can_read(_: &Path) -> bool {
-    false
 }
 
 #[cfg(test)]

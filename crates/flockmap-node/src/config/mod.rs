@@ -15,7 +15,7 @@ use serde::Deserialize;
 
 use crate::UdpOptions;
 
-pub(crate) use convert::{seconds, value};
+pub(crate) use convert::{seconds, speed, value, within};
 pub use key::{FoundKey, KEY_VARIABLE, Secret};
 pub use parse::ConfigError;
 pub use schema::schema;

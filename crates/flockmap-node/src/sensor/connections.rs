@@ -5,6 +5,7 @@ use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use anyhow::{Result, bail};
 use flockmap::Stamp;
 use tokio::io::{AsyncBufRead, AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
 use tokio::sync::mpsc::Sender;
@@ -28,33 +29,31 @@ const FIRST_ANSWER_MAX: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
 /// Where connections come from.
-pub(super) trait Listener: Send {
+pub(crate) trait Listener: Send {
     type Stream: AsyncRead + Send + Unpin + 'static;
 
     fn accept(&mut self) -> impl Future<Output = io::Result<Self::Stream>> + Send;
 }
 
-/// Takes connections until nobody listens to `to` any more.
-pub(super) async fn serve(
+/// Takes connections until nobody listens to `to` any more, which `None` says.
+pub(crate) async fn serve(
     mut listener: impl Listener,
     limits: MessageLimits,
     clock: Clock,
     to: Sender<Input>,
-) {
+) -> Option<()> {
     let mut places = Places::default();
     let mut count = 0u64;
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
-            () = to.closed() => return,
+            () = to.closed() => return None,
         };
         let stream = match accepted {
             Ok(stream) => stream,
             Err(error) => {
                 let fault = format!("sensor socket: cannot accept a connection: {error}");
-                if to.send(Input::Fault(fault)).await.is_err() {
-                    return;
-                }
+                to.send(Input::Fault(fault)).await.ok()?;
                 sleep(ACCEPT_PAUSE).await;
                 continue;
             }
@@ -65,10 +64,9 @@ pub(super) async fn serve(
         if places.are_taken() && is_gone(&mut stream).await {
             continue;
         }
-        if places.make_room(&name, &to).await.is_err() {
-            return;
-        }
-        places.give(name, stream, limits, clock, to.clone());
+        places.make_room(&name, &to).await?;
+        let silence = Silence::default();
+        places.give(Reader { stream, silence, limits, clock, name }, to.clone());
     }
 }
 
@@ -76,9 +74,6 @@ pub(super) async fn serve(
 async fn is_gone(stream: &mut (impl AsyncBufRead + Unpin)) -> bool {
     matches!(timeout(FIRST_ANSWER_MAX, stream.fill_buf()).await, Ok(Ok([]) | Err(_)))
 }
-
-/// The node has ended.
-struct Over;
 
 /// The connections that are served.
 #[derive(Default)]
@@ -100,8 +95,8 @@ impl Places {
         self.taken.len() >= CONNECTIONS_MAX
     }
 
-    /// Waits for a place: that a connection ends, or that one has been silent for long, which is closed then.
-    async fn make_room(&mut self, name: &str, to: &Sender<Input>) -> Result<(), Over> {
+    /// Waits for a place: that a connection ends, or that one has been silent for long, which is closed then. `None`: the node has ended.
+    async fn make_room(&mut self, name: &str, to: &Sender<Input>) -> Option<()> {
         let mut waits = false;
         while self.are_taken() {
             let silent = self.taken.iter().enumerate().filter_map(|(k, p)| Some((p.silence.since()?, k)));
@@ -117,37 +112,29 @@ impl Places {
                     "{} closed: all {CONNECTIONS_MAX} places were taken, it had said nothing for {seconds} s, and {name} wants in",
                     place.name
                 );
-                return to.send(Input::Yielded(text)).await.map_err(|_| Over);
+                return to.send(Input::Yielded(text)).await.ok();
             }
             if !std::mem::replace(&mut waits, true) {
                 let text = format!(
                     "{name} waits: all {CONNECTIONS_MAX} places are taken by programs that spoke in the last {} s",
                     SILENT_MIN.as_secs()
                 );
-                to.send(Input::Note(text)).await.map_err(|_| Over)?;
+                to.send(Input::Note(text)).await.ok()?;
                 continue;
             }
             let due = longest.map_or(now, |(since, _)| since) + SILENT_MIN;
             tokio::select! {
                 _ = self.tasks.join_next() => {}
                 () = sleep_until(due) => {}
-                () = to.closed() => return Err(Over),
+                () = to.closed() => return None,
             }
         }
-        Ok(())
+        Some(())
     }
 
-    fn give(
-        &mut self,
-        name: String,
-        stream: impl AsyncRead + Send + Unpin + 'static,
-        limits: MessageLimits,
-        clock: Clock,
-        to: Sender<Input>,
-    ) {
-        let silence = Silence::default();
+    fn give(&mut self, reader: Reader<impl AsyncRead + Send + Unpin + 'static>, to: Sender<Input>) {
+        let (name, silence) = (reader.name.clone(), reader.silence.clone());
         silence.begin();
-        let reader = Reader { stream, silence: silence.clone(), limits, clock, name: name.clone() };
         let task = self.tasks.spawn(async move {
             let end = reader.read_messages(&to).await;
             // If this fails, the node has ended.
@@ -237,33 +224,32 @@ impl<S: AsyncRead + Unpin> Reader<S> {
     }
 
     /// What follows the next length, or `None` at the end. Grows with what arrives, up to the longest message.
-    async fn read_message(&mut self) -> Result<Option<Vec<u8>>, String> {
+    async fn read_message(&mut self) -> Result<Option<Vec<u8>>> {
         let head = self.read_up_to(4).await?;
         let length = match head.first_chunk::<4>() {
             None if head.is_empty() => return Ok(None),
-            None => return Err(MessageError::Truncated { got: head.len(), expected: 4 }.to_string()),
+            None => bail!(MessageError::Truncated { got: head.len(), expected: 4 }),
             Some(length) => u32::from_le_bytes(*length) as usize,
         };
         if length > self.limits.bytes_max() {
-            let error = MessageError::Length { got: length as u64, max: self.limits.bytes_max() };
-            return Err(error.to_string());
+            bail!(MessageError::Length { got: length as u64, max: self.limits.bytes_max() });
         }
         let bytes = self.read_up_to(length).await?;
         if bytes.len() < length {
-            return Err(MessageError::Truncated { got: bytes.len(), expected: length }.to_string());
+            bail!(MessageError::Truncated { got: bytes.len(), expected: length });
         }
         Ok(Some(bytes))
     }
 
     /// So many bytes, or fewer at the end.
-    async fn read_up_to(&mut self, length: usize) -> Result<Vec<u8>, String> {
+    async fn read_up_to(&mut self, length: usize) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
         while bytes.len() < length {
             let rest = length - bytes.len();
             // Room for as much as has come, so that a length without content takes no memory.
             bytes.reserve_exact(rest.min(bytes.len().max(1_024)));
             let mut stream = (&mut self.stream).take(rest as u64);
-            if stream.read_buf(&mut bytes).await.map_err(|error| error.to_string())? == 0 {
+            if stream.read_buf(&mut bytes).await? == 0 {
                 break;
             }
             self.silence.begin();

@@ -58,24 +58,15 @@ pub enum MessageError {
         /// The longest that is allowed.
         max: usize,
     },
-    /// Not a message at all.
-    #[error("starts with {got:02x?}, expected `FLKS`")]
-    Magic {
-        /// The first four bytes.
-        got: [u8; 4],
-    },
-    /// Of another version.
-    #[error("version {got}, expected {MESSAGE_VERSION}")]
-    Version {
-        /// As sent.
-        got: u8,
-    },
-    /// Of no known kind.
-    #[error("kind {got}, expected 1 (scan), 2 (alignment) or 3 (team-mate)")]
-    Kind {
-        /// As sent.
-        got: u8,
-    },
+    /// Not a message at all: its first four bytes.
+    #[error("starts with {0:02x?}, expected `FLKS`")]
+    Magic([u8; 4]),
+    /// Of another version: this one.
+    #[error("version {0}, expected {MESSAGE_VERSION}")]
+    Version(u8),
+    /// Of no known kind: this one.
+    #[error("kind {0}, expected 1 (scan), 2 (alignment) or 3 (team-mate)")]
+    Kind(u8),
     /// The length does not fit what is in it.
     #[error("{got} bytes, expected {expected} by its kind and counts")]
     Size {
@@ -84,12 +75,9 @@ pub enum MessageError {
         /// What the kind and the counts call for.
         expected: u64,
     },
-    /// The pose is none.
-    #[error("the pose {got:?} is none, expected finite x y z and a quaternion x y z w that is not 0")]
-    Pose {
-        /// The seven numbers.
-        got: [f64; 7],
-    },
+    /// The pose, these seven numbers, is none.
+    #[error("the pose {0:?} is none, expected finite x y z and a quaternion x y z w that is not 0")]
+    Pose([f64; 7]),
     /// The connection ended within a message.
     #[error("ended after {got} of {expected} bytes")]
     Truncated {
@@ -110,11 +98,11 @@ impl SensorMessage {
         let mut reader = Reader { rest: bytes, got: bytes.len(), expected: HEADER_BYTES as u64 };
         let magic = reader.take()?;
         if magic != MAGIC {
-            return Err(MessageError::Magic { got: magic });
+            return Err(MessageError::Magic(magic));
         }
         let [version, kind] = reader.take()?;
         if version != MESSAGE_VERSION {
-            return Err(MessageError::Version { got: version });
+            return Err(MessageError::Version(version));
         }
         let robot = RobotId(u16::from_le_bytes(reader.take()?));
         match kind {
@@ -147,7 +135,7 @@ impl SensorMessage {
                 pose([x, y, z, 0.0, 0.0, 0.0, 1.0])?;
                 Ok(Self::Teammate(robot, [x, y, z]))
             }
-            got => Err(MessageError::Kind { got }),
+            kind => Err(MessageError::Kind(kind)),
         }
     }
 
@@ -188,7 +176,7 @@ impl SensorMessage {
 
 fn pose(got: [f64; 7]) -> Result<Pose, MessageError> {
     let [x, y, z, quaternion @ ..] = got;
-    Pose::new([x, y, z], quaternion).ok_or(MessageError::Pose { got })
+    Pose::new([x, y, z], quaternion).ok_or(MessageError::Pose(got))
 }
 
 fn put_pose(out: &mut Vec<u8>, pose: &Pose) {
@@ -290,12 +278,12 @@ mod tests {
             change(&mut bytes);
             SensorMessage::parse(&bytes, &LIMITS).unwrap_err()
         };
-        assert!(matches!(parse(&|b| b[0] = b'X'), MessageError::Magic { .. }));
-        assert_eq!(parse(&|b| b[4] = 9), MessageError::Version { got: 9 });
-        assert_eq!(parse(&|b| b[5] = 4), MessageError::Kind { got: 4 });
+        assert!(matches!(parse(&|b| b[0] = b'X'), MessageError::Magic(_)));
+        assert_eq!(parse(&|b| b[4] = 9), MessageError::Version(9));
+        assert_eq!(parse(&|b| b[5] = 4), MessageError::Kind(4));
         assert!(matches!(parse(&|b| b[72] = 3), MessageError::Size { got: 104, expected: 116 }));
         assert!(matches!(parse(&|b| b[72] = 9), MessageError::Length { .. }), "more points than allowed");
-        assert!(matches!(parse(&|b| b[16..72].fill(0)), MessageError::Pose { .. }));
+        assert!(matches!(parse(&|b| b[16..72].fill(0)), MessageError::Pose(_)));
         assert!(matches!(parse(&|b| b.truncate(3)), MessageError::Length { got: 3, .. }));
         assert!(matches!(parse(&|b| b.truncate(40)), MessageError::Size { got: 40, .. }));
         assert!(matches!(parse(&|b| b.extend([0; 200])), MessageError::Length { .. }));

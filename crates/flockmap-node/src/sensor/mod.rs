@@ -15,12 +15,14 @@ use std::time::Duration;
 use flockmap::{Pose, RobotId, Stamp};
 use flockmap_io::{Frame, Frames};
 
+pub(crate) use connections::serve;
 pub use message::{MESSAGE_VERSION, MessageError, MessageLimits, SensorMessage};
 pub(crate) use play::play;
 pub(crate) use repeat::repeated;
 pub(crate) use socket::SensorSocket;
 
 /// Where the scans of a node come from.
+#[derive(Debug)]
 pub enum Sensor {
     /// The node has no sensor: it only listens, and passes on what it hears.
     None,
@@ -53,20 +55,6 @@ pub enum Sensor {
         /// What a message may be.
         limits: MessageLimits,
     },
-}
-
-impl core::fmt::Debug for Sensor {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::None => f.write_str("None"),
-            Self::Play { speed, .. } => f.debug_struct("Play").field("speed", speed).finish_non_exhaustive(),
-            Self::Channel(_) => f.write_str("Channel"),
-            Self::Tcp(address, _) => f.debug_tuple("Tcp").field(address).finish(),
-            Self::Unix { path, mode, .. } => {
-                f.debug_struct("Unix").field("path", path).field("mode", mode).finish_non_exhaustive()
-            }
-        }
-    }
 }
 
 impl Sensor {

@@ -17,7 +17,7 @@ const PAUSE_SAID_MICROS: i64 = 10_000_000;
 const STEP_BACK_MICROS: i64 = 1_000_000;
 
 /// Reads frames and passes each on when its time has come, until they end or nobody listens any more. Frames that
-/// wait make the reader wait, so memory is bounded; what comes too late is passed on at once.
+/// wait make the reader wait, so memory is bounded; what comes too late is passed on at once. `None`: nobody listens any more.
 pub(crate) fn play(
     frames: Frames,
     speed: f64,
@@ -25,7 +25,7 @@ pub(crate) fn play(
     begin: Option<Stamp>,
     clock: &Clock,
     to: &Sender<Input>,
-) {
+) -> Option<()> {
     // Stamp of the first frame, and when it was played.
     let mut origin: Option<(Stamp, Stamp)> = None;
     let mut record_begin: Option<Stamp> = None;
@@ -35,9 +35,7 @@ pub(crate) fn play(
         let mut frame = match frame {
             Ok(frame) => frame,
             Err(fault) => {
-                if to.blocking_send(Input::Fault(fault.to_string())).is_err() {
-                    return;
-                }
+                to.blocking_send(Input::Fault(fault.to_string())).ok()?;
                 continue;
             }
         };
@@ -63,24 +61,21 @@ pub(crate) fn play(
         if pause > PAUSE_SAID_MICROS {
             note = Some(format!("the next scan of the record is played in {:.1} s", pause as f64 / 1e6));
         }
-        if let Some(note) = note
-            && to.blocking_send(Input::Note(note)).is_err()
-        {
-            return;
+        if let Some(note) = note {
+            to.blocking_send(Input::Note(note)).ok()?;
         }
         // In short steps, so that the thread ends soon when the node has ended.
         while clock.now() < due {
             let rest = Duration::from_micros(due.micros_since(clock.now()).max(0).unsigned_abs());
             thread::sleep(rest.min(Duration::from_millis(100)));
             if to.is_closed() {
-                return;
+                return None;
             }
         }
         frame.scan.stamp = due;
-        if to.blocking_send(Input::Frame(frame)).is_err() {
-            return;
-        }
+        to.blocking_send(Input::Frame(frame)).ok()?;
     }
+    Some(())
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! A record played over and over.
 
 use flockmap::Stamp;
-use flockmap_io::{Frame, Frames, ReadError};
+use flockmap_io::{Frames, ReadError};
 
 /// Time between the last frame of a round and the first of the next: that of a LiDAR of 10 Hz.
 const PAUSE_MICROS: i64 = 100_000;
@@ -9,69 +9,51 @@ const PAUSE_MICROS: i64 = 100_000;
 /// The frames of a record so many times, with stamps that go on rising: each round begins a tenth of a second after the one before
 /// has ended. `open` reads the record from its start again. Ends early if that fails, or if a round has no frame.
 pub(crate) fn repeated(
-    first: Frames,
+    mut frames: Frames,
     times: u32,
-    open: impl FnMut() -> Result<Frames, ReadError> + Send + 'static,
+    mut open: impl FnMut() -> Result<Frames, ReadError> + Send + 'static,
 ) -> Frames {
-    Frames::new(Repeated {
-        frames: first,
-        rounds_left: times.saturating_sub(1),
-        open,
-        shift: Some(0),
-        last: None,
-    })
-}
-
-struct Repeated<F> {
-    frames: Frames,
-    /// Rounds after this one.
-    rounds_left: u32,
-    open: F,
-    /// Added to the stamps of this round, in microseconds; `None` until its first frame is known.
-    shift: Option<i64>,
-    /// The last frame that was given.
-    last: Option<Stamp>,
-}
-
-impl<F: FnMut() -> Result<Frames, ReadError>> Iterator for Repeated<F> {
-    type Item = Result<Frame, ReadError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
+    // After this one.
+    let mut rounds_left = times.saturating_sub(1);
+    // Added to the stamps of this round, in microseconds; `None` until its first frame is known.
+    let mut shift = Some(0);
+    // The last frame that was given.
+    let mut last: Option<Stamp> = None;
+    Frames::new(std::iter::from_fn(move || {
         loop {
-            match self.frames.next() {
+            match frames.next() {
                 Some(Ok(mut frame)) => {
-                    let begins = || {
-                        self.last
-                            .map_or(0, |last| last.plus_micros(PAUSE_MICROS).micros_since(frame.scan.stamp))
-                    };
-                    let shift = self.shift.unwrap_or_else(begins);
-                    self.shift = Some(shift);
-                    frame.scan.stamp = frame.scan.stamp.plus_micros(shift);
-                    self.last = Some(frame.scan.stamp);
+                    let stamp = &mut frame.scan.stamp;
+                    let begins =
+                        || last.map_or(0, |last| last.plus_micros(PAUSE_MICROS).micros_since(*stamp));
+                    let shift = *shift.get_or_insert_with(begins);
+                    *stamp = stamp.plus_micros(shift);
+                    last = Some(*stamp);
                     return Some(Ok(frame));
                 }
                 Some(Err(error)) => return Some(Err(error)),
-                None if self.rounds_left == 0 || self.shift.is_none() => return None,
+                None if rounds_left == 0 || shift.is_none() => return None,
                 None => {
-                    self.rounds_left -= 1;
-                    self.shift = None;
-                    match (self.open)() {
-                        Ok(frames) => self.frames = frames,
+                    rounds_left -= 1;
+                    shift = None;
+                    match open() {
+                        Ok(again) => frames = again,
                         Err(error) => {
-                            self.rounds_left = 0;
+                            rounds_left = 0;
                             return Some(Err(error));
                         }
                     }
                 }
             }
         }
-    }
+    }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use flockmap::Scan;
+    use flockmap_io::Frame;
 
     fn frames(stamps: &'static [i64]) -> Frames {
         let frame = |&micros: &i64| {

@@ -4,39 +4,32 @@ use std::io;
 
 use tokio::io::AsyncRead;
 use tokio::net::TcpListener;
-use tokio::sync::mpsc::Sender;
 
-use super::connections::{Listener, serve};
-use super::{Input, MessageLimits, Sensor};
-use crate::Clock;
+use super::connections::Listener;
+use super::{MessageLimits, Sensor};
 use crate::advice::listen_error;
 
 /// A socket where sensor programs connect.
-pub(crate) struct SensorSocket {
-    kind: Kind,
-    limits: MessageLimits,
-}
-
-enum Kind {
+pub(crate) enum SensorSocket {
     Tcp(TcpListener),
     #[cfg(unix)]
     Unix(super::unix::UnixSocket),
 }
 
 impl SensorSocket {
-    /// Opens the socket that `sensor` names; `None` if it names none. Within a tokio runtime.
+    /// Opens the socket that `sensor` names, for messages within these limits; `None` if it names none. Within a tokio runtime.
     ///
     /// # Errors
     /// Says what is wrong with the address or the path, and what to do.
-    pub(crate) async fn open(sensor: &Sensor) -> io::Result<Option<Self>> {
-        let (kind, limits) = match sensor {
+    pub(crate) async fn open(sensor: &Sensor) -> io::Result<Option<(Self, MessageLimits)>> {
+        let (socket, limits) = match sensor {
             Sensor::Tcp(address, limits) => {
                 let listener = TcpListener::bind(address).await;
-                (Kind::Tcp(listener.map_err(|error| listen_error("[sensor] listen_tcp", error))?), limits)
+                (Self::Tcp(listener.map_err(|error| listen_error("[sensor] listen_tcp", error))?), limits)
             }
             #[cfg(unix)]
             Sensor::Unix { path, mode, limits } => {
-                (Kind::Unix(super::unix::UnixSocket::bind(path, *mode)?), limits)
+                (Self::Unix(super::unix::UnixSocket::bind(path, *mode)?), limits)
             }
             #[cfg(not(unix))]
             Sensor::Unix { .. } => {
@@ -44,22 +37,16 @@ impl SensorSocket {
             }
             _ => return Ok(None),
         };
-        Ok(Some(Self { kind, limits: *limits }))
+        Ok(Some((socket, *limits)))
     }
 
     /// Where programs can connect.
     pub(crate) fn address(&self) -> String {
-        match &self.kind {
-            Kind::Tcp(listener) => listener.local_addr().map_or_else(|e| e.to_string(), |a| a.to_string()),
+        match self {
+            Self::Tcp(listener) => listener.local_addr().map_or_else(|e| e.to_string(), |a| a.to_string()),
             #[cfg(unix)]
-            Kind::Unix(socket) => socket.path().display().to_string(),
+            Self::Unix(socket) => socket.path().display().to_string(),
         }
-    }
-
-    /// Takes connections until nobody listens to `to` any more.
-    pub(crate) async fn serve(self, clock: Clock, to: Sender<Input>) {
-        let limits = self.limits;
-        serve(self, limits, clock, to).await;
     }
 }
 
@@ -67,10 +54,10 @@ impl Listener for SensorSocket {
     type Stream = Box<dyn AsyncRead + Send + Unpin>;
 
     async fn accept(&mut self) -> io::Result<Self::Stream> {
-        Ok(match &self.kind {
-            Kind::Tcp(listener) => Box::new(listener.accept().await?.0),
+        Ok(match self {
+            Self::Tcp(listener) => Box::new(listener.accept().await?.0),
             #[cfg(unix)]
-            Kind::Unix(socket) => Box::new(socket.accept().await?),
+            Self::Unix(socket) => Box::new(socket.accept().await?),
         })
     }
 }

@@ -21,7 +21,7 @@ const LOCK_TRIES: u32 = 100;
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
 /// A socket that listens at a path.
-pub(super) struct UnixSocket {
+pub(crate) struct UnixSocket {
     // Before the listener, for its inode is not given to another file as long as that is open.
     file: SocketFile,
     listener: UnixListener,
@@ -46,7 +46,7 @@ impl UnixSocket {
         make_room(path)?;
         let socket = with_mode(Socket::new(Domain::UNIX, Type::STREAM, None)?, mode)?;
         socket.bind(&SockAddr::unix(path)?).map_err(|error| cannot_write(path, error))?;
-        let file = SocketFile::new(path)?;
+        let file = SocketFile { path: path.to_owned(), identity: identity(path)? };
         // What the umask took away is given back. Nobody can connect yet: it does not listen.
         if fs::symlink_metadata(path)?.mode() & 0o777 != mode {
             fs::set_permissions(path, Permissions::from_mode(mode))?;
@@ -71,12 +71,6 @@ struct SocketFile {
     path: PathBuf,
     /// Device and inode.
     identity: (u64, u64),
-}
-
-impl SocketFile {
-    fn new(path: &Path) -> io::Result<Self> {
-        Ok(Self { path: path.to_owned(), identity: identity(path)? })
-    }
 }
 
 impl Drop for SocketFile {

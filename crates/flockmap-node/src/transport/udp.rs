@@ -197,46 +197,38 @@ impl Transport for UdpTransport {
     }
 
     async fn send(&mut self, transmit: &Transmit) -> SendResult {
-        let mut sent = SendResult::default();
-        match transmit.to {
-            Destination::Peer(_) => {
-                let address = transmit.path.and_then(|path| self.addresses.address(path));
-                send_one(&self.main, address, &transmit.bytes, &mut sent).await;
-            }
+        let to: Vec<Option<SocketAddr>> = match transmit.to {
+            Destination::Peer(_) => vec![transmit.path.and_then(|path| self.addresses.address(path))],
             Destination::Everyone => {
                 // Configured robots are reached even where the group does not reach.
                 let configured = self.everyone.iter().chain(&self.peers).copied();
                 // The members of the group have got it.
                 let used = self.addresses.used().filter(|(_, is_in_group)| !is_in_group);
                 let used = used.map(|(address, _)| address).filter(|address| !self.peers.contains(address));
-                for address in configured.chain(used) {
-                    send_one(&self.main, Some(address), &transmit.bytes, &mut sent).await;
-                }
+                configured.chain(used).map(Some).collect()
+            }
+        };
+        let mut sent = SendResult::default();
+        for address in to {
+            match address {
+                Some(address) if is_sent(&self.main, address, &transmit.bytes).await => sent.copies += 1,
+                _ => sent.failed += 1,
             }
         }
         sent
     }
 }
 
-async fn send_one(
-    socket: &tokio::net::UdpSocket,
-    address: Option<SocketAddr>,
-    bytes: &[u8],
-    sent: &mut SendResult,
-) {
-    let Some(address) = address else {
-        sent.failed += 1;
-        return;
-    };
+async fn is_sent(socket: &tokio::net::UdpSocket, address: SocketAddr, bytes: &[u8]) -> bool {
     for _ in 0..2 {
         match tokio::time::timeout(SEND_WAIT_MAX, socket.send_to(bytes, address)).await {
-            Ok(Ok(_)) => return sent.copies += 1,
+            Ok(Ok(_)) => return true,
             // The error is about an earlier datagram and is used up now.
             Ok(Err(error)) if is_unreachable(&error) => {}
-            _ => break,
+            _ => return false,
         }
     }
-    sent.failed += 1;
+    false
 }
 
 /// What ICMP reported of an earlier datagram: the robot there is off, which is no fault of this one.
@@ -320,16 +312,13 @@ fn refuse_a_second_node(bind: SocketAddr) -> Result<(), UdpError> {
     let v4 = IpAddr::V4(Ipv4Addr::LOCALHOST);
     let loopbacks = if bind.is_ipv4() { vec![v4] } else { vec![v4, Ipv6Addr::LOCALHOST.into()] };
     for ip in loopbacks {
-        match UdpSocket::bind((ip, bind.port())) {
-            Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
-                return Err(system("listen on", bind)(with(
-                    error,
-                    "another program listens there: stop that one, or choose another port in [network] bind; the port of the group \
-                     stays the same for all",
-                )));
-            }
-            // No such address here: nobody has it.
-            Ok(_) | Err(_) => {}
+        // Another error is that there is no such address here: nobody has it.
+        if let Err(error) = UdpSocket::bind((ip, bind.port()))
+            && error.kind() == io::ErrorKind::AddrInUse
+        {
+            let advice = "another program listens there: stop that one, or choose another port in [network] bind; the port of the group \
+                          stays the same for all";
+            return Err(system("listen on", bind)(with(error, advice)));
         }
     }
     Ok(())
@@ -368,10 +357,7 @@ fn system(what: &'static str, address: SocketAddr) -> impl Fn(io::Error) -> UdpE
 /// An IPv6 socket reaches IPv4 robots at mapped addresses, and hears them from there.
 fn in_family(address: SocketAddr, is_v6: bool) -> SocketAddr {
     match address.ip() {
-        IpAddr::V4(ip) if is_v6 => {
-            let mapped: Ipv6Addr = ip.to_ipv6_mapped();
-            SocketAddr::new(mapped.into(), address.port())
-        }
+        IpAddr::V4(ip) if is_v6 => SocketAddr::new(ip.to_ipv6_mapped().into(), address.port()),
         _ => address,
     }
 }
