@@ -276,10 +276,14 @@ impl Session {
         if now.since(theirs.missing_then.0) >= delay {
             let then = &theirs.missing_then.1;
             let still = then.intersection(&missing);
-            // Where much of it has come meanwhile, or is coming as a snapshot, somebody is at it.
+            // Where much of it has come meanwhile, or is coming as a snapshot, somebody is at it. One that is complete brings no more:
+            // it waits for packages before it.
             let own = self.identity.own.origin;
-            let is_known = request.transfers.iter().any(|t| t.stream == stream && t.source != own);
-            let is_served = is_known || (then.count() - still.count()) * SERVED_SHARE > then.count();
+            let is_coming = |t: &TransferProgress| {
+                t.stream == stream && t.source != own && !t.accepted.contains_range(1, t.chunks)
+            };
+            let is_served = request.transfers.iter().any(is_coming)
+                || (then.count() - still.count()) * SERVED_SHARE > then.count();
             theirs.overdue = if is_served { IntervalSet::new(PEER_INTERVALS_MAX) } else { still };
             theirs.missing_then = (now, missing);
         } else {
