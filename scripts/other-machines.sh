@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The format on other machines: the codec's golden files, its corpus and its round trips on x86-64 in debug and release, and under qemu
-# on aarch64 and on s390x, whose numbers are big-endian. All must pass and tell the same digests of what was written and read.
+# on aarch64 and on s390x, whose numbers are big-endian. All must pass and print the same digests of what was written and read.
 #
 # Not a part of ci.sh: it needs some 400 MB of Debian's packages, and a standard library built for each machine takes minutes. On Debian 12:
 #   apt-get install --no-install-recommends rustc-web cargo-web rust-web-src qemu-user-static \

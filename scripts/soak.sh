@@ -44,7 +44,7 @@ for n in $robots; do
     for other in $robots; do
         [ "$other" = "$n" ] || peers="$peers\"127.0.0.1:$((port + other))\", "
     done
-    # What grows up to a limit has to reach it in the first third: a small store, and few present states.
+    # What grows up to a limit has to reach it in the first third: a small store, and few snapshots.
     cat > "$OUT/$n.toml" << END
 id = $n
 [map]

@@ -257,9 +257,9 @@ fn two_starts_in_this_process(case: Case, lows: [u32; 2]) {
         assert_eq!(ended.summary.epoch > drawn, begins_anew, "{case:?}");
         assert_eq!(epoch_file().last(), Some(ended.summary.epoch), "each epoch is on disk");
         let lines = lines.lock().unwrap();
-        let told =
+        let reported =
             lines.iter().filter(|line| line.contains("a higher epoch than its own was heard of")).count();
-        assert_eq!(told, usize::from(begins_anew), "{lines:?}");
+        assert_eq!(reported, usize::from(begins_anew), "{lines:?}");
         serde_json::to_value(&ended.summary).unwrap()
     });
     std::fs::remove_dir_all(&dir).unwrap();

@@ -13,7 +13,7 @@ use flockmap_node::{Level, Log, StoreWriter};
 /// Lines that were said.
 type Lines = Arc<Mutex<Vec<(Level, String)>>>;
 
-fn told() -> (Log, Lines) {
+fn collected() -> (Log, Lines) {
     let lines = Arc::new(Mutex::new(Vec::new()));
     let to = Arc::clone(&lines);
     (Log::new(move |level, text| to.lock().unwrap().push((level, text.to_owned()))), lines)
@@ -39,8 +39,8 @@ fn see(robot: &mut Robot, writer: &StoreWriter, scans: usize) -> u64 {
         robot.insert_scan(frame.scan.stamp, &frame.scan, &frame.t_map_sensor).unwrap();
         robot.flush(frame.scan.stamp);
         while let Some(event) = robot.poll_event() {
-            if let Event::BatchClosed { packages: told, .. } = &event {
-                packages += told.len() as u64;
+            if let Event::BatchClosed { packages: published, .. } = &event {
+                packages += published.len() as u64;
             }
             writer.note(&event);
         }
@@ -54,7 +54,7 @@ fn what_is_noted_is_on_disk_and_is_made_shorter_beside_it() {
     for epoch in 1..=65 {
         drop(open(&disk).start(epoch).unwrap());
     }
-    let (log, lines) = told();
+    let (log, lines) = collected();
     let mut robot = robot(66);
     let writer = StoreWriter::start(Some(open(&disk).start(66).unwrap()), None, log);
     let packages = see(&mut robot, &writer, 10);
@@ -84,7 +84,7 @@ fn a_disk_that_fails_is_told_once_and_the_robot_does_not_notice() {
     {
         let disk = MemoryDisk::default();
         disk.set_faults(fault.clone());
-        let (log, lines) = told();
+        let (log, lines) = collected();
         let store = open(&disk);
         let mut robot = robot(1);
         let writer = StoreWriter::start(Some(store.start(1).unwrap()), None, log);
@@ -104,7 +104,7 @@ fn a_disk_that_fails_is_told_once_and_the_robot_does_not_notice() {
 fn after_a_log_that_could_not_be_made_shorter_it_is_tried_again() {
     let disk = MemoryDisk::default();
     let options = StoreOptions { bytes_max: 64 << 10, ..StoreOptions::default() };
-    let (log, lines) = told();
+    let (log, lines) = collected();
     let mut robot = robot(1);
     let writer = StoreWriter::start(Some(open_with(&disk, options).start(1).unwrap()), None, log);
     let mut failed = 0;
@@ -177,7 +177,7 @@ fn an_epoch_that_cannot_be_kept_is_told() {
     let disk = MemoryDisk::default();
     let (file, _) = EpochFile::open(Arc::new(disk.clone()), 0, RobotId(1));
     disk.set_faults(Faults { sync: true, ..Faults::default() });
-    let (log, lines) = told();
+    let (log, lines) = collected();
     let mut writer = StoreWriter::start(None, Some(file), log);
     writer.note_run(&robot(5));
     drop(writer);

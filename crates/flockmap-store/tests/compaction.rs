@@ -124,8 +124,8 @@ fn there_is_never_more_on_the_disk_than_bytes_max_whether_compactions_wait_fail_
     assert!(most(&disk) > LEAST.bytes_max / 2 && most(&disk) <= LEAST.bytes_max, "{} B", most(&disk));
     // It counts all the same.
     let (robot, _) = restart(&disk, config(1), 2);
-    let told = swarm.robots[0].own_stream();
-    assert_eq!(Model::of_robot(&robot).0[&told], Model::of_robot(&swarm.robots[0]).0[&told]);
+    let own = swarm.robots[0].own_stream();
+    assert_eq!(Model::of_robot(&robot).0[&own], Model::of_robot(&swarm.robots[0]).0[&own]);
     let writer = Writer::new(open(&disk, LEAST).start(2).unwrap());
     assert!(writer.notices.is_empty() && writer.counters().disk_bytes < LEAST.bytes_max / 2);
 
@@ -304,8 +304,8 @@ fn fly_with_a_full_own_layer(disk: &MemoryDisk, store_bytes_max: usize) -> (Vec<
         swarm.scan(0, &scan, &Pose::from_yaw([f64::from(tick) * 0.1, 0.0, 0.0], random.unit()));
         swarm.run(100);
         for event in swarm.events[0].drain(..) {
-            if let Event::BatchClosed { packages: told, .. } = &event {
-                packages.extend_from_slice(told);
+            if let Event::BatchClosed { packages: published, .. } = &event {
+                packages.extend_from_slice(published);
             }
             writer.log.note(swarm.now, &event);
         }

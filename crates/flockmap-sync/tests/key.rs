@@ -282,12 +282,12 @@ fn errors_say_what_to_do() {
     let mut now = Stamp(0);
     let sealed = next(&mut session(2, 1, with_key(1)), &mut now);
     let plain = next(&mut session(3, 1, SessionConfig::default()), &mut now);
-    let tell =
+    let advice =
         |config, bytes: &[u8]| session(1, 1, config).handle_datagram(now, bytes).unwrap_err().to_string();
     for (text, words) in [
-        (tell(with_key(2), &sealed), "give all robots of the swarm the same swarm_key"),
-        (tell(with_key(2), &plain), "this robot has a swarm_key; give it to that robot too"),
-        (tell(SessionConfig::default(), &sealed), "that robot has a swarm_key; give it to this robot too"),
+        (advice(with_key(2), &sealed), "give all robots of the swarm the same swarm_key"),
+        (advice(with_key(2), &plain), "this robot has a swarm_key; give it to that robot too"),
+        (advice(SessionConfig::default(), &sealed), "that robot has a swarm_key; give it to this robot too"),
     ] {
         assert!(text.contains(words), "{text}");
     }

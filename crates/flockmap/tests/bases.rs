@@ -14,7 +14,7 @@ const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms
 const PERFECT: Radio = common::PERFECT;
 
 /// Publishes batches of its own against the one before, each a piece of a wall in the same place: few voxels would not need what was before.
-struct Teller {
+struct Sender {
     stream: Stream,
     encoder: Encoder,
     layer: Layer,
@@ -22,7 +22,7 @@ struct Teller {
     readers: Vec<(u32, VoxelBox)>,
 }
 
-impl Teller {
+impl Sender {
     fn new(id: u16) -> Self {
         let stream = Stream { origin: RobotId(id), epoch: 1 };
         Self {
@@ -35,7 +35,7 @@ impl Teller {
     }
 
     /// The one package of the next batch, independent or not.
-    fn tell(&mut self, is_independent: bool) -> Package {
+    fn encode(&mut self, is_independent: bool) -> Package {
         let count = self.batches.len() as i32;
         let end = Stamp(1_000_000 * i64::from(count + 1));
         let resolution = resolution();
@@ -63,16 +63,16 @@ impl Teller {
         package
     }
 
-    /// As [`Self::tell`], and remembers what it looked at, as a robot does.
+    /// As [`Self::encode`], and remembers what it looked at, as a robot does.
     fn send_and_note(&mut self, is_independent: bool) -> Package {
-        let package = self.tell(is_independent);
+        let package = self.encode(is_independent);
         if !package.header().is_independent {
             self.readers.push((package.header().index, package.header().region));
         }
         package
     }
 
-    /// Gives packages to a robot, as if the teller had sent them.
+    /// Gives packages to a robot, as if the sender had sent them.
     fn give(&self, robot: &mut Robot, now: Stamp, packages: &[&Package]) {
         for package in packages {
             let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender: self.stream, stamp: now };
@@ -98,19 +98,19 @@ fn robot(id: u16) -> Robot {
 
 #[test]
 fn a_package_waits_and_is_merged_in_the_call_that_brings_what_it_builds_on() {
-    let (mut teller, mut bob) = (Teller::new(1), robot(2));
-    let packages: Vec<Package> = (0..5).map(|_| teller.send_and_note(false)).collect();
+    let (mut sender, mut bob) = (Sender::new(1), robot(2));
+    let packages: Vec<Package> = (0..5).map(|_| sender.send_and_note(false)).collect();
     let bases: Vec<u32> = packages.iter().map(|package| package.header().base).collect();
     assert_eq!(bases, [0, 1, 2, 3, 4]);
     let [one, two, three, four, five] = packages.iter().collect::<Vec<_>>().try_into().unwrap();
     let now = Stamp(1_000);
-    teller.give(&mut bob, now, &[one, four, three, five, five, four]);
+    sender.give(&mut bob, now, &[one, four, three, five, five, four]);
     assert_eq!((bob.counters().merged, bob.session().counters().waited), (1, 3));
     assert_eq!(bob.session().counters().duplicates, 2, "nothing waits twice");
-    assert!(bob.session().store().get(teller.stream, 4).is_none(), "nor is it passed on");
-    teller.give(&mut bob, now, &[two]);
+    assert!(bob.session().store().get(sender.stream, 4).is_none(), "nor is it passed on");
+    sender.give(&mut bob, now, &[two]);
     assert_eq!(bob.counters().merged, 5);
-    assert!(teller.holds_all(&bob));
+    assert!(sender.holds_all(&bob));
     let merged: Vec<u32> = core::iter::from_fn(|| bob.poll_event())
         .filter_map(|event| if let Event::Merged { index, .. } = event { Some(index) } else { None })
         .collect();
@@ -119,7 +119,7 @@ fn a_package_waits_and_is_merged_in_the_call_that_brings_what_it_builds_on() {
 
 #[test]
 fn what_waits_is_bounded_and_one_stream_does_not_displace_another() {
-    let (mut loud, mut quiet, mut bob) = (Teller::new(1), Teller::new(3), robot(2));
+    let (mut loud, mut quiet, mut bob) = (Sender::new(1), Sender::new(3), robot(2));
     let now = Stamp(1_000);
     let few: Vec<Package> = (0..20).map(|_| quiet.send_and_note(false)).collect();
     let flood: Vec<Package> = (0..1_500).map(|_| loud.send_and_note(false)).collect();
@@ -138,56 +138,56 @@ fn what_waits_is_bounded_and_one_stream_does_not_displace_another() {
 
 #[test]
 fn a_package_told_alone_waits_for_one_that_looks_at_what_it_changes() {
-    let (mut teller, mut bob) = (Teller::new(1), robot(2));
-    let packages = [false, false, true, true].map(|is_independent| teller.send_and_note(is_independent));
+    let (mut sender, mut bob) = (Sender::new(1), robot(2));
+    let packages = [false, false, true, true].map(|is_independent| sender.send_and_note(is_independent));
     assert!(packages[2].header().is_independent && packages[2].decode().is_ok());
     assert_eq!(packages[3].header().base, 2);
     let now = Stamp(1_000);
-    teller.give(&mut bob, now, &[&packages[0], &packages[3], &packages[2]]);
+    sender.give(&mut bob, now, &[&packages[0], &packages[3], &packages[2]]);
     assert_eq!(bob.counters().merged, 1);
-    teller.give(&mut bob, now, &[&packages[1]]);
-    assert!(teller.holds_all(&bob));
+    sender.give(&mut bob, now, &[&packages[1]]);
+    assert!(sender.holds_all(&bob));
     assert_eq!(bob.counters().superseded, 0);
 }
 
 /// A swarm of two in which the first holds what the sender published, and the second got it as `order` says.
-fn told(teller: &Teller, packages: &[Package], order: &[usize]) -> Swarm {
+fn received(sender: &Sender, packages: &[Package], order: &[usize]) -> Swarm {
     let mut swarm = Swarm::new((2..=3).map(config).collect(), PERFECT, 1);
     swarm.run(2_000);
     let now = swarm.now;
-    teller.give(&mut swarm.robots[0], now, &packages.iter().collect::<Vec<_>>());
+    sender.give(&mut swarm.robots[0], now, &packages.iter().collect::<Vec<_>>());
     let ordered: Vec<&Package> = order.iter().map(|at| &packages[*at]).collect();
-    teller.give(&mut swarm.robots[1], now, &ordered);
+    sender.give(&mut swarm.robots[1], now, &ordered);
     swarm
 }
 
 #[test]
 fn a_package_that_was_overtaken_leads_to_a_snapshot_and_to_equal_layers() {
-    let mut teller = Teller::new(1);
+    let mut sender = Sender::new(1);
     // A faulty sender: the third does not name the second, which looks at what it changes.
-    let packages = [false, false, true, false].map(|is_independent| teller.tell(is_independent));
+    let packages = [false, false, true, false].map(|is_independent| sender.encode(is_independent));
     assert_eq!(packages[2].header().base, 0);
-    let mut swarm = told(&teller, &packages, &[0, 2, 1, 3]);
+    let mut swarm = received(&sender, &packages, &[0, 2, 1, 3]);
     assert_eq!(swarm.robots[1].counters().superseded, 1);
     assert_eq!(swarm.robots[1].session().counters().undecodable, 1);
-    assert!(teller.holds_all(&swarm.robots[0]));
+    assert!(sender.holds_all(&swarm.robots[0]));
     swarm.run(5_000);
-    assert!(teller.holds_all(&swarm.robots[1]));
+    assert!(sender.holds_all(&swarm.robots[1]));
     assert_eq!(swarm.robots[1].session().counters().caught_up, 1);
     assert!(swarm.events[1].iter().any(|event| matches!(event, Event::CaughtUp { upto: 4, .. })));
     // It is asked for once, and then there is peace.
     let states = swarm.robots[0].counters().snapshots;
     swarm.run(10_000);
     assert_eq!((states, swarm.robots[0].counters().snapshots), (1, 1));
-    let more = teller.tell(false);
-    teller.give(&mut swarm.robots[1], swarm.now, &[&more]);
-    assert!(teller.holds_all(&swarm.robots[1]));
+    let more = sender.encode(false);
+    sender.give(&mut swarm.robots[1], swarm.now, &[&more]);
+    assert!(sender.holds_all(&swarm.robots[1]));
 }
 
 #[test]
 fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_snapshot() {
-    let mut teller = Teller::new(1);
-    let packages: Vec<Package> = (0..3).map(|_| teller.send_and_note(false)).collect();
+    let mut sender = Sender::new(1);
+    let packages: Vec<Package> = (0..3).map(|_| sender.send_and_note(false)).collect();
     let Ok(Content::Changes(first)) = packages[0].decode() else { panic!("the first is independent") };
     let mut layer = Layer::default();
     layer.apply(&first, packages[0].header().batch_end);
@@ -200,16 +200,16 @@ fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_snapshot() {
     let damaged = (0..packages[1].bytes().len()).rev().find_map(damaged).unwrap();
     let mut swarm = Swarm::new((2..=3).map(config).collect(), PERFECT, 1);
     swarm.run(2_000);
-    teller.give(&mut swarm.robots[0], swarm.now, &packages.iter().collect::<Vec<_>>());
+    sender.give(&mut swarm.robots[0], swarm.now, &packages.iter().collect::<Vec<_>>());
     swarm.cut = vec![(0, 1)];
-    teller.give(&mut swarm.robots[1], swarm.now, &[&packages[0], &damaged, &packages[2]]);
+    sender.give(&mut swarm.robots[1], swarm.now, &[&packages[0], &damaged, &packages[2]]);
     swarm.run(11_000);
-    teller.give(&mut swarm.robots[1], swarm.now, &[&damaged]);
+    sender.give(&mut swarm.robots[1], swarm.now, &[&damaged]);
     assert_eq!(swarm.robots[1].counters().damaged, 2);
     assert_eq!(swarm.robots[1].session().counters().undecodable, 1);
     swarm.cut.clear();
     swarm.run(10_000);
-    assert!(teller.holds_all(&swarm.robots[1]));
+    assert!(sender.holds_all(&swarm.robots[1]));
     assert_eq!(swarm.robots[1].session().counters().caught_up, 1);
 }
 
@@ -236,20 +236,20 @@ fn who_has_no_room_for_the_own_layer_tells_its_batches_alone() {
 
 #[test]
 fn what_waits_below_a_snapshot_is_dropped_and_what_waits_above_goes() {
-    let mut teller = Teller::new(1);
+    let mut sender = Sender::new(1);
     let mut packages: Vec<Package> =
-        [false, false, true].into_iter().map(|is_independent| teller.tell(is_independent)).collect();
-    packages.extend((0..4).map(|_| teller.tell(false)));
+        [false, false, true].into_iter().map(|is_independent| sender.encode(is_independent)).collect();
+    packages.extend((0..4).map(|_| sender.encode(false)));
     // The second is superseded by the third. The fourth is lost; those after it wait. The first robot does not know the last two.
     let mut swarm = Swarm::new((2..=3).map(config).collect(), PERFECT, 1);
     swarm.run(2_000);
     let now = swarm.now;
     let all: Vec<&Package> = packages.iter().collect();
-    teller.give(&mut swarm.robots[0], now, &all[..5]);
-    teller.give(&mut swarm.robots[1], now, &[all[0], all[2], all[1], all[4], all[5], all[6]]);
+    sender.give(&mut swarm.robots[0], now, &all[..5]);
+    sender.give(&mut swarm.robots[1], now, &[all[0], all[2], all[1], all[4], all[5], all[6]]);
     assert_eq!(swarm.robots[1].session().counters().waited, 3);
     swarm.run(5_000);
-    assert!(teller.holds_all(&swarm.robots[1]));
+    assert!(sender.holds_all(&swarm.robots[1]));
     assert_eq!(swarm.robots[1].session().counters().caught_up, 1);
     assert!(swarm.agrees(), "the first robot has the last ones from the second");
 }

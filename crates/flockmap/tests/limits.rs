@@ -166,7 +166,7 @@ struct Faulty {
 }
 
 impl Faulty {
-    fn tell(&mut self, robot: &mut Robot, now: Stamp, stamp: Stamp, voxels: &[(Voxel, State)]) {
+    fn send(&mut self, robot: &mut Robot, now: Stamp, stamp: Stamp, voxels: &[(Voxel, State)]) {
         let batch =
             Batch { stream: self.stream, start: stamp, end: stamp, resolution: resolution(), sensor: [0; 3] };
         let changes = Changes::from_voxels(voxels.iter().copied());
@@ -190,7 +190,7 @@ fn a_faulty_team_mate_hides_nothing_either_whatever_its_clock_is_taken_for() {
             let mut faulty = Faulty { stream: Stream { origin: RobotId(1), epoch: 1 }, next: 1 };
             robot.set_clock_offset(RobotId(1), Some(offset));
             let stamp = now.plus_micros(offset).plus_micros(ahead);
-            faulty.tell(&mut robot, now, stamp, &[(place, State::Free), (Voxel::new(31, 0, 0), State::Free)]);
+            faulty.send(&mut robot, now, stamp, &[(place, State::Free), (Voxel::new(31, 0, 0), State::Free)]);
             assert_eq!(robot.map().state(place), State::Free);
             robot.set_clock_offset(RobotId(1), Some(then));
             let report = robot.insert_scan(now, &wall(now, 3.05), &Pose::IDENTITY).unwrap();

@@ -28,18 +28,18 @@ fn config(layer_bytes_max: usize) -> RobotConfig {
 }
 
 /// A hostile robot.
-struct Teller {
+struct Sender {
     stream: Stream,
     encoder: Encoder,
     next: u32,
 }
 
-impl Teller {
+impl Sender {
     fn new(id: u16) -> Self {
         Self { stream: Stream { origin: RobotId(id), epoch: 1 }, encoder: Encoder::new(), next: 1 }
     }
 
-    fn tell(&mut self, codec: Codec, changes: &Changes, base: Option<&Base<'_>>) -> Vec<Package> {
+    fn encode(&mut self, codec: Codec, changes: &Changes, base: Option<&Base<'_>>) -> Vec<Package> {
         let stamp = Stamp(i64::from(self.next));
         let batch =
             Batch { stream: self.stream, start: stamp, end: stamp, resolution: resolution(), sensor: [0; 3] };
@@ -116,68 +116,69 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
     assert!(stated < 1_400_000_000, "{stated}");
 
     // 512 blocks, each voxel of which changed last in another batch, and then again in further ones.
-    let mut teller = Teller::new(2);
+    let mut sender = Sender::new(2);
     let packages: Vec<Package> = (0..600)
         .flat_map(|bit| {
             let voxel = |block: i32| {
                 let [bx, by, bz] = [block & 7, block >> 3 & 7, block >> 6].map(|at| at * 8);
                 (Voxel::new(bx + (bit & 7), by + (bit >> 3 & 7), bz + (bit >> 6 & 7)), State::Free)
             };
-            teller.tell(Codec::Paper, &Changes::from_voxels((0..512).map(voxel)), None)
+            sender.encode(Codec::Paper, &Changes::from_voxels((0..512).map(voxel)), None)
         })
         .collect();
     case("layers of many stamps", config(4 << 20), 3 << 20, |robot| {
         let before = ALLOCATOR.current_usage();
         for package in &packages {
-            teller.send(robot, package);
+            sender.send(robot, package);
             while robot.poll_event().is_some() {}
         }
-        let layer = robot.fusion().layer(teller.stream).unwrap();
+        let layer = robot.fusion().layer(sender.stream).unwrap();
         assert_eq!((layer.block_count(), layer.len()), (512, 512 * 512));
         is_within(robot, before, 4 << 20);
     });
 
     // As many voxels in a datagram as may be, again and again, and nobody takes the events.
-    let mut teller = Teller::new(2);
+    let mut sender = Sender::new(2);
     // The largest that a package may say.
     let cube = cube(32);
-    let packages: Vec<Package> = (0..2_500).flat_map(|_| teller.tell(Codec::Paper, &cube, None)).collect();
+    let packages: Vec<Package> = (0..2_500).flat_map(|_| sender.encode(Codec::Paper, &cube, None)).collect();
     assert!(packages.iter().all(|package| package.bytes().len() <= PACKAGE_BYTES_MAX));
     case("events that nobody takes", config(32 << 20), 2 << 20, |robot| {
         for package in &packages {
-            teller.send(robot, package);
+            sender.send(robot, package);
         }
         assert_eq!(robot.counters().merged, packages.len() as u64);
         assert!(robot.counters().events_dropped > 0);
     });
 
     // Blocks far apart, more than there may be.
-    let mut teller = Teller::new(2);
+    let mut sender = Sender::new(2);
     let apart = (0..3_000).map(|n| Changes::from_voxels([(Voxel::new(n * 700, 0, 0), State::Occupied)]));
-    let packages: Vec<Package> = apart.flat_map(|changes| teller.tell(Codec::Raw, &changes, None)).collect();
+    let packages: Vec<Package> =
+        apart.flat_map(|changes| sender.encode(Codec::Raw, &changes, None)).collect();
     case("blocks far apart", config(2 << 20), 1_800_000, |robot| {
         let before = ALLOCATOR.current_usage();
         for package in &packages {
-            teller.send(robot, package);
+            sender.send(robot, package);
             while robot.poll_event().is_some() {}
         }
         is_within(robot, before, 2 << 20);
     });
 
     // Batches with a sensor each, of which nothing stands.
-    let mut teller = Teller::new(2);
+    let mut sender = Sender::new(2);
     let packages: Vec<Package> = (0..20_000)
         .flat_map(|n| {
             // A wall: of few voxels the codec would not say where they were seen from.
             let wall =
                 (0..320).map(|at| (Voxel::new(20, at % 16, at / 16), [State::Free, State::Occupied][n % 2]));
-            teller.tell(Codec::Flock, &Changes::from_voxels(wall), None)
+            sender.encode(Codec::Flock, &Changes::from_voxels(wall), None)
         })
         .collect();
     assert!(packages.iter().all(|package| package.sensor().is_some()));
     case("batches of which nothing stands", config(2 << 20), 500_000, |robot| {
         for package in &packages {
-            teller.send(robot, package);
+            sender.send(robot, package);
             while robot.poll_event().is_some() {}
         }
         assert_eq!(robot.counters().merged, 20_000);
@@ -186,20 +187,20 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
     });
 
     // As many snapshots as are received at once, never completed, and two more, for which there is no place.
-    let states: Vec<(Teller, Vec<Package>)> = (2..12)
+    let states: Vec<(Sender, Vec<Package>)> = (2..12)
         .map(|id| {
-            let mut teller = Teller::new(id);
-            let mut chunks = teller.send_state(20);
+            let mut sender = Sender::new(id);
+            let mut chunks = sender.send_state(20);
             chunks.pop();
-            (teller, chunks)
+            (sender, chunks)
         })
         .collect();
     let mut large = config(16 << 20);
     (large.session.peers_max, large.session.streams_max) = (16, 16);
     case("snapshots that are being read", large, 18_000_000, |robot| {
-        for (teller, chunks) in &states {
+        for (sender, chunks) in &states {
             for chunk in chunks {
-                teller.send(robot, chunk);
+                sender.send(robot, chunk);
                 while robot.poll_event().is_some() {}
             }
         }
@@ -208,12 +209,12 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
     });
 
     // One that is larger than all that are being read may be.
-    let mut teller = Teller::new(2);
-    let chunks = teller.send_state(25);
+    let mut sender = Sender::new(2);
+    let chunks = sender.send_state(25);
     case("a snapshot that is too large", config(16 << 20), 10_000_000, |robot| {
         let mut refused = 0;
         for chunk in &chunks {
-            teller.send(robot, chunk);
+            sender.send(robot, chunk);
             while let Some(event) = robot.poll_event() {
                 let is_refused = matches!(event, Event::Refused { reason: Refusal::Chunks { .. }, .. });
                 refused += u64::from(is_refused);
@@ -221,28 +222,28 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
         }
         assert!(refused > 0 && robot.counters().no_room == refused, "{refused}, {:?}", robot.counters());
         assert!(
-            robot.fusion().layer(teller.stream).unwrap().block_count() > 8_000,
+            robot.fusion().layer(sender.stream).unwrap().block_count() > 8_000,
             "what was read before is merged"
         );
     });
 
     // Packages that wait for one that never comes.
-    let mut teller = Teller::new(2);
+    let mut sender = Sender::new(2);
     let mut layer = Layer::default();
     let far = |n: i32| {
         Changes::from_voxels((0..200).map(|k| (Voxel::new((k * 37 + n) % 90, k % 9, n % 7), State::Free)))
     };
     layer.apply(&far(0), Stamp(1));
-    teller.tell(Codec::Flock, &far(0), None);
+    sender.encode(Codec::Flock, &far(0), None);
     let packages: Vec<Package> = (0..1_500)
         .flat_map(|n| {
             let base = Base { layer: Some(&layer), batches: &[(Stamp(1), 1)], readers: &[] };
-            teller.tell(Codec::Flock, &far(n), Some(&base))
+            sender.encode(Codec::Flock, &far(n), Some(&base))
         })
         .collect();
     case("packages that wait", config(1 << 20), 300_000, |robot| {
         for package in &packages {
-            teller.send(robot, package);
+            sender.send(robot, package);
         }
         assert!(robot.session().counters().waiting_dropped > 0, "{:?}", robot.counters());
     });

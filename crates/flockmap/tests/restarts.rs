@@ -196,8 +196,9 @@ fn live_runs_take_the_places_of_ended_ones() {
         let forgotten = robot.session().counters().streams_forgotten;
         assert!(forgotten > 0 || robot.own_stream().origin.0 as usize > robots / 2, "{forgotten}");
     }
-    let told = net.events.iter().flatten().filter(|event| matches!(event, Event::RunForgotten(_))).count();
-    assert!(told > 0, "what is undecodable is reported");
+    let reported =
+        net.events.iter().flatten().filter(|event| matches!(event, Event::RunForgotten(_))).count();
+    assert!(reported > 0, "what is undecodable is reported");
 }
 
 #[test]

@@ -61,8 +61,8 @@ impl<'a> Codes<'a> {
 
     /// The steps that it takes to find the voxels.
     pub(crate) fn steps(self) -> u64 {
-        let tells = |group: &[u8]| group.iter().filter(|byte| **byte != self.nothing).count() as u64;
-        let count = |(groups, bytes), (_, group)| (groups + 1, bytes + tells(group));
+        let codes_in = |group: &[u8]| group.iter().filter(|byte| **byte != self.nothing).count() as u64;
+        let count = |(groups, bytes), (_, group)| (groups + 1, bytes + codes_in(group));
         let (groups, bytes) = self.groups().fold((0, 0), count);
         work::of_codes(groups, bytes)
     }

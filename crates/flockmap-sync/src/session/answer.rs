@@ -12,7 +12,7 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::BTreeSet;
 
-/// A stamp below an earlier one means that the datagram was overtaken in flight, since the clock of a run never goes back. But the earlier
+/// A stamp below an earlier one means that a later datagram came first, since the clock of a run never goes back. But the earlier
 /// one may be false where there is no key: then it counts for so long.
 const UNSEALED_STAMP_COUNTS: Duration = Duration::from_secs(5);
 

@@ -314,8 +314,8 @@ mod tests {
         // The nearest obstacle; the others are due at once.
         let (first, obstacle) = close(200, 10).unwrap();
         assert_eq!(obstacle.voxels().collect::<Vec<_>>(), [(Voxel::new(0, 0, 10), State::Occupied)]);
-        let told = [close(200, 10).unwrap().1.len(), close(200, 10).unwrap().1.len()];
-        assert_eq!(told, [1, 1]);
+        let published = [close(200, 10).unwrap().1.len(), close(200, 10).unwrap().1.len()];
+        assert_eq!(published, [1, 1]);
         assert!(close(200, 10).is_none(), "free space has its own time");
         let (near, changes) = close(2_200, 30).unwrap();
         assert!(near.end > first.end && changes.len() <= 30 && !changes.has_occupied());

@@ -193,10 +193,10 @@ impl Swarm {
                         let [x, y, z] = flockmap::grid::bit_of(bit);
                         let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
                         let own = block.get(bit);
-                        let told = layer.map_or(State::Unknown, |layer| layer.state(voxel));
+                        let stated = layer.map_or(State::Unknown, |layer| layer.state(voxel));
                         assert!(
-                            own == State::Unknown || own == told,
-                            "seed {seed}: {voxel:?} {own:?} {told:?}"
+                            own == State::Unknown || own == stated,
+                            "seed {seed}: {voxel:?} {own:?} {stated:?}"
                         );
                     }
                 }

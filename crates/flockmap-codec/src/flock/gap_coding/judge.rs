@@ -19,7 +19,7 @@ pub(crate) fn has_no_pattern(changes: &Changes, region: &VoxelBox) -> bool {
         |of: fn(&StateBlock) -> u64| i128::from(blocks.clone().map(|(_, block)| of(block)).sum::<u64>());
     let occupied = count(|block| ones(block.occupied().iter().copied()));
     let (voxels, changed) = (region.volume() as i128, changes.len() as i128);
-    // Of all pairs of neighbours in the box: how many would be changed both if it were by chance, and how
+    // Of all pairs of neighbours in the box: how many would be changed both if they fell at random, and how
     // many more are?
     let pairs = count(|block| pairs_in(&block.known()));
     let expected = pairs_of(region) * changed / voxels * changed / voxels;
