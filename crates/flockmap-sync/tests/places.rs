@@ -5,11 +5,11 @@ mod swarm;
 use flockmap_codec::ContentKind;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_sync::wire::{
-    Datagram, DatagramHeader, Echo, Kind, OriginRange, Received, Request, TransferProgress, is_sealed,
-    parse_packages,
+    Datagram, DatagramHeader, Echo, Kind, OriginRange, Received, Request, SnapshotRequest, TransferProgress,
+    is_sealed, parse_packages,
 };
 use flockmap_sync::{Cast, IntervalSet, SessionConfig};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use swarm::{MS, Radio, Swarm};
 
 /// Since which package, up to which, which snapshot, how many chunks.
@@ -19,27 +19,44 @@ type Id = (u32, u32, u32, u32);
 struct One {
     swarm: Swarm,
     own: Stream,
-    /// Every chunk that it has sent.
-    sent: BTreeSet<(Id, u32)>,
+    /// Every chunk that it has sent, and how often.
+    sent: BTreeMap<(Id, u32), u32>,
+}
+
+/// What a peer says of the snapshot to which it has given its place.
+#[derive(Clone, Copy)]
+struct Place {
+    id: Id,
+    /// The first so many chunks it has.
+    chunks: u32,
+    /// It wants a snapshot that contains this package.
+    wants: Option<u32>,
 }
 
 impl One {
-    /// A request of a peer that holds packages 1 to `held`, and has given its place to a snapshot of which it has one chunk.
-    fn hears(&mut self, peer: u16, held: u32, place: Option<Id>) {
+    /// A request of a peer that holds packages 1 to `held`, and has given its place to a snapshot.
+    fn hears(&mut self, peer: u16, held: u32, place: Option<Place>) {
         let robot = self.swarm.robots.get_mut(&1).unwrap();
         let now = Stamp(self.swarm.now + robot.clock);
         let set = |high| IntervalSet::from_intervals(64, vec![(1, high)]);
         let echo =
             Echo { robot: self.own.origin, epoch_low: 1, stamp_low: (now.0 - 20 * MS) as u32, age_micros: 0 };
-        let transfers = place.map(|(since, upto, snapshot_id, chunks)| TransferProgress {
-            source: self.own.origin,
+        let transfers =
+            place.map(|Place { id: (since, upto, number, chunks), chunks: accepted, .. }| TransferProgress {
+                source: self.own.origin,
+                stream: self.own,
+                since,
+                upto,
+                snapshot_id: number,
+                chunks,
+                from: 1,
+                accepted: set(accepted),
+            });
+        let wanted = place.and_then(|place| place.wants).map(|package| SnapshotRequest {
             stream: self.own,
-            since,
-            upto,
-            snapshot_id,
-            chunks,
+            since: package - 1,
             from: 1,
-            accepted: set(1),
+            undecodable: IntervalSet::from_intervals(64, vec![(package, package)]),
         });
         let request = Request {
             origins: Some(OriginRange::all_from(RobotId(0))),
@@ -52,6 +69,7 @@ impl One {
                 received: set(held),
             }],
             transfers: transfers.into_iter().collect(),
+            snapshot_requests: wanted.into_iter().collect(),
             ..Request::default()
         };
         let sender = Stream { origin: RobotId(peer), epoch: 1 };
@@ -66,50 +84,72 @@ impl One {
             }
             for package in parse_packages(&datagram).unwrap() {
                 if let ContentKind::Snapshot { since, id, chunk, chunks } = package.header().content {
-                    self.sent.insert(((since, package.header().index, id, chunks), chunk));
+                    *self.sent.entry(((since, package.header().index, id, chunks), chunk)).or_default() += 1;
                 }
             }
         }
     }
 
-    fn set_since(&self, since: u32) -> Option<Id> {
-        self.sent.iter().map(|(set, _)| *set).find(|set| set.0 == since)
+    fn snapshot_since(&self, since: u32) -> Option<Id> {
+        self.sent.keys().map(|(id, _)| *id).find(|id| id.0 == since)
     }
 }
 
-/// Once it was sent the snapshot that was meant for it, which it ignored, and each of the two was offered for ever.
-#[test]
-fn a_peer_is_sent_the_snapshot_that_it_has_given_its_place_to() {
-    let config = SessionConfig {
-        cast: Cast::Broadcast,
-        store_bytes_max: 8_000,
-        snapshot_bytes_min: None,
-        ..SessionConfig::default()
-    };
+/// Robot 1 with 60 packages, of which only the newest are stored.
+fn one(cast: Cast) -> One {
+    let config =
+        SessionConfig { cast, store_bytes_max: 8_000, snapshot_bytes_min: None, ..SessionConfig::default() };
     let mut swarm = Swarm::new(79, Radio::PERFECT);
     let own = swarm.start(1, 1, config);
     for _ in 0..60 {
         swarm.publish(1, 900);
         swarm.run(50 * MS);
     }
-    let mut one = One { swarm, own, sent: BTreeSet::new() };
+    One { swarm, own, sent: BTreeMap::new() }
+}
+
+/// Once it was sent the snapshot that was meant for it, which it ignored, and each of the two was offered for ever.
+#[test]
+fn a_peer_is_sent_the_snapshot_that_it_has_given_its_place_to() {
+    let mut one = one(Cast::Broadcast);
     // Robot 3 lacks what is after package 30, robot 2 what is after package 10. Neither has a place for what it is sent.
     for _ in 0..40 {
         one.hears(3, 30, None);
     }
-    let own_set = one.set_since(30).expect("a snapshot for robot 3");
+    let own_set = one.snapshot_since(30).expect("a snapshot for robot 3");
     for _ in 0..40 {
         one.hears(2, 10, None);
         one.hears(3, 30, None);
     }
-    let other = one.set_since(10).expect("a snapshot for robot 2");
+    let other = one.snapshot_since(10).expect("a snapshot for robot 2");
     assert!(other.3 > 2 && own_set.1 == other.1);
     // The first chunk of the snapshot for robot 2 got the place of robot 3.
     one.sent.clear();
     for _ in 0..40 {
         one.hears(2, 10, None);
-        one.hears(3, 30, Some(other));
+        one.hears(3, 30, Some(Place { id: other, chunks: 1, wants: None }));
     }
-    let chunks = one.sent.iter().filter(|(set, _)| *set == other).count() as u32;
+    let chunks = one.sent.keys().filter(|(id, _)| *id == other).count() as u32;
     assert!(chunks >= other.3 - 1, "{chunks} of {} chunks", other.3);
+}
+
+/// Once each of its requests, which named the old snapshot alone, made the sender go back to that one, and then begin the new one anew.
+#[test]
+fn a_peer_that_needs_another_snapshot_than_the_one_that_has_its_place_is_not_sent_that_one_over_and_over() {
+    for (cast, chunks) in [(Cast::Unicast, 1), (Cast::Broadcast, 1), (Cast::Broadcast, u32::MAX)] {
+        let mut one = one(cast);
+        for _ in 0..10 {
+            one.hears(3, 30, None);
+        }
+        let old = one.snapshot_since(30).expect("a snapshot for robot 3");
+        // It turns out that robot 3 cannot decode a package before that snapshot, and it says nothing of the snapshot that it is sent for it.
+        one.sent.clear();
+        for _ in 0..40 {
+            one.hears(3, 30, Some(Place { id: old, chunks: chunks.min(old.3), wants: Some(21) }));
+        }
+        let new =
+            one.snapshot_since(20).or_else(|| one.snapshot_since(0)).expect("another snapshot for robot 3");
+        let most = one.sent.iter().filter(|((id, _), _)| *id == new).map(|(_, count)| *count).max();
+        assert!(most.is_some_and(|most| most <= 8), "{cast:?}: a chunk was sent {most:?} times");
+    }
 }

@@ -6,7 +6,7 @@ use crate::item::Item;
 use crate::outbox::Outbox;
 use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, Sending, SentPackage};
 use crate::wire::{DatagramHeader, Request, TransferProgress};
-use crate::{InFlight, IntervalSet, Relay};
+use crate::{Cast, InFlight, IntervalSet, Relay};
 use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
@@ -150,7 +150,9 @@ impl Session {
         let is_ours = |progress: &&TransferProgress| progress.source == self.identity.own.origin;
         for progress in request.transfers.iter().filter(is_ours) {
             let Some(theirs) = peer.streams.get_mut(&progress.stream) else { continue };
-            send_what_has_a_place(now, theirs, progress, request, &self.outbox);
+            if self.config.cast == Cast::Broadcast {
+                send_what_has_a_place(now, theirs, progress, request, &self.outbox);
+            }
             if let Some(sending) = theirs.sending.as_mut().filter(|s| s.snapshot_id == progress.snapshot_id) {
                 sending.named_at = now;
                 sending.unheeded = 0;
@@ -279,9 +281,7 @@ impl Session {
             // Where much of it has come meanwhile, or is coming as a snapshot, somebody is at it. One that is complete brings no more:
             // it waits for packages before it.
             let own = self.identity.own.origin;
-            let is_coming = |t: &TransferProgress| {
-                t.stream == stream && t.source != own && !t.accepted.contains_range(1, t.chunks)
-            };
+            let is_coming = |t: &TransferProgress| t.stream == stream && t.source != own && !t.is_complete();
             let is_served = request.transfers.iter().any(is_coming)
                 || (then.count() - still.count()) * SERVED_SHARE > then.count();
             theirs.overdue = if is_served { IntervalSet::new(PEER_INTERVALS_MAX) } else { still };
@@ -323,7 +323,7 @@ impl Session {
 }
 
 /// By broadcast a peer may have given its place to a snapshot that another peer is sent, and ignores the one for itself. If that helps it as
-/// well, it is sent that one: else both would wait for ever.
+/// well, it is sent that one: else both would wait for ever. Not so a snapshot of which it has all chunks, or that is not from where it wants one.
 fn send_what_has_a_place(
     now: Stamp,
     theirs: &mut PeerStream,
@@ -335,8 +335,11 @@ fn send_what_has_a_place(
         let id = (progress.source, progress.stream, sending.snapshot_id);
         request.transfers.iter().any(|t| (t.source, t.stream, t.snapshot_id) == id)
     };
-    if theirs.sending.as_ref().is_some_and(|sending| !is_named(sending))
+    let since_max = theirs.snapshot_request.as_ref().map_or(u32::MAX, |wanted| wanted.since);
+    if !progress.is_complete()
+        && theirs.sending.as_ref().is_some_and(|sending| !is_named(sending))
         && let Some(outgoing) = outbox.snapshot(progress.stream, progress.snapshot_id)
+        && outgoing.since <= since_max
         && outgoing.helps(&theirs.received)
     {
         theirs.sending = Some(outgoing.sending(now));
