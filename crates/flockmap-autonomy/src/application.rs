@@ -37,9 +37,8 @@ pub use outcome::{ApplicationOutcome, Ending, RobotTraffic};
 pub use series::{Series, SeriesOptions, series};
 
 use pair::{FOLLOWER, LEADER, Pair};
-use pilot::{Flyer, Pilot, STEP_S, Surroundings};
+use pilot::{Flyer, Pilot, STEP_S};
 use route::POINT_EVERY_M;
-use sight::Sight;
 
 /// The robots hover so long before they set off, in seconds, so that they find each other and have a map.
 const HOVER_S: f64 = 2.0;
@@ -60,7 +59,7 @@ const YAW_RATE_RAD_S: f64 = 1.4;
 pub fn fly(course: &Course, options: &ApplicationOptions) -> Result<ApplicationOutcome, RobotError> {
     let mut flight = Flight::new(course, options)?;
     let mut ending = None;
-    while ending.is_none() && flight.seconds() < options.seconds_max {
+    while ending.is_none() && flight.now.seconds() < options.seconds_max {
         flight.scan();
         flight.plan();
         ending = flight.fly_on();
@@ -103,35 +102,26 @@ impl<'a> Flight<'a> {
             pair: Pair::new(options, Stamp(0))?,
             now: Stamp(0),
             limits,
-            pilots: [Pilot::new(limits), Pilot::new(limits)],
+            pilots: [(); 2].map(|()| Pilot::new(limits, course.fence)),
             flyers: [at(leader, ahead + core::f64::consts::PI), at(follower, ahead)],
             trail: line([follower[0], follower[1]], [leader[0], leader[1]], POINT_EVERY_M).collect(),
             path_m: 0.0,
         })
     }
 
-    fn seconds(&self) -> f64 {
-        self.now.seconds()
-    }
-
     /// Both robots take a scan and map it.
     fn scan(&mut self) {
-        let sight = Sight {
-            lidar: self.options.lidar,
-            range_m: self.options.range_m,
-            update_box_m: self.options.update_box_m,
-        };
         for number in [LEADER, FOLLOWER] {
             let pose = self.flyers[number].pose();
             let other = self.flyers[1 - number].point();
-            let scan = sight.scan(&self.course.world, &pose, self.now, other);
+            let scan = sight::scan(self.options, &self.course.world, &pose, self.now, other);
             self.pair.insert_scan(number, &scan, &pose, other);
         }
     }
 
     /// Both robots plan on the maps that they have.
     fn plan(&mut self) {
-        let hovers = self.seconds() < HOVER_S;
+        let hovers = self.now.seconds() < HOVER_S;
         let [leader, follower] = self.flyers;
         let gap = distance(leader.position, follower.position) - self.options.distance_m;
         let stretch = (STRETCH_M[1] - gap) / (STRETCH_M[1] - STRETCH_M[0]);
@@ -140,10 +130,10 @@ impl<'a> Flight<'a> {
         // The follower may catch up.
         let speeds = [leader_speed, self.limits.speed_m_s * 1.2];
         for number in [LEADER, FOLLOWER] {
-            let around = Surroundings { fence: self.course.fence, other: self.flyers[1 - number].position };
+            let other = self.flyers[1 - number].position;
             let view = self.pair.robot(number).view();
             let speed = if hovers { 0.0 } else { speeds[number] };
-            self.pilots[number].plan(&view, &self.flyers[number], targets[number], speed, &around);
+            self.pilots[number].plan(&view, &self.flyers[number], targets[number], speed, other);
         }
     }
 

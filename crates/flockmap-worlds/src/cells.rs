@@ -10,7 +10,7 @@ const CHUNK: i32 = 16;
 const BRICK: i32 = 4;
 
 /// Most chunks that a set may span: 2²⁴, for which its tables take 80 MiB (a cube 4,096 cells wide).
-const CHUNKS_SPANNED_MAX: i64 = 1 << 24;
+const CHUNKS_SPANNED_MAX: usize = 1 << 24;
 
 /// Most chunks that may hold cells: 2¹⁸, together 130 MiB.
 const CHUNKS_FILLED_MAX: usize = 1 << 18;
@@ -27,9 +27,8 @@ struct Chunk {
 #[derive(Clone, Debug)]
 pub(crate) struct CellSet {
     region: VoxelBox,
-    /// Index of the lowest chunk of the region.
-    corner: [i32; 3],
-    chunks_along: [i32; 3],
+    /// The chunks of the region as cells.
+    lattice: Lattice,
     /// For each chunk of the region 0, or one more than its place in `chunks`.
     table: Vec<u32>,
     chunks: Vec<Chunk>,
@@ -46,17 +45,11 @@ impl CellSet {
     /// An empty set for the cells of `region`.
     pub(crate) fn new(region: VoxelBox) -> Result<Self, TooLarge> {
         let (low, high) = (chunk_of(region.min()), chunk_of(region.max()));
-        let chunks_along: [i32; 3] = core::array::from_fn(|a| high[a] - low[a] + 1);
-        let count = chunks_along.iter().try_fold(1i64, |n, &c| n.checked_mul(i64::from(c)));
-        let count = count.filter(|&n| n <= CHUNKS_SPANNED_MAX).ok_or(TooLarge)? as usize;
-        Ok(Self {
-            region,
-            corner: low,
-            chunks_along,
-            table: vec![0; count],
-            chunks: Vec::new(),
-            gap: vec![0; count],
-        })
+        let size: [usize; 3] = core::array::from_fn(|a| high[a].abs_diff(low[a]) as usize + 1);
+        let count = size.into_iter().try_fold(1usize, usize::checked_mul);
+        let count = count.filter(|&n| n <= CHUNKS_SPANNED_MAX).ok_or(TooLarge)?;
+        let lattice = Lattice::new(size).placed([0.0; 3], low, f64::from(CHUNK));
+        Ok(Self { region, lattice, table: vec![0; count], chunks: Vec::new(), gap: vec![0; count] })
     }
 
     /// The box that all cells lie in.
@@ -69,7 +62,7 @@ impl CellSet {
         if !self.region.contains(cell) {
             return Ok(());
         }
-        let Some(at) = self.slot(chunk_of(cell)) else { return Ok(()) };
+        let Some(at) = self.lattice.number_of(chunk_of(cell)) else { return Ok(()) };
         if self.table[at] == 0 {
             if self.chunks.len() == CHUNKS_FILLED_MAX {
                 return Err(TooLarge);
@@ -98,10 +91,10 @@ impl CellSet {
             let Some(inside) = brick.and_then(|brick| brick.intersection(&part)) else { continue };
             self.insert(inside.min())?;
             if inside.volume() > 1
-                && let Some(slot) = self.slot(chunk_of(corner))
+                && let Some(chunk) = self.chunk_at(corner)
             {
                 let mask = inside.voxels().fold(0u64, |mask, cell| mask | 1 << cell_bit(cell));
-                self.chunks[self.table[slot] as usize - 1].bricks[brick_bit(corner)] |= mask;
+                self.chunks[chunk].bricks[brick_bit(corner)] |= mask;
             }
         }
         Ok(())
@@ -109,11 +102,8 @@ impl CellSet {
 
     /// Takes a cell out.
     pub(crate) fn remove(&mut self, cell: Voxel) {
-        let Some(at) = self.slot(chunk_of(cell)) else { return };
-        if self.table[at] == 0 {
-            return;
-        }
-        let chunk = &mut self.chunks[self.table[at] as usize - 1];
+        let Some(chunk) = self.chunk_at(cell) else { return };
+        let chunk = &mut self.chunks[chunk];
         let brick = brick_bit(cell);
         chunk.bricks[brick] &= !(1 << cell_bit(cell));
         if chunk.bricks[brick] == 0 {
@@ -123,11 +113,7 @@ impl CellSet {
 
     /// Whether the cell is in the set.
     pub(crate) fn contains(&self, cell: Voxel) -> bool {
-        let Some(at) = self.slot(chunk_of(cell)) else { return false };
-        match self.table[at] {
-            0 => false,
-            n => self.chunks[n as usize - 1].bricks[brick_bit(cell)] >> cell_bit(cell) & 1 != 0,
-        }
+        self.brick(cell) >> cell_bit(cell) & 1 != 0
     }
 
     /// Whether any cell of a box is in the set. Goes by bricks of 4³ cells.
@@ -141,19 +127,11 @@ impl CellSet {
         self.bricks().flat_map(|(corner, brick)| Bits(brick).map(move |bit| cell_of(corner, bit)))
     }
 
-    /// Number of cells.
-    pub(crate) fn len(&self) -> usize {
-        self.bricks().map(|(_, brick)| brick.count_ones() as usize).sum()
-    }
-
     /// Every brick of 4³ cells that is not empty, with its lowest cell; bit `z·16 + y·4 + x` is a cell.
     pub(crate) fn bricks(&self) -> impl Iterator<Item = (Voxel, u64)> + '_ {
-        let [nx, ny, _] = self.chunks_along;
-        self.table.iter().enumerate().filter(|(_, n)| **n != 0).flat_map(move |(at, &n)| {
-            let at = at as i32;
-            let place = [at % nx, at / nx % ny, at / nx / ny];
-            let low: [i32; 3] = core::array::from_fn(|a| (self.corner[a] + place[a]) * CHUNK);
-            let chunk = &self.chunks[n as usize - 1];
+        let chunks = (0..self.table.len()).filter_map(|slot| Some((slot, self.filled_chunk(slot)?)));
+        chunks.flat_map(|(slot, chunk)| {
+            let low = self.lattice.index(slot).map(|c| c * CHUNK);
             Bits(chunk.filled).map(move |b| {
                 let cell = Voxel::new(low[0] + (b & 3) * 4, low[1] + (b >> 2 & 3) * 4, low[2] + (b >> 4) * 4);
                 (cell, chunk.bricks[b as usize])
@@ -161,25 +139,17 @@ impl CellSet {
         })
     }
 
-    /// The cells of the brick with this lowest cell, whose indices must be multiples of 4; bits as in
-    /// [`Self::bricks`].
-    pub(crate) fn brick(&self, corner: Voxel) -> u64 {
-        let Some(at) = self.slot(chunk_of(corner)) else { return 0 };
-        match self.table[at] {
-            0 => 0,
-            n => self.chunks[n as usize - 1].bricks[brick_bit(corner)],
-        }
+    /// The cells of the brick that a cell is in; bits as in [`Self::bricks`].
+    pub(crate) fn brick(&self, cell: Voxel) -> u64 {
+        self.chunk_at(cell).map_or(0, |chunk| self.chunks[chunk].bricks[brick_bit(cell)])
     }
 
     /// Prepares for ray casts: finds for each chunk how far it is to the next one that holds a cell.
     pub(crate) fn seal(&mut self) {
-        let occupied =
-            |set: &Self, at: usize| set.table[at] != 0 && set.chunks[set.table[at] as usize - 1].filled != 0;
-        for at in 0..self.table.len() {
-            self.gap[at] = if occupied(self, at) { 0 } else { u8::MAX };
+        for slot in 0..self.table.len() {
+            self.gap[slot] = if self.filled_chunk(slot).is_some() { 0 } else { u8::MAX };
         }
-        let chunks = Lattice::new(self.chunks_along.map(|n| n as usize));
-        chunks.spread(&mut self.gap, |distance| distance as u8, u8::max);
+        self.lattice.spread(&mut self.gap, |distance| distance as u8, u8::max);
     }
 
     /// The first cell of the set that a ray enters, and where: `origin` and `direction` in cells,
@@ -196,15 +166,12 @@ impl CellSet {
         length_max: f64,
     ) -> Option<(Voxel, f64)> {
         let ray = Ray::new(origin, direction)?;
-        let last: [i32; 3] = core::array::from_fn(|a| self.corner[a] + self.chunks_along[a] - 1);
-        let (mut at, mut index) = ray.enter(self.corner, last)?;
+        let [first, last] = self.lattice.ends();
+        let (mut at, mut index) = ray.enter(first, last)?;
         let mut next = ray.crossings::<CHUNK>(index);
         while at.t <= length_max {
-            let slot = self.slot(index)?;
-            let n = self.table[slot];
-            let chunk =
-                if n == 0 { None } else { Some(&self.chunks[n as usize - 1]).filter(|c| c.filled != 0) };
-            if let Some(chunk) = chunk {
+            let slot = self.lattice.number_of(index)?;
+            if let Some(chunk) = self.filled_chunk(slot) {
                 if let Some((cell, t)) = ray.cast_in_chunk(chunk, index, at) {
                     return (t <= length_max).then_some((cell, t));
                 }
@@ -228,17 +195,17 @@ impl CellSet {
         None
     }
 
-    fn slot(&self, chunk: [i32; 3]) -> Option<usize> {
-        let mut place = [0usize; 3];
-        for a in 0..3 {
-            let p = chunk[a] - self.corner[a];
-            if p < 0 || p >= self.chunks_along[a] {
-                return None;
-            }
-            place[a] = p as usize;
-        }
-        let [nx, ny, _] = self.chunks_along.map(|n| n as usize);
-        Some((place[2] * ny + place[1]) * nx + place[0])
+    /// Where in `chunks` the chunk of a cell is, if there is one.
+    fn chunk_at(&self, cell: Voxel) -> Option<usize> {
+        let slot = self.lattice.number_of(chunk_of(cell))?;
+        (self.table[slot] as usize).checked_sub(1)
+    }
+
+    /// The chunk with this number among those of the region, if it holds a cell.
+    #[inline]
+    fn filled_chunk(&self, slot: usize) -> Option<&Chunk> {
+        let chunk = self.chunks.get((self.table[slot] as usize).checked_sub(1)?)?;
+        (chunk.filled != 0).then_some(chunk)
     }
 }
 
@@ -281,13 +248,8 @@ impl Ray {
         }
         let inverse = direction.map(|d| 1.0 / d);
         // Along an axis on which it takes longer than any number to get anywhere the ray stands still.
-        let step = core::array::from_fn(|a| {
-            if inverse[a].is_infinite() {
-                0
-            } else {
-                i32::from(direction[a] > 0.0) - i32::from(direction[a] < 0.0)
-            }
-        });
+        let step =
+            core::array::from_fn(|a| if inverse[a].is_infinite() { 0 } else { direction[a].signum() as i32 });
         let ahead = step.map(|s: i32| i32::from(s > 0));
         let start = origin.map(|o| o.floor() as i32);
         Some(Self { origin, direction, inverse, step, ahead, start })
@@ -493,7 +455,7 @@ fn bricks_of(cells: &VoxelBox) -> impl Iterator<Item = Voxel> + use<> {
 }
 
 /// The cell of a brick that has this bit.
-const fn cell_of(corner: Voxel, bit: i32) -> Voxel {
+pub(crate) const fn cell_of(corner: Voxel, bit: i32) -> Voxel {
     Voxel::new(corner.x + (bit & 3), corner.y + (bit >> 2 & 3), corner.z + (bit >> 4))
 }
 
@@ -501,12 +463,12 @@ const fn brick_bit(cell: Voxel) -> usize {
     ((cell.z >> 2 & 3) << 4 | (cell.y >> 2 & 3) << 2 | (cell.x >> 2 & 3)) as usize
 }
 
-const fn cell_bit(cell: Voxel) -> u32 {
+pub(crate) const fn cell_bit(cell: Voxel) -> u32 {
     ((cell.z & 3) << 4 | (cell.y & 3) << 2 | (cell.x & 3)) as u32
 }
 
 /// The numbers of the set bits of a 64-bit word, ascending.
-struct Bits(u64);
+pub(crate) struct Bits(pub(crate) u64);
 
 impl Iterator for Bits {
     type Item = i32;
@@ -606,7 +568,7 @@ mod tests {
                 set.remove(*cell);
                 model.remove(cell);
             }
-            prop_assert_eq!(set.len(), model.len());
+            prop_assert_eq!(set.iter().count(), model.len());
             prop_assert!(set.iter().all(|c| model.contains(&c)));
             prop_assert!(model.iter().all(|c| set.contains(*c)));
         }
@@ -620,7 +582,7 @@ mod tests {
             let mut set = CellSet::new(region).unwrap();
             set.insert_box(&cells).unwrap();
             let expected = cells.intersection(&region).map_or(0, |part| part.volume() as usize);
-            prop_assert_eq!(set.len(), expected);
+            prop_assert_eq!(set.iter().count(), expected);
             prop_assert!(set.iter().all(|cell| cells.contains(cell) && region.contains(cell)));
         }
     }

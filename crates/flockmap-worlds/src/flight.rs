@@ -2,7 +2,7 @@
 
 use crate::{Lidar, ScanOptions, Scanner, Tracks, Trajectory, World};
 use flockmap_grid::{Pose, Stamp};
-use flockmap_io::{Frame, Frames};
+use flockmap_io::Frame;
 use std::sync::Arc;
 
 /// The scans of one robot along its trajectory, made one at a time as they are asked for. Robots of a swarm share
@@ -30,11 +30,6 @@ impl Flight {
     pub fn among(mut self, tracks: Arc<Tracks>, own: Option<usize>) -> Self {
         self.tracks = Some((tracks, own));
         self
-    }
-
-    /// The flight as a record, to be used like one that was read from a file.
-    pub fn into_frames(self) -> Frames {
-        Frames::new(self.map(Ok))
     }
 }
 

@@ -37,6 +37,11 @@ impl Lattice {
         self.size[0] * self.size[1] * self.size[2]
     }
 
+    /// The indices of the lowest and of the highest cell.
+    pub fn ends(&self) -> [[i32; 3]; 2] {
+        [self.low, core::array::from_fn(|a| self.low[a] + (self.size[a] as i32 - 1))]
+    }
+
     /// Side of a cell in metres.
     pub const fn side_m(&self) -> f64 {
         self.side_m
@@ -60,6 +65,7 @@ impl Lattice {
     }
 
     /// The number of the cell with these indices; `None` outside of the box.
+    #[inline]
     pub fn number_of(&self, index: [i32; 3]) -> Option<usize> {
         let mut place = [0; 3];
         for a in 0..3 {
@@ -104,13 +110,9 @@ impl Lattice {
 
     /// The cells whose centre may be within so many metres of a point, and some more.
     pub fn near(&self, point: [f64; 3], reach_m: f64) -> impl Iterator<Item = usize> + use<> {
-        let lattice = *self;
-        let (low, high) =
-            (self.index_at(point.map(|v| v - reach_m)), self.index_at(point.map(|v| v + reach_m)));
-        let span = move |a: usize| {
-            let last = lattice.low[a] + (lattice.size[a] as i32 - 1);
-            low[a].max(lattice.low[a])..=high[a].min(last)
-        };
+        let (lattice, [first, last]) = (*self, self.ends());
+        let [low, high] = [-reach_m, reach_m].map(|reach| self.index_at(point.map(|v| v + reach)));
+        let span = move |a: usize| low[a].max(first[a])..=high[a].min(last[a]);
         span(2).flat_map(move |z| {
             span(1).flat_map(move |y| span(0).filter_map(move |x| lattice.number_of([x, y, z])))
         })
@@ -146,21 +148,19 @@ impl Lattice {
         })
     }
 
-    /// Whether all cells of the box between two diagonal neighbours, these two left out, are open: a path that
-    /// goes from one to the other then cuts no corner.
-    pub fn corners_are_open(&self, cell: usize, next: usize, is_open: impl Fn(usize) -> bool) -> bool {
-        let (a, b) = (self.place(cell), self.place(next));
-        (1..7).all(|mask| {
-            let between = core::array::from_fn(|i| if mask >> i & 1 == 0 { a[i] } else { b[i] });
-            between == a || between == b || is_open(self.number(between))
-        })
-    }
-
-    /// The open cells around a cell to which a straight step cuts no corner of a cell that is not open.
+    /// The open cells around a cell to which a straight step cuts no corner of a cell that is not open: all cells of
+    /// the box between the two are open.
     pub fn steps(&self, cell: usize, is_open: impl Fn(usize) -> bool) -> impl Iterator<Item = (usize, u32)> {
-        let lattice = *self;
-        self.around(cell).filter(move |(next, tenths)| {
-            is_open(*next) && (*tenths == TENTHS[1] || lattice.corners_are_open(cell, *next, &is_open))
+        let (lattice, a) = (*self, self.place(cell));
+        self.around(cell).filter(move |&(next, tenths)| {
+            let cuts_no_corner = || {
+                let b = lattice.place(next);
+                (1..7).all(|mask| {
+                    let between = core::array::from_fn(|i| if mask >> i & 1 == 0 { a[i] } else { b[i] });
+                    between == a || between == b || is_open(lattice.number(between))
+                })
+            };
+            is_open(next) && (tenths == TENTHS[1] || cuts_no_corner())
         })
     }
 

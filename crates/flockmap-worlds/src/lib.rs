@@ -36,9 +36,7 @@ mod world;
 pub const IN_THE_WORLD: &str = "simulated robots are in their world, which is small";
 
 pub use flight::Flight;
-pub use lidar::{
-    Body, Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions, Scanner, Shape, UnknownLidar, UnknownRendering,
-};
+pub use lidar::{Body, Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions, Scanner, Shape, box_crossing};
 pub use option_error::{Limit, OptionError};
 pub use random::Random;
 pub use tracks::{ObstacleOptions, Tracks, TracksError};

@@ -8,7 +8,7 @@ mod pattern;
 mod polar;
 mod scanner;
 
-pub use body::{Body, Shape};
-pub use model::{Lidar, SCAN_PERIOD_MICROS, UnknownLidar};
-pub use options::{Rendering, ScanOptions, UnknownRendering};
+pub use body::{Body, Shape, box_crossing};
+pub use model::{Lidar, SCAN_PERIOD_MICROS};
+pub use options::{Rendering, ScanOptions};
 pub use scanner::Scanner;

@@ -43,7 +43,7 @@ impl Trajectory {
             let mut random = Random::new(seed, 0x9a7 + robot as u64);
             let path = route::trajectory(&space, region, options, &mut random);
             let poses = smooth::fly(&space, region, &path, options);
-            trajectories.push(Self { poses, clearance_m: space.clearance_m() });
+            trajectories.push(Self { poses, clearance_m: space.clearance_m });
         }
         Ok(trajectories)
     }

@@ -87,9 +87,9 @@ impl World {
         resolution: Resolution,
     ) -> Result<Self, WorldError> {
         let boxes = points.into_iter().enumerate().map(|(index, point)| {
-            let voxel = resolution.voxel_at(point).ok_or_else(|| out_of_reach(index, &point))?;
-            let cell = VoxelBox::spanning(voxel, voxel).ok_or_else(|| out_of_reach(index, &point))?;
-            Ok((cell, State::Occupied))
+            let cell = resolution.voxel_at(point).and_then(|voxel| VoxelBox::spanning(voxel, voxel));
+            let out_of_reach = || WorldError::OutOfReach { index, place: format!("point {point:?} m") };
+            Ok((cell.ok_or_else(out_of_reach)?, State::Occupied))
         });
         Self::from_parts(boxes, resolution, false)
     }
@@ -132,11 +132,6 @@ impl World {
     /// Every solid cell, in an order that depends only on which cells there are.
     pub fn solid_cells(&self) -> impl Iterator<Item = Voxel> + '_ {
         self.solid.iter()
-    }
-
-    /// Number of solid cells.
-    pub fn solid_count(&self) -> usize {
-        self.solid.len()
     }
 
     /// The first solid cell on a ray of at most `range_m` metres. `direction` need not have length 1. `None`
@@ -227,8 +222,4 @@ impl World {
         solid.seal();
         Self { resolution, solid, free, surface: OnceLock::new() }
     }
-}
-
-fn out_of_reach(index: usize, point: &[f64; 3]) -> WorldError {
-    WorldError::OutOfReach { index, place: format!("point {point:?} m") }
 }

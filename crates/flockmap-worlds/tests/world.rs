@@ -24,7 +24,7 @@ fn generated_worlds_have_the_stated_size_and_are_neither_empty_nor_full() {
     for (world, size) in [(&*FOREST, [60.0, 25.0, 10.0]), (&*INDOOR, [35.0, 30.0, 4.0])] {
         let side = world.resolution().metres();
         assert_eq!(world.bounds().size().map(|n| f64::from(n) * side), size);
-        let share = world.solid_count() as f64 / world.bounds().volume() as f64;
+        let share = world.solid_cells().count() as f64 / world.bounds().volume() as f64;
         assert!((0.02..0.3).contains(&share), "{share}");
         assert!(world.solid_cells().all(|cell| world.bounds().contains(cell)));
     }
@@ -49,7 +49,7 @@ fn a_world_from_points_is_solid_just_there() {
     let resolution = Resolution::from_metres(0.2).unwrap();
     let points = [[1.0, 2.05, 0.5], [-3.0, 0.1, 4.0], [1.05, 2.1, 0.45]];
     let world = World::from_points(points, resolution).unwrap();
-    assert_eq!(world.solid_count(), 2);
+    assert_eq!(world.solid_cells().count(), 2);
     for point in points {
         assert!(world.is_solid(resolution.voxel_at(point).unwrap()));
     }
@@ -66,7 +66,7 @@ fn a_world_from_states_knows_what_is_free() {
     let parts = [(cube(0), State::Occupied), (cube(4), State::Free), (cube(100), State::Unknown)];
     let world = World::from_states(parts, resolution).unwrap();
     assert_eq!(world.bounds(), cube(0).union(&cube(4)));
-    assert_eq!(world.solid_count(), 64);
+    assert_eq!(world.solid_cells().count(), 64);
     assert_eq!(world.is_known_free(Voxel::new(5, 1, 1)), Some(true));
     assert_eq!(world.is_known_free(Voxel::new(1, 1, 1)), Some(false));
 }

@@ -32,13 +32,19 @@ struct Meters {
 
 impl Pair {
     pub(super) fn new(options: &ApplicationOptions, now: Stamp) -> Result<Self, RobotError> {
-        let rate = match options.sync {
-            MapSync::Radio { rate_bytes_per_s, .. } => rate_bytes_per_s,
+        let radio = match options.sync {
             MapSync::None => None,
+            MapSync::Radio { rate_bytes_per_s, loss, delay_ms } => Some(RadioConfig {
+                seed: options.seed,
+                link: Link { loss, delay_micros: i64::from(delay_ms) * 1_000, ..Link::default() },
+                rate_bytes_per_s,
+                overhead_bytes: IP_UDP_BYTES,
+                ..RadioConfig::default()
+            }),
         };
+        let rate = radio.and_then(|radio| radio.rate_bytes_per_s);
         let config = |number: usize| {
-            let id = id(number);
-            let mut config = RobotConfig::new(id, options.resolution, options.range_m);
+            let mut config = RobotConfig::new(id(number), options.resolution, options.range_m);
             config.mapper.update_box_m = Some(options.update_box_m);
             config.batch = BatchConfig {
                 publish_period_ms: options.publish_period_ms,
@@ -51,16 +57,6 @@ impl Pair {
                 config.session = SessionConfig { radio_bytes_per_s: rate, ..config.session };
             }
             config
-        };
-        let radio = match options.sync {
-            MapSync::None => None,
-            MapSync::Radio { rate_bytes_per_s, loss, delay_ms } => Some(RadioConfig {
-                seed: options.seed,
-                link: Link { loss, delay_micros: i64::from(delay_ms) * 1_000, ..Link::default() },
-                rate_bytes_per_s,
-                overhead_bytes: IP_UDP_BYTES,
-                ..RadioConfig::default()
-            }),
         };
         let robots = vec![Robot::new(config(LEADER), now)?, Robot::new(config(FOLLOWER), now)?];
         let has_radio = radio.is_some();

@@ -52,15 +52,6 @@ impl Flyer {
     }
 }
 
-/// What a pilot has to respect beside its map.
-#[derive(Clone, Copy)]
-pub(super) struct Surroundings {
-    /// Corners of the ground to stay on.
-    pub(super) fence: [[f64; 2]; 2],
-    /// Where the other robot is.
-    pub(super) other: [f64; 2],
-}
-
 /// Half the side of the window that is planned in: the update box of the map.
 const WINDOW_HALF_M: f64 = 7.5;
 /// Half the height of the slab that must be free: body and a margin.
@@ -79,6 +70,8 @@ const SPEED_SHARES: [f64; 6] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.15];
 /// A pilot and its plan. Plans ten times a second, moves in between.
 pub(super) struct Pilot {
     limits: MotionLimits,
+    /// Corners of the ground to stay on.
+    fence: [[f64; 2]; 2],
     path: Vec<[f64; 2]>,
     /// Point of the path that is nearest to the robot.
     at: usize,
@@ -87,25 +80,26 @@ pub(super) struct Pilot {
 }
 
 impl Pilot {
-    pub(super) const fn new(limits: MotionLimits) -> Self {
-        Self { limits, path: Vec::new(), at: 0, speed: 0.0 }
+    pub(super) const fn new(limits: MotionLimits, fence: [[f64; 2]; 2]) -> Self {
+        Self { limits, fence, path: Vec::new(), at: 0, speed: 0.0 }
     }
 
     /// Plans anew on the fused map: a path to the target, and the highest speed up to `speed_max` at which the robot
-    /// neither leaves free space within the next second nor when it brakes after that. None: it brakes now.
+    /// neither leaves free space within the next second nor when it brakes after that. None: it brakes now. `other`: where the
+    /// other robot is.
     pub(super) fn plan(
         &mut self,
         map: &MapView,
         flyer: &Flyer,
         target: [f64; 2],
         speed_max: f64,
-        around: &Surroundings,
+        other: [f64; 2],
     ) {
         let heights = [-SLAB_HALF_M, 0.0, SLAB_HALF_M].map(|dz| flyer.height + dz);
         let window = Window { centre: flyer.position, half_m: WINDOW_HALF_M, heights };
         let mut slab = Slab::of_map(map, &window);
-        slab.fence(around.fence);
-        slab.block(|at| distance(at, around.other) <= OTHER_RADIUS_M);
+        slab.fence(self.fence);
+        slab.block(|at| distance(at, other) <= OTHER_RADIUS_M);
         slab.measure();
         let rest = self.path.get(self.at..).unwrap_or_default();
         self.path = route::find(&slab, flyer.position, target, rest, &KEEP).unwrap_or_default();
@@ -140,18 +134,14 @@ impl Pilot {
         let least = FLOWN_CLEARANCE_M.min(slab.distance_at(flyer.position));
         let mut tried = *flyer;
         let mut at = self.at;
-        for _ in 0..TRIED_STEPS {
-            let wanted = self.wanted(&tried, &mut at, speed);
+        let mut step = 0;
+        while step < TRIED_STEPS || tried.speed() > 1e-6 {
+            let wanted = if step < TRIED_STEPS { self.wanted(&tried, &mut at, speed) } else { [0.0; 2] };
             tried.step(wanted, &self.limits);
             if slab.distance_at(tried.position) < least {
                 return false;
             }
-        }
-        while tried.speed() > 1e-6 {
-            tried.step([0.0; 2], &self.limits);
-            if slab.distance_at(tried.position) < least {
-                return false;
-            }
+            step += 1;
         }
         true
     }

@@ -77,13 +77,13 @@ pub(super) fn find(
 
 /// Whether a path may lead through a cell: far enough from every obstacle, or out of where it is too narrow.
 fn may_enter(slab: &Slab, cell: usize, from: [f64; 2], keep: &Keep) -> bool {
-    let away = slab.distance(cell);
+    let away = slab.distance[cell];
     away >= keep.clearance_m || (away > 0.0 && distance(slab.centre(cell), from) <= ESCAPE_M)
 }
 
 /// What a cell costs that may be entered.
 fn weight(slab: &Slab, cell: usize, is_new: bool, keep: &Keep) -> u32 {
-    let away = slab.distance(cell);
+    let away = slab.distance[cell];
     let mut weight = COST_PLAIN;
     if away < keep.clearance_m {
         weight += COST_ESCAPE;
@@ -92,7 +92,7 @@ fn weight(slab: &Slab, cell: usize, is_new: bool, keep: &Keep) -> u32 {
         let narrow = (keep.comfort_m - away) / (keep.comfort_m - keep.clearance_m);
         weight += (COST_NARROW * narrow.clamp(0.0, 1.0)) as u32;
     }
-    if !slab.is_known(cell) {
+    if !slab.known[cell] {
         weight += COST_UNKNOWN;
     }
     if is_new {

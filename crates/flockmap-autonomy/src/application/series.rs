@@ -126,13 +126,10 @@ pub fn series(options: &SeriesOptions, flown: impl Fn() -> bool + Sync) -> Resul
     });
     let seeds = seeds.into_iter().collect::<Result<Vec<_>, _>>()?;
     let of = |number: usize| seeds.iter().map_while(move |seed| seed.get(number).cloned()).collect();
-    Ok(plan
-        .iter()
-        .enumerate()
-        .map(|(number, flight)| Series {
-            sync: flight.sync,
-            obstacles_first: flight.obstacle_period_ms.is_some(),
-            outcomes: of(number),
-        })
-        .collect())
+    let series = plan.iter().enumerate().map(|(number, flight)| Series {
+        sync: flight.sync,
+        obstacles_first: flight.obstacle_period_ms.is_some(),
+        outcomes: of(number),
+    });
+    Ok(series.collect())
 }

@@ -13,10 +13,10 @@ pub(super) struct Slab {
     /// One layer of cells, at z = 0.
     pub(super) cells: Lattice,
     blocked: Vec<bool>,
-    known: Vec<bool>,
+    pub(super) known: Vec<bool>,
     /// Metres from the centre of a cell to the centre of the nearest blocked one, at most
     /// [`DISTANCE_CELLS_MAX`] cells.
-    distance: Vec<f64>,
+    pub(super) distance: Vec<f64>,
 }
 
 /// Where to look: a square around a point, from one height to another.
@@ -113,19 +113,10 @@ impl Slab {
         (0..2).any(|a| place[a] == 0 || place[a] == size[a] - 1)
     }
 
-    /// Metres to the nearest blocked cell, see [`Slab`].
-    pub(super) fn distance(&self, cell: usize) -> f64 {
-        self.distance[cell]
-    }
-
-    /// The same at a point; outside of the window nothing is known to be near.
+    /// Metres to the nearest blocked cell at a point; outside of the window nothing is known to be near.
     pub(super) fn distance_at(&self, point: [f64; 2]) -> f64 {
         let far = f64::from(DISTANCE_CELLS_MAX) * self.cells.side_m();
-        self.cell_at(point).map_or(far, |cell| self.distance(cell))
-    }
-
-    pub(super) fn is_known(&self, cell: usize) -> bool {
-        self.known[cell]
+        self.cell_at(point).map_or(far, |cell| self.distance[cell])
     }
 }
 
@@ -165,7 +156,7 @@ mod tests {
                     .filter(|(bx, by)| slab.cells.number_of([*bx, *by, 0]).is_some())
                     .map(|(bx, by)| bx.abs_diff(x).pow(2) + by.abs_diff(y).pow(2));
                 let nearest = squares.min().unwrap_or(u32::MAX).min(DISTANCE_CELLS_MAX.pow(2));
-                prop_assert!((slab.distance(cell) - 0.1 * f64::from(nearest).sqrt()).abs() < 1e-9);
+                prop_assert!((slab.distance[cell] - 0.1 * f64::from(nearest).sqrt()).abs() < 1e-9);
             }
         }
     }
@@ -188,7 +179,7 @@ mod tests {
         let slab = Slab::of_map(fusion.map(), &window);
         let at = |x| slab.cells.number_of([x, -3, 0]).unwrap();
         assert_eq!([5, 6, 7, 8].map(|x| slab.blocked[at(x)]), [true, true, false, false]);
-        assert_eq!([5, 7, 8, 9].map(|x| slab.is_known(at(x))), [false, false, true, false]);
+        assert_eq!([5, 7, 8, 9].map(|x| slab.known[at(x)]), [false, false, true, false]);
         assert_eq!(slab.blocked.iter().filter(|blocked| **blocked).count(), 2);
     }
 }

@@ -215,7 +215,7 @@ impl Explorer {
         if self.ended.is_some() {
             return None;
         }
-        let mates: Vec<Mate> = self.network.nodes().iter().map(|member| member.pilot.mate()).collect();
+        let mates: Vec<Mate> = self.pilots().map(Pilot::mate).collect();
         if self.steps.is_multiple_of(MEETING_SCANS) {
             self.meet();
         }
@@ -231,8 +231,8 @@ impl Explorer {
         if self.steps > 0 {
             self.fly();
         }
-        let places: Vec<[f64; 3]> = self.network.nodes().iter().map(|m| m.pilot.motion.position()).collect();
-        let ids: Vec<RobotId> = self.network.nodes().iter().map(|m| m.robot.own_stream().origin).collect();
+        let places: Vec<[f64; 3]> = self.pilots().map(|pilot| pilot.motion.position()).collect();
+        let ids = self.network.ids().to_vec();
         let limits = self.options.limits;
         in_parallel(self.options.threads, self.network.nodes_mut(), |number, member| {
             let pose = member.pilot.motion.pose();
@@ -256,29 +256,23 @@ impl Explorer {
 
     /// How far it has come. Costs a walk over what can be seen, about a millisecond for a forest.
     pub fn progress(&self) -> Progress {
-        let robots = self.network.nodes().iter().map(|member| {
-            let pilot = &member.pilot;
-            RobotProgress {
-                position: pilot.motion.position(),
-                path_m: pilot.path_m,
-                regions: (0..pilot.own.len()).filter(|r| pilot.own[*r] && pilot.work[*r] > 0.0).count(),
-                frontiers: pilot.frontier_count(),
-                is_idle: pilot.idle_since.is_some(),
-            }
+        let robots = self.pilots().map(|pilot| RobotProgress {
+            position: pilot.motion.position(),
+            path_m: pilot.path_m,
+            regions: (0..pilot.own.len()).filter(|r| pilot.own[*r] && pilot.work[*r] > 0.0).count(),
+            frontiers: pilot.frontier_count(),
+            is_idle: pilot.idle_since.is_some(),
         });
-        Progress {
-            seconds: self.network.now().seconds(),
-            seen_share: self.seen_share(),
-            robots: robots.collect(),
-        }
+        let seconds = self.network.now().seconds();
+        Progress { seconds, seen_share: self.seen_share(), robots: robots.collect() }
     }
 
     /// What came of it so far.
     pub fn outcome(&self) -> Outcome {
         let mut each = 0u64;
         let mut union = std::collections::BTreeMap::new();
-        for member in self.network.nodes() {
-            for (index, block) in member.robot.mapper().blocks() {
+        for robot in self.robots() {
+            for (index, block) in robot.mapper().blocks() {
                 let known = block.known();
                 each += u64::from(block.known_count());
                 let all = union.entry(index).or_insert([0u64; 8]);
@@ -290,7 +284,7 @@ impl Explorer {
             seconds: self.network.now().seconds(),
             seen_share: self.seen_share(),
             seeable_voxels: self.seeable.count(),
-            path_m: self.network.nodes().iter().map(|member| member.pilot.path_m).collect(),
+            path_m: self.pilots().map(|pilot| pilot.path_m).collect(),
             overlap: each as f64 / once.max(1) as f64,
             ended: self.ended.unwrap_or(Ended::TimeOut),
         }
@@ -299,6 +293,10 @@ impl Explorer {
     /// The robots, in the order of the frames.
     pub fn robots(&self) -> impl Iterator<Item = &Robot> {
         self.network.nodes().iter().map(|member| &member.robot)
+    }
+
+    fn pilots(&self) -> impl Iterator<Item = &Pilot> {
+        self.network.nodes().iter().map(|member| &member.pilot)
     }
 
     /// The radio, with what it has carried.
@@ -326,9 +324,9 @@ impl Explorer {
             let mut next: Motion = pilot.motion.clone();
             next.step(dt, yaw, &limits);
             let path = next.stopping_path(&limits);
-            let free = self.network.nodes().iter().all(|other| {
-                other.pilot.config.number == number
-                    || are_apart(&path, &other.pilot.motion.stopping_path(&limits), self.options.separation_m)
+            let free = self.pilots().all(|other| {
+                other.config.number == number
+                    || are_apart(&path, &other.motion.stopping_path(&limits), self.options.separation_m)
             });
             let pilot = &mut self.network.nodes_mut()[number].pilot;
             if !free {
@@ -343,17 +341,17 @@ impl Explorer {
 
     /// Robots that hear each other divide the regions that they have between them.
     fn meet(&mut self) {
+        let now = self.network.now();
         for first in 0..self.network.nodes().len() {
             if !self.hears_anybody(first) {
                 self.network.nodes_mut()[first].pilot.own.fill(true);
             }
             for second in first + 1..self.network.nodes().len() {
-                let rested =
-                    self.met[first][second].is_none_or(|at| self.network.now().micros_since(at) >= 1_000_000);
+                let rested = self.met[first][second].is_none_or(|at| now.micros_since(at) >= 1_000_000);
                 if !(rested && self.hears(first, second) && self.hears(second, first)) {
                     continue;
                 }
-                self.met[first][second] = Some(self.network.now());
+                self.met[first][second] = Some(now);
                 let Ok([a, b]) = self.network.nodes_mut().get_disjoint_mut([first, second]) else { continue };
                 divide(&mut a.pilot, &mut b.pilot);
             }
@@ -361,10 +359,12 @@ impl Explorer {
     }
 
     fn hears(&self, robot: usize, other: usize) -> bool {
-        let id = self.network.nodes()[other].robot.own_stream().origin;
-        self.network.nodes()[robot].robot.session().peers().any(|peer| {
-            peer.stream.origin == id && self.network.now().micros_since(peer.last_heard) < UNHEARD_MICROS
-        })
+        let (id, now) = (self.network.ids()[other], self.network.now());
+        self.network.nodes()[robot]
+            .robot
+            .session()
+            .peers()
+            .any(|peer| peer.stream.origin == id && now.micros_since(peer.last_heard) < UNHEARD_MICROS)
     }
 
     fn hears_anybody(&self, robot: usize) -> bool {
@@ -372,14 +372,11 @@ impl Explorer {
     }
 
     fn has_ended(&self) -> Option<Ended> {
-        if self.network.now().seconds() >= self.options.seconds_max {
+        let now = self.network.now();
+        if now.seconds() >= self.options.seconds_max {
             return Some(Ended::TimeOut);
         }
-        let idle = self
-            .network
-            .nodes()
-            .iter()
-            .map(|m| m.pilot.idle_since.map(|since| self.network.now().micros_since(since)));
+        let idle = self.pilots().map(|pilot| pilot.idle_since.map(|since| now.micros_since(since)));
         let idle = idle.min().flatten()?;
         (idle >= IDLE_MAX_MICROS || (idle >= IDLE_MICROS && self.maps_agree())).then_some(Ended::Done)
     }

@@ -86,17 +86,17 @@ impl Frontiers {
             && grid.cells.beside(cell).any(|next| self.is_worth(grid, next))
     }
 
-    /// How much is to be seen from a place now.
-    pub(super) fn gain(&self, grid: &NavigationGrid, sight: &Sight, place: [f64; 3], yaw: f64) -> f64 {
-        sight.gain(grid, place, yaw, |cell, octant| self.probability(cell, octant))
+    /// How much is to be seen from a viewpoint now.
+    pub(super) fn gain(&self, grid: &NavigationGrid, sight: &Sight, from: &Viewpoint) -> f64 {
+        sight.gain(grid, from.place, from.yaw, |cell, octant| self.probability(cell, octant))
     }
 
     /// Takes down what is to be seen from a viewpoint now, and drops it if that is not worth the flight any more.
-    pub(super) fn note_gain(&mut self, place: [f64; 3], gain: f64) {
+    pub(super) fn note_gain(&mut self, now: &Viewpoint) {
         for frontier in &mut self.list {
             frontier.viewpoints.retain_mut(|viewpoint| {
-                if viewpoint.place == place {
-                    viewpoint.gain = gain;
+                if viewpoint.place == now.place {
+                    viewpoint.gain = now.gain;
                 }
                 viewpoint.gain >= GAIN_MIN
             });
@@ -107,16 +107,10 @@ impl Frontiers {
     pub(super) fn update(&mut self, grid: &NavigationGrid, sight: &Sight, is_open: impl Fn(usize) -> bool) {
         let mut list = core::mem::take(&mut self.list);
         list.retain_mut(|frontier| {
-            for &cell in &frontier.cells {
-                self.claimed[cell as usize] = false;
-            }
+            self.claim(&frontier.cells, false);
             frontier.cells.retain(|cell| self.is_frontier(grid, *cell as usize));
             let stays = frontier.cells.len() >= CELLS_MIN && frontier.cells.len() * 4 >= frontier.found * 3;
-            if stays {
-                for &cell in &frontier.cells {
-                    self.claimed[cell as usize] = true;
-                }
-            }
+            self.claim(&frontier.cells, stays);
             stays
         });
         for frontier in &mut list {
@@ -142,13 +136,15 @@ impl Frontiers {
                     self.find_viewpoints(&mut frontier, grid, sight, &is_open);
                     list.push(frontier);
                 } else {
-                    for cell in cells {
-                        self.claimed[cell as usize] = false;
-                    }
+                    self.claim(&cells, false);
                 }
             }
         }
         self.list = list;
+    }
+
+    fn claim(&mut self, cells: &[u32], is_claimed: bool) {
+        cells.iter().for_each(|cell| self.claimed[*cell as usize] = is_claimed);
     }
 
     /// Counts a look from a place at all cells that can be seen from there; call it some times a second.
@@ -210,7 +206,7 @@ impl Frontiers {
         let centre = frontier.centre;
         let mut found: Vec<(usize, Viewpoint)> = Vec::new();
         for ring in [0.15, 0.3, 0.5, 0.75] {
-            let radius = ring * sight.range_m();
+            let radius = ring * sight.range_m;
             for step in 0..12 {
                 let angle = f64::from(step) * core::f64::consts::PI / 6.0;
                 for height in [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5] {
@@ -241,7 +237,7 @@ impl Frontiers {
         for (_, mut viewpoint) in found {
             let apart = |other: &Viewpoint| distance(other.place, viewpoint.place) > 0.9;
             if frontier.viewpoints.len() < VIEWPOINTS_MAX && frontier.viewpoints.iter().all(apart) {
-                viewpoint.gain = self.gain(grid, sight, viewpoint.place, viewpoint.yaw);
+                viewpoint.gain = self.gain(grid, sight, &viewpoint);
                 frontier.viewpoints.push(viewpoint);
             }
         }

@@ -5,7 +5,9 @@ use super::mates::{Mate, cells_near, dense, metres_to_path};
 use super::regions::{Regions, tour, work};
 use super::sight::Sight;
 use super::start::ROOM_M;
-use crate::{Motion, MotionLimits, NavigationConfig, NavigationError, NavigationGrid, RouteQuery, Router};
+use crate::{
+    Motion, MotionLimits, NavigationConfig, NavigationError, NavigationGrid, NoRoute, RouteQuery, Router,
+};
 use flockmap_grid::{MapView, Stamp};
 use flockmap_worlds::curve::{distance, wrapped};
 use libm::atan2;
@@ -66,16 +68,11 @@ const EXPANSIONS_MAX: usize = 2_000_000;
 /// What a robot flies to.
 #[derive(Clone, Debug)]
 struct Goal {
-    place: [f64; 3],
-    yaw: f64,
+    /// From where, and how much was to be seen from there when it was chosen.
+    viewpoint: Viewpoint,
     /// The frontier that is to be seen; empty: it only lets another pass.
     cells: Vec<u32>,
-    /// What was to be seen from there when it was chosen.
-    gain: f64,
 }
-
-/// Viewpoints and what is to be seen from them.
-type Gains = Vec<([f64; 3], f64)>;
 
 /// Which robot a pilot flies, and how.
 pub(super) struct PilotConfig {
@@ -165,7 +162,7 @@ impl Pilot {
         }
         if let Some(goal) = &self.goal {
             let there = self.motion.is_at_end();
-            let reached = there && distance(self.motion.position(), goal.place) < 0.3;
+            let reached = there && distance(self.motion.position(), goal.viewpoint.place) < 0.3;
             if goal.cells.is_empty() {
                 due |= reached;
             } else if looks && self.is_seen(goal) {
@@ -201,7 +198,7 @@ impl Pilot {
         let v = self.motion.velocity();
         let flies = (v[0] * v[0] + v[1] * v[1]).sqrt() > 0.2;
         match &self.goal {
-            Some(goal) if self.motion.remaining_m() < 1.5 => goal.yaw,
+            Some(goal) if self.motion.remaining_m() < 1.5 => goal.viewpoint.yaw,
             _ if flies => atan2(v[1], v[0]),
             _ => self.motion.yaw(),
         }
@@ -288,10 +285,7 @@ impl Pilot {
             self.flood(from, f64::INFINITY, &[]);
             if let Some(goal) = self.best_goal(from) {
                 self.idle_since = None;
-                let query = self.query(from, goal.place);
-                let (grid, heights) = (&self.grid, self.config.heights_m);
-                let intended = self.router.route(grid, &query, |cell| is_closed(grid, heights, &[], cell));
-                self.intended = intended.ok();
+                self.intended = self.route(from, goal.viewpoint.place, &[]).ok();
             }
         }
         if self.intended.is_none() {
@@ -307,10 +301,26 @@ impl Pilot {
         self.router.flood(grid, from, metres_max, |cell| is_closed(grid, heights, near_mates, cell));
     }
 
+    /// The path to a place, clear of cells near others.
+    fn route(
+        &mut self,
+        from: [f64; 3],
+        to: [f64; 3],
+        near_mates: &[usize],
+    ) -> Result<Vec<[f64; 3]>, NoRoute> {
+        let query = RouteQuery { from, to, unknown_ok: false, expansions_max: EXPANSIONS_MAX };
+        let (grid, heights) = (&self.grid, self.config.heights_m);
+        self.router.route(grid, &query, |cell| is_closed(grid, heights, near_mates, cell))
+    }
+
+    /// How much is to be seen from a viewpoint now.
+    fn gain(&self, viewpoint: &Viewpoint) -> f64 {
+        self.frontiers.gain(&self.grid, &self.config.sight, viewpoint)
+    }
+
     fn is_seen(&self, goal: &Goal) -> bool {
         self.frontiers.share_left(&self.grid, &goal.cells) <= SEEN_SHARE
-            || self.frontiers.gain(&self.grid, &self.config.sight, goal.place, goal.yaw)
-                <= SEEN_SHARE * goal.gain
+            || self.gain(&goal.viewpoint) <= SEEN_SHARE * goal.viewpoint.gain
     }
 
     /// The goal in the own regions with the most to see for the time it takes; those in the first region of a tour
@@ -318,10 +328,8 @@ impl Pilot {
     /// meanwhile is dropped.
     fn best_goal(&mut self, from: [f64; 3]) -> Option<Goal> {
         loop {
-            let (places, goal) = self.short_list(from)?;
-            for (place, gain) in places {
-                self.frontiers.note_gain(place, gain);
-            }
+            let (viewpoints, goal) = self.short_list(from)?;
+            viewpoints.iter().for_each(|viewpoint| self.frontiers.note_gain(viewpoint));
             if goal.is_some() {
                 return goal;
             }
@@ -330,11 +338,9 @@ impl Pilot {
 
     /// The best goals by what was known of them, each with what is to be seen from there now, and the best of those.
     /// `None` if there are none.
-    fn short_list(&self, from: [f64; 3]) -> Option<(Gains, Option<Goal>)> {
+    fn short_list(&self, from: [f64; 3]) -> Option<(Vec<Viewpoint>, Option<Goal>)> {
         struct Candidate {
-            place: [f64; 3],
-            yaw: f64,
-            gain: f64,
+            viewpoint: Viewpoint,
             seconds: f64,
             frontier: usize,
             region: usize,
@@ -355,9 +361,8 @@ impl Pilot {
                 let ahead = atan2(viewpoint.place[1] - from[1], viewpoint.place[0] - from[0]);
                 let turn = heading.map_or(0.0, |heading| wrapped(ahead - heading).abs());
                 let seconds = metres / self.config.limits.speed_m_s + TURN_S * turn + STOP_S;
-                let Viewpoint { place, yaw, gain } = *viewpoint;
-                if gain >= WORTH_MIN * seconds {
-                    candidates.push(Candidate { place, yaw, gain, seconds, frontier: number, region });
+                if viewpoint.gain >= WORTH_MIN * seconds {
+                    candidates.push(Candidate { viewpoint: *viewpoint, seconds, frontier: number, region });
                 }
             }
         }
@@ -374,42 +379,40 @@ impl Pilot {
         let centre = |i: usize| self.config.regions.centre(nearest[i].0);
         let order = tour(&first, |a, b| 1.2 * distance(centre(a), centre(b)));
         let first_region = nearest.get(*order.first()?)?.0;
-        let present = self.goal.as_ref().map(|goal| goal.place);
+        let present = self.goal.as_ref().map(|goal| goal.viewpoint.place);
         let worth = |candidate: &Candidate| {
             let first = if candidate.region == first_region { FIRST_REGION } else { 1.0 };
-            let loyal = if present == Some(candidate.place) { LOYALTY } else { 1.0 };
+            let loyal = if present == Some(candidate.viewpoint.place) { LOYALTY } else { 1.0 };
             // Less than in proportion to the gain: what is left behind has to be come back for.
-            candidate.gain.sqrt() * first * loyal / candidate.seconds
+            candidate.viewpoint.gain.sqrt() * first * loyal / candidate.seconds
         };
         candidates.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
         candidates.truncate(SHORT_LIST);
         for candidate in &mut candidates {
-            candidate.gain =
-                self.frontiers.gain(&self.grid, &self.config.sight, candidate.place, candidate.yaw);
+            candidate.viewpoint.gain = self.gain(&candidate.viewpoint);
         }
-        let gains = candidates.iter().map(|candidate| (candidate.place, candidate.gain)).collect();
-        candidates.retain(|c| c.gain >= GAIN_MIN && c.gain >= WORTH_MIN * c.seconds);
-        let best = candidates.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)));
-        let goal = best.map(|best| {
-            let cells = self.frontiers.list[best.frontier].cells.clone();
-            Goal { place: best.place, yaw: best.yaw, cells, gain: best.gain }
-        });
-        Some((gains, goal))
+        let viewpoints = candidates.iter().map(|candidate| candidate.viewpoint).collect();
+        let is_worth = |gain: f64, seconds: f64| gain >= GAIN_MIN && gain >= WORTH_MIN * seconds;
+        let worthy = candidates.iter().filter(|c| is_worth(c.viewpoint.gain, c.seconds));
+        let best = worthy.max_by(|a, b| worth(a).total_cmp(&worth(b)));
+        let cells = |frontier: usize| self.frontiers.list[frontier].cells.clone();
+        let goal = best.map(|best| Goal { viewpoint: best.viewpoint, cells: cells(best.frontier) });
+        Some((viewpoints, goal))
     }
 
     fn go(&mut self, from: [f64; 3], goal: Goal, near_mates: &[usize]) {
-        let unchanged = self.goal.as_ref().is_some_and(|old| old.place == goal.place);
+        let unchanged = self.goal.as_ref().is_some_and(|old| old.viewpoint.place == goal.viewpoint.place);
         if unchanged && !self.motion.is_at_end() && !self.path_meets(near_mates) {
             self.goal = Some(goal);
             return;
         }
-        let query = self.query(from, goal.place);
-        let (grid, heights) = (&self.grid, self.config.heights_m);
-        let is_closed = |cell: usize| is_closed(grid, heights, near_mates, cell);
-        match self.router.route(grid, &query, is_closed) {
+        match self.route(from, goal.viewpoint.place, near_mates) {
             Ok(line) => {
+                let (grid, heights) = (&self.grid, self.config.heights_m);
                 self.motion.follow(&line, &self.config.limits, |a, b| {
-                    grid.cells.line_fits(a, b, |cell| grid.is_passable(cell, false) && !is_closed(cell))
+                    grid.cells.line_fits(a, b, |cell| {
+                        grid.is_passable(cell, false) && !is_closed(grid, heights, near_mates, cell)
+                    })
                 });
                 self.goal = Some(goal);
             }
@@ -424,35 +427,23 @@ impl Pilot {
     fn let_pass(&mut self, from: [f64; 3], mates: &[Mate], near_mates: &[usize]) {
         let wide = self.config.separation_m + DETOUR_M;
         let before = |mate: &&Mate| self.idle_since.is_some() || mate.number < self.config.number;
-        let paths: Vec<&Vec<[f64; 3]>> =
-            mates.iter().filter(before).filter_map(|mate| mate.intended.as_ref()).collect();
-        let in_path = |place: [f64; 3]| {
-            paths.iter().any(|intended| metres_to_path(place, &dense(intended)) < wide + 0.2)
-        };
+        let intended = mates.iter().filter(before).filter_map(|mate| mate.intended.as_ref());
+        let paths: Vec<Vec<[f64; 3]>> = intended.map(|path| dense(path)).collect();
+        let in_path = |place: [f64; 3]| paths.iter().any(|path| metres_to_path(place, path) < wide + 0.2);
         if !in_path(from) {
             return;
         }
         self.flood(from, NEAR_M, near_mates);
         let grid = &self.grid;
-        let mut best: Option<(f64, usize)> = None;
-        for cell in 0..grid.count() {
-            let Some(metres) = self.router.metres_to(grid, cell) else { continue };
-            if grid.is_passable(cell, false)
-                && best.is_none_or(|(least, _)| metres < least)
-                && !in_path(grid.cells.centre(cell))
-            {
-                best = Some((metres, cell));
-            }
+        let passable = (0..grid.count()).filter(|cell| grid.is_passable(*cell, false));
+        let mut reached: Vec<(f64, usize)> =
+            passable.filter_map(|cell| Some((self.router.metres_to(grid, cell)?, cell))).collect();
+        reached.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut places = reached.into_iter().map(|(_, cell)| grid.cells.centre(cell));
+        if let Some(place) = places.find(|place| !in_path(*place)) {
+            let viewpoint = Viewpoint { place, yaw: self.motion.yaw(), gain: 0.0 };
+            self.go(from, Goal { viewpoint, cells: Vec::new() }, near_mates);
         }
-        if let Some((_, cell)) = best {
-            let place = grid.cells.centre(cell);
-            let goal = Goal { place, yaw: self.motion.yaw(), cells: Vec::new(), gain: 0.0 };
-            self.go(from, goal, near_mates);
-        }
-    }
-
-    const fn query(&self, from: [f64; 3], to: [f64; 3]) -> RouteQuery {
-        RouteQuery { from, to, unknown_ok: false, expansions_max: EXPANSIONS_MAX }
     }
 
     /// Whether the path ahead leads through these cells.

@@ -174,16 +174,13 @@ fn tour_m(from: [f64; 3], stops: &[[f64; 3]]) -> f64 {
     let mut left: Vec<[f64; 3]> = stops.to_vec();
     let mut here = from;
     let mut length = 0.0;
-    while !left.is_empty() {
-        let mut best = (f64::INFINITY, 0);
-        for (i, stop) in left.iter().enumerate() {
-            let away = distance(here, *stop);
-            if away < best.0 {
-                best = (away, i);
-            }
-        }
-        length += best.0;
-        here = left.swap_remove(best.1);
+    let nearest_of = |here: [f64; 3], left: &[[f64; 3]]| {
+        let away = left.iter().map(|stop| distance(here, *stop)).enumerate();
+        away.min_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    while let Some((nearest, away)) = nearest_of(here, &left) {
+        length += away;
+        here = left.swap_remove(nearest);
     }
     length
 }

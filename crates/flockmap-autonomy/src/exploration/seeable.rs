@@ -162,12 +162,9 @@ fn look(eyes: &Eyes<'_>, places: &[[f64; 3]], index: BlockIndex, candidates: &Pl
     let side = resolution.metres();
     let corner = index.corner();
     let middle = [corner.x, corner.y, corner.z].map(|v| (f64::from(v) + 4.0) * side);
-    let reach = sight.range_m() + 7.0 * side;
-    let mut near: Vec<(f64, [f64; 3])> = places
-        .iter()
-        .map(|place| (distance(*place, middle), *place))
-        .filter(|(away, _)| *away <= reach)
-        .collect();
+    let reach = sight.range_m + 7.0 * side;
+    let away = places.iter().map(|place| (distance(*place, middle), *place));
+    let mut near: Vec<(f64, [f64; 3])> = away.filter(|(away, _)| *away <= reach).collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut seen: Plane = [0; 8];
     // What saw the last voxel most likely sees the next one.

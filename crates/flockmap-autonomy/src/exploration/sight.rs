@@ -1,6 +1,7 @@
 //! What a sensor sees from a place, as far as a planner knows.
 
 use crate::{CellState, NavigationGrid};
+use core::f64::consts::PI;
 use flockmap_worlds::Lidar;
 use flockmap_worlds::curve::wrapped;
 use libm::{atan2, cos, exp, sin, tan};
@@ -23,7 +24,7 @@ pub(super) struct Sight {
     half_azimuth: f64,
     /// Tangents of the lowest and highest elevation.
     slopes: [f64; 2],
-    range_m: f64,
+    pub(super) range_m: f64,
     fan: Fan,
     look_fan: Fan,
 }
@@ -44,15 +45,6 @@ impl Sight {
         }
     }
 
-    pub(super) const fn range_m(&self) -> f64 {
-        self.range_m
-    }
-
-    /// Whether it sees all around, whatever the yaw.
-    pub(super) fn is_all_around(&self) -> bool {
-        self.half_azimuth >= core::f64::consts::PI - 1e-6
-    }
-
     /// Whether a point is within range, elevation and (for a yaw, if it matters) azimuth.
     pub(super) fn covers(&self, from: [f64; 3], yaw: Option<f64>, to: [f64; 3]) -> bool {
         let d: [f64; 3] = core::array::from_fn(|a| to[a] - from[a]);
@@ -64,10 +56,8 @@ impl Sight {
         if d[2] < self.slopes[0] * flat || d[2] > self.slopes[1] * flat {
             return false;
         }
-        match yaw {
-            Some(yaw) if !self.is_all_around() => wrapped(atan2(d[1], d[0]) - yaw).abs() <= self.half_azimuth,
-            _ => true,
-        }
+        let is_all_around = self.half_azimuth >= PI - 1e-6;
+        is_all_around || yaw.is_none_or(|yaw| wrapped(atan2(d[1], d[0]) - yaw).abs() <= self.half_azimuth)
     }
 
     /// Whether an Unknown cell next to a frontier cell can be seen that is worth it: in reach, and nothing but Free

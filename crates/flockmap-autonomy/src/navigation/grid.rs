@@ -1,12 +1,13 @@
 //! A planner's coarse picture of a fused map.
 
-use flockmap_grid::{BlockIndex, MapView, Resolution, StateBlock, Voxel, VoxelBox, bit_of};
+use core::ops::{AddAssign, SubAssign};
+use flockmap_grid::{BlockIndex, MapView, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, set_bits};
 use flockmap_worlds::curve::distance;
 use flockmap_worlds::lattice::Lattice;
 use std::collections::BTreeMap;
 use thiserror::Error;
 
-/// Most cells of a grid: 2²⁴, for which it takes 290 MiB.
+/// Most cells of a grid: 2²⁴, for which it takes 260 MiB.
 const CELLS_MAX: u64 = 1 << 24;
 
 /// What a navigation grid is made for.
@@ -77,7 +78,7 @@ pub enum CellState {
 /// A coarse picture of a part of a fused map, kept up to date with it: for each cell its state, and whether a
 /// robot fits there. Cells are numbered, x fastest.
 ///
-/// Memory: 18 bytes a cell, and 150 bytes for each block of the map in the region.
+/// Memory: 16 bytes a cell, and 150 bytes for each block of the map in the region.
 #[derive(Clone, Debug)]
 pub struct NavigationGrid {
     /// Voxels along a side of a cell.
@@ -88,17 +89,24 @@ pub struct NavigationGrid {
     region: VoxelBox,
     /// Voxels that can block or crowd a cell of the region.
     pub(crate) reached: VoxelBox,
-    free: Vec<u16>,
-    occupied: Vec<u16>,
-    /// For each cell the number of Occupied voxels nearer than the clearance, and nearer than the comfort.
-    blocked: Vec<u32>,
-    crowded: Vec<u32>,
-    assumed_free: Vec<bool>,
+    counts: Vec<Counts>,
     /// For each place of a voxel in its cell the cells that it blocks or crowds.
     kernels: Vec<Vec<Near>>,
     /// What was taken in of each block so far.
     blocks: BTreeMap<BlockIndex, StateBlock>,
     version: u64,
+}
+
+/// What is in a cell and near it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    /// Voxels of the cell.
+    free: u16,
+    occupied: u16,
+    /// Occupied voxels nearer than the clearance, and nearer than the comfort.
+    blocking: u32,
+    crowding: u32,
+    is_assumed_free: bool,
 }
 
 /// A cell near a voxel, relative to the voxel's own cell.
@@ -155,11 +163,7 @@ impl NavigationGrid {
             cells: Lattice::new(cells.map(|c| c as usize)).placed([0.0; 3], low, cell_m),
             region,
             reached: reached.ok_or_else(bad_region)?,
-            free: vec![0; count],
-            occupied: vec![0; count],
-            blocked: vec![0; count],
-            crowded: vec![0; count],
-            assumed_free: vec![false; count],
+            counts: vec![Counts::default(); count],
             kernels: kernels(multiple, config.clearance_m / side, config.comfort_m / side),
             blocks: BTreeMap::new(),
             version: 0,
@@ -196,13 +200,13 @@ impl NavigationGrid {
     /// where a robot starts, it can see nothing below itself.
     pub fn assume_free(&mut self, place: [f64; 3], radius_m: f64) {
         for cell in self.cells.near(place, radius_m) {
-            self.assumed_free[cell] |= distance(self.cells.centre(cell), place) <= radius_m;
+            self.counts[cell].is_assumed_free |= distance(self.cells.centre(cell), place) <= radius_m;
         }
     }
 
     /// Number of cells.
     pub const fn count(&self) -> usize {
-        self.free.len()
+        self.counts.len()
     }
 
     /// The cells, without what is in them.
@@ -218,9 +222,10 @@ impl NavigationGrid {
     /// State of a cell by its number, which must be below [`Self::count`].
     pub fn cell_state(&self, number: usize) -> CellState {
         let voxels = (self.multiple * self.multiple * self.multiple) as u16;
-        if self.occupied[number] > 0 {
+        let counts = &self.counts[number];
+        if counts.occupied > 0 {
             CellState::Occupied
-        } else if self.free[number] * 2 >= voxels || self.assumed_free[number] {
+        } else if counts.free * 2 >= voxels || counts.is_assumed_free {
             CellState::Free
         } else {
             CellState::Unknown
@@ -230,7 +235,7 @@ impl NavigationGrid {
     /// Whether a robot may be anywhere in a cell: it is Free (or Unknown, if `unknown_ok`) and no Occupied
     /// voxel is nearer than the clearance.
     pub fn is_passable(&self, number: usize, unknown_ok: bool) -> bool {
-        self.blocked[number] == 0
+        self.counts[number].blocking == 0
             && match self.cell_state(number) {
                 CellState::Free => true,
                 CellState::Unknown => unknown_ok,
@@ -240,7 +245,7 @@ impl NavigationGrid {
 
     /// Whether an Occupied voxel is nearer to a cell than comfort wants.
     pub fn is_crowded(&self, number: usize) -> bool {
-        self.crowded[number] > 0
+        self.counts[number].crowding > 0
     }
 
     /// Puts the states of a block in the place of those taken in before.
@@ -249,54 +254,46 @@ impl NavigationGrid {
             return;
         }
         let old = self.blocks.insert(index, new).unwrap_or_default();
-        let corner = index.corner();
-        for word in 0..8 {
-            let free = new.free()[word] ^ old.free()[word];
-            let occupied = new.occupied()[word] ^ old.occupied()[word];
-            let mut changed = free | occupied;
-            while changed != 0 {
-                let bit = changed.trailing_zeros() as usize;
-                changed &= changed - 1;
-                let [x, y, z] = bit_of(word * 64 + bit);
-                let voxel = [corner.x + x, corner.y + y, corner.z + z];
-                if free >> bit & 1 != 0 {
-                    self.count_free(voxel, new.free()[word] >> bit & 1 != 0);
-                }
-                if occupied >> bit & 1 != 0 {
-                    self.count_occupied(voxel, new.occupied()[word] >> bit & 1 != 0);
-                }
-            }
+        let differ = |new: &Plane, old: &Plane| core::array::from_fn(|z| new[z] ^ old[z]);
+        for bit in set_bits(&differ(new.free(), old.free())) {
+            self.count_free(index.voxel(bit), new.get(bit) == State::Free);
+        }
+        for bit in set_bits(&differ(new.occupied(), old.occupied())) {
+            self.count_occupied(index.voxel(bit), new.get(bit) == State::Occupied);
         }
     }
 
-    fn count_free(&mut self, voxel: [i32; 3], more: bool) {
-        if let Some(cell) = self.cells.number_of(voxel.map(|v| v.div_euclid(self.multiple))) {
-            let count = &mut self.free[cell];
-            *count = if more { *count + 1 } else { *count - 1 };
+    fn count_free(&mut self, voxel: Voxel, more: bool) {
+        let index = [voxel.x, voxel.y, voxel.z].map(|v| v.div_euclid(self.multiple));
+        if let Some(cell) = self.cells.number_of(index) {
+            change(&mut self.counts[cell].free, more);
         }
     }
 
-    fn count_occupied(&mut self, voxel: [i32; 3], more: bool) {
-        let m = self.multiple;
+    fn count_occupied(&mut self, voxel: Voxel, more: bool) {
+        let (m, voxel) = (self.multiple, [voxel.x, voxel.y, voxel.z]);
         let index = voxel.map(|v| v.div_euclid(m));
         let phase = voxel.map(|v| v.rem_euclid(m));
         if let Some(cell) = self.cells.number_of(index) {
-            let count = &mut self.occupied[cell];
-            *count = if more { *count + 1 } else { *count - 1 };
+            change(&mut self.counts[cell].occupied, more);
         }
-        let change = |count: &mut u32| *count = if more { *count + 1 } else { *count - 1 };
         for near in &self.kernels[((phase[2] * m + phase[1]) * m + phase[0]) as usize] {
             let at = core::array::from_fn(|a| index[a] + near.offset[a]);
             if let Some(cell) = self.cells.number_of(at) {
                 if near.blocks {
-                    change(&mut self.blocked[cell]);
+                    change(&mut self.counts[cell].blocking, more);
                 }
                 if near.crowds {
-                    change(&mut self.crowded[cell]);
+                    change(&mut self.counts[cell].crowding, more);
                 }
             }
         }
     }
+}
+
+/// Counts one more or one less.
+fn change<T: AddAssign + SubAssign + From<bool>>(count: &mut T, more: bool) {
+    if more { *count += true.into() } else { *count -= true.into() }
 }
 
 /// For each place of a voxel in its cell, x fastest, the cells nearer than `clearance` and `comfort` voxels.

@@ -2,7 +2,7 @@
 
 /// What happens to datagrams between one node and another. All draws are seeded; each link has random
 /// numbers of its own, so what happens on one does not depend on the traffic of another.
-#[derive(Clone, Copy, PartialEq, Debug)]
+#[derive(Clone, Copy, PartialEq, Debug, Default)]
 pub struct Link {
     /// Share of datagrams that are lost, 0 … 1. Default 0.
     pub loss: f64,
@@ -20,15 +20,9 @@ pub struct Link {
 }
 
 impl Link {
-    /// A perfect link: everything arrives at once.
+    /// A perfect link: everything arrives at once. The default.
     pub const PERFECT: Self =
         Self { loss: 0.0, delay_micros: 0, jitter_micros: 0, duplication: 0.0, burst: None, damage: 0.0 };
-}
-
-impl Default for Link {
-    fn default() -> Self {
-        Self::PERFECT
-    }
 }
 
 /// A link that is good and bad alternately (Gilbert, Elliott). How long each lasts is uniform between 0 and twice its mean.

@@ -14,7 +14,7 @@ use super::report::Report;
 use super::settings::Settings;
 use super::world::SmallWorld;
 use super::{SwarmOptions, seen};
-use crate::{IP_UDP_BYTES, Network, Node, RadioConfig};
+use crate::{Network, Node, RadioConfig};
 use eyes::Eyes;
 use flockmap::{RobotId, Stamp};
 use flockmap_worlds::random::Random;
@@ -96,17 +96,7 @@ impl Engine {
         let members: Vec<Member> =
             (0..settings.members.len()).map(|number| Member::new(number, &settings, &world)).collect();
         let numbers = settings.radio;
-        let config = RadioConfig {
-            seed,
-            link: numbers.link,
-            rate_bytes_per_s: numbers.rate_bytes_per_s,
-            queue_bytes_max: numbers.queue_bytes_max,
-            overhead_bytes: IP_UDP_BYTES,
-            is_shared: numbers.is_shared,
-            airtime_overhead_micros: numbers.airtime_overhead_micros,
-            ..RadioConfig::default()
-        };
-        let mut network = Network::new(members, config, Stamp(0));
+        let mut network = Network::new(members, RadioConfig { seed, ..numbers.config }, Stamp(0));
         let mut closed = BTreeMap::new();
         for (a, b) in pairs(network.ids().len()) {
             if !numbers.is_linked(a, b, network.ids().len()) {
@@ -216,10 +206,8 @@ impl Engine {
 
     fn start(&mut self, number: usize) {
         // Its own among them: a former run of its own had the same clock, which would be measured through others.
-        let clocks: Vec<_> = match self.eyes.settings.clocks_given {
-            true => self.network.nodes().iter().map(|member| (member.id(), member.settings.clock)).collect(),
-            false => Vec::new(),
-        };
+        let known = self.network.nodes().iter().filter(|_| self.eyes.settings.clocks_given);
+        let clocks: Vec<_> = known.map(|member| (member.id(), member.settings.clock)).collect();
         let own = self.network.nodes()[number].id();
         if let Err(error) = self.boot(number, &clocks) {
             let found = Finding::new(names::SETTINGS, "settings that a robot takes", error);
@@ -276,7 +264,7 @@ impl Engine {
         let is_peer = receiver.session().peers().any(|peer| peer.stream == stream);
         let Some((index, _)) = missing.filter(|_| is_peer) else { return };
         // It took as long as any other: from the stamps of what comes at once a round trip of half the time would follow.
-        let sent_at = self.eyes.now - self.eyes.settings.radio.link.delay_micros.max(0);
+        let sent_at = self.eyes.now - self.eyes.settings.radio.config.link.delay_micros.max(0);
         let stamp = nodes[from].settings.clock.shows(sent_at);
         let resolution = sender.config().mapper.resolution;
         if let Some(bytes) = costly.datagram(stream, index, stamp, resolution) {

@@ -1,6 +1,6 @@
 //! Radios as they are met, as numbers. All of them are data: change a number here and the tables of the swarms change.
 
-use crate::{Burst, Link};
+use crate::{Burst, IP_UDP_BYTES, Link, RadioConfig};
 use core::fmt;
 use core::str::FromStr;
 
@@ -40,31 +40,13 @@ pub enum Topology {
 /// The numbers of a radio.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct RadioNumbers {
-    /// Each link.
-    pub link: Link,
-    /// Bytes a second on the air, of each node or, if shared, of all together.
-    pub rate_bytes_per_s: Option<u32>,
-    /// Whether all nodes share one medium.
-    pub is_shared: bool,
-    /// Air that a datagram takes beside its bytes, in microseconds.
-    pub airtime_overhead_micros: i64,
-    /// Most bytes that wait at a node.
-    pub queue_bytes_max: usize,
+    /// Each link and the air. Without a seed: that of the flight is used.
+    pub config: RadioConfig,
     /// Who hears whom.
     pub topology: Topology,
     /// Budget of a robot in bytes a second, where the radio is one node's own. Of a shared one each robot gets its part of 70 % of the rate.
     pub budget_bytes_per_s: Option<u32>,
 }
-
-const PERFECT: RadioNumbers = RadioNumbers {
-    link: Link { delay_micros: 200, ..Link::PERFECT },
-    rate_bytes_per_s: Some(12_500_000),
-    is_shared: false,
-    airtime_overhead_micros: 0,
-    queue_bytes_max: 256 << 10,
-    topology: Topology::Full,
-    budget_bytes_per_s: Some(2_000_000),
-};
 
 impl RadioPreset {
     /// All of them.
@@ -79,74 +61,51 @@ impl RadioPreset {
     ];
 
     /// Its numbers.
-    pub const fn numbers(self) -> RadioNumbers {
-        match self {
-            Self::Lan => PERFECT,
-            Self::Wifi => RadioNumbers {
-                link: Link { delay_micros: 2_000, jitter_micros: 3_000, loss: 0.01, ..Link::PERFECT },
-                rate_bytes_per_s: Some(750_000),
-                is_shared: true,
-                airtime_overhead_micros: 300,
-                ..PERFECT
-            },
-            Self::WifiLossy => RadioNumbers {
-                link: Link {
-                    delay_micros: 5_000,
-                    jitter_micros: 20_000,
-                    loss: 0.15,
-                    duplication: 0.02,
-                    damage: 0.001,
-                    burst: Some(Burst { good_ms: 4_000, bad_ms: 300, loss: 0.8 }),
-                    ..Link::PERFECT
-                },
-                rate_bytes_per_s: Some(750_000),
-                is_shared: true,
-                airtime_overhead_micros: 300,
-                ..PERFECT
-            },
-            Self::WifiCongested => RadioNumbers {
-                link: Link {
-                    delay_micros: 20_000,
-                    jitter_micros: 60_000,
-                    loss: 0.05,
-                    burst: Some(Burst { good_ms: 1_000, bad_ms: 100, loss: 0.5 }),
-                    ..Link::PERFECT
-                },
-                rate_bytes_per_s: Some(125_000),
-                is_shared: true,
-                airtime_overhead_micros: 500,
-                queue_bytes_max: 32 << 10,
-                ..PERFECT
-            },
-            Self::MeshLine => RadioNumbers {
-                link: Link { delay_micros: 10_000, jitter_micros: 10_000, loss: 0.05, ..Link::PERFECT },
-                rate_bytes_per_s: Some(250_000),
-                airtime_overhead_micros: 300,
-                topology: Topology::Line,
-                budget_bytes_per_s: Some(150_000),
-                ..PERFECT
-            },
-            Self::Intermittent => RadioNumbers {
-                link: Link {
-                    delay_micros: 15_000,
-                    jitter_micros: 15_000,
-                    loss: 0.1,
-                    burst: Some(Burst { good_ms: 3_000, bad_ms: 2_000, loss: 1.0 }),
-                    ..Link::PERFECT
-                },
-                rate_bytes_per_s: Some(250_000),
-                budget_bytes_per_s: Some(150_000),
-                ..PERFECT
-            },
-            Self::Lora => RadioNumbers {
-                link: Link { delay_micros: 30_000, jitter_micros: 20_000, loss: 0.03, ..Link::PERFECT },
+    pub fn numbers(self) -> RadioNumbers {
+        let node = RadioConfig { overhead_bytes: IP_UDP_BYTES, ..RadioConfig::default() };
+        let mesh = RadioConfig { rate_bytes_per_s: Some(250_000), ..node };
+        let wifi = RadioConfig {
+            rate_bytes_per_s: Some(750_000),
+            is_shared: true,
+            airtime_overhead_micros: 300,
+            ..node
+        };
+        let config = match self {
+            Self::Lan => RadioConfig { link: link(200, 0, 0.0), rate_bytes_per_s: Some(12_500_000), ..node },
+            Self::Wifi => RadioConfig { link: link(2_000, 3_000, 0.01), ..wifi },
+            Self::WifiLossy => {
+                let burst = Some(Burst { good_ms: 4_000, bad_ms: 300, loss: 0.8 });
+                let link = Link { duplication: 0.02, damage: 0.001, burst, ..link(5_000, 20_000, 0.15) };
+                RadioConfig { link, ..wifi }
+            }
+            Self::WifiCongested => {
+                let burst = Some(Burst { good_ms: 1_000, bad_ms: 100, loss: 0.5 });
+                RadioConfig {
+                    link: Link { burst, ..link(20_000, 60_000, 0.05) },
+                    rate_bytes_per_s: Some(125_000),
+                    airtime_overhead_micros: 500,
+                    queue_bytes_max: 32 << 10,
+                    ..wifi
+                }
+            }
+            Self::MeshLine => {
+                RadioConfig { link: link(10_000, 10_000, 0.05), airtime_overhead_micros: 300, ..mesh }
+            }
+            Self::Intermittent => {
+                let burst = Some(Burst { good_ms: 3_000, bad_ms: 2_000, loss: 1.0 });
+                RadioConfig { link: Link { burst, ..link(15_000, 15_000, 0.1) }, ..mesh }
+            }
+            Self::Lora => RadioConfig {
+                link: link(30_000, 20_000, 0.03),
                 rate_bytes_per_s: Some(6_250),
-                is_shared: true,
                 airtime_overhead_micros: 10_000,
                 queue_bytes_max: 8 << 10,
-                ..PERFECT
+                ..wifi
             },
-        }
+        };
+        let budget = if matches!(self, Self::MeshLine | Self::Intermittent) { 150_000 } else { 2_000_000 };
+        let topology = if self == Self::MeshLine { Topology::Line } else { Topology::Full };
+        RadioNumbers { config, topology, budget_bytes_per_s: Some(budget) }
     }
 
     /// Its name, as the program has it.
@@ -163,10 +122,15 @@ impl RadioPreset {
     }
 }
 
+/// A link with nothing but delay, jitter and plain loss.
+const fn link(delay_micros: i64, jitter_micros: i64, loss: f64) -> Link {
+    Link { delay_micros, jitter_micros, loss, ..Link::PERFECT }
+}
+
 impl RadioNumbers {
     /// What one of so many robots may send in a second. At least 500, the least that a session can do with.
     pub fn budget(&self, robots: usize) -> Option<u32> {
-        let shared = self.rate_bytes_per_s.filter(|_| self.is_shared);
+        let shared = self.config.rate_bytes_per_s.filter(|_| self.config.is_shared);
         let part = shared.map(|rate| (u64::from(rate) * 7 / 10 / robots.max(1) as u64) as u32);
         part.or(self.budget_bytes_per_s).map(|budget| budget.max(500))
     }

@@ -43,7 +43,7 @@ pub(super) fn add_counters(seen: &mut Seen, robot: &Robot) {
 /// The settings that matter.
 pub(super) fn settings(settings: &Settings) -> Vec<String> {
     let radio = &settings.radio;
-    let Link { delay_micros, jitter_micros, loss, duplication, damage, burst } = radio.link;
+    let Link { delay_micros, jitter_micros, loss, duplication, damage, burst } = radio.config.link;
     let mut line = format!(
         "radio {}: {:?}, {:.1} ms + {:.1} ms, {:.1} % lost, {:.1} % twice, {:.2} % damaged",
         settings.radio_name,
@@ -57,9 +57,9 @@ pub(super) fn settings(settings: &Settings) -> Vec<String> {
     if let Some(Burst { good_ms, bad_ms, loss }) = burst {
         line += &format!(", {:.0} % lost for {bad_ms} ms every {} ms", 100.0 * loss, good_ms + bad_ms);
     }
-    if let Some(rate) = radio.rate_bytes_per_s {
-        let whose = if radio.is_shared { "for all" } else { "for each" };
-        line += &format!(", {rate} bytes/s {whose}, queue of {} KiB", radio.queue_bytes_max >> 10);
+    if let Some(rate) = radio.config.rate_bytes_per_s {
+        let whose = if radio.config.is_shared { "for all" } else { "for each" };
+        line += &format!(", {rate} bytes/s {whose}, queue of {} KiB", radio.config.queue_bytes_max >> 10);
     }
     let (robots, mapping) = (settings.members.len(), settings.mapping as f64 / 1e6);
     let cast = if settings.cast == Cast::Broadcast { "broadcast" } else { "unicast" };

@@ -6,7 +6,7 @@ use super::preset::{RadioNumbers, RadioPreset, Topology};
 use super::purpose;
 use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
-use crate::{Burst, Link};
+use crate::{Burst, IP_UDP_BYTES, Link, RadioConfig};
 use flockmap::sync::SwarmKey;
 use flockmap::{BatchConfig, Cast, Codec, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::random::Random;
@@ -114,6 +114,7 @@ impl Settings {
             config.codec = draw_codec(&mut random, options.is_calm);
             let drawn = [1_000, 1_000, 0, 200][random.below(4) as usize];
             config.repair_delay_max_ms = if options.is_calm { 1_000 } else { drawn };
+            let steps = || trouble::steps(&mut purpose::of_robot(seed, purpose::CLOCKS, number), mapping);
             let offset = random.range(-1e9, 1e9) as i64;
             let ppm = random.range(-100.0, 100.0) as i64;
             MemberSettings {
@@ -123,10 +124,7 @@ impl Settings {
                 scan_period: if is_table { 100_000 } else { 1_000 * (100 + random.below(200) as i64) },
                 has_no_returns: random.happens(0.4),
                 has_disk: (random.happens(0.4) || trouble.has_faulty_disks) && !options.is_calm,
-                clock_steps: match trouble.has_steps {
-                    true => trouble::steps(&mut purpose::of_robot(seed, purpose::CLOCKS, number), mapping),
-                    false => Vec::new(),
-                },
+                clock_steps: if trouble.has_steps { steps() } else { Vec::new() },
             }
         });
         Self {
@@ -191,7 +189,7 @@ fn draw_numbers(random: &mut Random) -> RadioNumbers {
     });
     let topologies =
         [Topology::Full, Topology::Full, Topology::Full, Topology::Line, Topology::Ring, Topology::Star];
-    RadioNumbers {
+    let config = RadioConfig {
         link: Link {
             delay_micros: (random.unit() * random.unit() * 200_000.0) as i64,
             jitter_micros: some(random, 0.7, 150_000.0) as i64,
@@ -204,7 +202,9 @@ fn draw_numbers(random: &mut Random) -> RadioNumbers {
         is_shared,
         airtime_overhead_micros: if is_shared { random.below(3_000) as i64 } else { 0 },
         queue_bytes_max: (4 + random.below(60) as usize) << 10,
-        topology: topologies[random.below(6) as usize],
-        budget_bytes_per_s: rate.map(|rate| rate / 5 * 4),
-    }
+        overhead_bytes: IP_UDP_BYTES,
+        ..RadioConfig::default()
+    };
+    let topology = topologies[random.below(6) as usize];
+    RadioNumbers { config, topology, budget_bytes_per_s: rate.map(|rate| rate / 5 * 4) }
 }

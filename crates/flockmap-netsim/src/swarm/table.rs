@@ -21,22 +21,9 @@ but at least the 500 bytes/s that a session needs). Map: bytes of the packages t
 bytes of IP and UDP for each datagram; of it requests, in per cent. Air: time on the air, in per cent of the flight, of all robots
 together where they share it (beyond 100 %: more than it carries, the rest waits). Age: from the end of a batch to its merge at another robot. All per robot on the mean.
 
+radio           robots budget B/s   map B   sent B  requests    air age 50 % age 99 %  agreement
 ";
-    let text = text.replace("{MAPPING_S}", &MAPPING_S.to_string()).replace("{WAIT_S}", &WAIT_S.to_string());
-    let columns = format!(
-        "{:<15}{:>7}{:>11}{:>8}{:>9}{:>10}{:>7}{:>9}{:>9}{:>11}",
-        "radio",
-        "robots",
-        "budget B/s",
-        "map B",
-        "sent B",
-        "requests",
-        "air",
-        "age 50 %",
-        "age 99 %",
-        "agreement"
-    );
-    format!("{text}{columns}\n")
+    text.replace("{MAPPING_S}", &MAPPING_S.to_string()).replace("{WAIT_S}", &WAIT_S.to_string())
 }
 
 /// One row, with the end of the line. The same on every machine.
@@ -53,7 +40,7 @@ pub fn row(radio: RadioPreset, robots: usize) -> Result<String, String> {
     let numbers = radio.numbers();
     let bytes = sum(|robot| robot.bytes as f64);
     let requests = sum(|robot| robot.request_bytes as f64);
-    let air = sum(|robot| robot.airtime_s) / if numbers.is_shared { 1.0 } else { count };
+    let air = sum(|robot| robot.airtime_s) / if numbers.config.is_shared { 1.0 } else { count };
     let budget = numbers.budget(robots).map_or_else(|| "none".to_owned(), |budget| budget.to_string());
     let agreement = report.agreement_s.map_or_else(|| "-".to_owned(), |s| format!("{s:.2} s"));
     Ok(format!(

@@ -1,6 +1,7 @@
 //! A small world that is quickly scanned: a hall with boxes in it, some of which move.
 
 use flockmap_grid::{Scan, Stamp};
+use flockmap_worlds::box_crossing;
 use flockmap_worlds::random::Random;
 
 /// A box along the axes, moving to and fro.
@@ -133,20 +134,7 @@ impl Thing {
     /// Where a ray enters and leaves the box, moved by `moved`.
     fn crossed(&self, from: [f64; 3], direction: [f64; 3], moved: [f64; 2]) -> (f64, f64) {
         let moved = [moved[0], moved[1], 0.0];
-        let (mut enters, mut leaves) = (f64::NEG_INFINITY, f64::INFINITY);
-        for axis in 0..3 {
-            let low = self.min[axis] + moved[axis] - from[axis];
-            let high = self.max[axis] + moved[axis] - from[axis];
-            if direction[axis] == 0.0 {
-                if low > 0.0 || high < 0.0 {
-                    return (f64::INFINITY, f64::NEG_INFINITY);
-                }
-                continue;
-            }
-            let (a, b) = (low / direction[axis], high / direction[axis]);
-            enters = enters.max(a.min(b));
-            leaves = leaves.min(a.max(b));
-        }
-        (enters, leaves)
+        let seen = |corner: [f64; 3]| core::array::from_fn(|a| corner[a] + moved[a] - from[a]);
+        box_crossing(seen(self.min), seen(self.max), direction)
     }
 }

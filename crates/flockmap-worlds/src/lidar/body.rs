@@ -68,19 +68,8 @@ impl Body {
                 along - square.sqrt()
             }
             Shape::Box { half_m } => {
-                let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
-                for a in 0..3 {
-                    if direction[a] == 0.0 {
-                        if to[a].abs() > half_m[a] {
-                            return None;
-                        }
-                        continue;
-                    }
-                    let (one, other) =
-                        ((to[a] - half_m[a]) / direction[a], (to[a] + half_m[a]) / direction[a]);
-                    enter = enter.max(one.min(other));
-                    leave = leave.min(one.max(other));
-                }
+                let [low, high] = [-1.0, 1.0].map(|side| core::array::from_fn(|a| to[a] + side * half_m[a]));
+                let (enter, leave) = box_crossing(low, high, direction);
                 if enter > leave {
                     return None;
                 }
@@ -89,6 +78,22 @@ impl Body {
         };
         (distance > 0.0).then_some(distance)
     }
+}
+
+/// Where a ray enters and leaves a box, in multiples of its direction; the corners are counted from where the ray starts.
+/// It leaves before it enters if it misses.
+pub fn box_crossing(low: [f64; 3], high: [f64; 3], direction: [f64; 3]) -> (f64, f64) {
+    let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+    for a in 0..3 {
+        if direction[a] != 0.0 {
+            let (one, other) = (low[a] / direction[a], high[a] / direction[a]);
+            enter = enter.max(one.min(other));
+            leave = leave.min(one.max(other));
+        } else if low[a] > 0.0 || high[a] < 0.0 {
+            return (f64::INFINITY, f64::NEG_INFINITY);
+        }
+    }
+    (enter, leave)
 }
 
 /// The bodies that a scan can see.

@@ -1,7 +1,5 @@
 //! The LiDARs that are simulated.
 
-use thiserror::Error;
-
 /// Time between the starts of two scans: 0.1 s.
 pub const SCAN_PERIOD_MICROS: i64 = 100_000;
 
@@ -28,11 +26,6 @@ pub enum Lidar {
     Os128,
 }
 
-/// A name that is no LiDAR's.
-#[derive(Clone, PartialEq, Eq, Debug, Error)]
-#[error("\"{0}\" is no LiDAR: use mid360, avia, vlp32 or os128")]
-pub struct UnknownLidar(String);
-
 /// The names of each, its own first.
 const NAMES: [(&str, Lidar); 7] = [
     ("avia", Lidar::Avia),
@@ -45,11 +38,11 @@ const NAMES: [(&str, Lidar); 7] = [
 ];
 
 impl core::str::FromStr for Lidar {
-    type Err = UnknownLidar;
+    type Err = String;
 
-    fn from_str(name: &str) -> Result<Self, UnknownLidar> {
-        let named = NAMES.iter().find(|(known, _)| *known == name);
-        named.map(|(_, lidar)| *lidar).ok_or_else(|| UnknownLidar(name.to_owned()))
+    fn from_str(name: &str) -> Result<Self, String> {
+        let named = NAMES.iter().find(|(known, _)| *known == name).map(|(_, lidar)| *lidar);
+        named.ok_or_else(|| format!("\"{name}\" is no LiDAR: use mid360, avia, vlp32 or os128"))
     }
 }
 

@@ -1,7 +1,6 @@
 //! How a scan is taken.
 
 use crate::OptionError;
-use thiserror::Error;
 
 /// How beams meet a world.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -73,19 +72,14 @@ impl ScanOptions {
     }
 }
 
-/// A name that is no rendering's.
-#[derive(Clone, PartialEq, Eq, Debug, Error)]
-#[error("\"{0}\" is no rendering: use cast or polar")]
-pub struct UnknownRendering(String);
-
 impl core::str::FromStr for Rendering {
-    type Err = UnknownRendering;
+    type Err = String;
 
-    fn from_str(name: &str) -> Result<Self, UnknownRendering> {
+    fn from_str(name: &str) -> Result<Self, String> {
         match name {
             "cast" => Ok(Self::Cast),
             "polar" => Ok(Self::Polar),
-            _ => Err(UnknownRendering(name.to_owned())),
+            _ => Err(format!("\"{name}\" is no rendering: use cast or polar")),
         }
     }
 }

@@ -6,13 +6,13 @@ use flockmap_grid::Stamp;
 use libm::{cos, sin};
 
 /// Columns of a spinning LiDAR in one turn, 0.2° apart.
-pub(super) const COLUMNS: usize = 1_800;
+const COLUMNS: usize = 1_800;
 
 /// Rows of the VLP-32: how many, elevation of the lowest and step between two, in degrees.
-pub(super) const VLP32_ROWS: (usize, f64, f64) = (32, -25.0, 1.2);
+const VLP32_ROWS: (usize, f64, f64) = (32, -25.0, 1.2);
 
 /// Rows of the OS-128.
-pub(super) const OS128_ROWS: (usize, f64, f64) = (128, -22.5, 0.4);
+const OS128_ROWS: (usize, f64, f64) = (128, -22.5, 0.4);
 
 impl Lidar {
     /// Number of beams in a scan.
@@ -28,38 +28,26 @@ impl Lidar {
     /// The beams of the scan that starts at `stamp`: unit vectors in the frame of the sensor, in the order
     /// they are fired.
     pub fn directions(self, stamp: Stamp) -> Vec<[f64; 3]> {
-        let mut beams = Vec::new();
-        aim(self, stamp, &mut beams);
+        let mut beams = Vec::with_capacity(self.beams());
+        match self {
+            Self::Avia => avia(stamp, &mut beams),
+            Self::Mid360 => mid360(stamp, &mut beams),
+            Self::Vlp32 => spinning(VLP32_ROWS, &mut beams),
+            Self::Os128 => spinning(OS128_ROWS, &mut beams),
+        }
         beams
     }
 
     /// Microseconds from the start of a scan until this beam is fired, 0 … 99,999; never less than for the
     /// beam before. `beam` counts from 0 to [`Self::beams`].
     pub const fn fired_after_micros(self, beam: usize) -> i64 {
-        fired_after_micros(self, beam)
-    }
-}
-
-/// Puts the beams of the scan that starts at `stamp` into `beams`.
-pub(super) fn aim(lidar: Lidar, stamp: Stamp, beams: &mut Vec<[f64; 3]>) {
-    beams.clear();
-    beams.reserve(lidar.beams());
-    match lidar {
-        Lidar::Avia => avia(stamp, beams),
-        Lidar::Mid360 => mid360(stamp, beams),
-        Lidar::Vlp32 => spinning(VLP32_ROWS, beams),
-        Lidar::Os128 => spinning(OS128_ROWS, beams),
-    }
-}
-
-/// Microseconds from the start of the scan until a beam is fired.
-pub(super) const fn fired_after_micros(lidar: Lidar, beam: usize) -> i64 {
-    let beam = beam as i64;
-    match lidar {
-        Lidar::Avia => beam / 6 * 25,
-        Lidar::Mid360 => beam * 5,
-        Lidar::Vlp32 => beam / VLP32_ROWS.0 as i64 * SCAN_PERIOD_MICROS / COLUMNS as i64,
-        Lidar::Os128 => beam / OS128_ROWS.0 as i64 * SCAN_PERIOD_MICROS / COLUMNS as i64,
+        let beam = beam as i64;
+        match self {
+            Self::Avia => beam / 6 * 25,
+            Self::Mid360 => beam * 5,
+            Self::Vlp32 => beam / VLP32_ROWS.0 as i64 * SCAN_PERIOD_MICROS / COLUMNS as i64,
+            Self::Os128 => beam / OS128_ROWS.0 as i64 * SCAN_PERIOD_MICROS / COLUMNS as i64,
+        }
     }
 }
 

@@ -17,8 +17,10 @@
 
 mod nearby;
 
+use crate::cells::Bits;
 use crate::world::{Surface, SurfacePoint};
 use core::f32::consts::{FRAC_PI_2, PI};
+use core::ops::Range;
 use flockmap_grid::Pose;
 use libm::{cos, sin};
 use nearby::{Nearby, WIDTH, WORDS};
@@ -121,19 +123,16 @@ impl PolarImage {
             self.wanted[v * WORDS + u / 64] |= 1 << (u % 64);
             self.pixel_of_beam.push((v * WIDTH + u) as u32);
         }
-        let mut count = 0;
-        self.slots.clear();
+        let mut directions = Vec::with_capacity(beams.len());
         for (at, &word) in self.wanted.iter().enumerate() {
-            self.before[at] = count;
-            count += word.count_ones();
+            self.before[at] = directions.len() as u32;
             let ([flat, up], first) = (self.rows[at / WORDS], at % WORDS * 64);
-            let mut left = word;
-            while left != 0 {
-                let [forward, side] = self.columns[first + left.trailing_zeros() as usize];
-                self.slots.push([flat * forward, flat * side, up].map(|v| v as f32));
-                left &= left - 1;
+            for bit in Bits(word) {
+                let [forward, side] = self.columns[first + bit as usize];
+                directions.push([flat * forward, flat * side, up].map(|v| v as f32));
             }
         }
+        self.slots = Slots::new(&directions);
         for (number, &pixel) in self.pixel_of_beam.iter().enumerate() {
             let (v, u) = (pixel as usize / WIDTH, pixel as usize % WIDTH);
             let slot = self.rank(v, u);
@@ -149,7 +148,7 @@ impl PolarImage {
     /// `leaves_out`: whether points are left out of which it is known that they change nothing.
     fn paint_all(&mut self, surface: &Surface, pose: &Pose, range_m: f64, leaves_out: bool) {
         let (rows, sensor) = (pose.rotation_rows().map(|row| row.map(|v| v as f32)), pose.translation());
-        let spacing = surface.spacing_m() as f32;
+        let spacing = surface.spacing_m as f32;
         let brush = Brush {
             rows,
             lowest: self.lowest(),
@@ -162,7 +161,6 @@ impl PolarImage {
         self.sort(surface, sensor, &brush);
         self.open.clone_from(&self.wanted);
         let shells = core::mem::take(&mut self.shells);
-        let patches = surface.patches();
         for (number, shell) in shells.iter().enumerate().filter(|(_, shell)| !shell.is_empty()) {
             let from = number.checked_sub(1).and_then(|last| SHELLS_M.get(last));
             if let Some(from) = from.filter(|_| leaves_out) {
@@ -171,7 +169,7 @@ impl PolarImage {
             self.nearby.take(&self.open);
             for &(patch, centre) in shell {
                 if !leaves_out || self.may_see(&brush, centre) {
-                    for point in surface.points(&patches[patch as usize]) {
+                    for point in surface.points(&surface.patches[patch as usize]) {
                         self.paint_point(&brush, centre, point);
                     }
                 }
@@ -184,7 +182,7 @@ impl PolarImage {
     fn sort(&mut self, surface: &Surface, sensor: [f64; 3], brush: &Brush) {
         self.shells.iter_mut().for_each(Vec::clear);
         let reach = brush.range_max + brush.spacing + brush.patch_reach;
-        for (number, patch) in surface.patches().iter().enumerate() {
+        for (number, patch) in surface.patches.iter().enumerate() {
             let centre = patch.centre_from(sensor);
             let square = dot(centre, centre);
             if square <= reach * reach && patch.faces(centre, brush.spacing) {
@@ -201,17 +199,15 @@ impl PolarImage {
         let from = from - spacing;
         let mut slot = 0;
         for (open, &wanted) in self.open.iter_mut().zip(&self.wanted) {
-            let mut left = wanted;
-            while left != 0 {
+            for bit in Bits(wanted) {
                 let (inflated, plane) = (self.slots.inflated[slot], self.slots.plane[slot]);
                 // Further planes do not count if there is a nearer one, or if none of them would show through (see
                 // `range`; the angle of a patch at range r is at most 1.13 spacings / r and 1.5 pixels).
                 let through = from * (1.0 - THROUGH - 2.25 * PIXEL_RAD) - 1.7 * spacing;
                 let is_settled = inflated < from && (plane < from || inflated < through);
                 if is_settled {
-                    *open &= !(left & left.wrapping_neg());
+                    *open &= !(1 << bit);
                 }
-                left &= left - 1;
                 slot += 1;
             }
         }
@@ -266,8 +262,6 @@ impl PolarImage {
             offset: dot(place, point.normal),
             range,
             square,
-            reach_squared: brush.plane_reach_squared,
-            range_max: brush.range_max,
             half_angle: (half as f32 + 0.5) * PIXEL_RAD,
         };
         // The patch, and its part that comes in at the other side of the image.
@@ -281,7 +275,7 @@ impl PolarImage {
             for row in bottom as usize..=top as usize {
                 if self.any_open(row, left, right) {
                     let (first, last) = (self.rank(row, left), self.rank(row, right + 1));
-                    self.slots.paint(first, last, &plane);
+                    self.slots.paint(first..last, brush, &plane);
                 }
             }
         }
@@ -293,12 +287,9 @@ impl PolarImage {
             let (v, u) = (pixel as usize / WIDTH, pixel as usize % WIDTH);
             let slot = self.rank(v, u);
             let ([flat, up], [forward, side]) = (self.rows[v], self.columns[u]);
-            (self.slots.beam[slot] == number as u32).then(|| {
-                (
-                    number,
-                    Pixel { direction: [flat * forward, flat * side, up], range_m: self.slots.range(slot) },
-                )
-            })
+            let direction = [flat * forward, flat * side, up];
+            (self.slots.beam[slot] == number as u32)
+                .then(|| (number, Pixel { direction, range_m: self.slots.range(slot) }))
         })
     }
 
@@ -329,35 +320,28 @@ impl PolarImage {
 }
 
 impl Slots {
-    fn clear(&mut self) {
-        let [x, y, z] = &mut self.direction;
-        for list in [x, y, z, &mut self.inflated, &mut self.plane, &mut self.grazing, &mut self.half_angle] {
-            list.clear();
+    /// Nothing is seen yet in any of these directions.
+    fn new(directions: &[[f32; 3]]) -> Self {
+        let count = directions.len();
+        Self {
+            direction: [0, 1, 2].map(|a| directions.iter().map(|direction| direction[a]).collect()),
+            inflated: vec![f32::INFINITY; count],
+            plane: vec![f32::INFINITY; count],
+            grazing: vec![1.0; count],
+            half_angle: vec![0.0; count],
+            beam: vec![u32::MAX; count],
         }
-        self.beam.clear();
     }
 
-    fn push(&mut self, direction: [f32; 3]) {
-        for (list, value) in self.direction.iter_mut().zip(direction) {
-            list.push(value);
-        }
-        self.inflated.push(f32::INFINITY);
-        self.plane.push(f32::INFINITY);
-        self.grazing.push(1.0);
-        self.half_angle.push(0.0);
-        self.beam.push(u32::MAX);
-    }
-
-    /// Offers a point to the slots `first..last`.
+    /// Offers a point to some slots.
     #[inline]
-    fn paint(&mut self, first: usize, last: usize, point: &Plane) {
-        let [xs, ys, zs] = &self.direction;
-        let (xs, ys, zs) = (&xs[first..last], &ys[first..last], &zs[first..last]);
-        let inflated = &mut self.inflated[first..last];
-        let plane = &mut self.plane[first..last];
-        let grazing = &mut self.grazing[first..last];
-        let half_angle = &mut self.half_angle[first..last];
-        let count = last - first;
+    fn paint(&mut self, slots: Range<usize>, brush: &Brush, point: &Plane) {
+        let [xs, ys, zs] = [0, 1, 2].map(|a| &self.direction[a][slots.clone()]);
+        let inflated = &mut self.inflated[slots.clone()];
+        let plane = &mut self.plane[slots.clone()];
+        let grazing = &mut self.grazing[slots.clone()];
+        let half_angle = &mut self.half_angle[slots.clone()];
+        let count = slots.len();
         // Of one length, so that the compiler needs no checks inside.
         if [xs.len(), ys.len(), zs.len(), inflated.len(), plane.len(), grazing.len(), half_angle.len()]
             != [count; 7]
@@ -370,9 +354,9 @@ impl Slots {
             let range = point.offset / slope;
             let gap = range * (range - 2.0 * dot(ray, point.place)) + point.square;
             // False where there is no plane or the ray is parallel to it: then the range is no number.
-            let nearer = (range > 0.0) & (gap <= point.reach_squared) & (range < plane[i]);
+            let nearer = (range > 0.0) & (gap <= brush.plane_reach_squared) & (range < plane[i]);
             // A ray that meets the plane out of range passes over the last points of a floor.
-            let leaves = range > point.range_max;
+            let leaves = range > brush.range_max;
             let covers = !leaves & (point.range < inflated[i]);
             inflated[i] = if covers { point.range } else { inflated[i] };
             plane[i] = if nearer { range } else { plane[i] };
@@ -425,8 +409,6 @@ struct Plane {
     /// Metres to the point, and its square.
     range: f32,
     square: f32,
-    reach_squared: f32,
-    range_max: f32,
     half_angle: f32,
 }
 

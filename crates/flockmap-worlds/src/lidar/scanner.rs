@@ -3,7 +3,7 @@
 use super::body::{Body, Sight};
 use super::course::Course;
 use super::polar::PolarImage;
-use super::{Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions, pattern};
+use super::{Lidar, Rendering, SCAN_PERIOD_MICROS, ScanOptions};
 use crate::World;
 use crate::random::{Random, hash_at, unit};
 use core::ops::Range;
@@ -56,21 +56,6 @@ impl Scanner {
         Self { world, lidar, options, beams: Vec::new(), image }
     }
 
-    /// The world.
-    pub const fn world(&self) -> &Arc<World> {
-        &self.world
-    }
-
-    /// The LiDAR.
-    pub const fn lidar(&self) -> Lidar {
-        self.lidar
-    }
-
-    /// The options.
-    pub const fn options(&self) -> &ScanOptions {
-        &self.options
-    }
-
     /// The scan that starts at `stamp` with the sensor at `T_map_sensor`.
     ///
     /// `end` is the pose of the sensor at the end of the scan, 0.1 s later; it is used with
@@ -85,7 +70,7 @@ impl Scanner {
     #[allow(non_snake_case)]
     pub fn scan(&mut self, stamp: Stamp, T_map_sensor: &Pose, end: Option<&Pose>, bodies: &[Body]) -> Scan {
         if !(self.lidar.repeats() && self.beams.len() == self.lidar.beams()) {
-            pattern::aim(self.lidar, stamp, &mut self.beams);
+            self.beams = self.lidar.directions(stamp);
         }
         let course = Course::new(T_map_sensor, end.filter(|_| self.options.motion));
         let sight = Sight::new(bodies, T_map_sensor.translation(), course.travel_m(), &self.options);
@@ -105,14 +90,16 @@ impl Scanner {
     }
 
     fn cast(&self, course: &Course, sight: &Sight, delivery: &mut Delivery) {
+        let view = |at: i64| {
+            let pose = course.at(at);
+            (pose.rotation_rows(), pose.translation())
+        };
         let mut at = 0;
-        let mut pose = course.at(at);
-        let (mut rows, mut origin) = (pose.rotation_rows(), pose.translation());
+        let (mut rows, mut origin) = view(at);
         for (number, &beam) in self.beams.iter().enumerate() {
             if course.moves() && self.lidar.fired_after_micros(number) != at {
                 at = self.lidar.fired_after_micros(number);
-                pose = course.at(at);
-                (rows, origin) = (pose.rotation_rows(), pose.translation());
+                (rows, origin) = view(at);
             }
             let direction = rows.map(|row| row[0] * beam[0] + row[1] * beam[1] + row[2] * beam[2]);
             let hit = self.world.cast_ray(origin, direction, self.options.range_m);

@@ -47,7 +47,7 @@ pub(super) fn divide(
         }
     }
     let owner = Rc::new(owner);
-    let middle = space.lattice.middle(space.cells());
+    let middle = space.lattice.middle(&space.cells);
     let region = |(robot, cells): (usize, Vec<u32>)| {
         let start = nearest_cell(space, &cells, middle);
         Region { owner: Rc::clone(&owner), robot: robot as u8, cells, start }
@@ -58,7 +58,7 @@ pub(super) fn divide(
 /// As many cells as robots, each far from the others.
 fn spread(space: &Space, robots: usize) -> Vec<usize> {
     let mut seeds: Vec<usize> = Vec::new();
-    let first = space.cells().first().map_or(0, |cell| *cell as usize);
+    let first = space.cells.first().map_or(0, |cell| *cell as usize);
     while seeds.len() < robots {
         let from = if seeds.is_empty() { vec![first] } else { seeds.clone() };
         seeds.push(flood_from(space, &from).0.last().map_or(first, |cell| *cell as usize));
@@ -93,7 +93,7 @@ fn centres(space: &Space, owner: &[u8], robots: usize) -> Vec<usize> {
     (0..robots)
         .map(|robot| {
             let own = |cell: &u32| owner[*cell as usize] == robot as u8;
-            let cells: Vec<u32> = space.cells().iter().copied().filter(own).collect();
+            let cells: Vec<u32> = space.cells.iter().copied().filter(own).collect();
             nearest_cell(space, &cells, space.lattice.middle(&cells))
         })
         .collect()
@@ -113,7 +113,7 @@ fn separate(
     let mut parts = Vec::with_capacity(robots);
     for robot in 0..robots {
         let distance = distances(lattice, &taken, reach);
-        let cells = largest_part(lattice, space.cells(), |cell| {
+        let cells = largest_part(lattice, &space.cells, |cell| {
             let away = f64::from(distance[cell]).sqrt() * lattice.side_m();
             owner[cell] == robot as u8 && (robot == 0 || away >= options.separation_m)
         });
@@ -122,8 +122,8 @@ fn separate(
             return Err(TrajectoryError::Crowded {
                 robot,
                 robots,
-                area_m2: area_m2(lattice, space.cells()),
-                clearance_m: space.clearance_m(),
+                area_m2: area_m2(lattice, &space.cells),
+                clearance_m: space.clearance_m,
                 separation_m: options.separation_m,
             });
         }
@@ -137,13 +137,10 @@ fn separate(
 
 /// The cell nearest to a point; of two as near the lower. Cell 0 if there are none.
 fn nearest_cell(space: &Space, cells: &[u32], point: [f64; 3]) -> usize {
-    let mut best = (f64::INFINITY, 0);
-    for &cell in cells {
-        let centre = space.lattice.centre(cell as usize);
-        let square = (0..3).map(|a| (centre[a] - point[a]) * (centre[a] - point[a])).sum();
-        if square < best.0 {
-            best = (square, cell as usize);
-        }
-    }
-    best.1
+    let square = |cell: &u32| {
+        let centre = space.lattice.centre(*cell as usize);
+        (0..3).map(|a| (centre[a] - point[a]) * (centre[a] - point[a])).sum::<f64>()
+    };
+    let nearest = cells.iter().map(|cell| (square(cell), *cell)).min_by(|a, b| a.0.total_cmp(&b.0));
+    nearest.map_or(0, |(_, cell)| cell as usize)
 }

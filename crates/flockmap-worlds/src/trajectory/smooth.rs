@@ -80,11 +80,8 @@ fn speeds(points: &[[f64; 3]], lengths: &[f64], yaws: &[f64], options: &Trajecto
         }
     }
     slow_in_bends(&mut speeds, points, lengths, options.acceleration_m_s2);
-    if let Some(first) = speeds.first_mut() {
-        *first = first.min(CREEP_M_S);
-    }
-    if let Some(last) = speeds.last_mut() {
-        *last = last.min(CREEP_M_S);
+    for end in [0, points.len() - 1] {
+        speeds[end] = speeds[end].min(CREEP_M_S);
     }
     slow_to_reach(&mut speeds, lengths, options.acceleration_m_s2);
     speeds

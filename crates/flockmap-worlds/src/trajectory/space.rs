@@ -18,12 +18,13 @@ pub(super) const BLOCKED: u16 = 0;
 /// The free space in which robots fly: the largest connected set of cells that keep the clearance.
 pub(super) struct Space {
     pub(super) lattice: Lattice,
-    clearance_m: f64,
+    /// Metres from any point of the space to anything solid, at least.
+    pub(super) clearance_m: f64,
     /// For each cell of the space the square of the least distance from any point in it to anything solid, in
     /// cells, at least 1; [`BLOCKED`] elsewhere.
     open: Vec<u16>,
     /// The cells of the space, ascending.
-    cells: Vec<u32>,
+    pub(super) cells: Vec<u32>,
 }
 
 impl Space {
@@ -54,13 +55,9 @@ impl Space {
         let known_free = |at: [usize; 3]| {
             let [x, y, z] = at.map(|v| v as i32 * multiple as i32);
             let cells = VoxelBox::new(Voxel::new(low.x + x, low.y + y, low.z + z), [multiple; 3]);
-            cells.is_none_or(|mut cells| {
-                // Unknown cells at the far edge of the world do not count against the rest of theirs.
-                if let Some(inside) = cells.intersection(&bounds) {
-                    cells = inside;
-                }
-                cells.voxels().all(|cell| world.is_known_free(cell).unwrap_or(true))
-            })
+            // Unknown cells at the far edge of the world do not count against the rest of theirs.
+            let inside = cells.map(|cells| cells.intersection(&bounds).unwrap_or(cells));
+            inside.is_none_or(|cells| cells.voxels().all(|cell| world.is_known_free(cell).unwrap_or(true)))
         };
 
         // Heights as asked for, then with more freedom, since a ground is not always seen.
@@ -89,16 +86,6 @@ impl Space {
             clearance_m: options.clearance_min_m,
             heights: bands.to_vec(),
         })
-    }
-
-    /// Metres from any point of the space to anything solid, at least.
-    pub(super) const fn clearance_m(&self) -> f64 {
-        self.clearance_m
-    }
-
-    /// The cells of the space, ascending.
-    pub(super) fn cells(&self) -> &[u32] {
-        &self.cells
     }
 
     /// Square of the distance of a cell to anything solid, in cells; [`BLOCKED`] outside of the space.
@@ -140,30 +127,20 @@ pub(super) fn largest_part(lattice: &Lattice, candidates: &[u32], fits: impl Fn(
 /// all, the ground of the nearest column that has one.
 fn ground(lattice: &Lattice, solid: &[bool]) -> Vec<f64> {
     let [nx, ny, nz] = lattice.size();
-    let none = u32::MAX;
-    let mut lowest = vec![none; nx * ny];
-    for z in (0..nz).rev() {
-        for column in 0..nx * ny {
-            if solid[z * nx * ny + column] {
-                lowest[column] = z as u32;
-            }
-        }
-    }
+    let (columns, none) = (Lattice::new([nx, ny, 1]), u32::MAX);
+    let lowest = |column: usize| (0..nz).find(|z| solid[z * nx * ny + column]).map_or(none, |z| z as u32);
+    let lowest: Vec<u32> = (0..nx * ny).map(lowest).collect();
     let reach = (1.0 / lattice.side_m()).ceil() as usize;
-    let along_x = window_min(&lowest, nx, ny, 1, nx, reach);
-    let mut ground = window_min(&along_x, ny, nx, nx, 1, reach);
+    let along_x = window_min(&columns, &lowest, 0, reach);
+    let mut ground = window_min(&columns, &along_x, 1, reach);
     // Columns without a ground take it from their neighbours, ring by ring.
-    let columns = Lattice::new([nx, ny, 1]);
     let known = (0..ground.len() as u32).filter(|column| ground[*column as usize] != none).collect();
-    flood(
-        known,
-        |column| columns.beside(column),
-        |from, column| {
-            let is_new = ground[column] == none;
-            ground[column] = if is_new { ground[from] } else { ground[column] };
-            is_new
-        },
-    );
+    let enter = |from: usize, column: usize| {
+        let is_new = ground[column] == none;
+        ground[column] = if is_new { ground[from] } else { ground[column] };
+        is_new
+    };
+    flood(known, |column| columns.beside(column), enter);
     ground.iter().map(|z| f64::from(*z) * lattice.side_m()).collect()
 }
 
@@ -197,22 +174,17 @@ fn widest(
     found
 }
 
-/// The least value within `reach` places along one axis of a two-dimensional array.
-fn window_min(
-    values: &[u32],
-    length: usize,
-    lines: usize,
-    stride: usize,
-    line_stride: usize,
-    reach: usize,
-) -> Vec<u32> {
-    let mut result = values.to_vec();
-    for line in 0..lines {
-        for i in 0..length {
-            let window = i.saturating_sub(reach)..=(i + reach).min(length - 1);
-            let least = window.map(|j| values[line * line_stride + j * stride]).min();
-            result[line * line_stride + i * stride] = least.unwrap_or(u32::MAX);
-        }
-    }
-    result
+/// The least value within `reach` places along one axis, for each cell.
+fn window_min(cells: &Lattice, values: &[u32], axis: usize, reach: usize) -> Vec<u32> {
+    let last = cells.size()[axis] - 1;
+    let least = |cell: usize| {
+        let mut place = cells.place(cell);
+        let window = place[axis].saturating_sub(reach)..=(place[axis] + reach).min(last);
+        let values = window.map(|at| {
+            place[axis] = at;
+            values[cells.number(place)]
+        });
+        values.min().unwrap_or(u32::MAX)
+    };
+    (0..cells.count()).map(least).collect()
 }

@@ -27,11 +27,7 @@ impl World {
         for (number, tree) in trees.iter().enumerate() {
             let mut random = Random::new(seed, PURPOSE_TREE + (number as u64) * 256);
             let base = [tree.x, tree.y, ground.height(tree.x, tree.y) - 0.1];
-            match tree.kind {
-                Kind::Conifer => conifer(&mut canvas, base, &mut random),
-                Kind::Broadleaf => broadleaf(&mut canvas, base, &mut random),
-                Kind::Snag => snag(&mut canvas, base, &mut random),
-            }
+            (tree.draw)(&mut canvas, base, &mut random);
         }
         ground_cover(&mut canvas, &ground, seed, half, &trees);
         canvas.into_world()
@@ -72,17 +68,11 @@ fn openness(seed: u64, x: f64, y: f64) -> f64 {
     if off_trail < 1.1 { 1.0 } else { ((clearing - 0.62) * 3.0).clamp(0.0, 1.0) }
 }
 
-#[derive(Clone, Copy)]
-enum Kind {
-    Conifer,
-    Broadleaf,
-    Snag,
-}
-
 struct Tree {
     x: f64,
     y: f64,
-    kind: Kind,
+    /// Draws one of its kind from the base up.
+    draw: fn(&mut Canvas, [f64; 3], &mut Random),
 }
 
 /// Where trees stand: never too close to each other, few on clearings, none on the trail, kinds in groups.
@@ -96,16 +86,10 @@ fn places(seed: u64, half: [f64; 2]) -> Vec<Tree> {
         let fits =
             open < 1.0 && trees.iter().all(|t| (t.x - x).powi(2) + (t.y - y).powi(2) >= spacing * spacing);
         let grove = noise(seed ^ 13, x / 11.0, y / 11.0) + random.range(-0.15, 0.15);
-        let snag = random.happens(0.05);
+        let is_snag = random.happens(0.05);
         if fits {
-            let kind = if snag {
-                Kind::Snag
-            } else if grove < 0.52 {
-                Kind::Conifer
-            } else {
-                Kind::Broadleaf
-            };
-            trees.push(Tree { x, y, kind });
+            let living = if grove < 0.52 { conifer } else { broadleaf };
+            trees.push(Tree { x, y, draw: if is_snag { snag } else { living } });
         }
     }
     trees

@@ -113,11 +113,8 @@ impl Plan {
             let mut span = |from: f64, to: f64, low: f64, high: f64, start: f64, end: f64, carve: bool| {
                 let (a, b) = (wall + inward * from, wall + inward * to);
                 let (min, max) = boxed(axis, [a.min(b), a.max(b)], [start, end], [low, high]);
-                if carve {
-                    canvas.carve(min, max);
-                } else {
-                    canvas.slab(min, max);
-                }
+                let draw = if carve { Canvas::carve } else { Canvas::slab };
+                draw(canvas, min, max);
             };
             span(0.1, OUTER_WALL, 1.0, 2.6, along, along + 1.5, true);
             span(0.1, OUTER_WALL, 1.0, 2.6, along + 0.72, along + 0.78, false);
@@ -157,12 +154,8 @@ impl Door {
 
 /// Lowest and highest corner of a box across a wall of constant x (`axis` 0) or y, along it, and up.
 fn boxed(axis: usize, across: [f64; 2], along: [f64; 2], up: [f64; 2]) -> ([f64; 3], [f64; 3]) {
-    let corner = |end: usize| {
-        let mut corner = [along[end], along[end], up[end]];
-        corner[axis] = across[end];
-        corner
-    };
-    (corner(0), corner(1))
+    let Rect { min, max } = Rect::across(axis, across, along);
+    ([min[0], min[1], up[0]], [max[0], max[1], up[1]])
 }
 
 /// Divides a rectangle into rooms of 3.4 m or more on each side.
@@ -181,11 +174,8 @@ fn split(rect: Rect, random: &mut Random, rooms: &mut Vec<Room>) {
         return;
     }
     let at = rect.min[axis] + (size[axis] * random.range(0.38, 0.62)).clamp(3.4, size[axis] - 3.4);
-    let (mut low, mut high) = (rect, rect);
-    low.max[axis] = at;
-    high.min[axis] = at;
-    split(low, random, rooms);
-    split(high, random, rooms);
+    split(rect.part(axis, rect.min[axis], at), random, rooms);
+    split(rect.part(axis, at, rect.max[axis]), random, rooms);
 }
 
 /// Doors that make a tree over all rooms, preferring doors to corridors, and a few more for loops.

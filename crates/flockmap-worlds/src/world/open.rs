@@ -40,7 +40,7 @@ impl World {
         let path = path.as_ref();
         let failed = |reason| OpenError::World { path: path.to_owned(), reason };
         let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
-        let default_micrometres = match ending.as_str() {
+        let default = match ending.as_str() {
             "bt" => {
                 let map = OctoMap::read(path)?;
                 let boxes = map.cubes().iter().filter_map(|cube| {
@@ -49,14 +49,11 @@ impl World {
                 });
                 return Self::from_states(boxes, map.resolution()).map_err(failed);
             }
-            "pcd" | "ply" => 100_000,
-            "las" | "laz" => 200_000,
+            "pcd" | "ply" => Resolution::from_micrometres(100_000),
+            "las" | "laz" => Resolution::from_micrometres(200_000),
             _ => return Err(OpenError::Unknown { path: path.to_owned() }),
         };
-        let Some(resolution) = resolution.or_else(|| Resolution::from_micrometres(default_micrometres))
-        else {
-            return Err(OpenError::Unknown { path: path.to_owned() });
-        };
+        let resolution = resolution.or(default).expect("10 and 20 cm are resolutions");
         let cloud = read_cloud(path)?;
         Self::from_points(cloud.points.iter().map(|p| p.map(f64::from)), resolution).map_err(failed)
     }

@@ -1,6 +1,6 @@
 //! The surface of a world as points with normals, for renderings that paint points instead of casting rays.
 
-use crate::cells::CellSet;
+use crate::cells::{Bits, CellSet, cell_bit, cell_of};
 use core::ops::Range;
 use flockmap_grid::{Resolution, Voxel};
 use rustc_hash::FxHashMap;
@@ -21,8 +21,9 @@ const BRICKS_MAX: usize = 1 << 20;
 /// faces of its solid cells; two for a thin sheet, one on each side.
 #[derive(Clone, Debug)]
 pub(crate) struct Surface {
-    spacing_m: f64,
-    patches: Vec<Patch>,
+    /// Metres between points.
+    pub(crate) spacing_m: f64,
+    pub(crate) patches: Vec<Patch>,
     points: Vec<SurfacePoint>,
 }
 
@@ -98,16 +99,6 @@ impl Surface {
         bricks.into_surface(spacing_m)
     }
 
-    /// Metres between points.
-    pub(crate) const fn spacing_m(&self) -> f64 {
-        self.spacing_m
-    }
-
-    /// All its patches.
-    pub(crate) fn patches(&self) -> &[Patch] {
-        &self.patches
-    }
-
     /// The points of a patch.
     pub(crate) fn points(&self, patch: &Patch) -> &[SurfacePoint] {
         self.points.get(patch.points.start as usize..patch.points.end as usize).unwrap_or_default()
@@ -162,11 +153,9 @@ impl Bricks {
         let mut all = Self { cells, of: FxHashMap::default(), bricks: Vec::new(), points: Vec::new() };
         for (corner, brick) in solid.bricks() {
             let open = open_faces(solid, corner, brick);
-            let mut left = open.iter().fold(0, |all, face| all | face);
-            while left != 0 {
-                let bit = left.trailing_zeros() as i32;
-                left &= left - 1;
-                let cell = [corner.x + (bit & 3), corner.y + (bit >> 2 & 3), corner.z + (bit >> 4)];
+            for bit in Bits(open.iter().fold(0, |all, face| all | face)) {
+                let cell = cell_of(corner, bit);
+                let cell = [cell.x, cell.y, cell.z];
                 let place = cell.map(|c| c.div_euclid(cells));
                 let point = all.point_mut(place, points_max, bricks_max)?;
                 let centre: [i32; 3] = core::array::from_fn(|a| 2 * (cell[a] - place[a] * cells) + 1);
@@ -195,7 +184,7 @@ impl Bricks {
             }
             self.bricks.push([0; 64]);
         }
-        let slot = &mut self.bricks[brick][slot_of(place)];
+        let slot = &mut self.bricks[brick][cell_bit(Voxel::new(place[0], place[1], place[2])) as usize];
         if *slot == 0 {
             if self.points.len() == points_max {
                 return None;
@@ -220,8 +209,7 @@ impl Bricks {
             let middle = brick.map(|b| b * 4 + 2);
             let first = surface.points.len() as u32;
             self.points_around(brick, middle, &mut around);
-            for &slot in self.bricks[index as usize].iter().filter(|slot| **slot != 0) {
-                let point = &self.points[slot as usize - 1];
+            for point in self.points_of(index) {
                 let at = self.centre(point, middle);
                 let normal = normal(at, &around).map(|v| v as f32);
                 let mut push = |at: [f64; 3], open| {
@@ -251,6 +239,12 @@ impl Bricks {
         surface
     }
 
+    /// The points of a brick.
+    fn points_of(&self, brick: u32) -> impl Iterator<Item = &Gathered> {
+        let slots = self.bricks[brick as usize].iter();
+        slots.filter(|slot| **slot != 0).map(|slot| &self.points[*slot as usize - 1])
+    }
+
     /// A point in spacings from the corner of place `middle`.
     fn centre(&self, point: &Gathered, middle: [i32; 3]) -> [f64; 3] {
         let half_cells = f64::from(2 * self.cells * point.count);
@@ -262,26 +256,11 @@ impl Bricks {
         around.clear();
         let first = brick.map(|b| b * 4 - NORMAL_REACH);
         let last = brick.map(|b| b * 4 + 3 + NORMAL_REACH);
-        for z in -1..=1 {
-            for y in -1..=1 {
-                for x in -1..=1 {
-                    let Some(&index) = self.of.get(&[brick[0] + x, brick[1] + y, brick[2] + z]) else {
-                        continue;
-                    };
-                    for &slot in self.bricks[index as usize].iter().filter(|slot| **slot != 0) {
-                        let point = &self.points[slot as usize - 1];
-                        if (0..3).all(|a| first[a] <= point.place[a] && point.place[a] <= last[a]) {
-                            around.push(self.centre(point, middle));
-                        }
-                    }
-                }
-            }
-        }
+        let beside = (0..27).map(|k| [brick[0] + k % 3 - 1, brick[1] + k / 3 % 3 - 1, brick[2] + k / 9 - 1]);
+        let points = beside.filter_map(|brick| self.of.get(&brick)).flat_map(|index| self.points_of(*index));
+        let is_near = |point: &&Gathered| (0..3).all(|a| (first[a]..=last[a]).contains(&point.place[a]));
+        around.extend(points.filter(is_near).map(|point| self.centre(point, middle)));
     }
-}
-
-fn slot_of(place: [i32; 3]) -> usize {
-    ((place[2] & 3) << 4 | (place[1] & 3) << 2 | (place[0] & 3)) as usize
 }
 
 /// For each of six sides (x down, x up, y down …) the cells of a brick that have no neighbour there.
@@ -324,14 +303,8 @@ fn normal(at: [f64; 3], around: &[[f64; 3]]) -> [f64; 3] {
     if count < 3.0 {
         return [0.0; 3];
     }
-    let mut spread = [[0.0; 3]; 3];
-    for a in 0..3 {
-        for b in a..3 {
-            spread[a][b] = square[a][b] / count - sum[a] * sum[b] / (count * count);
-            spread[b][a] = spread[a][b];
-        }
-    }
-    let (values, vectors) = eigen(spread);
+    let spread = |a: usize, b: usize| square[a.min(b)][a.max(b)] / count - sum[a] * sum[b] / (count * count);
+    let (values, vectors) = eigen([0, 1, 2].map(|a| [0, 1, 2].map(|b| spread(a, b))));
     let mut order = [0, 1, 2];
     order.sort_unstable_by(|&a, &b| values[a].total_cmp(&values[b]));
     let [least, middle, most] = order;
@@ -418,7 +391,7 @@ mod tests {
         for (plane, expected) in planes {
             let cells = (-60..60).flat_map(|a| (-60..60).map(move |b| plane(a, b)));
             let surface = Surface::new(&set(cells), resolution);
-            assert_eq!(surface.spacing_m(), 0.1);
+            assert_eq!(surface.spacing_m, 0.1);
             assert!(surface.points.len() > 3_000, "{}", surface.points.len());
             for point in &surface.points {
                 let normal = point.normal.map(f64::from);

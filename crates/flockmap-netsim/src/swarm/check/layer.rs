@@ -18,12 +18,6 @@ pub(in crate::swarm) fn layer_after(
     older(truth.published(stream)?, robot, stream, changes.voxels().map(|(voxel, _)| voxel))
 }
 
-/// The whole layer. O(voxels that the origin published).
-pub(super) fn whole_layer(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
-    let published = truth.published(stream)?;
-    older(published, robot, stream, published.voxels())
-}
-
 fn older(
     published: &Published,
     robot: &Robot,
@@ -35,7 +29,8 @@ fn older(
     Some(Finding::of_voxel(NAME, stream, wrong))
 }
 
-/// The layer of a stream as a whole, by `voxel` and `layer`. O(voxels).
+/// The layer of a stream as a whole, by `voxel` and `layer`. O(voxels, also those that the origin published).
 pub(in crate::swarm) fn whole(truth: &Truth, robot: &Robot, stream: Stream) -> Option<Finding> {
-    whole_voxels(truth, robot, stream).or_else(|| whole_layer(truth, robot, stream))
+    let published = truth.published(stream)?;
+    whole_voxels(truth, robot, stream).or_else(|| older(published, robot, stream, published.voxels()))
 }

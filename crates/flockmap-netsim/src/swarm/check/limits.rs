@@ -20,11 +20,8 @@ const INTERVALS_MAX: usize = 1_024;
 pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
     let (session, config) = (robot.session(), robot.session().config());
     let load = session.load();
-    let intervals = session
-        .streams()
-        .filter_map(|stream| session.received(stream))
-        .map(|received| received.intervals().len())
-        .max();
+    let received = session.streams().filter_map(|stream| session.received(stream));
+    let intervals = received.map(|received| received.intervals().len()).max();
     // By broadcast, what goes to another peer is noted beyond the limit, up to twice as much.
     let in_flight_max = config.in_flight_max * if config.cast == Cast::Broadcast { 2 } else { 1 };
     let limits = [

@@ -99,7 +99,10 @@ impl Eyes {
                     }
                 }
                 Event::Merged { stream, index, batch_end, changes, .. } => {
-                    self.note_age(member, stream, batch_end, now);
+                    if let Some(clock) = self.clocks.get(&stream) {
+                        let age = member.settings.clock.when(now) - clock.when(batch_end);
+                        member.ages.push(age.max(0));
+                    }
                     if changes.is_empty() {
                         if !self.dirty.contains(&(number, stream)) {
                             self.dirty.push((number, stream));
@@ -142,13 +145,6 @@ impl Eyes {
         }
         member.robot = Some(robot);
     }
-
-    fn note_age(&self, member: &mut Member, stream: Stream, batch_end: Stamp, now: Stamp) {
-        if let Some(clock) = self.clocks.get(&stream) {
-            let age = member.settings.clock.when(now) - clock.when(batch_end);
-            member.ages.push(age.max(0));
-        }
-    }
 }
 
 impl Watch<Member> for Eyes {
@@ -158,8 +154,7 @@ impl Watch<Member> for Eyes {
             let id = member.settings.config.id;
             self.at_work = Some(id);
             self.steps += 1;
-            let found = member.still.called(self.now);
-            self.found(id, found);
+            self.found(id, member.still.called(self.now));
         }
     }
 
@@ -173,8 +168,7 @@ impl Watch<Member> for Eyes {
                 Some((_, Content::Packages(packages))) => packages.len(),
                 _ => 0,
             };
-            let found = member.work.taken(robot, bytes.len(), packages);
-            self.found(id, found);
+            self.found(id, member.work.taken(robot, bytes.len(), packages));
             if is_taken && self.settings.key.is_some() {
                 let found = self.sealed.taken(robot.own_stream(), &bytes, is_genuine);
                 self.found(id, found);
@@ -216,7 +210,7 @@ impl Watch<Member> for Eyes {
             self.found(id, found);
         }
         if let Some(outsider) = &mut self.outsider {
-            outsider.hear(self.now + self.settings.radio.link.delay_micros.max(0), &datagram.bytes);
+            outsider.hear(self.now + self.settings.radio.config.link.delay_micros.max(0), &datagram.bytes);
         }
         let config = robot.session().config();
         let peers = robot.session().peers().map(|peer| peer.stream.origin);
@@ -234,7 +228,7 @@ impl Watch<Member> for Eyes {
         }
         if let Some(packages) = &packages {
             // There and back, at the least.
-            let round_trip = 2 * self.settings.radio.link.delay_micros.max(0);
+            let round_trip = 2 * self.settings.radio.config.link.delay_micros.max(0);
             found = found.or_else(|| member.twice.sent(robot, (self.now, now), to, packages, round_trip));
         }
         if self.settings.has_paths {
@@ -258,8 +252,7 @@ impl Watch<Member> for Eyes {
                 datagram.bytes = damaged;
             }
         }
-        let found = member.still.called(self.now);
-        self.found(id, found);
+        self.found(id, member.still.called(self.now));
     }
 
     fn settled(&mut self, _now: Stamp, number: usize, member: &mut Member) {

@@ -49,7 +49,7 @@ impl Engine {
     /// Mapping ends, links heal.
     pub(super) fn heal(&mut self) {
         let numbers = self.eyes.settings.radio;
-        let Link { delay_micros, jitter_micros, .. } = numbers.link;
+        let Link { delay_micros, jitter_micros, .. } = numbers.config.link;
         let link = Link { delay_micros, jitter_micros, ..Link::PERFECT };
         let count = self.network.nodes().len();
         for (a, b) in pairs(count) {
@@ -129,7 +129,7 @@ impl Engine {
         }
         // What waits at the radio is sent first: who hears an old request answers it.
         let waiting = self.network.radio().last_due().map_or(0, |last| (last.0 - self.eyes.now).max(0));
-        let link = self.eyes.settings.radio.link;
+        let link = self.eyes.settings.radio.config.link;
         let travel = link.delay_micros + link.jitter_micros;
         let grace = self.longest(check::Quiet::grace_micros) + waiting + 4 * travel;
         let leaves_out = check::leaves_out(&self.eyes.truth, &self.robots(), &self.forgotten());
@@ -142,8 +142,8 @@ impl Engine {
     pub(super) fn look_at_dirty_layers(&mut self) {
         for (number, stream) in core::mem::take(&mut self.eyes.dirty) {
             let Some(robot) = &self.network.nodes()[number].robot else { continue };
-            let (id, found) = (robot.own_stream().origin, check::whole(&self.eyes.truth, robot, stream));
-            self.eyes.found(id, found);
+            let found = check::whole(&self.eyes.truth, robot, stream);
+            self.eyes.found(robot.own_stream().origin, found);
         }
     }
 

@@ -20,16 +20,10 @@ impl Nearby {
     /// Takes the set: bit `column % 64` of word `row · WORDS + column / 64`. About 0.2 ms for an image of 300
     /// rows.
     pub(super) fn take(&mut self, set: &[u64]) {
-        for level in 0..self.widened.len() {
-            let (done, rest) = self.widened.split_at_mut(level);
-            if let Some(to) = rest.first_mut() {
-                widen(
-                    done.last().map_or(set, |from| from),
-                    (1usize << level).div_ceil(2),
-                    &mut self.across,
-                    to,
-                );
-            }
+        let mut from = set;
+        for (level, to) in self.widened.iter_mut().enumerate() {
+            widen(from, (1usize << level).div_ceil(2), &mut self.across, to);
+            from = to;
         }
     }
 

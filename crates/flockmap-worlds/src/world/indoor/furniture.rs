@@ -6,7 +6,8 @@ use crate::world::draw::Canvas;
 
 /// Furnishes a room; nothing stands in front of a door.
 pub(super) fn furnish(canvas: &mut Canvas, room: &Room, doors: &[Door], random: &mut Random) {
-    let walls = HALF_WALL.max(if touches_outside(&room.rect) { OUTER_WALL + 0.12 } else { HALF_WALL });
+    let is_outer = (0..2).any(|a| room.rect.min[a] <= -SIZE[a] / 2.0 || room.rect.max[a] >= SIZE[a] / 2.0);
+    let walls = if is_outer { OUTER_WALL + 0.12 } else { HALF_WALL };
     let mut site = Site {
         canvas,
         random,
@@ -16,12 +17,8 @@ pub(super) fn furnish(canvas: &mut Canvas, room: &Room, doors: &[Door], random: 
     site.ceiling(room.kind);
     match room.kind {
         Use::Corridor => {
-            for _ in 0..4 {
-                site.against_wall([0.9, 0.4], |site, rect| site.block(rect, 0.0, 1.3));
-            }
-            for _ in 0..3 {
-                site.against_wall([0.4, 0.4], Site::plant);
-            }
+            site.against_walls(4, [0.9, 0.4], |site, rect| site.block(rect, 0.0, 1.3));
+            site.against_walls(3, [0.4, 0.4], Site::plant);
         }
         Use::Hall => {
             site.pillars();
@@ -40,9 +37,7 @@ pub(super) fn furnish(canvas: &mut Canvas, room: &Room, doors: &[Door], random: 
                     site.against_wall([1.6, 1.7], Site::desk);
                 }
             }
-            for _ in 0..3 {
-                site.against_wall([1.0, 0.4], Site::shelf);
-            }
+            site.against_walls(3, [1.0, 0.4], Site::shelf);
             site.against_wall([0.45, 0.45], Site::plant);
             site.against_wall([0.3, 0.3], |site, rect| site.block(rect, 0.0, 0.4));
         }
@@ -54,23 +49,17 @@ pub(super) fn furnish(canvas: &mut Canvas, room: &Room, doors: &[Door], random: 
             site.against_wall([0.45, 0.45], Site::plant);
         }
         Use::Storage => {
-            for _ in 0..7 {
-                site.against_wall([1.3, 0.5], Site::shelf);
-            }
+            site.against_walls(7, [1.3, 0.5], Site::shelf);
             for _ in 0..8 {
                 site.anywhere([0.6, 0.5], Site::boxes);
             }
         }
         Use::Lounge => {
-            for _ in 0..2 {
-                site.against_wall([2.0, 0.9], Site::sofa);
-            }
-            site.anywhere([1.0, 0.6], Site::low_table);
+            site.against_walls(2, [2.0, 0.9], Site::sofa);
+            site.anywhere([1.0, 0.6], |site, rect| site.table(rect, 0.42));
             site.against_wall([2.4, 0.65], |site, rect| site.block(rect, 0.0, 0.95));
             site.against_wall([0.75, 0.7], |site, rect| site.block(rect, 0.0, 1.9));
-            for _ in 0..2 {
-                site.against_wall([0.5, 0.5], Site::plant);
-            }
+            site.against_walls(2, [0.5, 0.5], Site::plant);
         }
     }
 }
@@ -100,6 +89,11 @@ impl Site<'_> {
                 return;
             }
         }
+    }
+
+    /// So many of the same, one after the other.
+    fn against_walls(&mut self, count: usize, size: [f64; 2], draw: impl Fn(&mut Self, Rect)) {
+        (0..count).for_each(|_| self.against_wall(size, &draw));
     }
 
     /// Places something of this size, turned by 0 or 90°, anywhere with room around it.
@@ -171,26 +165,25 @@ impl Site<'_> {
 
     /// A desk with monitor, drawers and a chair in a rectangle of 1.6 × 1.7 m.
     fn desk(&mut self, rect: Rect) {
-        let [x, y] = [rect.min[0], rect.min[1]];
+        let [x, y] = rect.min;
         let [wide, deep] = rect.size();
-        let top = if wide < deep {
-            Rect { min: rect.min, max: [rect.max[0], y + 0.8] }
-        } else {
-            Rect { min: rect.min, max: [x + 0.8, rect.max[1]] }
-        };
+        // The axis along its top, and the one from its back to the chair.
+        let (along, away) = if wide < deep { (0, 1) } else { (1, 0) };
+        let back = rect.min[away];
+        let top = rect.part(away, back, back + 0.8);
         self.table(top, 0.74);
-        let [cx, cy] = [0, 1].map(|a| (top.min[a] + top.max[a]) / 2.0);
-        let shift = self.random.range(-0.3, 0.3);
+        let [cx, cy] = top.centre();
+        let monitor = top.centre()[along] + self.random.range(-0.3, 0.3);
+        for (half, low, high) in [(0.28, 0.84, 1.2), (0.04, 0.74, 0.84)] {
+            let thin = rect.part(away, back + 0.15, back + 0.21);
+            self.block(thin.part(along, monitor - half, monitor + half), low, high);
+        }
+        let drawers = rect.part(along, rect.min[along] + 0.1, rect.min[along] + 0.5);
+        self.block(drawers.part(away, back + 0.1, back + 0.65), 0.0, 0.6);
         if wide < deep {
-            self.part([cx + shift - 0.28, cx + shift + 0.28], [y + 0.15, y + 0.21], [0.84, 1.2]);
-            self.part([cx + shift - 0.04, cx + shift + 0.04], [y + 0.15, y + 0.21], [0.74, 0.84]);
-            self.part([x + 0.1, x + 0.5], [y + 0.1, y + 0.65], [0.0, 0.6]);
             let (dx, dy) = (self.random.range(-0.2, 0.3), self.random.range(0.95, 1.4));
             self.chair(cx + dx, y + dy);
         } else {
-            self.part([x + 0.15, x + 0.21], [cy + shift - 0.28, cy + shift + 0.28], [0.84, 1.2]);
-            self.part([x + 0.15, x + 0.21], [cy + shift - 0.04, cy + shift + 0.04], [0.74, 0.84]);
-            self.part([x + 0.1, x + 0.65], [y + 0.1, y + 0.5], [0.0, 0.6]);
             let (dx, dy) = (self.random.range(0.95, 1.3), self.random.range(-0.2, 0.3));
             self.chair(x + dx, cy + dy);
         }
@@ -210,10 +203,7 @@ impl Site<'_> {
         let high = self.random.range(1.5, 2.3);
         let axis = usize::from(rect.size()[1] > rect.size()[0]);
         for place in [rect.min[axis], rect.max[axis] - 0.05] {
-            let mut side = rect;
-            side.min[axis] = place;
-            side.max[axis] = place + 0.05;
-            self.block(side, 0.0, high);
+            self.block(rect.part(axis, place, place + 0.05), 0.0, high);
         }
         let mut board = 0.1;
         while board < high {
@@ -222,9 +212,7 @@ impl Site<'_> {
             while at < rect.max[axis] - 0.15 {
                 let (width, tall) = (self.random.range(0.1, 0.4), self.random.range(0.12, 0.32));
                 if self.random.happens(0.7) {
-                    let mut thing = rect.shrunk(0.05);
-                    thing.min[axis] = at;
-                    thing.max[axis] = (at + width).min(rect.max[axis] - 0.06);
+                    let thing = rect.shrunk(0.05).part(axis, at, (at + width).min(rect.max[axis] - 0.06));
                     self.block(thing, board, (board + tall).min(high));
                 }
                 at += width + 0.05;
@@ -247,24 +235,12 @@ impl Site<'_> {
     fn sofa(&mut self, rect: Rect) {
         self.block(rect.shrunk(0.1), 0.1, 0.42);
         let axis = usize::from(rect.size()[1] < rect.size()[0]);
-        let mut back = rect;
         let near = (rect.min[axis] - self.inside.min[axis]).abs() < 0.1;
-        if near {
-            back.max[axis] = rect.min[axis] + 0.2;
-        } else {
-            back.min[axis] = rect.max[axis] - 0.2;
-        }
-        self.block(back, 0.05, 0.85);
+        let back = if near { rect.min[axis] } else { rect.max[axis] - 0.2 };
+        self.block(rect.part(axis, back, if near { back + 0.2 } else { rect.max[axis] }), 0.05, 0.85);
         for place in [rect.min[1 - axis], rect.max[1 - axis] - 0.18] {
-            let mut arm = rect;
-            arm.min[1 - axis] = place;
-            arm.max[1 - axis] = place + 0.18;
-            self.block(arm, 0.05, 0.62);
+            self.block(rect.part(1 - axis, place, place + 0.18), 0.05, 0.62);
         }
-    }
-
-    fn low_table(&mut self, rect: Rect) {
-        self.table(rect, 0.42);
     }
 
     fn meeting_table(&mut self, rect: Rect) {
@@ -287,7 +263,7 @@ impl Site<'_> {
 
     fn plant(&mut self, rect: Rect) {
         self.block(rect.shrunk(0.08), 0.0, 0.35);
-        let [x, y] = [0, 1].map(|a| (rect.min[a] + rect.max[a]) / 2.0);
+        let [x, y] = rect.centre();
         let high = self.random.range(0.9, 1.7);
         self.canvas.limb([x, y, FLOOR + 0.3], [x, y, FLOOR + high], 0.03, 0.02);
         for _ in 0..5 {
@@ -332,16 +308,13 @@ impl Site<'_> {
     }
 
     fn cubicle_group(&mut self, rect: Rect) {
-        let [cx, cy] = [0, 1].map(|a| (rect.min[a] + rect.max[a]) / 2.0);
-        self.part([cx - 0.03, cx + 0.03], [rect.min[1], rect.max[1]], [0.0, 1.4]);
-        self.part([rect.min[0], rect.max[0]], [cy - 0.03, cy + 0.03], [0.0, 1.4]);
-        for (x, y) in [
-            (rect.min[0], rect.min[1]),
-            (cx + 0.05, rect.min[1]),
-            (rect.min[0], cy + 0.05),
-            (cx + 0.05, cy + 0.05),
-        ] {
-            self.desk(Rect { min: [x, y], max: [x + 1.6, y + 1.7] });
+        let [cx, cy] = rect.centre();
+        self.block(rect.part(0, cx - 0.03, cx + 0.03), 0.0, 1.4);
+        self.block(rect.part(1, cy - 0.03, cy + 0.03), 0.0, 1.4);
+        for y in [rect.min[1], cy + 0.05] {
+            for x in [rect.min[0], cx + 0.05] {
+                self.desk(Rect { min: [x, y], max: [x + 1.6, y + 1.7] });
+            }
         }
         self.taken.push(rect);
     }
@@ -367,26 +340,17 @@ impl Site<'_> {
         match kind {
             Use::Corridor => {
                 let long = usize::from(d > w);
-                let mut duct = self.inside;
-                duct.min[1 - long] = self.inside.max[1 - long] - 0.5;
-                self.block(duct, top - 0.45, top - 0.05);
+                let side = self.inside.max[1 - long];
+                self.block(self.inside.part(1 - long, side - 0.5, side), top - 0.45, top - 0.05);
             }
             Use::Hall => {
                 let mut x = self.inside.min[0] + 2.5;
                 while x < self.inside.max[0] {
-                    self.part(
-                        [x - 0.15, x + 0.15],
-                        [self.inside.min[1], self.inside.max[1]],
-                        [top - 0.35, top],
-                    );
+                    self.block(self.inside.part(0, x - 0.15, x + 0.15), top - 0.35, top);
                     x += 5.0;
                 }
             }
             _ => {}
         }
     }
-}
-
-fn touches_outside(rect: &Rect) -> bool {
-    (0..2).any(|a| rect.min[a] <= -SIZE[a] / 2.0 || rect.max[a] >= SIZE[a] / 2.0)
 }

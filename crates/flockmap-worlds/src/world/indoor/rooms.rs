@@ -16,6 +16,12 @@ pub(super) struct Rect {
 }
 
 impl Rect {
+    /// From one end to the other along an axis, and along the other one.
+    pub(super) const fn across(axis: usize, across: [f64; 2], along: [f64; 2]) -> Self {
+        let empty = Self { min: [0.0; 2], max: [0.0; 2] };
+        empty.part(axis, across[0], across[1]).part(1 - axis, along[0], along[1])
+    }
+
     pub(super) fn size(&self) -> [f64; 2] {
         [self.max[0] - self.min[0], self.max[1] - self.min[1]]
     }
@@ -26,6 +32,16 @@ impl Rect {
 
     pub(super) fn overlaps(&self, other: &Self) -> bool {
         (0..2).all(|a| self.min[a] < other.max[a] && other.min[a] < self.max[a])
+    }
+
+    pub(super) fn centre(&self) -> [f64; 2] {
+        [0, 1].map(|a| (self.min[a] + self.max[a]) / 2.0)
+    }
+
+    /// Its part from one place to another along an axis.
+    pub(super) const fn part(mut self, axis: usize, from: f64, to: f64) -> Self {
+        (self.min[axis], self.max[axis]) = (from, to);
+        self
     }
 
     /// Smaller by `margin` on each side.
@@ -63,15 +79,8 @@ pub(super) struct Door {
 impl Door {
     /// What must stay free of furniture.
     pub(super) fn zone(&self) -> Rect {
-        let mut centre = [0.0; 2];
-        centre[self.axis] = self.place;
-        centre[1 - self.axis] = self.along;
-        let mut reach = [0.0; 2];
-        reach[self.axis] = 1.3;
-        reach[1 - self.axis] = self.width / 2.0 + 0.25;
-        Rect {
-            min: [centre[0] - reach[0], centre[1] - reach[1]],
-            max: [centre[0] + reach[0], centre[1] + reach[1]],
-        }
+        let half = self.width / 2.0 + 0.25;
+        let across = [self.place - 1.3, self.place + 1.3];
+        Rect::across(self.axis, across, [self.along - half, self.along + half])
     }
 }
