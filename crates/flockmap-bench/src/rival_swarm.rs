@@ -1,9 +1,9 @@
 //! A swarm of RACER's robots in virtual time, beside [`flockmap_cli::swarm`]: the same frames, the same radio.
 
-use flockmap::grid::{Changes, Layer};
 use flockmap::{RobotId, Stamp};
 use flockmap_cli::flight::Flight;
-use flockmap_cli::measure::{Comparison, SentBytes, blocks_of, side_by_side};
+use flockmap_cli::measure::{Comparison, blocks_of, side_by_side};
+use flockmap_cli::member::Measures;
 use flockmap_cli::sources::Source;
 use flockmap_cli::swarm::SETTLE_MICROS_MAX;
 use flockmap_netsim::{Addressees, Datagram, Delivery, Node, RadioConfig, Watch};
@@ -13,11 +13,7 @@ use crate::baselines::racer_code::{RacerCast, RacerConfig, RacerRobot, Topic};
 /// One robot with what is measured of it.
 pub struct RivalMember {
     pub robot: RacerRobot,
-    /// Messages that went out; a copy to each of several robots counts each.
-    pub sent: SentBytes,
-    pub datagrams: u64,
-    /// State and stamp of the scan that set it, of every voxel that the own sensor has seen.
-    pub onset: Layer,
+    pub measures: Measures,
 }
 
 /// How a run went.
@@ -48,24 +44,21 @@ pub fn run(
     config: impl Fn(RobotId) -> RacerConfig,
     radio: RadioConfig,
 ) -> anyhow::Result<RivalRun> {
-    let mut meters = Meters(sources.iter().map(|_| Meter::default()).collect());
+    let mut meters = Meters(sources.iter().map(|_| Measures::default()).collect());
     let robot = |id| RacerRobot::new(config(id), Stamp(0));
     let mut flight = Flight::new(sources, radio, "scans of racer-code", robot)?;
     while let Some(next) = flight.next_scan() {
         flight.network.step(Some(next), &mut meters);
         flight.scan_due(|robot, number, _, frame| {
             let report = robot.insert_scan(&frame.scan, &frame.pose, &frame.masks());
-            meters.0[number].onset.apply(&Changes::from_blocks(report.changed), frame.scan.stamp);
+            meters.0[number].scan(&report, frame.scan.stamp);
             Ok(())
         })?;
     }
     let last_scan = flight.last_scan;
     let arrived = flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_every_chunk);
     let members = flight.network.into_nodes().into_iter().zip(meters.0);
-    let members = members.map(|(robot, meter)| {
-        let Meter { sent, datagrams, onset } = meter;
-        RivalMember { robot, sent, datagrams, onset }
-    });
+    let members = members.map(|(robot, measures)| RivalMember { robot, measures });
     Ok(RivalRun { members: members.collect(), last_scan, arrived })
 }
 
@@ -86,7 +79,7 @@ impl RivalRun {
 impl RivalAgreement {
     fn add(&mut self, saw: &RivalMember, other: &RivalMember) {
         let published = other.robot.observed_by(saw.robot.config().id);
-        let pairs = side_by_side(blocks_of(&saw.onset), published.blocks().iter().copied());
+        let pairs = side_by_side(blocks_of(&saw.measures.onset), published.blocks().iter().copied());
         for (index, [saw, published]) in pairs {
             let (a, b) = (saw.known(), published.known());
             let either = core::array::from_fn(|z| a[z] | b[z]);
@@ -96,38 +89,20 @@ impl RivalAgreement {
             let mut here = Comparison::default();
             here.add(&saw, &theirs);
             let missing = here.known - u64::from(theirs.known_count());
-            self.compared.known += here.known;
-            self.compared.equal += here.equal;
+            self.compared.merge(here);
             self.missing += missing;
             self.stale += here.known - missing - here.equal;
         }
     }
 }
 
-/// What is measured of a robot while it flies.
-#[derive(Default)]
-struct Meter {
-    sent: SentBytes,
-    datagrams: u64,
-    onset: Layer,
-}
-
 /// Robot `i` has the number `i` + 1.
-struct Meters(Vec<Meter>);
+struct Meters(Vec<Measures>);
 
 impl Watch<RacerRobot> for Meters {
-    fn sent(
-        &mut self,
-        now: Stamp,
-        number: usize,
-        _: &mut RacerRobot,
-        datagram: &mut Datagram,
-        copies: usize,
-    ) {
-        let meter = &mut self.0[number];
+    fn sent(&mut self, now: Stamp, at: usize, _: &mut RacerRobot, datagram: &mut Datagram, copies: usize) {
         // The byte of the topic is not counted.
-        meter.sent.add(now, ((datagram.bytes.len() - 1) * copies) as u64);
-        meter.datagrams += copies as u64;
+        self.0[at].datagram_sent(now, datagram.bytes.len() - 1, copies as u64);
     }
 }
 
@@ -182,7 +157,7 @@ fn has_every_chunk(robots: &[RacerRobot]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockmap::grid::{MapperConfig, Preset};
+    use flockmap::grid::{Layer, MapperConfig, Preset};
     use flockmap::{Pose, Resolution, Scan};
     use flockmap_cli::report::Member;
     use flockmap_cli::sources::{Frame, Frames};
@@ -235,7 +210,7 @@ mod tests {
             let counters = member.robot.counters();
             assert_eq!((counters.chunks_sent, counters.chunks_resent), (counters.chunks, 0));
             // Once to its only team-mate; announcements of 16 + 3 lists with at most one interval each.
-            let announced = member.sent.total() - counters.chunks * 1_052;
+            let announced = member.measures.sent.total() - counters.chunks * 1_052;
             let lists = counters.stamps_sent * (16 + 3 * 4)..=counters.stamps_sent * (16 + 3 * 12);
             assert!(lists.contains(&announced));
         }
@@ -260,7 +235,10 @@ mod tests {
         let radio = RadioConfig { seed: 5, link, ..RadioConfig::default() };
         let bytes = || {
             let run = run(bushes(2, 20), racer(2, RacerCast::Unicast), radio).unwrap();
-            run.members.iter().map(|m| (m.sent.per_second(), m.datagrams)).collect::<Vec<_>>()
+            run.members
+                .iter()
+                .map(|m| (m.measures.sent.per_second(), m.measures.datagrams))
+                .collect::<Vec<_>>()
         };
         assert_eq!(bytes(), bytes());
         // On the very frames that racer-code leaves stale.

@@ -219,6 +219,12 @@ impl Comparison {
         }
     }
 
+    /// Takes in what was counted elsewhere.
+    pub const fn merge(&mut self, other: Self) {
+        self.known += other.known;
+        self.equal += other.equal;
+    }
+
     /// Two maps, voxel by voxel.
     pub fn of(ours: impl IntoIterator<Item = Block>, theirs: impl IntoIterator<Item = Block>) -> Self {
         let mut comparison = Self::default();

@@ -214,7 +214,7 @@ fn open_spanned(path: &Path, source: &SourceArgs) -> anyhow::Result<(Record, [St
 }
 
 /// The frames of a record from one time to another, both included, with stamps that count from `zero`. The robot is one of a team.
-fn part(
+pub fn part(
     record: Record,
     name: String,
     [from, until]: [Stamp; 2],

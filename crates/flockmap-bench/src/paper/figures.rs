@@ -1,11 +1,13 @@
 //! What the paper reports, to stand beside our own figures. KB and MB are as the paper prints them; it does not say
 //! whether they are of 1,000 or 1,024 bytes.
 
+use crate::place::Place;
+
 /// A row of Table I.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TableOneRow {
     pub number: u8,
-    pub scene: Scene,
+    pub scene: Place,
     pub robots: usize,
     pub resolution_m: f64,
     pub range_m: f64,
@@ -22,22 +24,7 @@ pub struct Traffic {
     pub total_mb: f64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Scene {
-    /// 60 × 25 × 10 m.
-    Forest,
-    /// 35 × 30 × 4 m.
-    Indoor,
-}
-
-impl Scene {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Forest => "forest",
-            Self::Indoor => "indoor",
-        }
-    }
-
+impl Place {
     /// In a sentence.
     pub const fn words(self) -> &'static str {
         match self {
@@ -58,7 +45,7 @@ impl Scene {
 /// A row from its figures; those of traffic are average, largest second and total.
 const fn row(
     number: u8,
-    scene: Scene,
+    scene: Place,
     [resolution_m, range_m]: [f64; 2],
     [paper, racer]: [[f64; 3]; 2],
 ) -> TableOneRow {
@@ -79,10 +66,10 @@ const fn traffic([avg_kb_s, max_kb_s, total_mb]: [f64; 3]) -> Traffic {
 
 /// Table I.
 pub const TABLE_ONE: [TableOneRow; 4] = [
-    row(1, Scene::Forest, [0.1, 7.0], [[35.84, 107.42, 4.54], [430.71, 2570.13, 43.62]]),
-    row(2, Scene::Forest, [0.2, 20.0], [[18.77, 85.25, 2.28], [59.44, 409.80, 5.73]]),
-    row(3, Scene::Indoor, [0.1, 7.0], [[9.25, 56.20, 2.01], [55.70, 883.53, 7.93]]),
-    row(4, Scene::Indoor, [0.2, 20.0], [[1.26, 8.74, 0.26], [7.66, 147.18, 0.97]]),
+    row(1, Place::Forest, [0.1, 7.0], [[35.84, 107.42, 4.54], [430.71, 2570.13, 43.62]]),
+    row(2, Place::Forest, [0.2, 20.0], [[18.77, 85.25, 2.28], [59.44, 409.80, 5.73]]),
+    row(3, Place::Indoor, [0.1, 7.0], [[9.25, 56.20, 2.01], [55.70, 883.53, 7.93]]),
+    row(4, Place::Indoor, [0.2, 20.0], [[1.26, 8.74, 0.26], [7.66, 147.18, 0.97]]),
 ];
 
 impl TableOneRow {

@@ -16,7 +16,6 @@ mod table4;
 mod team;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
@@ -28,11 +27,11 @@ use flockmap_cli::robot_record::RecordFacts;
 use flockmap_cli::{progress, stop};
 use serde_json::json;
 
+use crate::place::Place;
 use crate::random;
 pub use args::PaperArgs;
 use args::Stage;
-use figures::Scene;
-use flown::{Explored, FlightPlan, Flights, Flown};
+use flown::{Explored, Flown};
 
 /// Of what can be seen an exploration must see this share.
 const SEEN_SHARE: f64 = 0.95;
@@ -102,14 +101,14 @@ pub fn run(args: &PaperArgs) -> anyhow::Result<bool> {
 
 impl Bench<'_> {
     /// Scenes that the wanted stages need.
-    fn scenes(&self) -> Vec<Scene> {
+    fn scenes(&self) -> Vec<Place> {
         let needs = |stages: &[Stage]| self.stages.iter().any(|stage| stages.contains(stage));
         let mut scenes = Vec::new();
         if needs(&[Stage::Table1, Stage::Table2, Stage::Table3, Stage::Table4]) {
-            scenes.push(Scene::Forest);
+            scenes.push(Place::Forest);
         }
         if needs(&[Stage::Table1]) {
-            scenes.push(Scene::Indoor);
+            scenes.push(Place::Indoor);
         }
         scenes
     }
@@ -179,9 +178,9 @@ impl Bench<'_> {
     }
 
     fn all(&mut self, records: &Path) -> anyhow::Result<()> {
-        let flights = Flights(self.flights(records)?);
-        if !flights.0.is_empty() {
-            self.verdicts.extend(flights.0.iter().filter_map(seen_verdict));
+        let flights = self.flights(records)?;
+        if !flights.is_empty() {
+            self.verdicts.extend(flights.iter().filter_map(seen_verdict));
             self.sections.push(flights_section(&flights));
         }
         self.tables(&flights)?;
@@ -223,27 +222,18 @@ impl Bench<'_> {
             // What robots do between their scans is done one after the other: two flights side by side leave no core idle.
             let threads = (bench.threads / scenes.len()).max(1);
             let args = bench.args;
-            let job = |scene: &Scene| {
+            let job = |scene: &Place| {
                 (format!("exploring the {} with {} robots", scene.words(), scene.robots()), *scene)
             };
             jobs::run(bench.threads, scenes.iter().map(job).collect(), |scene| {
-                let plan = FlightPlan {
-                    scene,
-                    world: Arc::new(scene.world(args.seed)),
-                    seed: args.seed,
-                    lidar: args.lidar,
-                    rendering: args.rendering,
-                    seconds_max: args.seconds.unwrap_or(if args.quick { 10.0 } else { 400.0 }),
-                    threads,
-                };
-                flown::fly(&plan, records)
+                flown::fly(scene, scene.world(args.seed), flown::options(scene, args, threads), records)
             })
         })?;
         // Whatever Ctrl-C kept from being flown, in part or at all, is left out.
         Ok(flown.into_iter().flatten().flatten().flatten().collect())
     }
 
-    fn tables(&mut self, flights: &Flights) -> anyhow::Result<()> {
+    fn tables(&mut self, flights: &[Flown]) -> anyhow::Result<()> {
         let (seed, quick, threads) = (self.args.seed, self.args.quick, self.threads);
         if let Some(measured) =
             self.stage(Stage::Table1, |_| table1::measure(flights, seed, quick, threads))?
@@ -253,7 +243,7 @@ impl Bench<'_> {
             self.sections.push(table1::section(&measured));
             self.sections.extend(table1::fig6(&measured));
         }
-        let Some(forest) = flights.get(Scene::Forest) else { return Ok(()) };
+        let Some(forest) = flights.iter().find(|flown| flown.scene == Place::Forest) else { return Ok(()) };
         if let Some(rows) = self.stage(Stage::Table2, |_| table2::measure(forest, threads))?.flatten() {
             self.sections.push(table2::section(&rows));
         }
@@ -311,14 +301,14 @@ impl Bench<'_> {
     }
 }
 
-fn flights_section(flights: &Flights) -> Section {
+fn flights_section(flights: &[Flown]) -> Section {
     fn explored(flown: &Flown, cell: impl Fn(&Explored) -> Cell) -> Cell {
         flown.explored.as_ref().map_or(Cell::Missing, cell)
     }
     let sum = |flown: &Flown, of: fn(&RecordFacts) -> u64| flown.records.iter().map(of).sum::<u64>();
     let table = DataTable::of(
         "flights",
-        &flights.0,
+        flights,
         &[
             ("scene", "scene", &|f| Cell::text(f.scene.name())),
             ("robots", "robots", &|f| Cell::count(f.records.len())),

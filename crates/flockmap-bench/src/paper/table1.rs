@@ -7,7 +7,7 @@ use flockmap_cli::report::Report;
 use maud::html;
 
 use super::figures::{TABLE_ONE, TableOneRow};
-use super::flown::{Flights, Flown};
+use super::flown::Flown;
 use super::methods::{self, MethodRow, MethodRows};
 use super::settings::mapper;
 use super::team::{self, RACER_CODE, Team};
@@ -27,9 +27,10 @@ pub struct Measured {
 }
 
 /// Measures all rows. What Ctrl-C kept from being measured is left out.
-pub fn measure(flights: &Flights, seed: u64, quick: bool, threads: usize) -> anyhow::Result<Vec<Measured>> {
+pub fn measure(flights: &[Flown], seed: u64, quick: bool, threads: usize) -> anyhow::Result<Vec<Measured>> {
+    let flown = |row: &TableOneRow| flights.iter().find(|flown| flown.scene == row.scene);
     let rows: Vec<(TableOneRow, &Flown)> =
-        TABLE_ONE.into_iter().filter_map(|row| Some((row, flights.get(row.scene)?))).collect();
+        TABLE_ONE.into_iter().filter_map(|row| Some((row, flown(&row)?))).collect();
     let teams = rows.iter().map(|&(row, flown)| {
         anyhow::Ok(Team {
             name: format!("Table I row {}", row.number),

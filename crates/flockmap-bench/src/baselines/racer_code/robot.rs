@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use anyhow::{Context, Result, ensure};
 use flockmap::grid::{
-    Changes, Mapper, Plane, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, State, Voxel, bit_of,
+    Changes, Mapper, Plane, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, State, Voxel, set_bits,
 };
 use flockmap::sync::IntervalSet;
 
@@ -132,11 +132,9 @@ impl RacerRobot {
         for (index, changed) in &report.changed {
             let (known, before) = (changed.known(), self.map.block(*index).known());
             let first: Plane = core::array::from_fn(|z| known[z] & !before[z]);
-            let corner = index.corner();
-            for bit in (0..512).filter(|bit| first[bit / 64] >> (bit % 64) & 1 == 1) {
-                let [x, y, z] = bit_of(bit);
+            for bit in set_bits(&first) {
                 self.counters.listed += 1;
-                match self.address(Voxel::new(corner.x + x, corner.y + y, corner.z + z)) {
+                match self.address(index.voxel(bit)) {
                     Some(address) => self.pending.push_back(address),
                     None => self.counters.outside += 1,
                 }
