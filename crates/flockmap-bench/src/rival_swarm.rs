@@ -6,9 +6,9 @@ use flockmap_cli::measure::{Comparison, blocks_of, side_by_side};
 use flockmap_cli::member::Measures;
 use flockmap_cli::sources::Source;
 use flockmap_cli::swarm::SETTLE_MICROS_MAX;
-use flockmap_netsim::{Addressees, Datagram, Delivery, Node, RadioConfig, Watch};
+use flockmap_netsim::{Datagram, RadioConfig, Watch};
 
-use crate::baselines::racer_code::{RacerCast, RacerConfig, RacerRobot, Topic};
+use crate::baselines::racer_code::{RacerConfig, RacerRobot};
 
 /// One robot with what is measured of it.
 pub struct RivalMember {
@@ -106,44 +106,6 @@ impl Watch<RacerRobot> for Meters {
     }
 }
 
-/// In ROS the connection says the topic; here the first byte does.
-const STAMPS: u8 = 0;
-const CHUNK: u8 = 1;
-
-impl Node for RacerRobot {
-    fn id(&self) -> RobotId {
-        self.config().id
-    }
-
-    fn handle_datagram(&mut self, _now: Stamp, delivery: &Delivery) {
-        if let Some((topic, bytes)) = delivery.bytes.split_first() {
-            let topic = if *topic == STAMPS { Topic::Stamps } else { Topic::Chunk };
-            // Errors are counted by the robot.
-            let _ = Self::handle_datagram(self, topic, bytes);
-        }
-    }
-
-    fn handle_timeout(&mut self, now: Stamp) {
-        Self::handle_timeout(self, now);
-    }
-
-    fn poll_timeout(&self) -> Option<Stamp> {
-        Some(Self::poll_timeout(self))
-    }
-
-    fn poll_transmit(&mut self, _now: Stamp) -> Option<Datagram> {
-        let transmit = Self::poll_transmit(self)?;
-        let mut bytes = vec![if transmit.topic == Topic::Stamps { STAMPS } else { CHUNK }];
-        bytes.extend_from_slice(&transmit.bytes);
-        let to = match (transmit.to, self.config().cast) {
-            (Some(peer), _) => Addressees::One(peer),
-            (None, RacerCast::Broadcast) => Addressees::All,
-            (None, RacerCast::Unicast) => Addressees::Each,
-        };
-        Some(Datagram { to, bytes })
-    }
-}
-
 /// Whether every robot holds all chunks of every other.
 fn has_every_chunk(robots: &[RacerRobot]) -> bool {
     robots.iter().all(|receiver| {
@@ -157,6 +119,7 @@ fn has_every_chunk(robots: &[RacerRobot]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::baselines::racer_code::RacerCast;
     use flockmap::grid::{Layer, MapperConfig, Preset};
     use flockmap::{Pose, Resolution, Scan};
     use flockmap_cli::report::Member;

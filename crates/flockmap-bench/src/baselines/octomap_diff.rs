@@ -33,12 +33,8 @@ struct Marble {
 }
 
 impl OctomapDiffSender {
-    pub(crate) const fn every_batch() -> Self {
-        Self { marble: None, number: 0 }
-    }
-
-    pub(crate) fn as_marble() -> Self {
-        Self { marble: Some(Marble::default()), number: 0 }
+    pub(crate) fn new(as_marble: bool) -> Self {
+        Self { marble: as_marble.then(Marble::default), number: 0 }
     }
 
     fn message(&mut self, batch: &Batch, tree: &[u8], out: &mut Messages) {

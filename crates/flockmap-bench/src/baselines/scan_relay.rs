@@ -65,7 +65,8 @@ impl Sender for RelaySender {
         let masks = if self.points == Points::Exact { seen.masks } else { &[] };
         let method = self.points.method();
         ensure!(masks.len() as u64 <= MASKS_MAX, "{method} cannot send this: a scan has at most 4,096 masks");
-        let count: usize = points.counts().iter().sum();
+        let counts = points.each_ref().map(Vec::len);
+        let count: usize = counts.iter().sum();
         if self.waiting + count > self.waiting_max || self.heads.len() > HEADS_BYTES_MAX {
             self.flush(GOES_ON, out)?;
         }
@@ -79,7 +80,7 @@ impl Sender for RelaySender {
             let numbers = mask.centre.into_iter().chain([mask.radius]);
             self.heads.extend(numbers.flat_map(f64::to_le_bytes));
         }
-        for count in points.counts() {
+        for count in counts {
             put_varint(&mut self.heads, count as u64);
         }
         self.scans.push(points);

@@ -125,15 +125,15 @@ impl MethodRows {
         let bars: Vec<Bar> = rows
             .iter()
             .map(|(row, times)| {
-                let right = if row.agreement >= 1.0 {
-                    String::new()
+                let (class, right) = if row.agreement >= 1.0 {
+                    ("c1", String::new())
                 } else {
-                    format!(", {} right", percent_short(row.agreement))
+                    ("c2", format!(", {} right", percent_short(row.agreement)))
                 };
                 let cut = if *times > end { "▸ " } else { "" };
                 Bar {
                     name: row.name.clone(),
-                    class: if row.agreement >= 1.0 { "c1" } else { "c2" },
+                    class,
                     value: times.min(end),
                     text: format!("{cut}× {times:.2}{right}"),
                 }
@@ -170,8 +170,8 @@ pub fn relays() -> Vec<Method> {
     methods
 }
 
-fn is_relay(method: Method) -> bool {
-    method.to_string().starts_with("scan-relay")
+const fn is_relay(method: Method) -> bool {
+    matches!(method, Method::ScanRelay | Method::ScanRelay1cm)
 }
 
 impl MethodRows {

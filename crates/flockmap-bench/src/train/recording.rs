@@ -24,16 +24,11 @@ impl Closing {
     const ALL: [Self; 2] = [Self::Together, Self::ObstaclesAhead];
 
     fn config(self) -> BatchConfig {
-        match self {
-            Self::Together => {
-                BatchConfig { publish_period_ms: 500, obstacle_period_ms: None, ..BatchConfig::default() }
-            }
-            Self::ObstaclesAhead => BatchConfig {
-                publish_period_ms: 2_000,
-                obstacle_period_ms: Some(100),
-                ..BatchConfig::default()
-            },
-        }
+        let (publish_period_ms, obstacle_period_ms) = match self {
+            Self::Together => (500, None),
+            Self::ObstaclesAhead => (2_000, Some(100)),
+        };
+        BatchConfig { publish_period_ms, obstacle_period_ms, ..BatchConfig::default() }
     }
 }
 

@@ -22,5 +22,4 @@ mod robot;
 mod tests;
 
 pub use config::{RacerCast, RacerConfig};
-pub use message::Topic;
 pub use robot::RacerRobot;
