@@ -103,17 +103,16 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
     let mut layers = Vec::new();
     let expected = sources.robots.iter().map(|source| source.frames_expected).sum();
     let progress = Progress::new("scans", expected);
-    let mut names = Vec::new();
+    let records = sources.robots.iter().map(|source| source.name.clone()).collect();
     for source in sources.robots {
         progress.say(format!("{}: scans", source.name));
-        names.push(source.name);
         layers.push(run.record(source.frames, || progress.step())?);
     }
     drop(progress);
     let rows = run.rows();
     let snapshots = snapshot_run::run(&layers, resolution, &methods)?;
     let output = Output {
-        records: names,
+        records,
         resolution_m: args.map.resolution,
         range_m: args.map.range,
         publish_period_s: args.map.publish_period,
@@ -125,7 +124,7 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
     print(&output, &sources.title, &run);
     json_file::write_asked(args.json.as_deref(), &output)?;
     let broken: Vec<String> =
-        rows.iter().filter(|row| !row.is_as_promised).map(|row| row.method.to_string()).collect();
+        rows.iter().filter(|row| !row.is_as_promised).map(|row| row.name.clone()).collect();
     if !broken.is_empty() {
         eprintln!(
             "error: {} should give back what went in and does not: this is a fault of flockmap, please report it",
@@ -152,7 +151,7 @@ fn print(output: &Output<'_>, title: &str, run: &CodecRun) {
     let table = DataTable::of_text(
         methods,
         &[
-            ("method", &|row| row.method.to_string()),
+            ("method", &|row| row.name.clone()),
             ("total bytes", &|row| thousands(row.total_bytes)),
             ("vs paper", &|row| beside(paper, row.total_bytes, 2)),
             ("bits/voxel", &|row| format!("{:.2}", bits(row))),

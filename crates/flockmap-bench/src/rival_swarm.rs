@@ -1,5 +1,6 @@
 //! A swarm of RACER's robots in virtual time, beside [`flockmap_cli::swarm`]: the same frames, the same radio.
 
+use flockmap::grid::Layer;
 use flockmap::{RobotId, Stamp};
 use flockmap_cli::flight::Flight;
 use flockmap_cli::measure::{Comparison, blocks_of, side_by_side};
@@ -10,20 +11,13 @@ use flockmap_netsim::{Datagram, RadioConfig, Watch};
 
 use crate::baselines::racer_code::{RacerConfig, RacerRobot};
 
-/// One robot with what is measured of it.
-pub struct RivalMember {
-    pub robot: RacerRobot,
-    pub measures: Measures,
-}
-
 /// How a run went.
 pub struct RivalRun {
-    pub members: Vec<RivalMember>,
+    pub robots: Vec<RacerRobot>,
+    /// Of each robot. The byte that says the topic is not counted.
+    pub measures: Vec<Measures>,
     /// Time of the last scan.
     pub last_scan: Stamp,
-    /// When every chunk had arrived everywhere; `None` if it has not.
-    #[cfg_attr(not(test), expect(dead_code, reason = "tests look at it"))]
-    pub arrived: Option<Stamp>,
 }
 
 /// How far what others know of what a robot saw is what it knows, over all pairs of robots.
@@ -56,10 +50,8 @@ pub fn run(
         })?;
     }
     let last_scan = flight.last_scan;
-    let arrived = flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_every_chunk);
-    let members = flight.network.into_nodes().into_iter().zip(meters.0);
-    let members = members.map(|(robot, measures)| RivalMember { robot, measures });
-    Ok(RivalRun { members: members.collect(), last_scan, arrived })
+    flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_every_chunk);
+    Ok(RivalRun { robots: flight.network.into_nodes(), measures: meters.0, last_scan })
 }
 
 impl RivalRun {
@@ -67,9 +59,10 @@ impl RivalRun {
     /// what the other one knows.
     pub fn agreement(&self) -> RivalAgreement {
         let mut sum = RivalAgreement::default();
-        for (number, saw) in self.members.iter().enumerate() {
-            for (_, other) in self.members.iter().enumerate().filter(|(other, _)| *other != number) {
-                sum.add(saw, other);
+        for (saw, Measures { onset, .. }) in self.robots.iter().zip(&self.measures) {
+            let id = saw.config().id;
+            for other in self.robots.iter().filter(|other| other.config().id != id) {
+                sum.add(id, onset, other);
             }
         }
         sum
@@ -77,13 +70,14 @@ impl RivalRun {
 }
 
 impl RivalAgreement {
-    fn add(&mut self, saw: &RivalMember, other: &RivalMember) {
-        let published = other.robot.observed_by(saw.robot.config().id);
-        let pairs = side_by_side(blocks_of(&saw.measures.onset), published.blocks().iter().copied());
+    /// What a robot saw, and what another one knows of it.
+    fn add(&mut self, saw: RobotId, onset: &Layer, other: &RacerRobot) {
+        let published = other.observed_by(saw);
+        let pairs = side_by_side(blocks_of(onset), published.blocks().iter().copied());
         for (index, [saw, published]) in pairs {
             let (a, b) = (saw.known(), published.known());
             let either = core::array::from_fn(|z| a[z] | b[z]);
-            let mut theirs = other.robot.map().block(index);
+            let mut theirs = other.map().block(index);
             theirs.overlay(&published);
             let theirs = theirs.masked(&either);
             let mut here = Comparison::default();
@@ -119,8 +113,8 @@ fn has_every_chunk(robots: &[RacerRobot]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::baselines::racer_code::RacerCast;
-    use flockmap::grid::{Layer, MapperConfig, Preset};
+    use crate::baselines::racer_code::{RacerCast, RacerCounters};
+    use flockmap::grid::{MapperConfig, Preset};
     use flockmap::{Pose, Resolution, Scan};
     use flockmap_cli::report::Member;
     use flockmap_cli::sources::{Frame, Frames};
@@ -162,18 +156,18 @@ mod tests {
     #[test]
     fn racers_robots_end_with_stale_voxels_and_without_the_tail() {
         let run = run(bushes(2, 40), racer(2, RacerCast::Unicast), RadioConfig::default()).unwrap();
-        assert!(run.arrived.is_some());
+        assert!(has_every_chunk(&run.robots));
         let agreement = run.agreement();
         println!("{agreement:?}: {:.2} %", agreement.compared.share() * 100.0);
         assert!(agreement.stale > 0, "states are frozen at the first transmission");
-        let behind: u64 = run.members.iter().map(|m| m.robot.left_behind() as u64).sum();
+        let behind: u64 = run.robots.iter().map(|robot| robot.left_behind() as u64).sum();
         assert!((2..=400).contains(&behind) && agreement.missing >= behind / 2, "{agreement:?}");
         assert!((0.5..1.0).contains(&agreement.compared.share()));
-        for member in &run.members {
-            let counters = member.robot.counters();
+        for (robot, measures) in run.robots.iter().zip(&run.measures) {
+            let counters = robot.counters();
             assert_eq!((counters.chunks_sent, counters.chunks_resent), (counters.chunks, 0));
             // Once to its only team-mate; announcements of 16 + 3 lists with at most one interval each.
-            let announced = member.measures.sent.total() - counters.chunks * 1_052;
+            let announced = measures.sent.total() - counters.chunks * 1_052;
             let lists = counters.stamps_sent * (16 + 3 * 4)..=counters.stamps_sent * (16 + 3 * 12);
             assert!(lists.contains(&announced));
         }
@@ -184,11 +178,12 @@ mod tests {
         let link = Link { loss: 0.2, delay_micros: 300_000, ..Link::default() };
         let radio = RadioConfig { seed: 5, link, ..RadioConfig::default() };
         let run = run(bushes(3, 20), racer(3, RacerCast::Broadcast), radio).unwrap();
-        assert!(run.arrived.is_some());
-        let sum = |of: fn(&RivalMember) -> u64| run.members.iter().map(of).sum::<u64>();
-        let (chunks, sent) = (sum(|m| m.robot.counters().chunks), sum(|m| m.robot.counters().chunks_sent));
+        assert!(has_every_chunk(&run.robots));
+        let sum =
+            |of: fn(&RacerCounters) -> u64| run.robots.iter().map(|robot| of(robot.counters())).sum::<u64>();
+        let (chunks, sent) = (sum(|counters| counters.chunks), sum(|counters| counters.chunks_sent));
         assert!(sent > 2 * chunks, "{sent} sent of {chunks}");
-        assert!(sum(|m| m.robot.counters().chunks_relayed) > 0);
+        assert!(sum(|counters| counters.chunks_relayed) > 0);
         assert!(run.agreement().compared.share() < 1.0);
     }
 
@@ -198,10 +193,7 @@ mod tests {
         let radio = RadioConfig { seed: 5, link, ..RadioConfig::default() };
         let bytes = || {
             let run = run(bushes(2, 20), racer(2, RacerCast::Unicast), radio).unwrap();
-            run.members
-                .iter()
-                .map(|m| (m.measures.sent.per_second(), m.measures.datagrams))
-                .collect::<Vec<_>>()
+            run.measures.iter().map(|of| (of.sent.per_second(), of.datagrams)).collect::<Vec<_>>()
         };
         assert_eq!(bytes(), bytes());
         // On the very frames that racer-code leaves stale.

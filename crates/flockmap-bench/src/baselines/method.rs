@@ -6,7 +6,6 @@ use core::str::FromStr;
 use anyhow::Result;
 use flockmap::codec::Codec;
 use flockmap::grid::MapperConfig;
-use serde::{Serialize, Serializer};
 
 use crate::baselines::address_delta::AddressDeltaSender;
 use crate::baselines::colag::{ColagSender, Region};
@@ -155,12 +154,6 @@ impl Method {
                 "The scans of a batch with points cut at the range and rounded to a centimetre (Morton order or octree, zstd 19), cast again at the receiver with an equal mapper: rounding moves rays into other voxels, so some differ."
             }
         }
-    }
-}
-
-impl Serialize for Method {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
     }
 }
 

@@ -39,11 +39,8 @@ impl OctomapDiffSender {
 
     fn message(&mut self, batch: &Batch, tree: &[u8], out: &mut Messages) {
         self.number = self.number.wrapping_add(1);
-        let mut message = Vec::with_capacity(tree.len() + 12);
-        message.extend_from_slice(&self.number.to_le_bytes());
-        message.extend_from_slice(&batch.resolution.metres().to_le_bytes());
-        message.extend_from_slice(tree);
-        out.push(message);
+        let side = batch.resolution.metres();
+        out.push([&self.number.to_le_bytes(), side.to_le_bytes().as_slice(), tree].concat());
     }
 }
 

@@ -102,16 +102,13 @@ impl RelaySender {
         self.waiting = 0;
         plain.push(0);
         let head = plain.len();
-        let mut best = None;
+        let mut lengths = Vec::new();
         for layout in self.points.layouts() {
             relay_points::write(*layout, &scans, &mut plain);
-            let length = self.trial.pack(&plain)?.len();
+            lengths.push((self.trial.pack(&plain)?.len(), *layout));
             plain.truncate(head);
-            if best.is_none_or(|(smallest, _)| length < smallest) {
-                best = Some((length, *layout));
-            }
         }
-        let Some((_, layout)) = best else { return Ok(()) };
+        let Some((_, layout)) = lengths.into_iter().min() else { return Ok(()) };
         relay_points::write(layout, &scans, &mut plain);
         let mut message = vec![took, layout];
         message.extend_from_slice(&self.packer.pack(&plain)?);

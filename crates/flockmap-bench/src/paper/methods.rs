@@ -62,7 +62,7 @@ impl MethodRows {
         let paper = measured.iter().find(|row| row.method == Method::Whole(Codec::Paper));
         let paper_bytes = paper.map_or(0, |row| row.total_bytes);
         let rows = measured.into_iter().map(|row| MethodRow {
-            name: row.method.to_string(),
+            name: row.name,
             about: row.method.about().to_owned(),
             total_bytes: row.total_bytes,
             paper_bytes,

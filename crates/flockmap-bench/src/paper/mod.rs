@@ -123,11 +123,10 @@ impl Bench<'_> {
     /// About how many seconds are left before the stage that begins now, as text.
     fn left(&self) -> String {
         let done: f64 = self.expected_s.iter().take(self.begun - 1).sum();
-        let left: f64 = self.expected_s.iter().skip(self.begun - 1).sum();
         let passed = self.started.elapsed().as_secs_f64();
         // Until something is done, as fast as where the figures are from.
         let pace = if done > 0.0 { passed / done } else { 1.0 };
-        let left = left * pace;
+        let left = self.expected_s.iter().skip(self.begun - 1).sum::<f64>() * pace;
         if left < 90.0 {
             format!("about {left:.0} s left")
         } else {
@@ -351,9 +350,6 @@ fn deviations(args: &PaperArgs) -> Section {
          without the sender's window.",
         "Wi-Fi: emulated, each datagram lost independently of the others.",
     ];
-    Section::new(
-        "deviations",
-        "What is not as in the paper",
-        vec![Part::Points(points.map(str::to_owned).to_vec())],
-    )
+    let points = Part::Points(points.map(str::to_owned).to_vec());
+    Section::new("deviations", "What is not as in the paper", vec![points])
 }

@@ -351,6 +351,7 @@ fn pairs(robots: &[Member]) -> Vec<Pair> {
                 compared.equal = compared.equal.saturating_sub(u64::from(wrong));
             }
             let received = receiver.session().received(stream).map_or(0, |set| u64::from(set.prefix()));
+            let is_own = receiver.own_stream() == stream;
             pairs.push(Pair {
                 receiver: receiver.own_stream().origin.0,
                 origin: stream.origin.0,
@@ -358,11 +359,7 @@ fn pairs(robots: &[Member]) -> Vec<Pair> {
                 equal: compared.equal,
                 agreement: compared.share(),
                 stamps_equal: layer.digest() == reported.digest(),
-                packages_held: if receiver.own_stream() == stream {
-                    packages
-                } else {
-                    received.min(packages)
-                },
+                packages_held: if is_own { packages } else { received.min(packages) },
                 packages,
             });
         }

@@ -22,4 +22,6 @@ mod robot;
 mod tests;
 
 pub use config::{RacerCast, RacerConfig};
+#[cfg(test)]
+pub use robot::RacerCounters;
 pub use robot::RacerRobot;
