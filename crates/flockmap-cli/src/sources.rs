@@ -55,7 +55,7 @@ impl Frames {
     pub fn new(mut frames: impl Iterator<Item = anyhow::Result<Frame>> + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(FRAMES_AHEAD);
         // Until nobody wants one more.
-        std::thread::spawn(move || frames.try_for_each(|frame| sender.send(frame)));
+        std::thread::spawn(move || frames.all(|frame| sender.send(frame).is_ok()));
         Self { receiver, next: None, damaged: 0 }
     }
 
