@@ -14,9 +14,8 @@ use flockmap_cli::flight::Flight;
 use flockmap_cli::measure::SentBytes;
 use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, SourceArgs, budget};
-use flockmap_cli::sources::Source;
-use flockmap_cli::{json_file, sources, stop};
-use flockmap_netsim::{Datagram as Sending, IP_UDP_BYTES, Link, Network, RadioConfig, Watch};
+use flockmap_cli::{json_file, sources, stop, swarm};
+use flockmap_netsim::{Datagram as Sending, IP_UDP_BYTES, Link, RadioConfig, Watch};
 use serde::Serialize;
 
 /// What an outage and a late joiner cost, beside the map coded once
@@ -119,7 +118,10 @@ pub fn run(args: &CatchUpArgs) -> anyhow::Result<bool> {
     ensure!(sources.robots.len() >= 2, "an outage needs at least two robots: --robots 2");
     let title = format!("catching up: {}", sources.title);
     let link = Link { loss: args.loss, delay_micros: (args.delay_ms * 1e3) as i64, ..Link::default() };
-    let mut swarm = Swarm::new(sources.robots, &base, args, link)?;
+    let radio = RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() };
+    let robot = |id| Ok(Robot::new(RobotConfig { id, ..base.clone() }, Stamp(0))?);
+    let flight = Flight::new(sources.robots, radio, "scans", robot)?;
+    let mut swarm = Swarm { flight, meter: Meter::default() };
     let outage = swarm.fly(args)?;
     let joiner = swarm.join(&base)?;
     let agreement = swarm.agrees();
@@ -229,16 +231,6 @@ impl Watch<Robot> for Meter {
 const OWN: &str = "a robot sends sound datagrams";
 
 impl Swarm {
-    fn new(sources: Vec<Source>, base: &RobotConfig, args: &CatchUpArgs, link: Link) -> anyhow::Result<Self> {
-        let radio = RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() };
-        let robot = |id| Ok(Robot::new(RobotConfig { id, ..base.clone() }, Stamp(0))?);
-        Ok(Self { flight: Flight::new(sources, radio, "scans", robot)?, meter: Meter::default() })
-    }
-
-    const fn network(&self) -> &Network<Robot> {
-        &self.flight.network
-    }
-
     /// Flies all scans, with the outage in the middle.
     fn fly(&mut self, args: &CatchUpArgs) -> anyhow::Result<Option<Outage>> {
         let total = args.source.seconds.unwrap_or(60.0);
@@ -255,14 +247,14 @@ impl Swarm {
         while let Some(next) = self.flight.next_scan() {
             let until = next.min(plan.peek().copied().unwrap_or(next));
             self.flight.network.step(Some(until), &mut self.meter);
-            if plan.next_if(|at| *at <= self.network().now()).is_some() {
+            if plan.next_if(|at| *at <= self.flight.network.now()).is_some() {
                 match &mut repair {
                     None => repair = Some(self.cut(args.outage)),
                     Some(repair) => self.heal(repair)?,
                 }
             }
             if let Some(repair) = repair.as_ref().filter(|r| done.is_none() && r.healed.is_some())
-                && have_all(self.network().nodes(), &repair.upto)
+                && swarm::have_all(self.flight.network.nodes(), &repair.upto)
             {
                 done = Some(self.outage_of(repair));
             }
@@ -271,59 +263,49 @@ impl Swarm {
                 Ok(())
             })?;
         }
-        for number in 0..self.network().nodes().len() {
+        for number in 0..self.flight.network.nodes().len() {
             self.flight.network.call(number, &mut self.meter, Robot::flush);
         }
         self.settle()?;
-        if let Some(repair) = repair.filter(|_| done.is_none()) {
-            done = Some(self.outage_of(&repair));
-        }
-        Ok(done)
+        Ok(done.or_else(|| repair.map(|repair| self.outage_of(&repair))))
     }
 
     /// Cuts the first robot off.
     fn cut(&mut self, seconds: f64) -> Repair {
-        let others = self.network().ids()[1..].to_vec();
-        for robot in others {
-            self.flight.network.radio_mut().set_open_both(RobotId(1), robot, false);
-        }
-        let from = newest(self.network().nodes());
+        self.set_open(false);
+        let from = swarm::newest(self.flight.network.nodes());
         self.meter.clear();
         self.meter.marks = from.iter().map(|(stream, newest)| (*stream, (newest + 1, u32::MAX))).collect();
-        Repair {
-            seconds,
-            from,
-            batch_ends: self.meter.batch_ends.clone(),
-            upto: BTreeMap::new(),
-            vain: 0,
-            coded_once: 0,
-            healed: None,
+        Repair { seconds, from, batch_ends: self.meter.batch_ends.clone(), ..Repair::default() }
+    }
+
+    /// Cuts or opens all links of the first robot. Returns how many robots there are beside it.
+    fn set_open(&mut self, is_open: bool) -> usize {
+        let others = self.flight.network.ids()[1..].to_vec();
+        for other in &others {
+            self.flight.network.radio_mut().set_open_both(RobotId(1), *other, is_open);
         }
+        others.len()
     }
 
     /// Ends the outage, and weighs what was missed.
     fn heal(&mut self, repair: &mut Repair) -> anyhow::Result<()> {
-        let others = self.network().ids()[1..].to_vec();
-        for other in &others {
-            self.flight.network.radio_mut().set_open_both(RobotId(1), *other, true);
-        }
+        let others = self.set_open(true);
         // What the others sent each other of that time was no loss.
-        repair.vain = if others.len() == 1 { self.meter.marked } else { 0 };
-        repair.upto = newest(self.network().nodes());
-        for robot in self.network().nodes() {
+        repair.vain = if others == 1 { self.meter.marked } else { 0 };
+        repair.upto = swarm::newest(self.flight.network.nodes());
+        for robot in self.flight.network.nodes() {
             let own = robot.own_stream();
             let since = repair.batch_ends.get(&own).copied().unwrap_or(Stamp(i64::MIN));
             let state = robot.fusion().layer(own).and_then(|layer| layer.snapshot_since(since));
-            let copies = if own.origin == RobotId(1) { others.len() } else { 1 };
+            let copies = if own.origin == RobotId(1) { others } else { 1 };
             repair.coded_once += copies as u64 * coded_bytes(robot, own, state)?;
         }
         self.meter.clear();
-        self.meter.marks = repair
-            .from
-            .iter()
-            .map(|(stream, newest)| (*stream, (newest + 1, repair.upto.get(stream).copied().unwrap_or(0))))
-            .collect();
-        repair.healed = Some(self.network().now());
+        let upto = |stream| repair.upto.get(stream).copied().unwrap_or(0);
+        let marks = repair.from.iter().map(|(stream, newest)| (*stream, (newest + 1, upto(stream))));
+        self.meter.marks = marks.collect();
+        repair.healed = Some(self.flight.network.now());
         Ok(())
     }
 
@@ -337,20 +319,20 @@ impl Swarm {
             total_bytes: total,
             coded_once_bytes: repair.coded_once,
             ratio: total as f64 / repair.coded_once.max(1) as f64,
-            repair_s: repair.healed.map_or(0.0, |at| self.network().now().micros_since(at) as f64 / 1e6),
+            repair_s: repair.healed.map_or(0.0, |at| self.flight.network.now().micros_since(at) as f64 / 1e6),
         }
     }
 
     /// One robot more, with an empty map.
     fn join(&mut self, base: &RobotConfig) -> anyhow::Result<Joiner> {
-        let id = RobotId(self.network().nodes().len() as u16 + 1);
+        let id = RobotId(self.flight.network.nodes().len() as u16 + 1);
         self.meter.clear();
         self.meter.marks.clear();
-        let began = self.network().now();
+        let began = self.flight.network.now();
         self.flight.network.join(Robot::new(RobotConfig { id, ..base.clone() }, began)?);
         self.settle()?;
         let (mut coded_once, mut without_stamps) = (0, 0);
-        for robot in self.network().nodes() {
+        for robot in self.flight.network.nodes() {
             let own = robot.own_stream();
             let Some(layer) = robot.fusion().layer(own) else { continue };
             coded_once += coded_bytes(robot, own, layer.snapshot())?;
@@ -361,7 +343,7 @@ impl Swarm {
             without_stamps += coded_bytes(robot, own, flat.snapshot())?;
         }
         let total = self.meter.requests + self.meter.packages;
-        let caught_up = self.network().nodes().last();
+        let caught_up = self.flight.network.nodes().last();
         let largest = self.meter.by_robot.values().map(SentBytes::largest_second).max().unwrap_or(0);
         Ok(Joiner {
             total_bytes: total,
@@ -369,7 +351,7 @@ impl Swarm {
             coded_once_bytes: coded_once,
             ratio: total as f64 / coded_once.max(1) as f64,
             coded_without_stamps_bytes: without_stamps,
-            seconds: self.network().now().micros_since(began) as f64 / 1e6,
+            seconds: self.flight.network.now().micros_since(began) as f64 / 1e6,
             max_kb_s: largest as f64 / 1024.0,
             caught_up_by_states: caught_up.map_or(0, |robot| robot.session().counters().caught_up),
         })
@@ -377,22 +359,23 @@ impl Swarm {
 
     /// Lets time pass until everyone has received everything.
     fn settle(&mut self) -> anyhow::Result<()> {
-        let until = self.network().now().plus_micros(SETTLE_MICROS_MAX);
-        let arrived = self.flight.settle(until, &mut self.meter, |robots| have_all(robots, &newest(robots)));
+        let until = self.flight.network.now().plus_micros(SETTLE_MICROS_MAX);
+        let arrived = self.flight.settle(until, &mut self.meter, swarm::has_everything);
         ensure!(!stop::requested(), "interrupted");
         arrived.context("not everything had arrived an hour later; is the budget too small?").map(drop)
     }
 
     fn agrees(&self) -> bool {
-        self.network().nodes().iter().all(|sender| {
+        self.flight.network.nodes().iter().all(|sender| {
             let own = sender.own_stream();
             let digest = |robot: &Robot| robot.fusion().layer(own).map(Layer::digest);
-            self.network().nodes().iter().all(|robot| digest(robot) == digest(sender))
+            self.flight.network.nodes().iter().all(|robot| digest(robot) == digest(sender))
         })
     }
 }
 
 /// What has to be repaired after an outage.
+#[derive(Default)]
 struct Repair {
     seconds: f64,
     from: BTreeMap<Stream, u32>,
@@ -401,22 +384,6 @@ struct Repair {
     vain: u64,
     coded_once: u64,
     healed: Option<Stamp>,
-}
-
-/// The newest package of each robot.
-fn newest(robots: &[Robot]) -> BTreeMap<Stream, u32> {
-    let newest = |robot: &Robot| robot.session().store().newest_known(robot.own_stream());
-    robots.iter().map(|robot| (robot.own_stream(), newest(robot))).collect()
-}
-
-/// Whether every robot has received all packages up to these.
-fn have_all(robots: &[Robot], newest: &BTreeMap<Stream, u32>) -> bool {
-    robots.iter().all(|robot| {
-        newest.iter().all(|(stream, newest)| {
-            let received = robot.session().received(*stream);
-            *newest == 0 || received.is_some_and(|received| received.contains_range(1, *newest))
-        })
-    })
 }
 
 /// Bytes of the packages that carry a snapshot.

@@ -1,6 +1,5 @@
 //! `flockmap-bench codecs`: all methods on the same batches.
 
-use core::fmt;
 use core::str::FromStr;
 use std::path::PathBuf;
 
@@ -15,8 +14,8 @@ use flockmap_cli::progress::Progress;
 use flockmap_cli::{json_file, sources, stop};
 use serde::Serialize;
 
-use crate::baselines::{Method, UnknownMethod};
-use crate::codec_run::{CodecRun, Outcome, Row};
+use crate::baselines::Method;
+use crate::codec_run::{CodecRun, Row};
 use crate::snapshot_run::{self, SnapshotRow};
 
 /// All codecs on the same batches of mapping: bytes, time, agreement
@@ -39,7 +38,7 @@ pub struct CodecsArgs {
     pub records: Vec<PathBuf>,
     /// Methods, separated by commas, or all [default: raw,nested-zlib,paper,racer,paper-datagrams,flock]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    pub codec: Vec<MethodName>,
+    pub codec: Vec<Named>,
     /// Write the table as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -49,50 +48,33 @@ pub struct CodecsArgs {
     pub source: SourceArgs,
 }
 
-/// What `--codec` takes: a method, or all of them.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum MethodName {
-    One(Method),
-    All,
-}
+/// What a word of `--codec` names: a method, or all of them.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Named(pub Vec<Method>);
 
-impl FromStr for MethodName {
-    type Err = UnknownMethod;
+impl FromStr for Named {
+    type Err = String;
 
-    fn from_str(name: &str) -> Result<Self, UnknownMethod> {
-        if name == "all" { Ok(Self::All) } else { name.parse().map(Self::One) }
-    }
-}
-
-impl fmt::Display for MethodName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::One(method) => method.fmt(f),
-            Self::All => f.pad("all"),
+    fn from_str(name: &str) -> Result<Self, String> {
+        if name == "all" {
+            Ok(Self(Method::ALL.to_vec()))
+        } else {
+            name.parse().map(|method| Self(vec![method]))
         }
     }
 }
 
 /// The methods that are named, each once. Named none: the short list.
-fn methods(names: &[MethodName]) -> Vec<Method> {
+fn methods(names: &[Named]) -> Vec<Method> {
+    let mut methods: Vec<Method> = Vec::new();
+    for method in names.iter().flat_map(|named| &named.0) {
+        if !methods.contains(method) {
+            methods.push(*method);
+        }
+    }
     if names.is_empty() {
         let others = Codec::ALL.into_iter().filter(|codec| *codec != Codec::Flock);
-        let mut methods: Vec<Method> = others.map(Method::Whole).collect();
-        methods.push(Method::Datagrams(Codec::Paper));
-        methods.push(Method::Datagrams(Codec::Flock));
-        return methods;
-    }
-    let mut methods: Vec<Method> = Vec::new();
-    for name in names {
-        let named = match name {
-            MethodName::One(method) => core::slice::from_ref(method),
-            MethodName::All => Method::ALL.as_slice(),
-        };
-        for method in named {
-            if !methods.contains(method) {
-                methods.push(*method);
-            }
-        }
+        methods.extend(others.map(Method::Whole).chain([Codec::Paper, Codec::Flock].map(Method::Datagrams)));
     }
     methods
 }
@@ -121,29 +103,28 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
     let mut layers = Vec::new();
     let expected = sources.robots.iter().map(|source| source.frames_expected).sum();
     let progress = Progress::new("scans", expected);
-    let mut names = Vec::new();
+    let records = sources.robots.iter().map(|source| source.name.clone()).collect();
     for source in sources.robots {
         progress.say(format!("{}: scans", source.name));
-        names.push(source.name);
         layers.push(run.record(source.frames, || progress.step())?);
     }
     drop(progress);
-    let outcome = run.finish();
+    let rows = run.rows();
     let snapshots = snapshot_run::run(&layers, resolution, &methods)?;
     let output = Output {
-        records: names,
+        records,
         resolution_m: args.map.resolution,
         range_m: args.map.range,
         publish_period_s: args.map.publish_period,
         d: args.map.d,
-        changed_voxels: outcome.changed_voxels,
-        methods: &outcome.rows,
+        changed_voxels: run.changed_voxels,
+        methods: &rows,
         snapshots,
     };
-    print(&output, &sources.title, &outcome);
+    print(&output, &sources.title, &run);
     json_file::write_asked(args.json.as_deref(), &output)?;
     let broken: Vec<String> =
-        outcome.rows.iter().filter(|row| !row.is_as_promised()).map(|row| row.method.to_string()).collect();
+        rows.iter().filter(|row| !row.is_as_promised).map(|row| row.name.clone()).collect();
     if !broken.is_empty() {
         eprintln!(
             "error: {} should give back what went in and does not: this is a fault of flockmap, please report it",
@@ -153,9 +134,9 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
     Ok(broken.is_empty())
 }
 
-fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
+fn print(output: &Output<'_>, title: &str, run: &CodecRun) {
     let Output { resolution_m, range_m, publish_period_s, d, changed_voxels, methods, .. } = output;
-    let Outcome { seconds, batches, .. } = outcome;
+    let CodecRun { seconds, batches, .. } = run;
     println!("{title}");
     println!(
         "  {resolution_m} m voxels, {range_m} m range, publish period {publish_period_s} s, d {}; {seconds:.1} s in all, {} batches, {} changed voxels{}\n",
@@ -164,19 +145,15 @@ fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
         thousands(*changed_voxels),
         if stop::requested() { " (partial: ended by Ctrl-C)" } else { "" }
     );
-    let base =
-        methods.iter().find(|row| row.method == Method::Whole(Codec::Paper)).map(|row| row.total_bytes);
-    let vs_paper = |row: &Row| {
-        let ratio = |paper: u64| format!("×{:.2}", row.total_bytes as f64 / paper.max(1) as f64);
-        base.map_or_else(String::new, ratio)
-    };
+    let paper = methods.iter().find(|row| row.method == Method::Whole(Codec::Paper));
+    let paper = paper.map(|row| row.total_bytes);
     let bits = |row: &Row| row.total_bytes as f64 * 8.0 / (*changed_voxels).max(1) as f64;
     let table = DataTable::of_text(
         methods,
         &[
-            ("method", &|row| row.method.to_string()),
+            ("method", &|row| row.name.clone()),
             ("total bytes", &|row| thousands(row.total_bytes)),
-            ("vs paper", &|row| vs_paper(row)),
+            ("vs paper", &|row| beside(paper, row.total_bytes, 2)),
             ("bits/voxel", &|row| format!("{:.2}", bits(row))),
             ("avg KB/s", &|row| kb(row.avg_kb_s * KB)),
             ("max KB/s", &|row| kb(row.max_kb_s * KB)),
@@ -202,22 +179,24 @@ fn print(output: &Output<'_>, title: &str, outcome: &Outcome) {
     print_snapshots(&output.snapshots);
 }
 
+/// Bytes in those of `paper`, if they were measured.
+fn beside(paper: Option<u64>, bytes: u64, digits: usize) -> String {
+    let ratio = |paper: u64| format!("×{:.digits$}", bytes as f64 / paper.max(1) as f64);
+    paper.map_or_else(String::new, ratio)
+}
+
 fn print_snapshots(rows: &[SnapshotRow]) {
     if rows.is_empty() {
         return;
     }
     println!("\n  The final map as a snapshot, with all its stamps: what a late joiner gets.\n");
-    let base = rows.iter().find(|row| row.name == "paper").map(|row| row.total_bytes);
-    let vs_paper = |row: &SnapshotRow| {
-        let ratio = |paper: u64| format!("×{:.3}", row.total_bytes as f64 / paper.max(1) as f64);
-        base.map_or_else(String::new, ratio)
-    };
+    let paper = rows.iter().find(|row| row.name == "paper").map(|row| row.total_bytes);
     let table = DataTable::of_text(
         rows,
         &[
             ("method", &|row| row.name.clone()),
             ("total bytes", &|row| thousands(row.total_bytes)),
-            ("vs paper", &|row| vs_paper(row)),
+            ("vs paper", &|row| beside(paper, row.total_bytes, 3)),
             ("chunks", &|row| thousands(row.chunks)),
             ("encode ms", &|row| format!("{:.1}", row.encode_ms)),
             ("decode ms", &|row| format!("{:.1}", row.decode_ms)),
@@ -235,12 +214,11 @@ mod tests {
 
     #[test]
     fn methods_are_named_once_each() {
-        let named = |list: &str| {
-            methods(&list.split(',').map(|name| name.parse().unwrap()).collect::<Vec<MethodName>>())
-        };
+        let named =
+            |list: &str| methods(&list.split(',').map(|name| name.parse().unwrap()).collect::<Vec<Named>>());
         assert_eq!(methods(&[]).len(), 6);
         assert_eq!(named("paper,racer,paper"), [Method::Whole(Codec::Paper), Method::Whole(Codec::Racer)]);
         assert_eq!(named("racer,all").len(), Method::ALL.len());
-        assert!("datagrams".parse::<MethodName>().is_err());
+        assert!("datagrams".parse::<Named>().is_err());
     }
 }

@@ -4,11 +4,13 @@
 
 mod application;
 mod baselines;
+mod batcher;
 mod catch_up;
 mod codec_run;
 mod codecs;
 mod mapping;
 mod paper;
+mod place;
 mod random;
 mod rival_swarm;
 mod snapshot_run;
@@ -90,7 +92,8 @@ mod tests {
     fn codecs_takes_a_list_of_methods() {
         let cli = parse("flockmap-bench codecs forest --codec paper,racer,paper-datagrams").unwrap();
         let Command::Codecs(args) = cli.command else { panic!("{cli:?}") };
-        let names: Vec<String> = args.codec.iter().map(ToString::to_string).collect();
+        let names: Vec<String> =
+            args.codec.iter().flat_map(|named| &named.0).map(ToString::to_string).collect();
         assert_eq!(names, ["paper", "racer", "paper-datagrams"]);
         let error = parse("flockmap-bench codecs forest --codec paper,zip").unwrap_err().to_string();
         assert!(error.contains("zip") && error.contains("nested-zlib"), "{error}");

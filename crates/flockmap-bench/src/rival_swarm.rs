@@ -1,33 +1,23 @@
 //! A swarm of RACER's robots in virtual time, beside [`flockmap_cli::swarm`]: the same frames, the same radio.
 
-use flockmap::grid::{Changes, Layer};
+use flockmap::grid::Layer;
 use flockmap::{RobotId, Stamp};
 use flockmap_cli::flight::Flight;
-use flockmap_cli::measure::{Comparison, SentBytes, blocks_of, side_by_side};
+use flockmap_cli::measure::{Comparison, blocks_of, side_by_side};
+use flockmap_cli::member::Measures;
 use flockmap_cli::sources::Source;
 use flockmap_cli::swarm::SETTLE_MICROS_MAX;
-use flockmap_netsim::{Addressees, Datagram, Delivery, Node, RadioConfig, Watch};
+use flockmap_netsim::{Datagram, RadioConfig, Watch};
 
-use crate::baselines::racer_code::{RacerCast, RacerConfig, RacerRobot, Topic};
-
-/// One robot with what is measured of it.
-pub struct RivalMember {
-    pub robot: RacerRobot,
-    /// Messages that went out; a copy to each of several robots counts each.
-    pub sent: SentBytes,
-    pub datagrams: u64,
-    /// State and stamp of the scan that set it, of every voxel that the own sensor has seen.
-    pub onset: Layer,
-}
+use crate::baselines::racer_code::{RacerConfig, RacerRobot};
 
 /// How a run went.
 pub struct RivalRun {
-    pub members: Vec<RivalMember>,
+    pub robots: Vec<RacerRobot>,
+    /// Of each robot. The byte that says the topic is not counted.
+    pub measures: Vec<Measures>,
     /// Time of the last scan.
     pub last_scan: Stamp,
-    /// When every chunk had arrived everywhere; `None` if it has not.
-    #[cfg_attr(not(test), expect(dead_code, reason = "tests look at it"))]
-    pub arrived: Option<Stamp>,
 }
 
 /// How far what others know of what a robot saw is what it knows, over all pairs of robots.
@@ -48,25 +38,20 @@ pub fn run(
     config: impl Fn(RobotId) -> RacerConfig,
     radio: RadioConfig,
 ) -> anyhow::Result<RivalRun> {
-    let mut meters = Meters(sources.iter().map(|_| Meter::default()).collect());
+    let mut meters = Meters(sources.iter().map(|_| Measures::default()).collect());
     let robot = |id| RacerRobot::new(config(id), Stamp(0));
     let mut flight = Flight::new(sources, radio, "scans of racer-code", robot)?;
     while let Some(next) = flight.next_scan() {
         flight.network.step(Some(next), &mut meters);
         flight.scan_due(|robot, number, _, frame| {
             let report = robot.insert_scan(&frame.scan, &frame.pose, &frame.masks());
-            meters.0[number].onset.apply(&Changes::from_blocks(report.changed), frame.scan.stamp);
+            meters.0[number].scan(&report, frame.scan.stamp);
             Ok(())
         })?;
     }
     let last_scan = flight.last_scan;
-    let arrived = flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_every_chunk);
-    let members = flight.network.into_nodes().into_iter().zip(meters.0);
-    let members = members.map(|(robot, meter)| {
-        let Meter { sent, datagrams, onset } = meter;
-        RivalMember { robot, sent, datagrams, onset }
-    });
-    Ok(RivalRun { members: members.collect(), last_scan, arrived })
+    flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_every_chunk);
+    Ok(RivalRun { robots: flight.network.into_nodes(), measures: meters.0, last_scan })
 }
 
 impl RivalRun {
@@ -74,9 +59,10 @@ impl RivalRun {
     /// what the other one knows.
     pub fn agreement(&self) -> RivalAgreement {
         let mut sum = RivalAgreement::default();
-        for (number, saw) in self.members.iter().enumerate() {
-            for (_, other) in self.members.iter().enumerate().filter(|(other, _)| *other != number) {
-                sum.add(saw, other);
+        for (saw, Measures { onset, .. }) in self.robots.iter().zip(&self.measures) {
+            let id = saw.config().id;
+            for other in self.robots.iter().filter(|other| other.config().id != id) {
+                sum.add(id, onset, other);
             }
         }
         sum
@@ -84,88 +70,33 @@ impl RivalRun {
 }
 
 impl RivalAgreement {
-    fn add(&mut self, saw: &RivalMember, other: &RivalMember) {
-        let published = other.robot.observed_by(saw.robot.config().id);
-        let pairs = side_by_side(blocks_of(&saw.onset), published.blocks().iter().copied());
+    /// What a robot saw, and what another one knows of it.
+    fn add(&mut self, saw: RobotId, onset: &Layer, other: &RacerRobot) {
+        let published = other.observed_by(saw);
+        let pairs = side_by_side(blocks_of(onset), published.blocks().iter().copied());
         for (index, [saw, published]) in pairs {
             let (a, b) = (saw.known(), published.known());
             let either = core::array::from_fn(|z| a[z] | b[z]);
-            let mut theirs = other.robot.map().block(index);
+            let mut theirs = other.map().block(index);
             theirs.overlay(&published);
             let theirs = theirs.masked(&either);
             let mut here = Comparison::default();
             here.add(&saw, &theirs);
             let missing = here.known - u64::from(theirs.known_count());
-            self.compared.known += here.known;
-            self.compared.equal += here.equal;
+            self.compared.merge(here);
             self.missing += missing;
             self.stale += here.known - missing - here.equal;
         }
     }
 }
 
-/// What is measured of a robot while it flies.
-#[derive(Default)]
-struct Meter {
-    sent: SentBytes,
-    datagrams: u64,
-    onset: Layer,
-}
-
 /// Robot `i` has the number `i` + 1.
-struct Meters(Vec<Meter>);
+struct Meters(Vec<Measures>);
 
 impl Watch<RacerRobot> for Meters {
-    fn sent(
-        &mut self,
-        now: Stamp,
-        number: usize,
-        _: &mut RacerRobot,
-        datagram: &mut Datagram,
-        copies: usize,
-    ) {
-        let meter = &mut self.0[number];
+    fn sent(&mut self, now: Stamp, at: usize, _: &mut RacerRobot, datagram: &mut Datagram, copies: usize) {
         // The byte of the topic is not counted.
-        meter.sent.add(now, ((datagram.bytes.len() - 1) * copies) as u64);
-        meter.datagrams += copies as u64;
-    }
-}
-
-/// In ROS the connection says the topic; here the first byte does.
-const STAMPS: u8 = 0;
-const CHUNK: u8 = 1;
-
-impl Node for RacerRobot {
-    fn id(&self) -> RobotId {
-        self.config().id
-    }
-
-    fn handle_datagram(&mut self, _now: Stamp, delivery: &Delivery) {
-        if let Some((topic, bytes)) = delivery.bytes.split_first() {
-            let topic = if *topic == STAMPS { Topic::Stamps } else { Topic::Chunk };
-            // Errors are counted by the robot.
-            let _ = Self::handle_datagram(self, topic, bytes);
-        }
-    }
-
-    fn handle_timeout(&mut self, now: Stamp) {
-        Self::handle_timeout(self, now);
-    }
-
-    fn poll_timeout(&self) -> Option<Stamp> {
-        Some(Self::poll_timeout(self))
-    }
-
-    fn poll_transmit(&mut self, _now: Stamp) -> Option<Datagram> {
-        let transmit = Self::poll_transmit(self)?;
-        let mut bytes = vec![if transmit.topic == Topic::Stamps { STAMPS } else { CHUNK }];
-        bytes.extend_from_slice(&transmit.bytes);
-        let to = match (transmit.to, self.config().cast) {
-            (Some(peer), _) => Addressees::One(peer),
-            (None, RacerCast::Broadcast) => Addressees::All,
-            (None, RacerCast::Unicast) => Addressees::Each,
-        };
-        Some(Datagram { to, bytes })
+        self.0[at].datagram_sent(now, datagram.bytes.len() - 1, copies as u64);
     }
 }
 
@@ -182,6 +113,7 @@ fn has_every_chunk(robots: &[RacerRobot]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::baselines::racer_code::{RacerCast, RacerCounters};
     use flockmap::grid::{MapperConfig, Preset};
     use flockmap::{Pose, Resolution, Scan};
     use flockmap_cli::report::Member;
@@ -224,18 +156,18 @@ mod tests {
     #[test]
     fn racers_robots_end_with_stale_voxels_and_without_the_tail() {
         let run = run(bushes(2, 40), racer(2, RacerCast::Unicast), RadioConfig::default()).unwrap();
-        assert!(run.arrived.is_some());
+        assert!(has_every_chunk(&run.robots));
         let agreement = run.agreement();
         println!("{agreement:?}: {:.2} %", agreement.compared.share() * 100.0);
         assert!(agreement.stale > 0, "states are frozen at the first transmission");
-        let behind: u64 = run.members.iter().map(|m| m.robot.left_behind() as u64).sum();
+        let behind: u64 = run.robots.iter().map(|robot| robot.left_behind() as u64).sum();
         assert!((2..=400).contains(&behind) && agreement.missing >= behind / 2, "{agreement:?}");
         assert!((0.5..1.0).contains(&agreement.compared.share()));
-        for member in &run.members {
-            let counters = member.robot.counters();
+        for (robot, measures) in run.robots.iter().zip(&run.measures) {
+            let counters = robot.counters();
             assert_eq!((counters.chunks_sent, counters.chunks_resent), (counters.chunks, 0));
             // Once to its only team-mate; announcements of 16 + 3 lists with at most one interval each.
-            let announced = member.sent.total() - counters.chunks * 1_052;
+            let announced = measures.sent.total() - counters.chunks * 1_052;
             let lists = counters.stamps_sent * (16 + 3 * 4)..=counters.stamps_sent * (16 + 3 * 12);
             assert!(lists.contains(&announced));
         }
@@ -246,11 +178,12 @@ mod tests {
         let link = Link { loss: 0.2, delay_micros: 300_000, ..Link::default() };
         let radio = RadioConfig { seed: 5, link, ..RadioConfig::default() };
         let run = run(bushes(3, 20), racer(3, RacerCast::Broadcast), radio).unwrap();
-        assert!(run.arrived.is_some());
-        let sum = |of: fn(&RivalMember) -> u64| run.members.iter().map(of).sum::<u64>();
-        let (chunks, sent) = (sum(|m| m.robot.counters().chunks), sum(|m| m.robot.counters().chunks_sent));
+        assert!(has_every_chunk(&run.robots));
+        let sum =
+            |of: fn(&RacerCounters) -> u64| run.robots.iter().map(|robot| of(robot.counters())).sum::<u64>();
+        let (chunks, sent) = (sum(|counters| counters.chunks), sum(|counters| counters.chunks_sent));
         assert!(sent > 2 * chunks, "{sent} sent of {chunks}");
-        assert!(sum(|m| m.robot.counters().chunks_relayed) > 0);
+        assert!(sum(|counters| counters.chunks_relayed) > 0);
         assert!(run.agreement().compared.share() < 1.0);
     }
 
@@ -260,7 +193,7 @@ mod tests {
         let radio = RadioConfig { seed: 5, link, ..RadioConfig::default() };
         let bytes = || {
             let run = run(bushes(2, 20), racer(2, RacerCast::Unicast), radio).unwrap();
-            run.members.iter().map(|m| (m.sent.per_second(), m.datagrams)).collect::<Vec<_>>()
+            run.measures.iter().map(|of| (of.sent.per_second(), of.datagrams)).collect::<Vec<_>>()
         };
         assert_eq!(bytes(), bytes());
         // On the very frames that racer-code leaves stale.

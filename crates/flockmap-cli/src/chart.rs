@@ -55,16 +55,6 @@ const BOTTOM: f64 = 58.0;
 /// A logarithmic axis shows at most so many decades below its top.
 const DECADES_MAX: f64 = 9.0;
 
-/// KB in each second on a logarithmic axis, so that lines a factor of ten apart can both be read. A second with nothing lies at
-/// its low end.
-pub fn kb_per_second(lines: &[Line<'_>]) -> Markup {
-    let (x, y) = (
-        Axis { label: "time in s", scale: Scale::Linear },
-        Axis { label: "KB sent in each second", scale: Scale::Log },
-    );
-    svg(x, y, lines)
-}
-
 /// The chart and its legend.
 pub fn svg(x_axis: Axis<'_>, y_axis: Axis<'_>, lines: &[Line<'_>]) -> Markup {
     let x_range = Range::of(x_axis.scale, lines.iter().flat_map(|line| &line.points).map(|point| point.0));
@@ -127,10 +117,10 @@ impl Range {
     fn of(scale: Scale, values: impl Iterator<Item = f64> + Clone) -> Self {
         let finite = values.filter(|value| value.is_finite());
         let high = finite.clone().fold(0.0f64, f64::max);
+        let high = if high > 0.0 { high } else { 1.0 };
         match scale {
-            Scale::Linear => Self { scale, low: 0.0, high: if high > 0.0 { high } else { 1.0 } },
+            Scale::Linear => Self { scale, low: 0.0, high },
             Scale::Log => {
-                let high = if high > 0.0 { high } else { 1.0 };
                 let low = finite.filter(|value| *value > 0.0).fold(high, f64::min);
                 let low = if low < high { low } else { high / 10.0 };
                 Self { scale, low: low.max(high * 10f64.powf(-DECADES_MAX)), high }
@@ -225,7 +215,8 @@ mod tests {
     #[test]
     fn a_chart_of_nothing_is_still_a_chart() {
         for values in [&[][..], &[0.0], &[0.0, 0.0, 1e9], &[f64::NAN, f64::INFINITY]] {
-            let svg = kb_per_second(&[Line::per_second("a", "ours", values)]).into_string();
+            let axis = Axis { label: "a", scale: Scale::Log };
+            let svg = svg(axis, axis, &[Line::per_second("a", "ours", values)]).into_string();
             assert!(svg.starts_with("<svg") && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
         }
         let bar = |value| Bar { name: String::new(), class: "c1", value, text: String::new() };

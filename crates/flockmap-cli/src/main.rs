@@ -6,8 +6,9 @@ mod commands;
 
 use std::process::ExitCode;
 
+use anyhow::anyhow;
 use clap::{Parser, Subcommand};
-use commands::{demo, export, info, key, moved, node, radio, replay, sim};
+use commands::{demo, export, info, key, node, radio, replay, sim};
 use flockmap_cli::{program, stop};
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
@@ -37,8 +38,12 @@ enum Command {
     Sim(sim::SimCommand),
     Info(info::InfoArgs),
     Export(export::ExportArgs),
-    #[command(hide = true)]
-    Bench(moved::BenchArgs),
+    /// Went to a program of its own.
+    #[command(hide = true, disable_help_flag = true)]
+    Bench {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        words: Vec<String>,
+    },
 }
 
 fn main() -> ExitCode {
@@ -56,7 +61,10 @@ fn main() -> ExitCode {
         Command::Sim(command) => sim::run(command),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
-        Command::Bench(args) => moved::run(args),
+        Command::Bench { words } => Err(anyhow!(
+            "benchmarks are in a program of their own: cargo run --release -p flockmap-bench -- {}",
+            words.join(" ")
+        )),
     })
 }
 

@@ -14,13 +14,11 @@ pub const KB: f64 = 1024.0;
 #[derive(Clone, Debug, Default)]
 pub struct SentBytes {
     events: Vec<(i64, u64)>,
-    total: u64,
 }
 
 impl SentBytes {
     /// Bytes that went out now. Times must not run backwards.
     pub fn add(&mut self, now: Stamp, bytes: u64) {
-        self.total += bytes;
         match self.events.last_mut() {
             Some(last) if last.0 >= now.0 => last.1 += bytes,
             _ => self.events.push((now.0, bytes)),
@@ -28,8 +26,8 @@ impl SentBytes {
     }
 
     /// All bytes.
-    pub const fn total(&self) -> u64 {
-        self.total
+    pub fn total(&self) -> u64 {
+        self.events.iter().map(|(_, bytes)| bytes).sum()
     }
 
     /// Most bytes in any window of one second.
@@ -217,6 +215,12 @@ impl Comparison {
             let equal = ours.free()[z] & theirs.free()[z] | ours.occupied()[z] & theirs.occupied()[z];
             self.equal += u64::from(equal.count_ones());
         }
+    }
+
+    /// Takes in what was counted elsewhere.
+    pub const fn merge(&mut self, other: Self) {
+        self.known += other.known;
+        self.equal += other.equal;
     }
 
     /// Two maps, voxel by voxel.

@@ -113,8 +113,7 @@ impl Default for SourceArgs {
 impl MapArgs {
     /// The side of a voxel.
     pub fn resolution(&self) -> anyhow::Result<Resolution> {
-        Resolution::from_metres(self.resolution)
-            .with_context(|| format!("--resolution is {}, expected 0.001 to 100 m", self.resolution))
+        resolution("--resolution", self.resolution)
     }
 
     /// The mapper's configuration.
@@ -139,6 +138,11 @@ impl MapArgs {
             obstacle_period_ms,
         })
     }
+}
+
+/// The side of a voxel from the command line.
+pub fn resolution(option: &str, side: f64) -> anyhow::Result<Resolution> {
+    Resolution::from_metres(side).with_context(|| format!("{option} is {side}, expected 0.001 to 100 m"))
 }
 
 /// Seconds from the command line as whole milliseconds.

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 
 use base64::Engine;
-use flockmap::grid::BLOCK_SIDE;
-use flockmap::{MapView, Robot, Stamp};
+use flockmap::grid::{BLOCK_SIDE, set_bits};
+use flockmap::{MapView, Robot, Stamp, State};
 
 /// A robot's fused map at one moment, and which part of it the robot has seen itself.
 pub struct MapPicture {
@@ -82,23 +82,10 @@ fn ground(view: &MapView) -> HashMap<(i32, i32), i32> {
     lowest
 }
 
-/// What a pixel shows. Order of the palette: nothing, own free, received free, own obstacles, received obstacles.
-const PALETTE: [[u8; 3]; 3 + 2 * SHADES] = [
-    [0, 0, 0],
-    [0xcf, 0xcb, 0xf2],
-    [0xbf, 0xe6, 0xc2],
-    [0x86, 0x7a, 0xdb],
-    [0x70, 0x62, 0xcc],
-    [0x5b, 0x4c, 0xba],
-    [0x48, 0x39, 0xa3],
-    [0x36, 0x28, 0x86],
-    [0x24, 0x18, 0x66],
-    [0x6d, 0xbb, 0x7a],
-    [0x54, 0xa6, 0x66],
-    [0x3e, 0x8f, 0x52],
-    [0x2b, 0x77, 0x40],
-    [0x1a, 0x5e, 0x2f],
-    [0x0b, 0x44, 0x1f],
+/// What a pixel shows, red, green and blue. Order of the palette: nothing, own free, received free, own obstacles, received obstacles.
+const PALETTE: [u32; 3 + 2 * SHADES] = [
+    0x000000, 0xcfcbf2, 0xbfe6c2, 0x867adb, 0x7062cc, 0x5b4cba, 0x4839a3, 0x362886, 0x241866, 0x6dbb7a,
+    0x54a666, 0x3e8f52, 0x2b7740, 0x1a5e2f, 0x0b441f,
 ];
 
 fn draw_one(
@@ -119,17 +106,11 @@ fn draw_one(
         let near = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (index.x + dx, index.y + dy)));
         let ground = near.filter_map(|at| ground.get(&at)).min().copied();
         let column = block_columns.entry((index.x, index.y)).or_insert([-2; 64]);
-        for z in 0..8 {
-            let above = ground.map_or(from, |ground| index.z * BLOCK_SIDE + z as i32 - ground);
-            let (known, occupied) = (block.known()[z], block.occupied()[z]);
-            for (bit, height) in column.iter_mut().enumerate() {
-                if known >> bit & 1 == 1 {
-                    *height = (*height).max(-1);
-                }
-                if occupied >> bit & 1 == 1 && (from..=to).contains(&above) {
-                    *height = (*height).max(above);
-                }
-            }
+        for bit in set_bits(&block.known()) {
+            let above = ground.map_or(from, |ground| index.voxel(bit).z - ground);
+            let is_obstacle = block.get(bit) == State::Occupied && (from..=to).contains(&above);
+            let height = &mut column[bit % 64];
+            *height = (*height).max(if is_obstacle { above } else { -1 });
         }
     }
     for ((x, y), heights) in block_columns {
@@ -159,7 +140,8 @@ fn draw_one(
     let mut encoder = png::Encoder::new(&mut png, width as u32, height as u32);
     encoder.set_color(png::ColorType::Indexed);
     encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_palette(PALETTE.concat());
+    let colours = PALETTE.iter().flat_map(|colour| colour.to_be_bytes().into_iter().skip(1));
+    encoder.set_palette(colours.collect::<Vec<_>>());
     encoder.set_trns(vec![0]);
     encoder.set_compression(png::Compression::High);
     encoder.write_header()?.write_image_data(&pixels)?;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use flockmap::grid::{BlockIndex, StateBlock, bit_of};
+use flockmap::grid::{BlockIndex, StateBlock, set_bits};
 use flockmap::{Pose, Resolution, Scan, Stamp, Voxel};
 use flockmap_io::RecordWriter;
 use serde::Serialize;
@@ -13,7 +13,6 @@ use crate::numbers::thousands;
 
 /// A record that is being written, and what it holds so far.
 pub struct RobotRecord {
-    path: PathBuf,
     writer: RecordWriter,
     facts: RecordFacts,
     first: Option<Stamp>,
@@ -45,8 +44,8 @@ impl RobotRecord {
     pub fn create(folder: &Path, robot: &str) -> anyhow::Result<Self> {
         let path = folder.join(format!("{robot}.mcap"));
         let writer = RecordWriter::create(&path, robot)?;
-        let facts = RecordFacts { robot: robot.to_owned(), file: path.clone(), ..RecordFacts::default() };
-        Ok(Self { path, writer, facts, first: None, last: None })
+        let facts = RecordFacts { robot: robot.to_owned(), file: path, ..RecordFacts::default() };
+        Ok(Self { writer, facts, first: None, last: None })
     }
 
     /// Writes a scan taken at `T_map_sensor`.
@@ -84,27 +83,22 @@ impl RobotRecord {
     }
 
     /// Ends the file.
-    pub fn finish(mut self) -> anyhow::Result<RecordFacts> {
+    pub fn finish(self) -> anyhow::Result<RecordFacts> {
         self.writer.finish()?;
-        let metadata = std::fs::metadata(&self.path);
-        self.facts.file_bytes =
-            metadata.with_context(|| format!("cannot read {}", self.path.display()))?.len();
-        Ok(self.facts)
+        Ok(RecordFacts { file_bytes: file_bytes(&self.facts.file)?, ..self.facts })
     }
+}
+
+/// Size of a file.
+pub fn file_bytes(file: &Path) -> anyhow::Result<u64> {
+    Ok(std::fs::metadata(file).with_context(|| format!("cannot read {}", file.display()))?.len())
 }
 
 /// The occupied voxels of blocks, in no particular order.
 pub fn occupied<'a>(
     blocks: impl Iterator<Item = (BlockIndex, &'a StateBlock)>,
 ) -> impl Iterator<Item = Voxel> {
-    blocks.flat_map(|(index, block)| {
-        let corner = index.corner();
-        let plane = *block.occupied();
-        (0..512usize).filter(move |bit| plane[bit / 64] >> (bit % 64) & 1 == 1).map(move |bit| {
-            let [x, y, z] = bit_of(bit);
-            Voxel::new(corner.x + x, corner.y + y, corner.z + z)
-        })
-    })
+    blocks.flat_map(|(index, block)| set_bits(block.occupied()).map(move |bit| index.voxel(bit)))
 }
 
 /// Makes the folder for records, and warns of files in it that belong to an earlier flight with more robots.

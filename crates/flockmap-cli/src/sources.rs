@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::{Context, bail, ensure};
-use flockmap::{Pose, Resolution, Scan, Sphere, Stamp};
+use flockmap::{Pose, Scan, Sphere, Stamp};
 use flockmap_io::{Record, RecordOptions, open_record};
 use flockmap_worlds::{
     Flight, ObstacleOptions, ScanOptions, Shape, Tracks, Trajectory, TrajectoryOptions, World,
 };
 
-use crate::options::SourceArgs;
+use crate::options::{SourceArgs, resolution};
 use crate::team::{Team, TeamMate};
 
 /// A scan and `T_map_sensor`, the pose that it was taken at.
@@ -52,15 +52,10 @@ const FRAMES_AHEAD: usize = 4;
 
 impl Frames {
     /// Frames in the order of time.
-    pub fn new(frames: impl Iterator<Item = anyhow::Result<Frame>> + Send + 'static) -> Self {
+    pub fn new(mut frames: impl Iterator<Item = anyhow::Result<Frame>> + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(FRAMES_AHEAD);
-        std::thread::spawn(move || {
-            for frame in frames {
-                if sender.send(frame).is_err() {
-                    break;
-                }
-            }
-        });
+        // Until nobody wants one more.
+        std::thread::spawn(move || frames.all(|frame| sender.send(frame).is_ok()));
         Self { receiver, next: None, damaged: 0 }
     }
 
@@ -115,17 +110,13 @@ pub fn open(
         source.seconds.is_none_or(|s| s > 0.0 && s <= 86_400.0),
         "--seconds must be more than 0 and at most 86,400"
     );
-    match paths {
-        [path] if is_world(path) => fly(path, source, range_m),
-        _ => {
-            if let Some(world) = paths.iter().find(|path| is_world(path)) {
-                bail!(
-                    "{} is a world, not a record: name one world (with --robots N), or records only",
-                    world.display()
-                );
-            }
-            open_records(paths, source, real_stamps)
-        }
+    match paths.iter().find(|path| is_world(path)) {
+        Some(world) if paths.len() == 1 => fly(world, source, range_m),
+        Some(world) => bail!(
+            "{} is a world, not a record: name one world (with --robots N), or records only",
+            world.display()
+        ),
+        None => open_records(paths, source, real_stamps),
     }
 }
 
@@ -146,23 +137,15 @@ pub fn check_scene(scene: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whether this names a world to fly through.
-pub fn is_world(path: &Path) -> bool {
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    matches!(path.to_str(), Some("forest" | "indoor"))
-        || matches!(extension.as_deref(), Some("bt" | "pcd" | "ply" | "las" | "laz"))
+/// The ending of a file's name, in small letters.
+pub fn ending(path: &Path) -> Option<String> {
+    path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase())
 }
 
-/// How records are to be read.
-pub fn record_options(source: &SourceArgs) -> RecordOptions {
-    RecordOptions {
-        points_topic: source.points_topic.clone(),
-        odometry_topic: source.odometry_topic.clone(),
-        map_frame: source.map_frame.clone(),
-        poses: source.poses.clone(),
-        scan_period_s: source.scan_period,
-        ..RecordOptions::default()
-    }
+/// Whether this names a world to fly through.
+pub fn is_world(path: &Path) -> bool {
+    matches!(path.to_str(), Some("forest" | "indoor"))
+        || matches!(ending(path).as_deref(), Some("bt" | "pcd" | "ply" | "las" | "laz"))
 }
 
 fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> anyhow::Result<Sources> {
@@ -204,7 +187,15 @@ pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
 
 /// A record, and the stamps of its first scan and of the last one that is wanted.
 fn open_spanned(path: &Path, source: &SourceArgs) -> anyhow::Result<(Record, [Stamp; 2])> {
-    let record = open_record(path, &record_options(source))?;
+    let options = RecordOptions {
+        points_topic: source.points_topic.clone(),
+        odometry_topic: source.odometry_topic.clone(),
+        map_frame: source.map_frame.clone(),
+        poses: source.poses.clone(),
+        scan_period_s: source.scan_period,
+        ..RecordOptions::default()
+    };
+    let record = open_record(path, &options)?;
     let Some((first, last)) = record.summary.span else { bail!("{}: no scan with a pose", path.display()) };
     for damage in &record.summary.damages {
         eprintln!("warning: {damage}");
@@ -214,7 +205,7 @@ fn open_spanned(path: &Path, source: &SourceArgs) -> anyhow::Result<(Record, [St
 }
 
 /// The frames of a record from one time to another, both included, with stamps that count from `zero`. The robot is one of a team.
-fn part(
+pub fn part(
     record: Record,
     name: String,
     [from, until]: [Stamp; 2],
@@ -317,9 +308,6 @@ pub fn open_world(path: &Path, source: &SourceArgs) -> anyhow::Result<World> {
         Some("indoor") => return Ok(World::indoor(source.seed)),
         _ => {}
     }
-    let resolution = |side| {
-        Resolution::from_metres(side)
-            .with_context(|| format!("--world-resolution is {side}, expected 0.001 to 100 m"))
-    };
-    Ok(World::open(path, source.world_resolution.map(resolution).transpose()?)?)
+    let side = source.world_resolution.map(|side| resolution("--world-resolution", side));
+    Ok(World::open(path, side.transpose()?)?)
 }

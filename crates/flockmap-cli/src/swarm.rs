@@ -1,9 +1,10 @@
 //! A swarm in virtual time: robots, their scans, and an emulated radio between them. The same input gives the same bytes.
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use anyhow::Context;
-use flockmap::{Event, Robot, RobotConfig, RobotId, Stamp};
+use flockmap::{Event, Robot, RobotConfig, RobotId, Stamp, Stream};
 use flockmap_netsim::{Datagram, Delivery, RadioConfig, Watch};
 
 use crate::flight::Flight;
@@ -47,14 +48,14 @@ pub fn run(
     let last_scan = flight.last_scan;
     let arrived = flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_everything);
     let Flight { network, frames, .. } = flight;
-    let (now, [map, pack, insert]) = (network.now(), meters.times.map(|times| times.summary()));
+    let (now, times) = (network.now(), meters.times.map(|times| times.summary()));
     let inputs = names.into_iter().zip(frames).zip(pictures);
     let members = network.into_nodes().into_iter().zip(inputs).zip(meters.measures);
     let members = members.map(|((robot, ((name, frames), mut pictures)), measures)| {
         pictures.push(MapPicture::take(&robot, now));
         Member { name, robot, measures, pictures, scans_damaged: frames.damaged }
     });
-    Ok(Run { members: members.collect(), last_scan, arrived, map, pack, insert })
+    Ok(Run { members: members.collect(), last_scan, arrived, times })
 }
 
 /// When pictures are taken: after one and two thirds of the longest source. The end is taken in any case.
@@ -139,15 +140,24 @@ impl Watch<Robot> for Meters {
     }
 }
 
+/// The newest package of each robot.
+pub fn newest(robots: &[Robot]) -> BTreeMap<Stream, u32> {
+    let newest = |robot: &Robot| robot.session().store().newest_known(robot.own_stream());
+    robots.iter().map(|robot| (robot.own_stream(), newest(robot))).collect()
+}
+
+/// Whether every robot has received all packages up to these.
+pub fn have_all(robots: &[Robot], newest: &BTreeMap<Stream, u32>) -> bool {
+    let has = |robot: &Robot, (stream, newest): (&Stream, &u32)| {
+        let received = robot.session().received(*stream);
+        *newest == 0 || received.is_some_and(|received| received.prefix() >= *newest)
+    };
+    robots.iter().all(|robot| newest.iter().all(|newest| has(robot, newest)))
+}
+
 /// Whether every robot has received all packages of every other.
-fn has_everything(robots: &[Robot]) -> bool {
-    robots.iter().all(|receiver| {
-        robots.iter().all(|sender| {
-            let packages = sender.counters().packages;
-            let received = receiver.session().received(sender.own_stream());
-            packages == 0 || received.is_some_and(|received| u64::from(received.prefix()) >= packages)
-        })
-    })
+pub fn has_everything(robots: &[Robot]) -> bool {
+    have_all(robots, &newest(robots))
 }
 
 #[cfg(test)]

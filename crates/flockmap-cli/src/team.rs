@@ -35,12 +35,11 @@ pub struct Team {
 impl Team {
     /// From the poses of each robot, in the order of their stamps.
     pub fn new<'a>(tracks: impl Iterator<Item = (&'a [(Stamp, Pose)], Stamp)>) -> Self {
-        let place = |zero: Stamp| {
-            move |&(stamp, pose): &(Stamp, Pose)| (Stamp(stamp.micros_since(zero)), pose.translation())
+        let track = |(poses, zero): (&[(Stamp, Pose)], Stamp)| {
+            let place = |(stamp, pose): &(Stamp, Pose)| (Stamp(stamp.micros_since(zero)), pose.translation());
+            poses.iter().map(place).collect()
         };
-        Self {
-            tracks: Arc::new(tracks.map(|(poses, zero)| poses.iter().map(place(zero)).collect()).collect()),
-        }
+        Self { tracks: Arc::new(tracks.map(track).collect()) }
     }
 
     /// All but one robot at a time. Between two poses a robot is on the straight line between them; before its first and
@@ -66,19 +65,19 @@ fn place_at(track: &[(Stamp, [f64; 3])], at: Stamp) -> Option<[f64; 3]> {
     }
 }
 
+/// Whether a place lies in one of the masks.
+pub fn is_masked(place: [f64; 3], masks: &[Sphere]) -> bool {
+    masks.iter().any(|mask| {
+        let away: f64 = place.iter().zip(mask.centre).map(|(a, b)| (a - b) * (a - b)).sum();
+        away <= mask.radius * mask.radius
+    })
+}
+
 /// Takes the points out of a scan that a mapper with these masks would leave out.
 pub fn cut_out(scan: &mut Scan, pose: &Pose, masks: &[Sphere]) {
-    if masks.is_empty() {
-        return;
+    if !masks.is_empty() {
+        scan.points.retain(|point| !is_masked(pose.transform(point.map(f64::from)), masks));
     }
-    let is_inside = |place: [f64; 3], mask: &Sphere| {
-        place.iter().zip(mask.centre).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()
-            <= mask.radius * mask.radius
-    };
-    scan.points.retain(|point| {
-        let place = pose.transform(point.map(f64::from));
-        !masks.iter().any(|mask| is_inside(place, mask))
-    });
 }
 
 #[cfg(test)]

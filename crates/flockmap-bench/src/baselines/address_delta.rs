@@ -44,14 +44,10 @@ impl Sender for AddressDeltaSender {
         let nested = order(Order::Nested).context("a box of more than 2⁶² voxels")?;
         let mut layouts = vec![(0, singles(&nested)), (1, runs(&nested))];
         layouts.extend(order(Order::Morton).map(|morton| (2, runs(&morton))));
-        let mut best: Option<(u8, Vec<u8>)> = None;
-        for (layout, lists) in layouts {
-            let packed = self.packer.pack(&lists)?;
-            if best.as_ref().is_none_or(|(_, smallest)| packed.len() < smallest.len()) {
-                best = Some((layout, packed));
-            }
-        }
-        let Some((layout, packed)) = best else { return Ok(()) };
+        let packed = layouts.into_iter().map(|(layout, lists)| Ok((layout, self.packer.pack(&lists)?)));
+        let packed = packed.collect::<Result<Vec<(u8, Vec<u8>)>>>()?;
+        let smallest = packed.into_iter().min_by_key(|(_, packed)| packed.len());
+        let Some((layout, packed)) = smallest else { return Ok(()) };
         let mut message = vec![layout];
         write_box(&mut message, &region);
         message.extend_from_slice(&packed);

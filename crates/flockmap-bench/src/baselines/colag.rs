@@ -7,9 +7,7 @@
 
 use anyhow::{Result, ensure};
 use flockmap::codec::Batch;
-use flockmap::grid::{
-    BLOCK_VOXELS, Changes, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, VoxelBox, bit_of, voxel_bit,
-};
+use flockmap::grid::{BLOCK_VOXELS, Changes, Stamp, State, StateBlock, VOXEL_LIMIT, VoxelBox, voxel_bit};
 
 use crate::baselines::bytes::{
     Reader, nested_place, nested_voxel, put_varint, read_box, varint_up_to, write_box,
@@ -77,15 +75,13 @@ impl ColagSender {
     fn list(&self, region: &VoxelBox, first: u32, occupied: &mut Vec<u32>, unknown: &mut Vec<u32>) {
         for index in region.blocks() {
             let block = self.published.block(index);
-            let corner = index.corner();
             for bit in 0..BLOCK_VOXELS {
                 let list = match block.get(bit) {
                     State::Free => continue,
                     State::Occupied => &mut *occupied,
                     State::Unknown => &mut *unknown,
                 };
-                let [x, y, z] = bit_of(bit);
-                let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
+                let voxel = index.voxel(bit);
                 if region.contains(voxel) {
                     list.push(first + nested_place(region, voxel) as u32);
                 }

@@ -6,7 +6,6 @@ use core::str::FromStr;
 use anyhow::Result;
 use flockmap::codec::Codec;
 use flockmap::grid::MapperConfig;
-use serde::{Serialize, Serializer};
 
 use crate::baselines::address_delta::AddressDeltaSender;
 use crate::baselines::colag::{ColagSender, Region};
@@ -78,8 +77,8 @@ impl Method {
             Self::Colag => Box::new(ColagSender::new(Region::Box)),
             Self::ColagBlocks => Box::new(ColagSender::new(Region::Blocks)),
             Self::Gvp => Box::new(GvpSender::default()),
-            Self::OctomapDiff => Box::new(OctomapDiffSender::every_batch()),
-            Self::OctomapDiff10s => Box::new(OctomapDiffSender::as_marble()),
+            Self::OctomapDiff => Box::new(OctomapDiffSender::new(false)),
+            Self::OctomapDiff10s => Box::new(OctomapDiffSender::new(true)),
             Self::AddressDeltaZstd => Box::new(AddressDeltaSender::new()),
             Self::ScanRelay => Box::new(RelaySender::new(Points::Exact, config)),
             Self::ScanRelay1cm => Box::new(RelaySender::new(Points::Centimetre, config)),
@@ -158,12 +157,6 @@ impl Method {
     }
 }
 
-impl Serialize for Method {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
-
 impl fmt::Display for Method {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -183,22 +176,13 @@ impl fmt::Display for Method {
     }
 }
 
-/// No method has this name.
-#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
-#[error("no method is called {name:?}; there are {known}")]
-pub struct UnknownMethod {
-    /// The name asked for.
-    pub name: String,
-    known: String,
-}
-
 impl FromStr for Method {
-    type Err = UnknownMethod;
+    type Err = String;
 
-    fn from_str(name: &str) -> Result<Self, UnknownMethod> {
-        Self::ALL.into_iter().find(|method| method.to_string() == name).ok_or_else(|| UnknownMethod {
-            name: name.to_owned(),
-            known: Self::ALL.map(|method| method.to_string()).join(", "),
+    fn from_str(name: &str) -> Result<Self, String> {
+        Self::ALL.into_iter().find(|method| method.to_string() == name).ok_or_else(|| {
+            let known = Self::ALL.map(|method| method.to_string()).join(", ");
+            format!("no method is called {name:?}; there are {known}")
         })
     }
 }
@@ -213,7 +197,7 @@ mod tests {
             assert_eq!(method.to_string().parse::<Method>(), Ok(method));
             assert!(method.about().ends_with('.'), "{method}");
         }
-        let error = "zip".parse::<Method>().unwrap_err().to_string();
+        let error = "zip".parse::<Method>().unwrap_err();
         assert!(error.contains("zip") && error.contains("paper-datagrams"), "{error}");
     }
 

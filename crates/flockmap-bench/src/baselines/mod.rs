@@ -20,5 +20,5 @@ mod state_map;
 mod tests;
 mod traits;
 
-pub use method::{Method, UnknownMethod};
+pub use method::Method;
 pub use traits::{Messages, Observation, Receiver, Sender};

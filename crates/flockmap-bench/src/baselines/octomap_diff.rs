@@ -33,21 +33,14 @@ struct Marble {
 }
 
 impl OctomapDiffSender {
-    pub(crate) const fn every_batch() -> Self {
-        Self { marble: None, number: 0 }
-    }
-
-    pub(crate) fn as_marble() -> Self {
-        Self { marble: Some(Marble::default()), number: 0 }
+    pub(crate) fn new(as_marble: bool) -> Self {
+        Self { marble: as_marble.then(Marble::default), number: 0 }
     }
 
     fn message(&mut self, batch: &Batch, tree: &[u8], out: &mut Messages) {
         self.number = self.number.wrapping_add(1);
-        let mut message = Vec::with_capacity(tree.len() + 12);
-        message.extend_from_slice(&self.number.to_le_bytes());
-        message.extend_from_slice(&batch.resolution.metres().to_le_bytes());
-        message.extend_from_slice(tree);
-        out.push(message);
+        let side = batch.resolution.metres();
+        out.push([&self.number.to_le_bytes(), side.to_le_bytes().as_slice(), tree].concat());
     }
 }
 

@@ -32,22 +32,15 @@ impl PackageSender {
 
 impl Sender for PackageSender {
     fn batch(&mut self, _now: Stamp, batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()> {
-        let Self { codec, encoder, next_index, layer, batches, .. } = self;
+        let (codec, index) = (self.codec, self.next_index);
         let packages = if self.datagrams {
             // Nothing is lost here, so nobody has to be waited for.
-            let base = Base { layer: Some(layer), batches, readers: &[] };
-            encoder.encode_batch_against(
-                *codec,
-                batch,
-                *next_index,
-                changes,
-                Some(&base),
-                PACKAGE_BYTES_MAX,
-            )?
+            let base = Base { layer: Some(&self.layer), batches: &self.batches, readers: &[] };
+            self.encoder.encode_batch_against(codec, batch, index, changes, Some(&base), PACKAGE_BYTES_MAX)?
         } else {
-            vec![encoder.encode_whole(*codec, batch, *next_index, changes)?]
+            vec![self.encoder.encode_whole(codec, batch, index, changes)?]
         };
-        *next_index += packages.len() as u32;
+        self.next_index += packages.len() as u32;
         out.extend(packages.iter().map(|package| package.bytes().to_vec()));
         Ok(())
     }

@@ -8,6 +8,8 @@
 //! varints. Layout 3: octrees, level by level from the root: for each node a byte with a bit for each child that holds points;
 //! after 20 levels, for each leaf the number of its points less 1, as varints. Empty lists have no tree.
 
+use flockmap_cli::team::is_masked;
+
 use crate::baselines::bytes::{Reader, put_varint, varint_up_to};
 use crate::baselines::morton::{interleave, separate};
 use crate::baselines::traits::Observation;
@@ -24,18 +26,8 @@ pub(crate) enum Points {
     Centimetre,
 }
 
-/// The points of a scan, as numbers to be written.
-#[derive(Debug)]
-pub(crate) struct ScanPoints {
-    /// Returns, and rays without one.
-    lists: [Vec<[u32; 3]>; 2],
-}
-
-impl ScanPoints {
-    pub(crate) fn counts(&self) -> [usize; 2] {
-        [self.lists[0].len(), self.lists[1].len()]
-    }
-}
+/// The points of a scan, as numbers to be written: returns, and rays without one.
+pub(crate) type ScanPoints = [Vec<[u32; 3]>; 2];
 
 const CENTIMETRES: f64 = 100.0;
 /// Bits of a coordinate in centimetres, levels of an octree: up to 5.2 km from the sensor.
@@ -64,7 +56,7 @@ impl Points {
         match self {
             Self::Exact => {
                 let bits = |points: &[[f32; 3]]| points.iter().map(|p| p.map(f32::to_bits)).collect();
-                ScanPoints { lists: [bits(&scan.points), bits(&scan.no_returns)] }
+                [bits(&scan.points), bits(&scan.no_returns)]
             }
             Self::Centimetre => {
                 let mut lists = [Vec::new(), Vec::new()];
@@ -73,7 +65,7 @@ impl Points {
                 for (point, returned) in all {
                     let p = point.map(f64::from);
                     let length = (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]).sqrt();
-                    let masked = returned && is_masked(seen, p);
+                    let masked = returned && is_masked(seen.pose.transform(p), seen.masks);
                     if !(length >= range_m[0] && length < f64::INFINITY) || masked {
                         continue;
                     }
@@ -85,7 +77,7 @@ impl Points {
                     }
                 }
                 lists.iter_mut().for_each(|list| list.sort_unstable_by_key(code));
-                ScanPoints { lists }
+                lists
             }
         }
     }
@@ -95,17 +87,9 @@ fn code(point: &[u32; 3]) -> u64 {
     interleave(point.map(u64::from))
 }
 
-fn is_masked(seen: &Observation<'_>, point: [f64; 3]) -> bool {
-    let end = seen.pose.transform(point);
-    seen.masks.iter().any(|mask| {
-        let away: f64 = end.iter().zip(mask.centre).map(|(a, b)| (a - b) * (a - b)).sum();
-        away <= mask.radius * mask.radius
-    })
-}
-
 /// Appends the points of all scans.
 pub(crate) fn write(layout: u8, scans: &[ScanPoints], out: &mut Vec<u8>) {
-    let lists = || scans.iter().flat_map(|scan| &scan.lists);
+    let lists = || scans.iter().flatten();
     match layout {
         0 | 1 => write_planes(&lists().flatten().copied().collect::<Vec<_>>(), step(layout), out),
         2 => {
@@ -251,7 +235,7 @@ mod tests {
         let scan = (list(), list()).prop_map(|(mut returns, mut no_returns)| {
             returns.sort_unstable_by_key(code);
             no_returns.sort_unstable_by_key(code);
-            ScanPoints { lists: [returns, no_returns] }
+            [returns, no_returns]
         });
         prop::collection::vec(scan, 0..4)
     }
@@ -259,7 +243,7 @@ mod tests {
     fn there_and_back(layout: u8, scans: &[ScanPoints]) -> Vec<[Vec<[f32; 3]>; 2]> {
         let mut bytes = Vec::new();
         write(layout, scans, &mut bytes);
-        let counts: Vec<_> = scans.iter().map(ScanPoints::counts).collect();
+        let counts: Vec<_> = scans.iter().map(|lists| lists.each_ref().map(Vec::len)).collect();
         let mut reader = Reader::new(&bytes);
         let read = read(layout, &counts, &mut reader).unwrap();
         assert!(reader.is_empty());
@@ -272,7 +256,7 @@ mod tests {
             for layout in [0, 1] {
                 for (scan, read) in scans.iter().zip(there_and_back(layout, &scans)) {
                     let bits = |list: Vec<[f32; 3]>| list.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>();
-                    prop_assert_eq!(&read.map(bits), &scan.lists);
+                    prop_assert_eq!(&read.map(bits), scan);
                 }
             }
         }
@@ -285,7 +269,7 @@ mod tests {
                     let back = read.map(|list| -> Vec<[u32; 3]> {
                         list.iter().map(|p| p.map(|v| ((f64::from(v) * 100.0).round() as i64 + HALF) as u32)).collect()
                     });
-                    prop_assert_eq!(&back, &scan.lists);
+                    prop_assert_eq!(&back, scan);
                 }
             }
         }

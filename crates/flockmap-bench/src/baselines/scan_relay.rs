@@ -65,7 +65,8 @@ impl Sender for RelaySender {
         let masks = if self.points == Points::Exact { seen.masks } else { &[] };
         let method = self.points.method();
         ensure!(masks.len() as u64 <= MASKS_MAX, "{method} cannot send this: a scan has at most 4,096 masks");
-        let count: usize = points.counts().iter().sum();
+        let counts = points.each_ref().map(Vec::len);
+        let count: usize = counts.iter().sum();
         if self.waiting + count > self.waiting_max || self.heads.len() > HEADS_BYTES_MAX {
             self.flush(GOES_ON, out)?;
         }
@@ -79,7 +80,7 @@ impl Sender for RelaySender {
             let numbers = mask.centre.into_iter().chain([mask.radius]);
             self.heads.extend(numbers.flat_map(f64::to_le_bytes));
         }
-        for count in points.counts() {
+        for count in counts {
             put_varint(&mut self.heads, count as u64);
         }
         self.scans.push(points);
@@ -101,16 +102,13 @@ impl RelaySender {
         self.waiting = 0;
         plain.push(0);
         let head = plain.len();
-        let mut best = None;
+        let mut lengths = Vec::new();
         for layout in self.points.layouts() {
             relay_points::write(*layout, &scans, &mut plain);
-            let length = self.trial.pack(&plain)?.len();
+            lengths.push((self.trial.pack(&plain)?.len(), *layout));
             plain.truncate(head);
-            if best.is_none_or(|(smallest, _)| length < smallest) {
-                best = Some((length, *layout));
-            }
         }
-        let Some((_, layout)) = best else { return Ok(()) };
+        let Some((_, layout)) = lengths.into_iter().min() else { return Ok(()) };
         relay_points::write(layout, &scans, &mut plain);
         let mut message = vec![took, layout];
         message.extend_from_slice(&self.packer.pack(&plain)?);

@@ -9,11 +9,11 @@ use anyhow::{Context, anyhow, bail, ensure};
 use clap::Args;
 use flockmap::codec::bytes::Reader;
 use flockmap::grid::Mapper;
-use flockmap::{Changes, MapperConfig, Preset, Resolution, State, Voxel};
+use flockmap::{Changes, MapperConfig, Preset, State, Voxel};
 use flockmap_cli::document::DataTable;
 use flockmap_cli::measure::{Comparison, TimeSummary, Times, side_by_side};
 use flockmap_cli::numbers::{percent, thousands};
-use flockmap_cli::options::SourceArgs;
+use flockmap_cli::options::{SourceArgs, resolution};
 use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{self, Frame};
 use flockmap_cli::{json_file, stop};
@@ -98,6 +98,7 @@ struct Differences {
 
 /// A mapper's result.
 struct Mapped {
+    name: String,
     times: Times,
     map: Changes,
     memory_bytes: usize,
@@ -105,24 +106,22 @@ struct Mapped {
 
 /// Runs the command.
 pub fn run(args: &MappingArgs) -> anyhow::Result<bool> {
-    let resolution = Resolution::from_metres(args.resolution)
-        .with_context(|| format!("--resolution is {}, expected 0.001 to 100 m", args.resolution))?;
+    let resolution = resolution("--resolution", args.resolution)?;
     ensure!((1..=100_000).contains(&args.scans), "--scans is {}, expected 1 to 100,000", args.scans);
     let frames = fly(args)?;
     let rays: usize = frames.iter().map(|frame| frame.scan.points.len() + frame.scan.no_returns.len()).sum();
     let mut results = Vec::new();
     for preset in [Preset::RogMap, Preset::Racer, Preset::OctoMap] {
         let config = MapperConfig::preset(preset, resolution, args.range);
-        results.push((preset.to_string(), map(&frames, config)?));
+        results.push(map(&frames, preset.to_string(), config)?);
     }
     let octomap = run_octomap(&frames, args);
     let octomap_skipped = octomap.as_ref().err().map(|reason| format!("{reason:#}"));
     let octomap = octomap.ok();
-    let ours = results.last().map(|(_, mapped)| &mapped.map);
-    let differences = octomap.as_ref().zip(ours).map(|(octomap, ours)| compare(ours, &octomap.map));
+    let differences =
+        octomap.as_ref().zip(results.last()).map(|(octomap, ours)| compare(&ours.map, &octomap.map));
     let octomap_ms = octomap.as_ref().map(|mapped| mapped.times.summary().mean_ms);
-    let mut mappers: Vec<Row> = results.iter().map(|(name, mapped)| row(name, mapped, octomap_ms)).collect();
-    mappers.extend(octomap.as_ref().map(|mapped| row("OctoMap insertPointCloud", mapped, octomap_ms)));
+    results.extend(octomap);
     let output = Output {
         scene: args.scene.display().to_string(),
         lidar: args.lidar.to_string(),
@@ -130,7 +129,7 @@ pub fn run(args: &MappingArgs) -> anyhow::Result<bool> {
         range_m: args.range,
         scans: frames.len(),
         rays_per_scan: rays as f64 / frames.len().max(1) as f64,
-        mappers,
+        mappers: results.into_iter().map(|mapped| mapped.row(octomap_ms)).collect(),
         octomap_skipped,
         differences,
     };
@@ -158,7 +157,7 @@ fn fly(args: &MappingArgs) -> anyhow::Result<Vec<Frame>> {
     Ok(frames)
 }
 
-fn map(frames: &[Frame], config: MapperConfig) -> anyhow::Result<Mapped> {
+fn map(frames: &[Frame], name: String, config: MapperConfig) -> anyhow::Result<Mapped> {
     let mut mapper = Mapper::new(config)?;
     let mut times = Times::default();
     for frame in frames {
@@ -167,21 +166,23 @@ fn map(frames: &[Frame], config: MapperConfig) -> anyhow::Result<Mapped> {
         times.add(started.elapsed());
     }
     let map = Changes::from_blocks(mapper.blocks().map(|(index, block)| (index, *block)).collect());
-    Ok(Mapped { times, map, memory_bytes: mapper.memory_bytes() })
+    Ok(Mapped { name, times, map, memory_bytes: mapper.memory_bytes() })
 }
 
-fn row(name: &str, mapped: &Mapped, octomap_ms: Option<f64>) -> Row {
-    let time = mapped.times.summary();
-    let occupied = mapped.map.voxels().filter(|(_, state)| *state == State::Occupied).count();
-    let known = mapped.map.len();
-    Row {
-        name: name.to_owned(),
-        time,
-        faster: octomap_ms.map(|ms| ms / time.mean_ms.max(1e-9)),
-        free: known - occupied,
-        occupied,
-        memory_bytes: mapped.memory_bytes,
-        bytes_per_voxel: mapped.memory_bytes as f64 / known.max(1) as f64,
+impl Mapped {
+    fn row(self, octomap_ms: Option<f64>) -> Row {
+        let time = self.times.summary();
+        let occupied = self.map.voxels().filter(|(_, state)| *state == State::Occupied).count();
+        let known = self.map.len();
+        Row {
+            name: self.name,
+            time,
+            faster: octomap_ms.map(|ms| ms / time.mean_ms.max(1e-9)),
+            free: known - occupied,
+            occupied,
+            memory_bytes: self.memory_bytes,
+            bytes_per_voxel: self.memory_bytes as f64 / known.max(1) as f64,
+        }
     }
 }
 
@@ -234,7 +235,8 @@ fn run_octomap(frames: &[Frame], args: &MappingArgs) -> anyhow::Result<Mapped> {
         let [x, y, z] = [reader.u32()?, reader.u32()?, reader.u32()?].map(|index| index as i32);
         Some((Voxel::new(x, y, z), if reader.u8()? == 1 { State::Occupied } else { State::Free }))
     });
-    Ok(Mapped { times, map: Changes::from_voxels(voxels), memory_bytes })
+    let name = "OctoMap insertPointCloud".to_owned();
+    Ok(Mapped { name, times, map: Changes::from_voxels(voxels), memory_bytes })
 }
 
 /// Scans as OctoMap takes them: points in the map's frame, as `f32`.

@@ -60,11 +60,9 @@ pub fn verdicts(rows: &[Row]) -> Vec<(bool, String)> {
     let with = rows.iter().find(|row| row.loss.is_some() && row.rate_kb_s.is_none());
     let (Some(without), Some(with)) = (without, with) else { return Vec::new() };
     let good = share(with) >= SUCCESS_SHARE && share(without) < 0.5;
-    vec![(
-        good,
-        format!(
-            "The leader that looks backwards reaches its goal in {} of {} flights with sync, in {} of {} without.",
-            with.successes, with.flights, without.successes, without.flights
-        ),
-    )]
+    let words = format!(
+        "The leader that looks backwards reaches its goal in {} of {} flights with sync, in {} of {} without.",
+        with.successes, with.flights, without.successes, without.flights
+    );
+    vec![(good, words)]
 }

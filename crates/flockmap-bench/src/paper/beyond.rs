@@ -56,8 +56,7 @@ pub fn measure(args: &PaperArgs, records: &[PathBuf], threads: usize) -> anyhow:
 }
 
 pub fn section(args: &PaperArgs, measured: Option<&Measured>) -> Section {
-    let mut parts = Vec::new();
-    match measured {
+    let parts = match measured {
         Some(Measured { title, methods }) => {
             let note = format!(
                 "{title}: {} m voxels, {} m range, publish period {PUBLISH_PERIOD_S} s; {} voxels changed.",
@@ -65,16 +64,17 @@ pub fn section(args: &PaperArgs, measured: Option<&Measured>) -> Section {
                 args.beyond_range,
                 thousands(methods.changed_voxels)
             );
-            parts.push(Part::Words(
-                "The paper has no recordings to repeat. These are of a real sensor, and none was used to choose anything.".to_owned(),
-            ));
-            parts.push(Part::Figure(methods.bars()));
-            parts.push(Part::Table(methods.table("beyond").with_note(note)));
+            let words = "The paper has no recordings to repeat. These are of a real sensor, and none was used to choose anything.";
+            vec![
+                Part::Words(words.to_owned()),
+                Part::Figure(methods.bars()),
+                Part::Table(methods.table("beyond").with_note(note)),
+            ]
         }
-        None => parts.push(Part::Words(
-            "Skipped: no recording was named, and there is none in the folder that FLOCKMAP_DATA names (hku_mb/robot1.mcap, robot2.mcap)."
-                .to_owned(),
-        )),
-    }
+        None => {
+            let words = "Skipped: no recording was named, and there is none in the folder that FLOCKMAP_DATA names (hku_mb/robot1.mcap, robot2.mcap).";
+            vec![Part::Words(words.to_owned())]
+        }
+    };
     Section::new("beyond", "Beyond the paper: recordings", parts)
 }

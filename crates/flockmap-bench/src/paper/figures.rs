@@ -1,43 +1,22 @@
 //! What the paper reports, to stand beside our own figures. KB and MB are as the paper prints them; it does not say
 //! whether they are of 1,000 or 1,024 bytes.
 
+use crate::place::Place;
+
 /// A row of Table I.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TableOneRow {
     pub number: u8,
-    pub scene: Scene,
-    pub robots: usize,
+    pub scene: Place,
     pub resolution_m: f64,
     pub range_m: f64,
     /// Average, largest second (KB/s) and total (MB) of the paper's method.
-    pub paper: Traffic,
+    pub paper: [f64; 3],
     /// The same of RACER.
-    pub racer: Traffic,
+    pub racer: [f64; 3],
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Traffic {
-    pub avg_kb_s: f64,
-    pub max_kb_s: f64,
-    pub total_mb: f64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Scene {
-    /// 60 × 25 × 10 m.
-    Forest,
-    /// 35 × 30 × 4 m.
-    Indoor,
-}
-
-impl Scene {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Forest => "forest",
-            Self::Indoor => "indoor",
-        }
-    }
-
+impl Place {
     /// In a sentence.
     pub const fn words(self) -> &'static str {
         match self {
@@ -55,40 +34,28 @@ impl Scene {
     }
 }
 
-/// A row from its figures; those of traffic are average, largest second and total.
+/// A row from its figures.
 const fn row(
     number: u8,
-    scene: Scene,
+    scene: Place,
     [resolution_m, range_m]: [f64; 2],
     [paper, racer]: [[f64; 3]; 2],
 ) -> TableOneRow {
-    TableOneRow {
-        number,
-        scene,
-        robots: scene.robots(),
-        resolution_m,
-        range_m,
-        paper: traffic(paper),
-        racer: traffic(racer),
-    }
-}
-
-const fn traffic([avg_kb_s, max_kb_s, total_mb]: [f64; 3]) -> Traffic {
-    Traffic { avg_kb_s, max_kb_s, total_mb }
+    TableOneRow { number, scene, resolution_m, range_m, paper, racer }
 }
 
 /// Table I.
 pub const TABLE_ONE: [TableOneRow; 4] = [
-    row(1, Scene::Forest, [0.1, 7.0], [[35.84, 107.42, 4.54], [430.71, 2570.13, 43.62]]),
-    row(2, Scene::Forest, [0.2, 20.0], [[18.77, 85.25, 2.28], [59.44, 409.80, 5.73]]),
-    row(3, Scene::Indoor, [0.1, 7.0], [[9.25, 56.20, 2.01], [55.70, 883.53, 7.93]]),
-    row(4, Scene::Indoor, [0.2, 20.0], [[1.26, 8.74, 0.26], [7.66, 147.18, 0.97]]),
+    row(1, Place::Forest, [0.1, 7.0], [[35.84, 107.42, 4.54], [430.71, 2570.13, 43.62]]),
+    row(2, Place::Forest, [0.2, 20.0], [[18.77, 85.25, 2.28], [59.44, 409.80, 5.73]]),
+    row(3, Place::Indoor, [0.1, 7.0], [[9.25, 56.20, 2.01], [55.70, 883.53, 7.93]]),
+    row(4, Place::Indoor, [0.2, 20.0], [[1.26, 8.74, 0.26], [7.66, 147.18, 0.97]]),
 ];
 
 impl TableOneRow {
     /// How many times the paper's volume RACER's is: the honest saving, since the averages are over different times.
     pub fn volume_ratio(&self) -> f64 {
-        self.racer.total_mb / self.paper.total_mb
+        self.racer[2] / self.paper[2]
     }
 
     /// "forest, 0.1 m, 7 m".
@@ -114,10 +81,6 @@ pub const FLIGHT_PUBLISH_PERIOD_S: f64 = 0.2;
 /// Half extents of the update scope of the real flight.
 pub const FLIGHT_UPDATE_BOX_M: [f64; 3] = [7.5, 7.5, 1.5];
 
-/// Table IV, milliseconds.
-pub const T_PACK_MS: f64 = flockmap_cli::report::PAPER_T_PACK_MS;
-pub const T_RECV2INSERT_MS: f64 = flockmap_cli::report::PAPER_T_INSERT_MS;
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -126,15 +89,11 @@ mod tests {
     fn the_ratios_are_those_that_the_paper_claims() {
         let rounded = |value: f64| (value * 10.0).round() / 10.0;
         assert_eq!(TABLE_ONE.map(|row| rounded(row.volume_ratio())), [9.6, 2.5, 3.9, 3.7]);
-        assert_eq!(
-            TABLE_ONE.map(|row| rounded(row.racer.avg_kb_s / row.paper.avg_kb_s)),
-            [12.0, 3.2, 6.0, 6.1]
-        );
+        assert_eq!(TABLE_ONE.map(|row| rounded(row.racer[0] / row.paper[0])), [12.0, 3.2, 6.0, 6.1]);
         // "12 times lower" and "24 times lower" in the text.
-        assert_eq!((TABLE_ONE[0].racer.max_kb_s / TABLE_ONE[0].paper.max_kb_s).round(), 24.0);
+        assert_eq!((TABLE_ONE[0].racer[1] / TABLE_ONE[0].paper[1]).round(), 24.0);
         // "both decreased by around 20 %".
         let saved = |of: fn((&str, f64, f64)) -> f64| 1.0 - of(TABLE_TWO[0]) / of(TABLE_TWO[1]);
         assert!((0.15..0.28).contains(&saved(|row| row.1)) && (0.15..0.28).contains(&saved(|row| row.2)));
-        assert_eq!((T_PACK_MS, T_RECV2INSERT_MS), (5.30, 7.08));
     }
 }

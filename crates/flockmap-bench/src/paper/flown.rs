@@ -1,27 +1,28 @@
 //! Explorations of the paper's two scenes, flown once and recorded; every row replays the same record.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::Context;
 use flockmap::{Codec, Stamp};
 use flockmap_autonomy::{Ended, ExploreOptions};
-use flockmap_cli::robot_record::RecordFacts;
-use flockmap_cli::sources::{Frame, Frames, Source};
+use flockmap_cli::robot_record::{RecordFacts, file_bytes};
+use flockmap_cli::sources::{self, Source};
 use flockmap_cli::team::Team;
 use flockmap_cli::{explore, stop};
-use flockmap_io::{Record, RecordOptions, open_record};
-use flockmap_worlds::{Lidar, Rendering, ScanOptions, World};
+use flockmap_io::{Frames, Record, RecordOptions, open_record};
+use flockmap_worlds::{ScanOptions, World};
 
-use super::figures::{CHANGES_MAX, PUBLISH_PERIOD_S, Scene};
+use super::args::PaperArgs;
+use super::figures::{CHANGES_MAX, PUBLISH_PERIOD_S, TABLE_ONE};
 use super::settings::batch;
+use crate::place::Place;
 
 /// The LiDAR sees as far as the longest range of the paper's rows needs.
 pub const LIDAR_RANGE_M: f64 = 20.0;
 
 /// A recorded exploration.
 pub struct Flown {
-    pub scene: Scene,
+    pub scene: Place,
     /// What each robot's record holds.
     pub records: Vec<RecordFacts>,
     /// From the first to the last scan.
@@ -43,54 +44,40 @@ pub struct Explored {
     pub sent_bytes: u64,
 }
 
-/// What is flown.
-pub struct FlightPlan {
-    pub scene: Scene,
-    pub world: Arc<World>,
-    pub seed: u64,
-    pub lidar: Lidar,
-    pub rendering: Rendering,
-    /// The flight is ended after so long.
-    pub seconds_max: f64,
-    /// Robots that scan, map and plan at the same time; nothing depends on it.
-    pub threads: usize,
-}
-
-impl Scene {
-    pub fn world(self, seed: u64) -> World {
-        match self {
-            Self::Forest => World::forest(seed),
-            Self::Indoor => World::indoor(seed),
-        }
-    }
-}
-
-/// Flies and records. `None` if Ctrl-C came before the first step.
-pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Option<Flown>> {
-    let scene = plan.scene;
-    let folder: PathBuf = folder.join(scene.name());
-    let row = super::figures::TABLE_ONE.iter().find(|row| row.scene == scene);
-    let options = ExploreOptions {
+/// How a scene is explored.
+pub fn options(scene: Place, args: &PaperArgs, threads: usize) -> ExploreOptions {
+    let row = TABLE_ONE.iter().find(|row| row.scene == scene);
+    ExploreOptions {
         robots: scene.robots(),
-        seed: plan.seed,
+        seed: args.seed,
         range_m: row.map_or(7.0, |row| row.range_m),
-        lidar: plan.lidar,
+        lidar: args.lidar,
         scan: ScanOptions {
             range_m: LIDAR_RANGE_M,
-            seed: plan.seed,
-            rendering: plan.rendering,
+            seed: args.seed,
+            rendering: args.rendering,
             // Explorers have to distinguish the open sky from what they have not looked at.
             no_returns: true,
             ..ScanOptions::default()
         },
-        seconds_max: plan.seconds_max,
+        seconds_max: args.seconds.unwrap_or(if args.quick { 10.0 } else { 400.0 }),
         batch: batch(PUBLISH_PERIOD_S, CHANGES_MAX),
-        threads: plan.threads.min(scene.robots()),
+        threads: threads.min(scene.robots()),
         // As the paper's robots, so that the flights are those of all earlier reports.
         codec: Codec::Paper,
         ..ExploreOptions::default()
-    };
-    let Some(mut explorer) = explore::prepare(Arc::clone(&plan.world), options)? else { return Ok(None) };
+    }
+}
+
+/// Flies and records. `None` if Ctrl-C came before the first step.
+pub fn fly(
+    scene: Place,
+    world: World,
+    options: ExploreOptions,
+    folder: &Path,
+) -> anyhow::Result<Option<Flown>> {
+    let folder = folder.join(scene.name());
+    let Some(mut explorer) = explore::prepare(Arc::new(world), options)? else { return Ok(None) };
     let records = explore::record(&mut explorer, &folder, true, "seconds flown")?;
     let outcome = explorer.outcome();
     let traffic =
@@ -113,7 +100,7 @@ pub fn fly(plan: &FlightPlan, folder: &Path) -> anyhow::Result<Option<Flown>> {
 }
 
 /// A flight that was recorded before: `FOLDER/forest/robot1.mcap` and so on.
-pub fn open(scene: Scene, folder: &Path) -> anyhow::Result<Flown> {
+pub fn open(scene: Place, folder: &Path) -> anyhow::Result<Flown> {
     let mut records = Vec::new();
     for number in 1..=scene.robots() {
         let robot = format!("robot{number}");
@@ -125,9 +112,7 @@ pub fn open(scene: Scene, folder: &Path) -> anyhow::Result<Flown> {
             points: summary.points.unwrap_or(0),
             seconds: summary.duration_s(),
             path_m: summary.path_m,
-            file_bytes: std::fs::metadata(&file)
-                .with_context(|| format!("cannot read {}", file.display()))?
-                .len(),
+            file_bytes: file_bytes(&file)?,
             file,
             ..RecordFacts::default()
         });
@@ -141,41 +126,24 @@ pub fn open(scene: Scene, folder: &Path) -> anyhow::Result<Flown> {
     })
 }
 
-/// Flights that were made, by scene.
-pub struct Flights(pub Vec<Flown>);
-
-impl Flights {
-    pub fn get(&self, scene: Scene) -> Option<&Flown> {
-        self.0.iter().find(|flown| flown.scene == scene)
-    }
-}
-
 impl Flown {
     /// The robots with what the paper's simulated LiDAR delivers that reaches `range_m`: what is farther gives no
     /// return, and nobody hears of rays without one.
     pub fn sources(&self, range_m: f64) -> anyhow::Result<Vec<Source>> {
-        let records: Vec<Record> = self
-            .records
-            .iter()
-            .map(|record| open_record(&record.file, &RecordOptions::default()))
-            .collect::<Result<_, _>>()?;
+        let records = self.records.iter().map(|record| open_record(&record.file, &RecordOptions::default()));
+        let records = records.collect::<Result<Vec<Record>, _>>()?;
         let team = Team::new(records.iter().map(|record| (record.poses.as_slice(), Stamp(0))));
-        let robots = records.into_iter().enumerate().map(|(number, record)| {
-            let team = team.clone();
-            let frames = record.frames.map(move |frame| {
+        let robots = records.into_iter().enumerate().map(|(number, mut record)| {
+            record.frames = Frames::new(record.frames.map(move |frame| {
                 let mut frame = frame?;
                 let limit = (range_m * range_m) as f32;
                 frame.scan.points.retain(|p| p[0] * p[0] + p[1] * p[1] + p[2] * p[2] <= limit);
                 frame.scan.no_returns.clear();
-                let team_mates = team.mates(number, frame.scan.stamp);
-                Ok(Frame { scan: frame.scan, pose: frame.t_map_sensor, team_mates })
-            });
-            Source {
-                name: format!("robot{}", number + 1),
-                frames_expected: record.summary.frames,
-                seconds_expected: self.seconds,
-                frames: Frames::new(frames),
-            }
+                Ok(frame)
+            }));
+            let (first, last) = record.summary.span.unwrap_or_default();
+            let name = format!("robot{}", number + 1);
+            sources::part(record, name, [first, last], Stamp(0), (team.clone(), number))
         });
         Ok(robots.collect())
     }
@@ -200,19 +168,19 @@ mod tests {
     #[test]
     fn a_flight_is_recorded_and_opened_again() {
         let folder = tempfile::tempdir().unwrap();
-        let plan = FlightPlan {
-            scene: Scene::Forest,
-            world: Arc::new(hall().unwrap()),
-            seed: 1,
-            lidar: Lidar::Avia,
-            rendering: Rendering::Cast,
+        let scan = ScanOptions { range_m: LIDAR_RANGE_M, no_returns: true, ..ScanOptions::default() };
+        let options = ExploreOptions {
+            robots: 2,
+            range_m: 7.0,
+            scan,
             seconds_max: 1.0,
             threads: 2,
+            ..ExploreOptions::default()
         };
-        let flown = fly(&plan, folder.path()).unwrap().unwrap();
+        let flown = fly(Place::Forest, hall().unwrap(), options, folder.path()).unwrap().unwrap();
         assert_eq!((flown.records.len(), flown.ended), (2, "the time was over"));
         assert!(flown.explored.unwrap().seen_share > 0.0);
-        let again = open(Scene::Forest, folder.path()).unwrap();
+        let again = open(Place::Forest, folder.path()).unwrap();
         let facts =
             |of: &Flown| of.records.iter().map(|r| (r.scans, r.points, r.file_bytes)).collect::<Vec<_>>();
         assert_eq!(facts(&flown), facts(&again));

@@ -3,13 +3,12 @@
 use flockmap::codec::Codec;
 use flockmap_cli::chart::{self, Bar};
 use flockmap_cli::document::{Cell, DataTable};
-use flockmap_cli::measure::KB;
 use flockmap_cli::member::IP_UDP_BYTES;
 use flockmap_cli::numbers::percent_short;
 use maud::{Markup, html};
 
 use crate::baselines::Method;
-use crate::codec_run::{self, Outcome};
+use crate::codec_run::CodecRun;
 
 /// What a method cost on one record, all robots together.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -52,42 +51,32 @@ pub struct MethodRows {
 }
 
 impl MethodRows {
-    /// From the outcomes of the robots, each measured on its own with the same methods.
-    pub fn of_robots(outcomes: &[Outcome], receivers: usize) -> Self {
-        let seconds: f64 = outcomes.iter().map(|outcome| outcome.seconds).sum();
-        let methods = outcomes.first().map_or(0, |outcome| outcome.rows.len());
-        let changed_voxels = outcomes.iter().map(|outcome| outcome.changed_voxels).sum();
-        let paper = Method::Whole(Codec::Paper);
-        let paper_rows = outcomes.iter().flat_map(|outcome| &outcome.rows).filter(|row| row.method == paper);
-        let paper_bytes = paper_rows.map(|row| row.total_bytes).sum();
-        let rows = (0..methods).map(|number| {
-            let of_robots = || outcomes.iter().map(move |outcome| &outcome.rows[number]);
-            let total_bytes = of_robots().map(|row| row.total_bytes).sum();
-            let (known, equal) =
-                of_robots().fold((0, 0), |(k, e), row| (k + row.compared.known, e + row.compared.equal));
-            let timed: usize = of_robots().map(|row| row.timed).sum();
-            let mean_ms = |of: fn(&codec_run::Row) -> f64| {
-                let sum: f64 = of_robots().map(|row| of(row) * row.timed as f64).sum();
-                (timed > 0).then(|| sum / timed as f64)
-            };
-            let method = outcomes[0].rows[number].method;
-            MethodRow {
-                name: method.to_string(),
-                about: method.about().to_owned(),
-                total_bytes,
-                paper_bytes,
-                changed_voxels,
-                ip_udp_bytes: of_robots().map(|row| row.datagrams).sum::<u64>() * IP_UDP_BYTES,
-                avg_kb_s: total_bytes as f64 / KB / seconds.max(1e-3),
-                max_kb_s: of_robots().map(|row| row.max_kb_s).fold(0.0, f64::max),
-                agreement: if known == 0 { 1.0 } else { equal as f64 / known as f64 },
-                is_lossless: method.is_lossless(),
-                is_as_promised: of_robots().all(codec_run::Row::is_as_promised),
-                encode_ms: mean_ms(|row| row.encode_ms_mean),
-                decode_ms: mean_ms(|row| row.decode_ms_mean),
-            }
+    /// What was measured of the robots, each on its own with the same methods; `None` without robots.
+    pub fn of_robots(runs: impl IntoIterator<Item = CodecRun>) -> Option<Self> {
+        let all = runs.into_iter().reduce(|mut all, run| {
+            all.join(run);
+            all
+        })?;
+        let CodecRun { receivers, changed_voxels, seconds, .. } = all;
+        let measured = all.rows();
+        let paper = measured.iter().find(|row| row.method == Method::Whole(Codec::Paper));
+        let paper_bytes = paper.map_or(0, |row| row.total_bytes);
+        let rows = measured.into_iter().map(|row| MethodRow {
+            name: row.name,
+            about: row.method.about().to_owned(),
+            total_bytes: row.total_bytes,
+            paper_bytes,
+            changed_voxels,
+            ip_udp_bytes: row.datagrams * IP_UDP_BYTES,
+            avg_kb_s: row.avg_kb_s,
+            max_kb_s: row.max_kb_s,
+            agreement: row.agreement,
+            is_lossless: row.method.is_lossless(),
+            is_as_promised: row.is_as_promised,
+            encode_ms: (row.timed > 0).then_some(row.encode_ms_mean),
+            decode_ms: (row.timed > 0).then_some(row.decode_ms_mean),
         });
-        Self { rows: rows.collect(), changed_voxels, receivers: receivers.max(1) as u64, seconds }
+        Some(Self { rows: rows.collect(), changed_voxels, receivers, seconds })
     }
 
     /// The row of this name.
@@ -136,15 +125,15 @@ impl MethodRows {
         let bars: Vec<Bar> = rows
             .iter()
             .map(|(row, times)| {
-                let right = if row.agreement >= 1.0 {
-                    String::new()
+                let (class, right) = if row.agreement >= 1.0 {
+                    ("c1", String::new())
                 } else {
-                    format!(", {} right", percent_short(row.agreement))
+                    ("c2", format!(", {} right", percent_short(row.agreement)))
                 };
                 let cut = if *times > end { "▸ " } else { "" };
                 Bar {
                     name: row.name.clone(),
-                    class: if row.agreement >= 1.0 { "c1" } else { "c2" },
+                    class,
                     value: times.min(end),
                     text: format!("{cut}× {times:.2}{right}"),
                 }
@@ -181,8 +170,8 @@ pub fn relays() -> Vec<Method> {
     methods
 }
 
-fn is_relay(method: Method) -> bool {
-    method.to_string().starts_with("scan-relay")
+const fn is_relay(method: Method) -> bool {
+    matches!(method, Method::ScanRelay | Method::ScanRelay1cm)
 }
 
 impl MethodRows {

@@ -3,7 +3,7 @@
 mod application;
 mod args;
 mod beyond;
-mod figures;
+pub mod figures;
 mod flown;
 mod jobs;
 mod methods;
@@ -16,7 +16,6 @@ mod table4;
 mod team;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
@@ -28,11 +27,11 @@ use flockmap_cli::robot_record::RecordFacts;
 use flockmap_cli::{progress, stop};
 use serde_json::json;
 
+use crate::place::Place;
 use crate::random;
 pub use args::PaperArgs;
 use args::Stage;
-use figures::Scene;
-use flown::{Explored, FlightPlan, Flights, Flown};
+use flown::{Explored, Flown};
 
 /// Of what can be seen an exploration must see this share.
 const SEEN_SHARE: f64 = 0.95;
@@ -102,16 +101,11 @@ pub fn run(args: &PaperArgs) -> anyhow::Result<bool> {
 
 impl Bench<'_> {
     /// Scenes that the wanted stages need.
-    fn scenes(&self) -> Vec<Scene> {
-        let needs = |stages: &[Stage]| self.stages.iter().any(|stage| stages.contains(stage));
-        let mut scenes = Vec::new();
-        if needs(&[Stage::Table1, Stage::Table2, Stage::Table3, Stage::Table4]) {
-            scenes.push(Scene::Forest);
-        }
-        if needs(&[Stage::Table1]) {
-            scenes.push(Scene::Indoor);
-        }
-        scenes
+    fn scenes(&self) -> Vec<Place> {
+        let of_forest = [Stage::Table1, Stage::Table2, Stage::Table3, Stage::Table4];
+        let forest = self.stages.iter().any(|stage| of_forest.contains(stage)).then_some(Place::Forest);
+        let indoor = self.stages.contains(&Stage::Table1).then_some(Place::Indoor);
+        forest.into_iter().chain(indoor).collect()
     }
 
     /// Seconds that the flights and each stage took on two cores.
@@ -129,11 +123,10 @@ impl Bench<'_> {
     /// About how many seconds are left before the stage that begins now, as text.
     fn left(&self) -> String {
         let done: f64 = self.expected_s.iter().take(self.begun - 1).sum();
-        let left: f64 = self.expected_s.iter().skip(self.begun - 1).sum();
         let passed = self.started.elapsed().as_secs_f64();
         // Until something is done, as fast as where the figures are from.
         let pace = if done > 0.0 { passed / done } else { 1.0 };
-        let left = left * pace;
+        let left = self.expected_s.iter().skip(self.begun - 1).sum::<f64>() * pace;
         if left < 90.0 {
             format!("about {left:.0} s left")
         } else {
@@ -179,9 +172,9 @@ impl Bench<'_> {
     }
 
     fn all(&mut self, records: &Path) -> anyhow::Result<()> {
-        let flights = Flights(self.flights(records)?);
-        if !flights.0.is_empty() {
-            self.verdicts.extend(flights.0.iter().filter_map(seen_verdict));
+        let flights = self.flights(records)?;
+        if !flights.is_empty() {
+            self.verdicts.extend(flights.iter().filter_map(seen_verdict));
             self.sections.push(flights_section(&flights));
         }
         self.tables(&flights)?;
@@ -223,27 +216,18 @@ impl Bench<'_> {
             // What robots do between their scans is done one after the other: two flights side by side leave no core idle.
             let threads = (bench.threads / scenes.len()).max(1);
             let args = bench.args;
-            let job = |scene: &Scene| {
+            let job = |scene: &Place| {
                 (format!("exploring the {} with {} robots", scene.words(), scene.robots()), *scene)
             };
             jobs::run(bench.threads, scenes.iter().map(job).collect(), |scene| {
-                let plan = FlightPlan {
-                    scene,
-                    world: Arc::new(scene.world(args.seed)),
-                    seed: args.seed,
-                    lidar: args.lidar,
-                    rendering: args.rendering,
-                    seconds_max: args.seconds.unwrap_or(if args.quick { 10.0 } else { 400.0 }),
-                    threads,
-                };
-                flown::fly(&plan, records)
+                flown::fly(scene, scene.world(args.seed), flown::options(scene, args, threads), records)
             })
         })?;
         // Whatever Ctrl-C kept from being flown, in part or at all, is left out.
         Ok(flown.into_iter().flatten().flatten().flatten().collect())
     }
 
-    fn tables(&mut self, flights: &Flights) -> anyhow::Result<()> {
+    fn tables(&mut self, flights: &[Flown]) -> anyhow::Result<()> {
         let (seed, quick, threads) = (self.args.seed, self.args.quick, self.threads);
         if let Some(measured) =
             self.stage(Stage::Table1, |_| table1::measure(flights, seed, quick, threads))?
@@ -253,14 +237,14 @@ impl Bench<'_> {
             self.sections.push(table1::section(&measured));
             self.sections.extend(table1::fig6(&measured));
         }
-        let Some(forest) = flights.get(Scene::Forest) else { return Ok(()) };
+        let Some(forest) = flights.iter().find(|flown| flown.scene == Place::Forest) else { return Ok(()) };
         if let Some(rows) = self.stage(Stage::Table2, |_| table2::measure(forest, threads))?.flatten() {
             self.sections.push(table2::section(&rows));
         }
-        let measured = self.stage(Stage::Table3, |_| table3::measure(forest, seed, threads))?.flatten();
-        if let Some(measured) = measured {
-            self.is_good &= measured.ours.report.is_good() && measured.paper.report.is_good();
-            self.sections.push(table3::section(&measured));
+        if let Some(stacks) = self.stage(Stage::Table3, |_| table3::measure(forest, seed, threads))?.flatten()
+        {
+            self.is_good &= stacks.iter().all(|stack| stack.report.is_good());
+            self.sections.push(table3::section(&stacks));
         }
         let measured = self.stage(Stage::Table4, |_| table4::measure(forest))?;
         self.sections.extend(measured.filter(|measured| measured.batches > 0).as_ref().map(table4::section));
@@ -274,24 +258,18 @@ impl Bench<'_> {
             verdicts.push((false, format!("Partial: ended by Ctrl-C. Missing or incomplete: {skipped}.")));
         }
         if self.args.quick {
-            verdicts.push((
-                false,
-                "A quick run: short flights, few draws and seeds. It shows that everything works; the figures are not the paper's."
-                    .to_owned(),
-            ));
+            let words = "A quick run: short flights, few draws and seeds. It shows that everything works; the figures are not the paper's.";
+            verdicts.push((false, words.to_owned()));
         }
         verdicts.append(&mut self.verdicts);
         let mut sections = core::mem::take(&mut self.sections);
         sections.push(deviations(self.args));
         sections.push(self.effort());
-        let facts = [
-            ("seed".to_owned(), json!(self.args.seed)),
-            ("quick".to_owned(), json!(self.args.quick)),
-            ("interrupted".to_owned(), json!(stop::requested())),
-            ("missing".to_owned(), json!(self.skipped)),
-        ];
+        let Self { args: PaperArgs { seed, quick, .. }, skipped, .. } = self;
+        let facts =
+            json!({"seed": seed, "quick": quick, "interrupted": stop::requested(), "missing": skipped});
         let title = "The paper's evaluation, repeated".to_owned();
-        Document { title, verdicts, sections, facts: facts.into_iter().collect(), ..Document::default() }
+        Document { title, verdicts, sections, facts, ..Document::default() }
     }
 
     /// How long it took.
@@ -311,14 +289,14 @@ impl Bench<'_> {
     }
 }
 
-fn flights_section(flights: &Flights) -> Section {
+fn flights_section(flights: &[Flown]) -> Section {
     fn explored(flown: &Flown, cell: impl Fn(&Explored) -> Cell) -> Cell {
         flown.explored.as_ref().map_or(Cell::Missing, cell)
     }
     let sum = |flown: &Flown, of: fn(&RecordFacts) -> u64| flown.records.iter().map(of).sum::<u64>();
     let table = DataTable::of(
         "flights",
-        &flights.0,
+        flights,
         &[
             ("scene", "scene", &|f| Cell::text(f.scene.name())),
             ("robots", "robots", &|f| Cell::count(f.records.len())),
@@ -352,28 +330,26 @@ fn seen_verdict(flown: &Flown) -> Option<(bool, String)> {
 
 /// What is not as in the paper.
 fn deviations(args: &PaperArgs) -> Section {
-    let points = vec![
-        "Scenes: the paper's forest and office are not published. Ours are generated, of the same size (60 × 25 × 10 m and 35 × 30 × 4 m), from --seed."
-            .to_owned(),
-        format!(
-            "LiDAR: the paper does not say which one its simulation had; its real robots carry an Avia. Ours is the {}, 10 scans a second, without noise, seeing \
-             {} m far, rendered as `{}`. For each row returns from beyond the row's sensing range are left out, as if there was no return.",
-            args.lidar,
-            flown::LIDAR_RANGE_M,
-            args.rendering
-        ),
+    let lidar = format!(
+        "LiDAR: the paper does not say which one its simulation had; its real robots carry an Avia. Ours is the {}, 10 scans a second, without noise, seeing \
+         {} m far, rendered as `{}`. For each row returns from beyond the row's sensing range are left out, as if there was no return.",
+        args.lidar,
+        flown::LIDAR_RANGE_M,
+        args.rendering
+    );
+    let points = [
+        "Scenes: the paper's forest and office are not published. Ours are generated, of the same size (60 × 25 × 10 m and 35 × 30 × 4 m), from --seed.",
+        &lidar,
         "Exploration: a small relative of RACER's planner (frontiers, viewpoints, regions divided pairwise), in which each robot plans on its own fused map, over \
-         a perfect radio, and knows of rays that hit nothing, so that it need not go on looking at the open sky; the tables leave these rays out. One flight for each scene serves both of its rows and Table II, as the paper's one record does; it is flown with the maps of the first of them."
-            .to_owned(),
-        "Team-mates are seen in the scans and left out of the maps. The paper does not say what it does with them.".to_owned(),
-        "Mapper: ROG-Map's rules and published values. The paper uses it on its robots and does not say what its simulation used.".to_owned(),
+         a perfect radio, and knows of rays that hit nothing, so that it need not go on looking at the open sky; the tables leave these rays out. One flight for each scene serves both of its rows and Table II, as the paper's one record does; it is flown with the maps of the first of them.",
+        "Team-mates are seen in the scans and left out of the maps. The paper does not say what it does with them.",
+        "Mapper: ROG-Map's rules and published values. The paper uses it on its robots and does not say what its simulation used.",
         "Averages: ours all divide by the length of the record. The paper's are over different times for its two methods (127 and 101 s in row 1, from \
-         its totals); by its totals the saving in row 1 is 9.6 times, not the 12 times of the averages."
-            .to_owned(),
+         its totals); by its totals the saving in row 1 is 9.6 times, not the 12 times of the averages.",
         "`paper` carries our header of about 26 bytes a package (stream, index, times, box, check) in place of two 32-bit addresses, which cannot be decoded \
-         without the sender's window."
-            .to_owned(),
-        "Wi-Fi: emulated, each datagram lost independently of the others.".to_owned(),
+         without the sender's window.",
+        "Wi-Fi: emulated, each datagram lost independently of the others.",
     ];
-    Section::new("deviations", "What is not as in the paper", vec![Part::Points(points)])
+    let points = Part::Points(points.map(str::to_owned).to_vec());
+    Section::new("deviations", "What is not as in the paper", vec![points])
 }

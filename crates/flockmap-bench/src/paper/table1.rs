@@ -7,7 +7,7 @@ use flockmap_cli::report::Report;
 use maud::html;
 
 use super::figures::{TABLE_ONE, TableOneRow};
-use super::flown::{Flights, Flown};
+use super::flown::Flown;
 use super::methods::{self, MethodRow, MethodRows};
 use super::settings::mapper;
 use super::team::{self, RACER_CODE, Team};
@@ -27,16 +27,17 @@ pub struct Measured {
 }
 
 /// Measures all rows. What Ctrl-C kept from being measured is left out.
-pub fn measure(flights: &Flights, seed: u64, quick: bool, threads: usize) -> anyhow::Result<Vec<Measured>> {
+pub fn measure(flights: &[Flown], seed: u64, quick: bool, threads: usize) -> anyhow::Result<Vec<Measured>> {
+    let flown = |row: &TableOneRow| flights.iter().find(|flown| flown.scene == row.scene);
     let rows: Vec<(TableOneRow, &Flown)> =
-        TABLE_ONE.into_iter().filter_map(|row| Some((row, flights.get(row.scene)?))).collect();
+        TABLE_ONE.into_iter().filter_map(|row| Some((row, flown(&row)?))).collect();
     let teams = rows.iter().map(|&(row, flown)| {
         anyhow::Ok(Team {
             name: format!("Table I row {}", row.number),
             title: row.name(),
             about_stack: ABOUT_STACK,
             mapper: mapper(row.resolution_m, row.range_m)?,
-            robots: row.robots,
+            robots: row.scene.robots(),
             open: Box::new(move || flown.sources(row.range_m)),
             relayed_s: methods::relayed_s(quick),
             // Ten scans a second.
@@ -63,11 +64,12 @@ pub fn section(measured: &[Measured]) -> Section {
     parts.push(Part::Table(beside(measured)));
     parts.push(Part::Points(why(measured)));
     for row in measured {
-        let name = format!("Row {}: {}, {} robots", row.paper.number, row.paper.name(), row.paper.robots);
+        let name =
+            format!("Row {}: {}, {} robots", row.paper.number, row.paper.name(), row.paper.scene.robots());
         parts.push(Part::Figure(html! { h3 { (name) } (row.methods.bars()) }));
         let note = format!(
             "{name}, {:.0} s of each robot, {} voxels changed in all.",
-            row.methods.seconds / row.paper.robots as f64,
+            row.methods.seconds / row.paper.scene.robots() as f64,
             thousands(row.methods.changed_voxels)
         );
         let table = row.methods.table(format!("table1_row{}", row.paper.number));
@@ -138,7 +140,7 @@ fn beside(measured: &[Measured]) -> DataTable {
     for Measured { paper, methods, .. } in measured {
         let of = |name: &str| {
             let row = methods.get(name);
-            let mb = |r: &MethodRow| r.total_bytes as f64 / paper.robots as f64 / KB / KB;
+            let mb = |r: &MethodRow| r.total_bytes as f64 / paper.scene.robots() as f64 / KB / KB;
             [row.map(mb), row.map(|r| r.avg_kb_s), row.map(|r| r.max_kb_s)]
         };
         lines.push(Line {
@@ -157,7 +159,7 @@ fn beside(measured: &[Measured]) -> DataTable {
             ratio: Some(ratio),
             bits: Some(RACER_BITS / ratio),
             changed_share: None,
-            traffic: [paper.paper, paper.racer].map(|t| [t.total_mb, t.avg_kb_s, t.max_kb_s].map(Some)),
+            traffic: [paper.paper, paper.racer].map(|[avg, max, mb]| [mb, avg, max].map(Some)),
         });
     }
     let table = DataTable::of(
@@ -166,7 +168,7 @@ fn beside(measured: &[Measured]) -> DataTable {
         &[
             ("row", "row", &|l| Cell::Whole(l.paper.number.into())),
             ("scene", "scene, voxel, range", &|l| Cell::text(l.paper.name())),
-            ("robots", "robots", &|l| Cell::count(l.paper.robots)),
+            ("robots", "robots", &|l| Cell::count(l.paper.scene.robots())),
             ("where", "measured", &|l| Cell::text(l.place)),
             ("volume_ratio", "racer / paper, volume", &|l| Cell::maybe(l.ratio, 2)),
             ("paper_bits_per_changed_voxel", "paper, bits a change", &|l| Cell::maybe(l.bits, 2)),
@@ -208,13 +210,11 @@ pub fn verdicts(measured: &[Measured]) -> Vec<(bool, String)> {
     {
         let wanted = row.paper.volume_ratio();
         let near = (0.7..=1.3).contains(&(ratio / wanted));
-        verdicts.push((
-            near,
-            format!(
-                "Table I row 1: `racer` needs {ratio:.1} times the bytes of `paper`; {wanted:.1} in the paper ({}within 30 %).",
-                if near { "" } else { "not " }
-            ),
-        ));
+        let not = if near { "" } else { "not " };
+        let words = format!(
+            "Table I row 1: `racer` needs {ratio:.1} times the bytes of `paper`; {wanted:.1} in the paper ({not}within 30 %)."
+        );
+        verdicts.push((near, words));
     }
     let stale: Vec<String> = measured
         .iter()
@@ -222,13 +222,9 @@ pub fn verdicts(measured: &[Measured]) -> Vec<(bool, String)> {
         .map(|(number, share)| format!("{} in row {number}", percent_short(share)))
         .collect();
     if !stale.is_empty() {
-        verdicts.push((
-            true,
-            format!(
-                "`racer-code` ends with voxels that are stale or were never sent. Right at the end: {}.",
-                stale.join(", ")
-            ),
-        ));
+        let stale = stale.join(", ");
+        let words = "`racer-code` ends with voxels that are stale or were never sent. Right at the end";
+        verdicts.push((true, format!("{words}: {stale}.")));
     }
     let broken: Vec<String> = measured
         .iter()
@@ -236,17 +232,13 @@ pub fn verdicts(measured: &[Measured]) -> Vec<(bool, String)> {
         .filter(|(_, method)| !method.is_as_promised)
         .map(|(number, method)| format!("{} in row {number}", method.name))
         .collect();
-    if measured.is_empty() {
-    } else if broken.is_empty() {
-        verdicts.push((
-            true,
-            "Every lossless method ends with every voxel right, in every row of Table I.".to_owned(),
-        ));
-    } else {
-        verdicts.push((
-            false,
-            format!("NOT LOSSLESS: {}. This is a fault of flockmap, please report it.", broken.join(", ")),
-        ));
+    if !measured.is_empty() {
+        let words = if broken.is_empty() {
+            "Every lossless method ends with every voxel right, in every row of Table I.".to_owned()
+        } else {
+            format!("NOT LOSSLESS: {}. This is a fault of flockmap, please report it.", broken.join(", "))
+        };
+        verdicts.push((broken.is_empty(), words));
     }
     verdicts
 }

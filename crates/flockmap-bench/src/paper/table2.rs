@@ -3,26 +3,27 @@
 use flockmap::codec::Codec;
 use flockmap_cli::document::{Cell, DataTable, Part, Section};
 
-use super::figures::{Scene, TABLE_TWO, TABLE_TWO_RANGE_M};
+use super::figures::{TABLE_TWO, TABLE_TWO_RANGE_M};
 use super::flown::Flown;
 use super::jobs;
 use super::methods::MethodRows;
 use super::settings::mapper;
 use super::team;
 use crate::baselines::Method;
+use crate::place::Place;
 
 /// Measures both orders on the forest.
 pub fn measure(flown: &Flown, threads: usize) -> anyhow::Result<Option<MethodRows>> {
     let methods = [Method::Whole(Codec::Paper), Method::Whole(Codec::NestedZlib)];
     let robots = (0..flown.scene.robots()).map(|robot| (format!("Table II, robot {}", robot + 1), robot));
-    let outcomes: Option<Vec<_>> = jobs::run(threads, robots.collect(), |robot| {
+    let runs: Option<Vec<_>> = jobs::run(threads, robots.collect(), |robot| {
         let source = flown.sources(TABLE_TWO_RANGE_M)?.swap_remove(robot);
         let mapper = mapper(0.1, TABLE_TWO_RANGE_M)?;
         team::codecs(source, &mapper, flown.scene.robots() - 1, &methods, |_, _| true)
     })?
     .into_iter()
     .collect();
-    Ok(outcomes.map(|outcomes| MethodRows::of_robots(&outcomes, flown.scene.robots() - 1)))
+    Ok(runs.and_then(MethodRows::of_robots))
 }
 
 pub fn section(rows: &MethodRows) -> Section {
@@ -51,7 +52,7 @@ pub fn section(rows: &MethodRows) -> Section {
     let parts = vec![
         Part::Words(format!(
             "The {}, 0.1 m voxels, {TABLE_TWO_RANGE_M} m range, the same batches packed in both orders, then zlib level 6.",
-            Scene::Forest.name()
+            Place::Forest.name()
         )),
         Part::Table(table.with_note(note)),
     ];

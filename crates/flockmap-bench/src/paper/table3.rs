@@ -17,11 +17,8 @@ use super::stack::{self, Stack};
 /// The emulated Wi-Fi: every tenth datagram is lost.
 pub const WIFI: Link = Link { loss: 0.1, delay_micros: 10_000, jitter_micros: 10_000, ..Link::PERFECT };
 
-/// The runs, by session.
-pub struct Measured {
-    pub ours: Stack,
-    pub paper: Stack,
-}
+/// The session of each run.
+const SESSIONS: [&str; 2] = ["Flockmap", "as in the paper"];
 
 /// A robot with the paper's settings of its real flight.
 pub fn flight_robot(codec: Codec, session: SessionConfig, seed: u64) -> anyhow::Result<RobotConfig> {
@@ -31,8 +28,8 @@ pub fn flight_robot(codec: Codec, session: SessionConfig, seed: u64) -> anyhow::
     Ok(RobotConfig { codec, session, ..robot })
 }
 
-/// Runs both sessions on the forest.
-pub fn measure(flown: &Flown, seed: u64, threads: usize) -> anyhow::Result<Option<Measured>> {
+/// Runs both sessions on the forest; ours comes first.
+pub fn measure(flown: &Flown, seed: u64, threads: usize) -> anyhow::Result<Option<Vec<Stack>>> {
     let sessions = vec![
         ("Table III, ours".to_owned(), (Codec::Flock, SessionConfig::default())),
         ("Table III, the paper's".to_owned(), (Codec::Paper, SessionConfig::paper())),
@@ -42,12 +39,10 @@ pub fn measure(flown: &Flown, seed: u64, threads: usize) -> anyhow::Result<Optio
         let title = "two nodes over an emulated Wi-Fi".to_owned();
         stack::run(title, &robot, WIFI, flown.sources(LIDAR_RANGE_M)?)
     })?;
-    let mut stacks = stacks.into_iter();
-    let (Some(Some(ours)), Some(Some(paper))) = (stacks.next(), stacks.next()) else { return Ok(None) };
-    Ok(Some(Measured { ours, paper }))
+    Ok(stacks.into_iter().collect())
 }
 
-pub fn section(measured: &Measured) -> Section {
+pub fn section(stacks: &[Stack]) -> Section {
     /// A robot of a run, or of the paper's flight: KB/s sent and received on average, in the largest second.
     struct Line<'a> {
         session: &'static str,
@@ -56,7 +51,7 @@ pub fn section(measured: &Measured) -> Section {
         report: Option<&'a Report>,
     }
     let mut lines = Vec::new();
-    for (session, stack) in [("Flockmap", &measured.ours), ("as in the paper", &measured.paper)] {
+    for (session, stack) in SESSIONS.into_iter().zip(stacks) {
         let seconds = stack.report.record_s.max(1e-3);
         for (number, [sent, received]) in stack.traffic.iter().enumerate() {
             let avg = |of: &SentBytes| of.total() as f64 / KB / seconds;
@@ -99,13 +94,13 @@ pub fn section(measured: &Measured) -> Section {
             FLIGHT_UPDATE_BOX_M[2],
         )),
         Part::Table(table.with_note(note)),
-        Part::Figure(fig9(measured)),
+        Part::Figure(fig9(stacks)),
     ];
     Section::new("table3", "Table III and Fig. 9: two nodes over a Wi-Fi with loss", parts)
 }
 
 /// What robot 1 sends and receives in each second.
-fn fig9(measured: &Measured) -> Markup {
+fn fig9(stacks: &[Stack]) -> Markup {
     let chart = |stack: &Stack| {
         let [sent, received] = stack.traffic.first()?;
         // The last second is a part of one.
@@ -126,7 +121,7 @@ fn fig9(measured: &Measured) -> Markup {
             ],
         ))
     };
-    let runs = [("Flockmap's own session", &measured.ours), ("the paper's session", &measured.paper)];
+    let runs = ["Flockmap's own session", "the paper's session"].into_iter().zip(stacks);
     html! {
         div.charts {
             @for (name, stack) in runs {

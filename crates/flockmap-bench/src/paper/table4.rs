@@ -7,9 +7,9 @@ use flockmap::{Batch, Changes, Fusion, FusionConfig, Mapper, Packer, RobotId, Se
 use flockmap_cli::document::{Cell, DataTable, Part, Section};
 use flockmap_cli::measure::Times;
 use flockmap_cli::progress::Progress;
+use flockmap_cli::report::{PAPER_T_INSERT_MS, PAPER_T_PACK_MS};
 use flockmap_cli::stop;
 
-use super::figures::{T_PACK_MS, T_RECV2INSERT_MS};
 use super::flown::{Flown, LIDAR_RANGE_M};
 use super::table3;
 
@@ -19,18 +19,19 @@ const SECONDS_MAX: f64 = 60.0;
 /// The same batches, packed whole and cut to datagrams.
 #[derive(Default)]
 pub struct Measured {
-    pub whole: Pair,
-    pub datagrams: Pair,
-    pub changes: u64,
+    ways: [Pair; 2],
+    changes: u64,
     pub batches: u64,
-    pub packages: u64,
+    packages: u64,
+    encoder: Encoder,
+    decoder: Decoder,
 }
 
 #[derive(Default)]
-pub struct Pair {
-    pub t_pack: Times,
+struct Pair {
+    t_pack: Times,
     /// All packages of a batch.
-    pub t_recv2insert: Times,
+    t_recv2insert: Times,
 }
 
 /// One robot: what it maps, and how it holds its team-mate's map.
@@ -57,10 +58,8 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
         });
     }
     let mut measured = Measured::default();
-    let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     let progress =
         Progress::new("scans", (flown.seconds.min(SECONDS_MAX) * 10.0) as u64 * sources.len() as u64);
-    let mut index = 1;
     'flight: while !stop::requested() {
         for number in 0..nodes.len() {
             let Some(frame) = sources[number].frames.next() else { break 'flight };
@@ -79,11 +78,8 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
                 let took = started.elapsed();
                 measured.batches += 1;
                 measured.changes += changes.len() as u64;
-                let other = 1 - number;
-                if other < nodes.len() {
-                    let of = (&batch, &changes, index);
-                    index +=
-                        one_batch(&mut measured, &mut encoder, &mut decoder, &mut nodes[other], took, of)?;
+                if let Some(other) = nodes.get_mut(1 - number) {
+                    measured.batch(other, took, &batch, &changes)?;
                 }
             }
             progress.step();
@@ -92,53 +88,48 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
     Ok(measured)
 }
 
-/// Packs a batch whole and cut, and merges it at the receiver. Returns how many packages it came to.
-fn one_batch(
-    measured: &mut Measured,
-    encoder: &mut Encoder,
-    decoder: &mut Decoder,
-    receiver: &mut Node,
-    taken: Duration,
-    (batch, changes, index): (&Batch, &Changes, u32),
-) -> anyhow::Result<u32> {
-    let mut count = 0;
-    for (number, is_whole) in [(0, true), (1, false)] {
-        let started = Instant::now();
-        let packages = if is_whole {
-            vec![encoder.encode_whole(Codec::Paper, batch, index, changes)?]
-        } else {
-            encoder.encode_batch(Codec::Paper, batch, index, changes, PACKAGE_BYTES_MAX)?
-        };
-        let pair = if is_whole { &mut measured.whole } else { &mut measured.datagrams };
-        pair.t_pack.add(taken + started.elapsed());
-        let started = Instant::now();
-        for package in &packages {
-            let received = Package::parse(package.bytes())?;
-            if let Content::Changes(decoded) = decoder.decode(&received)? {
-                let header = received.header();
-                receiver.fusions[number].apply(
-                    &receiver.mapper,
-                    header.stream,
-                    &decoded,
-                    header.batch_end,
-                    header.batch_end,
-                )?;
+impl Measured {
+    /// Packs a batch whole and cut, and merges it at the receiver.
+    fn batch(
+        &mut self,
+        receiver: &mut Node,
+        taken: Duration,
+        batch: &Batch,
+        changes: &Changes,
+    ) -> anyhow::Result<()> {
+        let index = self.packages as u32 + 1;
+        let Node { mapper, fusions, .. } = receiver;
+        for (is_whole, (way, fusion)) in [true, false].into_iter().zip(self.ways.iter_mut().zip(fusions)) {
+            let started = Instant::now();
+            let packages = if is_whole {
+                vec![self.encoder.encode_whole(Codec::Paper, batch, index, changes)?]
+            } else {
+                self.encoder.encode_batch(Codec::Paper, batch, index, changes, PACKAGE_BYTES_MAX)?
+            };
+            way.t_pack.add(taken + started.elapsed());
+            let started = Instant::now();
+            for package in &packages {
+                let received = Package::parse(package.bytes())?;
+                if let Content::Changes(decoded) = self.decoder.decode(&received)? {
+                    let (stream, end) = (received.header().stream, received.header().batch_end);
+                    fusion.apply(mapper, stream, &decoded, end, end)?;
+                }
             }
+            way.t_recv2insert.add(started.elapsed());
+            // Those of the second way, cut to datagrams, count.
+            self.packages = u64::from(index) - 1 + packages.len() as u64;
         }
-        pair.t_recv2insert.add(started.elapsed());
-        count = packages.len() as u32;
+        Ok(())
     }
-    measured.packages += u64::from(count);
-    Ok(count)
 }
 
 pub fn section(measured: &Measured) -> Section {
-    let Measured { whole, datagrams, .. } = measured;
+    let [whole, datagrams] = &measured.ways;
     let steps = [
-        ("t_pack, one package a batch, as the paper", whole.t_pack.summary(), T_PACK_MS),
-        ("t_pack, cut to datagrams", datagrams.t_pack.summary(), T_PACK_MS),
-        ("t_recv2insert, one package", whole.t_recv2insert.summary(), T_RECV2INSERT_MS),
-        ("t_recv2insert, all datagrams of a batch", datagrams.t_recv2insert.summary(), T_RECV2INSERT_MS),
+        ("t_pack, one package a batch, as the paper", whole.t_pack.summary(), PAPER_T_PACK_MS),
+        ("t_pack, cut to datagrams", datagrams.t_pack.summary(), PAPER_T_PACK_MS),
+        ("t_recv2insert, one package", whole.t_recv2insert.summary(), PAPER_T_INSERT_MS),
+        ("t_recv2insert, all datagrams of a batch", datagrams.t_recv2insert.summary(), PAPER_T_INSERT_MS),
     ];
     let table = DataTable::of(
         "table4",

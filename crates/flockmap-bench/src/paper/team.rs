@@ -15,7 +15,7 @@ use super::settings::{batch, robot};
 use super::stack::{self, Stack};
 use crate::baselines::Method;
 use crate::baselines::racer_code::{RacerCast, RacerConfig};
-use crate::codec_run::{CodecRun, Outcome};
+use crate::codec_run::CodecRun;
 use crate::rival_swarm;
 
 /// The name of our own stack's row.
@@ -61,15 +61,15 @@ enum Task {
 enum Finished {
     Stack(Box<Stack>),
     Rival(MethodRow),
-    Robot(Outcome),
-    Relay(Outcome),
+    Robot(CodecRun),
+    Relay(CodecRun),
 }
 
 /// What is measured of a team so far.
 #[derive(Default)]
 struct Done {
-    robots: Vec<Outcome>,
-    relays: Vec<Outcome>,
+    robots: Vec<CodecRun>,
+    relays: Vec<CodecRun>,
     rival: Option<MethodRow>,
     stack: Option<Stack>,
 }
@@ -98,8 +98,8 @@ pub fn measure(teams: &[Team<'_>], seed: u64, threads: usize) -> anyhow::Result<
         match piece {
             Some(Finished::Stack(stack)) => done[*number].stack = Some(*stack),
             Some(Finished::Rival(row)) => done[*number].rival = Some(row),
-            Some(Finished::Robot(outcome)) => done[*number].robots.push(outcome),
-            Some(Finished::Relay(outcome)) => done[*number].relays.push(outcome),
+            Some(Finished::Robot(run)) => done[*number].robots.push(run),
+            Some(Finished::Relay(run)) => done[*number].relays.push(run),
             None => {}
         }
     }
@@ -135,10 +135,9 @@ impl Team<'_> {
         if done.robots.len() < self.robots {
             return None;
         }
-        let of_robots = |outcomes: &[Outcome]| MethodRows::of_robots(outcomes, self.robots - 1);
-        let mut methods = of_robots(&done.robots);
+        let mut methods = MethodRows::of_robots(done.robots)?;
         if done.relays.len() == self.robots {
-            methods.add_relays(of_robots(&done.relays), self.relayed_s);
+            methods.add_relays(MethodRows::of_robots(done.relays)?, self.relayed_s);
         }
         methods.add(done.rival);
         methods.add(done.stack.as_ref().map(|stack| stack.row(STACK, self.about_stack)));
@@ -153,12 +152,12 @@ pub fn codecs(
     receivers: usize,
     methods: &[Method],
     is_wanted: impl Fn(usize, &Frame) -> bool,
-) -> anyhow::Result<Outcome> {
+) -> anyhow::Result<CodecRun> {
     let mut run = CodecRun::new(mapper.clone(), batch(PUBLISH_PERIOD_S, CHANGES_MAX), methods, receivers);
     let progress = Progress::new("scans", source.frames_expected);
     let frames = source.frames.enumerate().take_while(|(number, frame)| is_wanted(*number, frame));
     run.record(frames.map(|(_, frame)| frame), || progress.step())?;
-    Ok(run.finish())
+    Ok(run)
 }
 
 /// RACER's own session on the same frames.
@@ -168,7 +167,8 @@ fn rival(mapper: &MapperConfig, sources: Vec<Source>, seed: u64) -> anyhow::Resu
         |id| RacerConfig { cast: RacerCast::Unicast, ..RacerConfig::new(id, robots, mapper.clone()) };
     let run = rival_swarm::run(sources, config, RadioConfig { seed, ..RadioConfig::default() })?;
     let agreement = run.agreement();
-    let total_bytes: u64 = run.members.iter().map(|member| member.sent.total()).sum();
+    let total_bytes: u64 = run.measures.iter().map(|of| of.sent.total()).sum();
+    let largest_second = run.measures.iter().map(|of| of.sent.largest_second()).max().unwrap_or(0);
     let seconds = run.last_scan.seconds().max(1e-3);
     let percent = |voxels: u64| voxels as f64 * 100.0 / agreement.compared.known.max(1) as f64;
     Ok(MethodRow {
@@ -180,10 +180,9 @@ fn rival(mapper: &MapperConfig, sources: Vec<Source>, seed: u64) -> anyhow::Resu
             percent(agreement.missing)
         ),
         total_bytes,
-        ip_udp_bytes: run.members.iter().map(|member| member.datagrams).sum::<u64>() * IP_UDP_BYTES,
+        ip_udp_bytes: run.measures.iter().map(|of| of.datagrams).sum::<u64>() * IP_UDP_BYTES,
         avg_kb_s: total_bytes as f64 / KB / seconds / f64::from(robots.max(1)),
-        max_kb_s: run.members.iter().map(|member| member.sent.largest_second()).max().unwrap_or(0) as f64
-            / KB,
+        max_kb_s: largest_second as f64 / KB,
         agreement: agreement.compared.share(),
         is_as_promised: true,
         ..MethodRow::default()

@@ -2,7 +2,7 @@
 
 use anyhow::ensure;
 use flockmap::codec::{Batch, Codec, Content, Decoder, Encoder, Package};
-use flockmap::grid::{BlockIndex, StateBlock, voxel_bit};
+use flockmap::grid::{StateBlock, VoxelBox, voxel_bit};
 use flockmap::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
 use flockmap_cli::parallel::{cores, in_parallel};
 use flockmap_cli::progress::Progress;
@@ -90,18 +90,18 @@ pub fn measure(plan: &Plan) -> anyhow::Result<Figure> {
     jobs.sort_by_key(|&(size, _)| std::cmp::Reverse(volume(plan.sizes[size])));
     let weight = |size: usize| volume(plan.sizes[size]).div_ceil(1 << 15);
     let progress = Progress::new("Fig. 5: voxels drawn, in 32³", jobs.iter().map(|j| weight(j.0)).sum());
-    let mut points = in_parallel(cores().min(jobs.len()), jobs, |(size, ratio)| {
+    let points = in_parallel(cores().min(jobs.len()), jobs, |(size, ratio)| {
         let point = point(plan, size, ratio);
         progress.add(weight(size));
-        ((size, ratio), point)
+        (size, point)
     });
-    points.sort_by_key(|(job, _)| *job);
     let mut figure = Figure { maps: Vec::new(), header_bytes_max: 0, lossless: true };
     for &size in &plan.sizes {
         let voxels = volume(size);
         figure.maps.push(Map3 { size, voxels, address_bytes: address_bytes(voxels), points: Vec::new() });
     }
-    for ((size, _), point) in points {
+    // Those of one size come in the order of the ratios.
+    for (size, point) in points {
         let (point, header_bytes, lossless) = point?;
         figure.maps[size].points.push(point);
         figure.header_bytes_max = figure.header_bytes_max.max(header_bytes);
@@ -128,34 +128,29 @@ fn entropy(share: f64) -> f64 {
 /// among them: the whole map is the box then, as in the paper's figure, and no method gains from a smaller one.
 fn draw(size: [u32; 3], count: u64, random: &mut Random) -> Changes {
     let voxels = volume(size);
-    let last = [size[0] as i32 - 1, size[1] as i32 - 1, size[2] as i32 - 1];
-    let corners = [Voxel::new(0, 0, 0), Voxel::new(last[0], last[1], last[2])];
+    let [x, y, z] = size.map(|side| side as i32 - 1);
+    let corners = [Voxel::new(0, 0, 0), Voxel::new(x, y, z)];
+    let map = VoxelBox::spanning(corners[0], corners[1]);
     // Selection sampling (Knuth, vol. 2, algorithm S): every set of voxels has the same probability.
     let (mut left, mut wanted) = (voxels - 2, count.saturating_sub(2));
     let mut blocks = Vec::new();
-    let sides = size.map(|side| side as i32 / 8);
-    for x in 0..sides[0] {
-        for y in 0..sides[1] {
-            for z in 0..sides[2] {
-                let index = BlockIndex::new(x, y, z);
-                let corner = corners.into_iter().find(|corner| corner.block() == index).map(voxel_bit);
-                let mut block = StateBlock::default();
-                for bit in 0..512 {
-                    let is_corner = corner == Some(bit);
-                    if !is_corner {
-                        let chosen = random.below(left) < wanted;
-                        left -= 1;
-                        if !chosen {
-                            continue;
-                        }
-                        wanted -= 1;
-                    }
-                    let occupied = random.next_u64() >> 63 == 1;
-                    block.set(bit, if occupied { State::Occupied } else { State::Free });
+    for index in map.iter().flat_map(VoxelBox::blocks) {
+        let corner = corners.into_iter().find(|corner| corner.block() == index).map(voxel_bit);
+        let mut block = StateBlock::default();
+        for bit in 0..512 {
+            let is_corner = corner == Some(bit);
+            if !is_corner {
+                let chosen = random.below(left) < wanted;
+                left -= 1;
+                if !chosen {
+                    continue;
                 }
-                blocks.push((index, block));
+                wanted -= 1;
             }
+            let occupied = random.next_u64() >> 63 == 1;
+            block.set(bit, if occupied { State::Occupied } else { State::Free });
         }
+        blocks.push((index, block));
     }
     Changes::from_blocks(blocks)
 }

@@ -9,7 +9,7 @@ use anyhow::ensure;
 use clap::Args;
 use flockmap_cli::document::Document;
 use flockmap_cli::{json_file, stop};
-use serde_json::{Map, json};
+use serde_json::json;
 
 pub use draw::{Figure, Plan, measure};
 use figure::TABLE;
@@ -60,7 +60,10 @@ pub fn run(args: &RandomArgs) -> anyhow::Result<bool> {
         title: format!("Changes drawn at random ({} draws a point, seed {})", plan.draws, plan.seed),
         verdicts: verdicts(&figure),
         sections: vec![section(&figure, &plan)],
-        facts: facts(&figure, &plan),
+        facts: json!({
+            "seed": plan.seed, "draws": plan.draws, "header_bytes_max": figure.header_bytes_max,
+            "interrupted": stop::requested(), "maps": figure.maps,
+        }),
         ..Document::default()
     };
     document.print(true);
@@ -78,24 +81,14 @@ pub fn run(args: &RandomArgs) -> anyhow::Result<bool> {
 pub fn verdicts(figure: &Figure) -> Vec<(bool, String)> {
     let mut verdicts = Vec::new();
     if stop::requested() {
-        verdicts
-            .push((false, "Partial: ended by Ctrl-C. Points that were not reached are missing.".to_owned()));
+        let words = "Partial: ended by Ctrl-C. Points that were not reached are missing.";
+        verdicts.push((false, words.to_owned()));
     }
-    verdicts.push(if figure.lossless {
-        (true, "Every codec gives back every voxel (first draw of each point decoded).".to_owned())
+    let words = if figure.lossless {
+        "Every codec gives back every voxel (first draw of each point decoded)."
     } else {
-        (false, "A codec does not give back what went in: a fault of flockmap, please report it.".to_owned())
-    });
+        "A codec does not give back what went in: a fault of flockmap, please report it."
+    };
+    verdicts.push((figure.lossless, words.to_owned()));
     verdicts
-}
-
-/// What the JSON holds beside the table.
-fn facts(figure: &Figure, plan: &Plan) -> Map<String, serde_json::Value> {
-    Map::from_iter([
-        ("seed".to_owned(), json!(plan.seed)),
-        ("draws".to_owned(), json!(plan.draws)),
-        ("header_bytes_max".to_owned(), json!(figure.header_bytes_max)),
-        ("interrupted".to_owned(), json!(stop::requested())),
-        ("maps".to_owned(), json!(figure.maps)),
-    ])
 }

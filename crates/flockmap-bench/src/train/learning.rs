@@ -20,9 +20,7 @@ pub fn tables(recordings: &[Recording], threads: usize) -> Vec<u8> {
     let progress = Progress::new("rounds of learning", 3 * ROUNDS as u64);
     // In the order of the file.
     let kinds = [Some(Scans::Dense), Some(Scans::Sparse), None];
-    let sets = in_parallel(threads, kinds, |scans| {
-        learn(Trainer::new(), &samples(recordings, scans), &progress).tables()
-    });
+    let sets = in_parallel(threads, kinds, |scans| learn(&samples(recordings, scans), &progress).tables());
     training::file(&sets)
 }
 
@@ -61,7 +59,8 @@ fn is_of_obstacles(changes: &Changes) -> bool {
     changes.blocks().iter().all(|(_, states)| states.free().iter().all(|plane| *plane == 0))
 }
 
-fn learn(mut trainer: Trainer, samples: &[Sample<'_>], progress: &Progress) -> Trainer {
+fn learn(samples: &[Sample<'_>], progress: &Progress) -> Trainer {
+    let mut trainer = Trainer::new();
     for _ in 0..ROUNDS {
         for Sample { recording, chosen } in samples {
             let mut chosen = chosen.iter().copied().peekable();

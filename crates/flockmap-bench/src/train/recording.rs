@@ -3,15 +3,13 @@
 use std::sync::Arc;
 
 use anyhow::Context;
-use flockmap::{
-    Batch, BatchConfig, Changes, Mapper, MapperConfig, Packer, Pose, Preset, Resolution, RobotId, Scan,
-    Stamp, Stream,
-};
+use flockmap::{Batch, BatchConfig, Changes, MapperConfig, Pose, Preset, Resolution, Scan, Stamp};
 use flockmap_cli::parallel::in_parallel;
 use flockmap_cli::progress::Progress;
 use flockmap_worlds::{ScanOptions, Scanner, Trajectory, TrajectoryOptions, World};
 
-use super::scenes::{MapSize, Place, ROBOTS, Scans, Scene};
+use super::scenes::{MapSize, ROBOTS, Scans, Scene};
+use crate::batcher::{Batcher, Step};
 
 /// When batches close. Each flight is mapped with both, as robots can be set to either.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -26,16 +24,11 @@ impl Closing {
     const ALL: [Self; 2] = [Self::Together, Self::ObstaclesAhead];
 
     fn config(self) -> BatchConfig {
-        match self {
-            Self::Together => {
-                BatchConfig { publish_period_ms: 500, obstacle_period_ms: None, ..BatchConfig::default() }
-            }
-            Self::ObstaclesAhead => BatchConfig {
-                publish_period_ms: 2_000,
-                obstacle_period_ms: Some(100),
-                ..BatchConfig::default()
-            },
-        }
+        let (publish_period_ms, obstacle_period_ms) = match self {
+            Self::Together => (500, None),
+            Self::ObstaclesAhead => (2_000, Some(100)),
+        };
+        BatchConfig { publish_period_ms, obstacle_period_ms, ..BatchConfig::default() }
     }
 }
 
@@ -76,10 +69,7 @@ pub fn record(scenes: &[Scene], threads: usize) -> anyhow::Result<Vec<Recording>
 }
 
 fn plan(scene: &Scene) -> anyhow::Result<Vec<Flight<'_>>> {
-    let world = Arc::new(match scene.place {
-        Place::Forest => World::forest(scene.seed),
-        Place::Indoor => World::indoor(scene.seed),
-    });
+    let world = Arc::new(scene.place.world(scene.seed));
     let options = TrajectoryOptions { duration_s: scene.seconds, ..TrajectoryOptions::default() };
     let trajectories = Trajectory::plan(&world, ROBOTS, scene.seed, &options)
         .with_context(|| format!("no flight through {scene}"))?;
@@ -109,16 +99,14 @@ fn fly(flight: &Flight<'_>) -> anyhow::Result<Vec<Recording>> {
     }
     for (stamp, pose) in poses {
         let scan = scanner.scan(*stamp, pose, None, &[]);
-        makers.iter_mut().for_each(|maker| maker.scan(&scan, pose));
+        makers.iter_mut().try_for_each(|maker| maker.scan(&scan, pose))?;
     }
     Ok(makers.into_iter().map(Maker::finish).collect())
 }
 
-/// A robot that maps and closes batches.
+/// A robot whose batches are kept.
 struct Maker {
-    mapper: Mapper,
-    packer: Packer,
-    last: Stamp,
+    robot: Batcher,
     recording: Recording,
 }
 
@@ -126,31 +114,24 @@ impl Maker {
     fn new(scans: Scans, closing: Closing, robot: usize, size: MapSize) -> anyhow::Result<Self> {
         let resolution = Resolution::from_metres(size.resolution_m)
             .with_context(|| format!("no map has voxels of {} m", size.resolution_m))?;
-        let stream = Stream { origin: RobotId(robot as u16 + 1), epoch: 1 };
+        let mapper = MapperConfig::preset(Preset::RogMap, resolution, size.range_m);
         Ok(Self {
-            mapper: Mapper::new(MapperConfig::preset(Preset::RogMap, resolution, size.range_m))?,
-            packer: Packer::new(closing.config(), stream, resolution, Stamp(0)),
-            last: Stamp(0),
+            robot: Batcher::new(robot, &mapper, closing.config())?,
             recording: Recording { scans, closing, batches: Vec::new() },
         })
     }
 
-    fn scan(&mut self, scan: &Scan, pose: &Pose) {
-        // The deadline of a batch may pass between two scans.
-        while let Some(deadline) = self.packer.deadline(&self.mapper).filter(|at| *at < scan.stamp) {
-            let Some(batch) = self.packer.close_due(deadline.max(self.last), &mut self.mapper) else { break };
-            self.recording.batches.push(batch);
-        }
-        self.last = scan.stamp;
-        self.mapper.insert(scan, pose, &[]);
-        self.packer.note_scan(scan.stamp, pose);
-        while let Some(batch) = self.packer.close_due(scan.stamp, &mut self.mapper) {
-            self.recording.batches.push(batch);
-        }
+    fn scan(&mut self, scan: &Scan, pose: &Pose) -> anyhow::Result<()> {
+        self.robot.scan(scan, pose, &[], |_, step| {
+            if let Step::Closed(batch, changes) = step {
+                self.recording.batches.push((batch, changes));
+            }
+            Ok(())
+        })
     }
 
     fn finish(mut self) -> Recording {
-        self.recording.batches.extend(self.packer.close(self.last, &mut self.mapper));
+        self.recording.batches.extend(self.robot.end());
         self.recording
     }
 }

@@ -5,12 +5,7 @@
 
 use flockmap_worlds::Lidar;
 
-/// A kind of generated world.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Place {
-    Forest,
-    Indoor,
-}
+use crate::place::Place;
 
 /// How much of what is there a scan hits: each has a set of tables of its own.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -104,11 +99,8 @@ pub const SCENES: &[Scene] = &[
 
 impl core::fmt::Display for Scene {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        let place = match self.place {
-            Place::Forest => "forest",
-            Place::Indoor => "indoor",
-        };
-        write!(f, "{place}, seed {}, {}, {:.0} s", self.seed, self.lidar, self.seconds)
+        let Self { place, seed, lidar, seconds, .. } = self;
+        write!(f, "{}, seed {seed}, {lidar}, {seconds:.0} s", place.name())
     }
 }
 

@@ -81,27 +81,24 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     drop(updates);
     fly(&mut flyers, &nodes, clock, &reported, seconds);
     let arrived = settle(&mut flyers, &nodes, clock, &reported)?;
-    let mut ended = Vec::new();
     for (flyer, node) in flyers.iter_mut().zip(&nodes) {
         flyer.pictures.extend(picture(node));
         node.stop();
     }
-    for node in nodes {
-        ended.push(node.join().context("a node ended with an error")?);
-    }
+    let ended = nodes.into_iter().map(|node| node.join().context("a node ended with an error"));
+    let ended = ended.collect::<anyhow::Result<Vec<_>>>()?;
     reported.try_iter().for_each(|update| count(&mut flyers, update));
 
     let times = |of: fn(&Timings) -> &Histogram| {
         TimeSummary::of_histograms(ended.iter().map(|ended| of(&ended.status.timings)))
     };
-    let [map, pack, insert] =
-        [times(|t| &t.insert_scan), times(|t| &t.pack), times(|t| &t.receive_to_insert)];
+    let times = [times(|t| &t.insert_scan), times(|t| &t.pack), times(|t| &t.receive_to_insert)];
     let last_scan = flyers.iter().map(|flyer| flyer.last_scan).max().unwrap_or_default();
     let members = flyers.into_iter().zip(ended).map(|(flyer, ended)| {
         let Flyer { name, measures, pictures, .. } = flyer;
         Member { name, robot: ended.robot, measures, pictures, scans_damaged: 0 }
     });
-    let run = Run { members: members.collect(), last_scan, arrived, map, pack, insert };
+    let run = Run { members: members.collect(), last_scan, arrived, times };
     let radio = "UDP sockets on the loopback of this machine, in real time";
     let report = Report::new(&run, title, Settings::new(&base, args.map.mapper, radio))?;
     let document = report.document();
@@ -124,10 +121,7 @@ fn start(
     updates: &Updates,
 ) -> anyhow::Result<(Vec<Flyer>, Vec<NodeHandle>)> {
     let options = UdpOptions::new("127.0.0.1:0".parse()?);
-    let mut sockets = Vec::new();
-    for _ in &robots {
-        sockets.push(UdpSockets::bind(&options)?);
-    }
+    let sockets = robots.iter().map(|_| UdpSockets::bind(&options)).collect::<Result<Vec<_>, _>>()?;
     let addresses = sockets.iter().map(UdpSockets::local_addr).collect::<io::Result<Vec<_>>>()?;
     let (mut flyers, mut nodes) = (Vec::new(), Vec::new());
     for (number, (source, mut sockets)) in robots.into_iter().zip(sockets).enumerate() {
@@ -221,20 +215,19 @@ fn settle(
     let streams: Vec<Stream> = flyers.iter().map(|flyer| flyer.stream).collect();
     while began.elapsed() < SETTLE_MAX {
         // The own packages of each robot, and how many it has received of each.
-        let (mut packages, mut received) = (Vec::new(), Vec::new());
+        let mut states = Vec::new();
         for node in nodes {
             let streams = streams.clone();
             let state = node.with_robot(move |robot, _| {
                 let of = |s: &Stream| robot.session().received(*s).map_or(0, |set| u64::from(set.prefix()));
                 (robot.counters().packages, streams.iter().map(of).collect::<Vec<_>>())
             });
-            let (own, of_each) = state.context(ENDED)?;
-            packages.push(own);
-            received.push(of_each);
+            states.push(state.context(ENDED)?);
         }
         reported.try_iter().for_each(|update| count(flyers, update));
-        if received.iter().all(|of_each| of_each.iter().zip(&packages).all(|(got, packages)| got >= packages))
-        {
+        let is_all =
+            |received: &[u64]| received.iter().zip(&states).all(|(got, (packages, _))| got >= packages);
+        if states.iter().all(|(_, received)| is_all(received)) {
             return Ok(Some(since_begin(clock.now())));
         }
         std::thread::sleep(Duration::from_millis(20));

@@ -2,14 +2,15 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::ensure;
 use clap::Args;
+use flockmap::State;
 use flockmap::grid::{Changes, Mapper};
-use flockmap::{Resolution, State, Voxel};
 use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, SourceArgs};
 use flockmap_cli::progress::Progress;
-use flockmap_cli::{sources, stop};
+use flockmap_cli::sources::{self, ending};
+use flockmap_cli::stop;
 use flockmap_io::{ExportOptions, OctoMap, export_map, read_cloud};
 
 /// Map a record and take the map elsewhere, or convert a map or cloud
@@ -41,14 +42,9 @@ pub struct ExportArgs {
 
 /// Runs the command.
 pub fn run(args: &ExportArgs) -> anyhow::Result<bool> {
-    let ending = args.to.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    if !matches!(ending.as_deref(), Some("ply" | "pcd" | "bt")) {
-        bail!("--to {}: expected a path that ends in .ply, .pcd or .bt", args.to.display());
-    }
-    let extension = args.file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    let (resolution, voxels): (Resolution, Box<dyn Iterator<Item = (Voxel, State)>>) = match extension
-        .as_deref()
-    {
+    let is_known = matches!(ending(&args.to).as_deref(), Some("ply" | "pcd" | "bt"));
+    ensure!(is_known, "--to {}: expected a path that ends in .ply, .pcd or .bt", args.to.display());
+    let (resolution, voxels): (_, Box<dyn Iterator<Item = _>>) = match ending(&args.file).as_deref() {
         Some("bt") => {
             let map = OctoMap::read(&args.file)?;
             let voxels =
@@ -88,9 +84,6 @@ fn map_sources(args: &ExportArgs) -> anyhow::Result<Changes> {
     }
     let blocks = mapper.blocks().map(|(index, block)| (index, *block)).collect();
     let changes = Changes::from_blocks(blocks);
-    if changes.is_empty() {
-        return Err(anyhow::anyhow!("no voxel is known"))
-            .with_context(|| format!("{}: nothing to export", args.file.display()));
-    }
+    ensure!(!changes.is_empty(), "{}: nothing to export: no voxel is known", args.file.display());
     Ok(changes)
 }

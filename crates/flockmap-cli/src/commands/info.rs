@@ -8,6 +8,7 @@ use flockmap::State;
 use flockmap::codec::{Content, ContentKind, Package};
 use flockmap_cli::json_file;
 use flockmap_cli::numbers::thousands;
+use flockmap_cli::sources::ending;
 use flockmap_io::describe;
 use flockmap_node::store::{inspect, is_store};
 use serde_json::{Value, json};
@@ -38,9 +39,9 @@ const PACKAGE_FILE_BYTES_MAX: u64 = 64 << 20;
 pub fn run(args: &InfoArgs) -> anyhow::Result<bool> {
     let metadata =
         std::fs::metadata(&args.file).with_context(|| format!("cannot read {}", args.file.display()))?;
-    let extension = args.file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    let ending = ending(&args.file);
     let known =
-        matches!(extension.as_deref(), Some("mcap" | "pcd" | "ply" | "las" | "laz" | "bt" | "db3" | "bag"));
+        matches!(ending.as_deref(), Some("mcap" | "pcd" | "ply" | "las" | "laz" | "bt" | "db3" | "bag"));
     let (text, facts) = if metadata.is_dir() && is_store(&args.file) {
         store(&args.file)?
     } else if known || metadata.is_dir() {
@@ -155,24 +156,20 @@ fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {
     let package = Package::parse(&bytes).map_err(|error| {
         anyhow!("{file}: neither a record, a map, nor a cloud by its ending, and as a map package: {error}")
     })?;
-    let content = package.decode().with_context(|| args.file.display().to_string())?;
+    let content = package.decode().with_context(|| file.to_string())?;
     let h = package.header();
     let (size, min, max) = (h.region.size(), h.region.min(), h.region.max());
-    let (kind, free, occupied) = match &content {
-        Content::Changes(changes) => {
-            let occupied = changes.voxels().filter(|(_, state)| *state == State::Occupied).count();
-            ("changes", changes.len() - occupied, occupied)
-        }
-        Content::Snapshot(state) => {
-            let voxels = || state.parts.iter().flat_map(|(_, part)| part.voxels());
-            let occupied = voxels().filter(|(_, state)| *state == State::Occupied).count();
-            ("snapshot", voxels().count() - occupied, occupied)
-        }
+    let (kind, parts) = match &content {
+        Content::Changes(changes) => ("changes", vec![changes]),
+        Content::Snapshot(state) => ("snapshot", state.parts.iter().map(|(_, part)| part).collect()),
     };
+    let states = || parts.iter().flat_map(|part| part.voxels()).map(|(_, state)| state);
+    let occupied = states().filter(|state| *state == State::Occupied).count();
+    let free = states().count() - occupied;
     let mut text = format!(
         "{}: map package, {} bytes, codec {}, {kind}\n  robot {}, epoch {}, index {}, base {}\n  batch {:.6} to {:.6} s, \
          voxels of {} m\n  box {min:?} to {max:?}: {} × {} × {} voxels\n  {} free and {} occupied, {:.2} bits each\n  check: right\n",
-        args.file.display(),
+        file,
         thousands(bytes.len() as u64),
         h.codec,
         h.stream.origin,
@@ -189,14 +186,14 @@ fn package(args: &InfoArgs) -> anyhow::Result<(String, Value)> {
         thousands(occupied as u64),
         bytes.len() as f64 * 8.0 / (free + occupied).max(1) as f64,
     );
-    let mut chunk_of = None;
-    let mut since = None;
+    let (mut chunk_of, mut since) = (None, None);
     if let ContentKind::Snapshot { since: after, chunk, chunks, .. } = h.content {
         text += &format!("  chunk {chunk} of {chunks}");
-        text +=
-            &if after == 0 { String::from("\n") } else { format!(", of what packages after {after} made\n") };
-        since = Some(after);
-        chunk_of = Some([chunk, chunks]);
+        if after > 0 {
+            text += &format!(", of what packages after {after} made");
+        }
+        text.push('\n');
+        (chunk_of, since) = (Some([chunk, chunks]), Some(after));
     }
     let facts = json!({
         "path": args.file, "bytes": bytes.len(), "content": {

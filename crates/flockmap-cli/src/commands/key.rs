@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
+use flockmap::sync::SwarmKey;
 
 /// Make a new swarm key: with it, robots believe only each other, and nobody else can read what they send
 #[derive(Args, Debug)]
@@ -25,11 +26,8 @@ pub struct KeyArgs {
     pub out: Option<PathBuf>,
 }
 
-/// Bytes of a key.
-const BYTES: usize = flockmap::sync::SwarmKey::BYTES;
-
 pub fn run(args: &KeyArgs) -> anyhow::Result<bool> {
-    let mut bytes = [0; BYTES];
+    let mut bytes = [0; SwarmKey::BYTES];
     getrandom::fill(&mut bytes).map_err(|error| anyhow!("this machine gives no random bytes: {error}"))?;
     let text: String = bytes.iter().map(|byte| format!("{byte:02x}")).chain(["\n".to_owned()]).collect();
     match &args.out {

@@ -4,7 +4,6 @@ pub mod demo;
 pub mod export;
 pub mod info;
 pub mod key;
-pub mod moved;
 pub mod node;
 pub mod radio;
 pub mod replay;

@@ -76,7 +76,10 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
         duplication: share("--duplication", args.duplication)?,
         ..Link::default()
     };
-    let base = RobotConfig { session: session(args)?, ..args.map.robot(args.codec, args.source.seed)? };
+    let mut session = if args.paper_session { SessionConfig::paper() } else { SessionConfig::default() };
+    session.cast = args.cast;
+    session.radio_bytes_per_s = args.budget_kb_s.map(budget).transpose()?.or(session.radio_bytes_per_s);
+    let base = RobotConfig { session, ..args.map.robot(args.codec, args.source.seed)? };
     base.session.validate()?;
     let sources = match args.records.as_slice() {
         // A single robot has nobody to sync with.
@@ -97,13 +100,6 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
         document.write(folder, &report)?;
     }
     Ok(report.is_good())
-}
-
-fn session(args: &ReplayArgs) -> anyhow::Result<SessionConfig> {
-    let mut session = if args.paper_session { SessionConfig::paper() } else { SessionConfig::default() };
-    session.cast = args.cast;
-    session.radio_bytes_per_s = args.budget_kb_s.map(budget).transpose()?.or(session.radio_bytes_per_s);
-    Ok(session)
 }
 
 fn radio_in_words(args: &ReplayArgs) -> String {

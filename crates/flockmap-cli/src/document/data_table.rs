@@ -107,12 +107,8 @@ impl fmt::Display for DataTable {
         let rows = self.rows.iter().map(|row| row.iter().map(Cell::shown).collect());
         let lines: Vec<Vec<String>> = [headings].into_iter().chain(rows).collect();
         let width = |column: usize| {
-            lines
-                .iter()
-                .filter_map(|line| line.get(column))
-                .map(|cell| cell.chars().count())
-                .max()
-                .unwrap_or(0)
+            let cells = lines.iter().filter_map(|line| line.get(column));
+            cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
         };
         let widths: Vec<usize> = (0..self.columns.len()).map(width).collect();
         for (number, line) in lines.iter().enumerate() {

@@ -12,7 +12,7 @@ pub use model::{Document, Part, Section};
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::{Map, Value, json};
+    use serde_json::{Value, json};
 
     fn document() -> Document {
         let table = DataTable {
@@ -29,7 +29,7 @@ mod tests {
             title: "T".to_owned(),
             verdicts: vec![(true, "fine".to_owned())],
             sections: vec![Section::new("s", "A & B", vec![Part::Table(table)])],
-            facts: Map::from_iter([("seed".to_owned(), json!(7))]),
+            facts: json!({"seed": 7}),
             ..Document::default()
         }
     }

@@ -1,7 +1,7 @@
 //! What a report says.
 
 use maud::Markup;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::data_table::DataTable;
 use crate::program::command_line;
@@ -19,8 +19,8 @@ pub struct Document {
     pub sections: Vec<Section>,
     /// The text leaves out the titles of sections: its tables say by themselves what they are.
     pub is_plain: bool,
-    /// What the JSON holds beside the tables.
-    pub facts: Map<String, Value>,
+    /// What the JSON holds beside the tables: an object, or nothing.
+    pub facts: Value,
 }
 
 /// One part of a report. The id is its anchor in the page.
@@ -62,13 +62,11 @@ impl Document {
         let mut value = self.facts.clone();
         let verdicts = self.verdicts.iter().map(|(good, words)| json!({"good": good, "words": words}));
         let tables = self.tables().map(|table| (table.id.clone(), table.json()));
-        value.extend([
-            ("title".to_owned(), json!(self.title)),
-            ("command".to_owned(), json!(command_line())),
-            ("version".to_owned(), json!(env!("CARGO_PKG_VERSION"))),
-            ("verdicts".to_owned(), verdicts.collect()),
-            ("tables".to_owned(), Value::Object(tables.collect())),
-        ]);
-        Value::Object(value)
+        value["title"] = json!(self.title);
+        value["command"] = json!(command_line());
+        value["version"] = json!(env!("CARGO_PKG_VERSION"));
+        value["verdicts"] = verdicts.collect();
+        value["tables"] = Value::Object(tables.collect());
+        value
     }
 }

@@ -13,25 +13,19 @@ impl Document {
             if !self.is_plain {
                 println!("\n{}", section.title);
             }
-            let shown = |part: &&Part| match part {
-                Part::Table(table) => all || !table.is_long,
-                Part::Figure(_) => false,
-                Part::Words(_) | Part::Points(_) => true,
-            };
-            for (number, part) in section.parts.iter().filter(shown).enumerate() {
-                if number == 0 {
-                    println!();
+            let shown = section.parts.iter().filter_map(|part| match part {
+                Part::Words(words) => Some(wrapped(words, "  ", "  ")),
+                Part::Points(points) => {
+                    let points = points.iter().map(|point| wrapped(point, "  - ", "    "));
+                    Some(points.collect::<Vec<_>>().join("\n"))
                 }
-                match part {
-                    Part::Words(words) => println!("{}", wrapped(words, "  ", "  ")),
-                    Part::Points(points) => {
-                        points.iter().for_each(|point| println!("{}", wrapped(point, "  - ", "    ")));
-                    }
-                    Part::Table(table) => {
-                        println!("{table}{}", wrapped(&table.note, "  ", "  ").trim_end());
-                    }
-                    Part::Figure(_) => {}
+                Part::Table(table) if all || !table.is_long => {
+                    Some(format!("{table}{}", wrapped(&table.note, "  ", "  ").trim_end()))
                 }
+                Part::Table(_) | Part::Figure(_) => None,
+            });
+            for (number, text) in shown.enumerate() {
+                println!("{}{text}", if number == 0 { "\n" } else { "" });
             }
         }
         println!();

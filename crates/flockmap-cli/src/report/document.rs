@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::{Baseline, Bytes, Report, RobotReport};
-use crate::chart::{self, Line};
+use crate::chart::{self, Axis, Line, Scale};
 use crate::document::{DataTable, Document, Part, Section};
 use crate::measure::KB;
 use crate::numbers::{kb, percent, thousands};
@@ -112,12 +112,16 @@ impl Report {
         // The last second is a part of one: it would look like a drop.
         let seconds = (self.record_s.floor() as usize).max(2);
         let whole = |values: &'_ [f64]| values[..values.len().min(seconds)].to_vec();
+        let lines = [
+            Line::per_second("Flockmap, all robots", "ours", &whole(&self.kb_per_second)),
+            Line::per_second("RACER, the same changes", "racer", &whole(&self.racer_kb_per_second)),
+        ];
+        let x = Axis { label: "time in s", scale: Scale::Linear };
+        // So that lines a factor of ten apart can both be read. A second with nothing lies at its low end.
+        let y = Axis { label: "KB sent in each second", scale: Scale::Log };
         html! {
             p.note { "KB that all robots together sent in each second; the axis is logarithmic." }
-            (chart::kb_per_second(&[
-                Line::per_second("Flockmap, all robots", "ours", &whole(&self.kb_per_second)),
-                Line::per_second("RACER, the same changes", "racer", &whole(&self.racer_kb_per_second)),
-            ]))
+            (chart::svg(x, y, &lines))
         }
     }
 
@@ -160,11 +164,8 @@ impl Report {
         let counts = |r: &RobotReport| [r.requests, r.packages_sent, r.resent, r.relayed];
         let mut rows: Vec<[String; 9]> =
             self.robots.iter().map(|r| row(r.name.clone(), &r.bytes, counts(r).map(thousands))).collect();
-        let totals = self
-            .robots
-            .iter()
-            .map(counts)
-            .fold([0; 4], |sum, robot| core::array::from_fn(|number| sum[number] + robot[number]));
+        let total = |number: usize| self.robots.iter().map(|r| counts(r)[number]).sum::<u64>();
+        let totals = [0, 1, 2, 3].map(total);
         rows.push(row("all robots".to_owned(), &self.sum, totals.map(thousands)));
         let baseline = |name: String, of: &Baseline| row(name, &of.bytes, Default::default());
         rows.push(baseline(format!("racer (×{:.1})", self.racer.ratio), &self.racer));

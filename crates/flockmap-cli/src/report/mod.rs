@@ -202,19 +202,15 @@ pub struct Member {
     pub scans_damaged: u64,
 }
 
-/// How a run went. The paper's times in the report are `t_pack` and `t_recv2insert`.
+/// How a run went.
 pub struct Run {
     pub members: Vec<Member>,
     /// Time of the last scan.
     pub last_scan: Stamp,
     /// When everything had arrived everywhere; `None` if it has not.
     pub arrived: Option<Stamp>,
-    /// To map a scan.
-    pub map: TimeSummary,
-    /// To make packages of a batch.
-    pub pack: TimeSummary,
-    /// To take a datagram into the fused map.
-    pub insert: TimeSummary,
+    /// To map a scan, to make packages of a batch, to take a datagram into the fused map.
+    pub times: [TimeSummary; 3],
 }
 
 /// Robots whose maps are drawn.
@@ -224,6 +220,7 @@ impl Report {
     /// Puts everything together.
     pub fn new(run: &Run, title: String, settings: Settings) -> anyhow::Result<Self> {
         let (robots, record_s) = (&run.members, run.last_scan.seconds());
+        let [t_map, t_pack, t_recv2insert] = run.times;
         let seconds = record_s.max(1e-3);
         // Copies of each datagram that RACER, and the paper, would have to send.
         let copies = if settings.cast == "broadcast" { 1 } else { robots.len().saturating_sub(1) as u64 };
@@ -240,10 +237,8 @@ impl Report {
         let (racer, racer_sent) = baseline(&|m| (&m.racer, m.racer_messages));
         let (paper_whole, _) = baseline(&|m| (&m.paper, m.paper_packages));
         let agreement = pairs(robots);
-        let all = agreement.iter().fold(Comparison::default(), |all, pair| Comparison {
-            known: all.known + pair.voxels,
-            equal: all.equal + pair.equal,
-        });
+        let mut all = Comparison::default();
+        agreement.iter().for_each(|pair| all.merge(Comparison { known: pair.voxels, equal: pair.equal }));
         let mut ages = AgesByState::default();
         robots.iter().for_each(|r| ages.merge(&r.measures.ages));
         let mut pictures = Vec::new();
@@ -268,9 +263,9 @@ impl Report {
             agreement,
             age_occupied: ages.occupied.summary(),
             age_free: ages.free.summary(),
-            t_map: run.map,
-            t_pack: run.pack,
-            t_recv2insert: run.insert,
+            t_map,
+            t_pack,
+            t_recv2insert,
             paper_t_pack_ms: PAPER_T_PACK_MS,
             paper_t_recv2insert_ms: PAPER_T_INSERT_MS,
             kb_per_second: kb_series(&sum, 1),
@@ -356,6 +351,7 @@ fn pairs(robots: &[Member]) -> Vec<Pair> {
                 compared.equal = compared.equal.saturating_sub(u64::from(wrong));
             }
             let received = receiver.session().received(stream).map_or(0, |set| u64::from(set.prefix()));
+            let is_own = receiver.own_stream() == stream;
             pairs.push(Pair {
                 receiver: receiver.own_stream().origin.0,
                 origin: stream.origin.0,
@@ -363,11 +359,7 @@ fn pairs(robots: &[Member]) -> Vec<Pair> {
                 equal: compared.equal,
                 agreement: compared.share(),
                 stamps_equal: layer.digest() == reported.digest(),
-                packages_held: if receiver.own_stream() == stream {
-                    packages
-                } else {
-                    received.min(packages)
-                },
+                packages_held: if is_own { packages } else { received.min(packages) },
                 packages,
             });
         }

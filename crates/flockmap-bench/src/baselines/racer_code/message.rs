@@ -8,14 +8,10 @@ use super::config::CHUNK_VOXELS;
 /// Largest index of a chunk.
 const INDEX_MAX: u32 = i32::MAX as u32;
 
-/// Which message a datagram is. In ROS a topic has a connection of its own, so this takes no bytes in the message.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Topic {
-    /// [`ChunkStamps`].
-    Stamps,
-    /// [`ChunkData`].
-    Chunk,
-}
+/// What the first byte of a datagram says: it holds [`ChunkStamps`]. In ROS a topic has a connection of its own.
+pub const STAMPS: u8 = 0;
+/// It holds [`ChunkData`].
+pub const CHUNK: u8 = 1;
 
 /// Voxels of one robot: 52 + 5 n bytes for n voxels, 1,052 for a full chunk.
 #[derive(Clone, PartialEq, Eq, Debug)]

@@ -22,5 +22,6 @@ mod robot;
 mod tests;
 
 pub use config::{RacerCast, RacerConfig};
-pub use message::Topic;
+#[cfg(test)]
+pub use robot::RacerCounters;
 pub use robot::RacerRobot;

@@ -4,32 +4,21 @@ use std::collections::{BTreeMap, VecDeque};
 
 use anyhow::{Context, Result, ensure};
 use flockmap::grid::{
-    Changes, Mapper, Plane, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, State, Voxel, bit_of,
+    Changes, Mapper, Plane, Pose, RobotId, Scan, ScanReport, Sphere, Stamp, State, Voxel, set_bits,
 };
 use flockmap::sync::IntervalSet;
+use flockmap_netsim::{Addressees, Datagram, Delivery, Node};
 
 use super::config::{ANSWER_PAUSE_S, BEAT_MICROS, CHUNK_VOXELS, QUEUE_CHUNKS_MAX, RacerCast, RacerConfig};
-use super::message::{ChunkData, ChunkStamps, Topic};
+use super::message::{CHUNK, ChunkData, ChunkStamps, STAMPS};
 use crate::baselines::bytes::{nested_place, nested_voxel};
 use crate::baselines::state_map::StateMap;
 
 /// Chunks of all owners together: 52 million voxels, about 300 MB. More are not taken in.
 const CHUNKS_MAX: usize = 1 << 18;
 
-/// A message to send.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct RacerTransmit {
-    /// The robot that gets it; `None`: all others.
-    pub to: Option<RobotId>,
-    /// Which message it is.
-    pub topic: Topic,
-    /// The message.
-    pub bytes: Vec<u8>,
-}
-
 /// What a robot counted.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-#[non_exhaustive]
 pub struct RacerCounters {
     /// Voxels that were known for the first time by an own ray.
     pub listed: u64,
@@ -49,16 +38,13 @@ pub struct RacerCounters {
     pub throttled: u64,
     /// Chunks received that were held already, or that are the own ones.
     pub duplicates: u64,
-    /// Chunks dropped for want of room.
-    pub dropped: u64,
     /// Datagrams that were damaged.
     pub damaged: u64,
 }
 
 /// A robot with its own map, the chunks of all robots, and the one map into which all of them are written.
 ///
-/// Sans-IO as `flockmap::Robot` is: after every input send all that [`poll_transmit`](Self::poll_transmit) gives, then wait for the next
-/// scan, the next datagram or [`poll_timeout`](Self::poll_timeout).
+/// Sans-IO as `flockmap::Robot` is: a [`Node`] that is given scans.
 ///
 /// The one map takes over the state of a voxel when the own map's state of it changes, and when a chunk says so; the last one holds.
 pub struct RacerRobot {
@@ -70,7 +56,7 @@ pub struct RacerRobot {
     owners: Vec<Owner>,
     chunks_held: usize,
     buffer: VecDeque<ChunkData>,
-    outgoing: VecDeque<RacerTransmit>,
+    outgoing: VecDeque<Datagram>,
     /// Time of the announcement that was last answered, by robot.
     answered_s: BTreeMap<RobotId, f64>,
     next_beat: Stamp,
@@ -132,18 +118,15 @@ impl RacerRobot {
         for (index, changed) in &report.changed {
             let (known, before) = (changed.known(), self.map.block(*index).known());
             let first: Plane = core::array::from_fn(|z| known[z] & !before[z]);
-            let corner = index.corner();
-            for bit in (0..512).filter(|bit| first[bit / 64] >> (bit % 64) & 1 == 1) {
-                let [x, y, z] = bit_of(bit);
+            for bit in set_bits(&first) {
                 self.counters.listed += 1;
-                match self.address(Voxel::new(corner.x + x, corner.y + y, corner.z + z)) {
+                match self.address(index.voxel(bit)) {
                     Some(address) => self.pending.push_back(address),
                     None => self.counters.outside += 1,
                 }
             }
-            if self.map.overlay(*index, changed).is_err() {
-                self.counters.dropped += 1;
-            }
+            // A block that there is no room for is left out.
+            let _ = self.map.overlay(*index, changed);
         }
         while self.pending.len() > CHUNK_VOXELS && self.chunks_held < CHUNKS_MAX {
             let addresses = self.pending.drain(..CHUNK_VOXELS).collect();
@@ -159,44 +142,14 @@ impl RacerRobot {
     ///
     /// # Errors
     /// If it is damaged. That is counted and needs no action.
-    pub fn handle_datagram(&mut self, topic: Topic, bytes: &[u8]) -> Result<()> {
-        let result = match topic {
-            Topic::Stamps => ChunkStamps::parse(bytes).and_then(|stamps| self.answer(&stamps)),
-            Topic::Chunk => ChunkData::parse(bytes).and_then(|chunk| self.buffer(chunk)),
+    pub fn receive(&mut self, datagram: &[u8]) -> Result<()> {
+        let result = match datagram {
+            [STAMPS, message @ ..] => ChunkStamps::parse(message).and_then(|stamps| self.answer(&stamps)),
+            [_, message @ ..] => ChunkData::parse(message).and_then(|chunk| self.buffer(chunk)),
+            [] => None,
         };
         self.counters.damaged += u64::from(result.is_none());
         result.context("damaged message of racer-code")
-    }
-
-    /// Lets time pass: at each beat, what was received is taken in, and what is held is announced.
-    pub fn handle_timeout(&mut self, now: Stamp) {
-        if now < self.next_beat {
-            return;
-        }
-        // A timer that comes late fires once.
-        let late = now.micros_since(self.next_beat) / BEAT_MICROS;
-        self.next_beat = self.next_beat.plus_micros((late + 1) * BEAT_MICROS);
-        while let Some(chunk) = self.buffer.pop_front() {
-            self.insert_chunk(chunk);
-        }
-        let mut held: Vec<IntervalSet> = self.owners.iter().map(|owner| owner.held.clone()).collect();
-        // The last of RACER's robots is a ground station, which maps nothing and never answers: N robots count as N + 1.
-        held.push(IntervalSet::new(0));
-        let stamps = ChunkStamps { from: self.config.id.0.into(), held, time_s: now.seconds() };
-        self.counters.stamps_sent += 1;
-        self.outgoing.push_back(RacerTransmit { to: None, topic: Topic::Stamps, bytes: stamps.emit() });
-    }
-
-    // Outputs.
-
-    /// The next datagram to send, until `None`.
-    pub fn poll_transmit(&mut self) -> Option<RacerTransmit> {
-        self.outgoing.pop_front()
-    }
-
-    /// When to call [`handle_timeout`](Self::handle_timeout).
-    pub const fn poll_timeout(&self) -> Stamp {
-        self.next_beat
     }
 
     // Queries.
@@ -263,8 +216,8 @@ impl RacerRobot {
         }
         self.answered_s.insert(requester, stamps.time_s);
         let to = match self.config.cast {
-            RacerCast::Broadcast => None,
-            RacerCast::Unicast => Some(requester),
+            RacerCast::Broadcast => Addressees::All,
+            RacerCast::Unicast => Addressees::One(requester),
         };
         let nothing = IntervalSet::new(0);
         for number in (1..=self.config.robots).filter(|number| *number != requester.0) {
@@ -293,8 +246,7 @@ impl RacerRobot {
                 } else {
                     chunk.sent_to.push(requester);
                 }
-                let transmit = RacerTransmit { to, topic: Topic::Chunk, bytes: data.emit() };
-                self.counters.dropped += put(&mut self.outgoing, transmit);
+                put(&mut self.outgoing, Datagram { to, bytes: [&[CHUNK], data.emit().as_slice()].concat() });
             }
         }
         Some(())
@@ -305,7 +257,7 @@ impl RacerRobot {
         self.robot(chunk.owner)?;
         let volume = self.config.region.volume();
         chunk.addresses.iter().all(|address| u128::from(*address) < volume).then_some(())?;
-        self.counters.dropped += put(&mut self.buffer, chunk);
+        put(&mut self.buffer, chunk);
         Some(())
     }
 
@@ -319,7 +271,6 @@ impl RacerRobot {
         }
         let changes = Changes::from_voxels(self.voxels(&chunk.addresses, &chunk.states));
         if self.chunks_held >= CHUNKS_MAX || self.map.apply(&changes).is_err() {
-            self.counters.dropped += 1;
             return;
         }
         let ChunkData { addresses, states, index, .. } = chunk;
@@ -358,9 +309,53 @@ impl RacerRobot {
     }
 }
 
-/// Puts a chunk into a queue. Returns how many were dropped for it.
-fn put<T>(queue: &mut VecDeque<T>, chunk: T) -> u64 {
-    let dropped = if queue.len() >= QUEUE_CHUNKS_MAX { queue.pop_front() } else { None };
+impl Node for RacerRobot {
+    fn id(&self) -> RobotId {
+        self.config.id
+    }
+
+    fn handle_datagram(&mut self, _now: Stamp, delivery: &Delivery) {
+        // Errors are counted.
+        let _ = self.receive(&delivery.bytes);
+    }
+
+    /// At each beat, what was received is taken in, and what is held is announced.
+    fn handle_timeout(&mut self, now: Stamp) {
+        if now < self.next_beat {
+            return;
+        }
+        // A timer that comes late fires once.
+        let late = now.micros_since(self.next_beat) / BEAT_MICROS;
+        self.next_beat = self.next_beat.plus_micros((late + 1) * BEAT_MICROS);
+        while let Some(chunk) = self.buffer.pop_front() {
+            self.insert_chunk(chunk);
+        }
+        let mut held: Vec<IntervalSet> = self.owners.iter().map(|owner| owner.held.clone()).collect();
+        // The last of RACER's robots is a ground station, which maps nothing and never answers: N robots count as N + 1.
+        held.push(IntervalSet::new(0));
+        let stamps = ChunkStamps { from: self.config.id.0.into(), held, time_s: now.seconds() };
+        self.counters.stamps_sent += 1;
+        let to = match self.config.cast {
+            RacerCast::Broadcast => Addressees::All,
+            RacerCast::Unicast => Addressees::Each,
+        };
+        let bytes = [&[STAMPS], stamps.emit().as_slice()].concat();
+        self.outgoing.push_back(Datagram { to, bytes });
+    }
+
+    fn poll_timeout(&self) -> Option<Stamp> {
+        Some(self.next_beat)
+    }
+
+    fn poll_transmit(&mut self, _now: Stamp) -> Option<Datagram> {
+        self.outgoing.pop_front()
+    }
+}
+
+/// Puts a chunk into a queue; if there is no room, the oldest gives way.
+fn put<T>(queue: &mut VecDeque<T>, chunk: T) {
+    if queue.len() >= QUEUE_CHUNKS_MAX {
+        queue.pop_front();
+    }
     queue.push_back(chunk);
-    u64::from(dropped.is_some())
 }

@@ -2,6 +2,7 @@
 
 use flockmap::grid::{MapperConfig, Pose, Preset, Resolution, RobotId, Scan, Stamp, State, Voxel, VoxelBox};
 use flockmap::sync::IntervalSet;
+use flockmap_netsim::{Addressees, Datagram, Node};
 use proptest::prelude::*;
 
 use super::config::*;
@@ -36,28 +37,43 @@ fn list(robot: &mut RacerRobot, voxels: u64) {
 }
 
 /// The beat of a robot: what it sends then.
-fn beat(robot: &mut RacerRobot) -> Vec<RacerTransmit> {
-    robot.handle_timeout(robot.poll_timeout());
-    core::iter::from_fn(|| robot.poll_transmit()).collect()
+fn beat(robot: &mut RacerRobot) -> Vec<Datagram> {
+    robot.handle_timeout(robot.poll_timeout().unwrap());
+    sent(robot)
+}
+
+/// What a robot has to send.
+fn sent(robot: &mut RacerRobot) -> Vec<Datagram> {
+    core::iter::from_fn(|| robot.poll_transmit(Stamp(0))).collect()
+}
+
+/// Whether a robot gets a datagram of another one.
+fn is_for(datagram: &Datagram, id: u16) -> bool {
+    !matches!(datagram.to, Addressees::One(to) if to != RobotId(id))
+}
+
+/// A message with the byte that says what it is.
+fn datagram(topic: u8, message: &[u8]) -> Vec<u8> {
+    [&[topic], message].concat()
 }
 
 /// One beat of each robot in turn, with everything delivered at once; what was sent.
-fn round(robots: &mut [RacerRobot]) -> Vec<RacerTransmit> {
+fn round(robots: &mut [RacerRobot]) -> Vec<Datagram> {
     let mut all = Vec::new();
     for at in 0..robots.len() {
-        let mut sent: Vec<_> = beat(&mut robots[at]).into_iter().map(|transmit| (at, transmit)).collect();
-        while !sent.is_empty() {
+        let mut said: Vec<_> = beat(&mut robots[at]).into_iter().map(|transmit| (at, transmit)).collect();
+        while !said.is_empty() {
             let mut answers = Vec::new();
-            for (from, transmit) in sent {
+            for (from, transmit) in said {
                 for to in (0..robots.len()).filter(|to| *to != from) {
-                    if transmit.to.is_none_or(|id| id == robots[to].config().id) {
-                        robots[to].handle_datagram(transmit.topic, &transmit.bytes).unwrap();
-                        answers.extend(core::iter::from_fn(|| robots[to].poll_transmit()).map(|t| (to, t)));
+                    if is_for(&transmit, robots[to].config().id.0) {
+                        robots[to].receive(&transmit.bytes).unwrap();
+                        answers.extend(sent(&mut robots[to]).into_iter().map(|t| (to, t)));
                     }
                 }
                 all.push(transmit);
             }
-            sent = answers;
+            said = answers;
         }
     }
     all
@@ -79,7 +95,7 @@ fn messages_have_the_sizes_of_their_serialisation() {
     assert_eq!((stamps(&[]), stamps(&[1, 1]), stamps(&[0, 3])), (16, 40, 16 + 4 + 4 + 24));
     // Two robots and the place of the ground station.
     let sent = beat(&mut robot(1, 2));
-    assert_eq!((sent.len(), sent[0].bytes.len()), (1, 16 + 3 * 4));
+    assert_eq!((sent.len(), sent[0].bytes.len()), (1, 1 + 16 + 3 * 4));
 }
 
 #[test]
@@ -157,17 +173,16 @@ fn a_chunk_under_way_is_sent_again_when_the_round_trip_takes_longer_than_the_pau
         list(&mut owner, 800);
         let chunks = owner.counters().chunks;
         assert_eq!(chunks, 3);
-        let mut under_way: Vec<(usize, Vec<RacerTransmit>)> = Vec::new();
+        let mut under_way: Vec<(usize, Vec<Datagram>)> = Vec::new();
         for now in 0..20 {
             for stamps in beat(&mut other) {
-                owner.handle_datagram(stamps.topic, &stamps.bytes).unwrap();
+                owner.receive(&stamps.bytes).unwrap();
             }
-            let answers: Vec<_> =
-                core::iter::from_fn(|| owner.poll_transmit()).filter(|t| t.topic == Topic::Chunk).collect();
+            let answers: Vec<_> = sent(&mut owner).into_iter().filter(|t| t.bytes[0] == CHUNK).collect();
             under_way.push((now + delay_beats, answers));
             under_way.retain(|(due, answers)| {
                 if *due <= now {
-                    answers.iter().for_each(|t| other.handle_datagram(t.topic, &t.bytes).unwrap());
+                    answers.iter().for_each(|t| other.receive(&t.bytes).unwrap());
                 }
                 *due > now
             });
@@ -185,9 +200,9 @@ fn an_announcement_is_answered_only_every_third_time() {
     let mut answers = Vec::new();
     for _ in 0..10 {
         for stamps in beat(&mut other) {
-            owner.handle_datagram(stamps.topic, &stamps.bytes).unwrap();
+            owner.receive(&stamps.bytes).unwrap();
         }
-        answers.push(core::iter::from_fn(|| owner.poll_transmit()).count());
+        answers.push(sent(&mut owner).len());
     }
     assert_eq!(answers.iter().sum::<usize>(), 10 - owner.counters().throttled as usize);
     assert!(answers.windows(3).all(|three| three.iter().sum::<usize>() <= 1), "{answers:?}");
@@ -200,12 +215,12 @@ fn a_lost_chunk_is_repaired() {
     list(&mut owner, 1_100);
     for number in 0..20 {
         for stamps in beat(&mut other) {
-            owner.handle_datagram(stamps.topic, &stamps.bytes).unwrap();
+            owner.receive(&stamps.bytes).unwrap();
         }
-        for (at, transmit) in core::iter::from_fn(|| owner.poll_transmit()).enumerate() {
+        for (at, transmit) in sent(&mut owner).into_iter().enumerate() {
             // Of the first answer, the second and the fourth chunk are lost.
             if number > 0 || at % 2 == 0 {
-                other.handle_datagram(transmit.topic, &transmit.bytes).unwrap();
+                other.receive(&transmit.bytes).unwrap();
             }
         }
         if number == 1 {
@@ -224,9 +239,8 @@ fn chunks_are_relayed_with_the_states_that_they_have() {
         for pair in [0..2, 1..3] {
             let [a, b] = &mut robots[pair] else { unreachable!() };
             for _ in 0..2 {
-                beat(b).iter().for_each(|t| a.handle_datagram(t.topic, &t.bytes).unwrap());
-                core::iter::from_fn(|| a.poll_transmit())
-                    .for_each(|t| b.handle_datagram(t.topic, &t.bytes).unwrap());
+                beat(b).iter().for_each(|t| a.receive(&t.bytes).unwrap());
+                sent(a).iter().for_each(|t| b.receive(&t.bytes).unwrap());
             }
         }
     }
@@ -245,12 +259,13 @@ fn on_a_shared_medium_everyone_takes_in_what_was_meant_for_another() {
         list(&mut robots[0], 300);
         let [first, second, third] = robots.as_mut_slice() else { unreachable!() };
         for t in beat(second) {
-            first.handle_datagram(t.topic, &t.bytes).unwrap();
+            first.receive(&t.bytes).unwrap();
         }
-        while let Some(t) = first.poll_transmit() {
-            assert_eq!(t.to, (cast == RacerCast::Unicast).then_some(RobotId(2)));
-            if t.to.is_none_or(|to| to == RobotId(3)) {
-                third.handle_datagram(t.topic, &t.bytes).unwrap();
+        for t in sent(first) {
+            let one = cast == RacerCast::Unicast;
+            assert_eq!(t.to, if one { Addressees::One(RobotId(2)) } else { Addressees::All });
+            if is_for(&t, 3) {
+                third.receive(&t.bytes).unwrap();
             }
         }
         beat(third);
@@ -290,7 +305,7 @@ fn a_received_chunk_overwrites_what_the_robot_saw_itself() {
     let [_, size_y, size_z] = region.size();
     let address = ((10 + 1_024) * size_y + 1_024) * size_z + 512;
     let chunk = ChunkData { from: 1, to: 2, owner: 1, index: 1, addresses: vec![address], states: vec![1] };
-    other.handle_datagram(Topic::Chunk, &chunk.emit()).unwrap();
+    other.receive(&datagram(CHUNK, &chunk.emit())).unwrap();
     beat(&mut other);
     assert_eq!(other.state(Voxel::new(10, 0, 0)), State::Occupied);
     assert_eq!(other.observed_by(RobotId(1)).get(Voxel::new(10, 0, 0)), State::Occupied);
@@ -305,9 +320,9 @@ fn every_voxel_of_the_grid_has_its_address_and_what_lies_outside_is_not_sent() {
         ChunkData { from: 2, to: 1, owner: 2, index, addresses, states }
     };
     let (all, outside) = ((0..200).collect(), vec![240]);
-    small.handle_datagram(Topic::Chunk, &chunk(1, all).emit()).unwrap();
-    small.handle_datagram(Topic::Chunk, &chunk(2, (200..240).collect()).emit()).unwrap();
-    assert!(small.handle_datagram(Topic::Chunk, &chunk(3, outside).emit()).is_err());
+    small.receive(&datagram(CHUNK, &chunk(1, all).emit())).unwrap();
+    small.receive(&datagram(CHUNK, &chunk(2, (200..240).collect()).emit())).unwrap();
+    assert!(small.receive(&datagram(CHUNK, &chunk(3, outside).emit())).is_err());
     beat(&mut small);
     let published = small.observed_by(RobotId(2));
     assert_eq!(published.len(), 240);
@@ -328,12 +343,12 @@ fn a_swarm_that_cannot_work_is_named() {
 #[test]
 fn beats_go_on_at_their_pace_after_a_late_one() {
     let mut robot = robot(1, 2);
-    let first = robot.poll_timeout();
+    let first = robot.poll_timeout().unwrap();
     robot.handle_timeout(first.plus_micros(-1));
-    assert!(robot.poll_transmit().is_none());
+    assert!(robot.poll_transmit(first).is_none());
     robot.handle_timeout(first.plus_micros(250 * MS));
-    assert_eq!(robot.poll_timeout(), first.plus_micros(300 * MS));
-    assert_eq!(core::iter::from_fn(|| robot.poll_transmit()).count(), 1);
+    assert_eq!(robot.poll_timeout(), Some(first.plus_micros(300 * MS)));
+    assert_eq!(sent(&mut robot).len(), 1);
 }
 
 #[test]
@@ -346,15 +361,15 @@ fn every_truncation_is_refused() {
     };
     assert_eq!(ChunkData::parse(&chunk.emit()).unwrap(), chunk);
     assert_eq!(ChunkStamps::parse(&stamps.emit()).unwrap(), stamps);
-    for (topic, bytes) in [(Topic::Chunk, chunk.emit()), (Topic::Stamps, stamps.emit())] {
+    for (topic, bytes) in [(CHUNK, chunk.emit()), (STAMPS, stamps.emit())] {
         let mut robot = robot(2, 2);
         for end in 0..bytes.len() {
-            let result = robot.handle_datagram(topic, &bytes[..end]);
+            let result = robot.receive(&datagram(topic, &bytes[..end]));
             let error = result.unwrap_err().to_string();
-            assert!(error.starts_with("damaged message of racer-code"), "{topic:?} {end}: {error}");
+            assert!(error.starts_with("damaged message of racer-code"), "{topic} {end}: {error}");
         }
         let longer = [bytes.as_slice(), &[0]].concat();
-        assert!(robot.handle_datagram(topic, &longer).is_err());
+        assert!(robot.receive(&datagram(topic, &longer)).is_err());
         assert_eq!(robot.counters().damaged, bytes.len() as u64 + 1);
     }
 }
@@ -372,13 +387,13 @@ proptest! {
         };
         let held = vec![IntervalSet::from_intervals(0, vec![(1, size + 1)])];
         let stamps = ChunkStamps { from: 1, held, time_s: f64::from(size) };
-        for topic in [Topic::Chunk, Topic::Stamps] {
-            let _ = robot.handle_datagram(topic, &bytes);
+        for topic in [CHUNK, STAMPS] {
+            let _ = robot.receive(&datagram(topic, &bytes));
             for good in [chunk.emit(), stamps.emit()] {
                 let mut bad = good;
                 let at = flip.0 % bad.len();
                 bad[at] ^= flip.1;
-                let _ = robot.handle_datagram(topic, &bad);
+                let _ = robot.receive(&datagram(topic, &bad));
             }
         }
         beat(&mut robot);

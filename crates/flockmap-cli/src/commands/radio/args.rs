@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::command::{LinkChange, Timed};
+use super::command::{LinkChange, Timed, within};
 
 /// A bad radio on a desk: robots talk through it, and it loses, delays, doubles and damages what they send
 #[derive(Args, Debug)]
@@ -17,21 +17,9 @@ pub struct RadioArgs {
     /// Robot N appears to the others at this address, N ports higher
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7800")]
     pub listen: SocketAddr,
-    /// Share of datagrams that are lost, 0 to 1
-    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 1.0))]
-    pub loss: f64,
-    /// Time from robot to robot in milliseconds
-    #[arg(long, value_name = "D", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 60_000.0))]
-    pub delay_ms: f64,
-    /// Each datagram is late by up to so many milliseconds more, so that they overtake each other
-    #[arg(long, value_name = "J", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 60_000.0))]
-    pub jitter_ms: f64,
-    /// Share of datagrams that arrive twice, 0 to 1
-    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 1.0))]
-    pub duplication: f64,
-    /// Share of datagrams that arrive with one bit turned over, 0 to 1
-    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 1.0))]
-    pub bit_flips: f64,
+    /// The figures that all links begin with.
+    #[command(flatten)]
+    pub figures: LinkChange,
     /// Most kilobytes (1,024 bytes) a second that each robot can send, IP and UDP headers counted; what comes faster waits, up to 256
     /// KiB of it [default: no limit]
     #[arg(long, value_name = "B", value_parser = |text: &str| within(text, 0.1, 4_000_000.0))]
@@ -48,19 +36,6 @@ pub struct RadioArgs {
     /// Write what the table at the end shows as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-}
-
-impl RadioArgs {
-    /// The figures that all links begin with.
-    pub const fn figures(&self) -> LinkChange {
-        LinkChange {
-            loss: Some(self.loss),
-            delay_ms: Some(self.delay_ms),
-            jitter_ms: Some(self.jitter_ms),
-            duplication: Some(self.duplication),
-            bit_flips: Some(self.bit_flips),
-        }
-    }
 }
 
 const HELP: &str = "\
@@ -84,8 +59,3 @@ Commands, on standard input or with --at:
   end               the table, and the end
 
 docs/bad-radio.md shows it step by step.";
-
-fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
-    let number: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
-    if (low..=high).contains(&number) { Ok(number) } else { Err(format!("{low} to {high} expected")) }
-}

@@ -2,6 +2,8 @@
 
 use std::str::FromStr;
 
+use clap::Args;
+
 /// One line to the radio.
 #[derive(Clone, PartialEq, Debug)]
 pub enum RadioCommand {
@@ -35,18 +37,29 @@ pub enum Links {
 }
 
 /// What to change about links; what is `None` stays.
-#[derive(Clone, Copy, PartialEq, Debug, Default)]
+#[derive(Args, Clone, Copy, PartialEq, Debug, Default)]
 pub struct LinkChange {
-    /// Share of datagrams lost.
+    /// Share of datagrams that are lost, 0 to 1
+    #[arg(long, value_name = "P", default_value = "0", value_parser = |text: &str| within(text, 0.0, 1.0))]
     pub loss: Option<f64>,
-    /// Milliseconds from robot to robot.
+    /// Time from robot to robot in milliseconds
+    #[arg(long, value_name = "D", default_value = "0", value_parser = |text: &str| within(text, 0.0, 60_000.0))]
     pub delay_ms: Option<f64>,
-    /// Up to so many milliseconds more.
+    /// Each datagram is late by up to so many milliseconds more, so that they overtake each other
+    #[arg(long, value_name = "J", default_value = "0", value_parser = |text: &str| within(text, 0.0, 60_000.0))]
     pub jitter_ms: Option<f64>,
-    /// Share of datagrams that arrive twice.
+    /// Share of datagrams that arrive twice, 0 to 1
+    #[arg(long, value_name = "P", default_value = "0", value_parser = |text: &str| within(text, 0.0, 1.0))]
     pub duplication: Option<f64>,
-    /// Share of datagrams that arrive with one bit turned over.
+    /// Share of datagrams that arrive with one bit turned over, 0 to 1
+    #[arg(long, value_name = "P", default_value = "0", value_parser = |text: &str| within(text, 0.0, 1.0))]
     pub bit_flips: Option<f64>,
+}
+
+/// A number of the command line that lies between these.
+pub fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (low..=high).contains(&number) { Ok(number) } else { Err(format!("{low} to {high} expected")) }
 }
 
 /// A command and when it is carried out.
@@ -83,16 +96,16 @@ impl Links {
 }
 
 impl RadioCommand {
-    /// Whether every robot that is named exists.
-    pub fn check(&self, robots: usize) -> Result<(), String> {
-        let named = match self {
+    /// The same, if every robot that is named exists.
+    pub fn checked(self, robots: usize) -> Result<Self, String> {
+        let named = match &self {
             Self::Split(groups) => groups.concat(),
             Self::Cut(links) | Self::Join(links) | Self::Link(links, _) => links.robots(),
             Self::Heal | Self::Status | Self::End => Vec::new(),
         };
         match named.iter().find(|robot| !(1..=robots).contains(*robot)) {
             Some(robot) => Err(format!("there is no robot {robot}: they are numbered 1 to {robots}")),
-            None => Ok(()),
+            None => Ok(self),
         }
     }
 }
@@ -235,7 +248,7 @@ mod tests {
         wrong("link all loss=nan", "0 to 1");
         assert!("heal".parse::<Timed>().unwrap_err().contains("seconds"));
         assert!("-1 heal".parse::<Timed>().is_err());
-        assert!("cut 4".parse::<RadioCommand>().unwrap().check(3).unwrap_err().contains("robot 4"));
-        assert!("split 1/0".parse::<RadioCommand>().unwrap().check(3).is_err());
+        assert!("cut 4".parse::<RadioCommand>().unwrap().checked(3).unwrap_err().contains("robot 4"));
+        assert!("split 1/0".parse::<RadioCommand>().unwrap().checked(3).is_err());
     }
 }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, ensure};
 use flockmap::Stamp;
 use flockmap_cli::document::DataTable;
 use flockmap_cli::numbers::thousands;
@@ -83,22 +83,19 @@ pub fn run(args: &RadioArgs) -> anyhow::Result<bool> {
 impl Radio {
     fn open(args: &RadioArgs) -> anyhow::Result<(Self, Receiver<Input>)> {
         let count = args.robots.len();
-        if count > ROBOTS_MAX {
-            bail!("{count} robots; at most {ROBOTS_MAX} expected");
-        }
+        ensure!(count <= ROBOTS_MAX, "{count} robots; at most {ROBOTS_MAX} expected");
         for (at, robot) in args.robots.iter().enumerate() {
-            if args.robots[..at].contains(robot) {
-                bail!("{robot} is given twice: every robot has an address or port of its own");
-            }
-            if robot.ip().is_unspecified() || robot.port() == 0 {
-                bail!("{robot} is no address to send to: give the one at which the robot is reached");
-            }
+            let is_new = !args.robots[..at].contains(robot);
+            ensure!(is_new, "{robot} is given twice: every robot has an address or port of its own");
+            let is_reached = !robot.ip().is_unspecified() && robot.port() != 0;
+            ensure!(
+                is_reached,
+                "{robot} is no address to send to: give the one at which the robot is reached"
+            );
         }
         for timed in &args.at {
-            timed
-                .command
-                .check(count)
-                .map_err(|error| anyhow::anyhow!("--at \"{} …\": {error}", timed.at_s))?;
+            let checked = timed.command.clone().checked(count);
+            checked.map_err(|error| anyhow!("--at \"{} …\": {error}", timed.at_s))?;
         }
         let (sender, inputs) = sync_channel(WAITING_MAX);
         let mut sockets = Vec::with_capacity(count);
@@ -114,7 +111,7 @@ impl Radio {
         read_lines(sender)?;
         let rate = args.rate_kb_s.map(|kb| (kb * 1_024.0) as u32);
         let radio = Self {
-            air: Air::new(count, args.seed, rate, args.figures()),
+            air: Air::new(count, args.seed, rate, args.figures),
             robots: args.robots.clone(),
             sockets,
             began: Instant::now(),
@@ -173,13 +170,14 @@ impl Radio {
                 }
             }
             Input::Line(line) if line.trim().is_empty() => {}
-            Input::Line(line) => match line.parse::<RadioCommand>() {
-                Ok(command) => match command.check(self.robots.len()) {
-                    Ok(()) => self.command(&command),
+            Input::Line(line) => {
+                let command =
+                    line.parse().and_then(|command: RadioCommand| command.checked(self.robots.len()));
+                match command {
+                    Ok(command) => self.command(&command),
                     Err(error) => eprintln!("{error}"),
-                },
-                Err(error) => eprintln!("{error}"),
-            },
+                }
+            }
         }
     }
 
@@ -280,11 +278,8 @@ fn read_datagrams(socket: Arc<UdpSocket>, to: usize, sender: SyncSender<Input>) 
 /// Reads commands until standard input ends.
 fn read_lines(sender: SyncSender<Input>) -> std::io::Result<()> {
     let read = move || {
-        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
-            if sender.send(Input::Line(line)).is_err() {
-                return;
-            }
-        }
+        let mut lines = std::io::stdin().lock().lines().map_while(Result::ok);
+        lines.try_for_each(|line| sender.send(Input::Line(line)))
     };
     std::thread::Builder::new().name("commands".into()).spawn(read).map(drop)
 }

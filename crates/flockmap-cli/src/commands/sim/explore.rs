@@ -29,7 +29,7 @@ Examples:
 
 Each robot looks for frontiers in its own fused map, which holds what came over the radio: a slow or lossy radio costs time, and without one
 (--no-sync) everybody sees everything. The files are as those of `sim fly`, with pictures of the fused map.",
-    mut_args(super::hidden::hide_foreign_to_exploration)
+    mut_args(super::hidden::hide(&["seconds", "moving_obstacles"]))
 )]
 pub struct SimExploreArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
@@ -122,13 +122,6 @@ fn sent(explorer: &Explorer, args: &SimExploreArgs) -> Vec<Traffic> {
     explorer.robots().map(|robot| if args.no_sync { Traffic::default() } else { of(robot) }).collect()
 }
 
-const fn ended_in_words(ended: Ended) -> &'static str {
-    match ended {
-        Ended::Done => "nothing is left to see",
-        Ended::TimeOut => "the time was over",
-    }
-}
-
 fn print_outcome(explorer: &Explorer, args: &SimExploreArgs) {
     let outcome = explorer.outcome();
     let seconds = outcome.seconds.max(0.1);
@@ -144,7 +137,11 @@ fn print_outcome(explorer: &Explorer, args: &SimExploreArgs) {
         ],
     );
     print!("\n{table}");
-    let ended = if stop::requested() { "ended by Ctrl-C" } else { ended_in_words(outcome.ended) };
+    let ended = match outcome.ended {
+        _ if stop::requested() => "ended by Ctrl-C",
+        Ended::Done => "nothing is left to see",
+        Ended::TimeOut => "the time was over",
+    };
     println!(
         "\n  {:.1} s: {ended}; {:.2} % of {} voxels that can be seen were seen, each by {:.2} robots",
         outcome.seconds,

@@ -28,8 +28,7 @@ Each file holds the scans (PointCloud2), the pose of the sensor at each (Odometr
 made and of its track; ROS 2, Foxglove and Rerun open it as it is. The same command gives the same bytes, whatever --threads is.
 A replay of the files is the replay of the flight itself: `replay forest --see-team-mates` gives the same bytes. Robots are in each other's scans;
 --see-team-mates leaves them out of the maps again.",
-        // What says how to read records, or when to send, says nothing here.
-        mut_args(super::hidden::hide_foreign)
+        mut_args(super::hidden::hide(&["publish_period", "obstacle_period", "d"]))
     )]
 pub struct SimFlyArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
@@ -69,12 +68,8 @@ pub fn run(args: &SimFlyArgs) -> anyhow::Result<bool> {
     if stop::requested() {
         eprintln!("warning: ended by Ctrl-C: the files hold what was flown so far");
     }
-    if let Some(path) = &args.json {
-        json_file::write(
-            path,
-            &json!({"command": command_line(), "title": sources.title, "seed": args.source.seed, "robots": records}),
-        )?;
-    }
+    let facts = json!({"command": command_line(), "title": sources.title, "seed": args.source.seed, "robots": records});
+    json_file::write_asked(args.json.as_deref(), &facts)?;
     Ok(true)
 }
 

@@ -1,26 +1,16 @@
 //! Options of the shared groups that say nothing here.
 
-/// Options that the shared groups hold for other commands.
-pub fn hide_foreign(arg: clap::Arg) -> clap::Arg {
-    let foreign = [
-        "see_team_mates",
-        "poses",
-        "scan_period",
-        "points_topic",
-        "odometry_topic",
-        "map_frame",
-        "publish_period",
-        "obstacle_period",
-        "d",
-    ];
-    if foreign.contains(&arg.get_id().as_str()) { arg.hide(true) } else { arg }
-}
+use clap::Arg;
 
-/// As [`hide_foreign`]; batches count here, the length of flights does not.
-pub fn hide_foreign_to_exploration(arg: clap::Arg) -> clap::Arg {
-    match arg.get_id().as_str() {
-        "publish_period" | "obstacle_period" | "d" => arg,
-        "seconds" | "moving_obstacles" => arg.hide(true),
-        _ => hide_foreign(arg),
+/// How to read records.
+const OF_RECORDS: [&str; 6] =
+    ["see_team_mates", "poses", "scan_period", "points_topic", "odometry_topic", "map_frame"];
+
+/// Leaves the options of records, and these, out of the help.
+pub fn hide(others: &[&str]) -> impl Fn(Arg) -> Arg {
+    move |arg| {
+        let id = arg.get_id().as_str();
+        let is_foreign = OF_RECORDS.contains(&id) || others.contains(&id);
+        if is_foreign { arg.hide(true) } else { arg }
     }
 }

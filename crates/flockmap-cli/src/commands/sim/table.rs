@@ -36,8 +36,7 @@ pub fn run(args: &SimTableArgs) -> anyhow::Result<bool> {
     let counts = || table::ROBOTS.into_iter().filter(|robots| *robots <= args.robots_max);
     let cells: Vec<_> =
         RadioPreset::ALL.into_iter().flat_map(|radio| counts().map(move |robots| (radio, robots))).collect();
-    let rows = fly_all(&cells)?;
-    let Some(rows) = rows else { return Ok(false) };
+    let Some(rows) = fly_all(&cells)? else { return Ok(false) };
     let text = table::head() + &rows.concat();
     print!("{text}");
     match (&args.file, args.check) {
@@ -53,10 +52,9 @@ pub fn run(args: &SimTableArgs) -> anyhow::Result<bool> {
 fn check(file: &Path, rows: &[String]) -> anyhow::Result<bool> {
     let old = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     let Some((there, here)) = table::difference(&old, rows) else { return Ok(true) };
+    let file = file.display();
     eprintln!(
-        "{} says\n  {there}\nand this build gives\n  {here}\nIf that is meant: flockmap sim table --file {}",
-        file.display(),
-        file.display()
+        "{file} says\n  {there}\nand this build gives\n  {here}\nIf that is meant: flockmap sim table --file {file}"
     );
     Ok(false)
 }
