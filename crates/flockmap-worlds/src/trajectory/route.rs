@@ -78,8 +78,8 @@ fn places(space: &Space, region: &Region, here: usize, random: &mut Random) -> V
 /// The number of a place that is near, not always the nearest.
 fn nearest(space: &Space, here: usize, places: &[usize], random: &mut Random) -> usize {
     let from = space.lattice.centre(here);
-    let mut cost = |place: &usize| distance(space.lattice.centre(*place), from) * random.range(1.0, 1.3);
-    let costs = places.iter().map(|place| cost(place)).enumerate();
+    let cost = |place: &usize| distance(space.lattice.centre(*place), from) * random.range(1.0, 1.3);
+    let costs = places.iter().map(cost).enumerate();
     costs.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(number, _)| number)
 }
 
