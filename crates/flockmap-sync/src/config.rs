@@ -175,7 +175,7 @@ pub struct SessionConfig {
     pub transfers_max: usize,
 }
 
-/// Of a round trip that varies, no longer than this is taken for reordering, unless an option says more.
+/// Longest patience that follows from the round trip alone: the option may ask for more.
 const PATIENCE_MAX: Duration = Duration::from_millis(500);
 
 /// An option in milliseconds as a span.
@@ -256,7 +256,7 @@ impl SessionConfig {
         }
     }
 
-    /// How long a gap may come from reordering, where the round trip varies like this.
+    /// How long a missing package may still be on its way, behind later ones, before it counts as lost.
     pub(crate) fn patience(&self, variation: Duration) -> Duration {
         (2 * variation).min(PATIENCE_MAX).max(ms(self.reorder_patience_ms))
     }

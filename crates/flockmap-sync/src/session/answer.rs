@@ -323,7 +323,8 @@ impl Session {
 }
 
 /// By broadcast a peer may have given its place to a snapshot that another peer is sent, and ignores the one for itself. If that helps it as
-/// well, it is sent that one: else both would wait for ever. Not so a snapshot of which it has all chunks, or that is not from where it wants one.
+/// well, it is sent that one: else both would wait for ever. A snapshot of which it has all chunks, or that begins after what it needs, would not
+/// help.
 fn send_what_has_a_place(
     now: Stamp,
     theirs: &mut PeerStream,
