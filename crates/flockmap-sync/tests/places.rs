@@ -136,3 +136,20 @@ fn a_peer_that_needs_another_snapshot_than_the_one_that_has_its_place_is_not_sen
         assert!(most.is_some_and(|most| most <= 8), "{cast:?}: a chunk was sent {most:?} times");
     }
 }
+
+/// Going over to a snapshot that is complete sends nothing, but makes the snapshot that the peer is sent begin anew.
+#[test]
+fn a_snapshot_of_which_a_peer_has_all_chunks_does_not_take_the_turn_of_the_one_that_it_is_sent() {
+    let mut one = one(Cast::Broadcast);
+    for _ in 0..10 {
+        one.hears(3, 30, None);
+    }
+    let old = one.snapshot_since(30).expect("a snapshot for robot 3");
+    one.sent.clear();
+    // Its snapshot request finds room in every second request.
+    for wants in [Some(21), None].into_iter().cycle().take(200) {
+        one.hears(3, 30, Some(Place { id: old, chunks: old.3, wants }));
+    }
+    let most = one.sent.values().max();
+    assert!(most.is_some_and(|most| *most <= 16), "a chunk was sent {most:?} times in 50 s");
+}

@@ -1,6 +1,6 @@
 //! What a robot reports and sends goes past the checkers.
 
-use crate::swarm::broken;
+use crate::swarm::broken::Broken;
 use crate::swarm::check::{self, Failure, Finding, names};
 use crate::swarm::clock::Clock;
 use crate::swarm::datagram::{Content, Keys};
@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 pub(super) struct Eyes {
     pub(super) settings: Settings,
     pub(super) is_mapping: bool,
-    broken: Random,
+    pub(super) broken: Broken,
     pub(super) outsider: Option<Outsider>,
     pub(super) keys: Keys,
     /// What the clock of each run shows.
@@ -46,7 +46,7 @@ impl Eyes {
         let outsider = settings.key.is_some().then(|| Outsider::new(Random::new(seed, purpose::OUTSIDER)));
         Self {
             is_mapping: true,
-            broken: Random::new(seed, purpose::BROKEN),
+            broken: Broken::new(seed),
             outsider,
             keys: Keys { key: settings.key.clone(), ..Keys::default() },
             clocks: BTreeMap::new(),
@@ -213,12 +213,12 @@ impl Watch<Member> for Eyes {
             outsider.hear(self.now + self.settings.radio.config.link.delay_micros.max(0), &datagram.bytes);
         }
         let config = robot.session().config();
-        let peers = robot.session().peers().map(|peer| peer.stream.origin);
+        let peers = || robot.session().peers().map(|peer| peer.stream.origin);
         let counted: Vec<RobotId> = match (config.cast, to) {
             // One datagram, whoever hears it.
             (Cast::Broadcast, _) => Vec::new(),
             (Cast::Unicast, Some(peer)) => vec![peer],
-            (Cast::Unicast, None) => peers.collect(),
+            (Cast::Unicast, None) => peers().collect(),
         };
         let bytes = datagram.bytes.len() + IP_UDP_BYTES;
         let mut found = member.budget.sent(config, now, bytes, &counted);
@@ -245,10 +245,13 @@ impl Watch<Member> for Eyes {
             found = found.or(used);
         }
         self.found(id, found);
-        let broken = self.settings.broken;
-        if !is_request && self.is_mapping && broken > 0.0 && self.broken.happens(broken) {
-            let damaged = broken::damaged_inside(&datagram.bytes, &mut self.broken);
-            if let Some(damaged) = damaged.filter(|_| datagram.to != Addressees::Each) {
+        if let Some(last) = packages.iter().flatten().last()
+            && self.is_mapping
+            && datagram.to != Addressees::Each
+        {
+            let hearers = peers().filter(|peer| to.is_none_or(|to| to == *peer));
+            let (chance, of) = (self.settings.broken, last.header().stream);
+            if let Some(damaged) = self.broken.damage(chance, &datagram.bytes, hearers, of) {
                 datagram.bytes = damaged;
             }
         }

@@ -74,9 +74,10 @@ impl Engine {
         let packages: u64 = truth.streams().map(|(stream, _)| u64::from(truth.last(stream))).sum();
         let may_begin_anew = self.eyes.settings.trouble.has_epochs_of_clocks();
         // What is not packed yet is as much again at the most.
-        let (bytes, packages) = (2 * bytes + 10_000, 2 * packages + 10);
+        let published = (2 * bytes + 10_000, 2 * packages + 10);
         let hops = numbers.hops(count);
-        self.agreement_within = check::bound(&self.robots(), hops, bytes, packages, may_begin_anew);
+        let damaged = self.eyes.broken.packages_max();
+        self.agreement_within = check::bound(&self.robots(), hops, published, may_begin_anew, damaged);
         if let Some(seconds) = self.eyes.settings.options.until_agreement_s {
             self.agreement_within = i64::from(seconds) * 1_000_000;
         }
