@@ -131,7 +131,7 @@ sleep "$KILL_AT_S"
 # Of its first run something must be known, also where the machine is slow.
 until grep -q ' \([2-9]\|[0-9][0-9]\) batches ' "$dir/5.log"; do
     kill -0 "$pid_5" || {
-        echo "robot 5 ended before it had told anything:"
+        echo "robot 5 ended before it had published anything:"
         cat "$dir/5.log"
         exit 1
     }

@@ -256,7 +256,7 @@ impl SessionConfig {
         }
     }
 
-    /// How long a missing package may still be on its way, behind later ones, before it counts as lost.
+    /// How long a missing package may still be in flight, behind later ones, before it counts as lost.
     pub(crate) fn patience(&self, variation: Duration) -> Duration {
         (2 * variation).min(PATIENCE_MAX).max(ms(self.reorder_patience_ms))
     }

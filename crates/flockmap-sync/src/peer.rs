@@ -203,7 +203,7 @@ impl Peer {
 
 impl Peer {
     /// Notes that an item goes out and is in flight to the peer: also one that it states to hold or has no place for, since it
-    /// may take back either before the item arrives. One that is on its way already counts from now. Of more than `in_flight_max` the oldest is
+    /// may take back either before the item arrives. One that is in flight already counts from now. Of more than `in_flight_max` the oldest is
     /// forgotten if it would count as lost by now; else the new one is not noted, and only kept back until the next request.
     pub(crate) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) {
         let stream = item.stream();
@@ -248,7 +248,7 @@ impl Peer {
         is_news
     }
 
-    /// Whether an item is still missing and not on its way, and can be noted as being on its way.
+    /// Whether an item is still missing and not in flight, and can be noted as being in flight.
     pub(crate) fn lacks(&self, item: Item) -> bool {
         let (received_or_in_flight, number) = match (self.streams.get(&item.stream()), item) {
             (Some(theirs), Item::Package { index, .. }) => (&theirs.received_or_in_flight, index),

@@ -296,7 +296,7 @@ impl Session {
             .map(move |number| Item::Chunk { stream, snapshot_id, chunk: number - 1 })
     }
 
-    /// The chunks that a peer is sent: first those of snapshots that it speaks of. Of all snapshots that it ignores one chunk is on its way at a time.
+    /// The chunks that a peer is sent: first those of snapshots that it speaks of. Of all snapshots that it ignores one chunk is in flight at a time.
     pub(super) fn plan_chunks(&self, now: Stamp, peer: &Peer, most: usize) -> Vec<Item> {
         let streams = peer.streams.iter().filter(|(stream, _)| peer.wants(**stream));
         let sendings = streams.filter_map(|(stream, theirs)| Some((*stream, theirs.sending.as_ref()?)));
