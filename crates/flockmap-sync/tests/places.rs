@@ -91,6 +91,17 @@ fn one(cast: Cast) -> One {
     One { swarm, own, sent: BTreeMap::new() }
 }
 
+/// The same, when it has sent a snapshot to robot 3, which lacks what is after package 30; what it sends from now on is counted.
+fn one_with_a_snapshot(cast: Cast) -> (One, Id) {
+    let mut one = one(cast);
+    for _ in 0..10 {
+        one.hears(3, 30, None);
+    }
+    let id = one.snapshot_since(30).expect("a snapshot for robot 3");
+    one.sent.clear();
+    (one, id)
+}
+
 /// Once it was sent the snapshot that was meant for it, which it ignored, and each of the two was offered for ever.
 #[test]
 fn a_peer_is_sent_the_snapshot_that_it_has_given_its_place_to() {
@@ -120,13 +131,8 @@ fn a_peer_is_sent_the_snapshot_that_it_has_given_its_place_to() {
 #[test]
 fn a_peer_that_needs_another_snapshot_than_the_one_that_has_its_place_is_not_sent_that_one_over_and_over() {
     for (cast, chunks) in [(Cast::Unicast, 1), (Cast::Broadcast, 1), (Cast::Broadcast, u32::MAX)] {
-        let mut one = one(cast);
-        for _ in 0..10 {
-            one.hears(3, 30, None);
-        }
-        let old = one.snapshot_since(30).expect("a snapshot for robot 3");
+        let (mut one, old) = one_with_a_snapshot(cast);
         // It turns out that robot 3 cannot decode a package before that snapshot, and it says nothing of the snapshot that it is sent for it.
-        one.sent.clear();
         for _ in 0..40 {
             one.hears(3, 30, Some(Place { id: old, chunks: chunks.min(old.3), wants: Some(21) }));
         }
@@ -139,13 +145,8 @@ fn a_peer_that_needs_another_snapshot_than_the_one_that_has_its_place_is_not_sen
 
 /// Going over to a snapshot that is complete sends nothing, but makes the snapshot that the peer is sent begin anew.
 #[test]
-fn a_snapshot_of_which_a_peer_has_all_chunks_does_not_take_the_turn_of_the_one_that_it_is_sent() {
-    let mut one = one(Cast::Broadcast);
-    for _ in 0..10 {
-        one.hears(3, 30, None);
-    }
-    let old = one.snapshot_since(30).expect("a snapshot for robot 3");
-    one.sent.clear();
+fn a_snapshot_of_which_a_peer_has_all_chunks_does_not_displace_the_one_that_it_is_sent() {
+    let (mut one, old) = one_with_a_snapshot(Cast::Broadcast);
     // Its snapshot request finds room in every second request.
     for wants in [Some(21), None].into_iter().cycle().take(200) {
         one.hears(3, 30, Some(Place { id: old, chunks: old.3, wants }));
