@@ -2,7 +2,7 @@
 
 use crate::RobotConfig;
 use crate::events::{EVENTS_BYTES_MAX, EVENTS_MAX};
-use crate::tiles::{SETS_MAX, WAITING_MAX as TILES_WAITING_MAX, bytes_max as tiles_bytes_max};
+use crate::tiles::{WAITING_MAX as TILES_WAITING_MAX, bytes_max as tiles_bytes_max};
 use crate::waiting::WAITING_BYTES_MAX;
 
 /// A package in memory: its bytes, its header, its place in a map.
@@ -28,7 +28,7 @@ impl RobotConfig {
         self.session.memory_max()
             + self.fusion.layer_bytes_max
             + tiles_bytes_max(self.fusion.layer_bytes_max)
-            + SETS_MAX * (TILES_WAITING_MAX * PACKAGE + UNMERGED)
+            + self.session.transfers_max * (TILES_WAITING_MAX * PACKAGE + UNMERGED)
             + WAITING_BYTES_MAX
             + EVENTS_BYTES_MAX
             + EVENTS_MAX * EVENT

@@ -110,7 +110,7 @@ impl Robot {
             cost: Cost::default(),
             held: None,
             waiting: Waiting::default(),
-            tiles: Tiles::new(config.fusion.layer_bytes_max),
+            tiles: Tiles::new(config.session.transfers_max, config.fusion.layer_bytes_max),
             requests_seen: 0,
             events: Events::default(),
             counters: RobotCounters::default(),

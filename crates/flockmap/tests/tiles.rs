@@ -152,20 +152,35 @@ fn without_room_for_a_tile_it_is_asked_for_again_and_nothing_is_lost() {
     assert_eq!(bob.counters().damaged, 0);
 }
 
+/// Once four were read at a time and each new one pushed another out, so that of seven in turns none was ever complete.
 #[test]
-fn many_present_states_side_by_side_are_bounded_and_the_dropped_ones_begin_again() {
-    // Six robots' states, tile by tile in turns: more than are read at a time.
-    let (one, _, mut bob) = tiles(6);
-    let states: Vec<Vec<Package>> = (1..=6).map(|origin| renamed(&one, origin)).collect();
-    let now = Stamp(60_000_000);
-    for tile in 0..3 {
+fn present_states_of_many_robots_that_come_in_turns_all_become_complete() {
+    let (one, _, mut bob) = tiles(7);
+    let states: Vec<Vec<Package>> = (1..=7).map(|origin| renamed(&one, origin)).collect();
+    for tile in 0..states[0].len() {
         for (origin, tiles) in (1..).zip(&states) {
+            let now = Stamp(60_000_000 + 50_000 * (tile as i64 * 7 + i64::from(origin)));
             give(&mut bob, origin, now, &[&tiles[tile]]);
         }
     }
-    assert!(bob.session().counters().present_states_restarted > 0);
-    // One after the other they all go through.
     for (origin, tiles) in (1..).zip(&states) {
+        let held = bob.session().held(tiles[0].header().stream).unwrap();
+        assert!(held.contains_range(1, 9), "origin {origin}");
+    }
+    assert_eq!(bob.session().counters().present_states_restarted, 0);
+}
+
+#[test]
+fn of_more_present_states_than_are_received_at_once_each_goes_through_in_its_time() {
+    let (one, _, mut bob) = tiles(12);
+    let states: Vec<Vec<Package>> = (11..=22).map(|origin| renamed(&one, origin)).collect();
+    let now = Stamp(60_000_000);
+    for tile in 0..3 {
+        for (origin, tiles) in (11..).zip(&states) {
+            give(&mut bob, origin, now, &[&tiles[tile]]);
+        }
+    }
+    for (origin, tiles) in (11..).zip(&states) {
         give(&mut bob, origin, now, &tiles.iter().collect::<Vec<_>>());
         let held = bob.session().held(tiles[0].header().stream).unwrap();
         assert!(held.contains_range(1, 9), "origin {origin}");

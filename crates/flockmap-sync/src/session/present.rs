@@ -217,6 +217,10 @@ impl Session {
     /// Decides whether a peer gets the present state of a stream, or of a part of its history, instead of packages.
     pub(super) fn review_present_state(&mut self, now: Stamp, peer: &mut Peer, stream: Stream) {
         let Some(turn) = self.turn(peer, stream) else { return };
+        let Some(view) = peer.view(stream, now) else { return };
+        // A set that had to go for others is sent to nobody any more.
+        let is_kept = |s: &Sending| self.outgoing.iter().any(|o| o.stream == stream && o.set == s.set);
+        view.sending = view.sending.take().filter(is_kept);
         if !self.goes_on_with_parts(now, peer, stream) {
             self.review_whole(now, peer, stream, turn);
             self.review_parts(now, peer, stream, turn);
@@ -314,12 +318,11 @@ impl Session {
             since_max = since_max.min(since);
         }
         if let Some(sending) = &mut view.sending {
-            let kept = self.outgoing.iter().any(|o| o.stream == stream && o.set == sending.set);
             // What it cannot decode it states as held.
             let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto);
             // Of what lies above it the next one may be short.
             let is_sound = sending.since <= since_max;
-            if kept && is_sound && (is_wanted || !view.held.contains_range(1, sending.upto)) {
+            if is_sound && (is_wanted || !view.held.contains_range(1, sending.upto)) {
                 sending.note_silence(now);
                 return;
             }
@@ -451,8 +454,8 @@ impl Session {
         let is_due = peer.offer_at <= now
             && !ignored.is_empty()
             && !peer.in_flight.iter().any(|sent| is_ignored(sent.item));
-        let offer = ignored.first().filter(|_| is_due);
-        let offer = offer.and_then(|(stream, sending)| self.tiles_to_send(*stream, sending).next());
+        let mut offers = ignored.iter().filter_map(|(stream, s)| self.tiles_to_send(*stream, s).next());
+        let offer = if is_due { offers.next() } else { None };
         let tiles = taken.into_iter().flat_map(|(stream, sending)| self.tiles_to_send(stream, sending));
         tiles.take(most).chain(offer).collect()
     }

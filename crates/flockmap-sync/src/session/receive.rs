@@ -209,6 +209,11 @@ impl Session {
         self.finish_transfers(now);
     }
 
+    /// Whether tiles of this present state are being received: at most [`transfers_max`](crate::SessionConfig::transfers_max) at once are.
+    pub fn is_receiving(&self, stream: Stream, set: u32) -> bool {
+        self.incoming.iter().any(|incoming| incoming.stream == stream && incoming.set == set)
+    }
+
     /// The driver has let go of what the tiles of a present state said, and needs all of them again to go on: those accepted or
     /// undecided count no more. Rejected ones stay so for their time.
     pub fn restart_present_state(&mut self, now: Stamp, stream: Stream, set: u32) {

@@ -5,7 +5,7 @@ use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Changes, PresentState, Stamp, Stream};
 
 use super::Robot;
-use crate::tiles::{SetId, Tiles, Turn};
+use crate::tiles::{SetId, TileSet, Tiles, Turn};
 use crate::{Event, Refusal};
 
 /// Damaged packages remembered; of more, all are forgotten.
@@ -93,7 +93,8 @@ impl Robot {
 
     /// Merges a tile that is told against those before it, and the ones that waited for it; or lets it wait.
     fn receive_tile(&mut self, now: Stamp, id: SetId, tile: u32, package: Package) {
-        let (set, dropped) = self.tiles.open(id, package.header().index);
+        let is_received = |id: SetId| self.session.is_receiving(id.0, id.1);
+        let (set, dropped) = self.tiles.open(now, id, package.header().index, is_received);
         match set.turn_of(tile) {
             Turn::Past => self.session.accept(now, &package),
             Turn::Later => {
@@ -105,8 +106,8 @@ impl Robot {
             }
             Turn::Now => {
                 let mut next = Some(package);
-                while let Some(tile) = next.filter(|tile| self.merge_tile(now, id, tile)) {
-                    next = self.tiles.open(id, tile.header().index).0.take_next();
+                while next.take().is_some_and(|tile| self.merge_tile(now, id, &tile)) {
+                    next = self.tiles.get_mut(id).and_then(TileSet::take_next);
                 }
             }
         }
@@ -118,8 +119,7 @@ impl Robot {
     /// Decodes and merges the tile whose turn it is, and gives the session the verdict; whether it is held now.
     fn merge_tile(&mut self, now: Stamp, id: SetId, package: &Package) -> bool {
         let header = package.header();
-        self.tiles.open(id, header.index);
-        match self.tiles.make_room(package) {
+        match self.tiles.make_room(now, package) {
             Ok(dropped) => {
                 for (stream, set) in dropped {
                     self.session.restart_present_state(now, stream, set);
@@ -132,19 +132,25 @@ impl Robot {
                 return false;
             }
         }
-        let (set, _) = self.tiles.open(id, header.index);
+        // Opened by the caller.
+        let Some(set) = self.tiles.get_mut(id) else { return false };
         let read = set.read(&mut self.decoder, package);
         self.counters.steps += self.decoder.take_steps();
         let reason = match read {
             Ok(state) => match self.merge_present(now, package, &state) {
                 Ok(event) => {
+                    if let Some(set) = self.tiles.get_mut(id) {
+                        set.note_merged(now);
+                    }
                     self.counters.merged += 1;
                     self.session.accept(now, package);
                     self.push_event(event);
                     return true;
                 }
                 Err(reason) => {
-                    self.tiles.open(id, header.index).0.unmerged = Some(state);
+                    if let Some(set) = self.tiles.get_mut(id) {
+                        set.unmerged = Some(state);
+                    }
                     self.counters.no_room += 1;
                     self.session.reject(now, package);
                     reason
