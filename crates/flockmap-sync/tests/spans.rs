@@ -259,3 +259,36 @@ fn who_has_no_place_for_a_set_is_not_sent_it_over_and_over() {
     swarm.run(200 * SECOND);
     swarm.assert_in_sync(&streams);
 }
+
+/// Once a set of a run that its sender had forgotten stayed the first to be offered, and nothing else was ever offered again.
+#[test]
+fn a_set_that_is_not_kept_any_more_keeps_no_other_from_being_offered() {
+    let config = SessionConfig { store_bytes_max: 12_000, streams_max: 3, ..small() };
+    let mut swarm = Swarm::new(75, Radio::PERFECT);
+    swarm.start(1, 1, config.clone());
+    let map = |swarm: &mut Swarm, epoch: u64| {
+        let run = swarm.start(3, epoch, config.clone());
+        for _ in 0..40 {
+            swarm.publish(3, 900);
+            swarm.run(50 * MS);
+        }
+        swarm.run(10 * SECOND);
+        swarm.stop(3);
+        run
+    };
+    let [first, second] = [1, 2].map(|epoch| map(&mut swarm, epoch));
+    // Robot 2 is heard by robot 1 and does not hear it: all that it is sent gets lost, time and again.
+    swarm.cut(1, 3);
+    swarm.cut.insert((1, 2));
+    swarm.start(2, 1, config.clone());
+    swarm.run(60 * SECOND);
+    // Newer runs that robot 2 names take the place of the oldest.
+    let mut epochs = 3..9;
+    while swarm.robots[&1].session.held(first).is_some() {
+        map(&mut swarm, epochs.next().expect("the first run is forgotten"));
+    }
+    swarm.join(1, 2);
+    swarm.run(120 * SECOND);
+    let [one, two] = [1, 2].map(|id| swarm.robots[&id].layer(second));
+    assert!(one != 0 && one == two, "{second:?}");
+}
