@@ -3,7 +3,7 @@
 use super::Session;
 use super::peer::{Item, Peer, PeerWish, Sent, VIEW_INTERVALS_MAX, View};
 use super::present::OFFER_PAUSE;
-use crate::wire::{DatagramHeader, Request};
+use crate::wire::{DatagramHeader, Request, TransferProgress};
 use crate::{InFlight, IntervalSet, Relay};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
@@ -68,6 +68,28 @@ impl Session {
             self.measured_offsets.insert(peer.stream, offset);
         }
         Some((sent, age))
+    }
+
+    /// By broadcast a peer may have given its place to a set that another peer is sent, and ignores the one for itself. If that helps it as well, it
+    /// is sent that one: else both would wait for ever.
+    fn send_what_has_a_place(
+        &self,
+        now: Stamp,
+        view: &mut View,
+        progress: &TransferProgress,
+        request: &Request,
+    ) {
+        let (stream, set) = (progress.stream, progress.set);
+        let named = |set: u32| {
+            let is_it = |t: &TransferProgress| (t.source, t.stream, t.set) == (self.own.origin, stream, set);
+            request.transfers.iter().any(is_it)
+        };
+        if view.sending.as_ref().is_some_and(|sending| !named(sending.set))
+            && let Some(outgoing) = self.outgoing.iter().find(|o| o.stream == stream && o.set == set)
+            && outgoing.helps(&view.held)
+        {
+            view.sending = Some(outgoing.sending(now));
+        }
     }
 
     /// Takes in what the peer holds of each stream.
@@ -135,7 +157,11 @@ impl Session {
                 });
             }
         }
-        for progress in request.transfers.iter().filter(|progress| progress.source == self.own.origin) {
+        let own = self.own.origin;
+        for progress in request.transfers.iter().filter(|progress| progress.source == own) {
+            if let Some(view) = peer.views.get_mut(&progress.stream) {
+                self.send_what_has_a_place(now, view, progress, request);
+            }
             let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
             if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
                 sending.named_at = now;

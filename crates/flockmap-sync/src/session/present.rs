@@ -110,8 +110,16 @@ impl Outgoing {
         self.bytes as u64 * part / u64::from(self.upto - self.since).max(1)
     }
 
+    /// Whether somebody who holds this of the stream knows more with it.
+    pub(super) fn helps(&self, held: &IntervalSet) -> bool {
+        match &self.contents {
+            Some(contents) => !contents.difference(held).is_empty(),
+            None => self.since <= held.prefix() && !held.contains_range(1, self.upto),
+        }
+    }
+
     /// Begins to send it to a peer.
-    fn sending(&self, now: Stamp) -> Sending {
+    pub(super) fn sending(&self, now: Stamp) -> Sending {
         let nothing = IntervalSet::new(VIEW_INTERVALS_MAX);
         let (set, since, upto) = (self.set, self.since, self.upto);
         Sending {

@@ -107,9 +107,12 @@ impl Session {
             }
         };
         let incoming = &mut self.incoming[at];
-        incoming.touched = now;
         let item = Item::Tile { stream, set: incoming.set, tile };
         let held = incoming.accepted.contains(tile + 1);
+        if !held {
+            // One of which nothing new comes keeps its place from others no longer than one of which nothing comes.
+            incoming.touched = now;
+        }
         self.deliver(now, from, item, held, package);
         // If the rest gets lost, say soon which tiles are missing.
         self.note_gap(now, false);
