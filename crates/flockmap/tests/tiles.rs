@@ -171,6 +171,24 @@ fn present_states_of_many_robots_that_come_in_turns_all_become_complete() {
 }
 
 #[test]
+fn a_set_of_which_nothing_new_comes_gives_its_place_away() {
+    let (one, ..) = tiles(3);
+    let mut narrow = config(9);
+    narrow.session.transfers_max = 1;
+    let mut bob = Robot::new(narrow, Stamp(0)).unwrap();
+    let states = [renamed(&one, 11), renamed(&one, 12)];
+    // The first tile of the one is offered again and again, and right after it one of the other.
+    for seconds in (0..40).step_by(5) {
+        for (origin, tiles) in (11..).zip(&states) {
+            give(&mut bob, origin, Stamp(seconds * 1_000_000), &[&tiles[0]]);
+        }
+    }
+    give(&mut bob, 12, Stamp(40_000_000), &states[1].iter().collect::<Vec<_>>());
+    let held = bob.session().held(states[1][0].header().stream).unwrap();
+    assert!(held.contains_range(1, 9));
+}
+
+#[test]
 fn of_more_present_states_than_are_received_at_once_each_goes_through_in_its_time() {
     let (one, _, mut bob) = tiles(12);
     let states: Vec<Vec<Package>> = (11..=22).map(|origin| renamed(&one, origin)).collect();

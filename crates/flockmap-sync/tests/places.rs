@@ -1,0 +1,109 @@
+//! A robot has places for few present states at once: what a peer has given its place to is what it is sent.
+
+mod swarm;
+
+use flockmap_codec::ContentKind;
+use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_sync::wire::{
+    Covered, Datagram, DatagramHeader, Echo, Held, Kind, Request, TransferProgress, is_sealed, parse_packages,
+};
+use flockmap_sync::{Cast, IntervalSet, SessionConfig};
+use std::collections::BTreeSet;
+use swarm::{MS, Radio, Swarm};
+
+/// Since which package, up to which, which set, how many tiles.
+type Set = (u32, u32, u32, u32);
+
+/// Robot 1 as real as ever; what its peers say, a test says.
+struct One {
+    swarm: Swarm,
+    own: Stream,
+    /// Every tile that it has sent.
+    sent: BTreeSet<(Set, u32)>,
+}
+
+impl One {
+    /// A request of a peer that holds packages 1 to `held`, and has given its place to a set of which it has one tile.
+    fn hears(&mut self, peer: u16, held: u32, place: Option<Set>) {
+        let robot = self.swarm.robots.get_mut(&1).unwrap();
+        let now = Stamp(self.swarm.now + robot.clock);
+        let set = |high| IntervalSet::from_intervals(64, vec![(1, high)]);
+        let echo =
+            Echo { robot: self.own.origin, epoch_low: 1, stamp_low: (now.0 - 20 * MS) as u32, age_micros: 0 };
+        let transfers = place.map(|(since, upto, set_id, tiles)| TransferProgress {
+            source: self.own.origin,
+            stream: self.own,
+            since,
+            upto,
+            set: set_id,
+            tiles,
+            from: 1,
+            accepted: set(1),
+        });
+        let request = Request {
+            covered: Some(Covered::all_from(RobotId(0))),
+            all_echoes: true,
+            echoes: vec![echo],
+            held: vec![Held { stream: self.own, is_oldest_wanted: false, from: 1, held: set(held) }],
+            transfers: transfers.into_iter().collect(),
+            ..Request::default()
+        };
+        let sender = Stream { origin: RobotId(peer), epoch: 1 };
+        let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender, stamp: Stamp(now.0 - 10 * MS) };
+        robot.session.handle_datagram(now, &request.emit(header, 1_200)).unwrap();
+        self.swarm.run(250 * MS);
+        for (_, bytes) in self.swarm.take_sent() {
+            assert!(!is_sealed(&bytes));
+            let datagram = Datagram::new_checked(&bytes).unwrap();
+            if datagram.header().kind != Kind::Packages {
+                continue;
+            }
+            for package in parse_packages(&datagram).unwrap() {
+                if let ContentKind::Present { since, set, tile, tiles } = package.header().content {
+                    self.sent.insert(((since, package.header().index, set, tiles), tile));
+                }
+            }
+        }
+    }
+
+    fn set_since(&self, since: u32) -> Option<Set> {
+        self.sent.iter().map(|(set, _)| *set).find(|set| set.0 == since)
+    }
+}
+
+/// Once it was sent the set that was meant for it, which it ignored, and each of the two was offered for ever.
+#[test]
+fn a_peer_is_sent_the_set_that_it_has_given_its_place_to() {
+    let config = SessionConfig {
+        cast: Cast::Broadcast,
+        store_bytes_max: 8_000,
+        present_state_bytes_min: None,
+        ..SessionConfig::default()
+    };
+    let mut swarm = Swarm::new(79, Radio::PERFECT);
+    let own = swarm.start(1, 1, config);
+    for _ in 0..60 {
+        swarm.publish(1, 900);
+        swarm.run(50 * MS);
+    }
+    let mut one = One { swarm, own, sent: BTreeSet::new() };
+    // Robot 3 lacks what is after package 30, robot 2 what is after package 10. Neither has a place for what it is sent.
+    for _ in 0..40 {
+        one.hears(3, 30, None);
+    }
+    let own_set = one.set_since(30).expect("a set for robot 3");
+    for _ in 0..40 {
+        one.hears(2, 10, None);
+        one.hears(3, 30, None);
+    }
+    let other = one.set_since(10).expect("a set for robot 2");
+    assert!(other.3 > 2 && own_set.1 == other.1);
+    // The first tile of the set for robot 2 got the place of robot 3.
+    one.sent.clear();
+    for _ in 0..40 {
+        one.hears(2, 10, None);
+        one.hears(3, 30, Some(other));
+    }
+    let tiles = one.sent.iter().filter(|(set, _)| *set == other).count() as u32;
+    assert!(tiles >= other.3 - 1, "{tiles} of {} tiles", other.3);
+}
