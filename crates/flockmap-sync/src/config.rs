@@ -139,7 +139,7 @@ pub struct SessionConfig {
     pub in_flight_max: usize,
     /// Bytes of present-state tiles kept for sending. A set on its way to a peer that takes it gives way to no other: that one waits. Default 16 MiB.
     pub present_state_bytes_max: usize,
-    /// Present states received at once. Default 8. Worst case 8 KiB each.
+    /// Present states received at once. Default 8. Worst case 8 KiB each; in a robot, which reads them side by side, 1.1 MB more.
     pub transfers_max: usize,
 }
 

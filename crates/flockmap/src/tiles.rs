@@ -24,7 +24,7 @@ pub(crate) const fn bytes_max(layer_bytes_max: usize) -> usize {
 /// The present states that are being read; the one that was added to last comes last.
 pub(crate) struct Tiles {
     sets: Vec<TileSet>,
-    /// As many as the session receives at once: one of them never has to go for another of them, so that many side by side all become complete.
+    /// As many as the session receives at once, so that none that is still received has to go for another.
     sets_max: usize,
     bytes_max: usize,
     /// Sets opened so far.
@@ -65,7 +65,7 @@ impl Tiles {
     }
 
     /// The present state of a tile, begun if need be. Returns the one too that had to go for it: one that the session does not receive any more,
-    /// or of those the one that was left alone longest.
+    /// else the one that was left alone longest.
     pub(crate) fn open(
         &mut self,
         now: Stamp,
@@ -105,7 +105,7 @@ impl Tiles {
         let is_stale = |set: &TileSet| now.micros_since(set.progress_at) >= STALE;
         let (mut sum, max) = (last.read.memory_bytes_with(tile), self.bytes_max);
         let refused = Refusal::Tiles { held: last.read.memory_bytes(), max };
-        // Those first that may not be touched, then the others: of them stay as many as fit.
+        // First those that must stay, then the others, of which as many stay as fit.
         let mut others: Vec<_> = others.iter().map(|set| ((is_stale(set), set.number), set)).collect();
         others.sort_unstable_by_key(|(place, _)| *place);
         let mut gone = Vec::new();

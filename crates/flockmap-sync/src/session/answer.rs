@@ -28,6 +28,12 @@ impl Session {
             peer.request = Some((header.stamp, now));
             let echo = self.take_echoes(now, &mut peer, header, request);
             self.take_holdings(now, &mut peer, header, request);
+            // Runs that had to go for those that it names: it was not among the other peers when they were forgotten.
+            let gone = |stream: &&Stream| self.store.held(**stream).is_none();
+            let gone: Vec<Stream> = peer.views.keys().filter(gone).copied().collect();
+            for stream in gone {
+                peer.forget(stream);
+            }
             self.settle_in_flight(now, &mut peer, request, echo);
             let streams: Vec<Stream> = self.store.streams().collect();
             for stream in streams {
@@ -159,11 +165,9 @@ impl Session {
         }
         let own = self.own.origin;
         for progress in request.transfers.iter().filter(|progress| progress.source == own) {
-            if let Some(view) = peer.views.get_mut(&progress.stream) {
-                self.send_what_has_a_place(now, view, progress, request);
-            }
-            let sending = peer.views.get_mut(&progress.stream).and_then(|view| view.sending.as_mut());
-            if let Some(sending) = sending.filter(|sending| sending.set == progress.set) {
+            let Some(view) = peer.views.get_mut(&progress.stream) else { continue };
+            self.send_what_has_a_place(now, view, progress, request);
+            if let Some(sending) = view.sending.as_mut().filter(|sending| sending.set == progress.set) {
                 sending.named_at = now;
                 sending.unheeded = 0;
                 sending.accepted = progress.accepted.clone();

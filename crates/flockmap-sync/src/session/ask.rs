@@ -515,10 +515,7 @@ impl Session {
 
     pub(super) fn forget_stream(&mut self, stream: Stream) {
         for peer in self.peers.values_mut() {
-            if peer.views.remove(&stream).is_some_and(|view| !view.held.is_empty()) {
-                peer.note_unplaced(stream);
-            }
-            peer.in_flight.retain(|sent| sent.item.stream() != stream);
+            peer.forget(stream);
             peer.queue_stale = true;
         }
         self.incoming.retain(|incoming| incoming.stream != stream);

@@ -257,6 +257,14 @@ impl Peer {
         self.unplaced.retain(|run| !covered.contains(run.origin));
     }
 
+    /// Forgets what it holds and is sent of a stream that has no place here any more.
+    pub(super) fn forget(&mut self, stream: Stream) {
+        if self.views.remove(&stream).is_some_and(|view| !view.held.is_empty()) {
+            self.note_unplaced(stream);
+        }
+        self.in_flight.retain(|sent| sent.item.stream() != stream);
+    }
+
     /// Notes that it holds something of a run that has no place here. Beyond the limit it may be sent what it holds, should there be one.
     pub(super) fn note_unplaced(&mut self, run: Stream) {
         if self.unplaced.len() < UNPLACED_MAX {
