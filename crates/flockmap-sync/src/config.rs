@@ -143,6 +143,9 @@ pub struct SessionConfig {
     pub transfers_max: usize,
 }
 
+/// Of a round trip that varies, no longer than this is taken for reordering unless an option says more. Microseconds.
+const PATIENCE_MAX: i64 = 500_000;
+
 impl Default for SessionConfig {
     fn default() -> Self {
         Self {
@@ -214,6 +217,11 @@ impl SessionConfig {
             present_state_range_max: Some(100),
             ..Self::default()
         }
+    }
+
+    /// How many microseconds a gap may come from reordering, where the round trip varies by so many.
+    pub(crate) fn patience(&self, variation: i64) -> i64 {
+        (2 * variation).min(PATIENCE_MAX).max(i64::from(self.reorder_patience_ms) * 1_000)
     }
 
     /// Checks that every option is in its range.

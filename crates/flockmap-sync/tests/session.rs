@@ -417,6 +417,16 @@ fn by_the_papers_comparison_a_package_is_sent_again_only_after_two_requests_with
     assert_eq!(swarm.robots[&2].session.counters().duplicates, 0);
 }
 
+/// Once more than half a second made a robot panic at the first gap.
+#[test]
+fn a_reorder_patience_of_seconds_only_makes_repair_slower() {
+    let config = SessionConfig { reorder_patience_ms: 2_000, ..SessionConfig::default() };
+    let (mut swarm, _) = two_robots(28, Radio::lossy(0.2), &config, 20);
+    swarm.run(30 * SECOND);
+    swarm.assert_in_sync(&[swarm.stream(1), swarm.stream(2)]);
+    assert!(swarm.robots.values().any(|robot| robot.session.counters().lost > 0));
+}
+
 #[test]
 fn clocks_are_measured_from_the_echoes() {
     let (swarm, _) = two_robots(23, Radio::lossy(0.1), &SessionConfig::default(), 20);

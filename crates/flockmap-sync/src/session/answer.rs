@@ -188,8 +188,7 @@ impl Session {
         request: &Request,
         echo: Option<(Stamp, i64)>,
     ) {
-        let patience = (2 * peer.round_trip.variation())
-            .clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
+        let patience = self.config.patience(peer.round_trip.variation());
         let timeout = peer.round_trip.timeout();
         let is_lost = |sent: &Sent| match self.config.in_flight {
             InFlight::PreviousRequest => sent.requests >= 2,
@@ -282,10 +281,14 @@ impl Session {
         if now.micros_since(view.missing_then.0) >= delay {
             let then = &view.missing_then.1;
             let still = then.intersection(&missing);
-            // Where much of it has come meanwhile, or is coming as a present state, somebody is at it.
+            // Where much of it has come meanwhile, or is coming as a present state, somebody is at it. One that is complete brings no more:
+            // it waits for packages before it.
             let own = self.own.origin;
-            let is_told = request.transfers.iter().any(|t| t.stream == stream && t.source != own);
-            let is_served = is_told || (then.count() - still.count()) * SERVED_SHARE > then.count();
+            let is_coming = |t: &TransferProgress| {
+                t.stream == stream && t.source != own && !t.accepted.contains_range(1, t.tiles)
+            };
+            let is_served = request.transfers.iter().any(is_coming)
+                || (then.count() - still.count()) * SERVED_SHARE > then.count();
             view.overdue = if is_served { IntervalSet::new(VIEW_INTERVALS_MAX) } else { still };
             view.missing_then = (now, missing);
         } else {

@@ -124,8 +124,8 @@ impl Session {
         if certain {
             self.schedule.gap_tries = 0;
         }
-        let patience = self.peers.values().map(|peer| 2 * peer.round_trip.variation()).max().unwrap_or(0);
-        let patience = patience.clamp(i64::from(self.config.reorder_patience_ms) * 1_000, 500_000);
+        let variation = self.peers.values().map(|peer| peer.round_trip.variation()).max().unwrap_or(0);
+        let patience = self.config.patience(variation);
         let at = now.plus_micros(patience).max(self.schedule.last.plus_micros(self.gap_pause()));
         self.schedule.gap = Some(self.schedule.gap.map_or(at, |earlier| earlier.min(at)));
     }
