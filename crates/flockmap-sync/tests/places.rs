@@ -5,10 +5,11 @@ mod swarm;
 use flockmap_codec::ContentKind;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_sync::wire::{
-    Covered, Datagram, DatagramHeader, Echo, Held, Kind, Request, TransferProgress, is_sealed, parse_packages,
+    Covered, Datagram, DatagramHeader, Echo, Held, Kind, Request, StateWanted, TransferProgress, is_sealed,
+    parse_packages,
 };
 use flockmap_sync::{Cast, IntervalSet, SessionConfig};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use swarm::{MS, Radio, Swarm};
 
 /// Since which package, up to which, which set, how many tiles.
@@ -18,27 +19,44 @@ type Set = (u32, u32, u32, u32);
 struct One {
     swarm: Swarm,
     own: Stream,
-    /// Every tile that it has sent.
-    sent: BTreeSet<(Set, u32)>,
+    /// Every tile that it has sent, and how often.
+    sent: BTreeMap<(Set, u32), u32>,
+}
+
+/// What a peer says of the set to which it has given its place.
+#[derive(Clone, Copy)]
+struct Place {
+    set: Set,
+    /// The first so many tiles it has.
+    tiles: u32,
+    /// It wants a present state that contains this package.
+    wants: Option<u32>,
 }
 
 impl One {
-    /// A request of a peer that holds packages 1 to `held`, and has given its place to a set of which it has one tile.
-    fn hears(&mut self, peer: u16, held: u32, place: Option<Set>) {
+    /// A request of a peer that holds packages 1 to `held`, and has given its place to a set.
+    fn hears(&mut self, peer: u16, held: u32, place: Option<Place>) {
         let robot = self.swarm.robots.get_mut(&1).unwrap();
         let now = Stamp(self.swarm.now + robot.clock);
         let set = |high| IntervalSet::from_intervals(64, vec![(1, high)]);
         let echo =
             Echo { robot: self.own.origin, epoch_low: 1, stamp_low: (now.0 - 20 * MS) as u32, age_micros: 0 };
-        let transfers = place.map(|(since, upto, set_id, tiles)| TransferProgress {
-            source: self.own.origin,
+        let transfers =
+            place.map(|Place { set: (since, upto, number, tiles), tiles: accepted, .. }| TransferProgress {
+                source: self.own.origin,
+                stream: self.own,
+                since,
+                upto,
+                set: number,
+                tiles,
+                from: 1,
+                accepted: set(accepted),
+            });
+        let wanted = place.and_then(|place| place.wants).map(|package| StateWanted {
             stream: self.own,
-            since,
-            upto,
-            set: set_id,
-            tiles,
+            since: package - 1,
             from: 1,
-            accepted: set(1),
+            undecodable: IntervalSet::from_intervals(64, vec![(package, package)]),
         });
         let request = Request {
             covered: Some(Covered::all_from(RobotId(0))),
@@ -46,6 +64,7 @@ impl One {
             echoes: vec![echo],
             held: vec![Held { stream: self.own, is_oldest_wanted: false, from: 1, held: set(held) }],
             transfers: transfers.into_iter().collect(),
+            states_wanted: wanted.into_iter().collect(),
             ..Request::default()
         };
         let sender = Stream { origin: RobotId(peer), epoch: 1 };
@@ -60,22 +79,21 @@ impl One {
             }
             for package in parse_packages(&datagram).unwrap() {
                 if let ContentKind::Present { since, set, tile, tiles } = package.header().content {
-                    self.sent.insert(((since, package.header().index, set, tiles), tile));
+                    *self.sent.entry(((since, package.header().index, set, tiles), tile)).or_default() += 1;
                 }
             }
         }
     }
 
     fn set_since(&self, since: u32) -> Option<Set> {
-        self.sent.iter().map(|(set, _)| *set).find(|set| set.0 == since)
+        self.sent.keys().map(|(set, _)| *set).find(|set| set.0 == since)
     }
 }
 
-/// Once it was sent the set that was meant for it, which it ignored, and each of the two was offered for ever.
-#[test]
-fn a_peer_is_sent_the_set_that_it_has_given_its_place_to() {
+/// Robot 1 with 60 packages, of which only the newest are stored.
+fn one(cast: Cast) -> One {
     let config = SessionConfig {
-        cast: Cast::Broadcast,
+        cast,
         store_bytes_max: 8_000,
         present_state_bytes_min: None,
         ..SessionConfig::default()
@@ -86,7 +104,13 @@ fn a_peer_is_sent_the_set_that_it_has_given_its_place_to() {
         swarm.publish(1, 900);
         swarm.run(50 * MS);
     }
-    let mut one = One { swarm, own, sent: BTreeSet::new() };
+    One { swarm, own, sent: BTreeMap::new() }
+}
+
+/// Once it was sent the set that was meant for it, which it ignored, and each of the two was offered for ever.
+#[test]
+fn a_peer_is_sent_the_set_that_it_has_given_its_place_to() {
+    let mut one = one(Cast::Broadcast);
     // Robot 3 lacks what is after package 30, robot 2 what is after package 10. Neither has a place for what it is sent.
     for _ in 0..40 {
         one.hears(3, 30, None);
@@ -102,8 +126,28 @@ fn a_peer_is_sent_the_set_that_it_has_given_its_place_to() {
     one.sent.clear();
     for _ in 0..40 {
         one.hears(2, 10, None);
-        one.hears(3, 30, Some(other));
+        one.hears(3, 30, Some(Place { set: other, tiles: 1, wants: None }));
     }
-    let tiles = one.sent.iter().filter(|(set, _)| *set == other).count() as u32;
+    let tiles = one.sent.keys().filter(|(set, _)| *set == other).count() as u32;
     assert!(tiles >= other.3 - 1, "{tiles} of {} tiles", other.3);
+}
+
+/// Once each of its requests, which named the old set alone, made the sender go back to that one, and then begin the new one anew.
+#[test]
+fn a_peer_that_needs_another_set_than_the_one_that_has_its_place_is_not_sent_that_one_over_and_over() {
+    for (cast, tiles) in [(Cast::Unicast, 1), (Cast::Broadcast, 1), (Cast::Broadcast, u32::MAX)] {
+        let mut one = one(cast);
+        for _ in 0..10 {
+            one.hears(3, 30, None);
+        }
+        let old = one.set_since(30).expect("a set for robot 3");
+        // It turns out that robot 3 cannot decode a package before that set, and it says nothing of the set that it is sent for it.
+        one.sent.clear();
+        for _ in 0..40 {
+            one.hears(3, 30, Some(Place { set: old, tiles: tiles.min(old.3), wants: Some(21) }));
+        }
+        let new = one.set_since(20).or(one.set_since(0)).expect("another set for robot 3");
+        let most = one.sent.iter().filter(|((set, _), _)| *set == new).map(|(_, count)| *count).max();
+        assert!(most.is_some_and(|most| most <= 8), "{cast:?}: a tile was sent {most:?} times");
+    }
 }

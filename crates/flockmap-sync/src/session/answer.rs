@@ -4,7 +4,7 @@ use super::Session;
 use super::peer::{Item, Peer, PeerWish, Sent, VIEW_INTERVALS_MAX, View};
 use super::present::OFFER_PAUSE;
 use crate::wire::{DatagramHeader, Request, TransferProgress};
-use crate::{InFlight, IntervalSet, Relay};
+use crate::{Cast, InFlight, IntervalSet, Relay};
 use flockmap_grid::mutation::{self, Mutation};
 use flockmap_grid::{Stamp, Stream};
 use std::collections::BTreeSet;
@@ -77,7 +77,7 @@ impl Session {
     }
 
     /// By broadcast a peer may have given its place to a set that another peer is sent, and ignores the one for itself. If that helps it as well, it
-    /// is sent that one: else both would wait for ever.
+    /// is sent that one: else both would wait for ever. Not so a set of which it has all tiles, or that is not from where it wants one.
     fn send_what_has_a_place(
         &self,
         now: Stamp,
@@ -90,8 +90,12 @@ impl Session {
             let is_it = |t: &TransferProgress| (t.source, t.stream, t.set) == (self.own.origin, stream, set);
             request.transfers.iter().any(is_it)
         };
-        if view.sending.as_ref().is_some_and(|sending| !named(sending.set))
+        let since_max = view.state_wanted.as_ref().map_or(u32::MAX, |wanted| wanted.since);
+        if self.config.cast == Cast::Broadcast
+            && !progress.is_complete()
+            && view.sending.as_ref().is_some_and(|sending| !named(sending.set))
             && let Some(outgoing) = self.outgoing.iter().find(|o| o.stream == stream && o.set == set)
+            && outgoing.since <= since_max
             && outgoing.helps(&view.held)
         {
             view.sending = Some(outgoing.sending(now));
@@ -284,9 +288,7 @@ impl Session {
             // Where much of it has come meanwhile, or is coming as a present state, somebody is at it. One that is complete brings no more:
             // it waits for packages before it.
             let own = self.own.origin;
-            let is_coming = |t: &TransferProgress| {
-                t.stream == stream && t.source != own && !t.accepted.contains_range(1, t.tiles)
-            };
+            let is_coming = |t: &TransferProgress| t.stream == stream && t.source != own && !t.is_complete();
             let is_served = request.transfers.iter().any(is_coming)
                 || (then.count() - still.count()) * SERVED_SHARE > then.count();
             view.overdue = if is_served { IntervalSet::new(VIEW_INTERVALS_MAX) } else { still };

@@ -120,6 +120,13 @@ pub struct TransferProgress {
     pub accepted: IntervalSet,
 }
 
+impl TransferProgress {
+    /// Whether no tile is asked for: all are accepted, or nobody shall send them just now.
+    pub fn is_complete(&self) -> bool {
+        self.accepted.contains_range(self.from, self.tiles)
+    }
+}
+
 /// What the sender of a request knows of another robot's clock, for those who cannot hear that robot.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct ClockReport {
