@@ -146,7 +146,7 @@ fn a_peer_that_needs_another_set_than_the_one_that_has_its_place_is_not_sent_tha
         for _ in 0..40 {
             one.hears(3, 30, Some(Place { set: old, tiles: tiles.min(old.3), wants: Some(21) }));
         }
-        let new = one.set_since(20).or(one.set_since(0)).expect("another set for robot 3");
+        let new = one.set_since(20).or_else(|| one.set_since(0)).expect("another set for robot 3");
         let most = one.sent.iter().filter(|((set, _), _)| *set == new).map(|(_, count)| *count).max();
         assert!(most.is_some_and(|most| most <= 8), "{cast:?}: a tile was sent {most:?} times");
     }
