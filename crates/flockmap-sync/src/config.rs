@@ -143,7 +143,7 @@ pub struct SessionConfig {
     pub transfers_max: usize,
 }
 
-/// Of a round trip that varies, no longer than this is taken for reordering unless an option says more. Microseconds.
+/// Longest patience that follows from the round trip alone, in microseconds: the option may ask for more.
 const PATIENCE_MAX: i64 = 500_000;
 
 impl Default for SessionConfig {
@@ -219,7 +219,8 @@ impl SessionConfig {
         }
     }
 
-    /// How many microseconds a gap may come from reordering, where the round trip varies by so many.
+    /// How long a missing package may still be on its way, behind later ones, before it counts as lost. Microseconds, as the variation of
+    /// the round trip.
     pub(crate) fn patience(&self, variation: i64) -> i64 {
         (2 * variation).min(PATIENCE_MAX).max(i64::from(self.reorder_patience_ms) * 1_000)
     }

@@ -3,11 +3,8 @@
 mod swarm;
 
 use flockmap_codec::ContentKind;
-use flockmap_grid::{RobotId, Stamp, Stream};
-use flockmap_sync::wire::{
-    Covered, Datagram, DatagramHeader, Echo, Held, Kind, Request, StateWanted, TransferProgress, is_sealed,
-    parse_packages,
-};
+use flockmap_grid::Stream;
+use flockmap_sync::wire::{Held, Request, StateWanted, TransferProgress};
 use flockmap_sync::{Cast, IntervalSet, SessionConfig};
 use std::collections::BTreeMap;
 use swarm::{MS, Radio, Swarm};
@@ -36,51 +33,36 @@ struct Place {
 impl One {
     /// A request of a peer that holds packages 1 to `held`, and has given its place to a set.
     fn hears(&mut self, peer: u16, held: u32, place: Option<Place>) {
-        let robot = self.swarm.robots.get_mut(&1).unwrap();
-        let now = Stamp(self.swarm.now + robot.clock);
-        let set = |high| IntervalSet::from_intervals(64, vec![(1, high)]);
-        let echo =
-            Echo { robot: self.own.origin, epoch_low: 1, stamp_low: (now.0 - 20 * MS) as u32, age_micros: 0 };
-        let transfers =
-            place.map(|Place { set: (since, upto, number, tiles), tiles: accepted, .. }| TransferProgress {
-                source: self.own.origin,
-                stream: self.own,
+        let own = self.own;
+        let list = |low, high| IntervalSet::from_intervals(64, vec![(low, high)]);
+        let transfer =
+            |Place { set: (since, upto, set, tiles), tiles: accepted, .. }: Place| TransferProgress {
+                source: own.origin,
+                stream: own,
                 since,
                 upto,
-                set: number,
+                set,
                 tiles,
                 from: 1,
-                accepted: set(accepted),
-            });
+                accepted: list(1, accepted),
+            };
         let wanted = place.and_then(|place| place.wants).map(|package| StateWanted {
-            stream: self.own,
+            stream: own,
             since: package - 1,
             from: 1,
-            undecodable: IntervalSet::from_intervals(64, vec![(package, package)]),
+            undecodable: list(package, package),
         });
         let request = Request {
-            covered: Some(Covered::all_from(RobotId(0))),
-            all_echoes: true,
-            echoes: vec![echo],
-            held: vec![Held { stream: self.own, is_oldest_wanted: false, from: 1, held: set(held) }],
-            transfers: transfers.into_iter().collect(),
+            held: vec![Held { stream: own, is_oldest_wanted: false, from: 1, held: list(1, held) }],
+            transfers: place.map(transfer).into_iter().collect(),
             states_wanted: wanted.into_iter().collect(),
             ..Request::default()
         };
-        let sender = Stream { origin: RobotId(peer), epoch: 1 };
-        let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender, stamp: Stamp(now.0 - 10 * MS) };
-        robot.session.handle_datagram(now, &request.emit(header, 1_200)).unwrap();
+        self.swarm.hear_request(1, peer, request);
         self.swarm.run(250 * MS);
-        for (_, bytes) in self.swarm.take_sent() {
-            assert!(!is_sealed(&bytes));
-            let datagram = Datagram::new_checked(&bytes).unwrap();
-            if datagram.header().kind != Kind::Packages {
-                continue;
-            }
-            for package in parse_packages(&datagram).unwrap() {
-                if let ContentKind::Present { since, set, tile, tiles } = package.header().content {
-                    *self.sent.entry(((since, package.header().index, set, tiles), tile)).or_default() += 1;
-                }
+        for package in self.swarm.take_sent_packages() {
+            if let ContentKind::Present { since, set, tile, tiles } = package.header().content {
+                *self.sent.entry(((since, package.header().index, set, tiles), tile)).or_default() += 1;
             }
         }
     }

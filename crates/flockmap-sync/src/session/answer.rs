@@ -28,7 +28,7 @@ impl Session {
             peer.request = Some((header.stamp, now));
             let echo = self.take_echoes(now, &mut peer, header, request);
             self.take_holdings(now, &mut peer, header, request);
-            // Runs that had to go for those that it names: it was not among the other peers when they were forgotten.
+            // A run that it names may have taken the place of another one, which was forgotten of all peers but this one, not in the table now.
             let gone = |stream: &&Stream| self.store.held(**stream).is_none();
             let gone: Vec<Stream> = peer.views.keys().filter(gone).copied().collect();
             for stream in gone {
@@ -77,7 +77,7 @@ impl Session {
     }
 
     /// By broadcast a peer may have given its place to a set that another peer is sent, and ignores the one for itself. If that helps it as well, it
-    /// is sent that one: else both would wait for ever. Not so a set of which it has all tiles, or that is not from where it wants one.
+    /// is sent that one: else both would wait for ever. A set of which it has all tiles, or that begins after what it needs, would not help.
     fn send_what_has_a_place(
         &self,
         now: Stamp,

@@ -4,6 +4,9 @@
 
 use flockmap_codec::{Codec, Content, ContentKind, Cycle, Encoder, PACKAGE_BYTES_MAX, Package, Span};
 use flockmap_grid::{Changes, Layer, Resolution, RobotId, Stamp, State, Stream, Voxel};
+use flockmap_sync::wire::{
+    Covered, Datagram, DatagramHeader, Echo, Kind, Request, is_sealed, parse_packages,
+};
 use flockmap_sync::{Cast, Destination, Event, Session, SessionConfig};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -294,6 +297,32 @@ impl Swarm {
     /// The datagrams that were sent since this was asked last.
     pub(crate) fn take_sent(&mut self) -> Vec<(Destination, Vec<u8>)> {
         std::mem::take(&mut self.sent_bytes)
+    }
+
+    /// The packages that were sent, unsealed, since this or [`Self::take_sent`] was asked last.
+    pub(crate) fn take_sent_packages(&mut self) -> Vec<Package> {
+        let mut packages = Vec::new();
+        for (_, bytes) in self.take_sent() {
+            assert!(!is_sealed(&bytes));
+            let datagram = Datagram::new_checked(&bytes).unwrap();
+            if datagram.header().kind == Kind::Packages {
+                packages.extend(parse_packages(&datagram).unwrap());
+            }
+        }
+        packages
+    }
+
+    /// A robot hears a request that a test makes up, of a peer that flies its first run and hears the robot, beside those in the echoes: it
+    /// left 10 ms ago, when the peer had just heard what the robot had sent 20 ms ago, and names all that the peer holds.
+    pub(crate) fn hear_request(&mut self, id: u16, peer: u16, mut request: Request) {
+        let robot = self.robots.get_mut(&id).unwrap();
+        let (own, now) = (robot.session.own(), self.now + robot.clock);
+        let (epoch_low, stamp_low) = (own.epoch as u16, (now - 20 * MS) as u32);
+        request.echoes.push(Echo { robot: own.origin, epoch_low, stamp_low, age_micros: 0 });
+        (request.covered, request.all_echoes) = (Some(Covered::all_from(RobotId(0))), true);
+        let sender = Stream { origin: RobotId(peer), epoch: 1 };
+        let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender, stamp: Stamp(now - 10 * MS) };
+        robot.session.handle_datagram(Stamp(now), &request.emit(header, 1_200)).unwrap();
     }
 
     /// The datagrams that a robot heard since this was asked last of any robot.
