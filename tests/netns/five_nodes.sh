@@ -128,6 +128,15 @@ for n in $robots; do
     eval "pid_$n=$started"
 done
 sleep "$KILL_AT_S"
+# Of its first run something must be known, also where the machine is slow.
+until grep -q ' \([2-9]\|[0-9][0-9]\) cycles ' "$dir/5.log"; do
+    kill -0 "$pid_5" || {
+        echo "robot 5 ended before it had told anything:"
+        cat "$dir/5.log"
+        exit 1
+    }
+    sleep 0.2
+done
 kill -9 "$pid_5"
 wait "$pid_5" 2> /dev/null || true
 echo "robot 5 killed after $KILL_AT_S s"

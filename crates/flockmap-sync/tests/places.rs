@@ -133,3 +133,20 @@ fn a_peer_that_needs_another_set_than_the_one_that_has_its_place_is_not_sent_tha
         assert!(most.is_some_and(|most| most <= 8), "{cast:?}: a tile was sent {most:?} times");
     }
 }
+
+/// Going over to a set that is complete sends nothing, but makes the set that the peer is sent begin anew.
+#[test]
+fn a_set_of_which_a_peer_has_all_tiles_does_not_take_the_turn_of_the_one_that_it_is_sent() {
+    let mut one = one(Cast::Broadcast);
+    for _ in 0..10 {
+        one.hears(3, 30, None);
+    }
+    let old = one.set_since(30).expect("a set for robot 3");
+    one.sent.clear();
+    // Its wish finds room in every second request.
+    for wants in [Some(21), None].into_iter().cycle().take(200) {
+        one.hears(3, 30, Some(Place { set: old, tiles: old.3, wants }));
+    }
+    let most = one.sent.values().max();
+    assert!(most.is_some_and(|most| *most <= 16), "a tile was sent {most:?} times in 50 s");
+}

@@ -181,20 +181,51 @@ fn a_package_that_was_overtaken_leads_to_a_present_state_and_to_equal_layers() {
     assert!(teller.holds_all(&swarm.robots[1]));
 }
 
+/// A package with one bit flipped, as only its check tells those who hold the packages before it.
+fn damaged(package: &Package, before: &[Package]) -> Package {
+    let mut layer = Layer::default();
+    for one in before {
+        let Ok(Content::Changes(changes)) = Decoder::new().decode_against(one, Some(&layer)) else {
+            panic!()
+        };
+        layer.apply(&changes, one.header().cycle_end);
+    }
+    let flipped = |at: usize| {
+        let mut bytes = package.bytes().to_vec();
+        bytes[at] ^= 0x10;
+        let flipped = Package::parse(&bytes).ok().filter(|flipped| flipped.header() == package.header());
+        flipped.filter(|flipped| Decoder::new().decode_against(flipped, Some(&layer)).is_err())
+    };
+    (0..package.bytes().len()).rev().find_map(flipped).unwrap()
+}
+
+#[test]
+fn of_damaged_packages_that_build_on_each_other_each_shows_when_the_one_before_came_anew_ten_seconds_later() {
+    let mut teller = Teller::new(1);
+    let packages: Vec<Package> = (0..8).map(|_| teller.tell_and_note(false)).collect();
+    let mut got = packages.clone();
+    for at in [2, 3, 6] {
+        got[at] = damaged(&packages[at], &packages[..at]);
+    }
+    let mut swarm = Swarm::new((2..=3).map(config).collect(), PERFECT, 1);
+    swarm.run(2_000);
+    teller.give(&mut swarm.robots[0], swarm.now, &packages.iter().collect::<Vec<_>>());
+    teller.give(&mut swarm.robots[1], swarm.now, &got.iter().collect::<Vec<_>>());
+    let mut shown = Vec::new();
+    for _ in 0..4 {
+        shown.push(swarm.robots[1].counters().damaged);
+        assert_eq!(shown.len() == 4, teller.holds_all(&swarm.robots[1]));
+        swarm.run(15_000);
+    }
+    assert_eq!(shown, [1, 2, 3, 3]);
+    assert_eq!(swarm.robots[1].session().counters().given_up, 0);
+}
+
 #[test]
 fn a_package_that_is_damaged_again_and_again_is_replaced_by_a_present_state() {
     let mut teller = Teller::new(1);
     let packages: Vec<Package> = (0..3).map(|_| teller.tell_and_note(false)).collect();
-    let Ok(Content::Changes(first)) = packages[0].decode() else { panic!("the first is told alone") };
-    let mut layer = Layer::default();
-    layer.apply(&first, packages[0].header().cycle_end);
-    let damaged = |at: usize| {
-        let mut bytes = packages[1].bytes().to_vec();
-        bytes[at] ^= 0x10;
-        let package = Package::parse(&bytes).ok().filter(|p| p.header() == packages[1].header());
-        package.filter(|package| Decoder::new().decode_against(package, Some(&layer)).is_err())
-    };
-    let damaged = (0..packages[1].bytes().len()).rev().find_map(damaged).unwrap();
+    let damaged = damaged(&packages[1], &packages[..1]);
     let mut swarm = Swarm::new((2..=3).map(config).collect(), PERFECT, 1);
     swarm.run(2_000);
     teller.give(&mut swarm.robots[0], swarm.now, &packages.iter().collect::<Vec<_>>());

@@ -1,16 +1,49 @@
 //! A sender with a fault in its memory: it damages packages before the check of the datagram is made, so that only the check of the
 //! decoded content can tell.
 
+use super::settings::purpose;
 use crate::random::Random;
 use flockmap::sync::wire::HEADER_BYTES;
+use flockmap::{RobotId, Stream};
+use std::collections::BTreeMap;
 
 /// Where the check of a datagram stands: a CRC-32 of all else.
 const CHECK: core::ops::Range<usize> = 24..28;
 /// Bytes at the end of a datagram, which are the payload of its last package.
 const TAIL: usize = 12;
 
+/// All senders with such a fault, and what they did.
+pub(super) struct Broken {
+    random: Random,
+    /// Damaged packages of each stream that were sent to each robot.
+    packages: BTreeMap<(RobotId, Stream), u32>,
+}
+
+impl Broken {
+    pub(super) fn new(seed: u64) -> Self {
+        Self { random: Random::new(seed, purpose::BROKEN), packages: BTreeMap::new() }
+    }
+
+    /// With this chance: the datagram damaged, whose last package is of this stream.
+    pub(super) fn damage(&mut self, share: f64, bytes: &[u8], to: &[RobotId], of: Stream) -> Option<Vec<u8>> {
+        if share <= 0.0 || !self.random.chance(share) {
+            return None;
+        }
+        let damaged = damaged_inside(bytes, &mut self.random)?;
+        for robot in to {
+            *self.packages.entry((*robot, of)).or_default() += 1;
+        }
+        Some(damaged)
+    }
+
+    /// The most damaged packages of one stream that one robot was sent.
+    pub(super) fn packages_max(&self) -> u32 {
+        self.packages.values().copied().max().unwrap_or(0)
+    }
+}
+
 /// A datagram of packages with one bit of the last package flipped, and a check that is right.
-pub(super) fn damaged_inside(bytes: &[u8], random: &mut Random) -> Option<Vec<u8>> {
+fn damaged_inside(bytes: &[u8], random: &mut Random) -> Option<Vec<u8>> {
     let tail = TAIL.min(bytes.len().checked_sub(HEADER_BYTES + 40)?);
     if tail == 0 {
         return None;

@@ -3,6 +3,7 @@
 mod look;
 mod work;
 
+use super::broken::Broken;
 use super::check::{self, Failure, Finding, names};
 use super::clock::Clock;
 use super::costly::Costly;
@@ -91,7 +92,7 @@ struct Engine {
     phase: Phase,
     members: Vec<Member>,
     radio: RadioEmulator,
-    broken: Random,
+    broken: Broken,
     outsider: Option<Outsider>,
     costly: Option<Costly>,
     keys: Keys,
@@ -168,7 +169,7 @@ impl Engine {
             phase: Phase::Mapping,
             members,
             radio,
-            broken: Random::new(seed, purpose::BROKEN),
+            broken: Broken::new(seed),
             outsider,
             costly,
             keys,

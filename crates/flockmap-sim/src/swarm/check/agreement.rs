@@ -6,7 +6,8 @@
 //!
 //! The time is the sum of: 50 s in which refused packages, declined present states and abandoned transfers are tried again; for
 //! each hop four requests, and each robot's relay delay; and what all packages together take through the smallest budget, six times
-//! for each robot that has to get them. Where epochs come from clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
+//! for each robot that has to get them. For each damaged package of one run that a robot was sent, a pause and four requests more: that the next one
+//! is damaged may show only when the one before it came anew (WIRE.md, "Packages that do not decode"). Where epochs come from clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
 
 use super::quiet::period_micros;
 use crate::swarm::truth::Truth;
@@ -21,13 +22,17 @@ pub(in crate::swarm) type Forgotten = Vec<(Stream, bool)>;
 /// A robot that begins anew once more does so after pauses of 10, 20, 40 s.
 const ANEW: i64 = 80_000_000;
 
-/// In microseconds.
+/// A package that does not decode is asked for again after so long.
+const REFUSED: i64 = 10_000_000;
+
+/// In microseconds, from how many hops there are, the bytes and the number of all packages, and the most damaged packages of one run that one robot
+/// was sent.
 pub(in crate::swarm) fn bound(
     robots: &[&Robot],
     hops: usize,
-    told_bytes: u64,
-    told_packages: u64,
+    (told_bytes, told_packages): (u64, u64),
     may_begin_anew: bool,
+    damaged: u32,
 ) -> i64 {
     let configs = || robots.iter().map(|robot| robot.session().config());
     let period = configs().map(period_micros).max().unwrap_or(0);
@@ -46,7 +51,12 @@ pub(in crate::swarm) fn bound(
     let copies = robots.len() as u64;
     let sending = (6 * copies * bytes).saturating_mul(1_000_000) / budget;
     let anew = if may_begin_anew { ANEW } else { 0 };
-    50_000_000 + anew + hops as i64 * (4 * period + robots.len() as i64 * relay + 2_000_000) + sending as i64
+    let damaged = i64::from(damaged) * (REFUSED + 4 * period);
+    50_000_000
+        + anew
+        + damaged
+        + hops as i64 * (4 * period + robots.len() as i64 * relay + 2_000_000)
+        + sending as i64
 }
 
 /// How long nothing of a run that has ended may flow though somebody will still pass it on, in microseconds: gaps stand for 10 s, then each robot

@@ -83,8 +83,8 @@ impl Engine {
         let hops = numbers.hops(self.members.len());
         let may_begin_anew = self.settings.trouble.has_epochs_of_clocks();
         // What is not packed yet is as much again at the most.
-        self.agreement_within =
-            check::bound(&robots, hops, 2 * bytes + 10_000, 2 * packages + 10, may_begin_anew);
+        let told = (2 * bytes + 10_000, 2 * packages + 10);
+        self.agreement_within = check::bound(&robots, hops, told, may_begin_anew, self.broken.packages_max());
         if let Some(seconds) = self.settings.options.until_agreement_s {
             self.agreement_within = i64::from(seconds) * 1_000_000;
         }

@@ -1,7 +1,6 @@
 //! A robot is called; what it says and sends goes past the checkers.
 
 use super::{Engine, Input, Phase};
-use crate::swarm::broken;
 use crate::swarm::check::{self, Finding, names};
 use crate::swarm::datagram::Content;
 use crate::swarm::member::{Member, NEVER};
@@ -205,14 +204,9 @@ impl Engine {
         }
         self.found(id, found);
         let at = Stamp(self.now);
-        let damaged = match self.settings.broken {
-            share
-                if !is_request
-                    && self.phase == Phase::Mapping
-                    && share > 0.0
-                    && self.broken.chance(share) =>
-            {
-                broken::damaged_inside(&transmit.bytes, &mut self.broken)
+        let damaged = match packages.iter().flatten().last() {
+            Some(last) if self.phase == Phase::Mapping => {
+                self.broken.damage(self.settings.broken, &transmit.bytes, &counted, last.header().stream)
             }
             _ => None,
         };
