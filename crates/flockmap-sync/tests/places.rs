@@ -89,6 +89,17 @@ fn one(cast: Cast) -> One {
     One { swarm, own, sent: BTreeMap::new() }
 }
 
+/// The same, when it has sent a set to robot 3, which lacks what is after package 30; what it sends from now on is counted.
+fn one_with_a_set(cast: Cast) -> (One, Set) {
+    let mut one = one(cast);
+    for _ in 0..10 {
+        one.hears(3, 30, None);
+    }
+    let set = one.set_since(30).expect("a set for robot 3");
+    one.sent.clear();
+    (one, set)
+}
+
 /// Once it was sent the set that was meant for it, which it ignored, and each of the two was offered for ever.
 #[test]
 fn a_peer_is_sent_the_set_that_it_has_given_its_place_to() {
@@ -118,13 +129,8 @@ fn a_peer_is_sent_the_set_that_it_has_given_its_place_to() {
 #[test]
 fn a_peer_that_needs_another_set_than_the_one_that_has_its_place_is_not_sent_that_one_over_and_over() {
     for (cast, tiles) in [(Cast::Unicast, 1), (Cast::Broadcast, 1), (Cast::Broadcast, u32::MAX)] {
-        let mut one = one(cast);
-        for _ in 0..10 {
-            one.hears(3, 30, None);
-        }
-        let old = one.set_since(30).expect("a set for robot 3");
+        let (mut one, old) = one_with_a_set(cast);
         // It turns out that robot 3 cannot decode a package before that set, and it says nothing of the set that it is sent for it.
-        one.sent.clear();
         for _ in 0..40 {
             one.hears(3, 30, Some(Place { set: old, tiles: tiles.min(old.3), wants: Some(21) }));
         }
@@ -136,13 +142,8 @@ fn a_peer_that_needs_another_set_than_the_one_that_has_its_place_is_not_sent_tha
 
 /// Going over to a set that is complete sends nothing, but makes the set that the peer is sent begin anew.
 #[test]
-fn a_set_of_which_a_peer_has_all_tiles_does_not_take_the_turn_of_the_one_that_it_is_sent() {
-    let mut one = one(Cast::Broadcast);
-    for _ in 0..10 {
-        one.hears(3, 30, None);
-    }
-    let old = one.set_since(30).expect("a set for robot 3");
-    one.sent.clear();
+fn a_set_of_which_a_peer_has_all_tiles_does_not_displace_the_one_that_it_is_sent() {
+    let (mut one, old) = one_with_a_set(Cast::Broadcast);
     // Its wish finds room in every second request.
     for wants in [Some(21), None].into_iter().cycle().take(200) {
         one.hears(3, 30, Some(Place { set: old, tiles: old.3, wants }));

@@ -200,7 +200,7 @@ fn damaged(package: &Package, before: &[Package]) -> Package {
 }
 
 #[test]
-fn of_damaged_packages_that_build_on_each_other_each_shows_when_the_one_before_came_anew_ten_seconds_later() {
+fn damaged_packages_that_build_on_each_other_show_one_by_one_ten_seconds_apart() {
     let mut teller = Teller::new(1);
     let packages: Vec<Package> = (0..8).map(|_| teller.tell_and_note(false)).collect();
     let mut got = packages.clone();

@@ -28,7 +28,7 @@ impl Session {
             peer.request = Some((header.stamp, now));
             let echo = self.take_echoes(now, &mut peer, header, request);
             self.take_holdings(now, &mut peer, header, request);
-            // A run that it names may have taken the place of another one, which was forgotten of all peers but this one, not in the table now.
+            // A run that it names may have displaced another one. That was forgotten of the peers in the table, where this one is not just now.
             let gone = |stream: &&Stream| self.store.held(**stream).is_none();
             let gone: Vec<Stream> = peer.views.keys().filter(gone).copied().collect();
             for stream in gone {

@@ -7,7 +7,7 @@
 //! The time is the sum of: 50 s in which refused packages, declined present states and abandoned transfers are tried again; for
 //! each hop four requests, and each robot's relay delay; and what all packages together take through the smallest budget, six times
 //! for each robot that has to get them. For each damaged package of one run that a robot was sent, a pause and four requests more: that the next one
-//! is damaged may show only when the one before it came anew (WIRE.md, "Packages that do not decode"). Where epochs come from clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
+//! is damaged may show only when the one before it has arrived again (WIRE.md, "Packages that do not decode"). Where epochs come from clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
 
 use super::quiet::period_micros;
 use crate::swarm::truth::Truth;
