@@ -1,5 +1,5 @@
-//! Explores a world and reports how it goes: `explore forest|indoor|FILE [robots] [seed] [threads] [resolution range] [loss]
-//! [0: without no-returns] [seconds at most]`.
+//! Explores a world and reports how it goes: `explore forest|indoor|FILE [robots] [seed] [threads]
+//! [resolution range] [loss] [0: without no-returns] [seconds at most]`.
 
 use flockmap::Robot;
 use flockmap_autonomy::{ExploreOptions, Explorer};

@@ -1,8 +1,8 @@
 //! The application of the paper (Sec. V-B): two robots cross a dense thicket in line. The leader's LiDAR faces
 //! backwards, so it sees what lies ahead only through the map of its follower.
 //!
-//! Both are real [`flockmap::Robot`]s. Each plans on nothing but its own fused map; unknown space counts as free. What
-//! becomes of them is judged in the world as it is.
+//! Both are real [`flockmap::Robot`]s. Each plans on nothing but its own fused map; unknown space counts as
+//! free. What becomes of them is judged in the world as it is.
 //!
 //! ```
 //! use flockmap_autonomy::application::{ApplicationOptions, Course, Ending, MapSync, fly};
@@ -44,8 +44,8 @@ use route::POINT_EVERY_M;
 const HOVER_S: f64 = 2.0;
 /// The leader is there when it is this near to the goal.
 const GOAL_RADIUS_M: f64 = 0.5;
-/// The leader flies slower, down to standing still, while the follower is farther behind than it should be by this much
-/// more.
+/// The leader flies slower, down to standing still, while the follower is farther behind than it should be by
+/// this much more.
 const STRETCH_M: [f64; 2] = [0.8, 2.0];
 /// The follower looks at the point so far ahead on the leader's path.
 const LOOK_AHEAD_M: f64 = 2.0;
@@ -172,7 +172,8 @@ impl<'a> Flight<'a> {
         None
     }
 
-    /// The leader's LiDAR faces against its direction of flight; the follower's looks along the leader's path ahead.
+    /// The leader's LiDAR faces against its direction of flight; the follower's looks along the leader's path
+    /// ahead.
     fn turn(&mut self) {
         let leader = self.flyers[LEADER];
         if let Some(heading) = self.pilots[LEADER].heading(&leader) {

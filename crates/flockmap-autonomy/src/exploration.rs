@@ -1,9 +1,9 @@
 //! Robots that explore a world together: each looks for what its own fused map does not show yet.
 //!
-//! A small relative of RACER's planner (Zhou et al., T-RO 2023): frontiers and viewpoints, a grid of regions that two
-//! robots divide between them whenever they hear each other, tours, A* paths, limits of speed and yaw rate. Each
-//! robot is a whole [`flockmap::Robot`] on an emulated radio and plans on nothing but its own fused map, so a map that comes late costs
-//! it time: it looks at what others have seen already.
+//! A small relative of RACER's planner (Zhou et al., T-RO 2023): frontiers and viewpoints, a grid of regions
+//! that two robots divide between them whenever they hear each other, tours, A* paths, limits of speed and
+//! yaw rate. Each robot is a whole [`flockmap::Robot`] on an emulated radio and plans on nothing but its own
+//! fused map, so a map that comes late costs it time: it looks at what others have seen already.
 
 mod explorer;
 mod frontier;
@@ -37,11 +37,13 @@ pub struct ExploreOptions {
     pub range_m: f64,
     /// LiDAR of every robot; it sits at the robot's centre. Default Mid-360.
     pub lidar: Lidar,
-    /// How it scans. Default: with rays that hit nothing, so that the open sky differs from what was not looked at.
+    /// How it scans. Default: with rays that hit nothing, so that the open sky differs from what was not
+    /// looked at.
     pub scan: ScanOptions,
     /// The exploration ends after this time at the latest, in seconds. Default 600.
     pub seconds_max: f64,
-    /// Speed, acceleration, yaw rate. Default 2 m/s, 2 m/s², 2 rad/s, as in MARSIM's launch files and RACER's planner.
+    /// Speed, acceleration, yaw rate. Default 2 m/s, 2 m/s², 2 rad/s, as in MARSIM's launch files and RACER's
+    /// planner.
     pub limits: MotionLimits,
     /// Least distance to anything Occupied in a robot's map, in metres. A robot that finds no path to what it
     /// could look at makes do with 0.1 m less, down to 0.2. Default 0.3.

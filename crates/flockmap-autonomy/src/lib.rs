@@ -1,4 +1,5 @@
-//! Simulated robots that plan on what they know: navigation on the fused map, exploration, and the application of the paper.
+//! Simulated robots that plan on what they know: navigation on the fused map, exploration, and the
+//! application of the paper.
 //!
 //! Everything is deterministic: the same seed gives the same bytes on every machine. Only the basic
 //! operations and the square root of `f64`, which IEEE 754 fixes to the last bit, and the pure-Rust sines of

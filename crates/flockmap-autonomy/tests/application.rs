@@ -1,4 +1,5 @@
-//! Two robots in line, of which the leader looks backwards: it gets through with its follower's map and not without.
+//! Two robots in line, of which the leader looks backwards: it gets through with its follower's map and not
+//! without.
 
 use flockmap_autonomy::application::{
     ApplicationOptions, Course, Ending, MapSync, SeriesOptions, fly, series,

@@ -1,5 +1,5 @@
-//! `flockmap-bench application`: a leader that looks backwards crosses a thicket on its follower's map (the paper's
-//! Sec. V-B), over seeds and radios.
+//! `flockmap-bench application`: a leader that looks backwards crosses a thicket on its follower's map (the
+//! paper's Sec. V-B), over seeds and radios.
 
 use std::path::PathBuf;
 
@@ -39,14 +39,15 @@ pub struct ApplicationArgs {
     /// Four seeds, budgets of 5 and 25 KB/s, losses of 0 and 40 %
     #[arg(long)]
     pub quick: bool,
-    /// Budgets of a robot in KB/s, separated by commas; 28 bytes of IP and UDP count for each datagram [default: 1,5,25,100]
+    /// Budgets of a robot in KB/s, separated by commas; 28 bytes of IP and UDP count for each datagram
+    /// [default: 1,5,25,100]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub rates: Vec<f64>,
     /// Shares of datagrams that the radio loses, separated by commas [default: 0,0.2,0.4]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub losses: Vec<f64>,
-    /// Budgets in KB/s of further series in which obstacles go out after --publish-period and free space after 2 s, separated by commas; 0 for
-    /// none [default: 1,5; with --quick 5]
+    /// Budgets in KB/s of further series in which obstacles go out after --publish-period and free space
+    /// after 2 s, separated by commas; 0 for none [default: 1,5; with --quick 5]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub obstacles_first: Vec<f64>,
     /// Delay of the radio in milliseconds
@@ -93,14 +94,16 @@ pub struct Row {
     pub seconds: Option<f64>,
     /// How far the leader flew towards the goal: mean over all flights, in metres.
     pub leader_path_m: f64,
-    /// Payload that the leader sent a second, mean over all flights; IP and UDP headers not counted, here and below.
+    /// Payload that the leader sent a second, mean over all flights; IP and UDP headers not counted, here and
+    /// below.
     pub leader_sent_kb_s: f64,
     pub leader_received_kb_s: f64,
     /// Most in any second of any flight.
     pub leader_sent_kb_s_max: f64,
     pub leader_received_kb_s_max: f64,
     pub follower_sent_kb_s: f64,
-    /// Age of obstacles when they come into the leader's map: means of the flights' medians and of their 99 % values.
+    /// Age of obstacles when they come into the leader's map: means of the flights' medians and of their 99 %
+    /// values.
     pub obstacle_age_median_s: Option<f64>,
     pub obstacle_age_p99_s: Option<f64>,
     /// Every flight, by seed from 1 on.

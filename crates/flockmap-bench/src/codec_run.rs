@@ -55,10 +55,11 @@ pub struct Row {
     /// Batches that these times are means of.
     #[serde(skip)]
     pub timed: usize,
-    /// Share of the voxels known to the sender, as packed, or to a receiver, when all has arrived, that are equal; less than 1 is a
-    /// fault of a lossless method.
+    /// Share of the voxels known to the sender, as packed, or to a receiver, when all has arrived, that are
+    /// equal; less than 1 is a fault of a lossless method.
     pub agreement: f64,
-    /// Whether the method does what it says: a lossless one has every voxel, and every stamp that it sends, right.
+    /// Whether the method does what it says: a lossless one has every voxel, and every stamp that it sends,
+    /// right.
     #[serde(skip)]
     pub is_as_promised: bool,
 }
@@ -71,8 +72,9 @@ impl CodecRun {
         Self { mapper, batch, receivers, robots: 0, seconds: 0.0, batches: 0, changed_voxels: 0, methods }
     }
 
-    /// The record of one robot: maps it, closes batches, and gives each batch to every method. Stamps must begin near 0.
-    /// Calls `progress` after each scan. Ends early if the user asks for it. Returns what was published in the end.
+    /// The record of one robot: maps it, closes batches, and gives each batch to every method. Stamps must
+    /// begin near 0. Calls `progress` after each scan. Ends early if the user asks for it. Returns what was
+    /// published in the end.
     pub fn record(
         &mut self,
         frames: impl IntoIterator<Item = Frame>,

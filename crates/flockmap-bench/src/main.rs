@@ -1,4 +1,5 @@
-//! The program `flockmap-bench`: what Flockmap costs, beside the methods of others, and the tables that its codec ships.
+//! The program `flockmap-bench`: what Flockmap costs, beside the methods of others, and the tables that its
+//! codec ships.
 #![forbid(unsafe_code)]
 #![allow(unreachable_pub, reason = "a program has no outside")]
 

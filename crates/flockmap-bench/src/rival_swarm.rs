@@ -31,8 +31,8 @@ pub struct RivalAgreement {
     pub stale: u64,
 }
 
-/// Runs all robots through their scans, and on until every chunk has arrived everywhere. `config` gives the robot with an id
-/// of 1 to the number of sources.
+/// Runs all robots through their scans, and on until every chunk has arrived everywhere. `config` gives the
+/// robot with an id of 1 to the number of sources.
 pub fn run(
     sources: Vec<Source>,
     config: impl Fn(RobotId) -> RacerConfig,
@@ -55,8 +55,8 @@ pub fn run(
 }
 
 impl RivalRun {
-    /// Compares what each robot saw with what each other one received of it; what was not sent, as it was known already, with
-    /// what the other one knows.
+    /// Compares what each robot saw with what each other one received of it; what was not sent, as it was
+    /// known already, with what the other one knows.
     pub fn agreement(&self) -> RivalAgreement {
         let mut sum = RivalAgreement::default();
         for (saw, Measures { onset, .. }) in self.robots.iter().zip(&self.measures) {

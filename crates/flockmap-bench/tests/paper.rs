@@ -12,7 +12,8 @@ use flockmap_cli::robot_record::{RobotRecord, prepare_folder};
 use flockmap_cli::sources;
 use serde_json::Value;
 
-/// Rows of a CSV file, each with as many fields as the first. No field of ours holds a quoted comma in these tests' tables.
+/// Rows of a CSV file, each with as many fields as the first. No field of ours holds a quoted comma in these
+/// tests' tables.
 fn csv(path: &Path) -> Vec<Vec<String>> {
     let text = std::fs::read_to_string(path).expect("the file is there");
     let rows: Vec<Vec<String>> = text.lines().map(fields).collect();

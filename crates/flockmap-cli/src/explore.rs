@@ -26,7 +26,8 @@ pub fn prepare(world: Arc<World>, options: ExploreOptions) -> anyhow::Result<Opt
     }
 }
 
-/// Explores to the end, or until Ctrl-C, and writes a record of each robot to a folder; with pictures of the fused maps, if wanted.
+/// Explores to the end, or until Ctrl-C, and writes a record of each robot to a folder; with pictures of the
+/// fused maps, if wanted.
 pub fn record(
     explorer: &mut Explorer,
     folder: &Path,

@@ -1,5 +1,5 @@
-//! What the programs `flockmap` and `flockmap-bench` share: where scans come from, a swarm in virtual time with what is measured of
-//! it, and reports. It serves these two and promises nothing to others.
+//! What the programs `flockmap` and `flockmap-bench` share: where scans come from, a swarm in virtual time
+//! with what is measured of it, and reports. It serves these two and promises nothing to others.
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "fields of measures and reports are said by their names")]
 

@@ -178,8 +178,8 @@ pub struct AgesByState {
 }
 
 impl AgesByState {
-    /// Counts the age of each voxel of a package that was merged now: time since the scan that gave the voxel the state that it
-    /// still has in its robot's map. `onset` holds when that was.
+    /// Counts the age of each voxel of a package that was merged now: time since the scan that gave the voxel
+    /// the state that it still has in its robot's map. `onset` holds when that was.
     pub fn add(&mut self, now: Stamp, merged: &Changes, onset: &Layer) {
         for (voxel, state) in merged.voxels() {
             if let Some((still, since)) = onset.get(voxel)

@@ -47,7 +47,8 @@ pub struct SourceArgs {
     /// Rays of the simulated LiDAR that hit nothing carve free space too
     #[arg(long)]
     pub no_returns: bool,
-    /// How beams meet the world: cast (exact) or polar (an image of ranges from points, as the MARSIM simulator does)
+    /// How beams meet the world: cast (exact) or polar (an image of ranges from points, as the MARSIM
+    /// simulator does)
     #[arg(long, value_name = "NAME", default_value_t = Rendering::Cast)]
     pub rendering: Rendering,
     /// Standard deviation of the noise on the range of a return, in metres (0.02 is that of real devices)
@@ -62,8 +63,8 @@ pub struct SourceArgs {
     /// Spheres and boxes of 0.6 to 0.8 m that move about at 1 to 3 m/s and are seen by simulated robots
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub moving_obstacles: usize,
-    /// Robots are seen in each other's scans, and leave each other out of their maps. With records: they were seen, so leave
-    /// them out (poses in one common frame)
+    /// Robots are seen in each other's scans, and leave each other out of their maps. With records: they were
+    /// seen, so leave them out (poses in one common frame)
     #[arg(long)]
     pub see_team_mates: bool,
     /// Seed of generated worlds, flights, and of the radio
@@ -78,10 +79,12 @@ pub struct SourceArgs {
     /// Highest speed of simulated robots in m/s [default: 1.5; robots that explore: 2]
     #[arg(long, value_name = "M_S")]
     pub speed: Option<f64>,
-    /// Side of the solid cells of a world made from a point cloud, in metres [default: 0.1, and 0.2 for .las and .laz]
+    /// Side of the solid cells of a world made from a point cloud, in metres [default: 0.1, and 0.2 for .las
+    /// and .laz]
     #[arg(long, value_name = "M")]
     pub world_resolution: Option<f64>,
-    /// Pose file of a folder of scans, in KITTI's form [default: optimized_poses.txt, odom_poses.txt or poses.txt in it]
+    /// Pose file of a folder of scans, in KITTI's form [default: optimized_poses.txt, odom_poses.txt or
+    /// poses.txt in it]
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
     /// Time between scans of a folder without times.txt, in seconds

@@ -5,8 +5,8 @@ use std::thread;
 
 use crate::stop;
 
-/// Does the jobs, each on one of so many threads. What came of them, in the order of the jobs; after Ctrl-C no other one is begun, and
-/// what came of the first few is returned.
+/// Does the jobs, each on one of so many threads. What came of them, in the order of the jobs; after Ctrl-C
+/// no other one is begun, and what came of the first few is returned.
 pub fn in_parallel<J, T: Send>(
     threads: usize,
     jobs: impl IntoIterator<Item = J, IntoIter: Send>,

@@ -82,7 +82,8 @@ fn ground(view: &MapView) -> HashMap<(i32, i32), i32> {
     lowest
 }
 
-/// What a pixel shows, red, green and blue. Order of the palette: nothing, own free, received free, own obstacles, received obstacles.
+/// What a pixel shows, red, green and blue. Order of the palette: nothing, own free, received free, own
+/// obstacles, received obstacles.
 const PALETTE: [u32; 3 + 2 * SHADES] = [
     0x000000, 0xcfcbf2, 0xbfe6c2, 0x867adb, 0x7062cc, 0x5b4cba, 0x4839a3, 0x362886, 0x241866, 0x6dbb7a,
     0x54a666, 0x3e8f52, 0x2b7740, 0x1a5e2f, 0x0b441f,

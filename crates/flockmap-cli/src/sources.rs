@@ -98,8 +98,8 @@ pub struct Sources {
 /// How long simulated flights last, if nothing else is said.
 const FLIGHT_SECONDS: f64 = 60.0;
 
-/// Opens the records, or the one world, that the command line names. Stamps begin at 0 for each record; with `real_stamps`, at 0 for
-/// the earliest. A simulated LiDAR sees `range_m` far, if nothing else is said.
+/// Opens the records, or the one world, that the command line names. Stamps begin at 0 for each record; with
+/// `real_stamps`, at 0 for the earliest. A simulated LiDAR sees `range_m` far, if nothing else is said.
 pub fn open(
     paths: &[PathBuf],
     source: &SourceArgs,
@@ -163,7 +163,8 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
     Ok(Sources { robots: robots.collect(), title })
 }
 
-/// One record as `--robots` robots: cut into as many parts of equal time, which all begin at 0. A swarm on a single recording.
+/// One record as `--robots` robots: cut into as many parts of equal time, which all begin at 0. A swarm on a
+/// single recording.
 pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
     let parts = source.robots as i64;
     ensure!((1..=100).contains(&parts), "--robots is {parts}, expected 1 to 100");
@@ -204,7 +205,8 @@ fn open_spanned(path: &Path, source: &SourceArgs) -> anyhow::Result<(Record, [St
     Ok((record, [first, last]))
 }
 
-/// The frames of a record from one time to another, both included, with stamps that count from `zero`. The robot is one of a team.
+/// The frames of a record from one time to another, both included, with stamps that count from `zero`. The
+/// robot is one of a team.
 pub fn part(
     record: Record,
     name: String,

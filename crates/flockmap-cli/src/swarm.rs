@@ -1,4 +1,5 @@
-//! A swarm in virtual time: robots, their scans, and an emulated radio between them. The same input gives the same bytes.
+//! A swarm in virtual time: robots, their scans, and an emulated radio between them. The same input gives the
+//! same bytes.
 
 use std::collections::BTreeMap;
 use std::time::Instant;

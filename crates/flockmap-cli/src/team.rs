@@ -42,8 +42,8 @@ impl Team {
         Self { tracks: Arc::new(tracks.map(track).collect()) }
     }
 
-    /// All but one robot at a time. Between two poses a robot is on the straight line between them; before its first and
-    /// after its last it stays where it is.
+    /// All but one robot at a time. Between two poses a robot is on the straight line between them; before
+    /// its first and after its last it stays where it is.
     pub fn mates(&self, of: usize, at: Stamp) -> Vec<TeamMate> {
         let others = self.tracks.iter().enumerate().filter(|(number, _)| *number != of);
         others

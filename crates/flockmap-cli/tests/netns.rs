@@ -1,4 +1,5 @@
-//! Three `flockmap node` processes in three network namespaces (`tests/netns/three_nodes.sh`), one killed in mid-flight.
+//! Three `flockmap node` processes in three network namespaces (`tests/netns/three_nodes.sh`), one killed in
+//! mid-flight.
 #![cfg(target_os = "linux")]
 
 use std::path::Path;

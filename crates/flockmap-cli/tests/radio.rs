@@ -1,4 +1,5 @@
-//! `flockmap radio`: what it does to datagrams, and five robots that talk through it (`tests/netns/five_nodes.sh`).
+//! `flockmap radio`: what it does to datagrams, and five robots that talk through it
+//! (`tests/netns/five_nodes.sh`).
 #![cfg(target_os = "linux")]
 
 mod common;

@@ -1,5 +1,5 @@
-//! Time to make and to read the packages of one batch in a forest, 150 × 150 × 30 voxels (the paper's Table IV has
-//! 5.30 ms for packing one). `cargo bench -p flockmap-codec`
+//! Time to make and to read the packages of one batch in a forest, 150 × 150 × 30 voxels (the paper's Table
+//! IV has 5.30 ms for packing one). `cargo bench -p flockmap-codec`
 
 #![allow(missing_docs, reason = "the macros of criterion make public functions")]
 

@@ -56,7 +56,8 @@ impl Encoder {
     }
 
     /// The changes of a batch as packages of at most `bytes_max` bytes each, numbered from `first_index`.
-    /// Each has a tight box of its own and is of use without the others; no two share a voxel. No changes: no packages.
+    /// Each has a tight box of its own and is of use without the others; no two share a voxel. No changes: no
+    /// packages.
     ///
     /// The changes are cut in two across the longest side of their box until each piece fits. What a piece
     /// will take is forecast from the pieces before it, so that few are encoded in vain.

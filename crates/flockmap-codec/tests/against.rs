@@ -1,4 +1,5 @@
-//! Batches of `flock` coded against what the receiver holds: right in every order, from wherever they were seen, and never wrong.
+//! Batches of `flock` coded against what the receiver holds: right in every order, from wherever they were
+//! seen, and never wrong.
 
 mod common;
 
@@ -48,7 +49,8 @@ fn content(decoder: &mut Decoder, package: &Package, layer: &Layer) -> Result<Ch
     }
 }
 
-/// Sends the batches one after the other. The receiver takes the packages of each in any order, some of them twice.
+/// Sends the batches one after the other. The receiver takes the packages of each in any order, some of them
+/// twice.
 fn check(
     batches: &[Changes],
     sensors: &[[i32; 3]],

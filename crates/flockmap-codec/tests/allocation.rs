@@ -147,7 +147,8 @@ fn memory_stays_within_the_stated_limits() {
     a_snapshot_takes_few_bytes_for_each_known_voxel();
 }
 
-/// A layer of some 300,000 voxels whose blocks were each changed by a hundred batches or more: a wall of noise that thickens.
+/// A layer of some 300,000 voxels whose blocks were each changed by a hundred batches or more: a wall of
+/// noise that thickens.
 fn layer_of_many_stamps() -> Layer {
     let mut layer = Layer::default();
     let mut random = common::Random(7);

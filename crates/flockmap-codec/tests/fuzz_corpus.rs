@@ -1,6 +1,8 @@
-//! What the fuzzer found worth keeping, and honest packages that it started from, run again: see `fuzz/README.md`.
+//! What the fuzzer found worth keeping, and honest packages that it started from, run again: see
+//! `fuzz/README.md`.
 //!
-//! After a change of layout `FLOCKMAP_BLESS=1 cargo test -p flockmap-codec --test fuzz_corpus` writes the honest ones anew.
+//! After a change of layout `FLOCKMAP_BLESS=1 cargo test -p flockmap-codec --test fuzz_corpus` writes the
+//! honest ones anew.
 
 mod fuzz;
 
@@ -16,8 +18,8 @@ fn folder(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(target)
 }
 
-/// Runs each file of a folder, by name; `made` are those that were not found by the fuzzer, for `FLOCKMAP_BLESS`. The line that it
-/// prints must be the same on all machines, in debug and release.
+/// Runs each file of a folder, by name; `made` are those that were not found by the fuzzer, for
+/// `FLOCKMAP_BLESS`. The line that it prints must be the same on all machines, in debug and release.
 fn replay(target: &str, made: impl FnOnce() -> Vec<(String, Vec<u8>)>, run: impl Fn(&mut Fuzz, &[u8])) {
     if std::env::var_os("FLOCKMAP_BLESS").is_some() {
         bless(target, made());
@@ -49,7 +51,8 @@ fn the_corpus_of_flights_comes_back() {
     replay("round_trip", choices, round_trip::run);
 }
 
-/// What the fuzzer does, for a second: bytes changed here and there behind the header. That the check does not fit stops nothing.
+/// What the fuzzer does, for a second: bytes changed here and there behind the header. That the check does
+/// not fit stops nothing.
 #[test]
 fn damaged_payloads_say_nothing_impossible() {
     damage(&honest_packages(), 40, decode::run);
@@ -71,7 +74,8 @@ fn damage(inputs: &[(String, Vec<u8>)], times: usize, run: impl Fn(&mut Fuzz, &[
     }
 }
 
-/// Writes inputs made here in place of those that were made before. What the fuzzer found stays: it has other names.
+/// Writes inputs made here in place of those that were made before. What the fuzzer found stays: it has other
+/// names.
 fn bless(target: &str, inputs: Vec<(String, Vec<u8>)>) {
     let folder = folder(target);
     std::fs::create_dir_all(&folder).unwrap();
@@ -96,7 +100,8 @@ fn batch() -> Batch {
     }
 }
 
-/// One voxel; a room's corner, seen from within; voxels without a pattern; a wall at the end of the grid, which cuts its blocks.
+/// One voxel; a room's corner, seen from within; voxels without a pattern; a wall at the end of the grid,
+/// which cuts its blocks.
 fn contents() -> [(&'static str, Changes); 4] {
     let region = |low: [i32; 3], size| VoxelBox::new(Voxel::new(low[0], low[1], low[2]), size).unwrap();
     let room = region([-5, 3, -2], [20, 11, 9]).voxels().filter(|v| (3 * v.x + 5 * v.y + 7 * v.z) % 13 != 0);

@@ -1,9 +1,9 @@
 //! The bytes of the format are frozen: packages committed here must be read for ever, and be written as they are
 //! wherever no version of zlib has a say.
 //!
-//! After a change of layout, which is a change of [`FORMAT_VERSION`]: `FLOCKMAP_BLESS=1 cargo test -p flockmap-codec
-//! --test golden` writes new files, and its failure says the new [`LAYOUT`]; keep the old files if the old version can
-//! still be read, or else to hold that it is refused.
+//! After a change of layout, which is a change of [`FORMAT_VERSION`]: `FLOCKMAP_BLESS=1 cargo test -p
+//! flockmap-codec --test golden` writes new files, and its failure says the new [`LAYOUT`]; keep the old
+//! files if the old version can still be read, or else to hold that it is refused.
 
 mod common;
 

@@ -174,7 +174,8 @@ fn two_voxels_with_much_empty_space_between_them_go_in_two_packages() {
     assert_eq!(join_chunks(&chunks.unwrap(), PACKAGE_BYTES_MAX), state.parts);
 }
 
-/// Not so in net changes. But whoever lost a batch, or starts again with the layer of before, may send what was sent.
+/// Not so in net changes. But whoever lost a batch, or starts again with the layer of before, may send what
+/// was sent.
 #[test]
 fn a_voxel_that_is_told_again_what_it_is_goes_in_a_package_told_alone() {
     let wall = |ys: core::ops::Range<i32>, state| {
@@ -347,8 +348,8 @@ fn a_snapshot_that_breaks_its_rules_is_refused() {
     }
 }
 
-/// The order of sizes that the paper reports: Hilbert below nested, both far below an address list. Sizes are exact for
-/// one version of the zlib back end; the tolerance leaves room for others.
+/// The order of sizes that the paper reports: Hilbert below nested, both far below an address list. Sizes are
+/// exact for one version of the zlib back end; the tolerance leaves room for others.
 #[test]
 fn a_batch_in_the_forest_has_the_expected_sizes() {
     let changes = forest_batch();

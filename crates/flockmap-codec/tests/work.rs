@@ -1,4 +1,5 @@
-//! No package asks for more work than its length allows: what is encoded stays within it, and what goes beyond is refused early.
+//! No package asks for more work than its length allows: what is encoded stays within it, and what goes
+//! beyond is refused early.
 
 mod common;
 

@@ -65,8 +65,8 @@ impl Layer {
         self.take_over(changes, stamp, true)
     }
 
-    /// The same for every voxel of a snapshot, each with its own stamp. Returns the blocks and voxels that it took over,
-    /// a block once for each stamp. O(voxels).
+    /// The same for every voxel of a snapshot, each with its own stamp. Returns the blocks and voxels that it
+    /// took over, a block once for each stamp. O(voxels).
     pub fn apply_snapshot(&mut self, state: &Snapshot) -> Vec<(BlockIndex, Plane)> {
         let taken =
             state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, false)).collect();
@@ -75,9 +75,9 @@ impl Layer {
         taken
     }
 
-    /// Notes where the sensor was in the batch that ended at `stamp`, in sixteenths of a voxel; to be called after its voxels were
-    /// taken over. Of at most 2¹⁶ batches, 48 bytes each; batches of which no voxel stands any more are forgotten now and then. O(log n)
-    /// over time.
+    /// Notes where the sensor was in the batch that ended at `stamp`, in sixteenths of a voxel; to be called
+    /// after its voxels were taken over. Of at most 2¹⁶ batches, 48 bytes each; batches of which no voxel
+    /// stands any more are forgotten now and then. O(log n) over time.
     pub fn note_sensor(&mut self, stamp: Stamp, sensor: [i32; 3]) {
         if self.sensors.insert(stamp, sensor).is_some() {
             return;
@@ -152,11 +152,13 @@ impl Layer {
         self.blocks.get(&index).map(|block| &block.states)
     }
 
-    /// The states of a block as they were before the batch that ended at `stamp`, whether packages of that batch have been
-    /// applied meanwhile or not; `None` if nothing was known. This is what packages of the batch are coded against.
+    /// The states of a block as they were before the batch that ended at `stamp`, whether packages of that
+    /// batch have been applied meanwhile or not; `None` if nothing was known. This is what packages of the
+    /// batch are coded against.
     ///
     /// # Errors
-    /// [`BaseSuperseded`] if something newer has been applied to the block, or a snapshot that says more of it than was known.
+    /// [`BaseSuperseded`] if something newer has been applied to the block, or a snapshot that says more of
+    /// it than was known.
     pub fn block_before(
         &self,
         index: BlockIndex,
@@ -224,8 +226,8 @@ impl Layer {
         self.memory_bytes() + self.table_growth(blocks)
     }
 
-    /// The most by which taking over these changes, each with a stamp of its own, can make it grow, in bytes (sensors not counted), and by how many
-    /// blocks. O(blocks).
+    /// The most by which taking over these changes, each with a stamp of its own, can make it grow, in bytes
+    /// (sensors not counted), and by how many blocks. O(blocks).
     pub(crate) fn growth_max<'a>(&self, parts: impl ExactSizeIterator<Item = &'a Changes>) -> (usize, usize) {
         let of_block = |index: &BlockIndex, stamps: usize| match self.blocks.get(index) {
             Some(block) => (block.stamps.growth_max(stamps), 0),
@@ -251,20 +253,22 @@ impl Layer {
         if then > now { then } else { 0 }
     }
 
-    /// The whole layer with its stamps, such that applying its parts to an empty layer gives this one.
-    /// `None` if nothing is known. O(voxels). Takes 144 bytes for each block of each stamp; see [`Self::snapshot_voxels`].
+    /// The whole layer with its stamps, such that applying its parts to an empty layer gives this one. `None`
+    /// if nothing is known. O(voxels). Takes 144 bytes for each block of each stamp; see
+    /// [`Self::snapshot_voxels`].
     pub fn snapshot(&self) -> Option<Snapshot> {
         self.snapshot_voxels(None).map(|voxels| voxels.to_state())
     }
 
-    /// The voxels with a stamp newer than this one, such that applying its parts to a layer that knows all up to `stamp` gives
-    /// this one. `None` if there are none. O(voxels).
+    /// The voxels with a stamp newer than this one, such that applying its parts to a layer that knows all up
+    /// to `stamp` gives this one. `None` if there are none. O(voxels).
     pub fn snapshot_since(&self, stamp: Stamp) -> Option<Snapshot> {
         self.snapshot_voxels(Some(stamp)).map(|voxels| voxels.to_state())
     }
 
-    /// The same in 8 bytes for each voxel: of the whole layer, or what is newer than a stamp. Takes no more while it works, beside 16
-    /// bytes for each block and each stamp. `None` if that is nothing, or more than 2²⁷ blocks or stamps. O(n log n) in voxels.
+    /// The same in 8 bytes for each voxel: of the whole layer, or what is newer than a stamp. Takes no more
+    /// while it works, beside 16 bytes for each block and each stamp. `None` if that is nothing, or more than
+    /// 2²⁷ blocks or stamps. O(n log n) in voxels.
     pub fn snapshot_voxels(&self, newer_than: Option<Stamp>) -> Option<SnapshotVoxels> {
         let is_wanted = |stamp: Stamp| newer_than.is_none_or(|limit| stamp > limit);
         let mut blocks: Vec<BlockIndex> = Vec::with_capacity(self.blocks.len());
@@ -349,8 +353,8 @@ impl LayerBlock {
             core::cmp::Ordering::Greater if is_batch => self.before = Some(self.states),
             // More of the same batch.
             core::cmp::Ordering::Equal if is_batch => {}
-            // An older state that comes late is a part of what was before, unless another one stands there: which of them is
-            // newer is not known.
+            // An older state that comes late is a part of what was before, unless another one stands there:
+            // which of them is newer is not known.
             core::cmp::Ordering::Less => {
                 let is_certain = |before: &StateBlock| {
                     !meet(before.free(), new.occupied()) && !meet(before.occupied(), new.free())

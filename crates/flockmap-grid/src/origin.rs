@@ -29,9 +29,9 @@ pub struct Stream {
     pub epoch: u64,
 }
 
-/// The epoch of a run: the seconds since 1970 at which it began, and 32 random bits. Later runs of a robot have higher epochs. Where a
-/// clock shows the same second twice, the random bits distinguish the runs; where it was set back, a robot that hears of a higher epoch
-/// of its own id begins anew above that.
+/// The epoch of a run: the seconds since 1970 at which it began, and 32 random bits. Later runs of a robot
+/// have higher epochs. Where a clock shows the same second twice, the random bits distinguish the runs; where
+/// it was set back, a robot that hears of a higher epoch of its own id begins anew above that.
 ///
 /// ```
 /// use flockmap_grid::{epoch, seconds_of_epoch};

@@ -42,13 +42,13 @@ pub enum PoseError {
     },
 }
 
-/// Voxels between the farthest position that is taken and the end of the grid: room for the longest ray, so that every
-/// end has a voxel.
+/// Voxels between the farthest position that is taken and the end of the grid: room for the longest ray, so
+/// that every end has a voxel.
 const MARGIN: i32 = 1_024;
 
 impl Resolution {
-    /// Whether a sensor, a team-mate or the origin of a frame may be at this position (metres): finite, and at least 1,024 voxels
-    /// within the end of the grid.
+    /// Whether a sensor, a team-mate or the origin of a frame may be at this position (metres): finite, and
+    /// at least 1,024 voxels within the end of the grid.
     ///
     /// # Errors
     /// [`PoseError`] says what was wrong.
@@ -75,9 +75,9 @@ impl Pose {
     /// The transform that changes nothing.
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
-    /// From a translation in metres and a rotation as a quaternion `[x, y, z, w]`, which is normalised unless its length
-    /// is 1 within rounding: so a pose that was taken apart comes back bit for bit.
-    /// `None` if a number is not finite or the quaternion is (nearly) zero.
+    /// From a translation in metres and a rotation as a quaternion `[x, y, z, w]`, which is normalised unless
+    /// its length is 1 within rounding: so a pose that was taken apart comes back bit for bit. `None` if a
+    /// number is not finite or the quaternion is (nearly) zero.
     pub fn new(translation: [f64; 3], quaternion_xyzw: [f64; 4]) -> Option<Self> {
         let rotation = DQuat::from_array(quaternion_xyzw);
         let translation = DVec3::from_array(translation);
@@ -87,13 +87,14 @@ impl Pose {
             .then(|| Self { rotation: if is_unit { rotation } else { rotation.normalize() }, translation })
     }
 
-    /// A translation in metres without a rotation. Numbers that are not finite are refused where the pose is used: [`Self::check`].
+    /// A translation in metres without a rotation. Numbers that are not finite are refused where the pose is
+    /// used: [`Self::check`].
     pub fn from_translation(translation: [f64; 3]) -> Self {
         Self { rotation: DQuat::IDENTITY, translation: DVec3::from_array(translation) }
     }
 
-    /// A translation in metres and a rotation of `yaw` radians about z. Numbers that are not finite are refused where the pose
-    /// is used: [`Self::check`].
+    /// A translation in metres and a rotation of `yaw` radians about z. Numbers that are not finite are
+    /// refused where the pose is used: [`Self::check`].
     pub fn from_yaw(translation: [f64; 3], yaw: f64) -> Self {
         Self { rotation: DQuat::from_rotation_z(yaw), translation: DVec3::from_array(translation) }
     }
@@ -116,8 +117,8 @@ impl Pose {
         })
     }
 
-    /// Whether this is a pose that lies in a grid of this resolution. Whoever takes a pose asks this: one that was composed
-    /// of sound poses can be none.
+    /// Whether this is a pose that lies in a grid of this resolution. Whoever takes a pose asks this: one
+    /// that was composed of sound poses can be none.
     ///
     /// # Errors
     /// [`PoseError`] says what was wrong.
@@ -231,7 +232,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever it is made of: a pose that is taken brings every voxel of the grid to a place that is a number, and back.
+        /// Whatever it is made of: a pose that is taken brings every voxel of the grid to a place that is a
+        /// number, and back.
         #[test]
         fn a_pose_is_taken_if_and_only_if_all_it_says_is_a_number_within_the_grid(
             at in prop::array::uniform3(number()), turn in prop::array::uniform4(number()), yaw in number(),

@@ -6,20 +6,21 @@ use crate::{BlockIndex, Changes, Stamp, State, StateBlock, VoxelBox};
 /// What a layer holds in a box: every known voxel with its state and the stamp that it got it at.
 /// Sent when too many packages are missing ("the current OGM as it is", Sec. IV-B of the paper).
 ///
-/// Voxels of the region that are in no part are Unknown. A part takes 144 bytes for each of its blocks, however few voxels it has there;
-/// [`SnapshotVoxels`] says the same of a whole layer in less.
+/// Voxels of the region that are in no part are Unknown. A part takes 144 bytes for each of its blocks,
+/// however few voxels it has there; [`SnapshotVoxels`] says the same of a whole layer in less.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Snapshot {
     /// The box that this speaks of.
     pub region: VoxelBox,
     /// The known voxels, grouped by stamp: stamps ascending, voxel sets disjoint and all inside `region`.
     pub parts: Vec<(Stamp, Changes)>,
-    /// From where parts were seen, in sixteenths of a voxel: those of which it is known, stamps ascending. A codec may make use of it;
-    /// it is no part of what the state says.
+    /// From where parts were seen, in sixteenths of a voxel: those of which it is known, stamps ascending. A
+    /// codec may make use of it; it is no part of what the state says.
     pub sensors: Vec<(Stamp, [i32; 3])>,
 }
 
-/// A [`Snapshot`] in 8 bytes for each voxel, 12 for each block and 28 for each stamp, of which the parts are made one after the other.
+/// A [`Snapshot`] in 8 bytes for each voxel, 12 for each block and 28 for each stamp, of which the parts are
+/// made one after the other.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct SnapshotVoxels {
     region: VoxelBox,
@@ -27,8 +28,8 @@ pub struct SnapshotVoxels {
     stamps: Vec<Stamp>,
     /// Ascending.
     blocks: Vec<BlockIndex>,
-    /// Ascending: from the highest bit 27 bits of number of the stamp, 27 bits of number of the block, 9 bits of place in the block, and
-    /// whether it is Occupied.
+    /// Ascending: from the highest bit 27 bits of number of the stamp, 27 bits of number of the block, 9 bits
+    /// of place in the block, and whether it is Occupied.
     voxels: Vec<u64>,
     sensors: Vec<(Stamp, [i32; 3])>,
 }
@@ -40,8 +41,8 @@ const NUMBER_BITS: u32 = 27;
 const NUMBER_MASK: u64 = (1 << NUMBER_BITS) - 1;
 
 impl SnapshotVoxels {
-    /// `blocks` and `stamps` ascend; `voxels` gives each known voxel once: number of its stamp, number of its block, place in the block,
-    /// state. `None` if there are more than 2²⁷ blocks or stamps.
+    /// `blocks` and `stamps` ascend; `voxels` gives each known voxel once: number of its stamp, number of its
+    /// block, place in the block, state. `None` if there are more than 2²⁷ blocks or stamps.
     pub(crate) fn new(
         region: VoxelBox,
         stamps: Vec<Stamp>,
@@ -109,8 +110,8 @@ impl SnapshotVoxels {
         self.voxels.chunk_by(|a, b| a >> STAMP_SHIFT == b >> STAMP_SHIFT).map(|part| self.part(part))
     }
 
-    /// The parts again, of one run of blocks after the other: so many that they have `voxels_max` voxels or one block. Takes 8 bytes more
-    /// for each voxel.
+    /// The parts again, of one run of blocks after the other: so many that they have `voxels_max` voxels or
+    /// one block. Takes 8 bytes more for each voxel.
     pub fn runs(&self, voxels_max: usize) -> impl Iterator<Item = Vec<(Stamp, Changes)>> + '_ {
         let in_block_order = |voxel: &u64| voxel & ((1 << STAMP_SHIFT) - 1);
         let mut rest = self.voxels.clone();

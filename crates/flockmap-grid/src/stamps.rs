@@ -86,7 +86,8 @@ impl BlockStamps {
         }
     }
 
-    /// Calls `found` with each stamp that a voxel of `in_use` has, once. O(voxels), less if there is but one stamp.
+    /// Calls `found` with each stamp that a voxel of `in_use` has, once. O(voxels), less if there is but one
+    /// stamp.
     pub(crate) fn for_each_in_use(&self, in_use: &Plane, mut found: impl FnMut(Stamp)) {
         if let Indices::One = self.indices {
             if *in_use != [0; 8] {

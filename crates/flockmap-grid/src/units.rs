@@ -1,4 +1,5 @@
-//! How options stand in files where their unit is another one there: for `#[serde(with)]`, which the schema follows.
+//! How options stand in files where their unit is another one there: for `#[serde(with)]`, which the schema
+//! follows.
 
 use std::borrow::Cow;
 

@@ -22,7 +22,8 @@ fn config(memory_bytes_max: usize, range_m: f64) -> MapperConfig {
     MapperConfig { memory_bytes_max, ..MapperConfig::preset(Preset::RogMap, resolution, range_m) }
 }
 
-/// Inserts scans one after the other; returns what was held afterwards and the most meanwhile. Reports are let go at once.
+/// Inserts scans one after the other; returns what was held afterwards and the most meanwhile. Reports are
+/// let go at once.
 fn held(mapper: &mut Mapper, scans: &[Scan], step_m: f64) -> (usize, usize, usize) {
     let mut blocks = 0;
     ALLOCATOR.reset_peak_usage();

@@ -1,7 +1,7 @@
 //! CDR, the encoding of ROS 2 messages (OMG DDS-RTPS 10.5, "plain CDR" of XCDR version 1).
 //!
-//! A message is read piece by piece, so that each limit is checked before what follows it is read, and an error names
-//! its byte. Point data is forwarded without copying.
+//! A message is read piece by piece, so that each limit is checked before what follows it is read, and an
+//! error names its byte. Point data is forwarded without copying.
 
 use byteorder::{BigEndian, LittleEndian};
 use cdr_encoding::{CdrDeserializer, to_writer};

@@ -14,8 +14,8 @@ const ORIGIN_BEYOND_M: f64 = 10_000.0;
 pub struct PointCloud {
     /// The points, seen from `origin`.
     pub points: Vec<[f32; 3]>,
-    /// Whole metres taken off the coordinates of the file. Zero unless a coordinate is more than 10 km from zero, as in
-    /// surveyed clouds; then the lowest corner of the cloud, rounded down.
+    /// Whole metres taken off the coordinates of the file. Zero unless a coordinate is more than 10 km from
+    /// zero, as in surveyed clouds; then the lowest corner of the cloud, rounded down.
     pub origin: [f64; 3],
     /// Points left out because a coordinate was not a finite number.
     pub dropped: u64,

@@ -7,11 +7,12 @@ use crate::error::{Fault, ReadError};
 use crate::file::{ending, read_whole, unknown_ending};
 use crate::{las, pcd, ply};
 
-/// Reads a point cloud: `.pcd` (ascii, binary, binary_compressed), `.ply` (ascii and binary vertices), `.las`, `.laz`.
+/// Reads a point cloud: `.pcd` (ascii, binary, binary_compressed), `.ply` (ascii and binary vertices),
+/// `.las`, `.laz`.
 ///
-/// A PCD's VIEWPOINT is the pose of the sensor that its points are seen from, as PCL's tools take it: the points are
-/// taken through it. Memory: the file (at most [`CLOUD_BYTES_MAX`]) and 36 bytes for each point (at most
-/// [`CLOUD_POINTS_MAX`]).
+/// A PCD's VIEWPOINT is the pose of the sensor that its points are seen from, as PCL's tools take it: the
+/// points are taken through it. Memory: the file (at most [`CLOUD_BYTES_MAX`]) and 36 bytes for each point
+/// (at most [`CLOUD_POINTS_MAX`]).
 pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud, ReadError> {
     let path = path.as_ref();
     let parse: fn(&[u8]) -> Result<PointCloud, Fault> = match ending(path).as_str() {

@@ -77,8 +77,8 @@ pub struct Topic {
     pub messages: u64,
 }
 
-/// Looks into a file that this crate reads: a record, a point cloud or an OctoMap. Reads the whole file; memory is that of the reader of
-/// its kind.
+/// Looks into a file that this crate reads: a record, a point cloud or an OctoMap. Reads the whole file;
+/// memory is that of the reader of its kind.
 pub fn describe(path: impl AsRef<Path>) -> Result<Description, ReadError> {
     let path = path.as_ref();
     let metadata = std::fs::metadata(path).map_err(|e| Fault::io(&e).in_file(path))?;

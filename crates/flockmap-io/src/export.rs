@@ -14,16 +14,18 @@ use crate::octomap::octomap_bytes;
 /// How to export a map.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct ExportOptions {
-    /// Whether `.ply` and `.pcd` hold free voxels too. Each point then has a `state` (1 occupied, 0 free), and in `.ply` a
-    /// colour. Default: only occupied voxels. A `.bt` always holds both.
+    /// Whether `.ply` and `.pcd` hold free voxels too. Each point then has a `state` (1 occupied, 0 free),
+    /// and in `.ply` a colour. Default: only occupied voxels. A `.bt` always holds both.
     pub free: bool,
 }
 
-/// Writes a map by the ending of the path: `.ply` or `.pcd` with the centre of each voxel in metres (binary; `f32`, or
-/// `f64` where the map reaches so far that `f32` would be off by more than 1/16 voxel), or an OctoMap `.bt`.
+/// Writes a map by the ending of the path: `.ply` or `.pcd` with the centre of each voxel in metres (binary;
+/// `f32`, or `f64` where the map reaches so far that `f32` would be off by more than 1/16 voxel), or an
+/// OctoMap `.bt`.
 ///
-/// Voxels may come in any order, each once; they are written in ascending order, so equal maps give equal files. Unknown
-/// voxels are left out. Returns the number of voxels written. Memory: 16 bytes a voxel, 24 for `.bt`.
+/// Voxels may come in any order, each once; they are written in ascending order, so equal maps give equal
+/// files. Unknown voxels are left out. Returns the number of voxels written. Memory: 16 bytes a voxel, 24 for
+/// `.bt`.
 pub fn export_map(
     path: impl AsRef<Path>,
     resolution: Resolution,
@@ -52,7 +54,8 @@ pub fn export_map(
     Ok(kept.len() as u64)
 }
 
-/// Writes a point cloud by the ending of the path: `.ply` or `.pcd`, binary; `f64` if the cloud has an origin, else `f32`.
+/// Writes a point cloud by the ending of the path: `.ply` or `.pcd`, binary; `f64` if the cloud has an
+/// origin, else `f32`.
 pub fn write_cloud(path: impl AsRef<Path>, cloud: &PointCloud) -> Result<(), WriteError> {
     let path = path.as_ref();
     let form = Form::of(path)?;

@@ -1,7 +1,8 @@
 //! LAS and LAZ point clouds (ASPRS LAS 1.0 to 1.4).
 //!
-//! The header is read here: coordinates are the first twelve bytes of every point format, so nothing else of a LAS file is
-//! needed. Packed points are unpacked by the `laz` crate, once all sizes that it would believe have been checked.
+//! The header is read here: coordinates are the first twelve bytes of every point format, so nothing else of
+//! a LAS file is needed. Packed points are unpacked by the `laz` crate, once all sizes that it would believe
+//! have been checked.
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -147,7 +148,8 @@ fn unpack(bytes: &[u8], header: &Header, laszip: &LazVlr) -> Result<Vec<[f64; 3]
     check_chunks(bytes, header, laszip)?;
     let mut source = Cursor::new(bytes);
     source.set_position(header.data_at);
-    // The crate panics on some damaged files. It is given nothing but bytes and a fresh buffer, so nothing is left half done.
+    // The crate panics on some damaged files. It is given nothing but bytes and a fresh buffer, so nothing is
+    // left half done.
     let unpacked = catch_unwind(AssertUnwindSafe(|| {
         let mut unpacker = LasZipDecompressor::new(source, laszip.clone()).map_err(|e| e.to_string())?;
         let mut points = Vec::new();
@@ -170,8 +172,9 @@ fn unpack(bytes: &[u8], header: &Header, laszip: &LazVlr) -> Result<Vec<[f64; 3]
     }
 }
 
-/// Checks the sizes that the unpacker would make room for: the table of chunks, and in layered chunks (point formats 6 and
-/// up) each layer. A chunk there is its first point, its number of points, the size of each layer, and the layers.
+/// Checks the sizes that the unpacker would make room for: the table of chunks, and in layered chunks (point
+/// formats 6 and up) each layer. A chunk there is its first point, its number of points, the size of each
+/// layer, and the layers.
 fn check_chunks(bytes: &[u8], header: &Header, laszip: &LazVlr) -> Result<(), Fault> {
     let at = |place: u64| bytes.get(usize::try_from(place).ok()?..)?.first_chunk::<8>().copied();
     let mut table = at(header.data_at).map(i64::from_le_bytes).unwrap_or_default();

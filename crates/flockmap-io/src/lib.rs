@@ -1,8 +1,9 @@
-//! What Flockmap reads and writes of other people's formats: records of robots (MCAP, folders of scans), point clouds
-//! (PCD, PLY, LAS, LAZ), OctoMaps, and exports of a map.
+//! What Flockmap reads and writes of other people's formats: records of robots (MCAP, folders of scans),
+//! point clouds (PCD, PLY, LAS, LAZ), OctoMaps, and exports of a map.
 //!
-//! A damaged or foreign file is an error that names the file, the place in it, what was expected and what was found
-//! ([`ReadError`]). No file makes a reader panic or hold more than the limit that its documentation states.
+//! A damaged or foreign file is an error that names the file, the place in it, what was expected and what was
+//! found ([`ReadError`]). No file makes a reader panic or hold more than the limit that its documentation
+//! states.
 //!
 //! | what | read | written |
 //! |---|---|---|

@@ -3,8 +3,9 @@
 use crate::bytes::Bytes;
 use crate::error::{Fault, Place};
 
-/// LibLZF's form: a control byte below 32 is followed by that many bytes + 1 as they are; otherwise its upper three bits
-/// (7: plus the next byte) are a length − 2, and its lower five with the next byte a distance − 1 back.
+/// LibLZF's form: a control byte below 32 is followed by that many bytes + 1 as they are; otherwise its upper
+/// three bits (7: plus the next byte) are a length − 2, and its lower five with the next byte a distance − 1
+/// back.
 pub(crate) fn decompress(packed: &[u8], size: u64, base: u64) -> Result<Vec<u8>, Fault> {
     // A byte unpacks to at most 264 / 3: a header cannot ask for more than the data can fill.
     if size > packed.len() as u64 * 88 + 64 {

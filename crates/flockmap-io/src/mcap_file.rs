@@ -1,8 +1,9 @@
 //! The messages of an MCAP file, one after another (<https://mcap.dev/spec>).
 //!
-//! Reads from start to end and needs no summary, so files of recorders that were switched off are read as far as
-//! they go. A damaged chunk is left out and reported; what follows it is read. The framing is read here rather than by the
-//! `mcap` crate so that each error has its byte, and sizes are checked before anything is held.
+//! Reads from start to end and needs no summary, so files of recorders that were switched off are read as far
+//! as they go. A damaged chunk is left out and reported; what follows it is read. The framing is read here
+//! rather than by the `mcap` crate so that each error has its byte, and sizes are checked before anything is
+//! held.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -41,8 +42,8 @@ pub(crate) struct Message<'a> {
 /// The channel of a message, and where its data lies in the chunk.
 type Found = (Arc<Channel>, Range<usize>);
 
-/// Reads an MCAP file. Memory: the records that are held at one time, that is one chunk packed and unpacked, each at most
-/// `chunk_bytes_max`, and the names of at most 65,536 channels.
+/// Reads an MCAP file. Memory: the records that are held at one time, that is one chunk packed and unpacked,
+/// each at most `chunk_bytes_max`, and the names of at most 65,536 channels.
 pub(crate) struct McapReader {
     file: BufReader<File>,
     length: u64,
@@ -52,7 +53,8 @@ pub(crate) struct McapReader {
     schemas: HashMap<u16, String>,
     /// The record being read, as it lies in the file.
     record: Vec<u8>,
-    /// The records of the chunk that is open. One that lies in the file by itself is taken for a chunk of one record.
+    /// The records of the chunk that is open. One that lies in the file by itself is taken for a chunk of one
+    /// record.
     chunk: Vec<u8>,
     chunk_at: usize,
     /// Where the open chunk begins in the file.
@@ -86,8 +88,8 @@ impl McapReader {
         Ok(reader)
     }
 
-    /// The next message, or what is wrong with the part that is left out; `None` at the end. After an error the next
-    /// call goes on behind the damage, where there is anything.
+    /// The next message, or what is wrong with the part that is left out; `None` at the end. After an error
+    /// the next call goes on behind the damage, where there is anything.
     pub(crate) fn next_message(&mut self) -> Option<Result<Message<'_>, Fault>> {
         loop {
             if self.chunk_at < self.chunk.len() {

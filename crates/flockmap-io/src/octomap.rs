@@ -1,9 +1,10 @@
 //! OctoMap's binary trees, `.bt`: each voxel free, occupied or unknown, two bits a child.
 //!
-//! The form (OctoMap's `OcTree::readBinaryData` and `AbstractOcTree::readHeader`): a text header, then the nodes depth
-//! first. A node is two bytes with two bits for each of its eight children in the order x fastest, z slowest:
-//! `00` unknown, `01` free, `10` occupied, `11` a node with children of its own, which follow in the same order.
-//! The root spans 2¹⁶ voxels a side; the voxel with OctoMap's key 32768 has index 0.
+//! The form (OctoMap's `OcTree::readBinaryData` and `AbstractOcTree::readHeader`): a text header, then the
+//! nodes depth first. A node is two bytes with two bits for each of its eight children in the order x
+//! fastest, z slowest: `00` unknown, `01` free, `10` occupied, `11` a node with children of its own, which
+//! follow in the same order. The root spans 2¹⁶ voxels a side; the voxel with OctoMap's key 32768 has
+//! index 0.
 
 use std::path::Path;
 
@@ -58,8 +59,8 @@ pub struct OctoMap {
 }
 
 impl OctoMap {
-    /// Reads a `.bt` file of at most [`OCTOMAP_BYTES_MAX`] bytes. Memory: the file and at most 80 bytes for each of
-    /// its bytes.
+    /// Reads a `.bt` file of at most [`OCTOMAP_BYTES_MAX`] bytes. Memory: the file and at most 80 bytes for
+    /// each of its bytes.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, ReadError> {
         let path = path.as_ref();
         Self::parse(&read_whole(path, OCTOMAP_BYTES_MAX)?).map_err(|fault| fault.in_file(path))
@@ -93,7 +94,8 @@ impl OctoMap {
         &self.cubes
     }
 
-    /// Every known voxel with its state. A large free leaf may be billions of voxels: look at [`Self::voxel_count`] first.
+    /// Every known voxel with its state. A large free leaf may be billions of voxels: look at
+    /// [`Self::voxel_count`] first.
     pub fn voxels(&self) -> impl Iterator<Item = (Voxel, State)> + '_ {
         self.cubes.iter().flat_map(|cube| cube.voxels().map(|voxel| (voxel, cube.state)))
     }
@@ -115,16 +117,16 @@ impl OctoMap {
     }
 }
 
-/// The leaves of a bare tree: what stands in a `.bt` file after its header. `None` if it is cut short, goes below depth 16, or
-/// does not end where the bytes do. Memory: at most 80 bytes for each of the bytes.
+/// The leaves of a bare tree: what stands in a `.bt` file after its header. `None` if it is cut short, goes
+/// below depth 16, or does not end where the bytes do. Memory: at most 80 bytes for each of the bytes.
 pub fn read_octomap_tree(bytes: &[u8]) -> Option<Vec<Cube>> {
     let (mut data, mut cubes) = (Bytes::new(bytes, 0), Vec::new());
     read_node(&mut data, ROOT, 0, &mut cubes).ok()?;
     data.rest().is_empty().then_some(cubes)
 }
 
-/// Takes over the node at `depth` whose lowest voxel is `corner`, and all below it. Returns the number of nodes below it.
-/// At most 16 calls deep.
+/// Takes over the node at `depth` whose lowest voxel is `corner`, and all below it. Returns the number of
+/// nodes below it. At most 16 calls deep.
 fn read_node(data: &mut Bytes<'_>, corner: Voxel, depth: u32, cubes: &mut Vec<Cube>) -> Result<u64, Fault> {
     let place = data.place();
     let children = data.u16("children of a node")?;
@@ -223,8 +225,8 @@ pub(crate) fn octomap_bytes(
     Ok([header.as_bytes(), &data].concat())
 }
 
-/// A bare tree of these voxels, and its number of nodes with the root; eight equal leaves are joined to one. Of two entries for
-/// one voxel the later counts; Unknown entries are left out. Memory: 24 bytes a voxel.
+/// A bare tree of these voxels, and its number of nodes with the root; eight equal leaves are joined to one.
+/// Of two entries for one voxel the later counts; Unknown entries are left out. Memory: 24 bytes a voxel.
 ///
 /// # Errors
 /// Gives a voxel with an index outside −32,768 … 32,767.
@@ -253,12 +255,14 @@ fn morton(voxel: Voxel) -> Option<u64> {
     Some(bits(x) | bits(y) << 1 | bits(z) << 2)
 }
 
-/// Whether voxels of one cube fill it, and all have one state: then the cube is a leaf. `bits` is the length of a path within it.
+/// Whether voxels of one cube fill it, and all have one state: then the cube is a leaf. `bits` is the length
+/// of a path within it.
 fn are_one_leaf(voxels: &[Known], bits: u32) -> bool {
     voxels.len() as u64 == 1 << bits && voxels.windows(2).all(|pair| pair[0].1 == pair[1].1)
 }
 
-/// Writes the node at `depth` that holds just these voxels, and all below it. Returns the number of nodes below it.
+/// Writes the node at `depth` that holds just these voxels, and all below it. Returns the number of nodes
+/// below it.
 fn write_node(voxels: &[Known], depth: u32, data: &mut Vec<u8>) -> u64 {
     let shift = 3 * (DEPTH - depth - 1);
     let mut children = 0u16;

@@ -69,7 +69,8 @@ struct Layout {
     axes: [Axis; 3],
 }
 
-/// One coordinate: which number of a point (text), where in the point (binary), where its column begins (compressed).
+/// One coordinate: which number of a point (text), where in the point (binary), where its column begins
+/// (compressed).
 #[derive(Clone, Copy)]
 struct Axis {
     word: u64,

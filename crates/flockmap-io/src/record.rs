@@ -10,14 +10,17 @@ use crate::error::ReadError;
 /// How to read a record. `RecordOptions::default()` fits most.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
-    /// Topic of the scans in an MCAP file. Default: the only one with `sensor_msgs/msg/PointCloud2`, or of several the only one
-    /// in a frame that odometry or tf leads to (maps and pictures for viewers lie in the frame of the map).
+    /// Topic of the scans in an MCAP file. Default: the only one with `sensor_msgs/msg/PointCloud2`, or of
+    /// several the only one in a frame that odometry or tf leads to (maps and pictures for viewers lie in the
+    /// frame of the map).
     pub points_topic: Option<String>,
     /// Topic of `nav_msgs/msg/Odometry` in an MCAP file. Default: the one that gives the frame of the scans.
     pub odometry_topic: Option<String>,
-    /// Frame in which poses are wanted, in an MCAP file. Default: the parent frame of the odometry, or else the root of tf.
+    /// Frame in which poses are wanted, in an MCAP file. Default: the parent frame of the odometry, or else
+    /// the root of tf.
     pub map_frame: Option<String>,
-    /// Pose file of a folder, in KITTI's form. Default: `optimized_poses.txt`, `odom_poses.txt` or `poses.txt` in it.
+    /// Pose file of a folder, in KITTI's form. Default: `optimized_poses.txt`, `odom_poses.txt` or
+    /// `poses.txt` in it.
     pub poses: Option<PathBuf>,
     /// Time between two scans of a folder without `times.txt`, in seconds. Default: `times.txt` is needed.
     pub scan_period_s: Option<f64>,
@@ -25,8 +28,8 @@ pub struct RecordOptions {
     pub pose_gap_max_s: f64,
     /// Most points in a scan; one with more is an error. Default 4,194,304 (48 MB as points).
     pub scan_points_max: u64,
-    /// Largest chunk or message of an MCAP file, packed and unpacked, in bytes. Default 64 MiB. Reading holds up to twice as
-    /// much at a time.
+    /// Largest chunk or message of an MCAP file, packed and unpacked, in bytes. Default 64 MiB. Reading holds
+    /// up to twice as much at a time.
     pub chunk_bytes_max: u64,
 }
 
@@ -63,7 +66,8 @@ pub struct Record {
     pub name: String,
     /// What is known of the record before its scans are read.
     pub summary: RecordSummary,
-    /// Stamp and `T_map_sensor` of each frame, in order: where the robot was, known before the scans are read. 64 bytes each.
+    /// Stamp and `T_map_sensor` of each frame, in order: where the robot was, known before the scans are
+    /// read. 64 bytes each.
     pub poses: Vec<(Stamp, Pose)>,
     /// The scans, in the order of their stamps.
     pub frames: Frames,
@@ -112,8 +116,8 @@ impl RecordSummary {
 
 /// The frames of a record in the order of their stamps, read from the file as they are asked for.
 ///
-/// An error is a part that could not be read; the next call goes on with what can still be read. The damage of an MCAP
-/// file (a truncated end, a broken chunk) comes after all its frames.
+/// An error is a part that could not be read; the next call goes on with what can still be read. The damage
+/// of an MCAP file (a truncated end, a broken chunk) comes after all its frames.
 pub struct Frames {
     inner: Box<dyn Iterator<Item = Result<Frame, ReadError>> + Send>,
 }

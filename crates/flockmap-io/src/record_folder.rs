@@ -84,8 +84,8 @@ fn number(path: &Path) -> Option<u64> {
     path.file_stem()?.to_str()?.parse().ok()
 }
 
-/// The row of each scan. A scan that is named by its number has the row of that number (from 0); where that does not fit,
-/// the first scan has the first row, if there are just as many rows as scans.
+/// The row of each scan. A scan that is named by its number has the row of that number (from 0); where that
+/// does not fit, the first scan has the first row, if there are just as many rows as scans.
 fn rows(scans: &[PathBuf], rows: usize) -> Result<Vec<usize>, Fault> {
     let numbers: Option<Vec<usize>> =
         scans.iter().map(|path| number(path).and_then(|n| usize::try_from(n).ok())).collect();

@@ -91,8 +91,8 @@ fn choose_cloud<'a>(
         Some(wanted) => chosen.retain(|(topic, _)| topic == wanted),
         None => chosen.retain(|(topic, _)| !is_no_returns(topic)),
     }
-    // Of several topics, those in a frame that moves: what lies in the frame of the map is a map, or a picture for
-    // viewers. A single one may be in the map: scans that were taken there beforehand.
+    // Of several topics, those in a frame that moves: what lies in the frame of the map is a map, or a
+    // picture for viewers. A single one may be in the map: scans that were taken there beforehand.
     let moves = |frame: &String| {
         !index.transforms.ancestors(frame).is_empty() || index.odometries.values().any(|o| o.child == *frame)
     };
@@ -175,7 +175,8 @@ fn choose_poses<'a>(
         only(&found, "one topic of odometry for the scans, or the name of the one to take")
     };
     let source = PoseSource { frame, ..PoseSource::default() };
-    // In this order: the sensor itself, a frame that the sensor is fixed to, and points that are already in the map.
+    // In this order: the sensor itself, a frame that the sensor is fixed to, and points that are already in
+    // the map.
     if let Some((topic, o)) = fitting(&|o| o.child == frame || o.child.is_empty())? {
         let described = format!("odometry {topic}: \"{}\" → \"{frame}\"", o.parent);
         return Ok(PoseSource { odometry: Some(o), described, ..source });

@@ -7,11 +7,12 @@ use crate::file::{ending, unknown_ending};
 use crate::record::{Record, RecordOptions};
 use crate::{record_folder, record_mcap};
 
-/// Opens a record: an `.mcap` file (ROS 2 PointCloud2 with Odometry or tf), or a folder with `Scans/*.pcd`, a KITTI pose
-/// file and `times.txt`.
+/// Opens a record: an `.mcap` file (ROS 2 PointCloud2 with Odometry or tf), or a folder with `Scans/*.pcd`, a
+/// KITTI pose file and `times.txt`.
 ///
-/// An MCAP file is read through once here for its poses and stamps, and once more by [`Record::frames`] for its scans. Memory:
-/// 64 bytes for each pose (at most 4,194,304), 152 for each scan (at most 4,194,304), one chunk, and as many scans as are out of order (at most 256).
+/// An MCAP file is read through once here for its poses and stamps, and once more by [`Record::frames`] for
+/// its scans. Memory: 64 bytes for each pose (at most 4,194,304), 152 for each scan (at most 4,194,304), one
+/// chunk, and as many scans as are out of order (at most 256).
 ///
 /// ```no_run
 /// let record = flockmap_io::open_record("robot1.mcap", &Default::default())?;

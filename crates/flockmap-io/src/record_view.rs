@@ -20,7 +20,8 @@ const RAMP: [[u8; 3]; 5] = [[68, 58, 150], [40, 110, 160], [30, 160, 130], [120,
 /// A point and its colour (red, green, blue).
 pub(crate) type ColouredPoint = ([f32; 3], [u8; 3]);
 
-/// When pictures are due. They never take more bytes than the scans before them, so that a long flight stays small.
+/// When pictures are due. They never take more bytes than the scans before them, so that a long flight stays
+/// small.
 #[derive(Debug, Default)]
 pub(crate) struct ViewSchedule {
     last: Option<Stamp>,

@@ -11,13 +11,15 @@ use crate::error::WriteError;
 use crate::record_view::{ColouredPoint, Travelled, VIEW_VOXELS_MAX, ViewSchedule, map_points};
 use crate::ros::{self, Header, Transform};
 
-/// Writes what a robot saw as an MCAP file of ROS 2 messages: `/NAME/points` (`sensor_msgs/msg/PointCloud2`, x y z as
-/// `f32`, in the frame `NAME/lidar`), `/NAME/odometry` (`nav_msgs/msg/Odometry`, `map` → `NAME/lidar`), `/tf`, and
-/// `/NAME/no_returns` for the rays that came back with nothing, if there are any. [`Self::write_view`] adds pictures for people:
-/// `/NAME/viewer/map` and `/NAME/viewer/path`, coloured PointCloud2 in the frame `map`.
+/// Writes what a robot saw as an MCAP file of ROS 2 messages: `/NAME/points` (`sensor_msgs/msg/PointCloud2`,
+/// x y z as `f32`, in the frame `NAME/lidar`), `/NAME/odometry` (`nav_msgs/msg/Odometry`, `map` →
+/// `NAME/lidar`), `/tf`, and `/NAME/no_returns` for the rays that came back with nothing, if there are any.
+/// [`Self::write_view`] adds pictures for people: `/NAME/viewer/map` and `/NAME/viewer/path`, coloured
+/// PointCloud2 in the frame `map`.
 ///
-/// [`crate::open_record`] reads it back bit for bit, and so do ROS 2, Foxglove and Rerun. The same input gives the same bytes on
-/// any machine. Memory: one chunk of about 1 MiB, one scan or one picture (4 MiB), and 16 bytes a message for the index.
+/// [`crate::open_record`] reads it back bit for bit, and so do ROS 2, Foxglove and Rerun. The same input
+/// gives the same bytes on any machine. Memory: one chunk of about 1 MiB, one scan or one picture (4 MiB),
+/// and 16 bytes a message for the index.
 ///
 /// ```
 /// use flockmap_grid::{Pose, Resolution, Scan, Stamp, Voxel};
@@ -119,14 +121,15 @@ impl<W: Write + Seek> RecordWriter<W> {
         Ok(())
     }
 
-    /// Whether it is time for [`Self::write_view`]: every 2 s, and less often where pictures would take more bytes than scans.
+    /// Whether it is time for [`Self::write_view`]: every 2 s, and less often where pictures would take more
+    /// bytes than scans.
     pub fn is_view_due(&self, now: Stamp) -> bool {
         self.schedule.is_due(now)
     }
 
-    /// Writes a picture for people who open the file in a viewer: the occupied voxels of the robot's map as they are now, coloured by
-    /// height, and the path flown so far. Readers of records pass it over. A map of more than 262,144 voxels is shown in voxels
-    /// of twice, four times … the side. Cost: sorting the voxels.
+    /// Writes a picture for people who open the file in a viewer: the occupied voxels of the robot's map as
+    /// they are now, coloured by height, and the path flown so far. Readers of records pass it over. A map of
+    /// more than 262,144 voxels is shown in voxels of twice, four times … the side. Cost: sorting the voxels.
     pub fn write_view(
         &mut self,
         now: Stamp,
@@ -154,7 +157,8 @@ impl<W: Write + Seek> RecordWriter<W> {
         Ok(())
     }
 
-    /// Writes the index and ends the file. A writer that is dropped instead does the same but cannot report errors.
+    /// Writes the index and ends the file. A writer that is dropped instead does the same but cannot report
+    /// errors.
     pub fn finish(mut self) -> Result<(), WriteError> {
         self.mcap.finish().map_err(WriteError::mcap(&self.path))?;
         self.mcap.into_inner().flush().map_err(WriteError::io(&self.path))

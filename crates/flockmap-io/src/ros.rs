@@ -57,8 +57,8 @@ pub(crate) struct CloudPoints {
     pub(crate) dropped: u64,
 }
 
-/// Reads the points of a cloud of at most `points_max` points, whatever the layout of its fields, and takes them through
-/// `transform` where one is given.
+/// Reads the points of a cloud of at most `points_max` points, whatever the layout of its fields, and takes
+/// them through `transform` where one is given.
 pub(crate) fn decode_points(
     message: &[u8],
     points_max: u64,
@@ -149,7 +149,8 @@ pub(crate) fn encode_points(header: &Header, points: &[[f32; 3]]) -> Vec<u8> {
     encode_cloud(header, &["x", "y", "z"], &data)
 }
 
-/// The same with a colour at each point, as viewers of ROS know it: `rgb`, the bytes blue, green, red, 0 in the place of an `f32`.
+/// The same with a colour at each point, as viewers of ROS know it: `rgb`, the bytes blue, green, red, 0 in
+/// the place of an `f32`.
 pub(crate) fn encode_coloured_points(header: &Header, points: &[([f32; 3], [u8; 3])]) -> Vec<u8> {
     let mut data = Vec::with_capacity(16 * points.len());
     for (point, [red, green, blue]) in points {

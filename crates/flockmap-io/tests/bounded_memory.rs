@@ -1,4 +1,5 @@
-//! Small files that ask for much memory do not get it. The only test in this file: it counts what the process holds.
+//! Small files that ask for much memory do not get it. The only test in this file: it counts what the process
+//! holds.
 
 mod common;
 

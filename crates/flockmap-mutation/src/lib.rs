@@ -1,7 +1,7 @@
 //! Faults put in on purpose, to prove that the checkers of the swarm simulator find them. For tests only.
 //!
-//! Each fault breaks one thing in one line, where [`is`] asks for it. Without the feature `active`, which no shipped program has,
-//! [`is`] is a constant `false` and nothing remains of it.
+//! Each fault breaks one thing in one line, where [`is`] asks for it. Without the feature `active`, which no
+//! shipped program has, [`is`] is a constant `false` and nothing remains of it.
 
 #![forbid(unsafe_code)]
 

@@ -161,8 +161,8 @@ impl<N: Node> Network<N> {
         self.skip_to(until);
     }
 
-    /// Goes on to the next thing that is due, but not beyond `until`, and lets everything happen that is due then. With nothing due and no
-    /// `until`, a tenth of a second passes.
+    /// Goes on to the next thing that is due, but not beyond `until`, and lets everything happen that is due
+    /// then. With nothing due and no `until`, a tenth of a second passes.
     pub fn step(&mut self, until: Option<Stamp>, watch: &mut impl Watch<N>) {
         let next = self.next_due().into_iter().chain(until).min();
         self.skip_to(next.unwrap_or_else(|| self.now.plus_micros(100_000)));

@@ -32,11 +32,11 @@ pub struct RadioConfig {
     pub in_flight_bytes_max: usize,
     /// Bytes counted for each datagram besides its payload, such as [`IP_UDP_BYTES`]. Default 0.
     pub overhead_bytes: usize,
-    /// All nodes share one medium: while one sends, the others wait, each with its own queue, and who came first sends first.
-    /// Default: each node sends on its own. Only with a rate.
+    /// All nodes share one medium: while one sends, the others wait, each with its own queue, and who came
+    /// first sends first. Default: each node sends on its own. Only with a rate.
     pub is_shared: bool,
-    /// Time that each datagram takes on the air beside its bytes: preamble, access to the medium, acknowledgement. Microseconds,
-    /// default 0. Only with a rate.
+    /// Time that each datagram takes on the air beside its bytes: preamble, access to the medium,
+    /// acknowledgement. Microseconds, default 0. Only with a rate.
     pub airtime_overhead_micros: i64,
 }
 

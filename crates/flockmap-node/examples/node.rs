@@ -1,4 +1,5 @@
-//! One robot from a configuration file: `cargo run --example node -- robot.toml`. The same as `flockmap node --config`.
+//! One robot from a configuration file: `cargo run --example node -- robot.toml`. The same as `flockmap node
+//! --config`.
 
 fn main() -> anyhow::Result<()> {
     let Some(path) = std::env::args_os().nth(1) else {

@@ -1,7 +1,8 @@
-//! What a store costs, as `docs/store.md` has it: `cargo run --release -p flockmap-node --example store_cost -- FOLDER`.
+//! What a store costs, as `docs/store.md` has it: `cargo run --release -p flockmap-node --example
+//! store_cost -- FOLDER`.
 //!
-//! Two robots fly through a forest for a minute and hear each other; the first one stores. Then it starts again, makes its log shorter, and starts
-//! once more.
+//! Two robots fly through a forest for a minute and hear each other; the first one stores. Then it starts
+//! again, makes its log shorter, and starts once more.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -4,8 +4,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use flockmap::Stamp;
 
-/// How far the system clock must have moved against the node's to count as stepped. Less is the time between two looks at two
-/// clocks, or a clock that is slewed.
+/// How far the system clock must have moved against the node's to count as stepped. Less is the time between
+/// two looks at two clocks, or a clock that is slewed.
 const STEP_MIN_MICROS: i64 = 100_000;
 
 /// Steps are looked for this often.
@@ -14,8 +14,9 @@ const LOOK_PERIOD: Duration = Duration::from_secs(1);
 /// Both clocks are read again if the system took longer than this in between.
 const READING_MAX: Duration = Duration::from_millis(1);
 
-/// The time in microseconds since 1970 as the machine had it when the clock was made, counted on from there by the
-/// monotonic clock: it never runs backwards or jumps, whatever is done to the machine's time. Copies show the same time.
+/// The time in microseconds since 1970 as the machine had it when the clock was made, counted on from there
+/// by the monotonic clock: it never runs backwards or jumps, whatever is done to the machine's time. Copies
+/// show the same time.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     began: Instant,
@@ -62,8 +63,8 @@ impl Clock {
         (self.now(), self.system_now())
     }
 
-    /// How far the machine's own clock is ahead of this one, in microseconds. It changes when the machine's is stepped, or
-    /// when the machine was asleep.
+    /// How far the machine's own clock is ahead of this one, in microseconds. It changes when the machine's
+    /// is stepped, or when the machine was asleep.
     pub fn system_ahead(&self) -> i64 {
         let (now, system) = self.now_and_system_now();
         system.micros_since(now)

@@ -179,7 +179,8 @@ impl<T: Transport> Driver<T> {
         }
     }
 
-    /// Gives the transport the paths on which robots are reached, if they have changed. Before it receives again: it does not forget those.
+    /// Gives the transport the paths on which robots are reached, if they have changed. Before it receives
+    /// again: it does not forget those.
     fn send_paths(&mut self) {
         let paths = || self.robot.session().paths().map(|(_, path)| path);
         if !paths().eq(self.paths.iter().copied()) {

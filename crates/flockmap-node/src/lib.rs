@@ -1,7 +1,7 @@
 //! A Flockmap robot for real: a [`flockmap::Robot`] driven by sockets, a clock and a sensor.
 //!
-//! [`run`] is what `flockmap node --config robot.toml` does. [`Node::start`] is the same as a library: each node has a
-//! thread of its own, and a process may have many.
+//! [`run`] is what `flockmap node --config robot.toml` does. [`Node::start`] is the same as a library: each
+//! node has a thread of its own, and a process may have many.
 //!
 //! ```
 //! use flockmap::{Resolution, RobotConfig, RobotId};

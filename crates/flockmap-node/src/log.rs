@@ -34,7 +34,8 @@ impl Log {
         Self::new(|_, _| {})
     }
 
-    /// Lines go to stderr, behind the name of the robot. On a terminal the status is one line that is written anew.
+    /// Lines go to stderr, behind the name of the robot. On a terminal the status is one line that is written
+    /// anew.
     pub fn to_stderr(name: &str) -> Self {
         let is_terminal = std::io::stderr().is_terminal();
         let name = name.to_owned();

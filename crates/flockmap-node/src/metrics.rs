@@ -15,8 +15,8 @@ use tokio::task::{AbortHandle, JoinSet};
 use crate::advice::listen_error;
 use crate::command::Command;
 
-/// Clients that may be connected at once. Of more, the one that has been idle for longest is closed; if none is, more wait.
-/// Worst case held: a request and an answer for each.
+/// Clients that may be connected at once. Of more, the one that has been idle for longest is closed; if none
+/// is, more wait. Worst case held: a request and an answer for each.
 const CLIENTS_MAX: usize = 16;
 
 /// Bytes of a request; a longer one is refused.

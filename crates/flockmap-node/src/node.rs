@@ -49,8 +49,8 @@ pub struct Node;
 type Addresses = (Option<String>, Option<SocketAddr>);
 
 impl Node {
-    /// Starts a robot on a thread of its own. `make_transport` is called there, within a tokio runtime. Returns when
-    /// all sockets are open.
+    /// Starts a robot on a thread of its own. `make_transport` is called there, within a tokio runtime.
+    /// Returns when all sockets are open.
     ///
     /// # Errors
     /// An option that cannot work, or a socket that cannot be opened; nothing is left running.
@@ -234,8 +234,8 @@ impl NodeHandle {
         self.addresses.1
     }
 
-    /// Runs a function on the robot, between two steps of the node, and waits for the result: read maps, set alignments,
-    /// close a batch. What it causes to be sent goes out after it. `None` if the node has ended.
+    /// Runs a function on the robot, between two steps of the node, and waits for the result: read maps, set
+    /// alignments, close a batch. What it causes to be sent goes out after it. `None` if the node has ended.
     pub fn with_robot<R: Send + 'static>(
         &self,
         function: impl FnOnce(&mut Robot, Stamp) -> R + Send + 'static,
@@ -257,7 +257,8 @@ impl NodeHandle {
         result.recv().ok()
     }
 
-    /// Asks the node to end: it closes its batch, sends what is left, and lingers a moment. Asked again, it ends at once.
+    /// Asks the node to end: it closes its batch, sends what is left, and lingers a moment. Asked again, it
+    /// ends at once.
     pub fn stop(&self) {
         // Ended already is as good.
         let _ = self.commands.send(Command::Stop);

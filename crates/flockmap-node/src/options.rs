@@ -42,8 +42,8 @@ pub enum Observation<'a> {
     Event(&'a Event),
 }
 
-/// Called in the thread of the node with the time, the robot, and what has just happened. The node waits for it, so
-/// it must not wait for the node: use the robot that is given, not the [`NodeHandle`].
+/// Called in the thread of the node with the time, the robot, and what has just happened. The node waits for
+/// it, so it must not wait for the node: use the robot that is given, not the [`NodeHandle`].
 pub type Observer = Box<dyn FnMut(Stamp, &Robot, Observation<'_>) + Send>;
 
 /// All options of a node.
@@ -62,8 +62,8 @@ pub struct NodeOptions {
     pub clock_offsets: Vec<(RobotId, i64)>,
     /// Robots whose layers are left out of the fused map.
     pub muted: Vec<RobotId>,
-    /// What the robot has from former runs, and where it stores this one. The epoch of the robot must be higher than all in it:
-    /// [`next_epoch`](crate::store::next_epoch).
+    /// What the robot has from former runs, and where it stores this one. The epoch of the robot must be
+    /// higher than all in it: [`next_epoch`](crate::store::next_epoch).
     pub store: Option<Store>,
     /// Where the epoch is kept if the robot begins anew while it runs; that of the start must be in it already.
     pub epoch_file: Option<EpochFile>,

@@ -37,7 +37,8 @@ pub struct NodeCounters {
     pub frames_late: u64,
     /// Points that the reader of the record left out, since they are not finite.
     pub points_dropped: u64,
-    /// Faults of the sensor: damaged messages, frames that could not be read, stamps from another clock, poses and positions that are none.
+    /// Faults of the sensor: damaged messages, frames that could not be read, stamps from another clock,
+    /// poses and positions that are none.
     pub sensor_faults: u64,
     /// Silent sensor connections that were closed, since another program wanted in and there was no place.
     pub sensor_yielded: u64,
@@ -58,7 +59,8 @@ pub struct Timings {
     pub pack: Histogram,
     /// The paper's `t_recv2insert`: from a datagram until what it brings is in the fused map.
     pub receive_to_insert: Histogram,
-    /// From the newest scan in a package of another robot until it is in the fused map, by the measured clock offset.
+    /// From the newest scan in a package of another robot until it is in the fused map, by the measured clock
+    /// offset.
     pub age: Histogram,
 }
 

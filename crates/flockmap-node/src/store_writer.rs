@@ -15,13 +15,15 @@ use flockmap_store::{
 
 use crate::{Level, Log};
 
-/// Bytes of packages that may wait for the disk; of more, the newest are left out. Their packages are held by the session as well, as a rule.
+/// Bytes of packages that may wait for the disk; of more, the newest are left out. Their packages are held by
+/// the session as well, as a rule.
 const WAITING_BYTES_MAX: usize = 16 << 20;
 
 /// Packages of a run begun while flying that are given to the disk as one.
 const PACKAGES_AT_ONCE: usize = 256;
 
-/// Takes what is to be on disk. Never waits for the disk. Dropping it writes what waits, makes it safe, and lets go of the folder.
+/// Takes what is to be on disk. Never waits for the disk. Dropping it writes what waits, makes it safe, and
+/// lets go of the folder.
 #[derive(Debug)]
 pub struct StoreWriter {
     jobs: Sender<Job>,
@@ -61,7 +63,8 @@ struct Asked {
 }
 
 impl StoreWriter {
-    /// Takes the store of this run, and the file of its epoch, each if there is one. Where the system gives no thread, that is logged and nothing is stored.
+    /// Takes the store of this run, and the file of its epoch, each if there is one. Where the system gives
+    /// no thread, that is logged and nothing is stored.
     pub fn start(store: Option<StoreLog>, epochs: Option<EpochFile>, log: Log) -> Self {
         let shared = Arc::new(Shared {
             log,
@@ -124,8 +127,8 @@ impl StoreWriter {
         }
     }
 
-    /// The robot has begun anew without a restart: keeps its epoch, and stores what it has published in this run so far. That may be more
-    /// than it keeps events of. What is noted from here on is of this run.
+    /// The robot has begun anew without a restart: keeps its epoch, and stores what it has published in this
+    /// run so far. That may be more than it keeps events of. What is noted from here on is of this run.
     pub fn note_run(&mut self, robot: &Robot) {
         let run = robot.own_stream();
         // Without a thread nothing is kept, which was logged.
@@ -138,7 +141,8 @@ impl StoreWriter {
         }
     }
 
-    /// Does a part of a compaction if one asks for it: copies one layer. To be called often, between two events, with no event left unread.
+    /// Does a part of a compaction if one asks for it: copies one layer. To be called often, between two
+    /// events, with no event left unread.
     pub fn step(&self, robot: &Robot) {
         if let Some(Asked { after, answer }) = self.asked.as_ref().and_then(|asked| asked.try_recv().ok()) {
             // It waits for this.
@@ -168,7 +172,8 @@ impl StoreWriter {
     }
 }
 
-/// Writes a compacted segment of the copies that it asks for. `None`: the node has ended before the first of them.
+/// Writes a compacted segment of the copies that it asks for. `None`: the node has ended before the first of
+/// them.
 fn compact(mut compaction: Compaction, asks: &Sender<Asked>) -> Option<Compacted> {
     let mut last = None;
     loop {

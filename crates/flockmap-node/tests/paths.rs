@@ -1,4 +1,5 @@
-//! Where robots are reached: an address is used once an answer has come back from it, follows the robot, and is not taken by who copies datagrams.
+//! Where robots are reached: an address is used once an answer has come back from it, follows the robot, and
+//! is not taken by who copies datagrams.
 
 mod common;
 

@@ -1,5 +1,5 @@
-//! Two starts of a robot whose clock shows the same second of 1970 each time, and whose disk has lost the epoch: nothing of a run comes twice, and both
-//! maps arrive. All datagrams are recorded.
+//! Two starts of a robot whose clock shows the same second of 1970 each time, and whose disk has lost the
+//! epoch: nothing of a run comes twice, and both maps arrive. All datagrams are recorded.
 #![cfg(unix)]
 
 mod common;
@@ -173,7 +173,8 @@ fn layer(node: &NodeHandle, stream: Stream) -> Option<(String, usize)> {
     node.with_robot(move |robot, _| read(robot)).unwrap()
 }
 
-/// Starts a robot twice; `start` runs it until its team-mate has its map, as far as it knows, and returns its summary.
+/// Starts a robot twice; `start` runs it until its team-mate has its map, as far as it knows, and returns its
+/// summary.
 fn two_starts(case: Case, mut start: impl FnMut(u32, &Recorder, &NodeHandle) -> serde_json::Value) {
     let (mate, address) = team_mate(case);
     let recorder = Recorder::start(address);

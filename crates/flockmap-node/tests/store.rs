@@ -1,4 +1,5 @@
-//! The threads that keep what is on disk: what they are given is there, a failure is reported once, and the robot begins anew under them.
+//! The threads that keep what is on disk: what they are given is there, a failure is reported once, and the
+//! robot begins anew under them.
 
 mod common;
 

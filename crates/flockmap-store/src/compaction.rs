@@ -1,5 +1,5 @@
-//! A segment that says in few bytes what all before it say: the snapshot of each stream. Made from copies that the robot gives stream by stream, so that it
-//! can be coded and written on another thread.
+//! A segment that says in few bytes what all before it say: the snapshot of each stream. Made from copies
+//! that the robot gives stream by stream, so that it can be coded and written on another thread.
 
 use std::fmt;
 use std::io::ErrorKind;
@@ -41,7 +41,8 @@ enum What {
 const OWN_LAYER_FULL: &str = "the own layer was full, so that it lacks what was published last, and not all own packages are in memory any more: raise own_layer_mb";
 
 impl StreamCopy {
-    /// The first stream after `after` that the robot has something of, with no event of the robot left unread. Copies its layer: 1 ms for 3 MB.
+    /// The first stream after `after` that the robot has something of, with no event of the robot left
+    /// unread. Copies its layer: 1 ms for 3 MB.
     pub fn next(robot: &Robot, after: Option<Stream>) -> Option<Self> {
         let later = robot.session().streams().filter(|stream| after.is_none_or(|after| *stream > after));
         later.into_iter().find_map(|stream| {
@@ -98,7 +99,8 @@ impl What {
     }
 }
 
-/// A compacted segment that is being written. Dropped before its end, it leaves a file behind that the next start removes.
+/// A compacted segment that is being written. Dropped before its end, it leaves a file behind that the next
+/// start removes.
 pub struct Compaction {
     disk: Arc<dyn Disk>,
     header: SegmentHeader,
@@ -141,8 +143,8 @@ impl Compaction {
         }
     }
 
-    /// Copies and writes the next stream of the robot, with no event of the robot left unread. `false`: there is none any more, or it has failed; then it
-    /// is to be [finished](Self::finish).
+    /// Copies and writes the next stream of the robot, with no event of the robot left unread. `false`: there
+    /// is none any more, or it has failed; then it is to be [finished](Self::finish).
     pub fn step(&mut self, robot: &Robot) -> bool {
         StreamCopy::next(robot, self.last).is_some_and(|copy| self.add(copy))
     }

@@ -8,7 +8,8 @@ pub struct Restored {
     /// Packages, and chunks of snapshots, that were read.
     #[cfg_attr(feature = "serde", serde(rename = "restored"))]
     pub packages: u64,
-    /// Of these: merged. The others wait for packages that are gone, say what is known already, or have no room: see the robot's counters.
+    /// Of these: merged. The others wait for packages that are gone, say what is known already, or have no
+    /// room: see the robot's counters.
     #[cfg_attr(feature = "serde", serde(rename = "restored_merged"))]
     pub merged: u64,
     /// Records that are whole and cannot be used: of another version of the packages.

@@ -1,4 +1,5 @@
-//! The epoch of a run: higher than those of all runs before, as far as a disk or a clock knows them. `docs/store.md` has the bytes of the file.
+//! The epoch of a run: higher than those of all runs before, as far as a disk or a clock knows them.
+//! `docs/store.md` has the bytes of the file.
 
 use std::io::{self, Read};
 use std::sync::Arc;
@@ -8,10 +9,12 @@ use flockmap_mutation::{self as mutation, Mutation};
 
 use crate::Disk;
 
-/// The epoch of a new run: in the high 32 bits `seconds`, the time since 1970, or one more than `last` has there, whichever is more; in the low 32 bits
-/// `random`, so that not even runs that a clock and a disk have forgotten have the same one. A time before 1970 or after 2106 is not believed, and counts as 0.
+/// The epoch of a new run: in the high 32 bits `seconds`, the time since 1970, or one more than `last` has
+/// there, whichever is more; in the low 32 bits `random`, so that not even runs that a clock and a disk have
+/// forgotten have the same one. A time before 1970 or after 2106 is not believed, and counts as 0.
 ///
-/// Where the high bits are exhausted, which no clock can bring about, the low ones rise, by a part of 65,536 of what is left of them.
+/// Where the high bits are exhausted, which no clock can bring about, the low ones rise, by a part of 65,536
+/// of what is left of them.
 ///
 /// # Errors
 /// [`EpochsExhausted`] if there is none higher than `last`.
@@ -39,7 +42,8 @@ const MAGIC: &[u8; 8] = b"FLKEPOCH";
 const VERSION: u8 = 1;
 const FILE_BYTES: usize = 28;
 
-/// The file that keeps the epoch of the newest run of one robot in one swarm. Robots of a machine may have theirs in one folder.
+/// The file that keeps the epoch of the newest run of one robot in one swarm. Robots of a machine may have
+/// theirs in one folder.
 #[derive(Debug)]
 pub struct EpochFile {
     disk: Arc<dyn Disk>,
@@ -73,7 +77,8 @@ pub enum EpochFault {
 }
 
 impl EpochFile {
-    /// Looks at what the file says, if there is one. A file that cannot be read, or is damaged, is as good as none, and reported.
+    /// Looks at what the file says, if there is one. A file that cannot be read, or is damaged, is as good as
+    /// none, and reported.
     pub fn open(disk: Arc<dyn Disk>, swarm: u16, robot: RobotId) -> (Self, Option<EpochFault>) {
         let mut file = Self { disk, swarm, robot, last: None };
         let fault = file.read().map(|last| file.last = last).err();
@@ -90,7 +95,8 @@ impl EpochFile {
         self.last
     }
 
-    /// Writes an epoch that is higher than the one in it. When this returns it is safe on disk. A crash at any moment leaves either the old file or the new one.
+    /// Writes an epoch that is higher than the one in it. When this returns it is safe on disk. A crash at
+    /// any moment leaves either the old file or the new one.
     ///
     /// # Errors
     /// [`EpochFault::Disk`]; as a rule the file says then what it said before.

@@ -1,4 +1,5 @@
-//! A folder of a real file system. What is in it only its owner can read: it is the map, beside a radio that is sealed.
+//! A folder of a real file system. What is in it only its owner can read: it is the map, beside a radio that
+//! is sealed.
 
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io::{self, Read};

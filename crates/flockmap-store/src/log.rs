@@ -58,7 +58,8 @@ impl Shares {
         self.all - self.all / 16 * 7
     }
 
-    /// Of these, what packages leave free: for what comes during a compaction, and for the headers of runs that begin.
+    /// Of these, what packages leave free: for what comes during a compaction, and for the headers of runs
+    /// that begin.
     const fn reserve(self) -> u64 {
         self.all / 32
     }
@@ -116,7 +117,8 @@ impl Log {
         self.segments.len()
     }
 
-    /// Hands records to the system, which are written behind each other with the seed that is given. Returns their bytes.
+    /// Hands records to the system, which are written behind each other with the seed that is given. Returns
+    /// their bytes.
     pub(crate) fn append(&mut self, write: impl FnOnce(u32, &mut Vec<u8>)) -> Result<u64, LogError> {
         self.buffer.clear();
         write(self.header.seed(), &mut self.buffer);
@@ -139,8 +141,8 @@ impl Log {
         Ok(!std::mem::replace(&mut self.is_synced, true))
     }
 
-    /// Goes on in a new segment, and leaves a number free before it: for the segment that is to replace all before. That may take so many bytes, until
-    /// [`Self::end_snapshot`].
+    /// Goes on in a new segment, and leaves a number free before it: for the segment that is to replace all
+    /// before. That may take so many bytes, until [`Self::end_snapshot`].
     pub(crate) fn roll(&mut self, snapshot: u64) -> Result<SegmentHeader, LogError> {
         self.limit = Some(self.shares.all - snapshot);
         let number = self.header.number.saturating_add(1);

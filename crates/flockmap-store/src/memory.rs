@@ -1,4 +1,5 @@
-//! A disk in memory, for tests and simulations: it fails where it is to, and forgets what was not safe when its power is cut.
+//! A disk in memory, for tests and simulations: it fails where it is to, and forgets what was not safe when
+//! its power is cut.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
@@ -14,7 +15,8 @@ pub struct MemoryDisk(Arc<Mutex<State>>);
 /// What a disk refuses.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
 pub struct Faults {
-    /// Calls of [`Disk`] and [`DiskFile`], and reads and writes of files, that fail, by their number: [`MemoryDisk::calls`].
+    /// Calls of [`Disk`] and [`DiskFile`], and reads and writes of files, that fail, by their number:
+    /// [`MemoryDisk::calls`].
     pub calls: Range<u64>,
     /// Bytes that can still be written; then a write takes what fits, and the next one fails.
     pub room: Option<usize>,
@@ -106,7 +108,8 @@ impl MemoryDisk {
         self.state().bytes_most
     }
 
-    /// The power is cut and comes back: what was not safe is gone, as far as `cut` says. Who has a file open must not go on writing to it.
+    /// The power is cut and comes back: what was not safe is gone, as far as `cut` says. Who has a file open
+    /// must not go on writing to it.
     pub fn cut_power(&self, cut: PowerCut) {
         let mut state = self.state();
         let State { names, names_synced, .. } = &mut *state;

@@ -49,7 +49,8 @@ impl Record {
         }
     }
 
-    /// Reads what a sound record says; `None` if it is of another version, or of a type that this one does not know.
+    /// Reads what a sound record says; `None` if it is of another version, or of a type that this one does
+    /// not know.
     fn read(kind: u8, content: &[u8]) -> Option<Self> {
         match kind {
             PACKAGE => Package::parse(content).ok().map(Self::Package),
@@ -121,7 +122,8 @@ fn unframe(seed: u32, bytes: &[u8]) -> Option<(u8, &[u8])> {
     (check(seed, kind, [low, high], content) == u32::from_le_bytes(stated)).then_some((kind, content))
 }
 
-/// Reads the records of a segment one after the other, and finds the next sound one behind a damaged place. Holds at most 128 KiB.
+/// Reads the records of a segment one after the other, and finds the next sound one behind a damaged place.
+/// Holds at most 128 KiB.
 pub(crate) struct Scan {
     source: Box<dyn Read>,
     seed: u32,

@@ -31,10 +31,12 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens the store in a folder, which is made if need be. A disk that fails makes it one that is [`off`](Self::off).
+    /// Opens the store in a folder, which is made if need be. A disk that fails makes it one that is
+    /// [`off`](Self::off).
     ///
     /// # Errors
-    /// [`StoreError`], but not [`StoreError::Disk`]: the folder is in use, or is not one of this robot, or an option cannot work.
+    /// [`StoreError`], but not [`StoreError::Disk`]: the folder is in use, or is not one of this robot, or an
+    /// option cannot work.
     pub fn open_folder(
         path: impl Into<PathBuf>,
         identity: Identity,
@@ -54,7 +56,8 @@ impl Store {
         }
     }
 
-    /// Looks at what is on a disk. Nothing of it is given out yet. A disk that fails makes it one that is [`off`](Self::off).
+    /// Looks at what is on a disk. Nothing of it is given out yet. A disk that fails makes it one that is
+    /// [`off`](Self::off).
     ///
     /// # Errors
     /// [`StoreError`], but not [`StoreError::Disk`]: it is not one of this robot, or an option cannot work.
@@ -86,7 +89,8 @@ impl Store {
         Ok(store)
     }
 
-    /// A store without a disk, which gives nothing and takes nothing: the robot flies on in memory, `why` is said, and it counts as a failure.
+    /// A store without a disk, which gives nothing and takes nothing: the robot flies on in memory, `why` is
+    /// said, and it counts as a failure.
     pub fn off(identity: Identity, options: StoreOptions, why: &str) -> Self {
         let notices = vec![Notice::off(why)];
         Self { notices, ..Self::empty(identity, options) }
@@ -140,8 +144,9 @@ impl Store {
         self.last_epoch
     }
 
-    /// Gives the robot, which must be new, what the store has, in its order, and cuts off what a crash left half written. What is damaged or gone is
-    /// left out: the robot asks the others for it, and what builds on it waits. The events of the robot up to now are taken from it.
+    /// Gives the robot, which must be new, what the store has, in its order, and cuts off what a crash left
+    /// half written. What is damaged or gone is left out: the robot asks the others for it, and what builds
+    /// on it waits. The events of the robot up to now are taken from it.
     pub fn restore(&mut self, robot: &mut Robot, now: Stamp) -> Restored {
         let Some(disk) = self.disk.clone() else { return self.restored };
         let keys: Vec<(u32, u64)> = self.segments.keys().copied().collect();
@@ -155,7 +160,8 @@ impl Store {
         self.restored
     }
 
-    /// The bytes that the segment has from now on; 0: it is gone; `None` if it is damaged so that not all of it could be read.
+    /// The bytes that the segment has from now on; 0: it is gone; `None` if it is damaged so that not all of
+    /// it could be read.
     fn restore_segment(&mut self, disk: &dyn Disk, name: &str, robot: &mut Robot, now: Stamp) -> Option<u64> {
         let Ok((header, mut scan)) = disk.read(name).and_then(Scan::open) else {
             self.is_unread = true;
@@ -198,8 +204,9 @@ impl Store {
         Some(if is_cut { end } else { end + torn })
     }
 
-    /// Begins the segment of this run, after [`Self::restore`]. When this returns, the epoch is safe on disk: a later run will not use it. Where the disk
-    /// refuses, that is reported and counted, and nothing is stored in this run: the robot works from memory.
+    /// Begins the segment of this run, after [`Self::restore`]. When this returns, the epoch is safe on disk:
+    /// a later run will not use it. Where the disk refuses, that is reported and counted, and nothing is
+    /// stored in this run: the robot works from memory.
     ///
     /// # Errors
     /// [`StoreError::Epoch`] if the epoch is not higher than all before.

@@ -15,11 +15,13 @@ use crate::{Disk, Identity, Restored, StoreCounters};
 /// What a store may take.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct StoreOptions {
-    /// Bytes on disk, never more. From half of it on, the log is replaced by the snapshots of its streams, which may take 7/16; for these there is
-    /// always room: of the log itself packages take at most 17/32. At least 64 KiB; default 256 MiB.
+    /// Bytes on disk, never more. From half of it on, the log is replaced by the snapshots of its streams,
+    /// which may take 7/16; for these there is always room: of the log itself packages take at most 17/32. At
+    /// least 64 KiB; default 256 MiB.
     pub bytes_max: u64,
-    /// What was written is made safe (fsync) after so long at the latest: what a power failure can cost. What only the death of the process
-    /// can cost is less: the records that were not handed to the system yet. Default 1 s.
+    /// What was written is made safe (fsync) after so long at the latest: what a power failure can cost. What
+    /// only the death of the process can cost is less: the records that were not handed to the system yet.
+    /// Default 1 s.
     pub sync_period: Duration,
 }
 
@@ -72,7 +74,8 @@ pub struct StoreLog {
     /// When what was written has to be made safe.
     sync_due: Option<Stamp>,
     is_compacting: bool,
-    /// What the disk could not read must not be replaced by what the robot knows; or there is no room, since it does not remove what it should.
+    /// What the disk could not read must not be replaced by what the robot knows; or there is no room, since
+    /// it does not remove what it should.
     keeps_all: bool,
     /// After a compaction that failed: bytes from which on it is tried again.
     retry_at: u64,
@@ -117,14 +120,16 @@ impl StoreLog {
         store
     }
 
-    /// Replaces nothing in this run: there is more on the disk than it gave at the start, and it may give that another time.
+    /// Replaces nothing in this run: there is more on the disk than it gave at the start, and it may give
+    /// that another time.
     pub(crate) fn keep_all(&mut self) {
         self.keeps_all = true;
         let text = "store: the disk could not read all of it; that is asked for, and nothing of the store is removed in this run";
         self.notices.push_back(Notice::Warning(text.into()));
     }
 
-    /// Stores what an event says is to be stored. `now` never steps back within a run; what it counts from does not matter.
+    /// Stores what an event says is to be stored. `now` never steps back within a run; what it counts from
+    /// does not matter.
     pub fn note(&mut self, now: Stamp, event: &Event) {
         self.append(now, packages_of(event));
         if let Some(contents) = contents_of(event) {
@@ -163,8 +168,9 @@ impl StoreLog {
         Some(bytes)
     }
 
-    /// Another run of this robot has begun without a restart, under a higher epoch: a new segment begins, and when this returns the epoch is safe on disk. What
-    /// comes next is of that run. An epoch that is not higher changes nothing.
+    /// Another run of this robot has begun without a restart, under a higher epoch: a new segment begins, and
+    /// when this returns the epoch is safe on disk. What comes next is of that run. An epoch that is not
+    /// higher changes nothing.
     pub fn note_epoch(&mut self, epoch: u64) {
         if self.attempt(|log| log.begin_epoch(epoch)).is_some() {
             self.sync_due = None;
@@ -189,8 +195,9 @@ impl StoreLog {
         self.counters.syncs += u64::from(self.attempt(Log::sync).unwrap_or(false));
     }
 
-    /// The compaction that is due, if one is; to be asked after each package, at the start, and after [`Self::end_compaction`]. It must be brought to its end
-    /// ([`Compaction::finish`] or [`Compaction::abandon`]), on any thread, while this goes on storing.
+    /// The compaction that is due, if one is; to be asked after each package, at the start, and after
+    /// [`Self::end_compaction`]. It must be brought to its end ([`Compaction::finish`] or
+    /// [`Compaction::abandon`]), on any thread, while this goes on storing.
     pub fn begin_compaction(&mut self) -> Option<Compaction> {
         let (log, disk) = (self.log.as_ref()?, self.disk.clone()?);
         let is_due = log.bytes() > self.shares.due().max(self.retry_at)

@@ -87,7 +87,8 @@ fn compaction_keeps_what_is_held_beyond_a_gap() {
 /// The least cap.
 const LEAST: StoreOptions = StoreOptions { bytes_max: 64 << 10, ..OPTIONS };
 
-/// Robot 1 flies until nothing more is stored, over ever the same few metres if `is_small`. Compactions go on while it flies, or wait.
+/// Robot 1 flies until nothing more is stored, over ever the same few metres if `is_small`. Compactions go on
+/// while it flies, or wait.
 fn fly_until_full(disk: &MemoryDisk, is_small: bool, goes_on: bool) -> (Writer, Swarm) {
     let mut swarm = Swarm::new(vec![two(Codec::Paper).remove(0)], PERFECT, 41);
     let mut writer = start(disk, LEAST, 1);
@@ -195,7 +196,8 @@ fn ended_run() -> (Stream, Vec<Package>) {
     (stream, packages.into_iter().filter(|package| package.header().stream == stream).collect())
 }
 
-/// Only robot 3 has some packages of an ended run, most of them in its layer only, and sends them to robot 1. Returns the disk of that one, and what is on it.
+/// Only robot 3 has some packages of an ended run, most of them in its layer only, and sends them to robot 1.
+/// Returns the disk of that one, and what is on it.
 fn publish_beyond_a_gap(stream: Stream, packages: &[Package], gap: u32) -> (MemoryDisk, Swarm, Vec<Package>) {
     let disk = MemoryDisk::default();
     let mut writer = start(&disk, OPTIONS, 1);
@@ -290,7 +292,8 @@ fn compact_now(writer: &mut Writer, robot: &Robot) {
     writer.finish_compaction(robot);
 }
 
-/// Robot 1 flies, and its own layer has no room for all that it publishes; then the log is made shorter. Returns the own packages.
+/// Robot 1 flies, and its own layer has no room for all that it publishes; then the log is made shorter.
+/// Returns the own packages.
 fn fly_with_a_full_own_layer(disk: &MemoryDisk, store_bytes_max: usize) -> (Vec<Package>, Writer) {
     let mut config = two(Codec::Flock).remove(0);
     config.fusion.own_layer_bytes_max = 60_000;

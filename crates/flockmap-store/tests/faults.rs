@@ -1,4 +1,5 @@
-//! A disk of which any call fails, once or from then on, also with the power cut behind it: no start is refused, no voxel is wrong, and nothing is lost that was safe.
+//! A disk of which any call fails, once or from then on, also with the power cut behind it: no start is
+//! refused, no voxel is wrong, and nothing is lost that was safe.
 
 mod common;
 
@@ -11,7 +12,8 @@ use flockmap_store::{Notice, Store};
 /// So many runs leave so many segments that the next one makes them one.
 const RUNS_BEFORE: u64 = 66;
 
-/// What a former run of robot 1 left: the packages of two robots in a segment with a torn end, an unfinished segment, and the empty segments of many runs.
+/// What a former run of robot 1 left: the packages of two robots in a segment with a torn end, an unfinished
+/// segment, and the empty segments of many runs.
 fn before() -> (MemoryDisk, Vec<Package>) {
     let disk = MemoryDisk::default();
     let mut swarm = Swarm::new(two(Codec::Paper), PERFECT, 21);
@@ -28,7 +30,8 @@ fn before() -> (MemoryDisk, Vec<Package>) {
     (disk, packages)
 }
 
-/// A run on a disk that may fail: it restores, sees something, hears that its epoch is used and begins anew, sees more, and makes its log shorter.
+/// A run on a disk that may fail: it restores, sees something, hears that its epoch is used and begins anew,
+/// sees more, and makes its log shorter.
 struct Run {
     /// All packages that there are.
     packages: Vec<Package>,

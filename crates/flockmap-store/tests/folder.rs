@@ -41,7 +41,8 @@ mod rights {
         std::fs::metadata(path).unwrap().permissions().mode() & 0o777
     }
 
-    /// Something of everything that a store writes: segments, a compacted one, an unfinished one; and the file of an epoch.
+    /// Something of everything that a store writes: segments, a compacted one, an unfinished one; and the
+    /// file of an epoch.
     fn write_all(path: &Path) -> Vec<Notice> {
         for epoch in 1..=65 {
             drop(Store::open_folder(path, identity(), OPTIONS).unwrap().start(epoch).unwrap());

@@ -34,7 +34,8 @@ fn main() {
     let empty = PackagesWriter::new(header, 1_200).finish();
     println!("bytes   sealed   check unsealed µs   seal µs   open µs");
     for content in [0, 203, 476, 1_154] {
-        // A record of a type that nobody knows is skipped: the time is that of the datagram, not of what is in it.
+        // A record of a type that nobody knows is skipped: the time is that of the datagram, not of what is
+        // in it.
         let mut plain = empty.clone();
         if content > 3 {
             let length = content - 3;

@@ -50,7 +50,8 @@ impl Clocks {
         self.given.get(&peer.stream.origin).copied().or_else(|| peer.clock.offset())
     }
 
-    /// A run's clock minus the own clock: as given, else as measured with its robot, else through a peer that hears it, else as last measured.
+    /// A run's clock minus the own clock: as given, else as measured with its robot, else through a peer that
+    /// hears it, else as last measured.
     pub(crate) fn of_run(&self, run: Stream, peers: &BTreeMap<RobotId, Peer>) -> Option<i64> {
         if let Some(&given) = self.given.get(&run.origin) {
             return Some(given);

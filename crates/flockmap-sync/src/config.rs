@@ -64,13 +64,15 @@ pub enum InFlight {
 pub struct SessionConfig {
     /// Robots of other swarms are ignored. Default 0.
     pub swarm: u16,
-    /// The secret of the swarm: all that is sent is sealed with it, and only what it opens is believed. Default `None`: anybody
-    /// in reach of the radio can read and change the map. Needs a [`salt`](Self::salt).
-    /// Holds, against replays, 160 bytes for each robot id that a holder of the key used (10 MiB for all 65,536), 512 more for each peer.
+    /// The secret of the swarm: all that is sent is sealed with it, and only what it opens is believed.
+    /// Default `None`: anybody in reach of the radio can read and change the map. Needs a
+    /// [`salt`](Self::salt). Holds, against replays, 160 bytes for each robot id that a holder of the key
+    /// used (10 MiB for all 65,536), 512 more for each peer.
     #[cfg_attr(feature = "serde", serde(skip))]
     pub swarm_key: Option<SwarmKey>,
-    /// With a key: random bytes, drawn anew for **every** run (`getrandom`), which make a key of its own for it: so no nonce comes
-    /// twice, whatever the clock and the epoch are. All zero, as by default, is refused where there is a key.
+    /// With a key: random bytes, drawn anew for **every** run (`getrandom`), which make a key of its own for
+    /// it: so no nonce comes twice, whatever the clock and the epoch are. All zero, as by default, is refused
+    /// where there is a key.
     #[cfg_attr(feature = "serde", serde(skip))]
     pub salt: Salt,
     /// Unicast or broadcast. Default unicast.
@@ -79,7 +81,8 @@ pub struct SessionConfig {
     // When to ask.
     /// Pause between requests while packages flow, ± 10 %. Finds the lost end of a burst. Default 1,000.
     pub request_period_active_ms: u32,
-    /// Pause between requests when nothing flows, ± 10 %. They keep peers known and clocks measured. Default 3,000.
+    /// Pause between requests when nothing flows, ± 10 %. They keep peers known and clocks measured. Default
+    /// 3,000.
     pub request_period_idle_ms: u32,
     /// Packages count as flowing for so long after the last one. Default 3,000.
     pub active_for_ms: u32,
@@ -92,8 +95,8 @@ pub struct SessionConfig {
     pub gap_request_pause_ms: u32,
 
     // What to answer.
-    /// Send new packages at once to peers that are heard in both directions, and forward those of others, without waiting
-    /// for a request. Default yes; the paper sends on request only.
+    /// Send new packages at once to peers that are heard in both directions, and forward those of others,
+    /// without waiting for a request. Default yes; the paper sends on request only.
     pub push: bool,
     /// Newest or oldest first. Default newest.
     pub order: Order,
@@ -121,9 +124,10 @@ pub struct SessionConfig {
     /// Bytes that go out in any second over all links, datagrams sent to each peer counted each. At least 500.
     /// Default 2,000,000: unlimited sending overruns the socket buffers of receivers. `None`: no limit.
     ///
-    /// Of 2,000 and more it holds in every single second. Below that a full datagram takes more than half a second's worth, and
-    /// the limit is: in any T seconds at most 1,300 bytes (one full datagram) and the budget times T. What goes to every peer at once has to
-    /// fit: the limit only holds if one request to each, at most 308 bytes (327 with a key), fits into the budget; below 2,000, into 1,300 bytes.
+    /// Of 2,000 and more it holds in every single second. Below that a full datagram takes more than half a
+    /// second's worth, and the limit is: in any T seconds at most 1,300 bytes (one full datagram) and the
+    /// budget times T. What goes to every peer at once has to fit: the limit only holds if one request to
+    /// each, at most 308 bytes (327 with a key), fits into the budget; below 2,000, into 1,300 bytes.
     ///
     /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (an eighth of
     /// the budget over time, but three within `peer_timeout_ms`), so that control leaves room for the map.
@@ -151,26 +155,29 @@ pub struct SessionConfig {
     // Limits on what others can make this robot hold.
     /// A peer not heard for so long is forgotten. Default 10,000.
     pub peer_timeout_ms: u32,
-    /// Peers known at once. Default 32. Worst case per peer: 25 KiB for each of `streams_max` streams, 96 bytes
-    /// for each of `in_flight_max` packages (by broadcast 160, and 32 in each stream), and 26 KiB. All worst cases together:
-    /// [`memory_max`](Self::memory_max).
+    /// Peers known at once. Default 32. Worst case per peer: 25 KiB for each of `streams_max` streams, 96
+    /// bytes for each of `in_flight_max` packages (by broadcast 160, and 32 in each stream), and 26 KiB. All
+    /// worst cases together: [`memory_max`](Self::memory_max).
     pub peers_max: usize,
-    /// Streams of others known at once. Of more, ended runs are dropped, the one of which nothing new has come for longest
-    /// ([`Event::StreamForgotten`](crate::Event::StreamForgotten)); the newest run of a robot that is heard never does. Default 64. Worst case 10 KiB each, beside what peers state of them.
+    /// Streams of others known at once. Of more, ended runs are dropped, the one of which nothing new has
+    /// come for longest ([`Event::StreamForgotten`](crate::Event::StreamForgotten)); the newest run of a
+    /// robot that is heard never does. Default 64. Worst case 10 KiB each, beside what peers state of them.
     pub streams_max: usize,
     /// Runs kept of one origin; of more, the oldest is forgotten. Default 4.
     pub epochs_max: usize,
     /// Bytes of stored packages, with 400 bytes of bookkeeping for each. Default 64 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "store_mb", with = "flockmap_grid::units::Mebibytes"))]
     pub store_bytes_max: usize,
-    /// Packages sent to one peer and not yet confirmed; more wait. By broadcast up to as many again are noted that other peers were sent, and
-    /// this one has heard. Default 4,096.
+    /// Packages sent to one peer and not yet confirmed; more wait. By broadcast up to as many again are noted
+    /// that other peers were sent, and this one has heard. Default 4,096.
     #[cfg_attr(feature = "serde", serde(skip))]
     pub in_flight_max: usize,
-    /// Bytes of snapshot chunks kept for sending. A snapshot that a peer is receiving is not dropped for another: that one waits. Default 16 MiB.
+    /// Bytes of snapshot chunks kept for sending. A snapshot that a peer is receiving is not dropped for
+    /// another: that one waits. Default 16 MiB.
     #[cfg_attr(feature = "serde", serde(skip))]
     pub snapshot_bytes_max: usize,
-    /// Snapshots received at once. Default 8. Worst case 8 KiB each; in a robot, which reads them side by side, 1.1 MB more.
+    /// Snapshots received at once. Default 8. Worst case 8 KiB each; in a robot, which reads them side by
+    /// side, 1.1 MB more.
     #[cfg_attr(feature = "serde", serde(skip))]
     pub transfers_max: usize,
 }
@@ -233,8 +240,8 @@ pub struct ConfigError {
     pub expected: &'static str,
 }
 
-/// Least budget: a full datagram takes two and a half seconds of it, so that three of them and the requests go out
-/// within the time after which a peer counts as gone.
+/// Least budget: a full datagram takes two and a half seconds of it, so that three of them and the requests
+/// go out within the time after which a peer counts as gone.
 const BYTES_PER_S_MIN: u32 = 500;
 
 impl SessionConfig {

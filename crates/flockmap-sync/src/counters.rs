@@ -74,7 +74,8 @@ pub struct Counters {
     pub caught_up: u64,
     /// Snapshots of which the driver needed all chunks again.
     pub snapshots_restarted: u64,
-    /// Snapshots of which some chunks had come, dropped: nothing more came of them for long, or there was no room. They begin anew.
+    /// Snapshots of which some chunks had come, dropped: nothing more came of them for long, or there was no
+    /// room. They begin anew.
     pub transfers_dropped: u64,
     /// Packages and chunks received again.
     pub duplicates: u64,
@@ -95,7 +96,8 @@ pub struct Counters {
     pub forged: u64,
     /// Genuine datagrams that were there already, or so late that nobody can know.
     pub replayed: u64,
-    /// Sealed datagrams of a run of which no request had come yet, so that they could not be opened. Its packages come again.
+    /// Sealed datagrams of a run of which no request had come yet, so that they could not be opened. Its
+    /// packages come again.
     pub unknown_run: u64,
     /// Datagrams that are not sealed, where this robot has a key.
     pub unsealed: u64,
@@ -115,7 +117,8 @@ pub struct Counters {
     pub stale_requests: u64,
     /// Datagrams of peers for whom there was no room.
     pub too_many_peers: u64,
-    /// Ended runs that were forgotten, since there were too many streams or too many runs of one robot: their maps are gone here.
+    /// Ended runs that were forgotten, since there were too many streams or too many runs of one robot: their
+    /// maps are gone here.
     pub streams_forgotten: u64,
     /// Packages and lists of streams for which there was no room, or of runs that are too old.
     pub too_many_streams: u64,

@@ -9,43 +9,48 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {
-    /// A package or chunk that was not held before, and that can be decoded: what it builds on is merged; of chunks that build on one another
-    /// it is the next one. Decode and merge it, then give the [`verdict`](crate::Session::verdict), before any other call.
+    /// A package or chunk that was not held before, and that can be decoded: what it builds on is merged; of
+    /// chunks that build on one another it is the next one. Decode and merge it, then give the
+    /// [`verdict`](crate::Session::verdict), before any other call.
     Received(Package),
-    /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored any
-    /// more. Encode the layer of the stream, or what of it is newer than a stamp, as chunks with `since` and index `upto` and call
-    /// [`provide_snapshot`](crate::Session::provide_snapshot) before any other input.
+    /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored
+    /// any more. Encode the layer of the stream, or what of it is newer than a stamp, as chunks with `since`
+    /// and index `upto` and call [`provide_snapshot`](crate::Session::provide_snapshot) before any other
+    /// input.
     SnapshotWanted {
         /// The stream whose layer is wanted.
         stream: Stream,
         /// What packages after this one made is wanted; 0: the whole layer.
         since: u32,
-        /// Every voxel whose newest change is in a package after `since` has a newer stamp than this, on the clock of the stream's robot.
-        /// `None`: the whole layer is wanted.
+        /// Every voxel whose newest change is in a package after `since` has a newer stamp than this, on the
+        /// clock of the stream's robot. `None`: the whole layer is wanted.
         newer_than: Option<Stamp>,
-        /// All packages from 1 to this one are in the layer; or, where `since` is the one before it and there are gaps before that, this one.
+        /// All packages from 1 to this one are in the layer; or, where `since` is the one before it and there
+        /// are gaps before that, this one.
         upto: u32,
         /// No chunk may have more bytes.
         bytes_max: usize,
         /// The peer that misses it.
         peer: RobotId,
     },
-    /// All chunks of a snapshot are merged, and the packages before those that it contains: packages 1 to `upto` of the stream now count as held. What was
-    /// read of a snapshot up to there can be dropped.
+    /// All chunks of a snapshot are merged, and the packages before those that it contains: packages 1 to
+    /// `upto` of the stream now count as held. What was read of a snapshot up to there can be dropped.
     CaughtUp {
         /// The stream.
         stream: Stream,
         /// The newest package that the state contains.
         upto: u32,
     },
-    /// There is no place to read this snapshot any more: let go of what was read. Its chunks come again from the first one on.
+    /// There is no place to read this snapshot any more: let go of what was read. Its chunks come again from
+    /// the first one on.
     SnapshotDropped {
         /// The stream.
         stream: Stream,
         /// The snapshot, as its chunks say.
         snapshot_id: u32,
     },
-    /// A package waited for those that it builds on, and there is no room for it any more. It is asked for again after 10 s.
+    /// A package waited for those that it builds on, and there is no room for it any more. It is asked for
+    /// again after 10 s.
     NoRoomToWait {
         /// The stream.
         stream: Stream,
@@ -54,14 +59,16 @@ pub enum Event {
         /// The newest package that it builds on.
         base: u32,
     },
-    /// All chunks of a snapshot of a history with gaps are merged: these packages of the stream now count as held. A driver that stores its chunks stores
-    /// this too ([`deliver_stored_contents`](crate::Session::deliver_stored_contents)). [`Self::CaughtUp`] follows.
+    /// All chunks of a snapshot of a history with gaps are merged: these packages of the stream now count as
+    /// held. A driver that stores its chunks stores this too
+    /// ([`deliver_stored_contents`](crate::Session::deliver_stored_contents)). [`Self::CaughtUp`] follows.
     SnapshotContains {
         /// The stream.
         stream: Stream,
         /// The snapshot, as its chunks say.
         snapshot_id: u32,
-        /// The packages that it contains; at most [`RECEIVED_INTERVALS_MAX`](crate::RECEIVED_INTERVALS_MAX) intervals.
+        /// The packages that it contains; at most [`RECEIVED_INTERVALS_MAX`](crate::RECEIVED_INTERVALS_MAX)
+        /// intervals.
         received: IntervalSet,
     },
     /// A robot was heard for the first time, or again after it was lost, or in a new run.
@@ -72,11 +79,12 @@ pub enum Event {
     StreamSeen(Stream),
     /// An old run of an origin was forgotten to make room for a newer one. What the map has of it may stay.
     StreamForgotten(Stream),
-    /// Another robot uses the own id, or this run has the epoch of an earlier one. Give every robot its own id and every run an epoch with
-    /// random bits. Reported at most every 10 s.
+    /// Another robot uses the own id, or this run has the epoch of an earlier one. Give every robot its own
+    /// id and every run an epoch with random bits. Reported at most every 10 s.
     SameIdentity,
-    /// The own id was used with a higher epoch, as others report: by an earlier run whose clock was ahead, or by another robot. Whoever knows that run
-    /// takes this one for a former one. Call [`begin_run`](crate::Session::begin_run) with an epoch above this one. Reported at once, then after
+    /// The own id was used with a higher epoch, as others report: by an earlier run whose clock was ahead, or
+    /// by another robot. Whoever knows that run takes this one for a former one. Call
+    /// [`begin_run`](crate::Session::begin_run) with an epoch above this one. Reported at once, then after
     /// pauses from 10 s up to an hour.
     EpochTooLow {
         /// The epoch that was used.

@@ -1,5 +1,6 @@
-//! Packages going into the map: held until what they build on is there, given out in an order in which they decode, and each given one
-//! verdict. As quinn's `Assembler` for the bytes of a stream. Nothing is decoded here.
+//! Packages going into the map: held until what they build on is there, given out in an order in which they
+//! decode, and each given one verdict. As quinn's `Assembler` for the bytes of a stream. Nothing is decoded
+//! here.
 
 mod chains;
 mod transfer;
@@ -32,15 +33,18 @@ const DAMAGED_MAX: usize = 256;
 /// What became of a package that was given out by [`Event::Received`](crate::Event::Received).
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Verdict {
-    /// It is in the map, or will never fit this map but may fit others: it counts as held and is offered to others.
+    /// It is in the map, or will never fit this map but may fit others: it counts as held and is offered to
+    /// others.
     Merged,
-    /// It does not decode, and is asked for again after 10 s. A chunk that builds on others makes its snapshot begin again: which of them is
-    /// at fault cannot be known. A package that builds on others and is damaged for the second time is undecodable: should a layer ever differ
-    /// from its sender's, this is what heals it.
+    /// It does not decode, and is asked for again after 10 s. A chunk that builds on others makes its
+    /// snapshot begin again: which of them is at fault cannot be known. A package that builds on others and
+    /// is damaged for the second time is undecodable: should a layer ever differ from its sender's, this is
+    /// what heals it.
     Damaged,
-    /// It can never be decoded here, since what it was coded against is gone. It is not asked for again: the others are asked for a snapshot that
-    /// contains it, and when that is complete it counts as held. A chunk, or one package too many (the indices of a stream are kept as at
-    /// most 64 intervals), is asked for again after 10 s.
+    /// It can never be decoded here, since what it was coded against is gone. It is not asked for again: the
+    /// others are asked for a snapshot that contains it, and when that is complete it counts as held. A
+    /// chunk, or one package too many (the indices of a stream are kept as at most 64 intervals), is asked
+    /// for again after 10 s.
     Undecodable,
     /// There was no room for it. It is asked for again after 10 s.
     NoRoom,
@@ -168,7 +172,8 @@ impl Inbox {
                 continue;
             };
             if let Some(Releasing::Packages { after, .. }) = &mut self.releasing {
-                // A package that has to go on waiting keeps the prefix below itself: none before it can become ready meanwhile.
+                // A package that has to go on waiting keeps the prefix below itself: none before it can
+                // become ready meanwhile.
                 *after = package.header().index;
             }
             if self.is_pending(Item::of(&package)) {
@@ -192,7 +197,8 @@ impl Inbox {
         self.releasing = Some(Releasing::Packages { stream, after: 0 });
     }
 
-    /// Takes out something for which there is a verdict now, with the peer it came from. A chunk may have come from several.
+    /// Takes out something for which there is a verdict now, with the peer it came from. A chunk may have
+    /// come from several.
     pub(crate) fn take_out(&mut self, item: Item) -> Option<RobotId> {
         let entry = *self.pending.range(all_of(item)).next()?;
         self.pending.remove(&entry);
@@ -233,7 +239,8 @@ impl Inbox {
         !self.damaged.insert((header.stream, header.index))
     }
 
-    /// What was read of a snapshot is gone: it is read anew from its first chunk on. What of it waited needs no verdict any more.
+    /// What was read of a snapshot is gone: it is read anew from its first chunk on. What of it waited needs
+    /// no verdict any more.
     pub(crate) fn restart(&mut self, stream: Stream, snapshot_id: u32) {
         self.chains.drop_one((stream, snapshot_id));
         for transfer in
@@ -245,7 +252,8 @@ impl Inbox {
         self.pending.retain(|(item, _)| !is_of_set(item));
     }
 
-    /// What these packages of a stream say is in the map: those that waited, for a verdict or for a snapshot, need none.
+    /// What these packages of a stream say is in the map: those that waited, for a verdict or for a snapshot,
+    /// need none.
     pub(crate) fn settle(&mut self, stream: Stream, known: &IntervalSet) {
         self.pending.retain(|(item, _)| match *item {
             Item::Package { stream: of, index } => of != stream || !known.contains(index),
@@ -272,11 +280,13 @@ impl Inbox {
         self.undecodable.remove(&stream);
     }
 
-    /// For want of room one snapshot takes the place of another, the one of which nothing has come for longest. By unicast a robot sends one snapshot of a
-    /// stream at a time, so a newer one takes over. By broadcast two snapshots for two robots would push each other out without end: there, and of
-    /// other robots and streams, only a snapshot that goes on from what was received takes a place, and that of one that does not go on: complete or,
-    /// of the same stream, not, it waits for packages before it; or it is from the own disk. What that brought is merged; what it
-    /// contains may have to come again. Whether one went.
+    /// For want of room one snapshot takes the place of another, the one of which nothing has come for
+    /// longest. By unicast a robot sends one snapshot of a stream at a time, so a newer one takes over. By
+    /// broadcast two snapshots for two robots would push each other out without end: there, and of other
+    /// robots and streams, only a snapshot that goes on from what was received takes a place, and that of one
+    /// that does not go on: complete or, of the same stream, not, it waits for packages before it; or it is
+    /// from the own disk. What that brought is merged; what it contains may have to come again. Whether one
+    /// went.
     pub(crate) fn make_room(&mut self, newcomer: &Transfer, own: RobotId, cast: Cast, store: &Store) -> bool {
         let goes_on = |i: &Transfer| i.since <= prefix(store, i.stream);
         let gives_room = |i: &Transfer| {

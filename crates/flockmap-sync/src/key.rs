@@ -5,11 +5,12 @@ use base64::engine::general_purpose::STANDARD;
 use std::fmt;
 use std::str::FromStr;
 
-/// The secret that all robots of a swarm share: 32 bytes, best drawn by `flockmap key` or `openssl rand -hex 32`. Who has it
-/// is trusted in everything; who has not can neither read what is sent nor send what is believed. `docs/key.md` says what
-/// that covers and what it does not.
+/// The secret that all robots of a swarm share: 32 bytes, best drawn by `flockmap key` or `openssl rand -hex
+/// 32`. Who has it is trusted in everything; who has not can neither read what is sent nor send what is
+/// believed. `docs/key.md` says what that covers and what it does not.
 ///
-/// Use a key for nothing but this protocol, and not for two swarms whose robots have ids in common. It is never printed.
+/// Use a key for nothing but this protocol, and not for two swarms whose robots have ids in common. It is
+/// never printed.
 ///
 /// ```
 /// let key: flockmap_sync::SwarmKey = "00112233445566778899aabbccddeeff00112233445566778899aabbccddeeff".parse()?;

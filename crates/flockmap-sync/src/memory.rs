@@ -11,8 +11,8 @@ const INTERVAL: usize = 8;
 const GROWTH: usize = 2;
 /// What is known of a stream beside the list of held indices: undecodable indices (64 intervals), places in maps.
 const STREAM: usize = 2_048;
-/// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the queue (256 items), runs that had no place, its pacer,
-/// its clock.
+/// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the
+/// queue (256 items), runs that had no place, its pacer, its clock.
 const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 30_720;
 /// What a peer states of one stream: seven lists of at most 256 intervals.
 const VIEW: usize = 7 * GROWTH * 256 * INTERVAL + 512;
@@ -22,7 +22,8 @@ const IN_FLIGHT: usize = 48 * GROWTH;
 const RECEIVED_OR_IN_FLIGHT: usize = INTERVAL * GROWTH;
 /// The budget of the link to a peer that fell silent.
 const SILENT_LINK: usize = 2_048 + 256;
-/// With a key, what is known of the counters of every robot that was ever heard, 2¹⁶ of them; and the window of a peer.
+/// With a key, what is known of the counters of every robot that was ever heard, 2¹⁶ of them; and the window
+/// of a peer.
 const HEARD: usize = (1 << 16) * 160;
 const WINDOW: usize = 2 * (256 + 16);
 /// Events that nobody took, and packages that wait for a verdict: so many.
@@ -35,23 +36,25 @@ const BACKED_OFF: usize = 1_024 * 100;
 const WORK: usize = 512 << 10;
 
 impl SessionConfig {
-    /// The most bytes that a [`Session`](crate::Session) with these options holds on the heap, whatever it receives and however late
-    /// its events are taken: the sum of the worst cases that the limits state. As asked of the allocator, which may add some. What
-    /// the driver keeps (layers) is not in it. The default: 165 MB, of which 64 MiB are
-    /// the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is in flight to them, by broadcast 300 MB; honest peers take a hundredth of these two.
+    /// The most bytes that a [`Session`](crate::Session) with these options holds on the heap, whatever it
+    /// receives and however late its events are taken: the sum of the worst cases that the limits state. As
+    /// asked of the allocator, which may add some. What the driver keeps (layers) is not in it. The default:
+    /// 165 MB, of which 64 MiB are the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is in
+    /// flight to them, by broadcast 300 MB; honest peers take a hundredth of these two.
     pub const fn memory_max(&self) -> usize {
         let streams = self.streams_max + 1;
         let received = RECEIVED_INTERVALS_MAX * INTERVAL;
         let in_flight = match self.cast {
             Cast::Unicast => self.in_flight_max * (IN_FLIGHT + RECEIVED_OR_IN_FLIGHT),
-            // What everyone hears is noted for everyone, up to twice the limit. Of more the oldest is forgotten, but in each view it counts as on
-            // its way until the peer's next request.
+            // What everyone hears is noted for everyone, up to twice the limit. Of more the oldest is
+            // forgotten, but in each view it counts as on its way until the peer's next request.
             Cast::Broadcast => 2 * self.in_flight_max * (IN_FLIGHT + streams * RECEIVED_OR_IN_FLIGHT),
         };
         let peer = PEER + streams * VIEW + in_flight;
         let silent_links = if self.link_bytes_per_s.is_some() { self.peers_max * SILENT_LINK } else { 0 };
         let replays = if self.swarm_key.is_some() { HEARD + self.peers_max * WINDOW } else { 0 };
-        // Of every stream the plan for a peer takes up the best 256 packages, and a request its list of held indices.
+        // Of every stream the plan for a peer takes up the best 256 packages, and a request its list of held
+        // indices.
         let work = WORK + streams * (256 * 32 + 2 * received);
         self.store_bytes_max
             + streams * (received + STREAM)

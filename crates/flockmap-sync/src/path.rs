@@ -13,12 +13,14 @@ pub struct Path(pub u64);
 pub(crate) struct PeerPath {
     /// The last path through which an answer came back.
     pub(crate) valid: Option<Path>,
-    /// One that it was heard from and that is being tried, with the number that has to come back, and when that was sent last.
+    /// One that it was heard from and that is being tried, with the number that has to come back, and when
+    /// that was sent last.
     pub(crate) tried: Option<(Path, u64, Stamp)>,
 }
 
 impl PeerPath {
-    /// Whether something may be sent to the peer alone: its path is known to be right, or the driver knows of none.
+    /// Whether something may be sent to the peer alone: its path is known to be right, or the driver knows of
+    /// none.
     pub(crate) const fn is_open(self) -> bool {
         self.valid.is_some() || self.tried.is_none()
     }

@@ -24,7 +24,8 @@ pub(crate) const UNPLACED_MAX: usize = 128;
 
 /// Datagrams that follow each other within this time are one burst.
 const BURST_MICROS: i64 = 100_000;
-/// A peer is silent after so many of its usual pauses. Of a radio that loses every second datagram, one pause in thousands is that long.
+/// A peer is silent after so many of its usual pauses. Of a radio that loses every second datagram, one pause
+/// in thousands is that long.
 const SILENT_PAUSES: i64 = 8;
 /// And not before this time.
 const SILENT_MIN_MICROS: i64 = 1_500_000;
@@ -37,7 +38,8 @@ pub(crate) fn is_heard(peers: &BTreeMap<RobotId, Peer>, robot: RobotId) -> bool 
     peers.contains_key(&robot) || peers.values().any(|peer| peer.lists(robot))
 }
 
-/// Whether its robot flies in another run, or is not heard at all. That run may have no packages yet, and so no place in any store.
+/// Whether its robot flies in another run, or is not heard at all. That run may have no packages yet, and so
+/// no place in any store.
 pub(crate) fn has_no_robot(peers: &BTreeMap<RobotId, Peer>, run: Stream) -> bool {
     match peers.get(&run.origin) {
         Some(peer) => peer.stream != run,
@@ -60,10 +62,11 @@ pub(crate) struct Peer {
     /// Whom it hears, with the low bits of the run's epoch, by its last request; whether that list was whole.
     pub(crate) hears: Vec<(RobotId, u16)>,
     pub(crate) hears_all_listed: bool,
-    /// Number + 1 of the origins that its requests have covered so far: of these it holds no run that it has not named.
+    /// Number + 1 of the origins that its requests have covered so far: of these it holds no run that it has
+    /// not named.
     origins: IntervalSet,
-    /// Runs that it named and that had no place here then, until their origin is covered again: of these it holds something. At most
-    /// [`UNPLACED_MAX`].
+    /// Runs that it named and that had no place here then, until their origin is covered again: of these it
+    /// holds something. At most [`UNPLACED_MAX`].
     unplaced: BTreeSet<Stream>,
     /// It has room for streams that it does not name.
     pub(crate) takes_new_streams: bool,
@@ -71,7 +74,8 @@ pub(crate) struct Peer {
     pub(crate) oldest_wanted: BTreeMap<RobotId, u64>,
     pub(crate) clocks: Vec<crate::wire::ClockReport>,
     pub(crate) streams: BTreeMap<Stream, PeerStream>,
-    /// The ledger: what is in flight to it. Also of streams of which it takes nothing now: it may have room when that arrives.
+    /// The ledger: what is in flight to it. Also of streams of which it takes nothing now: it may have room
+    /// when that arrives.
     pub(crate) in_flight: VecDeque<SentPackage>,
     /// Not before this a chunk is offered to it of a snapshot that it does not take.
     pub(crate) offer_at: Stamp,
@@ -83,7 +87,8 @@ pub(crate) struct Peer {
     pub(crate) clock: ClockFilter,
     pub(crate) loss: Loss,
     pub(crate) pacer: Option<Pacer>,
-    /// A datagram of packages for it waits for its link's budget; and how many requests to everyone went out meanwhile.
+    /// A datagram of packages for it waits for its link's budget; and how many requests to everyone went out
+    /// meanwhile.
     pub(crate) superseded: Option<u8>,
     pub(crate) path: PeerPath,
     pub(crate) traffic_in: Traffic,
@@ -172,7 +177,8 @@ impl Peer {
         self.unplaced.retain(|run| !origins.contains(run.origin));
     }
 
-    /// Notes that it holds something of a run that has no place here. Beyond the limit it may be sent what it holds, should there be one.
+    /// Notes that it holds something of a run that has no place here. Beyond the limit it may be sent what it
+    /// holds, should there be one.
     pub(crate) fn note_unplaced(&mut self, run: Stream) {
         if self.unplaced.len() < UNPLACED_MAX {
             self.unplaced.insert(run);
@@ -202,9 +208,10 @@ impl Peer {
 }
 
 impl Peer {
-    /// Notes that an item goes out and is in flight to the peer: also one that it states to hold or has no place for, since it
-    /// may take back either before the item arrives. One that is in flight already counts from now. Of more than `in_flight_max` the oldest is
-    /// forgotten if it would count as lost by now; else the new one is not noted, and only kept back until the next request.
+    /// Notes that an item goes out and is in flight to the peer: also one that it states to hold or has no
+    /// place for, since it may take back either before the item arrives. One that is in flight already counts
+    /// from now. Of more than `in_flight_max` the oldest is forgotten if it would count as lost by now; else
+    /// the new one is not noted, and only kept back until the next request.
     pub(crate) fn cover(&mut self, item: Item, now: Stamp, in_flight_max: usize) {
         let stream = item.stream();
         if stream == self.stream || mutation::is(Mutation::LedgerIgnored) {

@@ -19,8 +19,9 @@ pub(crate) enum NotFresh {
     Stale(u64),
 }
 
-/// What was heard of every robot. Only genuine datagrams get here, so only holders of the key fill it: at most 120
-/// bytes for each robot id ever heard (for all 65,536 of them 8 MiB), and 512 bytes more for those that are peers.
+/// What was heard of every robot. Only genuine datagrams get here, so only holders of the key fill it: at
+/// most 120 bytes for each robot id ever heard (for all 65,536 of them 8 MiB), and 512 bytes more for those
+/// that are peers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Replays {
     robots: BTreeMap<RobotId, Heard>,
@@ -61,8 +62,9 @@ impl Replays {
         }
     }
 
-    /// Notes a genuine datagram that passed the check. `is_peer`: keep what came of this robot one by one, so that datagrams that
-    /// come out of order count. All counters below the first one noted of a run count as having been there.
+    /// Notes a genuine datagram that passed the check. `is_peer`: keep what came of this robot one by one, so
+    /// that datagrams that come out of order count. All counters below the first one noted of a run count as
+    /// having been there.
     pub(crate) fn note(&mut self, sender: Stream, salt: Salt, is_for_one: bool, counter: u64, is_peer: bool) {
         let first =
             || Heard { epoch: sender.epoch, salt, for_all: Window::default(), for_one: Window::default() };
@@ -74,7 +76,8 @@ impl Replays {
         window.note(counter, is_peer);
     }
 
-    /// The robot is no peer any more: all of its datagrams up to the newest count as having been there from now on.
+    /// The robot is no peer any more: all of its datagrams up to the newest count as having been there from
+    /// now on.
     pub(crate) fn forget_window(&mut self, robot: RobotId) {
         if let Some(heard) = self.robots.get_mut(&robot) {
             (heard.for_all.seen, heard.for_one.seen) = (None, None);

@@ -46,7 +46,8 @@ pub enum Pace {
         /// So much of own packages reaches everybody who listens, if nothing else is sent.
         bytes_per_s: u32,
     },
-    /// Published packages wait for the budget, for the first time or again. What is published now waits behind them, or builds on them.
+    /// Published packages wait for the budget, for the first time or again. What is published now waits
+    /// behind them, or builds on them.
     Waiting {
         /// As above.
         bytes_per_s: u32,
@@ -71,6 +72,7 @@ pub struct Load {
     pub backed_off: usize,
     /// Snapshots being received: at most `transfers_max`.
     pub transfers: usize,
-    /// Packages sent to one peer and not yet confirmed, of the peer with the most: at most `in_flight_max`, by broadcast twice as many.
+    /// Packages sent to one peer and not yet confirmed, of the peer with the most: at most `in_flight_max`,
+    /// by broadcast twice as many.
     pub in_flight_most: usize,
 }

@@ -132,9 +132,10 @@ impl Session {
         Ok(())
     }
 
-    /// Delivers a package, or a chunk of a snapshot, that a former run stored on disk: as if it had just come from a peer, so that it is decoded
-    /// and merged like any other ([`Event::Received`]) and asked for only if that fails. For the time before the first datagram comes.
-    /// `false`: it is of the own stream, or there is no room for its stream.
+    /// Delivers a package, or a chunk of a snapshot, that a former run stored on disk: as if it had just come
+    /// from a peer, so that it is decoded and merged like any other ([`Event::Received`]) and asked for only
+    /// if that fails. For the time before the first datagram comes. `false`: it is of the own stream, or
+    /// there is no room for its stream.
     pub fn deliver_stored(&mut self, now: Stamp, package: Package) -> bool {
         let now = self.advance(now);
         let stream = package.header().stream;
@@ -145,8 +146,9 @@ impl Session {
         true
     }
 
-    /// Says which packages a snapshot contains whose chunks were just [delivered](Self::deliver_stored), one of a history with gaps. Whether they are held now: if all its chunks
-    /// are accepted. Else they count when the rest of them is.
+    /// Says which packages a snapshot contains whose chunks were just [delivered](Self::deliver_stored), one
+    /// of a history with gaps. Whether they are held now: if all its chunks are accepted. Else they count
+    /// when the rest of them is.
     pub fn deliver_stored_contents(
         &mut self,
         now: Stamp,
@@ -202,7 +204,8 @@ impl Session {
         }
         let lost =
             self.peers.values().map(|peer| peer.last_heard.plus(ms(self.config.peer_timeout_ms))).min();
-        // A request that is due already waits for the budget, like everything else: the timer of that says until when.
+        // A request that is due already waits for the budget, like everything else: the timer of that says
+        // until when.
         let budget = self.schedule.timers.get(Timer::Budget);
         let request = self.schedule.timers.next(&Timer::REQUESTS);
         let request =
@@ -251,8 +254,9 @@ impl Session {
         })
     }
 
-    /// What each peer that hears this robot holds of the own stream, by its last request: the peer and its run, when the request
-    /// came, and the highest index up to which nothing is missing. What a peer keeps pending counts as held.
+    /// What each peer that hears this robot holds of the own stream, by its last request: the peer and its
+    /// run, when the request came, and the highest index up to which nothing is missing. What a peer keeps
+    /// pending counts as held.
     pub fn own_received_by_peers(&self) -> impl Iterator<Item = (Stream, Stamp, u32)> + '_ {
         self.peers.values().filter(|peer| peer.hears(self.identity.own.origin)).filter_map(|peer| {
             let (_, at) = peer.request?;

@@ -3,11 +3,12 @@
 use flockmap_grid::Stamp;
 use std::collections::BTreeMap;
 
-/// Packages of one stream whose stamps are remembered; when there are more, every second one is forgotten. Worst case 16 KiB.
+/// Packages of one stream whose stamps are remembered; when there are more, every second one is forgotten.
+/// Worst case 16 KiB.
 const STAMPS_MAX: usize = 512;
 
-/// Stamps of some packages of a stream. Stamps do not descend from one package to the next, so the one of an earlier package is a lower
-/// bound.
+/// Stamps of some packages of a stream. Stamps do not descend from one package to the next, so the one of an
+/// earlier package is a lower bound.
 #[derive(Debug, Default)]
 pub(crate) struct StampIndex(BTreeMap<u32, Stamp>);
 
@@ -37,7 +38,8 @@ impl StampIndex {
         }
     }
 
-    /// A stamp that no package from `index` on is older than, as late as is known. `None` if nothing is known of any up to that one.
+    /// A stamp that no package from `index` on is older than, as late as is known. `None` if nothing is known
+    /// of any up to that one.
     pub(crate) fn not_after(&self, index: u32) -> Option<Stamp> {
         self.0.range(..=index).next_back().map(|(_, stamp)| *stamp)
     }

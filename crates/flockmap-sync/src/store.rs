@@ -11,14 +11,15 @@ use std::collections::{BTreeMap, BTreeSet};
 /// some are filled. Worst case 8 KiB a stream.
 pub const RECEIVED_INTERVALS_MAX: usize = 1_024;
 
-/// Bookkeeping counted for each stored package beside its bytes: what it takes in memory, places in half-full maps counted in.
+/// Bookkeeping counted for each stored package beside its bytes: what it takes in memory, places in half-full
+/// maps counted in.
 const PACKAGE_OVERHEAD_BYTES: usize = 400;
 
 /// What a [`Store`] may hold.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct StoreLimits {
-    /// Streams besides the own one. Of more, a run that has ended is forgotten: the one of which nothing new has come for longest.
-    /// Worst case 24 KiB each, beside the packages.
+    /// Streams besides the own one. Of more, a run that has ended is forgotten: the one of which nothing new
+    /// has come for longest. Worst case 24 KiB each, beside the packages.
     pub streams_max: usize,
     /// Runs of one origin; of more, the oldest is forgotten.
     pub epochs_max: usize,
@@ -147,8 +148,9 @@ impl Store {
         })
     }
 
-    /// A stamp of the stream's robot that no package from `index` on is older than, as late as is known; for packages that
-    /// are not stored any more it may be that of an earlier one. `None` if nothing is known of any up to `index`.
+    /// A stamp of the stream's robot that no package from `index` on is older than, as late as is known; for
+    /// packages that are not stored any more it may be that of an earlier one. `None` if nothing is known of
+    /// any up to `index`.
     pub fn stamp_not_after(&self, stream: Stream, index: u32) -> Option<Stamp> {
         let stream_store = self.streams.get(&stream)?;
         let stored = stream_store.stored.range(..=index).next_back();
@@ -158,7 +160,8 @@ impl Store {
             .max(stored.map(|(_, stored)| stored.package.header().batch_end))
     }
 
-    /// Below every stamp of the packages after `since`. `None` if that is not known: then only the whole state will do.
+    /// Below every stamp of the packages after `since`. `None` if that is not known: then only the whole
+    /// state will do.
     pub(crate) fn newer_than(&self, stream: Stream, since: u32) -> Option<Stamp> {
         let next = since.checked_add(1).filter(|_| since > 0)?;
         Some(Stamp(self.stamp_not_after(stream, next)?.0.checked_sub(1)?))
@@ -209,7 +212,8 @@ impl Store {
         self.cut.contains(&stream.origin) && self.oldest_run(stream.origin) == Some(stream)
     }
 
-    /// Whether there is no place for another stream, unless its robot is heard and takes that of one which is not.
+    /// Whether there is no place for another stream, unless its robot is heard and takes that of one which is
+    /// not.
     pub(crate) fn is_full(&self) -> bool {
         self.is_at_limit() && self.ended_runs(None).next().is_none()
     }
@@ -259,7 +263,8 @@ impl Store {
         })
     }
 
-    /// Makes a place for a stream. `is_heard`: robots of which there is a sign of life; their newest runs are never forgotten.
+    /// Makes a place for a stream. `is_heard`: robots of which there is a sign of life; their newest runs are
+    /// never forgotten.
     pub(crate) fn open(
         &mut self,
         stream: Stream,
@@ -288,7 +293,8 @@ impl Store {
         } else if mutation::is(Mutation::LiveBackedOff) {
             return Err(NoRoom::Streams);
         } else if self.is_superseded(stream) {
-            // All places are taken: what has ended takes one from an older run of the same robot, and from no other.
+            // All places are taken: what has ended takes one from an older run of the same robot, and from no
+            // other.
             let older = others().next().filter(|older| *older < stream);
             self.cut.insert(origin);
             Some(older.ok_or(NoRoom::OldEpoch)?)
@@ -347,7 +353,8 @@ impl Store {
         Ok(is_new)
     }
 
-    /// Puts a package of a stream that has a place away and drops the oldest ones if there are too many bytes; whether it was new.
+    /// Puts a package of a stream that has a place away and drops the oldest ones if there are too many
+    /// bytes; whether it was new.
     pub(crate) fn insert(&mut self, package: &Package, now: Stamp, fresh_at: Stamp) -> Result<bool, NoRoom> {
         let (stream, index) = (package.header().stream, package.header().index);
         let is_new = self.hold(stream, index, index, now)?;

@@ -1,9 +1,10 @@
 //! Datagrams as bytes: a header, then length-prefixed records. The layout, byte by byte, is in `WIRE.md`,
 //! section "Datagrams".
 //!
-//! Two levels: [`Datagram`] is a checked view of received bytes; [`Request`] and [`parse_packages`] give what the
-//! records of the two kinds of datagram say. A reader skips records of types that it does not know. Where the swarm has
-//! a key, datagrams travel sealed: [`seal_datagram`] on the one side, [`SealedDatagram`] on the other.
+//! Two levels: [`Datagram`] is a checked view of received bytes; [`Request`] and [`parse_packages`] give what
+//! the records of the two kinds of datagram say. A reader skips records of types that it does not know. Where
+//! the swarm has a key, datagrams travel sealed: [`seal_datagram`] on the one side, [`SealedDatagram`] on the
+//! other.
 
 mod datagram;
 mod packages;

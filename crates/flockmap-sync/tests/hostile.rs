@@ -247,8 +247,8 @@ fn hostile_datagrams_neither_panic_nor_fill_the_memory() {
     assert!(used < 4_096 * 1_000, "{used} bytes for events that nobody takes");
     drop(session);
 
-    // Among good robots one that talks wildly, though not of the good ones' packages: against that only a swarm key
-    // helps. The good ones still get in sync.
+    // Among good robots one that talks wildly, though not of the good ones' packages: against that only a
+    // swarm key helps. The good ones still get in sync.
     let mut swarm = Swarm::of(2, 31, Radio::lossy(0.1), &SessionConfig::default());
     let mut random = Random(6);
     for round in 0..40 {

@@ -27,8 +27,8 @@ impl Robot {
         Self { session: Session::new(OWN, config, 1).unwrap(), now: 0 }
     }
 
-    /// A request of a peer arrives that left `DELAY` ago, when the peer had just heard what this robot had sent `2 * DELAY` ago. `received`: of
-    /// the run of this robot; `None`: it does not name it.
+    /// A request of a peer arrives that left `DELAY` ago, when the peer had just heard what this robot had
+    /// sent `2 * DELAY` ago. `received`: of the run of this robot; `None`: it does not name it.
     fn hears(&mut self, robot: u16, has_room: bool, received: Option<&[(u32, u32)]>) {
         let echo =
             Echo { robot: OWN.origin, epoch_low: 1, stamp_low: (self.now - 2 * DELAY) as u32, age_micros: 0 };

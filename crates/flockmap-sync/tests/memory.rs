@@ -1,4 +1,5 @@
-//! Hostile peers fill every limit of a session, one at a time: it holds no more than `SessionConfig::memory_max` states.
+//! Hostile peers fill every limit of a session, one at a time: it holds no more than
+//! `SessionConfig::memory_max` states.
 
 use flockmap_codec::{Batch, Codec, Encoder, PACKAGE_BYTES_MIN, Package};
 use flockmap_grid::{Changes, Resolution, RobotId, Snapshot, Stamp, State, Stream, Voxel, VoxelBox};
@@ -153,8 +154,9 @@ impl Victim {
     }
 }
 
-/// Runs a case with a large limit. The most that it held must be within what is stated, and what filled the limit must be at least
-/// `least` of the share that the large limit has in that (stated with it, less stated with the small one), or the case is no case.
+/// Runs a case with a large limit. The most that it held must be within what is stated, and what filled the
+/// limit must be at least `least` of the share that the large limit has in that (stated with it, less stated
+/// with the small one), or the case is no case.
 fn case(name: &str, large: SessionConfig, small: &SessionConfig, least: f64, fill: impl FnOnce(&mut Victim)) {
     let (stated, share) = (large.memory_max(), large.memory_max() - small.memory_max());
     let mut victim = Victim::new(large);

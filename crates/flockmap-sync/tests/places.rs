@@ -91,7 +91,8 @@ fn one(cast: Cast) -> One {
     One { swarm, own, sent: BTreeMap::new() }
 }
 
-/// The same, when it has sent a snapshot to robot 3, which lacks what is after package 30; what it sends from now on is counted.
+/// The same, when it has sent a snapshot to robot 3, which lacks what is after package 30; what it sends from
+/// now on is counted.
 fn one_with_a_snapshot(cast: Cast) -> (One, Id) {
     let mut one = one(cast);
     for _ in 0..10 {
@@ -102,11 +103,13 @@ fn one_with_a_snapshot(cast: Cast) -> (One, Id) {
     (one, id)
 }
 
-/// Once it was sent the snapshot that was meant for it, which it ignored, and each of the two was offered for ever.
+/// Once it was sent the snapshot that was meant for it, which it ignored, and each of the two was offered for
+/// ever.
 #[test]
 fn a_peer_is_sent_the_snapshot_that_it_has_given_its_place_to() {
     let mut one = one(Cast::Broadcast);
-    // Robot 3 lacks what is after package 30, robot 2 what is after package 10. Neither has a place for what it is sent.
+    // Robot 3 lacks what is after package 30, robot 2 what is after package 10. Neither has a place for what
+    // it is sent.
     for _ in 0..40 {
         one.hears(3, 30, None);
     }
@@ -127,12 +130,14 @@ fn a_peer_is_sent_the_snapshot_that_it_has_given_its_place_to() {
     assert!(chunks >= other.3 - 1, "{chunks} of {} chunks", other.3);
 }
 
-/// Once each of its requests, which named the old snapshot alone, made the sender go back to that one, and then begin the new one anew.
+/// Once each of its requests, which named the old snapshot alone, made the sender go back to that one, and
+/// then begin the new one anew.
 #[test]
 fn a_peer_that_needs_another_snapshot_than_the_one_that_has_its_place_is_not_sent_that_one_over_and_over() {
     for (cast, chunks) in [(Cast::Unicast, 1), (Cast::Broadcast, 1), (Cast::Broadcast, u32::MAX)] {
         let (mut one, old) = one_with_a_snapshot(cast);
-        // It turns out that robot 3 cannot decode a package before that snapshot, and it says nothing of the snapshot that it is sent for it.
+        // It turns out that robot 3 cannot decode a package before that snapshot, and it says nothing of the
+        // snapshot that it is sent for it.
         for _ in 0..40 {
             one.hears(3, 30, Some(Place { id: old, chunks: chunks.min(old.3), wants: Some(21) }));
         }
@@ -143,7 +148,8 @@ fn a_peer_that_needs_another_snapshot_than_the_one_that_has_its_place_is_not_sen
     }
 }
 
-/// Going over to a snapshot that is complete sends nothing, but makes the snapshot that the peer is sent begin anew.
+/// Going over to a snapshot that is complete sends nothing, but makes the snapshot that the peer is sent
+/// begin anew.
 #[test]
 fn a_snapshot_of_which_a_peer_has_all_chunks_does_not_displace_the_one_that_it_is_sent() {
     let (mut one, old) = one_with_a_snapshot(Cast::Broadcast);

@@ -7,8 +7,9 @@ use flockmap_sync::wire::{Echo, Received, Request, TransferProgress};
 use flockmap_sync::{Cast, IntervalSet, SessionConfig};
 use swarm::{MS, Radio, SECOND, Swarm};
 
-/// How many packages of a former run of robot 9 robot 1 sends within 20 s. Robot 2 has received none of them, and says that robot 7 sends it a
-/// snapshot of two chunks, of what comes after the second package; it has the first `chunks` of them.
+/// How many packages of a former run of robot 9 robot 1 sends within 20 s. Robot 2 has received none of them,
+/// and says that robot 7 sends it a snapshot of two chunks, of what comes after the second package; it has
+/// the first `chunks` of them.
 fn sent_beside(chunks: u32) -> usize {
     let config = SessionConfig { cast: Cast::Broadcast, ..SessionConfig::default() };
     let mut swarm = Swarm::new(80, Radio::PERFECT);
@@ -57,7 +58,8 @@ fn a_relay_leaves_a_peer_to_the_robot_that_sends_it_a_snapshot() {
     assert_eq!(sent_beside(1), 0);
 }
 
-/// Once it left the peer to that robot, which had nothing more to send, until the peer forgot the snapshot after five minutes.
+/// Once it left the peer to that robot, which had nothing more to send, until the peer forgot the snapshot
+/// after five minutes.
 #[test]
 fn a_snapshot_that_is_complete_and_waits_for_packages_before_it_keeps_no_relay_from_sending_them() {
     assert!(sent_beside(2) >= 3);

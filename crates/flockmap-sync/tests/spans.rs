@@ -183,7 +183,8 @@ fn sets_that_nothing_more_comes_of_take_no_place_from_one_that_goes_on() {
     assert!(swarm.robots[&2].session.counters().transfers_dropped > 0);
 }
 
-/// By broadcast each hears the chunks of both. What is sent to one is not to push out again and again what is sent to the other.
+/// By broadcast each hears the chunks of both. What is sent to one is not to push out again and again what is
+/// sent to the other.
 #[test]
 fn sets_for_different_robots_do_not_take_each_others_place_for_ever() {
     let config = SessionConfig {
@@ -260,7 +261,8 @@ fn who_has_no_place_for_a_set_is_not_sent_it_over_and_over() {
     swarm.assert_in_sync(&streams);
 }
 
-/// Once a snapshot of a run that its sender had forgotten stayed the first to be offered, and nothing else was ever offered again.
+/// Once a snapshot of a run that its sender had forgotten stayed the first to be offered, and nothing else
+/// was ever offered again.
 #[test]
 fn a_snapshot_that_is_not_kept_any_more_keeps_no_other_from_being_offered() {
     let config = SessionConfig { store_bytes_max: 12_000, streams_max: 3, ..small() };

@@ -148,8 +148,8 @@ impl Lattice {
         })
     }
 
-    /// The open cells around a cell to which a straight step cuts no corner of a cell that is not open: all cells of
-    /// the box between the two are open.
+    /// The open cells around a cell to which a straight step cuts no corner of a cell that is not open: all
+    /// cells of the box between the two are open.
     pub fn steps(&self, cell: usize, is_open: impl Fn(usize) -> bool) -> impl Iterator<Item = (usize, u32)> {
         let (lattice, a) = (*self, self.place(cell));
         self.around(cell).filter(move |&(next, tenths)| {
@@ -164,8 +164,8 @@ impl Lattice {
         })
     }
 
-    /// Whether every cell that the line between two points in metres touches lies in the box and `fits`; asked for one
-    /// after the other.
+    /// Whether every cell that the line between two points in metres touches lies in the box and `fits`;
+    /// asked for one after the other.
     pub fn line_fits(&self, a: [f64; 3], b: [f64; 3], mut fits: impl FnMut(usize) -> bool) -> bool {
         let (Some(from), Some(to)) = (self.cell_at(a), self.cell_at(b)) else { return false };
         let (mut at, goal) = (self.place(from), self.place(to));
@@ -212,9 +212,9 @@ impl Lattice {
         best
     }
 
-    /// The distance of each cell to the nearest of some, for a distance that can be found axis by axis. `values` holds 0 for
-    /// these cells and the highest value for others; `step` is the distance of so many cells along one axis, and `join` makes
-    /// one distance of those along two axes.
+    /// The distance of each cell to the nearest of some, for a distance that can be found axis by axis.
+    /// `values` holds 0 for these cells and the highest value for others; `step` is the distance of so many
+    /// cells along one axis, and `join` makes one distance of those along two axes.
     pub fn spread<T: Copy + Ord>(
         &self,
         values: &mut [T],
@@ -252,16 +252,16 @@ impl Lattice {
     }
 }
 
-/// Length of the shortest path between two cells by their indices, with diagonals, in tenths of a side (a diagonal
-/// across two axes counts 14, across three 17).
+/// Length of the shortest path between two cells by their indices, with diagonals, in tenths of a side (a
+/// diagonal across two axes counts 14, across three 17).
 pub fn tenths_between(a: [i32; 3], b: [i32; 3]) -> u32 {
     let mut d: [u32; 3] = core::array::from_fn(|i| a[i].abs_diff(b[i]));
     d.sort_unstable();
     17 * d[0] + 14 * (d[1] - d[0]) + 10 * (d[2] - d[1])
 }
 
-/// The cells that can be reached from the first ones, in the order in which they are: nearest first. `beside` names the next
-/// cells of a cell; `enter(from, next)` says whether one is to be entered, once and for all.
+/// The cells that can be reached from the first ones, in the order in which they are: nearest first. `beside`
+/// names the next cells of a cell; `enter(from, next)` says whether one is to be entered, once and for all.
 pub fn flood<I: Iterator<Item = usize>>(
     mut cells: Vec<u32>,
     beside: impl Fn(usize) -> I,

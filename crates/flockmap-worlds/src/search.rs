@@ -12,8 +12,8 @@ pub enum Ties {
     Number,
 }
 
-/// A search for paths of least cost from one cell: A*, or Dijkstra's where all estimates are 0. Its user says which cells
-/// are beside a cell and what they cost:
+/// A search for paths of least cost from one cell: A*, or Dijkstra's where all estimates are 0. Its user says
+/// which cells are beside a cell and what they cost:
 ///
 /// ```
 /// use flockmap_worlds::search::{Search, Ties};
@@ -29,8 +29,8 @@ pub enum Ties {
 /// assert_eq!((search.cost(0), search.path_to(0)), (Some(3), vec![3, 2, 1, 0]));
 /// ```
 ///
-/// The same costs give the same paths on every machine, in whatever order the cells beside a cell are reached. 12 bytes a
-/// cell, which are used again by the next search.
+/// The same costs give the same paths on every machine, in whatever order the cells beside a cell are
+/// reached. 12 bytes a cell, which are used again by the next search.
 #[derive(Clone, Debug)]
 pub struct Search {
     ties: Ties,
@@ -57,7 +57,8 @@ impl Search {
         self.queue.clear();
     }
 
-    /// Begins a new search from this cell. `estimate` is never more than what the path from a cell to the goal costs.
+    /// Begins a new search from this cell. `estimate` is never more than what the path from a cell to the
+    /// goal costs.
     pub fn begin(&mut self, start: usize, estimate: impl Fn(usize) -> u32) {
         self.clear();
         self.reach(start, start, 0, estimate);
@@ -100,8 +101,8 @@ impl Search {
     }
 }
 
-/// The points of a path that remain where straight lines stand for stretches of it, by their numbers: from each the last of
-/// the next `reach` points to which a line `fits`, or the next one.
+/// The points of a path that remain where straight lines stand for stretches of it, by their numbers: from
+/// each the last of the next `reach` points to which a line `fits`, or the next one.
 pub fn straightened(points: usize, reach: usize, fits: impl Fn(usize, usize) -> bool) -> Vec<usize> {
     let mut kept = vec![0];
     let mut from = 0;

@@ -1,6 +1,7 @@
-//! The two times of the paper's Table IV: `t_pack` (batch start to packages ready; 5.30 ms there) and `t_recv2insert`
-//! (package to fused map; 7.08 ms there), for a batch of the paper's real flight: 0.1 m voxels, a local update box of
-//! 150 × 150 × 30, publish period 0.2 s (the paper's t_l), that is two scans at 10 Hz.
+//! The two times of the paper's Table IV: `t_pack` (batch start to packages ready; 5.30 ms there) and
+//! `t_recv2insert` (package to fused map; 7.08 ms there), for a batch of the paper's real flight: 0.1 m
+//! voxels, a local update box of 150 × 150 × 30, publish period 0.2 s (the paper's t_l), that is two scans at
+//! 10 Hz.
 //!
 //! `cargo bench -p flockmap --bench batch`
 
@@ -42,8 +43,8 @@ fn scan(seed: u64) -> Scan {
     Scan { stamp: Stamp(0), points, no_returns: Vec::new() }
 }
 
-/// The heaviest batch that the paper's settings allow: everything in the update box is seen for the first time. Or, `on_the
-/// move`: two scans later, at 1.5 m/s.
+/// The heaviest batch that the paper's settings allow: everything in the update box is seen for the first
+/// time. Or, `on_the move`: two scans later, at 1.5 m/s.
 fn mapper(on_the_move: bool) -> Mapper {
     let mut config = MapperConfig::preset(Preset::RogMap, Resolution::from_metres(0.1).unwrap(), 20.0);
     config.update_box_m = Some([7.49, 7.49, 1.49]);

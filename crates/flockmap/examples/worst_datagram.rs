@@ -1,14 +1,18 @@
-//! The datagrams that cost a robot most, made by somebody who has no key because there is none: for each kind of package the worst that
-//! a search finds, in milliseconds, and in milliseconds for each kilobyte on the air.
+//! The datagrams that cost a robot most, made by somebody who has no key because there is none: for each kind
+//! of package the worst that a search finds, in milliseconds, and in milliseconds for each kilobyte on the
+//! air.
 //!
 //! `cargo run --release -p flockmap --example worst_datagram [PART OF A NAME]`
 //!
-//! *decode*: reading all packages of the datagram, refused or not. *robot*: `Robot::handle_datagram` where the checks are right, so that
-//! what was read is merged into a layer and the fused map. *aligned*: the same where the frame of the sender is turned.
+//! *decode*: reading all packages of the datagram, refused or not. *robot*: `Robot::handle_datagram` where
+//! the checks are right, so that what was read is merged into a layer and the fused map. *aligned*: the same
+//! where the frame of the sender is turned.
 //!
-//! Each of the three is done once more in [`counted`], in this order, so that instructions can be counted, row by row:
+//! Each of the three is done once more in [`counted`], in this order, so that instructions can be counted,
+//! row by row:
 //!
-//! `valgrind --tool=callgrind --toggle-collect=worst_datagram::counted --dump-after=worst_datagram::counted target/release/examples/worst_datagram PART`
+//! `valgrind --tool=callgrind --toggle-collect=worst_datagram::counted --dump-after=worst_datagram::counted
+//! target/release/examples/worst_datagram PART`
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -60,7 +64,8 @@ fn main() {
 /// What it takes in milliseconds, the packages, their box.
 type Found = (f64, Vec<Package>, [u32; 3]);
 
-/// Finds the draft that is worst to read, and that which is worst to merge from a turned frame; says what they cost.
+/// Finds the draft that is worst to read, and that which is worst to merge from a turned frame; says what
+/// they cost.
 fn report(case: &Case, layer: &Layer, package_bytes: usize) {
     let mut decoder = Decoder::new();
     let mut worst: [Option<Found>; 2] = [None, None];

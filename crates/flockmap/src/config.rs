@@ -6,10 +6,12 @@ use flockmap_sync::SessionConfig;
 
 /// When a batch of mapping is closed and sent (the paper's Alg. 1, line 13).
 ///
-/// Under a byte budget a batch that is due waits until the packages before it have been sent. What changes meanwhile is merged in the map; then
-/// what the radio takes in a quarter of a second is sent at a time, obstacles first (three parts of them for one of anything else), the nearest first.
-/// So obstacles stay fresh where the radio takes less than the map changes, and free space gets late.
-/// A change that waited has the stamp at which it is sent; free space that waited is not sent where a team-mate saw an obstacle in the meantime.
+/// Under a byte budget a batch that is due waits until the packages before it have been sent. What changes
+/// meanwhile is merged in the map; then what the radio takes in a quarter of a second is sent at a time,
+/// obstacles first (three parts of them for one of anything else), the nearest first. So obstacles stay fresh
+/// where the radio takes less than the map changes, and free space gets late. A change that waited has the
+/// stamp at which it is sent; free space that waited is not sent where a team-mate saw an obstacle in the
+/// meantime.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
 #[cfg_attr(feature = "serde", serde(default, deny_unknown_fields))]
@@ -18,8 +20,8 @@ pub struct BatchConfig {
     pub voxels_max: usize,
     /// A batch with changes closes after this time: the paper's `t_l`. Milliseconds, at least 1. Default 500.
     pub publish_period_ms: u32,
-    /// Obstacles go out after this time, ahead of free space, which waits for `publish_period_ms`. Milliseconds, at least 1.
-    /// Default `None`: both together after `publish_period_ms`.
+    /// Obstacles go out after this time, ahead of free space, which waits for `publish_period_ms`.
+    /// Milliseconds, at least 1. Default `None`: both together after `publish_period_ms`.
     pub obstacle_period_ms: Option<u32>,
 }
 
@@ -34,8 +36,9 @@ impl Default for BatchConfig {
 pub struct RobotConfig {
     /// Which robot of the swarm this is. No two may have the same.
     pub id: RobotId,
-    /// Which run of this robot: [`epoch`](crate::epoch) of the seconds since 1970 and 32 random bits, new for **every** run. Two runs with the same epoch are
-    /// taken for one, and what the second one publishes does not arrive. Default 1, for one that is never started again.
+    /// Which run of this robot: [`epoch`](crate::epoch) of the seconds since 1970 and 32 random bits, new for
+    /// **every** run. Two runs with the same epoch are taken for one, and what the second one publishes does
+    /// not arrive. Default 1, for one that is never started again.
     pub epoch: u64,
     /// Its mapper.
     pub mapper: MapperConfig,
@@ -43,9 +46,10 @@ pub struct RobotConfig {
     pub batch: BatchConfig,
     /// How its packages are coded. Packages of others are read in every codec. Default `paper`.
     pub codec: Codec,
-    /// Batches are coded against what the others have received, where the codec can: it takes fewer bytes, and what was lost is waited
-    /// for. Where it takes longer than this until nine of ten batches are whole at the slowest peer, they are coded independently,
-    /// until it takes less than half of this. Milliseconds; 0: always against what the others have received. Default 2,000.
+    /// Batches are coded against what the others have received, where the codec can: it takes fewer bytes,
+    /// and what was lost is waited for. Where it takes longer than this until nine of ten batches are whole
+    /// at the slowest peer, they are coded independently, until it takes less than half of this.
+    /// Milliseconds; 0: always against what the others have received. Default 2,000.
     pub repair_delay_max_ms: u32,
     /// How it talks to others, and limits on what they can make it hold.
     pub session: SessionConfig,

@@ -7,8 +7,8 @@
 pub struct RobotCounters {
     /// Scans taken in.
     pub scans: u64,
-    /// Of these: with a stamp ahead of the robot's clock. They count as made when they came. If there are many, the clock of the sensor is
-    /// not the robot's.
+    /// Of these: with a stamp ahead of the robot's clock. They count as made when they came. If there are
+    /// many, the clock of the sensor is not the robot's.
     pub scans_ahead: u64,
     /// Points that were ignored: not finite, too near or too far out.
     pub points_ignored: u64,
@@ -20,8 +20,8 @@ pub struct RobotCounters {
     pub batches: u64,
     /// Batches that were due and were published later, since own packages still waited for the radio's budget.
     pub batches_deferred: u64,
-    /// Batches that published only a part of what had changed, the nearest first, since the budget has no room for more. What
-    /// was left out is in [`Robot::untold`](crate::Robot::untold) until it is published.
+    /// Batches that published only a part of what had changed, the nearest first, since the budget has no
+    /// room for more. What was left out is in [`Robot::untold`](crate::Robot::untold) until it is published.
     pub batches_in_parts: u64,
     /// Own voxels that changed, added up over batches.
     pub changes: u64,
@@ -31,11 +31,11 @@ pub struct RobotCounters {
     pub package_bytes: u64,
     /// Packages of others merged, chunks of snapshots among them.
     pub merged: u64,
-    /// Packages of others that could not be decoded any more, since a later batch or a snapshot had come before: a present
-    /// state was asked for in their place.
+    /// Packages of others that could not be decoded any more, since a later batch or a snapshot had come
+    /// before: a present state was asked for in their place.
     pub superseded: u64,
-    /// Packages of others that were damaged: not taken in, and asked for again; the second time, if they build on others, a present
-    /// state is asked for in their place.
+    /// Packages of others that were damaged: not taken in, and asked for again; the second time, if they
+    /// build on others, a present state is asked for in their place.
     pub damaged: u64,
     /// Steps of work that packages of others took to read, as `WIRE.md` counts them, refused ones too.
     pub steps: u64,

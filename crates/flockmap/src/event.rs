@@ -4,8 +4,8 @@ use flockmap_codec::{Batch, Package};
 use flockmap_grid::{Changes, FusionError, Stamp, Stream};
 use flockmap_sync::IntervalSet;
 
-/// Something worth knowing. Need not be polled: what is not read is dropped, oldest first; 1,024 are kept, and of them so many that
-/// they hold at most 16 MiB.
+/// Something worth knowing. Need not be polled: what is not read is dropped, oldest first; 1,024 are kept,
+/// and of them so many that they hold at most 16 MiB.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Event {
@@ -32,8 +32,8 @@ pub enum Event {
         changes: Changes,
         /// Voxels of the layer that were taken over; the others were known to be newer.
         taken: usize,
-        /// The package itself. Who stores these, and the own ones of [`Self::BatchClosed`], in the order of the events can give them back to
-        /// [`Robot::restore`](crate::Robot::restore).
+        /// The package itself. Who stores these, and the own ones of [`Self::BatchClosed`], in the order of
+        /// the events can give them back to [`Robot::restore`](crate::Robot::restore).
         package: Package,
     },
     /// A package was not taken in. It is counted, and asked for again unless that is useless.
@@ -45,8 +45,9 @@ pub enum Event {
         /// What was wrong.
         reason: Refusal,
     },
-    /// All chunks of a snapshot of a history with gaps were merged, and so these packages are held, though they never came. Who stores the chunks stores this behind
-    /// them, for [`Robot::restore_contents`](crate::Robot::restore_contents).
+    /// All chunks of a snapshot of a history with gaps were merged, and so these packages are held, though
+    /// they never came. Who stores the chunks stores this behind them, for
+    /// [`Robot::restore_contents`](crate::Robot::restore_contents).
     SnapshotContains {
         /// The stream.
         stream: Stream,
@@ -66,10 +67,12 @@ pub enum Event {
     PeerSeen(Stream),
     /// A robot has not been heard for a while.
     PeerLost(Stream),
-    /// An ended run of a robot was forgotten, since there were too many streams or too many runs of one robot: its map is gone here.
+    /// An ended run of a robot was forgotten, since there were too many streams or too many runs of one
+    /// robot: its map is gone here.
     RunForgotten(Stream),
-    /// The own id was used with a higher epoch, by an earlier run whose clock was ahead or by another robot: so this one has begun anew above that, with
-    /// what it had published until then. A driver that keeps epochs on disk stores this one.
+    /// The own id was used with a higher epoch, by an earlier run whose clock was ahead or by another robot:
+    /// so this one has begun anew above that, with what it had published until then. A driver that keeps
+    /// epochs on disk stores this one.
     RunBegun(Stream),
     /// Another robot uses the own id. Give one of them another.
     SameIdentity,
@@ -83,13 +86,15 @@ pub enum Event {
 #[derive(Clone, PartialEq, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Refusal {
-    /// It is damaged, or of a version that is not known; or what it builds on is gone, then a snapshot is asked for.
+    /// It is damaged, or of a version that is not known; or what it builds on is gone, then a snapshot is
+    /// asked for.
     #[error(transparent)]
     Package(#[from] flockmap_codec::PackageError),
     /// There is no room for it.
     #[error(transparent)]
     Fusion(#[from] FusionError),
-    /// It is a chunk of a snapshot that takes more than may be held of snapshots while they are read. It is asked for again.
+    /// It is a chunk of a snapshot that takes more than may be held of snapshots while they are read. It is
+    /// asked for again.
     #[error(
         "of its snapshot {received} bytes are received, and with it there may be more than half of layer_bytes_max ({max})"
     )]
@@ -99,7 +104,8 @@ pub enum Refusal {
         /// The limit.
         max: usize,
     },
-    /// It waited for the packages that it builds on, and there was no room for it any more. It is asked for again.
+    /// It waited for the packages that it builds on, and there was no room for it any more. It is asked for
+    /// again.
     #[error("it waited for package {base}, or one before that, and there is no room for more that wait")]
     Waiting {
         /// The newest package that it builds on.

@@ -8,19 +8,22 @@ use crate::readers::bytes_max as readers_bytes_max;
 const EVENT: usize = 256;
 /// A chunk that was read and has no place in a layer yet: 144 bytes for each of at most four blocks a byte.
 const UNMERGED: usize = 1_150 * 4 * 144;
-/// Decoding a package of the largest box that it can hold, the tables of the codecs, lists of changes going into a layer; and what the last
-/// merge may add to the fused map, and the last chunk to what was read, beyond their limits.
+/// Decoding a package of the largest box that it can hold, the tables of the codecs, lists of changes going
+/// into a layer; and what the last merge may add to the fused map, and the last chunk to what was read,
+/// beyond their limits.
 const WORK: usize = 64 << 20;
 
 impl RobotConfig {
-    /// The most bytes that others can make a robot with these options hold on the heap, whatever they send, as asked of the
-    /// allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the layers and what they add to the fused map
-    /// (`fusion.layer_bytes_max`), snapshots that are being read (half as much), events that nobody
-    /// takes. By default 1.1 GB, by broadcast 1.4 GB, of which honest robots make it hold a tenth.
+    /// The most bytes that others can make a robot with these options hold on the heap, whatever they send,
+    /// as asked of the allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the
+    /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read
+    /// (half as much), events that nobody takes. By default 1.1 GB, by broadcast 1.4 GB, of which honest
+    /// robots make it hold a tenth.
     ///
-    /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth of it in the fused map) and the own layer
-    /// (`fusion.own_layer_bytes_max`). A [`MapView`](flockmap_grid::MapView) that is kept while the map goes on takes as much
-    /// as the fused map once more. An alignment that is set when the layers are full already may make the fused map larger.
+    /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth
+    /// of it in the fused map) and the own layer (`fusion.own_layer_bytes_max`). A
+    /// [`MapView`](flockmap_grid::MapView) that is kept while the map goes on takes as much as the fused map
+    /// once more. An alignment that is set when the layers are full already may make the fused map larger.
     pub const fn memory_of_others_max(&self) -> usize {
         self.session.memory_max()
             + self.fusion.layer_bytes_max

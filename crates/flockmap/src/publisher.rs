@@ -45,7 +45,8 @@ pub(crate) struct Publisher {
 enum OwnLayer {
     /// It lacks something that was published: a snapshot made of it would pass for all that was.
     Lacks,
-    /// It holds all that was published, but not all that the map counts as published: the others do not hold what is published next against it.
+    /// It holds all that was published, but not all that the map counts as published: the others do not hold
+    /// what is published next against it.
     HasAll,
     /// It is what the others hold when all has arrived.
     IsWhole,
@@ -104,8 +105,9 @@ impl Publisher {
         Some(self.deferred.map_or(due, |deferred| due.max(deferred.until)))
     }
 
-    /// The batch that is due, unless own packages still wait for the radio's budget: then what changes is merged in the map, which costs
-    /// less than packages that wait, and nothing builds on them. Of what is due, as much as the radio takes.
+    /// The batch that is due, unless own packages still wait for the radio's budget: then what changes is
+    /// merged in the map, which costs less than packages that wait, and nothing builds on them. Of what is
+    /// due, as much as the radio takes.
     pub(crate) fn poll(
         &mut self,
         now: Stamp,
@@ -183,8 +185,9 @@ impl Publisher {
         Ok(packages)
     }
 
-    /// Notes that the own layer had no room for a batch that was published. Only a snapshot of this stream would lack it; but the others hold more
-    /// from now on than the own layer, so that nothing can be coded against it any more.
+    /// Notes that the own layer had no room for a batch that was published. Only a snapshot of this stream
+    /// would lack it; but the others hold more from now on than the own layer, so that nothing can be coded
+    /// against it any more.
     pub(crate) const fn note_own_layer_full(&mut self) {
         self.own_layer = OwnLayer::Lacks;
     }
@@ -203,7 +206,8 @@ impl Publisher {
         }
     }
 
-    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too much of it. Nothing if it cannot be given.
+    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too
+    /// much of it. Nothing if it cannot be given.
     pub(crate) fn encode_state(
         &mut self,
         span: Span,

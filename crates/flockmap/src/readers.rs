@@ -9,7 +9,8 @@ use crate::Refusal;
 /// So many bytes they may hold together at least, however small the layers are: more than one chunk can need.
 const BYTES_MIN: usize = 8 << 20;
 
-/// A snapshot of which nothing more was merged for so long goes for others: as long as the session waits for chunks of one.
+/// A snapshot of which nothing more was merged for so long goes for others: as long as the session waits for
+/// chunks of one.
 const STALE: Duration = Duration::from_secs(30);
 
 /// Bytes that the snapshots being read may hold together: half of what layers may hold.
@@ -57,8 +58,9 @@ impl Readers {
         }
     }
 
-    /// Makes room for the next chunk of a snapshot. Returns those that had to go for it: such as were begun later, or of which nothing was
-    /// merged for 30 s. So the one that was begun first always goes on, and all become complete one after the other.
+    /// Makes room for the next chunk of a snapshot. Returns those that had to go for it: such as were begun
+    /// later, or of which nothing was merged for 30 s. So the one that was begun first always goes on, and
+    /// all become complete one after the other.
     ///
     /// # Errors
     /// [`Refusal::Chunks`] if the others leave too little, or it would not fit even alone; nothing goes then.
@@ -160,7 +162,8 @@ mod tests {
         (Stream { origin: RobotId(number as u16), epoch: 1 }, number)
     }
 
-    /// The chunks of some walls; and room for two of which one chunk was read, and not for the second chunk of both.
+    /// The chunks of some walls; and room for two of which one chunk was read, and not for the second chunk
+    /// of both.
     fn walls() -> (Vec<Package>, usize) {
         let wall =
             |x| (0..64).flat_map(move |y| (0..64).map(move |z| (Voxel::new(x, y, z), State::Occupied)));

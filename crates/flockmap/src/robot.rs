@@ -31,8 +31,8 @@ const TEAMMATES_MAX: usize = 1_024;
 /// what the others saw. Knows no sockets, threads or clocks; it can be driven by any runtime, or none.
 ///
 /// After every input ([`insert_scan`](Self::insert_scan), [`handle_datagram`](Self::handle_datagram),
-/// [`handle_timeout`](Self::handle_timeout)) send all that [`poll_transmit`](Self::poll_transmit) gives, then wait for
-/// the next scan, the next datagram or [`poll_timeout`](Self::poll_timeout), whichever is first.
+/// [`handle_timeout`](Self::handle_timeout)) send all that [`poll_transmit`](Self::poll_transmit) gives, then
+/// wait for the next scan, the next datagram or [`poll_timeout`](Self::poll_timeout), whichever is first.
 pub struct Robot {
     config: RobotConfig,
     /// The newest time that came with an input.
@@ -54,8 +54,8 @@ struct Teammate {
 }
 
 impl Robot {
-    /// A robot with an empty map. `now` is the time on its clock. Every later `now` must not be before it; where one is, time is taken to
-    /// stand still.
+    /// A robot with an empty map. `now` is the time on its clock. Every later `now` must not be before it;
+    /// where one is, time is taken to stand still.
     ///
     /// # Errors
     /// [`RobotError`] names the option that cannot work.
@@ -91,8 +91,8 @@ impl Robot {
     /// Takes in a scan made at `T_map_sensor`. Only maps: a batch that is due is closed by the next
     /// [`handle_timeout`](Self::handle_timeout), and [`poll_timeout`](Self::poll_timeout) says so.
     ///
-    /// No scan is made after `now`: one with a stamp ahead of it counts as made now, in the map and for the others, and is counted
-    /// ([`RobotCounters::scans_ahead`]).
+    /// No scan is made after `now`: one with a stamp ahead of it counts as made now, in the map and for the
+    /// others, and is counted ([`RobotCounters::scans_ahead`]).
     ///
     /// # Errors
     /// [`PoseError`] if the pose is none or lies beyond the grid; nothing is changed then.
@@ -150,8 +150,9 @@ impl Robot {
         result
     }
 
-    /// The same for a driver that sends to addresses: `path` stands for the one that it was received from. By unicast nothing but a
-    /// challenge goes out on a path before an answer came back through it; [`Transmit::path`] says where datagrams go.
+    /// The same for a driver that sends to addresses: `path` stands for the one that it was received from. By
+    /// unicast nothing but a challenge goes out on a path before an answer came back through it;
+    /// [`Transmit::path`] says where datagrams go.
     ///
     /// # Errors
     /// What was wrong with it. It is counted already and needs no action.
@@ -181,19 +182,21 @@ impl Robot {
         self.answer_session(now);
     }
 
-    /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again. What comes to lie beyond the end of
-    /// the grid is left out of the fused map. O(voxels known).
+    /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again. What comes
+    /// to lie beyond the end of the grid is left out of the fused map. O(voxels known).
     ///
     /// # Errors
-    /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; the alignment stays as it was then.
+    /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; the alignment stays
+    /// as it was then.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn set_alignment(&mut self, origin: RobotId, T_own_origin: &Pose) -> Result<(), PoseError> {
         self.fusion.set_alignment(&self.mapper, origin, T_own_origin)
     }
 
-    /// Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is measured.
-    /// `None`: measure again. With its own id: how far its clock was ahead in former runs, 0 if it goes on through a restart; else that is
-    /// measured through others that heard those runs. The fused map is made anew. O(voxels known).
+    /// Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is
+    /// measured. `None`: measure again. With its own id: how far its clock was ahead in former runs, 0 if it
+    /// goes on through a restart; else that is measured through others that heard those runs. The fused map
+    /// is made anew. O(voxels known).
     pub fn set_clock_offset(&mut self, origin: RobotId, micros: Option<i64>) {
         self.session.set_clock_offset(origin, micros);
         if let Some(micros) = micros {
@@ -207,11 +210,13 @@ impl Robot {
         self.fusion.set_muted(&self.mapper, origin, is_muted);
     }
 
-    /// Says where a team-mate is, in metres in the frame of the own map, so that it is not taken for an obstacle. `seen` is on the own
-    /// clock; one ahead of it counts as the time of the next scan. Positions of at most 1,024 robots are kept.
+    /// Says where a team-mate is, in metres in the frame of the own map, so that it is not taken for an
+    /// obstacle. `seen` is on the own clock; one ahead of it counts as the time of the next scan. Positions
+    /// of at most 1,024 robots are kept.
     ///
     /// # Errors
-    /// [`PoseError`] if the position is not finite or lies beyond the grid; the one before is kept then, for as long as it counts.
+    /// [`PoseError`] if the position is not finite or lies beyond the grid; the one before is kept then, for
+    /// as long as it counts.
     pub fn set_teammate(&mut self, id: RobotId, position: [f64; 3], seen: Stamp) -> Result<(), PoseError> {
         self.config.mapper.resolution.check_position(position)?;
         if self.teammates.len() < TEAMMATES_MAX || self.teammates.contains_key(&id) {
@@ -267,8 +272,9 @@ impl Robot {
         &self.session
     }
 
-    /// Voxels that have changed and are still to be published. What a team-mate is believed to know better, where a budget made the own observation late,
-    /// is not among them: it is published when it is seen again, or by [`flush`](Self::flush). O(blocks with changes).
+    /// Voxels that have changed and are still to be published. What a team-mate is believed to know better,
+    /// where a budget made the own observation late, is not among them: it is published when it is seen
+    /// again, or by [`flush`](Self::flush). O(blocks with changes).
     pub fn untold(&self) -> usize {
         self.publisher.untold(&self.mapper, &self.fusion)
     }
@@ -283,8 +289,9 @@ impl Robot {
         self.publisher.stream()
     }
 
-    /// Whether all that was published is in the own layer, [`Fusion::layer`] of [`Self::own_stream`]. Not once it was full
-    /// (`fusion.own_layer_bytes_max`): then it says less than the packages, and a snapshot made of it would pass for all of them.
+    /// Whether all that was published is in the own layer, [`Fusion::layer`] of [`Self::own_stream`]. Not
+    /// once it was full (`fusion.own_layer_bytes_max`): then it says less than the packages, and a snapshot
+    /// made of it would pass for all of them.
     pub fn own_layer_has_all(&self) -> bool {
         self.publisher.own_layer_has_all()
     }
@@ -294,7 +301,8 @@ impl Robot {
         &self.config
     }
 
-    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too much of it.
+    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too
+    /// much of it.
     fn provide_snapshot(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
         let stream = span.stream;
         let Self { publisher, fusion, config, .. } = self;

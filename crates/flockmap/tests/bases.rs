@@ -13,7 +13,8 @@ use flockmap::{
 const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 80.0) };
 const PERFECT: Radio = common::PERFECT;
 
-/// Publishes batches of its own against the one before, each a piece of a wall in the same place: few voxels would not need what was before.
+/// Publishes batches of its own against the one before, each a piece of a wall in the same place: few voxels
+/// would not need what was before.
 struct Sender {
     stream: Stream,
     encoder: Encoder,
@@ -271,7 +272,8 @@ fn what_waits_below_a_snapshot_is_dropped_and_what_waits_above_goes() {
     let mut packages: Vec<Package> =
         [false, false, true].into_iter().map(|is_independent| sender.encode(is_independent)).collect();
     packages.extend((0..4).map(|_| sender.encode(false)));
-    // The second is superseded by the third. The fourth is lost; those after it wait. The first robot does not know the last two.
+    // The second is superseded by the third. The fourth is lost; those after it wait. The first robot does
+    // not know the last two.
     let mut swarm = Swarm::new((2..=3).map(config).collect(), PERFECT, 1);
     swarm.run(2_000);
     let now = swarm.now;

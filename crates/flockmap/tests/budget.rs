@@ -1,4 +1,5 @@
-//! Where the radio takes less than the map changes: what waits is merged in the map, obstacles go on, and in the end all is published.
+//! Where the radio takes less than the map changes: what waits is merged in the map, obstacles go on, and in
+//! the end all is published.
 
 mod common;
 
@@ -21,7 +22,8 @@ fn pose(step: i32) -> Pose {
     Pose::from_translation([f64::from(step) * 0.1, 0.0, 0.0])
 }
 
-/// Two robots that look into ever new rooms for so many steps of 100 ms; the ages in milliseconds, sorted, at which the second one got obstacles of the first.
+/// Two robots that look into ever new rooms for so many steps of 100 ms; the ages in milliseconds, sorted, at
+/// which the second one got obstacles of the first.
 fn fly(swarm: &mut Swarm, seed: u64, steps: i32) -> Vec<i64> {
     let mut random = Random(seed);
     let (mut ages, mut seen) = (Vec::new(), 0);
@@ -57,7 +59,8 @@ fn obstacles_stay_fresh_where_the_radio_takes_half_of_what_the_map_needs() {
             Swarm::new(vec![thin(1, Some(needed as u32 / 2)), thin(2, Some(needed as u32 / 2))], LOSSY, seed);
         let ages = fly(&mut swarm, seed, 200);
         let (median, almost_all) = (ages[ages.len() / 2], ages[ages.len() * 9 / 10]);
-        // One loss at the wrong moment delays all that builds on it: of single flights less is asked than of most.
+        // One loss at the wrong moment delays all that builds on it: of single flights less is asked than of
+        // most.
         assert!(median < 2_500 && almost_all < 8_000, "seed {seed}: {median} and {almost_all} ms");
         late.push(almost_all);
         let counters = *swarm.robots[0].counters();

@@ -153,7 +153,8 @@ fn without_room_for_a_chunk_it_is_asked_for_again_and_nothing_is_lost() {
     assert_eq!(bob.counters().damaged, 0);
 }
 
-/// Once four were read at a time and each new one pushed another out, so that of seven in turns none was ever complete.
+/// Once four were read at a time and each new one pushed another out, so that of seven in turns none was ever
+/// complete.
 #[test]
 fn snapshots_of_many_robots_that_come_in_turns_all_become_complete() {
     let (one, _, mut bob) = chunks(7);

@@ -262,7 +262,8 @@ fn stamp() -> impl Strategy<Value = i64> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
-    /// Whatever the stamps: the others hold what the robot has, and what it sees last is what its own fused map shows.
+    /// Whatever the stamps: the others hold what the robot has, and what it sees last is what its own fused
+    /// map shows.
     #[test]
     fn stamps_of_all_kinds_make_no_voxel_differ(
         scans in prop::collection::vec((0..2usize, stamp(), 1.0..6.5f32, 0..SECOND), 1..14),

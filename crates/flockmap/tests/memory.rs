@@ -1,4 +1,5 @@
-//! Hostile packages fill every limit of a robot: it holds no more than `RobotConfig::memory_of_others_max` states.
+//! Hostile packages fill every limit of a robot: it holds no more than `RobotConfig::memory_of_others_max`
+//! states.
 
 use flockmap::codec::{Base, Encoder, PACKAGE_BYTES_MAX};
 use flockmap::grid::Layer;
@@ -71,7 +72,8 @@ impl Sender {
     }
 }
 
-/// Runs a case; the most that the robot held must be within what is stated, and at least `least`, or the case is no case.
+/// Runs a case; the most that the robot held must be within what is stated, and at least `least`, or the case
+/// is no case.
 fn case(name: &str, config: RobotConfig, least: usize, fill: impl FnOnce(&mut Robot)) {
     let stated = config.memory_of_others_max();
     let before = ALLOCATOR.current_usage();

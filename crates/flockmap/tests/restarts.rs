@@ -1,4 +1,5 @@
-//! Nothing is lost at the limits: restarts, crowds, ended runs with gaps, epochs that were used. Whole robots over a radio that loses nothing.
+//! Nothing is lost at the limits: restarts, crowds, ended runs with gaps, epochs that were used. Whole robots
+//! over a radio that loses nothing.
 
 #[allow(dead_code, reason = "only the scans are used here")]
 mod common;
@@ -327,7 +328,8 @@ fn what_lies_beyond_a_gap_of_an_ended_run_reaches_its_own_robot_in_a_run_without
     reaches_beyond_a_gap(2.0, &[(0, 2), (2, 1)]);
 }
 
-/// `joiners`: number and epoch of robots that start when the run has ended for so many seconds, and hear each other.
+/// `joiners`: number and epoch of robots that start when the run has ended for so many seconds, and hear each
+/// other.
 fn reaches_beyond_a_gap(seconds: f64, joiners: &[(usize, u64)]) {
     let mut net = Net::new(3);
     let with = |number: usize, epoch: u64| {

@@ -15,7 +15,8 @@ fn fly(swarm: &mut Swarm, random: &mut Random, scans: core::ops::Range<i64>) {
     }
 }
 
-/// Robot 1 flies with robot 2 in reach, then out of reach until its store has dropped what robot 2 misses, then in reach again.
+/// Robot 1 flies with robot 2 in reach, then out of reach until its store has dropped what robot 2 misses,
+/// then in reach again.
 fn out_of_reach(radio: Radio, seed: u64) -> (Swarm, u64) {
     let mut configs: Vec<RobotConfig> = (1..=2).map(config).collect();
     configs[0].session.store_bytes_max = 12_000;

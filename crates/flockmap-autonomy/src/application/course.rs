@@ -21,13 +21,15 @@ pub struct Course {
     pub fence: [[f64; 2]; 2],
 }
 
-/// The follower flies higher than the leader, so that the leader does not hide what lies ahead of it from its follower.
+/// The follower flies higher than the leader, so that the leader does not hide what lies ahead of it from its
+/// follower.
 pub(super) const FOLLOWER_HIGHER_M: f64 = 0.5;
 
 /// Height of the leader above the ground of a thicket.
 const LEADER_HEIGHT_M: f64 = 1.3;
 
-/// A course counts as passable if a path keeps so far from everything (centre of a robot): 20 cm more than its body.
+/// A course counts as passable if a path keeps so far from everything (centre of a robot): 20 cm more than
+/// its body.
 const PASSABLE: Keep = Keep { clearance_m: 0.4, comfort_m: 0.41 };
 
 impl Course {

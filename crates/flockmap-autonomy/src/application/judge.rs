@@ -8,8 +8,8 @@ use flockmap_worlds::curve::distance;
 /// A robot touches what is nearer to its centre than this, in metres.
 pub const BODY_RADIUS_M: f64 = 0.2;
 
-/// Distance from a point to the nearest solid cell of the world, in metres, if it is less than `most`. O(cells within
-/// `most`).
+/// Distance from a point to the nearest solid cell of the world, in metres, if it is less than `most`.
+/// O(cells within `most`).
 fn clearance(world: &World, point: [f64; 3], most: f64) -> Option<f64> {
     let side = world.resolution().metres();
     let low = world.resolution().voxel_at(point.map(|v| v - most))?;

@@ -11,8 +11,8 @@ pub enum MapSync {
     None,
     /// Over an emulated radio.
     Radio {
-        /// Bytes a second that each robot can send, 28 bytes of IP and UDP counted for each datagram. The session has the same
-        /// budget. `None`: no limit (the session keeps its default of 2,000,000).
+        /// Bytes a second that each robot can send, 28 bytes of IP and UDP counted for each datagram. The
+        /// session has the same budget. `None`: no limit (the session keeps its default of 2,000,000).
         rate_bytes_per_s: Option<u32>,
         /// Share of datagrams that are lost, 0 to 1.
         loss: f64,
@@ -40,8 +40,9 @@ pub struct ApplicationOptions {
     pub obstacle_period_ms: Option<u32>,
     /// Codec of the packages. Default `paper`.
     pub codec: Codec,
-    /// The LiDAR of both robots. Default Avia (paper). Every beam that meets nothing within `range_m` carves free space up to
-    /// there: the real device sees 190 m and more, and in a forest nearly every beam comes back from somewhere.
+    /// The LiDAR of both robots. Default Avia (paper). Every beam that meets nothing within `range_m` carves
+    /// free space up to there: the real device sees 190 m and more, and in a forest nearly every beam comes
+    /// back from somewhere.
     pub lidar: Lidar,
     /// Highest speed in m/s. Default 1.5 (paper).
     pub speed_m_s: f64,

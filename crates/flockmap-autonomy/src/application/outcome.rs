@@ -47,8 +47,8 @@ pub struct ApplicationOutcome {
     pub leader: RobotTraffic,
     /// The follower's traffic.
     pub follower: RobotTraffic,
-    /// Age of the follower's obstacle voxels when they came into the leader's map, from the scan that saw them: median, in
-    /// seconds. 0 if none came.
+    /// Age of the follower's obstacle voxels when they came into the leader's map, from the scan that saw
+    /// them: median, in seconds. 0 if none came.
     pub obstacle_age_median_s: f64,
     /// The same: 99 of 100 are not older.
     pub obstacle_age_p99_s: f64,

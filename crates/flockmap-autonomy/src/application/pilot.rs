@@ -84,9 +84,9 @@ impl Pilot {
         Self { limits, fence, path: Vec::new(), at: 0, speed: 0.0 }
     }
 
-    /// Plans anew on the fused map: a path to the target, and the highest speed up to `speed_max` at which the robot
-    /// neither leaves free space within the next second nor when it brakes after that. None: it brakes now. `other`: where the
-    /// other robot is.
+    /// Plans anew on the fused map: a path to the target, and the highest speed up to `speed_max` at which
+    /// the robot neither leaves free space within the next second nor when it brakes after that. None: it
+    /// brakes now. `other`: where the other robot is.
     pub(super) fn plan(
         &mut self,
         map: &MapView,

@@ -31,9 +31,9 @@ const COST_NEW: u32 = 15;
 const COST_NARROW: f64 = 300.0;
 const COST_ESCAPE: u32 = 1_000;
 
-/// A path from one point towards another, as points [`POINT_EVERY_M`] apart. It ends at the target, at the rim of the window
-/// where the target lies beyond it, or as near to the target as can be reached. `before` is the path taken so far.
-/// O(cells · log cells).
+/// A path from one point towards another, as points [`POINT_EVERY_M`] apart. It ends at the target, at the
+/// rim of the window where the target lies beyond it, or as near to the target as can be reached. `before` is
+/// the path taken so far. O(cells · log cells).
 pub(super) fn find(
     slab: &Slab,
     from: [f64; 2],
@@ -101,8 +101,8 @@ fn weight(slab: &Slab, cell: usize, is_new: bool, keep: &Keep) -> u32 {
     weight
 }
 
-/// Replaces stretches of a path by straight lines that come no nearer to an obstacle than the stretch did, or stay in
-/// comfort. Out of a narrow place it goes cell by cell.
+/// Replaces stretches of a path by straight lines that come no nearer to an obstacle than the stretch did, or
+/// stay in comfort. Out of a narrow place it goes cell by cell.
 fn straighten(slab: &Slab, points: &[[f64; 2]], keep: &Keep) -> Vec<[f64; 2]> {
     let fits = |from: usize, to: usize| {
         let distances = points[from + 1..=to].iter().map(|point| slab.distance_at(*point));

@@ -14,8 +14,9 @@ pub struct SeriesOptions {
     pub rates_bytes_per_s: Vec<u32>,
     /// Losses for each of these budgets. Default 0, 0.2 and 0.4.
     pub losses: Vec<f64>,
-    /// Budgets of further series, with the same losses, in which obstacles go out after `application.publish_period_ms` and free space after
-    /// 2 s. Default 1 and 5 KB/s, where everything together is too much.
+    /// Budgets of further series, with the same losses, in which obstacles go out after
+    /// `application.publish_period_ms` and free space after 2 s. Default 1 and 5 KB/s, where everything
+    /// together is too much.
     pub obstacles_first_rates_bytes_per_s: Vec<u32>,
     /// Delay of all radios, in milliseconds. Default 20.
     pub delay_ms: u32,
@@ -43,8 +44,8 @@ impl Default for SeriesOptions {
 const FREE_SPACE_LATER_MS: u32 = 2_000;
 
 impl SeriesOptions {
-    /// The options of each series, with the seed of none: no sync, a radio without limit, each budget with each loss, and
-    /// the budgets with obstacles first.
+    /// The options of each series, with the seed of none: no sync, a radio without limit, each budget with
+    /// each loss, and the budgets with obstacles first.
     fn plan(&self) -> Vec<ApplicationOptions> {
         let radio =
             |rate_bytes_per_s, loss| MapSync::Radio { rate_bytes_per_s, loss, delay_ms: self.delay_ms };
@@ -102,8 +103,8 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     if count == 0.0 { 0.0 } else { sum / count }
 }
 
-/// Flies every seed with every radio. `flown` is called after each flight, from any of the threads, and says whether to go on; a series
-/// that was not finished holds the outcomes up to the first seed that is missing.
+/// Flies every seed with every radio. `flown` is called after each flight, from any of the threads, and says
+/// whether to go on; a series that was not finished holds the outcomes up to the first seed that is missing.
 ///
 /// # Errors
 /// [`RobotError`] names an option that cannot work.

@@ -7,9 +7,9 @@ use flockmap_worlds::{Body, World};
 /// Returns from nearer than this are dropped.
 const RANGE_MIN_M: f64 = 0.3;
 
-/// A scan of all beams of the LiDAR, with the other robot in sight. A beam is followed to where the mapper cuts it, at
-/// the range or the face of the update box; if it met nothing until there, it is a no-return. What it would have met
-/// farther on makes no difference to the map.
+/// A scan of all beams of the LiDAR, with the other robot in sight. A beam is followed to where the mapper
+/// cuts it, at the range or the face of the update box; if it met nothing until there, it is a no-return.
+/// What it would have met farther on makes no difference to the map.
 #[allow(non_snake_case)]
 pub(super) fn scan(
     options: &ApplicationOptions,

@@ -7,8 +7,8 @@ use flockmap_worlds::lattice::Lattice;
 /// Distances to obstacles are measured up to this many cells.
 const DISTANCE_CELLS_MAX: u32 = 12;
 
-/// A window of square cells in a horizontal slab of space. A cell is blocked if anything in the slab above or below
-/// it is, known if its middle is known to be free.
+/// A window of square cells in a horizontal slab of space. A cell is blocked if anything in the slab above or
+/// below it is, known if its middle is known to be free.
 pub(super) struct Slab {
     /// One layer of cells, at z = 0.
     pub(super) cells: Lattice,

@@ -47,16 +47,17 @@ pub enum Ended {
 pub struct Outcome {
     /// How long it took, in seconds.
     pub seconds: f64,
-    /// Share of the voxels that can be seen in the region that at least one robot mapped itself, 0 … 1. What can be
-    /// seen is worked out from the world: every voxel whose centre a ray from one of many places, one for each 1.2 × 1.2 × 0.6 m
-    /// in which a robot can be, reaches within the mapper's range and the LiDAR's elevations.
+    /// Share of the voxels that can be seen in the region that at least one robot mapped itself, 0 … 1. What
+    /// can be seen is worked out from the world: every voxel whose centre a ray from one of many places, one
+    /// for each 1.2 × 1.2 × 0.6 m in which a robot can be, reaches within the mapper's range and the LiDAR's
+    /// elevations.
     pub seen_share: f64,
     /// Number of those voxels.
     pub seeable_voxels: u64,
     /// Metres flown by each robot.
     pub path_m: Vec<f64>,
-    /// Voxels that each robot mapped itself, divided by those that at least one of them did, added up: 1 if no voxel was mapped twice,
-    /// the number of robots if all mapped everything.
+    /// Voxels that each robot mapped itself, divided by those that at least one of them did, added up: 1 if
+    /// no voxel was mapped twice, the number of robots if all mapped everything.
     pub overlap: f64,
     /// How it ended.
     pub ended: Ended,
@@ -88,8 +89,8 @@ pub struct RobotProgress {
     pub is_idle: bool,
 }
 
-/// An exploration, step by step. The same world and options give the same frames on every machine, with any number
-/// of threads.
+/// An exploration, step by step. The same world and options give the same frames on every machine, with any
+/// number of threads.
 ///
 /// ```no_run
 /// use flockmap_autonomy::{ExploreOptions, Explorer};
@@ -133,8 +134,8 @@ impl AsMut<Robot> for Member {
 }
 
 impl Explorer {
-    /// Robots on their spots, nothing seen yet. Takes some seconds for a large world: what can be seen of it is worked
-    /// out first.
+    /// Robots on their spots, nothing seen yet. Takes some seconds for a large world: what can be seen of it
+    /// is worked out first.
     ///
     /// Memory: some 30 bytes for each navigation cell (20 cm, larger in worlds beyond 4 million of them) and
     /// robot, the robots' maps, and a byte for each voxel of the region while it is made.
@@ -145,8 +146,8 @@ impl Explorer {
         Self::new_watched(world, options, &|_, _| true)
     }
 
-    /// The same; while it works out what can be seen, `goes_on` is called with how many of how many parts are done, and says
-    /// whether to go on. It is called from any of the threads.
+    /// The same; while it works out what can be seen, `goes_on` is called with how many of how many parts are
+    /// done, and says whether to go on. It is called from any of the threads.
     ///
     /// # Errors
     /// As [`Self::new`], and [`ExploreError::Stopped`] once `goes_on` has said no.
@@ -209,8 +210,8 @@ impl Explorer {
         Ok(Self { options, network, seeable, met, steps: 0, ended: None })
     }
 
-    /// Lets a tenth of a second pass: plans, flies, scans, maps, and carries what robots send. Gives the frame of each
-    /// robot, all with the same stamp; `None` once it has ended.
+    /// Lets a tenth of a second pass: plans, flies, scans, maps, and carries what robots send. Gives the
+    /// frame of each robot, all with the same stamp; `None` once it has ended.
     pub fn step(&mut self) -> Option<Vec<Frame>> {
         if self.ended.is_some() {
             return None;
@@ -313,8 +314,8 @@ impl Explorer {
         self.seeable.share(self.network.nodes().iter().map(|member| member.robot.mapper()))
     }
 
-    /// Moves all robots on, one after the other. A robot stops where the path on which it could still come to rest would
-    /// come too near to that of another, so all can always stop without coming near each other.
+    /// Moves all robots on, one after the other. A robot stops where the path on which it could still come to
+    /// rest would come too near to that of another, so all can always stop without coming near each other.
     fn fly(&mut self) {
         let limits = self.options.limits;
         let dt = SCAN_PERIOD_MICROS as f64 * 1e-6;

@@ -12,10 +12,12 @@ const REACH_M: f64 = 1.5;
 /// Fewer cells are no frontier.
 const CELLS_MIN: usize = 6;
 
-/// An Unknown cell that was in view from so many directions (of eight) stays unknown: nothing comes back from there.
+/// An Unknown cell that was in view from so many directions (of eight) stays unknown: nothing comes back from
+/// there.
 pub(super) const DIRECTIONS_MAX: u32 = 3;
 
-/// How likely something comes back from an Unknown cell that was in view from none, one or two directions in vain.
+/// How likely something comes back from an Unknown cell that was in view from none, one or two directions in
+/// vain.
 const PROBABILITIES: [f64; DIRECTIONS_MAX as usize] = [1.0, 0.5, 0.25];
 
 /// A viewpoint from which fewer cells are expected to be seen is not worth the flight.
@@ -72,8 +74,8 @@ impl Frontiers {
         self.looks[cell].count_ones() < DIRECTIONS_MAX && grid.cell_state(cell) == CellState::Unknown
     }
 
-    /// How likely something comes back from an Unknown cell that is looked at in a direction of this octant: 0 if it was
-    /// looked at from there before, or from too many sides in vain.
+    /// How likely something comes back from an Unknown cell that is looked at in a direction of this octant:
+    /// 0 if it was looked at from there before, or from too many sides in vain.
     fn probability(&self, cell: usize, octant: u8) -> f64 {
         let looks = self.looks[cell];
         let is_new = looks >> octant & 1 == 0;
@@ -154,8 +156,8 @@ impl Frontiers {
         }
     }
 
-    /// Counts a visit to a frontier with these cells as so many looks in new directions at what is still Unknown beside
-    /// them, whatever the map says: nobody goes to the same place for ever.
+    /// Counts a visit to a frontier with these cells as so many looks in new directions at what is still
+    /// Unknown beside them, whatever the map says: nobody goes to the same place for ever.
     pub(super) fn count_visit(&mut self, grid: &NavigationGrid, cells: &[u32], looks: u32) {
         let mut beside: Vec<usize> =
             cells.iter().flat_map(|cell| grid.cells.beside(*cell as usize)).collect();
@@ -190,8 +192,8 @@ impl Frontiers {
         })
     }
 
-    /// Judges places on rings round the centre of a frontier: those that see a good part of it, and of these the ones
-    /// from which most is to be seen.
+    /// Judges places on rings round the centre of a frontier: those that see a good part of it, and of these
+    /// the ones from which most is to be seen.
     fn find_viewpoints(
         &self,
         frontier: &mut Frontier,

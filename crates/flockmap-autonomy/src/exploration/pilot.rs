@@ -34,7 +34,8 @@ const LOOK_PERIOD_MICROS: i64 = 300_000;
 /// Time at a viewpoint: five scans.
 const STAY_MICROS: i64 = 500_000;
 
-/// A goal counts as seen when this share of its frontier is left, or this share of what was to be seen from there.
+/// A goal counts as seen when this share of its frontier is left, or this share of what was to be seen from
+/// there.
 const SEEN_SHARE: f64 = 0.3;
 
 /// Metres around the robot within which paths are searched first.
@@ -217,8 +218,8 @@ impl Pilot {
             && self.has_targets()
     }
 
-    /// Makes do with less clearance from now on: what was a path when less of it was known may have turned out too
-    /// narrow.
+    /// Makes do with less clearance from now on: what was a path when less of it was known may have turned
+    /// out too narrow.
     fn squeeze(&mut self) {
         self.config.navigation.clearance_m -= CLEARANCE_STEP_M;
         // The same region as before, so it works, and cells keep their numbers.
@@ -323,9 +324,9 @@ impl Pilot {
             || self.gain(&goal.viewpoint) <= SEEN_SHARE * goal.viewpoint.gain
     }
 
-    /// The goal in the own regions with the most to see for the time it takes; those in the first region of a tour
-    /// through all own regions count more. Only what the last flood reached. What turns out to have been seen
-    /// meanwhile is dropped.
+    /// The goal in the own regions with the most to see for the time it takes; those in the first region of a
+    /// tour through all own regions count more. Only what the last flood reached. What turns out to have been
+    /// seen meanwhile is dropped.
     fn best_goal(&mut self, from: [f64; 3]) -> Option<Goal> {
         loop {
             let (viewpoints, goal) = self.short_list(from)?;
@@ -336,8 +337,8 @@ impl Pilot {
         }
     }
 
-    /// The best goals by what was known of them, each with what is to be seen from there now, and the best of those.
-    /// `None` if there are none.
+    /// The best goals by what was known of them, each with what is to be seen from there now, and the best of
+    /// those. `None` if there are none.
     fn short_list(&self, from: [f64; 3]) -> Option<(Vec<Viewpoint>, Option<Goal>)> {
         struct Candidate {
             viewpoint: Viewpoint,
@@ -453,7 +454,8 @@ impl Pilot {
     }
 }
 
-/// Whether a cell is not to be flown in for other reasons than the map: its height, or others (cells in ascending order).
+/// Whether a cell is not to be flown in for other reasons than the map: its height, or others (cells in
+/// ascending order).
 fn is_closed(grid: &NavigationGrid, heights_m: [f64; 2], near_mates: &[usize], cell: usize) -> bool {
     let z = grid.cells.centre(cell)[2];
     z < heights_m[0] || z > heights_m[1] || near_mates.binary_search(&cell).is_ok()

@@ -19,10 +19,11 @@ const DRAWN_ONE_IN: u64 = 8;
 
 /// The voxels of a region that a sensor can see from somewhere.
 ///
-/// An estimate from below and above at once: a voxel counts if the ray to its centre from one of the places (one in each
-/// box of 1.2 × 1.2 × 0.6 m in which a robot can be) is within the reach of the sensor and either ends in the voxel or goes
-/// through its centre and, unless rays without a return are delivered, hits something further on. A robot
-/// may see a little more (from places in between), and not everything that counts is easy to see.
+/// An estimate from below and above at once: a voxel counts if the ray to its centre from one of the places
+/// (one in each box of 1.2 × 1.2 × 0.6 m in which a robot can be) is within the reach of the sensor and
+/// either ends in the voxel or goes through its centre and, unless rays without a return are delivered, hits
+/// something further on. A robot may see a little more (from places in between), and not everything that
+/// counts is easy to see.
 pub(super) struct Seeable {
     blocks: BTreeMap<BlockIndex, Plane>,
     count: u64,
@@ -37,8 +38,8 @@ pub(super) struct Eyes<'a> {
 }
 
 impl Seeable {
-    /// For robots that can start at `start` and fly where `may_fly` says, in the world as it is (`truth`). `goes_on` is called with
-    /// how many of how many blocks are done; `None` once it has said no.
+    /// For robots that can start at `start` and fly where `may_fly` says, in the world as it is (`truth`).
+    /// `goes_on` is called with how many of how many blocks are done; `None` once it has said no.
     pub(super) fn new(
         eyes: &Eyes<'_>,
         truth: &NavigationGrid,

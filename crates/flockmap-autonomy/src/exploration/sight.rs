@@ -6,15 +6,16 @@ use flockmap_worlds::Lidar;
 use flockmap_worlds::curve::wrapped;
 use libm::{atan2, cos, exp, sin, tan};
 
-/// Rays around and from the lowest to the highest elevation: those by which a place is judged, and those of a look,
-/// which has to come to every cell that a scan comes to.
+/// Rays around and from the lowest to the highest elevation: those by which a place is judged, and those of a
+/// look, which has to come to every cell that a scan comes to.
 const FAN: [usize; 2] = [60, 12];
 const LOOK_FAN: [usize; 2] = [120, 36];
 
 /// Metres of Unknown space behind which nothing is expected to be seen.
 const DEPTH_M: f64 = 2.0;
 
-/// Metres of Unknown space that let one ray in e (2.7) through: what is unknown is mostly so because something hides it.
+/// Metres of Unknown space that let one ray in e (2.7) through: what is unknown is mostly so because
+/// something hides it.
 const FADE_M: f64 = 0.9;
 
 /// The reach of a LiDAR on a robot that flies level.
@@ -60,8 +61,8 @@ impl Sight {
         is_all_around || yaw.is_none_or(|yaw| wrapped(atan2(d[1], d[0]) - yaw).abs() <= self.half_azimuth)
     }
 
-    /// Whether an Unknown cell next to a frontier cell can be seen that is worth it: in reach, and nothing but Free
-    /// cells in between.
+    /// Whether an Unknown cell next to a frontier cell can be seen that is worth it: in reach, and nothing
+    /// but Free cells in between.
     pub(super) fn sees_beyond(
         &self,
         grid: &NavigationGrid,
@@ -80,8 +81,9 @@ impl Sight {
         })
     }
 
-    /// About how many Unknown cells can be seen from a place. `probability` says for a cell and an octant how likely a ray comes
-    /// back from there: 1 for what was never looked at, 0 for what it makes no sense to look at from there.
+    /// About how many Unknown cells can be seen from a place. `probability` says for a cell and an octant how
+    /// likely a ray comes back from there: 1 for what was never looked at, 0 for what it makes no sense to
+    /// look at from there.
     pub(super) fn gain(
         &self,
         grid: &NavigationGrid,
@@ -121,7 +123,8 @@ impl Sight {
         volume / (step * step * step)
     }
 
-    /// The first Unknown cell in each direction of a look, behind nothing but Free ones, and the octant of the direction.
+    /// The first Unknown cell in each direction of a look, behind nothing but Free ones, and the octant of
+    /// the direction.
     pub(super) fn first_unknown<'a>(
         &'a self,
         grid: &'a NavigationGrid,

@@ -31,8 +31,8 @@ pub(super) fn truth(world: &World, config: &NavigationConfig) -> Result<Navigati
     Ok(grid)
 }
 
-/// Places for robots to start from: together, near the middle, in the largest part of the world that hangs together.
-/// Fewer than asked for if there is no room for more.
+/// Places for robots to start from: together, near the middle, in the largest part of the world that hangs
+/// together. Fewer than asked for if there is no room for more.
 pub(super) fn places(
     truth: &NavigationGrid,
     robots: usize,

@@ -69,7 +69,8 @@ pub enum NavigationError {
 pub enum CellState {
     /// Less than half of its voxels are known, and none is Occupied.
     Unknown,
-    /// At least half of its voxels are Free, and none is Occupied. Single voxels that no ray met make no cell Unknown.
+    /// At least half of its voxels are Free, and none is Occupied. Single voxels that no ray met make no cell
+    /// Unknown.
     Free,
     /// At least one of its voxels is Occupied.
     Occupied,

@@ -26,8 +26,8 @@ impl Default for MotionLimits {
 /// A robot that flies along a path and keeps its limits, level, with a yaw of its own.
 ///
 /// It never leaves its path, and can always stop on it: new waypoints replace only what lies beyond the point
-/// at which it could come to rest ([`Self::stopping_point`]). So a path that is free of obstacles up to there stays so,
-/// whatever is planned next. Deterministic: basic operations, square roots and `libm` only.
+/// at which it could come to rest ([`Self::stopping_point`]). So a path that is free of obstacles up to there
+/// stays so, whatever is planned next. Deterministic: basic operations, square roots and `libm` only.
 ///
 /// ```
 /// use flockmap_autonomy::{Motion, MotionLimits};
@@ -170,7 +170,8 @@ impl Motion {
     ) {
         let committed = self.stopping_path(limits);
         let speed = self.speed();
-        // The corner at which the new path leaves the old one is rounded only as far as the robot can still slow down.
+        // The corner at which the new path leaves the old one is rounded only as far as the robot can still
+        // slow down.
         let mut tail_m = straight_tail_m(&committed).min(CORNER_M);
         loop {
             let (points, kept) = rounded(&committed, tail_m, waypoints, &fits);

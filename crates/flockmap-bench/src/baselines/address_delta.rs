@@ -1,10 +1,11 @@
-//! The changed voxels as a sorted list of addresses, differences of neighbours as varints, zstd 19 on top: what a good engineer
-//! would try before anything else. Of three layouts the smallest is sent.
+//! The changed voxels as a sorted list of addresses, differences of neighbours as varints, zstd 19 on top:
+//! what a good engineer would try before anything else. Of three layouts the smallest is sent.
 //!
-//! A message: layout (u8), lowest voxel of the box (3 × i32), sides of the box (3 varints), then length and zstd frame of the lists.
-//! Layout 0, nested order: number of voxels; distances to the voxel before; a bit a voxel, 1 for occupied.
-//! Layout 1, nested order, and 2, Morton order: number of runs of neighbouring voxels; the gap before each; the length of each, less
-//! 1; then lengths of runs of one state along the list, free first.
+//! A message: layout (u8), lowest voxel of the box (3 × i32), sides of the box (3 varints), then length and
+//! zstd frame of the lists. Layout 0, nested order: number of voxels; distances to the voxel before; a bit a
+//! voxel, 1 for occupied. Layout 1, nested order, and 2, Morton order: number of runs of neighbouring voxels;
+//! the gap before each; the length of each, less 1; then lengths of runs of one state along the list, free
+//! first.
 
 use anyhow::{Context, Result, ensure};
 use flockmap::codec::Batch;
@@ -139,7 +140,8 @@ fn runs(list: &[(u64, State)]) -> Vec<u8> {
     out
 }
 
-/// What a message changes. Memory: what it unpacks to, at most 64 MiB, and 16 bytes for each of at most 2²³ voxels.
+/// What a message changes. Memory: what it unpacks to, at most 64 MiB, and 16 bytes for each of at most 2²³
+/// voxels.
 pub(crate) fn parse(message: &[u8]) -> Option<Changes> {
     let mut reader = Reader::new(message);
     let layout = reader.u8()?;

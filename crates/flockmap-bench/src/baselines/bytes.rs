@@ -38,7 +38,8 @@ pub(crate) fn read_f64s<const N: usize>(reader: &mut Reader<'_>) -> Option<[f64;
     Some(numbers)
 }
 
-/// The place of a voxel in a box that holds it, in nested order: x slowest, z fastest. The box has at most 2⁶³ voxels.
+/// The place of a voxel in a box that holds it, in nested order: x slowest, z fastest. The box has at most
+/// 2⁶³ voxels.
 pub(crate) fn nested_place(region: &VoxelBox, voxel: Voxel) -> u64 {
     let (min, [_, ny, nz]) = (region.min(), region.size().map(u64::from));
     let [x, y, z] = [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|d| d as u64);
@@ -80,8 +81,8 @@ impl Packer {
     }
 }
 
-/// What the rest of a message was made of by [`Packer::pack`]. Takes the memory that the message asks for, at most
-/// [`UNPACKED_BYTES_MAX`].
+/// What the rest of a message was made of by [`Packer::pack`]. Takes the memory that the message asks for, at
+/// most [`UNPACKED_BYTES_MAX`].
 pub(crate) fn unpack(reader: &mut Reader<'_>) -> Option<Vec<u8>> {
     let length = varint_up_to(reader, UNPACKED_BYTES_MAX as u64)? as usize;
     let plain = zstd::bulk::decompress(reader.rest(), length).ok()?;

@@ -1,9 +1,9 @@
-//! ColAG (the paper's [6]): the addresses of the occupied and of the unknown voxels in a region around the robot; all
-//! else in the region is free.
+//! ColAG (the paper's [6]): the addresses of the occupied and of the unknown voxels in a region around the
+//! robot; all else in the region is free.
 //!
-//! A message: number of boxes; each box as its lowest voxel (3 × i32) and its sides (3 numbers); number of occupied voxels; their
-//! addresses; then the addresses of the unknown voxels up to the end. An address is 4 bytes: the place in the boxes one after
-//! the other, each in nested order. Numbers are varints.
+//! A message: number of boxes; each box as its lowest voxel (3 × i32) and its sides (3 numbers); number of
+//! occupied voxels; their addresses; then the addresses of the unknown voxels up to the end. An address is 4
+//! bytes: the place in the boxes one after the other, each in nested order. Numbers are varints.
 
 use anyhow::{Result, ensure};
 use flockmap::codec::Batch;
@@ -90,8 +90,8 @@ impl ColagSender {
     }
 }
 
-/// What a message changes: what it says to be unknown stays as it was. Memory: 160 bytes for each block of the region, at most
-/// 2²⁶ voxels.
+/// What a message changes: what it says to be unknown stays as it was. Memory: 160 bytes for each block of
+/// the region, at most 2²⁶ voxels.
 pub(crate) fn parse(message: &[u8]) -> Option<Changes> {
     let mut reader = Reader::new(message);
     // A box takes 15 bytes at least.

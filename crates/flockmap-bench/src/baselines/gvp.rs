@@ -1,11 +1,12 @@
-//! The map exchange of GVP-MREP (its message MapC): sub-blocks, homogeneous in 8 bytes, mixed with 2 bits a voxel.
+//! The map exchange of GVP-MREP (its message MapC): sub-blocks, homogeneous in 8 bytes, mixed with 2 bits a
+//! voxel.
 //!
-//! A sub-block goes out when more than 97.5 % of it is known for the first time, or when 2 s have passed since it was last sent (or
-//! first touched) and at least 15 % of its voxels are new or changed. What never comes to either stays unsent. Its place
-//! here is a block of 8³ voxels, looked at when a batch ends.
+//! A sub-block goes out when more than 97.5 % of it is known for the first time, or when 2 s have passed
+//! since it was last sent (or first touched) and at least 15 % of its voxels are new or changed. What never
+//! comes to either stays unsent. Its place here is a block of 8³ voxels, looked at when a batch ends.
 //!
-//! A message is a row of sub-blocks: block index (3 × i16), state (1 occupied, 2 free, 3 mixed), a zero; mixed: 128 bytes, 2
-//! bits a voxel (0 unknown, 1 occupied, 2 free), x fastest.
+//! A message is a row of sub-blocks: block index (3 × i16), state (1 occupied, 2 free, 3 mixed), a zero;
+//! mixed: 128 bytes, 2 bits a voxel (0 unknown, 1 occupied, 2 free), x fastest.
 
 use std::collections::BTreeSet;
 

@@ -85,8 +85,8 @@ impl Method {
         }
     }
 
-    /// The half that listens, with an empty map. `config` is that of the sender's mapper; a relay of scans holds such a
-    /// mapper itself, within its own limit of memory, beside its map.
+    /// The half that listens, with an empty map. `config` is that of the sender's mapper; a relay of scans
+    /// holds such a mapper itself, within its own limit of memory, beside its map.
     ///
     /// # Errors
     /// If no mapper can be made of `config`.

@@ -1,8 +1,8 @@
-//! Methods of sending others what a robot maps, ours and other people's, all behind the same two traits: a [`Sender`]
-//! that makes messages and a [`Receiver`] that makes a map of them, from nothing but the bytes.
+//! Methods of sending others what a robot maps, ours and other people's, all behind the same two traits: a
+//! [`Sender`] that makes messages and a [`Receiver`] that makes a map of them, from nothing but the bytes.
 //!
-//! Every rival is shown at its best, and every lossy or stale behaviour that it has is kept: [`Method::about`] says
-//! in a sentence what is sent, what is kept, and where it comes from.
+//! Every rival is shown at its best, and every lossy or stale behaviour that it has is kept:
+//! [`Method::about`] says in a sentence what is sent, what is kept, and where it comes from.
 
 mod address_delta;
 mod bytes;

@@ -1,7 +1,7 @@
 //! Differences as pruned binary OctoMaps, as MARBLE's marble_mapping sends them.
 //!
-//! The tree of the voxels that have changed, as a `.bt` file holds it after its header. A message: number (u32), side of a voxel in
-//! metres (f64), the tree.
+//! The tree of the voxels that have changed, as a `.bt` file holds it after its header. A message: number
+//! (u32), side of a voxel in metres (f64), the tree.
 
 use anyhow::{Result, anyhow, ensure};
 use flockmap::codec::Batch;

@@ -1,12 +1,13 @@
 //! How the points of scans are put into a relay's message.
 //!
-//! For each scan there are two lists, the returns and the rays without one; a point is three numbers.
-//! Exact: the bits of the coordinates as `f32`, in the order of the scan. Of each the difference to the point before (layout 0), or to the
-//! sixth before (layout 1: LiDARs of six lines), wrapping and in zigzag form; then for each axis and each byte of the differences,
-//! from the lowest, the bytes of all points.
-//! Centimetres: whole numbers in the frame of the sensor plus 2¹⁹, in Morton order. Layout 2: differences of the codes as
-//! varints. Layout 3: octrees, level by level from the root: for each node a byte with a bit for each child that holds points;
-//! after 20 levels, for each leaf the number of its points less 1, as varints. Empty lists have no tree.
+//! For each scan there are two lists, the returns and the rays without one; a point is three numbers. Exact:
+//! the bits of the coordinates as `f32`, in the order of the scan. Of each the difference to the point before
+//! (layout 0), or to the sixth before (layout 1: LiDARs of six lines), wrapping and in zigzag form; then for
+//! each axis and each byte of the differences, from the lowest, the bytes of all points. Centimetres: whole
+//! numbers in the frame of the sensor plus 2¹⁹, in Morton order. Layout 2: differences of the codes as
+//! varints. Layout 3: octrees, level by level from the root: for each node a byte with a bit for each child
+//! that holds points; after 20 levels, for each leaf the number of its points less 1, as varints. Empty lists
+//! have no tree.
 
 use flockmap_cli::team::is_masked;
 
@@ -138,8 +139,8 @@ fn write_octrees(lists: Vec<Vec<u64>>, out: &mut Vec<u8>) {
     }
 }
 
-/// The points of scans with these numbers of points, as coordinates in metres. Takes no memory for points before it is sure
-/// that the message holds so many, at most [`POINTS_MAX`].
+/// The points of scans with these numbers of points, as coordinates in metres. Takes no memory for points
+/// before it is sure that the message holds so many, at most [`POINTS_MAX`].
 pub(crate) fn read(
     layout: u8,
     counts: &[[usize; 2]],

@@ -1,11 +1,14 @@
 //! The scans themselves, cast again at the receiver with an equal mapper.
 //!
-//! At the end of each batch all its scans go out in one message, since a mapper gives an equal map only if it takes the same
-//! changes at the same times. The order of the points of a scan makes no difference to a mapper, so a relay may choose it.
+//! At the end of each batch all its scans go out in one message, since a mapper gives an equal map only if it
+//! takes the same changes at the same times. The order of the points of a scan makes no difference to a
+//! mapper, so a relay may choose it.
 //!
-//! A message: what the batch took, 0 all changes, 1 only occupied voxels, 2 nothing since it goes on; layout (u8); then length and zstd frame of the scans. For each scan: a 1;
-//! stamp (i64); pose (translation and quaternion, 7 × f64); number of masks; their centres and radii (4 × f64); number of
-//! points; number of rays without a return. A 0 ends the scans; then come the points of all scans, as the module `relay_points` says.
+//! A message: what the batch took, 0 all changes, 1 only occupied voxels, 2 nothing since it goes on; layout
+//! (u8); then length and zstd frame of the scans. For each scan: a 1; stamp (i64); pose (translation and
+//! quaternion, 7 × f64); number of masks; their centres and radii (4 × f64); number of points; number of rays
+//! without a return. A 0 ends the scans; then come the points of all scans, as the module `relay_points`
+//! says.
 
 use anyhow::{Context, Result, ensure};
 use flockmap::codec::Batch;

@@ -18,8 +18,9 @@ pub struct Observation<'a> {
 /// Messages, in the order in which they go out.
 pub type Messages = Vec<Vec<u8>>;
 
-/// The half that sends. Every method is given the same scans and the same batches, in this order: for each scan [`Self::scan`], then
-/// [`Self::batch`] for each batch that it closes. What its rules keep back at the end of the record stays unsent.
+/// The half that sends. Every method is given the same scans and the same batches, in this order: for each
+/// scan [`Self::scan`], then [`Self::batch`] for each batch that it closes. What its rules keep back at the
+/// end of the record stays unsent.
 pub trait Sender: Send {
     /// A scan has been mapped. Appends messages to `out`; most methods wait for the batch.
     ///
@@ -29,21 +30,23 @@ pub trait Sender: Send {
         Ok(())
     }
 
-    /// A batch of mapping is closed with these net changes, of which there is at least one. Appends messages to `out`.
+    /// A batch of mapping is closed with these net changes, of which there is at least one. Appends messages
+    /// to `out`.
     ///
     /// # Errors
     /// If the changes cannot be put into messages of this method.
     fn batch(&mut self, now: Stamp, batch: &Batch, changes: &Changes, out: &mut Messages) -> Result<()>;
 
-    /// The messages of a batch are out. Here a sender does what a robot does anyhow to know its own map, and what is not
-    /// counted as time for the batch.
+    /// The messages of a batch are out. Here a sender does what a robot does anyhow to know its own map, and
+    /// what is not counted as time for the batch.
     fn published(&mut self, _batch: &Batch, _changes: &Changes) {}
 }
 
-/// The half that listens. It is given the messages of one sender in order, none lost, and makes a map of nothing but their bytes.
+/// The half that listens. It is given the messages of one sender in order, none lost, and makes a map of
+/// nothing but their bytes.
 pub trait Receiver: Send {
-    /// Takes in a message. Memory: the map, kept within [`super::BLOCKS_MAX`] blocks, and what the message unpacks to, at
-    /// most 256 MB.
+    /// Takes in a message. Memory: the map, kept within [`super::BLOCKS_MAX`] blocks, and what the message
+    /// unpacks to, at most 256 MB.
     ///
     /// # Errors
     /// If the message is damaged, or the map is full.

@@ -21,7 +21,8 @@ pub struct PaperArgs {
     /// [default: hku_mb in the folder that FLOCKMAP_DATA names, if it is there]
     #[arg(value_name = "RECORD")]
     pub records: Vec<PathBuf>,
-    /// Everything on a small scale, for a first look: short flights, few draws and seeds; the figures are not the paper's
+    /// Everything on a small scale, for a first look: short flights, few draws and seeds; the figures are not
+    /// the paper's
     #[arg(long)]
     pub quick: bool,
     /// Folder for report.html, report.json and a CSV file for each table
@@ -30,7 +31,8 @@ pub struct PaperArgs {
     /// Keep the flights: DIR/records/forest/robot1.mcap and so on
     #[arg(long)]
     pub keep_records: bool,
-    /// Take flights that were kept before in place of exploring: DIR/forest/robot1.mcap and robot2.mcap, DIR/indoor/robot1.mcap to robot5.mcap
+    /// Take flights that were kept before in place of exploring: DIR/forest/robot1.mcap and robot2.mcap,
+    /// DIR/indoor/robot1.mcap to robot5.mcap
     #[arg(long, value_name = "DIR", conflicts_with = "keep_records")]
     pub flights: Option<PathBuf>,
     /// Only these parts
@@ -42,7 +44,8 @@ pub struct PaperArgs {
     /// LiDAR of the simulated robots
     #[arg(long, value_name = "NAME", default_value_t = Lidar::Avia)]
     pub lidar: Lidar,
-    /// How its beams meet the world: polar (an image of ranges from points, as in the MARSIM simulator of the paper) or cast (exact)
+    /// How its beams meet the world: polar (an image of ranges from points, as in the MARSIM simulator of the
+    /// paper) or cast (exact)
     #[arg(long, value_name = "NAME", default_value_t = Rendering::Polar)]
     pub rendering: Rendering,
     /// Explorations are ended after so many seconds of flight, complete or not [default: 400; with --quick 10]

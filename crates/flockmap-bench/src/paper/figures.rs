@@ -1,5 +1,5 @@
-//! What the paper reports, to stand beside our own figures. KB and MB are as the paper prints them; it does not say
-//! whether they are of 1,000 or 1,024 bytes.
+//! What the paper reports, to stand beside our own figures. KB and MB are as the paper prints them; it does
+//! not say whether they are of 1,000 or 1,024 bytes.
 
 use crate::place::Place;
 
@@ -53,7 +53,8 @@ pub const TABLE_ONE: [TableOneRow; 4] = [
 ];
 
 impl TableOneRow {
-    /// How many times the paper's volume RACER's is: the honest saving, since the averages are over different times.
+    /// How many times the paper's volume RACER's is: the honest saving, since the averages are over different
+    /// times.
     pub fn volume_ratio(&self) -> f64 {
         self.racer[2] / self.paper[2]
     }

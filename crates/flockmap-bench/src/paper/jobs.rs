@@ -3,8 +3,9 @@
 use flockmap_cli::parallel::in_parallel;
 use flockmap_cli::{progress, stop};
 
-/// Does the same work for all jobs, each with its name for progress, so many at a time. Results are in the order of the jobs,
-/// whatever order they end in; `None` for what Ctrl-C kept from being done, or from being done to its end.
+/// Does the same work for all jobs, each with its name for progress, so many at a time. Results are in the
+/// order of the jobs, whatever order they end in; `None` for what Ctrl-C kept from being done, or from being
+/// done to its end.
 pub fn run<J: Send, T: Send>(
     threads: usize,
     jobs: Vec<(String, J)>,

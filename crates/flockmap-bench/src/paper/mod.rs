@@ -36,8 +36,8 @@ use flown::{Explored, Flown};
 /// Of what can be seen an exploration must see this share.
 const SEEN_SHARE: f64 = 0.95;
 
-/// In the order in which stages are done, and in which they stand in the report: a name, and the seconds that it took on two cores,
-/// as it is and quick. For the time left: only their proportions count.
+/// In the order in which stages are done, and in which they stand in the report: a name, and the seconds that
+/// it took on two cores, as it is and quick. For the time left: only their proportions count.
 static STAGES: [(Stage, &str, [f64; 2]); 7] = [
     (Stage::Table1, "Table I, all methods on four explorations", [400.0, 45.0]),
     (Stage::Table2, "Table II, Hilbert walk against nested order", [20.0, 1.0]),
@@ -213,7 +213,8 @@ impl Bench<'_> {
             return Ok(flown.unwrap_or_default());
         }
         let flown = self.part("exploring", |bench| {
-            // What robots do between their scans is done one after the other: two flights side by side leave no core idle.
+            // What robots do between their scans is done one after the other: two flights side by side leave
+            // no core idle.
             let threads = (bench.threads / scenes.len()).max(1);
             let args = bench.args;
             let job = |scene: &Place| {

@@ -1,4 +1,5 @@
-//! Table IV: the time to pack a batch, and from receiving it to the fused map. Nothing else runs meanwhile, and all of it on one core.
+//! Table IV: the time to pack a batch, and from receiving it to the fused map. Nothing else runs meanwhile,
+//! and all of it on one core.
 
 use std::time::{Duration, Instant};
 

@@ -10,8 +10,8 @@ use flockmap_cli::stop;
 use flockmap_worlds::Random;
 use serde::Serialize;
 
-/// Maps whose voxels need addresses of 2, 3, 3 and 4 bytes. The paper does not say its sizes. The last is a forest of
-/// 60 × 25.6 × 12 m at 0.1 m.
+/// Maps whose voxels need addresses of 2, 3, 3 and 4 bytes. The paper does not say its sizes. The last is a
+/// forest of 60 × 25.6 × 12 m at 0.1 m.
 const SIZES: [[u32; 3]; 4] = [[32, 32, 32], [64, 64, 64], [128, 128, 128], [600, 256, 120]];
 
 /// Shares of voxels that changed: 10⁻⁴ to 1.
@@ -124,8 +124,9 @@ fn entropy(share: f64) -> f64 {
     [share, 1.0 - share].into_iter().filter(|p| *p > 0.0).map(|p| -p * p.log2()).sum()
 }
 
-/// Exactly `count` voxels of the map, each Free or Occupied with the same probability. Two opposite corners of the map are always
-/// among them: the whole map is the box then, as in the paper's figure, and no method gains from a smaller one.
+/// Exactly `count` voxels of the map, each Free or Occupied with the same probability. Two opposite corners
+/// of the map are always among them: the whole map is the box then, as in the paper's figure, and no method
+/// gains from a smaller one.
 fn draw(size: [u32; 3], count: u64, random: &mut Random) -> Changes {
     let voxels = volume(size);
     let [x, y, z] = size.map(|side| side as i32 - 1);

@@ -9,10 +9,12 @@ use flockmap_codec::training::{self, ROUNDS, Trainer};
 use super::recording::{Closing, Recording};
 use super::scenes::Scans;
 
-/// Batches that are learned from, of each recording with all changes together, at even distances: those of a minute, so that a longer
-/// flight does not outweigh the others. With a third of them packages became 0.2 to 0.5 % larger.
+/// Batches that are learned from, of each recording with all changes together, at even distances: those of a
+/// minute, so that a longer flight does not outweigh the others. With a third of them packages became 0.2 to
+/// 0.5 % larger.
 const BATCHES_TOGETHER: usize = 120;
-/// The same of recordings whose obstacles go ahead. Such a batch has a few voxels in place of thousands, and there are five times as many.
+/// The same of recordings whose obstacles go ahead. Such a batch has a few voxels in place of thousands, and
+/// there are five times as many.
 const BATCHES_OF_OBSTACLES: usize = 600;
 
 /// The file of the tables. The same bytes whatever the number of threads.
@@ -64,7 +66,8 @@ fn learn(samples: &[Sample<'_>], progress: &Progress) -> Trainer {
     for _ in 0..ROUNDS {
         for Sample { recording, chosen } in samples {
             let mut chosen = chosen.iter().copied().peekable();
-            // What those who receive the robot hold before each batch. Nothing after the last chosen batch matters.
+            // What those who receive the robot hold before each batch. Nothing after the last chosen batch
+            // matters.
             let mut layer = Layer::default();
             for (number, (batch, changes)) in recording.batches.iter().enumerate() {
                 if chosen.next_if_eq(&number).is_some() {

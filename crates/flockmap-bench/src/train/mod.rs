@@ -1,4 +1,5 @@
-//! `flockmap-bench train`: makes the tables of the codec `flock` from generated flights. Explained in `docs/codec-training.md`.
+//! `flockmap-bench train`: makes the tables of the codec `flock` from generated flights. Explained in
+//! `docs/codec-training.md`.
 
 mod learning;
 mod recording;
@@ -14,8 +15,9 @@ use flockmap_codec::training;
 
 /// Make the tables that the codec `flock` ships, from flights through generated worlds
 ///
-/// Flies robots through forests and offices, maps what they see, and learns from their batches how likely each change is. The same source
-/// gives the same bytes on every machine and with any number of threads. It takes a few minutes and needs a release build.
+/// Flies robots through forests and offices, maps what they see, and learns from their batches how likely
+/// each change is. The same source gives the same bytes on every machine and with any number of threads. It
+/// takes a few minutes and needs a release build.
 #[derive(Args, Debug)]
 #[command(
     arg_required_else_help = true,

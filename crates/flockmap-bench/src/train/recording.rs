@@ -48,8 +48,9 @@ struct Flight<'a> {
     poses: Vec<(Stamp, Pose)>,
 }
 
-/// Flies all scenes and maps every flight at every size, with both closings. The same recordings in the same order, whatever
-/// the number of threads. Holds all batches: about 130 bytes for each block of 8³ voxels that changed.
+/// Flies all scenes and maps every flight at every size, with both closings. The same recordings in the same
+/// order, whatever the number of threads. Holds all batches: about 130 bytes for each block of 8³ voxels that
+/// changed.
 pub fn record(scenes: &[Scene], threads: usize) -> anyhow::Result<Vec<Recording>> {
     let progress = Progress::new("worlds", scenes.len() as u64);
     let planned = in_parallel(threads, scenes, |scene| {

@@ -1,7 +1,7 @@
 //! What the tables are learned from: flights through generated worlds.
 //!
-//! Benchmarks fly with seed 1, so no seed here is 1: a codec must not be measured on what it has learned. Nothing recorded is used,
-//! so that anybody can make the tables again from nothing but the repository.
+//! Benchmarks fly with seed 1, so no seed here is 1: a codec must not be measured on what it has learned.
+//! Nothing recorded is used, so that anybody can make the tables again from nothing but the repository.
 
 use flockmap_worlds::Lidar;
 

@@ -52,7 +52,8 @@ const SETTLE_MAX: Duration = Duration::from_secs(20);
 /// How often nodes are asked how they do.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
-/// What a node reports while it runs. It is counted on the thread of the demo, so that counting costs the nodes nothing.
+/// What a node reports while it runs. It is counted on the thread of the demo, so that counting costs the
+/// nodes nothing.
 enum Update {
     Scan { stamp: Stamp, report: ScanReport },
     Event { now: Stamp, event: Event },
@@ -200,8 +201,8 @@ fn fly(
     }
 }
 
-/// Closes the last batches and waits until everything has arrived everywhere. When it had, counted from the begin; `None` if it
-/// did not happen.
+/// Closes the last batches and waits until everything has arrived everywhere. When it had, counted from the
+/// begin; `None` if it did not happen.
 fn settle(
     flyers: &mut [Flyer],
     nodes: &[NodeHandle],
@@ -237,7 +238,8 @@ fn settle(
 
 const ENDED: &str = "a node has ended too early";
 
-/// Counts what a node reported. It reports a scan before it sends what came of it, so the scan is always counted first.
+/// Counts what a node reported. It reports a scan before it sends what came of it, so the scan is always
+/// counted first.
 fn count(flyers: &mut [Flyer], (number, update): (usize, Update)) {
     // The age counts from the scan that the sender made the voxel of.
     if let Update::Event { now, event: Event::Merged { stream, changes, .. } } = &update

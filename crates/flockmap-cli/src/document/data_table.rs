@@ -9,7 +9,8 @@ use crate::numbers::{percent, thousands};
 /// A table of values.
 #[derive(Default)]
 pub struct DataTable {
-    /// Name of the CSV file, and of the table in the JSON. Without one it is in neither: what it shows is among the facts.
+    /// Name of the CSV file, and of the table in the JSON. Without one it is in neither: what it shows is
+    /// among the facts.
     pub id: String,
     /// Name in CSV and JSON, with unit, and heading for people.
     pub columns: Vec<(&'static str, &'static str)>,

@@ -344,7 +344,8 @@ fn pairs(robots: &[Member]) -> Vec<Pair> {
         for receiver in robots.iter().map(|member| &member.robot) {
             let layer = receiver.fusion().layer(stream).unwrap_or(&none);
             let mut compared = Comparison::of_layers(layer, reported);
-            // What the origin's own map knows now must be what it published, too. A voxel that has become Unknown since stays as published.
+            // What the origin's own map knows now must be what it published, too. A voxel that has become
+            // Unknown since stays as published.
             for (index, block) in origin.mapper().blocks() {
                 let received = layer.block(index).copied().unwrap_or_default();
                 let wrong: u32 = block.minus(&received).known_count();

@@ -1,4 +1,5 @@
-//! Which tables suit the changes of a batch: a few blocks are coded with each of them, only to add up what they cost.
+//! Which tables suit the changes of a batch: a few blocks are coded with each of them, only to add up what
+//! they cost.
 
 use flockmap_grid::BaseSuperseded;
 

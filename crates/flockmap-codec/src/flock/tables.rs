@@ -1,7 +1,7 @@
 //! The tables of the model: what a context is worth, and where the probabilities of a package begin.
 //!
-//! They are made by a program from generated scenes (`docs/codec.md`) and shipped with the codec, so
-//! that every package can be read without another. The static part says of each context how likely a bit is, in 64
+//! They are made by a program from generated scenes (`docs/codec.md`) and shipped with the codec, so that
+//! every package can be read without another. The static part says of each context how likely a bit is, in 64
 //! levels; the probabilities proper belong to levels, not to contexts, and are learned anew in every package.
 
 use std::sync::OnceLock;

@@ -1,6 +1,7 @@
 //! Input of the fuzzer as a row of choices.
 
-/// Reads choices from bytes; after the last byte every choice is 0. Each takes whole bytes, so that a changed byte changes one choice.
+/// Reads choices from bytes; after the last byte every choice is 0. Each takes whole bytes, so that a changed
+/// byte changes one choice.
 pub(crate) struct Choices<'a>(&'a [u8]);
 
 impl<'a> Choices<'a> {

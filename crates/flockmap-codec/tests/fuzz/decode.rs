@@ -41,7 +41,8 @@ pub(crate) fn run(fuzz: &mut Fuzz, input: &[u8]) {
     }
 }
 
-/// What was decoded is of interest though its check was wrong: the package with the check that fits, and what it says.
+/// What was decoded is of interest though its check was wrong: the package with the check that fits, and what
+/// it says.
 pub(crate) fn mended<T>(
     package: &Package,
     [stated, found]: [u32; 2],

@@ -1,4 +1,5 @@
-//! A flight of a few batches, whatever it is: every package decodes to what was encoded, in any order that its bases allow.
+//! A flight of a few batches, whatever it is: every package decodes to what was encoded, in any order that
+//! its bases allow.
 //!
 //! Input: choices.
 
@@ -17,7 +18,8 @@ const BATCHES_MAX: usize = 5;
 struct Sender {
     stream: Stream,
     resolution: Resolution,
-    /// One for all batches: the packages of other codecs do not say that they change what one of `flock` looks at.
+    /// One for all batches: the packages of other codecs do not say that they change what one of `flock`
+    /// looks at.
     codec: Codec,
     /// Where its world is.
     corner: Voxel,

@@ -34,9 +34,9 @@ impl Alignment {
 
     /// What a layer says of a voxel of the own grid, and with which stamp.
     ///
-    /// Occupied voxels are carried forward: the voxel is Occupied if the centre of any occupied voxel of the layer
-    /// comes to lie in it, so that no obstacle is lost. Free is looked up backwards: the voxel is Free if its own
-    /// centre lies in a free voxel of the layer, so that no holes appear.
+    /// Occupied voxels are carried forward: the voxel is Occupied if the centre of any occupied voxel of the
+    /// layer comes to lie in it, so that no obstacle is lost. Free is looked up backwards: the voxel is Free
+    /// if its own centre lies in a free voxel of the layer, so that no holes appear.
     pub(super) fn look_up(&self, layer: &Layer, target: Voxel) -> Option<(State, Stamp)> {
         let [low, high] = self.backward.near(target);
         let mut occupied: Option<Stamp> = None;
@@ -58,8 +58,8 @@ impl Alignment {
         }
     }
 
-    /// What a layer says of voxels of the own grid, [`Self::look_up`] of each: forwards, block by block, the number of the target and the
-    /// states. Occupied voxels are carried forward once for all targets.
+    /// What a layer says of voxels of the own grid, [`Self::look_up`] of each: forwards, block by block, the
+    /// number of the target and the states. Occupied voxels are carried forward once for all targets.
     pub(super) fn blocks(
         &self,
         layer: &Layer,

@@ -1,4 +1,5 @@
-//! Fusion: own observations and the layers of all others, aligned into one map; the newest stamp wins (Sec. IV-C).
+//! Fusion: own observations and the layers of all others, aligned into one map; the newest stamp wins (Sec.
+//! IV-C).
 
 mod align;
 mod received;
@@ -26,9 +27,10 @@ pub struct FusionConfig {
     /// Microseconds; default 1 s.
     #[cfg_attr(feature = "serde", serde(rename = "own_priority_ms", with = "crate::units::Times::<1_000>"))]
     pub own_priority_micros: i64,
-    /// Most bytes that the layers of all other streams may hold together, with what they add to the fused map; what goes beyond is
-    /// refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule, and 11 kB if each of its voxels changed last in another batch. One
-    /// merge may go beyond by what it adds to the fused map in new places, at most 64 MiB. Default 512 MiB.
+    /// Most bytes that the layers of all other streams may hold together, with what they add to the fused
+    /// map; what goes beyond is refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule, and 11 kB if
+    /// each of its voxels changed last in another batch. One merge may go beyond by what it adds to the fused
+    /// map in new places, at most 64 MiB. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "layers_mb", with = "crate::units::Mebibytes"))]
     pub layer_bytes_max: usize,
     /// The same for the layer of the own stream: what of the own map was published. Default 256 MiB.
@@ -50,11 +52,12 @@ impl Default for FusionConfig {
     }
 }
 
-/// Blocks of the fused map that a new block of a layer in another frame is taken to add, before it is there and they are counted.
+/// Blocks of the fused map that a new block of a layer in another frame is taken to add, before it is there
+/// and they are counted.
 const REACHED_BLOCKS: usize = 4;
 
-/// Blocks of the fused map that are worked out together: enough that what they have in common is looked at once, few enough that what
-/// is noted of them, half a kilobyte each, stays small.
+/// Blocks of the fused map that are worked out together: enough that what they have in common is looked at
+/// once, few enough that what is noted of them, half a kilobyte each, stays small.
 const REFRESHED_AT_ONCE: usize = 2_048;
 
 /// Why changes were not taken into a layer.
@@ -170,10 +173,10 @@ impl Fusion {
         self.refresh(mapper, &forgotten);
     }
 
-    /// Takes changes into the layer of a stream, and from there into the fused map. `stamp` is on the clock of the
-    /// origin, `now` on the own one. In the layer the stamp stands as it is; among layers, and beside what the robot sees itself, what came
-    /// now counts as made now at the latest, to a quarter of a second. Returns how many voxels of the layer were taken over (older
-    /// ones are not).
+    /// Takes changes into the layer of a stream, and from there into the fused map. `stamp` is on the clock
+    /// of the origin, `now` on the own one. In the layer the stamp stands as it is; among layers, and beside
+    /// what the robot sees itself, what came now counts as made now at the latest, to a quarter of a second.
+    /// Returns how many voxels of the layer were taken over (older ones are not).
     ///
     /// # Errors
     /// [`FusionError`] if the layers would grow beyond their limits; nothing is changed then.
@@ -212,7 +215,8 @@ impl Fusion {
         self.layer_bytes + self.view.memory_bytes().saturating_sub(mapper.block_count() * VIEW_BLOCK_BYTES)
     }
 
-    /// Whether the layer of a stream may take these changes over, each with a stamp of its own, and so many sensors.
+    /// Whether the layer of a stream may take these changes over, each with a stamp of its own, and so many
+    /// sensors.
     fn check_room<'a>(
         &self,
         mapper: &Mapper,
@@ -248,8 +252,8 @@ impl Fusion {
         if held + more <= max { Ok(()) } else { Err(FusionError::LayersFull { held, more, max }) }
     }
 
-    /// Lets a layer take something over that came now, up to this stamp, and brings what it took into the fused map. Returns the number
-    /// of voxels.
+    /// Lets a layer take something over that came now, up to this stamp, and brings what it took into the
+    /// fused map. Returns the number of voxels.
     fn take_over(
         &mut self,
         mapper: &Mapper,
@@ -300,7 +304,8 @@ impl Fusion {
         self.own = own;
     }
 
-    /// Forgets the layer of a stream; and with the last one of an origin how far its clock is off, unless it has an alignment or is muted.
+    /// Forgets the layer of a stream; and with the last one of an origin how far its clock is off, unless it
+    /// has an alignment or is muted.
     pub fn forget(&mut self, mapper: &Mapper, stream: Stream) {
         if let Some(source) = self.sources.remove(&stream) {
             if stream != self.own {
@@ -316,11 +321,13 @@ impl Fusion {
         }
     }
 
-    /// Says how an origin's frame lies in this robot's frame. Nothing has to be sent again: the fused map is made anew
-    /// from the layers. What comes to lie beyond the end of the grid is left out. O(voxels of all layers).
+    /// Says how an origin's frame lies in this robot's frame. Nothing has to be sent again: the fused map is
+    /// made anew from the layers. What comes to lie beyond the end of the grid is left out. O(voxels of all
+    /// layers).
     ///
     /// # Errors
-    /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; nothing is changed then.
+    /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; nothing is changed
+    /// then.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn set_alignment(
         &mut self,
@@ -380,8 +387,8 @@ impl Fusion {
             .filter(|(origin, _)| !origin.is_muted)
     }
 
-    /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that several know are compared one
-    /// by one.
+    /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that
+    /// several know are compared one by one.
     fn refresh(&mut self, mapper: &Mapper, targets: &[(BlockIndex, Plane)]) {
         for targets in targets.chunks(REFRESHED_AT_ONCE) {
             let mut fused: Vec<_> = targets

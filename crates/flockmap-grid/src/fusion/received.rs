@@ -4,16 +4,19 @@ use crate::Stamp;
 
 /// What came of a stream until when, on this robot's clock.
 ///
-/// Nothing was made after it came, and within a stream stamps increase. So an observation was made before anything of its stream
-/// with its stamp or a newer one had come. A clock that is wrong, or an offset to it, can make observations count as older than they are, but
-/// never as newer than their arrival: so they hide nothing that this robot sees later.
+/// Nothing was made after it came, and within a stream stamps increase. So an observation was made before
+/// anything of its stream with its stamp or a newer one had come. A clock that is wrong, or an offset to it,
+/// can make observations count as older than they are, but never as newer than their arrival: so they hide
+/// nothing that this robot sees later.
 ///
-/// Times of arrival are a quarter of a second apart. At most 64 kB: when it is full, pairs of the older half become one.
+/// Times of arrival are a quarter of a second apart. At most 64 kB: when it is full, pairs of the older half
+/// become one.
 #[derive(Debug, Default)]
 pub(super) struct Received {
     /// Both numbers ascend.
     arrivals: Vec<Arrival>,
-    /// The least time from a stamp to the arrival, in microseconds: with a clock offset below this, no observation comes before it was made.
+    /// The least time from a stamp to the arrival, in microseconds: with a clock offset below this, no
+    /// observation comes before it was made.
     delay_min: Option<i64>,
 }
 
@@ -31,8 +34,9 @@ const TICK_MICROS: i64 = 250_000;
 const ARRIVALS_MAX: usize = 4_096;
 
 impl Received {
-    /// Notes that something with this stamp has come. With how far the clock is off now, whether something that came earlier counts as made
-    /// at another time than before, which can be once in a thousand arrivals.
+    /// Notes that something with this stamp has come. With how far the clock is off now, whether something
+    /// that came earlier counts as made at another time than before, which can be once in a thousand
+    /// arrivals.
     pub(super) fn note(&mut self, stamp: Stamp, now: Stamp, clock_offset_micros: i64) -> bool {
         let by = Stamp(now.0.saturating_sub(now.0.rem_euclid(TICK_MICROS)).saturating_add(TICK_MICROS));
         let mut is_changed = false;
@@ -71,8 +75,9 @@ impl Received {
         if is_full { (2 * self.arrivals.capacity()).max(4) * size_of::<Arrival>() } else { 0 }
     }
 
-    /// Makes one of each pair of the older half. Where it makes a difference the earlier time holds for both, so that nothing counts
-    /// as newer than it came; where the clock leaves room, the later one, so that nothing counts as older than it is.
+    /// Makes one of each pair of the older half. Where it makes a difference the earlier time holds for both,
+    /// so that nothing counts as newer than it came; where the clock leaves room, the later one, so that
+    /// nothing counts as older than it is.
     fn thin(&mut self, clock_offset_micros: i64) -> bool {
         let mut is_changed = false;
         let one_of = |pair: &[Arrival; 2]| {
@@ -106,7 +111,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The rule in plain words: not before anything of the stream with that stamp or a newer one had come, to a tick.
+    /// The rule in plain words: not before anything of the stream with that stamp or a newer one had come, to
+    /// a tick.
     fn naive(arrivals: &[(Stamp, Stamp)], stamp: Stamp, offset: i64) -> Stamp {
         let came = arrivals.iter().filter(|(other, _)| *other >= stamp).map(|(_, at)| i128::from(at.0)).min();
         let tick = i128::from(TICK_MICROS);

@@ -13,9 +13,10 @@ pub(super) struct Rigid {
 /// Coordinates of the images of a row of voxels: by axis, by voxel.
 pub(super) type Row<T> = [[T; 8]; 3];
 
-/// The centre of a voxel and that of the voxel into which it is brought lie within half the diagonal of a voxel, 0.87. So the voxels that
-/// may be brought into this one are, along an axis, the whole numbers from 1.37 below the image of its centre to 0.37 above it: from the
-/// one nearest to the first of these to the one nearest to the second.
+/// The centre of a voxel and that of the voxel into which it is brought lie within half the diagonal of a
+/// voxel, 0.87. So the voxels that may be brought into this one are, along an axis, the whole numbers from
+/// 1.37 below the image of its centre to 0.37 above it: from the one nearest to the first of these to the one
+/// nearest to the second.
 const NEAR: [f64; 2] = [-0.87, -0.13];
 
 /// Far more than what rounding takes from or adds to a coordinate of the grid.
@@ -25,11 +26,12 @@ const SLACK: f64 = 1.0 / 65_536.0;
 const PART: i32 = 1 << PART_BITS;
 const PART_BITS: u32 = 26;
 
-/// Parts by which what is reckoned in parts can be off: at most 11 of the steps, which are rounded, and 8 of the numbers, which have 24
-/// bits below the voxel at the end of the grid.
+/// Parts by which what is reckoned in parts can be off: at most 11 of the steps, which are rounded, and 8 of
+/// the numbers, which have 24 bits below the voxel at the end of the grid.
 const DOUBT: i32 = 256;
 
-/// Voxels along a side of what the images of a block can touch: its diagonal from centre to centre, 12.1, and what is in reach.
+/// Voxels along a side of what the images of a block can touch: its diagonal from centre to centre, 12.1, and
+/// what is in reach.
 const WINDOW: usize = 16;
 
 impl Rigid {
@@ -38,7 +40,8 @@ impl Rigid {
         Self { rotation: pose.rotation_rows(), translation: pose.translation().map(|t| t * scale) }
     }
 
-    /// The image of the centre of a voxel. Each function here adds in this order, so that all agree to the last bit.
+    /// The image of the centre of a voxel. Each function here adds in this order, so that all agree to the
+    /// last bit.
     fn image(&self, v: Voxel) -> [f64; 3] {
         core::array::from_fn(|axis| self.image_along(axis, v))
     }
@@ -56,7 +59,8 @@ impl Rigid {
         Voxel::new(x, y, z)
     }
 
-    /// The lowest and the highest voxel of those that the inverse may bring into this one: two along each axis at most.
+    /// The lowest and the highest voxel of those that the inverse may bring into this one: two along each
+    /// axis at most.
     pub(super) fn near(&self, v: Voxel) -> [Voxel; 2] {
         let image = self.image(v);
         NEAR.map(|end| {
@@ -88,7 +92,8 @@ impl Rigid {
         [end(false), end(true)]
     }
 
-    /// Calls `row` for each row of a block in which `mask` has voxels: the number of its first bit, the eight bits of `mask`, the images.
+    /// Calls `row` for each row of a block in which `mask` has voxels: the number of its first bit, the eight
+    /// bits of `mask`, the images.
     #[inline(always)]
     fn rows(&self, index: BlockIndex, mask: &Plane, mut row: impl FnMut(usize, u8, &Row<f64>)) {
         let corner = index.corner();
@@ -114,9 +119,10 @@ impl Rigid {
         }
     }
 
-    /// Calls `row` for each row of a block in which `mask` has voxels: the number of its first bit, the eight bits of `mask`, the voxels that
-    /// hold the images of the centres. Reckoned in parts of a voxel, whole numbers that the compiler adds several at once; only what
-    /// comes so near to a border that these do not settle the side is worked out as [`Self::voxel`] does.
+    /// Calls `row` for each row of a block in which `mask` has voxels: the number of its first bit, the eight
+    /// bits of `mask`, the voxels that hold the images of the centres. Reckoned in parts of a voxel, whole
+    /// numbers that the compiler adds several at once; only what comes so near to a border that these do not
+    /// settle the side is worked out as [`Self::voxel`] does.
     #[inline(always)]
     pub(super) fn each_row(
         &self,
@@ -176,8 +182,8 @@ impl Rigid {
         }
     }
 
-    /// The voxels that the inverse may bring into a voxel of `mask`, those into which these are brought, and few others: block by block,
-    /// no block twice.
+    /// The voxels that the inverse may bring into a voxel of `mask`, those into which these are brought, and
+    /// few others: block by block, no block twice.
     pub(super) fn near_voxels(
         &self,
         inverse: &Self,
@@ -215,7 +221,8 @@ pub(super) fn numbered(first: BlockIndex, number: i32) -> BlockIndex {
     BlockIndex::new(first.x + number % 3, first.y + number / 3 % 3, first.z + number / 9)
 }
 
-/// Where each voxel of a row lies in such planes, if `low` is the first block: 64 times the number of the word, and the bit.
+/// Where each voxel of a row lies in such planes, if `low` is the first block: 64 times the number of the
+/// word, and the bit.
 #[inline(always)]
 pub(super) fn places(voxels: &Row<i32>, low: BlockIndex) -> [i32; 8] {
     let corner = low.corner();
@@ -236,7 +243,8 @@ pub(super) fn is_dense(index: BlockIndex, mask: &Plane) -> bool {
     voxels * 4 >= volume as u32
 }
 
-/// Each number of a row made whole. Loops over arrays that are there, which the compiler turns into several at once; `map` it would not.
+/// Each number of a row made whole. Loops over arrays that are there, which the compiler turns into several
+/// at once; `map` it would not.
 #[inline(always)]
 fn whole(row: &Row<f64>, round: impl Fn(f64) -> i32) -> Row<i32> {
     let mut whole = [[0; 8]; 3];
@@ -257,7 +265,8 @@ fn each_bit(bits: u8, mut found: impl FnMut(usize)) {
     }
 }
 
-/// Added to a number below 2³¹, as those of the grid are, this leaves its nearest whole number in the lowest bits.
+/// Added to a number below 2³¹, as those of the grid are, this leaves its nearest whole number in the lowest
+/// bits.
 const WHOLE: f64 = 6_755_399_441_055_744.0;
 
 /// The nearest whole number. Without a call or a branch, so that the compiler can take several at once.
@@ -305,12 +314,14 @@ impl Window {
         self.rows[z[1] + y[1]] |= bits;
     }
 
-    /// What may be brought into a box, up to the voxel `high`: what `inverse` brings so near to it that the voxels may have a part in
-    /// common. Along a row these are neighbours, and the faces of the box say where they begin and end.
+    /// What may be brought into a box, up to the voxel `high`: what `inverse` brings so near to it that the
+    /// voxels may have a part in common. Along a row these are neighbours, and the faces of the box say where
+    /// they begin and end.
     fn mark_near_box(&mut self, inverse: &Rigid, (min, max): (Voxel, Voxel), high: Voxel) {
         let low = self.low;
         let (min, max) = ([min.x, min.y, min.z].map(f64::from), [max.x, max.y, max.z].map(f64::from));
-        // By axis of the box: how far a step along the row goes, as a divisor; where the faces are, seen from the start of a row.
+        // By axis of the box: how far a step along the row goes, as a divisor; where the faces are, seen from
+        // the start of a row.
         let start = inverse.image(low);
         let turn = inverse.rotation;
         let reach = turn.map(|turn| turn.iter().map(|part| part.abs()).sum::<f64>() * 0.5 + SLACK);

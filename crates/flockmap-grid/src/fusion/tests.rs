@@ -140,7 +140,8 @@ proptest! {
         prop_assert_eq!(found.len(), expected.len());
         fusion.rebuild(&mapper);
         prop_assert_eq!(fusion.map().voxels().collect::<BTreeMap<_, _>>(), expected);
-        // A clock that turns out to be off otherwise changes when all was made, but for what would have come before.
+        // A clock that turns out to be off otherwise changes when all was made, but for what would have come
+        // before.
         fusion.set_clock_offset(RobotId(3), offsets[1]);
         fusion.rebuild(&mapper);
         clocks.insert(3, offsets[1]);
@@ -373,7 +374,8 @@ fn what_came_with_a_stamp_of_the_future_hides_nothing_that_the_robot_sees_later(
             );
             fusion.rebuild(&mapper);
             assert_eq!(fusion.map().state(Voxel::new(10, 0, 0)), State::Occupied);
-            // And what the team-mate sees later shows again, with a stamp of which the layer only knows that it is newer.
+            // And what the team-mate sees later shows again, with a stamp of which the layer only knows that
+            // it is newer.
             fusion
                 .apply(&mapper, stream(2), &free, stamp.plus_micros(1), now.plus_micros(5_000_000))
                 .unwrap();

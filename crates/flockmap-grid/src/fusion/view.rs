@@ -12,8 +12,8 @@ use crate::{
 /// Blocks per side of a region: what is copied when a map is written to while a view of it is alive.
 const REGION_BITS: i32 = 3;
 
-/// The fused map at one moment. Made by [`super::Fusion::view`] in O(1); stays as it is while the map goes on. The
-/// next write after a view was made copies the touched regions of 64³ voxels, at most 80 kB each.
+/// The fused map at one moment. Made by [`super::Fusion::view`] in O(1); stays as it is while the map goes
+/// on. The next write after a view was made copies the touched regions of 64³ voxels, at most 80 kB each.
 #[derive(Clone, Debug)]
 pub struct MapView {
     resolution: Resolution,
@@ -72,8 +72,8 @@ impl MapView {
         self.version
     }
 
-    /// Bytes that the map holds, as asked of the allocator. O(1). Views share them; a view that is kept while the map goes on takes as
-    /// much again at most.
+    /// Bytes that the map holds, as asked of the allocator. O(1). Views share them; a view that is kept while
+    /// the map goes on takes as much again at most.
     pub fn memory_bytes(&self) -> usize {
         self.region_bytes + table_bytes(self.regions.len(), size_of::<(BlockIndex, Arc<Region>)>())
     }
@@ -123,8 +123,8 @@ impl MapView {
             .fold((0, 0), |(free, occupied), (_, b)| (free + ones(b.free()), occupied + ones(b.occupied())))
     }
 
-    /// Blocks that changed after [`Self::version`] had this value, ascending. After the map was made anew (an alignment
-    /// changed, an origin was muted) these are all blocks that it has now. O(blocks).
+    /// Blocks that changed after [`Self::version`] had this value, ascending. After the map was made anew (an
+    /// alignment changed, an origin was muted) these are all blocks that it has now. O(blocks).
     pub fn changed_since(&self, version: u64) -> Vec<BlockIndex> {
         let mut changed: Vec<BlockIndex> = self
             .regions

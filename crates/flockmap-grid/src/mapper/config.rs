@@ -2,7 +2,8 @@
 
 use crate::Resolution;
 
-/// Log-odds are whole numbers: 1,024 units are one natural unit (nat). One miss of the `rog-map` preset is 41 units.
+/// Log-odds are whole numbers: 1,024 units are one natural unit (nat). One miss of the `rog-map` preset is 41
+/// units.
 pub const LOG_ODDS_UNITS_PER_NAT: f64 = 1024.0;
 
 /// Rules and values of a known mapper.
@@ -10,8 +11,8 @@ pub const LOG_ODDS_UNITS_PER_NAT: f64 = 1024.0;
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
 #[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
 pub enum Preset {
-    /// ROG-Map (its yaml files): every ray counts; hits win over the misses of the same scan; Unknown is a band of
-    /// values between Free and Occupied. The default.
+    /// ROG-Map (its yaml files): every ray counts; hits win over the misses of the same scan; Unknown is a
+    /// band of values between Free and Occupied. The default.
     #[default]
     RogMap,
     /// RACER's map with the values of C2-Explorer on LiDAR: one update a voxel and scan; the first touch decides.
@@ -44,7 +45,8 @@ impl core::fmt::Display for Preset {
     }
 }
 
-/// All options of a mapper. How hits and misses add up to a state is in probabilities, 0.001 … 0.999, so that sums fit 16 bits.
+/// All options of a mapper. How hits and misses add up to a state is in probabilities, 0.001 … 0.999, so that
+/// sums fit 16 bits.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
 #[cfg_attr(feature = "serde", serde(deny_unknown_fields))]
@@ -78,17 +80,18 @@ pub struct MapperConfig {
     /// Rays cut at the range or at the update box are dropped when they end below this height in the map
     /// frame, in metres (RACER: 0.2, so that the ground is not cleared by rays which never reached it).
     pub drop_cut_rays_below_m: Option<f64>,
-    /// The blocks of the map and their tables are kept within this many bytes, also while a scan is taken in, by forgetting those farthest
-    /// from the sensor: 2.5 kB a block at most. What scans need comes on top and is kept for the next one: for each block of 8³ voxels that the
-    /// largest scan so far touched 1.3 kB, and as much again if rays end in it (for a moment 3.9 kB in all, while lists grow); and 88 bytes for each
+    /// The blocks of the map and their tables are kept within this many bytes, also while a scan is taken in,
+    /// by forgetting those farthest from the sensor: 2.5 kB a block at most. What scans need comes on top and
+    /// is kept for the next one: for each block of 8³ voxels that the largest scan so far touched 1.3 kB, and
+    /// as much again if rays end in it (for a moment 3.9 kB in all, while lists grow); and 88 bytes for each
     /// of its points (for a moment 144). The worst case is [`Self::memory_max`]. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "memory_mb", with = "crate::units::Mebibytes"))]
     pub memory_bytes_max: usize,
 }
 
 impl MapperConfig {
-    /// A preset's values at this resolution and range, with the default limits. Sources: ROG-Map's example yaml files; C2-Explorer's
-    /// launch file; OctoMap's defaults.
+    /// A preset's values at this resolution and range, with the default limits. Sources: ROG-Map's example
+    /// yaml files; C2-Explorer's launch file; OctoMap's defaults.
     pub const fn preset(preset: Preset, resolution: Resolution, range_m: f64) -> Self {
         let rog_map = Self {
             resolution,

@@ -5,18 +5,20 @@ use super::config::MapperConfig;
 use super::rays::Ray;
 use crate::{BLOCK_SIDE, BlockIndex, Plane, Stamp, StateBlock};
 
-/// The most bytes that one block of the map takes of the byte cap: itself, and its places in the table of blocks and in that of blocks with
-/// changes. A table is filled to no less than 7/32 while blocks come and go.
+/// The most bytes that one block of the map takes of the byte cap: itself, and its places in the table of
+/// blocks and in that of blocks with changes. A table is filled to no less than 7/32 while blocks come and
+/// go.
 pub const MAP_BLOCK_BYTES: usize = size_of::<MapBlock>() + (ENTRY_BYTES + 1 + PENDING_BYTES + 1) * 32 / 7;
-/// What a scan can take for a moment, for each block that it touches: the counts of the rays that pass and of those that end, each list a
-/// quarter too large and moved to a new place while it grows; its number and its place in the window; what is reported of it, and what is
-/// forgotten for it.
+/// What a scan can take for a moment, for each block that it touches: the counts of the rays that pass and of
+/// those that end, each list a quarter too large and moved to a new place while it grows; its number and its
+/// place in the window; what is reported of it, and what is forgotten for it.
 const SCAN_BLOCK_BYTES: usize = (2 * 1_024 * 5 / 4 + 1_024) + 12 + 48 + REPORT_BYTES + FORGET_BYTES;
 /// In the report.
 const REPORT_BYTES: usize = size_of::<(BlockIndex, Plane)>() + size_of::<(BlockIndex, StateBlock)>();
 /// In the list of what may be forgotten, and in the report of it.
 const FORGET_BYTES: usize = size_of::<FarKey>() + size_of::<BlockIndex>();
-/// For each of its points: the ray, and the ray ready to walk, which is moved to a new place when a larger scan comes.
+/// For each of its points: the ray, and the ray ready to walk, which is moved to a new place when a larger
+/// scan comes.
 const POINT_BYTES: usize = size_of::<Ray>() + 2 * 56;
 /// Stamps of scans, as long as voxels refer to them; moved to a new place while the list grows.
 const SCAN_STAMPS_BYTES: usize = (1 << 16) * size_of::<Stamp>() * 3 / 2;
@@ -30,11 +32,13 @@ pub(super) const PENDING_BYTES: usize = size_of::<(BlockIndex, u32)>();
 pub(super) type FarKey = (i64, BlockIndex);
 
 impl MapperConfig {
-    /// The most bytes that a mapper holds on the heap at any moment, as asked of the allocator, with scans of so many points: the map, and what it needs
-    /// to take one in. A scan touches a block only if a ray runs through it, so a sensor in the open comes near to this, and one
-    /// between walls takes a small part of it.
+    /// The most bytes that a mapper holds on the heap at any moment, as asked of the allocator, with scans of
+    /// so many points: the map, and what it needs to take one in. A scan touches a block only if a ray runs
+    /// through it, so a sensor in the open comes near to this, and one between walls takes a small part of
+    /// it.
     pub fn memory_max(&self, points: usize) -> usize {
-        // Blocks from end to end of two rays in opposite directions, and one more since they need not begin at a face.
+        // Blocks from end to end of two rays in opposite directions, and one more since they need not begin
+        // at a face.
         let side =
             (2.0 * self.range_m / self.resolution.metres() / f64::from(BLOCK_SIDE)).ceil() as usize + 2;
         self.memory_bytes_max.max(MAP_BLOCK_BYTES)

@@ -101,9 +101,9 @@ impl Mapper {
         &self.config
     }
 
-    /// Takes in one scan made at `T_map_sensor`. Points inside one of the spheres of `teammates` are ignored, so
-    /// that a robot in sight does not become an obstacle. With a pose that is none, or beyond the grid ([`Pose::check`]), the whole scan is
-    /// ignored.
+    /// Takes in one scan made at `T_map_sensor`. Points inside one of the spheres of `teammates` are ignored,
+    /// so that a robot in sight does not become an obstacle. With a pose that is none, or beyond the grid
+    /// ([`Pose::check`]), the whole scan is ignored.
     ///
     /// Cost: about one nanosecond a voxel passed by a ray; memory for what is touched for the first time.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
@@ -189,8 +189,8 @@ impl Mapper {
         self.scan_stamps.get(usize::from(number).checked_sub(1)?).copied()
     }
 
-    /// Bytes that the map holds, as asked of the allocator: its blocks and their tables. At most [`MapperConfig::memory_bytes_max`]. What
-    /// the last scans needed comes on top, see there. O(1).
+    /// Bytes that the map holds, as asked of the allocator: its blocks and their tables. At most
+    /// [`MapperConfig::memory_bytes_max`]. What the last scans needed comes on top, see there. O(1).
     pub fn memory_bytes(&self) -> usize {
         self.block_count() * size_of::<MapBlock>()
             + table_bytes(self.table_places[0], ENTRY_BYTES)
@@ -278,9 +278,10 @@ impl Mapper {
         self.scan_stamps.len() as u16
     }
 
-    /// Keeps the byte cap before the scan is taken in: forgets the blocks farthest from the sensor, a tenth more than needed so that it does
-    /// not come to this at every scan. What is forgotten is no change: the swarm keeps what it received. Returns where the blocks end that
-    /// are kept; of those that the scan touches, the ones beyond are not even made.
+    /// Keeps the byte cap before the scan is taken in: forgets the blocks farthest from the sensor, a tenth
+    /// more than needed so that it does not come to this at every scan. What is forgotten is no change: the
+    /// swarm keeps what it received. Returns where the blocks end that are kept; of those that the scan
+    /// touches, the ones beyond are not even made.
     fn forget_far_blocks(&mut self, start: [f64; 3], report: &mut ScanReport) -> Option<FarKey> {
         let blocks_max = self.config.blocks_max();
         if self.blocks.len() + self.counts.indices().len() <= blocks_max {

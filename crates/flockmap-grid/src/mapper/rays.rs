@@ -37,12 +37,13 @@ pub(super) struct RayCounts {
     /// Rays that passed through, 512 to a block. The first 512 are never used, so that 0 means "none".
     /// All zero between scans: who takes the counts sets them back.
     misses: Vec<u16>,
-    /// Rays that ended here, in the same places. Ends are counted first, so that only the first blocks have hits: most blocks are
-    /// only passed through.
+    /// Rays that ended here, in the same places. Ends are counted first, so that only the first blocks have
+    /// hits: most blocks are only passed through.
     hits: Vec<u16>,
     /// How many blocks these are.
     hit_blocks: usize,
-    /// Places in the table of the touched blocks, in the order of their first touch; block `n` has its counts at `(n + 1) · 512`.
+    /// Places in the table of the touched blocks, in the order of their first touch; block `n` has its counts
+    /// at `(n + 1) · 512`.
     touched: Vec<u32>,
     walks: Vec<Walk>,
     by_length: Vec<u32>,
@@ -141,9 +142,9 @@ fn voxel_of(p: [f64; 3]) -> Voxel {
 }
 
 impl RayCounts {
-    /// Casts all rays from `start` (voxel units). Start and ends must lie within the voxel limits, and no ray may be
-    /// longer than 500 voxels. A voxel that a ray passes through counts one miss, the voxel in which it ends
-    /// counts one hit or, for a ray that was cut, nothing.
+    /// Casts all rays from `start` (voxel units). Start and ends must lie within the voxel limits, and no ray
+    /// may be longer than 500 voxels. A voxel that a ray passes through counts one miss, the voxel in which
+    /// it ends counts one hit or, for a ray that was cut, nothing.
     pub(super) fn cast(&mut self, start: [f64; 3], rays: &[Ray]) {
         self.clear();
         let from = voxel_of(start);
@@ -223,7 +224,8 @@ impl RayCounts {
                     walk.step[axis] = unit.wrapping_neg();
                     to_face = fraction[axis];
                 }
-                // A direction of zero gives an infinite inverse, and 0 · ∞ is not a number: `min` takes the other.
+                // A direction of zero gives an infinite inverse, and 0 · ∞ is not a number: `min` takes the
+                // other.
                 walk.next[axis] = ((to_face * inverse).min(NEVER) + 0.5) as i32;
                 walk.delta[axis] = (inverse.min(NEVER) + 0.5) as i32;
                 walk.length += to[axis].abs_diff(from[axis]);
@@ -374,7 +376,8 @@ fn extend(pool: &mut Vec<u16>, last: usize) {
     }
 }
 
-/// Makes room for so many, a quarter more than there was at a time: lists of a scan are large, and twice of what is used would be waste.
+/// Makes room for so many, a quarter more than there was at a time: lists of a scan are large, and twice of
+/// what is used would be waste.
 pub(super) fn grow<T>(list: &mut Vec<T>, needed: usize) {
     let capacity = list.capacity();
     if capacity < needed {

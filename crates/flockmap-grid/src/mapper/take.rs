@@ -27,9 +27,10 @@ impl Mapper {
         self.take_from(blocks, which, usize::MAX, |_| [0; 8]).0
     }
 
-    /// Takes the net changes of the blocks nearest to a block, as whole blocks, until the next one would make them more than `voxels_max`;
-    /// but always those of one block. The others stay for the next time; so do voxels that have become Free and are in `except_free` of their block.
-    /// Also says whether it came to `voxels_max`. O(n log n) for n blocks with changes.
+    /// Takes the net changes of the blocks nearest to a block, as whole blocks, until the next one would make
+    /// them more than `voxels_max`; but always those of one block. The others stay for the next time; so do
+    /// voxels that have become Free and are in `except_free` of their block. Also says whether it came to
+    /// `voxels_max`. O(n log n) for n blocks with changes.
     pub fn take_nearest(
         &mut self,
         which: Which,
@@ -44,7 +45,8 @@ impl Mapper {
         self.take_from(blocks, which, voxels_max, except_free)
     }
 
-    /// How many changes there are to take, but for voxels that have become Free and are in `except_free` of their block. O(blocks with changes).
+    /// How many changes there are to take, but for voxels that have become Free and are in `except_free` of
+    /// their block. O(blocks with changes).
     pub fn count_changes(&self, which: Which, except_free: impl Fn(BlockIndex) -> Plane) -> usize {
         let blocks = self.pending_blocks.keys().filter_map(|index| Some((*index, self.blocks.get(index)?)));
         blocks

@@ -5,7 +5,8 @@ use flockmap_grid::{RobotId, Stamp};
 use flockmap_worlds::random::{Random, mix};
 use std::sync::Arc;
 
-/// Bursts and damage of one link as time goes by. Its random numbers are its own: without either none is drawn, and nothing else changes.
+/// Bursts and damage of one link as time goes by. Its random numbers are its own: without either none is
+/// drawn, and nothing else changes.
 #[derive(Clone, Debug)]
 pub(super) struct Weather {
     random: Random,

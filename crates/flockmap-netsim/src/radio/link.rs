@@ -25,7 +25,8 @@ impl Link {
         Self { loss: 0.0, delay_micros: 0, jitter_micros: 0, duplication: 0.0, burst: None, damage: 0.0 };
 }
 
-/// A link that is good and bad alternately (Gilbert, Elliott). How long each lasts is uniform between 0 and twice its mean.
+/// A link that is good and bad alternately (Gilbert, Elliott). How long each lasts is uniform between 0 and
+/// twice its mean.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Burst {
     /// Mean time between bursts of loss, in milliseconds. At least 1.

@@ -1,5 +1,5 @@
-//! A sender with a fault in its memory: it damages packages before the check of the datagram is made, so that only the check of the
-//! decoded content finds it.
+//! A sender with a fault in its memory: it damages packages before the check of the datagram is made, so that
+//! only the check of the decoded content finds it.
 
 use super::purpose;
 use flockmap::sync::wire::HEADER_BYTES;

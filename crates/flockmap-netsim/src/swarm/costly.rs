@@ -1,4 +1,5 @@
-//! A faulty robot sends packages that ask for far more work than their length allows, in the name of one whose package is missing.
+//! A faulty robot sends packages that ask for far more work than their length allows, in the name of one
+//! whose package is missing.
 
 use flockmap::codec::{ContentKind, Header, Priority};
 use flockmap::grid::VoxelBox;

@@ -263,7 +263,8 @@ impl Engine {
         let missing = received.missing(1, self.eyes.truth.last(stream)).next();
         let is_peer = receiver.session().peers().any(|peer| peer.stream == stream);
         let Some((index, _)) = missing.filter(|_| is_peer) else { return };
-        // It took as long as any other: from the stamps of what comes at once a round trip of half the time would follow.
+        // It took as long as any other: from the stamps of what comes at once a round trip of half the time
+        // would follow.
         let sent_at = self.eyes.now - self.eyes.settings.radio.config.link.delay_micros.max(0);
         let stamp = nodes[from].settings.clock.shows(sent_at);
         let resolution = sender.config().mapper.resolution;

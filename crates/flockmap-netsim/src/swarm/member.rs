@@ -74,7 +74,8 @@ pub(super) struct Input {
     pub(super) is_taken: bool,
 }
 
-/// What a clock with the date shows when a flight begins, in seconds since 1970; and what one without a battery shows at each start.
+/// What a clock with the date shows when a flight begins, in seconds since 1970; and what one without a
+/// battery shows at each start.
 const DATE_S: u64 = 1_795_000_000;
 const NO_DATE_S: u64 = 12;
 const HOUR: u64 = 3_600_000_000;

@@ -1,5 +1,5 @@
-//! A whole swarm in virtual time: real robots (mapper, codec, session, layers, fusion) on one queue of events, over an emulated
-//! radio. One seed decides everything, and checkers look at every event.
+//! A whole swarm in virtual time: real robots (mapper, codec, session, layers, fusion) on one queue of
+//! events, over an emulated radio. One seed decides everything, and checkers look at every event.
 //!
 //! ```
 //! use flockmap_netsim::swarm::{SwarmOptions, fly};

@@ -20,7 +20,8 @@ pub struct SwarmOptions {
     pub budget_bytes_per_s: Option<u32>,
     /// No crashes, partitions, half-open links, tight limits or mixed settings: the radio alone.
     pub is_calm: bool,
-    /// The flight is over when all agree, or so many seconds after links healed; then nobody asks whether they had to. For tables.
+    /// The flight is over when all agree, or so many seconds after links healed; then nobody asks whether
+    /// they had to. For tables.
     pub until_agreement_s: Option<u32>,
 }
 

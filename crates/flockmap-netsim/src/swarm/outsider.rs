@@ -1,5 +1,5 @@
-//! Somebody without the key in reach of the radio: hears everything, and sends it again, changes it, takes the seal off, or seals with a key of
-//! its own.
+//! Somebody without the key in reach of the radio: hears everything, and sends it again, changes it, takes
+//! the seal off, or seals with a key of its own.
 
 use super::broken::write_check;
 use flockmap::Path;

@@ -79,7 +79,8 @@ pub(super) fn draw(random: &mut Random, robots: usize, mapping: i64) -> Vec<(i64
     plan
 }
 
-/// A day in the field on top of a plan: so many restarts, spread over all robots, now and then of several at once.
+/// A day in the field on top of a plan: so many restarts, spread over all robots, now and then of several at
+/// once.
 pub(super) fn add_field_day(
     plan: &mut Vec<(i64, Action)>,
     random: &mut Random,

@@ -1,4 +1,5 @@
-//! Radios as they are met, as numbers. All of them are data: change a number here and the tables of the swarms change.
+//! Radios as they are met, as numbers. All of them are data: change a number here and the tables of the
+//! swarms change.
 
 use crate::{Burst, IP_UDP_BYTES, Link, RadioConfig};
 use core::fmt;
@@ -9,18 +10,22 @@ use core::str::FromStr;
 pub enum RadioPreset {
     /// Cable: 0.2 ms, no loss, 100 Mbit/s a node.
     Lan,
-    /// Good Wi-Fi on a shared channel: 2 ms + 3 ms of jitter, 1 % loss, 6 Mbit/s for all, 0.3 ms of air for each datagram.
+    /// Good Wi-Fi on a shared channel: 2 ms + 3 ms of jitter, 1 % loss, 6 Mbit/s for all, 0.3 ms of air for
+    /// each datagram.
     Wifi,
-    /// Wi-Fi at its edge: 5 ms + 20 ms, 15 % loss and bursts of 300 ms every 4 s that take 80 %, 0.1 % damaged, 2 % twice.
+    /// Wi-Fi at its edge: 5 ms + 20 ms, 15 % loss and bursts of 300 ms every 4 s that take 80 %, 0.1 %
+    /// damaged, 2 % twice.
     WifiLossy,
-    /// A full channel: 20 ms + 60 ms, 5 % loss, 1 Mbit/s for all, a queue of 32 KiB, bursts of 100 ms every second that take half.
+    /// A full channel: 20 ms + 60 ms, 5 % loss, 1 Mbit/s for all, a queue of 32 KiB, bursts of 100 ms every
+    /// second that take half.
     WifiCongested,
     /// A mesh in a row, each node hears the next one only: 10 ms + 10 ms a hop, 5 % loss, 2 Mbit/s a node.
     MeshLine,
-    /// Contact that comes and goes: 15 ms + 15 ms, 10 % loss, 3 s of contact and 2 s without on the mean, 2 Mbit/s a node.
+    /// Contact that comes and goes: 15 ms + 15 ms, 10 % loss, 3 s of contact and 2 s without on the mean, 2
+    /// Mbit/s a node.
     Intermittent,
-    /// A long-range modem, 50 kbit/s half-duplex for all: 30 ms + 20 ms, 3 % loss, 10 ms of preamble for each datagram, a queue of
-    /// 8 KiB. (A modem with such a rate splits datagrams into its own frames.)
+    /// A long-range modem, 50 kbit/s half-duplex for all: 30 ms + 20 ms, 3 % loss, 10 ms of preamble for each
+    /// datagram, a queue of 8 KiB. (A modem with such a rate splits datagrams into its own frames.)
     Lora,
 }
 
@@ -44,7 +49,8 @@ pub struct RadioNumbers {
     pub config: RadioConfig,
     /// Who hears whom.
     pub topology: Topology,
-    /// Budget of a robot in bytes a second, where the radio is one node's own. Of a shared one each robot gets its part of 70 % of the rate.
+    /// Budget of a robot in bytes a second, where the radio is one node's own. Of a shared one each robot
+    /// gets its part of 70 % of the rate.
     pub budget_bytes_per_s: Option<u32>,
 }
 

@@ -1,4 +1,5 @@
-//! The disk of a robot, with the node's own store and epoch file on it: in memory, failing as drawn, with the power cut where a run ends.
+//! The disk of a robot, with the node's own store and epoch file on it: in memory, failing as drawn, with the
+//! power cut where a run ends.
 
 use super::purpose;
 use flockmap::{Event, Robot, RobotConfig, Stamp};

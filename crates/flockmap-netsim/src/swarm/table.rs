@@ -67,7 +67,8 @@ fn flight(radio: RadioPreset, robots: usize) -> Report {
     })
 }
 
-/// The first row of `new` that is not in `old`, with the one that is there in its place. Rows that only `old` has are not looked at.
+/// The first row of `new` that is not in `old`, with the one that is there in its place. Rows that only `old`
+/// has are not looked at.
 pub fn difference(old: &str, new: &[String]) -> Option<(String, String)> {
     let key = |line: &str| line.split_whitespace().take(2).map(str::to_owned).collect::<Vec<_>>();
     new.iter().find_map(|row| {

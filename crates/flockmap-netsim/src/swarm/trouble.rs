@@ -1,6 +1,6 @@
-//! Trouble that comes on top of what `settings` draws: a day in the field, small limits, clocks that step, repeat and rewind, disks that
-//! fail, paths, a faulty robot whose packages cost much. Drawn from random numbers of its own: where none is drawn, a flight is the one
-//! that it would be without this file.
+//! Trouble that comes on top of what `settings` draws: a day in the field, small limits, clocks that step,
+//! repeat and rewind, disks that fail, paths, a faulty robot whose packages cost much. Drawn from random
+//! numbers of its own: where none is drawn, a flight is the one that it would be without this file.
 
 use super::SwarmOptions;
 use super::preset::{RadioNumbers, Topology};
@@ -72,7 +72,8 @@ impl Trouble {
         }
     }
 
-    /// Whether a run takes its epoch from what its clock shows, its disk and random bits, as a node does. Else epochs are counted.
+    /// Whether a run takes its epoch from what its clock shows, its disk and random bits, as a node does.
+    /// Else epochs are counted.
     pub(super) fn has_epochs_of_clocks(&self) -> bool {
         self.restarts > 0 || self.boot != Boot::GoesOn || self.has_faulty_disks
     }
@@ -102,7 +103,8 @@ impl Trouble {
     }
 }
 
-/// Small limits of one session, and what they are, as text. Never so small that a robot that is there cannot be heard, or has no place.
+/// Small limits of one session, and what they are, as text. Never so small that a robot that is there cannot
+/// be heard, or has no place.
 pub(super) fn limit(
     random: &mut Random,
     session: &mut SessionConfig,

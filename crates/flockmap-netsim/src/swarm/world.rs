@@ -77,7 +77,8 @@ impl SmallWorld {
         [along(0), along(1), course.start[2]]
     }
 
-    /// A scan from `from`: `rays` rays in random directions. Points are relative to the place, along the axes of the world.
+    /// A scan from `from`: `rays` rays in random directions. Points are relative to the place, along the axes
+    /// of the world.
     pub(super) fn scan(
         &self,
         random: &mut Random,

@@ -15,7 +15,8 @@ impl NodeConfig {
         self.name.clone().unwrap_or_else(|| format!("robot{}", self.id))
     }
 
-    /// The options of the robot in a run with this epoch. The swarm key is not among them: [`swarm_key`](Self::swarm_key) finds it.
+    /// The options of the robot in a run with this epoch. The swarm key is not among them:
+    /// [`swarm_key`](Self::swarm_key) finds it.
     ///
     /// # Errors
     /// Names the key, its value and what was expected.
@@ -38,8 +39,9 @@ impl NodeConfig {
         })
     }
 
-    /// The folder for the epoch: `[state] path`, else that which systemd gives (`STATE_DIRECTORY`), else `flockmap` in `XDG_STATE_HOME`, else
-    /// `.local/state/flockmap` in `HOME`, each as far as it is an absolute path. `variable` looks up the environment.
+    /// The folder for the epoch: `[state] path`, else that which systemd gives (`STATE_DIRECTORY`), else
+    /// `flockmap` in `XDG_STATE_HOME`, else `.local/state/flockmap` in `HOME`, each as far as it is an
+    /// absolute path. `variable` looks up the environment.
     pub fn state_folder(&self, variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
         let absolute = |path: PathBuf| path.is_absolute().then_some(path);
         let folder = |name: &str| variable(name).map(PathBuf::from).and_then(absolute);

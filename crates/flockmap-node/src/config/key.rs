@@ -40,8 +40,8 @@ pub struct FoundKey {
 }
 
 impl NodeConfig {
-    /// The swarm key, from the one place that has it: the configuration itself (read from `config_path`), a file, or the
-    /// environment variable, whose value is `variable`.
+    /// The swarm key, from the one place that has it: the configuration itself (read from `config_path`), a
+    /// file, or the environment variable, whose value is `variable`.
     ///
     /// # Errors
     /// More than one place has a key, or what stands there is none. The text never contains it.

@@ -33,8 +33,8 @@ pub struct NodeConfig {
     pub id: RobotId,
     /// Name in logs. Default `robotID`.
     pub name: Option<String>,
-    /// In place of the seconds since 1970 that the machine's clock shows, from which the epoch of a run is made. If a former run is known
-    /// that had as much or more, one more than that counts.
+    /// In place of the seconds since 1970 that the machine's clock shows, from which the epoch of a run is
+    /// made. If a former run is known that had as much or more, one more than that counts.
     pub epoch: Option<u32>,
     /// The mapper.
     pub map: MapperConfig,
@@ -53,7 +53,8 @@ pub struct NodeConfig {
     /// What `[session]` does not say is as in this preset.
     #[serde(default, rename = "session.behaviour")]
     pub behaviour: Behaviour,
-    /// The secret of the swarm: 64 hex digits, or base64. Here, in a file, or in the environment variable `FLOCKMAP_SWARM_KEY`.
+    /// The secret of the swarm: 64 hex digits, or base64. Here, in a file, or in the environment variable
+    /// `FLOCKMAP_SWARM_KEY`.
     #[serde(rename = "session.swarm_key")]
     pub swarm_key: Option<Secret>,
     /// A file with nothing but the secret of the swarm.
@@ -83,8 +84,8 @@ pub struct NodeConfig {
     /// How the frames of other robots lie in the own one, by id.
     #[serde(default)]
     pub alignment: BTreeMap<RobotId, AlignmentSection>,
-    /// How far the clocks of other robots are ahead of the own one, in milliseconds, by id. By the own id: that of former runs, 0 if the
-    /// clock goes on through a restart.
+    /// How far the clocks of other robots are ahead of the own one, in milliseconds, by id. By the own id:
+    /// that of former runs, 0 if the clock goes on through a restart.
     #[serde(default)]
     pub clock_offset_ms: BTreeMap<RobotId, f64>,
     /// Team-mates in view of the sensor.
@@ -112,8 +113,8 @@ pub enum Behaviour {
 pub struct CodecSection {
     /// How packages are coded. Those of others are read in every codec.
     pub name: Option<Codec>,
-    /// `flock` codes changes against what the others have received, and for so long at most they may lack a part of it: where repair
-    /// takes longer, batches are coded independently. 0: they never are.
+    /// `flock` codes changes against what the others have received, and for so long at most they may lack a
+    /// part of it: where repair takes longer, batches are coded independently. 0: they never are.
     pub repair_delay_max_ms: Option<u32>,
 }
 
@@ -139,7 +140,8 @@ impl Default for StoreSection {
 #[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StateSection {
-    /// Folder for the epoch of the newest run, a small file; made if need be. Default: [`NodeConfig::state_folder`].
+    /// Folder for the epoch of the newest run, a small file; made if need be. Default:
+    /// [`NodeConfig::state_folder`].
     pub path: Option<PathBuf>,
 }
 

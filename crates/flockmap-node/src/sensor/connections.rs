@@ -21,8 +21,8 @@ const CONNECTIONS_MAX: usize = 8;
 /// A connection must have sent nothing for so long to be closed for another program.
 const SILENT_MIN: Duration = Duration::from_secs(5);
 
-/// A program that finds all places taken is given so long for its first byte. One that only looked whether somebody listens is gone
-/// by then, and nobody is closed for it.
+/// A program that finds all places taken is given so long for its first byte. One that only looked whether
+/// somebody listens is gone by then, and nobody is closed for it.
 const FIRST_ANSWER_MAX: Duration = Duration::from_secs(1);
 
 /// After a connection could not be accepted.
@@ -95,7 +95,8 @@ impl Places {
         self.taken.len() >= CONNECTIONS_MAX
     }
 
-    /// Waits for a place: that a connection ends, or that one has been silent for long, which is closed then. `None`: the node has ended.
+    /// Waits for a place: that a connection ends, or that one has been silent for long, which is closed then.
+    /// `None`: the node has ended.
     async fn make_room(&mut self, name: &str, to: &Sender<Input>) -> Option<()> {
         let mut waits = false;
         while self.are_taken() {
@@ -209,8 +210,8 @@ impl<S: AsyncRead + Unpin> Reader<S> {
         }
     }
 
-    /// A stamp of the system clock shows how old the scan is now, and that holds on every clock. A scan from the future, within
-    /// what is allowed, is of now. An error is how far the stamp is off.
+    /// A stamp of the system clock shows how old the scan is now, and that holds on every clock. A scan from
+    /// the future, within what is allowed, is of now. An error is how far the stamp is off.
     fn on_the_node_s_clock(&self, stamp: Stamp) -> Result<Stamp, i64> {
         let (now, system_now) = self.clock.now_and_system_now();
         if stamp == Stamp(0) {

@@ -26,9 +26,9 @@ pub(crate) use socket::SensorSocket;
 pub enum Sensor {
     /// The node has no sensor: it only listens, and passes on what it hears.
     None,
-    /// A recording or a simulation. It is played in real time: the first frame comes at once, the others as far apart as
-    /// their stamps, and each gets the time at which it is played as its stamp. Where the stamps go back, since a clock was
-    /// stepped, it is played on at once. Read on a thread of its own.
+    /// A recording or a simulation. It is played in real time: the first frame comes at once, the others as
+    /// far apart as their stamps, and each gets the time at which it is played as its stamp. Where the stamps
+    /// go back, since a clock was stepped, it is played on at once. Read on a thread of its own.
     Play {
         /// The frames.
         frames: Frames,
@@ -36,8 +36,8 @@ pub enum Sensor {
         speed: f64,
         /// Frames of the first so many seconds of the recording are left out.
         skip: Duration,
-        /// When the first frame is played, on the node's clock; default: as soon as the node runs. So the robots of a
-        /// swarm begin together.
+        /// When the first frame is played, on the node's clock; default: as soon as the node runs. So the
+        /// robots of a swarm begin together.
         begin: Option<Stamp>,
     },
     /// Frames as they come, with stamps on the node's clock. A frame that finds more than four waiting makes the
@@ -47,8 +47,8 @@ pub enum Sensor {
     Tcp(SocketAddr, MessageLimits),
     /// The same over a Unix socket.
     Unix {
-        /// Its file. One that a killed node left behind is replaced; where somebody listens, the node does not start. It is
-        /// removed at the end if it is still the node's own.
+        /// Its file. One that a killed node left behind is replaced; where somebody listens, the node does
+        /// not start. It is removed at the end if it is still the node's own.
         path: PathBuf,
         /// Permissions of the file, such as `0o600`, whatever the umask is: who may write to it may feed scans.
         mode: u32,

@@ -16,8 +16,9 @@ const PAUSE_SAID_MICROS: i64 = 10_000_000;
 /// A record whose stamps go back by more than this was made while a clock was stepped. It is played on at once.
 const STEP_BACK_MICROS: i64 = 1_000_000;
 
-/// Reads frames and passes each on when its time has come, until they end or nobody listens any more. Frames that
-/// wait make the reader wait, so memory is bounded; what comes too late is passed on at once. `None`: nobody listens any more.
+/// Reads frames and passes each on when its time has come, until they end or nobody listens any more. Frames
+/// that wait make the reader wait, so memory is bounded; what comes too late is passed on at once. `None`:
+/// nobody listens any more.
 pub(crate) fn play(
     frames: Frames,
     speed: f64,

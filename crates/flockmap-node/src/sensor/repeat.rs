@@ -6,8 +6,9 @@ use flockmap_io::{Frames, ReadError};
 /// Time between the last frame of a round and the first of the next: that of a LiDAR of 10 Hz.
 const PAUSE_MICROS: i64 = 100_000;
 
-/// The frames of a record so many times, with stamps that go on rising: each round begins a tenth of a second after the one before
-/// has ended. `open` reads the record from its start again. Ends early if that fails, or if a round has no frame.
+/// The frames of a record so many times, with stamps that go on rising: each round begins a tenth of a second
+/// after the one before has ended. `open` reads the record from its start again. Ends early if that fails, or
+/// if a round has no frame.
 pub(crate) fn repeated(
     mut frames: Frames,
     times: u32,

@@ -17,7 +17,8 @@ pub(crate) enum SensorSocket {
 }
 
 impl SensorSocket {
-    /// Opens the socket that `sensor` names, for messages within these limits; `None` if it names none. Within a tokio runtime.
+    /// Opens the socket that `sensor` names, for messages within these limits; `None` if it names none.
+    /// Within a tokio runtime.
     ///
     /// # Errors
     /// Says what is wrong with the address or the path, and what to do.

@@ -28,11 +28,12 @@ pub(crate) struct UnixSocket {
 }
 
 impl UnixSocket {
-    /// Listens at a path, whose file gets the permissions `mode`; it never has others. A socket that nobody listens at any
-    /// more is replaced. Within a tokio runtime.
+    /// Listens at a path, whose file gets the permissions `mode`; it never has others. A socket that nobody
+    /// listens at any more is replaced. Within a tokio runtime.
     ///
     /// # Errors
-    /// Somebody listens there: it says who. Or there is something else, or the path cannot be used: it says why, and what to do.
+    /// Somebody listens there: it says who. Or there is something else, or the path cannot be used: it says
+    /// why, and what to do.
     pub(super) fn bind(path: &Path, mode: u32) -> io::Result<Self> {
         if let Err(error) = SocketAddr::from_pathname(path) {
             let bytes = path.as_os_str().len();
@@ -140,7 +141,8 @@ fn listener_of(socket: Socket) -> Option<String> {
     })
 }
 
-/// Gives the permissions to a socket that has no file yet: Linux makes the file with them, less what the umask takes.
+/// Gives the permissions to a socket that has no file yet: Linux makes the file with them, less what the
+/// umask takes.
 fn with_mode(socket: Socket, mode: u32) -> io::Result<Socket> {
     let socket = File::from(OwnedFd::from(socket));
     // Where the system knows no such thing, the file gets them before anybody can connect.

@@ -8,7 +8,8 @@ use flockmap::Path;
 /// Addresses kept beside those on which robots are reached; of more, those heard last. About 200 bytes each.
 const ADDRESSES_MAX: usize = 1_024;
 
-/// Which address a path stands for. Anybody can fill it, by sending from many addresses; what robots are reached at stays.
+/// Which address a path stands for. Anybody can fill it, by sending from many addresses; what robots are
+/// reached at stays.
 #[derive(Debug, Default)]
 pub(super) struct Addresses {
     paths: BTreeMap<SocketAddr, Path>,

@@ -15,15 +15,18 @@ pub use udp::{UdpError, UdpOptions, UdpSockets, UdpTransport};
 ///
 /// It lives on the one thread of its node, within a tokio runtime.
 pub trait Transport: 'static {
-    /// Waits for the next datagram and writes it to `buffer`; returns its length, and the path on which it came: the same for all that come from
-    /// one address, and never that of another address. Dropping the future loses nothing. An error is counted, and the node goes on.
+    /// Waits for the next datagram and writes it to `buffer`; returns its length, and the path on which it
+    /// came: the same for all that come from one address, and never that of another address. Dropping the
+    /// future loses nothing. An error is counted, and the node goes on.
     fn receive(&mut self, buffer: &mut [u8]) -> impl Future<Output = io::Result<(usize, Path)>>;
 
-    /// On these paths robots are reached, from now on until the next call: what is for everyone goes there too, and they are not forgotten.
+    /// On these paths robots are reached, from now on until the next call: what is for everyone goes there
+    /// too, and they are not forgotten.
     fn set_paths(&mut self, paths: &[Path]);
 
-    /// Sends a datagram, or drops it where the system has no room: one for a robot on its path and nowhere else, without a path not at all; one for everyone
-    /// to all who are configured, and on the paths that were set.
+    /// Sends a datagram, or drops it where the system has no room: one for a robot on its path and nowhere
+    /// else, without a path not at all; one for everyone to all who are configured, and on the paths that
+    /// were set.
     fn send(&mut self, transmit: &Transmit) -> impl Future<Output = SendResult>;
 }
 

@@ -25,8 +25,8 @@ const SEND_WAIT_MAX: Duration = Duration::from_millis(20);
 pub struct UdpOptions {
     /// Own address and port. Port 0: the system chooses. `[::]` serves IPv4 too. Default `0.0.0.0:7700`.
     pub bind: SocketAddr,
-    /// Robots that are sent to before they were heard, as `ADDRESS:PORT` or `NAME:PORT`; names are looked up once. Those heard from
-    /// elsewhere are sent to there once an answer has come back from there.
+    /// Robots that are sent to before they were heard, as `ADDRESS:PORT` or `NAME:PORT`; names are looked up
+    /// once. Those heard from elsewhere are sent to there once an answer has come back from there.
     pub peers: Vec<String>,
     /// What is for everyone goes here in one datagram. IPv4.
     pub broadcast: Option<SocketAddr>,
@@ -306,8 +306,8 @@ fn open(options: &UdpOptions, address: SocketAddr, shared: bool) -> Result<Socke
     Ok(socket)
 }
 
-/// A socket that shares its port with sockets of the group would share it with another node just as well, and either would get what
-/// is sent to the other. That one is found at an address that nobody shares.
+/// A socket that shares its port with sockets of the group would share it with another node just as well, and
+/// either would get what is sent to the other. That one is found at an address that nobody shares.
 fn refuse_a_second_node(bind: SocketAddr) -> Result<(), UdpError> {
     let v4 = IpAddr::V4(Ipv4Addr::LOCALHOST);
     let loopbacks = if bind.is_ipv4() { vec![v4] } else { vec![v4, Ipv6Addr::LOCALHOST.into()] };

@@ -94,7 +94,8 @@ pub fn small_scan(random: &mut Random, stamp: Stamp) -> Scan {
     scan
 }
 
-/// Both robots fly; what the first one publishes goes to its store. Returns the packages in the order of the store.
+/// Both robots fly; what the first one publishes goes to its store. Returns the packages in the order of the
+/// store.
 pub fn fly(
     swarm: &mut Swarm,
     writer: &mut Writer,

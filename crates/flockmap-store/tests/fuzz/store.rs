@@ -1,8 +1,10 @@
-//! Any bytes as the log of a store; what the fuzzer runs, shared with the test that replays its corpus (`fuzz/README.md`).
+//! Any bytes as the log of a store; what the fuzzer runs, shared with the test that replays its corpus
+//! (`fuzz/README.md`).
 //!
-//! Input: choices of pieces, of which a segment is made behind its sound header. First byte of a piece: 0 to 127: so many of the bytes that
-//! follow stand as they are. 128 to 191: they are framed as a record of a type from 0 to 3 with the right check, `u16 LE` long. 192 to 255: one of the honest
-//! packages stands there, framed.
+//! Input: choices of pieces, of which a segment is made behind its sound header. First byte of a piece: 0 to
+//! 127: so many of the bytes that follow stand as they are. 128 to 191: they are framed as a record of a type
+//! from 0 to 3 with the right check, `u16 LE` long. 192 to 255: one of the honest packages stands there,
+//! framed.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};

@@ -55,8 +55,8 @@ impl Chains {
         }
     }
 
-    /// Makes a place for the snapshot of a chunk, if it has none. Returns the one that had to go for it: one that is not received any more,
-    /// else the one that was left alone longest.
+    /// Makes a place for the snapshot of a chunk, if it has none. Returns the one that had to go for it: one
+    /// that is not received any more, else the one that was left alone longest.
     pub(crate) fn open(
         &mut self,
         id: ChainId,

@@ -12,9 +12,9 @@ pub(crate) const WAITING_BYTES_MAX: usize = 1 << 20;
 /// Its header, and its place in a map whose nodes may be half empty.
 const OVERHEAD_BYTES: usize = 400;
 
-/// Packages by stream and index, within [`WAITING_MAX`] and [`WAITING_BYTES_MAX`]. Where they do not suffice, the stream of which most
-/// is waiting is dropped, so that none can displace another; and of it the highest index, since the low ones are the first that can
-/// go, and others wait for them.
+/// Packages by stream and index, within [`WAITING_MAX`] and [`WAITING_BYTES_MAX`]. Where they do not suffice,
+/// the stream of which most is waiting is dropped, so that none can displace another; and of it the highest
+/// index, since the low ones are the first that can go, and others wait for them.
 #[derive(Debug, Default)]
 pub(crate) struct Waiting {
     packages: BTreeMap<(Stream, u32), Package>,

@@ -27,7 +27,8 @@ pub(crate) struct Sending {
     pub(crate) upto: u32,
     /// When the peer last spoke of the snapshot, or it was begun.
     pub(crate) named_at: Stamp,
-    /// 0: the peer spoke of the snapshot. Else how often chunks got lost since then, or since it was begun, and one more.
+    /// 0: the peer spoke of the snapshot. Else how often chunks got lost since then, or since it was begun,
+    /// and one more.
     pub(crate) unheeded: u8,
     /// When chunks of it got lost last.
     pub(crate) lost_at: Stamp,
@@ -44,7 +45,8 @@ pub(crate) struct PeerStream {
     pub(crate) from: u32,
     /// What the peer stated to hold, or sent itself.
     pub(crate) received: IntervalSet,
-    /// Those and the ones in flight: what need not be sent now. It has room for both; and those that a full ledger forgot since the last request.
+    /// Those and the ones in flight: what need not be sent now. It has room for both; and those that a full
+    /// ledger forgot since the last request.
     pub(crate) received_or_in_flight: IntervalSet,
     /// For a relay that is not first in line: what stayed missing for the whole relay delay.
     pub(crate) overdue: IntervalSet,
@@ -78,7 +80,8 @@ impl PeerStream {
         }
     }
 
-    /// The peer has confirmed this package. A stream that is too fragmented to note it learns it from the next request.
+    /// The peer has confirmed this package. A stream that is too fragmented to note it learns it from the
+    /// next request.
     pub(crate) fn note_received(&mut self, index: u32) {
         let _ = self.received.insert(index);
         let _ = self.received_or_in_flight.insert(index);
@@ -86,8 +89,8 @@ impl PeerStream {
 }
 
 impl PeerStream {
-    /// Notes that an item need not be sent now; whether that was news. A view that is too torn to note it says no.
-    /// Such an item is not sent either: it would be sent again and again.
+    /// Notes that an item need not be sent now; whether that was news. A view that is too torn to note it
+    /// says no. Such an item is not sent either: it would be sent again and again.
     pub(crate) fn cover(&mut self, item: Item) -> bool {
         match item {
             Item::Package { index, .. } => self.received_or_in_flight.insert(index).unwrap_or(false),

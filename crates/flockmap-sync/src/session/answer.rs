@@ -1,4 +1,5 @@
-//! Requests that come in: what the peer holds, what of the packages sent to it is lost, whose turn it is to answer.
+//! Requests that come in: what the peer holds, what of the packages sent to it is lost, whose turn it is to
+//! answer.
 
 use super::Session;
 use super::snapshot::OFFER_PAUSE;
@@ -12,8 +13,8 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::BTreeSet;
 
-/// A stamp below an earlier one means that a later datagram came first, since the clock of a run never goes back. But the earlier
-/// one may be false where there is no key: then it counts for so long.
+/// A stamp below an earlier one means that a later datagram came first, since the clock of a run never goes
+/// back. But the earlier one may be false where there is no key: then it counts for so long.
 const UNSEALED_STAMP_COUNTS: Duration = Duration::from_secs(5);
 
 /// A peer that got one package in so many of those that it missed one relay delay ago is being served.
@@ -44,7 +45,8 @@ impl Session {
         self.config.swarm_key.is_some() || age < UNSEALED_STAMP_COUNTS
     }
 
-    /// Takes in whom the peer hears. If it hears this robot: the stamp that came back and how long the peer had it.
+    /// Takes in whom the peer hears. If it hears this robot: the stamp that came back and how long the peer
+    /// had it.
     fn take_echoes(
         &mut self,
         now: Stamp,
@@ -85,8 +87,8 @@ impl Session {
             peer.note_origins(origins);
             peer.streams.retain(|stream, theirs| {
                 let is_named = request.received.iter().any(|received| received.stream == *stream);
-                // Not named: nothing is held any more, as after a lost store. But what came in later datagrams of the peer it did not
-                // hold yet when it made this request.
+                // Not named: nothing is held any more, as after a lost store. But what came in later
+                // datagrams of the peer it did not hold yet when it made this request.
                 if !is_named && origins.contains(stream.origin) && !is_superseded {
                     theirs.received = IntervalSet::new(PEER_INTERVALS_MAX);
                     theirs.from = 1;
@@ -278,8 +280,8 @@ impl Session {
         if now.since(theirs.missing_then.0) >= delay {
             let then = &theirs.missing_then.1;
             let still = then.intersection(&missing);
-            // Where much of it has come meanwhile, or is coming as a snapshot, somebody is at it. One that is complete brings no more:
-            // it waits for packages before it.
+            // Where much of it has come meanwhile, or is coming as a snapshot, somebody is at it. One that is
+            // complete brings no more: it waits for packages before it.
             let own = self.identity.own.origin;
             let is_coming = |t: &TransferProgress| t.stream == stream && t.source != own && !t.is_complete();
             let is_served = request.transfers.iter().any(is_coming)
@@ -322,9 +324,9 @@ impl Session {
     }
 }
 
-/// By broadcast a peer may have given its place to a snapshot that another peer is sent, and ignores the one for itself. If that helps it as
-/// well, it is sent that one: else both would wait for ever. A snapshot of which it has all chunks, or that begins after what it needs, would not
-/// help.
+/// By broadcast a peer may have given its place to a snapshot that another peer is sent, and ignores the one
+/// for itself. If that helps it as well, it is sent that one: else both would wait for ever. A snapshot of
+/// which it has all chunks, or that begins after what it needs, would not help.
 fn send_what_has_a_place(
     now: Stamp,
     theirs: &mut PeerStream,

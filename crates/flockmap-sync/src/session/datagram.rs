@@ -12,13 +12,14 @@ use crate::wire::{
 use flockmap_grid::{Stamp, Stream};
 
 impl Session {
-    /// Takes in a received datagram, of a driver that knows no addresses. An error is already counted; it says what was wrong and needs
-    /// no action.
+    /// Takes in a received datagram, of a driver that knows no addresses. An error is already counted; it
+    /// says what was wrong and needs no action.
     pub fn handle_datagram(&mut self, now: Stamp, bytes: &[u8]) -> Result<(), DatagramError> {
         self.handle_datagram_on(now, None, bytes)
     }
 
-    /// Takes in a datagram received on a path. By unicast nothing but a challenge goes out on it before an answer came back.
+    /// Takes in a datagram received on a path. By unicast nothing but a challenge goes out on it before an
+    /// answer came back.
     pub fn handle_datagram_from(
         &mut self,
         now: Stamp,

@@ -1,4 +1,5 @@
-//! How much of the own map the budget takes at the moment: what a driver needs to know to merge changes before they become packages.
+//! How much of the own map the budget takes at the moment: what a driver needs to know to merge changes
+//! before they become packages.
 
 use super::Session;
 use super::plan::BACKLOG_MIN;
@@ -10,8 +11,8 @@ use flockmap_grid::Stamp;
 impl Session {
     /// What the budget leaves for own packages.
     ///
-    /// Only peers count that hear this robot and are not silent. One that catches up, since it lacks more than 64 stored packages, counts only if there
-    /// is no other. O(peers).
+    /// Only peers count that hear this robot and are not silent. One that catches up, since it lacks more
+    /// than 64 stored packages, counts only if there is no other. O(peers).
     pub fn pace(&self, now: Stamp) -> Pace {
         let newest = self.store.newest_known(self.identity.own);
         let listens = |peer: &&Peer| {

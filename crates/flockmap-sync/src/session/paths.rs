@@ -1,5 +1,6 @@
-//! Where peers are reached: an address is used only after a round trip through it, as QUIC validates paths (RFC 9000, section 8.2). Else who
-//! copies a robot's datagrams from an address of its own would draw the traffic for that robot there.
+//! Where peers are reached: an address is used only after a round trip through it, as QUIC validates paths
+//! (RFC 9000, section 8.2). Else who copies a robot's datagrams from an address of its own would draw the
+//! traffic for that robot there.
 
 use super::Session;
 use crate::Cast;
@@ -12,7 +13,8 @@ use flockmap_mutation::{self as mutation, Mutation};
 
 /// Challenges and answers that wait to be sent; more are dropped, and come again.
 const WAITING_MAX: usize = 64;
-/// Least pause between two challenges to a peer: each is an answer to a datagram, and not longer than the shortest of these.
+/// Least pause between two challenges to a peer: each is an answer to a datagram, and not longer than the
+/// shortest of these.
 const CHALLENGE_PAUSE: Duration = Duration::from_millis(200);
 
 fn challenge_pause() -> Duration {
@@ -20,7 +22,8 @@ fn challenge_pause() -> Duration {
 }
 
 impl Session {
-    /// The paths on which peers are reached: where what is for everyone goes, beside the addresses that the driver knows.
+    /// The paths on which peers are reached: where what is for everyone goes, beside the addresses that the
+    /// driver knows.
     pub fn paths(&self) -> impl Iterator<Item = (RobotId, Path)> + '_ {
         self.peers.iter().filter_map(|(id, peer)| Some((*id, peer.path.valid()?)))
     }

@@ -12,8 +12,8 @@ use std::collections::VecDeque;
 
 /// Items planned ahead for a peer, and looked at per stream for it.
 const QUEUE_MAX: usize = 256;
-/// A peer that misses more packages of a stream than this gets the oldest first: what builds on them could only wait, and of
-/// what may wait there is not enough room for a long flight.
+/// A peer that misses more packages of a stream than this gets the oldest first: what builds on them could
+/// only wait, and of what may wait there is not enough room for a long flight.
 pub(super) const BACKLOG_MIN: u32 = 64;
 
 /// A package that the peer misses.
@@ -91,8 +91,8 @@ impl Session {
             }
         }
         match self.config.order {
-            // Obstacles, near free space, far free space; of each batch by batch; within a batch in the order of the indices, so that no
-            // gaps appear.
+            // Obstacles, near free space, far free space; of each batch by batch; within a batch in the order
+            // of the indices, so that no gaps appear.
             Order::NewestFirst => {
                 due.sort_unstable_by_key(|due| (due.priority, Reverse(due.fresh_at), due.stream, due.index))
             }

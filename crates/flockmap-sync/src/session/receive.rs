@@ -99,7 +99,8 @@ impl Session {
         }
     }
 
-    /// The next event, until `None`. A package comes when it can be decoded: what has to wait for others is kept here.
+    /// The next event, until `None`. A package comes when it can be decoded: what has to wait for others is
+    /// kept here.
     pub fn poll_event(&mut self) -> Option<Event> {
         loop {
             if let Some(package) = self.inbox.next_released(&self.store) {
@@ -145,8 +146,8 @@ impl Session {
         }
     }
 
-    /// What became of the package of an [`Event::Received`]: of each, before the next event is polled. One that needs no verdict any more is
-    /// ignored.
+    /// What became of the package of an [`Event::Received`]: of each, before the next event is polled. One
+    /// that needs no verdict any more is ignored.
     pub fn verdict(&mut self, now: Stamp, package: &Package, verdict: Verdict) {
         let now = self.advance(now);
         let item = Item::of(package);

@@ -16,7 +16,8 @@ const BUDGET_SHARE_AT_ONCE: usize = 2;
 const URGENT_MAX: usize = 64;
 /// … but a request is never cut below so many bytes: it has to say something of each transfer and stream in turn.
 const REQUEST_BYTES_MIN: usize = 280;
-/// Nor below so many when it is sealed, which is less before: all peers at once are to get one out of a thin budget.
+/// Nor below so many when it is sealed, which is less before: all peers at once are to get one out of a thin
+/// budget.
 const SEALED_REQUEST_BYTES_MIN: usize = 299;
 
 impl Session {
@@ -54,7 +55,8 @@ impl Session {
         Some(Transmit { to, path, bytes })
     }
 
-    /// Takes bytes from the budgets of the radio and of the links. `false`, with nothing taken: one of them has no room, and a timer says when it has.
+    /// Takes bytes from the budgets of the radio and of the links. `false`, with nothing taken: one of them
+    /// has no room, and a timer says when it has.
     pub(super) fn spend(&mut self, now: Stamp, to: Destination, each: usize, copies: usize) -> bool {
         let radio = self.outbox.radio.iter_mut().map(|radio| (radio, each * copies));
         let links = self.peers.iter_mut().filter(|(id, _)| to.includes(**id));
@@ -96,7 +98,8 @@ impl Session {
         Destination::Everyone
     }
 
-    /// What there is to say; and how many of the lists of held indices are urgent: the own one, and those with gaps.
+    /// What there is to say; and how many of the lists of held indices are urgent: the own one, and those
+    /// with gaps.
     fn request(&self, now: Stamp) -> (Request, usize) {
         let count = self.schedule.count;
         let mut echoes: Vec<Echo> = self
@@ -136,8 +139,9 @@ impl Session {
         (request, urgent)
     }
 
-    /// The lists of held indices in the order in which they are to be written, and how many of them are urgent. Urgent are: the own run; the
-    /// run that a robot heard in a former one has to learn of; runs with gaps, in turn. Then come all runs, origin by origin from the cursor on.
+    /// The lists of held indices in the order in which they are to be written, and how many of them are
+    /// urgent. Urgent are: the own run; the run that a robot heard in a former one has to learn of; runs with
+    /// gaps, in turn. Then come all runs, origin by origin from the cursor on.
     fn received_lists(&self, now: Stamp) -> (Vec<Received>, usize) {
         let list = |stream: Stream| Received {
             stream,
@@ -161,7 +165,8 @@ impl Session {
             let runs = streams.iter().take_while(|stream| stream.origin == first).count();
             streams[..runs].rotate_left(self.schedule.rounds as usize % runs);
         }
-        // The newest run of a robot is named also where nothing of it is held: the robot may fly in a former one, out of earshot.
+        // The newest run of a robot is named also where nothing of it is held: the robot may fly in a former
+        // one, out of earshot.
         let is_newest = |stream: Stream| stream != self.identity.own && !self.store.is_superseded(stream);
         let named = streams.into_iter().map(list);
         lists.extend(named.filter(|received| {
@@ -207,8 +212,8 @@ impl Session {
         self.schedule.cursor = next;
     }
 
-    /// What is held, and what nobody shall send just now: what waits for a verdict, what was rejected a moment ago, and what
-    /// only a snapshot can bring.
+    /// What is held, and what nobody shall send just now: what waits for a verdict, what was rejected a
+    /// moment ago, and what only a snapshot can bring.
     pub(super) fn stated_as_received(&self, stream: Stream, now: Stamp) -> IntervalSet {
         let Some(received) = self.store.received(stream) else { return IntervalSet::new(0) };
         if mutation::is(Mutation::GapNeverAsked) {

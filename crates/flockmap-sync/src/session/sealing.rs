@@ -1,4 +1,5 @@
-//! What a swarm key changes in a session: datagrams are sealed as they go out, and authenticated before anything of them counts.
+//! What a swarm key changes in a session: datagrams are sealed as they go out, and authenticated before
+//! anything of them counts.
 
 use super::Session;
 use crate::event::{Destination, Event, Transmit};
@@ -10,7 +11,8 @@ use flockmap_grid::{Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
 impl Session {
-    /// Whether some datagram cannot be sealed any more: one more would need a nonce that was used. Reports it to the driver, once.
+    /// Whether some datagram cannot be sealed any more: one more would need a nonce that was used. Reports it
+    /// to the driver, once.
     pub(super) fn check_exhausted(&mut self) -> bool {
         if self.is_exhausted() && !self.identity.exhausted_sent {
             self.identity.exhausted_sent = true;
@@ -58,7 +60,8 @@ impl Session {
             return Ok(opened);
         }
         if known.is_some_and(|known| known != salt) {
-            // Two runs of one robot with the same epoch: with probability 1 in in 2³², else a driver that does not draw its epochs.
+            // Two runs of one robot with the same epoch: with probability 1 in in 2³², else a driver that
+            // does not draw its epochs.
             return Err(DatagramError::Replayed { sender: sender.origin, counter });
         }
         let fresh = self.identity.replays.check(sender, is_for_one, counter);
@@ -78,8 +81,8 @@ impl Session {
         Ok(opened)
     }
 
-    /// A genuine datagram in the own name: of a former run, if somebody replays it; of another robot, if it is sealed by another run;
-    /// else an own one heard back.
+    /// A genuine datagram in the own name: of a former run, if somebody replays it; of another robot, if it
+    /// is sealed by another run; else an own one heard back.
     fn check_own(&mut self, now: Stamp, sender: Stream, salt: [u8; 16]) -> Result<(), DatagramError> {
         let (id, current) = (self.identity.own.origin, self.identity.own.epoch);
         if sender.epoch < current {

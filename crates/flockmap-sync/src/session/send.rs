@@ -12,7 +12,8 @@ use flockmap_mutation::{self as mutation, Mutation};
 /// Items looked at to fill up a datagram.
 const BUNDLE_LOOKAHEAD: usize = 16;
 
-/// Requests to everyone that may go out while packages wait for a budget. Where peers forget each other soon, requests alone could fill it.
+/// Requests to everyone that may go out while packages wait for a budget. Where peers forget each other soon,
+/// requests alone could fill it.
 const SUPERSEDED_MAX: u8 = 3;
 
 /// What came of the attempt to send something to a peer.

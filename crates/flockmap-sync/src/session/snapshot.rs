@@ -13,7 +13,8 @@ use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
-/// Of snapshots that a peer ignores single chunks are offered, with this pause: who has no place for a snapshot is not to be sent it over and over.
+/// Of snapshots that a peer ignores single chunks are offered, with this pause: who has no place for a
+/// snapshot is not to be sent it over and over.
 pub(super) const OFFER_PAUSE: Duration = Duration::from_secs(5);
 
 /// Of a run that has ended, a gap is taken for one that nobody fills when nothing new has come for so long.
@@ -21,15 +22,16 @@ const GAP_STANDS: Duration = Duration::from_secs(10);
 /// Longest chunk of a state of a history with gaps: what it contains goes with every chunk.
 const PARTS_CHUNK_BYTES_MAX: usize = flockmap_codec::PACKAGE_BYTES_MAX - CONTENTS_BYTES_MAX;
 
-/// The driver is asked again for the state of a stream after so long; where there was no room for it, and after it declined, later.
+/// The driver is asked again for the state of a stream after so long; where there was no room for it, and
+/// after it declined, later.
 const ASK_AGAIN: Duration = Duration::from_secs(2);
 const ASK_AGAIN_NO_ROOM: Duration = Duration::from_secs(5);
 const ASK_AGAIN_DECLINED: Duration = Duration::from_secs(30);
 
 impl Session {
-    /// The answer to [`Event::SnapshotWanted`]: the layer of the stream, or what of it is newer, as chunks, all of one snapshot, all with
-    /// `since` and the index `upto` of the event. No chunks: there is none to give now; it is asked for again later.
-    /// Chunks that cannot be used are counted and dropped.
+    /// The answer to [`Event::SnapshotWanted`]: the layer of the stream, or what of it is newer, as chunks,
+    /// all of one snapshot, all with `since` and the index `upto` of the event. No chunks: there is none to
+    /// give now; it is asked for again later. Chunks that cannot be used are counted and dropped.
     pub fn provide_snapshot(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) {
         let now = self.advance(now);
         let Some(outgoing) = self.check_chunks(now, stream, chunks) else {
@@ -50,8 +52,8 @@ impl Session {
         }
     }
 
-    /// Drops snapshots that nobody is sent, those first that were not used for longest. What is in flight to a peer that speaks of it
-    /// stays: snapshots that push each other out are never complete anywhere.
+    /// Drops snapshots that nobody is sent, those first that were not used for longest. What is in flight to
+    /// a peer that speaks of it stays: snapshots that push each other out are never complete anywhere.
     fn make_room_for_chunks(&mut self, bytes: usize) -> bool {
         loop {
             let received: usize = self.outbox.snapshots.iter().map(|outgoing| outgoing.bytes).sum();
@@ -132,7 +134,8 @@ impl Session {
         goes_on
     }
 
-    /// What is held beyond a gap that nobody fills comes as a state of all that is held, if it is not stored: of runs that have ended.
+    /// What is held beyond a gap that nobody fills comes as a state of all that is held, if it is not stored:
+    /// of runs that have ended.
     fn review_parts(&mut self, now: Stamp, id: RobotId, stream: Stream, relay_rank: u32) {
         let Some(received) = self.store.received(stream) else { return };
         let beyond = received.within(received.prefix().saturating_add(2), u32::MAX);
@@ -224,7 +227,8 @@ impl Session {
         let delay = self.config.relay_delay(relay_rank);
         let wanted = request.filter(|(.., at)| now.since(*at) >= delay).map(|(_, upto, _)| upto);
         let Some(first) = missing.first().into_iter().chain(wanted).min() else { return };
-        // Where packages are stored and cost less than the state, it is the part that they cannot bring that is wanted.
+        // Where packages are stored and cost less than the state, it is the part that they cannot bring that
+        // is wanted.
         since_max = if since_max == u32::MAX { first.saturating_sub(1) } else { since_max };
         let newer_than = self.store.newer_than(stream, since_max);
         let since = if newer_than.is_some() { since_max } else { 0 };
@@ -296,7 +300,8 @@ impl Session {
             .map(move |number| Item::Chunk { stream, snapshot_id, chunk: number - 1 })
     }
 
-    /// The chunks that a peer is sent: first those of snapshots that it speaks of. Of all snapshots that it ignores one chunk is in flight at a time.
+    /// The chunks that a peer is sent: first those of snapshots that it speaks of. Of all snapshots that it
+    /// ignores one chunk is in flight at a time.
     pub(super) fn plan_chunks(&self, now: Stamp, peer: &Peer, most: usize) -> Vec<Item> {
         let streams = peer.streams.iter().filter(|(stream, _)| peer.wants(**stream));
         let sendings = streams.filter_map(|(stream, theirs)| Some((*stream, theirs.sending.as_ref()?)));

@@ -12,10 +12,11 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 const GREETING_JITTER: Duration = Duration::from_millis(20);
 /// Least pause before a greeting, so that ever new runs of a faulty peer do not make us talk without end.
 const GREETING_PAUSE: Duration = Duration::from_millis(50);
-/// Least pause between requests that go out because a robot was heard in a former run: replays must not make us talk.
+/// Least pause between requests that go out because a robot was heard in a former run: replays must not make
+/// us talk.
 const SUPERSEDED_PAUSE: Duration = Duration::from_secs(1);
-/// So many requests for gaps go out at the shortest pause; after that the pause doubles each time. Over a radio that loses every
-/// second datagram, one round of request and answer in four succeeds.
+/// So many requests for gaps go out at the shortest pause; after that the pause doubles each time. Over a
+/// radio that loses every second datagram, one round of request and answer in four succeeds.
 const GAP_TRIES: u32 = 10;
 /// In a swarm larger than [`SMALL_SWARM`], whose requests add up on the radio.
 const GAP_TRIES_OF_MANY: u32 = 3;
@@ -51,7 +52,8 @@ impl Session {
         self.schedule.timers.set_sooner(Timer::Greeting, at);
     }
 
-    /// A robot was heard in a run before the newest one that is known of it: it should learn of that one, and begin anew above it.
+    /// A robot was heard in a run before the newest one that is known of it: it should learn of that one, and
+    /// begin anew above it.
     pub(super) fn send_superseded(&mut self, now: Stamp, newest: Stream) {
         if self.schedule.superseded_sent.is_none_or(|sent| now.since(sent) >= SUPERSEDED_PAUSE) {
             self.schedule.superseded_sent = Some(now);
@@ -145,8 +147,8 @@ impl Session {
         })
     }
 
-    /// Pause after a request of so many bytes, so that requests take no more than their share of the budget; short
-    /// enough that the peers do not lose sight of this robot.
+    /// Pause after a request of so many bytes, so that requests take no more than their share of the budget;
+    /// short enough that the peers do not lose sight of this robot.
     pub(super) fn budget_pause(&self, each: usize, copies: usize) -> Duration {
         let pause = |bytes: usize, rate: Option<u32>| {
             let micros =

@@ -45,7 +45,8 @@ impl Session {
         let item = Item::Chunk { stream, snapshot_id: transfer.snapshot_id, chunk };
         let received = transfer.accepted.contains(chunk + 1);
         if !received {
-            // One of which nothing new comes keeps its place from others no longer than one of which nothing comes.
+            // One of which nothing new comes keeps its place from others no longer than one of which nothing
+            // comes.
             transfer.touched = now;
         }
         self.deliver(now, from, item, received, package);
@@ -77,8 +78,8 @@ impl Session {
         self.finish_transfers(now);
     }
 
-    /// The driver has let go of what the chunks of a snapshot said, and needs all of them again to go on: those merged or
-    /// waiting count no more. Rejected ones stay so for their time.
+    /// The driver has let go of what the chunks of a snapshot said, and needs all of them again to go on:
+    /// those merged or waiting count no more. Rejected ones stay so for their time.
     pub fn restart_snapshot(&mut self, now: Stamp, stream: Stream, snapshot_id: u32) {
         let now = self.advance(now);
         self.inbox.restart(stream, snapshot_id);

@@ -17,7 +17,8 @@ const OWN_PACKAGE: u8 = 17;
 const CONTENTS: u8 = 18;
 /// The sender may send no more before it knows what has arrived.
 const WINDOW_FULL: u8 = 19;
-/// Bytes of a record of contents at the most: of more intervals the lowest are left out, and come by another state.
+/// Bytes of a record of contents at the most: of more intervals the lowest are left out, and come by another
+/// state.
 pub const CONTENTS_BYTES_MAX: usize = 190;
 
 /// Whether the sender waits for a report of what has arrived.
@@ -25,7 +26,8 @@ pub fn asks_for_request(datagram: &Datagram<'_>) -> bool {
     datagram.records().any(|(id, _)| id == WINDOW_FULL)
 }
 
-/// What a snapshot contains, where that is not all from the first package on: who has accepted all of them holds these.
+/// What a snapshot contains, where that is not all from the first package on: who has accepted all of them
+/// holds these.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Contents {
     /// The stream.

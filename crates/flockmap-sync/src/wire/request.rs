@@ -59,8 +59,8 @@ pub struct Received {
     pub received: IntervalSet,
 }
 
-/// Origins of which a request names every run that the sender holds something of: what it does not name of them, it does not hold.
-/// From `first` on, upwards, and from 65,535 on to 0, to `last`.
+/// Origins of which a request names every run that the sender holds something of: what it does not name of
+/// them, it does not hold. From `first` on, upwards, and from 65,535 on to 0, to `last`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct OriginRange {
     /// The first of them.
@@ -86,7 +86,8 @@ impl OriginRange {
     }
 }
 
-/// A snapshot that is wanted in place of packages that cannot be decoded any more, since what they build on is gone.
+/// A snapshot that is wanted in place of packages that cannot be decoded any more, since what they build on
+/// is gone.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct SnapshotRequest {
     /// The stream.
@@ -95,7 +96,8 @@ pub struct SnapshotRequest {
     pub since: u32,
     /// Nothing is said of indices below this one; 1 if the list is whole.
     pub from: u32,
-    /// The packages: a state that contains one of them is welcome. The sender states them as held, so that nobody sends them.
+    /// The packages: a state that contains one of them is welcome. The sender states them as held, so that
+    /// nobody sends them.
     pub undecodable: IntervalSet,
 }
 
@@ -141,8 +143,8 @@ pub struct ClockReport {
 /// All that a request says. Parsed from at most [`DATAGRAM_BYTES_MAX`] bytes; holds at most 24 times as many.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
 pub struct Request {
-    /// The origins of which `received` names every run that the sender holds something of. A request that has to be cut says nothing of
-    /// others that it does not name. `None`: of no origin.
+    /// The origins of which `received` names every run that the sender holds something of. A request that has
+    /// to be cut says nothing of others that it does not name. `None`: of no origin.
     pub origins: Option<OriginRange>,
     /// Whether `echoes` names every peer that the sender hears.
     pub all_echoes: bool,
@@ -150,7 +152,8 @@ pub struct Request {
     pub no_new_streams: bool,
     /// The peers that the sender hears.
     pub echoes: Vec<Echo>,
-    /// What the sender holds. To be written: what matters most first, then all runs by their origins, in the order of `origins`.
+    /// What the sender holds. To be written: what matters most first, then all runs by their origins, in the
+    /// order of `origins`.
     pub received: Vec<Received>,
     /// The snapshots that it is receiving.
     pub transfers: Vec<TransferProgress>,
@@ -271,12 +274,14 @@ impl Request {
         self.emit_in_order(header, bytes_max, 0).0
     }
 
-    /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]); also returns which origins it covers.
+    /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]); also returns which
+    /// origins it covers.
     ///
-    /// What does not fit is cut: echoes get at most a quarter of the room, clocks and snapshot requests an eighth each. Of the rest
-    /// half is for transfers that need it, since one that is not named would be sent for ever. The first `urgent` lists of held indices get
-    /// half of what remains; then come the origins in their order, each with all of its runs, as many as fit. `origins` of `self` is what is covered if all fit.
-    /// A list that does not fit loses its lowest intervals. However small the room, a run is named.
+    /// What does not fit is cut: echoes get at most a quarter of the room, clocks and snapshot requests an
+    /// eighth each. Of the rest half is for transfers that need it, since one that is not named would be sent
+    /// for ever. The first `urgent` lists of held indices get half of what remains; then come the origins in
+    /// their order, each with all of its runs, as many as fit. `origins` of `self` is what is covered if all
+    /// fit. A list that does not fit loses its lowest intervals. However small the room, a run is named.
     pub fn emit_in_order(
         &self,
         header: DatagramHeader,
@@ -413,7 +418,8 @@ fn put_unless_empty(out: &mut Vec<u8>, id: u8, content: &mut Vec<u8>) {
     }
 }
 
-/// Ends a record with a list of intervals, as far as it fits before `end`; whether anything of it did. Empties `content`.
+/// Ends a record with a list of intervals, as far as it fits before `end`; whether anything of it did.
+/// Empties `content`.
 pub(super) fn put_list(
     out: &mut Vec<u8>,
     id: u8,
@@ -470,8 +476,8 @@ pub(super) fn read_intervals(reader: &mut Reader<'_>, intervals_max: usize) -> O
 /// `false` if not even the newest interval fits of a set that has one.
 fn put_intervals(out: &mut Vec<u8>, from: u32, set: &IntervalSet, room: usize) -> bool {
     let intervals = set.intervals();
-    // From the newest down: how many fit. The gap below the first one is counted from `from`, which is raised to the end of the one before;
-    // that is one more than between two, and may take a byte more.
+    // From the newest down: how many fit. The gap below the first one is counted from `from`, which is raised
+    // to the end of the one before; that is one more than between two, and may take a byte more.
     let mut used = 5;
     let mut first = intervals.len();
     while first > 0 {

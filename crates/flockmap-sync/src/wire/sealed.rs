@@ -1,5 +1,5 @@
-//! Sealed datagrams: what a swarm with a key sends. XChaCha20-Poly1305 over everything but the few bytes by which a receiver
-//! finds the nonce; those are authenticated too.
+//! Sealed datagrams: what a swarm with a key sends. XChaCha20-Poly1305 over everything but the few bytes by
+//! which a receiver finds the nonce; those are authenticated too.
 
 use super::datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, HEADER_BYTES, Kind, MAGIC, WIRE_VERSION, check_version, head,
@@ -27,14 +27,16 @@ const STAMP_BYTES: usize = 8;
 /// Bytes of the salt of a run.
 pub const SALT_BYTES: usize = 16;
 
-/// Bytes by which a sealed datagram is longer than the same one unsealed; requests and challenges are longer by [`SALT_BYTES`] more.
+/// Bytes by which a sealed datagram is longer than the same one unsealed; requests and challenges are longer
+/// by [`SALT_BYTES`] more.
 pub const SEAL_BYTES: usize = HEAD_BYTES + COUNTER_BYTES + STAMP_BYTES + TAG_BYTES - HEADER_BYTES;
 
-/// The highest counter of a sealed datagram. The bit above it separates datagrams for one robot from those for all.
+/// The highest counter of a sealed datagram. The bit above it separates datagrams for one robot from those
+/// for all.
 pub const COUNTER_MAX: u64 = (1 << (8 * COUNTER_BYTES - 1)) - 1;
 
-/// Random bytes that a driver draws for each run. With them every run seals with a key of its own, whatever its clock and its
-/// epoch are, so that no nonce comes twice.
+/// Random bytes that a driver draws for each run. With them every run seals with a key of its own, whatever
+/// its clock and its epoch are, so that no nonce comes twice.
 pub type Salt = [u8; SALT_BYTES];
 
 /// Bytes that sealing adds to a datagram of this kind.
@@ -42,7 +44,8 @@ pub const fn seal_bytes(kind: Kind) -> usize {
     SEAL_BYTES + if has_salt(kind) { SALT_BYTES } else { 0 }
 }
 
-/// Requests and challenges have the salt of the sender's run: each of them may be the first that a robot hears of it.
+/// Requests and challenges have the salt of the sender's run: each of them may be the first that a robot
+/// hears of it.
 const fn has_salt(kind: Kind) -> bool {
     match kind {
         Kind::Request | Kind::Path => true,
@@ -55,11 +58,11 @@ pub fn is_sealed(bytes: &[u8]) -> bool {
     bytes.get(3).is_some_and(|kind| kind & SEALED != 0)
 }
 
-/// Seals a complete datagram for all robots of the swarm, or for one alone. A counter above [`COUNTER_MAX`], or bytes that are no
-/// datagram, give `None`.
+/// Seals a complete datagram for all robots of the swarm, or for one alone. A counter above [`COUNTER_MAX`],
+/// or bytes that are no datagram, give `None`.
 ///
-/// **Never use a counter twice** for one salt and recipient: two datagrams with one nonce give away what both say, and let
-/// others forge.
+/// **Never use a counter twice** for one salt and recipient: two datagrams with one nonce give away what both
+/// say, and let others forge.
 pub fn seal_datagram(
     key: &SwarmKey,
     salt: &Salt,
@@ -88,7 +91,8 @@ pub fn seal_datagram(
     Some(out)
 }
 
-/// A received datagram that is sealed, of this version and of a length that can be. Nothing of it is authenticated.
+/// A received datagram that is sealed, of this version and of a length that can be. Nothing of it is
+/// authenticated.
 #[derive(Clone, Copy, Debug)]
 pub struct SealedDatagram<'a> {
     kind: Kind,
@@ -160,8 +164,8 @@ impl<'a> SealedDatagram<'a> {
         self.salt
     }
 
-    /// Proves the datagram with the key and the salt of the sender's run, and deciphers it for `own`. Allocates as many bytes as the
-    /// datagram has.
+    /// Proves the datagram with the key and the salt of the sender's run, and deciphers it for `own`.
+    /// Allocates as many bytes as the datagram has.
     pub fn open(&self, key: &SwarmKey, salt: &Salt, own: RobotId) -> Result<OpenedDatagram, DatagramError> {
         let forged = DatagramError::Forged { sender: self.sender.origin };
         let mut inner = self.inner.to_vec();
@@ -196,8 +200,8 @@ fn cipher(key: &SwarmKey) -> XChaCha20Poly1305 {
     XChaCha20Poly1305::new(key.bytes().into())
 }
 
-/// The salt, then the recipient, then the counter with its highest bit set where there is a recipient: no two datagrams under a
-/// swarm's key have the same, as long as no two runs have the same salt.
+/// The salt, then the recipient, then the counter with its highest bit set where there is a recipient: no two
+/// datagrams under a swarm's key have the same, as long as no two runs have the same salt.
 fn nonce(salt: &Salt, recipient: Option<RobotId>, counter: u64) -> XNonce {
     let recipient_bits = recipient.map_or(0, |_| COUNTER_MAX + 1);
     let mut bytes = [0; SALT_BYTES + 2 + COUNTER_BYTES];

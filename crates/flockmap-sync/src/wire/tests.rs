@@ -81,13 +81,15 @@ fn resealed(bytes: Vec<u8>) -> Vec<u8> {
 
 #[test]
 fn a_change_of_the_layout_is_a_change_of_the_version() {
-    // If this fails: raise WIRE_VERSION, describe the new layout in LAYOUT and WIRE.md, and put the new pair here.
+    // If this fails: raise WIRE_VERSION, describe the new layout in LAYOUT and WIRE.md, and put the new pair
+    // here.
     assert_eq!((WIRE_VERSION, crc32fast::hash(LAYOUT.as_bytes())), (3, GOLDEN_LAYOUT));
 }
 
 #[test]
 fn golden_datagrams() {
-    // If one of these fails, robots of the old and the new build no longer understand each other: raise the version.
+    // If one of these fails, robots of the old and the new build no longer understand each other: raise the
+    // version.
     assert_eq!(hex(&sample().emit(HEADER, DATAGRAM_BYTES_MAX)), GOLDEN_REQUEST);
     let mut writer = PackagesWriter::new(HEADER, DATAGRAM_BYTES_MAX);
     let package = package(5);

@@ -1,4 +1,5 @@
-//! Any bytes as a map package: its header keeps its rules, a datagram carries it as it is, and decoding it does no harm.
+//! Any bytes as a map package: its header keeps its rules, a datagram carries it as it is, and decoding it
+//! does no harm.
 
 use flockmap_codec::{Content, ContentKind, Decoder, Package};
 use flockmap_grid::{RobotId, Stamp, Stream, VoxelBox};

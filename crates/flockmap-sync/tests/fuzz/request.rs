@@ -49,8 +49,8 @@ pub(crate) fn run(input: &[u8]) {
             }
         }
         assert!(request.all_echoes || !read.all_echoes);
-        // What fitted with room to spare fits again, and has one form. The writer reckons each list with five bytes more than it may
-        // take, so one that was cut to the last byte may not.
+        // What fitted with room to spare fits again, and has one form. The writer reckons each list with five
+        // bytes more than it may take, so one that was cut to the last byte may not.
         let spare = 5 * (read.received.len() + read.transfers.len());
         if written.len() + spare <= bytes_max {
             let again = read.emit(header, bytes_max);

@@ -64,7 +64,8 @@ pub(crate) struct Robot {
     /// Packages of this origin with these indices are kept pending, or undecodable.
     pub(crate) keeps: Vec<(RobotId, u32)>,
     pub(crate) gives_up: Vec<(RobotId, u32)>,
-    /// Packages that come more than so many indices ahead of all that is held are rejected: no room for them to wait.
+    /// Packages that come more than so many indices ahead of all that is held are rejected: no room for them
+    /// to wait.
     pub(crate) ahead_max: Option<u32>,
     /// What is kept pending.
     pub(crate) pending: Vec<Package>,
@@ -314,8 +315,9 @@ impl Swarm {
         packages
     }
 
-    /// A robot hears a request that a test makes up, of a peer that flies its first run and hears the robot, beside those in the echoes: it
-    /// left 10 ms ago, when the peer had just heard what the robot had sent 20 ms ago, and names all that the peer holds.
+    /// A robot hears a request that a test makes up, of a peer that flies its first run and hears the robot,
+    /// beside those in the echoes: it left 10 ms ago, when the peer had just heard what the robot had sent 20
+    /// ms ago, and names all that the peer holds.
     pub(crate) fn hear_request(&mut self, id: u16, peer: u16, mut request: Request) {
         let robot = self.robots.get_mut(&id).unwrap();
         let (own, now) = (robot.session.own(), self.now + robot.clock);

@@ -80,8 +80,8 @@ impl Body {
     }
 }
 
-/// Where a ray enters and leaves a box, in multiples of its direction; the corners are counted from where the ray starts.
-/// It leaves before it enters if it misses.
+/// Where a ray enters and leaves a box, in multiples of its direction; the corners are counted from where the
+/// ray starts. It leaves before it enters if it misses.
 pub fn box_crossing(low: [f64; 3], high: [f64; 3], direction: [f64; 3]) -> (f64, f64) {
     let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
     for a in 0..3 {

@@ -201,8 +201,8 @@ impl PolarImage {
         for (open, &wanted) in self.open.iter_mut().zip(&self.wanted) {
             for bit in Bits(wanted) {
                 let (inflated, plane) = (self.slots.inflated[slot], self.slots.plane[slot]);
-                // Further planes do not count if there is a nearer one, or if none of them would show through (see
-                // `range`; the angle of a patch at range r is at most 1.13 spacings / r and 1.5 pixels).
+                // Further planes do not count if there is a nearer one, or if none of them would show through
+                // (see `range`; the angle of a patch at range r is at most 1.13 spacings / r and 1.5 pixels).
                 let through = from * (1.0 - THROUGH - 2.25 * PIXEL_RAD) - 1.7 * spacing;
                 let is_settled = inflated < from && (plane < from || inflated < through);
                 if is_settled {

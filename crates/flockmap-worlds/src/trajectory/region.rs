@@ -66,8 +66,8 @@ fn spread(space: &Space, robots: usize) -> Vec<usize> {
     seeds
 }
 
-/// Cells of the space in the order in which they are reached from the seeds, and for each cell the number of the seed that
-/// reached it first.
+/// Cells of the space in the order in which they are reached from the seeds, and for each cell the number of
+/// the seed that reached it first.
 fn flood_from(space: &Space, seeds: &[usize]) -> (Vec<u32>, Vec<u8>) {
     let mut owner = vec![NOBODY; space.lattice.count()];
     let mut first = Vec::new();

@@ -83,8 +83,8 @@ fn nearest(space: &Space, here: usize, places: &[usize], random: &mut Random) ->
     costs.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(number, _)| number)
 }
 
-/// The cells of the cheapest path from `start` to `goal`, both included and both in the region; a step costs its length, more
-/// where it is narrow.
+/// The cells of the cheapest path from `start` to `goal`, both included and both in the region; a step costs
+/// its length, more where it is narrow.
 fn path(search: &mut Search, space: &Space, region: &Region, start: usize, goal: usize) -> Vec<usize> {
     let lattice = &space.lattice;
     let goal_index = lattice.index(goal);

@@ -104,8 +104,9 @@ pub(super) fn area_m2(lattice: &Lattice, cells: &[u32]) -> f64 {
     columns.iter().filter(|c| **c).count() as f64 * lattice.side_m() * lattice.side_m()
 }
 
-/// For each cell the square of the least distance between any point of it and any point of the marked cells, in cells, so
-/// 0 for the marked and their neighbours; exact up to `reach` (at most 255), and `reach`² beyond.
+/// For each cell the square of the least distance between any point of it and any point of the marked cells,
+/// in cells, so 0 for the marked and their neighbours; exact up to `reach` (at most 255), and `reach`²
+/// beyond.
 pub(super) fn distances(lattice: &Lattice, marked: &[bool], reach: usize) -> Vec<u16> {
     let far = (reach * reach) as u16;
     let mut squares: Vec<u16> = marked.iter().map(|s| if *s { 0 } else { far }).collect();
@@ -123,8 +124,8 @@ pub(super) fn largest_part(lattice: &Lattice, candidates: &[u32], fits: impl Fn(
     lattice.largest_part(open)
 }
 
-/// Height of the ground in each column, in metres above the grid: the lowest thing within 1 m. Where nothing is seen at
-/// all, the ground of the nearest column that has one.
+/// Height of the ground in each column, in metres above the grid: the lowest thing within 1 m. Where nothing
+/// is seen at all, the ground of the nearest column that has one.
 fn ground(lattice: &Lattice, solid: &[bool]) -> Vec<f64> {
     let [nx, ny, nz] = lattice.size();
     let (columns, none) = (Lattice::new([nx, ny, 1]), u32::MAX);

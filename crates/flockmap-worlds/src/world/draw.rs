@@ -81,8 +81,8 @@ impl Canvas {
         }
     }
 
-    /// Calls `visit` for each cell of the canvas that an ellipsoid may reach, with the square of its distance from the centre
-    /// in radii.
+    /// Calls `visit` for each cell of the canvas that an ellipsoid may reach, with the square of its distance
+    /// from the centre in radii.
     fn each_around(
         &mut self,
         centre: [f64; 3],

@@ -20,9 +20,10 @@ const GROUND_M: f64 = 0.1;
 const PURPOSE: u64 = 0x7c1;
 
 impl World {
-    /// A generated thicket, 36 × 12 × 4 m with x from 0, y about 0 and z from 0, cells of 5 cm: level ground, stems of
-    /// 0.2 to 0.5 m and bushes, with gaps of at least 1.2 m between any two and nothing within 6.5 m of the low and 4 m
-    /// of the high end of x, where a flight begins and ends. The same seed gives the same world on every machine.
+    /// A generated thicket, 36 × 12 × 4 m with x from 0, y about 0 and z from 0, cells of 5 cm: level ground,
+    /// stems of 0.2 to 0.5 m and bushes, with gaps of at least 1.2 m between any two and nothing within 6.5 m
+    /// of the low and 4 m of the high end of x, where a flight begins and ends. The same seed gives the same
+    /// world on every machine.
     pub fn thicket(seed: u64) -> Self {
         let half = SIZE[1] / 2.0;
         let mut canvas = Canvas::new([0.0, -half, 0.0], [SIZE[0], half, SIZE[2]]);

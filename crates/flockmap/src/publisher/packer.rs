@@ -7,7 +7,8 @@ use flockmap_grid::{BlockIndex, Changes, Mapper, Plane, Pose, Resolution, Stamp,
 use super::cost::Room;
 use crate::BatchConfig;
 
-/// Of a batch that is published in parts, so many of obstacles alone come before one with free space, if there are as many.
+/// Of a batch that is published in parts, so many of obstacles alone come before one with free space, if
+/// there are as many.
 const OBSTACLES_IN_ROW: u32 = 3;
 
 /// Closes batches: takes the net changes from the mapper when enough have come up or enough time has passed.
@@ -61,7 +62,8 @@ impl Packer {
         self.stream = stream;
     }
 
-    /// Notes a scan that the mapper has taken in: it is the time of what has changed, and the place that it was seen from.
+    /// Notes a scan that the mapper has taken in: it is the time of what has changed, and the place that it
+    /// was seen from.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
         // A cast to i32 clamps, and whatever comes of it is right: the codec codes better if it is near.
@@ -90,8 +92,8 @@ impl Packer {
         })
     }
 
-    /// Closes the batch that is due, if one is: with everything that has changed, or just the obstacles if only their
-    /// time has come. Call it again until `None`.
+    /// Closes the batch that is due, if one is: with everything that has changed, or just the obstacles if
+    /// only their time has come. Call it again until `None`.
     pub fn close_due(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Batch, Changes)> {
         if self.deadline(mapper).is_none_or(|deadline| now < deadline) {
             return None;
@@ -102,11 +104,13 @@ impl Packer {
         self.close_obstacles(now, mapper, usize::MAX)
     }
 
-    /// As [`close_due`](Self::close_due), where the radio may have no room for all: what is nearest to the sensor goes first, obstacles and
-    /// everything else in turn. The rest stays in the map, goes on changing there, and is due again at once.
+    /// As [`close_due`](Self::close_due), where the radio may have no room for all: what is nearest to the
+    /// sensor goes first, obstacles and everything else in turn. The rest stays in the map, goes on changing
+    /// there, and is due again at once.
     ///
-    /// What is published late has a late stamp. So from when something was left, or [deferred](Self::note_late), until all is published, what is Free stays in
-    /// the map as well where the robot itself believes what a team-mate saw later: `believed_occupied` of a block.
+    /// What is published late has a late stamp. So from when something was left, or
+    /// [deferred](Self::note_late), until all is published, what is Free stays in the map as well where the
+    /// robot itself believes what a team-mate saw later: `believed_occupied` of a block.
     pub(crate) fn close_part(
         &mut self,
         now: Stamp,

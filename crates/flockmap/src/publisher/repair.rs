@@ -10,12 +10,14 @@ const BATCHES: usize = 32;
 /// Of these, the slowest that are left out: a tenth.
 const SLOWEST_LEFT_OUT: usize = BATCHES / 10;
 
-/// The delay of repair: from publishing a batch until a peer lacks nothing up to its end. So long a later package that builds on the
-/// batch would wait, so this is the measure whether packages are coded against earlier ones or not.
+/// The delay of repair: from publishing a batch until a peer lacks nothing up to its end. So long a later
+/// package that builds on the batch would wait, so this is the measure whether packages are coded against
+/// earlier ones or not.
 ///
-/// Peers say what they hold once a second or so, and at once when something is missing. So it is not the time until a peer states
-/// that it holds a batch that counts, but the time until it stated last that something is missing: 0 for what was never
-/// missing, whatever the period of its requests. The delay is the one that nine of ten of the last 32 batches keep, of the slowest peer.
+/// Peers say what they hold once a second or so, and at once when something is missing. So it is not the time
+/// until a peer states that it holds a batch that counts, but the time until it stated last that something is
+/// missing: 0 for what was never missing, whatever the period of its requests. The delay is the one that nine
+/// of ten of the last 32 batches keep, of the slowest peer.
 ///
 /// A peer counts from when it held a batch whole for the first time: one that joins late catches up first.
 pub(crate) struct RepairDelay {
@@ -55,8 +57,8 @@ impl RepairDelay {
         }
     }
 
-    /// Takes in what the peers hold: each live peer with the time of its last request and the index up to which it lacks nothing.
-    /// O(peers).
+    /// Takes in what the peers hold: each live peer with the time of its last request and the index up to
+    /// which it lacks nothing. O(peers).
     pub(crate) fn note_received(&mut self, peers: impl Iterator<Item = (Stream, Stamp, u32)>) {
         let mut live = BTreeMap::new();
         for (stream, asked_at, prefix) in peers {
@@ -96,8 +98,8 @@ impl PeerDelay {
         self.asked_at = Some(asked_at);
     }
 
-    /// The delay that nine of ten of the newest batches keep, those counted that are missing still. `None` for a peer that has never
-    /// held a batch whole.
+    /// The delay that nine of ten of the newest batches keep, those counted that are missing still. `None`
+    /// for a peer that has never held a batch whole.
     fn delay(&self, batches: &VecDeque<(Stamp, u32)>) -> Option<Duration> {
         let asked_at = self.asked_at.filter(|_| !self.delays.is_empty())?;
         let missing = batches.iter().filter(|(_, last)| *last > self.prefix);
@@ -120,7 +122,8 @@ mod tests {
         Stream { origin: RobotId(id), epoch: 1 }
     }
 
-    /// A batch of ten packages every half second; each peer holds those that are `lag` old, and says so once a second.
+    /// A batch of ten packages every half second; each peer holds those that are `lag` old, and says so once
+    /// a second.
     fn run(delay: &mut RepairDelay, seconds: std::ops::Range<i64>, lags_ms: &[i64]) {
         for half in seconds.start * 2..seconds.end * 2 {
             let now = Stamp(half * 500 * MS);

@@ -6,8 +6,8 @@ use flockmap_grid::{Stamp, VoxelBox};
 /// Batches and packages kept; of more, the oldest are forgotten.
 const KEPT_MAX: usize = 1_024;
 
-/// End and last package of the newest batches, and the newest packages that were coded against a layer with their boxes. At most
-/// 60 KB.
+/// End and last package of the newest batches, and the newest packages that were coded against a layer with
+/// their boxes. At most 60 KB.
 #[derive(Default)]
 pub(crate) struct SentHistory {
     batches: Vec<(Stamp, u32)>,

@@ -7,8 +7,9 @@ use super::Robot;
 use crate::Event;
 
 impl Robot {
-    /// Begins a run above an epoch, and publishes in it what the one before had published, with the same stamps: so nothing old looks
-    /// new, and what nobody had taken any more is there again. O(voxels published).
+    /// Begins a run above an epoch, and publishes in it what the one before had published, with the same
+    /// stamps: so nothing old looks new, and what nobody had taken any more is there again. O(voxels
+    /// published).
     pub(super) fn begin_anew(&mut self, now: Stamp, used: u64) {
         let Some(above) = self.epoch_above(used) else {
             // The last one of all: nothing is above it.
@@ -34,7 +35,8 @@ impl Robot {
         }
     }
 
-    /// An epoch above another one: of the next second, with bits that follow from what was handed in as seed and salt.
+    /// An epoch above another one: of the next second, with bits that follow from what was handed in as seed
+    /// and salt.
     fn epoch_above(&self, used: u64) -> Option<u64> {
         let salt =
             self.config.session.salt.chunks(8).fold(0, |all, part| {

@@ -1,4 +1,5 @@
-//! What a former run stored comes back: its own packages as a stream of the own id with a lower epoch, those of others as they were.
+//! What a former run stored comes back: its own packages as a stream of the own id with a lower epoch, those
+//! of others as they were.
 
 use flockmap_codec::Package;
 use flockmap_grid::{Stamp, Stream};
@@ -26,14 +27,16 @@ pub enum RestoreError {
 }
 
 impl Robot {
-    /// Takes back a package, or a chunk of a snapshot, that a former run merged or made; to be called after [`Robot::new`] and before the first
-    /// datagram, in the order in which the packages were stored ([`Event::BatchClosed`](crate::Event::BatchClosed),
-    /// [`Event::Merged`](crate::Event::Merged); beside them [`Robot::restore_contents`]).
+    /// Takes back a package, or a chunk of a snapshot, that a former run merged or made; to be called after
+    /// [`Robot::new`] and before the first datagram, in the order in which the packages were stored
+    /// ([`Event::BatchClosed`](crate::Event::BatchClosed), [`Event::Merged`](crate::Event::Merged); beside
+    /// them [`Robot::restore_contents`]).
     ///
-    /// It is treated as one that has just been received: it is decoded and checked, merged into the layer of its stream and into the fused map, held, and offered
-    /// to others. What builds on a package that is gone waits for it, and that one is asked for. So whatever is lost or damaged in
-    /// a store, no voxel comes out wrong. Packages of a former run of this robot become a layer like a team-mate's, in the
-    /// own clock and, unless the alignment of the own id says otherwise, in the own frame.
+    /// It is treated as one that has just been received: it is decoded and checked, merged into the layer of
+    /// its stream and into the fused map, held, and offered to others. What builds on a package that is gone
+    /// waits for it, and that one is asked for. So whatever is lost or damaged in a store, no voxel comes out
+    /// wrong. Packages of a former run of this robot become a layer like a team-mate's, in the own clock and,
+    /// unless the alignment of the own id says otherwise, in the own frame.
     ///
     /// # Errors
     /// [`RestoreError`]; nothing is changed then. That one does not decode is an event, as for every package.
@@ -48,8 +51,10 @@ impl Robot {
         if is_taken { Ok(()) } else { Err(RestoreError::NoRoom(got)) }
     }
 
-    /// Takes back which packages a snapshot of a history with gaps contains ([`Event::SnapshotContains`](crate::Event::SnapshotContains)), behind its chunks. Whether they
-    /// are held now: `false` if some chunk of it is gone or damaged, or for the own stream. At most [`RECEIVED_INTERVALS_MAX`] intervals count.
+    /// Takes back which packages a snapshot of a history with gaps contains
+    /// ([`Event::SnapshotContains`](crate::Event::SnapshotContains)), behind its chunks. Whether they are
+    /// held now: `false` if some chunk of it is gone or damaged, or for the own stream. At most
+    /// [`RECEIVED_INTERVALS_MAX`] intervals count.
     pub fn restore_contents(
         &mut self,
         now: Stamp,

@@ -62,8 +62,8 @@ impl ChunkData {
     }
 }
 
-/// Which chunks a robot holds, of every owner in turn: 16 bytes, and 4 + 4 m for each owner, where m is twice the number of
-/// intervals.
+/// Which chunks a robot holds, of every owner in turn: 16 bytes, and 4 + 4 m for each owner, where m is twice
+/// the number of intervals.
 #[derive(Clone, PartialEq, Debug)]
 pub struct ChunkStamps {
     /// Who holds them.

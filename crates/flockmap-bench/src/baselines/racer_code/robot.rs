@@ -46,7 +46,8 @@ pub struct RacerCounters {
 ///
 /// Sans-IO as `flockmap::Robot` is: a [`Node`] that is given scans.
 ///
-/// The one map takes over the state of a voxel when the own map's state of it changes, and when a chunk says so; the last one holds.
+/// The one map takes over the state of a voxel when the own map's state of it changes, and when a chunk says
+/// so; the last one holds.
 pub struct RacerRobot {
     config: RacerConfig,
     mapper: Mapper,
@@ -111,7 +112,8 @@ impl RacerRobot {
 
     // Inputs.
 
-    /// Takes in a scan made at `T_map_sensor`; points in `masks` are team-mates. What its rays touch for the first time is listed.
+    /// Takes in a scan made at `T_map_sensor`; points in `masks` are team-mates. What its rays touch for the
+    /// first time is listed.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn insert_scan(&mut self, scan: &Scan, T_map_sensor: &Pose, masks: &[Sphere]) -> ScanReport {
         let report = self.mapper.insert(scan, T_map_sensor, masks);
@@ -331,7 +333,8 @@ impl Node for RacerRobot {
             self.insert_chunk(chunk);
         }
         let mut held: Vec<IntervalSet> = self.owners.iter().map(|owner| owner.held.clone()).collect();
-        // The last of RACER's robots is a ground station, which maps nothing and never answers: N robots count as N + 1.
+        // The last of RACER's robots is a ground station, which maps nothing and never answers: N robots
+        // count as N + 1.
         held.push(IntervalSet::new(0));
         let stamps = ChunkStamps { from: self.config.id.0.into(), held, time_s: now.seconds() };
         self.counters.stamps_sent += 1;

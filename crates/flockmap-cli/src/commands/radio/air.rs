@@ -1,4 +1,5 @@
-//! What happens to datagrams between the robots: the emulated radio of `flockmap-netsim`, in the time of the wall.
+//! What happens to datagrams between the robots: the emulated radio of `flockmap-netsim`, in the time of the
+//! wall.
 
 use flockmap::{RobotId, Stamp};
 use flockmap_netsim::{Delivery, IP_UDP_BYTES, Link, RadioConfig, RadioEmulator, To, Traffic};

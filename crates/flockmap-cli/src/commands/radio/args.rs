@@ -20,8 +20,8 @@ pub struct RadioArgs {
     /// The figures that all links begin with.
     #[command(flatten)]
     pub figures: LinkChange,
-    /// Most kilobytes (1,024 bytes) a second that each robot can send, IP and UDP headers counted; what comes faster waits, up to 256
-    /// KiB of it [default: no limit]
+    /// Most kilobytes (1,024 bytes) a second that each robot can send, IP and UDP headers counted; what comes
+    /// faster waits, up to 256 KiB of it [default: no limit]
     #[arg(long, value_name = "B", value_parser = |text: &str| within(text, 0.1, 4_000_000.0))]
     pub rate_kb_s: Option<f64>,
     /// Seed of all that is random

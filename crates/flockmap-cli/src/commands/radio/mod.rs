@@ -249,7 +249,8 @@ fn appears_at(listen: SocketAddr, robot: usize) -> anyhow::Result<SocketAddr> {
     Ok(SocketAddr::new(listen.ip(), port))
 }
 
-/// Whether the system took the datagram. That an earlier one found nobody is reported here too, and is no fault of this one.
+/// Whether the system took the datagram. That an earlier one found nobody is reported here too, and is no
+/// fault of this one.
 fn sends(socket: &UdpSocket, bytes: &[u8], to: SocketAddr) -> bool {
     (0..2).any(|_| socket.send_to(bytes, to).is_ok())
 }

@@ -59,7 +59,8 @@ pub struct SimExploreArgs {
     /// Leave out the pictures of map and track
     #[arg(long)]
     pub no_view: bool,
-    /// Threads on which robots scan, map and plan; what happens never depends on it [default: as many as there are cores]
+    /// Threads on which robots scan, map and plan; what happens never depends on it [default: as many as
+    /// there are cores]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Write what the table shows as JSON

@@ -19,7 +19,8 @@ use flockmap_cli::progress::Progress;
 use flockmap_netsim::swarm::{Report, SwarmOptions, describe, fly};
 use serde_json::{Value, json};
 
-/// Fly the sync protocol of a whole swarm in virtual time, under everything that a seed can do, with checkers at every event
+/// Fly the sync protocol of a whole swarm in virtual time, under everything that a seed can do, with checkers
+/// at every event
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -150,7 +151,8 @@ fn from_file(path: &Path, threads: Option<usize>) -> anyhow::Result<bool> {
     Ok(failed.is_empty())
 }
 
-/// Flies one, and says of it only what is wrong. What was drawn stands before that, whatever becomes of the flight.
+/// Flies one, and says of it only what is wrong. What was drawn stands before that, whatever becomes of the
+/// flight.
 fn quietly(args: &SimSwarmArgs) -> bool {
     let options = options(args, args.seed);
     println!("{}", options.command());

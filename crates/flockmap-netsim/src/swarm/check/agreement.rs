@@ -1,13 +1,17 @@
-//! Once links heal, all robots have received the same packages, and with them the same layers, within a time that follows from the settings.
+//! Once links heal, all robots have received the same packages, and with them the same layers, within a time
+//! that follows from the settings.
 //!
-//! Asked for is: of every run that still flies all packages, at every robot, whatever the limits are; of a run that has ended all that any
-//! robot has, also beyond gaps. Left out are ended runs that a robot has forgotten, or for which it has no place (`streams_max`,
-//! `epochs_max`), with those of the same robot before them; and ended runs that nobody passes on (`Relay::Never`).
+//! Asked for is: of every run that still flies all packages, at every robot, whatever the limits are; of a
+//! run that has ended all that any robot has, also beyond gaps. Left out are ended runs that a robot has
+//! forgotten, or for which it has no place (`streams_max`, `epochs_max`), with those of the same robot before
+//! them; and ended runs that nobody passes on (`Relay::Never`).
 //!
-//! The time is the sum of: 50 s in which backed-off packages, declined snapshots and abandoned transfers are tried again; for
-//! each hop four requests, and each robot's relay delay; and what all packages together take through the smallest budget, six times
-//! for each robot that has to get them. For each damaged package of one run that a robot was sent, a pause and four requests more: that the next one
-//! is damaged may show only when the one before it has arrived again (WIRE.md, "Packages that do not decode"). Where epochs come from clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
+//! The time is the sum of: 50 s in which backed-off packages, declined snapshots and abandoned transfers are
+//! tried again; for each hop four requests, and each robot's relay delay; and what all packages together take
+//! through the smallest budget, six times for each robot that has to get them. For each damaged package of
+//! one run that a robot was sent, a pause and four requests more: that the next one is damaged may show only
+//! when the one before it has arrived again (WIRE.md, "Packages that do not decode"). Where epochs come from
+//! clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
 
 use super::quiet::period_micros;
 use crate::swarm::truth::Truth;
@@ -16,7 +20,8 @@ use flockmap::{Cast, Robot, RobotId, Stream};
 
 pub(in crate::swarm) const NAME: &str = "agreement";
 
-/// Ended runs that robots which fly have forgotten; whether those of the same robot before them are not wanted any more either.
+/// Ended runs that robots which fly have forgotten; whether those of the same robot before them are not
+/// wanted any more either.
 pub(in crate::swarm) type Forgotten = Vec<(Stream, bool)>;
 
 /// A robot that begins anew once more does so after pauses of 10, 20, 40 s.
@@ -25,8 +30,8 @@ const ANEW: i64 = 80_000_000;
 /// A package that does not decode is asked for again after so long.
 const REFUSED: i64 = 10_000_000;
 
-/// In microseconds, from how many hops there are, the bytes and the number of all packages, and the most damaged packages of one run that one robot
-/// was sent.
+/// In microseconds, from how many hops there are, the bytes and the number of all packages, and the most
+/// damaged packages of one run that one robot was sent.
 pub(in crate::swarm) fn bound(
     robots: &[&Robot],
     hops: usize,
@@ -55,8 +60,9 @@ pub(in crate::swarm) fn bound(
         + sending as i64
 }
 
-/// How long nothing of a run that has ended may flow though somebody will still pass it on, in microseconds: gaps stand for 10 s, then each robot
-/// waits its turn in the line of those who answer (WIRE.md, "Who answers").
+/// How long nothing of a run that has ended may flow though somebody will still pass it on, in microseconds:
+/// gaps stand for 10 s, then each robot waits its turn in the line of those who answer (WIRE.md, "Who
+/// answers").
 pub(in crate::swarm) fn pause_of_relays(robots: &[&Robot]) -> i64 {
     let delays = robots.iter().map(|robot| 1_000 * i64::from(robot.session().config().relay_delay_ms));
     10_000_000 + robots.len() as i64 * delays.max().unwrap_or(0)
@@ -108,7 +114,8 @@ pub(in crate::swarm) fn disagreement(
     None
 }
 
-/// Whether some run that has ended is left out: then its packages may still be in flight to some robot when all agree.
+/// Whether some run that has ended is left out: then its packages may still be in flight to some robot when
+/// all agree.
 pub(in crate::swarm) fn leaves_out(truth: &Truth, robots: &[&Robot], forgotten: &Forgotten) -> bool {
     truth.streams().any(|(run, _)| {
         robots.iter().all(|robot| robot.own_stream() != run) && !is_passed_on(robots, forgotten, run)

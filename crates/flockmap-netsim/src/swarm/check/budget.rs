@@ -1,5 +1,5 @@
-//! The bytes of any second stay within the budget, as `SessionConfig` states it: for the radio, and for each link. Seconds are those
-//! of the robot's own clock.
+//! The bytes of any second stay within the budget, as `SessionConfig` states it: for the radio, and for each
+//! link. Seconds are those of the robot's own clock.
 
 use super::Finding;
 use flockmap::{RobotId, SessionConfig, Stamp};
@@ -29,7 +29,8 @@ struct Window {
 }
 
 impl Budget {
-    /// Bytes go out, counted for each receiver. `to`: each receiver that the session counts, with the bytes to it.
+    /// Bytes go out, counted for each receiver. `to`: each receiver that the session counts, with the bytes
+    /// to it.
     pub(in crate::swarm) fn sent(
         &mut self,
         config: &SessionConfig,
@@ -50,7 +51,8 @@ impl Budget {
 }
 
 impl Window {
-    /// What is wrong after so many bytes more. `copies`: peers to whom one request has to fit, or nothing is promised.
+    /// What is wrong after so many bytes more. `copies`: peers to whom one request has to fit, or nothing is
+    /// promised.
     fn add(&mut self, option: &str, rate: u32, now: Stamp, bytes: usize, copies: usize) -> Option<Finding> {
         let at_once = if rate < THIN_BYTES_PER_S { FULL_DATAGRAM as usize } else { rate as usize };
         let is_promised = copies * REQUEST_BYTES <= at_once;

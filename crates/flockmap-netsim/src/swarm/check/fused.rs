@@ -1,7 +1,8 @@
 //! The fused map of every robot says of every voxel what its own map and its layers say.
 //!
-//! Where they say the same, it is that. Where they differ and the clocks are known exactly, it is the newest (the own one is given the
-//! priority of the configuration; at equal stamps Occupied). Where clocks are measured, it is one of them.
+//! Where they say the same, it is that. Where they differ and the clocks are known exactly, it is the newest
+//! (the own one is given the priority of the configuration; at equal stamps Occupied). Where clocks are
+//! measured, it is one of them.
 
 use super::Finding;
 use flockmap::grid::{BlockIndex, bit_of};

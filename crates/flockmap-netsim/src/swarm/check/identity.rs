@@ -1,5 +1,6 @@
-//! No two runs of a flight have the same robot and epoch, and no two starts the same salt, whatever clocks and disks do. A run that is begun anew
-//! while flying has an epoch of its own, and goes on with the salt and the counters of the one before.
+//! No two runs of a flight have the same robot and epoch, and no two starts the same salt, whatever clocks
+//! and disks do. A run that is begun anew while flying has an epoch of its own, and goes on with the salt and
+//! the counters of the one before.
 
 use super::Finding;
 use flockmap::Stream;

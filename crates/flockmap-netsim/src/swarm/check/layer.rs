@@ -1,5 +1,5 @@
-//! A robot's layer of an origin is at least as new as what that origin published, in all packages received; what else it may have
-//! is what the checker `voxel` looks at.
+//! A robot's layer of an origin is at least as new as what that origin published, in all packages received;
+//! what else it may have is what the checker `voxel` looks at.
 
 use super::Finding;
 use super::voxel::whole_voxels;

@@ -1,4 +1,5 @@
-//! The stated limits: `memory` on what a session and its robot keep, `in_flight` on packages sent and not yet confirmed.
+//! The stated limits: `memory` on what a session and its robot keep, `in_flight` on packages sent and not yet
+//! confirmed.
 
 use super::Finding;
 use flockmap::{Cast, Robot};

@@ -1,5 +1,5 @@
-//! By unicast, where robots hear by path, nothing but a PATH datagram goes to a path through which no answer to a challenge came back; and of
-//! those there are few.
+//! By unicast, where robots hear by path, nothing but a PATH datagram goes to a path through which no answer
+//! to a challenge came back; and of those there are few.
 
 use super::Finding;
 use flockmap::sync::wire::PathMessage;
@@ -7,7 +7,8 @@ use flockmap::{Path, Stream};
 use std::collections::{BTreeMap, BTreeSet};
 
 const NAME: &str = "path";
-/// A run of a robot is sent at most one challenge in this time, and one more where the first waited for the budget.
+/// A run of a robot is sent at most one challenge in this time, and one more where the first waited for the
+/// budget.
 const CHALLENGE_EVERY: i64 = 200_000;
 
 /// What one run of a robot asked and was answered.

@@ -1,5 +1,6 @@
-//! When nothing is missing anywhere, only periodic requests flow. Ended runs that `agreement` leaves out may come to some robots after all agree: it
-//! is quiet when nothing of them has flowed for a while, at the latest after the time in which all have to agree.
+//! When nothing is missing anywhere, only periodic requests flow. Ended runs that `agreement` leaves out may
+//! come to some robots after all agree: it is quiet when nothing of them has flowed for a while, at the
+//! latest after the time in which all have to agree.
 
 use super::Finding;
 use flockmap::{Package, RobotId, SessionConfig};

@@ -1,5 +1,6 @@
-//! With a key: `nonce`, no two datagrams of a swarm are sealed with the same salt, recipient and counter; and `key`, nothing that an outsider made or
-//! changed is believed, and no datagram counts twice at a run of a robot.
+//! With a key: `nonce`, no two datagrams of a swarm are sealed with the same salt, recipient and counter; and
+//! `key`, nothing that an outsider made or changed is believed, and no datagram counts twice at a run of a
+//! robot.
 
 use super::Finding;
 use flockmap::sync::wire::{Salt, SealedDatagram};

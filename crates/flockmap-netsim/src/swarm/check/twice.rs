@@ -1,10 +1,13 @@
 //! Nothing is sent twice to a peer within a round trip, and nothing that the peer has reported as received.
 //!
-//! Within the shortest time in which a report of the peer can have come back, nobody can know of a loss: a copy sent in that time
-//! is one too many, lost or not. (Until a session has measured a round trip, it goes by the one it was configured with, on its own clock; what it has found lost by then stays lost.) By broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots
-//! send are allowed, and counted as relayed. A chunk that is broadcast for one peer while another one begins the same snapshot may go
-//! out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions that compare successive requests (the paper's) measure no round trip and are
-//! asked the second thing only. A robot that was lost from sight, or began anew, may be sent everything again.
+//! Within the shortest time in which a report of the peer can have come back, nobody can know of a loss: a
+//! copy sent in that time is one too many, lost or not. (Until a session has measured a round trip, it goes
+//! by the one it was configured with, on its own clock; what it has found lost by then stays lost.) By
+//! broadcast a datagram is right if any one peer lacks an item. Copies that *different* robots send are
+//! allowed, and counted as relayed. A chunk that is broadcast for one peer while another one begins the same
+//! snapshot may go out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions
+//! that compare successive requests (the paper's) measure no round trip and are asked the second thing only.
+//! A robot that was lost from sight, or began anew, may be sent everything again.
 
 use super::Finding;
 use flockmap::codec::ContentKind;
@@ -69,8 +72,8 @@ impl Twice {
         }
     }
 
-    /// A datagram of packages goes out, to one or (`to` is `None`) to all peers of the robot. `now`: the time of the flight, and what the
-    /// robot's clock shows.
+    /// A datagram of packages goes out, to one or (`to` is `None`) to all peers of the robot. `now`: the time
+    /// of the flight, and what the robot's clock shows.
     pub(in crate::swarm) fn sent(
         &mut self,
         robot: &Robot,
@@ -81,7 +84,8 @@ impl Twice {
     ) -> Option<Finding> {
         let config = robot.session().config();
         let ledger = config.in_flight == InFlight::RoundTrip;
-        // Until a round trip is measured, the configured one is all that is known: on the robot's clock, like all its times.
+        // Until a round trip is measured, the configured one is all that is known: on the robot's clock, like
+        // all its times.
         let initial = 1_000 * i64::from(config.round_trip_initial_ms);
         let peers = robot.session().peers();
         let peers = peers.filter(|peer| to.map_or(peer.hears_us, |to| to == peer.stream.origin));

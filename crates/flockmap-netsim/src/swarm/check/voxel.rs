@@ -6,7 +6,8 @@ use flockmap::{Changes, Robot, Stamp, Stream};
 
 const NAME: &str = "voxel";
 
-/// After a package was merged: everything that it says was published with the stamp of its batch. O(voxels of the package).
+/// After a package was merged: everything that it says was published with the stamp of its batch. O(voxels of
+/// the package).
 pub(in crate::swarm) fn voxels_of_merge(
     truth: &Truth,
     stream: Stream,

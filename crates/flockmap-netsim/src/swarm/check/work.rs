@@ -1,6 +1,8 @@
-//! What one datagram makes a robot do, in the steps that `WIRE.md` counts: at most 192 for each of its bytes, and 6,144 for each package in it.
+//! What one datagram makes a robot do, in the steps that `WIRE.md` counts: at most 192 for each of its bytes,
+//! and 6,144 for each package in it.
 //!
-//! A package that waits is read later, once, when another datagram has brought what it waits for: its steps are carried over.
+//! A package that waits is read later, once, when another datagram has brought what it waits for: its steps
+//! are carried over.
 
 use super::Finding;
 use flockmap::Robot;
@@ -20,8 +22,8 @@ pub(in crate::swarm) struct Work {
 }
 
 impl Work {
-    /// What a robot did before anything came, such as reading its store, counts for no datagram. Packages from there may wait too; each
-    /// is taken for one of the longest.
+    /// What a robot did before anything came, such as reading its store, counts for no datagram. Packages
+    /// from there may wait too; each is taken for one of the longest.
     pub(in crate::swarm) fn begin(&mut self, robot: &Robot) {
         self.note(robot);
         self.carried = self.waited * (PACKAGE_BYTES_MAX as u64 * STEPS_PER_BYTE + STEPS_PER_PACKAGE);
