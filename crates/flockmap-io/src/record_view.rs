@@ -145,12 +145,12 @@ mod tests {
     }
 
     #[test]
-    fn a_long_way_stays_bounded_and_ends_where_the_robot_is() {
-        let mut way = Travelled::default();
+    fn a_long_path_stays_bounded_and_ends_where_the_robot_is() {
+        let mut travelled = Travelled::default();
         for i in 0..100_000 {
-            way.push([f64::from(i) * 0.07, 0.0, 1.0]);
+            travelled.push([f64::from(i) * 0.07, 0.0, 1.0]);
         }
-        let points = way.points();
+        let points = travelled.points();
         assert!(points.len() > PATH_POINTS_MAX / 2 && points.len() <= PATH_POINTS_MAX + 1);
         assert_eq!(points[0].0, [0.0, 0.0, 1.0]);
         assert_eq!(points.last().unwrap().0[0], (99_999.0 * 0.07) as f32);

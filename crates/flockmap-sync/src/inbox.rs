@@ -295,8 +295,8 @@ impl Inbox {
             let is_replaced = is_same_stream && i.source == newcomer.source && cast == Cast::Unicast;
             is_replaced || (is_idle && goes_on(newcomer) && newcomer.source != own)
         };
-        let way = self.transfers.iter().enumerate().filter(|(_, transfer)| gives_room(transfer));
-        let Some((oldest, _)) = way.min_by_key(|(_, transfer)| transfer.touched) else { return false };
+        let candidates = self.transfers.iter().enumerate().filter(|(_, transfer)| gives_room(transfer));
+        let Some((oldest, _)) = candidates.min_by_key(|(_, transfer)| transfer.touched) else { return false };
         self.transfers.remove(oldest);
         self.forget_chunks_of_nothing();
         true

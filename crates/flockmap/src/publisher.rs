@@ -16,7 +16,7 @@ pub use packer::Packer;
 use repair::RepairDelay;
 use sent::SentHistory;
 
-/// A batch that the budget holds back is looked at again after so long.
+/// A batch that is deferred for the budget is looked at again after so long.
 const DEFER_PAUSE: Duration = Duration::from_millis(10);
 /// And where there was nothing to publish, after so many.
 const NOTHING_PAUSE: Duration = Duration::from_millis(50);
@@ -225,7 +225,7 @@ impl Publisher {
     }
 
     /// Voxels that have changed and are still to be published.
-    pub(crate) fn untold(&self, mapper: &Mapper, fusion: &Fusion) -> usize {
+    pub(crate) fn unpublished(&self, mapper: &Mapper, fusion: &Fusion) -> usize {
         match self.packer.is_behind() {
             true => mapper.count_changes(Which::All, |block| believed_occupied(fusion, block)),
             false => mapper.pending(),

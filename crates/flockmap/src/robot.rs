@@ -275,8 +275,8 @@ impl Robot {
     /// Voxels that have changed and are still to be published. What a team-mate is believed to know better,
     /// where a budget made the own observation late, is not among them: it is published when it is seen
     /// again, or by [`flush`](Self::flush). O(blocks with changes).
-    pub fn untold(&self) -> usize {
-        self.publisher.untold(&self.mapper, &self.fusion)
+    pub fn unpublished(&self) -> usize {
+        self.publisher.unpublished(&self.mapper, &self.fusion)
     }
 
     /// What was counted.

@@ -65,7 +65,7 @@ fn obstacles_stay_fresh_where_the_radio_takes_half_of_what_the_map_needs() {
         late.push(almost_all);
         let counters = *swarm.robots[0].counters();
         assert!(counters.batches_deferred > 0 && counters.batches_in_parts > 0, "seed {seed}: {counters:?}");
-        assert!(swarm.robots[0].untold() > 0, "seed {seed}: what is left out can be counted");
+        assert!(swarm.robots[0].unpublished() > 0, "seed {seed}: what is left out can be counted");
         swarm.settle(300_000);
         assert!(swarm.agrees(), "seed {seed}");
         swarm.assert_layers_equal_own_maps(seed);

@@ -20,7 +20,7 @@ const SECONDS_MAX: f64 = 60.0;
 /// The same batches, packed whole and cut to datagrams.
 #[derive(Default)]
 pub struct Measured {
-    ways: [Pair; 2],
+    pairs: [Pair; 2],
     changes: u64,
     pub batches: u64,
     packages: u64,
@@ -100,14 +100,14 @@ impl Measured {
     ) -> anyhow::Result<()> {
         let index = self.packages as u32 + 1;
         let Node { mapper, fusions, .. } = receiver;
-        for (is_whole, (way, fusion)) in [true, false].into_iter().zip(self.ways.iter_mut().zip(fusions)) {
+        for (is_whole, (pair, fusion)) in [true, false].into_iter().zip(self.pairs.iter_mut().zip(fusions)) {
             let started = Instant::now();
             let packages = if is_whole {
                 vec![self.encoder.encode_whole(Codec::Paper, batch, index, changes)?]
             } else {
                 self.encoder.encode_batch(Codec::Paper, batch, index, changes, PACKAGE_BYTES_MAX)?
             };
-            way.t_pack.add(taken + started.elapsed());
+            pair.t_pack.add(taken + started.elapsed());
             let started = Instant::now();
             for package in &packages {
                 let received = Package::parse(package.bytes())?;
@@ -116,8 +116,8 @@ impl Measured {
                     fusion.apply(mapper, stream, &decoded, end, end)?;
                 }
             }
-            way.t_recv2insert.add(started.elapsed());
-            // Those of the second way, cut to datagrams, count.
+            pair.t_recv2insert.add(started.elapsed());
+            // Those of the second pair, cut to datagrams, count.
             self.packages = u64::from(index) - 1 + packages.len() as u64;
         }
         Ok(())
@@ -125,7 +125,7 @@ impl Measured {
 }
 
 pub fn section(measured: &Measured) -> Section {
-    let [whole, datagrams] = &measured.ways;
+    let [whole, datagrams] = &measured.pairs;
     let steps = [
         ("t_pack, one package a batch, as the paper", whole.t_pack.summary(), PAPER_T_PACK_MS),
         ("t_pack, cut to datagrams", datagrams.t_pack.summary(), PAPER_T_PACK_MS),

@@ -24,15 +24,15 @@ impl Broken {
         Self { random: Random::new(seed, purpose::BROKEN), packages: BTreeMap::new() }
     }
 
-    /// With this chance: the datagram damaged, whose last package is of this stream.
+    /// With this probability: the datagram damaged, whose last package is of this stream.
     pub(super) fn damage(
         &mut self,
-        chance: f64,
+        probability: f64,
         bytes: &[u8],
         to: impl Iterator<Item = RobotId>,
         of: Stream,
     ) -> Option<Vec<u8>> {
-        if chance <= 0.0 || !self.random.happens(chance) {
+        if probability <= 0.0 || !self.random.happens(probability) {
             return None;
         }
         let damaged = damaged_inside(bytes, &mut self.random)?;

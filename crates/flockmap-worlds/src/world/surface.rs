@@ -259,7 +259,8 @@ impl Bricks {
         let beside = (0..27).map(|k| [brick[0] + k % 3 - 1, brick[1] + k / 3 % 3 - 1, brick[2] + k / 9 - 1]);
         let points = beside.filter_map(|brick| self.of.get(&brick)).flat_map(|index| self.points_of(*index));
         let is_near = |point: &&Gathered| (0..3).all(|a| (first[a]..=last[a]).contains(&point.place[a]));
-        around.extend(points.filter(is_near).map(|point| self.centre(point, middle)));
+        // By `for_each`, which takes a nested iterator apart; `extend` pays for each step of it.
+        points.filter(is_near).for_each(|point| around.push(self.centre(point, middle)));
     }
 }
 

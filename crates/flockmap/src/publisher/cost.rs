@@ -33,7 +33,7 @@ pub(crate) struct Room {
     pub(crate) obstacles: usize,
     /// If it is any other.
     pub(crate) voxels: usize,
-    /// How long packages that wait can hold it back.
+    /// How long packages that wait can defer it.
     pub(crate) defer_max: Duration,
 }
 

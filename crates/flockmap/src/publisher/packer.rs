@@ -150,7 +150,7 @@ impl Packer {
         Some((self.batch(start, end, middle), changes))
     }
 
-    /// The longest that a batch with changes waits if nothing holds it back.
+    /// The longest that a batch with changes waits if nothing defers it.
     pub(crate) const fn period(&self) -> Duration {
         Duration::from_millis(self.config.publish_period_ms as u64)
     }

@@ -250,8 +250,8 @@ impl Watch<Member> for Eyes {
             && datagram.to != Addressees::Each
         {
             let hearers = peers().filter(|peer| to.is_none_or(|to| to == *peer));
-            let (chance, of) = (self.settings.broken, last.header().stream);
-            if let Some(damaged) = self.broken.damage(chance, &datagram.bytes, hearers, of) {
+            let (probability, of) = (self.settings.broken, last.header().stream);
+            if let Some(damaged) = self.broken.damage(probability, &datagram.bytes, hearers, of) {
                 datagram.bytes = damaged;
             }
         }

@@ -105,7 +105,7 @@ impl Engine {
     pub(super) fn look_for_agreement(&mut self, until: i64) {
         let robots = self.robots();
         // Not everything is packed yet.
-        let pending = robots.iter().find(|robot| robot.untold() > 0);
+        let pending = robots.iter().find(|robot| robot.unpublished() > 0);
         let pending = pending.map(|robot| (robot.own_stream().origin, "its own newest batch".to_owned()));
         let lacks = pending
             .or_else(|| check::superseded(&robots))
