@@ -43,7 +43,7 @@ pub enum Observation<'a> {
 }
 
 /// Called in the thread of the node with the time, the robot, and what has just happened. The node waits for
-/// it, so it must not wait for the node: use the robot that is given, not the [`NodeHandle`].
+/// it, so it must not wait for the node: use the robot that is given, not the [`NodeHandle`](crate::NodeHandle).
 pub type Observer = Box<dyn FnMut(Stamp, &Robot, Observation<'_>) + Send>;
 
 /// All options of a node.
