@@ -276,7 +276,7 @@ fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources
     })
 }
 
-/// How simulated robots scan. Each needs a seed of its own: see [`scan_options_of`].
+/// How simulated robots scan. Each needs a seed of its own: see `scan_options_of`.
 pub fn scan_options(source: &SourceArgs, range_m: f64) -> anyhow::Result<ScanOptions> {
     let lidar_range_m = source.lidar_range.unwrap_or(range_m);
     ensure!(

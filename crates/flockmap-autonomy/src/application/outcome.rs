@@ -5,7 +5,7 @@
 pub enum Ending {
     /// The leader reached the goal and nobody touched anything.
     Goal,
-    /// The leader touched something solid: its centre came nearer than [`BODY_RADIUS_M`].
+    /// The leader touched something solid: its centre came nearer than [`BODY_RADIUS_M`](super::BODY_RADIUS_M).
     LeaderHit,
     /// The follower touched something solid.
     FollowerHit,

@@ -1,4 +1,4 @@
-//! ColAG (the paper's [6]): the addresses of the occupied and of the unknown voxels in a region around the
+//! ColAG (the paper's \[6\]): the addresses of the occupied and of the unknown voxels in a region around the
 //! robot; all else in the region is free.
 //!
 //! A message: number of boxes; each box as its lowest voxel (3 × i32) and its sides (3 numbers); number of

@@ -45,8 +45,8 @@ pub trait Sender: Send {
 /// The half that listens. It is given the messages of one sender in order, none lost, and makes a map of
 /// nothing but their bytes.
 pub trait Receiver: Send {
-    /// Takes in a message. Memory: the map, kept within [`super::BLOCKS_MAX`] blocks, and what the message
-    /// unpacks to, at most 256 MB.
+    /// Takes in a message. Memory: the map, kept within [`super::state_map::BLOCKS_MAX`] blocks, and what the
+    /// message unpacks to, at most 256 MB.
     ///
     /// # Errors
     /// If the message is damaged, or the map is full.
