@@ -12,7 +12,8 @@ fmt() {
 }
 clippy() { cargo clippy --workspace --all-targets --locked -- -D warnings; }
 docs() { RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked; }
-tests() { cargo test --workspace --locked; }
+# The second of the README's two commands.
+tests() { cargo test --locked; }
 
 # A program whose clock shows 1970 at each start. Where Debian's `faketime` is not installed this is left out; what it tests is tested within one process too.
 faketime() {
@@ -23,14 +24,12 @@ faketime() {
     cargo test --locked -p flockmap-node --test starts -- --ignored --nocapture two_starts_of_a_program
 }
 
-# The README's two commands, as a newcomer runs them.
+# The first of the README's two commands, as a newcomer runs it.
 readme() {
     local out
     out=$(mktemp -d)
     cargo run --release --locked -- demo --out "$out"
     test -s "$out/report.html" -a -s "$out/report.json"
-    cargo run --release --locked -p flockmap-bench -- codecs forest --json "$out/codecs.json"
-    test -s "$out/codecs.json"
     rm -r "$out"
 }
 

@@ -1,6 +1,7 @@
 //! `flockmap-bench application`: a leader that looks backwards crosses a thicket on its follower's map (the
 //! paper's Sec. V-B), over seeds and radios.
 
+use flockmap_cli::outputs;
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
@@ -69,7 +70,7 @@ pub struct ApplicationArgs {
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub threads: usize,
     /// Write the table and every flight as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
 }
 

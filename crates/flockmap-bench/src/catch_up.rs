@@ -1,5 +1,6 @@
 //! `flockmap-bench catch-up`: what an outage and a late joiner cost, beside the map coded once.
 
+use flockmap_cli::outputs;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -48,7 +49,7 @@ pub struct CatchUpArgs {
     #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
     pub codec: Codec,
     /// Write what the table shows as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
     #[command(flatten)]
     pub map: MapArgs,

@@ -1,6 +1,7 @@
 //! `flockmap-bench codecs`: all methods on the same batches.
 
 use core::str::FromStr;
+use flockmap_cli::outputs;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -40,7 +41,7 @@ pub struct CodecsArgs {
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub codec: Vec<Named>,
     /// Write the table as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
     #[command(flatten)]
     pub map: MapArgs,

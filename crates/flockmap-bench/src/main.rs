@@ -49,7 +49,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = program::parse();
     // Training leaves nothing behind before its end: Ctrl-C may end it at once.
     if !matches!(cli.command, Command::Train(_)) {
         stop::listen();
@@ -71,7 +71,7 @@ mod tests {
     use clap::CommandFactory;
 
     fn parse(line: &str) -> Result<Cli, clap::Error> {
-        Cli::try_parse_from(line.split_whitespace())
+        program::try_parse(line.split_whitespace())
     }
 
     #[test]

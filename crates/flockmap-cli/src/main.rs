@@ -47,7 +47,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = program::parse();
     // A node listens by itself.
     if !matches!(cli.command, Command::Node(_)) {
         stop::listen();
@@ -75,7 +75,7 @@ mod tests {
     use flockmap::Cast;
 
     fn parse(line: &str) -> Result<Cli, clap::Error> {
-        Cli::try_parse_from(line.split_whitespace())
+        program::try_parse(line.split_whitespace())
     }
 
     #[test]

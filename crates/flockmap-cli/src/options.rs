@@ -9,6 +9,8 @@ use flockmap::{BatchConfig, Codec, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::{Lidar, Rendering};
 use serde::de::{DeserializeOwned, IntoDeserializer as _};
 
+use crate::given::Given;
+
 /// How robots map and pack.
 #[derive(Args, Debug, Clone)]
 #[command(next_help_heading = "Mapping and packing")]
@@ -33,10 +35,29 @@ pub struct MapArgs {
     pub mapper: Preset,
 }
 
+/// Options of [`SourceArgs`] that say how simulated robots fly and scan.
+pub const OF_FLIGHTS: [&str; 10] = [
+    "lidar",
+    "lidar_range",
+    "no_returns",
+    "rendering",
+    "range_noise",
+    "drop_out",
+    "scan_motion",
+    "moving_obstacles",
+    "speed",
+    "world_resolution",
+];
+
+/// Options of [`SourceArgs`] that say how to read records.
+pub const OF_RECORDS: [&str; 5] = ["poses", "scan_period", "points_topic", "odometry_topic", "map_frame"];
+
 /// What the robots see.
 #[derive(Args, Debug, Clone)]
 #[command(next_help_heading = "Simulated flights and records")]
 pub struct SourceArgs {
+    #[command(flatten)]
+    pub given: Given,
     /// LiDAR of simulated robots: avia (as on the paper's robots) or mid360
     #[arg(long, value_name = "NAME", default_value_t = Lidar::Avia)]
     pub lidar: Lidar,
@@ -121,7 +142,18 @@ impl MapArgs {
 
     /// The mapper's configuration.
     pub fn mapper(&self) -> anyhow::Result<MapperConfig> {
-        Ok(MapperConfig::preset(self.mapper, self.resolution()?, self.range))
+        Ok(MapperConfig::preset(self.mapper, self.resolution()?, self.range()?))
+    }
+
+    /// Where rays are cut, in metres.
+    pub fn range(&self) -> anyhow::Result<f64> {
+        let most = 500.0 * self.resolution()?.metres();
+        ensure!(
+            self.range > 0.0 && self.range <= most,
+            "--range is {}, expected more than 0 and at most {most} m (500 voxels)",
+            self.range
+        );
+        Ok(self.range)
     }
 
     /// A robot that maps and packs like this. Its id is still to be given.
@@ -140,6 +172,16 @@ impl MapArgs {
             publish_period_ms: milliseconds("--publish-period", self.publish_period)?,
             obstacle_period_ms,
         })
+    }
+}
+
+impl SourceArgs {
+    /// Whether so many robots can be simulated, and fly that fast.
+    pub fn check_flight(&self) -> anyhow::Result<()> {
+        ensure!((1..=64).contains(&self.robots), "--robots is {}, expected 1 to 64", self.robots);
+        let fits = self.speed.is_none_or(|speed| (0.1..=20.0).contains(&speed));
+        ensure!(fits, "--speed is {}, expected 0.1 to 20 m/s", self.speed.unwrap_or_default());
+        Ok(())
     }
 }
 

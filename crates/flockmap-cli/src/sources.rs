@@ -11,7 +11,7 @@ use flockmap_worlds::{
     Flight, ObstacleOptions, ScanOptions, Shape, Tracks, Trajectory, TrajectoryOptions, World,
 };
 
-use crate::options::{SourceArgs, resolution};
+use crate::options::{OF_FLIGHTS, OF_RECORDS, SourceArgs, resolution};
 use crate::team::{Team, TeamMate};
 
 /// A scan and `T_map_sensor`, the pose that it was taken at.
@@ -111,13 +111,38 @@ pub fn open(
         "--seconds must be more than 0 and at most 86,400"
     );
     match paths.iter().find(|path| is_world(path)) {
-        Some(world) if paths.len() == 1 => fly(world, source, range_m),
+        Some(world) if paths.len() == 1 => {
+            source
+                .given
+                .refuse(&OF_RECORDS, &format!("is for records, and {} is a world", world.display()))?;
+            fly(world, source, range_m)
+        }
         Some(world) => bail!(
             "{} is a world, not a record: name one world (with --robots N), or records only",
             world.display()
         ),
-        None => open_records(paths, source, real_stamps),
+        None => {
+            check_records(paths, source)?;
+            open_records(paths, source, real_stamps)
+        }
     }
+}
+
+/// Whether these are records, and the options fit them.
+fn check_records(paths: &[PathBuf], source: &SourceArgs) -> anyhow::Result<()> {
+    for path in paths.iter().filter(|path| !path.exists()) {
+        bail!("there is no {}{}", path.display(), did_you_mean(path));
+    }
+    source
+        .given
+        .refuse(&OF_FLIGHTS, "is for simulated robots, and records are named: they hold what was seen")?;
+    if let [_, _, ..] = paths {
+        source.given.refuse(
+            &["robots"],
+            "cuts a single record into robots, and several are named: each is one robot",
+        )?;
+    }
+    Ok(())
 }
 
 /// Simulated robots that fly through the world that `--scene` names.
@@ -131,8 +156,9 @@ pub fn open_scene(scene: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Re
 pub fn check_scene(scene: &Path) -> anyhow::Result<()> {
     ensure!(
         is_world(scene),
-        "--scene {}: expected forest, indoor, or a .bt, .pcd, .ply, .las or .laz file",
-        scene.display()
+        "--scene {}: expected forest, indoor, or a .bt, .pcd, .ply, .las or .laz file{}",
+        scene.display(),
+        did_you_mean(scene)
     );
     Ok(())
 }
@@ -142,9 +168,19 @@ pub fn ending(path: &Path) -> Option<String> {
     path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase())
 }
 
+/// Worlds that are generated.
+const WORLDS: [&str; 2] = ["forest", "indoor"];
+
+/// The generated world whose name is nearly this, as a question.
+fn did_you_mean(path: &Path) -> String {
+    let name = path.to_string_lossy().to_lowercase();
+    let near = WORLDS.into_iter().find(|world| strsim::damerau_levenshtein(world, &name) <= 2);
+    near.map(|world| format!(" (did you mean {world}?)")).unwrap_or_default()
+}
+
 /// Whether this names a world to fly through.
 pub fn is_world(path: &Path) -> bool {
-    matches!(path.to_str(), Some("forest" | "indoor"))
+    path.to_str().is_some_and(|name| WORLDS.contains(&name))
         || matches!(ending(path).as_deref(), Some("bt" | "pcd" | "ply" | "las" | "laz"))
 }
 
@@ -166,6 +202,7 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
 /// One record as `--robots` robots: cut into as many parts of equal time, which all begin at 0. A swarm on a
 /// single recording.
 pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
+    check_records(&[path.to_owned()], source)?;
     let parts = source.robots as i64;
     ensure!((1..=100).contains(&parts), "--robots is {parts}, expected 1 to 100");
     ensure!(
@@ -236,6 +273,7 @@ pub fn part(
 }
 
 fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources> {
+    source.check_flight()?;
     let scan = scan_options(source, range_m)?;
     let world = Arc::new(open_world(path, source)?);
     let seconds = source.seconds.unwrap_or(FLIGHT_SECONDS);
@@ -305,10 +343,16 @@ const fn scan_options_of(robot: usize, options: ScanOptions) -> ScanOptions {
 
 /// The world that a name or file stands for.
 pub fn open_world(path: &Path, source: &SourceArgs) -> anyhow::Result<World> {
+    if path.to_str().is_some_and(|name| WORLDS.contains(&name)) {
+        source.given.refuse(&["world_resolution"], "is for point clouds, and this world is generated")?;
+    }
     match path.to_str() {
         Some("forest") => return Ok(World::forest(source.seed)),
         Some("indoor") => return Ok(World::indoor(source.seed)),
         _ => {}
+    }
+    if ending(path).as_deref() == Some("bt") {
+        source.given.refuse(&["world_resolution"], "is for point clouds: an OctoMap says its own")?;
     }
     let side = source.world_resolution.map(|side| resolution("--world-resolution", side));
     Ok(World::open(path, side.transpose()?)?)

@@ -1,5 +1,6 @@
 //! `flockmap-bench mapping`: the mapper beside OctoMap, on the same scans in the same run.
 
+use flockmap_cli::outputs;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -47,7 +48,7 @@ pub struct MappingArgs {
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Write the table as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
 }
 

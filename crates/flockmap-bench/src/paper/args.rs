@@ -1,5 +1,6 @@
 //! What may be said to `flockmap-bench paper`.
 
+use flockmap_cli::outputs;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -26,7 +27,7 @@ pub struct PaperArgs {
     #[arg(long)]
     pub quick: bool,
     /// Folder for report.html, report.json and a CSV file for each table
-    #[arg(long, value_name = "DIR", default_value = "flockmap-paper")]
+    #[arg(long, value_name = "DIR", default_value = "flockmap-paper", value_parser = outputs::folder())]
     pub out: PathBuf,
     /// Keep the flights: DIR/records/forest/robot1.mcap and so on
     #[arg(long)]

@@ -3,6 +3,7 @@
 mod draw;
 mod figure;
 
+use flockmap_cli::outputs;
 use std::path::PathBuf;
 
 use anyhow::ensure;
@@ -38,13 +39,13 @@ pub struct RandomArgs {
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Write every point as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
     /// Write every point as CSV
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub csv: Option<PathBuf>,
     /// Write report.html with four charts, report.json and CSV files to this folder
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = outputs::folder())]
     pub out: Option<PathBuf>,
 }
 

@@ -5,6 +5,7 @@ mod learning;
 mod recording;
 mod scenes;
 
+use flockmap_cli::outputs;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
@@ -32,7 +33,7 @@ Exit code 0: done, or the same; 1: the shipped tables differ; 2: failed."
 )]
 pub struct TrainArgs {
     /// Write the tables to this file
-    #[arg(long, value_name = "FILE", required_unless_present = "check", conflicts_with = "check")]
+    #[arg(long, value_name = "FILE", required_unless_present = "check", conflicts_with = "check", value_parser = outputs::file())]
     pub out: Option<PathBuf>,
     /// Compare with the tables that the codec ships; write nothing
     #[arg(long)]

@@ -1,5 +1,6 @@
 //! `flockmap demo`: a swarm over real UDP sockets on this machine, each robot a node of its own.
 
+use flockmap_cli::outputs;
 use std::io;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -28,7 +29,7 @@ Examples:
   flockmap demo --scene indoor --robots 5 --seconds 30 --out /tmp/indoor
 
 Each robot is a node of its own with its own socket. At the end there are a table here, and report.html and report.json
-in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.")]
+in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.", mut_args(super::hidden::hide(&[])))]
 pub struct DemoArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
     #[arg(long, value_name = "SCENE", default_value = "forest")]
@@ -37,7 +38,7 @@ pub struct DemoArgs {
     #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
     pub codec: Codec,
     /// Folder for report.html and report.json
-    #[arg(long, value_name = "DIR", default_value = "flockmap-demo")]
+    #[arg(long, value_name = "DIR", default_value = "flockmap-demo", value_parser = outputs::folder())]
     pub out: PathBuf,
     #[command(flatten)]
     pub map: MapArgs,

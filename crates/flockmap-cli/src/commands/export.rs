@@ -1,5 +1,6 @@
 //! `flockmap export`: a map taken elsewhere.
 
+use flockmap_cli::outputs;
 use std::path::PathBuf;
 
 use anyhow::ensure;
@@ -29,7 +30,7 @@ pub struct ExportArgs {
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Where to: a path that ends in .ply, .pcd or .bt
-    #[arg(long, value_name = "MAP")]
+    #[arg(long, value_name = "MAP", value_parser = outputs::file())]
     pub to: PathBuf,
     /// Write free voxels too (a .bt always holds them)
     #[arg(long)]

@@ -1,5 +1,6 @@
 //! `flockmap info`: what is in a file.
 
+use flockmap_cli::outputs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, ensure};
@@ -28,7 +29,7 @@ pub struct InfoArgs {
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Write the facts as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
 }
 

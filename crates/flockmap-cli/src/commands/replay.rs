@@ -1,7 +1,9 @@
 //! `flockmap replay`: records, or simulated flights, through the whole stack in virtual time.
 
+use flockmap_cli::outputs;
 use std::path::PathBuf;
 
+use anyhow::ensure;
 use clap::Args;
 use flockmap::{Cast, Codec, RobotConfig, SessionConfig};
 use flockmap_cli::options::{MapArgs, SourceArgs, budget, delay_micros, named, share};
@@ -56,10 +58,10 @@ pub struct ReplayArgs {
     #[arg(long)]
     pub real_stamps: bool,
     /// Write what the table shows as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
     /// Write report.html and report.json to this folder
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = outputs::folder())]
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub map: MapArgs,
@@ -81,6 +83,13 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     session.radio_bytes_per_s = args.budget_kb_s.map(budget).transpose()?.or(session.radio_bytes_per_s);
     let base = RobotConfig { session, ..args.map.robot(args.codec, args.source.seed)? };
     base.session.validate()?;
+    if let [world] = args.records.as_slice() {
+        ensure!(
+            !args.real_stamps || !sources::is_world(world),
+            "--real-stamps is for records, and {} is a world",
+            world.display()
+        );
+    }
     let sources = match args.records.as_slice() {
         // A single robot has nobody to sync with.
         [record] if !sources::is_world(record) && args.source.robots > 1 => {
@@ -95,10 +104,10 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     let report = Report::new(&run, title, settings)?;
     let document = report.document();
     document.print(false);
-    json_file::write_asked(args.json.as_deref(), &report)?;
-    if let Some(folder) = &args.out {
-        document.write(folder, &report)?;
-    }
+    let json = json_file::write_asked(args.json.as_deref(), &report);
+    // Whatever became of the other one.
+    let page = args.out.as_ref().map_or(Ok(()), |folder| document.write(folder, &report));
+    json.and(page)?;
     Ok(report.is_good())
 }
 

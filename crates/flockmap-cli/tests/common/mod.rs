@@ -6,10 +6,16 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
+/// The program with these arguments.
+pub(crate) fn command(words: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_flockmap"));
+    command.args(words.split_whitespace());
+    command
+}
+
 /// Runs the program with these arguments.
 pub(crate) fn flockmap(words: &str) -> Output {
-    let words: Vec<&str> = words.split_whitespace().collect();
-    Command::new(env!("CARGO_BIN_EXE_flockmap")).args(words).output().expect("the program starts")
+    command(words).output().expect("the program starts")
 }
 
 /// What it prints, if all went well.

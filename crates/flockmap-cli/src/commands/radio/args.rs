@@ -1,5 +1,6 @@
 //! The arguments of `flockmap radio`.
 
+use flockmap_cli::outputs;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -34,7 +35,7 @@ pub struct RadioArgs {
     #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,
     /// Write what the table at the end shows as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
 }
 

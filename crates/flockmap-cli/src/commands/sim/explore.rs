@@ -1,5 +1,6 @@
 //! `flockmap sim explore`: a swarm that explores on its own, written as one record a robot.
 
+use flockmap_cli::outputs;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -29,14 +30,14 @@ Examples:
 
 Each robot looks for frontiers in its own fused map, which holds what came over the radio: a slow or lossy radio costs time, and without one
 (--no-sync) everybody sees everything. The files are as those of `sim fly`, with pictures of the fused map.",
-    mut_args(super::hidden::hide(&["seconds", "moving_obstacles"]))
+    mut_args(crate::commands::hidden::hide(&["see_team_mates", "seconds", "moving_obstacles"]))
 )]
 pub struct SimExploreArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
     #[arg(long, value_name = "SCENE", default_value = "forest")]
     pub scene: PathBuf,
     /// Folder for the files robot1.mcap, robot2.mcap …
-    #[arg(long, value_name = "DIR", default_value = "flockmap-exploration")]
+    #[arg(long, value_name = "DIR", default_value = "flockmap-exploration", value_parser = outputs::folder())]
     pub out: PathBuf,
     /// The exploration ends after so many seconds of flight at the latest
     #[arg(long, value_name = "S", default_value_t = 600.0)]
@@ -64,7 +65,7 @@ pub struct SimExploreArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Write what the table shows as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
     #[command(flatten)]
     pub map: MapArgs,
@@ -88,8 +89,13 @@ pub fn run(args: &SimExploreArgs) -> anyhow::Result<bool> {
 
 fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
     let SimExploreArgs { map, source, .. } = args;
+    source.check_flight()?;
+    ensure!(
+        (0.1..=14_400.0).contains(&args.seconds_max),
+        "--seconds-max is {}, expected 0.1 to 14,400 s",
+        args.seconds_max
+    );
     ensure!(args.threads.is_none_or(|n| (1..=64).contains(&n)), "--threads must be 1 to 64");
-    ensure!(source.moving_obstacles == 0, "--moving-obstacles: explorers do not evade them; use `sim fly`");
     let mut session = SessionConfig::default();
     session.radio_bytes_per_s = args.budget_kb_s.map(budget).transpose()?.or(session.radio_bytes_per_s);
     let link = Link {
@@ -103,7 +109,7 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
         robots: source.robots,
         seed: source.seed,
         resolution: map.resolution()?,
-        range_m: map.range,
+        range_m: map.range()?,
         lidar: source.lidar,
         scan: sources::scan_options(source, map.range)?,
         seconds_max: args.seconds_max,

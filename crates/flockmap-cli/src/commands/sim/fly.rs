@@ -1,5 +1,6 @@
 //! `flockmap sim fly`: simulated flights, written as one record a robot.
 
+use flockmap_cli::outputs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -28,14 +29,14 @@ Each file holds the scans (PointCloud2), the pose of the sensor at each (Odometr
 made and of its track; ROS 2, Foxglove and Rerun open it as it is. The same command gives the same bytes, whatever --threads is.
 A replay of the files is the replay of the flight itself: `replay forest --see-team-mates` gives the same bytes. Robots are in each other's scans;
 --see-team-mates leaves them out of the maps again.",
-        mut_args(super::hidden::hide(&["publish_period", "obstacle_period", "d"]))
+        mut_args(crate::commands::hidden::hide(&["see_team_mates", "publish_period", "obstacle_period", "d"]))
     )]
 pub struct SimFlyArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
     #[arg(long, value_name = "SCENE", default_value = "forest")]
     pub scene: PathBuf,
     /// Folder for the files robot1.mcap, robot2.mcap …
-    #[arg(long, value_name = "DIR", default_value = "flockmap-flight")]
+    #[arg(long, value_name = "DIR", default_value = "flockmap-flight", value_parser = outputs::folder())]
     pub out: PathBuf,
     /// Leave out the pictures of map and track
     #[arg(long)]
@@ -47,7 +48,7 @@ pub struct SimFlyArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Write what the table shows as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
     #[command(flatten)]
     pub map: MapArgs,

@@ -2,7 +2,6 @@
 
 mod explore;
 mod fly;
-mod hidden;
 mod swarm;
 mod table;
 

@@ -1,5 +1,6 @@
 //! `flockmap sim swarm`: the sync protocol in virtual time under everything that a seed can do.
 
+use flockmap_cli::outputs;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -71,7 +72,7 @@ pub struct SimSwarmArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Write what the table shows as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
 }
 
