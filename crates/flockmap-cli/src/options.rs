@@ -147,7 +147,13 @@ impl MapArgs {
 
     /// Where rays are cut, in metres.
     pub fn range(&self) -> anyhow::Result<f64> {
-        let most = 500.0 * self.resolution()?.metres();
+        let voxel = self.resolution()?.metres();
+        ensure!(
+            self.range >= voxel || self.range <= 0.0,
+            "--range is {}, less than one voxel of {voxel} m (--resolution is in metres too)",
+            self.range
+        );
+        let most = 500.0 * voxel;
         ensure!(
             self.range > 0.0 && self.range <= most,
             "--range is {}, expected more than 0 and at most {most} m (500 voxels)",

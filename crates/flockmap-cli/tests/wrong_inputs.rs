@@ -56,6 +56,7 @@ const WRONG: &[(&str, &str)] = &[
     ("replay forest --resolution 10cm", "invalid value '10cm' for '--resolution <M>'"),
     ("replay forest --range -3", "--range is -3, expected more than 0 and at most 50 m (500 voxels)"),
     ("replay forest --range inf", "--range is inf"),
+    ("replay forest --resolution 10", "less than one voxel of 10 m (--resolution is in metres too)"),
     ("replay forest --publish-period 0", "--publish-period is 0, expected 0.001 to 3,600 s"),
     ("replay forest --obstacle-period -1", "--obstacle-period is -1"),
     ("replay forest --d 0", "--d is 0"),
