@@ -69,6 +69,10 @@ fn main() -> ExitCode {
 }
 
 #[cfg(test)]
+#[path = "../tests/common/documents.rs"]
+mod documents;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use clap::CommandFactory;
@@ -115,5 +119,20 @@ mod tests {
         assert!(error.contains("octo") && error.contains("rog-map"), "{error}");
         assert!(parse("flockmap replay").is_err());
         assert!(parse("flockmap replay forest --looss 0.2").unwrap_err().to_string().contains("--loss"));
+    }
+
+    #[test]
+    fn every_command_in_the_documents_is_understood() {
+        let commands = documents::commands_of("flockmap");
+        assert!(commands.len() > 20, "only {} commands are found", commands.len());
+        let mut wrong = Vec::new();
+        for (line, words) in commands {
+            let words = std::iter::once(String::new()).chain(words);
+            match program::try_parse::<Cli>(words) {
+                Err(error) if error.exit_code() != 0 => wrong.push(format!("{line}\n{error}")),
+                _ => {}
+            }
+        }
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     }
 }

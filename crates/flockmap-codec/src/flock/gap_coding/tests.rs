@@ -16,7 +16,7 @@ use crate::work::Work;
 mod random;
 pub(super) use random::Random;
 
-/// Changes drawn at random, as `flockmap bench random` draws them.
+/// Changes drawn at random, as `flockmap-bench random` draws them.
 #[derive(Clone, Debug)]
 pub(super) struct Draw {
     pub(super) region: VoxelBox,
@@ -246,7 +246,7 @@ fn random_draws_cost_at_most_three_per_cent_more_than_they_must() {
     }
 }
 
-/// As in `flockmap bench random`.
+/// As in `flockmap-bench random`.
 const RATIOS: [f64; 13] = [1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1, 2e-1, 5e-1, 1.0];
 
 #[test]
