@@ -18,6 +18,7 @@ pub mod parallel;
 pub mod picture;
 pub mod program;
 pub mod progress;
+pub mod records;
 pub mod report;
 pub mod robot_record;
 pub mod sources;

@@ -54,7 +54,7 @@ pub const OF_RECORDS: [&str; 5] = ["poses", "scan_period", "points_topic", "odom
 
 /// What the robots see.
 #[derive(Args, Debug, Clone)]
-#[command(next_help_heading = "Simulated flights and records")]
+#[command(next_help_heading = "Simulated flights")]
 pub struct SourceArgs {
     #[command(flatten)]
     pub given: Given,
@@ -104,22 +104,25 @@ pub struct SourceArgs {
     /// and .laz]
     #[arg(long, value_name = "M")]
     pub world_resolution: Option<f64>,
-    /// Pose file of a folder of scans, in KITTI's form [default: optimized_poses.txt, odom_poses.txt or
-    /// poses.txt in it]
-    #[arg(long, value_name = "FILE")]
-    pub poses: Option<PathBuf>,
-    /// Time between scans of a folder without times.txt, in seconds
-    #[arg(long, value_name = "S")]
-    pub scan_period: Option<f64>,
-    /// Topic of the scans in an .mcap [default: the only one with PointCloud2]
-    #[arg(long, value_name = "TOPIC")]
-    pub points_topic: Option<String>,
-    /// Topic of the odometry in an .mcap [default: the one that tells of the frame of the scans]
-    #[arg(long, value_name = "TOPIC")]
-    pub odometry_topic: Option<String>,
-    /// Frame of the map in an .mcap [default: parent frame of the odometry, or root of tf]
-    #[arg(long, value_name = "FRAME")]
-    pub map_frame: Option<String>,
+    /// Pose file of a folder of scans, in KITTI's form, once for each folder [default: optimized_poses.txt,
+    /// odom_poses.txt or poses.txt in it]
+    #[arg(long, value_name = "FILE", help_heading = "Records")]
+    pub poses: Vec<PathBuf>,
+    /// Time between scans of a folder without times.txt, in seconds, for all or once for each folder
+    #[arg(long, value_name = "S", help_heading = "Records")]
+    pub scan_period: Vec<f64>,
+    /// Topic of the scans in an .mcap or bag, for all or once for each robot; of a single record every topic
+    /// makes a robot [default: the only one with PointCloud2]
+    #[arg(long, value_name = "TOPIC", help_heading = "Records")]
+    pub points_topic: Vec<String>,
+    /// Topic of the odometry in an .mcap or bag, for all or once for each robot [default: the one that tells
+    /// of the frame of the scans]
+    #[arg(long, value_name = "TOPIC", help_heading = "Records")]
+    pub odometry_topic: Vec<String>,
+    /// Frame of the map in an .mcap or bag, for all or once for each robot [default: parent frame of the
+    /// odometry, or root of tf]
+    #[arg(long, value_name = "FRAME", help_heading = "Records")]
+    pub map_frame: Vec<String>,
 }
 
 impl Default for SourceArgs {

@@ -88,15 +88,17 @@ fn in_words(message: &str) -> String {
 
 /// The command as it was given, for reports: it makes the same run again.
 pub fn command_line() -> String {
-    let quoted = |word: String| {
-        if word.contains(|c: char| c.is_whitespace() || "'\"$`\\&;|<>()".contains(c)) {
-            format!("'{}'", word.replace('\'', "'\\''"))
-        } else {
-            word
-        }
-    };
     let mut words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
     let path = words.next().unwrap_or_default();
     let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
     std::iter::once(name).chain(words).map(quoted).collect::<Vec<_>>().join(" ")
+}
+
+/// A word as a shell takes it for one.
+pub fn quoted(word: String) -> String {
+    if word.contains(|c: char| c.is_whitespace() || "'\"$`\\&;|<>()".contains(c)) {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    } else {
+        word
+    }
 }

@@ -6,12 +6,13 @@ use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::{Context, bail, ensure};
 use flockmap::{Pose, Scan, Sphere, Stamp};
-use flockmap_io::{Record, RecordOptions, open_record};
+use flockmap_io::Record;
 use flockmap_worlds::{
     Flight, ObstacleOptions, ScanOptions, Shape, Tracks, Trajectory, TrajectoryOptions, World,
 };
 
 use crate::options::{OF_FLIGHTS, OF_RECORDS, SourceArgs, resolution};
+use crate::records::{self, RobotRecord};
 use crate::team::{Team, TeamMate};
 
 /// A scan and `T_map_sensor`, the pose that it was taken at.
@@ -136,10 +137,10 @@ fn check_records(paths: &[PathBuf], source: &SourceArgs) -> anyhow::Result<()> {
     source
         .given
         .refuse(&OF_FLIGHTS, "is for simulated robots, and records are named: they hold what was seen")?;
-    if let [_, _, ..] = paths {
+    if paths.len().max(source.points_topic.len()) > 1 {
         source.given.refuse(
             &["robots"],
-            "cuts a single record into robots, and several are named: each is one robot",
+            "cuts a single record into robots, and several records or topics are named: each is one robot",
         )?;
     }
     Ok(())
@@ -185,15 +186,20 @@ pub fn is_world(path: &Path) -> bool {
 }
 
 fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> anyhow::Result<Sources> {
-    let records: Vec<(Record, [Stamp; 2])> =
-        paths.iter().map(|path| open_spanned(path, source)).collect::<anyhow::Result<_>>()?;
-    let earliest = records.iter().map(|(_, [first, _])| *first).min().unwrap_or_default();
-    let title = records.iter().map(|(record, _)| record.name.as_str()).collect::<Vec<_>>().join(" + ");
+    let opened = records::records(paths, source)?;
+    let opened: Vec<(Record, [Stamp; 2])> =
+        opened.iter().map(|record| open_spanned(record, source)).collect::<anyhow::Result<_>>()?;
+    let (records, spans): (Vec<Record>, Vec<[Stamp; 2]>) = opened.into_iter().unzip();
+    records::refuse_twice(&records)?;
+    records.iter().for_each(warn_of_damages);
+    let names = records::names(&records);
+    let earliest = spans.iter().map(|[first, _]| *first).min().unwrap_or_default();
+    let title = names.join(" + ");
     let zero = |first: Stamp| if real_stamps { earliest } else { first };
-    let seen = records.iter().filter(|_| source.see_team_mates);
+    let seen = records.iter().zip(&spans).filter(|_| source.see_team_mates);
     let team = Team::new(seen.map(|(record, [first, _])| (record.poses.as_slice(), zero(*first))));
-    let robots = records.into_iter().enumerate().map(|(number, (record, [first, last]))| {
-        let name = record.name.clone();
+    let robots = records.into_iter().zip(names).zip(spans).enumerate();
+    let robots = robots.map(|(number, ((record, name), [first, last]))| {
         part(record, name, [first, last], zero(first), (team.clone(), number))
     });
     Ok(Sources { robots: robots.collect(), title })
@@ -209,10 +215,15 @@ pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
         !source.see_team_mates,
         "--see-team-mates: one record cut into robots shows none of them; name one record for each robot"
     );
+    let records = records::records(std::slice::from_ref(&path.to_owned()), source)?;
+    let [whole] = records.as_slice() else { bail!("a record is cut by time, or has a robot for each topic") };
     let mut robots = Vec::new();
     for number in 0..parts {
         // Each part reads the file for itself: only what is flown is in memory.
-        let (record, [first, last]) = open_spanned(path, source)?;
+        let (record, [first, last]) = open_spanned(whole, source)?;
+        if number == 0 {
+            warn_of_damages(&record);
+        }
         let micros = last.micros_since(first) + 1;
         let from = first.plus_micros(micros * number / parts);
         let until = first.plus_micros(micros * (number + 1) / parts - 1);
@@ -224,22 +235,20 @@ pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
 }
 
 /// A record, and the stamps of its first scan and of the last one that is wanted.
-fn open_spanned(path: &Path, source: &SourceArgs) -> anyhow::Result<(Record, [Stamp; 2])> {
-    let options = RecordOptions {
-        points_topic: source.points_topic.clone(),
-        odometry_topic: source.odometry_topic.clone(),
-        map_frame: source.map_frame.clone(),
-        poses: source.poses.clone(),
-        scan_period_s: source.scan_period,
-        ..RecordOptions::default()
+fn open_spanned(from: &RobotRecord, source: &SourceArgs) -> anyhow::Result<(Record, [Stamp; 2])> {
+    let record = records::open(from)?;
+    let Some((first, last)) = record.summary.span else {
+        bail!("{}: no scan with a pose", from.path.display())
     };
-    let record = open_record(path, &options)?;
-    let Some((first, last)) = record.summary.span else { bail!("{}: no scan with a pose", path.display()) };
+    let last = source.seconds.map_or(last, |s| last.min(first.plus_micros((s * 1e6) as i64)));
+    Ok((record, [first, last]))
+}
+
+/// Says what of a record cannot be read.
+fn warn_of_damages(record: &Record) {
     for damage in &record.summary.damages {
         eprintln!("warning: {damage}");
     }
-    let last = source.seconds.map_or(last, |s| last.min(first.plus_micros((s * 1e6) as i64)));
-    Ok((record, [first, last]))
 }
 
 /// The frames of a record from one time to another, both included, with stamps that count from `zero`. The

@@ -12,14 +12,14 @@ use crate::mcap_index::McapIndex;
 use crate::octomap::OctoMap;
 use crate::record::{RecordOptions, RecordSummary};
 use crate::record_mcap;
-use crate::record_reader::open_record;
+use crate::record_reader::{RecordKind, open_record};
 
 /// What is in a file or folder. `Display` gives it as lines of text.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Description {
     /// The file or folder.
     pub path: PathBuf,
-    /// Its size in bytes; of a folder, zero.
+    /// Its size in bytes; of a rosbag2 folder that of its MCAP files, of a folder of scans zero.
     pub bytes: u64,
     /// What it holds.
     pub content: Content,
@@ -29,8 +29,10 @@ pub struct Description {
 #[derive(Clone, PartialEq, Debug)]
 #[non_exhaustive]
 pub enum Content {
-    /// An MCAP file.
+    /// An MCAP file, or a rosbag2 folder.
     Mcap {
+        /// Number of files.
+        files: usize,
         /// Its topics in the order of their names.
         topics: Vec<Topic>,
         /// As a record, or why it is none.
@@ -40,8 +42,12 @@ pub enum Content {
     Folder(RecordSummary),
     /// A point cloud.
     Cloud {
-        /// Number of points.
+        /// Number of points where something is.
         points: u64,
+        /// Number of points where the file says that nothing is ([`PointCloud::free`](crate::PointCloud)).
+        free: u64,
+        /// Side of the voxels whose centres the points are, in an exported map.
+        voxels: Option<Resolution>,
         /// Points left out because a coordinate was not a finite number.
         dropped: u64,
         /// Lowest and highest corner in metres, in the coordinates of the file.
@@ -83,27 +89,14 @@ pub fn describe(path: impl AsRef<Path>) -> Result<Description, ReadError> {
     let path = path.as_ref();
     let metadata = std::fs::metadata(path).map_err(|e| Fault::io(&e).in_file(path))?;
     let options = RecordOptions::default();
+    let mut bytes = if metadata.is_dir() { 0 } else { metadata.len() };
     let content = match ending(path).as_str() {
-        _ if metadata.is_dir() => Content::Folder(open_record(path, &options)?.summary),
-        "mcap" => {
-            let index = McapIndex::read(path, options.chunk_bytes_max)?;
-            let topics = index
-                .channels
-                .iter()
-                .map(|(channel, &messages)| Topic {
-                    name: channel.topic.clone(),
-                    schema: channel.schema.clone(),
-                    encoding: channel.encoding.clone(),
-                    messages,
-                })
-                .collect();
-            let record = record_mcap::plan(path, &options, index);
-            Content::Mcap { topics, record: record.map(|r| r.summary).map_err(|fault| fault.in_file(path)) }
-        }
         "pcd" | "ply" | "las" | "laz" => {
             let cloud = read_cloud(path)?;
             Content::Cloud {
                 points: cloud.points.len() as u64,
+                free: cloud.free.len() as u64,
+                voxels: cloud.voxels,
                 dropped: cloud.dropped,
                 bounds: cloud.bounds(),
             }
@@ -119,19 +112,38 @@ pub fn describe(path: impl AsRef<Path>) -> Result<Description, ReadError> {
                 bounds: map.bounds(),
             }
         }
-        _ => {
-            let expected =
-                "a record (.mcap, folder of scans), a cloud (.pcd, .ply, .las, .laz) or an OctoMap (.bt)";
-            return Err(unknown_ending(path, expected));
-        }
+        _ => match RecordKind::of(path).map_err(|error| unknown(path, error))?.parts(path)? {
+            None => Content::Folder(open_record(path, &options)?.summary),
+            Some(parts) => {
+                bytes = parts.bytes();
+                let files = parts.files.len();
+                let index = McapIndex::read(&parts, options.chunk_bytes_max)?;
+                let topics = index.channels.iter().map(|(channel, &messages)| Topic {
+                    name: channel.topic.clone(),
+                    schema: channel.schema.clone(),
+                    encoding: channel.encoding.clone(),
+                    messages,
+                });
+                let topics = topics.collect();
+                let record = record_mcap::plan(path, parts, &options, index).map(|record| record.summary);
+                Content::Mcap { files, topics, record }
+            }
+        },
     };
-    let bytes = if metadata.is_dir() { 0 } else { metadata.len() };
     Ok(Description { path: path.to_owned(), bytes, content })
+}
+
+/// Why a path is nothing that is read here.
+fn unknown(path: &Path, error: ReadError) -> ReadError {
+    let is_known = matches!(ending(path).as_str(), "db3" | "bag" | "yaml");
+    let expected = "a record (.mcap, rosbag2 folder, folder of scans), a cloud (.pcd, .ply, .las, .laz) or an OctoMap (.bt)";
+    if is_known || path.is_dir() { error } else { unknown_ending(path, expected) }
 }
 
 impl fmt::Display for Description {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = match &self.content {
+            Content::Mcap { files, .. } if self.path.is_dir() => &format!("rosbag2 folder, {files} files"),
             Content::Mcap { .. } => "MCAP file",
             Content::Folder(_) => "folder of scans",
             Content::Cloud { .. } => "point cloud",
@@ -140,7 +152,7 @@ impl fmt::Display for Description {
         let bytes = if self.bytes > 0 { format!(", {} bytes", self.bytes) } else { String::new() };
         writeln!(f, "{}: {kind}{bytes}", self.path.display())?;
         match &self.content {
-            Content::Mcap { topics, record } => {
+            Content::Mcap { topics, record, .. } => {
                 for Topic { name, schema, encoding, messages } in topics {
                     writeln!(f, "  {name}: {messages} × {schema} ({encoding})")?;
                 }
@@ -150,8 +162,12 @@ impl fmt::Display for Description {
                 }
             }
             Content::Folder(summary) => write_summary(f, summary),
-            Content::Cloud { points, dropped, bounds } => {
-                writeln!(f, "  {points} points, {dropped} without a finite place")?;
+            Content::Cloud { points, free, voxels, dropped, bounds } => {
+                if let Some(side) = voxels {
+                    writeln!(f, "  a map: centres of voxels of {} m", side.metres())?;
+                }
+                let free = if *free > 0 { format!(", {free} more of free space") } else { String::new() };
+                writeln!(f, "  {points} points{free}, {dropped} without a finite place")?;
                 write_bounds(f, bounds)
             }
             Content::OctoMap { resolution, nodes, leaves, free, occupied, bounds } => {

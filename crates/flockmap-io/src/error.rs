@@ -30,7 +30,7 @@ pub enum Place {
     Message {
         /// Topic of the message.
         topic: Box<str>,
-        /// Number of the message on its topic, counted from 1.
+        /// Number of the message on its topic, counted from 1 through all files of the record.
         number: u64,
         /// Offset from the start of the message, if one byte of it is meant.
         byte: Option<u64>,
@@ -73,6 +73,14 @@ pub enum Problem {
         /// What the file has.
         found: String,
     },
+    /// There are several topics and nothing tells which one is meant.
+    #[error("cannot be used: expected one topic of {of}, or the name of the one to take, found {}", topics.join(", "))]
+    SeveralTopics {
+        /// What they are topics of.
+        of: TopicOf,
+        /// Their names, at most 64.
+        topics: Vec<String>,
+    },
     /// The file asks for more than the limit. Raise the limit in the options where there is one.
     #[error("{what} is {found}, the limit is {limit}")]
     TooLarge {
@@ -83,6 +91,24 @@ pub enum Problem {
         /// The limit.
         limit: u64,
     },
+}
+
+/// What a topic of a record may be needed for.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum TopicOf {
+    /// The scans ([`RecordOptions::points_topic`](crate::RecordOptions::points_topic)).
+    Scans,
+    /// Their poses ([`RecordOptions::odometry_topic`](crate::RecordOptions::odometry_topic)).
+    Odometry,
+}
+
+impl fmt::Display for TopicOf {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Scans => "scans",
+            Self::Odometry => "odometry for the scans",
+        })
+    }
 }
 
 /// A file that could not be written.

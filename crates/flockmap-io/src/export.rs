@@ -6,7 +6,7 @@ use std::path::Path;
 
 use flockmap_grid::{Resolution, State, Voxel};
 
-use crate::cloud::PointCloud;
+use crate::cloud::{PointCloud, STATE, voxels_note};
 use crate::error::WriteError;
 use crate::file::ending;
 use crate::octomap::octomap_bytes;
@@ -16,12 +16,13 @@ use crate::octomap::octomap_bytes;
 pub struct ExportOptions {
     /// Whether `.ply` and `.pcd` hold free voxels too. Each point then has a `state` (1 occupied, 0 free),
     /// and in `.ply` a colour. Default: only occupied voxels. A `.bt` always holds both.
+    /// [`read_map`](crate::read_map) reads them back.
     pub free: bool,
 }
 
 /// Writes a map by the ending of the path: `.ply` or `.pcd` with the centre of each voxel in metres (binary;
 /// `f32`, or `f64` where the map reaches so far that `f32` would be off by more than 1/16 voxel), or an
-/// OctoMap `.bt`.
+/// OctoMap `.bt`. A comment in the header of `.ply` and `.pcd` tells the side of a voxel.
 ///
 /// Voxels may come in any order, each once; they are written in ascending order, so equal maps give equal
 /// files. Unknown voxels are left out. Returns the number of voxels written. Memory: 16 bytes a voxel, 24 for
@@ -48,23 +49,26 @@ pub fn export_map(
     kept.sort_unstable_by_key(|(voxel, _)| *voxel);
     // An f32 has 24 bits: up to index 2²⁰ a sixteenth of a voxel is left.
     let far = |v: &Voxel| [v.x, v.y, v.z].iter().any(|i| i.unsigned_abs() >= 1 << 20);
-    let layout = Layout { double: kept.iter().any(|(v, _)| far(v)), state: options.free };
+    let double = kept.iter().any(|(v, _)| far(v));
+    let layout = Layout { double, state: options.free, voxels: Some(resolution) };
     let rows = kept.iter().map(|&(voxel, state)| (resolution.centre(voxel), state));
     layout.write(path, form, kept.len(), rows)?;
     Ok(kept.len() as u64)
 }
 
 /// Writes a point cloud by the ending of the path: `.ply` or `.pcd`, binary; `f64` if the cloud has an
-/// origin, else `f32`.
+/// origin, else `f32`. Free points have the `state` 0, and the others then 1.
 pub fn write_cloud(path: impl AsRef<Path>, cloud: &PointCloud) -> Result<(), WriteError> {
     let path = path.as_ref();
     let form = Form::of(path)?;
-    let layout = Layout { double: cloud.origin != [0.0; 3], state: false };
+    let (double, state) = (cloud.origin != [0.0; 3], !cloud.free.is_empty());
+    let layout = Layout { double, state, voxels: cloud.voxels };
     let place = |p: &[f32; 3]| core::array::from_fn(|axis| cloud.origin[axis] + f64::from(p[axis]));
-    let rows = cloud.points.iter().map(|p| (place(p), State::Occupied));
+    let solid = cloud.points.iter().map(|p| (place(p), State::Occupied));
+    let rows = solid.chain(cloud.free.iter().map(|p| (place(p), State::Free)));
     match form {
         Form::Bt => Err(unknown_ending(path, ".ply or .pcd")),
-        form => layout.write(path, form, cloud.points.len(), rows),
+        form => layout.write(path, form, cloud.points.len() + cloud.free.len(), rows),
     }
 }
 
@@ -90,11 +94,13 @@ fn unknown_ending(path: &Path, known: &str) -> WriteError {
     WriteError::unfit(path, "a file with this ending", format!("{known} can be written"))
 }
 
-/// What is written of each point: `f32` or `f64`, and whether its state.
+/// What is written of each point: `f32` or `f64`, and whether its state; and whether they are centres of
+/// voxels.
 #[derive(Clone, Copy)]
 struct Layout {
     double: bool,
     state: bool,
+    voxels: Option<Resolution>,
 }
 
 impl Layout {
@@ -135,12 +141,13 @@ impl Layout {
     fn ply_header(self, count: usize) -> String {
         let number = if self.double { "double" } else { "float" };
         let state = if self.state {
-            "property uchar red\nproperty uchar green\nproperty uchar blue\nproperty uchar state\n"
+            format!("property uchar red\nproperty uchar green\nproperty uchar blue\nproperty uchar {STATE}\n")
         } else {
-            ""
+            String::new()
         };
+        let note = self.voxels.map_or("Flockmap".to_owned(), voxels_note);
         format!(
-            "ply\nformat binary_little_endian 1.0\ncomment Flockmap\nelement vertex {count}\n\
+            "ply\nformat binary_little_endian 1.0\ncomment {note}\nelement vertex {count}\n\
              property {number} x\nproperty {number} y\nproperty {number} z\n{state}end_header\n"
         )
     }
@@ -148,8 +155,9 @@ impl Layout {
     fn pcd_header(self, count: usize) -> String {
         let size = if self.double { 8 } else { 4 };
         let [name, bytes, kind, one] = if self.state { [" state", " 1", " U", " 1"] } else { [""; 4] };
+        let note = self.voxels.map(|side| format!("# {}\n", voxels_note(side))).unwrap_or_default();
         format!(
-            "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z{name}\n\
+            "# .PCD v0.7 - Point Cloud Data file format\n{note}VERSION 0.7\nFIELDS x y z{name}\n\
              SIZE {size} {size} {size}{bytes}\nTYPE F F F{kind}\nCOUNT 1 1 1{one}\n\
              WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
         )

@@ -13,7 +13,9 @@ pub(crate) fn ending(path: &Path) -> String {
 pub(crate) fn name_of(path: &Path) -> String {
     let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
-    name.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+    let name = name.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    // Of one that is packed as a whole.
+    name.strip_suffix(".mcap").map(str::to_owned).unwrap_or(name)
 }
 
 /// Reads a whole file of at most `bytes_max` bytes.

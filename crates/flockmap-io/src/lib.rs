@@ -7,9 +7,9 @@
 //!
 //! | what | read | written |
 //! |---|---|---|
-//! | record | [`open_record`]: `.mcap` with ROS 2 PointCloud2 + Odometry or tf; folder with `Scans/*.pcd`, poses, `times.txt` | [`RecordWriter`]: `.mcap` |
+//! | record | [`open_record`]: `.mcap` with ROS 2 PointCloud2 + Odometry or tf; rosbag2 folder with such files; folder with `Scans/*.pcd`, poses, `times.txt` | [`RecordWriter`]: `.mcap` |
 //! | point cloud | [`read_cloud`]: `.pcd`, `.ply`, `.las`, `.laz` | [`write_cloud`]: `.pcd`, `.ply` |
-//! | occupancy map | [`OctoMap::read`]: `.bt` | [`export_map`]: `.ply`, `.pcd`, `.bt` |
+//! | occupancy map | [`read_map`]: `.bt`, and what is written here; [`OctoMap::read`]: `.bt` | [`export_map`]: `.ply`, `.pcd`, `.bt` |
 #![forbid(unsafe_code)]
 
 mod bytes;
@@ -23,9 +23,11 @@ mod file;
 mod header_lines;
 mod las;
 mod lzf;
+mod map_reader;
 mod mcap_file;
 mod mcap_frames;
 mod mcap_index;
+mod mcap_parts;
 mod number;
 mod octomap;
 mod pcd;
@@ -37,14 +39,16 @@ mod record_reader;
 mod record_view;
 mod record_writer;
 mod ros;
+mod rosbag;
 mod track;
 
 pub use cloud::{CLOUD_BYTES_MAX, CLOUD_POINTS_MAX, PointCloud};
 pub use cloud_reader::read_cloud;
 pub use describe::{Content, Description, Topic, describe};
-pub use error::{Place, Problem, ReadError, WriteError};
+pub use error::{Place, Problem, ReadError, TopicOf, WriteError};
 pub use export::{ExportOptions, export_map, write_cloud};
+pub use map_reader::{MapFile, read_map};
 pub use octomap::{Cube, OCTOMAP_BYTES_MAX, OctoMap, octomap_tree, read_octomap_tree};
 pub use record::{Frame, Frames, Record, RecordOptions, RecordSummary};
-pub use record_reader::open_record;
+pub use record_reader::{RecordKind, open_record};
 pub use record_writer::RecordWriter;

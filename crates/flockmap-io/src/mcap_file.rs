@@ -4,6 +4,8 @@
 //! as they go. A damaged chunk is left out and reported; what follows it is read. The framing is read here
 //! rather than by the `mcap` crate so that each error has its byte, and sizes are checked before anything is
 //! held.
+//!
+//! A file that is packed as a whole (`.mcap.zstd`, rosbag2's file compression) is unpacked as it is read.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -17,6 +19,7 @@ use mcap::records::op;
 
 use crate::bytes::Bytes;
 use crate::error::{Fault, Place};
+use crate::file::ending;
 
 /// Opcode and length in front of each record.
 const RECORD_HEADER_BYTES: u64 = 9;
@@ -33,19 +36,43 @@ pub(crate) struct Channel {
     pub(crate) encoding: String,
 }
 
-/// One message. Its data is only lent: it lies in the chunk that is open.
-pub(crate) struct Message<'a> {
-    pub(crate) channel: Arc<Channel>,
-    pub(crate) data: &'a [u8],
+/// The channel of a message, and where its data lies in the chunk.
+pub(crate) type Found = (Arc<Channel>, Range<usize>);
+
+/// The largest window of a packed file that is unpacked, as a power of two: 128 MiB.
+const WINDOW_LOG_MAX: u32 = 27;
+
+/// A file, or what is packed in it.
+enum Input {
+    Plain(BufReader<File>),
+    Packed(Box<zstd::Decoder<'static, BufReader<File>>>),
 }
 
-/// The channel of a message, and where its data lies in the chunk.
-type Found = (Arc<Channel>, Range<usize>);
+impl Input {
+    fn read_exact(&mut self, into: &mut [u8]) -> io::Result<()> {
+        match self {
+            Self::Plain(file) => file.read_exact(into),
+            Self::Packed(file) => file.read_exact(into),
+        }
+    }
+
+    fn skip(&mut self, bytes: u64) -> io::Result<()> {
+        match self {
+            Self::Plain(file) => file.seek_relative(bytes as i64),
+            Self::Packed(file) => match io::copy(&mut file.take(bytes), &mut io::sink())? {
+                skipped if skipped == bytes => Ok(()),
+                _ => Err(io::ErrorKind::UnexpectedEof.into()),
+            },
+        }
+    }
+}
 
 /// Reads an MCAP file. Memory: the records that are held at one time, that is one chunk packed and unpacked,
-/// each at most `chunk_bytes_max`, and the names of at most 65,536 channels.
+/// each at most `chunk_bytes_max`, and the names of at most 65,536 channels; for a file that is packed as a
+/// whole up to 128 MiB more, as its packer asked for.
 pub(crate) struct McapReader {
-    file: BufReader<File>,
+    file: Input,
+    /// Bytes of the file; of a packed one the most that there can be, since its own size is not known.
     length: u64,
     at: u64,
     chunk_bytes_max: u64,
@@ -65,9 +92,18 @@ pub(crate) struct McapReader {
 impl McapReader {
     pub(crate) fn open(path: &Path, chunk_bytes_max: u64) -> Result<Self, Fault> {
         let file = File::open(path).map_err(|e| Fault::io(&e))?;
-        let length = file.metadata().map_err(|e| Fault::io(&e))?.len();
+        let mut length = file.metadata().map_err(|e| Fault::io(&e))?.len();
+        let mut file = Input::Plain(BufReader::with_capacity(1 << 16, file));
+        if ending(path) == "zstd"
+            && let Input::Plain(packed) = file
+        {
+            let mut unpacker = zstd::Decoder::with_buffer(packed).map_err(|e| Fault::io(&e))?;
+            unpacker.window_log_max(WINDOW_LOG_MAX).map_err(|e| Fault::io(&e))?;
+            file = Input::Packed(Box::new(unpacker));
+            length = i64::MAX as u64;
+        }
         let mut reader = Self {
-            file: BufReader::with_capacity(1 << 16, file),
+            file,
             length,
             at: 0,
             chunk_bytes_max,
@@ -90,15 +126,12 @@ impl McapReader {
 
     /// The next message, or what is wrong with the part that is left out; `None` at the end. After an error
     /// the next call goes on behind the damage, where there is anything.
-    pub(crate) fn next_message(&mut self) -> Option<Result<Message<'_>, Fault>> {
+    pub(crate) fn next_message(&mut self) -> Option<Result<Found, Fault>> {
         loop {
             if self.chunk_at < self.chunk.len() {
                 match self.next_in_chunk() {
                     Ok(None) => {}
-                    Ok(Some((channel, data))) => {
-                        let data = self.chunk.get(data).unwrap_or_default();
-                        return Some(Ok(Message { channel, data }));
-                    }
+                    Ok(Some(found)) => return Some(Ok(found)),
                     Err(fault) => {
                         // Where the next record of this chunk begins is not known any more.
                         self.chunk.clear();
@@ -111,6 +144,11 @@ impl McapReader {
                 return Some(Err(fault));
             }
         }
+    }
+
+    /// The data of the message that was found last.
+    pub(crate) fn data(&self, found: Range<usize>) -> &[u8] {
+        self.chunk.get(found).unwrap_or_default()
     }
 
     /// Takes the next record of the chunk, which may be a message.
@@ -243,12 +281,22 @@ impl McapReader {
 
     fn skip(&mut self, bytes: u64) -> Result<(), Fault> {
         self.at += bytes;
-        self.file.seek_relative(bytes as i64).map_err(|error| self.broken(&error))
+        self.file.skip(bytes).map_err(|error| self.broken(&error))
     }
 
     fn broken(&mut self, error: &io::Error) -> Fault {
         self.ended = true;
-        Fault::io(error)
+        let place = Place::Byte(self.at);
+        match (error.kind(), &self.file) {
+            // What is read is checked against the length, so it is the packed bytes that end.
+            (io::ErrorKind::UnexpectedEof, _) => {
+                Fault::truncated(place, "more records up to a footer", "the end of the file")
+            }
+            (io::ErrorKind::Other, Input::Packed(_)) => {
+                Fault::damaged(place, "a file packed with zstd", error.to_string())
+            }
+            _ => Fault::io(error),
+        }
     }
 }
 

@@ -1,13 +1,12 @@
 //! The scans of an MCAP record, read as they are asked for and put in the order of their stamps.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 use flockmap_grid::{Pose, Scan, Stamp};
 
 use crate::error::ReadError;
-use crate::mcap_file::McapReader;
 use crate::mcap_index::DAMAGES_MAX;
+use crate::mcap_parts::{McapParts, PartsReader};
 use crate::record::{Frame, RecordOptions};
 use crate::ros;
 
@@ -25,13 +24,13 @@ pub(crate) struct Entry {
 /// The second pass: the scans, put in order.
 #[derive(Default)]
 pub(crate) struct McapFrames {
-    path: PathBuf,
+    parts: McapParts,
     options: RecordOptions,
     topic: String,
     no_returns: Option<String>,
     /// The rays without a return read last: they come before their scan.
     rays: Option<(Stamp, Vec<[f32; 3]>)>,
-    reader: Option<McapReader>,
+    reader: Option<PartsReader>,
     /// One for each message of the topic; `None` where it gives no frame.
     entries: Vec<Option<Entry>>,
     /// Messages of the topic seen.
@@ -68,24 +67,20 @@ impl Iterator for McapFrames {
 impl McapFrames {
     /// The frames that `entries` list, one for each message of `topic`; `damages` were found by the first pass.
     pub(crate) fn new(
-        path: PathBuf,
+        parts: McapParts,
         options: RecordOptions,
         topic: String,
         no_returns: Option<String>,
         entries: Vec<Option<Entry>>,
         damages: Vec<ReadError>,
     ) -> Self {
-        Self { path, options, topic, no_returns, entries, damages, ..Self::default() }
+        Self { parts, options, topic, no_returns, entries, damages, ..Self::default() }
     }
 
     fn read_one(&mut self) {
-        if self.reader.is_none() {
-            match McapReader::open(&self.path, self.options.chunk_bytes_max) {
-                Ok(reader) => self.reader = Some(reader),
-                Err(fault) => self.damages.push(fault.in_file(&self.path)),
-            }
-        }
-        let Some(message) = self.reader.as_mut().and_then(McapReader::next_message) else {
+        let chunk_bytes_max = self.options.chunk_bytes_max;
+        let reader = self.reader.get_or_insert_with(|| PartsReader::new(self.parts.clone(), chunk_bytes_max));
+        let Some(message) = reader.next_message() else {
             self.ended = true;
             return;
         };
@@ -120,7 +115,8 @@ impl McapFrames {
             }
             Err(fault) => {
                 if self.damages.len() < 2 * DAMAGES_MAX {
-                    self.damages.push(fault.in_message(&self.topic, self.number as u64).in_file(&self.path));
+                    let fault = fault.in_message(&self.topic, self.number as u64);
+                    self.damages.push(fault.in_file(reader.path()));
                 }
                 None
             }

@@ -1,14 +1,14 @@
-//! What one pass through an MCAP file finds: its topics, the stamps of its scans, and its poses.
+//! What one pass through an MCAP record finds: its topics, the stamps of its scans, and its poses.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use flockmap_grid::Stamp;
 
 use crate::error::{Fault, Place, Problem, ReadError, check_room};
-use crate::mcap_file::{Channel, McapReader, Message};
+use crate::mcap_file::Channel;
+use crate::mcap_parts::{McapParts, Message, PartsReader};
 use crate::ros;
-use crate::track::{FrameTree, Track};
+use crate::track::{FrameForest, Track};
 
 /// Most poses, and most scans of a topic, that are kept.
 const ENTRIES_MAX: usize = 1 << 22;
@@ -23,7 +23,7 @@ pub(crate) struct McapIndex {
     pub(crate) channels: BTreeMap<Channel, u64>,
     pub(crate) clouds: BTreeMap<String, CloudTopic>,
     pub(crate) odometries: BTreeMap<String, OdometryTopic>,
-    pub(crate) transforms: FrameTree,
+    pub(crate) transforms: FrameForest,
     poses: usize,
     pub(crate) damages: Vec<ReadError>,
 }
@@ -43,17 +43,29 @@ pub(crate) struct OdometryTopic {
 }
 
 impl McapIndex {
-    pub(crate) fn read(path: &Path, chunk_bytes_max: u64) -> Result<Self, ReadError> {
+    /// Reads all parts. Damage is kept, up to 16 times; the first is the error if there is nothing else.
+    pub(crate) fn read(parts: &McapParts, chunk_bytes_max: u64) -> Result<Self, ReadError> {
         let mut index = Self::default();
-        let mut reader = McapReader::open(path, chunk_bytes_max).map_err(|fault| fault.in_file(path))?;
-        while let Some(message) = reader.next_message() {
-            match message.and_then(|message| index.take(&message)) {
-                Ok(()) => {}
-                Err(fault @ Fault { problem: Problem::TooLarge { .. }, place: Place::Whole }) => {
-                    return Err(fault.in_file(path));
+        let mut reader = PartsReader::new(parts.clone(), chunk_bytes_max);
+        let mut unopened = 0;
+        loop {
+            let damage = match reader.next_message() {
+                None => break,
+                Some(Ok(message)) => match index.take(&message) {
+                    Ok(()) => continue,
+                    Err(fault) => fault.in_file(reader.path()),
+                },
+                Some(Err(damage)) => {
+                    unopened += usize::from(!reader.is_open());
+                    damage
                 }
-                Err(fault) if index.damages.len() < DAMAGES_MAX => index.damages.push(fault.in_file(path)),
-                Err(_) => {}
+            };
+            let is_limit = matches!(damage.problem, Problem::TooLarge { .. }) && damage.place == Place::Whole;
+            if is_limit || unopened == parts.files.len() {
+                return Err(index.damages.into_iter().next().filter(|_| !is_limit).unwrap_or(damage));
+            }
+            if index.damages.len() < DAMAGES_MAX {
+                index.damages.push(damage);
             }
         }
         index.odometries.values_mut().for_each(|odometry| odometry.track.sort());
@@ -93,7 +105,8 @@ impl McapIndex {
                 check_room("the number of poses", self.poses + self.transforms.poses(), ENTRIES_MAX)?;
                 let fixed = channel.topic.ends_with("tf_static");
                 for t in ros::decode_transforms(message.data).map_err(in_message)? {
-                    self.transforms.push(t.header.frame, t.child, t.header.stamp, t.pose, fixed);
+                    let namespace = ros::namespace(&channel.topic);
+                    self.transforms.push(namespace, t.header.frame, t.child, (t.header.stamp, t.pose), fixed);
                 }
             }
             _ => {}

@@ -100,6 +100,11 @@ impl OctoMap {
         self.cubes.iter().flat_map(|cube| cube.voxels().map(|voxel| (voxel, cube.state)))
     }
 
+    /// As [`Self::voxels`], without borrowing.
+    pub fn into_voxels(self) -> impl Iterator<Item = (Voxel, State)> {
+        self.cubes.into_iter().flat_map(|cube| cube.voxels().map(move |voxel| (voxel, cube.state)))
+    }
+
     /// Number of known voxels with this state.
     pub fn voxel_count(&self, state: State) -> u64 {
         self.cubes.iter().filter(|cube| cube.state == state).map(Cube::volume).sum()

@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use flockmap_grid::Pose;
 
 use crate::bytes::Bytes;
+use crate::cloud::{STATE, StoredPoints, noted_voxels};
 use crate::error::{Fault, Place, excerpt};
 use crate::header_lines::HeaderLines;
 use crate::lzf;
@@ -13,10 +14,10 @@ use crate::number::Number;
 /// Most fields of a point.
 const FIELDS_MAX: usize = 256;
 
-/// A parsed file. Points are as stored, also those that are no numbers; `viewpoint` is the pose in the header.
+/// A parsed file; `viewpoint` is the pose in the header.
 #[derive(Debug, Default)]
 pub(crate) struct Parsed {
-    pub(crate) points: Vec<[f64; 3]>,
+    pub(crate) points: StoredPoints,
     pub(crate) viewpoint: Pose,
     pub(crate) viewpoint_line: u64,
 }
@@ -67,9 +68,10 @@ struct Layout {
     point_bytes: u64,
     words: u64,
     axes: [Axis; 3],
+    state: Option<Axis>,
 }
 
-/// One coordinate: which number of a point (text), where in the point (binary), where its column begins
+/// One coordinate, or the state: which number of a point (text), where in the point (binary), where its column begins
 /// (compressed).
 #[derive(Clone, Copy)]
 struct Axis {
@@ -102,9 +104,9 @@ pub(crate) fn parse(bytes: &[u8], points_max: u64) -> Result<Parsed, Fault> {
     } else {
         Cow::Borrowed(data)
     };
-    parsed.points.reserve(layout.points as usize);
+    parsed.points.solid.reserve(layout.points as usize);
     for i in 0..layout.points {
-        parsed.points.push(layout.axes.map(|axis| {
+        let number = |axis: Axis| {
             // A column holds one field of all points; those before it are as long for each point as its offset.
             let at = if is_columns {
                 axis.offset * layout.points + i * axis.size
@@ -113,7 +115,8 @@ pub(crate) fn parse(bytes: &[u8], points_max: u64) -> Result<Parsed, Fault> {
             };
             let number = data.get(at as usize..).unwrap_or_default();
             axis.number.map_or(f64::NAN, |n| n.read(number, false))
-        }));
+        };
+        parsed.points.push(layout.axes.map(number), layout.state.map(number), || place.clone())?;
     }
     Ok(parsed)
 }
@@ -132,7 +135,11 @@ fn parse_header(lines: &mut HeaderLines<'_>, parsed: &mut Parsed) -> Result<Layo
             into.map(drop).ok_or_else(|| format!("{what} as a whole number"))
         };
         let read = match key {
-            _ if key.starts_with('#') => Ok(()),
+            _ if key.starts_with('#') => {
+                let comment = as_text.trim_start().strip_prefix('#').unwrap_or_default();
+                parsed.points.voxels = noted_voxels(comment, &lines.place())?.or(parsed.points.voxels);
+                Ok(())
+            }
             "VERSION" => Ok(()),
             "FIELDS" | "COLUMNS" => {
                 fields = words
@@ -180,12 +187,15 @@ fn parse_header(lines: &mut HeaderLines<'_>, parsed: &mut Parsed) -> Result<Layo
                     let expected = "FIELDS, SIZE, TYPE and POINTS (or WIDTH and HEIGHT) before DATA";
                     return Err(Fault::damaged(lines.place(), expected, "a header without one of them"));
                 };
+                let state = fields.iter().any(|f| f.name == STATE && f.count == 1);
+                parsed.points.has_states = state;
                 return Ok(Layout {
                     data,
                     points,
                     point_bytes: fields.iter().map(Field::bytes).sum(),
                     words: fields.iter().map(|f| f.count).sum(),
                     axes: [axis(&fields, "x")?, axis(&fields, "y")?, axis(&fields, "z")?],
+                    state: if state { Some(axis(&fields, STATE)?) } else { None },
                 });
             }
             _ => {
@@ -252,11 +262,13 @@ fn parse_ascii(data: &[u8], first: u64, layout: &Layout, parsed: &mut Parsed) ->
         }
         let words = || text.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
         let number = |word| core::str::from_utf8(word).ok()?.parse::<f64>().ok();
-        let (point, words) =
-            (layout.axes.map(|axis| words().nth(axis.word as usize).and_then(number)), words().count());
+        let value = |axis: Axis| words().nth(axis.word as usize).and_then(number);
+        let (point, words) = (layout.axes.map(value), words().count());
         let found = match point {
             [Some(x), Some(y), Some(z)] if words as u64 == layout.words => {
-                parsed.points.push([x, y, z]);
+                // A word that is no number is no state either.
+                let state = layout.state.map(|axis| value(axis).unwrap_or(f64::NAN));
+                parsed.points.push([x, y, z], state, || Place::Line(line))?;
                 read += 1;
                 continue;
             }
@@ -334,7 +346,7 @@ mod tests {
             let expected: Vec<[f64; 3]> = points.iter().map(|p| p.map(f64::from)).collect();
             for bytes in three_forms(&points) {
                 let parsed = parse(&bytes, 100).unwrap();
-                prop_assert_eq!(&parsed.points, &expected);
+                prop_assert_eq!(&parsed.points.solid, &expected);
                 prop_assert_eq!(parsed.viewpoint.translation(), [1.0, 2.0, 3.0]);
             }
         }
@@ -352,7 +364,7 @@ mod tests {
             }
             bytes.truncate(cut.index(bytes.len() + 1));
             if let Ok(parsed) = parse(&bytes, 1000) {
-                prop_assert!(parsed.points.len() <= 1000);
+                prop_assert!(parsed.points.solid.len() <= 1000);
             }
         }
     }
@@ -360,7 +372,9 @@ mod tests {
     #[test]
     fn points_that_are_no_numbers_are_read_as_such() {
         let text = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nDATA ascii\nnan 1 2\n1 2 3\n";
-        let [first, second] = parse(text.as_bytes(), 10).unwrap().points[..] else { panic!("two points") };
+        let [first, second] = parse(text.as_bytes(), 10).unwrap().points.solid[..] else {
+            panic!("two points")
+        };
         assert!(first[0].is_nan() && first[1..] == [1.0, 2.0] && second == [1.0, 2.0, 3.0], "{first:?}");
     }
 

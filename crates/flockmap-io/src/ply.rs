@@ -1,7 +1,7 @@
 //! Polygon files (`.ply`): the vertices, from ascii, binary_little_endian and binary_big_endian.
 
 use crate::bytes::Bytes;
-use crate::cloud::CLOUD_POINTS_MAX;
+use crate::cloud::{CLOUD_POINTS_MAX, STATE, StoredPoints, noted_voxels};
 use crate::error::{Fault, Place, excerpt};
 use crate::header_lines::HeaderLines;
 use crate::number::Number;
@@ -26,9 +26,10 @@ struct Element {
 }
 
 /// The vertices of a file.
-pub(crate) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, Fault> {
+pub(crate) fn parse(bytes: &[u8]) -> Result<StoredPoints, Fault> {
     let mut header = HeaderLines::new(bytes);
-    let (format, elements) = parse_header(&mut header)?;
+    let mut points = StoredPoints::default();
+    let (format, elements) = parse_header(&mut header, &mut points)?;
     let mut source = match format {
         Format::Ascii => Source::Text {
             lines: header.rest().split(|&b| b == b'\n'),
@@ -39,11 +40,12 @@ pub(crate) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, Fault> {
             Source::Binary { bytes: Bytes::new(header.rest(), header.at() as u64), big_endian }
         }
     };
-    let mut points = Vec::new();
     for element in &elements {
         let is_vertex = element.name == "vertex";
         let axis = |name: &str| element.properties.iter().position(|p| p.name == name && p.length.is_none());
         let axes = [axis("x"), axis("y"), axis("z")];
+        let state_at = axis(STATE).filter(|_| is_vertex);
+        points.has_states |= state_at.is_some();
         if is_vertex && axes.contains(&None) {
             let names: Vec<&str> = element.properties.iter().take(16).map(|p| p.name.as_str()).collect();
             let found = format!("vertices with {}", names.join(", "));
@@ -57,15 +59,18 @@ pub(crate) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, Fault> {
         let rows = if element.properties.is_empty() { 0 } else { element.count };
         for _ in 0..rows {
             source.start_row()?;
-            let mut point = [f64::NAN; 3];
+            let (mut point, mut state) = ([f64::NAN; 3], None);
             for (i, property) in element.properties.iter().enumerate() {
                 let value = source.property(property)?;
                 for (v, _) in point.iter_mut().zip(axes).filter(|(_, axis)| *axis == Some(i)) {
                     *v = value;
                 }
+                if state_at == Some(i) {
+                    state = Some(value);
+                }
             }
             if is_vertex {
-                points.push(point);
+                points.push(point, state, || source.place())?;
             }
         }
         if is_vertex {
@@ -134,7 +139,10 @@ impl<P: FnMut(&u8) -> bool> Source<'_, P> {
     }
 }
 
-fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(Format, Vec<Element>), Fault> {
+fn parse_header(
+    lines: &mut HeaderLines<'_>,
+    points: &mut StoredPoints,
+) -> Result<(Format, Vec<Element>), Fault> {
     let mut format = None;
     let mut elements: Vec<Element> = Vec::new();
     loop {
@@ -147,7 +155,11 @@ fn parse_header(lines: &mut HeaderLines<'_>) -> Result<(Format, Vec<Element>), F
             _ if lines.line() == 1 => {
                 return Err(Fault::foreign(lines.place(), "\"ply\"", excerpt(text)));
             }
-            [] | ["comment" | "obj_info", ..] => {}
+            ["comment", ..] => {
+                let comment = as_text.trim_start().strip_prefix("comment").unwrap_or_default();
+                points.voxels = noted_voxels(comment, &lines.place())?.or(points.voxels);
+            }
+            [] | ["obj_info", ..] => {}
             ["format", name, "1.0"] => {
                 format = Some(match *name {
                     "ascii" => Format::Ascii,
@@ -239,7 +251,7 @@ mod tests {
     #[test]
     fn all_forms_give_the_same_vertices() {
         for bytes in forms() {
-            assert_eq!(parse(&bytes).unwrap(), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [-7.5, -8.0, -9.0]]);
+            assert_eq!(parse(&bytes).unwrap().solid, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [-7.5, -8.0, -9.0]]);
         }
     }
 
@@ -256,7 +268,7 @@ mod tests {
             }
             bytes.truncate(cut.index(bytes.len() + 1));
             if let Ok(points) = parse(&bytes) {
-                prop_assert!(points.len() <= bytes.len());
+                prop_assert!(points.solid.len() <= bytes.len());
             }
         }
     }

@@ -10,11 +10,13 @@ use crate::error::ReadError;
 /// How to read a record. `RecordOptions::default()` fits most.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
-    /// Topic of the scans in an MCAP file. Default: the only one with `sensor_msgs/msg/PointCloud2`, or of
+    /// Topic of the scans in an MCAP. Default: the only one with `sensor_msgs/msg/PointCloud2`, or of
     /// several the only one in a frame that odometry or tf leads to (maps and pictures for viewers lie in the
     /// frame of the map).
     pub points_topic: Option<String>,
-    /// Topic of `nav_msgs/msg/Odometry` in an MCAP file. Default: the one that gives the frame of the scans.
+    /// Topic of `nav_msgs/msg/Odometry` in an MCAP. Default: the one that gives the frame of the scans; of
+    /// several the one whose namespace begins most like that of the scans (`/robot1/odometry` for
+    /// `/robot1/points`).
     pub odometry_topic: Option<String>,
     /// Frame in which poses are wanted, in an MCAP file. Default: the parent frame of the odometry, or else
     /// the root of tf.
@@ -64,6 +66,8 @@ pub struct Frame {
 pub struct Record {
     /// A name for the robot: the file or folder without its ending.
     pub name: String,
+    /// The files with the scans; of a folder of scans, the folder.
+    pub files: Vec<PathBuf>,
     /// What is known of the record before its scans are read.
     pub summary: RecordSummary,
     /// Stamp and `T_map_sensor` of each frame, in order: where the robot was, known before the scans are
@@ -88,6 +92,8 @@ pub struct RecordSummary {
     pub span: Option<(Stamp, Stamp)>,
     /// Length of the path from frame to frame, in metres.
     pub path_m: f64,
+    /// Topic of the scans, in an MCAP.
+    pub points_topic: Option<String>,
     /// Where the poses come from, as text.
     pub poses_from: String,
     /// Damage found while reading the file; what could be read is in the frames. At most 16 kept.

@@ -38,7 +38,13 @@ pub(crate) fn open(folder: &Path, options: &RecordOptions) -> Result<Record, Rea
     summary.poses_from = poses_path.display().to_string();
     let points_max = options.scan_points_max;
     let frames = entries.into_iter().map(move |(at, path)| read_frame(at, &path, points_max));
-    Ok(Record { name: name_of(folder), summary, poses, frames: Frames::new(frames) })
+    Ok(Record {
+        name: name_of(folder),
+        files: vec![folder.to_owned()],
+        summary,
+        poses,
+        frames: Frames::new(frames),
+    })
 }
 
 fn read_frame((stamp, pose): (Stamp, Pose), path: &Path, points_max: u64) -> Result<Frame, ReadError> {
@@ -49,10 +55,16 @@ fn read_frame((stamp, pose): (Stamp, Pose), path: &Path, points_max: u64) -> Res
         let place = Place::Line(parsed.viewpoint_line);
         return Err(Fault::foreign(place, expected, "another pose").in_file(path));
     }
-    let mut points = Vec::with_capacity(parsed.points.len());
-    let finite = parsed.points.iter().filter(|p| p.iter().all(|v| v.is_finite()));
+    if !parsed.points.free.is_empty() {
+        let found = "points with the state 0: a map with free voxels";
+        return Err(Fault::foreign(Place::Whole, "a scan: points where the sensor met something", found)
+            .in_file(path));
+    }
+    let stored = parsed.points.solid;
+    let mut points = Vec::with_capacity(stored.len());
+    let finite = stored.iter().filter(|p| p.iter().all(|v| v.is_finite()));
     points.extend(finite.map(|p| p.map(|v| v as f32)));
-    let points_dropped = (parsed.points.len() - points.len()) as u64;
+    let points_dropped = (stored.len() - points.len()) as u64;
     let scan = Scan { stamp, points, no_returns: Vec::new() };
     Ok(Frame { scan, t_map_sensor: pose, points_dropped })
 }
@@ -61,7 +73,8 @@ fn read_frame((stamp, pose): (Stamp, Pose), path: &Path, points_max: u64) -> Res
 fn scan_files(folder: &Path) -> Result<Vec<PathBuf>, ReadError> {
     let scans = ["Scans", "scans"].iter().map(|name| folder.join(name)).find(|path| path.is_dir());
     let scans = scans.ok_or_else(|| {
-        Fault::foreign(Place::Whole, "a folder Scans with .pcd files in it", "no such folder").in_file(folder)
+        let expected = "a rosbag2 folder with metadata.yaml, or a folder Scans with .pcd files in it";
+        Fault::foreign(Place::Whole, expected, "neither").in_file(folder)
     })?;
     let io = |error: std::io::Error| Fault::io(&error).in_file(&scans);
     let mut files = Vec::new();

@@ -1,44 +1,64 @@
-//! Records in MCAP files: which topic has the scans, and where their poses come from.
+//! Records in MCAP: which topic has the scans, and where their poses come from.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
 use flockmap_grid::{Pose, Stamp};
 
-use crate::error::{Fault, Place, ReadError};
+use crate::error::{Fault, Place, Problem, ReadError, TopicOf};
 use crate::file::name_of;
 use crate::mcap_file::Channel;
 use crate::mcap_frames::{Entry, McapFrames};
 use crate::mcap_index::{CloudTopic, McapIndex, OdometryTopic};
+use crate::mcap_parts::McapParts;
 use crate::record::{Frames, Record, RecordOptions, RecordSummary};
 use crate::ros;
-use crate::track::Reach;
+use crate::track::{FrameTree, Reach};
 
 /// Most scans that may have to wait for an earlier one that lies behind them in the file.
 const WAITING_MAX: usize = 256;
 /// A pose this near in time is taken as it is, in microseconds.
 const NEAR_MICROS: i64 = 10_000;
 
-pub(crate) fn open(path: &Path, options: &RecordOptions) -> Result<Record, ReadError> {
-    let index = McapIndex::read(path, options.chunk_bytes_max)?;
-    plan(path, options, index).map_err(|fault| fault.in_file(path))
+/// Most topics that an error names as those to choose from.
+const NAMED_MAX: usize = 64;
+
+/// Opens the record at `path`, which is in these files.
+pub(crate) fn open(path: &Path, parts: McapParts, options: &RecordOptions) -> Result<Record, ReadError> {
+    let index = McapIndex::read(&parts, options.chunk_bytes_max)?;
+    plan(path, parts, options, index)
 }
 
 /// The record that an index makes possible, or why there is none.
-pub(crate) fn plan(path: &Path, options: &RecordOptions, index: McapIndex) -> Result<Record, Fault> {
-    let (topic, cloud) = choose_cloud(&index, options).map_err(|fault| match index.damages.first() {
-        // Where nothing could be read at all, the damage is the better answer.
-        Some(damage) if index.clouds.is_empty() => {
-            Fault { place: damage.place.clone(), problem: damage.problem.clone() }
-        }
-        _ => fault,
-    })?;
+pub(crate) fn plan(
+    path: &Path,
+    parts: McapParts,
+    options: &RecordOptions,
+    mut index: McapIndex,
+) -> Result<Record, ReadError> {
+    let damages = core::mem::take(&mut index.damages);
+    // Where nothing could be read at all, the damage is the better answer.
+    let instead = damages.first().filter(|_| index.clouds.is_empty()).cloned();
+    plan_undamaged(path, parts, options, &index, damages)
+        .map_err(|fault| instead.unwrap_or_else(|| fault.in_file(path)))
+}
+
+fn plan_undamaged(
+    path: &Path,
+    parts: McapParts,
+    options: &RecordOptions,
+    index: &McapIndex,
+    damages: Vec<ReadError>,
+) -> Result<Record, Fault> {
+    let (topic, cloud) = choose_cloud(index, options)?;
+    let tree = index.transforms.seen_from(topic);
     let reach = Reach { gap_max: (options.pose_gap_max_s * 1e6) as i64, near: NEAR_MICROS };
-    let sources: Vec<PoseSource<'_>> =
-        cloud.frames.iter().map(|frame| choose_poses(&index, frame, options)).collect::<Result<_, _>>()?;
+    let frames = cloud.frames.iter();
+    let sources = frames.map(|frame| choose_poses(index, &tree, (topic, frame), options));
+    let sources: Vec<PoseSource<'_>> = sources.collect::<Result<_, _>>()?;
     let entry = |stamp: Stamp, frame: u16| {
         let source = sources.get(usize::from(frame))?;
-        let pose = source.pose(&index, stamp, reach)?;
+        let pose = source.pose(&tree, stamp, reach)?;
         Some(Entry { stamp, rank: 0, pose, registered: source.registered })
     };
     let mut entries: Vec<Option<Entry>> =
@@ -68,12 +88,13 @@ pub(crate) fn plan(path: &Path, options: &RecordOptions, index: McapIndex) -> Re
     summary.points = Some(cloud.points);
     let described: BTreeSet<&str> = sources.iter().map(|source| source.described.as_str()).collect();
     summary.poses_from = described.into_iter().collect::<Vec<_>>().join("; ");
-    summary.damages.clone_from(&index.damages);
+    summary.damages.clone_from(&damages);
+    summary.points_topic = Some(topic.to_owned());
     let no_returns = topic.rsplit_once('/').map(|(base, _)| format!("{base}{}", ros::NO_RETURNS));
     let no_returns = no_returns.filter(|t| t != topic && index.clouds.contains_key(t));
-    let damages = index.damages.clone();
-    let frames = McapFrames::new(path.into(), options.clone(), topic.into(), no_returns, entries, damages);
-    Ok(Record { name: name_of(path), summary, poses, frames: Frames::new(frames) })
+    let files = parts.files.clone();
+    let frames = McapFrames::new(parts, options.clone(), topic.into(), no_returns, entries, damages);
+    Ok(Record { name: name_of(path), files, summary, poses, frames: Frames::new(frames) })
 }
 
 fn choose_cloud<'a>(
@@ -93,13 +114,15 @@ fn choose_cloud<'a>(
     }
     // Of several topics, those in a frame that moves: what lies in the frame of the map is a map, or a
     // picture for viewers. A single one may be in the map: scans that were taken there beforehand.
-    let moves = |frame: &String| {
-        !index.transforms.ancestors(frame).is_empty() || index.odometries.values().any(|o| o.child == *frame)
+    let moves = |(topic, cloud): &(&str, &CloudTopic)| {
+        let tree = index.transforms.seen_from(topic);
+        let is_child = |frame: &String| index.odometries.values().any(|o| o.child == *frame);
+        cloud.frames.iter().any(|frame| !tree.ancestors(frame).is_empty() || is_child(frame))
     };
-    if chosen.iter().any(|(_, cloud)| cloud.frames.iter().any(moves)) && chosen.len() > 1 {
-        chosen.retain(|(_, cloud)| cloud.frames.iter().any(moves));
+    if chosen.iter().any(moves) && chosen.len() > 1 {
+        chosen.retain(moves);
     }
-    if let Some(only) = only(&chosen, "one topic of scans, or the name of the one to take")? {
+    if let Some(only) = only(&chosen, TopicOf::Scans)? {
         return Ok(only);
     }
     let wanted = |c: &&Channel| options.points_topic.as_ref().is_none_or(|topic| *topic == c.topic);
@@ -117,13 +140,13 @@ fn choose_cloud<'a>(
 }
 
 /// The only one of these topics; `None` if there is none.
-fn only<'a, T: Copy>(topics: &[(&'a str, T)], expected: &str) -> Result<Option<(&'a str, T)>, Fault> {
+fn only<'a, T: Copy>(topics: &[(&'a str, T)], of: TopicOf) -> Result<Option<(&'a str, T)>, Fault> {
     match topics {
         [] => Ok(None),
         [only] => Ok(Some(*only)),
         several => {
-            let names: Vec<&str> = several.iter().map(|(topic, _)| *topic).collect();
-            Err(Fault::foreign(Place::Whole, expected, names.join(", ")))
+            let topics = several.iter().take(NAMED_MAX).map(|(topic, _)| (*topic).to_owned()).collect();
+            Err(Fault { place: Place::Whole, problem: Problem::SeveralTopics { of, topics } })
         }
     }
 }
@@ -141,9 +164,9 @@ struct PoseSource<'a> {
 }
 
 impl PoseSource<'_> {
-    fn pose(&self, index: &McapIndex, stamp: Stamp, reach: Reach) -> Option<Pose> {
+    fn pose(&self, tree: &FrameTree<'_>, stamp: Stamp, reach: Reach) -> Option<Pose> {
         let odometry = self.odometry.map(|odometry| odometry.track.at(stamp, reach));
-        let tf = self.tf_from.map(|from| index.transforms.pose(from, self.frame, stamp, reach));
+        let tf = self.tf_from.map(|from| tree.pose(from, self.frame, stamp, reach));
         match (odometry, tf) {
             (Some(t_map_child), Some(t_child_sensor)) => Some(t_map_child?.compose(&t_child_sensor?)),
             (odometry, tf) => odometry.or(tf)?,
@@ -151,12 +174,23 @@ impl PoseSource<'_> {
     }
 }
 
+/// Whether odometry seems to be of another robot: other scans in a frame of this name are nearer to it.
+fn is_of_others(index: &McapIndex, odometry: &str, (points_topic, frame): (&str, &str)) -> bool {
+    let own = ros::shared_names(odometry, points_topic);
+    let is_nearer = |(topic, cloud): (&String, &CloudTopic)| {
+        ros::shared_names(odometry, topic) > own && cloud.frames.iter().any(|other| other == frame)
+    };
+    !ros::is_within(ros::namespace(odometry), ros::namespace(points_topic))
+        && index.clouds.iter().any(is_nearer)
+}
+
 fn choose_poses<'a>(
     index: &'a McapIndex,
-    frame: &'a str,
+    tree: &FrameTree<'a>,
+    (points_topic, frame): (&str, &'a str),
     options: &RecordOptions,
 ) -> Result<PoseSource<'a>, Fault> {
-    let above = index.transforms.ancestors(frame);
+    let above = tree.ancestors(frame);
     let mut candidates: Vec<(&str, &OdometryTopic)> =
         index.odometries.iter().map(|(topic, odometry)| (topic.as_str(), odometry)).collect();
     match (&options.odometry_topic, &options.map_frame) {
@@ -170,9 +204,16 @@ fn choose_poses<'a>(
         let expected = format!("{} on the topic {topic}", ros::ODOMETRY);
         return Err(Fault::foreign(Place::Whole, expected, index.topics()));
     }
+    let is_of_others = |topic: &str| is_of_others(index, topic, (points_topic, frame));
     let fitting = |fits: &dyn Fn(&OdometryTopic) -> bool| {
-        let found: Vec<_> = candidates.iter().filter(|(_, o)| fits(o)).copied().collect();
-        only(&found, "one topic of odometry for the scans, or the name of the one to take")
+        let mut found: Vec<_> = candidates.iter().filter(|(_, o)| fits(o)).copied().collect();
+        if options.odometry_topic.is_none() {
+            // Robots may have the same names of frames, each in a namespace of its own.
+            let shared = |topic: &str| ros::shared_names(topic, points_topic);
+            let nearest = found.iter().map(|(topic, _)| shared(topic)).max();
+            found.retain(|(topic, _)| Some(shared(topic)) == nearest && !is_of_others(topic));
+        }
+        only(&found, TopicOf::Odometry)
     };
     let source = PoseSource { frame, ..PoseSource::default() };
     // In this order: the sensor itself, a frame that the sensor is fixed to, and points that are already in
@@ -196,6 +237,13 @@ fn choose_poses<'a>(
     if let (Some(map), None) = (map, &options.odometry_topic) {
         let described = format!("tf: \"{map}\" → \"{frame}\"");
         return Ok(PoseSource { tf_from: Some(map), described, ..source });
+    }
+    let others =
+        candidates.iter().filter(|(topic, _)| options.odometry_topic.is_none() && is_of_others(topic));
+    let others: Vec<String> = others.take(NAMED_MAX).map(|(topic, _)| (*topic).to_owned()).collect();
+    if !others.is_empty() {
+        let problem = Problem::SeveralTopics { of: TopicOf::Odometry, topics: others };
+        return Err(Fault { place: Place::Whole, problem });
     }
     let to = options.map_frame.as_ref().map(|map| format!(" to \"{map}\"")).unwrap_or_default();
     let expected =

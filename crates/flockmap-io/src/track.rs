@@ -5,6 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use flockmap_grid::{Pose, Stamp};
 use glam::{DQuat, DVec3};
 
+use crate::ros::{is_within, namespace};
+
 /// Poses of one frame in another over time. 64 bytes a pose.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Track {
@@ -68,10 +70,13 @@ fn between(a: &Pose, b: &Pose, share: f64) -> Option<Pose> {
     Pose::new(place.to_array(), from.slerp(to, share).to_array())
 }
 
-/// The frames of a record and how they hang together: each child frame has one parent.
+/// The frames of a record and how they hang together, for each namespace of tf by itself: robots that publish
+/// `/robot1/tf` and `/robot2/tf` may have the same names of frames.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct FrameTree {
-    edges: BTreeMap<String, Edge>,
+pub(crate) struct FrameForest {
+    /// Each child frame has one parent.
+    trees: BTreeMap<String, BTreeMap<String, Edge>>,
+    frames: usize,
     poses: usize,
 }
 
@@ -85,13 +90,22 @@ struct Edge {
 /// Most child frames kept of a record; more are left out.
 const FRAMES_MAX: usize = 10_000;
 
-impl FrameTree {
+impl FrameForest {
     /// Takes over a transform `T_parent_child`. A frame that changes its parent keeps only the new one.
-    pub(crate) fn push(&mut self, parent: String, child: String, stamp: Stamp, pose: Pose, fixed: bool) {
-        if self.edges.len() >= FRAMES_MAX && !self.edges.contains_key(&child) {
+    pub(crate) fn push(
+        &mut self,
+        namespace: &str,
+        parent: String,
+        child: String,
+        (stamp, pose): (Stamp, Pose),
+        fixed: bool,
+    ) {
+        let is_known = self.trees.get(namespace).is_some_and(|edges| edges.contains_key(&child));
+        if !is_known && self.frames >= FRAMES_MAX {
             return;
         }
-        let edge = self.edges.entry(child).or_default();
+        self.frames += usize::from(!is_known);
+        let edge = self.trees.entry(namespace.to_owned()).or_default().entry(child).or_default();
         if edge.parent != parent {
             *edge = Edge { parent, ..Edge::default() };
         }
@@ -109,17 +123,52 @@ impl FrameTree {
     }
 
     pub(crate) fn sort(&mut self) {
-        for edge in self.edges.values_mut() {
+        for edge in self.trees.values_mut().flat_map(BTreeMap::values_mut) {
             edge.moving.sort();
         }
     }
 
+    /// The frames as whoever publishes this topic knows them: by the tf of its own namespace and of those
+    /// around it, the nearest first. If only one namespace has tf, beside the one of all, that is meant.
+    pub(crate) fn seen_from(&self, topic: &str) -> FrameTree<'_> {
+        let within = |name: &&String| is_within(namespace(topic), name);
+        let mut names: Vec<&String> = self.trees.keys().filter(within).collect();
+        let mut named = self.trees.keys().filter(|name| !name.is_empty());
+        if let (Some(only), None) = (named.next(), named.next())
+            && !names.contains(&only)
+        {
+            names.push(only);
+        }
+        // Of names that begin alike the longest is the nearest.
+        names.sort_by_key(|name| core::cmp::Reverse(name.len()));
+        FrameTree { edges: names.into_iter().filter_map(|name| self.trees.get(name)).collect() }
+    }
+
+    /// The links, as `parent → child`, for messages.
+    pub(crate) fn links(&self) -> Vec<String> {
+        let edges = self.trees.iter().flat_map(|(name, edges)| edges.iter().map(move |edge| (name, edge)));
+        edges.map(|(name, (child, edge))| format!("{} → {child} ({name}/tf)", edge.parent)).collect()
+    }
+}
+
+/// Frames and how they hang together, from one or several namespaces.
+#[derive(Clone, Debug)]
+pub(crate) struct FrameTree<'a> {
+    /// What is said of a child frame by the first counts.
+    edges: Vec<&'a BTreeMap<String, Edge>>,
+}
+
+impl<'a> FrameTree<'a> {
+    fn edge(&self, child: &str) -> Option<&'a Edge> {
+        self.edges.iter().find_map(|edges| edges.get(child))
+    }
+
     /// The frames from `frame` upwards, without `frame` itself.
-    pub(crate) fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<&'a str> {
+    pub(crate) fn ancestors(&self, frame: &'a str) -> Vec<&'a str> {
         let mut seen = BTreeSet::from([frame]);
         let mut chain = Vec::new();
         let mut at = frame;
-        while let Some(edge) = self.edges.get(at) {
+        while let Some(edge) = self.edge(at) {
             at = &edge.parent;
             if !seen.insert(at) {
                 break;
@@ -133,21 +182,16 @@ impl FrameTree {
     pub(crate) fn pose(&self, ancestor: &str, frame: &str, stamp: Stamp, reach: Reach) -> Option<Pose> {
         let mut pose = Pose::IDENTITY;
         let mut at = frame;
-        for _ in 0..=self.edges.len() {
+        for _ in 0..=FRAMES_MAX {
             if at == ancestor {
                 return Some(pose);
             }
-            let edge = self.edges.get(at)?;
+            let edge = self.edge(at)?;
             let step = edge.fixed.or_else(|| edge.moving.at(stamp, reach))?;
             pose = step.compose(&pose);
             at = &edge.parent;
         }
         None
-    }
-
-    /// The links, as `parent → child`, for messages.
-    pub(crate) fn links(&self) -> Vec<String> {
-        self.edges.iter().map(|(child, edge)| format!("{} → {child}", edge.parent)).collect()
     }
 }
 
@@ -191,11 +235,13 @@ mod tests {
 
     #[test]
     fn chains_go_through_fixed_and_moving_links() {
-        let mut tree = FrameTree::default();
+        let mut forest = FrameForest::default();
         let at = |x: f64| Pose::from_translation([x, 0.0, 0.0]);
-        tree.push("map".into(), "base".into(), Stamp(0), Pose::from_yaw([5.0, 0.0, 0.0], 1.0), false);
-        tree.push("base".into(), "lidar".into(), Stamp(0), at(1.0), true);
-        tree.sort();
+        let moved = (Stamp(0), Pose::from_yaw([5.0, 0.0, 0.0], 1.0));
+        forest.push("", "map".into(), "base".into(), moved, false);
+        forest.push("", "base".into(), "lidar".into(), (Stamp(0), at(1.0)), true);
+        forest.sort();
+        let tree = forest.seen_from("/points");
         assert_eq!(tree.ancestors("lidar"), ["base", "map"]);
         let pose = tree.pose("map", "lidar", Stamp(5), REACH).unwrap();
         assert!((pose.translation()[0] - 5.0 - 1f64.cos()).abs() < 1e-12);
@@ -205,11 +251,30 @@ mod tests {
 
     #[test]
     fn frames_in_a_circle_end_the_chain() {
-        let mut tree = FrameTree::default();
-        tree.push("a".into(), "b".into(), Stamp(0), Pose::IDENTITY, true);
-        tree.push("b".into(), "a".into(), Stamp(0), Pose::IDENTITY, true);
-        tree.sort();
+        let mut forest = FrameForest::default();
+        forest.push("", "a".into(), "b".into(), (Stamp(0), Pose::IDENTITY), true);
+        forest.push("", "b".into(), "a".into(), (Stamp(0), Pose::IDENTITY), true);
+        forest.sort();
+        let tree = forest.seen_from("/points");
         assert_eq!(tree.ancestors("a"), ["b"]);
         assert!(tree.pose("map", "a", Stamp(0), REACH).is_none());
+    }
+
+    #[test]
+    fn each_namespace_has_frames_of_its_own() {
+        let mut forest = FrameForest::default();
+        let at = |x: f64| (Stamp(0), Pose::from_translation([x, 0.0, 0.0]));
+        forest.push("/a", "odom".into(), "lidar".into(), at(1.0), true);
+        let x = |forest: &FrameForest, topic: &str, root: &str| {
+            forest.seen_from(topic).pose(root, "lidar", Stamp(0), REACH).map(|pose| pose.translation()[0])
+        };
+        assert_eq!(x(&forest, "/elsewhere/points", "odom"), Some(1.0), "nobody else can be meant");
+        forest.push("/ab", "odom".into(), "lidar".into(), at(2.0), true);
+        forest.push("", "map".into(), "odom".into(), at(10.0), true);
+        forest.sort();
+        assert_eq!(x(&forest, "/a/points", "odom"), Some(1.0));
+        assert_eq!(x(&forest, "/ab/front/points", "odom"), Some(2.0));
+        assert_eq!(x(&forest, "/ab/points", "map"), Some(12.0), "the tf of all lies around that of each");
+        assert_eq!(x(&forest, "/points", "map"), None, "it is not known whose it would be");
     }
 }

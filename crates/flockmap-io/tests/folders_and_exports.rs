@@ -121,20 +121,17 @@ fn an_exported_map_is_read_back_in_every_format() {
         let path = folder.join(name);
         let written = export_map(&path, resolution, voxels(), &ExportOptions { free }).unwrap();
         assert_eq!(written, count);
-        let mut back: Vec<Voxel> = read_cloud(&path)
-            .unwrap()
-            .points
-            .iter()
-            .map(|p| resolution.voxel_at(p.map(f64::from)).unwrap())
-            .collect();
-        back.sort();
-        let mut expected: Vec<Voxel> = voxels()
-            .into_iter()
-            .filter(|(_, s)| *s == State::Occupied || (free && *s == State::Free))
-            .map(|(v, _)| v)
-            .collect();
-        expected.sort();
-        assert_eq!(back, expected, "{name}");
+        let cloud = read_cloud(&path).unwrap();
+        for (state, points) in [(State::Occupied, cloud.points), (State::Free, cloud.free)] {
+            let mut back: Vec<Voxel> =
+                points.iter().map(|p| resolution.voxel_at(p.map(f64::from)).unwrap()).collect();
+            back.sort();
+            let is_held = |s: State| s == state && (free || s == State::Occupied);
+            let mut expected: Vec<Voxel> =
+                voxels().into_iter().filter(|(_, s)| is_held(*s)).map(|(v, _)| v).collect();
+            expected.sort();
+            assert_eq!(back, expected, "{name}: {state:?}");
+        }
     }
     let path = folder.join("map.bt");
     assert_eq!(export_map(&path, resolution, voxels(), &ExportOptions::default()).unwrap(), 3);

@@ -5,14 +5,13 @@ use std::path::PathBuf;
 
 use anyhow::ensure;
 use clap::Args;
-use flockmap::State;
 use flockmap::grid::{Changes, Mapper};
 use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, SourceArgs};
 use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{self, ending};
 use flockmap_cli::stop;
-use flockmap_io::{ExportOptions, OctoMap, export_map, read_cloud};
+use flockmap_io::{ExportOptions, export_map, read_map};
 
 /// Map a record and take the map elsewhere, or convert a map or cloud
 #[derive(Args, Debug)]
@@ -20,13 +19,14 @@ use flockmap_io::{ExportOptions, OctoMap, export_map, read_cloud};
 Examples:
   flockmap export robot1.mcap --to map.bt --resolution 0.2 --range 30
   flockmap export robot1.mcap --to map.ply --free
+  flockmap export rosbag2_2026_11_23/ --to map.bt --resolution 0.2 --range 30
   flockmap export fr_079.bt --to map.pcd
   flockmap export TLS_Clip.laz --to map.bt --resolution 0.2
 
-A record is mapped with the mapper options. An OctoMap keeps its own resolution. Of a cloud every voxel with a point is
-occupied. The ending of --to decides the format: .ply, .pcd or .bt.")]
+A record is mapped with the mapper options. A map (.bt, or a .ply or .pcd from here) keeps its own resolution. Of any
+other cloud every voxel with a point is occupied. The ending of --to decides the format: .ply, .pcd or .bt.")]
 pub struct ExportArgs {
-    /// A record, an OctoMap, or a point cloud
+    /// A record, a map, or a point cloud
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Where to: a path that ends in .ply, .pcd or .bt
@@ -46,21 +46,12 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<bool> {
     let is_known = matches!(ending(&args.to).as_deref(), Some("ply" | "pcd" | "bt"));
     ensure!(is_known, "--to {}: expected a path that ends in .ply, .pcd or .bt", args.to.display());
     let (resolution, voxels): (_, Box<dyn Iterator<Item = _>>) = match ending(&args.file).as_deref() {
-        Some("bt") => {
-            let map = OctoMap::read(&args.file)?;
-            let voxels =
-                map.cubes().to_vec().into_iter().flat_map(|c| c.voxels().map(move |voxel| (voxel, c.state)));
-            (map.resolution(), Box::new(voxels))
-        }
-        Some("pcd" | "ply" | "las" | "laz") => {
-            let resolution = args.map.resolution()?;
-            let cloud = read_cloud(&args.file)?;
-            if cloud.origin != [0.0; 3] {
-                println!("  coordinates are seen from {:?} m, the lowest corner of the cloud", cloud.origin);
+        Some("bt" | "pcd" | "ply" | "las" | "laz") => {
+            let map = read_map(&args.file, args.map.resolution()?)?;
+            if map.origin != [0.0; 3] {
+                println!("  coordinates are seen from {:?} m, the lowest corner of the cloud", map.origin);
             }
-            let voxel = |p: &[f32; 3]| Some((resolution.voxel_at(p.map(f64::from))?, State::Occupied));
-            let changes = Changes::from_voxels(cloud.points.iter().filter_map(voxel));
-            (resolution, Box::new(changes.into_voxels()))
+            (map.resolution, map.voxels)
         }
         _ => (args.map.resolution()?, Box::new(map_sources(args)?.into_voxels())),
     };
@@ -71,6 +62,11 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<bool> {
 
 /// The map that a record, or a simulated flight, makes.
 fn map_sources(args: &ExportArgs) -> anyhow::Result<Changes> {
+    ensure!(
+        args.source.points_topic.len() <= 1,
+        "--points-topic is given {} times, and a map of one robot is exported: give it once",
+        args.source.points_topic.len()
+    );
     let mut mapper = Mapper::new(args.map.mapper()?)?;
     let sources = sources::open(std::slice::from_ref(&args.file), &args.source, args.map.range, false)?;
     let progress = Progress::new("scans", sources.robots.iter().map(|source| source.frames_expected).sum());

@@ -7,9 +7,9 @@ use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use flockmap::State;
 use flockmap::codec::{Content, ContentKind, Package};
-use flockmap_cli::json_file;
 use flockmap_cli::numbers::thousands;
 use flockmap_cli::sources::ending;
+use flockmap_cli::{json_file, program, records};
 use flockmap_io::describe;
 use flockmap_node::store::{inspect, is_store};
 use serde_json::{Value, json};
@@ -19,6 +19,7 @@ use serde_json::{Value, json};
 #[command(after_help = "\
 Examples:
   flockmap info robot1.mcap
+  flockmap info rosbag2_2026_11_23/ topics of a bag, and how to replay it
   flockmap info fr_079.bt
   flockmap info package.bin         the bytes of one map package
   flockmap info store/              what a robot has on disk for its next run
@@ -41,17 +42,19 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<bool> {
     let metadata =
         std::fs::metadata(&args.file).with_context(|| format!("cannot read {}", args.file.display()))?;
     let ending = ending(&args.file);
-    let known =
-        matches!(ending.as_deref(), Some("mcap" | "pcd" | "ply" | "las" | "laz" | "bt" | "db3" | "bag"));
+    let known = matches!(
+        ending.as_deref(),
+        Some("mcap" | "zstd" | "pcd" | "ply" | "las" | "laz" | "bt" | "db3" | "bag" | "yaml")
+    );
     let (text, facts) = if metadata.is_dir() && is_store(&args.file) {
         store(&args.file)?
     } else if known || metadata.is_dir() {
         let description = describe(&args.file)?;
-        (description.to_string(), facts(&description))
+        (description.to_string() + &next_command(&description), facts(&description))
     } else {
         ensure!(
             metadata.len() <= PACKAGE_FILE_BYTES_MAX,
-            "{}: no kind of file that flockmap knows: a record (.mcap, folder of scans), the store of a robot (its folder), a map (.bt), a cloud (.pcd .ply .las .laz), or the bytes of one \
+            "{}: no kind of file that flockmap knows: a record (.mcap, rosbag2 folder, folder of scans), the store of a robot (its folder), a map (.bt), a cloud (.pcd .ply .las .laz), or the bytes of one \
              map package, which are at most 64 MiB",
             args.file.display()
         );
@@ -62,28 +65,46 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<bool> {
     Ok(true)
 }
 
+/// What to do with a record.
+fn next_command(description: &flockmap_io::Description) -> String {
+    use flockmap_io::Content;
+    let record = match &description.content {
+        Content::Mcap { record, .. } => record.as_ref().map(drop),
+        Content::Folder(_) => Ok(()),
+        _ => return String::new(),
+    };
+    match record {
+        Ok(()) => {
+            let path = program::quoted(description.path.display().to_string());
+            format!("  replay it: flockmap replay {path} --resolution 0.2 --range 30\n")
+        }
+        Err(error) => records::advice(error).map(|commands| commands + "\n").unwrap_or_default(),
+    }
+}
+
 fn facts(description: &flockmap_io::Description) -> Value {
     use flockmap_io::Content;
     let record = |r: &flockmap_io::RecordSummary| {
         json!({
-            "scans": r.scans, "frames": r.frames, "scans_without_pose": r.scans_without_pose, "points": r.points,
+            "points_topic": r.points_topic, "scans": r.scans, "frames": r.frames, "scans_without_pose": r.scans_without_pose, "points": r.points,
             "duration_s": r.duration_s(), "path_m": r.path_m, "poses_from": r.poses_from,
             "damages": r.damages.iter().map(ToString::to_string).collect::<Vec<_>>(),
         })
     };
     let content = match &description.content {
-        Content::Mcap { topics, record: r } => {
+        Content::Mcap { files, topics, record: r } => {
             let topics: Vec<Value> = topics
                 .iter()
                 .map(|t| json!({"name": t.name, "schema": t.schema, "encoding": t.encoding, "messages": t.messages}))
                 .collect();
-            json!({"kind": "mcap", "topics": topics, "record": r.as_ref().map(record).map_err(ToString::to_string).ok(),
+            json!({"kind": "mcap", "files": files, "topics": topics, "record": r.as_ref().map(record).map_err(ToString::to_string).ok(),
                 "no_record_because": r.as_ref().err().map(ToString::to_string)})
         }
         Content::Folder(r) => json!({"kind": "folder", "record": record(r)}),
-        Content::Cloud { points, dropped, bounds } => {
-            json!({"kind": "cloud", "points": points, "dropped": dropped, "bounds_m": bounds})
-        }
+        Content::Cloud { points, free, voxels, dropped, bounds } => json!({
+            "kind": "cloud", "points": points, "free": free, "voxels_m": voxels.map(|side| side.metres()),
+            "dropped": dropped, "bounds_m": bounds,
+        }),
         Content::OctoMap { resolution, nodes, leaves, free, occupied, bounds } => json!({
             "kind": "octomap", "resolution_m": resolution.metres(), "nodes": nodes, "leaves": leaves, "free": free,
             "occupied": occupied, "bounds_m": bounds,

@@ -18,11 +18,14 @@ Examples:
   flockmap replay robot1.mcap robot2.mcap --resolution 0.2 --range 30
   flockmap replay robot1.mcap robot2.mcap --resolution 0.2 --range 30 --loss 0.2 --delay-ms 50 --json out.json
   flockmap replay kaist03/ --resolution 0.2 --range 40
+  flockmap replay rosbag2_2026_11_23/ --resolution 0.2 --range 30
+  flockmap replay two_robots/ --points-topic /robot1/points --points-topic /robot2/points
   flockmap replay fr_079.bt --robots 3 --seconds 30 --out report/
   flockmap replay forest --loss 0.3 --budget-kb-s 40
 
-A RECORD is an .mcap (PointCloud2 with odometry or tf), or a folder with Scans/*.pcd, a KITTI pose file and times.txt;
-each record is one robot; a single record is cut by time into --robots robots. In place of records one world can be named: forest, indoor, or a .bt, .pcd, .ply, .las or .laz file;
+A RECORD is an .mcap (PointCloud2 with odometry or tf), a rosbag2 folder with such files, or a folder with Scans/*.pcd,
+a KITTI pose file and times.txt. Each record is one robot. A single record is cut by time into --robots robots; with
+--points-topic given several times, each topic is one robot (`flockmap info` shows the topics). In place of records one world can be named: forest, indoor, or a .bt, .pcd, .ply, .las or .laz file;
 then --robots simulated robots fly through it. The same command gives the same bytes every time.
 Exit code 1 if any two robots disagree on a voxel, or packages are missing at the end.")]
 pub struct ReplayArgs {
@@ -92,7 +95,9 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     }
     let sources = match args.records.as_slice() {
         // A single robot has nobody to sync with.
-        [record] if !sources::is_world(record) && args.source.robots > 1 => {
+        [record]
+            if !sources::is_world(record) && args.source.robots > 1 && args.source.points_topic.len() < 2 =>
+        {
             sources::open_parts(record, &args.source)?
         }
         records => sources::open(records, &args.source, args.map.range, args.real_stamps)?,

@@ -2,7 +2,7 @@
 
 use super::{World, WorldError};
 use flockmap_grid::{Resolution, VoxelBox};
-use flockmap_io::{OctoMap, ReadError, read_cloud};
+use flockmap_io::{OctoMap, ReadError, read_map};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -34,7 +34,8 @@ impl World {
     /// point cloud (`.pcd`, `.ply`, `.las`, `.laz`: every cell with a point is solid).
     ///
     /// `resolution` is the side of the cells made from a cloud; by default 0.1 m, and 0.2 m for LAS and LAZ,
-    /// which come from surveys. An OctoMap keeps its own cells. A cloud in coordinates of a map projection is
+    /// which come from surveys. An OctoMap keeps its own cells, and so does a map in a `.pcd` or `.ply` that
+    /// [`flockmap_io::export_map`] wrote; its free voxels are where one may fly. A cloud in coordinates of a map projection is
     /// moved to its lowest corner ([`flockmap_io::PointCloud::origin`]).
     pub fn open(path: impl AsRef<Path>, resolution: Option<Resolution>) -> Result<Self, OpenError> {
         let path = path.as_ref();
@@ -54,7 +55,12 @@ impl World {
             _ => return Err(OpenError::Unknown { path: path.to_owned() }),
         };
         let resolution = resolution.or(default).expect("10 and 20 cm are resolutions");
-        let cloud = read_cloud(path)?;
-        Self::from_points(cloud.points.iter().map(|p| p.map(f64::from)), resolution).map_err(failed)
+        let map = read_map(path, resolution)?;
+        let side = map.resolution;
+        if map.tells_free {
+            let cells = map.voxels.filter_map(|(voxel, state)| Some((VoxelBox::new(voxel, [1; 3])?, state)));
+            return Self::from_states(cells, side).map_err(failed);
+        }
+        Self::from_points(map.voxels.map(|(voxel, _)| side.centre(voxel)), side).map_err(failed)
     }
 }
