@@ -8,6 +8,7 @@ pub mod document;
 pub mod explore;
 pub mod flight;
 pub mod json_file;
+pub mod map_figure;
 pub mod measure;
 pub mod member;
 pub mod numbers;

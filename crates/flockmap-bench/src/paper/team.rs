@@ -1,8 +1,8 @@
 //! All methods on the records of one team of robots.
 
 use flockmap::grid::MapperConfig;
+use flockmap_cli::measure::IP_UDP_BYTES;
 use flockmap_cli::measure::KB;
-use flockmap_cli::member::IP_UDP_BYTES;
 use flockmap_cli::progress::Progress;
 use flockmap_cli::report::Report;
 use flockmap_cli::sources::{Frame, Source};
