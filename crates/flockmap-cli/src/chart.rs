@@ -52,7 +52,7 @@ const FIELD: f64 = 1_000.0;
 /// A logarithmic axis shows at most so many decades below its top.
 const DECADES_MAX: f64 = 9.0;
 /// Over so many decades at most, 2 and 5 are marked besides 1.
-const FINE_DECADES_MAX: f64 = 2.5;
+const FINE_DECADES_MAX: f64 = 3.0;
 
 /// The chart and its legend.
 pub fn lines(x_axis: Axis<'_>, y_axis: Axis<'_>, lines: &[Line<'_>]) -> Markup {

@@ -31,7 +31,9 @@ struct Flown {
 }
 
 /// Sizes of what is drawn are for a picture of this width, which is about that on a screen.
-const WIDTH: f64 = 440.0;
+const WIDTH: f64 = 360.0;
+/// Width of a panel of a file.
+const PANEL: f64 = 440.0;
 /// Between the panels of a file, and around them.
 const GAP: f64 = 16.0;
 /// Height of the line above a panel, and of the one below it.
@@ -123,9 +125,9 @@ impl MapFigure {
 /// Figures side by side as an SVG file, which needs no other one. `title` stands above, `legend` below.
 pub fn svg_file(title: &str, legend: &str, figures: &[MapFigure]) -> String {
     let scaled =
-        |figure: &MapFigure| f64::from(figure.picture.height) * WIDTH / f64::from(figure.picture.width);
+        |figure: &MapFigure| f64::from(figure.picture.height) * PANEL / f64::from(figure.picture.width);
     let panel = figures.iter().map(scaled).fold(0.0, f64::max).round();
-    let width = figures.len() as f64 * (WIDTH + GAP) + GAP;
+    let width = figures.len() as f64 * (PANEL + GAP) + GAP;
     let top = 2.0 * TEXT + GAP / 2.0;
     let height = top + panel + 2.0 * TEXT + GAP / 2.0;
     html! {
@@ -135,9 +137,9 @@ pub fn svg_file(title: &str, legend: &str, figures: &[MapFigure]) -> String {
             text x=(GAP) y=(TEXT) font-size="17" font-weight="600" { (title) }
             @for (number, figure) in figures.iter().enumerate() {
                 @let Picture { width, height, .. } = &figure.picture;
-                @let left = GAP + number as f64 * (WIDTH + GAP);
+                @let left = GAP + number as f64 * (PANEL + GAP);
                 text x=(left) y=(2.0 * TEXT) font-size="15" font-weight="600" { (figure.title) }
-                g transform={ "translate(" (left) " " (top) ") scale(" (format!("{:.5}", WIDTH / f64::from(*width))) ")" } {
+                g transform={ "translate(" (left) " " (top) ") scale(" (format!("{:.5}", PANEL / f64::from(*width))) ")" } {
                     image width=(width) height=(height) href=(figure.picture.data_url())
                         style="image-rendering:pixelated" {}
                     (figure.overlay())
@@ -166,13 +168,13 @@ mod tests {
     use super::*;
 
     fn picture() -> Picture {
-        Picture { png: vec![1, 2, 3], width: 440, height: 220, pixel_m: 0.1, corner_m: [-10.0, 5.0] }
+        Picture { png: vec![1, 2, 3], width: 360, height: 220, pixel_m: 0.1, corner_m: [-10.0, 5.0] }
     }
 
     #[test]
     fn a_place_lies_where_the_map_is_drawn() {
         assert_eq!(picture().pixel_of([-10.0, 5.0, 9.0]), [0.0, 220.0]);
-        assert_eq!(picture().pixel_of([34.0, 27.0, 0.0]), [440.0, 0.0]);
+        assert_eq!(picture().pixel_of([26.0, 27.0, 0.0]), [360.0, 0.0]);
     }
 
     #[test]
@@ -197,9 +199,9 @@ mod tests {
             [10.0, 10.0, 5.0, 2.0, 0.2, 1_000.0]
         );
         let figure = MapFigure::new(picture(), "t".to_owned(), "c", &[], Stamp(0));
-        // 44 m wide: a quarter is 11 m, and 10 m are 100 pixels.
+        // 36 m wide: a quarter is 9 m, and 5 m are 50 pixels.
         let drawn = figure.markup().into_string();
-        assert!(drawn.contains("width=\"100.00\"") && drawn.contains(">10 m<"), "{drawn}");
+        assert!(drawn.contains("width=\"50.00\"") && drawn.contains(">5 m<"), "{drawn}");
     }
 
     #[test]

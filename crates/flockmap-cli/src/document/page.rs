@@ -62,9 +62,11 @@ fn of_part(part: &Part) -> Markup {
 fn of_table(table: &DataTable) -> Markup {
     let is_words: Vec<bool> = (0..table.columns.len()).map(|column| table.is_words(column)).collect();
     let is_words = |column: usize| is_words.get(column).copied().unwrap_or(false);
+    // What stands side by side on a wide screen stands one below the other on a narrow one.
+    let is_stacked = table.columns.len() < 4 && (1..table.columns.len()).any(is_words);
     html! {
         div.scroll {
-            table {
+            table.stacked[is_stacked] {
                 thead {
                     tr {
                         @for (column, (_, heading)) in table.columns.iter().enumerate() {

@@ -61,15 +61,18 @@ impl Report {
     fn verdicts(&self) -> Vec<Verdict> {
         let agreement = format!("agreement {}: {}", percent(self.agreement_all), self.verdict());
         let fused = &self.fused;
-        let note = (fused.all.known > 0).then(|| {
-            let words = format!(
-                "fused maps: {} of the voxels that two robots know are equal, {} of those that both saw themselves. Layers \
-                 must be equal, fused maps need not be: where both saw a voxel, each trusts the newest observation, its own \
-                 before it is published.",
-                percent(fused.share),
-                percent(fused.share_of_seen)
+        let note = fused.share.map(|share| {
+            let known = format!("fused maps: {} of the voxels that two robots know are equal", percent(share));
+            let seen = fused.share_of_seen.map_or_else(
+                || "none of them was seen by both".to_owned(),
+                |share| format!("{} of those that both saw themselves", percent(share)),
             );
-            Verdict::good_or_note(fused.share >= 1.0, words)
+            let why = "Layers, what was received of each other, must be equal; fused maps need not be: where both saw a voxel, each \
+                       trusts the newest observation, its own before it is published.";
+            match share >= 1.0 {
+                true => Verdict::Good(format!("{known}; {seen}.")),
+                false => Verdict::Note(format!("{known}; {seen}. {why}")),
+            }
         });
         [Verdict::good_if(self.is_good(), agreement)].into_iter().chain(note).collect()
     }
@@ -330,16 +333,8 @@ impl Report {
     /// The fused maps of every two robots.
     fn fused(&self) -> DataTable {
         let row = |name: String, s: &Shared| {
-            let share = |equal: u64, of: u64| {
-                if of == 0 { "–".to_owned() } else { percent(equal as f64 / of as f64) }
-            };
-            [
-                name,
-                thousands(s.known),
-                share(s.equal, s.known),
-                thousands(s.seen),
-                share(s.seen_equal, s.seen),
-            ]
+            let [all, of_seen] = [s.share(), s.share_of_seen()].map(|s| s.map_or("–".to_owned(), percent));
+            [name, thousands(s.known), all, thousands(s.seen), of_seen]
         };
         let pairs = self.fused.pairs.iter();
         let mut rows: Vec<_> = pairs

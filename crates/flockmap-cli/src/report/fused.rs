@@ -13,10 +13,10 @@ use serde::Serialize;
 pub struct Fused {
     #[serde(flatten)]
     pub all: Shared,
-    /// Share of equal voxels among those that two fused maps know; 1 if they know none in common.
-    pub share: f64,
+    /// Share of equal voxels among those that two fused maps know; `None` if they know none in common.
+    pub share: Option<f64>,
     /// The same among those that both robots saw themselves.
-    pub share_of_seen: f64,
+    pub share_of_seen: Option<f64>,
     pub pairs: Vec<FusedPair>,
 }
 
@@ -54,16 +54,22 @@ impl Shared {
         }
     }
 
+    /// Share of equal voxels among those that both know.
+    pub(super) fn share(&self) -> Option<f64> {
+        (self.known > 0).then(|| self.equal as f64 / self.known as f64)
+    }
+
+    /// Share of equal voxels among those that both saw.
+    pub(super) fn share_of_seen(&self) -> Option<f64> {
+        (self.seen > 0).then(|| self.seen_equal as f64 / self.seen as f64)
+    }
+
     fn merge(&mut self, other: Self) {
         self.known += other.known;
         self.equal += other.equal;
         self.seen += other.seen;
         self.seen_equal += other.seen_equal;
     }
-}
-
-fn share(equal: u64, of: u64) -> f64 {
-    if of == 0 { 1.0 } else { equal as f64 / of as f64 }
 }
 
 impl Fused {
@@ -85,12 +91,7 @@ impl Fused {
                 pairs.push(FusedPair { robots, shared });
             }
         }
-        Self {
-            all,
-            share: share(all.equal, all.known),
-            share_of_seen: share(all.seen_equal, all.seen),
-            pairs,
-        }
+        Self { all, share: all.share(), share_of_seen: all.share_of_seen(), pairs }
     }
 }
 
@@ -139,7 +140,7 @@ mod tests {
         assert_eq!(fused.all, counted(&a, &b));
         assert_eq!(fused.all.known, fused.all.seen, "nothing was exchanged");
         assert_eq!(fused.all.known - fused.all.equal, 1, "the obstacle of the first");
-        assert!(fused.share < 1.0 && fused.share == fused.share_of_seen);
+        assert!(fused.share.unwrap() < 1.0 && fused.share == fused.share_of_seen);
         assert_eq!((fused.pairs.len(), fused.pairs[0].robots), (1, [1, 2]));
     }
 
@@ -157,8 +158,8 @@ mod tests {
         let fused = Fused::of([&a, &b]);
         assert_eq!(fused.all, counted(&a, &b));
         assert!(fused.all.known > fused.all.seen + 10, "{:?}", fused.all);
-        assert_eq!(fused.share, 1.0);
-        assert_eq!(Fused::of([&a]).share, 1.0, "one robot agrees with itself");
+        assert_eq!(fused.share, Some(1.0));
+        assert_eq!(Fused::of([&a]).share, None, "one robot has nobody to agree with");
     }
 
     fn exchange(from: &mut Robot, to: &mut Robot, now: Stamp) {

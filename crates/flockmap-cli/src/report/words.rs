@@ -61,14 +61,6 @@ pub(super) fn of_bytes() -> Vec<Term> {
         ("requests", "datagrams in which a robot says what it has received and what it lacks"),
         ("resent", "packages that were found lost and sent again"),
         ("relayed", "packages of another robot that were passed on"),
-        (
-            "RACER",
-            "the same changes as 5 bytes a voxel and 52 a message of 200, one datagram each, sent once: no requests, no repairs",
-        ),
-        (
-            "the paper",
-            "the same batches, each as one whole package, in datagrams of 1,472 bytes, sent once: no requests, no repairs",
-        ),
     ])
 }
 
