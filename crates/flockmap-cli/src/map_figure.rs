@@ -4,6 +4,7 @@ use flockmap::Stamp;
 use maud::{Markup, html};
 
 use crate::picture::Picture;
+use crate::program::command_line;
 
 /// A map with what is drawn over it.
 pub struct MapFigure {
@@ -38,6 +39,8 @@ const PANEL: f64 = 440.0;
 const GAP: f64 = 16.0;
 /// Height of the line above a panel, and of the one below it.
 const TEXT: f64 = 26.0;
+/// Height of a line of the legend.
+const LEGEND: f64 = 19.0;
 
 /// Colours of a file of its own, which stands on any ground: those of a light page.
 const STYLE: &str = "text{font-family:system-ui,sans-serif;fill:#1c1b29}.soft{fill:#5d5b70}.ground{fill:#fbfbfd}\
@@ -122,16 +125,19 @@ impl MapFigure {
     }
 }
 
-/// Figures side by side as an SVG file, which needs no other one. `title` stands above, `legend` below.
-pub fn svg_file(title: &str, legend: &str, figures: &[MapFigure]) -> String {
+/// Figures side by side as an SVG file, which needs no other one. `title` stands above, the lines of `legend`
+/// below.
+pub fn svg_file(title: &str, legend: &[String], figures: &[MapFigure]) -> String {
     let scaled =
         |figure: &MapFigure| f64::from(figure.picture.height) * PANEL / f64::from(figure.picture.width);
     let panel = figures.iter().map(scaled).fold(0.0, f64::max).round();
     let width = figures.len() as f64 * (PANEL + GAP) + GAP;
     let top = 2.0 * TEXT + GAP / 2.0;
-    let height = top + panel + 2.0 * TEXT + GAP / 2.0;
+    let foot = top + panel + TEXT;
+    let height = foot + legend.len() as f64 * LEGEND + GAP;
     html! {
         svg xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (width) " " (height) } width=(width) height=(height) {
+            desc { "Made by " (command_line()) }
             style { (STYLE) }
             rect.ground width=(width) height=(height) rx="10" {}
             text x=(GAP) y=(TEXT) font-size="17" font-weight="600" { (title) }
@@ -144,9 +150,11 @@ pub fn svg_file(title: &str, legend: &str, figures: &[MapFigure]) -> String {
                         style="image-rendering:pixelated" {}
                     (figure.overlay())
                 }
-                text.soft x=(left) y=(top + panel + TEXT - 6.0) font-size="13" { (figure.caption) }
+                text.soft x=(left) y=(foot - 6.0) font-size="13" { (figure.caption) }
             }
-            text.soft x=(GAP) y=(height - GAP + 2.0) font-size="13" { (legend) }
+            @for (number, line) in legend.iter().enumerate() {
+                text.soft x=(GAP) y=(foot + (number as f64 + 1.0) * LEGEND) font-size="13" { (line) }
+            }
         }
     }
     .into_string()
@@ -206,7 +214,11 @@ mod tests {
 
     #[test]
     fn a_file_of_its_own_needs_no_other() {
-        let file = svg_file("T", "l", &[MapFigure::new(picture(), "a & b".to_owned(), "c", &[], Stamp(0))]);
+        let file = svg_file(
+            "T",
+            &["l".to_owned()],
+            &[MapFigure::new(picture(), "a & b".to_owned(), "c", &[], Stamp(0))],
+        );
         assert!(
             file.starts_with("<svg xmlns=") && file.contains("a &amp; b") && file.contains("data:image/png")
         );

@@ -198,11 +198,11 @@ impl Report {
         if self.own_and_fused.is_empty() {
             return Vec::new();
         }
-        let legend = format!(
-            "Violet: seen by robot 1. Green: received, {} KB/s over the radio ({}).",
-            kb(self.sum.wire_avg_kb_s * KB),
-            self.settings.radio
-        );
+        let legend = [
+            "Violet: seen by robot 1 itself. Green: received from others. Strong colours: obstacles. Lines: where the robots flew."
+                .to_owned(),
+            format!("{} KB/s over the radio, all robots together. {}.", kb(self.sum.wire_avg_kb_s * KB), self.settings.radio),
+        ];
         vec![("maps.svg", map_figure::svg_file(&self.title, &legend, &self.own_and_fused))]
     }
 
