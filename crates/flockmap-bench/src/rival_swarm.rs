@@ -167,7 +167,7 @@ mod tests {
             let counters = robot.counters();
             assert_eq!((counters.chunks_sent, counters.chunks_resent), (counters.chunks, 0));
             // Once to its only team-mate; announcements of 16 + 3 lists with at most one interval each.
-            let announced = measures.sent.total() - counters.chunks * 1_052;
+            let announced = measures.sent.payload.total() - counters.chunks * 1_052;
             let lists = counters.stamps_sent * (16 + 3 * 4)..=counters.stamps_sent * (16 + 3 * 12);
             assert!(lists.contains(&announced));
         }
@@ -193,7 +193,10 @@ mod tests {
         let radio = RadioConfig { seed: 5, link, ..RadioConfig::default() };
         let bytes = || {
             let run = run(bushes(2, 20), racer(2, RacerCast::Unicast), radio).unwrap();
-            run.measures.iter().map(|of| (of.sent.per_second(), of.datagrams)).collect::<Vec<_>>()
+            run.measures
+                .iter()
+                .map(|of| (of.sent.payload.per_second(), of.sent.datagrams))
+                .collect::<Vec<_>>()
         };
         assert_eq!(bytes(), bytes());
         // On the very frames that racer-code leaves stale.

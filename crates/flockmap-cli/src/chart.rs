@@ -1,4 +1,5 @@
-//! Lines over an axis as SVG and bars as HTML, coloured by the page that they stand in.
+//! Lines over axes and bars, coloured by the page that they stand in. Only lines stretch with the width: words
+//! are of the page, and as large on a phone as on a desk.
 
 use maud::{Markup, html};
 
@@ -46,44 +47,47 @@ pub struct Bar {
 /// Classes of the page's style for lines that only have to differ, in the order of use.
 pub const COLOURS: [&str; 8] = ["c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8"];
 
-const WIDTH: f64 = 720.0;
-const HEIGHT: f64 = 320.0;
-const LEFT: f64 = 84.0;
-const RIGHT: f64 = 22.0;
-const TOP: f64 = 20.0;
-const BOTTOM: f64 = 58.0;
+/// Width and height of the field of lines, in its own units: the page stretches it.
+const FIELD: f64 = 1_000.0;
 /// A logarithmic axis shows at most so many decades below its top.
 const DECADES_MAX: f64 = 9.0;
+/// Over so many decades at most, 2 and 5 are marked besides 1.
+const FINE_DECADES_MAX: f64 = 3.0;
 
 /// The chart and its legend.
-pub fn svg(x_axis: Axis<'_>, y_axis: Axis<'_>, lines: &[Line<'_>]) -> Markup {
+pub fn lines(x_axis: Axis<'_>, y_axis: Axis<'_>, lines: &[Line<'_>]) -> Markup {
     let x_range = Range::of(x_axis.scale, lines.iter().flat_map(|line| &line.points).map(|point| point.0));
     let y_range = Range::of(y_axis.scale, lines.iter().flat_map(|line| &line.points).map(|point| point.1));
     // Time and the like fill the width; heights end at a round number.
     let y_range = y_range.rounded();
-    let x = |value: f64| LEFT + x_range.share(value) * (WIDTH - LEFT - RIGHT);
-    let y = |value: f64| HEIGHT - BOTTOM - y_range.share(value) * (HEIGHT - TOP - BOTTOM);
-    let tenths = |at: f64| format!("{at:.1}");
+    let x = |value: f64| format!("{:.1}", x_range.share(value) * FIELD);
+    let y = |value: f64| format!("{:.1}", (1.0 - y_range.share(value)) * FIELD);
     let points = |line: &Line<'_>| {
-        let points = line.points.iter().map(|(at, value)| format!("{:.1},{:.1}", x(*at), y(*value)));
+        let points = line.points.iter().map(|(at, value)| format!("{},{}", x(*at), y(*value)));
         points.collect::<Vec<_>>().join(" ")
     };
+    let place = |side: &str, share: f64| format!("{side}:{:.2}%", share * 100.0);
     html! {
-        svg.chart viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img"
-            aria-label={ (y_axis.label) " over " (x_axis.label) } {
-            @for value in y_range.ticks(5.0) {
-                @let at = tenths(y(value));
-                line.grid x1=(LEFT) x2=(WIDTH - RIGHT) y1=(at) y2=(at) {}
-                text.axis.end x=(LEFT - 8.0) y=(tenths(y(value) + 5.0)) { (label(value)) }
+        div.chart role="img" aria-label={ (y_axis.label) " over " (x_axis.label) } {
+            p.label { (y_axis.label) }
+            div.plot {
+                svg viewBox={ "0 0 " (FIELD) " " (FIELD) } preserveAspectRatio="none" {
+                    @for value in y_range.ticks(5.0) {
+                        @let at = y(value);
+                        line.grid x1="0" x2=(FIELD) y1=(at) y2=(at) {}
+                    }
+                    @for line in lines { polyline class={ "line " (line.class) } points=(points(line)) {} }
+                }
+                @for value in y_range.ticks(5.0) {
+                    span.tick.up style=(place("bottom", y_range.share(value))) { (label(value)) }
+                }
+                @for value in x_range.ticks(6.0) {
+                    span.tick.along style=(place("left", x_range.share(value))) { (label(value)) }
+                }
             }
-            @for value in x_range.ticks(6.0) {
-                text.axis.mid x=(tenths(x(value))) y=(HEIGHT - BOTTOM + 24.0) { (label(value)) }
-            }
-            text.axis.mid x=((LEFT + WIDTH - RIGHT) / 2.0) y=(HEIGHT - 4.0) { (x_axis.label) }
-            @for line in lines { polyline class={ "line " (line.class) } points=(points(line)) {} }
+            p.label.mid { (x_axis.label) }
         }
         p.legend {
-            "Upwards: " (y_axis.label) ". "
             @for line in lines {
                 span.entry { span class={ "key " (line.class) } {} (line.name) } " "
             }
@@ -128,19 +132,28 @@ impl Range {
         }
     }
 
-    /// To the next decade, or the next round number.
+    /// To the next round number.
     fn rounded(self) -> Self {
         match self.scale {
             Scale::Linear => {
                 let step = step_of(self.high / 5.0);
                 Self { high: (self.high / step).ceil() * step, ..self }
             }
-            Scale::Log => Self {
-                low: 10f64.powf(self.low.log10().floor()),
-                high: 10f64.powf(self.high.log10().ceil()),
-                ..self
-            },
+            Scale::Log => {
+                let marks = self.marks();
+                let low = marks.iter().rev().find(|mark| **mark <= self.low * (1.0 + 1e-9));
+                let high = marks.iter().find(|mark| **mark >= self.high * (1.0 - 1e-9));
+                Self { low: *low.unwrap_or(&self.low), high: *high.unwrap_or(&self.high), ..self }
+            }
         }
+    }
+
+    /// The round values of a logarithmic axis, from below its low end to above its high one.
+    fn marks(&self) -> Vec<f64> {
+        let is_fine = (self.high / self.low).log10() <= FINE_DECADES_MAX;
+        let steps: &[f64] = if is_fine { &[1.0, 2.0, 5.0] } else { &[1.0] };
+        let decades = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
+        decades.flat_map(|decade| steps.iter().map(move |step| step * 10f64.powi(decade))).collect()
     }
 
     /// Where a value lies, 0 at the low end and 1 at the high one.
@@ -163,9 +176,8 @@ impl Range {
                 (0..=count).map(|number| self.low + f64::from(number) * step).collect()
             }
             Scale::Log => {
-                let first = (self.low.log10() - 1e-9).ceil() as i32;
-                let last = (self.high.log10() + 1e-9).floor() as i32;
-                (first..=last).map(|decade| 10f64.powi(decade)).collect()
+                let inside = self.low * (1.0 - 1e-9)..=self.high * (1.0 + 1e-9);
+                self.marks().into_iter().filter(|mark| inside.contains(mark)).collect()
             }
         }
     }
@@ -204,6 +216,8 @@ mod tests {
         assert_eq!(range.ticks(5.0), [0.0, 10.0, 20.0, 30.0, 40.0]);
         let range = Range { scale: Scale::Log, low: 0.03, high: 40.0 }.rounded();
         assert_eq!(range.ticks(5.0).len(), 5);
+        let range = Range { scale: Scale::Log, low: 12.0, high: 340.0 }.rounded();
+        assert_eq!(range.ticks(5.0), [10.0, 20.0, 50.0, 100.0, 200.0, 500.0]);
     }
 
     #[test]
@@ -216,8 +230,11 @@ mod tests {
     fn a_chart_of_nothing_is_still_a_chart() {
         for values in [&[][..], &[0.0], &[0.0, 0.0, 1e9], &[f64::NAN, f64::INFINITY]] {
             let axis = Axis { label: "a", scale: Scale::Log };
-            let svg = svg(axis, axis, &[Line::per_second("a", "ours", values)]).into_string();
-            assert!(svg.starts_with("<svg") && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            let chart = lines(axis, axis, &[Line::per_second("a", "ours", values)]).into_string();
+            assert!(
+                chart.contains("<polyline") && !chart.contains("NaN") && !chart.contains("inf"),
+                "{chart}"
+            );
         }
         let bar = |value| Bar { name: String::new(), class: "c1", value, text: String::new() };
         assert!(bars(&[bar(0.0)]).into_string().contains("width:0.00%"));

@@ -9,6 +9,7 @@ pub mod explore;
 pub mod flight;
 pub mod given;
 pub mod json_file;
+pub mod map_figure;
 pub mod measure;
 pub mod member;
 pub mod numbers;

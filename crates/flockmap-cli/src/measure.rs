@@ -71,6 +71,37 @@ impl SentBytes {
     }
 }
 
+/// Bytes of IPv4 and UDP before each datagram.
+pub const IP_UDP_BYTES: u64 = flockmap_netsim::IP_UDP_BYTES as u64;
+
+/// Datagrams that a sender put out: what is in them, and what they are on the wire with IP and UDP headers.
+#[derive(Clone, Debug, Default)]
+pub struct SentDatagrams {
+    /// UDP payload.
+    pub payload: SentBytes,
+    /// The same with IP and UDP headers.
+    pub wire: SentBytes,
+    pub datagrams: u64,
+}
+
+impl SentDatagrams {
+    /// Payload that went out now in so many datagrams. Times must not run backwards.
+    pub fn add(&mut self, now: Stamp, payload: u64, datagrams: u64) {
+        self.payload.add(now, payload);
+        self.wire.add(now, payload + datagrams * IP_UDP_BYTES);
+        self.datagrams += datagrams;
+    }
+
+    /// The sums of several senders together.
+    pub fn together<'a>(senders: impl IntoIterator<Item = &'a Self> + Clone) -> Self {
+        Self {
+            payload: SentBytes::together(senders.clone().into_iter().map(|sent| &sent.payload)),
+            wire: SentBytes::together(senders.clone().into_iter().map(|sent| &sent.wire)),
+            datagrams: senders.into_iter().map(|sent| sent.datagrams).sum(),
+        }
+    }
+}
+
 /// Durations in milliseconds, measured by the clock of this machine.
 #[derive(Clone, Debug, Default)]
 pub struct Times(pub Vec<f64>);

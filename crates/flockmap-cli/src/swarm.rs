@@ -98,6 +98,7 @@ impl Meters {
         let report = robot.insert_scan(now, &frame.scan, &frame.pose)?;
         self.times[0].add(started.elapsed());
         self.measures[number].scan(&report, frame.scan.stamp);
+        self.measures[number].path.push((frame.scan.stamp, frame.pose.translation()));
         Ok(())
     }
 }

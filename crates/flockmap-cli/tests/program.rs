@@ -37,9 +37,126 @@ fn a_replay_with_loss_and_reordering_agrees_on_every_voxel() {
         !page.contains("http:") && !page.contains("https:") && !page.contains("src=\"/"),
         "the page needs no other file"
     );
-    assert_eq!(page.matches("data:image/png;base64,").count(), 9, "three robots at three moments");
+    let images = page.matches("data:image/png;base64,").count();
+    assert_eq!(
+        images,
+        9 + 2,
+        "three robots at three moments, and what the first one saw beside what it knows"
+    );
+    let maps = std::fs::read_to_string(folder.path().join("maps.svg")).unwrap();
+    assert_eq!(maps.matches("data:image/png;base64,").count(), 2);
+    assert_eq!(maps.matches("class=\"path self\"").count(), 2, "the robot's own path in both panels");
+    assert_eq!(maps.matches("class=\"path mate\"").count(), 2, "the paths of the two others in one");
     assert!(page.contains("viewport") && page.contains("<svg"));
     assert!(page.contains("flockmap replay indoor"), "the command that made it");
+}
+
+/// What stands between two strings, each time.
+fn between<'a>(text: &'a str, from: &str, to: &str) -> Vec<&'a str> {
+    text.split(from).skip(1).filter_map(|rest| Some(rest.split_once(to)?.0)).collect()
+}
+
+#[test]
+fn every_word_of_the_report_is_explained_where_it_stands() {
+    let folder = tempfile::tempdir().unwrap();
+    good(&format!("replay forest {SMALL} --loss 0.1 --out {}", folder.path().display()));
+    let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
+    let sections = between(&page, "<section", "</section>");
+    assert_eq!(sections.len(), 9);
+    let mut headings = 0;
+    for section in &sections {
+        let explained = between(section, "<dt>", "</dt>");
+        // The table of settings explains itself.
+        for heading in
+            between(section, "<thead>", "</thead>").iter().flat_map(|head| between(head, "<th", "</th>"))
+        {
+            let heading = heading.split_once('>').unwrap().1;
+            let is_setting = ["option", "value", "what it is"].contains(&heading);
+            assert!(
+                is_setting || explained.contains(&heading),
+                "`{heading}` is not explained: {explained:?}"
+            );
+            headings += 1;
+        }
+    }
+    assert!(headings > 25, "{headings}");
+    let explained =
+        [between(&page, "<dt>", "</dt>"), between(sections[8], "<th>", "</th>")].concat().join("; ");
+    for word in [
+        "agreement",
+        "age",
+        "batch",
+        "codec",
+        "fused map",
+        "KB",
+        "layer",
+        "mapper",
+        "on the wire",
+        "packages",
+        "publish period",
+        "RACER",
+        "relayed",
+        "requests",
+        "resent",
+        "the paper",
+        "voxel",
+        "sending",
+    ] {
+        assert!(page.contains(word), "{word} does not occur any more");
+        assert!(explained.contains(word), "{word} is not explained: {explained}");
+    }
+    for word in ["snapshot", "overhead", "epoch", "digest", "backed off", "t_l"] {
+        assert!(!page.contains(word), "`{word}` is not explained anywhere");
+    }
+}
+
+#[test]
+fn fused_maps_are_compared_where_agreement_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().display();
+    let text = good(&format!("replay indoor {SMALL} --robots 3 --out {out}"));
+    let at = |what: &str| text.find(what).unwrap_or_else(|| panic!("{what}: {text}"));
+    assert!(at("Good: agreement 100 %") < at("fused maps:"), "{text}");
+    let report = json(&folder.path().join("report.json"));
+    let fused = &report["fused"];
+    assert_eq!(fused["pairs"].as_array().unwrap().len(), 3);
+    let [known, equal, seen, seen_equal] =
+        ["known", "equal", "seen", "seen_equal"].map(|what| fused[what].as_u64().unwrap());
+    assert!(known > 10_000 && equal <= known && seen < known && seen_equal <= seen, "{fused}");
+    let share = fused["share"].as_f64().unwrap();
+    assert!((share - equal as f64 / known as f64).abs() < 1e-12 && share > 0.9, "{share}");
+    let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(page.contains("Layers must be equal, fused maps need not be"));
+    assert!(!page.contains("class=\"verdict failure\""), "nothing failed");
+}
+
+#[test]
+fn rivals_are_counted_as_flockmap_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.json");
+    good(&format!("replay forest {SMALL} --json {}", path.display()));
+    let report = json(&path);
+    let wire = |what: &str| {
+        let [payload, headers] = ["total_bytes", "ip_udp_bytes"].map(|of| report[what][of].as_u64().unwrap());
+        assert_eq!(headers, 28 * report[what]["datagrams"].as_u64().unwrap(), "{what}");
+        (payload + headers) as f64
+    };
+    let series =
+        |what: &str| -> f64 { report[what].as_array().unwrap().iter().map(|kb| kb.as_f64().unwrap()).sum() };
+    for (what, kb_per_second) in
+        [("sum", "kb_per_second"), ("racer", "racer_kb_per_second"), ("paper_whole", "paper_kb_per_second")]
+    {
+        assert!((series(kb_per_second) * 1024.0 - wire(what)).abs() < 1.0, "{what}");
+        let ratio = report[what]["ratio"].as_f64().unwrap_or(1.0);
+        assert!((ratio - wire(what) / wire("sum")).abs() < 1e-9, "{what}");
+    }
+    // A datagram of the paper carries 1,472 bytes, one of RACER 1,052.
+    let least = |what: &str, bytes: f64| {
+        let datagrams = report[what]["datagrams"].as_f64().unwrap();
+        assert!(datagrams >= (report[what]["total_bytes"].as_f64().unwrap() / bytes).ceil(), "{what}");
+    };
+    least("paper_whole", 1_472.0);
+    least("racer", 1_052.0);
 }
 
 #[test]
@@ -102,21 +219,33 @@ fn broadcast_costs_less_than_unicast_among_three() {
 }
 
 #[test]
-fn the_demo_flies_over_sockets_and_writes_its_report() {
+fn the_demo_flies_over_sockets_and_a_radio_that_loses() {
     let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().display();
-    let text = good(&format!("demo --scene indoor --robots 3 {SMALL} --out {out}"));
-    assert!(text.contains("agreement 100 %"), "{text}");
-    let report = json(&folder.path().join("report.json"));
-    assert_eq!((&report["agreement_all"], &report["complete"]), (&Value::from(1.0), &Value::from(true)));
-    for what in ["t_map", "t_pack", "t_recv2insert"] {
-        assert!(report[what]["count"].as_u64().unwrap() > 0, "{what}");
-    }
-    for robot in report["robots"].as_array().unwrap() {
-        assert_eq!(robot["layers"].as_array().unwrap().len(), 3);
-        assert!(robot["total_bytes"].as_u64().unwrap() > 1_000, "{robot}");
-    }
-    assert!(folder.path().join("report.html").exists());
+    let fly = |name: &str, radio: &str| {
+        let out = folder.path().join(name);
+        let text = good(&format!("demo --scene indoor --robots 3 {SMALL} {radio} --out {}", out.display()));
+        assert!(text.contains("agreement 100 %"), "{text}");
+        assert!(out.join("report.html").exists() && out.join("maps.svg").exists());
+        let report = json(&out.join("report.json"));
+        assert_eq!((&report["agreement_all"], &report["complete"]), (&Value::from(1.0), &Value::from(true)));
+        for what in ["t_map", "t_pack", "t_recv2insert"] {
+            assert!(report[what]["count"].as_u64().unwrap() > 0, "{what}");
+        }
+        for robot in report["robots"].as_array().unwrap() {
+            assert_eq!(robot["layers"].as_array().unwrap().len(), 3);
+            assert!(robot["total_bytes"].as_u64().unwrap() > 1_000, "{robot}");
+        }
+        report
+    };
+    let resent = |report: &Value| -> u64 {
+        report["robots"].as_array().unwrap().iter().map(|robot| robot["resent"].as_u64().unwrap()).sum()
+    };
+    let radio = |report: &Value| report["settings"]["radio"].as_str().unwrap().to_owned();
+    let lossy = fly("lossy", "");
+    assert!(radio(&lossy).starts_with("20 % of datagrams lost ("), "{}", radio(&lossy));
+    assert!(resent(&lossy) > 0, "nothing was repaired");
+    let bare = fly("bare", "--loss 0");
+    assert!(radio(&bare).contains("nothing between them"), "{}", radio(&bare));
 }
 
 #[test]
@@ -214,6 +343,7 @@ fn what_cannot_work_is_said() {
         ("export forest --to map.stl", "map.stl"),
         ("info no-such.bt", "no-such.bt"),
         ("demo --scene nowhere", "nowhere"),
+        ("demo --loss 1.5", "--loss"),
         ("node --config no-such.toml", "no-such.toml"),
         ("bench codecs forest --codec all", "-p flockmap-bench -- codecs forest --codec all"),
     ] {

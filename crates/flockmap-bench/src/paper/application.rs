@@ -1,7 +1,7 @@
 //! The paper's application (Sec. V-B): a leader that looks backwards flies on its follower's map.
 
 use flockmap_autonomy::application::SeriesOptions;
-use flockmap_cli::document::{Cell, DataTable, Part, Section};
+use flockmap_cli::document::{Cell, DataTable, Part, Section, Verdict};
 
 use super::figures::TABLE_THREE;
 use crate::application::{self, Row};
@@ -54,15 +54,15 @@ pub fn section(rows: &[Row]) -> Section {
 }
 
 /// Whether sync makes the difference.
-pub fn verdicts(rows: &[Row]) -> Vec<(bool, String)> {
+pub fn verdict(rows: &[Row]) -> Option<Verdict> {
     let share = |row: &Row| row.successes as f64 / row.flights.max(1) as f64;
     let without = rows.iter().find(|row| row.loss.is_none());
     let with = rows.iter().find(|row| row.loss.is_some() && row.rate_kb_s.is_none());
-    let (Some(without), Some(with)) = (without, with) else { return Vec::new() };
+    let (without, with) = (without?, with?);
     let good = share(with) >= SUCCESS_SHARE && share(without) < 0.5;
     let words = format!(
         "The leader that looks backwards reaches its goal in {} of {} flights with sync, in {} of {} without.",
         with.successes, with.flights, without.successes, without.flights
     );
-    vec![(good, words)]
+    Some(Verdict::good_or_note(good, words))
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use flockmap_cli::document::{Part, Section};
+use flockmap_cli::document::{Part, Section, Verdict};
 use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::SourceArgs;
 use flockmap_cli::sources::{self, Sources};
@@ -53,6 +53,21 @@ pub fn measure(args: &PaperArgs, records: &[PathBuf], threads: usize) -> anyhow:
     drop(robots);
     let measured = team::measure(&[team], args.seed, threads)?.pop().flatten();
     Ok(measured.map(|measured| Measured { title, methods: measured.methods }))
+}
+
+/// Whether every lossless method is.
+pub fn verdict(measured: &Measured) -> Verdict {
+    let broken = measured.methods.rows.iter().filter(|row| !row.is_as_promised);
+    let broken: Vec<&str> = broken.map(|row| row.name.as_str()).collect();
+    let words = if broken.is_empty() {
+        "Every lossless method ends with every voxel right on the recordings.".to_owned()
+    } else {
+        format!(
+            "Recordings: NOT LOSSLESS: {}. This is a fault of flockmap, please report it.",
+            broken.join(", ")
+        )
+    };
+    Verdict::good_if(broken.is_empty(), words)
 }
 
 pub fn section(args: &PaperArgs, measured: Option<&Measured>) -> Section {

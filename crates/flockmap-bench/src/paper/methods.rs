@@ -3,7 +3,7 @@
 use flockmap::codec::Codec;
 use flockmap_cli::chart::{self, Bar};
 use flockmap_cli::document::{Cell, DataTable};
-use flockmap_cli::member::IP_UDP_BYTES;
+use flockmap_cli::measure::IP_UDP_BYTES;
 use flockmap_cli::numbers::percent_short;
 use maud::{Markup, html};
 

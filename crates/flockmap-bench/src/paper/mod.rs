@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
-use flockmap_cli::document::{Cell, DataTable, Document, Part, Section};
+use flockmap_cli::document::{Cell, DataTable, Document, Part, Section, Verdict};
 use flockmap_cli::measure::KB;
 use flockmap_cli::numbers::percent_short;
 use flockmap_cli::parallel::cores;
@@ -58,9 +58,8 @@ struct Bench<'a> {
     expected_s: Vec<f64>,
     started: Instant,
     sections: Vec<Section>,
-    verdicts: Vec<(bool, String)>,
+    verdicts: Vec<Verdict>,
     skipped: Vec<&'static str>,
-    is_good: bool,
     timings: Vec<(String, f64)>,
 }
 
@@ -87,7 +86,6 @@ pub fn run(args: &PaperArgs) -> anyhow::Result<bool> {
         sections: Vec::new(),
         verdicts: Vec::new(),
         skipped: Vec::new(),
-        is_good: true,
         stages,
         timings: Vec::new(),
     };
@@ -96,7 +94,7 @@ pub fn run(args: &PaperArgs) -> anyhow::Result<bool> {
     let document = bench.document();
     document.print(false);
     document.write(&args.out, &document.json())?;
-    Ok(bench.is_good)
+    Ok(document.is_good())
 }
 
 impl Bench<'_> {
@@ -180,21 +178,21 @@ impl Bench<'_> {
         self.tables(&flights)?;
         let plan = random::Plan::new(self.args.quick, self.args.seed);
         if let Some(figure) = self.stage(Stage::Fig5, |_| random::measure(&plan))? {
-            self.is_good &= figure.lossless;
+            self.verdicts.push(random::lossless(&figure));
             self.sections.push(random::section(&figure, &plan));
         }
         let (args, threads) = (self.args, self.threads);
         let seeds = u64::from(args.seeds.unwrap_or(if args.quick { 2 } else { 20 }));
         let flown = self.stage(Stage::Application, |_| application::measure(seeds, args.quick, threads))?;
         if let Some(rows) = flown {
-            self.verdicts.extend(application::verdicts(&rows));
+            self.verdicts.extend(application::verdict(&rows));
             self.sections.push(application::section(&rows));
         }
         let records: Vec<PathBuf> = beyond::records(self.args);
         if let Some(measured) = self.stage(Stage::Beyond, |bench| {
             if records.is_empty() { Ok(None) } else { beyond::measure(bench.args, &records, bench.threads) }
         })? {
-            self.is_good &= measured.iter().flat_map(|m| &m.methods.rows).all(|row| row.is_as_promised);
+            self.verdicts.extend(measured.as_ref().map(beyond::verdict));
             self.sections.push(beyond::section(self.args, measured.as_ref()));
         }
         Ok(())
@@ -233,7 +231,6 @@ impl Bench<'_> {
         if let Some(measured) =
             self.stage(Stage::Table1, |_| table1::measure(flights, seed, quick, threads))?
         {
-            self.is_good &= measured.iter().flat_map(|row| &row.methods.rows).all(|row| row.is_as_promised);
             self.verdicts.extend(table1::verdicts(&measured));
             self.sections.push(table1::section(&measured));
             self.sections.extend(table1::fig6(&measured));
@@ -244,7 +241,7 @@ impl Bench<'_> {
         }
         if let Some(stacks) = self.stage(Stage::Table3, |_| table3::measure(forest, seed, threads))?.flatten()
         {
-            self.is_good &= stacks.iter().all(|stack| stack.report.is_good());
+            self.verdicts.push(table3::verdict(&stacks));
             self.sections.push(table3::section(&stacks));
         }
         let measured = self.stage(Stage::Table4, |_| table4::measure(forest))?;
@@ -256,11 +253,12 @@ impl Bench<'_> {
         let mut verdicts = Vec::new();
         if stop::requested() {
             let skipped = self.skipped.join("; ");
-            verdicts.push((false, format!("Partial: ended by Ctrl-C. Missing or incomplete: {skipped}.")));
+            verdicts
+                .push(Verdict::Note(format!("Partial: ended by Ctrl-C. Missing or incomplete: {skipped}.")));
         }
         if self.args.quick {
             let words = "A quick run: short flights, few draws and seeds. It shows that everything works; the figures are not the paper's.";
-            verdicts.push((false, words.to_owned()));
+            verdicts.push(Verdict::Note(words.to_owned()));
         }
         verdicts.append(&mut self.verdicts);
         let mut sections = core::mem::take(&mut self.sections);
@@ -316,7 +314,7 @@ fn flights_section(flights: &[Flown]) -> Section {
 }
 
 /// Whether an exploration has seen what there is.
-fn seen_verdict(flown: &Flown) -> Option<(bool, String)> {
+fn seen_verdict(flown: &Flown) -> Option<Verdict> {
     let seen_share = flown.explored?.seen_share;
     let words = format!(
         "{} robots have seen {} of what can be seen of the {} in {:.0} s ({}).",
@@ -326,7 +324,7 @@ fn seen_verdict(flown: &Flown) -> Option<(bool, String)> {
         flown.seconds,
         flown.ended
     );
-    Some((seen_share >= SEEN_SHARE, words))
+    Some(Verdict::good_or_note(seen_share >= SEEN_SHARE, words))
 }
 
 /// What is not as in the paper.

@@ -1,6 +1,6 @@
 //! Table I: bandwidth on four explorations, all methods; and Fig. 6, the map over time.
 
-use flockmap_cli::document::{Cell, DataTable, Part, Section};
+use flockmap_cli::document::{Cell, DataTable, Part, Section, Verdict};
 use flockmap_cli::measure::KB;
 use flockmap_cli::numbers::{percent_short, thousands};
 use flockmap_cli::report::Report;
@@ -203,7 +203,7 @@ pub fn fig6(measured: &[Measured]) -> Option<Section> {
 }
 
 /// Whether row 1 is where the paper says, and every lossless method is.
-pub fn verdicts(measured: &[Measured]) -> Vec<(bool, String)> {
+pub fn verdicts(measured: &[Measured]) -> Vec<Verdict> {
     let mut verdicts = Vec::new();
     if let Some(row) = measured.iter().find(|row| row.paper.number == 1)
         && let Some(ratio) = row.methods.ratio("racer", "paper")
@@ -214,7 +214,7 @@ pub fn verdicts(measured: &[Measured]) -> Vec<(bool, String)> {
         let words = format!(
             "Table I row 1: `racer` needs {ratio:.1} times the bytes of `paper`; {wanted:.1} in the paper ({not}within 30 %)."
         );
-        verdicts.push((near, words));
+        verdicts.push(Verdict::good_or_note(near, words));
     }
     let stale: Vec<String> = measured
         .iter()
@@ -224,7 +224,7 @@ pub fn verdicts(measured: &[Measured]) -> Vec<(bool, String)> {
     if !stale.is_empty() {
         let stale = stale.join(", ");
         let words = "`racer-code` ends with voxels that are stale or were never sent. Right at the end";
-        verdicts.push((true, format!("{words}: {stale}.")));
+        verdicts.push(Verdict::Note(format!("{words}: {stale}.")));
     }
     let broken: Vec<String> = measured
         .iter()
@@ -238,7 +238,7 @@ pub fn verdicts(measured: &[Measured]) -> Vec<(bool, String)> {
         } else {
             format!("NOT LOSSLESS: {}. This is a fault of flockmap, please report it.", broken.join(", "))
         };
-        verdicts.push((broken.is_empty(), words));
+        verdicts.push(Verdict::good_if(broken.is_empty(), words));
     }
     verdicts
 }

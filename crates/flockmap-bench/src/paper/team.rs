@@ -1,8 +1,8 @@
 //! All methods on the records of one team of robots.
 
 use flockmap::grid::MapperConfig;
+use flockmap_cli::measure::IP_UDP_BYTES;
 use flockmap_cli::measure::KB;
-use flockmap_cli::member::IP_UDP_BYTES;
 use flockmap_cli::progress::Progress;
 use flockmap_cli::report::Report;
 use flockmap_cli::sources::{Frame, Source};
@@ -167,8 +167,8 @@ fn rival(mapper: &MapperConfig, sources: Vec<Source>, seed: u64) -> anyhow::Resu
         |id| RacerConfig { cast: RacerCast::Unicast, ..RacerConfig::new(id, robots, mapper.clone()) };
     let run = rival_swarm::run(sources, config, RadioConfig { seed, ..RadioConfig::default() })?;
     let agreement = run.agreement();
-    let total_bytes: u64 = run.measures.iter().map(|of| of.sent.total()).sum();
-    let largest_second = run.measures.iter().map(|of| of.sent.largest_second()).max().unwrap_or(0);
+    let total_bytes: u64 = run.measures.iter().map(|of| of.sent.payload.total()).sum();
+    let largest_second = run.measures.iter().map(|of| of.sent.payload.largest_second()).max().unwrap_or(0);
     let seconds = run.last_scan.seconds().max(1e-3);
     let percent = |voxels: u64| voxels as f64 * 100.0 / agreement.compared.known.max(1) as f64;
     Ok(MethodRow {
@@ -180,7 +180,7 @@ fn rival(mapper: &MapperConfig, sources: Vec<Source>, seed: u64) -> anyhow::Resu
             percent(agreement.missing)
         ),
         total_bytes,
-        ip_udp_bytes: run.measures.iter().map(|of| of.datagrams).sum::<u64>() * IP_UDP_BYTES,
+        ip_udp_bytes: run.measures.iter().map(|of| of.sent.datagrams).sum::<u64>() * IP_UDP_BYTES,
         avg_kb_s: total_bytes as f64 / KB / seconds / f64::from(robots.max(1)),
         max_kb_s: largest_second as f64 / KB,
         agreement: agreement.compared.share(),

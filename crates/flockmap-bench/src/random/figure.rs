@@ -111,7 +111,7 @@ fn chart(map: &Map3) -> Markup {
     let mut lines: Vec<Line<'_>> = names.zip(COLOURS.into_iter().cycle()).enumerate().map(line).collect();
     let points = map.points.iter().map(|p| (p.ratio, p.limit_bytes)).collect();
     lines.push(Line { name: "entropy limit", class: "limit", points });
-    let svg = chart::svg(
+    let svg = chart::lines(
         Axis { label: "share of voxels that changed", scale: Scale::Log },
         Axis { label: "bytes of a package", scale: Scale::Log },
         &lines,

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use anyhow::ensure;
 use clap::Args;
-use flockmap_cli::document::Document;
+use flockmap_cli::document::{Document, Verdict};
 use flockmap_cli::{json_file, stop};
 use serde_json::json;
 
@@ -75,21 +75,26 @@ pub fn run(args: &RandomArgs) -> anyhow::Result<bool> {
     if let Some(folder) = &args.out {
         document.write(folder, &document.json())?;
     }
-    Ok(figure.lossless)
+    Ok(document.is_good())
 }
 
 /// Whether all is well, as text.
-pub fn verdicts(figure: &Figure) -> Vec<(bool, String)> {
+fn verdicts(figure: &Figure) -> Vec<Verdict> {
     let mut verdicts = Vec::new();
     if stop::requested() {
         let words = "Partial: ended by Ctrl-C. Points that were not reached are missing.";
-        verdicts.push((false, words.to_owned()));
+        verdicts.push(Verdict::Note(words.to_owned()));
     }
-    let words = if figure.lossless {
-        "Every codec gives back every voxel (first draw of each point decoded)."
-    } else {
-        "A codec does not give back what went in: a fault of flockmap, please report it."
-    };
-    verdicts.push((figure.lossless, words.to_owned()));
+    verdicts.push(lossless(figure));
     verdicts
+}
+
+/// Whether the codecs keep their promise.
+pub fn lossless(figure: &Figure) -> Verdict {
+    let words = if figure.lossless {
+        "Every codec gives back every voxel of changes drawn at random (first draw of each point decoded)."
+    } else {
+        "A codec does not give back changes drawn at random: a fault of flockmap, please report it."
+    };
+    Verdict::good_if(figure.lossless, words)
 }

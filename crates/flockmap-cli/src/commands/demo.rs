@@ -1,7 +1,9 @@
-//! `flockmap demo`: a swarm over real UDP sockets on this machine, each robot a node of its own.
+//! `flockmap demo`: a swarm on this machine, each robot a node of its own with a socket of its own, and an
+//! emulated radio between them.
 
 use flockmap_cli::outputs;
 use std::io;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
@@ -11,6 +13,7 @@ use clap::Args;
 use flockmap::{Codec, Event, Path, RobotConfig, RobotId, ScanReport, Stamp, Stream, Transmit};
 use flockmap_cli::measure::TimeSummary;
 use flockmap_cli::member::Measures;
+use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, SourceArgs};
 use flockmap_cli::picture::MapPicture;
 use flockmap_cli::progress::Progress;
@@ -21,15 +24,18 @@ use flockmap_node::{
     UdpOptions, UdpSockets,
 };
 
-/// Fly a swarm over real UDP sockets on this machine and report what it cost
+/// Fly a swarm on this machine over a radio that loses every fifth datagram, and report what it cost
 #[derive(Args, Debug)]
+#[command(mut_arg("loss", |arg| arg.default_value("0.2")))]
 #[command(after_help = "\
 Examples:
   flockmap demo
+  flockmap demo --loss 0.5 --delay-ms 50
   flockmap demo --scene indoor --robots 5 --seconds 30 --out /tmp/indoor
 
-Each robot is a node of its own with its own socket. At the end there are a table here, and report.html and report.json
-in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.", mut_args(super::hidden::hide(&[])))]
+Each robot is a node of its own with its own UDP socket, and an emulated radio stands between them, in this program. With --loss 0, and
+no other figure of the radio, they talk over the loopback of this machine alone. At the end there are a table here, and report.html,
+report.json and maps.svg in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.", mut_args(super::hidden::hide(&[])))]
 pub struct DemoArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
     #[arg(long, value_name = "SCENE", default_value = "forest")]
@@ -37,28 +43,48 @@ pub struct DemoArgs {
     /// Codec of the packages: flock, paper, nested-zlib, raw or racer
     #[arg(long, value_name = "NAME", default_value_t = Codec::Flock)]
     pub codec: Codec,
-    /// Folder for report.html and report.json
+    /// Folder for report.html, report.json and maps.svg
     #[arg(long, value_name = "DIR", default_value = "flockmap-demo", value_parser = outputs::folder())]
     pub out: PathBuf,
+    /// The radio between the robots.
+    #[command(flatten)]
+    pub radio: LinkChange,
     #[command(flatten)]
     pub map: MapArgs,
     #[command(flatten)]
     pub source: SourceArgs,
 }
 
+use super::radio::{LinkChange, RadioInside};
+
 /// Time for all nodes to start before the first scan.
 const BEGIN: Stamp = Stamp(500_000);
-/// After the last scan, repairs may take at most this long.
-const SETTLE_MAX: Duration = Duration::from_secs(20);
+/// After the last scan, repairs may take at most this long, also where the machine is busy with other things.
+const SETTLE_MAX: Duration = Duration::from_secs(60);
 /// How often nodes are asked how they do.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
 /// What a node reports while it runs. It is counted on the thread of the demo, so that counting costs the
 /// nodes nothing.
 enum Update {
-    Scan { stamp: Stamp, report: ScanReport },
-    Event { now: Stamp, event: Event },
-    SendResult { now: Stamp, bytes: usize, copies: u32 },
+    Scan {
+        stamp: Stamp,
+        report: ScanReport,
+    },
+    Event {
+        now: Stamp,
+        event: Event,
+    },
+    /// Where the robot is when it takes a scan; said ahead of it.
+    Place {
+        stamp: Stamp,
+        place: [f64; 3],
+    },
+    SendResult {
+        now: Stamp,
+        bytes: usize,
+        copies: u32,
+    },
 }
 
 /// A robot of the demo.
@@ -74,12 +100,13 @@ struct Flyer {
 pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     let base = args.map.robot(args.codec, args.source.seed)?;
     let sources = sources::open_scene(&args.scene, &args.source, args.map.range)?;
-    let title = format!("demo: {}, over UDP sockets", sources.title);
+    let title = format!("demo: {}", sources.title);
     let seconds = sources.robots.iter().map(|s| s.seconds_expected).fold(0.0, f64::max);
 
     let clock = Clock::at(Stamp(0));
     let (updates, reported) = channel();
-    let (mut flyers, nodes) = start(sources.robots, &base, clock, &updates)?;
+    let (sockets, radio) = connect(sources.robots.len(), args.radio, args.source.seed)?;
+    let (mut flyers, nodes) = start(sources.robots, sockets, &base, clock, &updates)?;
     drop(updates);
     fly(&mut flyers, &nodes, clock, &reported, seconds);
     let arrived = settle(&mut flyers, &nodes, clock, &reported)?;
@@ -89,6 +116,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     }
     let ended = nodes.into_iter().map(|node| node.join().context("a node ended with an error"));
     let ended = ended.collect::<anyhow::Result<Vec<_>>>()?;
+    let radio = radio_in_words(args.radio, radio)?;
     reported.try_iter().for_each(|update| count(&mut flyers, update));
 
     let times = |of: fn(&Timings) -> &Histogram| {
@@ -101,12 +129,25 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
         Member { name, robot: ended.robot, measures, pictures, scans_damaged: 0 }
     });
     let run = Run { members: members.collect(), last_scan, arrived, times };
-    let radio = "UDP sockets on the loopback of this machine, in real time";
-    let report = Report::new(&run, title, Settings::new(&base, args.map.mapper, radio))?;
+    let report = Report::new(&run, title, Settings::new(&base, args.map.mapper, &radio))?;
     let document = report.document();
     document.print(false);
     document.write(&args.out, &report)?;
     Ok(report.is_good())
+}
+
+/// What the radio was, and how much it lost.
+fn radio_in_words(figures: LinkChange, radio: Option<RadioInside>) -> anyhow::Result<String> {
+    let Some(radio) = radio else {
+        return Ok("UDP sockets on this machine, in real time, nothing between them".to_owned());
+    };
+    let passed = radio.end()?;
+    Ok(format!(
+        "{} ({} of {} lost), emulated between UDP sockets in real time",
+        figures.in_words(),
+        thousands(passed.lost),
+        thousands(passed.lost + passed.received)
+    ))
 }
 
 /// The map of a node as it is now; `None` if the node has ended.
@@ -116,26 +157,44 @@ fn picture(node: &NodeHandle) -> Option<MapPicture> {
 
 type Updates = Sender<(usize, Update)>;
 
+/// The sockets of all nodes, with a radio between them unless it would be perfect.
+fn connect(
+    robots: usize,
+    figures: LinkChange,
+    seed: u64,
+) -> anyhow::Result<(Vec<UdpSockets>, Option<RadioInside>)> {
+    let options = UdpOptions::new("127.0.0.1:0".parse()?);
+    let mut sockets = (0..robots).map(|_| UdpSockets::bind(&options)).collect::<Result<Vec<_>, _>>()?;
+    let addresses = sockets.iter().map(UdpSockets::local_addr).collect::<io::Result<Vec<SocketAddr>>>()?;
+    let radio =
+        (!figures.is_perfect()).then(|| RadioInside::start(addresses.clone(), seed, figures)).transpose()?;
+    let appear = radio.as_ref().map_or(&addresses, |radio| &radio.ports);
+    for (number, sockets) in sockets.iter_mut().enumerate() {
+        let others = appear.iter().enumerate().filter(|(other, _)| *other != number);
+        others.for_each(|(_, address)| sockets.add_peer(*address));
+    }
+    Ok((sockets, radio))
+}
+
 fn start(
     robots: Vec<sources::Source>,
+    sockets: Vec<UdpSockets>,
     base: &RobotConfig,
     clock: Clock,
     updates: &Updates,
 ) -> anyhow::Result<(Vec<Flyer>, Vec<NodeHandle>)> {
-    let options = UdpOptions::new("127.0.0.1:0".parse()?);
-    let sockets = robots.iter().map(|_| UdpSockets::bind(&options)).collect::<Result<Vec<_>, _>>()?;
-    let addresses = sockets.iter().map(UdpSockets::local_addr).collect::<io::Result<Vec<_>>>()?;
     let (mut flyers, mut nodes) = (Vec::new(), Vec::new());
-    for (number, (source, mut sockets)) in robots.into_iter().zip(sockets).enumerate() {
-        for (_, address) in addresses.iter().enumerate().filter(|(other, _)| *other != number) {
-            sockets.add_peer(*address);
-        }
+    for (number, (source, sockets)) in robots.into_iter().zip(sockets).enumerate() {
         let config = RobotConfig { id: RobotId(number as u16 + 1), ..base.clone() };
         let stream = Stream { origin: config.id, epoch: config.epoch };
         let mut options = NodeOptions::new(config);
         options.name.clone_from(&source.name);
         options.clock = clock;
-        let frames = source.frames.map(|mut frame| {
+        let place = updates.clone();
+        let frames = source.frames.map(move |mut frame| {
+            let update = Update::Place { stamp: frame.scan.stamp, place: frame.pose.translation() };
+            // The demo is over if nobody listens.
+            let _ = place.send((number, update));
             // A node hears of team-mates over its socket; here the scans come without them.
             let masks = frame.masks();
             team::cut_out(&mut frame.scan, &frame.pose, &masks);
@@ -188,7 +247,7 @@ fn fly(
             flyers.iter_mut().zip(nodes).for_each(|(flyer, node)| flyer.pictures.extend(picture(node)));
         }
         let statuses: Vec<_> = nodes.iter().filter_map(NodeHandle::status).collect();
-        let bytes: u64 = flyers.iter().map(|flyer| flyer.measures.sent.total()).sum();
+        let bytes: u64 = flyers.iter().map(|flyer| flyer.measures.sent.wire.total()).sum();
         let voxels: usize = statuses.iter().map(|s| s.map_voxels.0 + s.map_voxels.1).max().unwrap_or(0);
         progress.say(format!(
             "flying ({:.1} KB/s, {:.2} million voxels known)",
@@ -256,6 +315,7 @@ fn count(flyers: &mut [Flyer], (number, update): (usize, Update)) {
             flyer.last_scan = flyer.last_scan.max(since_begin(stamp));
         }
         Update::Event { now, event } => flyer.measures.event(since_begin(now), &event),
+        Update::Place { stamp, place } => flyer.measures.path.push((stamp, place)),
         Update::SendResult { now, bytes, copies } => {
             flyer.measures.datagram_sent(since_begin(now), bytes, u64::from(copies));
         }

@@ -20,9 +20,14 @@ pub struct DataTable {
     pub sum: Option<usize>,
     /// What the figures mean.
     pub note: String,
+    /// What headings and other words of it mean, for who has not met them; only for the page.
+    pub terms: Vec<(&'static str, String)>,
     /// Too long for the text.
     pub is_long: bool,
 }
+
+/// Characters of a cell that is never broken into lines.
+const ONE_LINE: usize = 28;
 
 /// One column of rows of `R`: its name in CSV and JSON, with unit; its heading for people; its cell in a row.
 pub type Column<'a, R> = (&'static str, &'static str, &'a dyn Fn(&R) -> Cell);
@@ -80,6 +85,18 @@ impl DataTable {
     #[must_use]
     pub fn with_note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
+    }
+
+    /// The same with the meaning of its words.
+    #[must_use]
+    pub fn with_terms<T: Into<String>>(self, terms: impl IntoIterator<Item = (&'static str, T)>) -> Self {
+        Self { terms: terms.into_iter().map(|(term, meaning)| (term, meaning.into())).collect(), ..self }
+    }
+
+    /// Whether a column holds text that does not fit one line of a narrow screen.
+    pub(super) fn is_words(&self, column: usize) -> bool {
+        let long = |cell: &Cell| matches!(cell, Cell::Text(text) if text.chars().count() > ONE_LINE);
+        self.rows.iter().filter_map(|row| row.get(column)).any(long)
     }
 
     pub(super) fn csv(&self) -> String {

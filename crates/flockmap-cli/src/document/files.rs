@@ -20,8 +20,8 @@ impl Document {
         put(path, table.csv())
     }
 
-    /// Writes `report.html`, `report.json` and a CSV file for each table that has a name into a folder, which
-    /// is made if it is not there.
+    /// Writes `report.html`, `report.json`, a CSV file for each table that has a name, and the pictures into a
+    /// folder, which is made if it is not there.
     ///
     /// # Errors
     /// If one of them cannot be written.
@@ -31,6 +31,9 @@ impl Document {
         json_file::write(&folder.join("report.json"), json)?;
         for table in self.tables() {
             put(&folder.join(format!("{}.csv", table.id)), table.csv())?;
+        }
+        for (name, picture) in &self.pictures {
+            put(&folder.join(name), picture.clone())?;
         }
         let page = folder.join("report.html");
         put(&page, page::render(self))?;

@@ -7,7 +7,8 @@ mod page;
 mod text;
 
 pub use data_table::{Cell, Column, DataTable, TextColumn};
-pub use model::{Document, Part, Section};
+pub use model::{Document, Part, Section, Verdict};
+pub use page::terms;
 
 #[cfg(test)]
 mod tests {
@@ -27,7 +28,7 @@ mod tests {
         .with_note("a `b<` & `c`");
         Document {
             title: "T".to_owned(),
-            verdicts: vec![(true, "fine".to_owned())],
+            verdicts: vec![Verdict::Good("fine".to_owned())],
             sections: vec![Section::new("s", "A & B", vec![Part::Table(table)])],
             facts: json!({"seed": 7}),
             ..Document::default()
@@ -56,6 +57,31 @@ mod tests {
         let text = DataTable::unnamed(["name", "bytes"], rows).to_string();
         let ends: Vec<usize> = text.lines().map(|l| l.chars().count()).collect();
         assert!(ends.windows(2).all(|w| w[0] == w[1]), "{text}");
+    }
+
+    #[test]
+    fn only_a_failure_makes_a_report_bad_and_every_verdict_says_what_it_is() {
+        let note = Verdict::Note("short".to_owned());
+        let mut document = Document { verdicts: vec![note], ..document() };
+        assert!(document.is_good());
+        document.verdicts.push(Verdict::Failure("lost".to_owned()));
+        assert!(!document.is_good());
+        let page = page::render(&document);
+        assert!(page.contains("<b>Worth knowing</b>") && page.contains("<b>FAILED</b>"), "{page}");
+        assert_eq!(document.json()["verdicts"][1]["kind"], "failure");
+    }
+
+    #[test]
+    fn a_column_of_words_wraps_and_one_of_figures_does_not() {
+        let long = "a setting of many words, which would not fit a narrow screen";
+        let table = DataTable::unnamed(
+            ["option", "value"],
+            [["radio", long], ["seed", "1"]].map(|r| r.map(str::to_owned)),
+        );
+        let section = Section::new("s", "S", vec![Part::Table(table)]);
+        let page = page::render(&Document { sections: vec![section], ..Document::default() });
+        assert_eq!(page.matches("<td class=\"words\">").count(), 2, "{page}");
+        assert!(!page::render(&document()).contains("\"words\""));
     }
 
     #[test]

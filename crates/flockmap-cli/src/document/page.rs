@@ -25,8 +25,9 @@ pub(super) fn render(document: &Document) -> String {
             body {
                 main {
                     header { h1 { "Flockmap" } p.title { (title) } }
-                    @for (good, verdict) in verdicts {
-                        p.verdict.good[*good].bad[!*good] { (inline(verdict)) }
+                    @for verdict in verdicts {
+                        @let (kind, class) = verdict.kind();
+                        p class={ "verdict " (class) } { b { (kind) } " " (inline(verdict.words())) }
                     }
                     @if titled().count() > 2 {
                         nav { @for section in titled() { a href={ "#" (section.id) } { (section.title) } " " } }
@@ -59,16 +60,28 @@ fn of_part(part: &Part) -> Markup {
 
 /// A table that scrolls inside its own box.
 fn of_table(table: &DataTable) -> Markup {
+    let is_words: Vec<bool> = (0..table.columns.len()).map(|column| table.is_words(column)).collect();
+    let is_words = |column: usize| is_words.get(column).copied().unwrap_or(false);
+    // What stands side by side on a wide screen stands one below the other on a narrow one.
+    let is_stacked = table.columns.len() < 4 && (1..table.columns.len()).any(is_words);
     html! {
         div.scroll {
-            table {
-                thead { tr { @for (_, heading) in &table.columns { th { (heading) } } } }
+            table.stacked[is_stacked] {
+                thead {
+                    tr {
+                        @for (column, (_, heading)) in table.columns.iter().enumerate() {
+                            th.words[is_words(column)] { (heading) }
+                        }
+                    }
+                }
                 tbody {
                     @for (number, row) in table.rows.iter().enumerate() {
                         tr.sum[table.sum == Some(number)] {
                             @for (column, cell) in row.iter().enumerate() {
-                                @if column == 0 { th { (cell.shown()) } }
-                                @else { td.missing[*cell == Cell::Missing] { (cell.shown()) } }
+                                @if column == 0 { th.words[is_words(0)] { (cell.shown()) } }
+                                @else {
+                                    td.missing[*cell == Cell::Missing].words[is_words(column)] { (cell.shown()) }
+                                }
                             }
                         }
                     }
@@ -76,6 +89,16 @@ fn of_table(table: &DataTable) -> Markup {
             }
         }
         @if !table.note.is_empty() { p.note { (inline(&table.note)) } }
+        (terms(&table.terms))
+    }
+}
+
+/// Words and what they mean.
+pub fn terms(terms: &[(&'static str, String)]) -> Markup {
+    html! {
+        @if !terms.is_empty() {
+            dl.terms { @for (term, meaning) in terms { div { dt { (term) } dd { (inline(meaning)) } } } }
+        }
     }
 }
 

@@ -29,7 +29,9 @@ impl Document {
             }
         }
         println!();
-        self.verdicts.iter().for_each(|(_, verdict)| println!("{}", wrapped(verdict, "  ", "  ")));
+        for verdict in &self.verdicts {
+            println!("{}", wrapped(&format!("{}: {}", verdict.kind().0, verdict.words()), "  ", "  "));
+        }
     }
 }
 

@@ -1,15 +1,21 @@
 //! What a run of a swarm comes to.
 
 mod document;
+mod fused;
+mod words;
 
 use flockmap::{Cast, Preset, Robot, RobotConfig, Stamp, Stream};
 use serde::Serialize;
 
-use crate::measure::{AgeSummary, AgesByState, Comparison, KB, SentBytes, TimeSummary};
-use crate::member::{IP_UDP_BYTES, Measures};
-use crate::picture::{MapPicture, Picture};
+use crate::map_figure::{MapFigure, Path};
+use crate::measure::{
+    AgeSummary, AgesByState, Comparison, IP_UDP_BYTES, KB, SentBytes, SentDatagrams, TimeSummary,
+};
+use crate::member::Measures;
+use crate::picture::{self, MapPicture};
 use crate::program::command_line;
 use crate::stop;
+use fused::Fused;
 
 /// The paper's time from the start of a batch to its package, Table IV.
 pub const PAPER_T_PACK_MS: f64 = 5.30;
@@ -41,6 +47,8 @@ pub struct Report {
     pub agreement: Vec<Pair>,
     /// Share of equal voxels over all pairs: 1 or it is a fault.
     pub agreement_all: f64,
+    /// The fused maps beside each other. They may differ where several robots saw a voxel.
+    pub fused: Fused,
     pub age_occupied: AgeSummary,
     pub age_free: AgeSummary,
     pub t_map: TimeSummary,
@@ -48,10 +56,15 @@ pub struct Report {
     pub t_recv2insert: TimeSummary,
     pub paper_t_pack_ms: f64,
     pub paper_t_recv2insert_ms: f64,
-    /// KB sent by all robots in each second.
+    /// KB on the wire, of all robots, in each second.
     pub kb_per_second: Vec<f64>,
     /// The same for RACER.
     pub racer_kb_per_second: Vec<f64>,
+    /// The same for the paper's method.
+    pub paper_kb_per_second: Vec<f64>,
+    /// What the first robot saw itself, and its fused map.
+    #[serde(skip)]
+    pub own_and_fused: Vec<MapFigure>,
     #[serde(skip)]
     pub pictures: Vec<Pictures>,
 }
@@ -101,17 +114,29 @@ pub struct Bytes {
     pub total_bytes: u64,
     /// 28 bytes of IP and UDP for each datagram, on top.
     pub ip_udp_bytes: u64,
+    /// Of the payload.
     pub avg_kb_s: f64,
-    /// Largest window of one second.
+    /// Of the payload, largest window of one second.
     pub max_kb_s: f64,
+    /// With IP and UDP.
+    pub wire_avg_kb_s: f64,
+    /// With IP and UDP, largest window of one second.
+    pub wire_max_kb_s: f64,
     pub datagrams: u64,
+}
+
+impl Bytes {
+    /// Payload, IP and UDP.
+    pub const fn wire_bytes(&self) -> u64 {
+        self.total_bytes + self.ip_udp_bytes
+    }
 }
 
 #[derive(Serialize, Clone, Copy)]
 pub struct Baseline {
     #[serde(flatten)]
     pub bytes: Bytes,
-    /// How many times ours that is.
+    /// How many times ours that is, on the wire.
     pub ratio: f64,
 }
 
@@ -188,8 +213,7 @@ impl Pair {
 /// A robot's map at several moments.
 pub struct Pictures {
     pub robot: String,
-    /// When, in seconds, and the picture.
-    pub moments: Vec<(f64, Picture)>,
+    pub moments: Vec<MapFigure>,
 }
 
 /// One robot at the end of a run.
@@ -224,29 +248,23 @@ impl Report {
         let seconds = record_s.max(1e-3);
         // Copies of each datagram that RACER, and the paper, would have to send.
         let copies = if settings.cast == "broadcast" { 1 } else { robots.len().saturating_sub(1) as u64 };
-        let sum = SentBytes::together(robots.iter().map(|r| &r.measures.sent));
-        let datagrams = robots.iter().map(|r| r.measures.datagrams).sum();
-        let sum_bytes = bytes_of(&sum, datagrams, 1, seconds);
-        let baseline = |sent: &dyn Fn(&Measures) -> (&SentBytes, u64)| {
-            let together = SentBytes::together(robots.iter().map(|r| sent(&r.measures).0));
-            let datagrams = robots.iter().map(|r| sent(&r.measures).1).sum();
-            let bytes = bytes_of(&together, datagrams, copies, seconds);
-            let ratio = bytes.total_bytes as f64 / sum_bytes.total_bytes.max(1) as f64;
-            (Baseline { bytes, ratio }, together)
+        let sum = SentDatagrams::together(robots.iter().map(|r| &r.measures.sent));
+        let sum_bytes = bytes_of(&sum, 1, seconds);
+        let baseline = |sent: &dyn Fn(&Measures) -> &SentDatagrams| {
+            let together = SentDatagrams::together(robots.iter().map(|r| sent(&r.measures)));
+            let bytes = bytes_of(&together, copies, seconds);
+            let ratio = bytes.wire_bytes() as f64 / sum_bytes.wire_bytes().max(1) as f64;
+            (Baseline { bytes, ratio }, kb_series(&together.wire, copies))
         };
-        let (racer, racer_sent) = baseline(&|m| (&m.racer, m.racer_messages));
-        let (paper_whole, _) = baseline(&|m| (&m.paper, m.paper_packages));
+        let (racer, racer_kb_per_second) = baseline(&|m| &m.racer);
+        let (paper_whole, paper_kb_per_second) = baseline(&|m| &m.paper);
         let agreement = pairs(robots);
         let mut all = Comparison::default();
         agreement.iter().for_each(|pair| all.merge(Comparison { known: pair.voxels, equal: pair.equal }));
         let mut ages = AgesByState::default();
         robots.iter().for_each(|r| ages.merge(&r.measures.ages));
-        let mut pictures = Vec::new();
-        for robot in robots.iter().take(PICTURED_MAX) {
-            let drawn = crate::picture::draw(&robot.pictures)?;
-            let moments = robot.pictures.iter().map(|picture| picture.at.seconds()).zip(drawn).collect();
-            pictures.push(Pictures { robot: robot.name.clone(), moments });
-        }
+        let pictured = 0..robots.len().min(PICTURED_MAX);
+        let pictures = pictured.map(|number| moments(robots, number)).collect::<anyhow::Result<_>>()?;
         Ok(Self {
             command: command_line(),
             title,
@@ -268,8 +286,11 @@ impl Report {
             t_recv2insert,
             paper_t_pack_ms: PAPER_T_PACK_MS,
             paper_t_recv2insert_ms: PAPER_T_INSERT_MS,
-            kb_per_second: kb_series(&sum, 1),
-            racer_kb_per_second: kb_series(&racer_sent, copies),
+            kb_per_second: kb_series(&sum.wire, 1),
+            racer_kb_per_second,
+            paper_kb_per_second,
+            fused: Fused::of(robots.iter().map(|member| &member.robot)),
+            own_and_fused: own_and_fused(robots)?,
             settings,
             pictures,
         })
@@ -281,19 +302,68 @@ impl Report {
     }
 }
 
-fn bytes_of(sent: &SentBytes, datagrams: u64, copies: u64, seconds: f64) -> Bytes {
-    let total_bytes = sent.total() * copies;
+fn bytes_of(sent: &SentDatagrams, copies: u64, seconds: f64) -> Bytes {
+    let kb = |bytes: u64| (bytes * copies) as f64 / KB;
     Bytes {
-        total_bytes,
-        ip_udp_bytes: datagrams * copies * IP_UDP_BYTES,
-        avg_kb_s: total_bytes as f64 / KB / seconds,
-        max_kb_s: (sent.largest_second() * copies) as f64 / KB,
-        datagrams: datagrams * copies,
+        total_bytes: sent.payload.total() * copies,
+        ip_udp_bytes: sent.datagrams * copies * IP_UDP_BYTES,
+        avg_kb_s: kb(sent.payload.total()) / seconds,
+        max_kb_s: kb(sent.payload.largest_second()),
+        wire_avg_kb_s: kb(sent.wire.total()) / seconds,
+        wire_max_kb_s: kb(sent.wire.largest_second()),
+        datagrams: sent.datagrams * copies,
     }
 }
 
 fn kb_series(sent: &SentBytes, copies: u64) -> Vec<f64> {
     sent.per_second().into_iter().map(|bytes| (bytes * copies) as f64 / KB).collect()
+}
+
+/// Where all robots flew, for a picture of the map of one.
+fn paths(robots: &[Member], own: usize) -> Vec<Path<'_>> {
+    let path = |number: usize| Path {
+        number: number + 1,
+        is_own: number == own,
+        places: &robots[number].measures.path,
+    };
+    (0..robots.len()).map(path).collect()
+}
+
+/// The map of a robot at several moments.
+fn moments(robots: &[Member], number: usize) -> anyhow::Result<Pictures> {
+    let (member, paths) = (&robots[number], paths(robots, number));
+    let figure = |(at, picture): (Stamp, picture::Picture)| {
+        let caption = format!("after {:.0} s", at.seconds());
+        MapFigure::new(picture, String::new(), &caption, &paths, at)
+    };
+    let times = member.pictures.iter().map(|picture| picture.at);
+    let moments = times.zip(picture::draw(&member.pictures)?).map(figure).collect();
+    Ok(Pictures { robot: member.name.clone(), moments })
+}
+
+/// What the first robot saw itself beside its fused map, at the end. Nothing of a robot that flew alone, or
+/// that has no map.
+fn own_and_fused(robots: &[Member]) -> anyhow::Result<Vec<MapFigure>> {
+    let ([first, _, ..], Some(last)) = (robots, robots.first().and_then(|first| first.pictures.last()))
+    else {
+        return Ok(Vec::new());
+    };
+    let fused = picture::draw(core::slice::from_ref(last))?.pop();
+    let (Some(own), Some(fused)) = (picture::draw_own(&first.robot, last)?, fused) else {
+        return Ok(Vec::new());
+    };
+    let seen: u64 = first.robot.mapper().blocks().map(|(_, block)| u64::from(block.known_count())).sum();
+    let (free, occupied) = last.count();
+    let known = |voxels: u64| format!("{:.1} million voxels known", voxels as f64 / 1e6);
+    let all = paths(robots, 0);
+    let figure = |picture, title: &str, voxels, paths| {
+        MapFigure::new(picture, title.to_owned(), &known(voxels), paths, last.at)
+    };
+    let others = if robots.len() == 2 { "robot 2" } else { "the others" };
+    Ok(vec![
+        figure(own, "What robot 1 saw itself", seen, &all[..1]),
+        figure(fused, &format!("Its map with what came from {others}"), (free + occupied) as u64, &all),
+    ])
 }
 
 fn robot_report(member: &Member, seconds: f64) -> RobotReport {
@@ -310,7 +380,7 @@ fn robot_report(member: &Member, seconds: f64) -> RobotReport {
     RobotReport {
         name: name.clone(),
         id: robot.own_stream().origin.0,
-        bytes: bytes_of(&measures.sent, measures.datagrams, 1, seconds),
+        bytes: bytes_of(&measures.sent, 1, seconds),
         requests: session.requests_out.datagrams,
         request_bytes: session.requests_out.bytes,
         package_datagrams: session.packages_out.datagrams,

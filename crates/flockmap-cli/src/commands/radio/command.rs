@@ -56,6 +56,31 @@ pub struct LinkChange {
     pub bit_flips: Option<f64>,
 }
 
+impl LinkChange {
+    /// Whether it leaves a radio perfect that was.
+    pub fn is_perfect(&self) -> bool {
+        let Self { loss, delay_ms, jitter_ms, duplication, bit_flips } = self;
+        [loss, delay_ms, jitter_ms, duplication, bit_flips]
+            .into_iter()
+            .all(|figure| figure.unwrap_or(0.0) == 0.0)
+    }
+
+    /// What it does to datagrams.
+    pub fn in_words(&self) -> String {
+        let share = |share: f64| (share * 1e6).round() / 1e4;
+        let figures = [
+            (self.loss.map(share), "% of datagrams lost"),
+            (self.delay_ms, "ms delay"),
+            (self.jitter_ms, "ms jitter at most"),
+            (self.duplication.map(share), "% arrive twice"),
+            (self.bit_flips.map(share), "% arrive with a wrong bit"),
+        ];
+        let words =
+            figures.into_iter().filter_map(|(figure, what)| Some((figure.filter(|f| *f > 0.0)?, what)));
+        words.map(|(figure, what)| format!("{figure} {what}")).collect::<Vec<_>>().join(", ")
+    }
+}
+
 /// A number of the command line that lies between these.
 pub fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
@@ -228,6 +253,19 @@ mod tests {
         );
         let timed: Timed = "20.5 heal".parse().unwrap();
         assert_eq!(timed, Timed { at_s: 20.5, command: RadioCommand::Heal });
+    }
+
+    #[test]
+    fn figures_are_said_in_words_and_only_those_that_are_bad() {
+        let figures = LinkChange {
+            loss: Some(0.2),
+            delay_ms: Some(0.0),
+            bit_flips: Some(0.015),
+            ..LinkChange::default()
+        };
+        assert_eq!(figures.in_words(), "20 % of datagrams lost, 1.5 % arrive with a wrong bit");
+        assert!(!figures.is_perfect());
+        assert!(LinkChange { loss: Some(0.0), ..LinkChange::default() }.is_perfect());
     }
 
     #[test]
