@@ -87,7 +87,7 @@ struct Output<'a> {
     resolution_m: f64,
     range_m: f64,
     publish_period_s: f64,
-    d: usize,
+    batch_limit: usize,
     changed_voxels: u64,
     methods: &'a [Row],
     /// The final maps, as a late joiner gets them. Only of methods that make map packages.
@@ -117,7 +117,7 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
         resolution_m: args.map.resolution,
         range_m: args.map.range,
         publish_period_s: args.map.publish_period,
-        d: args.map.d,
+        batch_limit: args.map.batch_limit,
         changed_voxels: run.changed_voxels,
         methods: &rows,
         snapshots,
@@ -136,12 +136,12 @@ pub fn run(args: &CodecsArgs) -> anyhow::Result<bool> {
 }
 
 fn print(output: &Output<'_>, title: &str, run: &CodecRun) {
-    let Output { resolution_m, range_m, publish_period_s, d, changed_voxels, methods, .. } = output;
+    let Output { resolution_m, range_m, publish_period_s, batch_limit, changed_voxels, methods, .. } = output;
     let CodecRun { seconds, batches, .. } = run;
     println!("{title}");
     println!(
-        "  {resolution_m} m voxels, {range_m} m range, publish period {publish_period_s} s, d {}; {seconds:.1} s in all, {} batches, {} changed voxels{}\n",
-        thousands(*d as u64),
+        "  {resolution_m} m voxels, {range_m} m range, publish period {publish_period_s} s, batch limit {}; {seconds:.1} s in all, {} batches, {} changed voxels{}\n",
+        thousands(*batch_limit as u64),
         thousands(*batches),
         thousands(*changed_voxels),
         if stop::requested() { " (partial: ended by Ctrl-C)" } else { "" }

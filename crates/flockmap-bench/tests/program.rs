@@ -18,8 +18,8 @@ fn codecs_puts_the_methods_in_their_order() {
     assert_eq!(
         keys,
         [
+            "batch_limit",
             "changed_voxels",
-            "d",
             "methods",
             "publish_period_s",
             "range_m",

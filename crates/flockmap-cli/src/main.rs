@@ -104,11 +104,13 @@ mod tests {
 
     #[test]
     fn replay_takes_records_and_the_radio() {
-        let cli =
-            parse("flockmap replay a.mcap b.mcap --loss 0.2 --delay-ms 50 --cast broadcast --d 100").unwrap();
+        let cli = parse(
+            "flockmap replay a.mcap b.mcap --loss 0.2 --delay-ms 50 --cast broadcast --batch-limit 100",
+        )
+        .unwrap();
         let Command::Replay(args) = cli.command else { panic!("{cli:?}") };
         assert_eq!(args.records.len(), 2);
-        assert_eq!((args.loss, args.delay_ms, args.map.d), (0.2, 50.0, 100));
+        assert_eq!((args.loss, args.delay_ms, args.map.batch_limit), (0.2, 50.0, 100));
         assert_eq!(args.cast, Cast::Broadcast);
         assert_eq!((args.map.resolution, args.map.range, args.map.publish_period), (0.1, 7.0, 0.5));
     }

@@ -21,15 +21,15 @@ pub struct MapArgs {
     /// Rays longer than this many metres are cut there
     #[arg(long, value_name = "M", default_value_t = 7.0)]
     pub range: f64,
-    /// A batch of mapping is sent after so many seconds
+    /// A batch of mapping is sent after so many seconds (the paper's t_l)
     #[arg(long, value_name = "S", default_value_t = 0.5)]
     pub publish_period: f64,
     /// Obstacles are sent after so many seconds, ahead of free space [default: with everything else]
     #[arg(long, value_name = "S")]
     pub obstacle_period: Option<f64>,
-    /// A batch of mapping is sent once so many voxels have changed
+    /// A batch of mapping is sent once so many voxels have changed (the paper's d)
     #[arg(long, value_name = "N", default_value_t = 50_000)]
-    pub d: usize,
+    pub batch_limit: usize,
     /// Rules of the mapper: rog-map, racer or octomap
     #[arg(long, value_name = "NAME", default_value_t = Preset::RogMap)]
     pub mapper: Preset,
@@ -173,11 +173,11 @@ impl MapArgs {
 
     /// When batches close.
     pub fn batch(&self) -> anyhow::Result<BatchConfig> {
-        ensure!(self.d > 0, "--d is 0, expected at least 1");
+        ensure!(self.batch_limit > 0, "--batch-limit is 0, expected at least 1");
         let obstacle_period_ms =
             self.obstacle_period.map(|seconds| milliseconds("--obstacle-period", seconds)).transpose()?;
         Ok(BatchConfig {
-            voxels_max: self.d,
+            voxels_max: self.batch_limit,
             publish_period_ms: milliseconds("--publish-period", self.publish_period)?,
             obstacle_period_ms,
         })

@@ -59,7 +59,7 @@ const WRONG: &[(&str, &str)] = &[
     ("replay forest --resolution 10", "less than one voxel of 10 m (--resolution is in metres too)"),
     ("replay forest --publish-period 0", "--publish-period is 0, expected 0.001 to 3,600 s"),
     ("replay forest --obstacle-period -1", "--obstacle-period is -1"),
-    ("replay forest --d 0", "--d is 0"),
+    ("replay forest --batch-limit 0", "--batch-limit is 0"),
     ("replay forest --robots 0", "--robots is 0, expected 1 to 64"),
     ("replay forest --robots -1", "--robots"),
     ("replay forest --seconds 0", "--seconds must be more than 0"),

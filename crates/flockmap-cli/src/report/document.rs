@@ -25,11 +25,11 @@ impl Report {
                 if self.interrupted { " (partial: ended by Ctrl-C)" } else { "" }
             ),
             about: format!(
-                "{} m voxels, {} m range, publish period {} s{obstacle_period}, d {}, mapper {}, codec {}, {}; {}",
+                "{} m voxels, {} m range, publish period {} s{obstacle_period}, batch limit {}, mapper {}, codec {}, {}; {}",
                 s.resolution_m,
                 s.range_m,
                 s.publish_period_s,
-                thousands(s.d as u64),
+                thousands(s.batch_limit as u64),
                 s.mapper,
                 s.codec,
                 s.cast,

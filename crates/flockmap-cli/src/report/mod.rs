@@ -76,7 +76,7 @@ pub struct Settings {
     pub range_m: f64,
     pub publish_period_s: f64,
     pub obstacle_period_s: Option<f64>,
-    pub d: usize,
+    pub batch_limit: usize,
     pub mapper: String,
     pub codec: String,
     pub cast: &'static str,
@@ -94,7 +94,7 @@ impl Settings {
             range_m: robot.mapper.range_m,
             publish_period_s: seconds(robot.batch.publish_period_ms),
             obstacle_period_s: robot.batch.obstacle_period_ms.map(seconds),
-            d: robot.batch.voxels_max,
+            batch_limit: robot.batch.voxels_max,
             mapper: mapper.to_string(),
             codec: robot.codec.to_string(),
             cast: match robot.session.cast {

@@ -144,8 +144,8 @@ pub(super) fn of_settings(s: &Settings, record_s: f64) -> Vec<[String; 3]> {
         ),
         ("obstacle period", obstacle_period, "the same for obstacles, where they go ahead of free space"),
         (
-            "batch limit d",
-            format!("{} voxels", crate::numbers::thousands(s.d as u64)),
+            "batch limit",
+            format!("{} voxels", crate::numbers::thousands(s.batch_limit as u64)),
             "a batch is published earlier once so many voxels have changed",
         ),
         ("mapper", s.mapper.clone(), "rules by which hits and passing rays make a voxel occupied or free"),
