@@ -193,7 +193,10 @@ mod tests {
         let radio = RadioConfig { seed: 5, link, ..RadioConfig::default() };
         let bytes = || {
             let run = run(bushes(2, 20), racer(2, RacerCast::Unicast), radio).unwrap();
-            run.measures.iter().map(|of| (of.sent.payload.per_second(), of.sent.datagrams)).collect::<Vec<_>>()
+            run.measures
+                .iter()
+                .map(|of| (of.sent.payload.per_second(), of.sent.datagrams))
+                .collect::<Vec<_>>()
         };
         assert_eq!(bytes(), bytes());
         // On the very frames that racer-code leaves stale.

@@ -27,7 +27,8 @@ pub fn run(title: String, robot: &RobotConfig, link: Link, sources: Vec<Source>)
         link.jitter_micros as f64 / 1e3
     );
     let report = Report::new(&run, title, Settings::new(robot, Preset::RogMap, &radio))?;
-    let traffic = run.members.into_iter().map(|member| [member.measures.sent.payload, member.measures.received]);
+    let traffic =
+        run.members.into_iter().map(|member| [member.measures.sent.payload, member.measures.received]);
     Ok(Stack { report, traffic: traffic.collect() })
 }
 
