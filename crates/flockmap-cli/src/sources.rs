@@ -208,13 +208,13 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
 /// One record as `--robots` robots: cut into as many parts of equal time, which all begin at 0. A swarm on a
 /// single recording.
 pub fn open_parts(path: &Path, source: &SourceArgs) -> anyhow::Result<Sources> {
-    check_records(&[path.to_owned()], source)?;
     let parts = source.robots as i64;
     ensure!((1..=100).contains(&parts), "--robots is {parts}, expected 1 to 100");
     ensure!(
         !source.see_team_mates,
         "--see-team-mates: one record cut into robots shows none of them; name one record for each robot"
     );
+    check_records(&[path.to_owned()], source)?;
     let records = records::records(std::slice::from_ref(&path.to_owned()), source)?;
     let [whole] = records.as_slice() else { bail!("a record is cut by time, or has a robot for each topic") };
     let mut robots = Vec::new();

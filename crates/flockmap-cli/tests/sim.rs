@@ -184,7 +184,7 @@ fn what_cannot_be_flown_is_said() {
         ("sim fly --scene nowhere", "nowhere"),
         ("sim fly --threads 0", "--threads"),
         ("sim fly --moving-obstacles 2000", "--moving-obstacles: count is 2000"),
-        ("sim explore --moving-obstacles 2", "--moving-obstacles: explorers"),
+        ("sim explore --moving-obstacles 2", "unexpected argument '--moving-obstacles'"),
         ("replay a.mcap --see-team-mates", "--see-team-mates: one record"),
         ("sim fly --drop-out 2", "drop_out is 2"),
         ("sim explore --threads 0", "--threads must be 1"),
