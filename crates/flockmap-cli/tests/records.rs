@@ -78,12 +78,6 @@ fn two_robots_in_one_bag_are_replayed_by_the_command_that_info_and_the_error_giv
     assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("data:image/png"));
     // Named twice is the same as once.
     let twice = each.replacen(" --points", &format!(" {} --points", plain.display()), 1);
-    let bytes = |command: &str| {
-        let file = folder.path().join("sum.json");
-        good(&format!("{command} --json {}", file.display()));
-        json(&file)["sum"].clone()
-    };
-    assert_eq!(bytes(&twice), bytes(&each));
 
     let one = command_after(&shown, "the scans of one robot:");
     assert!(good(&one).contains("cut by time into 2 robots"), "{one}");

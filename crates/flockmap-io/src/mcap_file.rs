@@ -49,10 +49,18 @@ enum Input {
 }
 
 impl Input {
-    fn read_exact(&mut self, into: &mut [u8]) -> io::Result<()> {
+    /// Puts the next bytes behind those in `into`. What is packed may promise more than it holds.
+    fn read(&mut self, bytes: u64, into: &mut Vec<u8>) -> io::Result<()> {
         match self {
-            Self::Plain(file) => file.read_exact(into),
-            Self::Packed(file) => file.read_exact(into),
+            Self::Plain(file) => {
+                let kept = into.len();
+                into.resize(kept + bytes as usize, 0);
+                file.read_exact(into.get_mut(kept..).unwrap_or_default())
+            }
+            Self::Packed(file) => match file.take(bytes).read_to_end(into)? as u64 {
+                read if read == bytes => Ok(()),
+                _ => Err(io::ErrorKind::UnexpectedEof.into()),
+            },
         }
     }
 
@@ -274,8 +282,8 @@ impl McapReader {
     /// Reads that many bytes into `record`, behind the first `kept` that it holds.
     fn read(&mut self, kept: usize, bytes: u64) -> Result<(), Fault> {
         self.at += bytes;
-        self.record.resize(kept + bytes as usize, 0);
-        let read = self.file.read_exact(self.record.get_mut(kept..).unwrap_or_default());
+        self.record.truncate(kept);
+        let read = self.file.read(bytes, &mut self.record);
         read.map_err(|error| self.broken(&error))
     }
 

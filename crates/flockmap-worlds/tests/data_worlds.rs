@@ -118,3 +118,28 @@ fn a_file_that_is_no_world_is_refused_by_name() {
     let error = World::open("somewhere/missing.bt", None).unwrap_err();
     assert!(error.to_string().contains("missing.bt"), "{error}");
 }
+
+#[test]
+fn an_exported_map_is_a_world_with_its_own_cells_and_its_free_space() {
+    use flockmap_grid::{Resolution, State, Voxel};
+    use flockmap_io::{ExportOptions, export_map};
+    let folder = std::env::temp_dir().join(format!("flockmap-worlds-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let resolution = Resolution::from_metres(0.3).unwrap();
+    let (wall, air, beyond) = (Voxel::new(4, 0, 0), Voxel::new(-3, 0, 1), Voxel::new(4, 0, 1));
+    for name in ["map.bt", "map.ply", "map.pcd"] {
+        let path = folder.join(name);
+        let voxels = [(wall, State::Occupied), (air, State::Free)];
+        export_map(&path, resolution, voxels, &ExportOptions { free: true }).unwrap();
+        let world = World::open(&path, None).unwrap();
+        assert_eq!(world.resolution(), resolution, "{name}");
+        assert_eq!(world.solid_cells().collect::<Vec<_>>(), [wall], "{name}");
+        let is_free = [wall, air, beyond].map(|cell| world.is_known_free(cell));
+        assert_eq!(is_free, [Some(false), Some(true), Some(false)], "{name}");
+    }
+    // Without free voxels nothing is said of them.
+    let path = folder.join("walls.ply");
+    export_map(&path, resolution, [(wall, State::Occupied)], &ExportOptions::default()).unwrap();
+    assert_eq!(World::open(&path, None).unwrap().is_known_free(air), None);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
