@@ -1,5 +1,5 @@
-//! Lines over axes and bars, coloured by the page that they stand in. Only lines stretch with the width: words
-//! are of the page, and as large on a phone as on a desk.
+//! Lines over axes and bars, coloured by the page that they stand in. Only lines stretch with the width;
+//! words are as large on a phone as on a desk.
 
 use maud::{Markup, html};
 

@@ -20,8 +20,8 @@ impl Document {
         put(path, table.csv())
     }
 
-    /// Writes `report.html`, `report.json`, a CSV file for each table that has a name, and the pictures into a
-    /// folder, which is made if it is not there.
+    /// Writes `report.html`, `report.json`, a CSV file for each table that has a name, and the pictures into
+    /// a folder, which is made if it is not there.
     ///
     /// # Errors
     /// If one of them cannot be written.

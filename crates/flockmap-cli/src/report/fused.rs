@@ -1,5 +1,5 @@
-//! Fused maps beside each other. Layers must be equal; fused maps need not be: where several robots saw a voxel,
-//! each trusts its own newer observation.
+//! Fused maps beside each other. Layers must be equal; fused maps need not be: where several robots saw a
+//! voxel, each trusts its own newer observation.
 
 use std::collections::HashMap;
 
@@ -7,8 +7,8 @@ use flockmap::Robot;
 use flockmap::grid::{BlockIndex, StateBlock};
 use serde::Serialize;
 
-/// How far the fused maps of robots are the same, over all pairs. All robots of a run share one frame, so their
-/// voxels lie on each other.
+/// How far the fused maps of robots are the same, over all pairs. All robots of a run share one frame, so
+/// their voxels lie on each other.
 #[derive(Serialize)]
 pub struct Fused {
     #[serde(flatten)]

@@ -1,5 +1,5 @@
-//! Sockets between robots. Each robot appears to the others at one of them; what arrives there goes through the
-//! air and on to the robot.
+//! Sockets between robots. Each robot appears to the others at one of them; what arrives there goes through
+//! the air and on to the robot.
 
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
@@ -45,8 +45,8 @@ pub struct Relay {
 }
 
 impl Relay {
-    /// Opens a port for each robot. What arrives there goes to `inputs`; whoever reads them gives datagrams to
-    /// [`Self::take`].
+    /// Opens a port for each robot. What arrives there goes to `inputs`; whoever reads them gives datagrams
+    /// to [`Self::take`].
     ///
     /// # Errors
     /// A port cannot be opened.
