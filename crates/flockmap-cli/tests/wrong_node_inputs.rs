@@ -356,7 +356,8 @@ fn flaw(message: &str) -> Option<String> {
     }
     let words: Vec<&str> = message.split_whitespace().collect();
     let said: Vec<String> = words.windows(4).map(|four| four.join(" ")).collect();
-    let twice = said.iter().enumerate().find(|(at, text)| said[at + 1..].contains(text));
+    let is_text = |text: &str| text.contains(char::is_alphabetic);
+    let twice = said.iter().enumerate().find(|(at, text)| is_text(text) && said[at + 1..].contains(text));
     twice.map(|(_, text)| format!("says \"{text}\" twice"))
 }
 

@@ -94,12 +94,11 @@ fn missing(message: &str, key: &str) -> Option<String> {
 
 /// What was meant by a key that is none.
 fn unknown_key(unknown: &str, section: &str, message: &str) -> String {
+    if let Some((_, new)) = RENAMED.iter().find(|(old, _)| *old == unknown) {
+        return format!("`{unknown}` is called `{new}` now");
+    }
     let place = if section.is_empty() { "of the whole file".into() } else { format!("of [{section}]") };
     let mut text = format!("`{unknown}` is no key {place}");
-    if let Some((_, new)) = RENAMED.iter().find(|(old, _)| *old == unknown) {
-        let _ = write!(text, ": `{unknown}` is called `{new}` now");
-        return text;
-    }
     let own = OWN_KEYS.iter().filter(|(of, _)| *of == section).map(|(_, key)| *key);
     let listed = message.split_once("expected").map_or("", |(_, listed)| listed);
     let known: Vec<&str> = quoted(listed).filter(|key| !key.contains('.')).chain(own).collect();

@@ -52,7 +52,7 @@ pub(super) fn check(options: &UdpOptions, peers: &[SocketAddr]) -> Result<(), Ud
                 "broadcast is {address} with bind = {bind}: IPv6 has no broadcast, expected multicast in place of it"
             )));
         }
-        if address.ip().is_unspecified() || address.ip().is_loopback() || address.ip().is_multicast() {
+        if address.ip().is_unspecified() || address.ip().is_multicast() {
             return Err(fail(format!(
                 "broadcast is {address}, expected the broadcast address of a network, such as 10.0.0.255:7700"
             )));
@@ -74,8 +74,7 @@ fn check_peer(peer: SocketAddr, bind: SocketAddr) -> Result<(), UdpError> {
         IpAddr::V4(ip) if ip.is_broadcast() => "the address of one robot; this one belongs into broadcast",
         IpAddr::V6(_) if bind.is_ipv4() => {
             return Err(fail(format!(
-                "peers has {peer}, which is IPv6, and bind is {bind}, which is IPv4, expected bind = \"[::]:{}\" to reach both",
-                bind.port()
+                "peers has {peer}, which is IPv6, and bind is {bind}, which is IPv4, expected bind = \"[::]:PORT\" to reach both"
             )));
         }
         _ => return Ok(()),
