@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use flockmap::{Event, Path, Robot, Stamp};
 use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 
+use crate::alone::Alone;
 use crate::clock::StepWatch;
 use crate::command::Command;
 use crate::options::{NodeOptions, Observation};
@@ -12,6 +13,7 @@ use crate::sensor::Input;
 use crate::status::{StatusLine, histogram};
 use crate::store_writer::StoreWriter;
 use crate::transport::is_unreachable;
+use crate::warnings::Warnings;
 use crate::{Histogram, Level, NodeCounters, NodeStatus, Timings, Transport};
 
 /// Room for a datagram; a longer one is cut and then refused by its length.
@@ -22,9 +24,6 @@ const ERROR_PAUSE: Duration = Duration::from_millis(1);
 
 /// A frame that is played later than this counts as late.
 const LATE_MICROS: i64 = 100_000;
-
-/// Warnings of one period of this length are said once.
-const WARNING_PERIOD: Duration = Duration::from_secs(1);
 
 pub(crate) struct Driver<T> {
     options: NodeOptions,
@@ -46,8 +45,8 @@ pub(crate) struct Driver<T> {
     status_due: Instant,
     line: StatusLine,
     clock_steps: StepWatch,
-    warned: Option<Instant>,
-    warnings_left_out: u64,
+    warnings: Warnings,
+    alone: Alone,
     counters: NodeCounters,
     timings: Timings,
     recent_age: Histogram,
@@ -92,8 +91,8 @@ impl<T: Transport> Driver<T> {
             status_due,
             line: StatusLine::default(),
             clock_steps,
-            warned: None,
-            warnings_left_out: 0,
+            warnings: Warnings::default(),
+            alone: Alone::new(now),
             counters: NodeCounters::default(),
             timings: Timings::default(),
             recent_age: histogram(),
@@ -120,6 +119,10 @@ impl<T: Transport> Driver<T> {
             store.flush();
         }
         self.say_status();
+        match self.warnings.take_left_out() {
+            0 => {}
+            count => self.options.log.info(format!("{count} more warnings were not said one by one")),
+        }
         let status = self.status();
         (self.robot, status)
     }
@@ -171,6 +174,10 @@ impl<T: Transport> Driver<T> {
             self.counters.clock_steps += 1;
             self.options.log.warn(step);
         }
+        let is_heard = self.robot.session().peers().next().is_some();
+        if let Some(text) = self.alone.poll(Instant::now(), is_heard, &self.counters) {
+            self.options.log.warn(text);
+        }
         if let Some(period) = self.options.status_period
             && Instant::now() >= self.status_due
         {
@@ -219,7 +226,7 @@ impl<T: Transport> Driver<T> {
         });
         if let Err(error) = result {
             self.counters.datagrams_refused += 1;
-            self.warn(|| error.to_string());
+            self.warn(&error.to_string());
         }
     }
 
@@ -228,7 +235,7 @@ impl<T: Transport> Driver<T> {
             self.counters.unreachable += 1;
         } else {
             self.counters.receive_errors += 1;
-            self.warn(|| format!("cannot receive: {error}"));
+            self.warn(&format!("cannot receive: {error}"));
             // A socket that keeps failing must not keep the machine busy.
             tokio::time::sleep(ERROR_PAUSE).await;
         }
@@ -275,7 +282,7 @@ impl<T: Transport> Driver<T> {
     /// Counts something of the sensor that cannot be used, and says so.
     fn take_fault(&mut self, text: String) {
         self.counters.sensor_faults += 1;
-        self.warn(|| text);
+        self.warn(&text);
     }
 
     fn end_inputs(&mut self) {
@@ -316,7 +323,7 @@ impl<T: Transport> Driver<T> {
                     }
                 }
                 Event::Refused { stream, index, reason } => {
-                    self.warn(|| format!("package {index} of {stream:?} refused: {reason}"));
+                    self.warn(&format!("package {index} of {stream:?} refused: {reason}"));
                 }
                 Event::CaughtUp { stream, upto } => {
                     self.active = Instant::now();
@@ -331,10 +338,10 @@ impl<T: Transport> Driver<T> {
                     ));
                 }
                 Event::RunForgotten(run) => {
-                    self.warn(|| format!("the map of {run:?}, which has ended, is dropped for a newer one: raise streams_max or epochs_max to keep more"));
+                    self.warn(&format!("the map of {run:?}, which has ended, is dropped for a newer one: raise streams_max or epochs_max to keep more"));
                 }
                 Event::SameIdentity => {
-                    self.warn(|| "another robot uses the id of this one; give one of them another".into());
+                    self.warn("another robot uses the id of this one; give one of them another");
                 }
                 Event::NoncesExhausted => {
                     let text = "this run has sent all that can be sealed: nothing more goes out; start again";
@@ -358,18 +365,11 @@ impl<T: Transport> Driver<T> {
         }
     }
 
-    /// Says a warning, unless one was said a moment ago.
-    fn warn(&mut self, text: impl FnOnce() -> String) {
-        if self.warned.is_some_and(|at| at.elapsed() < WARNING_PERIOD) {
-            self.warnings_left_out += 1;
-            return;
+    /// Says a warning, unless it or another one was said a moment ago.
+    fn warn(&mut self, text: &str) {
+        if let Some(text) = self.warnings.take(Instant::now(), text) {
+            self.options.log.warn(text);
         }
-        self.warned = Some(Instant::now());
-        let left_out = match std::mem::take(&mut self.warnings_left_out) {
-            0 => String::new(),
-            count => format!(" ({count} warnings left out before)"),
-        };
-        self.options.log.warn(text() + &left_out);
     }
 
     fn wake(&self, until: Option<Instant>) -> Instant {
@@ -377,7 +377,8 @@ impl<T: Transport> Driver<T> {
         let robot = self.robot.poll_timeout().map(|due| self.options.clock.instant_of(due));
         let status = self.options.status_period.map(|_| self.status_due);
         let idle = now + Duration::from_secs(60);
-        [robot, status, until].into_iter().flatten().chain(self.ends()).fold(idle, Instant::min)
+        let alone = self.alone.poll_timeout();
+        [robot, status, until, alone].into_iter().flatten().chain(self.ends()).fold(idle, Instant::min)
     }
 
     /// When it ends by itself, as far as is known.

@@ -1,14 +1,15 @@
 //! What a node finds of its former runs when it starts, and the epoch that it takes after them.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow, bail};
 use flockmap::RobotConfig;
-use flockmap_store::{EpochFile, Folder, Identity, Store, StoreOptions, next_epoch};
+use flockmap_store::{EpochFault, EpochFile, Folder, Identity, Store, StoreError, StoreOptions, next_epoch};
 
+use crate::config::value;
 use crate::{Log, NodeConfig};
 
 /// 2026-01-01: a machine that shows an earlier time has lost it.
@@ -29,7 +30,9 @@ impl Kept {
         if folder.is_none() && store.is_none() {
             log.warn("there is no home folder, so that the epoch of this run is kept nowhere and the next one relies on the clock: give [state] path");
         }
-        let mut epoch_file = folder.as_ref().and_then(|folder| open_epoch_file(folder, robot, log));
+        let is_wanted = config.state.path.is_some();
+        let opened = folder.as_ref().map(|folder| open_epoch_file(folder, is_wanted, robot, log));
+        let mut epoch_file = opened.transpose()?.flatten();
 
         let last =
             epoch_file.as_ref().and_then(EpochFile::last).max(store.as_ref().and_then(Store::last_epoch));
@@ -42,6 +45,9 @@ impl Kept {
         let epoch = next_epoch(last, seconds, random)
             .with_context(|| exhausted(config, folder, epoch_file.as_ref()))?;
         if let Some(Err(fault)) = epoch_file.as_mut().map(|file| file.keep(epoch)) {
+            if let (EpochFault::Disk { error, .. }, Some(path)) = (&fault, &config.state.path) {
+                refuse_mistake("[state] path", path, error)?;
+            }
             log.warn(format!("{fault}. The next run relies on the store, if there is one, and on the clock"));
         }
         Ok(Self { epoch, epoch_file, store })
@@ -57,22 +63,51 @@ fn open_store(config: &NodeConfig, robot: &RobotConfig) -> Result<Option<Store>>
         bytes_max: section.bytes_max,
         sync_period: Duration::from_millis(section.sync_ms.into()),
     };
-    Ok(Some(Store::open_folder(path, identity, options)?))
+    if let Err(StoreError::Disk { error, .. }) = Folder::open(path) {
+        refuse_mistake("[store] path", path, &error)?;
+    }
+    Store::open_folder(path, identity, options).map(Some).map_err(|error| anyhow!("[store] path: {error}"))
 }
 
-fn open_epoch_file(path: &PathBuf, robot: &RobotConfig, log: &Log) -> Option<EpochFile> {
+/// A disk that fails is no reason not to fly; a path at which nothing can ever be written is a mistake.
+fn refuse_mistake(key: &str, path: &Path, error: &io::Error) -> Result<()> {
+    use io::ErrorKind::{AlreadyExists, InvalidFilename, InvalidInput, NotADirectory, PermissionDenied};
+    let kinds = [AlreadyExists, InvalidFilename, InvalidInput, NotADirectory, PermissionDenied];
+    if kinds.contains(&error.kind()) {
+        let expected = "a folder that this user may make and write to";
+        bail!(value(key, format!("{} ({error})", path.display()), expected));
+    }
+    Ok(())
+}
+
+/// `is_wanted`: the configuration names the folder.
+fn open_epoch_file(
+    path: &Path,
+    is_wanted: bool,
+    robot: &RobotConfig,
+    log: &Log,
+) -> Result<Option<EpochFile>> {
     let cannot = |error: &io::Error| {
         let path = path.display();
         log.warn(format!(
             "cannot make the folder {path} for the epoch: {error}. The next run relies on the store, if there is one, and on the clock; [state] path names another folder"
         ));
     };
-    let folder = Folder::shared(path).inspect_err(cannot).ok()?;
+    let folder = match Folder::shared(path) {
+        Ok(folder) => folder,
+        Err(error) => {
+            if is_wanted {
+                refuse_mistake("[state] path", path, &error)?;
+            }
+            cannot(&error);
+            return Ok(None);
+        }
+    };
     let (file, fault) = EpochFile::open(Arc::new(folder), robot.session.swarm, robot.id);
     if let Some(fault) = fault {
         log.warn(format!("in {}: {fault}", path.display()));
     }
-    Some(file)
+    Ok(Some(file))
 }
 
 /// What to do where there is no higher epoch.

@@ -28,6 +28,7 @@
 #![forbid(unsafe_code)]
 
 mod advice;
+mod alone;
 mod clock;
 mod command;
 mod config;
@@ -37,12 +38,14 @@ mod log;
 mod metrics;
 mod node;
 mod options;
+mod outputs;
 mod run;
 mod sensor;
 mod status;
 mod store_writer;
 mod summary;
 mod transport;
+mod warnings;
 
 pub use clock::Clock;
 pub use config::{

@@ -32,12 +32,12 @@ pub enum StartError {
     #[error(transparent)]
     Option(#[from] ConfigError),
     /// The system refused something.
-    #[error("cannot {what}: {source}")]
+    #[error("cannot {what}: {error}")]
     System {
         /// What was asked of it.
         what: String,
         /// Its answer.
-        source: io::Error,
+        error: io::Error,
     },
 }
 
@@ -180,7 +180,7 @@ fn start_sensor(
 }
 
 fn system(what: impl Into<String>) -> impl FnOnce(io::Error) -> StartError {
-    move |source| StartError::System { what: what.into(), source }
+    move |error| StartError::System { what: what.into(), error }
 }
 
 fn died(how: &str) -> StartError {

@@ -65,14 +65,14 @@ pub enum EpochFault {
         what: &'static str,
     },
     /// The system refused something.
-    #[error("cannot {what} {name}: {source}")]
+    #[error("cannot {what} {name}: {error}")]
     Disk {
         /// What was asked of it.
         what: &'static str,
         /// The file.
         name: String,
         /// Its answer.
-        source: io::Error,
+        error: io::Error,
     },
 }
 
@@ -116,7 +116,7 @@ impl EpochFile {
             self.disk.rename(&new, &name)?;
             self.disk.sync_folder()
         };
-        write().map_err(|source| EpochFault::Disk { what: "write", name, source })?;
+        write().map_err(|error| EpochFault::Disk { what: "write", name, error })?;
         self.last = Some(epoch);
         Ok(())
     }
@@ -138,7 +138,7 @@ impl EpochFile {
         let read = self.disk.read(&name).and_then(|file| file.take(64).read_to_end(&mut bytes));
         match read {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(source) => return Err(EpochFault::Disk { what: "read", name, source }),
+            Err(error) => return Err(EpochFault::Disk { what: "read", name, error }),
             Ok(_) => {}
         }
         let stated = bytes.get(16..24).and_then(|epoch| epoch.try_into().ok()).map(u64::from_le_bytes);

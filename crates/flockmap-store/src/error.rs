@@ -10,18 +10,18 @@ use crate::segment::{Identity, STORE_VERSION};
 #[non_exhaustive]
 pub enum StoreError {
     /// The system refused something. No reason not to fly: [`Store::off`](crate::Store::off).
-    #[error("store: cannot {what}: {source}")]
+    #[error("store: cannot {what}: {error}")]
     Disk {
         /// What was asked of it.
         what: String,
         /// Its answer.
-        source: io::Error,
+        error: io::Error,
     },
     /// Another node has this folder.
     #[error("store: {} is in use by another node: give each node a folder of its own", .0.display())]
     InUse(PathBuf),
     /// It belongs to another robot.
-    #[error("store: {name} is of {got:?}, this robot is {own:?}: give it another folder, or empty this one")]
+    #[error("store: {name} is of {got}, this is {own}: give it another folder, or empty this one")]
     Foreign {
         /// The segment that says so.
         name: String,

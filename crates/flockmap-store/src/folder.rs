@@ -26,7 +26,7 @@ impl Folder {
     /// [`StoreError::InUse`] if another node has it, [`StoreError::Disk`] if it cannot be made or locked.
     pub fn open(path: impl Into<PathBuf>) -> Result<Self, StoreError> {
         let path = path.into();
-        let fail = |source| StoreError::Disk { what: format!("open the folder {}", path.display()), source };
+        let fail = |error| StoreError::Disk { what: format!("open the folder {}", path.display()), error };
         let is_new = make(&path).map_err(fail)?;
         let lock = options().create(true).truncate(false).open(path.join(LOCK)).map_err(fail)?;
         match lock.try_lock() {

@@ -36,4 +36,4 @@ pub use inspect::{Inspection, SegmentFacts, StreamFacts, inspect, is_store};
 pub use record::Contents;
 pub use segment::{Identity, STORE_VERSION};
 pub use store::Store;
-pub use store_log::{Notice, StoreLog, StoreOptions, contents_of, packages_of};
+pub use store_log::{BYTES_MAX_MIN, Notice, StoreLog, StoreOptions, contents_of, packages_of};

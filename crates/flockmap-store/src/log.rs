@@ -24,8 +24,8 @@ pub(crate) struct Log {
 /// Why the log cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum LogError {
-    #[error("cannot {what}: {source}")]
-    Disk { what: &'static str, source: io::Error },
+    #[error("cannot {what}: {error}")]
+    Disk { what: &'static str, error: io::Error },
     #[error("the log has taken its share of bytes_max ({0}): raise it, or empty the folder")]
     Full(u64),
 }
@@ -66,7 +66,7 @@ impl Shares {
 }
 
 fn cannot(what: &'static str) -> impl FnOnce(io::Error) -> LogError {
-    move |source| LogError::Disk { what, source }
+    move |error| LogError::Disk { what, error }
 }
 
 /// A new segment with its header, safe on disk: its epoch will not be used again.

@@ -1,5 +1,7 @@
 //! A segment: its name, and the header that it begins with (`docs/store.md`).
 
+use std::fmt;
+
 use flockmap::{Resolution, RobotId};
 
 const MAGIC: &[u8; 8] = b"FLKSTORE";
@@ -20,6 +22,13 @@ pub struct Identity {
     pub robot: RobotId,
     /// The side of its voxels.
     pub resolution: Resolution,
+}
+
+impl fmt::Display for Identity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { swarm, robot, resolution } = self;
+        write!(f, "robot {robot} of swarm {swarm} with voxels of {} m", resolution.metres())
+    }
 }
 
 /// What a segment says about itself.

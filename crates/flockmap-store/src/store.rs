@@ -49,8 +49,8 @@ impl Store {
                 store.notices.extend(warning);
                 Ok(store)
             }
-            Err(StoreError::Disk { what, source }) => {
-                Ok(Self::off(identity, options, &format!("cannot {what}: {source}")))
+            Err(StoreError::Disk { what, error }) => {
+                Ok(Self::off(identity, options, &format!("cannot {what}: {error}")))
             }
             Err(error) => Err(error),
         }

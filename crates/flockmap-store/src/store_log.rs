@@ -32,7 +32,7 @@ impl Default for StoreOptions {
 }
 
 /// Least cap: room for a few batches and their snapshot.
-pub(crate) const BYTES_MAX_MIN: u64 = 64 << 10;
+pub const BYTES_MAX_MIN: u64 = 64 << 10;
 /// Longer periods than this count as this.
 const SYNC_PERIOD_MAX: Duration = Duration::from_secs(3_600);
 /// When there are more segments than this, and since the last time so many more, they are made one.

@@ -230,7 +230,7 @@ impl Default for SessionConfig {
 
 /// An option of a [`SessionConfig`] that cannot work.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
-#[error("session option `{option}` is {got}; {expected} expected")]
+#[error("{option} is {got}, expected {expected}")]
 pub struct ConfigError {
     /// Name of the option.
     pub option: &'static str,
@@ -282,7 +282,7 @@ impl SessionConfig {
             [("radio_bytes_per_s", self.radio_bytes_per_s), ("link_bytes_per_s", self.link_bytes_per_s)]
         {
             let rate = rate.unwrap_or(BYTES_PER_S_MIN);
-            check(option, rate >= BYTES_PER_S_MIN, rate.into(), "at least 500, or no limit,")?;
+            check(option, rate >= BYTES_PER_S_MIN, rate.into(), "at least 500, or no limit")?;
         }
         for (option, ms) in [
             ("request_period_active_ms", self.request_period_active_ms),
@@ -303,11 +303,11 @@ impl SessionConfig {
             check(option, (1..=1 << 20).contains(&count), count as u64, "1 to 1,048,576")?;
         }
         let has_salt = self.swarm_key.is_none() || self.salt != [0; 16];
-        check("salt", has_salt, 0, "with a swarm_key 16 random bytes, drawn anew for each run,")?;
+        check("salt", has_salt, 0, "16 random bytes, drawn anew for each run, where there is a swarm_key")?;
         let bytes = self.datagram_bytes_max;
         let (least, expected) = match self.swarm_key {
             None => (1_181, "1,181 to 1,200"),
-            Some(_) => (1_199, "with a key 1,199 or 1,200"),
+            Some(_) => (1_199, "1,199 or 1,200 with a key"),
         };
         check("datagram_bytes_max", (least..=DATAGRAM_BYTES_MAX).contains(&bytes), bytes as u64, expected)
     }

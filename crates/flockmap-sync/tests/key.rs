@@ -293,7 +293,7 @@ fn errors_say_what_to_do() {
     }
     let config = SessionConfig { datagram_bytes_max: 1_190, salt: [7; 16], ..with_key(1) };
     let error = Session::new(Stream { origin: RobotId(1), epoch: 1 }, config, 1).unwrap_err().to_string();
-    assert_eq!(error, "session option `datagram_bytes_max` is 1190; with a key 1,199 or 1,200 expected");
+    assert_eq!(error, "datagram_bytes_max is 1190, expected 1,199 or 1,200 with a key");
     let error =
         Session::new(Stream { origin: RobotId(1), epoch: 1 }, with_key(1), 1).unwrap_err().to_string();
     assert!(error.contains("16 random bytes, drawn anew for each run"), "{error}");

@@ -44,7 +44,7 @@ pub struct RobotConfig {
     pub mapper: MapperConfig,
     /// When batches close.
     pub batch: BatchConfig,
-    /// How its packages are coded. Packages of others are read in every codec. Default `paper`.
+    /// How its packages are coded. Packages of others are read in every codec. Default `flock`.
     pub codec: Codec,
     /// Batches are coded against what the others have received, where the codec can: it takes fewer bytes,
     /// and what was lost is waited for. Where it takes longer than this until nine of ten batches are whole
@@ -94,9 +94,9 @@ pub enum RobotError {
     #[error(transparent)]
     Session(#[from] flockmap_sync::ConfigError),
     /// The batch's part.
-    #[error("{option} is 0, expected at least 1")]
+    #[error("batch.{option} is 0, expected at least 1")]
     Batch {
-        /// Name of the option.
+        /// Name of the option, in [`BatchConfig`].
         option: &'static str,
     },
 }

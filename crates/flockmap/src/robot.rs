@@ -61,9 +61,9 @@ impl Robot {
     /// [`RobotError`] names the option that cannot work.
     pub fn new(config: RobotConfig, now: Stamp) -> Result<Self, RobotError> {
         for (option, is_zero) in [
-            ("batch.voxels_max", config.batch.voxels_max == 0),
-            ("batch.publish_period_ms", config.batch.publish_period_ms == 0),
-            ("batch.obstacle_period_ms", config.batch.obstacle_period_ms == Some(0)),
+            ("voxels_max", config.batch.voxels_max == 0),
+            ("publish_period_ms", config.batch.publish_period_ms == 0),
+            ("obstacle_period_ms", config.batch.obstacle_period_ms == Some(0)),
         ] {
             if is_zero {
                 return Err(RobotError::Batch { option });

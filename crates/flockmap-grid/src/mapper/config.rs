@@ -149,11 +149,18 @@ pub enum ConfigError {
         /// As configured.
         resolution: Resolution,
     },
-    /// A probability is outside of what it may be, or they are in the wrong order.
-    #[error("sensor model: {0}")]
-    Sensor(&'static str),
+    /// A value of the sensor model is outside of what it may be beside the others.
+    #[error("{option} is {got}, expected {expected}")]
+    Probability {
+        /// Name of the option.
+        option: &'static str,
+        /// As configured.
+        got: f64,
+        /// What would work.
+        expected: String,
+    },
     /// The update box has an extent that is not positive.
-    #[error("update_box_m is {0:?}, expected three half extents above 0")]
+    #[error("update_box_m is {0:?}, expected three half extents in metres, each above 0")]
     UpdateBox([f64; 3]),
 }
 
@@ -185,15 +192,21 @@ impl MapperConfig {
         {
             return Err(ConfigError::UpdateBox(half));
         }
-        let all = [self.p_hit, self.p_miss, self.p_min, self.p_max, self.p_occupied, self.p_free];
-        if !all.iter().all(|p| (0.001..=0.999).contains(p)) {
-            return Err(ConfigError::Sensor("every probability must be within 0.001 … 0.999"));
-        }
-        if !(self.p_hit > 0.5 && self.p_miss < 0.5) {
-            return Err(ConfigError::Sensor("p_hit must be above 0.5 and p_miss below 0.5"));
-        }
-        if !(self.p_min < self.p_free && self.p_free <= self.p_occupied && self.p_occupied < self.p_max) {
-            return Err(ConfigError::Sensor("expected p_min < p_free <= p_occupied < p_max"));
+        let Self { p_hit, p_miss, p_min, p_max, p_occupied, p_free, .. } = *self;
+        let probability = "a probability of 0.001 to 0.999";
+        for (option, got, is_right, expected) in [
+            ("p_hit", p_hit, p_hit > 0.5, "more than 0.5"),
+            ("p_miss", p_miss, p_miss < 0.5, "less than 0.5"),
+            ("p_min", p_min, p_min < p_free, &format!("less than p_free, which is {p_free}")),
+            ("p_free", p_free, p_free <= p_occupied, &format!("at most p_occupied, which is {p_occupied}")),
+            ("p_max", p_max, p_max > p_occupied, &format!("more than p_occupied, which is {p_occupied}")),
+            ("p_occupied", p_occupied, true, ""),
+        ] {
+            let is_probability = (0.001..=0.999).contains(&got);
+            if !(is_probability && is_right) {
+                let expected = if is_probability { expected } else { probability }.to_owned();
+                return Err(ConfigError::Probability { option, got, expected });
+            }
         }
         let units = |p: f64| (libm::log(p / (1.0 - p)) * LOG_ODDS_UNITS_PER_NAT).round() as i16;
         let occupied = units(self.p_occupied);

@@ -5,11 +5,61 @@ use std::ops::{Bound, RangeBounds};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use flockmap::{Pose, RobotConfig, RobotId};
+use flockmap::{Pose, Robot, RobotConfig, RobotId, Stamp};
 
 use super::{AlignmentSection, ConfigError, NodeConfig};
+use crate::{EndOptions, MessageLimits};
+
+/// Most points that a scan may have.
+const SCAN_POINTS_MAX: u32 = 1 << 26;
 
 impl NodeConfig {
+    /// Checks all that can be known without the machine that it is for.
+    pub(super) fn check(&self) -> Result<(), ConfigError> {
+        Robot::new(self.robot(1)?, Stamp(0)).map_err(ConfigError::Robot)?;
+        self.alignments()?;
+        self.clock_offsets()?;
+        self.unix_mode()?;
+        self.end_options()?;
+        self.message_limits()?;
+        seconds("[metrics] status_period_s", self.metrics.status_period_s)?;
+        seconds("[sensor] start_s", self.sensor.start_s)?;
+        speed("[sensor] speed", self.sensor.speed)?;
+        let least = flockmap_store::BYTES_MAX_MIN;
+        within("[store] bytes_max", self.store.bytes_max, least.., &format!("at least {least}"))?;
+        within("[sensor] repeat", self.sensor.repeat, 1.., "1 or more")?;
+        Ok(())
+    }
+
+    /// When the node ends by itself.
+    pub(crate) fn end_options(&self) -> Result<EndOptions, ConfigError> {
+        let output = &self.output;
+        Ok(EndOptions {
+            after: output.end_after_s.map(|s| seconds("[output] end_after_s", s)).transpose()?,
+            when_quiet: output
+                .end_when_quiet_s
+                .map(|s| seconds("[output] end_when_quiet_s", s))
+                .transpose()?,
+            linger: Duration::from_millis(output.linger_ms.into()),
+        })
+    }
+
+    /// What a sensor program may send.
+    pub(crate) fn message_limits(&self) -> Result<MessageLimits, ConfigError> {
+        let section = &self.sensor;
+        let points_max = section.scan_points_max;
+        let error = seconds("[sensor] stamp_error_max_s", section.stamp_error_max_s)?;
+        Ok(MessageLimits {
+            scan_points_max: within(
+                "[sensor] scan_points_max",
+                points_max,
+                1..=SCAN_POINTS_MAX,
+                "1 to 67,108,864",
+            )?,
+            stamp_error_max_micros: i64::try_from(error.as_micros()).unwrap_or(i64::MAX),
+        })
+    }
+
     /// The name for logs.
     pub fn robot_name(&self) -> String {
         self.name.clone().unwrap_or_else(|| format!("robot{}", self.id))
@@ -22,7 +72,11 @@ impl NodeConfig {
     /// Names the key, its value and what was expected.
     pub fn robot(&self, epoch: u64) -> Result<RobotConfig, ConfigError> {
         let Self { map, codec, teammates, .. } = self;
-        within("[map] range_min_m", map.range_min_m, 0.0..map.range_m, "0 or more, and less than range_m")?;
+        // What is wrong with range_m itself, the mapper says.
+        if map.range_m > 0.0 {
+            let expected = "0 or more, and less than range_m";
+            within("[map] range_min_m", map.range_min_m, 0.0..map.range_m, expected)?;
+        }
         let default = RobotConfig::new(self.id, map.resolution, map.range_m);
         let radius = teammates.radius_m.unwrap_or(default.teammate_radius_m);
         Ok(RobotConfig {
@@ -74,19 +128,33 @@ impl NodeConfig {
     /// Numbers that are no rotation.
     pub fn alignments(&self) -> Result<Vec<(RobotId, Pose)>, ConfigError> {
         let pose = |(&id, section): (&RobotId, &AlignmentSection)| {
-            let fail = |expected: &str| value(&format!("[alignment.{id}]"), format!("{section:?}"), expected);
+            let fail = |key: &str, got: String, expected: &str| {
+                value(&format!("[alignment.{id}] {key}"), got, expected)
+            };
             let rotation = match (section.quaternion_xyzw, section.yaw_deg.unwrap_or(0.0).to_radians() / 2.0)
             {
                 (Some(_), _) if section.yaw_deg.is_some() => {
-                    return Err(fail("quaternion_xyzw or yaw_deg, not both"));
+                    return Err(fail("yaw_deg", "given, and quaternion_xyzw too".into(), "one of them"));
                 }
                 (Some(quaternion), _) => quaternion,
                 (None, half) => [0.0, 0.0, half.sin(), half.cos()],
             };
-            let pose = Pose::new(section.translation_m, rotation)
-                .ok_or_else(|| fail("finite numbers and a quaternion that is not 0"))?;
-            pose.check(self.map.resolution).map_err(|error| fail(&format!("a pose in the grid: {error}")))?;
-            Ok((id, pose))
+            let no_rotation = || match (section.quaternion_xyzw, section.yaw_deg) {
+                (None, Some(degrees)) => fail("yaw_deg", degrees.to_string(), "a finite number of degrees"),
+                _ => {
+                    let expected = "finite numbers, x, y, z, w, that are not all 0";
+                    fail("quaternion_xyzw", format!("{rotation:?}"), expected)
+                }
+            };
+            Pose::new([0.0; 3], rotation).ok_or_else(no_rotation)?;
+            let translation = section.translation_m;
+            let pose =
+                Pose::new(translation, rotation).filter(|pose| pose.check(self.map.resolution).is_ok());
+            let no_translation = || {
+                let expected = "finite numbers of metres, from an origin near the robots";
+                fail("translation_m", format!("{translation:?}"), expected)
+            };
+            Ok((id, pose.ok_or_else(no_translation)?))
         };
         self.alignment.iter().map(pose).collect()
     }

@@ -1,8 +1,11 @@
 //! The configuration of a node: a TOML file, as [`EXAMPLE`] shows it in full.
 
+mod applies;
 mod convert;
+mod explain;
 mod key;
 mod parse;
+mod places;
 mod schema;
 
 use std::collections::BTreeMap;
@@ -15,9 +18,12 @@ use serde::Deserialize;
 
 use crate::UdpOptions;
 
+pub(crate) use applies::check_applies;
 pub(crate) use convert::{seconds, speed, value, within};
 pub use key::{FoundKey, KEY_VARIABLE, Secret};
 pub use parse::ConfigError;
+pub(crate) use parse::read_with_places;
+pub(crate) use places::Places;
 pub use schema::schema;
 
 /// A configuration with every key, its meaning and its default: `robot.example.toml`.

@@ -5,12 +5,14 @@ use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use flockmap::{MapperConfig, Resolution, SessionConfig};
+use flockmap::{MapperConfig, Resolution, RobotError, SessionConfig};
 use serde::Deserialize;
 use serde::de::Error as _;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
+use super::explain::explain;
+use super::places::Places;
 use super::{Behaviour, NodeConfig};
 use crate::advice::read_error;
 
@@ -22,20 +24,18 @@ const CONFIG_BYTES_MAX: u64 = 1 << 20;
 #[non_exhaustive]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error("cannot read {path}: {source}")]
+    #[error("cannot read {path}: {error}")]
     Read {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: io::Error,
+        error: io::Error,
     },
     /// It is no TOML, or has a key or a value that cannot be there.
-    #[error("{text}{hint}")]
+    #[error("{text}")]
     Parse {
-        /// What and where, with the line of the file.
+        /// What and where, with the line of the file, and what was probably meant.
         text: String,
-        /// What was probably meant; may be empty.
-        hint: String,
     },
     /// A value that cannot work.
     #[error("{key} is {got}, expected {expected}")]
@@ -58,8 +58,8 @@ pub enum ConfigError {
         error: flockmap::sync::KeyError,
     },
     /// A part of the robot refuses its options.
-    #[error(transparent)]
-    Robot(#[from] flockmap::RobotError),
+    #[error("{}", with_section(.0))]
+    Robot(RobotError),
 }
 
 impl NodeConfig {
@@ -68,34 +68,46 @@ impl NodeConfig {
     /// # Errors
     /// An unknown key is an error that names the key, its line, and the nearest known one.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
-        let path = path.as_ref();
-        let fail = |source| ConfigError::Read { path: path.to_owned(), source };
-        let Some(text) = read_text(path, CONFIG_BYTES_MAX).map_err(|error| fail(read_error(error)))? else {
-            let text = format!("{}: longer than 1 MiB, so no configuration", path.display());
-            return Err(ConfigError::Parse { text, hint: String::new() });
-        };
-        let mut config: Self = text.parse().map_err(|error| match error {
-            ConfigError::Parse { text, hint } => {
-                ConfigError::Parse { text: format!("{}: {text}", path.display()), hint }
-            }
-            other => other,
-        })?;
-        let folder = path.parent().unwrap_or_else(|| Path::new(""));
-        let sensor = &mut config.sensor;
-        let output = &mut config.output;
+        read_with_places(path.as_ref()).map(|(config, _)| config)
+    }
+
+    /// Takes the relative paths in it from this folder.
+    fn in_folder(mut self, folder: &Path) -> Self {
+        let Self { sensor, output, store, state, swarm_key_file, .. } = &mut self;
         for file in [
-            &mut config.swarm_key_file,
+            swarm_key_file,
             &mut sensor.record,
             &mut sensor.poses,
             &mut sensor.listen_unix,
             &mut output.save_map_at_end,
             &mut output.report_json,
-            &mut config.store.path,
-            &mut config.state.path,
+            &mut store.path,
+            &mut state.path,
         ] {
             *file = file.take().map(|file| folder.join(file));
         }
-        Ok(config)
+        self
+    }
+}
+
+/// A configuration file, and where its keys stand.
+pub(crate) fn read_with_places(path: &Path) -> Result<(NodeConfig, Places), ConfigError> {
+    let fail = |error| ConfigError::Read { path: path.to_owned(), error: read_error(error) };
+    let in_file = |text: &str| ConfigError::Parse { text: format!("{}: {text}", path.display()) };
+    let text = read_text(path, CONFIG_BYTES_MAX).map_err(fail)?;
+    let text = text.ok_or_else(|| in_file("longer than 1 MiB, so no configuration"))?;
+    let config: NodeConfig = text.parse().map_err(|error: ConfigError| in_file(&error.to_string()))?;
+    let places = Places::of(&text).in_file(path);
+    Ok((config.in_folder(path.parent().unwrap_or_else(|| Path::new(""))), places))
+}
+
+/// What a part of the robot says of an option, with the section that this stands in.
+fn with_section(error: &RobotError) -> String {
+    match error {
+        RobotError::Mapper(error) => format!("[map] {error}"),
+        RobotError::Session(error) => format!("[session] {error}"),
+        RobotError::Batch { option } => format!("[batch] {option} is 0, expected at least 1"),
+        other => other.to_string(),
     }
 }
 
@@ -111,24 +123,14 @@ pub(super) const OWN_KEYS: [(&str, &str); 5] = [
 /// Keys of `[map]` that no preset can have.
 pub(super) const REQUIRED: [&str; 2] = ["resolution_m", "range_m"];
 
-/// What keys were called before.
-const RENAMED: [(&str, &str); 6] = [
-    ("cycle", "batch"),
-    ("t_l_ms", "publish_period_ms"),
-    ("t_l_occupied_ms", "obstacle_period_ms"),
-    ("changes_max", "voxels_max"),
-    ("present_state_kb_min", "snapshot_kb_min"),
-    ("present_state_range_max", "snapshot_range_max"),
-];
-
 impl FromStr for NodeConfig {
     type Err = ConfigError;
 
     fn from_str(text: &str) -> Result<Self, ConfigError> {
-        read(text).map_err(|mut error| {
-            error.set_input(Some(text));
-            ConfigError::Parse { hint: hint(error.message()), text: error.to_string().trim_end().to_owned() }
-        })
+        let places = Places::of(text);
+        let config = read(text).map_err(|error| explain(text, &places, &error))?;
+        let checked = config.check().map_err(|error| places.locate(&error.to_string()));
+        checked.map(|()| config).map_err(|text| ConfigError::Parse { text })
     }
 }
 
@@ -186,19 +188,4 @@ pub(super) fn read_text(path: &Path, bytes_max: u64) -> io::Result<Option<String
         return Ok(None);
     }
     String::from_utf8(bytes).map(Some).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
-}
-
-/// What was probably meant, for an error about an unknown key or name.
-fn hint(message: &str) -> String {
-    // serde's fixed texts: unknown field `a`, expected one of `b`, `c`
-    let unknown = message.strip_prefix("unknown field ").or_else(|| message.strip_prefix("unknown variant "));
-    let mut words = unknown.unwrap_or_default().split('`').skip(1).step_by(2);
-    let Some(unknown) = words.next() else { return String::new() };
-    if let Some((_, new)) = RENAMED.iter().find(|(old, _)| *old == unknown) {
-        return format!("\n`{unknown}` is called `{new}` now");
-    }
-    let known = words.chain(OWN_KEYS.map(|(_, key)| key));
-    let scored = known.map(|known| (strsim::jaro_winkler(unknown, known), known));
-    let best = scored.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(score, _)| *score >= 0.7);
-    best.map_or_else(String::new, |(_, known)| format!("\ndid you mean `{known}`?"))
 }

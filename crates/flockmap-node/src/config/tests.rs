@@ -46,6 +46,7 @@ fn the_defaults_in_the_example_are_the_defaults() {
     assert_eq!(given.metrics, default.metrics);
     assert_eq!(given.output, default.output);
     assert_eq!(given.store, default.store);
+    assert_eq!((given.state, given.muted), (default.state, default.muted));
 }
 
 #[test]
@@ -190,19 +191,30 @@ fn a_value_that_cannot_work_is_named_with_what_would() {
         ("mapper = \"octmap\"\n", ["line 5", "`rog-map`, `racer`, `octomap`", "did you mean `octomap`?"]),
         (
             "[session]\nbudget_kb_s = 0.4\n",
-            ["line 6", "budget_kb_s = 0.4", "0 for no limit, or at least 0.49"],
+            ["line 6", "[session] budget_kb_s is 0.4", "0 for no limit, or at least 0.49"],
         ),
-        ("[session]\nrelay = \"all\"\n", ["line 6", "relay = \"all\"", "`ranked`, `always`, `never`"]),
+        (
+            "[session]\nrelay = \"all\"\n",
+            ["line 6", "[session] relay is \"all\"", "`ranked`, `always`, `never`"],
+        ),
         ("[session]\nbehaviour = \"papr\"\n", ["line 6", "`default` or `paper`", "did you mean `paper`?"]),
-        ("[alignment.two]\nyaw_deg = 1.0\n", ["line 5", "[alignment.two]", "invalid digit"]),
+        ("[alignment.two]\nyaw_deg = 1.0\n", ["line 5", "[alignment.two]", "its id"]),
     ] {
         let error = parse(&format!("{MINIMAL}{text}")).unwrap_err();
         assert!(says.iter().all(|part| error.contains(part)), "{error}");
     }
     let error = parse(&MINIMAL.replace("0.1", "-0.1")).unwrap_err();
-    assert!(error.contains("resolution_m = -0.1") && error.contains("0.001 to 100"), "{error}");
-    let error = parse(&format!("{MINIMAL}range_min_m = 7.5\n")).unwrap().robot(1).unwrap_err().to_string();
-    assert!(error.contains("[map] range_min_m is 7.5") && error.contains("less than range_m"), "{error}");
+    assert!(
+        error.contains("line 3: [map] resolution_m is -0.1") && error.contains("0.001 to 100"),
+        "{error}"
+    );
+    let error = parse(&MINIMAL.replace("7.0", "-7")).unwrap_err();
+    assert!(error.contains("line 4: [map] range_m is -7, expected more than 0"), "{error}");
+    let error = parse(&format!("{MINIMAL}range_min_m = 7.5\n")).unwrap_err();
+    assert!(
+        error.contains("line 5: [map] range_min_m is 7.5") && error.contains("less than range_m"),
+        "{error}"
+    );
     let error = parse(&MINIMAL.replace("0.1", "\"fine\"")).unwrap_err();
     assert!(error.contains("line 3"), "{error}");
 
@@ -210,21 +222,24 @@ fn a_value_that_cannot_work_is_named_with_what_would() {
     let error = UdpSockets::bind(&config.network).unwrap_err().to_string();
     assert!(error.contains("\"10.0.0.2\"") && error.contains("ADDRESS:PORT"), "{error}");
     let both = "[alignment.2]\nyaw_deg = 1.0\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n";
-    assert!(parse(&format!("{MINIMAL}{both}")).unwrap().alignments().is_err());
+    assert!(parse(&format!("{MINIMAL}{both}")).unwrap_err().contains("[alignment.2] yaw_deg is given"));
     let bad = "[alignment.2]\ntranslation_m = [nan, 0.0, 0.0]\n";
-    assert!(parse(&format!("{MINIMAL}{bad}")).unwrap().alignments().is_err());
+    let error = parse(&format!("{MINIMAL}{bad}")).unwrap_err();
+    assert!(error.contains("line 6: [alignment.2] translation_m is [NaN, 0.0, 0.0]"), "{error}");
 }
 
 #[test]
 fn the_mode_of_the_sensor_socket_is_octal_and_lets_the_owner_in() {
-    let mode =
-        |text: &str| parse(&format!("{MINIMAL}[sensor]\nunix_mode = \"{text}\"\n")).unwrap().unix_mode();
+    let mode = |text: &str| {
+        let config = parse(&format!("{MINIMAL}[sensor]\nunix_mode = \"{text}\"\n"))?;
+        config.unix_mode().map_err(|error| error.to_string())
+    };
     assert_eq!(parse(MINIMAL).unwrap().unix_mode().unwrap(), 0o600);
     for (text, expected) in [("0600", 0o600), ("660", 0o660), ("0666", 0o666), ("0777", 0o777)] {
         assert_eq!(mode(text).unwrap(), expected);
     }
     for text in ["", "rw-rw----", "0680", "+660", "0060", "0400", "4660", "0x1b0", "-600"] {
-        let error = mode(text).unwrap_err().to_string();
+        let error = mode(text).unwrap_err();
         assert!(error.contains("[sensor] unix_mode") && error.contains("\"0660\" for the group"), "{error}");
     }
 }

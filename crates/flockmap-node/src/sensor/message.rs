@@ -59,7 +59,7 @@ pub enum MessageError {
         max: usize,
     },
     /// Not a message at all: its first four bytes.
-    #[error("starts with {0:02x?}, expected `FLKS`")]
+    #[error("starts with \"{}\", expected \"FLKS\"", .0.escape_ascii())]
     Magic([u8; 4]),
     /// Of another version: this one.
     #[error("version {0}, expected {MESSAGE_VERSION}")]

@@ -13,6 +13,9 @@ use tokio::net::{UnixListener, UnixStream};
 
 use crate::advice::with;
 
+/// Where the path is given.
+const KEY: &str = "[sensor] listen_unix";
+
 /// Connections that the system keeps for us until they are taken.
 const BACKLOG: i32 = 128;
 
@@ -35,12 +38,11 @@ impl UnixSocket {
     /// Somebody listens there: it says who. Or there is something else, or the path cannot be used: it says
     /// why, and what to do.
     pub(super) fn bind(path: &Path, mode: u32) -> io::Result<Self> {
-        if let Err(error) = SocketAddr::from_pathname(path) {
+        if SocketAddr::from_pathname(path).is_err() {
             let bytes = path.as_os_str().len();
-            return Err(with(
-                error,
-                format_args!("the path has {bytes} bytes, and Linux allows 107: name a shorter one"),
-            ));
+            let text =
+                format!("the path has {bytes} bytes, and Linux allows 107: name a shorter one in {KEY}");
+            return Err(io::Error::new(ErrorKind::InvalidInput, text));
         }
         // Two nodes that start at once must not both find the place empty.
         let _lock = lock_folder_of(path)?;
@@ -174,13 +176,20 @@ fn cannot_write(path: &Path, error: io::Error) -> io::Error {
     let folder = folder_of(path);
     let shown = folder.display();
     match error.kind() {
-        ErrorKind::NotFound => {
-            with(error, format_args!("there is no folder {shown}: make it first (mkdir -p {shown})"))
+        ErrorKind::NotFound => with(
+            error,
+            format_args!(
+                "there is no folder {shown}: make it first (mkdir -p {shown}), or name another path in {KEY}"
+            ),
+        ),
+        ErrorKind::NotADirectory => {
+            with(error, format_args!("{shown} is no folder: name another path in {KEY}"))
         }
-        ErrorKind::NotADirectory => with(error, format_args!("{shown} is no folder")),
         ErrorKind::PermissionDenied => with(
             error,
-            format_args!("this user may not make files in {shown}: give it the folder, or name another path"),
+            format_args!(
+                "this user may not make files in {shown}: give it the folder, or name another path in {KEY}"
+            ),
         ),
         _ => error,
     }

@@ -1,6 +1,7 @@
 //! How datagrams leave a node and come to it.
 
 mod addresses;
+mod check;
 mod udp;
 
 use std::future::Future;

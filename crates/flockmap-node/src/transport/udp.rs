@@ -2,7 +2,7 @@
 
 use std::future::poll_fn;
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs as _, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -13,6 +13,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use tokio::io::ReadBuf;
 
 use super::addresses::Addresses;
+use super::check::{check, look_up, refuse_itself};
 use super::{SendResult, Transport};
 use crate::advice::{listen_error, with};
 
@@ -71,17 +72,17 @@ impl Default for UdpOptions {
 #[derive(Debug, thiserror::Error)]
 pub enum UdpError {
     /// The options do not fit together.
-    #[error("network: {0}")]
+    #[error("[network] {0}")]
     Options(String),
     /// The system refused.
-    #[error("network: cannot {what} {address}: {source}")]
+    #[error("cannot {what} {address}: {error}")]
     System {
         /// What was asked of it.
         what: &'static str,
         /// The address in question.
         address: SocketAddr,
         /// Its answer.
-        source: io::Error,
+        error: io::Error,
     },
 }
 
@@ -99,10 +100,10 @@ impl UdpSockets {
     /// Opens the sockets.
     ///
     /// # Errors
-    /// The options contradict each other, or the system refuses (port in use, no such address, not allowed).
+    /// The options contradict each other, a peer is this robot itself, or the system refuses (port in use, no
+    /// such address, not allowed).
     pub fn bind(options: &UdpOptions) -> Result<Self, UdpError> {
-        let peers =
-            options.peers.iter().map(|peer| look_up(peer, options.bind)).collect::<Result<Vec<_>, _>>()?;
+        let peers = look_up(options)?;
         check(options, &peers)?;
         let everyone = options.multicast.or(options.broadcast);
         let shares_port = everyone
@@ -125,6 +126,7 @@ impl UdpSockets {
             join(group.as_ref().unwrap_or(&main), options, all)?;
         }
         let main: UdpSocket = main.into();
+        refuse_itself(&peers, main.local_addr().map_err(system("look at", options.bind))?)?;
         let mut sockets = Self { main, group: group.map(Into::into), peers: Vec::new(), everyone };
         peers.into_iter().for_each(|peer| sockets.add_peer(peer));
         Ok(sockets)
@@ -237,52 +239,6 @@ pub(crate) fn is_unreachable(error: &io::Error) -> bool {
     matches!(error.kind(), ConnectionRefused | ConnectionReset | HostUnreachable)
 }
 
-/// The address of a robot.
-fn look_up(peer: &str, bind: SocketAddr) -> Result<SocketAddr, UdpError> {
-    let fail = |error: &str| {
-        UdpError::Options(format!(
-            "[network] peers has \"{peer}\"{error}, expected ADDRESS:PORT, [ADDRESS]:PORT or NAME:PORT of a robot"
-        ))
-    };
-    let found = peer.to_socket_addrs().map_err(|error| fail(&format!(" ({error})")))?;
-    // A socket that was bound to IPv4 cannot reach the rest.
-    found.min_by_key(|address| address.is_ipv4() != bind.is_ipv4()).ok_or_else(|| fail(""))
-}
-
-fn check(options: &UdpOptions, peers: &[SocketAddr]) -> Result<(), UdpError> {
-    let fail = |text: String| Err(UdpError::Options(text));
-    let UdpOptions { bind, broadcast, multicast, .. } = options;
-    if let Some(peer) = peers.iter().find(|peer| peer.is_ipv6() && bind.is_ipv4()) {
-        return fail(format!("peer {peer} is IPv6 and bind = {bind} is IPv4; bind [::]:PORT to reach both"));
-    }
-    if broadcast.is_some() && multicast.is_some() {
-        return fail("broadcast and multicast are both set, expected one of them".into());
-    }
-    if let Some(group) = multicast {
-        if !group.ip().is_multicast() {
-            return fail(format!(
-                "multicast = {group} is no group; IPv4 groups are 224.0.0.0 to 239.255.255.255, IPv6 groups start with ff"
-            ));
-        }
-        if group.is_ipv4() != bind.is_ipv4() {
-            return fail(format!("multicast = {group} and bind = {bind} are of different IP versions"));
-        }
-    }
-    if let Some(address) = broadcast
-        && (address.is_ipv6() || bind.is_ipv6())
-    {
-        return fail(format!(
-            "broadcast = {address} with bind = {bind}: IPv6 has no broadcast, use multicast"
-        ));
-    }
-    for address in peers.iter().chain(broadcast).chain(multicast) {
-        if address.port() == 0 {
-            return fail(format!("{address} has port 0, expected the port where the others listen"));
-        }
-    }
-    Ok(())
-}
-
 fn open(options: &UdpOptions, address: SocketAddr, shared: bool) -> Result<Socket, UdpError> {
     let fail = system("open a UDP socket for", address);
     let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP)).map_err(fail)?;
@@ -351,7 +307,7 @@ fn interface_v4(options: &UdpOptions) -> Ipv4Addr {
 }
 
 fn system(what: &'static str, address: SocketAddr) -> impl Fn(io::Error) -> UdpError {
-    move |source| UdpError::System { what, address, source }
+    move |error| UdpError::System { what, address, error }
 }
 
 /// An IPv6 socket reaches IPv4 robots at mapped addresses, and hears them from there.

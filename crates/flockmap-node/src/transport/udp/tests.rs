@@ -181,15 +181,40 @@ fn options_that_contradict_each_other_are_refused() {
         assert!(text.contains(word), "{text}");
     };
     refused(UdpOptions { peers: vec!["[::1]:7700".into()], ..base() }, "[::]:PORT");
-    refused(UdpOptions { multicast: Some(address("10.0.0.1:7700")), ..base() }, "no group");
-    refused(UdpOptions { multicast: Some(address("[ff02::77]:7700")), ..base() }, "IP versions");
-    refused(UdpOptions { peers: vec!["10.0.0.1:0".into()], ..base() }, "port 0");
+    refused(UdpOptions { multicast: Some(address("10.0.0.1:7700")), ..base() }, "expected a group");
+    refused(UdpOptions { multicast: Some(address("[ff02::77]:7700")), ..base() }, "the same IP version");
+    refused(UdpOptions { peers: vec!["10.0.0.1:0".into()], ..base() }, "expected the port");
+    refused(UdpOptions { peers: vec!["0.0.0.0:7700".into()], ..base() }, "address of another robot");
+    refused(UdpOptions { peers: vec!["239.7.7.7:7700".into()], ..base() }, "belongs into multicast");
+    refused(UdpOptions { peers: vec!["10.0.0.1:7700".into(); 2], ..base() }, "10.0.0.1:7700 twice");
     let both = UdpOptions {
         broadcast: Some(address("10.0.0.255:7700")),
         multicast: Some(address("239.7.7.7:7700")),
         ..base()
     };
     refused(both, "one of them");
+}
+
+#[test]
+fn a_robot_that_is_its_own_peer_is_refused_wherever_it_listens() {
+    for (bind, own) in
+        [("127.0.0.1", "127.0.0.1"), ("0.0.0.0", "127.0.0.1"), ("[::]", "127.0.0.1"), ("[::]", "[::1]")]
+    {
+        // Free a moment ago.
+        let Ok(free) = UdpSocket::bind(format!("{bind}:0")) else { continue };
+        let port = free.local_addr().unwrap().port();
+        drop(free);
+        let at = |peer: String| UdpOptions {
+            peers: vec![peer],
+            ..UdpOptions::new(address(&format!("{bind}:{port}")))
+        };
+        let text = UdpSockets::bind(&at(format!("{own}:{port}"))).unwrap_err().to_string();
+        assert!(text.contains("which is this robot itself"), "{text}");
+        // Another robot on this machine, and one elsewhere with the same port.
+        let other = port.wrapping_sub(1).max(1);
+        assert!(UdpSockets::bind(&at(format!("{own}:{other}"))).is_ok());
+        assert!(UdpSockets::bind(&at(format!("192.0.2.7:{port}"))).is_ok());
+    }
 }
 
 #[test]

@@ -1,0 +1,64 @@
+//! Keys that mean nothing without another one: given alone, they are a mistake, and not ignored.
+
+use super::convert::value;
+use super::{ConfigError, Places};
+
+/// A key, and those of which one must be there for it to mean something.
+const NEEDS: [(&str, &[&str]); 18] = [
+    ("[sensor] speed", RECORD),
+    ("[sensor] start_s", RECORD),
+    ("[sensor] repeat", RECORD),
+    ("[sensor] points_topic", RECORD),
+    ("[sensor] odometry_topic", RECORD),
+    ("[sensor] map_frame", RECORD),
+    ("[sensor] poses", RECORD),
+    ("[sensor] unix_mode", &["[sensor] listen_unix"]),
+    ("[sensor] stamp_error_max_s", LISTEN),
+    ("[sensor] scan_points_max", &["[sensor] record", "[sensor] listen_tcp", "[sensor] listen_unix"]),
+    ("[teammates] radius_m", LISTEN),
+    ("[teammates] timeout_ms", LISTEN),
+    ("[store] bytes_max", &["[store] path"]),
+    ("[store] sync_ms", &["[store] path"]),
+    ("[network] multicast_interface", MULTICAST),
+    ("[network] multicast_interface_index", MULTICAST),
+    ("[network] multicast_ttl", MULTICAST),
+    ("[output] save_free", &["[output] save_map_at_end"]),
+];
+
+const RECORD: &[&str] = &["[sensor] record"];
+const LISTEN: &[&str] = &["[sensor] listen_tcp", "[sensor] listen_unix"];
+const MULTICAST: &[&str] = &["[network] multicast"];
+
+/// Keys of which at most one may be given.
+const EITHER: [&[&str]; 2] = [
+    &["[sensor] record", "[sensor] listen_tcp", "[sensor] listen_unix"],
+    &["[network] broadcast", "[network] multicast"],
+];
+
+/// Whether each key of a file means something beside the others.
+///
+/// # Errors
+/// Names the key that does not, and what it is for.
+pub(crate) fn check_applies(places: &Places) -> Result<(), ConfigError> {
+    for (key, needs) in NEEDS {
+        if places.has(key) && !needs.iter().any(|needed| places.has(needed)) {
+            let expected = format!("{} beside it, without which it means nothing", needs.join(" or "));
+            return Err(value(key, "given", expected));
+        }
+    }
+    for keys in EITHER {
+        let given: Vec<&str> = keys.iter().copied().filter(|key| places.has(key)).collect();
+        if let [first, second, ..] = given[..] {
+            return Err(value(first, format!("given, and {second} too"), "one of them"));
+        }
+    }
+    if places.has("[output] end_when_quiet_s")
+        && let Some(socket) = LISTEN.iter().find(|socket| places.has(socket))
+    {
+        let expected = format!(
+            "a record or no sensor beside it: with {socket} scans may always come, so that it is never over"
+        );
+        return Err(value("[output] end_when_quiet_s", "given", expected));
+    }
+    Ok(())
+}
