@@ -37,7 +37,8 @@ pub fn check_file(path: &Path) -> Result<(), String> {
         let opened = OpenOptions::new().append(true).open(path);
         return opened.map(drop).map_err(|error| format!("it cannot be written: {}", reason(&error)));
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder =
+        path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     if !folder.is_dir() {
         return Err(format!("there is no folder {0}: make it first (mkdir -p {0})", folder.display()));
     }
@@ -48,7 +49,7 @@ fn check_folder(path: &Path) -> Result<(), String> {
     if path.as_os_str().is_empty() {
         return Err("expected a folder".to_owned());
     }
-    let there = path.ancestors().find(|part| part.exists()).unwrap_or(Path::new("."));
+    let there = path.ancestors().find(|part| part.exists()).unwrap_or_else(|| Path::new("."));
     if !there.is_dir() {
         return Err(format!("{} is a file, and a folder is made there", there.display()));
     }

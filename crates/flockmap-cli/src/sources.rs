@@ -131,7 +131,7 @@ pub fn open(
 
 /// Whether these are records, and the options fit them.
 fn check_records(paths: &[PathBuf], source: &SourceArgs) -> anyhow::Result<()> {
-    for path in paths.iter().filter(|path| !path.exists()) {
+    if let Some(path) = paths.iter().find(|path| !path.exists()) {
         bail!("there is no {}{}", path.display(), did_you_mean(path));
     }
     source
