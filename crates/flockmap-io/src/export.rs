@@ -145,7 +145,7 @@ impl Layout {
         } else {
             String::new()
         };
-        let note = self.voxels.map_or("Flockmap".to_owned(), voxels_note);
+        let note = self.voxels.map_or_else(|| "Flockmap".to_owned(), voxels_note);
         format!(
             "ply\nformat binary_little_endian 1.0\ncomment {note}\nelement vertex {count}\n\
              property {number} x\nproperty {number} y\nproperty {number} z\n{state}end_header\n"

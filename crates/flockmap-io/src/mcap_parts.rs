@@ -58,7 +58,7 @@ impl PartsReader {
 
     /// The file that the last message, or the last error, came from.
     pub(crate) fn path(&self) -> &Path {
-        self.parts.files.get(self.at).map_or(Path::new(""), PathBuf::as_path)
+        self.parts.files.get(self.at).map_or_else(|| Path::new(""), PathBuf::as_path)
     }
 
     /// The next message, or what is wrong with the part that is left out; `None` at the end. After an error
