@@ -99,6 +99,14 @@ pub fn refuse_twice(records: &[Record]) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The frames of the robots' poses, if they are known and not all the same: then their maps do not lie in
+/// one frame either, unless the frames are one under several names.
+pub fn several_frames(records: &[Record]) -> Option<String> {
+    let frames = records.iter().filter_map(|record| record.summary.map_frame.as_deref());
+    let frames: BTreeSet<&str> = frames.collect();
+    (frames.len() > 1).then(|| frames.into_iter().collect::<Vec<_>>().join(", "))
+}
+
 /// A name for each robot; where records have the same one, with the topic of the scans.
 pub fn names(records: &[Record]) -> Vec<String> {
     let name = |record: &Record| match &record.summary.points_topic {
@@ -173,5 +181,26 @@ mod tests {
         assert!(error.contains("2 times for 3") && error.contains("or once for all"), "{error}");
         let error = values(&["a"], &[false], true).unwrap_err();
         assert!(error.contains("--poses is for folders of scans, and there are none"), "{error}");
+    }
+
+    /// A record with poses in this frame.
+    fn record(name: &str, points_topic: &str, map_frame: &str) -> Record {
+        let summary = flockmap_io::RecordSummary {
+            points_topic: Some(points_topic.to_owned()),
+            map_frame: Some(map_frame.to_owned()),
+            ..Default::default()
+        };
+        let frames = flockmap_io::Frames::new(std::iter::empty());
+        Record { name: name.to_owned(), files: Vec::new(), summary, poses: Vec::new(), frames }
+    }
+
+    #[test]
+    fn robots_with_several_frames_and_one_name_are_told_apart() {
+        let records = [record("bag", "/a/points", "map"), record("bag", "/b/points", "map")];
+        assert_eq!(names(&records), ["bag /a/points", "bag /b/points"]);
+        assert_eq!(several_frames(&records), None);
+        let records = [record("a", "/points", "a/odom"), record("b", "/points", "b/odom")];
+        assert_eq!(names(&records), ["a", "b"]);
+        assert_eq!(several_frames(&records).unwrap(), "a/odom, b/odom");
     }
 }

@@ -192,6 +192,12 @@ fn open_records(paths: &[PathBuf], source: &SourceArgs, real_stamps: bool) -> an
     let (records, spans): (Vec<Record>, Vec<[Stamp; 2]>) = opened.into_iter().unzip();
     records::refuse_twice(&records)?;
     records.iter().for_each(warn_of_damages);
+    if let Some(frames) = records::several_frames(&records) {
+        eprintln!(
+            "warning: the poses are in several frames ({frames}), and maps are merged as if these were one; \
+             --map-frame names one that all robots have"
+        );
+    }
     let names = records::names(&records);
     let earliest = spans.iter().map(|[first, _]| *first).min().unwrap_or_default();
     let title = names.join(" + ");

@@ -78,6 +78,12 @@ fn two_robots_in_one_bag_are_replayed_by_the_command_that_info_and_the_error_giv
     assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("data:image/png"));
     // Named twice is the same as once.
     let twice = each.replacen(" --points", &format!(" {} --points", plain.display()), 1);
+    let bytes = |command: &str| {
+        let file = folder.path().join("sum.json");
+        good(&format!("{command} --json {}", file.display()));
+        json(&file)["sum"].clone()
+    };
+    assert_eq!(bytes(&twice), bytes(&each));
 
     let one = command_after(&shown, "the scans of one robot:");
     assert!(good(&one).contains("cut by time into 2 robots"), "{one}");
@@ -162,7 +168,7 @@ fn options_for_records_that_do_not_fit_are_refused() {
         (format!("{bag} --poses a.txt"), "--poses is for folders of scans, and there are none"),
         (format!("{bag} --scan-period 0.1"), "--scan-period is for folders of scans"),
         (format!("{scans} --points-topic /a"), "--points-topic is for records with topics"),
-        (format!("forest --points-topic /a"), "--points-topic is for records, and forest is a world"),
+        ("forest --points-topic /a".to_owned(), "--points-topic is for records, and forest is a world"),
         (
             format!("{bag} {both} --odometry-topic /robot1/odometry"),
             "--odometry-topic is given once for 2 records",

@@ -143,7 +143,9 @@ fn unknown(path: &Path, error: ReadError) -> ReadError {
 impl fmt::Display for Description {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = match &self.content {
-            Content::Mcap { files, .. } if self.path.is_dir() => &format!("rosbag2 folder, {files} files"),
+            Content::Mcap { files, .. } if self.path.is_dir() => {
+                &format!("rosbag2 folder, {files} {}", if *files == 1 { "file" } else { "files" })
+            }
             Content::Mcap { .. } => "MCAP file",
             Content::Folder(_) => "folder of scans",
             Content::Cloud { .. } => "point cloud",

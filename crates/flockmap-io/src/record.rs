@@ -94,6 +94,8 @@ pub struct RecordSummary {
     pub path_m: f64,
     /// Topic of the scans, in an MCAP.
     pub points_topic: Option<String>,
+    /// Frame of the poses, in an MCAP; `None` where scans are in several.
+    pub map_frame: Option<String>,
     /// Where the poses come from, as text.
     pub poses_from: String,
     /// Damage found while reading the file; what could be read is in the frames. At most 16 kept.

@@ -90,6 +90,8 @@ fn plan_undamaged(
     summary.poses_from = described.into_iter().collect::<Vec<_>>().join("; ");
     summary.damages.clone_from(&damages);
     summary.points_topic = Some(topic.to_owned());
+    let maps: BTreeSet<Option<&str>> = sources.iter().map(PoseSource::map).collect();
+    summary.map_frame = maps.first().copied().flatten().filter(|_| maps.len() == 1).map(str::to_owned);
     let no_returns = topic.rsplit_once('/').map(|(base, _)| format!("{base}{}", ros::NO_RETURNS));
     let no_returns = no_returns.filter(|t| t != topic && index.clouds.contains_key(t));
     let files = parts.files.clone();
@@ -164,6 +166,11 @@ struct PoseSource<'a> {
 }
 
 impl PoseSource<'_> {
+    /// The frame in which the poses are.
+    fn map(&self) -> Option<&str> {
+        self.odometry.map(|odometry| odometry.parent.as_str()).or(self.tf_from)
+    }
+
     fn pose(&self, tree: &FrameTree<'_>, stamp: Stamp, reach: Reach) -> Option<Pose> {
         let odometry = self.odometry.map(|odometry| odometry.track.at(stamp, reach));
         let tf = self.tf_from.map(|from| tree.pose(from, self.frame, stamp, reach));

@@ -139,6 +139,7 @@ fn a_split_bag_is_one_record() {
     assert_eq!((back, errors), (frames, vec![]));
     assert_eq!((summary.frames, summary.scans_without_pose, summary.damages), (30, 0, vec![]));
     assert_eq!(summary.points_topic.as_deref(), Some("/robot1/points"));
+    assert_eq!(summary.map_frame.as_deref(), Some("map"));
     assert_eq!(RecordKind::of(folder.join("")).unwrap(), RecordKind::Bag);
     let text = describe(folder.join("")).unwrap().to_string();
     assert!(text.contains("rosbag2 folder, 3 files, "), "{text}");
