@@ -333,7 +333,8 @@ impl Report {
     /// The fused maps of every two robots.
     fn fused(&self) -> DataTable {
         let row = |name: String, s: &Shared| {
-            let [all, of_seen] = [s.share(), s.share_of_seen()].map(|s| s.map_or("–".to_owned(), percent));
+            let [all, of_seen] =
+                [s.share(), s.share_of_seen()].map(|s| s.map_or_else(|| "–".to_owned(), percent));
             [name, thousands(s.known), all, thousands(s.seen), of_seen]
         };
         let pairs = self.fused.pairs.iter();

@@ -150,10 +150,8 @@ mod tests {
         let mut b = robot(2, &[(1, [-5.25, 0.25, 0.25])]);
         for second in 2..20 {
             let now = Stamp(second * 1_000_000);
-            for (from, to) in [(&mut a, &mut b)] {
-                exchange(from, to, now);
-                exchange(to, from, now);
-            }
+            exchange(&mut a, &mut b, now);
+            exchange(&mut b, &mut a, now);
         }
         let fused = Fused::of([&a, &b]);
         assert_eq!(fused.all, counted(&a, &b));
