@@ -54,7 +54,32 @@ fn defaults() -> BTreeMap<&'static str, String> {
 }
 
 /// Defaults that are said in words: what the words mean in the code.
-const WORDS: &[(&str, &str, &str)] = &[];
+const WORDS: &[(&str, &str, &str)] = &[
+    ("ApplicationOptions", "sync", "Radio { rate_bytes_per_s: None, loss: 0.0, delay_ms: 20, }"),
+    (
+        "ExploreOptions",
+        "scan",
+        "ScanOptions { range_m: 30.0, min_range_m: 0.3, no_returns: true, range_noise_m: 0.0, drop_out: 0.0, motion: false, \
+         rendering: Cast, seed: 0, }",
+    ),
+    (
+        "ExploreOptions",
+        "limits",
+        "MotionLimits { speed_m_s: 2.0, acceleration_m_s2: 2.0, yaw_rate_rad_s: 2.0, }",
+    ),
+    ("ExploreOptions", "region_m", "None"),
+    ("ExportOptions", "free", "false"),
+    ("NodeConfig", "name", "None"),
+    ("RadioConfig", "is_shared", "false"),
+    ("RecordOptions", "points_topic", "None"),
+    ("RecordOptions", "odometry_topic", "None"),
+    ("RecordOptions", "map_frame", "None"),
+    ("RecordOptions", "poses", "None"),
+    ("RecordOptions", "scan_period_s", "None"),
+    ("SessionConfig", "in_flight", "RoundTrip"),
+    ("StateSection", "path", "None"),
+    ("UdpOptions", "multicast_interface", "None"),
+];
 
 /// Every public field that says its default: its type, its name, and what follows the word.
 fn statements(source: &Path) -> Vec<(String, String, String)> {
@@ -99,24 +124,28 @@ fn documentation(field: &syn::Field) -> String {
 
 /// The fields of a value as `{:#?}` shows it.
 fn fields(shown: &str) -> BTreeMap<&str, String> {
-    let mut fields = BTreeMap::new();
+    let mut fields: BTreeMap<&str, String> = BTreeMap::new();
     let mut last = None;
     for line in shown.lines() {
         let inner = line.strip_prefix("    ").filter(|inner| !inner.starts_with([' ', '}', ']', ')']));
         if let Some((name, value)) = inner.and_then(|inner| inner.split_once(": ")) {
             last = Some(name);
-            fields.insert(name, value.trim_end_matches(',').to_owned());
-        } else if let Some(value) = last.and_then(|name| fields.get_mut(name)) {
+            fields.insert(name, value.to_owned());
+        } else if line != "}"
+            && let Some(value) = last.and_then(|name| fields.get_mut(name))
+        {
             value.push(' ');
             value.push_str(line.trim());
         }
     }
-    fields
+    fields.into_iter().map(|(name, value)| (name, value.trim_end_matches(',').to_owned())).collect()
 }
 
 /// Whether a statement says what a value is.
 fn agrees(field: &str, said: &str, value: &str) -> bool {
-    if let Some(name) = said.strip_prefix('`').and_then(|said| said.split('`').next()) {
+    if let Some(name) = said.trim_start_matches('[').strip_prefix('`').and_then(|said| said.split('`').next())
+    {
+        let name = name.rsplit("::").next().filter(|_| said.starts_with('[')).unwrap_or(name);
         return plain(name) == plain(value.trim_matches('"'));
     }
     let first = said.split([' ', '.', ',', ';', ':']).next().unwrap_or_default();

@@ -324,16 +324,37 @@ fn each_start_has_an_epoch_above_the_last_whatever_the_clock_shows() {
 }
 
 #[test]
-fn folders_that_cannot_be_had_are_said_and_the_robot_flies() {
+fn folders_on_a_disk_that_fails_are_said_and_the_robot_flies() {
     let dir = new_dir("no-folders");
-    std::fs::write(dir.join("file"), "no folder").unwrap();
-    let (end, log) = moment(&dir, "[state]\npath = \"file\"\n[store]\npath = \"file/store\"\n");
+    // Where nobody can make a folder.
+    let (end, log) = moment(&dir, "[state]\npath = \"/proc/state\"\n[store]\npath = \"/proc/store\"\n");
     assert!(
         log.contains("cannot make the folder") && log.contains("[state] path names another folder"),
         "{log}"
     );
     assert!(log.contains("cannot open the folder") && log.contains("flies on in memory"), "{log}");
     assert_eq!(end["counters"]["store"]["failures"], 1);
+    std::fs::remove_dir_all(&dir).unwrap();
+}
+
+#[test]
+fn a_path_at_which_there_can_be_no_folder_is_refused_before_an_epoch_is_used_up() {
+    let dir = new_dir("mistaken-folders");
+    std::fs::write(dir.join("file"), "no folder").unwrap();
+    let path = dir.join("robot.toml");
+    for (parts, key) in [
+        ("[state]\npath = \"file\"\n", "line 8: [state] path is"),
+        ("[state]\npath = \"file/state\"\n", "line 8: [state] path is"),
+        ("[state]\npath = \"state\"\n[store]\npath = \"file/store\"\n", "line 10: [store] path is"),
+    ] {
+        let text = format!(
+            "id = 1\n[map]\nresolution_m = 0.2\nrange_m = 7.0\n[network]\nbind = \"127.0.0.1:0\"\n{parts}"
+        );
+        std::fs::write(&path, text).unwrap();
+        let error = format!("{:#}", flockmap_node::run(&path).unwrap_err());
+        assert!(error.contains(key) && error.contains("expected a folder"), "{error}");
+        assert!(!dir.join("state/epoch-0-1").exists());
+    }
     std::fs::remove_dir_all(&dir).unwrap();
 }
 
@@ -352,7 +373,7 @@ fn a_node_that_cannot_run_says_why() {
     let error = run("[sensor]\nrecord = \"x.mcap\"\n");
     assert!(error.contains("x.mcap"), "{error}");
     let error = run("[sensor]\nrecord = \"x.mcap\"\nlisten_tcp = \"127.0.0.1:0\"\n");
-    assert!(error.contains("more than one"), "{error}");
+    assert!(error.contains("expected one of them"), "{error}");
     let error = run("[output]\nsave_map_at_end = \"map.obj\"\n");
     assert!(error.contains(".ply, .pcd or .bt"), "{error}");
     let error = run("[output]\nend_after_s = 0.0\nreport_json = \"missing/end.json\"\n");

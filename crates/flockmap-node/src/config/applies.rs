@@ -1,7 +1,8 @@
 //! Keys that mean nothing without another one: given alone, they are a mistake, and not ignored.
 
 use super::convert::value;
-use super::{ConfigError, Places};
+use super::error::ConfigError;
+use super::places::Places;
 
 /// A key, and those of which one must be there for it to mean something.
 const NEEDS: [(&str, &[&str]); 18] = [

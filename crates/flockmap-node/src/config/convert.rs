@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use flockmap::{Pose, Robot, RobotConfig, RobotId, Stamp};
 
-use super::{AlignmentSection, ConfigError, NodeConfig};
+use super::error::ConfigError;
+use super::{AlignmentSection, NodeConfig};
 use crate::{EndOptions, MessageLimits};
 
 /// Most points that a scan may have.

@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 
 use serde_json::Value;
 
-use super::parse::OWN_KEYS;
+use super::error::ConfigError;
 use super::places::{Places, line_of};
-use super::{ConfigError, schema};
+use super::schema::{OWN_KEYS, schema};
 
 /// What keys were called before.
 const RENAMED: [(&str, &str); 6] = [

@@ -7,9 +7,10 @@ use flockmap_store::others_may;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use super::NodeConfig;
 use super::convert::value;
+use super::error::ConfigError;
 use super::parse::read_text;
-use super::{ConfigError, NodeConfig};
 
 /// The environment variable that may hold the key.
 pub const KEY_VARIABLE: &str = "FLOCKMAP_SWARM_KEY";

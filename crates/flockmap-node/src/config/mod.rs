@@ -2,6 +2,7 @@
 
 mod applies;
 mod convert;
+mod error;
 mod explain;
 mod key;
 mod parse;
@@ -20,8 +21,8 @@ use crate::UdpOptions;
 
 pub(crate) use applies::check_applies;
 pub(crate) use convert::{seconds, speed, value, within};
+pub use error::ConfigError;
 pub use key::{FoundKey, KEY_VARIABLE, Secret};
-pub use parse::ConfigError;
 pub(crate) use parse::read_with_places;
 pub(crate) use places::Places;
 pub use schema::schema;

@@ -2,65 +2,24 @@
 
 use std::fs::File;
 use std::io::{self, Read as _};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::str::FromStr;
 
-use flockmap::{MapperConfig, Resolution, RobotError, SessionConfig};
+use flockmap::{MapperConfig, Resolution, SessionConfig};
 use serde::Deserialize;
 use serde::de::Error as _;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
+use super::error::ConfigError;
 use super::explain::explain;
 use super::places::Places;
+use super::schema::{OWN_KEYS, REQUIRED};
 use super::{Behaviour, NodeConfig};
 use crate::advice::read_error;
 
 /// A file with more than this is no configuration.
 const CONFIG_BYTES_MAX: u64 = 1 << 20;
-
-/// A configuration that cannot be used. The user is at fault, and the text says what to change.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read {path}: {error}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        error: io::Error,
-    },
-    /// It is no TOML, or has a key or a value that cannot be there.
-    #[error("{text}")]
-    Parse {
-        /// What and where, with the line of the file, and what was probably meant.
-        text: String,
-    },
-    /// A value that cannot work.
-    #[error("{key} is {got}, expected {expected}")]
-    Value {
-        /// The key, with its section.
-        key: String,
-        /// What it is.
-        got: String,
-        /// What would work.
-        expected: String,
-    },
-    /// What should be the swarm key is none. Does not contain it.
-    #[error("{key} (from {place}): {error}")]
-    Key {
-        /// The key of the configuration, or the environment variable.
-        key: String,
-        /// Where it was found.
-        place: String,
-        /// What is wrong with it.
-        error: flockmap::sync::KeyError,
-    },
-    /// A part of the robot refuses its options.
-    #[error("{}", with_section(.0))]
-    Robot(RobotError),
-}
 
 impl NodeConfig {
     /// Reads a configuration file of at most 1 MiB. Relative paths in it are taken from its folder.
@@ -100,28 +59,6 @@ pub(crate) fn read_with_places(path: &Path) -> Result<(NodeConfig, Places), Conf
     let places = Places::of(&text).in_file(path);
     Ok((config.in_folder(path.parent().unwrap_or_else(|| Path::new(""))), places))
 }
-
-/// What a part of the robot says of an option, with the section that this stands in.
-fn with_section(error: &RobotError) -> String {
-    match error {
-        RobotError::Mapper(error) => format!("[map] {error}"),
-        RobotError::Session(error) => format!("[session] {error}"),
-        RobotError::Batch { option } => format!("[batch] {option} is 0, expected at least 1"),
-        other => other.to_string(),
-    }
-}
-
-/// Keys of the node that stand in sections of the robot's options. They are read as keys of the whole file.
-pub(super) const OWN_KEYS: [(&str, &str); 5] = [
-    ("map", "mapper"),
-    ("session", "behaviour"),
-    ("session", "swarm_key"),
-    ("session", "swarm_key_file"),
-    ("fusion", "muted"),
-];
-
-/// Keys of `[map]` that no preset can have.
-pub(super) const REQUIRED: [&str; 2] = ["resolution_m", "range_m"];
 
 impl FromStr for NodeConfig {
     type Err = ConfigError;

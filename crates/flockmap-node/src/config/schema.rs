@@ -4,7 +4,18 @@ use schemars::generate::SchemaSettings;
 use serde_json::{Value, json};
 
 use super::NodeConfig;
-use super::parse::{OWN_KEYS, REQUIRED};
+
+/// Keys of the node that stand in sections of the robot's options. They are read as keys of the whole file.
+pub(super) const OWN_KEYS: [(&str, &str); 5] = [
+    ("map", "mapper"),
+    ("session", "behaviour"),
+    ("session", "swarm_key"),
+    ("session", "swarm_key_file"),
+    ("fusion", "muted"),
+];
+
+/// Keys of `[map]` that no preset can have.
+pub(super) const REQUIRED: [&str; 2] = ["resolution_m", "range_m"];
 
 /// The JSON schema of a configuration file.
 pub fn schema() -> Value {

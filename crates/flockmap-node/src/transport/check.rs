@@ -2,7 +2,7 @@
 
 use std::net::{IpAddr, SocketAddr, ToSocketAddrs as _, UdpSocket};
 
-use super::{UdpError, UdpOptions};
+use super::options::{UdpError, UdpOptions};
 
 /// The addresses of the robots that are configured, each once.
 pub(super) fn look_up(options: &UdpOptions) -> Result<Vec<SocketAddr>, UdpError> {

@@ -2,6 +2,7 @@
 
 mod addresses;
 mod check;
+mod options;
 mod udp;
 
 use std::future::Future;
@@ -9,8 +10,9 @@ use std::io;
 
 use flockmap::{Path, Transmit};
 
+pub use options::{UdpError, UdpOptions};
 pub(crate) use udp::is_unreachable;
-pub use udp::{UdpError, UdpOptions, UdpSockets, UdpTransport};
+pub use udp::{UdpSockets, UdpTransport};
 
 /// Carries datagrams of up to 1,200 bytes between robots. They may be lost, doubled and reordered.
 ///
