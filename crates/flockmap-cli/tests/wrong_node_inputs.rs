@@ -188,7 +188,7 @@ const CONFIGS: &[Wrong] = &[
     wrong(
         "no record at all",
         "[sensor]\nrecord = \"robot.toml\"\n",
-        &["[sensor] record", "an .mcap file, or a folder"],
+        &["[sensor] record", "an .mcap file, a rosbag2 folder"],
     ),
     wrong(
         "standing still",
