@@ -46,8 +46,11 @@ fn messages(robot: &str, frames: &[Frame]) -> Vec<Message> {
 /// The same with all topics in a namespace, and names of frames that other robots have too.
 fn namespaced(robot: &str, frames: &[Frame]) -> Vec<Message> {
     let rename = |(topic, schema, mut data): Message| {
-        let at: Vec<usize> = (0..data.len()).filter(|&at| data[at..].starts_with(robot.as_bytes())).collect();
-        at.into_iter().for_each(|at| data[at..at + robot.len()].fill(b'r'));
+        let starts = |at: &usize| data[*at..].starts_with(robot.as_bytes());
+        let places: Vec<usize> = (0..data.len()).filter(starts).collect();
+        for at in places {
+            data[at..at + robot.len()].fill(b'r');
+        }
         let topic = if topic == "/tf" { format!("/{robot}/tf") } else { topic };
         (topic, schema, data)
     };
@@ -294,7 +297,7 @@ fn metadata_that_asks_for_much_is_refused() {
     let mut text = "a0: &a0 [x,x,x,x,x,x,x,x,x,x]\n".to_owned();
     for i in 1..40 {
         let before = format!("*a{}", i - 1);
-        text += &format!("a{i}: &a{i} [{}]\n", vec![before.as_str(); 10].join(","));
+        text += &format!("a{i}: &a{i} [{}]\n", [before.as_str(); 10].join(","));
     }
     std::fs::write(&path, text + "rosbag2_bagfile_information:\n  relative_file_paths: *a39\n").unwrap();
     assert!(refused(&folder).contains("expected the metadata of a bag"), "{}", refused(&folder));
