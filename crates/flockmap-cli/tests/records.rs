@@ -165,7 +165,7 @@ fn options_for_records_that_do_not_fit_are_refused() {
         (format!("{bag} --poses a.txt"), "--poses is for folders of scans, and there are none"),
         (format!("{bag} --scan-period 0.1"), "--scan-period is for folders of scans"),
         (format!("{scans} --points-topic /a"), "--points-topic is for records with topics"),
-        (format!("forest --points-topic /a"), "--points-topic is for records, and forest is a world"),
+        ("forest --points-topic /a".to_owned(), "--points-topic is for records, and forest is a world"),
         (
             format!("{bag} {both} --odometry-topic /robot1/odometry"),
             "--odometry-topic is given once for 2 records",
