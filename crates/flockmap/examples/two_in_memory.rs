@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         for (from, to) in [(0, 1), (1, 0)] {
             while let Some(transmit) = robots[from].poll_transmit(now) {
                 sent += 1;
-                if sent % 5 != 0 {
+                if !sent.is_multiple_of(5) {
                     robots[to].handle_datagram(now, &transmit.bytes)?;
                 }
             }
