@@ -1,5 +1,5 @@
-//! What prose says of a default is what the code has: each "Default …" in the documentation of a field is compared
-//! with the value that the type has by default. One that nobody compares is an error too.
+//! What prose says of a default is what the code has: each "Default …" in the documentation of a field is
+//! compared with the value that the type has by default. One that nobody compares is an error too.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -294,7 +294,7 @@ fn prose_and_code_that_differ_are_found() {
     }
 }
 
-/// The numbers in a help text that are not from the code, and what they are there.
+/// Most numbers in a help text are from the code. Of those that are written there, what they are in it.
 #[test]
 fn a_number_in_a_help_text_is_the_default() {
     let (session, flight) = (SessionConfig::default(), TrajectoryOptions::default());

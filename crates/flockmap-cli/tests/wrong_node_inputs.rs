@@ -1,5 +1,5 @@
-//! What a user may get wrong about a node, and what the program says to it: each message names the file, the line,
-//! the key, what was got and what would work.
+//! What a user may get wrong about a node, and what the program says to it: each message names the file, the
+//! line, the key, what was got and what would work.
 
 mod common;
 

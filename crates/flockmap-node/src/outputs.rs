@@ -1,4 +1,5 @@
-//! The files that a node leaves behind: looked at before it flies, and saved at its end, wherever that is possible.
+//! The files that a node leaves behind: looked at before it flies, and saved at its end, wherever that is
+//! possible.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
