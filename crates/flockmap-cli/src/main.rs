@@ -21,7 +21,7 @@ struct Cli {
 
 const START_HERE: &str = "\
 Start here:
-  flockmap demo                                 two robots, a forest, real sockets, one minute
+  flockmap demo                                 two robots, a forest, a radio that loses every fifth datagram: one minute
   flockmap replay forest --loss 0.2             two simulated robots, every fifth datagram lost
   flockmap replay robot1.mcap robot2.mcap       your own records
 

@@ -1,4 +1,5 @@
-//! Where results are written: checked while the command line is read, so that no work is lost for want of a folder.
+//! Where results are written: checked while the command line is read, so that no work is lost for want of a
+//! folder.
 //!
 //! Both are clap value parsers, so an error names its option: `value_parser = outputs::file()`.
 

@@ -13,9 +13,9 @@ use crate::{las, pcd, ply};
 /// `.las`, `.laz`.
 ///
 /// A PCD's VIEWPOINT is the pose of the sensor that its points are seen from, as PCL's tools take it: the
-/// points are taken through it. A number `state` of each point (`.ply`, `.pcd`) tells free space (0) from what
-/// is solid (1), as [`export_map`](crate::export_map) writes it. Memory: the file (at most [`CLOUD_BYTES_MAX`]) and 36 bytes for each point
-/// (at most [`CLOUD_POINTS_MAX`]).
+/// points are taken through it. A number `state` of each point (`.ply`, `.pcd`) tells free space (0) from
+/// what is solid (1), as [`export_map`](crate::export_map) writes it. Memory: the file (at most
+/// [`CLOUD_BYTES_MAX`]) and 36 bytes for each point (at most [`CLOUD_POINTS_MAX`]).
 pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud, ReadError> {
     read_points(path.as_ref()).map(PointCloud::from)
 }

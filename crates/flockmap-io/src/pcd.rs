@@ -71,8 +71,8 @@ struct Layout {
     state: Option<Axis>,
 }
 
-/// One coordinate, or the state: which number of a point (text), where in the point (binary), where its column begins
-/// (compressed).
+/// One coordinate, or the state: which number of a point (text), where in the point (binary), where its
+/// column begins (compressed).
 #[derive(Clone, Copy)]
 struct Axis {
     word: u64,

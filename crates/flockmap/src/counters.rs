@@ -21,7 +21,8 @@ pub struct RobotCounters {
     /// Batches that were due and were published later, since own packages still waited for the radio's budget.
     pub batches_deferred: u64,
     /// Batches that published only a part of what had changed, the nearest first, since the budget has no
-    /// room for more. What was left out is in [`Robot::unpublished`](crate::Robot::unpublished) until it is published.
+    /// room for more. What was left out is in [`Robot::unpublished`](crate::Robot::unpublished) until it is
+    /// published.
     pub batches_in_parts: u64,
     /// Own voxels that changed, added up over batches.
     pub changes: u64,

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-/// The words of each command line in a document of the project, such as `flockmap replay …` or `cargo run --release --
-/// replay …`, that calls this program. Comments, output redirections and what follows a pipe are left out.
+/// The words of each command line in a document of the project, such as `flockmap replay …` or `cargo run
+/// --release -- replay …`, that calls this program. Comments, output redirections and what follows a pipe are
+/// left out.
 pub(crate) fn commands_of(program: &str) -> Vec<(String, Vec<String>)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut documents: Vec<_> = ["README.md", "BENCHMARK.md", "ARCHITECTURE.md", "WIRE.md"]

@@ -35,8 +35,8 @@ impl World {
     ///
     /// `resolution` is the side of the cells made from a cloud; by default 0.1 m, and 0.2 m for LAS and LAZ,
     /// which come from surveys. An OctoMap keeps its own cells, and so does a map in a `.pcd` or `.ply` that
-    /// [`flockmap_io::export_map`] wrote; its free voxels are where one may fly. A cloud in coordinates of a map projection is
-    /// moved to its lowest corner ([`flockmap_io::PointCloud::origin`]).
+    /// [`flockmap_io::export_map`] wrote; its free voxels are where one may fly. A cloud in coordinates of a
+    /// map projection is moved to its lowest corner ([`flockmap_io::PointCloud::origin`]).
     pub fn open(path: impl AsRef<Path>, resolution: Option<Resolution>) -> Result<Self, OpenError> {
         let path = path.as_ref();
         let failed = |reason| OpenError::World { path: path.to_owned(), reason };
