@@ -15,10 +15,18 @@ impl Given {
     /// # Errors
     /// If one of these (by the names of their fields) was given.
     pub fn refuse(&self, names: &[&str], why: &str) -> anyhow::Result<()> {
-        if let Some(name) = self.0.iter().find(|name| names.contains(&name.as_str())) {
-            bail!("--{} {why}", name.replace('_', "-"));
+        match self.0.iter().find(|name| names.contains(&name.as_str())) {
+            Some(name) => bail!("--{} {why}", name.replace('_', "-")),
+            None => Ok(()),
         }
-        Ok(())
+    }
+
+    /// The same for all options of the group.
+    ///
+    /// # Errors
+    /// If one was given.
+    pub fn refuse_all(&self, why: &str) -> anyhow::Result<()> {
+        self.refuse(&self.0.iter().map(String::as_str).collect::<Vec<_>>(), why)
     }
 }
 
@@ -26,7 +34,9 @@ impl FromArgMatches for Given {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
         let ids = matches.ids().map(clap::Id::as_str);
         let given = ids.filter(|id| matches.value_source(id) == Some(ValueSource::CommandLine));
-        Ok(Self(given.map(str::to_owned).collect()))
+        // Groups have the names of their types.
+        let options = given.filter(|id| !id.starts_with(char::is_uppercase));
+        Ok(Self(options.map(str::to_owned).collect()))
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {

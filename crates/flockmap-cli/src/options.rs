@@ -15,6 +15,8 @@ use crate::given::Given;
 #[derive(Args, Debug, Clone)]
 #[command(next_help_heading = "Mapping and packing")]
 pub struct MapArgs {
+    #[command(flatten)]
+    pub given: Given,
     /// Side of a voxel in metres
     #[arg(long, value_name = "M", default_value_t = 0.1)]
     pub resolution: f64,
@@ -48,6 +50,9 @@ pub const OF_FLIGHTS: [&str; 10] = [
     "speed",
     "world_resolution",
 ];
+
+/// Options of [`MapArgs`] that say when batches are sent.
+pub const OF_BATCHES: [&str; 3] = ["publish_period", "obstacle_period", "batch_limit"];
 
 /// Options of [`SourceArgs`] that say how to read records.
 pub const OF_RECORDS: [&str; 5] = ["poses", "scan_period", "points_topic", "odometry_topic", "map_frame"];

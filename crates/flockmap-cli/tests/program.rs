@@ -279,7 +279,7 @@ fn a_record_can_be_looked_into_mapped_exported_and_converted() {
             && good(&format!("info {}", path("all.ply")))
                 .contains(&format!("40 points, {free} more of free space"))
     );
-    good(&format!("export {} --to {} --resolution 0.3", path("map.pcd"), path("again.bt")));
+    good(&format!("export {} --to {}", path("map.pcd"), path("again.bt")));
     let again = good(&format!("info {}", path("again.bt")));
     assert!(again.contains("40 occupied and 0 free"), "{again}");
     // Records can be replayed, too.

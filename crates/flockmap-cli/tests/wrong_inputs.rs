@@ -4,8 +4,8 @@ mod common;
 
 use std::path::Path;
 
-use flockmap::{Pose, Scan, Stamp};
-use flockmap_io::RecordWriter;
+use flockmap::{Pose, Resolution, Scan, Stamp, State, Voxel};
+use flockmap_io::{ExportOptions, RecordWriter, export_map};
 
 /// A command line, and what the message says. Paths are in the folder that [`prepare`] fills.
 const WRONG: &[(&str, &str)] = &[
@@ -106,6 +106,13 @@ const WRONG: &[(&str, &str)] = &[
     ("sim explore --moving-obstacles 3", "unexpected argument '--moving-obstacles'"),
     ("sim explore --no-sync --loss 0.2", "cannot be used with"),
     ("sim swarm --file text.txt --seed 3", "cannot be used with"),
+    ("export one.mcap --to map.ply --publish-period 1", "unexpected argument '--publish-period'"),
+    (
+        "export map.bt --to map.ply --resolution 0.2",
+        "--resolution does not apply: map.bt has voxels of 0.1 m",
+    ),
+    ("export map.bt --to map.ply --range 5", "--range is for records, and map.bt is a map"),
+    ("export map.bt --to map.ply --robots 2", "--robots is for records, and map.bt is a map"),
     ("export one.mcap --to map.stl", "expected a path that ends in .ply, .pcd or .bt"),
     // Not writable.
     ("replay forest --json missing/a.json", "there is no folder missing: make it first (mkdir -p missing)"),
@@ -145,6 +152,9 @@ fn prepare(folder: &Path) {
     for name in ["text.mcap", "text.ply", "text.las", "text.txt"] {
         write(name, b"This is no map, and no record.\n");
     }
+    let resolution = Resolution::from_metres(0.1).unwrap();
+    let wall = (0..50).map(|i| (Voxel::new(0, i, 0), State::Occupied));
+    export_map(folder.join("map.bt"), resolution, wall, &ExportOptions { free: true }).unwrap();
     write("truncated.bt", b"# Octomap OcTree binary file\nid OcTree\nsize 100\nres 0.1\ndata\n\x00\x01");
     write(
         "huge.pcd",

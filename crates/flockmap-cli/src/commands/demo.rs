@@ -14,7 +14,7 @@ use flockmap::{Codec, Event, Path, RobotConfig, RobotId, ScanReport, Stamp, Stre
 use flockmap_cli::measure::TimeSummary;
 use flockmap_cli::member::Measures;
 use flockmap_cli::numbers::thousands;
-use flockmap_cli::options::{MapArgs, SourceArgs};
+use flockmap_cli::options::{MapArgs, OF_RECORDS, SourceArgs};
 use flockmap_cli::picture::MapPicture;
 use flockmap_cli::progress::Progress;
 use flockmap_cli::report::{Member, Report, Run, Settings};
@@ -35,7 +35,7 @@ Examples:
 
 Each robot is a node of its own with its own UDP socket, and an emulated radio stands between them, in this program. With --loss 0, and
 no other figure of the radio, they talk over the loopback of this machine alone. At the end there are a table here, and report.html,
-report.json and maps.svg in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.", mut_args(super::hidden::hide(&[])))]
+report.json and maps.svg in the folder given by --out. Exit code 1 if any two robots disagree on a voxel.", mut_args(super::hidden::hide(&[&OF_RECORDS])))]
 pub struct DemoArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
     #[arg(long, value_name = "SCENE", default_value = "forest")]

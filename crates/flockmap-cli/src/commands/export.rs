@@ -7,7 +7,7 @@ use anyhow::ensure;
 use clap::Args;
 use flockmap::grid::{Changes, Mapper};
 use flockmap_cli::numbers::thousands;
-use flockmap_cli::options::{MapArgs, SourceArgs};
+use flockmap_cli::options::{MapArgs, OF_BATCHES, SourceArgs};
 use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{self, ending};
 use flockmap_cli::stop;
@@ -24,7 +24,7 @@ Examples:
   flockmap export TLS_Clip.laz --to map.bt --resolution 0.2
 
 A record is mapped with the mapper options. A map (.bt, or a .ply or .pcd from here) keeps its own resolution. Of any
-other cloud every voxel with a point is occupied. The ending of --to decides the format: .ply, .pcd or .bt.")]
+other cloud every voxel with a point is occupied. The ending of --to decides the format: .ply, .pcd or .bt.", mut_args(super::hidden::hide(&[&OF_BATCHES])))]
 pub struct ExportArgs {
     /// A record, a map, or a point cloud
     #[arg(value_name = "FILE")]
@@ -47,7 +47,15 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<bool> {
     ensure!(is_known, "--to {}: expected a path that ends in .ply, .pcd or .bt", args.to.display());
     let (resolution, voxels): (_, Box<dyn Iterator<Item = _>>) = match ending(&args.file).as_deref() {
         Some("bt" | "pcd" | "ply" | "las" | "laz") => {
+            let why = format!("is for records, and {} is a map or a cloud", args.file.display());
+            args.map.given.refuse(&["range", "mapper"], &why)?;
+            args.source.given.refuse_all(&why)?;
             let map = read_map(&args.file, args.map.resolution()?)?;
+            if map.resolution != args.map.resolution()? {
+                let own =
+                    format!("does not apply: {} has voxels of {:?}", args.file.display(), map.resolution);
+                args.map.given.refuse(&["resolution"], &own)?;
+            }
             if map.origin != [0.0; 3] {
                 println!("  coordinates are seen from {:?} m, the lowest corner of the cloud", map.origin);
             }

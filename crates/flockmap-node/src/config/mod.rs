@@ -156,7 +156,7 @@ pub struct StateSection {
 #[derive(Clone, PartialEq, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SensorSection {
-    /// An `.mcap`, or a folder of scans, played in real time.
+    /// An `.mcap`, a rosbag2 folder, or a folder of scans, played in real time.
     pub record: Option<PathBuf>,
     /// How fast it is played.
     pub speed: f64,

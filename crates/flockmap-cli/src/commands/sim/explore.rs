@@ -10,7 +10,7 @@ use flockmap::{Codec, SessionConfig};
 use flockmap_autonomy::{Ended, ExploreOptions, Explorer};
 use flockmap_cli::document::DataTable;
 use flockmap_cli::numbers::{kb, thousands};
-use flockmap_cli::options::{MapArgs, SourceArgs, budget, delay_micros, share};
+use flockmap_cli::options::{MapArgs, OF_RECORDS, SourceArgs, budget, delay_micros, share};
 use flockmap_cli::parallel::cores;
 use flockmap_cli::program::command_line;
 use flockmap_cli::robot_record::{self, RecordFacts};
@@ -31,7 +31,7 @@ Examples:
 Each robot looks for frontiers in its own fused map, which holds what came over the radio: a slow or lossy radio costs time, and without one
 (--no-sync) everybody sees everything. Five robots had seen the indoor scene after 136 s: five minutes of work for two
 cores, and 0.9 GB of files. The files are as those of `sim fly`, with pictures of the fused map.",
-    mut_args(crate::commands::hidden::hide(&["see_team_mates", "seconds", "moving_obstacles"]))
+    mut_args(crate::commands::hidden::hide(&[&OF_RECORDS, &["see_team_mates", "seconds", "moving_obstacles"]]))
 )]
 pub struct SimExploreArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::ensure;
 use clap::Args;
 use flockmap::grid::Mapper;
-use flockmap_cli::options::{MapArgs, SourceArgs};
+use flockmap_cli::options::{MapArgs, OF_BATCHES, OF_RECORDS, SourceArgs};
 use flockmap_cli::parallel::{cores, in_parallel};
 use flockmap_cli::program::command_line;
 use flockmap_cli::progress::Progress;
@@ -29,7 +29,7 @@ Each file holds the scans (PointCloud2), the pose of the sensor at each (Odometr
 made and of its track; ROS 2, Foxglove and Rerun open it as it is. The same command gives the same bytes, whatever --threads is.
 A replay of the files is the replay of the flight itself: `replay forest --see-team-mates` gives the same bytes. Robots are in each other's scans;
 --see-team-mates leaves them out of the maps again.",
-        mut_args(crate::commands::hidden::hide(&["see_team_mates", "publish_period", "obstacle_period", "batch_limit"]))
+        mut_args(crate::commands::hidden::hide(&[&OF_RECORDS, &OF_BATCHES, &["see_team_mates"]]))
     )]
 pub struct SimFlyArgs {
     /// forest, indoor, or a world file (.bt .pcd .ply .las .laz)
