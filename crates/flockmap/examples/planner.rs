@@ -56,8 +56,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         };
         let is_stale = silence(&own, now).is_none_or(|seconds| seconds > STALE_SECONDS);
         let step = speed * 0.1 * if is_stale { 0.5 } else { 1.0 };
-        at[0] += step;
-        at[1] += (lane - at[1]).clamp(-step, step);
+        // Where it flies is what was checked.
+        let sideways = lane - at[1];
+        at[0] += step * AHEAD / AHEAD.hypot(sideways);
+        at[1] += step * sideways / AHEAD.hypot(sideways);
         assert!((at[0] - COLUMN[0]).hypot(at[1] - COLUMN[1]) > 0.5, "hit the column");
         if at[0] > 18.0 {
             println!("{now:?}: at the goal");
