@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use flockmap::grid::{MapperConfig, Preset};
 use flockmap::{BatchConfig, Codec, Resolution, RobotConfig, RobotId};
-use flockmap_worlds::{Lidar, Rendering};
+use flockmap_worlds::{Lidar, OptionError, Rendering};
 use serde::de::{DeserializeOwned, IntoDeserializer as _};
 
 use crate::given::Given;
@@ -189,14 +189,20 @@ impl MapArgs {
     }
 }
 
-impl SourceArgs {
-    /// Whether so many robots can be simulated, and fly that fast.
-    pub fn check_flight(&self) -> anyhow::Result<()> {
-        ensure!((1..=64).contains(&self.robots), "--robots is {}, expected 1 to 64", self.robots);
-        let fits = self.speed.is_none_or(|speed| (0.1..=20.0).contains(&speed));
-        ensure!(fits, "--speed is {}, expected 0.1 to 20 m/s", self.speed.unwrap_or_default());
-        Ok(())
-    }
+/// What a simulator says of an option, by the name that this has on the command line.
+pub fn as_given(error: OptionError) -> anyhow::Error {
+    let OptionError { name, value, expected } = error;
+    let (option, unit) = match name {
+        "robots" => ("--robots", ""),
+        "threads" => ("--threads", ""),
+        "speed_m_s" => ("--speed", " m/s"),
+        "duration_s" => ("--seconds", " s"),
+        "seconds_max" => ("--seconds-max", " s"),
+        "range_noise_m" => ("--range-noise", " m"),
+        "drop_out" => ("--drop-out", ""),
+        name => (name, ""),
+    };
+    anyhow!("{option} is {value}, expected {expected}{unit}")
 }
 
 /// The side of a voxel from the command line.

@@ -11,7 +11,7 @@ use flockmap_worlds::{
     Flight, ObstacleOptions, ScanOptions, Shape, Tracks, Trajectory, TrajectoryOptions, World,
 };
 
-use crate::options::{OF_FLIGHTS, OF_RECORDS, SourceArgs, resolution};
+use crate::options::{OF_FLIGHTS, OF_RECORDS, SourceArgs, as_given, resolution};
 use crate::records::{self, RobotRecord};
 use crate::team::{Team, TeamMate};
 
@@ -288,12 +288,12 @@ pub fn part(
 }
 
 fn fly(path: &Path, source: &SourceArgs, range_m: f64) -> anyhow::Result<Sources> {
-    source.check_flight()?;
     let scan = scan_options(source, range_m)?;
-    let world = Arc::new(open_world(path, source)?);
     let seconds = source.seconds.unwrap_or(FLIGHT_SECONDS);
     let mut options = TrajectoryOptions { duration_s: seconds, ..TrajectoryOptions::default() };
     options.speed_m_s = source.speed.unwrap_or(options.speed_m_s);
+    options.check(source.robots).map_err(as_given)?;
+    let world = Arc::new(open_world(path, source)?);
     let trajectories = Trajectory::plan(&world, source.robots, source.seed, &options)
         .with_context(|| format!("no flight for {} robots through {}", source.robots, path.display()))?;
     let seen = || trajectories.iter().filter(|_| source.see_team_mates).map(Trajectory::poses);
@@ -346,7 +346,7 @@ pub fn scan_options(source: &SourceArgs, range_m: f64) -> anyhow::Result<ScanOpt
         seed: source.seed,
         ..ScanOptions::default()
     };
-    options.check().context("--lidar-range, --range-noise or --drop-out")?;
+    options.check().map_err(as_given)?;
     Ok(options)
 }
 

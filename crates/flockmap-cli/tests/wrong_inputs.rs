@@ -68,7 +68,7 @@ const WRONG: &[(&str, &str)] = &[
     ("replay forest --lidar-range 0", "--lidar-range"),
     ("replay forest --range-noise -1", "--range-noise"),
     ("replay forest --drop-out 2", "--drop-out"),
-    ("sim explore --threads 0", "--threads must be 1 to 64"),
+    ("sim explore --threads 0", "--threads is 0, expected 1 to 64"),
     ("sim explore --seconds-max 0", "--seconds-max is 0, expected 0.1 to 14,400 s"),
     ("sim explore --robots 0", "--robots is 0"),
     ("sim fly --threads 0", "--threads must be 1 to 1,000"),

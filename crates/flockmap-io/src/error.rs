@@ -116,20 +116,20 @@ impl fmt::Display for TopicOf {
 #[non_exhaustive]
 pub enum WriteError {
     /// The operating system refused.
-    #[error("{}: cannot write: {source}", path.display())]
+    #[error("{}: cannot write: {error}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// The reason.
-        source: io::Error,
+        error: io::Error,
     },
     /// The writer of MCAP files refused.
-    #[error("{}: cannot write MCAP: {source}", path.display())]
+    #[error("{}: cannot write MCAP: {error}", path.display())]
     Mcap {
         /// The file.
         path: PathBuf,
         /// The reason.
-        source: mcap::McapError,
+        error: mcap::McapError,
     },
     /// The format cannot hold what it was given.
     #[error("{}: {what} cannot be written: {why}", path.display())]
@@ -145,11 +145,11 @@ pub enum WriteError {
 
 impl WriteError {
     pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
-        move |source| Self::Io { path: path.to_owned(), source }
+        move |error| Self::Io { path: path.to_owned(), error }
     }
 
     pub(crate) fn mcap(path: &Path) -> impl FnOnce(mcap::McapError) -> Self + '_ {
-        move |source| Self::Mcap { path: path.to_owned(), source }
+        move |error| Self::Mcap { path: path.to_owned(), error }
     }
 
     pub(crate) fn unfit(path: &Path, what: impl Into<String>, why: impl Into<String>) -> Self {

@@ -41,6 +41,7 @@ mod record_writer;
 mod ros;
 mod rosbag;
 mod track;
+mod writable;
 
 pub use cloud::{CLOUD_BYTES_MAX, CLOUD_POINTS_MAX, PointCloud};
 pub use cloud_reader::read_cloud;
@@ -52,3 +53,4 @@ pub use octomap::{Cube, OCTOMAP_BYTES_MAX, OctoMap, octomap_tree, read_octomap_t
 pub use record::{Frame, Frames, Record, RecordOptions, RecordSummary};
 pub use record_reader::{RecordKind, open_record};
 pub use record_writer::RecordWriter;
+pub use writable::{Unwritable, check_writable};

@@ -2,11 +2,13 @@
 
 mod common;
 
+use std::path::Path;
+
 use common::Folder;
 use flockmap_grid::{Resolution, Stamp, State, Voxel};
 use flockmap_io::{
-    ExportOptions, OctoMap, PointCloud, RecordOptions, describe, export_map, open_record, read_cloud,
-    write_cloud,
+    ExportOptions, OctoMap, PointCloud, RecordOptions, Unwritable, check_writable, describe, export_map,
+    open_record, read_cloud, write_cloud,
 };
 
 fn cloud(x: f32) -> PointCloud {
@@ -203,4 +205,31 @@ fn the_viewpoint_of_a_cloud_is_where_its_points_are_seen_from() {
     std::fs::write(scans_folder.join("Scans/1.pcd"), text).unwrap();
     let error = open(&scans_folder, &RecordOptions::default()).unwrap_err();
     assert!(error.contains("line 5: cannot be used: expected VIEWPOINT 0 0 0 1 0 0 0"), "{error}");
+}
+
+#[test]
+fn whether_a_file_can_be_written_is_known_beforehand_and_leaves_nothing_behind() {
+    let folder = Folder::new();
+    let (file, nothing) = (folder.join("result.json"), folder.join("nothing"));
+    std::fs::create_dir(&nothing).unwrap();
+    check_writable(&file).unwrap();
+    assert!(!file.exists(), "it was only tried");
+    std::fs::write(&file, "kept").unwrap();
+    check_writable(&file).unwrap();
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "kept");
+    assert!(check_writable(&nothing).unwrap_err().to_string().contains("is a folder"));
+    assert!(check_writable(&folder.join("a/b.json")).unwrap_err().to_string().contains("mkdir -p"));
+    assert!(matches!(check_writable(&file.join("b.json")), Err(Unwritable::NoFolder(_))));
+    assert!(matches!(check_writable(Path::new("/proc/result.json")), Err(Unwritable::System(_))));
+    check_writable(Path::new("/dev/null")).unwrap();
+}
+
+#[test]
+fn a_file_that_cannot_be_written_says_why_once() {
+    let path = Path::new("/proc/map.ply");
+    let voxels = [(Voxel::new(0, 0, 0), State::Occupied)];
+    let resolution = Resolution::from_metres(0.1).unwrap();
+    let error = export_map(path, resolution, voxels, &ExportOptions { free: false }).unwrap_err();
+    assert!(error.to_string().starts_with("/proc/map.ply: cannot write: "), "{error}");
+    assert!(std::error::Error::source(&error).is_none(), "its words have it already");
 }

@@ -2,11 +2,10 @@
 
 mod common;
 
-use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::Path;
 
-use common::Folder;
+use common::{Folder, Message, mcap_of, messages_of};
 use flockmap_grid::{Pose, Resolution, Scan, Stamp, Voxel};
 use flockmap_io::{Frame, Problem, ReadError, RecordOptions, RecordWriter, describe, open_record};
 use mcap::{Compression, WriteOptions};
@@ -51,35 +50,15 @@ fn read(bytes: &[u8], options: &RecordOptions) -> Result<(Vec<Frame>, Vec<ReadEr
 }
 
 /// The messages of our own file, for writing them otherwise.
-struct Messages(Vec<(String, String, Vec<u8>)>);
+struct Messages(Vec<Message>);
 
 impl Messages {
     fn of(bytes: &[u8]) -> Self {
-        let messages = mcap::MessageStream::new(bytes).unwrap().map(|message| {
-            let m = message.unwrap();
-            let schema = m.channel.schema.as_ref().unwrap().name.clone();
-            (m.channel.topic.clone(), schema, m.data.to_vec())
-        });
-        Self(messages.collect())
+        Self(messages_of(bytes))
     }
 
     fn write(&self, options: WriteOptions, encoding: &str) -> Vec<u8> {
-        let mut out = Vec::new();
-        let mut writer = options.create(Cursor::new(&mut out)).unwrap();
-        let mut channels = BTreeMap::new();
-        for (i, (topic, schema, data)) in self.0.iter().enumerate() {
-            let channel_id = *channels.entry(topic.clone()).or_insert_with(|| {
-                let schema = writer.add_schema(schema, "ros2msg", b"").unwrap();
-                writer.add_channel(schema, topic, encoding, &BTreeMap::new()).unwrap()
-            });
-            let (sequence, time) = (i as u32, i as u64);
-            let header =
-                mcap::records::MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
-            writer.write_to_known_channel(&header, data).unwrap();
-        }
-        writer.finish().unwrap();
-        drop(writer);
-        out
+        mcap_of(&self.0, options, encoding)
     }
 }
 

@@ -2,11 +2,10 @@
 
 mod common;
 
-use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::Path;
 
-use common::Folder;
+use common::{Folder, Message, messages_of};
 use flockmap_grid::{Pose, Scan, Stamp};
 use flockmap_io::{
     Frame, Problem, ReadError, RecordKind, RecordOptions, RecordSummary, RecordWriter, TopicOf, describe,
@@ -28,19 +27,13 @@ fn frames(count: i64, x: f64) -> Vec<Frame> {
         .collect()
 }
 
-/// Topic, type, and content.
-type Message = (String, String, Vec<u8>);
-
 /// What a robot of this name records.
 fn messages(robot: &str, frames: &[Frame]) -> Vec<Message> {
     let mut bytes = Cursor::new(Vec::new());
     let mut writer = RecordWriter::new(&mut bytes, "robot.mcap", robot).unwrap();
     frames.iter().for_each(|frame| writer.write(&frame.scan, &frame.t_map_sensor).unwrap());
     writer.finish().unwrap();
-    let read = |m: mcap::Message<'_>| {
-        (m.channel.topic.clone(), m.channel.schema.as_ref().unwrap().name.clone(), m.data.to_vec())
-    };
-    mcap::MessageStream::new(&bytes.into_inner()).unwrap().map(|m| read(m.unwrap())).collect()
+    messages_of(&bytes.into_inner())
 }
 
 /// The same with all topics in a namespace, and names of frames that other robots have too.
@@ -58,26 +51,7 @@ fn namespaced(robot: &str, frames: &[Frame]) -> Vec<Message> {
 }
 
 fn mcap_of(messages: &[Message]) -> Vec<u8> {
-    let mut out = Vec::new();
-    let mut writer = mcap::WriteOptions::new()
-        .compression(None)
-        .chunk_size(Some(4_000))
-        .create(Cursor::new(&mut out))
-        .unwrap();
-    let mut channels = BTreeMap::new();
-    for (number, (topic, schema, data)) in messages.iter().enumerate() {
-        let channel_id = *channels.entry(topic).or_insert_with(|| {
-            let schema = writer.add_schema(schema, "ros2msg", b"").unwrap();
-            writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap()
-        });
-        let (sequence, time) = (number as u32, number as u64);
-        let header =
-            mcap::records::MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
-        writer.write_to_known_channel(&header, data).unwrap();
-    }
-    writer.finish().unwrap();
-    drop(writer);
-    out
+    common::mcap_of(messages, mcap::WriteOptions::new().compression(None).chunk_size(Some(4_000)), "cdr")
 }
 
 /// As `ros2 bag record` of Jazzy writes it.

@@ -4,10 +4,10 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow, bail};
-use flockmap_io::{ExportOptions, export_map};
+use anyhow::{Result, bail};
+use flockmap_io::{ExportOptions, Unwritable, check_writable, export_map};
 
-use crate::config::value;
+use crate::config::{ConfigError, value};
 use crate::{Ended, Log, NodeConfig, OutputSection};
 
 const MAP: &str = "[output] save_map_at_end";
@@ -24,31 +24,21 @@ pub(crate) fn check(output: &OutputSection) -> Result<()> {
         }
         check_file(MAP, path)?;
     }
-    output.report_json.as_deref().map_or(Ok(()), |path| check_file(REPORT, path))
-}
-
-fn check_file(key: &str, path: &Path) -> Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        let expected = format!("a file in a folder that is there (mkdir -p {})", folder.display());
-        bail!(value(key, path.display(), expected));
-    }
-    let is_new = match std::fs::metadata(path) {
-        Ok(there) if there.is_dir() => bail!(value(key, path.display(), "a file, and this is a folder")),
-        Ok(there) if there.is_file() => false,
-        // A device or a pipe.
-        Ok(_) => return Ok(()),
-        Err(_) => true,
-    };
-    std::fs::OpenOptions::new().append(true).create(true).open(path).map_err(|error| {
-        value(key, format!("{} ({error})", path.display()), "a file that this user may write")
-    })?;
-    if is_new {
-        std::fs::remove_file(path).map_err(|error| {
-            anyhow!("{key}: cannot remove {}, which was made to try: {error}", path.display())
-        })?;
+    if let Some(path) = &output.report_json {
+        check_file(REPORT, path)?;
     }
     Ok(())
+}
+
+fn check_file(key: &str, path: &Path) -> Result<(), ConfigError> {
+    check_writable(path).map_err(|error| match error {
+        Unwritable::IsFolder => value(key, path.display(), "a file, and this is a folder"),
+        Unwritable::NoFolder(folder) => {
+            let expected = format!("a file in a folder that is there (mkdir -p {})", folder.display());
+            value(key, path.display(), expected)
+        }
+        error => value(key, format!("{} ({error})", path.display()), "a file that this user may write"),
+    })
 }
 
 /// Saves what was asked for, the map first. What cannot be written where it was wanted goes to the folder for
@@ -119,7 +109,7 @@ fn write_somewhere<T, E: Display>(
             Err(Fault { text, is_lost: false })
         }
         Err(error) => {
-            let text = format!("{why}. Nor is there room beside it: {error}");
+            let text = format!("{why}. Nor could {} be written: {error}", other.display());
             Err(Fault { text, is_lost: true })
         }
     }

@@ -4,7 +4,7 @@ use super::mates::{Mate, are_apart};
 use super::pilot::{Pilot, PilotConfig};
 use super::regions::{self, Regions};
 use super::seeable::{Eyes, Seeable};
-use super::setup::{check, default_region, heights, navigation};
+use super::setup::{default_region, heights, navigation};
 use super::sight::Sight;
 use super::{ExploreError, ExploreOptions, start};
 use crate::Motion;
@@ -156,8 +156,7 @@ impl Explorer {
         options: ExploreOptions,
         goes_on: &(dyn Fn(usize, usize) -> bool + Sync),
     ) -> Result<Self, ExploreError> {
-        check(&options)?;
-        options.scan.check()?;
+        options.check()?;
         let region_m = options.region_m.unwrap_or_else(|| default_region(&world));
         let navigation = navigation(region_m, &options)?;
         let truth = start::truth(&world, &navigation)?;

@@ -44,19 +44,25 @@ pub(super) fn navigation(
     Ok(config)
 }
 
-/// Whether every option is in its range.
-pub(super) fn check(options: &ExploreOptions) -> Result<(), OptionError> {
-    OptionError::check(&[
-        ("robots", options.robots as f64, 1.0, ROBOTS_MAX as f64, "1 to 64"),
-        ("threads", options.threads as f64, 1.0, 64.0, "1 to 64"),
-        ("range_m", options.range_m, 1.0, 100.0, "1 to 100"),
-        ("seconds_max", options.seconds_max, 0.1, 14_400.0, "0.1 to 14,400"),
-        ("speed_m_s", options.limits.speed_m_s, 0.1, 20.0, "0.1 to 20"),
-        ("acceleration_m_s2", options.limits.acceleration_m_s2, 0.1, 20.0, "0.1 to 20"),
-        ("yaw_rate_rad_s", options.limits.yaw_rate_rad_s, 0.1, 10.0, "0.1 to 10"),
-        ("clearance_m", options.clearance_m, 0.1, 1.0, "0.1 to 1"),
-        ("separation_m", options.separation_m, 0.8, 5.0, "0.8 to 5"),
-        ("height_m[0]", options.height_m[0], 0.0, 1_000.0, "0 to 1,000"),
-        ("height_m[1]", options.height_m[1], options.height_m[0], 1_000.0, "height_m[0] to 1,000"),
-    ])
+impl ExploreOptions {
+    /// Whether every option is in its range.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub fn check(&self) -> Result<(), OptionError> {
+        OptionError::check(&[
+            ("robots", self.robots as f64, 1.0, ROBOTS_MAX as f64, "1 to 64"),
+            ("threads", self.threads as f64, 1.0, 64.0, "1 to 64"),
+            ("range_m", self.range_m, 1.0, 100.0, "1 to 100"),
+            ("seconds_max", self.seconds_max, 0.1, 14_400.0, "0.1 to 14,400"),
+            ("speed_m_s", self.limits.speed_m_s, 0.1, 20.0, "0.1 to 20"),
+            ("acceleration_m_s2", self.limits.acceleration_m_s2, 0.1, 20.0, "0.1 to 20"),
+            ("yaw_rate_rad_s", self.limits.yaw_rate_rad_s, 0.1, 10.0, "0.1 to 10"),
+            ("clearance_m", self.clearance_m, 0.1, 1.0, "0.1 to 1"),
+            ("separation_m", self.separation_m, 0.8, 5.0, "0.8 to 5"),
+            ("height_m[0]", self.height_m[0], 0.0, 1_000.0, "0 to 1,000"),
+            ("height_m[1]", self.height_m[1], self.height_m[0], 1_000.0, "height_m[0] to 1,000"),
+        ])?;
+        self.scan.check()
+    }
 }

@@ -2,10 +2,28 @@
 
 use std::path::Path;
 
+use clap::Parser;
+use flockmap_cli::program;
+
+/// Fails on a command in a document that calls this program and is not understood, or if there are not more
+/// than so many.
+pub(crate) fn assert_understood<C: Parser>(program: &str, more_than: usize) {
+    let commands = commands_of(program);
+    assert!(commands.len() > more_than, "only {} commands are found", commands.len());
+    let mut wrong = Vec::new();
+    for (line, words) in commands {
+        match program::try_parse::<C>(std::iter::once(String::new()).chain(words)) {
+            Err(error) if error.exit_code() != 0 => wrong.push(format!("{line}\n{error}")),
+            _ => {}
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
 /// The words of each command line in a document of the project, such as `flockmap replay …` or `cargo run
 /// --release -- replay …`, that calls this program. Comments, output redirections and what follows a pipe are
 /// left out.
-pub(crate) fn commands_of(program: &str) -> Vec<(String, Vec<String>)> {
+fn commands_of(program: &str) -> Vec<(String, Vec<String>)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut documents: Vec<_> = ["README.md", "BENCHMARK.md", "ARCHITECTURE.md", "WIRE.md"]
         .map(|name| root.join(name))

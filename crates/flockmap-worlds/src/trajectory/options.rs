@@ -90,8 +90,11 @@ pub enum TrajectoryError {
 }
 
 impl TrajectoryOptions {
-    /// Whether every option is in its range.
-    pub(super) fn check(&self, robots: usize) -> Result<(), OptionError> {
+    /// Whether every option is in its range, for so many robots.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub fn check(&self, robots: usize) -> Result<(), OptionError> {
         OptionError::check(&[
             ("duration_s", self.duration_s, 0.1, 14_400.0, "0.1 to 14,400"),
             ("speed_m_s", self.speed_m_s, 0.1, 20.0, "0.1 to 20"),

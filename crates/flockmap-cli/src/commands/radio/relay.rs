@@ -78,7 +78,7 @@ impl Relay {
         self.began.elapsed()
     }
 
-    /// Hands on all that has come through the air by now.
+    /// Delivers all that has come through the air by now.
     pub fn deliver_due(&mut self) {
         let now = stamp(self.elapsed());
         while let Some(delivery) = self.air.deliver_due(now) {
@@ -104,8 +104,8 @@ impl Relay {
                 self.from_strangers += 1;
                 if self.from_strangers == 1 {
                     eprintln!(
-                        "warning: a datagram from {from} to the port of robot {to} is from none of the others: is that the \
-                         address that its robot was given with here? It is dropped, and so are more of the kind"
+                        "warning: a datagram from {from} to the port of robot {to} is from none of the others: the command line \
+                         names another address for its robot. It is dropped, and so are more of the kind"
                     );
                 }
             }

@@ -4,13 +4,12 @@ use flockmap_cli::outputs;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use anyhow::ensure;
 use clap::Args;
 use flockmap::{Codec, SessionConfig};
 use flockmap_autonomy::{Ended, ExploreOptions, Explorer};
 use flockmap_cli::document::DataTable;
 use flockmap_cli::numbers::{kb, thousands};
-use flockmap_cli::options::{MapArgs, OF_RECORDS, SourceArgs, budget, delay_micros, share};
+use flockmap_cli::options::{MapArgs, OF_RECORDS, SourceArgs, as_given, budget, delay_micros, share};
 use flockmap_cli::parallel::cores;
 use flockmap_cli::program::command_line;
 use flockmap_cli::robot_record::{self, RecordFacts};
@@ -90,13 +89,6 @@ pub fn run(args: &SimExploreArgs) -> anyhow::Result<bool> {
 
 fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
     let SimExploreArgs { map, source, .. } = args;
-    source.check_flight()?;
-    ensure!(
-        (0.1..=14_400.0).contains(&args.seconds_max),
-        "--seconds-max is {}, expected 0.1 to 14,400 s",
-        args.seconds_max
-    );
-    ensure!(args.threads.is_none_or(|n| (1..=64).contains(&n)), "--threads must be 1 to 64");
     let mut session = SessionConfig::default();
     session.radio_bytes_per_s = args.budget_kb_s.map(budget).transpose()?.or(session.radio_bytes_per_s);
     let link = Link {
@@ -106,7 +98,7 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
     };
     let mut limits = ExploreOptions::default().limits;
     limits.speed_m_s = source.speed.unwrap_or(limits.speed_m_s);
-    Ok(ExploreOptions {
+    let options = ExploreOptions {
         robots: source.robots,
         seed: source.seed,
         resolution: map.resolution()?,
@@ -121,7 +113,9 @@ fn options(args: &SimExploreArgs) -> anyhow::Result<ExploreOptions> {
         session,
         threads: args.threads.unwrap_or_else(|| cores().min(64)),
         ..ExploreOptions::default()
-    })
+    };
+    options.check().map_err(as_given)?;
+    Ok(options)
 }
 
 /// What robots sent over the radio; nothing if there was none.

@@ -1,6 +1,6 @@
 //! `flockmap sim table`: what a swarm costs, by its radio and the number of its robots.
 
-use flockmap_cli::outputs;
+use flockmap_io::check_writable;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, ensure};
@@ -35,7 +35,7 @@ pub struct SimTableArgs {
 pub fn run(args: &SimTableArgs) -> anyhow::Result<bool> {
     ensure!((2..=100).contains(&args.robots_max), "--robots-max must be 2 to 100");
     if let Some(file) = args.file.as_ref().filter(|_| !args.check) {
-        outputs::check_file(file).map_err(|error| anyhow!("--file {}: {error}", file.display()))?;
+        check_writable(file).map_err(|error| anyhow!("--file {}: {error}", file.display()))?;
     }
     let counts = || table::ROBOTS.into_iter().filter(|robots| *robots <= args.robots_max);
     let cells: Vec<_> =
