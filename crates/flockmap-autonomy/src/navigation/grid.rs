@@ -4,7 +4,7 @@ use core::ops::{AddAssign, SubAssign};
 use flockmap_grid::{BlockIndex, MapView, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, set_bits};
 use flockmap_worlds::curve::distance;
 use flockmap_worlds::lattice::Lattice;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use thiserror::Error;
 
 /// Most cells of a grid: 2²⁴, for which it takes 260 MiB.
@@ -179,22 +179,14 @@ impl NavigationGrid {
         if map.version() == self.version {
             return;
         }
-        for index in map.changed_since(self.version) {
-            if let Some(states) = map.block(index) {
-                self.take_in(index, *states);
-            }
+        let everything = || {
+            let all = self.blocks.keys().copied().chain(map.blocks().map(|(index, _)| index));
+            all.collect::<BTreeSet<_>>().into_iter().collect()
+        };
+        for index in map.changed_since(self.version).unwrap_or_else(everything) {
+            self.take_in(index, map.block(index).copied().unwrap_or_default());
         }
         self.version = map.version();
-        // A map that was made anew may lack blocks that it had.
-        let held = map.blocks().filter(|(index, _)| self.blocks.contains_key(index)).count();
-        if held != self.blocks.len() {
-            let gone: Vec<BlockIndex> =
-                self.blocks.keys().copied().filter(|index| map.block(*index).is_none()).collect();
-            for index in gone {
-                self.take_in(index, StateBlock::default());
-                self.blocks.remove(&index);
-            }
-        }
     }
 
     /// Takes the cells within a distance (metres) of a place for Free as long as nothing in them is Occupied:
@@ -254,7 +246,8 @@ impl NavigationGrid {
         if index.voxel_box().intersection(&self.reached).is_none() {
             return;
         }
-        let old = self.blocks.insert(index, new).unwrap_or_default();
+        let old = if new.is_empty() { self.blocks.remove(&index) } else { self.blocks.insert(index, new) }
+            .unwrap_or_default();
         let differ = |new: &Plane, old: &Plane| core::array::from_fn(|z| new[z] ^ old[z]);
         for bit in set_bits(&differ(new.free(), old.free())) {
             self.count_free(index.voxel(bit), new.get(bit) == State::Free);

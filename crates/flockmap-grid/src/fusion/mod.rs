@@ -171,6 +171,7 @@ impl Fusion {
         self.refresh(mapper, &report.touched);
         let forgotten: Vec<_> = report.forgotten.iter().map(|index| (*index, [u64::MAX; 8])).collect();
         self.refresh(mapper, &forgotten);
+        self.view.forget_emptied();
     }
 
     /// Takes changes into the layer of a stream, and from there into the fused map. `stamp` is on the clock
@@ -357,10 +358,14 @@ impl Fusion {
         }
     }
 
-    /// Makes the fused map anew from the mapper and all layers. O(voxels).
+    /// Makes the fused map anew from the mapper and all layers: what comes out as it was is no change.
+    /// O(voxels).
     pub fn rebuild(&mut self, mapper: &Mapper) {
-        self.view.clear();
         let mut reached: BTreeMap<BlockIndex, Plane> = mapper.blocks().map(|(i, b)| (i, b.known())).collect();
+        for (index, states) in self.view.blocks() {
+            let all = reached.entry(index).or_default();
+            *all = core::array::from_fn(|z| all[z] | states.known()[z]);
+        }
         for (origin, source) in self.heard() {
             let known: Vec<_> = source.layer.blocks().map(|(index, block)| (index, block.known())).collect();
             for (index, mask) in origin.alignment.reach(&known).iter() {
@@ -369,6 +374,7 @@ impl Fusion {
             }
         }
         self.refresh(mapper, &reached.into_iter().collect::<Vec<_>>());
+        self.view.forget_emptied();
     }
 
     fn origin(&self, id: RobotId) -> &Origin {

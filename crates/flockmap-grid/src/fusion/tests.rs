@@ -166,8 +166,99 @@ fn a_view_stays_as_it_was_while_the_map_goes_on() {
         .unwrap();
     assert_eq!((before.state(a), before.state(b)), (State::Free, State::Unknown));
     assert_eq!((fusion.map().state(a), fusion.map().state(b)), (State::Occupied, State::Free));
-    assert_eq!(fusion.map().changed_since(before.version()), [a.block(), b.block()]);
-    assert!(fusion.map().changed_since(fusion.map().version()).is_empty());
+    assert_eq!(fusion.map().changed_since(before.version()), Some(vec![a.block(), b.block()]));
+    assert_eq!(fusion.map().changed_since(fusion.map().version()), Some(Vec::new()));
+}
+
+#[test]
+fn a_map_that_is_made_anew_has_changed_where_it_came_out_otherwise() {
+    let mapper = mapper();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    let row = |ys: core::ops::Range<i32>| {
+        source(&ys.map(|y| (Voxel::new(3, 8 * y, 3), State::Occupied)).collect::<Vec<_>>())
+    };
+    fusion.apply(&mapper, stream(2), &row(0..40), Stamp(1), Stamp(1)).unwrap();
+    fusion.apply(&mapper, stream(3), &row(38..42), Stamp(1), Stamp(1)).unwrap();
+    let before = fusion.view();
+    fusion.set_muted(&mapper, RobotId(3), true);
+    let gone = [BlockIndex::new(0, 40, 0), BlockIndex::new(0, 41, 0)];
+    assert_eq!(fusion.map().changed_since(before.version()), Some(gone.to_vec()));
+    assert_eq!(fusion.map().block(gone[0]), None);
+    assert_eq!((fusion.map().blocks().count(), fusion.map().block_count()), (40, 40));
+    // With most of the map goes the knowledge of what it was.
+    fusion.set_muted(&mapper, RobotId(2), true);
+    assert_eq!(fusion.map().changed_since(before.version()), None);
+    assert_eq!(fusion.map().changed_since(fusion.map().version()), Some(Vec::new()));
+    assert_eq!((fusion.map().block_count(), fusion.memory_bytes_of_others(&mapper) > 0), (0, true));
+    assert_eq!(fusion.map().memory_bytes(), 0);
+}
+
+#[test]
+fn what_the_mapper_has_no_room_for_leaves_nothing_behind() {
+    let mut config = MapperConfig::preset(Preset::RogMap, resolution(), 12.0);
+    config.memory_bytes_max = 20 * crate::MAP_BLOCK_BYTES;
+    let mut mapper = Mapper::new(config).unwrap();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    for step in 0..400 {
+        let scan = Scan { stamp: Stamp(step), points: vec![[3.0, 0.0, 0.0]], no_returns: Vec::new() };
+        let at = Pose::from_translation([step as f64 * 4.0, 0.0, 0.0]);
+        let report = mapper.insert(&scan, &at, &[]);
+        fusion.own_scan(&mapper, &report);
+        assert!(fusion.map().block_count() <= 20);
+        let room = crate::memory::table_bytes(24, 200) + 24 * 4_000;
+        assert!(fusion.map().memory_bytes() < room, "{} bytes", fusion.map().memory_bytes());
+    }
+}
+
+proptest! {
+    #[test]
+    fn who_takes_over_what_changed_has_the_same_map(
+        steps in prop::collection::vec(prop::collection::vec(([-3..3i32, -3..3, 0..2], 0..512usize, 0..3u8), 1..30), 1..20),
+        pauses in prop::collection::vec(any::<bool>(), 20),
+        at_once in 1..8usize,
+    ) {
+        let mut map = MapView::new(resolution());
+        let mut model = BTreeMap::new();
+        let mut mirror = MapView::new(resolution());
+        let mut at = 0;
+        for (step, pause) in steps.into_iter().zip(pauses) {
+            for ([x, y, z], bit, state) in step {
+                let index = BlockIndex::new(x, y, z);
+                let state = [State::Unknown, State::Free, State::Occupied][usize::from(state)];
+                let mut block = map.block(index).copied().unwrap_or_default();
+                // All of it, now and then: so that blocks are emptied.
+                if bit % 7 == 0 { block = StateBlock::default() } else { block.set(bit, state) }
+                map.set_block(index, &block);
+                model.insert(index, block);
+            }
+            model.retain(|_, block| !block.is_empty());
+            prop_assert_eq!(map.blocks().map(|(i, b)| (i, *b)).collect::<BTreeMap<_, _>>(), model.clone());
+            prop_assert_eq!(map.block_count(), model.len());
+            if pause {
+                continue;
+            }
+            // Some at a time, in ascending order of versions.
+            while at < map.version() {
+                let Some(changed) = map.versions_since(at) else {
+                    mirror = MapView::new(resolution());
+                    for (index, block) in map.blocks() {
+                        mirror.set_block(index, block);
+                    }
+                    at = map.version();
+                    break;
+                };
+                let mut changed: Vec<_> = changed.map(|(index, version)| (version, index)).collect();
+                changed.sort_unstable();
+                changed.truncate(at_once);
+                let Some((last, _)) = changed.last() else { break };
+                at = *last;
+                for (_, index) in changed {
+                    mirror.set_block(index, &map.block(index).copied().unwrap_or_default());
+                }
+            }
+            prop_assert_eq!(mirror.blocks().map(|(i, b)| (i, *b)).collect::<BTreeMap<_, _>>(), model.clone());
+        }
+    }
 }
 
 #[test]

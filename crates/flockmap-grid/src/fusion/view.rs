@@ -14,13 +14,33 @@ const REGION_BITS: i32 = 3;
 
 /// The fused map at one moment. Made by [`super::Fusion::view`] in O(1); stays as it is while the map goes
 /// on. The next write after a view was made copies the touched regions of 64³ voxels, at most 80 kB each.
+///
+/// A map of a robot is written to by its fusion alone. Who gets states from somewhere else makes a view of
+/// its own:
+///
+/// ```
+/// use flockmap_grid::{BlockIndex, MapView, Resolution, State, StateBlock, Voxel};
+///
+/// let mut map = MapView::new(Resolution::from_metres(0.1).unwrap());
+/// let mut block = StateBlock::default();
+/// block.set(0, State::Occupied);
+/// map.set_block(BlockIndex::new(1, 0, 0), &block);
+/// let view = map.clone(); // O(1)
+/// assert_eq!(view.state(Voxel::new(8, 0, 0)), State::Occupied);
+/// assert_eq!(view.changed_since(0), Some(vec![BlockIndex::new(1, 0, 0)]));
+/// ```
 #[derive(Clone, Debug)]
 pub struct MapView {
     resolution: Resolution,
     regions: Arc<FxHashMap<BlockIndex, Arc<Region>>>,
     /// Of all regions.
     region_bytes: usize,
+    blocks: usize,
+    /// Blocks in which something was known. They are kept so that [`Self::changed_since`] can name them.
+    emptied: usize,
     version: u64,
+    /// Since this version every block that was emptied is among those kept.
+    emptied_since: u64,
 }
 
 /// A block in the table of its region, which may be filled to no more than 7/16.
@@ -28,7 +48,15 @@ pub(super) const VIEW_BLOCK_BYTES: usize = (size_of::<(BlockIndex, ViewBlock)>()
 /// A region, beside its table.
 const REGION_BYTES: usize = 2 * size_of::<usize>() + size_of::<Region>();
 
-type Region = FxHashMap<BlockIndex, ViewBlock>;
+/// Of all blocks, at most this part are kept that were emptied.
+const EMPTIED_PART: usize = 8;
+
+#[derive(Clone, Debug, Default)]
+struct Region {
+    blocks: FxHashMap<BlockIndex, ViewBlock>,
+    /// Of the block that changed last.
+    version: u64,
+}
 
 #[derive(Clone, Debug)]
 struct ViewBlock {
@@ -58,8 +86,17 @@ pub enum RayEnd {
 }
 
 impl MapView {
-    pub(super) fn new(resolution: Resolution) -> Self {
-        Self { resolution, regions: Arc::default(), region_bytes: 0, version: 0 }
+    /// A map of which nothing is known, at version 0.
+    pub fn new(resolution: Resolution) -> Self {
+        Self {
+            resolution,
+            regions: Arc::default(),
+            region_bytes: 0,
+            blocks: 0,
+            emptied: 0,
+            version: 0,
+            emptied_since: 0,
+        }
     }
 
     /// Side of a voxel.
@@ -90,12 +127,19 @@ impl MapView {
 
     /// States of a block, `None` if nothing in it is known.
     pub fn block(&self, index: BlockIndex) -> Option<&StateBlock> {
-        Some(&self.regions.get(&region_of(index))?.get(&index)?.states)
+        let block = self.regions.get(&region_of(index))?.blocks.get(&index)?;
+        (!block.states.is_empty()).then_some(&block.states)
     }
 
     /// All blocks in which something is known, in no order.
     pub fn blocks(&self) -> impl Iterator<Item = (BlockIndex, &StateBlock)> {
-        self.regions.values().flat_map(|region| region.iter().map(|(index, block)| (*index, &block.states)))
+        let all = self.regions.values().flat_map(|region| &region.blocks);
+        all.filter(|(_, block)| !block.states.is_empty()).map(|(index, block)| (*index, &block.states))
+    }
+
+    /// Number of blocks in which something is known. O(1).
+    pub const fn block_count(&self) -> usize {
+        self.blocks - self.emptied
     }
 
     /// Every known voxel of a box with its state, in ascending order of blocks. O(blocks of the box or of the
@@ -123,16 +167,23 @@ impl MapView {
             .fold((0, 0), |(free, occupied), (_, b)| (free + ones(b.free()), occupied + ones(b.occupied())))
     }
 
-    /// Blocks that changed after [`Self::version`] had this value, ascending. After the map was made anew (an
-    /// alignment changed, an origin was muted) these are all blocks that it has now. O(blocks).
-    pub fn changed_since(&self, version: u64) -> Vec<BlockIndex> {
-        let mut changed: Vec<BlockIndex> = self
-            .regions
-            .values()
-            .flat_map(|region| region.iter().filter(|(_, b)| b.version > version).map(|(index, _)| *index))
-            .collect();
+    /// Blocks that changed after [`Self::version`] had this value, ascending; those of which nothing is known
+    /// any more too. `None` if that is not known any more: then everything may have changed. It is known for
+    /// as long as few blocks were emptied (an alignment changed, an origin was muted, the mapper had no room):
+    /// up to an eighth of all. O(regions of 64³ voxels, and blocks of those that changed).
+    pub fn changed_since(&self, version: u64) -> Option<Vec<BlockIndex>> {
+        let mut changed: Vec<BlockIndex> = self.versions_since(version)?.map(|(index, _)| index).collect();
         changed.sort_unstable();
-        changed
+        Some(changed)
+    }
+
+    /// The same in no order, with the version at which each block changed last. Who takes them over in
+    /// ascending order of versions, as many at a time as it likes, has the map as it was at the newest version
+    /// but for what changed later.
+    pub fn versions_since(&self, version: u64) -> Option<impl Iterator<Item = (BlockIndex, u64)> + '_> {
+        let regions = self.regions.values().filter(move |region| region.version > version);
+        let blocks = regions.flat_map(|region| &region.blocks).map(|(index, block)| (*index, block.version));
+        (version >= self.emptied_since).then(|| blocks.filter(move |(_, changed)| *changed > version))
     }
 
     /// Follows the straight line between two points (metres) to the first voxel that is Occupied, or Unknown if
@@ -169,6 +220,13 @@ impl MapView {
         RayEnd::Clear
     }
 
+    /// Sets all voxels of a block: what is known, and what is not. O(1), and the copy of a region where a view
+    /// of it is alive.
+    pub fn set_block(&mut self, index: BlockIndex, states: &StateBlock) {
+        self.write(index, &[u64::MAX; 8], states);
+        self.forget_emptied();
+    }
+
     /// Sets the voxels of `mask` to those of `states`.
     pub(super) fn write(&mut self, index: BlockIndex, mask: &Plane, states: &StateBlock) {
         let old = self.block(index).copied().unwrap_or_default();
@@ -182,20 +240,41 @@ impl MapView {
         let regions = Arc::make_mut(&mut self.regions);
         let region = Arc::make_mut(regions.entry(region_of(index)).or_default());
         self.region_bytes -= region_bytes(region);
-        region.insert(index, ViewBlock { states: new, version: self.version });
+        region.version = self.version;
+        let before = region.blocks.insert(index, ViewBlock { states: new, version: self.version });
         self.region_bytes += region_bytes(region);
+        self.blocks += usize::from(before.is_none());
+        self.emptied += usize::from(new.is_empty());
+        self.emptied -= usize::from(before.is_some_and(|before| before.states.is_empty()));
     }
 
-    pub(super) fn clear(&mut self) {
-        self.version += 1;
-        self.regions = Arc::default();
-        self.region_bytes = 0;
+    /// Lets go of emptied blocks if there are many. O(blocks) then.
+    pub(super) fn forget_emptied(&mut self) {
+        if self.emptied <= self.blocks / EMPTIED_PART {
+            return;
+        }
+        let regions = Arc::make_mut(&mut self.regions);
+        regions.retain(|_, region| {
+            if region.blocks.values().any(|block| block.states.is_empty()) {
+                self.region_bytes -= region_bytes(region);
+                let region = Arc::make_mut(region);
+                region.blocks.retain(|_, block| !block.states.is_empty());
+                // A table from which something was taken has no more room than it needs.
+                region.blocks.shrink_to_fit();
+                self.region_bytes += region_bytes(region);
+            }
+            !region.blocks.is_empty()
+        });
+        regions.shrink_to_fit();
+        self.blocks -= self.emptied;
+        self.emptied = 0;
+        self.emptied_since = self.version;
     }
 }
 
 /// Of a region in which something is known; before that, nothing.
 fn region_bytes(region: &Region) -> usize {
-    match region.len() {
+    match region.blocks.len() {
         0 => 0,
         blocks => REGION_BYTES + table_bytes(blocks, size_of::<(BlockIndex, ViewBlock)>()),
     }
