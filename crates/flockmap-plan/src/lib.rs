@@ -1,0 +1,3 @@
+//! What planners ask of a map: how far the next obstacle is, whether a body collides, what lies in a plane, where
+//! the unknown begins. All of it is a function of a [`MapView`](flockmap_grid::MapView).
+#![forbid(unsafe_code)]
