@@ -319,6 +319,21 @@ impl Inbox {
         abandoned
     }
 
+    /// Lets go of transfers from a robot that holds nothing any more of their streams: the chunks that are
+    /// wanting will not come, and as long as it is named nobody else sends what they would say. Returns how
+    /// many they were.
+    pub(crate) fn drop_forgotten(&mut self, source: RobotId, has_nothing_of: impl Fn(Stream) -> bool) -> u64 {
+        let before = self.transfers.len();
+        self.transfers.retain(|transfer| {
+            transfer.source != source || transfer.is_complete() || !has_nothing_of(transfer.stream)
+        });
+        let dropped = before - self.transfers.len();
+        if dropped > 0 {
+            self.forget_chunks_of_nothing();
+        }
+        dropped as u64
+    }
+
     /// Chunks of transfers that are gone need no verdict any more.
     fn forget_chunks_of_nothing(&mut self) {
         let transfers = &self.transfers;

@@ -2,9 +2,11 @@
 
 mod swarm;
 
-use flockmap_codec::ContentKind;
-use flockmap_grid::Stream;
-use flockmap_sync::wire::{Received, Request, SnapshotRequest, TransferProgress};
+use flockmap_codec::{Codec, ContentKind, Encoder};
+use flockmap_grid::{Changes, Resolution, RobotId, Snapshot, Stamp, State, Stream, Voxel};
+use flockmap_sync::wire::{
+    Datagram, DatagramHeader, Kind, PackagesWriter, Received, Request, SnapshotRequest, TransferProgress,
+};
 use flockmap_sync::{Cast, IntervalSet, SessionConfig};
 use std::collections::BTreeMap;
 use swarm::{MS, Radio, Swarm};
@@ -159,4 +161,46 @@ fn a_snapshot_of_which_a_peer_has_all_chunks_does_not_displace_the_one_that_it_i
     }
     let most = one.sent.values().max();
     assert!(most.is_some_and(|most| *most <= 16), "a chunk was sent {most:?} times in 50 s");
+}
+
+/// Once it kept its place for 30 s, and as long as it was named nobody else sent what it would have brought.
+#[test]
+fn a_snapshot_whose_sender_has_forgotten_the_stream_has_its_place_no_longer() {
+    let mut swarm = Swarm::new(80, Radio::PERFECT);
+    swarm.start(1, 1, SessionConfig::default());
+    let stream = Stream { origin: RobotId(9), epoch: 1 };
+    let sender = Stream { origin: RobotId(3), epoch: 1 };
+    let row = Changes::from_voxels((0..5_000).step_by(7).map(|x| (Voxel::new(x, 0, 0), State::Free)));
+    let region = row.bounding_box().unwrap();
+    let state = Snapshot { region, parts: vec![(Stamp(1), row)], sensors: Vec::new() };
+    let resolution = Resolution::from_metres(0.1).unwrap();
+    let chunks = Encoder::new().encode_snapshot(Codec::Raw, stream, 20, resolution, &state, 600).unwrap();
+    assert!(chunks.len() > 1);
+    let mut first = chunks.first();
+
+    // The transfers that robot 1 names after robot 3 said that it holds this.
+    let mut named_after = |received: Vec<Received>| {
+        swarm.take_sent();
+        swarm.hear_request(1, 3, Request { received, ..Request::default() });
+        let robot = swarm.robots.get_mut(&1).unwrap();
+        let now = Stamp(swarm.now + robot.clock);
+        let header = DatagramHeader { kind: Kind::Packages, swarm: 0, sender, stamp: now };
+        if let Some(chunk) = first.take() {
+            let mut writer = PackagesWriter::new(header, 1_200);
+            assert!(writer.push(chunk));
+            robot.session.handle_datagram(now, &writer.finish()).unwrap();
+        }
+        swarm.run(3_000 * MS);
+        let sent = swarm.take_sent();
+        let requests = sent.iter().filter_map(|(_, bytes)| {
+            let datagram = Datagram::new_checked(bytes).unwrap();
+            (datagram.header().kind == Kind::Request).then(|| Request::parse(&datagram, 64).unwrap())
+        });
+        requests.last().unwrap().transfers.iter().map(|transfer| transfer.source.0).collect::<Vec<_>>()
+    };
+    let received = IntervalSet::from_intervals(64, vec![(1, 20)]);
+    let holds = || Received { stream, is_oldest_wanted: false, from: 1, received: received.clone() };
+    assert_eq!(named_after(vec![holds()]), [3]);
+    assert_eq!(named_after(vec![holds()]), [3]);
+    assert_eq!(named_after(Vec::new()), [0; 0]);
 }

@@ -81,12 +81,17 @@ impl Session {
         let id = header.sender.origin;
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let is_superseded = header.stamp < peer.newest_stamp;
+        let is_named = |stream| request.received.iter().any(|received| received.stream == stream);
+        if let Some(origins) = request.origins.filter(|_| !is_superseded) {
+            let has_nothing_of = |stream: Stream| origins.contains(stream.origin) && !is_named(stream);
+            self.report.counters.transfers_dropped += self.inbox.drop_forgotten(id, has_nothing_of);
+        }
         peer.takes_new_streams = !request.no_new_streams;
         peer.oldest_wanted.retain(|&origin, _| !request.covers(origin) && self.store.has_runs(origin));
         if let Some(origins) = request.origins {
             peer.note_origins(origins);
             peer.streams.retain(|stream, theirs| {
-                let is_named = request.received.iter().any(|received| received.stream == *stream);
+                let is_named = is_named(*stream);
                 // Not named: nothing is held any more, as after a lost store. But what came in later
                 // datagrams of the peer it did not hold yet when it made this request.
                 if !is_named && origins.contains(stream.origin) && !is_superseded {
