@@ -19,8 +19,9 @@ fn all_pairs(view: &MapView, region: &VoxelBox, obstacles: Obstacles) -> Vec<Opt
         State::Free => false,
     };
     let found: Vec<Voxel> = region.voxels().filter(is_obstacle).collect();
-    let squared =
-        |a: Voxel, b: Voxel| (a.x - b.x).pow(2) as u32 + (a.y - b.y).pow(2) as u32 + (a.z - b.z).pow(2) as u32;
+    let squared = |a: Voxel, b: Voxel| {
+        (a.x - b.x).pow(2) as u32 + (a.y - b.y).pow(2) as u32 + (a.z - b.z).pow(2) as u32
+    };
     region.voxels().map(|at| found.iter().map(|o| squared(at, *o)).min()).collect()
 }
 
@@ -165,7 +166,9 @@ fn outside_of_the_box_and_for_what_is_no_number_there_is_no_answer() {
     write(&mut map, &occupied(&[[3, 3, 3]]));
     let field = DistanceField::new(&map, a_box([0; 3], [8; 3]), &FieldConfig::default()).unwrap();
     assert_eq!(field.distance(Voxel::new(8, 0, 0)), None);
-    for point in [[f64::NAN, 1.0, 1.0], [2.001, 1.0, 1.0], [1.0, -0.001, 1.0], [1.0, 1.0, f64::INFINITY], [1e300; 3]] {
+    for point in
+        [[f64::NAN, 1.0, 1.0], [2.001, 1.0, 1.0], [1.0, -0.001, 1.0], [1.0, 1.0, f64::INFINITY], [1e300; 3]]
+    {
         assert_eq!(field.at(point), None, "{point:?}");
         let (mut distance, mut gradient) = ([0.0], [[0.0; 3]]);
         field.clearances(&[point], &mut distance, &mut gradient);

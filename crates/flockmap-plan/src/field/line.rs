@@ -60,7 +60,8 @@ impl<T: Cell> Lines<T> {
         for (before, after) in before.rchunks_exact(STRIDE).zip(after.chunks_exact(STRIDE)) {
             // Whatever is left takes at least this.
             let bound = T::square(k as u16 + 1);
-            let more = (0..LANES).fold(false, |more, lane| more | (best[lane] > self.least[lane].plus(bound)));
+            let more =
+                (0..LANES).fold(false, |more, lane| more | (best[lane] > self.least[lane].plus(bound)));
             if !more || k >= self.length {
                 break;
             }

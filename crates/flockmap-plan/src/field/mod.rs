@@ -1,6 +1,7 @@
 //! The Euclidean distance field of a box.
 
 mod cell;
+mod inflate;
 mod line;
 mod passes;
 mod query;
@@ -38,7 +39,9 @@ impl Default for FieldConfig {
 #[derive(Clone, Copy, PartialEq, Debug, thiserror::Error)]
 pub enum FieldError {
     /// It would take too much.
-    #[error("a distance field of {region:?} takes {bytes} bytes, and memory_max allows {memory_max}: ask for a smaller box")]
+    #[error(
+        "a distance field of {region:?} takes {bytes} bytes, and memory_max allows {memory_max}: ask for a smaller box"
+    )]
     TooLarge {
         /// The box.
         region: VoxelBox,
@@ -48,7 +51,9 @@ pub enum FieldError {
         memory_max: u64,
     },
     /// Its diagonal is longer than [`FIELD_DIAGONAL_MAX`].
-    #[error("a distance field of {region:?} would be longer than {FIELD_DIAGONAL_MAX} voxels from corner to corner: ask for a smaller box")]
+    #[error(
+        "a distance field of {region:?} would be longer than {FIELD_DIAGONAL_MAX} voxels from corner to corner: ask for a smaller box"
+    )]
     TooLong {
         /// The box.
         region: VoxelBox,
@@ -71,7 +76,7 @@ pub enum Updated {
 /// Distances are Euclidean, from the centre of the voxel to the centre of the nearest obstacle voxel, and exact: the
 /// squared distance in voxels is a whole number and kept as one. An obstacle has distance 0, its neighbour the side of
 /// a voxel. (So have it OctoMap's `dynamicEDT3D` and PyPI's `edt`.) The surface of an obstacle is nearer than its
-/// centre, by up to √3/2 voxels: [`DistanceField::clear`] and [`crate::Body`] take that into account.
+/// centre, by up to √3/2 voxels: [`DistanceField::are_clear`] and [`crate::Collision`] take that into account.
 ///
 /// **Obstacles outside of the box do not count.** Who needs distances up to d right everywhere in a box asks for the
 /// box [`grown`] by d.
@@ -103,11 +108,7 @@ impl DistanceField {
     pub fn new(view: &MapView, region: VoxelBox, config: &FieldConfig) -> Result<Self, FieldError> {
         check(&region, config)?;
         let shape = Shape::new(region);
-        let cells = if is_small(&region) {
-            Cells::Small(Passes::new())
-        } else {
-            Cells::Large(Passes::new())
-        };
+        let cells = if is_small(&region) { Cells::Small(Passes::new()) } else { Cells::Large(Passes::new()) };
         let mut field = Self { config: *config, shape, resolution: view.resolution(), version: 0, cells };
         field.anew(view);
         Ok(field)

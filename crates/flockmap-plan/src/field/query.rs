@@ -98,4 +98,22 @@ impl DistanceField {
             (*distance_m, *gradient) = (found.distance_m, found.gradient);
         }
     }
+
+    /// Whether the spheres of a radius about many points surely keep clear of every obstacle of the box, taken as full
+    /// cubes. Some that just pass are false: the distance at the voxel of the point must be larger than the radius, the
+    /// way to the centre of that voxel and half the diagonal of a voxel together. [`crate::Collision::sphere`] is
+    /// exact. False outside of the box, and for what is no number. Writes as many as there are of both.
+    pub fn are_clear(&self, centres: &[[f64; 3]], radius_m: f64, are_clear: &mut [bool]) {
+        let half_diagonal = self.resolution.metres() * 0.75f64.sqrt();
+        for (centre, is_clear) in centres.iter().zip(are_clear) {
+            let voxel = self.resolution.voxel_at(*centre);
+            *is_clear = voxel.and_then(|voxel| Some((voxel, self.distance(voxel)?))).is_some_and(
+                |(voxel, distance)| {
+                    let middle = self.resolution.centre(voxel);
+                    let off = (0..3).map(|axis| (centre[axis] - middle[axis]).powi(2)).sum::<f64>().sqrt();
+                    distance > radius_m + off + half_diagonal
+                },
+            );
+        }
+    }
 }

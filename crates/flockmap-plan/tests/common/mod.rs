@@ -2,7 +2,9 @@
 
 #![allow(dead_code, reason = "each test uses its part")]
 
-use flockmap_grid::{BLOCK_VOXELS, BlockIndex, MapView, Resolution, State, StateBlock, Voxel, VoxelBox, voxel_bit};
+use flockmap_grid::{
+    BLOCK_VOXELS, BlockIndex, MapView, Resolution, State, StateBlock, Voxel, VoxelBox, voxel_bit,
+};
 use proptest::prelude::*;
 
 /// Voxels and their states, some of them where others are.
