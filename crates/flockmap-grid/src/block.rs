@@ -1,6 +1,6 @@
 //! The states of the 8³ voxels of a block as bit planes, so that work is done 64 voxels at a time.
 
-use crate::{BlockIndex, State, Voxel};
+use crate::{BlockIndex, State, Voxel, VoxelBox};
 
 /// Voxels in a block.
 pub const BLOCK_VOXELS: usize = 512;
@@ -71,6 +71,13 @@ pub(crate) fn plane_within(block: BlockIndex, low: Voxel, high: Voxel) -> Plane 
     let slice = (0..8).filter(|y| rows >> y & 1 == 1).fold(0, |slice, y| slice | row << (8 * y));
     let slices = within(low.z, high.z, corner.z);
     core::array::from_fn(|z| slice * (slices >> z & 1))
+}
+
+impl VoxelBox {
+    /// The voxels of a block that belong to the box.
+    pub fn plane(&self, block: BlockIndex) -> Plane {
+        plane_within(block, self.min(), self.max())
+    }
 }
 
 /// The states of a block: each voxel Free, Occupied or neither (Unknown; in a set of changes: unchanged).

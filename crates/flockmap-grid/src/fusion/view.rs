@@ -204,10 +204,15 @@ impl MapView {
         });
         let mut entered = 0.0;
         let steps: u32 = at.iter().zip(to).map(|(a, b)| a.abs_diff(b)).sum();
+        // A block is looked up when the ray comes into it.
+        let (mut index, mut block) = (start.block(), self.block(start.block()));
         for _ in 0..=steps {
             let voxel = Voxel::new(at[0], at[1], at[2]);
             let distance_m = entered * length;
-            match self.state(voxel) {
+            if index != voxel.block() {
+                (index, block) = (voxel.block(), self.block(voxel.block()));
+            }
+            match block.map_or(State::Unknown, |block| block.get(voxel_bit(voxel))) {
                 State::Occupied => return RayEnd::Occupied { voxel, distance_m },
                 State::Unknown if !through_unknown => return RayEnd::Unknown { voxel, distance_m },
                 _ => {}
