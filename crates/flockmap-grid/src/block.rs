@@ -59,7 +59,7 @@ pub(crate) fn extent(plane: &Plane) -> ([i32; 3], [i32; 3]) {
 }
 
 /// The voxels of a block that lie in the box from `low` to `high`.
-pub(crate) fn plane_within(block: BlockIndex, low: Voxel, high: Voxel) -> Plane {
+pub fn plane_within(block: BlockIndex, low: Voxel, high: Voxel) -> Plane {
     let corner = block.corner();
     // Of one axis: a bit for each place within.
     let within = |low: i32, high: i32, corner: i32| {

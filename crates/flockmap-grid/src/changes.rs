@@ -83,20 +83,7 @@ impl Changes {
 
     /// The smallest box that holds every change (the paper's "local OGM box"); `None` if there is none.
     pub fn bounding_box(&self) -> Option<VoxelBox> {
-        let mut min = [i32::MAX; 3];
-        let mut max = [i32::MIN; 3];
-        for (index, block) in &self.blocks {
-            let (low, high) = extent(&block.known());
-            let corner = index.corner();
-            for (axis, c) in [corner.x, corner.y, corner.z].into_iter().enumerate() {
-                min[axis] = min[axis].min(c + low[axis]);
-                max[axis] = max[axis].max(c + high[axis]);
-            }
-        }
-        if self.blocks.is_empty() {
-            return None;
-        }
-        VoxelBox::spanning(Voxel::new(min[0], min[1], min[2]), Voxel::new(max[0], max[1], max[2]))
+        bounding_box(self.blocks.iter().map(|(index, block)| (*index, block)))
     }
 
     /// The changes that lie in `region`.
@@ -116,6 +103,21 @@ impl Changes {
         }
         Self { blocks }
     }
+}
+
+/// The smallest box that holds every known voxel of some blocks.
+pub(crate) fn bounding_box<'a>(
+    blocks: impl Iterator<Item = (BlockIndex, &'a StateBlock)>,
+) -> Option<VoxelBox> {
+    let mut ends: Option<[Voxel; 2]> = None;
+    for (index, block) in blocks.filter(|(_, block)| !block.is_empty()) {
+        let (low, high) = extent(&block.known());
+        let corner = index.corner();
+        let [low, high] = [low, high].map(|[x, y, z]| Voxel::new(corner.x + x, corner.y + y, corner.z + z));
+        let [lowest, highest] = ends.unwrap_or([low, high]);
+        ends = Some([lowest.lowest(low), highest.highest(high)]);
+    }
+    ends.and_then(|[low, high]| VoxelBox::spanning(low, high))
 }
 
 #[cfg(test)]

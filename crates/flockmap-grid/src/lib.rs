@@ -22,7 +22,7 @@ mod stamps;
 pub mod units;
 mod voxel;
 
-pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, meet, set_bits, voxel_bit};
+pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, meet, plane_within, set_bits, voxel_bit};
 pub use changes::Changes;
 pub use fusion::{Fusion, FusionConfig, FusionError, MapView, RayEnd};
 pub use layer::{BaseSuperseded, LAYER_BLOCK_BYTES_MAX, Layer};

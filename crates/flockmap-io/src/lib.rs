@@ -1,5 +1,5 @@
 //! What Flockmap reads and writes of other people's formats: records of robots (MCAP, folders of scans),
-//! point clouds (PCD, PLY, LAS, LAZ), OctoMaps, and exports of a map.
+//! point clouds (PCD, PLY, LAS, LAZ), OctoMaps, and exports of a map in three and in two dimensions.
 //!
 //! A damaged or foreign file is an error that names the file, the place in it, what was expected and what was
 //! found ([`ReadError`]). No file makes a reader panic or hold more than the limit that its documentation
@@ -9,6 +9,7 @@
 //! |---|---|---|
 //! | record | [`open_record`]: `.mcap` with ROS 2 PointCloud2 + Odometry or tf; rosbag2 folder with such files; folder with `Scans/*.pcd`, poses, `times.txt` | [`RecordWriter`]: `.mcap` |
 //! | point cloud | [`read_cloud`]: `.pcd`, `.ply`, `.las`, `.laz` | [`write_cloud`]: `.pcd`, `.ply` |
+//! | plane or band of a map | – | [`export_occupancy`]: `.pgm` or `.png` and a `.yaml`, for Nav2's `map_server`; [`export_heights`], [`export_values`]: `.png` |
 //! | occupancy map | [`read_map`]: `.bt`, and what is written here; [`OctoMap::read`]: `.bt` | [`export_map`]: `.ply`, `.pcd`, `.bt` |
 #![forbid(unsafe_code)]
 
@@ -19,8 +20,10 @@ mod cloud_reader;
 mod describe;
 mod error;
 mod export;
+mod export_flat;
 mod file;
 mod header_lines;
+mod image;
 mod las;
 mod lzf;
 mod map_reader;
@@ -48,6 +51,7 @@ pub use cloud_reader::read_cloud;
 pub use describe::{Content, Description, Topic, describe};
 pub use error::{Place, Problem, ReadError, TopicOf, WriteError};
 pub use export::{ExportOptions, export_map, write_cloud};
+pub use export_flat::{Scale, export_heights, export_occupancy, export_values, occupancy_yaml};
 pub use map_reader::{MapFile, read_map};
 pub use octomap::{Cube, OCTOMAP_BYTES_MAX, OctoMap, octomap_tree, read_octomap_tree};
 pub use record::{Frame, Frames, Record, RecordOptions, RecordSummary};

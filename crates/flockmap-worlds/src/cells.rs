@@ -1,7 +1,7 @@
 //! A sparse set of cells with fast exact ray casts: what is solid in a world.
 
-use crate::lattice::Lattice;
 use flockmap_grid::{Voxel, VoxelBox};
+use flockmap_plan::lattice::Lattice;
 
 /// Cells along one side of a chunk.
 const CHUNK: i32 = 16;

@@ -23,11 +23,9 @@
 mod cells;
 pub mod curve;
 mod flight;
-pub mod lattice;
 mod lidar;
 mod option_error;
 pub mod random;
-pub mod search;
 mod tracks;
 mod trajectory;
 mod world;

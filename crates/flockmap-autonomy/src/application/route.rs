@@ -1,9 +1,9 @@
 //! The path through a slab: A* over its cells, then straightened.
 
 use super::slab::Slab;
+use flockmap_plan::lattice::tenths_between;
+use flockmap_plan::search::{Search, Ties, straightened};
 use flockmap_worlds::curve::{distance, line};
-use flockmap_worlds::lattice::tenths_between;
-use flockmap_worlds::search::{Search, Ties, straightened};
 
 /// A point of a route each so many metres.
 pub(super) const POINT_EVERY_M: f64 = 0.1;

@@ -1,8 +1,8 @@
 //! What a pilot makes of the map: the layer of space that its body flies in, seen from above.
 
 use flockmap_grid::{MapView, Voxel, VoxelBox};
+use flockmap_plan::lattice::Lattice;
 use flockmap_worlds::World;
-use flockmap_worlds::lattice::Lattice;
 
 /// Distances to obstacles are measured up to this many cells.
 const DISTANCE_CELLS_MAX: u32 = 12;

@@ -2,8 +2,8 @@
 
 use super::sight::Sight;
 use crate::{CellState, NavigationGrid};
+use flockmap_plan::{Cluster, Clusters, FrontierConfig};
 use flockmap_worlds::curve::distance;
-use flockmap_worlds::lattice::flood;
 use libm::atan2;
 
 /// A frontier reaches no further than this from its first cell, in metres.
@@ -61,17 +61,14 @@ pub(super) struct Frontiers {
     /// The directions, an octant each, in which each cell was looked at while Unknown.
     looks: Vec<u8>,
     /// The cells of the list.
-    claimed: Vec<bool>,
+    clusters: Clusters,
 }
 
 impl Frontiers {
     pub(super) fn new(grid: &NavigationGrid) -> Self {
-        Self { list: Vec::new(), looks: vec![0; grid.count()], claimed: vec![false; grid.count()] }
-    }
-
-    /// Whether a cell is Unknown and was not looked at in vain.
-    pub(super) fn is_worth(&self, grid: &NavigationGrid, cell: usize) -> bool {
-        self.looks[cell].count_ones() < DIRECTIONS_MAX && grid.cell_state(cell) == CellState::Unknown
+        let config = FrontierConfig { reach_m: REACH_M, cells_min: CELLS_MIN };
+        let clusters = Clusters::new(grid.cells, config);
+        Self { list: Vec::new(), looks: vec![0; grid.count()], clusters }
     }
 
     /// How likely something comes back from an Unknown cell that is looked at in a direction of this octant:
@@ -80,12 +77,6 @@ impl Frontiers {
         let looks = self.looks[cell];
         let is_new = looks >> octant & 1 == 0;
         PROBABILITIES.get(looks.count_ones() as usize).copied().filter(|_| is_new).unwrap_or(0.0)
-    }
-
-    /// Whether a cell is Free and has an Unknown one beside it that is worth looking at.
-    pub(super) fn is_frontier(&self, grid: &NavigationGrid, cell: usize) -> bool {
-        grid.cell_state(cell) == CellState::Free
-            && grid.cells.beside(cell).any(|next| self.is_worth(grid, next))
     }
 
     /// How much is to be seen from a viewpoint now.
@@ -109,10 +100,12 @@ impl Frontiers {
     pub(super) fn update(&mut self, grid: &NavigationGrid, sight: &Sight, is_open: impl Fn(usize) -> bool) {
         let mut list = core::mem::take(&mut self.list);
         list.retain_mut(|frontier| {
-            self.claim(&frontier.cells, false);
-            frontier.cells.retain(|cell| self.is_frontier(grid, *cell as usize));
+            self.clusters.release(&frontier.cells);
+            frontier.cells.retain(|cell| is_frontier(&self.looks, grid, *cell as usize));
             let stays = frontier.cells.len() >= CELLS_MIN && frontier.cells.len() * 4 >= frontier.found * 3;
-            self.claim(&frontier.cells, stays);
+            if stays {
+                self.clusters.claim(&frontier.cells);
+            }
             stays
         });
         for frontier in &mut list {
@@ -124,29 +117,15 @@ impl Frontiers {
                 }
             }
         }
-        for seed in 0..grid.count() {
-            if !self.claimed[seed] && self.is_frontier(grid, seed) {
-                let cells = self.grow(grid, seed);
-                if cells.len() >= CELLS_MIN {
-                    let mut frontier = Frontier {
-                        found: cells.len(),
-                        centre: grid.cells.middle(&cells),
-                        cells,
-                        viewpoints: Vec::new(),
-                        patience: 0,
-                    };
-                    self.find_viewpoints(&mut frontier, grid, sight, &is_open);
-                    list.push(frontier);
-                } else {
-                    self.claim(&cells, false);
-                }
-            }
+        let looks = &self.looks;
+        let found = self.clusters.find(0..grid.count(), |cell| is_frontier(looks, grid, cell));
+        for Cluster { cells, centroid_m: centre } in found {
+            let (found, viewpoints) = (cells.len(), Vec::new());
+            let mut frontier = Frontier { cells, found, centre, viewpoints, patience: 0 };
+            self.find_viewpoints(&mut frontier, grid, sight, &is_open);
+            list.push(frontier);
         }
         self.list = list;
-    }
-
-    fn claim(&mut self, cells: &[u32], is_claimed: bool) {
-        cells.iter().for_each(|cell| self.claimed[*cell as usize] = is_claimed);
     }
 
     /// Counts a look from a place at all cells that can be seen from there; call it some times a second.
@@ -174,22 +153,8 @@ impl Frontiers {
 
     /// Share of these cells that are still frontiers.
     pub(super) fn share_left(&self, grid: &NavigationGrid, cells: &[u32]) -> f64 {
-        let left = cells.iter().filter(|cell| self.is_frontier(grid, **cell as usize)).count();
+        let left = cells.iter().filter(|cell| is_frontier(&self.looks, grid, **cell as usize)).count();
         left as f64 / cells.len().max(1) as f64
-    }
-
-    /// The frontier cells that hang together with a seed and are near it.
-    fn grow(&mut self, grid: &NavigationGrid, seed: usize) -> Vec<u32> {
-        let origin = grid.cells.centre(seed);
-        self.claimed[seed] = true;
-        let around = |cell| grid.cells.around(cell).map(|(next, _)| next);
-        flood(vec![seed as u32], around, |_, next| {
-            let is_new = !self.claimed[next]
-                && distance(grid.cells.centre(next), origin) <= REACH_M
-                && self.is_frontier(grid, next);
-            self.claimed[next] |= is_new;
-            is_new
-        })
     }
 
     /// Judges places on rings round the centre of a frontier: those that see a good part of it, and of these
@@ -245,4 +210,15 @@ impl Frontiers {
         }
         frontier.viewpoints.retain(|viewpoint| viewpoint.gain >= GAIN_MIN);
     }
+}
+
+/// Whether a cell is Unknown and was not looked at in vain.
+fn is_worth(looks: &[u8], grid: &NavigationGrid, cell: usize) -> bool {
+    looks[cell].count_ones() < DIRECTIONS_MAX && grid.cell_state(cell) == CellState::Unknown
+}
+
+/// Whether a cell is Free and has an Unknown one beside it that is worth looking at.
+fn is_frontier(looks: &[u8], grid: &NavigationGrid, cell: usize) -> bool {
+    grid.cell_state(cell) == CellState::Free
+        && grid.cells.beside(cell).any(|next| is_worth(looks, grid, next))
 }

@@ -2,8 +2,8 @@
 
 use core::ops::{AddAssign, SubAssign};
 use flockmap_grid::{BlockIndex, MapView, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, set_bits};
+use flockmap_plan::lattice::Lattice;
 use flockmap_worlds::curve::distance;
-use flockmap_worlds::lattice::Lattice;
 use std::collections::{BTreeMap, BTreeSet};
 use thiserror::Error;
 

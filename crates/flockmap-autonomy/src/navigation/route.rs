@@ -2,8 +2,8 @@
 
 use super::CellState;
 use super::NavigationGrid;
-use flockmap_worlds::lattice::tenths_between;
-use flockmap_worlds::search::{Search, Ties, straightened};
+use flockmap_plan::lattice::tenths_between;
+use flockmap_plan::search::{Search, Ties, straightened};
 use thiserror::Error;
 
 /// Price of a tenth of a cell's side where there is room, and where it is narrow.

@@ -2,6 +2,7 @@
 
 pub mod demo;
 pub mod export;
+mod export_flat;
 mod hidden;
 pub mod info;
 pub mod key;

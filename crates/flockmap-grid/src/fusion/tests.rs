@@ -210,7 +210,47 @@ fn what_the_mapper_has_no_room_for_leaves_nothing_behind() {
     }
 }
 
+fn index(reach: i32) -> impl Strategy<Value = BlockIndex> {
+    // In a few regions, beside their borders, and far away.
+    let axis = move || prop_oneof![6 => -9..10i32, 1 => -reach..reach];
+    (axis(), axis(), axis()).prop_map(|(x, y, z)| BlockIndex::new(x, y, z))
+}
+
 proptest! {
+    #[test]
+    fn the_blocks_in_a_box_are_those_that_share_voxels_with_it(
+        blocks in prop::collection::btree_map(index(1 << 20), any::<bool>(), 0..80),
+        a in index(1 << 25), b in index(1 << 25), from in [0..8i32, 0..8, 0..8], to in [0..8i32, 0..8, 0..8],
+    ) {
+        let mut view = MapView::new(resolution());
+        for (index, is_kept) in &blocks {
+            view.set_block(*index, &StateBlock::new([3; 8], [1; 8]));
+            if !is_kept {
+                view.set_block(*index, &StateBlock::default());
+            }
+        }
+        let inside = |index: BlockIndex, [x, y, z]: [i32; 3]| {
+            let corner = index.corner();
+            Voxel::new(corner.x + x, corner.y + y, corner.z + z)
+        };
+        let region = VoxelBox::spanning(inside(a, from), inside(b, to)).unwrap();
+        let mut found: Vec<BlockIndex> = view.blocks_in(&region).map(|(index, block)| {
+            assert_eq!(Some(block), view.block(index));
+            index
+        }).collect();
+        found.sort_unstable();
+        let known = || blocks.iter().filter(|(_, is_kept)| **is_kept).map(|(index, _)| *index);
+        let expected: Vec<BlockIndex> =
+            known().filter(|index| index.voxel_box().intersection(&region).is_some()).collect();
+        prop_assert_eq!(found, expected);
+
+        // Of each block the voxels with x 0 and 1 in the rows with y 0 are known.
+        let ends = known().map(|index| {
+            VoxelBox::spanning(inside(index, [0, 0, 0]), inside(index, [1, 0, 7])).unwrap()
+        });
+        prop_assert_eq!(view.bounding_box(), ends.reduce(|a, b| a.union(&b)));
+    }
+
     #[test]
     fn who_takes_over_what_changed_has_the_same_map(
         steps in prop::collection::vec(prop::collection::vec(([-3..3i32, -3..3, 0..2], 0..512usize, 0..3u8), 1..30), 1..20),

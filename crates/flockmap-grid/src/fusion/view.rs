@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use rustc_hash::FxHashMap;
 
+use crate::changes::bounding_box;
 use crate::memory::table_bytes;
-use crate::{
-    BLOCK_SIDE, BlockIndex, Changes, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, voxel_bit,
-};
+use crate::{BlockIndex, Changes, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, voxel_bit};
 
 /// Blocks per side of a region: what is copied when a map is written to while a view of it is alive.
 const REGION_BITS: i32 = 3;
@@ -137,21 +136,35 @@ impl MapView {
         all.filter(|(_, block)| !block.states.is_empty()).map(|(index, block)| (*index, &block.states))
     }
 
+    /// The blocks that share voxels with a box and in which something is known, in no order. O(blocks of the box,
+    /// or of the regions of 64³ voxels that it meets, whichever are fewer): for a box that is larger than the map
+    /// as for the map.
+    pub fn blocks_in(&self, region: &VoxelBox) -> impl Iterator<Item = (BlockIndex, &StateBlock)> + use<'_> {
+        let [low, high] = [region.min().block(), region.max().block()];
+        let [first, last] = [region_of(low), region_of(high)];
+        let regions: Vec<(BlockIndex, &Region)> = if count_between(first, last) < self.regions.len() as u128 {
+            between(first, last).filter_map(|at| Some((at, self.regions.get(&at)?.as_ref()))).collect()
+        } else {
+            let all = self.regions.iter().map(|(at, region)| (*at, region.as_ref()));
+            all.filter(|(at, _)| is_between(*at, first, last)).collect()
+        };
+        let blocks = regions.into_iter().flat_map(move |(at, region)| region.blocks_between(at, low, high));
+        blocks.filter(|(_, states)| !states.is_empty())
+    }
+
+    /// The smallest box that holds every known voxel; `None` if there is none. O(blocks).
+    pub fn bounding_box(&self) -> Option<VoxelBox> {
+        bounding_box(self.blocks())
+    }
+
     /// Number of blocks in which something is known. O(1).
     pub const fn block_count(&self) -> usize {
         self.blocks - self.emptied
     }
 
-    /// Every known voxel of a box with its state, in ascending order of blocks. O(blocks of the box or of the
-    /// map, whichever are fewer).
+    /// Every known voxel of a box with its state, in ascending order of blocks. Cost as of [`Self::blocks_in`].
     pub fn voxels_in(&self, region: &VoxelBox) -> impl Iterator<Item = (Voxel, State)> + use<> {
-        let blocks_of_box: u128 =
-            region.size().iter().map(|s| u128::from(s / BLOCK_SIDE as u32 + 2)).product();
-        let blocks = if blocks_of_box < self.regions.len() as u128 * 64 {
-            region.blocks().filter_map(|index| Some((index, *self.block(index)?))).collect()
-        } else {
-            self.blocks().map(|(index, block)| (index, *block)).collect()
-        };
+        let blocks = self.blocks_in(region).map(|(index, block)| (index, *block)).collect();
         Changes::from_blocks(blocks).within(region).into_voxels()
     }
 
@@ -275,6 +288,47 @@ impl MapView {
         self.emptied = 0;
         self.emptied_since = self.version;
     }
+}
+
+impl Region {
+    /// The blocks of the region `at` from `low` to `high`.
+    fn blocks_between(
+        &self,
+        at: BlockIndex,
+        low: BlockIndex,
+        high: BlockIndex,
+    ) -> impl Iterator<Item = (BlockIndex, &StateBlock)> {
+        let [x, y, z] = [at.x, at.y, at.z].map(|v| v << REGION_BITS);
+        let side = (1 << REGION_BITS) - 1;
+        let low = BlockIndex::new(low.x.max(x), low.y.max(y), low.z.max(z));
+        let high = BlockIndex::new(high.x.min(x + side), high.y.min(y + side), high.z.min(z + side));
+        let is_named = count_between(low, high) < self.blocks.len() as u128;
+        let named = is_named.then(|| between(low, high)).into_iter().flatten();
+        let named = named.filter_map(|index| Some((index, &self.blocks.get(&index)?.states)));
+        let all = (!is_named).then_some(&self.blocks).into_iter().flatten();
+        let all = all.filter(move |(index, _)| is_between(**index, low, high));
+        named.chain(all.map(|(index, block)| (*index, &block.states)))
+    }
+}
+
+/// The indices from `low` to `high`, z fastest.
+fn between(low: BlockIndex, high: BlockIndex) -> impl Iterator<Item = BlockIndex> {
+    (low.x..=high.x).flat_map(move |x| {
+        (low.y..=high.y).flat_map(move |y| (low.z..=high.z).map(move |z| BlockIndex { x, y, z }))
+    })
+}
+
+fn count_between(low: BlockIndex, high: BlockIndex) -> u128 {
+    [(low.x, high.x), (low.y, high.y), (low.z, high.z)]
+        .map(|(low, high)| u128::from(high.abs_diff(low)) + 1)
+        .into_iter()
+        .product()
+}
+
+fn is_between(index: BlockIndex, low: BlockIndex, high: BlockIndex) -> bool {
+    (low.x..=high.x).contains(&index.x)
+        && (low.y..=high.y).contains(&index.y)
+        && (low.z..=high.z).contains(&index.z)
 }
 
 /// Of a region in which something is known; before that, nothing.

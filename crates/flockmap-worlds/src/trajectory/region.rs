@@ -2,7 +2,7 @@
 
 use super::space::{BLOCKED, Space, area_m2, distances, largest_part};
 use super::{TrajectoryError, TrajectoryOptions};
-use crate::lattice::flood;
+use flockmap_plan::lattice::flood;
 use std::rc::Rc;
 
 /// Rounds in which the parts are evened out.

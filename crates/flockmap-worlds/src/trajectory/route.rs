@@ -4,9 +4,9 @@ use super::TrajectoryOptions;
 use super::region::Region;
 use super::space::Space;
 use crate::curve::distance;
-use crate::lattice::tenths_between;
 use crate::random::Random;
-use crate::search::{Search, Ties, straightened};
+use flockmap_plan::lattice::tenths_between;
+use flockmap_plan::search::{Search, Ties, straightened};
 
 /// Metres between places that are visited in one round.
 const SPACING_M: f64 = 3.0;

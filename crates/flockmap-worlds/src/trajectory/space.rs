@@ -2,8 +2,8 @@
 
 use super::{TrajectoryError, TrajectoryOptions};
 use crate::World;
-use crate::lattice::{Lattice, flood};
 use flockmap_grid::{Voxel, VoxelBox};
+use flockmap_plan::lattice::{Lattice, flood};
 
 /// Cells of the coarse grid for which a step of about 10 cm is taken; larger worlds are searched in larger
 /// steps.

@@ -16,7 +16,7 @@ pub enum Ties {
 /// which cells are beside a cell and what they cost:
 ///
 /// ```
-/// use flockmap_worlds::search::{Search, Ties};
+/// use flockmap_plan::search::{Search, Ties};
 ///
 /// // From 3 to 0 on a line of cells, of which each costs its number.
 /// let mut search = Search::new(5, Ties::Cost);

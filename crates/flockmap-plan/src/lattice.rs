@@ -1,5 +1,7 @@
 //! Boxes of cubic cells in space, numbered: what planners divide space into.
 
+use flockmap_grid::{Resolution, VoxelBox};
+
 /// A box of cells, numbered with x fastest.
 ///
 /// The indices of a cell count from an origin at which cells have a corner; its place counts from the lowest cell
@@ -25,6 +27,13 @@ impl Lattice {
     #[must_use]
     pub const fn placed(self, origin_m: [f64; 3], low: [i32; 3], side_m: f64) -> Self {
         Self { low, origin_m, side_m, ..self }
+    }
+
+    /// The voxels of a box: their indices and places are those in their grid.
+    pub fn of_voxels(region: &VoxelBox, resolution: Resolution) -> Self {
+        let low = region.min();
+        let size = region.size().map(|cells| cells as usize);
+        Self::new(size).placed([0.0; 3], [low.x, low.y, low.z], resolution.metres())
     }
 
     /// Cells along x, y and z.
@@ -250,6 +259,11 @@ impl Lattice {
             }
         }
     }
+}
+
+/// Straight from one point to the other.
+pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum::<f64>().sqrt()
 }
 
 /// Length of the shortest path between two cells by their indices, with diagonals, in tenths of a side (a
