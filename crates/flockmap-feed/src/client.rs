@@ -152,6 +152,12 @@ impl Client {
         self.link.is_some()
     }
 
+    /// Ends the connection, if there is one. The next call of [`Self::next`] makes another.
+    pub fn disconnect(&mut self) {
+        self.link = None;
+        self.again = Instant::now();
+    }
+
     /// Waits up to so long for the next frame, connecting first if need be. `None`: the time is over. Making a
     /// connection may take 5 s more for each address of a host.
     ///

@@ -1,8 +1,8 @@
 //! The reader's side: bytes in, a map out.
 
-use flockmap_grid::{BlockIndex, MapView, RobotId, Stamp, StateBlock, Voxel};
+use flockmap_grid::{BlockIndex, MapView, Resolution, RobotId, Stamp, StateBlock, Voxel};
 
-use crate::message::{Blocks, FRAME_BYTES_MAX, Have, Message, NodeCounts, NodeHello, ReaderHello, RobotPose};
+use crate::message::{Block, Blocks, FRAME_BYTES_MAX, Have, Message, NodeCounts, NodeHello, ReaderHello, RobotPose};
 use crate::origins::Origins;
 use crate::{FeedError, Splitter};
 
@@ -199,11 +199,12 @@ impl Mirror {
         if upto < have.upto || newest < upto {
             return Err(FeedError::Versions { upto, newest, before: have.upto });
         }
+        let is_more = |block: &&Block| !block.states.is_empty() && kept.map.block(block.index).is_none();
+        let more = blocks.iter().filter(is_more).count();
+        if kept.map.block_count() + more > self.options.blocks_max {
+            return Err(FeedError::BlocksFull(self.options.blocks_max));
+        }
         for block in &blocks {
-            let is_more = kept.map.block(block.index).is_none() && !block.states.is_empty();
-            if is_more && kept.map.block_count() >= self.options.blocks_max {
-                return Err(FeedError::BlocksFull(self.options.blocks_max));
-            }
             kept.map.set_block(block.index, &block.states);
             kept.origins.set(block.index, &block.origins);
         }
@@ -235,7 +236,7 @@ impl Mirror {
 
     /// Whether the map is the node's as it was at [`Self::stamp`], and not one in which parts are older.
     pub fn is_complete(&self) -> bool {
-        self.coming.is_none() && self.have.is_some_and(|have| have.upto > 0 || self.newest == 0) && self.behind() == 0
+        self.coming.is_none() && self.have.is_some() && self.behind() == 0
     }
 
     /// By how many changes of a block the map is behind the newest that is known of; of a map that begins
@@ -281,7 +282,7 @@ impl Mirror {
 }
 
 impl Kept {
-    fn new(resolution: flockmap_grid::Resolution) -> Self {
+    fn new(resolution: Resolution) -> Self {
         Self { map: MapView::new(resolution), origins: Origins::default() }
     }
 

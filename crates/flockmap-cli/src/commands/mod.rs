@@ -5,6 +5,7 @@ pub mod export;
 mod hidden;
 pub mod info;
 pub mod key;
+pub mod mirror;
 pub mod node;
 pub mod radio;
 pub mod replay;

@@ -270,3 +270,93 @@ async fn read_nothing(from: &mut ReadHalf<Box<dyn Connection>>) -> Closed {
         Ok(_) => Closed::Fault("it said something after its hello, and a reader only reads".into()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::{MapView, Resolution, RobotId, State};
+    use flockmap_feed::{Event, Mirror};
+    use tokio::io::{DuplexStream, duplex};
+    use tokio::sync::mpsc::unbounded_channel;
+
+    /// A map of so many blocks.
+    fn map(blocks: i32) -> MapView {
+        let mut map = MapView::new(Resolution::from_metres(0.1).unwrap());
+        let mut states = flockmap::grid::StateBlock::default();
+        states.set(5, State::Occupied);
+        (0..blocks).for_each(|x| map.set_block(BlockIndex::new(x, 0, 0), &states));
+        map
+    }
+
+    fn given(map: MapView) -> Option<Arc<Given>> {
+        let (poses, counts) = Default::default();
+        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts }))
+    }
+
+    /// Time stands still but for what a test waits for.
+    fn with_reader<T: Future<Output = ()>>(
+        blocks: i32,
+        test: impl FnOnce(DuplexStream, tokio::task::JoinHandle<Closed>, watch::Sender<Option<Arc<Given>>>) -> T,
+    ) {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build();
+        runtime.unwrap().block_on(async {
+            let (ours, theirs) = duplex(1 << 12);
+            let (give, given) = watch::channel(given(map(blocks)));
+            let resolution = Resolution::from_metres(0.1).unwrap();
+            let (name, frame) = (String::new(), String::new());
+            let identity = Arc::new(Identity { robot: RobotId(1), resolution, feed: 1, name, frame });
+            let commands = unbounded_channel().0.downgrade();
+            let (tally, asked) = Default::default();
+            let reader = Reader { identity, given, tally, commands, asked };
+            let task = tokio::spawn(reader.serve(Box::new(theirs), Arc::default()));
+            test(ours, task, give).await;
+        });
+    }
+
+    #[test]
+    fn who_says_no_hello_is_closed_after_ten_seconds() {
+        with_reader(1, |mut ours, task, _give| async move {
+            let began = Instant::now();
+            ours.write_all(&[31, 0]).await.unwrap();
+            assert!(matches!(task.await.unwrap(), Closed::Silent));
+            assert_eq!(began.elapsed().as_secs(), 10);
+        });
+    }
+
+    #[test]
+    fn who_takes_nothing_is_closed_after_a_minute_and_who_takes_little_is_not() {
+        with_reader(2_000, |mut ours, task, _give| async move {
+            ours.write_all(&ReaderHello::default().emit()).await.unwrap();
+            let began = Instant::now();
+            let mut some = [0; 1_000];
+            for _ in 0..10 {
+                tokio::time::sleep(Duration::from_secs(50)).await;
+                ours.read_exact(&mut some).await.unwrap();
+            }
+            assert!(!task.is_finished());
+            let last = began.elapsed();
+            let Closed::Fault(text) = task.await.unwrap() else { panic!("no fault") };
+            assert!(text.contains("took nothing for 60 s"), "{text}");
+            assert!((began.elapsed() - last).as_secs() <= 60);
+        });
+    }
+
+    #[test]
+    fn the_rest_of_the_map_comes_before_the_end() {
+        with_reader(700, |mut ours, task, give| async move {
+            ours.write_all(&ReaderHello::default().emit()).await.unwrap();
+            // The node ends before it has sent anything.
+            give.send_replace(given(map(900)));
+            drop(give);
+            let (mut mirror, mut bytes, mut events) = (Mirror::default(), Vec::new(), Vec::new());
+            ours.read_to_end(&mut bytes).await.unwrap();
+            let mut rest = &bytes[..];
+            while let Some(event) = mirror.push(&mut rest).unwrap() {
+                events.push(event);
+            }
+            assert_eq!(events.last(), Some(&Event::End), "{events:?}");
+            assert_eq!(mirror.map().unwrap().count(), (0, 900));
+            assert!(mirror.is_complete() && matches!(task.await.unwrap(), Closed::Gone));
+        });
+    }
+}
