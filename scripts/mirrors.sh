@@ -5,11 +5,11 @@
 #
 # usage: scripts/mirrors.sh RECORD1 RECORD2
 # environment: FLOCKMAP, the program (default: built here, release); SPEED=4, of the records; MIRRORS=1, 0: nobody reads, to compare the
-#   processor time; HOSTILE=1; RESOLUTION=0.2, RANGE=30; RATE=100000; OUT, folder for what is left (default: a new one)
+#   processor time; ORIGINS=1, 0: the fast one does not ask who saw each voxel; HOSTILE=1; RESOLUTION=0.2, RANGE=30; RATE=100000; OUT, folder for what is left (default: a new one)
 # exit: 0 all equal, 1 not.
 set -euo pipefail
 
-SPEED=${SPEED:-4} MIRRORS=${MIRRORS:-1} HOSTILE=${HOSTILE:-1} RESOLUTION=${RESOLUTION:-0.2} RANGE=${RANGE:-30} RATE=${RATE:-100000}
+SPEED=${SPEED:-4} MIRRORS=${MIRRORS:-1} ORIGINS=${ORIGINS:-1} HOSTILE=${HOSTILE:-1} RESOLUTION=${RESOLUTION:-0.2} RANGE=${RANGE:-30} RATE=${RATE:-100000}
 [ $# = 2 ] || { sed -n '2,9p' "$0" >&2; exit 2; }
 records=("$(realpath "$1")" "$(realpath "$2")")
 cd "$(dirname "$0")/.."
@@ -69,7 +69,10 @@ follow() {
 names=()
 if [ "$MIRRORS" = 1 ]; then
     names=(fast slow back)
-    follow fast "unix:$OUT/map.sock" --origins
+    origins=--origins
+    [ "$ORIGINS" = 1 ] || origins=
+    # shellcheck disable=SC2086
+    follow fast "unix:$OUT/map.sock" $origins
     follow slow "127.0.0.1:$((port + 80))" --rate-max "$RATE"
     follow back "unix:$OUT/map.sock"
     back=${pids[-1]}

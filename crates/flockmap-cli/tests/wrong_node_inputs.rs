@@ -228,7 +228,9 @@ const CONFIGS: &[Wrong] = &[
     wrong(
         "readers of nothing",
         "[map_output]\nreaders_max = 3\n",
-        &["line 6: [map_output] readers_max is given, expected [map_output] listen_unix or [map_output] listen_tcp"],
+        &[
+            "line 6: [map_output] readers_max is given, expected [map_output] listen_unix or [map_output] listen_tcp",
+        ],
     ),
     wrong(
         "no folder for the map's socket",

@@ -8,8 +8,8 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::mirror::{Event, Mirror};
 use crate::FeedError;
+use crate::mirror::{Event, Mirror};
 
 /// A node that says nothing for so long is gone: it counts something each second.
 const SILENCE_MAX: Duration = Duration::from_secs(10);
@@ -127,7 +127,15 @@ enum Stream {
 impl Client {
     /// A client that has no connection yet: [`Self::next`] makes it.
     pub fn new(address: Address, mirror: Mirror) -> Self {
-        Self { address, mirror, link: None, again: Instant::now(), pause: PAUSES[0], bytes_in: 0, rate_max: None }
+        Self {
+            address,
+            mirror,
+            link: None,
+            again: Instant::now(),
+            pause: PAUSES[0],
+            bytes_in: 0,
+            rate_max: None,
+        }
     }
 
     /// Reads no more than so many bytes in a second, 1 at least: for a link that others need too.
@@ -190,7 +198,8 @@ impl Client {
         if self.link.is_none() {
             let mut stream = Stream::connect(&self.address)?;
             stream.write_all(&self.mirror.connect())?;
-            self.link = Some(Link { stream, buffer: vec![0; READ_BYTES], unread: 0..0, heard: Instant::now() });
+            self.link =
+                Some(Link { stream, buffer: vec![0; READ_BYTES], unread: 0..0, heard: Instant::now() });
         }
         let Some(link) = &mut self.link else { return Ok(None) };
         loop {
@@ -225,7 +234,9 @@ impl Link {
         let count = match self.stream.read(&mut self.buffer[..room], wait) {
             Ok(0) => return Err(ClientError::Closed),
             Ok(count) => count,
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => return Ok(None),
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                return Ok(None);
+            }
             Err(error) if error.kind() == ErrorKind::Interrupted => 0,
             Err(error) => return Err(error.into()),
         };

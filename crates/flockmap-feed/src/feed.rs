@@ -149,12 +149,7 @@ impl Feed {
     /// A frame with the next blocks, as many as it has room for. `blocks` must be those of [`Self::due`] in that
     /// order, at least one if any is due; they may be newer than when they were named. `newest` and `stamp`
     /// are of the map from which they are.
-    pub fn blocks(
-        &mut self,
-        blocks: impl IntoIterator<Item = Block>,
-        newest: u64,
-        stamp: Stamp,
-    ) -> Vec<u8> {
+    pub fn blocks(&mut self, blocks: impl IntoIterator<Item = Block>, newest: u64, stamp: Stamp) -> Vec<u8> {
         let mut frame = BlocksFrame::new(self.origins);
         for block in blocks {
             let Some((version, index)) = self.due.pop_front() else { break };

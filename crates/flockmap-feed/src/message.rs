@@ -308,8 +308,7 @@ impl Block {
             return Err(FeedError::Block(index));
         }
         let states = StateBlock::new(free, occupied);
-        let origins =
-            if with_origins { parse_origins(fields, index, &states.known())? } else { Vec::new() };
+        let origins = if with_origins { parse_origins(fields, index, &states.known())? } else { Vec::new() };
         Ok(Self { index, states, origins })
     }
 }

@@ -2,7 +2,9 @@
 
 use flockmap_grid::{BlockIndex, MapView, Resolution, RobotId, Stamp, StateBlock, Voxel};
 
-use crate::message::{Block, Blocks, FRAME_BYTES_MAX, Have, Message, NodeCounts, NodeHello, ReaderHello, RobotPose};
+use crate::message::{
+    Block, Blocks, FRAME_BYTES_MAX, Have, Message, NodeCounts, NodeHello, ReaderHello, RobotPose,
+};
 use crate::origins::Origins;
 use crate::{FeedError, Splitter};
 

@@ -1,8 +1,6 @@
 //! The example in `docs/map-output.md` is what the code says.
 
-use flockmap_feed::{
-    Block, Blocks, Event, Message, Mirror, NodeCounts, NodeHello, ReaderHello, RobotPose,
-};
+use flockmap_feed::{Block, Blocks, Event, Message, Mirror, NodeCounts, NodeHello, ReaderHello, RobotPose};
 use flockmap_grid::{BlockIndex, Resolution, RobotId, Stamp, State, StateBlock, Stream, Voxel};
 
 /// The frames of the document, each with what is said before it.

@@ -68,9 +68,9 @@ fn messages() -> Vec<Message> {
         let blocks = (0..count).map(|at| block(at, origins)).collect();
         Message::Blocks(Blocks { upto, newest, stamp: Stamp(5), origins: origins > 0, blocks })
     };
-    let emptied = Block { index: BlockIndex::new(1, -1, 3), states: StateBlock::default(), origins: Vec::new() };
     let emptied =
-        Blocks { upto: 9, newest: 9, stamp: Stamp(6), origins: true, blocks: vec![emptied] };
+        Block { index: BlockIndex::new(1, -1, 3), states: StateBlock::default(), origins: Vec::new() };
+    let emptied = Blocks { upto: 9, newest: 9, stamp: Stamp(6), origins: true, blocks: vec![emptied] };
     let pose = RobotPose {
         stream: Stream { origin: RobotId(2), epoch: 5 },
         position: [1.0, 2.0, 3.0],

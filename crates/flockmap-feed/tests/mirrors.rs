@@ -36,7 +36,7 @@ fn states(seed: u64) -> StateBlock {
 
 /// Who saw a voxel, by a rule that the mirror does not know.
 fn origin_of(voxel: Voxel, version: u64) -> RobotId {
-    RobotId(((voxel.x + voxel.y / 3) as u64 + version).rem_euclid(3) as u16)
+    RobotId((i64::from(voxel.x + voxel.y / 3) + version as i64).rem_euclid(3) as u16)
 }
 
 fn origins(index: BlockIndex, states: &StateBlock, version: u64) -> Vec<(RobotId, Plane)> {
@@ -395,7 +395,10 @@ fn the_old_map_is_shown_until_the_new_one_is_complete() {
     loop {
         let Some(frame) = node.frame(&mut reader.feed, 10) else { break };
         assert_eq!(voxels(reader.mirror.map().unwrap()), before);
-        assert!(!matches!(reader.mirror.have(), Some(have) if have.feed == node.id) || !reader.mirror.is_complete());
+        assert!(
+            !matches!(reader.mirror.have(), Some(have) if have.feed == node.id)
+                || !reader.mirror.is_complete()
+        );
         reader.wire = frame;
         reader.take(&node, 100);
     }

@@ -396,7 +396,11 @@ impl<T: Transport> Driver<T> {
         let idle = now + Duration::from_secs(60);
         let alone = self.alone.poll_timeout();
         let outlet = self.outlet.as_ref().and_then(Outlet::poll_timeout);
-        [robot, status, until, alone, outlet].into_iter().flatten().chain(self.ends()).fold(idle, Instant::min)
+        [robot, status, until, alone, outlet]
+            .into_iter()
+            .flatten()
+            .chain(self.ends())
+            .fold(idle, Instant::min)
     }
 
     /// When it ends by itself, as far as is known.

@@ -104,7 +104,10 @@ impl Node {
             if let Some(output) = options.map_output.take() {
                 let identity = (options.name.clone(), options.robot.id, options.robot.mapper.resolution);
                 let started = Outlet::start(output, identity, commands.clone(), options.log.clone());
-                outlet = Some(started.map_err(|(place, error)| system(format!("give the map out at {place}"))(error))?);
+                outlet = Some(
+                    started
+                        .map_err(|(place, error)| system(format!("give the map out at {place}"))(error))?,
+                );
             }
             // After all else that can stop the start: each leaves a segment.
             let store = options.store.take();

@@ -10,7 +10,9 @@ use flockmap_io::{RecordOptions, open_record};
 use crate::config::{Places, check_applies, read_with_places, seconds, speed, within};
 use crate::kept::Kept;
 use crate::sensor::repeated;
-use crate::{KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets, outputs};
+use crate::{
+    KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets, outputs,
+};
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
 /// configured; then saves the map if asked, and writes a summary as JSON to the configured file, or to stdout.

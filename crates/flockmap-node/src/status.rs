@@ -308,8 +308,11 @@ fn escape(label: &str) -> String {
 
 /// What of a node is counted without going through its map: as in Prometheus, without `flockmap_` and `_total`.
 pub(crate) fn counters_of(node: &NodeCounters, robot: &Robot) -> Vec<(String, u64)> {
-    let rooms =
-        [("node", named(node)), ("robot", named(robot.counters())), ("session", named(robot.session().counters()))];
+    let rooms = [
+        ("node", named(node)),
+        ("robot", named(robot.counters())),
+        ("session", named(robot.session().counters())),
+    ];
     let with_room = |(room, counters): (&str, BTreeMap<String, u64>)| {
         let of_room = counters.into_iter().map(|(name, value)| (format!("{room}_{name}"), value));
         of_room.collect::<Vec<_>>()

@@ -75,7 +75,11 @@ fn final_map(nodes: &[NodeHandle]) -> BTreeMap<Voxel, State> {
         }) && {
             let layers = |node: &NodeHandle| {
                 let read = |robot: &mut flockmap::Robot| {
-                    robot.fusion().layers().map(|(stream, layer)| (stream, layer.digest())).collect::<Vec<_>>()
+                    robot
+                        .fusion()
+                        .layers()
+                        .map(|(stream, layer)| (stream, layer.digest()))
+                        .collect::<Vec<_>>()
                 };
                 node.with_robot(move |robot, _| read(robot)).unwrap()
             };

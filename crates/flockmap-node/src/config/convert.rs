@@ -128,8 +128,7 @@ impl NodeConfig {
     pub(crate) fn map_output(&self) -> Result<Option<MapOutput>, ConfigError> {
         let section = &self.map_output;
         let mode = unix_mode("[map_output] unix_mode", &section.unix_mode)?;
-        let readers =
-            within("[map_output] readers_max", section.readers_max, 1..=READERS_MAX, "1 to 1,024")?;
+        let readers = within("[map_output] readers_max", section.readers_max, 1..=READERS_MAX, "1 to 1,024")?;
         let period = within("[map_output] period_ms", section.period_ms, 1..=60_000, "1 to 60,000")?;
         if section.listen_unix.is_none() && section.listen_tcp.is_none() {
             return Ok(None);

@@ -225,13 +225,7 @@ pub struct MapOutputSection {
 
 impl Default for MapOutputSection {
     fn default() -> Self {
-        Self {
-            listen_unix: None,
-            unix_mode: "0600".into(),
-            listen_tcp: None,
-            readers_max: 16,
-            period_ms: 20,
-        }
+        Self { listen_unix: None, unix_mode: "0600".into(), listen_tcp: None, readers_max: 16, period_ms: 20 }
     }
 }
 

@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use flockmap::grid::BlockIndex;
 use flockmap::{Robot, Stamp};
-use flockmap_feed::{Block, Feed, FeedError, HELLO_BYTES_MAX, Message, Next, NodeHello, ReaderHello, Splitter};
+use flockmap_feed::{
+    Block, Feed, FeedError, HELLO_BYTES_MAX, Message, Next, NodeHello, ReaderHello, Splitter,
+};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadHalf, WriteHalf};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::time::{Instant, sleep_until, timeout};

@@ -196,6 +196,7 @@ impl Server {
             // It connected and says nothing: whoever wants something goes first.
             self.places.remove(longest).task.abort();
             add(&self.tally.refused, 1);
+            self.warn("a connection to the map that had said no hello yet gave way to another one");
         }
         let has_said_hello = Arc::<AtomicBool>::default();
         let reader = Reader {
@@ -212,9 +213,12 @@ impl Server {
     fn refuse(&mut self, mut stream: Box<dyn Connection>) {
         add(&self.tally.refused, 1);
         let max = self.readers_max;
-        self.warn(&format!("a reader of the map was refused: there are {max}, and [map_output] readers_max allows no more"));
+        self.warn(&format!(
+            "a reader of the map was refused: there are {max}, and [map_output] readers_max allows no more"
+        ));
         let Ok(permit) = Arc::clone(&self.refusals).try_acquire_owned() else { return };
-        let end = format!("no place: {max} readers are there, and readers_max allows no more; try again later");
+        let end =
+            format!("no place: {max} readers are there, and readers_max allows no more; try again later");
         tokio::spawn(async move {
             let say = async {
                 stream.write_all(&Message::End(end).emit()).await?;

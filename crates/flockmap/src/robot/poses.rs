@@ -36,7 +36,8 @@ impl Robot {
         }
         if let Some((seen, pose)) = self.pose {
             let orientation = Some(pose.quaternion_xyzw());
-            let own = KnownPose { stream: self.own_stream(), position: pose.translation(), orientation, seen };
+            let own =
+                KnownPose { stream: self.own_stream(), position: pose.translation(), orientation, seen };
             poses.insert(self.config.id, own);
         }
         poses.into_values().collect()
