@@ -1,16 +1,19 @@
 #!/usr/bin/env bash
-# Two nodes play a record each, over a radio that loses 20 %. Three mirrors follow the first: one as fast as it can, one that reads
-# 100,000 bytes a second over TCP, and one that is killed and started again. At the end each must equal the node's map, voxel by voxel.
-# Then hostile readers: garbage, one that never reads, a thousand connections; an honest mirror must still get the map.
+# Two nodes play a record each, over a radio that loses 20 %. Three mirrors follow the first: one as fast as it can, one
+# that reads 100,000 bytes a second over TCP, and one that is killed and started again. At the end each must equal the
+# node's map, voxel by voxel. Then hostile readers: garbage, one that never reads, a thousand connections; an honest
+# mirror must still get the map.
 #
 # usage: scripts/mirrors.sh RECORD1 RECORD2
-# environment: FLOCKMAP, the program (default: built here, release); SPEED=4, of the records; MIRRORS=1, 0: nobody reads, to compare the
-#   processor time; ORIGINS=1, 0: the fast one does not ask who saw each voxel; HOSTILE=1; RESOLUTION=0.2, RANGE=30; RATE=100000; OUT, folder for what is left (default: a new one)
+# environment: FLOCKMAP, the program (default: built here, release); SPEED=4, of the records; RESOLUTION=0.2, RANGE=30;
+#   MIRRORS=1, 0: nobody reads, to compare the processor time; ORIGINS=1, 0: the fast one does not ask who saw each
+#   voxel; HOSTILE=1; RATE=100000; OUT, folder for what is left (default: a new one)
 # exit: 0 all equal, 1 not.
 set -euo pipefail
 
-SPEED=${SPEED:-4} MIRRORS=${MIRRORS:-1} ORIGINS=${ORIGINS:-1} HOSTILE=${HOSTILE:-1} RESOLUTION=${RESOLUTION:-0.2} RANGE=${RANGE:-30} RATE=${RATE:-100000}
-[ $# = 2 ] || { sed -n '2,9p' "$0" >&2; exit 2; }
+SPEED=${SPEED:-4} MIRRORS=${MIRRORS:-1} ORIGINS=${ORIGINS:-1} HOSTILE=${HOSTILE:-1}
+RESOLUTION=${RESOLUTION:-0.2} RANGE=${RANGE:-30} RATE=${RATE:-100000}
+[ $# = 2 ] || { sed -n '2,11p' "$0" >&2; exit 2; }
 records=("$(realpath "$1")" "$(realpath "$2")")
 cd "$(dirname "$0")/.."
 if [ -z "${FLOCKMAP:-}" ]; then
@@ -81,7 +84,8 @@ fi
 ticks=0 most=0 begun=$SECONDS was_killed=0
 while stat=$(cat "/proc/$node/stat" 2> /dev/null) && [ "$(cut -d' ' -f3 <<< "$stat")" != Z ]; do
     ticks=$(awk '{print $14 + $15}' <<< "$stat")
-    most=$(awk '/VmHWM/ {print $2}' "/proc/$node/status" 2> /dev/null || echo "$most")
+    now=$(awk "/VmHWM/ {print \$2}" "/proc/$node/status" 2> /dev/null || true)
+    most=${now:-$most}
     if [ "$MIRRORS" = 1 ] && [ $was_killed = 0 ] && [ $((SECONDS - begun)) -ge 8 ]; then
         kill -9 "$back" && was_killed=1
         sleep 1
@@ -126,7 +130,8 @@ done 2> /dev/null
 sleep 3
 echo "hostile: most memory after garbage, one that never reads and 1,000 connections $(awk '/VmHWM/ {print $2}' "/proc/$node/status") kB"
 while kill -0 "$node" 2> /dev/null && [ "$(cut -d' ' -f3 "/proc/$node/stat" 2> /dev/null)" != Z ]; do
-    most=$(awk '/VmHWM/ {print $2}' "/proc/$node/status" 2> /dev/null || echo "$most")
+    now=$(awk "/VmHWM/ {print \$2}" "/proc/$node/status" 2> /dev/null || true)
+    most=${now:-$most}
     sleep 0.2
 done
 wait "${pids[-1]}" 2> /dev/null || true

@@ -46,7 +46,8 @@ fn a_mirror_that_follows_to_the_end_has_the_map_that_the_node_saves() {
     assert!(said.contains(", complete;") && said.contains("1 connection(s)"), "{said}");
     assert!(said.contains("from merge to mirror: median"), "{said}");
     assert!(said.contains("robot 5 saw"), "{said}");
-    let [ours, theirs] = ["mirror.ply", "node.ply"].map(|name| std::fs::read(folder.path().join(name)).unwrap());
+    let [ours, theirs] =
+        ["mirror.ply", "node.ply"].map(|name| std::fs::read(folder.path().join(name)).unwrap());
     assert!(ours == theirs, "{} and {} bytes", ours.len(), theirs.len());
     assert!(!folder.path().join("map.sock").exists());
 }

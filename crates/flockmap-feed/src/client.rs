@@ -202,6 +202,7 @@ impl Client {
                 Some(Link { stream, buffer: vec![0; READ_BYTES], unread: 0..0, heard: Instant::now() });
         }
         let Some(link) = &mut self.link else { return Ok(None) };
+        let mut has_read = false;
         loop {
             let mut unread = &link.buffer[link.unread.clone()];
             let event = self.mirror.push(&mut unread)?;
@@ -212,6 +213,10 @@ impl Client {
             if event.is_some() {
                 return Ok(event);
             }
+            if has_read && Instant::now() >= until {
+                return Ok(None);
+            }
+            has_read = true;
             let Some(count) = link.read(until, self.rate_max)? else { return Ok(None) };
             self.bytes_in += count as u64;
         }
@@ -221,21 +226,16 @@ impl Client {
 impl Link {
     /// Reads what is there, or waits for it. `None`: the time is over.
     fn read(&mut self, until: Instant, rate_max: Option<u32>) -> Result<Option<usize>, ClientError> {
-        let now = Instant::now();
-        if now >= self.heard + SILENCE_MAX {
-            return Err(ClientError::Silent);
-        }
-        let wait = until.min(self.heard + SILENCE_MAX).saturating_duration_since(now);
-        if wait.is_zero() {
-            return Ok(None);
-        }
+        // A timeout of 0 is none to the system.
+        let wait = until.saturating_duration_since(Instant::now()).max(Duration::from_millis(1));
         // A twentieth of a second's at once.
         let room = rate_max.map_or(READ_BYTES, |rate| (rate as usize / 20).clamp(1, READ_BYTES));
         let count = match self.stream.read(&mut self.buffer[..room], wait) {
             Ok(0) => return Err(ClientError::Closed),
             Ok(count) => count,
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
-                return Ok(None);
+                let is_silent = self.heard.elapsed() >= SILENCE_MAX;
+                return if is_silent { Err(ClientError::Silent) } else { Ok(None) };
             }
             Err(error) if error.kind() == ErrorKind::Interrupted => 0,
             Err(error) => return Err(error.into()),
