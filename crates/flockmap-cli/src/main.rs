@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
-use commands::{demo, export, info, key, node, radio, replay, sim};
+use commands::{demo, export, info, key, mirror, node, radio, replay, sim};
 use flockmap_cli::{program, stop};
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
@@ -31,6 +31,7 @@ Start here:
 enum Command {
     Demo(demo::DemoArgs),
     Node(node::NodeArgs),
+    Mirror(mirror::MirrorArgs),
     Key(key::KeyArgs),
     Radio(radio::RadioArgs),
     Replay(replay::ReplayArgs),
@@ -55,6 +56,7 @@ fn main() -> ExitCode {
     program::exit_code(match &cli.command {
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => node::run(args),
+        Command::Mirror(args) => mirror::run(args),
         Command::Key(args) => key::run(args),
         Command::Radio(args) => radio::run(args),
         Command::Replay(args) => replay::run(args),

@@ -211,6 +211,38 @@ const CONFIGS: &[Wrong] = &[
         &["line 8: ", "there is no folder", "mkdir -p", "[sensor] listen_unix"],
     ),
     wrong(
+        "no permissions for readers",
+        "[map_output]\nlisten_unix = \"m.sock\"\nunix_mode = \"077\"\n",
+        &["line 7: [map_output] unix_mode is \"077\"", "\"0600\""],
+    ),
+    wrong(
+        "no readers",
+        "[map_output]\nlisten_unix = \"m.sock\"\nreaders_max = 0\n",
+        &["line 7: [map_output] readers_max is 0, expected 1 to 1,024"],
+    ),
+    wrong(
+        "no period",
+        "[map_output]\nlisten_tcp = \"127.0.0.1:0\"\nperiod_ms = 0\n",
+        &["line 7: [map_output] period_ms is 0, expected 1 to 60,000"],
+    ),
+    wrong(
+        "readers of nothing",
+        "[map_output]\nreaders_max = 3\n",
+        &[
+            "line 6: [map_output] readers_max is given, expected [map_output] listen_unix or [map_output] listen_tcp",
+        ],
+    ),
+    wrong(
+        "no folder for the map's socket",
+        "[network]\nbind = \"127.0.0.1:0\"\n[map_output]\nlisten_unix = \"no/m.sock\"\n",
+        &["line 8: ", "there is no folder", "mkdir -p", "[map_output] listen_unix"],
+    ),
+    wrong(
+        "a TCP port in use for the map",
+        "[network]\nbind = \"127.0.0.1:0\"\n[map_output]\nlisten_tcp = \"127.0.0.1:TAKEN\"\n",
+        &["line 8: ", "another program listens there", "[map_output] listen_tcp"],
+    ),
+    wrong(
         "a TCP port in use",
         "[network]\nbind = \"127.0.0.1:0\"\n[sensor]\nlisten_tcp = \"127.0.0.1:TAKEN\"\n",
         &["line 8: ", "another program listens there", "[sensor] listen_tcp"],

@@ -92,6 +92,11 @@ impl Layer {
         }
     }
 
+    /// Where the sensor was in the newest batch of which that is known, in sixteenths of a voxel. O(log n).
+    pub fn newest_sensor(&self) -> Option<(Stamp, [i32; 3])> {
+        self.sensors.last_key_value().map(|(stamp, sensor)| (*stamp, *sensor))
+    }
+
     /// Forgets the sensors of batches of which no voxel stands. O(voxels).
     fn forget_sensors(&mut self) {
         self.sensors_noted = 0;

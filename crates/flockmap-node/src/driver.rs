@@ -8,6 +8,7 @@ use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 use crate::alone::Alone;
 use crate::clock::StepWatch;
 use crate::command::Command;
+use crate::map_output::Outlet;
 use crate::options::{NodeOptions, Observation};
 use crate::sensor::Input;
 use crate::status::{StatusLine, histogram};
@@ -29,6 +30,7 @@ pub(crate) struct Driver<T> {
     options: NodeOptions,
     robot: Robot,
     store: Option<StoreWriter>,
+    outlet: Option<Outlet>,
     /// The highest epoch that was on disk at the start or was given to the store since.
     epoch_kept: u64,
     transport: T,
@@ -56,6 +58,7 @@ impl<T: Transport> Driver<T> {
     pub(crate) fn new(
         options: NodeOptions,
         (mut robot, store): (Robot, Option<StoreWriter>),
+        outlet: Option<Outlet>,
         transport: T,
         inputs: Receiver<Input>,
         commands: UnboundedReceiver<Command>,
@@ -80,6 +83,7 @@ impl<T: Transport> Driver<T> {
             options,
             robot,
             store,
+            outlet,
             transport,
             paths: Vec::new(),
             inputs,
@@ -118,6 +122,10 @@ impl<T: Transport> Driver<T> {
         if let Some(store) = &self.store {
             store.flush();
         }
+        self.offer_map(true);
+        if let Some(outlet) = &mut self.outlet {
+            outlet.end();
+        }
         self.say_status();
         match self.warnings.take_left_out() {
             0 => {}
@@ -152,6 +160,8 @@ impl<T: Transport> Driver<T> {
 
     /// Lets time pass for the robot, reports its events, and sends all it has to send.
     async fn pump(&mut self) {
+        // Before anything else: what has just been merged is wanted soon.
+        self.offer_map(false);
         let clock = self.options.clock;
         let now = clock.now();
         if self.robot.poll_timeout().is_some_and(|due| due <= now) {
@@ -184,6 +194,13 @@ impl<T: Transport> Driver<T> {
             self.status_due = later(Instant::now(), period);
             self.say_status();
         }
+    }
+
+    /// Gives the map to its readers, if there are any and it is time, or at once.
+    fn offer_map(&mut self, at_once: bool) {
+        let Self { outlet: Some(outlet), robot, options, counters, .. } = self else { return };
+        let counters = outlet.counters(*counters);
+        outlet.offer(robot, options.clock.now(), at_once, || crate::status::counters_of(&counters, robot));
     }
 
     /// Gives the transport the paths on which robots are reached, if they have changed. Before it receives
@@ -378,7 +395,12 @@ impl<T: Transport> Driver<T> {
         let status = self.options.status_period.map(|_| self.status_due);
         let idle = now + Duration::from_secs(60);
         let alone = self.alone.poll_timeout();
-        [robot, status, until, alone].into_iter().flatten().chain(self.ends()).fold(idle, Instant::min)
+        let outlet = self.outlet.as_ref().and_then(Outlet::poll_timeout);
+        [robot, status, until, alone, outlet]
+            .into_iter()
+            .flatten()
+            .chain(self.ends())
+            .fold(idle, Instant::min)
     }
 
     /// When it ends by itself, as far as is known.
@@ -411,7 +433,8 @@ impl<T: Transport> Driver<T> {
             uptime: self.began.elapsed(),
             quiet_for: self.active.elapsed(),
             sensor_ended: self.inputs_ended,
-            node: self.counters,
+            node: self.outlet.as_ref().map_or(self.counters, |outlet| outlet.counters(self.counters)),
+            map_readers: self.outlet.as_ref().map_or(0, Outlet::readers),
             store: self.store.as_ref().map(StoreWriter::counters).unwrap_or_default(),
             ..NodeStatus::new(&self.options.name, &self.robot, &self.timings)
         }

@@ -22,6 +22,7 @@
 //! | [`NodeConfig`] | the configuration file; [`EXAMPLE`] shows every key |
 //! | [`Transport`], [`UdpTransport`] | how datagrams travel; others can stand beside UDP |
 //! | [`Sensor`] | a recording or simulation in real time, a channel, or a socket that any program feeds |
+//! | [`MapOutput`] | sockets where planners of other processes read the fused map, `flockmap_feed` |
 //! | [`Node`], [`NodeHandle`] | the robot at work, and access to it while it runs |
 //! | [`store`], [`StoreWriter`] | packages on disk, so that a rebooted robot has its map again, and the epoch of its run |
 //! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; the summary at the end |
@@ -35,6 +36,7 @@ mod config;
 mod driver;
 mod kept;
 mod log;
+mod map_output;
 mod metrics;
 mod node;
 mod options;
@@ -45,16 +47,20 @@ mod status;
 mod store_writer;
 mod summary;
 mod transport;
+#[cfg(unix)]
+mod unix_socket;
 mod warnings;
 
 pub use clock::Clock;
 pub use config::{
-    AlignmentSection, Behaviour, CodecSection, ConfigError, EXAMPLE, FoundKey, KEY_VARIABLE, MetricsSection,
-    NodeConfig, OutputSection, Secret, SensorSection, StateSection, StoreSection, TeammatesSection, schema,
+    AlignmentSection, Behaviour, CodecSection, ConfigError, EXAMPLE, FoundKey, KEY_VARIABLE,
+    MapOutputSection, MetricsSection, NodeConfig, OutputSection, Secret, SensorSection, StateSection,
+    StoreSection, TeammatesSection, schema,
 };
 pub use flockmap_io::{Frame, Frames};
 pub use flockmap_store as store;
 pub use log::{Level, Log};
+pub use map_output::MapOutput;
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
 pub use run::run;

@@ -12,6 +12,7 @@ use tokio::sync::mpsc;
 
 use crate::command::Command;
 use crate::driver::Driver;
+use crate::map_output::Outlet;
 use crate::options::NodeOptions;
 use crate::sensor::{INPUTS_WAITING_MAX, Input, MessageLimits, Sensor, SensorSocket, play, serve};
 use crate::store::{Store, StoreError, StoreLog};
@@ -45,8 +46,13 @@ pub enum StartError {
 #[derive(Debug)]
 pub struct Node;
 
-/// The addresses that the system chose: of the sensor socket, and of the counters.
-type Addresses = (Option<String>, Option<SocketAddr>);
+/// The addresses that the system chose.
+#[derive(Debug)]
+struct Addresses {
+    sensor: Option<String>,
+    map: Vec<String>,
+    prometheus: Option<SocketAddr>,
+}
 
 impl Node {
     /// Starts a robot on a thread of its own. `make_transport` is called there, within a tokio runtime.
@@ -94,14 +100,26 @@ impl Node {
                 let listener = crate::metrics::listen(address).await;
                 prometheus = Some(listener.map_err(system(format!("serve metrics at {address}")))?);
             }
+            let mut outlet = None;
+            if let Some(output) = options.map_output.take() {
+                let identity = (options.name.clone(), options.robot.id, options.robot.mapper.resolution);
+                let started = Outlet::start(output, identity, commands.clone(), options.log.clone());
+                outlet = Some(
+                    started
+                        .map_err(|(place, error)| system(format!("give the map out at {place}"))(error))?,
+                );
+            }
             // After all else that can stop the start: each leaves a segment.
             let store = options.store.take();
             let store = store.map(|store| restore(store, &mut robot, &options)).transpose()?;
             let epoch_file = options.epoch_file.take();
             let store = (store.is_some() || epoch_file.is_some())
                 .then(|| StoreWriter::start(store, epoch_file, options.log.clone()));
-            let sensor_address = sensor_socket.as_ref().map(|(socket, _)| socket.address());
-            let prometheus_address = prometheus.as_ref().and_then(|listener| listener.local_addr().ok());
+            let addresses = Addresses {
+                sensor: sensor_socket.as_ref().map(|(socket, _)| socket.address()),
+                map: outlet.as_ref().map(|outlet| outlet.addresses().to_vec()).unwrap_or_default(),
+                prometheus: prometheus.as_ref().and_then(|listener| listener.local_addr().ok()),
+            };
 
             let (inputs, inputs_in) = mpsc::channel(INPUTS_WAITING_MAX);
             let sensor = std::mem::replace(&mut options.sensor, Sensor::None);
@@ -109,9 +127,9 @@ impl Node {
             if let Some(listener) = prometheus {
                 tokio::spawn(crate::metrics::serve(listener, commands));
             }
-            let driver = Driver::new(options, (robot, store), transport, inputs_in, commands_in);
+            let driver = Driver::new(options, (robot, store), outlet, transport, inputs_in, commands_in);
             // The caller waits for this.
-            let _ = started.send((sensor_address, prometheus_address));
+            let _ = started.send(addresses);
             let (robot, status) = driver.drive().await;
             Ok(Ended { summary: Summary::new(&robot, &status), robot, status })
         })
@@ -226,12 +244,17 @@ impl NodeHandle {
 
     /// Where sensor programs connect, if the node has such a socket.
     pub fn sensor_address(&self) -> Option<&str> {
-        self.addresses.0.as_deref()
+        self.addresses.sensor.as_deref()
+    }
+
+    /// Where planners read the map: as `flockmap mirror` takes it.
+    pub fn map_addresses(&self) -> &[String] {
+        &self.addresses.map
     }
 
     /// Where counters are served, if they are.
     pub const fn prometheus_address(&self) -> Option<SocketAddr> {
-        self.addresses.1
+        self.addresses.prometheus
     }
 
     /// Runs a function on the robot, between two steps of the node, and waits for the result: read maps, set

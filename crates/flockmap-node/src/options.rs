@@ -8,7 +8,7 @@ use flockmap::{Event, Pose, Robot, RobotConfig, RobotId, Scan, ScanReport, Stamp
 
 use crate::sensor::Sensor;
 use crate::store::{EpochFile, Store};
-use crate::{Clock, Log};
+use crate::{Clock, Log, MapOutput};
 
 /// When a node ends by itself.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -67,6 +67,8 @@ pub struct NodeOptions {
     pub store: Option<Store>,
     /// Where the epoch is kept if the robot begins anew while it runs; that of the start must be in it already.
     pub epoch_file: Option<EpochFile>,
+    /// Where planners of other processes read the fused map.
+    pub map_output: Option<MapOutput>,
     /// Serve counters as Prometheus text here.
     pub prometheus: Option<SocketAddr>,
     /// Log a line of counters each such time.
@@ -92,6 +94,7 @@ impl NodeOptions {
             muted: Vec::new(),
             store: None,
             epoch_file: None,
+            map_output: None,
             prometheus: None,
             status_period: None,
             end: EndOptions::default(),

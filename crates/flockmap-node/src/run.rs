@@ -10,7 +10,9 @@ use flockmap_io::{RecordOptions, open_record};
 use crate::config::{Places, check_applies, read_with_places, seconds, speed, within};
 use crate::kept::Kept;
 use crate::sensor::repeated;
-use crate::{KEY_VARIABLE, Log, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets, outputs};
+use crate::{
+    KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets, outputs,
+};
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
 /// configured; then saves the map if asked, and writes a summary as JSON to the configured file, or to stdout.
@@ -53,6 +55,7 @@ fn start(config: &NodeConfig, places: &Places, config_path: &Path, log: &Log) ->
     options.alignments = config.alignments()?;
     options.clock_offsets = config.clock_offsets()?;
     options.muted = config.muted.clone();
+    options.map_output = map_output(config, log)?;
     options.prometheus = config.metrics.prometheus;
     let period = seconds("[metrics] status_period_s", config.metrics.status_period_s)?;
     options.status_period = (!period.is_zero()).then_some(period);
@@ -63,6 +66,9 @@ fn start(config: &NodeConfig, places: &Places, config_path: &Path, log: &Log) ->
     log.info(format!("robot {} epoch {} listens on {address}", own.0, own.1));
     if let Some(sensor) = node.sensor_address() {
         log.info(format!("takes scans at {sensor}"));
+    }
+    for address in node.map_addresses() {
+        log.info(format!("gives the map out at {address}"));
     }
     if let Some(address) = node.prometheus_address() {
         log.info(format!("serves counters at http://{address}/metrics"));
@@ -151,6 +157,19 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
         }
         _ => bail!("[sensor] has more than one of record, listen_tcp and listen_unix, expected one of them"),
     }
+}
+
+/// Where the map is given out, with a word on who may read it there.
+fn map_output(config: &NodeConfig, log: &Log) -> Result<Option<MapOutput>> {
+    let Some(output) = config.map_output()? else { return Ok(None) };
+    if let Some(address) = output.tcp.filter(|address| !address.ip().is_loopback()) {
+        log.warn(format!("anybody who reaches {address} can read the map; 127.0.0.1 keeps others out"));
+    }
+    if let Some((path, mode)) = output.unix.as_ref().filter(|(_, mode)| mode & 0o002 != 0) {
+        let path = path.display();
+        log.warn(format!("with unix_mode {mode:04o} every user of this machine can read the map at {path}"));
+    }
+    Ok(Some(output))
 }
 
 /// Waits for the node, and stops it on a signal; a second one stops it at once.

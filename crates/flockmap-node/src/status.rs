@@ -44,6 +44,12 @@ pub struct NodeCounters {
     pub sensor_yielded: u64,
     /// Times that the system clock was stepped, or the machine slept. The node's clock goes on.
     pub clock_steps: u64,
+    /// Readers of the map for whom there was no place, or who never said what they want.
+    pub map_readers_refused: u64,
+    /// Readers of the map that were closed, since they sent what they should not, or took nothing for long.
+    pub map_readers_closed: u64,
+    /// Bytes of the map that were given out.
+    pub map_bytes_out: u64,
 }
 
 /// Durations in microseconds; what is read back is off by a thousandth at most.
@@ -116,6 +122,8 @@ pub struct NodeStatus {
     pub sensor_ended: bool,
     /// Free and occupied voxels of the fused map.
     pub map_voxels: (usize, usize),
+    /// Readers of the map.
+    pub map_readers: usize,
     /// Robots heard.
     pub peers: Vec<PeerInfo>,
     /// Streams known, the own one among them.
@@ -153,6 +161,7 @@ impl NodeStatus {
             quiet_for: Duration::ZERO,
             sensor_ended: false,
             map_voxels: robot.map().count(),
+            map_readers: 0,
             peers: session.peers().collect(),
             streams: session.streams().map(of_stream).collect(),
             node: NodeCounters::default(),
@@ -204,6 +213,7 @@ impl NodeStatus {
         }
         metric("gauge", "uptime_seconds", one(self.uptime.as_secs_f64()));
         metric("gauge", "store_disk_bytes", one(self.store.disk_bytes as f64));
+        metric("gauge", "map_readers", one(self.map_readers as f64));
         metric("gauge", "peers", one(self.peers.len() as f64));
         let (free, occupied) = self.map_voxels;
         let states = [("free", free), ("occupied", occupied)];
@@ -294,6 +304,20 @@ impl StatusLine {
 /// A label of Prometheus.
 fn escape(label: &str) -> String {
     label.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
+}
+
+/// What of a node is counted without going through its map: as in Prometheus, without `flockmap_` and `_total`.
+pub(crate) fn counters_of(node: &NodeCounters, robot: &Robot) -> Vec<(String, u64)> {
+    let rooms = [
+        ("node", named(node)),
+        ("robot", named(robot.counters())),
+        ("session", named(robot.session().counters())),
+    ];
+    let with_room = |(room, counters): (&str, BTreeMap<String, u64>)| {
+        let of_room = counters.into_iter().map(|(name, value)| (format!("{room}_{name}"), value));
+        of_room.collect::<Vec<_>>()
+    };
+    rooms.into_iter().flat_map(with_room).collect()
 }
 
 /// Counters by name; of traffic the datagrams, and the bytes under a name of their own.

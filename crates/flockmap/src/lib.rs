@@ -59,4 +59,4 @@ pub use flockmap_grid::{
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
 pub use publisher::Packer;
-pub use robot::{RestoreError, Robot};
+pub use robot::{KnownPose, RestoreError, Robot};

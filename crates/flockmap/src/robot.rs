@@ -1,9 +1,11 @@
 //! One robot: mapper, publisher, session, layers and fusion joined. The path of the data in both directions.
 
 mod begin;
+mod poses;
 mod receive;
 mod restore;
 
+pub use poses::KnownPose;
 pub use restore::RestoreError;
 
 use core::time::Duration;
@@ -44,6 +46,8 @@ pub struct Robot {
     decoder: Decoder,
     fusion: Fusion,
     teammates: BTreeMap<RobotId, Teammate>,
+    /// Of the newest scan.
+    pose: Option<(Stamp, Pose)>,
     events: Events,
     counters: RobotCounters,
 }
@@ -80,6 +84,7 @@ impl Robot {
             session: Session::new(own, config.session.clone(), config.seed)?,
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
             teammates: BTreeMap::new(),
+            pose: None,
             events: Events::default(),
             counters: RobotCounters::default(),
             config,
@@ -117,6 +122,7 @@ impl Robot {
         let masks: Vec<Sphere> = masks.collect();
         let report = self.mapper.insert_at(stamp, scan, T_map_sensor, &masks);
         self.publisher.note_scan(stamp, T_map_sensor);
+        self.pose = Some((stamp, *T_map_sensor));
         self.fusion.own_scan(&self.mapper, &report);
         self.counters.scans += 1;
         self.counters.scans_ahead += u64::from(scan.stamp > now);

@@ -6,6 +6,7 @@ mod export_flat;
 mod hidden;
 pub mod info;
 pub mod key;
+pub mod mirror;
 pub mod node;
 pub mod radio;
 pub mod replay;

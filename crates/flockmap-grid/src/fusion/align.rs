@@ -32,6 +32,11 @@ impl Alignment {
         self.is_identity
     }
 
+    /// A point of the other frame in the own one, both in voxels.
+    pub(super) fn transform(&self, point: [f64; 3]) -> [f64; 3] {
+        self.forward.transform(point)
+    }
+
     /// What a layer says of a voxel of the own grid, and with which stamp.
     ///
     /// Occupied voxels are carried forward: the voxel is Occupied if the centre of any occupied voxel of the

@@ -2,10 +2,12 @@
 //! IV-C).
 
 mod align;
+mod origins;
 mod received;
 mod rigid;
 mod view;
 
+use core::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use crate::layer::SENSOR_BYTES;
@@ -366,7 +368,7 @@ impl Fusion {
             let all = reached.entry(index).or_default();
             *all = core::array::from_fn(|z| all[z] | states.known()[z]);
         }
-        for (origin, source) in self.heard() {
+        for (_, origin, source) in self.heard() {
             let known: Vec<_> = source.layer.blocks().map(|(index, block)| (index, block.known())).collect();
             for (index, mask) in origin.alignment.reach(&known).iter() {
                 let all = reached.entry(*index).or_default();
@@ -386,11 +388,11 @@ impl Fusion {
     }
 
     /// The sources that have a say in the fused map.
-    fn heard(&self) -> impl Iterator<Item = (&Origin, &Source)> {
+    fn heard(&self) -> impl Iterator<Item = (RobotId, &Origin, &Source)> {
         let others = self.sources.iter().filter(|(stream, _)| **stream != self.own);
         others
-            .map(|(stream, source)| (self.origin(stream.origin), source))
-            .filter(|(origin, _)| !origin.is_muted)
+            .map(|(stream, source)| (stream.origin, self.origin(stream.origin), source))
+            .filter(|(_, origin, _)| !origin.is_muted)
     }
 
     /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that
@@ -404,7 +406,7 @@ impl Fusion {
                 })
                 .collect();
             let mut contested = vec![[0u64; 8]; targets.len()];
-            for (origin, source) in self.heard() {
+            for (_, origin, source) in self.heard() {
                 origin.blocks(&source.layer, targets, |number, source| {
                     let (fused, contested) = (&mut fused[number], &mut contested[number]);
                     let (known, new) = (fused.known(), source.known());
@@ -427,19 +429,28 @@ impl Fusion {
 
     /// The state that was observed last on this robot's clock; of those observed together, Occupied.
     fn winner(&self, mapper: &Mapper, voxel: Voxel) -> State {
+        match self.last_observation(mapper, voxel) {
+            None => State::Unknown,
+            Some((true, _)) => State::Occupied,
+            Some((false, _)) => State::Free,
+        }
+    }
+
+    /// Whether it was Occupied, and whose it is; of those that say the same at the same time, the own robot's,
+    /// then that of the lowest id.
+    fn last_observation(&self, mapper: &Mapper, voxel: Voxel) -> Option<(bool, RobotId)> {
         let own = mapper.state(voxel);
         let own_stamp = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
-        let own = (own != State::Unknown)
-            .then(|| (own_stamp.plus_micros(self.config.own_priority_micros), own == State::Occupied));
-        let source = self.heard().filter_map(|(origin, source)| {
-            let (state, stamp) = origin.look_up(&source.layer, voxel)?;
-            Some((source.received.made(stamp, origin.clock_offset_micros), state == State::Occupied))
+        let own = (own != State::Unknown).then(|| {
+            let stamp = own_stamp.plus_micros(self.config.own_priority_micros);
+            (stamp, own == State::Occupied, true, Reverse(self.own.origin))
         });
-        match source.chain(own).max() {
-            None => State::Unknown,
-            Some((_, true)) => State::Occupied,
-            Some((_, false)) => State::Free,
-        }
+        let source = self.heard().filter_map(|(id, origin, source)| {
+            let (state, stamp) = origin.look_up(&source.layer, voxel)?;
+            let made = source.received.made(stamp, origin.clock_offset_micros);
+            Some((made, state == State::Occupied, id == self.own.origin, Reverse(id)))
+        });
+        source.chain(own).max().map(|(_, is_occupied, _, Reverse(id))| (is_occupied, id))
     }
 }
 

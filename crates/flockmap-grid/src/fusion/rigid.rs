@@ -40,6 +40,14 @@ impl Rigid {
         Self { rotation: pose.rotation_rows(), translation: pose.translation().map(|t| t * scale) }
     }
 
+    /// The image of a point, in voxels.
+    pub(super) fn transform(&self, p: [f64; 3]) -> [f64; 3] {
+        core::array::from_fn(|axis| {
+            let [a, b, c] = self.rotation[axis];
+            a * p[0] + b * p[1] + c * p[2] + self.translation[axis]
+        })
+    }
+
     /// The image of the centre of a voxel. Each function here adds in this order, so that all agree to the
     /// last bit.
     fn image(&self, v: Voxel) -> [f64; 3] {

@@ -17,19 +17,20 @@ fn stream(origin: u16) -> Stream {
     Stream { origin: RobotId(origin), epoch: 1 }
 }
 
-/// The rules of fusion voxel by voxel, in plain words, over a box that holds everything.
+/// The rules of fusion voxel by voxel, in plain words, over a box that holds everything: the state, and the
+/// number of the robot that saw it last.
 fn naive(
     mapper: &Mapper,
     fusion: &Fusion,
     alignments: &BTreeMap<u16, Pose>,
     offsets: &BTreeMap<u16, i64>,
     arrivals: &[(Stream, Stamp, Stamp)],
-) -> BTreeMap<Voxel, State> {
-    let mut words: BTreeMap<Voxel, Vec<(Stamp, bool)>> = BTreeMap::new();
+) -> BTreeMap<Voxel, (State, u16)> {
+    let mut words: BTreeMap<Voxel, Vec<(Stamp, bool, u16)>> = BTreeMap::new();
     for (index, block) in mapper.blocks() {
         for (voxel, bit) in set_bits(&block.known()).map(|bit| (index.voxel(bit), bit)) {
             let stamp = mapper.last_seen(voxel).unwrap().plus_micros(fusion.config.own_priority_micros);
-            words.entry(voxel).or_default().push((stamp, block.get(bit) == State::Occupied));
+            words.entry(voxel).or_default().push((stamp, block.get(bit) == State::Occupied, OWN.origin.0));
         }
     }
     let everywhere = VoxelBox::spanning(Voxel::new(-60, -60, -60), Voxel::new(60, 60, 60)).unwrap();
@@ -57,14 +58,31 @@ fn naive(
         }
         for (voxel, (stamp, occupied)) in images {
             let made = stamp.plus_micros(offset).min(came_by(stamp));
-            words.entry(voxel).or_default().push((made, occupied));
+            words.entry(voxel).or_default().push((made, occupied, stream.origin.0));
         }
     }
-    let state = |words: Vec<(Stamp, bool)>| match words.into_iter().max() {
-        Some((_, true)) => State::Occupied,
-        _ => State::Free,
+    let decide = |words: Vec<(Stamp, bool, u16)>| {
+        let (stamp, occupied) = words.iter().map(|(stamp, occupied, _)| (*stamp, *occupied)).max().unwrap();
+        // The own number is the lowest one.
+        let of_these = words.iter().filter(|word| (word.0, word.1) == (stamp, occupied));
+        let robot = of_these.map(|word| word.2).min().unwrap();
+        (if occupied { State::Occupied } else { State::Free }, robot)
     };
-    words.into_iter().map(|(voxel, words)| (voxel, state(words))).collect()
+    words.into_iter().map(|(voxel, words)| (voxel, decide(words))).collect()
+}
+
+/// The fused map, and who saw each voxel last.
+fn with_origins(mapper: &Mapper, fusion: &Fusion) -> BTreeMap<Voxel, (State, u16)> {
+    let mut found = BTreeMap::new();
+    for (index, states) in fusion.map().blocks() {
+        for (robot, plane) in fusion.origins(mapper, index) {
+            for bit in set_bits(&plane) {
+                let before = found.insert(index.voxel(bit), (states.get(bit), robot.0));
+                assert_eq!(before, None, "two robots for one voxel");
+            }
+        }
+    }
+    found
 }
 
 #[derive(Clone, Debug)]
@@ -134,19 +152,20 @@ proptest! {
         }
         let mut clocks = BTreeMap::from([(3, offsets[0])]);
         let expected = naive(&mapper, &fusion, &alignments, &clocks, &arrivals);
-        let found: BTreeMap<Voxel, State> = fusion.map().voxels().collect();
+        let found = with_origins(&mapper, &fusion);
+        prop_assert_eq!(fusion.map().voxels().count(), found.len());
         let differing: Vec<_> = expected.iter().filter(|(v, s)| found.get(v) != Some(s)).take(5).collect();
         prop_assert!(differing.is_empty(), "{differing:?}");
         prop_assert_eq!(found.len(), expected.len());
         fusion.rebuild(&mapper);
-        prop_assert_eq!(fusion.map().voxels().collect::<BTreeMap<_, _>>(), expected);
+        prop_assert_eq!(with_origins(&mapper, &fusion), expected);
         // A clock that turns out to be off otherwise changes when all was made, but for what would have come
         // before.
         fusion.set_clock_offset(RobotId(3), offsets[1]);
         fusion.rebuild(&mapper);
         clocks.insert(3, offsets[1]);
         let expected = naive(&mapper, &fusion, &alignments, &clocks, &arrivals);
-        prop_assert_eq!(fusion.map().voxels().collect::<BTreeMap<_, _>>(), expected);
+        prop_assert_eq!(with_origins(&mapper, &fusion), expected);
     }
 }
 

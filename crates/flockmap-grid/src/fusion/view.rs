@@ -194,9 +194,21 @@ impl MapView {
     /// ascending order of versions, as many at a time as it likes, has the map as it was at the newest version
     /// but for what changed later.
     pub fn versions_since(&self, version: u64) -> Option<impl Iterator<Item = (BlockIndex, u64)> + '_> {
+        self.versions_since_beginning(version, version)
+    }
+
+    /// The same for one that began with nothing when the map was at version `began`, and has since taken over
+    /// what changed up to `version`, 0 at first: of blocks that were emptied and let go before it began, it has
+    /// never heard.
+    pub fn versions_since_beginning(
+        &self,
+        began: u64,
+        version: u64,
+    ) -> Option<impl Iterator<Item = (BlockIndex, u64)> + '_> {
         let regions = self.regions.values().filter(move |region| region.version > version);
         let blocks = regions.flat_map(|region| &region.blocks).map(|(index, block)| (*index, block.version));
-        (version >= self.emptied_since).then(|| blocks.filter(move |(_, changed)| *changed > version))
+        let is_known = began.max(version) >= self.emptied_since;
+        is_known.then(|| blocks.filter(move |(_, changed)| *changed > version))
     }
 
     /// Follows the straight line between two points (metres) to the first voxel that is Occupied, or Unknown if

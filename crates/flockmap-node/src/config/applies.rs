@@ -5,7 +5,7 @@ use super::error::ConfigError;
 use super::places::Places;
 
 /// A key, and those of which one must be there for it to mean something.
-const NEEDS: [(&str, &[&str]); 18] = [
+const NEEDS: [(&str, &[&str]); 21] = [
     ("[sensor] speed", RECORD),
     ("[sensor] start_s", RECORD),
     ("[sensor] repeat", RECORD),
@@ -23,11 +23,15 @@ const NEEDS: [(&str, &[&str]); 18] = [
     ("[network] multicast_interface", MULTICAST),
     ("[network] multicast_interface_index", MULTICAST),
     ("[network] multicast_ttl", MULTICAST),
+    ("[map_output] unix_mode", &["[map_output] listen_unix"]),
+    ("[map_output] readers_max", OUTLETS),
+    ("[map_output] period_ms", OUTLETS),
     ("[output] save_free", &["[output] save_map_at_end"]),
 ];
 
 const RECORD: &[&str] = &["[sensor] record"];
 const LISTEN: &[&str] = &["[sensor] listen_tcp", "[sensor] listen_unix"];
+const OUTLETS: &[&str] = &["[map_output] listen_unix", "[map_output] listen_tcp"];
 const MULTICAST: &[&str] = &["[network] multicast"];
 
 /// Keys of which at most one may be given.

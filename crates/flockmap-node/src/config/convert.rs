@@ -9,10 +9,13 @@ use flockmap::{Pose, Robot, RobotConfig, RobotId, Stamp};
 
 use super::error::ConfigError;
 use super::{AlignmentSection, NodeConfig};
-use crate::{EndOptions, MessageLimits};
+use crate::{EndOptions, MapOutput, MessageLimits};
 
 /// Most points that a scan may have.
 const SCAN_POINTS_MAX: u32 = 1 << 26;
+
+/// Most readers of the map.
+const READERS_MAX: u32 = 1_024;
 
 impl NodeConfig {
     /// Checks all that can be known without the machine that it is for.
@@ -21,6 +24,7 @@ impl NodeConfig {
         self.alignments()?;
         self.clock_offsets()?;
         self.unix_mode()?;
+        self.map_output()?;
         self.end_options()?;
         self.message_limits()?;
         seconds("[metrics] status_period_s", self.metrics.status_period_s)?;
@@ -109,18 +113,33 @@ impl NodeConfig {
             .or_else(|| folder("HOME").map(|path| path.join(".local/state/flockmap")))
     }
 
-    /// Permissions of the file of the Unix socket.
+    /// Permissions of the file of the sensor's Unix socket.
     ///
     /// # Errors
     /// It is not octal, or would keep the owner out.
     pub fn unix_mode(&self) -> Result<u32, ConfigError> {
-        let text = &self.sensor.unix_mode;
-        let mode = u32::from_str_radix(text, 8).ok().filter(|mode| mode & 0o600 == 0o600 && *mode <= 0o777);
-        mode.filter(|_| text.bytes().all(|b| b.is_ascii_digit())).ok_or_else(|| {
-            let expected =
-                "permissions in octal that let the owner in: \"0600\", or \"0660\" for the group too";
-            value("[sensor] unix_mode", format!("\"{text}\""), expected)
-        })
+        unix_mode("[sensor] unix_mode", &self.sensor.unix_mode)
+    }
+
+    /// Where the map is given out; `None` if nowhere.
+    ///
+    /// # Errors
+    /// Names the key, its value and what was expected.
+    pub(crate) fn map_output(&self) -> Result<Option<MapOutput>, ConfigError> {
+        let section = &self.map_output;
+        let mode = unix_mode("[map_output] unix_mode", &section.unix_mode)?;
+        let readers = within("[map_output] readers_max", section.readers_max, 1..=READERS_MAX, "1 to 1,024")?;
+        let period = within("[map_output] period_ms", section.period_ms, 1..=60_000, "1 to 60,000")?;
+        if section.listen_unix.is_none() && section.listen_tcp.is_none() {
+            return Ok(None);
+        }
+        Ok(Some(MapOutput {
+            unix: section.listen_unix.clone().map(|path| (path, mode)),
+            tcp: section.listen_tcp,
+            readers_max: readers as usize,
+            period: Duration::from_millis(period.into()),
+            frame: self.sensor.map_frame.clone().unwrap_or_else(|| "map".into()),
+        }))
     }
 
     /// `T_own_origin` of each robot that has one.
@@ -172,6 +191,15 @@ impl NodeConfig {
         };
         self.clock_offset_ms.iter().map(offset).collect()
     }
+}
+
+/// Permissions in octal.
+fn unix_mode(key: &str, text: &str) -> Result<u32, ConfigError> {
+    let mode = u32::from_str_radix(text, 8).ok().filter(|mode| mode & 0o600 == 0o600 && *mode <= 0o777);
+    mode.filter(|_| text.bytes().all(|b| b.is_ascii_digit())).ok_or_else(|| {
+        let expected = "permissions in octal that let the owner in: \"0600\", or \"0660\" for the group too";
+        value(key, format!("\"{text}\""), expected)
+    })
 }
 
 /// A time in seconds that is a time.

@@ -85,6 +85,9 @@ pub struct NodeConfig {
     /// Where scans come from.
     #[serde(default)]
     pub sensor: SensorSection,
+    /// Where planners read the map.
+    #[serde(default)]
+    pub map_output: MapOutputSection,
     /// Counters.
     #[serde(default)]
     pub metrics: MetricsSection,
@@ -201,6 +204,28 @@ impl Default for SensorSection {
             scan_points_max: 1 << 20,
             stamp_error_max_s: 10.0,
         }
+    }
+}
+
+/// `[map_output]`: neither, one or both of `listen_unix` and `listen_tcp`.
+#[derive(Clone, PartialEq, Eq, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct MapOutputSection {
+    /// Give the map out here over a Unix socket.
+    pub listen_unix: Option<PathBuf>,
+    /// Permissions of its file, in octal: who may write to it may read the map.
+    pub unix_mode: String,
+    /// Give the map out here over TCP.
+    pub listen_tcp: Option<SocketAddr>,
+    /// Most readers at once.
+    pub readers_max: u32,
+    /// A new state of the map is given out so often at most.
+    pub period_ms: u32,
+}
+
+impl Default for MapOutputSection {
+    fn default() -> Self {
+        Self { listen_unix: None, unix_mode: "0600".into(), listen_tcp: None, readers_max: 16, period_ms: 20 }
     }
 }
 

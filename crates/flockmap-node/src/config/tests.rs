@@ -43,6 +43,7 @@ fn the_defaults_in_the_example_are_the_defaults() {
     assert_eq!(given.robot_name(), default.robot_name());
     assert_eq!(given.network, default.network);
     assert_eq!(given.sensor, default.sensor);
+    assert_eq!(given.map_output, default.map_output);
     assert_eq!(given.metrics, default.metrics);
     assert_eq!(given.output, default.output);
     assert_eq!(given.store, default.store);

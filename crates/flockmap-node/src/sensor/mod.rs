@@ -5,8 +5,6 @@ mod message;
 mod play;
 mod repeat;
 mod socket;
-#[cfg(unix)]
-mod unix;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;

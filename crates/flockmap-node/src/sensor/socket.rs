@@ -8,12 +8,14 @@ use tokio::net::TcpListener;
 use super::connections::Listener;
 use super::{MessageLimits, Sensor};
 use crate::advice::listen_error;
+#[cfg(unix)]
+use crate::unix_socket::UnixSocket;
 
 /// A socket where sensor programs connect.
 pub(crate) enum SensorSocket {
     Tcp(TcpListener),
     #[cfg(unix)]
-    Unix(super::unix::UnixSocket),
+    Unix(UnixSocket),
 }
 
 impl SensorSocket {
@@ -30,7 +32,7 @@ impl SensorSocket {
             }
             #[cfg(unix)]
             Sensor::Unix { path, mode, limits } => {
-                (Self::Unix(super::unix::UnixSocket::bind(path, *mode)?), limits)
+                (Self::Unix(UnixSocket::bind("[sensor] listen_unix", path, *mode)?), limits)
             }
             #[cfg(not(unix))]
             Sensor::Unix { .. } => {

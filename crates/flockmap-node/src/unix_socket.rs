@@ -13,9 +13,6 @@ use tokio::net::{UnixListener, UnixStream};
 
 use crate::advice::with;
 
-/// Where the path is given.
-const KEY: &str = "[sensor] listen_unix";
-
 /// Connections that the system keeps for us until they are taken.
 const BACKLOG: i32 = 128;
 
@@ -32,23 +29,23 @@ pub(crate) struct UnixSocket {
 
 impl UnixSocket {
     /// Listens at a path, whose file gets the permissions `mode`; it never has others. A socket that nobody
-    /// listens at any more is replaced. Within a tokio runtime.
+    /// listens at any more is replaced. `key` is the option that names the path. Within a tokio runtime.
     ///
     /// # Errors
     /// Somebody listens there: it says who. Or there is something else, or the path cannot be used: it says
     /// why, and what to do.
-    pub(super) fn bind(path: &Path, mode: u32) -> io::Result<Self> {
+    pub(crate) fn bind(key: &str, path: &Path, mode: u32) -> io::Result<Self> {
         if SocketAddr::from_pathname(path).is_err() {
             let bytes = path.as_os_str().len();
             let text =
-                format!("the path has {bytes} bytes, and Linux allows 107: name a shorter one in {KEY}");
+                format!("the path has {bytes} bytes, and Linux allows 107: name a shorter one in {key}");
             return Err(io::Error::new(ErrorKind::InvalidInput, text));
         }
         // Two nodes that start at once must not both find the place empty.
-        let _lock = lock_folder_of(path)?;
-        make_room(path)?;
+        let _lock = lock_folder_of(key, path)?;
+        make_room(key, path)?;
         let socket = with_mode(Socket::new(Domain::UNIX, Type::STREAM, None)?, mode)?;
-        socket.bind(&SockAddr::unix(path)?).map_err(|error| cannot_write(path, error))?;
+        socket.bind(&SockAddr::unix(path)?).map_err(|error| cannot_write(key, path, error))?;
         let file = SocketFile { path: path.to_owned(), identity: identity(path)? };
         // What the umask took away is given back. Nobody can connect yet: it does not listen.
         if fs::symlink_metadata(path)?.mode() & 0o777 != mode {
@@ -60,11 +57,11 @@ impl UnixSocket {
         Ok(Self { file, listener })
     }
 
-    pub(super) fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.file.path
     }
 
-    pub(super) async fn accept(&self) -> io::Result<UnixStream> {
+    pub(crate) async fn accept(&self) -> io::Result<UnixStream> {
         Ok(self.listener.accept().await?.0)
     }
 }
@@ -79,7 +76,7 @@ struct SocketFile {
 impl Drop for SocketFile {
     fn drop(&mut self) {
         // Without the lock nobody but a node that replaces the file in this very moment is in danger.
-        let _lock = lock_folder_of(&self.path);
+        let _lock = lock_folder_of("", &self.path);
         if identity(&self.path).is_ok_and(|now| now == self.identity) {
             // Gone already is as good.
             let _ = fs::remove_file(&self.path);
@@ -93,10 +90,10 @@ fn identity(path: &Path) -> io::Result<(u64, u64)> {
 }
 
 /// Removes a socket that nobody listens at, and nothing else.
-fn make_room(path: &Path) -> io::Result<()> {
+fn make_room(key: &str, path: &Path) -> io::Result<()> {
     let there = match fs::symlink_metadata(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(cannot_write(path, error)),
+        Err(error) => return Err(cannot_write(key, path, error)),
         Ok(there) => there.file_type(),
     };
     if !there.is_socket() {
@@ -105,7 +102,7 @@ fn make_room(path: &Path) -> io::Result<()> {
             kind if kind.is_symlink() => "a symbolic link",
             _ => "a file that is no socket",
         };
-        let text = format!("{what} is there: remove it, or name another path in [sensor] listen_unix");
+        let text = format!("{what} is there: remove it, or name another path in {key}");
         return Err(io::Error::new(ErrorKind::AlreadyExists, text));
     }
     let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
@@ -114,12 +111,13 @@ fn make_room(path: &Path) -> io::Result<()> {
     let who = match socket.connect(&SockAddr::unix(path)?) {
         // A node that was killed left it behind.
         Err(error) if error.kind() == ErrorKind::ConnectionRefused => {
-            return fs::remove_file(path).map_err(|error| cannot_write(path, error));
+            return fs::remove_file(path).map_err(|error| cannot_write(key, path, error));
         }
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
         Err(error) if error.kind() == ErrorKind::PermissionDenied => {
-            let advice = "the socket of another user is there, and whether somebody listens cannot be seen: stop the node of that \
-                 user and remove the file, or name another path in [sensor] listen_unix";
+            let advice = format!(
+                "the socket of another user is there, and whether somebody listens cannot be seen: stop the node of that user and remove the file, or name another path in {key}"
+            );
             return Err(with(error, advice));
         }
         Ok(()) => listener_of(socket),
@@ -127,7 +125,7 @@ fn make_room(path: &Path) -> io::Result<()> {
         Err(_) => None,
     };
     let who = who.unwrap_or_else(|| "a program".into());
-    let text = format!("{who} listens there: stop it, or name another path in [sensor] listen_unix");
+    let text = format!("{who} listens there: stop it, or name another path in {key}");
     Err(io::Error::new(ErrorKind::AddrInUse, text))
 }
 
@@ -153,9 +151,9 @@ fn with_mode(socket: Socket, mode: u32) -> io::Result<Socket> {
 }
 
 /// Holds the folder of a path against other nodes. `None` where the file system has no locks.
-fn lock_folder_of(path: &Path) -> io::Result<Option<File>> {
+fn lock_folder_of(key: &str, path: &Path) -> io::Result<Option<File>> {
     let folder = folder_of(path);
-    let file = File::open(folder).map_err(|error| cannot_write(path, error))?;
+    let file = File::open(folder).map_err(|error| cannot_write(key, path, error))?;
     for _ in 0..LOCK_TRIES {
         match file.try_lock() {
             Ok(()) => return Ok(Some(file)),
@@ -172,23 +170,23 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."))
 }
 
-fn cannot_write(path: &Path, error: io::Error) -> io::Error {
+fn cannot_write(key: &str, path: &Path, error: io::Error) -> io::Error {
     let folder = folder_of(path);
     let shown = folder.display();
     match error.kind() {
         ErrorKind::NotFound => with(
             error,
             format_args!(
-                "there is no folder {shown}: make it first (mkdir -p {shown}), or name another path in {KEY}"
+                "there is no folder {shown}: make it first (mkdir -p {shown}), or name another path in {key}"
             ),
         ),
         ErrorKind::NotADirectory => {
-            with(error, format_args!("{shown} is no folder: name another path in {KEY}"))
+            with(error, format_args!("{shown} is no folder: name another path in {key}"))
         }
         ErrorKind::PermissionDenied => with(
             error,
             format_args!(
-                "this user may not make files in {shown}: give it the folder, or name another path in {KEY}"
+                "this user may not make files in {shown}: give it the folder, or name another path in {key}"
             ),
         ),
         _ => error,
@@ -199,6 +197,8 @@ fn cannot_write(path: &Path, error: io::Error) -> io::Error {
 mod tests {
     use super::*;
     use std::os::unix::net::UnixListener as StdListener;
+
+    const KEY: &str = "[sensor] listen_unix";
 
     /// A folder of its own, and a runtime to bind in.
     struct Place(PathBuf, tokio::runtime::Runtime);
@@ -216,7 +216,7 @@ mod tests {
 
         fn bind(&self, mode: u32) -> io::Result<UnixSocket> {
             let _context = self.1.enter();
-            UnixSocket::bind(&self.path(), mode)
+            UnixSocket::bind(KEY, &self.path(), mode)
         }
 
         fn refusal(&self) -> String {
@@ -329,7 +329,7 @@ mod tests {
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
             let _context = runtime.enter();
             barrier.wait();
-            let socket = UnixSocket::bind(&path, 0o600);
+            let socket = UnixSocket::bind(KEY, &path, 0o600);
             // None lets go before all have tried.
             barrier.wait();
             socket.is_ok()
@@ -357,7 +357,7 @@ mod tests {
     fn a_path_that_cannot_be_is_named_with_what_to_do() {
         let place = Place::new("path");
         let _context = place.1.enter();
-        let error = |path: PathBuf| UnixSocket::bind(&path, 0o600).err().unwrap().to_string();
+        let error = |path: PathBuf| UnixSocket::bind(KEY, &path, 0o600).err().unwrap().to_string();
         let text = error(place.0.join("x".repeat(120)));
         assert!(text.contains("107") && text.contains("shorter"), "{text}");
         let text = error(place.0.join("missing/sensor.sock"));

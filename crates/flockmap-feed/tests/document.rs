@@ -1,0 +1,84 @@
+//! The example in `docs/map-output.md` is what the code says.
+
+use flockmap_feed::{Block, Blocks, Event, Message, Mirror, NodeCounts, NodeHello, ReaderHello, RobotPose};
+use flockmap_grid::{BlockIndex, Resolution, RobotId, Stamp, State, StateBlock, Stream, Voxel};
+
+/// The frames of the document, each with what is said before it.
+fn frames() -> Vec<(String, Vec<u8>)> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/map-output.md");
+    let text = std::fs::read_to_string(path).unwrap();
+    let example = text.split("```hex\n").nth(1).unwrap().split("```").next().unwrap();
+    let mut frames: Vec<(String, Vec<u8>)> = Vec::new();
+    for line in example.lines().filter(|line| !line.trim().is_empty()) {
+        match line.strip_prefix("# ") {
+            Some(what) => frames.push((what.to_owned(), Vec::new())),
+            None => {
+                let bytes = line.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap());
+                frames.last_mut().unwrap().1.extend(bytes);
+            }
+        }
+    }
+    frames
+}
+
+#[test]
+fn the_example_in_the_document_is_what_is_written_and_read() {
+    let resolution = Resolution::from_metres(0.2).unwrap();
+    let mut states = StateBlock::default();
+    states.set(0, State::Occupied);
+    states.set(1, State::Free);
+    states.set(2, State::Free);
+    states.set(511, State::Occupied);
+    let block = Block { index: BlockIndex::new(1, 0, -1), states, origins: Vec::new() };
+    let stamp = Stamp(1_700_000_000_000_000);
+    let expected = [
+        ReaderHello::default().emit(),
+        Message::Hello(NodeHello {
+            origins: false,
+            goes_on: false,
+            robot: RobotId(7),
+            resolution,
+            feed: 0x1122_3344_5566_7788,
+            name: "alpha".into(),
+            frame: "map".into(),
+        })
+        .emit(),
+        Message::Anew { began: 5 }.emit(),
+        Message::Blocks(Blocks { upto: 5, newest: 5, stamp, origins: false, blocks: vec![block] }).emit(),
+        Message::Poses(vec![RobotPose {
+            stream: Stream { origin: RobotId(7), epoch: 3 },
+            position: [1.0, -2.0, 0.5],
+            orientation: Some([0.0, 0.0, 0.0, 1.0]),
+            age: std::time::Duration::from_millis(1_500),
+        }])
+        .emit(),
+        Message::Counters(NodeCounts {
+            now: stamp.plus_micros(1_500_000),
+            counters: vec![("node_frames".into(), 300)],
+        })
+        .emit(),
+        Message::End("the node ends".into()).emit(),
+    ];
+    let frames = frames();
+    assert_eq!(frames.len(), expected.len());
+    for ((what, bytes), expected) in frames.iter().zip(&expected) {
+        assert_eq!(bytes, expected, "{what}");
+    }
+
+    let mut mirror = Mirror::default();
+    assert_eq!(mirror.connect(), frames[0].1);
+    let wire: Vec<u8> = frames[1..].iter().flat_map(|(_, bytes)| bytes.clone()).collect();
+    let (mut rest, mut events) = (&wire[..], Vec::new());
+    while let Some(event) = mirror.push(&mut rest).unwrap() {
+        events.push(event);
+    }
+    use Event::{Anew, Counters, End, Hello, Poses};
+    assert_eq!(events, [Hello, Anew, Event::Blocks(1), Poses, Counters, End]);
+    assert!(mirror.is_complete());
+    let map = mirror.map().unwrap();
+    assert_eq!(map.count(), (2, 2));
+    // As the document says.
+    assert_eq!(map.state(Voxel::new(8, 0, -8)), State::Occupied);
+    assert_eq!(map.state(Voxel::new(15, 7, -1)), State::Occupied);
+    assert_eq!(map.state_at([1.9, 0.1, -1.5]), State::Free);
+}

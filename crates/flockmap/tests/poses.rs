@@ -1,0 +1,47 @@
+//! Where the robots are, as each of them knows.
+
+mod common;
+
+use common::{config, resolution};
+use flockmap::{Pose, Robot, RobotId, Scan, Stamp};
+
+/// A wall two metres ahead.
+fn scan(stamp: Stamp) -> Scan {
+    let points = (-10..10).flat_map(|y| (0..5).map(move |z| [2.0, y as f32 * 0.1, z as f32 * 0.2]));
+    Scan { stamp, points: points.collect(), no_returns: Vec::new() }
+}
+
+#[test]
+fn a_robot_knows_where_it_is_and_where_others_were_in_its_own_frame() {
+    let (mut alice, mut bob) =
+        (Robot::new(config(1), Stamp(0)).unwrap(), Robot::new(config(2), Stamp(0)).unwrap());
+    assert_eq!(bob.poses(), []);
+    let here = Pose::from_yaw([1.0, 2.0, 0.5], 0.3);
+    let now = Stamp(1_000_000);
+    alice.insert_scan(now, &scan(now), &here).unwrap();
+    let [own] = alice.poses()[..] else { panic!("one robot") };
+    assert_eq!((own.stream, own.position, own.seen), (alice.own_stream(), [1.0, 2.0, 0.5], now));
+    assert_eq!(own.orientation, Some(here.quaternion_xyzw()));
+
+    // What she publishes says where she was, and his alignment of her frame applies.
+    alice.flush(now);
+    let aligned = Pose::from_yaw([10.0, 0.0, 0.0], std::f64::consts::FRAC_PI_2);
+    bob.set_alignment(RobotId(1), &aligned).unwrap();
+    let later = now.plus_micros(100_000);
+    // He must be heard of before she sends to him.
+    bob.handle_timeout(later);
+    for _ in 0..5 {
+        while let Some(transmit) = bob.poll_transmit(later) {
+            let _ = alice.handle_datagram(later, &transmit.bytes);
+        }
+        while let Some(transmit) = alice.poll_transmit(later) {
+            let _ = bob.handle_datagram(later, &transmit.bytes);
+        }
+    }
+    let [seen] = bob.poses()[..] else { panic!("{:?}", bob.poses()) };
+    assert_eq!((seen.stream, seen.orientation), (alice.own_stream(), None));
+    let expected = aligned.transform([1.0, 2.0, 0.5]);
+    let off = (0..3).map(|axis| (seen.position[axis] - expected[axis]).abs()).fold(0.0, f64::max);
+    assert!(off <= resolution().metres() / 16.0, "{:?}, expected {expected:?}", seen.position);
+    assert!(seen.seen <= later && seen.seen >= now, "{:?}", seen.seen);
+}
