@@ -1,14 +1,12 @@
 //! One message of a sensor program, byte by byte as in `docs/sensor-input.md`.
 
-use flockmap::{Pose, RobotId, Scan, Stamp};
+use flockmap::{Pose, RobotId, Scan, Stamp, StatesUpdate};
 use flockmap_io::Frame;
 
-/// The version of the layout.
-pub const MESSAGE_VERSION: u8 = 1;
+use super::fields::{HEADER_BYTES, MESSAGE_VERSION, MessageError, Reader};
+use super::states::{self, StatesMessage};
 
 const MAGIC: [u8; 4] = *b"FLKS";
-/// Magic, version, kind, robot.
-const HEADER_BYTES: usize = 8;
 /// Header, stamp, pose, two counts.
 const SCAN_HEADER_BYTES: usize = HEADER_BYTES + 8 + 56 + 8;
 const POINT_BYTES: usize = 12;
@@ -18,20 +16,31 @@ const POINT_BYTES: usize = 12;
 pub struct MessageLimits {
     /// Most points and rays without a return, together, in one scan. Worst case held: 36 bytes each.
     pub scan_points_max: u32,
-    /// A scan whose stamp is off the machine's clock by more than this many microseconds is refused.
+    /// Most single voxels of one message of states, at most [`StatesUpdate::VOXELS_MAX`]. Worst case held: 29 bytes
+    /// each.
+    pub states_max: u32,
+    /// Most voxels of a box, at most [`StatesUpdate::BOX_VOXELS_MAX`]. Worst case held: 2 bytes each.
+    pub box_states_max: u32,
+    /// A scan or states whose stamp is off the machine's clock by more than this many microseconds is refused.
     pub stamp_error_max_micros: i64,
 }
 
 impl Default for MessageLimits {
     fn default() -> Self {
-        Self { scan_points_max: 1 << 20, stamp_error_max_micros: 10_000_000 }
+        Self {
+            scan_points_max: 1 << 20,
+            states_max: 1 << 20,
+            box_states_max: 1 << 24,
+            stamp_error_max_micros: 10_000_000,
+        }
     }
 }
 
 impl MessageLimits {
     /// The longest message.
-    pub const fn bytes_max(&self) -> usize {
-        SCAN_HEADER_BYTES + POINT_BYTES * self.scan_points_max as usize
+    pub fn bytes_max(&self) -> usize {
+        let scan = SCAN_HEADER_BYTES + POINT_BYTES * self.scan_points_max as usize;
+        scan.max(states::bytes_max(self.states_max, self.box_states_max))
     }
 }
 
@@ -44,48 +53,8 @@ pub enum SensorMessage {
     Alignment(RobotId, Pose),
     /// Kind 3: where a team-mate is now, in metres in the own map.
     Teammate(RobotId, [f64; 3]),
-}
-
-/// A message that cannot be used. The program that sent it is at fault; the connection is closed.
-#[derive(Clone, PartialEq, Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MessageError {
-    /// The length says more than is allowed, or less than a message has.
-    #[error("length {got}, expected {HEADER_BYTES} to {max}")]
-    Length {
-        /// As sent.
-        got: u64,
-        /// The longest that is allowed.
-        max: usize,
-    },
-    /// Not a message at all: its first four bytes.
-    #[error("starts with \"{}\", expected \"FLKS\"", .0.escape_ascii())]
-    Magic([u8; 4]),
-    /// Of another version: this one.
-    #[error("version {0}, expected {MESSAGE_VERSION}")]
-    Version(u8),
-    /// Of no known kind: this one.
-    #[error("kind {0}, expected 1 (scan), 2 (alignment) or 3 (team-mate)")]
-    Kind(u8),
-    /// The length does not fit what is in it.
-    #[error("{got} bytes, expected {expected} by its kind and counts")]
-    Size {
-        /// As sent.
-        got: usize,
-        /// What the kind and the counts call for.
-        expected: u64,
-    },
-    /// The pose, these seven numbers, is none.
-    #[error("the pose {0:?} is none, expected finite x y z and a quaternion x y z w that is not 0")]
-    Pose([f64; 7]),
-    /// The connection ended within a message.
-    #[error("ended after {got} of {expected} bytes")]
-    Truncated {
-        /// Bytes received.
-        got: usize,
-        /// Bytes announced.
-        expected: usize,
-    },
+    /// Kind 4 and 5: states of voxels, from a mapper elsewhere. Stamp 0 means now.
+    States(StatesMessage),
 }
 
 impl SensorMessage {
@@ -119,8 +88,11 @@ impl SensorMessage {
                 reader.expected += count * POINT_BYTES as u64;
                 reader.check_length()?;
                 let t_map_sensor = pose(numbers)?;
-                let scan =
-                    Scan { stamp, points: reader.points(points)?, no_returns: reader.points(no_returns)? };
+                let (points, no_returns) = (
+                    reader.records(points)?.iter().map(point).collect(),
+                    reader.records(no_returns)?.iter().map(point).collect(),
+                );
+                let scan = Scan { stamp, points, no_returns };
                 Ok(Self::Scan(Frame { scan, t_map_sensor, points_dropped: 0 }))
             }
             2 => {
@@ -135,6 +107,8 @@ impl SensorMessage {
                 pose([x, y, z, 0.0, 0.0, 0.0, 1.0])?;
                 Ok(Self::Teammate(robot, [x, y, z]))
             }
+            4 => Ok(Self::States(StatesMessage::parse_voxels(&mut reader, limits.states_max)?)),
+            5 => Ok(Self::States(StatesMessage::parse_box(&mut reader, limits.box_states_max)?)),
             kind => Err(MessageError::Kind(kind)),
         }
     }
@@ -167,11 +141,20 @@ impl SensorMessage {
                 begin(3, *robot);
                 out.extend(position.iter().flat_map(|v| v.to_le_bytes()));
             }
+            Self::States(states) => {
+                begin(states.kind(), RobotId(0));
+                states.emit(&mut out);
+            }
         }
         let length = (out.len() as u32 - 4).to_le_bytes();
         out[..4].copy_from_slice(&length);
         out
     }
+}
+
+fn point(bytes: &[u8; POINT_BYTES]) -> [f32; 3] {
+    let [a, b, c, d, e, f, g, h, i, j, k, l] = *bytes;
+    [[a, b, c, d], [e, f, g, h], [i, j, k, l]].map(f32::from_le_bytes)
 }
 
 fn pose(got: [f64; 7]) -> Result<Pose, MessageError> {
@@ -182,50 +165,6 @@ fn pose(got: [f64; 7]) -> Result<Pose, MessageError> {
 fn put_pose(out: &mut Vec<u8>, pose: &Pose) {
     let numbers = pose.translation().into_iter().chain(pose.quaternion_xyzw());
     out.extend(numbers.flat_map(f64::to_le_bytes));
-}
-
-/// A message that is being read.
-struct Reader<'a> {
-    /// The bytes not read yet.
-    rest: &'a [u8],
-    /// Bytes of the whole message.
-    got: usize,
-    /// Bytes that it should have, as far as is known.
-    expected: u64,
-}
-
-impl Reader<'_> {
-    const fn wrong_size(&self) -> MessageError {
-        MessageError::Size { got: self.got, expected: self.expected }
-    }
-
-    fn check_length(&self) -> Result<(), MessageError> {
-        if self.got as u64 == self.expected { Ok(()) } else { Err(self.wrong_size()) }
-    }
-
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], MessageError> {
-        let (taken, rest) = self.rest.split_first_chunk::<N>().ok_or_else(|| self.wrong_size())?;
-        self.rest = rest;
-        Ok(*taken)
-    }
-
-    fn numbers<const N: usize>(&mut self) -> Result<[f64; N], MessageError> {
-        let mut numbers = [0.0; N];
-        for number in &mut numbers {
-            *number = f64::from_le_bytes(self.take()?);
-        }
-        Ok(numbers)
-    }
-
-    fn points(&mut self, count: u32) -> Result<Vec<[f32; 3]>, MessageError> {
-        let points = self.rest.split_at_checked(count as usize * POINT_BYTES);
-        let (points, rest) = points.ok_or_else(|| self.wrong_size())?;
-        self.rest = rest;
-        let point = |&[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; POINT_BYTES]| {
-            [[a, b, c, d], [e, f, g, h], [i, j, k, l]].map(f32::from_le_bytes)
-        };
-        Ok(points.as_chunks().0.iter().map(point).collect())
-    }
 }
 
 #[cfg(test)]
