@@ -65,14 +65,10 @@ enum Place {
     Unsaid,
     /// Where it was at first.
     First,
-    /// The mean of the voxels that changed.
-    MeanOfChanged,
-    /// The mean of those that became Free.
-    MeanOfFreed,
     /// The middle of the smallest box round what was touched.
     MiddleOfTouched,
-    /// The middle of the smallest box round what changed.
-    MiddleOfChanged,
+    /// Behind the mean of what was touched.
+    Trailing(usize),
 }
 
 const FEEDS: [(&str, Feed); 10] = [
@@ -82,10 +78,10 @@ const FEEDS: [(&str, Feed); 10] = [
     ("voxels, without", states(false, Place::Unsaid)),
     ("a box, without", states(true, Place::Unsaid)),
     ("voxels, place of the first scan", states(false, Place::First)),
-    ("voxels, mean of changed", states(false, Place::MeanOfChanged)),
-    ("voxels, mean of freed", states(false, Place::MeanOfFreed)),
     ("voxels, middle of touched", states(false, Place::MiddleOfTouched)),
-    ("voxels, middle of changed", states(false, Place::MiddleOfChanged)),
+    ("voxels, trailing 25", states(false, Place::Trailing(0))),
+    ("voxels, trailing 50", states(false, Place::Trailing(1))),
+    ("voxels, trailing 75", states(false, Place::Trailing(2))),
 ];
 
 const fn states(is_box: bool, place: Place) -> Feed {
@@ -170,12 +166,28 @@ fn record(
     let lanes = FEEDS.iter().map(|(_, feed)| Lane::new(*feed, number, config, batch));
     let mut lanes = lanes.collect::<anyhow::Result<Vec<_>>>()?;
     let mut first = None;
+    let mut trails = [None; 3];
     for frame in frames {
         if stop::requested() {
             break;
         }
         let report = elsewhere.insert(&frame.scan, &frame.pose, &frame.masks());
-        let seen = Seen::new(&elsewhere, &report, *first.get_or_insert(frame.pose.translation()));
+        let mut seen = Seen::new(&elsewhere, &report, *first.get_or_insert(frame.pose.translation()));
+        let n = seen.touched.len().max(1) as f64;
+        let mean: [f64; 3] = core::array::from_fn(|a| {
+            let of = |v: &Voxel| f64::from([v.x, v.y, v.z][a]) + 0.5;
+            seen.touched.iter().map(|(v, _)| of(v)).sum::<f64>() / n * seen.resolution_m
+        });
+        for (k, trail) in trails.iter_mut().enumerate() {
+            let length = 0.25 * (k + 1) as f64 * config.range_m;
+            let at = trail.get_or_insert(mean);
+            let d: [f64; 3] = core::array::from_fn(|a| at[a] - mean[a]);
+            let far = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+            if far > length {
+                *at = core::array::from_fn(|a| mean[a] + d[a] * length / far);
+            }
+        }
+        seen.trails = trails;
         lanes.iter_mut().try_for_each(|lane| lane.take(&frame, &seen, config))?;
         progress();
     }
@@ -188,7 +200,7 @@ struct Seen {
     touched: Vec<(Voxel, State)>,
     /// The smallest box round these, and its states.
     region: Option<(VoxelBox, Vec<State>)>,
-    changed: Changes,
+    trails: [Option<[f64; 3]>; 3],
     resolution_m: f64,
     first: [f64; 3],
 }
@@ -208,8 +220,7 @@ impl Seen {
             let voxels = rows.flat_map(|(y, z)| (min.x..=max.x).map(move |x| Voxel::new(x, y, z)));
             (region, voxels.map(|voxel| mapper.state(voxel)).collect())
         });
-        let changed = Changes::from_blocks(report.changed.clone());
-        Self { touched, region, changed, resolution_m: mapper.config().resolution.metres(), first }
+        Self { touched, region, trails: [None; 3], resolution_m: mapper.config().resolution.metres(), first }
     }
 
     /// What is said of the sensor, which was at `at`.
@@ -219,22 +230,12 @@ impl Seen {
             Some([(min.x, max.x), (min.y, max.y), (min.z, max.z)])
                 .map(|ends| ends.map(|(min, max)| f64::from(min + max + 1) / 2.0 * self.resolution_m))
         };
-        let mean = |is_wanted: fn(State) -> bool| {
-            let voxels = || self.changed.voxels().filter(|(_, state)| is_wanted(*state));
-            let count = voxels().count().max(1) as f64;
-            let sum =
-                |of: fn(Voxel) -> i32| voxels().map(|(voxel, _)| f64::from(of(voxel)) + 0.5).sum::<f64>();
-            let sums = [sum(|v| v.x), sum(|v| v.y), sum(|v| v.z)];
-            voxels().next().map(|_| sums.map(|sum| sum / count * self.resolution_m))
-        };
         match place {
             Place::Known => Some(at),
             Place::Unsaid => None,
             Place::First => Some(self.first),
-            Place::MeanOfChanged => mean(|_| true),
-            Place::MeanOfFreed => mean(|state| state == State::Free),
             Place::MiddleOfTouched => middle(self.region.as_ref().map(|(region, _)| *region)),
-            Place::MiddleOfChanged => middle(self.changed.bounding_box()),
+            Place::Trailing(k) => self.trails[k],
         }
     }
 }
