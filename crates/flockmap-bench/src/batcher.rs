@@ -1,7 +1,8 @@
 //! A robot that maps, closes batches, and does nothing else.
 
 use flockmap::{
-    Batch, BatchConfig, Changes, Mapper, MapperConfig, Packer, Pose, RobotId, Scan, Sphere, Stamp, Stream,
+    Batch, BatchConfig, Changes, Mapper, MapperConfig, Packer, Pose, RobotId, Scan, ScanReport, Sphere,
+    Stamp, StatesUpdate, Stream,
 };
 
 /// What comes of a scan, with the time of each: the batches that it closes, and in between that it is mapped.
@@ -31,21 +32,38 @@ impl Batcher {
         scan: &Scan,
         pose: &Pose,
         masks: &[Sphere],
+        step: impl FnMut(Stamp, Step) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        self.observe(scan.stamp, |mapper| Ok(mapper.insert(scan, pose, masks)), step)
+    }
+
+    pub fn states(
+        &mut self,
+        update: &StatesUpdate<'_>,
+        step: impl FnMut(Stamp, Step) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        self.observe(update.stamp, |mapper| Ok(mapper.insert_states(update)?), step)
+    }
+
+    fn observe(
+        &mut self,
+        stamp: Stamp,
+        insert: impl FnOnce(&mut Mapper) -> anyhow::Result<ScanReport>,
         mut step: impl FnMut(Stamp, Step) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
         let Self { mapper, packer, last } = self;
         // The deadline of a batch may pass between two scans.
-        while let Some(deadline) = packer.deadline(mapper).filter(|at| *at < scan.stamp) {
+        while let Some(deadline) = packer.deadline(mapper).filter(|at| *at < stamp) {
             let now = deadline.max(*last);
             let Some((batch, changes)) = packer.close_due(now, mapper) else { break };
             step(now, Step::Closed(batch, changes))?;
         }
-        *last = scan.stamp;
-        mapper.insert(scan, pose, masks);
-        packer.note_scan(*last, pose);
-        step(*last, Step::Mapped)?;
-        while let Some((batch, changes)) = packer.close_due(*last, mapper) {
-            step(*last, Step::Closed(batch, changes))?;
+        *last = stamp;
+        let report = insert(mapper)?;
+        packer.note_observed(stamp, report.sensor);
+        step(stamp, Step::Mapped)?;
+        while let Some((batch, changes)) = packer.close_due(stamp, mapper) {
+            step(stamp, Step::Closed(batch, changes))?;
         }
         Ok(())
     }

@@ -15,6 +15,7 @@ mod place;
 mod random;
 mod rival_swarm;
 mod snapshot_run;
+mod states;
 mod train;
 
 use std::process::ExitCode;
@@ -40,6 +41,7 @@ Start here:
 #[derive(Subcommand, Debug)]
 enum Command {
     Codecs(Box<codecs::CodecsArgs>),
+    States(Box<states::StatesArgs>),
     Mapping(mapping::MappingArgs),
     CatchUp(Box<catch_up::CatchUpArgs>),
     Random(random::RandomArgs),
@@ -56,6 +58,7 @@ fn main() -> ExitCode {
     }
     program::exit_code(match &cli.command {
         Command::Codecs(args) => codecs::run(args),
+        Command::States(args) => states::run(args),
         Command::Mapping(args) => mapping::run(args),
         Command::CatchUp(args) => catch_up::run(args),
         Command::Random(args) => random::run(args),

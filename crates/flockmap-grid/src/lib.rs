@@ -17,6 +17,7 @@ mod pose;
 mod scan;
 mod snapshot;
 mod stamps;
+mod states;
 #[cfg(feature = "serde")]
 #[doc(hidden)]
 pub mod units;
@@ -34,4 +35,5 @@ pub use origin::{RobotId, Stamp, Stream, epoch, seconds_of_epoch};
 pub use pose::{Pose, PoseError};
 pub use scan::Scan;
 pub use snapshot::{Snapshot, SnapshotVoxels};
+pub use states::{States, StatesError, StatesUpdate};
 pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};

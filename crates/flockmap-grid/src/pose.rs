@@ -44,7 +44,7 @@ pub enum PoseError {
 
 /// Voxels between the farthest position that is taken and the end of the grid: room for the longest ray, so
 /// that every end has a voxel.
-const MARGIN: i32 = 1_024;
+pub(crate) const MARGIN: i32 = 1_024;
 
 impl Resolution {
     /// Whether a sensor, a team-mate or the origin of a frame may be at this position (metres): finite, and

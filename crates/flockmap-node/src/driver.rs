@@ -276,6 +276,19 @@ impl<T: Transport> Driver<T> {
                     observer(now, &self.robot, Observation::Scan { scan: &frame.scan, report: &report });
                 }
             }
+            Input::States(states) => {
+                self.active = Instant::now();
+                self.counters.states += 1;
+                let began = Instant::now();
+                let report = match self.robot.insert_states(now, &states.update()) {
+                    Ok(report) => report,
+                    Err(error) => return self.take_fault(format!("states left out: {error}")),
+                };
+                self.timings.insert_states.saturating_record(micros(began.elapsed()));
+                if let Some(observer) = &mut self.options.observer {
+                    observer(now, &self.robot, Observation::States { report: &report });
+                }
+            }
             Input::Alignment(robot, pose) => {
                 if let Err(error) = self.robot.set_alignment(robot, &pose) {
                     self.take_fault(format!("the alignment of {robot:?} stays as it was: {error}"));

@@ -64,7 +64,9 @@ pub use map_output::MapOutput;
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
 pub use run::run;
-pub use sensor::{MESSAGE_VERSION, MessageError, MessageLimits, Sensor, SensorMessage};
+pub use sensor::{
+    MESSAGE_VERSION, MessageError, MessageLimits, OwnedStates, Sensor, SensorMessage, StatesMessage,
+};
 pub use status::{GivenUp, Histogram, NodeCounters, NodeStatus, StreamStatus, Timings};
 pub use store_writer::StoreWriter;
 pub use summary::{StreamSummary, Summary, TimingSummary};

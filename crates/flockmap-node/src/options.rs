@@ -38,6 +38,11 @@ pub enum Observation<'a> {
         /// What it changed.
         report: &'a ScanReport,
     },
+    /// States of voxels from a mapper elsewhere were inserted.
+    States {
+        /// What they changed.
+        report: &'a ScanReport,
+    },
     /// The robot reported an event.
     Event(&'a Event),
 }

@@ -35,6 +35,8 @@ pub struct NodeCounters {
     pub frames: u64,
     /// Of these: inserted more than 100 ms after their stamp.
     pub frames_late: u64,
+    /// Messages with states of voxels that came from the sensor.
+    pub states: u64,
     /// Points that the reader of the record left out, since they are not finite.
     pub points_dropped: u64,
     /// Faults of the sensor: damaged messages, frames that could not be read, stamps from another clock,
@@ -61,6 +63,8 @@ pub type Histogram = hdrhistogram::Histogram<u64>;
 pub struct Timings {
     /// Inserting a scan.
     pub insert_scan: Histogram,
+    /// Inserting states of voxels.
+    pub insert_states: Histogram,
     /// The paper's `t_pack`: from the start of closing a batch until its packages are ready.
     pub pack: Histogram,
     /// The paper's `t_recv2insert`: from a datagram until what it brings is in the fused map.
@@ -72,8 +76,8 @@ pub struct Timings {
 
 impl Default for Timings {
     fn default() -> Self {
-        let [insert_scan, pack, receive_to_insert, age] = [(); 4].map(|()| histogram());
-        Self { insert_scan, pack, receive_to_insert, age }
+        let [insert_scan, insert_states, pack, receive_to_insert, age] = [(); 5].map(|()| histogram());
+        Self { insert_scan, insert_states, pack, receive_to_insert, age }
     }
 }
 
@@ -254,9 +258,10 @@ impl NodeStatus {
 }
 
 impl Timings {
-    pub(crate) const fn all(&self) -> [(&'static str, &Histogram); 4] {
+    pub(crate) const fn all(&self) -> [(&'static str, &Histogram); 5] {
         [
             ("insert_scan", &self.insert_scan),
+            ("insert_states", &self.insert_states),
             ("t_pack", &self.pack),
             ("t_recv2insert", &self.receive_to_insert),
             ("age", &self.age),

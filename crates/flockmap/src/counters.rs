@@ -10,6 +10,10 @@ pub struct RobotCounters {
     /// Of these: with a stamp ahead of the robot's clock. They count as made when they came. If there are
     /// many, the clock of the sensor is not the robot's.
     pub scans_ahead: u64,
+    /// Updates with states of voxels taken in.
+    pub states: u64,
+    /// Of these: with a stamp ahead of the robot's clock, as for scans.
+    pub states_ahead: u64,
     /// Points that were ignored: not finite, too near or too far out.
     pub points_ignored: u64,
     /// Points that were taken for team-mates.

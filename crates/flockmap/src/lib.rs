@@ -54,7 +54,8 @@ pub use flockmap_codec::{Batch, Codec, Package};
 pub use flockmap_grid as grid;
 pub use flockmap_grid::{
     Changes, Fusion, FusionConfig, MapView, Mapper, MapperConfig, Pose, PoseError, Preset, RayEnd,
-    Resolution, RobotId, Scan, ScanReport, Sphere, Stamp, State, Stream, Voxel, VoxelBox, epoch,
+    Resolution, RobotId, Scan, ScanReport, Sphere, Stamp, State, States, StatesError, StatesUpdate, Stream,
+    Voxel, VoxelBox, epoch,
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};

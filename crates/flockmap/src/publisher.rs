@@ -7,7 +7,7 @@ mod sent;
 
 use core::time::Duration;
 use flockmap_codec::{Base, Batch, Codec, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Span};
-use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Plane, Pose, Stamp, Stream, Which};
+use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Plane, Stamp, Stream, Which};
 use flockmap_sync::{Pace, Session};
 
 use crate::{RobotConfig, RobotCounters};
@@ -93,10 +93,9 @@ impl Publisher {
         self.stream
     }
 
-    /// Notes a scan that the mapper has taken in.
-    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub(crate) fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
-        self.packer.note_scan(stamp, T_map_sensor);
+    /// Notes what the mapper has taken in, and from where it was seen, if that is known: metres in the map.
+    pub(crate) fn note_observed(&mut self, stamp: Stamp, sensor: Option<[f64; 3]>) {
+        self.packer.note_observed(stamp, sensor);
     }
 
     /// When to [`poll`](Self::poll) again, if nothing more changes.

@@ -15,7 +15,8 @@ use std::borrow::Cow;
 
 use flockmap_codec::{Batch, Decoder, Span};
 use flockmap_grid::{
-    Changes, Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, Stream,
+    Changes, Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, StatesError,
+    StatesUpdate, Stream,
 };
 use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::wire::DatagramError;
@@ -32,7 +33,7 @@ const TEAMMATES_MAX: usize = 1_024;
 /// A robot of the swarm: keeps its own map from its scans, sends what changed, repairs what was lost, and fuses
 /// what the others saw. Knows no sockets, threads or clocks; it can be driven by any runtime, or none.
 ///
-/// After every input ([`insert_scan`](Self::insert_scan), [`handle_datagram`](Self::handle_datagram),
+/// After every input ([`insert_scan`](Self::insert_scan), [`insert_states`](Self::insert_states), [`handle_datagram`](Self::handle_datagram),
 /// [`handle_timeout`](Self::handle_timeout)) send all that [`poll_transmit`](Self::poll_transmit) gives, then
 /// wait for the next scan, the next datagram or [`poll_timeout`](Self::poll_timeout), whichever is first.
 pub struct Robot {
@@ -121,15 +122,72 @@ impl Robot {
         });
         let masks: Vec<Sphere> = masks.collect();
         let report = self.mapper.insert_at(stamp, scan, T_map_sensor, &masks);
-        self.publisher.note_scan(stamp, T_map_sensor);
         self.pose = Some((stamp, *T_map_sensor));
-        self.fusion.own_scan(&self.mapper, &report);
         self.counters.scans += 1;
         self.counters.scans_ahead += u64::from(scan.stamp > now);
         self.counters.points_ignored += report.ignored as u64;
         self.counters.points_masked += report.masked as u64;
-        self.counters.blocks_forgotten += report.forgotten.len() as u64;
+        self.note_own(&report);
         Ok(report)
+    }
+
+    /// Takes in the states of voxels from a mapper elsewhere, in place of scans or beside them. They enter where
+    /// what the own mapper observes does: what differs from what was published is published, in batches, and the
+    /// fused map takes them for what this robot saw. [`Mapper::insert_states`] says what becomes of a voxel on
+    /// which scans and states meet.
+    ///
+    /// As for scans, no change to Unknown is sent: what this robot takes back, team-mates keep as it was
+    /// published last, until somebody sees it again; and in its own map comes back what they know of it. Team-mates
+    /// ([`set_teammate`](Self::set_teammate)) are not looked for in states.
+    ///
+    /// A stamp ahead of `now` counts as now, and is counted ([`RobotCounters::states_ahead`]).
+    ///
+    /// # Errors
+    /// [`StatesError`] says what was wrong; nothing is changed then.
+    ///
+    /// ```
+    /// use flockmap::{
+    ///     Resolution, Robot, RobotConfig, RobotId, Stamp, State, States, StatesUpdate, Voxel, VoxelBox,
+    /// };
+    ///
+    /// let resolution = Resolution::from_metres(0.1).unwrap();
+    /// let mut robot = Robot::new(RobotConfig::new(RobotId(1), resolution, 7.0), Stamp(0))?;
+    /// let stamp = Stamp(100_000);
+    ///
+    /// // What an octree calls its changed keys.
+    /// let changed = [(Voxel::new(20, 0, 0), State::Occupied), (Voxel::new(19, 0, 0), State::Free)];
+    /// let (sensor, states) = (Some([0.05; 3]), States::Voxels(&changed));
+    /// let report = robot.insert_states(stamp, &StatesUpdate { stamp, resolution, sensor, states })?;
+    /// assert_eq!(report.changed[0].1.known_count(), 2);
+    ///
+    /// // Or a local map: the row from x = 18 to 20. Only what differs counts.
+    /// let region = VoxelBox::new(Voxel::new(18, 0, 0), [3, 1, 1]).unwrap();
+    /// let row = [State::Free, State::Free, State::Occupied];
+    /// let states = States::Box { region, states: &row, clear_unknown: false };
+    /// let report = robot.insert_states(stamp, &StatesUpdate { stamp, resolution, sensor, states })?;
+    /// assert_eq!(report.changed[0].1.known_count(), 1);
+    /// assert_eq!(robot.map().state(Voxel::new(18, 0, 0)), State::Free);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn insert_states(
+        &mut self,
+        now: Stamp,
+        update: &StatesUpdate<'_>,
+    ) -> Result<ScanReport, StatesError> {
+        update.check(self.config.mapper.resolution)?;
+        let now = self.advance(now);
+        let report = self.mapper.insert_states(&StatesUpdate { stamp: update.stamp.min(now), ..*update })?;
+        self.counters.states += 1;
+        self.counters.states_ahead += u64::from(update.stamp > now);
+        self.note_own(&report);
+        Ok(report)
+    }
+
+    /// Takes what came into the own map to where it goes from there.
+    fn note_own(&mut self, report: &ScanReport) {
+        self.publisher.note_observed(report.stamp, report.sensor);
+        self.fusion.own_scan(&self.mapper, report);
+        self.counters.blocks_forgotten += report.forgotten.len() as u64;
     }
 
     /// Lets time pass: closes the batch that is due, and does what the session has to do.

@@ -2,7 +2,7 @@
 
 use super::config::Rules;
 use super::rays::TouchedBlock;
-use crate::{BLOCK_VOXELS, Plane, StateBlock};
+use crate::{BLOCK_VOXELS, Plane, State, StateBlock, set_bits};
 
 /// Log-odds of a voxel that no ray has touched.
 pub(super) const UNOBSERVED: i16 = i16::MIN;
@@ -11,7 +11,7 @@ pub(super) const UNOBSERVED: i16 = i16::MIN;
 #[derive(Clone)]
 pub(super) struct MapBlock {
     log_odds: [i16; BLOCK_VOXELS],
-    /// Number of the scan that touched the voxel last; 0 = none, or one too long ago.
+    /// Number of the scan or update that touched the voxel last; 0 = none, or one too long ago.
     seen: [u16; BLOCK_VOXELS],
     states: StateBlock,
     /// The states that were published last.
@@ -55,6 +55,21 @@ impl MapBlock {
     pub(super) fn rebase_seen(&mut self, by: u16) {
         for seen in &mut self.seen {
             *seen = seen.saturating_sub(by);
+        }
+    }
+
+    /// Sets the voxels of `mask` to these states, as if they had been seen so often that more would change
+    /// nothing; the Unknown ones as if never.
+    pub(super) fn set(&mut self, rules: &Rules, number: u16, states: &StateBlock, mask: &Plane) {
+        for bit in set_bits(mask) {
+            let state = states.get(bit);
+            self.log_odds[bit] = match state {
+                State::Unknown => UNOBSERVED,
+                State::Free => rules.min.min(rules.free_below - 1),
+                State::Occupied => rules.max.max(rules.occupied_from),
+            };
+            self.seen[bit] = number;
+            self.states.set(bit, state);
         }
     }
 
@@ -123,7 +138,7 @@ fn bits(is: impl Fn(usize) -> bool) -> u64 {
 mod tests {
     use super::*;
     use crate::mapper::config::{MapperConfig, Preset};
-    use crate::{BlockIndex, Resolution, State};
+    use crate::{BlockIndex, Resolution};
     use proptest::prelude::*;
 
     fn rules(preset: Preset) -> Rules {

@@ -1,9 +1,10 @@
-//! The mapper: scans in, occupancy out, and which voxels have changed since they were last published.
+//! The mapper: scans in, or states from elsewhere, occupancy out, and which voxels have changed since they were last published.
 
 mod block;
 mod config;
 mod memory;
 mod rays;
+mod states;
 mod take;
 
 use rustc_hash::FxHashMap;
@@ -31,7 +32,7 @@ pub struct Mapper {
     table_places: [usize; 2],
     counts: RayCounts,
     rays: Vec<Ray>,
-    /// Stamp of scan number `i + 1`.
+    /// Stamp of scan, or update with states, number `i + 1`.
     scan_stamps: Vec<Stamp>,
 }
 
@@ -44,11 +45,14 @@ pub struct Sphere {
     pub radius: f64,
 }
 
-/// What became of a scan.
+/// What became of a scan, or of an update with states, which has no rays.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct ScanReport {
     /// When it counts as made.
     pub stamp: Stamp,
+    /// Where the sensor was, in metres in the frame of the map; of states without that, what stands for it. `None`:
+    /// nothing was touched.
+    pub sensor: Option<[f64; 3]>,
     /// Blocks with touched voxels, and which.
     pub touched: Vec<(BlockIndex, Plane)>,
     /// Voxels that are Free or Occupied now and were not before this scan.
@@ -125,41 +129,57 @@ impl Mapper {
             report.ignored = scan.points.len() + scan.no_returns.len();
             return report;
         }
+        report.sensor = Some(T_map_sensor.translation());
         let scale = 1.0 / self.config.resolution.metres();
         let start = T_map_sensor.translation().map(|v| v * scale);
         self.collect_rays(scan, T_map_sensor, teammates, start, scale, &mut report);
         let number = self.next_scan_number(stamp);
-        self.counts.cast(start, &self.rays);
-        let nearer_than = self.forget_far_blocks(start, &mut report);
-        let is_kept = |index: BlockIndex| nearer_than.is_none_or(|end| far_key(start, index) < end);
-        let touched_max = self.counts.indices().len().min(self.config.blocks_max());
-        report.touched.reserve_exact(touched_max);
-        report.changed.reserve_exact(touched_max);
-        for mut counts in self.counts.blocks() {
-            if !is_kept(counts.index) {
+        // Out of the way, so that the map can be changed by what they say.
+        let mut counts = core::mem::take(&mut self.counts);
+        counts.cast(start, &self.rays);
+        let nearer_than = self.forget_far_blocks(start, counts.indices(), &mut report);
+        for mut counts in counts.blocks() {
+            if nearer_than.is_some_and(|end| far_key(start, counts.index) >= end) {
                 counts.clear();
                 continue;
             }
-            let block = self.blocks.entry(counts.index).or_insert_with(|| Box::new(MapBlock::new()));
-            let before = *block.states();
-            let touched = block.update(&self.rules, number, &mut counts);
-            if *block.states() != before {
-                report.changed.push((counts.index, block.states().minus(&before)));
-                let changed = block.changes().known_count();
-                let known = self.pending_blocks.entry(counts.index).or_insert(0);
-                self.pending = self.pending + changed as usize - *known as usize;
-                *known = changed;
-            }
-            if touched != [0; 8] {
-                report.touched.push((counts.index, touched));
-            }
+            let rules = self.rules;
+            self.change(counts.index, &mut report, |block| block.update(&rules, number, &mut counts));
         }
-        // Nothing was taken out since the tables grew, if they did.
+        self.counts = counts;
+        self.note_tables();
+        report
+    }
+
+    /// Lets a block be changed, made if it is not there, and notes what came of it: `change` says which voxels it
+    /// touched.
+    fn change(
+        &mut self,
+        index: BlockIndex,
+        report: &mut ScanReport,
+        change: impl FnOnce(&mut MapBlock) -> Plane,
+    ) {
+        let block = self.blocks.entry(index).or_insert_with(|| Box::new(MapBlock::new()));
+        let before = *block.states();
+        let touched = change(block);
+        if *block.states() != before {
+            report.changed.push((index, block.states().minus(&before)));
+            let changed = block.changes().known_count();
+            let known = self.pending_blocks.entry(index).or_insert(0);
+            self.pending = self.pending + changed as usize - *known as usize;
+            *known = changed;
+        }
+        if touched != [0; 8] {
+            report.touched.push((index, touched));
+        }
+    }
+
+    /// Nothing was taken out since the tables grew, if they did.
+    fn note_tables(&mut self) {
         self.table_places = [
             self.table_places[0].max(self.blocks.capacity()),
             self.table_places[1].max(self.pending_blocks.capacity()),
         ];
-        report
     }
 
     /// State of a voxel.
@@ -183,7 +203,8 @@ impl Mapper {
         self.blocks.iter().map(|(index, block)| (*index, block.states()))
     }
 
-    /// Stamp of the last scan that touched a voxel; `None` if none did, or longer ago than 32,768 scans.
+    /// Stamp of the last scan or update with states that touched a voxel; `None` if none did, or longer ago than
+    /// 32,768 of them.
     pub fn last_seen(&self, voxel: Voxel) -> Option<Stamp> {
         let number = self.blocks.get(&voxel.block())?.seen(voxel_bit(voxel));
         self.scan_stamps.get(usize::from(number).checked_sub(1)?).copied()
@@ -278,18 +299,25 @@ impl Mapper {
         self.scan_stamps.len() as u16
     }
 
-    /// Keeps the byte cap before the scan is taken in: forgets the blocks farthest from the sensor, a tenth
-    /// more than needed so that it does not come to this at every scan. What is forgotten is no change: the
-    /// swarm keeps what it received. Returns where the blocks end that are kept; of those that the scan
-    /// touches, the ones beyond are not even made.
-    fn forget_far_blocks(&mut self, start: [f64; 3], report: &mut ScanReport) -> Option<FarKey> {
-        let blocks_max = self.config.blocks_max();
-        if self.blocks.len() + self.counts.indices().len() <= blocks_max {
+    /// Keeps the byte cap before `touched` blocks are taken in, and makes room in the report for them: forgets
+    /// the blocks farthest from `start`, a tenth more than needed so that it does not come to this at every
+    /// scan. What is forgotten is no change: the swarm keeps what it received. Returns where the blocks end
+    /// that are kept; of those that are touched, the ones beyond are not even made.
+    fn forget_far_blocks(
+        &mut self,
+        start: [f64; 3],
+        touched: impl ExactSizeIterator<Item = BlockIndex>,
+        report: &mut ScanReport,
+    ) -> Option<FarKey> {
+        let (blocks_max, touched_count) = (self.config.blocks_max(), touched.len());
+        report.touched.reserve_exact(touched_count.min(blocks_max));
+        report.changed.reserve_exact(touched_count.min(blocks_max));
+        if self.blocks.len() + touched_count <= blocks_max {
             return None;
         }
-        let new = self.counts.indices().filter(|index| !self.blocks.contains_key(index));
+        let new = touched.filter(|index| !self.blocks.contains_key(index));
         let all = self.blocks.keys().copied().chain(new);
-        let mut far: Vec<FarKey> = Vec::with_capacity(self.blocks.len() + self.counts.indices().len());
+        let mut far: Vec<FarKey> = Vec::with_capacity(self.blocks.len() + touched_count);
         far.extend(all.map(|index| far_key(start, index)));
         if far.len() <= blocks_max {
             return None;

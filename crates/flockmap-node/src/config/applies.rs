@@ -5,7 +5,7 @@ use super::error::ConfigError;
 use super::places::Places;
 
 /// A key, and those of which one must be there for it to mean something.
-const NEEDS: [(&str, &[&str]); 21] = [
+const NEEDS: &[(&str, &[&str])] = &[
     ("[sensor] speed", RECORD),
     ("[sensor] start_s", RECORD),
     ("[sensor] repeat", RECORD),
@@ -16,6 +16,8 @@ const NEEDS: [(&str, &[&str]); 21] = [
     ("[sensor] unix_mode", &["[sensor] listen_unix"]),
     ("[sensor] stamp_error_max_s", LISTEN),
     ("[sensor] scan_points_max", &["[sensor] record", "[sensor] listen_tcp", "[sensor] listen_unix"]),
+    ("[sensor] states_max", LISTEN),
+    ("[sensor] box_states_max", LISTEN),
     ("[teammates] radius_m", LISTEN),
     ("[teammates] timeout_ms", LISTEN),
     ("[store] bytes_max", &["[store] path"]),

@@ -5,7 +5,7 @@ use std::ops::{Bound, RangeBounds};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use flockmap::{Pose, Robot, RobotConfig, RobotId, Stamp};
+use flockmap::{Pose, Robot, RobotConfig, RobotId, Stamp, StatesUpdate};
 
 use super::error::ConfigError;
 use super::{AlignmentSection, NodeConfig};
@@ -60,6 +60,18 @@ impl NodeConfig {
                 points_max,
                 1..=SCAN_POINTS_MAX,
                 "1 to 67,108,864",
+            )?,
+            states_max: within(
+                "[sensor] states_max",
+                section.states_max,
+                1..=StatesUpdate::VOXELS_MAX as u32,
+                "1 to 4,194,304",
+            )?,
+            box_states_max: within(
+                "[sensor] box_states_max",
+                section.box_states_max,
+                1..=StatesUpdate::BOX_VOXELS_MAX as u32,
+                "1 to 33,554,432",
             )?,
             stamp_error_max_micros: i64::try_from(error.as_micros()).unwrap_or(i64::MAX),
         })

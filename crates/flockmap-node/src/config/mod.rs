@@ -183,7 +183,11 @@ pub struct SensorSection {
     pub unix_mode: String,
     /// Most points in a scan.
     pub scan_points_max: u32,
-    /// A scan whose stamp is off the system clock by more than this, when it is received, is refused.
+    /// Most single voxels in a message of states.
+    pub states_max: u32,
+    /// Most voxels of a box in a message of states.
+    pub box_states_max: u32,
+    /// A scan or states whose stamp is off the system clock by more than this, when it is received, is refused.
     pub stamp_error_max_s: f64,
 }
 
@@ -202,6 +206,8 @@ impl Default for SensorSection {
             listen_unix: None,
             unix_mode: "0600".into(),
             scan_points_max: 1 << 20,
+            states_max: 1 << 20,
+            box_states_max: 1 << 24,
             stamp_error_max_s: 10.0,
         }
     }

@@ -12,7 +12,7 @@ use tokio::sync::mpsc::Sender;
 use tokio::task::{AbortHandle, JoinSet};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::{Input, MessageError, MessageLimits, SensorMessage};
+use super::{Input, MessageError, MessageLimits, SensorMessage, StatesMessage};
 use crate::Clock;
 
 /// Programs that may be connected at once. Worst case held: the longest message for each.
@@ -191,18 +191,17 @@ impl<S: AsyncRead + Unpin> Reader<S> {
                 Err(error) => return Input::Fault(format!("{name} closed: message {count}: {error}")),
                 Ok(SensorMessage::Alignment(robot, pose)) => Input::Alignment(robot, pose),
                 Ok(SensorMessage::Teammate(robot, position)) => Input::Teammate(robot, position),
-                Ok(SensorMessage::Scan(mut frame)) => match self.on_the_node_s_clock(frame.scan.stamp) {
-                    Ok(stamp) => {
+                Ok(SensorMessage::Scan(mut frame)) => {
+                    let stamp = self.on_the_node_s_clock(frame.scan.stamp, count);
+                    stamp.map_or_else(Input::Fault, |stamp| {
                         frame.scan.stamp = stamp;
                         Input::Frame(frame)
-                    }
-                    Err(off) => Input::Fault(format!(
-                        "{name}: message {count} dropped: its stamp is off the system clock of this machine by {:.3} s, expected \
-                         microseconds since 1970 within {:.3} s, or 0 for now",
-                        off as f64 / 1e6,
-                        self.limits.stamp_error_max_micros as f64 / 1e6
-                    )),
-                },
+                    })
+                }
+                Ok(SensorMessage::States(states)) => {
+                    let stamp = self.on_the_node_s_clock(states.stamp, count);
+                    stamp.map_or_else(Input::Fault, |stamp| Input::States(StatesMessage { stamp, ..states }))
+                }
             };
             if to.send(input).await.is_err() {
                 return Input::Note(String::new());
@@ -210,16 +209,22 @@ impl<S: AsyncRead + Unpin> Reader<S> {
         }
     }
 
-    /// A stamp of the system clock shows how old the scan is now, and that holds on every clock. A scan from
-    /// the future, within what is allowed, is of now. An error is how far the stamp is off.
-    fn on_the_node_s_clock(&self, stamp: Stamp) -> Result<Stamp, i64> {
+    /// A stamp of the system clock shows how old a scan is now, and that holds on every clock. A scan from
+    /// the future, within what is allowed, is of now. An error says that message `count` is dropped, and why.
+    fn on_the_node_s_clock(&self, stamp: Stamp, count: u64) -> Result<Stamp, String> {
         let (now, system_now) = self.clock.now_and_system_now();
         if stamp == Stamp(0) {
             return Ok(now);
         }
         let off = stamp.micros_since(system_now);
         if off.unsigned_abs() > self.limits.stamp_error_max_micros.unsigned_abs() {
-            return Err(off);
+            return Err(format!(
+                "{}: message {count} dropped: its stamp is off the system clock of this machine by {:.3} s, expected \
+                 microseconds since 1970 within {:.3} s, or 0 for now",
+                self.name,
+                off as f64 / 1e6,
+                self.limits.stamp_error_max_micros as f64 / 1e6
+            ));
         }
         Ok(now.plus_micros(off.min(0)))
     }
@@ -270,7 +275,12 @@ mod tests {
     use tokio::io::{AsyncWriteExt, DuplexStream, duplex};
     use tokio::sync::mpsc::{Receiver, UnboundedReceiver, UnboundedSender, channel, unbounded_channel};
 
-    const LIMITS: MessageLimits = MessageLimits { scan_points_max: 100, stamp_error_max_micros: 10_000_000 };
+    const LIMITS: MessageLimits = MessageLimits {
+        scan_points_max: 100,
+        states_max: 100,
+        box_states_max: 100,
+        stamp_error_max_micros: 10_000_000,
+    };
 
     fn runtime() -> tokio::runtime::Runtime {
         tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().unwrap()

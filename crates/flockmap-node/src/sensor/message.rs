@@ -3,12 +3,10 @@
 use flockmap::{Pose, RobotId, Scan, Stamp};
 use flockmap_io::Frame;
 
-/// The version of the layout.
-pub const MESSAGE_VERSION: u8 = 1;
+use super::fields::{HEADER_BYTES, MESSAGE_VERSION, MessageError, Reader};
+use super::states::{self, StatesMessage};
 
 const MAGIC: [u8; 4] = *b"FLKS";
-/// Magic, version, kind, robot.
-const HEADER_BYTES: usize = 8;
 /// Header, stamp, pose, two counts.
 const SCAN_HEADER_BYTES: usize = HEADER_BYTES + 8 + 56 + 8;
 const POINT_BYTES: usize = 12;
@@ -18,20 +16,32 @@ const POINT_BYTES: usize = 12;
 pub struct MessageLimits {
     /// Most points and rays without a return, together, in one scan. Worst case held: 36 bytes each.
     pub scan_points_max: u32,
-    /// A scan whose stamp is off the machine's clock by more than this many microseconds is refused.
+    /// Most single voxels of one message of states, at most [`StatesUpdate::VOXELS_MAX`](flockmap::StatesUpdate::VOXELS_MAX). Worst case held: 29 bytes
+    /// each.
+    pub states_max: u32,
+    /// Most voxels of a box, at most
+    /// [`StatesUpdate::BOX_VOXELS_MAX`](flockmap::StatesUpdate::BOX_VOXELS_MAX). Worst case held: 2 bytes each.
+    pub box_states_max: u32,
+    /// A scan or states whose stamp is off the machine's clock by more than this many microseconds is refused.
     pub stamp_error_max_micros: i64,
 }
 
 impl Default for MessageLimits {
     fn default() -> Self {
-        Self { scan_points_max: 1 << 20, stamp_error_max_micros: 10_000_000 }
+        Self {
+            scan_points_max: 1 << 20,
+            states_max: 1 << 20,
+            box_states_max: 1 << 24,
+            stamp_error_max_micros: 10_000_000,
+        }
     }
 }
 
 impl MessageLimits {
     /// The longest message.
-    pub const fn bytes_max(&self) -> usize {
-        SCAN_HEADER_BYTES + POINT_BYTES * self.scan_points_max as usize
+    pub fn bytes_max(&self) -> usize {
+        let scan = SCAN_HEADER_BYTES + POINT_BYTES * self.scan_points_max as usize;
+        scan.max(states::bytes_max(self.states_max, self.box_states_max))
     }
 }
 
@@ -44,48 +54,8 @@ pub enum SensorMessage {
     Alignment(RobotId, Pose),
     /// Kind 3: where a team-mate is now, in metres in the own map.
     Teammate(RobotId, [f64; 3]),
-}
-
-/// A message that cannot be used. The program that sent it is at fault; the connection is closed.
-#[derive(Clone, PartialEq, Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MessageError {
-    /// The length says more than is allowed, or less than a message has.
-    #[error("length {got}, expected {HEADER_BYTES} to {max}")]
-    Length {
-        /// As sent.
-        got: u64,
-        /// The longest that is allowed.
-        max: usize,
-    },
-    /// Not a message at all: its first four bytes.
-    #[error("starts with \"{}\", expected \"FLKS\"", .0.escape_ascii())]
-    Magic([u8; 4]),
-    /// Of another version: this one.
-    #[error("version {0}, expected {MESSAGE_VERSION}")]
-    Version(u8),
-    /// Of no known kind: this one.
-    #[error("kind {0}, expected 1 (scan), 2 (alignment) or 3 (team-mate)")]
-    Kind(u8),
-    /// The length does not fit what is in it.
-    #[error("{got} bytes, expected {expected} by its kind and counts")]
-    Size {
-        /// As sent.
-        got: usize,
-        /// What the kind and the counts call for.
-        expected: u64,
-    },
-    /// The pose, these seven numbers, is none.
-    #[error("the pose {0:?} is none, expected finite x y z and a quaternion x y z w that is not 0")]
-    Pose([f64; 7]),
-    /// The connection ended within a message.
-    #[error("ended after {got} of {expected} bytes")]
-    Truncated {
-        /// Bytes received.
-        got: usize,
-        /// Bytes announced.
-        expected: usize,
-    },
+    /// Kind 4 and 5: states of voxels, from a mapper elsewhere. Stamp 0 means now.
+    States(StatesMessage),
 }
 
 impl SensorMessage {
@@ -119,8 +89,11 @@ impl SensorMessage {
                 reader.expected += count * POINT_BYTES as u64;
                 reader.check_length()?;
                 let t_map_sensor = pose(numbers)?;
-                let scan =
-                    Scan { stamp, points: reader.points(points)?, no_returns: reader.points(no_returns)? };
+                let (points, no_returns) = (
+                    reader.records(points)?.iter().map(point).collect(),
+                    reader.records(no_returns)?.iter().map(point).collect(),
+                );
+                let scan = Scan { stamp, points, no_returns };
                 Ok(Self::Scan(Frame { scan, t_map_sensor, points_dropped: 0 }))
             }
             2 => {
@@ -135,6 +108,8 @@ impl SensorMessage {
                 pose([x, y, z, 0.0, 0.0, 0.0, 1.0])?;
                 Ok(Self::Teammate(robot, [x, y, z]))
             }
+            4 => Ok(Self::States(StatesMessage::parse_voxels(&mut reader, limits.states_max)?)),
+            5 => Ok(Self::States(StatesMessage::parse_box(&mut reader, limits.box_states_max)?)),
             kind => Err(MessageError::Kind(kind)),
         }
     }
@@ -167,11 +142,20 @@ impl SensorMessage {
                 begin(3, *robot);
                 out.extend(position.iter().flat_map(|v| v.to_le_bytes()));
             }
+            Self::States(states) => {
+                begin(states.kind(), RobotId(0));
+                states.emit(&mut out);
+            }
         }
         let length = (out.len() as u32 - 4).to_le_bytes();
         out[..4].copy_from_slice(&length);
         out
     }
+}
+
+fn point(bytes: &[u8; POINT_BYTES]) -> [f32; 3] {
+    let [a, b, c, d, e, f, g, h, i, j, k, l] = *bytes;
+    [[a, b, c, d], [e, f, g, h], [i, j, k, l]].map(f32::from_le_bytes)
 }
 
 fn pose(got: [f64; 7]) -> Result<Pose, MessageError> {
@@ -184,56 +168,34 @@ fn put_pose(out: &mut Vec<u8>, pose: &Pose) {
     out.extend(numbers.flat_map(f64::to_le_bytes));
 }
 
-/// A message that is being read.
-struct Reader<'a> {
-    /// The bytes not read yet.
-    rest: &'a [u8],
-    /// Bytes of the whole message.
-    got: usize,
-    /// Bytes that it should have, as far as is known.
-    expected: u64,
-}
-
-impl Reader<'_> {
-    const fn wrong_size(&self) -> MessageError {
-        MessageError::Size { got: self.got, expected: self.expected }
-    }
-
-    fn check_length(&self) -> Result<(), MessageError> {
-        if self.got as u64 == self.expected { Ok(()) } else { Err(self.wrong_size()) }
-    }
-
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], MessageError> {
-        let (taken, rest) = self.rest.split_first_chunk::<N>().ok_or_else(|| self.wrong_size())?;
-        self.rest = rest;
-        Ok(*taken)
-    }
-
-    fn numbers<const N: usize>(&mut self) -> Result<[f64; N], MessageError> {
-        let mut numbers = [0.0; N];
-        for number in &mut numbers {
-            *number = f64::from_le_bytes(self.take()?);
-        }
-        Ok(numbers)
-    }
-
-    fn points(&mut self, count: u32) -> Result<Vec<[f32; 3]>, MessageError> {
-        let points = self.rest.split_at_checked(count as usize * POINT_BYTES);
-        let (points, rest) = points.ok_or_else(|| self.wrong_size())?;
-        self.rest = rest;
-        let point = |&[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; POINT_BYTES]| {
-            [[a, b, c, d], [e, f, g, h], [i, j, k, l]].map(f32::from_le_bytes)
-        };
-        Ok(points.as_chunks().0.iter().map(point).collect())
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::states::OwnedStates;
     use super::*;
+    use flockmap::{Resolution, State, Voxel, VoxelBox};
     use proptest::prelude::*;
 
-    const LIMITS: MessageLimits = MessageLimits { scan_points_max: 8, stamp_error_max_micros: 1 };
+    const LIMITS: MessageLimits =
+        MessageLimits { scan_points_max: 8, states_max: 6, box_states_max: 60, stamp_error_max_micros: 1 };
+
+    fn states(states: OwnedStates, sensor: Option<[f64; 3]>) -> SensorMessage {
+        let resolution = Resolution::from_metres(0.2).unwrap();
+        SensorMessage::States(StatesMessage { stamp: Stamp(12_345_678), resolution, sensor, states })
+    }
+
+    fn voxels(count: i32) -> SensorMessage {
+        let state = |k: i32| [State::Unknown, State::Free, State::Occupied][k as usize % 3];
+        let voxels = (0..count).map(|k| (Voxel::new(k, -2, 3), state(k))).collect();
+        states(OwnedStates::Voxels(voxels), Some([1.0, 2.0, 3.0]))
+    }
+
+    fn a_box(size: [u32; 3], clear_unknown: bool) -> SensorMessage {
+        let region = VoxelBox::new(Voxel::new(-1, 0, 1), size).unwrap();
+        let mut states = vec![State::Unknown; region.volume() as usize];
+        states[1] = State::Free;
+        *states.last_mut().unwrap() = State::Occupied;
+        self::states(OwnedStates::Box { region, states, clear_unknown }, None)
+    }
 
     fn scan(points: usize, no_returns: usize) -> SensorMessage {
         let point = |k: usize| [k as f32, 0.5, -1.0];
@@ -252,7 +214,8 @@ mod tests {
     fn what_is_written_is_read_back() {
         let teammate = SensorMessage::Teammate(RobotId(513), [1.0, 2.0, -0.5]);
         let alignment = SensorMessage::Alignment(RobotId(2), Pose::from_translation([4.0, 0.0, 0.0]));
-        for message in [scan(0, 0), scan(5, 3), teammate, alignment] {
+        let of_states = [voxels(0), voxels(6), a_box([5, 4, 3], true), a_box([2, 1, 1], false)];
+        for message in [scan(0, 0), scan(5, 3), teammate, alignment].into_iter().chain(of_states) {
             let bytes = message.emit();
             assert_eq!(u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize, bytes.len() - 4);
             assert_eq!(SensorMessage::parse(&bytes[4..], &LIMITS), Ok(message));
@@ -271,6 +234,66 @@ mod tests {
     }
 
     #[test]
+    fn the_layout_of_states_is_the_documented_one() {
+        let common = |bytes: &[u8], kind: u8, sensor: [f64; 3], flags: u32| {
+            assert_eq!(bytes[4..12], [b'F', b'L', b'K', b'S', 1, kind, 0, 0]);
+            assert_eq!(bytes[12..20], 12_345_678i64.to_le_bytes());
+            assert_eq!(bytes[20..28], 0.2f64.to_le_bytes());
+            for (place, metres) in bytes[28..52].chunks(8).zip(sensor) {
+                assert_eq!(place, metres.to_le_bytes());
+            }
+            assert_eq!(bytes[52..56], flags.to_le_bytes());
+        };
+        let bytes = voxels(3).emit();
+        common(&bytes, 4, [1.0, 2.0, 3.0], 1);
+        assert_eq!(bytes[..4], 95u32.to_le_bytes());
+        assert_eq!(bytes[56..60], 3u32.to_le_bytes());
+        assert_eq!(bytes[60..73], *b"\0\0\0\0\xfe\xff\xff\xff\x03\0\0\0\0");
+        assert_eq!((bytes[73], bytes[85], bytes[98], bytes.len()), (1, 1, 2, 99), "free, occupied");
+
+        let bytes = a_box([3, 2, 1], true).emit();
+        common(&bytes, 5, [0.0; 3], 2);
+        assert_eq!(bytes[..4], 82u32.to_le_bytes());
+        assert_eq!(bytes[56..68], *b"\xff\xff\xff\xff\0\0\0\0\x01\0\0\0");
+        assert_eq!(bytes[68..80], *b"\x03\0\0\0\x02\0\0\0\x01\0\0\0");
+        assert_eq!(bytes[80..], [0, 1, 0, 0, 0, 2]);
+    }
+
+    #[test]
+    fn each_fault_of_states_is_named() {
+        let parse = |message: SensorMessage, change: &dyn Fn(&mut Vec<u8>)| {
+            let mut bytes = message.emit()[4..].to_vec();
+            change(&mut bytes);
+            SensorMessage::parse(&bytes, &LIMITS).unwrap_err()
+        };
+        let voxel = |change: &dyn Fn(&mut Vec<u8>)| parse(voxels(2), change);
+        assert_eq!(voxel(&|b| b[48] = 2), MessageError::Flags(2), "what is of a box");
+        assert_eq!(voxel(&|b| b[16..24].fill(0)), MessageError::Resolution(0.0));
+        assert_eq!(voxel(&|b| b[52] = 3), MessageError::Size { got: 82, expected: 95 });
+        let too_many = voxel(&|b| b[52] = 7);
+        assert_eq!(too_many, MessageError::TooMany { got: 7, max: 6, option: "states_max" });
+        assert!(too_many.to_string().contains("[sensor] states_max"), "{too_many}");
+        assert_eq!(voxel(&|b| b[81] = 3), MessageError::State { got: 3, number: 1 });
+        assert!(matches!(voxel(&|b| b.truncate(50)), MessageError::Size { got: 50, expected: 56 }));
+
+        let of_box = |change: &dyn Fn(&mut Vec<u8>)| parse(a_box([2, 2, 2], false), change);
+        assert_eq!(of_box(&|b| b[48] = 4), MessageError::Flags(4));
+        assert_eq!(of_box(&|b| b[64] = 0), MessageError::Box { min: [-1, 0, 1], size: [0, 2, 2] });
+        let far = MessageError::Box { min: [-1, 0, 1], size: [2 + (1 << 31), 2, 2] };
+        assert_eq!(of_box(&|b| b[67] = 0x80), far);
+        let too_many = MessageError::TooMany { got: 64, max: 60, option: "box_states_max" };
+        assert_eq!(of_box(&|b| b[64] = 16), too_many);
+        assert_eq!(of_box(&|b| b[64] = 3), MessageError::Size { got: 84, expected: 88 });
+        assert_eq!(of_box(&|b| b[76] = 9), MessageError::State { got: 9, number: 0 });
+        // A side of 2^28 each way: more than any number of bytes.
+        let huge = of_box(&|b| {
+            b[52..56].fill(0);
+            b[64..76].copy_from_slice(&[0, 0, 0, 16, 0, 0, 0, 16, 0, 0, 0, 16]);
+        });
+        assert!(matches!(huge, MessageError::TooMany { got, .. } if got == 1 << 84), "{huge}");
+    }
+
+    #[test]
     fn each_fault_is_named() {
         let good = scan(2, 0).emit()[4..].to_vec();
         let parse = |change: &dyn Fn(&mut Vec<u8>)| {
@@ -280,7 +303,7 @@ mod tests {
         };
         assert!(matches!(parse(&|b| b[0] = b'X'), MessageError::Magic(_)));
         assert_eq!(parse(&|b| b[4] = 9), MessageError::Version(9));
-        assert_eq!(parse(&|b| b[5] = 4), MessageError::Kind(4));
+        assert_eq!(parse(&|b| b[5] = 6), MessageError::Kind(6));
         assert!(matches!(parse(&|b| b[72] = 3), MessageError::Size { got: 104, expected: 116 }));
         assert!(matches!(parse(&|b| b[72] = 9), MessageError::Length { .. }), "more points than allowed");
         assert!(matches!(parse(&|b| b[16..72].fill(0)), MessageError::Pose(_)));
@@ -297,11 +320,13 @@ mod tests {
 
         #[test]
         fn damaged_messages_do_no_harm(
-            kind in 0usize..3, cut in 0usize..200, flips in prop::collection::vec((0usize..200, any::<u8>()), 0..4),
+            kind in 0usize..5, cut in 0usize..200, flips in prop::collection::vec((0usize..200, any::<u8>()), 0..4),
         ) {
             let message = match kind {
                 0 => scan(4, 2),
                 1 => SensorMessage::Teammate(RobotId(1), [0.0; 3]),
+                2 => voxels(5),
+                3 => a_box([5, 4, 3], true),
                 _ => SensorMessage::Alignment(RobotId(1), Pose::IDENTITY),
             };
             let mut bytes = message.emit().split_off(4);
@@ -311,8 +336,17 @@ mod tests {
                     *byte ^= value;
                 }
             }
-            if let Ok(SensorMessage::Scan(frame)) = SensorMessage::parse(&bytes, &LIMITS) {
-                prop_assert!(frame.scan.points.len() + frame.scan.no_returns.len() <= 8);
+            match SensorMessage::parse(&bytes, &LIMITS) {
+                Ok(SensorMessage::Scan(frame)) => {
+                    prop_assert!(frame.scan.points.len() + frame.scan.no_returns.len() <= 8);
+                }
+                Ok(SensorMessage::States(message)) => match &message.states {
+                    OwnedStates::Voxels(voxels) => prop_assert!(voxels.len() <= 6),
+                    OwnedStates::Box { region, states, .. } => {
+                        prop_assert!(region.volume() == states.len() as u128 && states.len() <= 60);
+                    }
+                },
+                _ => {}
             }
         }
     }

@@ -1,10 +1,12 @@
 //! Where the scans of a node come from.
 
 mod connections;
+mod fields;
 mod message;
 mod play;
 mod repeat;
 mod socket;
+mod states;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -14,10 +16,12 @@ use flockmap::{Pose, RobotId, Stamp};
 use flockmap_io::{Frame, Frames};
 
 pub(crate) use connections::serve;
-pub use message::{MESSAGE_VERSION, MessageError, MessageLimits, SensorMessage};
+pub use fields::{MESSAGE_VERSION, MessageError};
+pub use message::{MessageLimits, SensorMessage};
 pub(crate) use play::play;
 pub(crate) use repeat::repeated;
 pub(crate) use socket::SensorSocket;
+pub use states::{OwnedStates, StatesMessage};
 
 /// Where the scans of a node come from.
 #[derive(Debug)]
@@ -71,6 +75,8 @@ impl Sensor {
 pub(crate) enum Input {
     /// A scan to insert now.
     Frame(Frame),
+    /// States of voxels to insert now.
+    States(StatesMessage),
     /// How another robot's frame lies in the own one.
     Alignment(RobotId, Pose),
     /// Where a team-mate is.

@@ -66,10 +66,17 @@ impl Packer {
     /// was seen from.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
-        // A cast to i32 clamps, and whatever comes of it is right: the codec codes better if it is near.
-        let sixteenths = 16.0 / self.resolution.metres();
-        self.newest_sensor = T_map_sensor.translation().map(|metres| (metres * sixteenths).round() as i32);
-        self.first_sensor.get_or_insert(self.newest_sensor);
+        self.note_observed(stamp, Some(T_map_sensor.translation()));
+    }
+
+    /// The same for whatever the mapper has taken in. `sensor`: in metres in the map; `None`: where it was.
+    pub fn note_observed(&mut self, stamp: Stamp, sensor: Option<[f64; 3]>) {
+        if let Some(sensor) = sensor {
+            // A cast to i32 clamps, and whatever comes of it is right: the codec codes better if it is near.
+            let sixteenths = 16.0 / self.resolution.metres();
+            self.newest_sensor = sensor.map(|metres| (metres * sixteenths).round() as i32);
+            self.first_sensor.get_or_insert(self.newest_sensor);
+        }
         if self.newest_scan < stamp || self.last_end.is_none() {
             self.newest_scan = stamp;
         }
