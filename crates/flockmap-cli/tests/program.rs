@@ -282,6 +282,18 @@ fn a_record_can_be_looked_into_mapped_exported_and_converted() {
     good(&format!("export {} --to {}", path("map.pcd"), path("again.bt")));
     let again = good(&format!("info {}", path("again.bt")));
     assert!(again.contains("40 occupied and 0 free"), "{again}");
+    // From above, of the record and of the map: the wall is 40 cells.
+    for from in [&record, &path("map.bt")] {
+        let said = good(&format!("export {from} --to {} --band 0 0.1 --resolution 0.1", path("flat.pgm")));
+        assert!(said.contains("40 occupied cells") && said.contains("flat.yaml"), "{said}");
+        let picture = std::fs::read(path("flat.pgm")).unwrap();
+        assert_eq!(picture.iter().filter(|shade| **shade == 0).count(), 40);
+        assert!(std::fs::read_to_string(path("flat.yaml")).unwrap().contains("image: \"flat.pgm\"\n"));
+    }
+    let said = good(&format!("export {} --to {} --product heights", path("map.bt"), path("heights.png")));
+    assert!(said.contains("0.10 m (blue) to 0.10 m (orange)"), "{said}");
+    let said = good(&format!("export {} --to {} --product height-values", path("map.bt"), path("deep.png")));
+    assert!(said.contains("value in mm"), "{said}");
     // Records can be replayed, too.
     let copy = path("robot2.mcap");
     std::fs::copy(&record, &copy).unwrap();
