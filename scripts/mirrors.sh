@@ -22,6 +22,7 @@ if [ -z "${FLOCKMAP:-}" ]; then
 fi
 OUT=${OUT:-$(mktemp -d)}
 mkdir -p "$OUT"
+rm -f "$OUT"/*.log
 port=$((20000 + $$ % 120 * 100))
 pids=()
 trap 'for pid in "${pids[@]}"; do kill -9 "$pid" 2> /dev/null || true; done' EXIT
@@ -87,7 +88,8 @@ while stat=$(cat "/proc/$node/stat" 2> /dev/null) && [ "$(cut -d' ' -f3 <<< "$st
     now=$(awk "/VmHWM/ {print \$2}" "/proc/$node/status" 2> /dev/null || true)
     most=${now:-$most}
     if [ "$MIRRORS" = 1 ] && [ $was_killed = 0 ] && [ $((SECONDS - begun)) -ge 8 ]; then
-        kill -9 "$back" && was_killed=1
+        was_killed=1
+        kill -9 "$back"
         sleep 1
         follow back "unix:$OUT/map.sock"
     fi
