@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 use flockmap::codec::Codec;
-use flockmap::grid::{BlockIndex, Layer, set_bits};
+use flockmap::grid::{BlockIndex, Layer, StateBlock, set_bits};
 use flockmap::{
     Batch, BatchConfig, Changes, Mapper, MapperConfig, ScanReport, State, States, StatesUpdate, Voxel,
     VoxelBox,
@@ -67,21 +67,19 @@ enum Place {
     First,
     /// The middle of the smallest box round what was touched.
     MiddleOfTouched,
-    /// Behind the mean of what was touched.
-    Trailing(usize),
+    /// The mean of these.
+    MeanOfTouched,
 }
 
-const FEEDS: [(&str, Feed); 10] = [
+const FEEDS: [(&str, Feed); 8] = [
     ("scans", Feed::Scans),
     ("voxels, with the sensor's place", states(false, Place::Known)),
     ("a box, with the sensor's place", states(true, Place::Known)),
     ("voxels, without", states(false, Place::Unsaid)),
     ("a box, without", states(true, Place::Unsaid)),
     ("voxels, place of the first scan", states(false, Place::First)),
+    ("voxels, mean of touched", states(false, Place::MeanOfTouched)),
     ("voxels, middle of touched", states(false, Place::MiddleOfTouched)),
-    ("voxels, trailing 25", states(false, Place::Trailing(0))),
-    ("voxels, trailing 50", states(false, Place::Trailing(1))),
-    ("voxels, trailing 75", states(false, Place::Trailing(2))),
 ];
 
 const fn states(is_box: bool, place: Place) -> Feed {
@@ -166,28 +164,12 @@ fn record(
     let lanes = FEEDS.iter().map(|(_, feed)| Lane::new(*feed, number, config, batch));
     let mut lanes = lanes.collect::<anyhow::Result<Vec<_>>>()?;
     let mut first = None;
-    let mut trails = [None; 3];
     for frame in frames {
         if stop::requested() {
             break;
         }
         let report = elsewhere.insert(&frame.scan, &frame.pose, &frame.masks());
-        let mut seen = Seen::new(&elsewhere, &report, *first.get_or_insert(frame.pose.translation()));
-        let n = seen.touched.len().max(1) as f64;
-        let mean: [f64; 3] = core::array::from_fn(|a| {
-            let of = |v: &Voxel| f64::from([v.x, v.y, v.z][a]) + 0.5;
-            seen.touched.iter().map(|(v, _)| of(v)).sum::<f64>() / n * seen.resolution_m
-        });
-        for (k, trail) in trails.iter_mut().enumerate() {
-            let length = 0.25 * (k + 1) as f64 * config.range_m;
-            let at = trail.get_or_insert(mean);
-            let d: [f64; 3] = core::array::from_fn(|a| at[a] - mean[a]);
-            let far = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
-            if far > length {
-                *at = core::array::from_fn(|a| mean[a] + d[a] * length / far);
-            }
-        }
-        seen.trails = trails;
+        let seen = Seen::new(&elsewhere, &report, *first.get_or_insert(frame.pose.translation()));
         lanes.iter_mut().try_for_each(|lane| lane.take(&frame, &seen, config))?;
         progress();
     }
@@ -195,32 +177,43 @@ fn record(
     Ok(lanes)
 }
 
+fn states_of(mapper: &Mapper, index: BlockIndex) -> StateBlock {
+    mapper.block(index).copied().unwrap_or_default()
+}
+
 /// What the mapper elsewhere has made of a scan.
 struct Seen {
     touched: Vec<(Voxel, State)>,
     /// The smallest box round these, and its states.
     region: Option<(VoxelBox, Vec<State>)>,
-    trails: [Option<[f64; 3]>; 3],
     resolution_m: f64,
     first: [f64; 3],
 }
 
 impl Seen {
     fn new(mapper: &Mapper, report: &ScanReport, first: [f64; 3]) -> Self {
-        let states = |index: BlockIndex| mapper.block(index).copied().unwrap_or_default();
         let of_block = |(index, plane): &(BlockIndex, _)| {
-            let (index, states) = (*index, states(*index));
+            let (index, states) = (*index, states_of(mapper, *index));
             set_bits(plane).map(move |bit| (index.voxel(bit), states.get(bit)))
         };
         let touched: Vec<(Voxel, State)> = report.touched.iter().flat_map(of_block).collect();
         let ends = touched.iter().filter_map(|(voxel, _)| VoxelBox::spanning(*voxel, *voxel));
         let region = ends.reduce(|a, b| a.union(&b)).map(|region| {
-            let (min, max) = (region.min(), region.max());
-            let rows = (min.z..=max.z).flat_map(|z| (min.y..=max.y).map(move |y| (y, z)));
-            let voxels = rows.flat_map(|(y, z)| (min.x..=max.x).map(move |x| Voxel::new(x, y, z)));
-            (region, voxels.map(|voxel| mapper.state(voxel)).collect())
+            let ([width, depth, _], min) = (region.size().map(|side| side as usize), region.min());
+            let mut states = vec![State::Unknown; region.volume() as usize];
+            for (index, block) in region.blocks().map(|index| (index, states_of(mapper, index))) {
+                for bit in set_bits(&block.known()) {
+                    let voxel = index.voxel(bit);
+                    if region.contains(voxel) {
+                        let [x, y, z] =
+                            [voxel.x - min.x, voxel.y - min.y, voxel.z - min.z].map(|at| at as usize);
+                        states[(z * depth + y) * width + x] = block.get(bit);
+                    }
+                }
+            }
+            (region, states)
         });
-        Self { touched, region, trails: [None; 3], resolution_m: mapper.config().resolution.metres(), first }
+        Self { touched, region, resolution_m: mapper.config().resolution.metres(), first }
     }
 
     /// What is said of the sensor, which was at `at`.
@@ -235,7 +228,14 @@ impl Seen {
             Place::Unsaid => None,
             Place::First => Some(self.first),
             Place::MiddleOfTouched => middle(self.region.as_ref().map(|(region, _)| *region)),
-            Place::Trailing(k) => self.trails[k],
+            Place::MeanOfTouched => {
+                let count = self.touched.len() as f64;
+                let mean = |of: fn(&Voxel) -> i32| {
+                    let sum: f64 = self.touched.iter().map(|(voxel, _)| f64::from(of(voxel)) + 0.5).sum();
+                    sum / count * self.resolution_m
+                };
+                (count > 0.0).then(|| [mean(|v| v.x), mean(|v| v.y), mean(|v| v.z)])
+            }
         }
     }
 }

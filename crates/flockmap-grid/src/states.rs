@@ -16,7 +16,7 @@ pub struct StatesUpdate<'a> {
     pub resolution: Resolution,
     /// Where the sensor was: metres, in the frame of the map. Give it where it is known: the codec needs fewer
     /// bytes then (`docs/sensor-input.md` has how many), and a map that is full forgets what is far from there.
-    /// `None`: the mean of what was observed stands for it.
+    /// `None`: a place behind the mean of what was observed stands for it, see there.
     pub sensor: Option<[f64; 3]>,
     /// The voxels.
     pub states: States<'a>,
@@ -89,11 +89,11 @@ pub enum StatesError {
 }
 
 impl StatesUpdate<'_> {
-    /// Most voxels of [`States::Voxels`]. For each, taking them in needs up to 64 bytes for a moment, and as
-    /// much for its block as a scan.
+    /// Most voxels of [`States::Voxels`]. Taking them in needs up to 80 bytes each for a moment; and for each block
+    /// that is kept, what is reported of it, 216 bytes.
     pub const VOXELS_MAX: usize = 1 << 22;
-    /// Most voxels of [`States::Box`]; for each block of 8³ of them, taking them in needs up to 52 bytes for a
-    /// moment, and for each that differs as much as a scan.
+    /// Most voxels of [`States::Box`]. Taking them in needs up to 80 bytes for each block of 8³ of them for a moment,
+    /// and the same report.
     pub const BOX_VOXELS_MAX: usize = 1 << 25;
 
     /// Whether a robot with this resolution can take it in. O(voxels) for single ones, O(1) for a box.

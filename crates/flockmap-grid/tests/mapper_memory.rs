@@ -1,6 +1,10 @@
-//! Scans in the open, far larger than what may be held of the map: the mapper takes no more than it states.
+//! Scans in the open, and states from elsewhere, far larger than what may be held of the map: the mapper takes no more
+//! than it states.
 
-use flockmap_grid::{Mapper, MapperConfig, Pose, Preset, Resolution, Scan, Stamp, Which};
+use flockmap_grid::{
+    Mapper, MapperConfig, Pose, Preset, Resolution, Scan, Stamp, State, States, StatesUpdate, Voxel,
+    VoxelBox, Which,
+};
 use peak_alloc::PeakAlloc;
 
 /// Counts the bytes that are held, and the most that ever were.
@@ -93,4 +97,22 @@ fn a_mapper_takes_what_it_states_also_while_a_scan_is_taken_in() {
     );
     assert!(said <= 8 << 20 && after > said && after < said + (8 << 20), "{after} bytes held, {said} said");
     assert!(peak <= config.memory_max(3_000));
+
+    // States from elsewhere, each in a block of its own: far more blocks than may be held.
+    let config = self::config(1 << 20, 6.0);
+    let voxels: Vec<(Voxel, State)> = (0..100_000).map(|k| (Voxel::new(8 * k, 0, 0), State::Free)).collect();
+    let states = vec![State::Free; 1 << 24];
+    let region = VoxelBox::new(Voxel::new(0, 0, 0), [1 << 10, 1 << 7, 1 << 7]).unwrap();
+    let a_box = States::Box { region, states: &states, clear_unknown: true };
+    for (said, states) in [(voxels.len(), States::Voxels(&voxels)), (states.len() / 512, a_box)] {
+        let before = ALLOCATOR.current_usage();
+        let mut mapper = Mapper::new(config.clone()).unwrap();
+        ALLOCATOR.reset_peak_usage();
+        let update = StatesUpdate { stamp: Stamp(1), resolution: config.resolution, sensor: None, states };
+        let report = mapper.insert_states(&update).unwrap();
+        let peak = ALLOCATOR.peak_usage() - before;
+        println!("{said} blocks of states: {peak} bytes at the peak, {} kept", report.touched.len());
+        assert!(mapper.memory_bytes() <= 1 << 20 && report.touched.len() == mapper.block_count());
+        assert!(peak <= (1 << 20) + said * 80 + mapper.block_count() * 250, "{peak} bytes for {said}");
+    }
 }

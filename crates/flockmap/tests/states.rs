@@ -140,12 +140,6 @@ proptest! {
 fn what_a_robot_takes_back_it_knows_from_its_team_mates() {
     let mut swarm = Swarm::new(vec![config(1), config(2)], PERFECT, 1);
     let voxel = Voxel::new(5, 5, 5);
-    let update = |swarm: &Swarm, states| StatesUpdate {
-        stamp: swarm.now,
-        resolution: resolution(),
-        sensor: None,
-        states,
-    };
     for (robot, state) in [(1, State::Free), (0, State::Occupied)] {
         insert_into(&mut swarm, robot, None, States::Voxels(&[(voxel, state)]));
         swarm.settle(5_000);

@@ -32,6 +32,8 @@ pub struct Mapper {
     table_places: [usize; 2],
     counts: RayCounts,
     rays: Vec<Ray>,
+    /// Where the sensor was last, or what stood for it, in metres.
+    place: Option<[f64; 3]>,
     /// Stamp of scan, or update with states, number `i + 1`.
     scan_stamps: Vec<Stamp>,
 }
@@ -50,8 +52,8 @@ pub struct Sphere {
 pub struct ScanReport {
     /// When it counts as made.
     pub stamp: Stamp,
-    /// Where the sensor was, in metres in the frame of the map; of states without that, what stands for it. `None`:
-    /// nothing was touched.
+    /// Where the sensor was, in metres in the frame of the map; of states without that, what stands for it, if anything
+    /// was touched.
     pub sensor: Option<[f64; 3]>,
     /// Blocks with touched voxels, and which.
     pub touched: Vec<(BlockIndex, Plane)>,
@@ -96,6 +98,7 @@ impl Mapper {
             table_places: [0; 2],
             counts: RayCounts::default(),
             rays: Vec::new(),
+            place: None,
             scan_stamps: Vec::new(),
         })
     }
@@ -129,7 +132,8 @@ impl Mapper {
             report.ignored = scan.points.len() + scan.no_returns.len();
             return report;
         }
-        report.sensor = Some(T_map_sensor.translation());
+        self.place = Some(T_map_sensor.translation());
+        report.sensor = self.place;
         let scale = 1.0 / self.config.resolution.metres();
         let start = T_map_sensor.translation().map(|v| v * scale);
         self.collect_rays(scan, T_map_sensor, teammates, start, scale, &mut report);

@@ -16,10 +16,13 @@ impl Mapper {
     /// Occupied voxel is not so any more. And states that come later set what scans have made, whatever that was. A
     /// robot that has both should know that neither is averaged with the other: who spoke last is right.
     ///
-    /// The byte cap holds as for scans: the blocks farthest from the sensor are forgotten, or not even made; where
-    /// the place of the sensor is not given, from the mean of the voxels that this update touches.
+    /// The byte cap holds as for scans: the blocks farthest from the sensor are forgotten, or not even made.
     ///
-    /// Cost: for each voxel some 10 ns of a box, and of single ones 50.
+    /// Where the place of the sensor is not given, one stands for it, in the report too: that of before, drawn after
+    /// the mean of the voxels that are touched, on a rope of half of `range_m`. A sensor that looks ahead is behind
+    /// what it sees, and with the mean itself the codec needs half as many bytes again.
+    ///
+    /// O(n) for a box of n voxels, and O(n log n) for n single ones.
     ///
     /// # Errors
     /// [`StatesError`] says what was wrong; nothing is changed then.
@@ -30,12 +33,20 @@ impl Mapper {
         let (mut touched, mut middle) = (said.blocks(), Mean::default());
         touched.retain(|index| {
             let (states, mask) = said.within(*index, self.block(*index));
-            middle.add(*index, &mask);
             // What was never known cannot be taken back.
-            mask != [0; 8] && (!states.is_empty() || self.blocks.contains_key(index))
+            let is_touched = mask != [0; 8] && (!states.is_empty() || self.blocks.contains_key(index));
+            if is_touched && update.sensor.is_none() {
+                middle.add(*index, &mask);
+            }
+            is_touched
         });
         let metres = self.config.resolution.metres();
-        report.sensor = update.sensor.or_else(|| Some(middle.get()?.map(|at| at * metres)));
+        let seen_from = || {
+            let mean = middle.get()?.map(|at| at * metres);
+            Some(drawn(self.place.unwrap_or(mean), mean, self.config.range_m / 2.0))
+        };
+        report.sensor = update.sensor.or_else(seen_from);
+        self.place = report.sensor.or(self.place);
         let Some(sensor) = report.sensor.filter(|_| !touched.is_empty()) else { return Ok(report) };
         let start = sensor.map(|at| at / metres);
         let number = self.next_scan_number(update.stamp);
@@ -54,6 +65,14 @@ impl Mapper {
         self.note_tables();
         Ok(report)
     }
+}
+
+/// Where a place comes to that is drawn after another one on a rope.
+fn drawn(place: [f64; 3], after: [f64; 3], rope: f64) -> [f64; 3] {
+    let back: [f64; 3] = core::array::from_fn(|axis| place[axis] - after[axis]);
+    let length = back.iter().map(|d| d * d).sum::<f64>().sqrt();
+    let part = if length > rope { rope / length } else { 1.0 };
+    core::array::from_fn(|axis| after[axis] + back[axis] * part)
 }
 
 /// What an update says, block by block.
