@@ -5,11 +5,13 @@ use std::path::Path;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use flockmap::MapView;
-use flockmap::grid::{Changes, Resolution, VoxelBox};
+use flockmap::grid::{Changes, Resolution, State, Voxel, VoxelBox};
 use flockmap_cli::given::Given;
 use flockmap_cli::numbers::thousands;
 use flockmap_io::{Scale, check_writable, export_heights, export_occupancy, export_values, occupancy_yaml};
-use flockmap_plan::{ColumnRule, HeightMap, OccupancyGrid, box_between};
+use flockmap_plan::{
+    ColumnRule, DistanceField, FieldConfig, HeightMap, Obstacles, OccupancyGrid, box_between,
+};
 
 /// What of a map becomes a picture.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
@@ -20,7 +22,12 @@ pub enum Product {
     Heights,
     /// The same as numbers: .png of 16 bits, in millimetres above the lower end of --band
     HeightValues,
+    /// How far the nearest obstacle of the --area and --band is from each voxel at the height --at, in colours: .png
+    Distances,
 }
+
+/// Bytes that the distance field of a picture may take.
+const FIELD_BYTES_MAX: u64 = 1 << 30;
 
 /// Which picture, and of what.
 #[derive(Args, Debug, Clone)]
@@ -41,10 +48,16 @@ pub struct FlatArgs {
     /// A cell is free only if its whole column in the band is, not some of it (occupancy)
     #[arg(long)]
     pub all_free: bool,
+    /// Height of the voxels in metres, in the frame of the map (distances)
+    #[arg(long, value_name = "HEIGHT", allow_negative_numbers = true)]
+    pub at: Option<f64>,
+    /// What is unknown counts as an obstacle too (distances)
+    #[arg(long)]
+    pub unknown_too: bool,
 }
 
 /// The names of the options of [`FlatArgs`].
-pub const OF_PICTURES: [&str; 4] = ["product", "band", "area", "all_free"];
+pub const OF_PICTURES: [&str; 6] = ["product", "band", "area", "all_free", "at", "unknown_too"];
 
 impl FlatArgs {
     /// Whether this can be made, before the work of a map.
@@ -62,6 +75,17 @@ impl FlatArgs {
             let is_png = to.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
             ensure!(is_png, "--to {}: heights become a .png", to.display());
             self.given.refuse(&["all_free"], "is for --product occupancy")?;
+        }
+        if self.product == Product::Distances {
+            let at = self.at.with_context(|| {
+                format!(
+                    "--to {}: distances at which height? Give --at HEIGHT in metres, as --at 1",
+                    to.display()
+                )
+            })?;
+            ensure!(at.is_finite(), "--at is {at}, expected metres");
+        } else {
+            self.given.refuse(&["at", "unknown_too"], "is for --product distances")?;
         }
         Ok(())
     }
@@ -110,9 +134,40 @@ impl FlatArgs {
                 println!("{}: height = {low:.3} m + value in mm; 0: nothing there", to.display());
                 heights.size()
             }
+            Product::Distances => self.write_distances(to, &view, region)?,
         };
         println!("  {} × {} cells of {} m", cells[0], cells[1], resolution.metres());
         Ok(())
+    }
+
+    /// Returns how many cells the picture has.
+    fn write_distances(&self, to: &Path, view: &MapView, region: VoxelBox) -> anyhow::Result<[usize; 2]> {
+        let at = self.at.unwrap_or_default();
+        let side = view.resolution().metres();
+        let (min, max) = (region.min(), region.max());
+        let z = (at / side).floor() as i32;
+        ensure!(
+            (min.z..=max.z).contains(&z),
+            "--at {at}: expected a height in the box, {:.2} to {:.2} m (--band makes it larger)",
+            f64::from(min.z) * side,
+            f64::from(max.z + 1) * side
+        );
+        let obstacles = if self.unknown_too { Obstacles::NotFree } else { Obstacles::Occupied };
+        let config = FieldConfig { obstacles, memory_max: FIELD_BYTES_MAX };
+        let field = DistanceField::new(view, region, &config).context("--area and --band say which box")?;
+        let known = |x, y| view.state(Voxel::new(x, y, z)) != State::Unknown;
+        let distance = |x, y| field.distance(Voxel::new(x, y, z)).filter(|_| known(x, y)).unwrap_or(f64::NAN);
+        let rows = (min.y..=max.y).flat_map(|y| (min.x..=max.x).map(move |x| (x, y)));
+        let distances: Vec<f32> = rows.map(|(x, y)| distance(x, y) as f32).collect();
+        let size = [region.size()[0] as usize, region.size()[1] as usize];
+        let scale = Scale { low: 0.0, ..Scale::of(&distances) };
+        export_values(to, size, &distances, |_, _| false, scale, "distances in m")?;
+        println!(
+            "{}: metres to the nearest obstacle at {at} m, 0 (blue) to {:.2} (orange); grey: unknown",
+            to.display(),
+            scale.high
+        );
+        Ok(size)
     }
 
     /// The part of the map that was asked for.
