@@ -9,6 +9,7 @@ mod batcher;
 mod catch_up;
 mod codec_run;
 mod codecs;
+mod field;
 mod mapping;
 mod paper;
 mod place;
@@ -41,6 +42,7 @@ Start here:
 enum Command {
     Codecs(Box<codecs::CodecsArgs>),
     Mapping(mapping::MappingArgs),
+    Field(field::FieldArgs),
     CatchUp(Box<catch_up::CatchUpArgs>),
     Random(random::RandomArgs),
     Paper(paper::PaperArgs),
@@ -57,6 +59,7 @@ fn main() -> ExitCode {
     program::exit_code(match &cli.command {
         Command::Codecs(args) => codecs::run(args),
         Command::Mapping(args) => mapping::run(args),
+        Command::Field(args) => field::run(args),
         Command::CatchUp(args) => catch_up::run(args),
         Command::Random(args) => random::run(args),
         Command::Paper(args) => paper::run(args),
