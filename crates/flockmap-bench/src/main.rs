@@ -9,6 +9,7 @@ mod batcher;
 mod catch_up;
 mod codec_run;
 mod codecs;
+mod field;
 mod mapping;
 mod paper;
 mod place;
@@ -43,6 +44,7 @@ enum Command {
     Codecs(Box<codecs::CodecsArgs>),
     States(Box<states::StatesArgs>),
     Mapping(mapping::MappingArgs),
+    Field(field::FieldArgs),
     CatchUp(Box<catch_up::CatchUpArgs>),
     Random(random::RandomArgs),
     Paper(paper::PaperArgs),
@@ -60,6 +62,7 @@ fn main() -> ExitCode {
         Command::Codecs(args) => codecs::run(args),
         Command::States(args) => states::run(args),
         Command::Mapping(args) => mapping::run(args),
+        Command::Field(args) => field::run(args),
         Command::CatchUp(args) => catch_up::run(args),
         Command::Random(args) => random::run(args),
         Command::Paper(args) => paper::run(args),

@@ -104,25 +104,63 @@ impl<T: Cell> Passes<T> {
             });
         }
         let mut lines = Lines::new(shape.zs);
-        let mut stale = vec![false; shape.zs * shape.groups];
+        let mut stale = Vec::new();
         for column in (0..shape.columns()).filter(|column| columns[*column]) {
             lines.load(self.along_x[column..].iter().step_by(shape.columns()).copied());
             lines.each(|z, group| {
-                let at = column + z * shape.columns();
-                if self.in_plane[at] != group {
-                    self.in_plane[at] = group;
-                    stale[z * shape.groups + column % shape.groups] = true;
+                let cell = &mut self.in_plane[column + z * shape.columns()];
+                if *cell != group {
+                    let (y, line) = (column / shape.groups, column % shape.groups);
+                    stale.push(Stale { line: z * shape.groups + line, y, before: *cell });
+                    *cell = group;
                 }
             });
         }
+        stale.sort_unstable_by_key(|stale| (stale.line, stale.y));
         let mut lines = Lines::new(shape.ys);
-        for at in (0..stale.len()).filter(|at| stale[*at]) {
-            let first = at / shape.groups * shape.columns() + at % shape.groups;
-            lines.load(self.in_plane[first..].iter().step_by(shape.groups).copied());
+        for stale in stale.chunk_by(|a, b| a.line == b.line) {
+            self.line_again(shape, &mut lines, stale);
+        }
+    }
+
+    /// The third pass again along one group of lines, some cells of which changed.
+    fn line_again(&mut self, shape: &Shape, lines: &mut Lines<T>, stale: &[Stale<T>]) {
+        let line = stale[0].line;
+        let first = line / shape.groups * shape.columns() + line % shape.groups;
+        lines.load(self.in_plane[first..].iter().step_by(shape.groups).copied());
+        let cells = || (first..).step_by(shape.groups).take(shape.ys);
+        if stale.len() > STALE_MAX {
             lines.each(|y, least| self.in_space[first + y * shape.groups] = least);
+            return;
+        }
+        // A cell that fell can be the least now. One that rose may have been: then there may be another.
+        for (y, at) in cells().enumerate() {
+            let mut least = self.in_space[at];
+            let mut has_lost = false;
+            for stale in stale {
+                let square = T::square(y.abs_diff(stale.y) as u16);
+                let now = &self.in_plane[first + stale.y * shape.groups];
+                for lane in 0..LANES {
+                    let before = stale.before[lane];
+                    has_lost |= (now[lane] > before) & (before.plus(square) <= least[lane]);
+                    least[lane] = least[lane].lesser(now[lane].plus(square));
+                }
+            }
+            self.in_space[at] = if has_lost { lines.at(y).0 } else { least };
         }
     }
 }
+
+/// A group of the second pass that changed.
+struct Stale<T> {
+    /// Its group of lines along y, by z, then x.
+    line: usize,
+    y: usize,
+    before: Group<T>,
+}
+
+/// If more cells of a group of lines changed, the lines are done as a whole.
+const STALE_MAX: usize = 6;
 
 /// The obstacles of the 64 rows along x that go through the same blocks.
 struct Rows {
