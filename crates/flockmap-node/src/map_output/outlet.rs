@@ -144,7 +144,8 @@ impl Outlet {
         let instant = Instant::now();
         let is_news = self.given != Some(version);
         let is_count_due = instant >= self.counts_due;
-        if !at_once && !(is_news && instant >= self.due) && !is_count_due {
+        let is_due = at_once || is_count_due || (is_news && instant >= self.due);
+        if !is_due {
             return;
         }
         let known = robot.poses();

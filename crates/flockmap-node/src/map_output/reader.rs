@@ -104,17 +104,14 @@ impl Reader {
                 self.wait(from, to).await?;
                 continue;
             };
-            let feed = match &mut feed {
-                Some(feed) => feed,
-                None => {
-                    let (begun, goes_on) = Feed::begin(hello, self.identity.feed, &given.map);
-                    let hello = self.hello(begun.origins(), goes_on);
-                    // What waits for a reader must not hold on to a view.
-                    drop(given);
-                    feed = Some(begun);
-                    self.write(from, to, &Message::Hello(hello).emit()).await?;
-                    continue;
-                }
+            let Some(feed) = &mut feed else {
+                let (begun, goes_on) = Feed::begin(hello, self.identity.feed, &given.map);
+                let hello = self.hello(begun.origins(), goes_on);
+                // What waits for a reader must not hold on to a view.
+                drop(given);
+                feed = Some(begun);
+                self.write(from, to, &Message::Hello(hello).emit()).await?;
+                continue;
             };
             let mut frames = Vec::new();
             match feed.next(&given.map) {
