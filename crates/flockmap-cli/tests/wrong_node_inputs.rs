@@ -456,7 +456,11 @@ fn what_a_sensor_program_sends_wrongly_is_said() {
         ("no length", good[4..].to_vec(), &["closed: message 1: length"]),
         ("another magic", changed(4, b"BLAB"), &["starts with \"BLAB\", expected \"FLKS\""]),
         ("another version", changed(8, &[9]), &["version 9, expected 1"]),
-        ("no such kind", changed(9, &[7]), &["kind 7, expected 1 (scan), 2 (alignment) or 3 (team-mate)"]),
+        (
+            "no such kind",
+            changed(9, &[7]),
+            &["kind 7, expected 1 (scan), 2 (alignment), 3 (team-mate), 4 (voxels) or 5 (box)"],
+        ),
         (
             "more points than there are",
             changed(76, &5u32.to_le_bytes()),

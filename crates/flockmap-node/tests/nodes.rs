@@ -8,10 +8,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use common::{config, corridor, frames, loopback, swarm, wait_until};
-use flockmap::{Cast, Event, Path, RobotId, Stream, Transmit};
+use flockmap::{Cast, Event, Path, Resolution, RobotId, State, Stream, Transmit, Voxel, VoxelBox};
 use flockmap_node::{
-    Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, SendResult,
-    Sensor, SensorMessage, Transport, UdpOptions, UdpSockets, UdpTransport,
+    Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, OwnedStates,
+    SendResult, Sensor, SensorMessage, StatesMessage, Transport, UdpOptions, UdpSockets, UdpTransport,
 };
 
 fn play(robot: u16, scans: usize) -> Sensor {
@@ -294,6 +294,53 @@ fn any_program_can_feed_scans_over_tcp() {
     stream.write_all(b"this is not a scan").unwrap();
     wait_until("the fault is counted", || node.status().unwrap().node.sensor_faults == 1);
     assert_eq!(stream.read(&mut [0]).unwrap_or(0), 0, "the connection is closed");
+}
+
+#[test]
+fn states_from_a_mapper_elsewhere_reach_a_team_mate_and_wrong_ones_are_named() {
+    let lines: common::Shared<Vec<String>> = Arc::default();
+    let in_log = Arc::clone(&lines);
+    let seen: common::Shared<u32> = Arc::default();
+    let in_node = Arc::clone(&seen);
+    let mut sockets = swarm(2).into_iter();
+    let (first, second) = (sockets.next().unwrap(), sockets.next().unwrap());
+    let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
+    let mut options = NodeOptions { sensor, ..NodeOptions::new(config(1)) };
+    options.log = Log::new(move |_, text| in_log.lock().unwrap().push(text.to_owned()));
+    options.observer = Some(Box::new(move |_, _, observation| {
+        if let Observation::States { report } = observation {
+            *in_node.lock().unwrap() +=
+                report.changed.iter().map(|(_, block)| block.known_count()).sum::<u32>();
+        }
+    }));
+    let resolution = options.robot.mapper.resolution;
+    let fed = Node::start(options, move || first.into_transport()).unwrap();
+    let listens = Node::start(NodeOptions::new(config(2)), move || second.into_transport()).unwrap();
+
+    let mut stream = TcpStream::connect(fed.sensor_address().unwrap()).unwrap();
+    let (wall, behind) = (Voxel::new(20, 0, 0), Voxel::new(21, 0, 0));
+    let voxels = OwnedStates::Voxels(vec![(Voxel::new(19, 0, 0), State::Free), (wall, State::Occupied)]);
+    let region = VoxelBox::spanning(wall, behind).unwrap();
+    let a_box = OwnedStates::Box { region, states: vec![State::Occupied; 2], clear_unknown: false };
+    let mut say = |resolution, states| {
+        let message = StatesMessage { stamp: flockmap::Stamp(0), resolution, sensor: Some([0.0; 3]), states };
+        stream.write_all(&SensorMessage::States(message).emit()).unwrap();
+    };
+    say(Resolution::from_metres(0.37).unwrap(), voxels.clone());
+    say(resolution, voxels);
+    say(resolution, a_box);
+    wait_until("the team-mate has it", || {
+        listens.with_robot(move |robot, _| (robot.map().state(wall), robot.map().state(behind)))
+            == Some((State::Occupied, State::Occupied))
+    });
+    let status = fed.status().unwrap();
+    assert_eq!((status.node.states, status.robot.states, status.node.sensor_faults), (3, 2, 1));
+    assert_eq!((status.timings.insert_states.len(), *seen.lock().unwrap()), (2, 3), "the wall is not new");
+    let lines = lines.lock().unwrap();
+    assert!(
+        lines.iter().any(|line| line.contains("states left out: voxels of 0.37 m, expected")),
+        "{lines:?}"
+    );
 }
 
 #[test]

@@ -16,11 +16,9 @@ const POINT_BYTES: usize = 12;
 pub struct MessageLimits {
     /// Most points and rays without a return, together, in one scan. Worst case held: 36 bytes each.
     pub scan_points_max: u32,
-    /// Most single voxels of one message of states, at most [`StatesUpdate::VOXELS_MAX`](flockmap::StatesUpdate::VOXELS_MAX). Worst case held: 29 bytes
-    /// each.
+    /// Most single voxels of one message of states, at most `StatesUpdate::VOXELS_MAX`. Worst case held: 29 bytes each.
     pub states_max: u32,
-    /// Most voxels of a box, at most
-    /// [`StatesUpdate::BOX_VOXELS_MAX`](flockmap::StatesUpdate::BOX_VOXELS_MAX). Worst case held: 2 bytes each.
+    /// Most voxels of a box, at most `StatesUpdate::BOX_VOXELS_MAX`. Worst case held: 2 bytes each.
     pub box_states_max: u32,
     /// A scan or states whose stamp is off the machine's clock by more than this many microseconds is refused.
     pub stamp_error_max_micros: i64,

@@ -80,12 +80,12 @@ impl StatesMessage {
         }
         reader.expected += u64::from(count) * VOXEL_BYTES as u64;
         reader.check_length()?;
-        let voxel = |(number, bytes): (usize, &[u8; VOXEL_BYTES])| {
+        let mut voxels = Vec::with_capacity(count as usize);
+        for (number, bytes) in reader.records::<VOXEL_BYTES>(count)?.iter().enumerate() {
             let [a, b, c, d, e, f, g, h, i, j, k, l, state] = *bytes;
             let [x, y, z] = [[a, b, c, d], [e, f, g, h], [i, j, k, l]].map(i32::from_le_bytes);
-            Ok((Voxel::new(x, y, z), state_of(number, state)?))
-        };
-        let voxels = reader.records(count)?.iter().enumerate().map(voxel).collect::<Result<_, _>>()?;
+            voxels.push((Voxel::new(x, y, z), state_of(number, state)?));
+        }
         Ok(Self { states: OwnedStates::Voxels(voxels), ..message })
     }
 
@@ -108,8 +108,10 @@ impl StatesMessage {
         let count = count.ok_or(too_many)?;
         reader.expected += u64::from(count);
         reader.check_length()?;
-        let state = |(number, [state]): (usize, &[u8; 1])| state_of(number, *state);
-        let states = reader.records(count)?.iter().enumerate().map(state).collect::<Result<_, _>>()?;
+        let mut states = Vec::with_capacity(count as usize);
+        for (number, [state]) in reader.records(count)?.iter().enumerate() {
+            states.push(state_of(number, *state)?);
+        }
         let clear_unknown = flags & UNKNOWN_CLEARS != 0;
         Ok(Self { states: OwnedStates::Box { region, states, clear_unknown }, ..message })
     }
