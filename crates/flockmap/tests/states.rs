@@ -1,5 +1,6 @@
 //! A map that comes from elsewhere: what is published of it, and what a team-mate ends with.
 
+#[allow(dead_code, reason = "no layer is compared with an own map as a whole here")]
 mod common;
 
 use std::collections::BTreeMap;
