@@ -12,7 +12,7 @@ impl DistanceField {
     pub fn within(&self, radius_m: f64) -> Vec<(BlockIndex, Plane)> {
         // The largest whole squared distance that is not beyond the radius, to rounding. None of what is no number.
         let squared = (radius_m / self.resolution.metres()).powi(2) * (1.0 + 1e-12);
-        if !(radius_m >= 0.0) {
+        if radius_m.is_nan() || radius_m < 0.0 {
             return Vec::new();
         }
         let squared = squared.min(f64::from(u32::MAX)) as u32;
