@@ -53,7 +53,7 @@ fn bench(c: &mut Criterion) {
         // One more trunk, 0.3 m wide and 2 m high.
         let mut after = map.clone();
         for voxel in VoxelBox::new(Voxel::new(20, 20, -9), [3, 3, 20]).unwrap().voxels() {
-            let mut block = *after.block(voxel.block()).unwrap_or(&StateBlock::default());
+            let mut block = after.block(voxel.block()).copied().unwrap_or_default();
             block.set(voxel_bit(voxel), State::Occupied);
             after.set_block(voxel.block(), &block);
         }

@@ -100,9 +100,6 @@ enum Cells {
     Large(Passes<f32>),
 }
 
-/// More of the lines of blocks along x than one of this many changed: all is done anew.
-const ANEW_PART: usize = 2;
-
 impl DistanceField {
     /// The field of a box.
     pub fn new(view: &MapView, region: VoxelBox, config: &FieldConfig) -> Result<Self, FieldError> {
@@ -149,14 +146,9 @@ impl DistanceField {
             .collect();
         rows.sort_unstable();
         rows.dedup();
-        let all = (high.y - low.y + 1) as usize * (high.z - low.z + 1) as usize;
         self.version = view.version();
         if rows.is_empty() {
             return Updated::Unchanged;
-        }
-        if rows.len() * ANEW_PART > all * 100 {
-            self.anew(view);
-            return Updated::Anew;
         }
         match &mut self.cells {
             Cells::Small(passes) => passes.again(&self.shape, view, self.config.obstacles, &rows),
