@@ -1,11 +1,13 @@
 #!/bin/sh
-# A robot that maps with OctoMap feeds a node with the states of its voxels, first the keys that changed, then boxes; a second node
-# without a sensor hears it through a radio that loses a third. At the end both must hold what OctoMap's own tree holds, voxel by
-# voxel.
+# A robot that maps with OctoMap feeds a node with the states of its voxels, first the keys that changed, then boxes; a
+# second node without a sensor hears it through a radio that loses a third. At the end both must hold what OctoMap's own
+# tree holds, voxel by voxel.
 #
-# usage: scripts/octomap.sh [RECORD]      default: a generated forest; needs g++ and OctoMap (Debian: apt install liboctomap-dev)
+# usage: scripts/octomap.sh [RECORD]      default: a generated forest
+# needs g++ and OctoMap (Debian: apt install liboctomap-dev)
 # environment: FLOCKMAP, the program, and MESSAGES, the example `record_messages` (default: both built here, release);
-#   RESOLUTION=0.1, RANGE=7 (metres); LOSS=0.33; OUT, folder for records, maps and logs (default: a new one, removed if all is well)
+#   RESOLUTION=0.1, RANGE=7 (metres); LOSS=0.33; OUT, folder for records, maps and logs (default: a new one, removed if
+#   all is well)
 # exit: 0 equal, 1 not.
 set -eu
 
@@ -36,7 +38,8 @@ cleanup() {
 trap cleanup EXIT
 trap 'exit 1' INT TERM
 
-g++ -O2 -std=c++17 -Wall -Wextra crates/flockmap-node/examples/octomap/octomap_feed.cpp -loctomap -loctomath -o "$OUT/octomap_feed"
+g++ -O2 -std=c++17 -Wall -Wextra crates/flockmap-node/examples/octomap/octomap_feed.cpp -loctomap -loctomath \
+    -o "$OUT/octomap_feed"
 if [ -z "$record" ]; then
     "$FLOCKMAP" sim fly --scene forest --robots 1 --seconds 20 --no-view --out "$OUT" > "$OUT/fly.log"
     record=$OUT/robot1.mcap
@@ -82,8 +85,8 @@ linger_ms = 60000
 END
     done
     printf '[sensor]\nlisten_tcp = "127.0.0.1:%s"\n' "$port" >> "$run/1.toml"
-    "$FLOCKMAP" radio "127.0.0.1:$((port + 5))" "127.0.0.1:$((port + 6))" --listen "127.0.0.1:$port" --loss "$LOSS" --delay-ms 20 \
-        < /dev/null > "$run/radio.log" 2>&1 &
+    "$FLOCKMAP" radio "127.0.0.1:$((port + 5))" "127.0.0.1:$((port + 6))" --listen "127.0.0.1:$port" --loss "$LOSS" \
+        --delay-ms 20 < /dev/null > "$run/radio.log" 2>&1 &
     radio=$!
     pids="$pids $radio"
     for n in 1 2; do

@@ -33,8 +33,8 @@ const TEAMMATES_MAX: usize = 1_024;
 /// A robot of the swarm: keeps its own map from its scans, sends what changed, repairs what was lost, and fuses
 /// what the others saw. Knows no sockets, threads or clocks; it can be driven by any runtime, or none.
 ///
-/// After every input ([`insert_scan`](Self::insert_scan), [`insert_states`](Self::insert_states), [`handle_datagram`](Self::handle_datagram),
-/// [`handle_timeout`](Self::handle_timeout)) send all that [`poll_transmit`](Self::poll_transmit) gives, then
+/// After every input ([`insert_scan`](Self::insert_scan), [`insert_states`](Self::insert_states),
+/// [`handle_datagram`](Self::handle_datagram), [`handle_timeout`](Self::handle_timeout)) send all that [`poll_transmit`](Self::poll_transmit) gives, then
 /// wait for the next scan, the next datagram or [`poll_timeout`](Self::poll_timeout), whichever is first.
 pub struct Robot {
     config: RobotConfig,

@@ -111,6 +111,7 @@ proptest! {
         let counters = swarm.robots[0].counters();
         prop_assert_eq!((counters.states, counters.states_ahead, counters.scans), (updates, 0, scans));
 
+        swarm.assert_layers_equal_own_maps(7);
         let published = published(&swarm);
         let listener = &swarm.robots[1];
         for (voxel, state) in &model {

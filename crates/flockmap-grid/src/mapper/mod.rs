@@ -1,4 +1,5 @@
-//! The mapper: scans in, or states from elsewhere, occupancy out, and which voxels have changed since they were last published.
+//! The mapper: scans in, or states from elsewhere, occupancy out, and which voxels have changed since they were last
+//! published.
 
 mod block;
 mod config;

@@ -25,6 +25,7 @@
 
 using octomap::OcTree;
 using octomap::OcTreeKey;
+using Voxel = std::array<int32_t, 3>;
 
 // Numbers go out as they lie in memory: little-endian, as on every machine that flies.
 static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "swap the bytes in `put`");
@@ -97,7 +98,7 @@ void each_voxel(const Leaf& leaf, Visit visit) {
   for (int32_t z = 0; z < side; z++)
     for (int32_t y = 0; y < side; y++)
       for (int32_t x = 0; x < side; x++)
-        visit(std::array<int32_t, 3>{low[0] + x - KEY_OF_ORIGIN, low[1] + y - KEY_OF_ORIGIN, low[2] + z - KEY_OF_ORIGIN});
+        visit({low[0] + x - KEY_OF_ORIGIN, low[1] + y - KEY_OF_ORIGIN, low[2] + z - KEY_OF_ORIGIN});
 }
 
 // All that is known within `range` of the sensor along each axis.
@@ -114,7 +115,7 @@ void send_box(const OcTree& tree, const octomap::point3d& sensor, double range, 
   std::string states(size_t(size[0]) * size[1] * size[2], char(UNKNOWN));
   for (auto leaf = tree.begin_leafs_bbx(low, high); leaf != tree.end_leafs_bbx(); ++leaf) {
     const State state = state_of(tree, &*leaf);
-    each_voxel(leaf, [&](const std::array<int32_t, 3>& voxel) {
+    each_voxel(leaf, [&](const Voxel& voxel) {
       size_t place = 0;
       for (int axis = 2; axis >= 0; axis--) {
         const int64_t at = int64_t(voxel[axis]) - min[axis];
@@ -193,7 +194,7 @@ int feed(char** args) {
   return 0;
 }
 
-using Voxels = std::map<std::array<int32_t, 3>, State>;
+using Voxels = std::map<Voxel, State>;
 
 Voxels read_tree(const char* path) {
   // `readBinary` takes the resolution from the file.
@@ -204,7 +205,7 @@ Voxels read_tree(const char* path) {
   }
   Voxels voxels;
   for (auto leaf = tree.begin_leafs(); leaf != tree.end_leafs(); ++leaf)
-    each_voxel(leaf, [&](const std::array<int32_t, 3>& voxel) { voxels[voxel] = state_of(tree, &*leaf); });
+    each_voxel(leaf, [&](const Voxel& voxel) { voxels[voxel] = state_of(tree, &*leaf); });
   return voxels;
 }
 
@@ -219,7 +220,8 @@ int check(int count, char** paths) {
       differ += found == got.end() || found->second != state;
     }
     for (const auto& entry : got) only_here += expected.count(entry.first) == 0;
-    std::printf("%s: %zu voxels, OctoMap has %zu; %zu differ, %zu only here\n", paths[i], got.size(), expected.size(), differ, only_here);
+    std::printf("%s: %zu voxels, OctoMap has %zu; %zu differ, %zu only here\n", paths[i], got.size(), expected.size(),
+                differ, only_here);
     is_equal = is_equal && differ + only_here == 0 && !expected.empty();
   }
   return is_equal ? 0 : 1;
@@ -228,6 +230,8 @@ int check(int count, char** paths) {
 int main(int count, char** args) {
   if (count == 8 && std::strcmp(args[1], "feed") == 0) return feed(args + 2);
   if (count >= 4 && std::strcmp(args[1], "check") == 0) return check(count - 2, args + 2);
-  std::fprintf(stderr, "usage: octomap_feed feed SCANS PORT keys|box RESOLUTION RANGE TREE.bt\n       octomap_feed check TREE.bt MAP.bt ...\n");
+  std::fprintf(stderr,
+               "usage: octomap_feed feed SCANS PORT keys|box RESOLUTION RANGE TREE.bt\n"
+               "       octomap_feed check TREE.bt MAP.bt ...\n");
   return 2;
 }
