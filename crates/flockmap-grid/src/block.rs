@@ -119,7 +119,8 @@ impl StateBlock {
 
     /// Whether no voxel is Free or Occupied.
     pub fn is_empty(&self) -> bool {
-        self.known() == [0; 8]
+        // The first known voxel decides.
+        (0..8).all(|z| self.free[z] | self.occupied[z] == 0)
     }
 
     /// The state of the voxel with this bit number (0 … 511).

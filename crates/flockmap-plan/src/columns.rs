@@ -2,7 +2,7 @@
 
 use core::ops::Range;
 
-use flockmap_grid::{BlockIndex, VoxelBox, plane_within};
+use flockmap_grid::{BlockIndex, VoxelBox};
 
 use crate::space::TooLarge;
 
@@ -75,15 +75,15 @@ impl Columns {
 
     /// Takes the columns outside of the box out of the words.
     pub(crate) fn trim(&self, words: &mut [u64]) {
-        let (z, [nx, ny]) = (self.region.min().z, self.tiles);
-        for ty in 0..ny {
-            // Between the first and the last tile of a row that is all inside there is nothing to trim.
-            let step = if ty == 0 || ty + 1 == ny { 1 } else { nx.max(2) - 1 };
-            for tx in (0..nx).step_by(step) {
-                let index = BlockIndex::new(self.low[0] + tx as i32, self.low[1] + ty as i32, z >> 3);
-                let inside = plane_within(index, self.region.min(), self.region.max());
-                words[ty * nx + tx] &= inside[(z & 7) as usize];
-            }
+        /// The first column of each row of a tile.
+        const FIRST_X: u64 = 0x0101_0101_0101_0101;
+        let ([nx, ny], before, size) = (self.tiles, self.before(), self.size());
+        let after = [nx * 8 - before[0] - size[0], ny * 8 - before[1] - size[1]];
+        for row in words.chunks_exact_mut(nx) {
+            row[0] &= FIRST_X * (0xff << before[0] & 0xff);
+            row[nx - 1] &= FIRST_X * (0xff >> after[0]);
         }
+        words[..nx].iter_mut().for_each(|word| *word &= u64::MAX << (8 * before[1]));
+        words[nx * (ny - 1)..].iter_mut().for_each(|word| *word &= u64::MAX >> (8 * after[1]));
     }
 }

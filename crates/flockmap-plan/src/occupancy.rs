@@ -44,24 +44,26 @@ impl OccupancyGrid {
         let mut free = match rule {
             ColumnRule::AnyFree => {
                 let mut free = vec![0; nx * ny];
-                for (index, block) in view.blocks_in(region) {
+                // From within, an iterator of iterators is a plain loop.
+                view.blocks_in(region).for_each(|(index, block)| {
                     let (tile, slices) = (columns.tile_of(index), columns.slices(index));
                     occupied[tile] |=
                         block.occupied()[slices.clone()].iter().fold(0, |all, slice| all | slice);
                     free[tile] |= block.free()[slices].iter().fold(0, |all, slice| all | slice);
-                }
+                });
                 free
             }
             ColumnRule::AllFree => {
                 let mut columns_of = vec![(u64::MAX, 0); nx * ny];
-                for (index, block) in view.blocks_in(region) {
+                // From within, an iterator of iterators is a plain loop.
+                view.blocks_in(region).for_each(|(index, block)| {
                     let (tile, slices) = (columns.tile_of(index), columns.slices(index));
                     occupied[tile] |=
                         block.occupied()[slices.clone()].iter().fold(0, |all, slice| all | slice);
                     let (free, layers) = &mut columns_of[tile];
                     *free &= block.free()[slices].iter().fold(u64::MAX, |all, slice| all & slice);
                     *layers += 1;
-                }
+                });
                 // Of a block that is not there nothing is Free.
                 let of_tile = |(free, layers)| if layers == columns.layers() { free } else { 0 };
                 columns_of.into_iter().map(of_tile).collect()
@@ -130,11 +132,16 @@ impl OccupancyGrid {
             let tiles = y / 8 * nx..(y / 8 + 1) * nx;
             for (free_word, occupied_word) in self.free[tiles.clone()].iter().zip(&self.occupied[tiles]) {
                 let [f, o] = [free_word, occupied_word].map(|word| (word >> (y % 8 * 8)) as u8);
-                row.extend((0..8).map(|x| match (o >> x & 1, f >> x & 1) {
-                    (1, _) => occupied,
-                    (_, 1) => free,
-                    _ => unknown,
-                }));
+                match (o, f) {
+                    // Most tiles are of one kind.
+                    (0, 0) => row.extend_from_slice(&[unknown; 8]),
+                    (0, 0xff) => row.extend_from_slice(&[free; 8]),
+                    _ => row.extend((0..8).map(|x| match (o >> x & 1, f >> x & 1) {
+                        (1, _) => occupied,
+                        (_, 1) => free,
+                        _ => unknown,
+                    })),
+                }
             }
             bytes.extend_from_slice(&row[before[0]..before[0] + width]);
         }
