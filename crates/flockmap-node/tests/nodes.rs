@@ -288,7 +288,7 @@ fn any_program_can_feed_scans_over_tcp() {
         stream.write_all(&SensorMessage::Scan(frame).emit()).unwrap();
     }
     wait_until("the scans are mapped", || {
-        node.with_robot(|robot, _| robot.map().state_at([0.1, 2.1, 1.1])) == Some(flockmap::State::Occupied)
+        node.with_robot(|robot, _| robot.map().state_at([0.1, 2.1, 1.1])) == Some(State::Occupied)
             && node.status().unwrap().robot.scans == 5
     });
     stream.write_all(b"this is not a scan").unwrap();
@@ -386,8 +386,8 @@ fn the_python_example_feeds_a_node() {
     assert!(status.success());
     wait_until("the scans are mapped", || node.status().unwrap().robot.scans == 3);
     let state = |point| node.with_robot(move |robot, _| robot.map().state_at(point)).unwrap();
-    assert_eq!(state([3.1, 0.1, 0.1]), flockmap::State::Occupied);
-    assert_eq!(state([1.1, 0.1, 0.1]), flockmap::State::Free);
+    assert_eq!(state([3.1, 0.1, 0.1]), State::Occupied);
+    assert_eq!(state([1.1, 0.1, 0.1]), State::Free);
     assert_eq!(node.status().unwrap().node.sensor_faults, 0);
 }
 
