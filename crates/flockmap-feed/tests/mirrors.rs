@@ -30,7 +30,8 @@ fn hello(feed: u64, origins: bool, goes_on: bool) -> Message {
 /// Planes from a number: as many known voxels as it likes, sometimes none.
 fn states(seed: u64) -> StateBlock {
     let word = |n: u64| seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left((n * 7) as u32 % 64) ^ n;
-    let planes = |by: u64| core::array::from_fn(|z| if seed % 5 == 0 { 0 } else { word(by + z as u64) });
+    let planes =
+        |by: u64| core::array::from_fn(|z| if seed.is_multiple_of(5) { 0 } else { word(by + z as u64) });
     StateBlock::new(planes(1), planes(seed % 3 * 100))
 }
 
@@ -77,7 +78,7 @@ struct Node {
     id: u64,
     map: MapView,
     at_version: HashMap<u64, MapView>,
-    ever: HashMap<BlockIndex, HashSet<([u64; 8], [u64; 8])>>,
+    ever: HashMap<BlockIndex, HashSet<[Plane; 2]>>,
 }
 
 struct Reader {
@@ -101,10 +102,11 @@ impl Node {
     fn change(&mut self, index: BlockIndex, states: &StateBlock) {
         self.map.set_block(index, states);
         self.at_version.insert(self.map.version(), self.map.clone());
-        self.ever.entry(index).or_default().insert((*states.free(), *states.occupied()));
+        self.ever.entry(index).or_default().insert([*states.free(), *states.occupied()]);
     }
 
     /// The next frame for a reader.
+    #[expect(clippy::needless_collect, reason = "the frame takes blocks off the list that is read")]
     fn frame(&self, feed: &mut Feed, most: usize) -> Option<Vec<u8>> {
         match feed.next(&self.map) {
             Next::Nothing => None,
@@ -167,7 +169,7 @@ impl Reader {
         if self.shows == node.id {
             for (index, states) in map.blocks() {
                 let had = &node.ever[&index];
-                assert!(had.contains(&(*states.free(), *states.occupied())), "{index:?} was never so");
+                assert!(had.contains(&[*states.free(), *states.occupied()]), "{index:?} was never so");
             }
         }
         // A planner that asks what changed since it asked last has the same map.
@@ -330,7 +332,7 @@ proptest! {
             Message::Anew { began: seed },
             Message::Poses(vec![pose; count as usize]),
             Message::Counters(counts),
-            Message::End(name.clone()),
+            Message::End(name),
         ] {
             let bytes = message.emit();
             let (mut splitter, mut rest) = (Splitter::new(1 << 20), &bytes[..]);
@@ -392,8 +394,7 @@ fn the_old_map_is_shown_until_the_new_one_is_complete() {
     let mut reader = Reader::connect(&node, reader.mirror, reader.planner);
     let before = voxels(&old.map);
     reader.take(&node, 100);
-    loop {
-        let Some(frame) = node.frame(&mut reader.feed, 10) else { break };
+    while let Some(frame) = node.frame(&mut reader.feed, 10) {
         assert_eq!(voxels(reader.mirror.map().unwrap()), before);
         assert!(
             !matches!(reader.mirror.have(), Some(have) if have.feed == node.id)

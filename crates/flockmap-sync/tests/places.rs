@@ -192,11 +192,11 @@ fn a_snapshot_whose_sender_has_forgotten_the_stream_has_its_place_no_longer() {
         }
         swarm.run(3_000 * MS);
         let sent = swarm.take_sent();
-        let requests = sent.iter().filter_map(|(_, bytes)| {
+        let mut requests = sent.iter().filter_map(|(_, bytes)| {
             let datagram = Datagram::new_checked(bytes).unwrap();
             (datagram.header().kind == Kind::Request).then(|| Request::parse(&datagram, 64).unwrap())
         });
-        requests.last().unwrap().transfers.iter().map(|transfer| transfer.source.0).collect::<Vec<_>>()
+        requests.next_back().unwrap().transfers.iter().map(|transfer| transfer.source.0).collect::<Vec<_>>()
     };
     let received = IntervalSet::from_intervals(64, vec![(1, 20)]);
     let holds = || Received { stream, is_oldest_wanted: false, from: 1, received: received.clone() };

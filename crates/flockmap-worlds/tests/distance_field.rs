@@ -24,7 +24,7 @@ fn flight(world: World) -> impl Iterator<Item = (Scan, Pose)> {
     let options = TrajectoryOptions { duration_s: 5.0, ..TrajectoryOptions::default() };
     let trajectory = Trajectory::plan(&world, 1, 1, &options).unwrap().remove(0);
     let flight = Flight::new(Arc::new(world), Lidar::Mid360, ScanOptions::default(), trajectory);
-    flight.map(|frame| (frame.scan, frame.pose))
+    flight.map(|frame| (frame.scan, frame.t_map_sensor))
 }
 
 /// Maps so many scans; a field of a box about the last pose goes along with the last few of them.
@@ -61,7 +61,7 @@ fn check(scans: impl Iterator<Item = (Scan, Pose)>, count: usize) {
 fn it_is_right_on_a_recorded_walk() {
     let Some(path) = data("hku_mb/robot1.mcap") else { return };
     let record = open_record(&path, &RecordOptions::default()).unwrap();
-    check(record.frames.map(|frame| frame.unwrap()).map(|frame| (frame.scan, frame.pose)), 60);
+    check(record.frames.map(|frame| frame.unwrap()).map(|frame| (frame.scan, frame.t_map_sensor)), 60);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Where the robots are, as each of them knows.
 
+#[allow(dead_code, reason = "only the configuration is used here")]
 mod common;
 
 use common::{config, resolution};
