@@ -10,10 +10,12 @@ use flockmap::{
 };
 use flockmap_autonomy::application::{ApplicationOptions, SeriesOptions};
 use flockmap_autonomy::{ExploreOptions, MotionLimits, NavigationConfig};
+use flockmap_feed::MirrorOptions;
 use flockmap_io::{ExportOptions, RecordOptions};
 use flockmap_netsim::{Link, RadioConfig};
 use flockmap_node::store::StoreOptions;
 use flockmap_node::{EndOptions, NodeConfig, StateSection, UdpOptions};
+use flockmap_plan::{FieldConfig, FrontierConfig};
 use flockmap_worlds::{ObstacleOptions, ScanOptions, TrajectoryOptions};
 
 /// Crates whose options are those of a program: its help has most defaults from the code.
@@ -33,9 +35,12 @@ fn defaults() -> BTreeMap<&'static str, String> {
         ("EndOptions", shown(EndOptions::default())),
         ("ExploreOptions", shown(ExploreOptions::default())),
         ("ExportOptions", shown(ExportOptions::default())),
+        ("FieldConfig", shown(FieldConfig::default())),
+        ("FrontierConfig", shown(FrontierConfig::default())),
         ("FusionConfig", shown(FusionConfig::default())),
         ("Link", shown(Link::default())),
         ("MapperConfig", shown(MapperConfig::preset(Preset::default(), resolution, 7.0))),
+        ("MirrorOptions", shown(MirrorOptions::default())),
         ("MotionLimits", shown(MotionLimits::default())),
         ("NavigationConfig", shown(NavigationConfig::new(resolution, [[0.0; 3]; 2]))),
         ("NodeConfig", shown(node)),
@@ -69,6 +74,7 @@ const WORDS: &[(&str, &str, &str)] = &[
     ),
     ("ExploreOptions", "region_m", "None"),
     ("ExportOptions", "free", "false"),
+    ("MirrorOptions", "blocks_max", "1048576"),
     ("NodeConfig", "name", "None"),
     ("RadioConfig", "is_shared", "false"),
     ("RecordOptions", "points_topic", "None"),

@@ -28,15 +28,15 @@ fn a_robot_knows_where_it_is_and_where_others_were_in_its_own_frame() {
     alice.flush(now);
     let aligned = Pose::from_yaw([10.0, 0.0, 0.0], std::f64::consts::FRAC_PI_2);
     bob.set_alignment(RobotId(1), &aligned).unwrap();
-    let later = now.plus_micros(100_000);
-    // He must be heard of before she sends to him.
-    bob.handle_timeout(later);
-    for _ in 0..5 {
+    let mut later = now;
+    for _ in 0..30 {
+        later = later.plus_micros(100_000);
+        [&mut alice, &mut bob].map(|robot| robot.handle_timeout(later));
         while let Some(transmit) = bob.poll_transmit(later) {
-            let _ = alice.handle_datagram(later, &transmit.bytes);
+            alice.handle_datagram(later, &transmit.bytes).unwrap();
         }
         while let Some(transmit) = alice.poll_transmit(later) {
-            let _ = bob.handle_datagram(later, &transmit.bytes);
+            bob.handle_datagram(later, &transmit.bytes).unwrap();
         }
     }
     let [seen] = bob.poses()[..] else { panic!("{:?}", bob.poses()) };
