@@ -31,7 +31,8 @@ fn a_robot_knows_where_it_is_and_where_others_were_in_its_own_frame() {
     let mut later = now;
     for _ in 0..30 {
         later = later.plus_micros(100_000);
-        [&mut alice, &mut bob].map(|robot| robot.handle_timeout(later));
+        alice.handle_timeout(later);
+        bob.handle_timeout(later);
         while let Some(transmit) = bob.poll_transmit(later) {
             alice.handle_datagram(later, &transmit.bytes).unwrap();
         }
