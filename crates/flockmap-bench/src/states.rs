@@ -169,7 +169,7 @@ fn record(
             break;
         }
         let report = elsewhere.insert(&frame.scan, &frame.pose, &frame.masks());
-        let seen = Seen::new(&elsewhere, &report, *first.get_or_insert(frame.pose.translation()));
+        let seen = Seen::new(&elsewhere, &report, *first.get_or_insert_with(|| frame.pose.translation()));
         lanes.iter_mut().try_for_each(|lane| lane.take(&frame, &seen, config))?;
         progress();
     }
