@@ -30,14 +30,16 @@ impl BlockIndex {
 /// The numbers of the bits (0 … 511) that are set in a plane, ascending.
 pub fn set_bits(plane: &Plane) -> impl Iterator<Item = usize> + use<> {
     let plane = *plane;
-    (0..8).flat_map(move |z| {
-        let mut left = plane[z];
-        core::iter::from_fn(move || {
-            let bit = z * 64 + left.trailing_zeros() as usize;
-            (left != 0).then(|| {
-                left &= left - 1;
-                bit
-            })
+    (0..8).flat_map(move |z| bits(plane[z]).map(move |bit| z * 64 + bit))
+}
+
+/// The numbers of the bits (0 … 63) that are set in a slice, ascending.
+pub(crate) fn bits(mut left: u64) -> impl Iterator<Item = usize> {
+    core::iter::from_fn(move || {
+        let bit = left.trailing_zeros() as usize;
+        (left != 0).then(|| {
+            left &= left - 1;
+            bit
         })
     })
 }

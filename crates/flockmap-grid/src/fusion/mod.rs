@@ -4,6 +4,7 @@
 mod align;
 mod origins;
 mod received;
+mod region;
 mod rigid;
 mod view;
 

@@ -4,12 +4,10 @@ use std::sync::Arc;
 
 use rustc_hash::FxHashMap;
 
+use super::region::{BLOCK_BYTES_MAX, Region, region_of};
 use crate::changes::bounding_box;
 use crate::memory::table_bytes;
 use crate::{BlockIndex, Changes, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, voxel_bit};
-
-/// Blocks per side of a region: what is copied when a map is written to while a view of it is alive.
-const REGION_BITS: i32 = 3;
 
 /// The fused map at one moment. Made by [`super::Fusion::view`] in O(1); stays as it is while the map goes
 /// on. The next write after a view was made copies the touched regions of 64³ voxels, at most 80 kB each.
@@ -42,26 +40,12 @@ pub struct MapView {
     emptied_since: u64,
 }
 
-/// A block in the table of its region, which may be filled to no more than 7/16.
-pub(super) const VIEW_BLOCK_BYTES: usize = (size_of::<(BlockIndex, ViewBlock)>() + 1) * 16 / 7;
-/// A region, beside its table.
-const REGION_BYTES: usize = 2 * size_of::<usize>() + size_of::<Region>();
+/// The most that a block takes: it is alone in its region, and the table of regions is filled to 7/16.
+pub(super) const VIEW_BLOCK_BYTES: usize =
+    BLOCK_BYTES_MAX + (size_of::<(BlockIndex, Arc<Region>)>() + 1) * 16 / 7;
 
 /// Of all blocks, at most this part are kept that were emptied.
 const EMPTIED_PART: usize = 8;
-
-#[derive(Clone, Debug, Default)]
-struct Region {
-    blocks: FxHashMap<BlockIndex, ViewBlock>,
-    /// Of the block that changed last.
-    version: u64,
-}
-
-#[derive(Clone, Debug)]
-struct ViewBlock {
-    states: StateBlock,
-    version: u64,
-}
 
 /// Where a ray through the map ended, see [`MapView::cast_ray`].
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -114,7 +98,7 @@ impl MapView {
         self.region_bytes + table_bytes(self.regions.len(), size_of::<(BlockIndex, Arc<Region>)>())
     }
 
-    /// State of a voxel. Two hash look-ups.
+    /// State of a voxel. One hash look-up.
     pub fn state(&self, voxel: Voxel) -> State {
         self.block(voxel.block()).map_or(State::Unknown, |block| block.get(voxel_bit(voxel)))
     }
@@ -126,14 +110,14 @@ impl MapView {
 
     /// States of a block, `None` if nothing in it is known.
     pub fn block(&self, index: BlockIndex) -> Option<&StateBlock> {
-        let block = self.regions.get(&region_of(index))?.blocks.get(&index)?;
-        (!block.states.is_empty()).then_some(&block.states)
+        let block = self.regions.get(&region_of(index))?.block(index)?;
+        (!block.is_empty()).then_some(block)
     }
 
     /// All blocks in which something is known, in no order.
     pub fn blocks(&self) -> impl Iterator<Item = (BlockIndex, &StateBlock)> {
-        let all = self.regions.values().flat_map(|region| &region.blocks);
-        all.filter(|(_, block)| !block.states.is_empty()).map(|(index, block)| (*index, &block.states))
+        let all = self.regions.iter().flat_map(|(at, region)| region.blocks(*at));
+        all.map(|(index, block)| (index, &block.states)).filter(|(_, states)| !states.is_empty())
     }
 
     /// The blocks that share voxels with a box and in which something is known, in no order. O(blocks of the box,
@@ -205,8 +189,9 @@ impl MapView {
         began: u64,
         version: u64,
     ) -> Option<impl Iterator<Item = (BlockIndex, u64)> + '_> {
-        let regions = self.regions.values().filter(move |region| region.version > version);
-        let blocks = regions.flat_map(|region| &region.blocks).map(|(index, block)| (*index, block.version));
+        let regions = self.regions.iter().filter(move |(_, region)| region.version() > version);
+        let blocks = regions.flat_map(|(at, region)| region.blocks(*at));
+        let blocks = blocks.map(|(index, block)| (index, block.version));
         let is_known = began.max(version) >= self.emptied_since;
         is_known.then(|| blocks.filter(move |(_, changed)| *changed > version))
     }
@@ -268,14 +253,14 @@ impl MapView {
         }
         self.version += 1;
         let regions = Arc::make_mut(&mut self.regions);
-        let region = Arc::make_mut(regions.entry(region_of(index)).or_default());
-        self.region_bytes -= region_bytes(region);
-        region.version = self.version;
-        let before = region.blocks.insert(index, ViewBlock { states: new, version: self.version });
-        self.region_bytes += region_bytes(region);
+        let region = regions.entry(region_of(index)).or_default();
+        self.region_bytes -= region.memory_bytes();
+        let region = Arc::make_mut(region);
+        let before = region.set(index, new, self.version);
+        self.region_bytes += region.memory_bytes();
         self.blocks += usize::from(before.is_none());
         self.emptied += usize::from(new.is_empty());
-        self.emptied -= usize::from(before.is_some_and(|before| before.states.is_empty()));
+        self.emptied -= usize::from(before.is_some_and(|before| before.is_empty()));
     }
 
     /// Lets go of emptied blocks if there are many. O(blocks) then.
@@ -285,41 +270,18 @@ impl MapView {
         }
         let regions = Arc::make_mut(&mut self.regions);
         regions.retain(|_, region| {
-            if region.blocks.values().any(|block| block.states.is_empty()) {
-                self.region_bytes -= region_bytes(region);
+            if region.has_emptied() {
+                self.region_bytes -= region.memory_bytes();
                 let region = Arc::make_mut(region);
-                region.blocks.retain(|_, block| !block.states.is_empty());
-                // A table from which something was taken has no more room than it needs.
-                region.blocks.shrink_to_fit();
-                self.region_bytes += region_bytes(region);
+                region.forget_emptied();
+                self.region_bytes += region.memory_bytes();
             }
-            !region.blocks.is_empty()
+            !region.is_empty()
         });
         regions.shrink_to_fit();
         self.blocks -= self.emptied;
         self.emptied = 0;
         self.emptied_since = self.version;
-    }
-}
-
-impl Region {
-    /// The blocks of the region `at` from `low` to `high`.
-    fn blocks_between(
-        &self,
-        at: BlockIndex,
-        low: BlockIndex,
-        high: BlockIndex,
-    ) -> impl Iterator<Item = (BlockIndex, &StateBlock)> {
-        let [x, y, z] = [at.x, at.y, at.z].map(|v| v << REGION_BITS);
-        let side = (1 << REGION_BITS) - 1;
-        let low = BlockIndex::new(low.x.max(x), low.y.max(y), low.z.max(z));
-        let high = BlockIndex::new(high.x.min(x + side), high.y.min(y + side), high.z.min(z + side));
-        let is_named = count_between(low, high) < self.blocks.len() as u128;
-        let named = is_named.then(|| between(low, high)).into_iter().flatten();
-        let named = named.filter_map(|index| Some((index, &self.blocks.get(&index)?.states)));
-        let all = (!is_named).then_some(&self.blocks).into_iter().flatten();
-        let all = all.filter(move |(index, _)| is_between(**index, low, high));
-        named.chain(all.map(|(index, block)| (*index, &block.states)))
     }
 }
 
@@ -341,16 +303,4 @@ fn is_between(index: BlockIndex, low: BlockIndex, high: BlockIndex) -> bool {
     (low.x..=high.x).contains(&index.x)
         && (low.y..=high.y).contains(&index.y)
         && (low.z..=high.z).contains(&index.z)
-}
-
-/// Of a region in which something is known; before that, nothing.
-fn region_bytes(region: &Region) -> usize {
-    match region.blocks.len() {
-        0 => 0,
-        blocks => REGION_BYTES + table_bytes(blocks, size_of::<(BlockIndex, ViewBlock)>()),
-    }
-}
-
-fn region_of(index: BlockIndex) -> BlockIndex {
-    BlockIndex::new(index.x >> REGION_BITS, index.y >> REGION_BITS, index.z >> REGION_BITS)
 }
