@@ -119,32 +119,43 @@ impl OccupancyGrid {
     /// fastest. Its `info` has `resolution`, `width` and `height` as [`Self::size`], and as the position of
     /// `origin` [`Self::origin_m`], without a rotation. A byte a cell.
     pub fn to_ros(&self) -> Vec<i8> {
-        self.to_bytes([-1, 0, 100])
+        // -1 as a byte is 255.
+        self.to_bytes([255, 0, 100]).into_iter().map(|byte| byte as i8).collect()
     }
 
     /// A byte for each cell that is Unknown, Free or Occupied, in the same order.
-    pub fn to_bytes<T: Copy>(&self, [unknown, free, occupied]: [T; 3]) -> Vec<T> {
+    pub fn to_bytes(&self, shades: [u8; 3]) -> Vec<u8> {
         let ([width, height], [nx, _], before) = (self.size(), self.columns.tiles(), self.columns.before());
+        let [unknown, free, occupied] = shades.map(|shade| u64::from(shade) * ONES);
         let mut bytes = Vec::with_capacity(width * height);
-        let mut row = Vec::with_capacity(nx * 8);
+        let mut row = vec![0; nx * 8];
         for y in before[1]..before[1] + height {
-            row.clear();
             let tiles = y / 8 * nx..(y / 8 + 1) * nx;
-            for (free_word, occupied_word) in self.free[tiles.clone()].iter().zip(&self.occupied[tiles]) {
-                let [f, o] = [free_word, occupied_word].map(|word| (word >> (y % 8 * 8)) as u8);
-                match (o, f) {
-                    // Most tiles are of one kind.
-                    (0, 0) => row.extend_from_slice(&[unknown; 8]),
-                    (0, 0xff) => row.extend_from_slice(&[free; 8]),
-                    _ => row.extend((0..8).map(|x| match (o >> x & 1, f >> x & 1) {
-                        (1, _) => occupied,
-                        (_, 1) => free,
-                        _ => unknown,
-                    })),
-                }
+            let words = self.free[tiles.clone()].iter().zip(&self.occupied[tiles]);
+            for (eight, (free_word, occupied_word)) in row.chunks_exact_mut(8).zip(words) {
+                let [is_free, is_occupied] = [free_word, occupied_word]
+                    .map(|word| BYTES_OF_BITS[usize::from((word >> (y % 8 * 8)) as u8)]);
+                let shade = unknown ^ (is_free & (unknown ^ free)) ^ (is_occupied & (unknown ^ occupied));
+                eight.copy_from_slice(&shade.to_le_bytes());
             }
             bytes.extend_from_slice(&row[before[0]..before[0] + width]);
         }
         bytes
     }
 }
+
+/// 1 in each of eight bytes.
+const ONES: u64 = 0x0101_0101_0101_0101;
+
+/// Of eight bits a byte for each, the lowest first: 255 where it is set, or 0.
+static BYTES_OF_BITS: [u64; 256] = {
+    let mut table = [0; 256];
+    let mut bits = 0;
+    while bits < 256 {
+        // Each byte keeps its own bit; with 127 more, its highest bit says whether it was set.
+        let own = (bits as u64 * ONES) & 0x8040_2010_0804_0201;
+        table[bits] = ((own + 0x7f * ONES) >> 7 & ONES) * 0xff;
+        bits += 1;
+    }
+    table
+};
