@@ -61,6 +61,24 @@ fn bench(c: &mut Criterion) {
         c.bench_function(&format!("field, update by a new trunk, {name}"), |b| {
             b.iter_batched_ref(|| field.clone(), |field| field.update(&after), BatchSize::LargeInput);
         });
+        // Of every block one voxel is another: what an update has to do at most.
+        let mut after = map.clone();
+        for index in region.blocks() {
+            let mut block = map.block(index).copied().unwrap_or_default();
+            let is_occupied = block.get(219) == State::Occupied;
+            block.set(219, if is_occupied { State::Free } else { State::Occupied });
+            after.set_block(index, &block);
+        }
+        c.bench_function(&format!("field, update of every block, {name}"), |b| {
+            b.iter_batched_ref(|| field.clone(), |field| field.update(&after), BatchSize::LargeInput);
+        });
+        c.bench_function(&format!("field, anew where every block is other, {name}"), |b| {
+            b.iter_batched_ref(
+                || field.clone(),
+                |field| field.move_to(&after, region).unwrap(),
+                BatchSize::LargeInput,
+            );
+        });
         c.bench_function(&format!("inflation by 0.5 m, {name}"), |b| b.iter(|| field.inflated(&map, 0.5)));
     }
 
@@ -92,6 +110,10 @@ fn bench(c: &mut Criterion) {
             let sweep = |(from, to): (&[f64; 3], &[f64; 3])| collision.swept_sphere(*from, *to, 0.3).unwrap();
             from.iter().zip(&to).map(sweep).filter(Option::is_some).count()
         });
+    });
+    // About as many blocks as may be asked for at once, none of them there.
+    c.bench_function("an aligned box of 97 × 97 × 97 blocks, Unknown", |b| {
+        b.iter(|| collision.aligned_box([21.65; 3], [99.15; 3]).unwrap());
     });
     c.bench_function("10,000 oriented boxes of 0.6 × 0.4 × 0.3 m", |b| {
         b.iter(|| {

@@ -50,6 +50,18 @@ fn way_to_cube(voxel: Voxel, from: [f64; 3], to: [f64; 3], radius: f64) -> (f64,
     (nearest, within)
 }
 
+/// The part of a way within a cube, as metres along it: where it comes in and where it leaves.
+fn part_in_cube(voxel: Voxel, from: [f64; 3], to: [f64; 3]) -> Option<[f64; 2]> {
+    let (low, length) = ([voxel.x, voxel.y, voxel.z].map(|at| f64::from(at) * SIDE), apart(from, to));
+    let mut part = [0.0, length];
+    for axis in 0..3 {
+        let slope = (to[axis] - from[axis]) / length;
+        let ends = [low[axis], low[axis] + SIDE].map(|face| (face - from[axis]) / slope);
+        part = [part[0].max(ends[0].min(ends[1])), part[1].min(ends[0].max(ends[1]))];
+    }
+    (part[0] <= part[1]).then_some(part)
+}
+
 fn point() -> impl Strategy<Value = [f64; 3]> {
     prop::array::uniform3(-2.9f64..2.9)
 }
@@ -173,6 +185,34 @@ proptest! {
             let expected = if near { State::Occupied } else { view.state(voxel) };
             prop_assert_eq!(inflated.state(voxel), expected);
         }
+    }
+
+    #[test]
+    fn a_ray_ends_in_the_first_cube_on_its_way(
+        voxels in voxels(13, 40), from in point(), to in point(), through_unknown in any::<bool>(),
+    ) {
+        let view = seen(1, &voxels);
+        let stops = |voxel| match view.state(voxel) {
+            State::Occupied => true,
+            State::Unknown => !through_unknown,
+            State::Free => false,
+        };
+        let crossed = || everywhere().voxels().filter_map(|voxel| Some((voxel, part_in_cube(voxel, from, to)?)));
+        // What it does not just touch.
+        let first = crossed().filter(|(voxel, part)| stops(*voxel) && part[1] - part[0] > ROUNDING);
+        let first = first.map(|(_, part)| part[0]).fold(f64::INFINITY, f64::min);
+        let (voxel, distance_m, state) = match view.cast_ray(from, to, through_unknown) {
+            RayEnd::Clear => {
+                prop_assert!(first.is_infinite(), "{first}");
+                return Ok(());
+            }
+            RayEnd::Occupied { voxel, distance_m } => (voxel, distance_m, State::Occupied),
+            RayEnd::Unknown { voxel, distance_m } => (voxel, distance_m, State::Unknown),
+        };
+        prop_assert!(stops(voxel) && view.state(voxel) == state);
+        prop_assert!(distance_m <= first + ROUNDING, "{distance_m} {first}");
+        let there = core::array::from_fn(|axis| from[axis] + (to[axis] - from[axis]) * distance_m / apart(from, to));
+        prop_assert!(to_cube(voxel, there) < ROUNDING, "{voxel:?} {distance_m}");
     }
 
     #[test]
