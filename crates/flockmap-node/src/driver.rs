@@ -428,9 +428,13 @@ impl<T: Transport> Driver<T> {
         self.stopped || self.ends().any(|end| now >= end)
     }
 
-    /// Whether every peer has confirmed all that was sent.
+    /// Whether every peer has confirmed all that was published, and what was relayed to it. That nothing is in
+    /// flight is not enough: what counts as lost is not, until it is sent again.
     fn is_confirmed(&self) -> bool {
-        self.robot.session().peers().all(|peer| peer.in_flight == 0)
+        let session = self.robot.session();
+        let newest = session.store().newest_known(session.own());
+        let satisfied = session.own_received_by_peers().filter(|(_, _, upto)| *upto >= newest).count();
+        satisfied == session.peers().count() && session.peers().all(|peer| peer.in_flight == 0)
     }
 
     fn say_status(&mut self) {

@@ -7,7 +7,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::{config, corridor, frames, loopback, swarm, wait_until};
+use common::{PATIENCE, config, corridor, frames, loopback, swarm, wait_until};
 use flockmap::{Cast, Event, Path, Resolution, RobotId, State, Stream, Transmit, Voxel, VoxelBox};
 use flockmap_node::{
     Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, OwnedStates,
@@ -99,6 +99,48 @@ fn nodes_on_a_lossy_transport_end_with_equal_layers() {
     };
     let nodes: Vec<NodeHandle> = swarm(2).into_iter().enumerate().map(start).collect();
     wait_until_equal(&nodes, 2);
+}
+
+/// Loses the first so many datagrams with packages, which are longer than requests of two robots.
+struct LosesPackages(UdpTransport, u32);
+
+impl Transport for LosesPackages {
+    async fn receive(&mut self, buffer: &mut [u8]) -> std::io::Result<(usize, Path)> {
+        self.0.receive(buffer).await
+    }
+
+    fn set_paths(&mut self, paths: &[Path]) {
+        self.0.set_paths(paths);
+    }
+
+    async fn send(&mut self, transmit: &Transmit) -> SendResult {
+        if transmit.bytes.len() > 200 && self.1 > 0 {
+            self.1 -= 1;
+            return SendResult { copies: 1, failed: 0 };
+        }
+        self.0.send(transmit).await
+    }
+}
+
+#[test]
+fn a_node_that_lingers_ends_when_its_peers_have_all_that_it_published() {
+    let mut sockets = swarm(2).into_iter();
+    let mut next = || sockets.next().unwrap();
+    let (one, two) = (next(), next());
+    let mut options = NodeOptions { sensor: play(1, 20), ..NodeOptions::new(config(1)) };
+    options.end.linger = PATIENCE;
+    let one = Node::start(options, move || Ok(LosesPackages(one.into_transport()?, 10))).unwrap();
+    let two = Node::start(NodeOptions::new(config(2)), move || two.into_transport()).unwrap();
+    wait_until("they hear each other, and all is seen", || {
+        [&one, &two].iter().all(|node| node.status().is_some_and(|status| status.peers.len() == 1))
+            && one.status().is_some_and(|status| status.sensor_ended)
+    });
+    one.stop();
+    let one = one.join().unwrap().robot;
+    let own = one.fusion().layer(one.own_stream()).unwrap();
+    assert!(own.voxels().count() > 1_000);
+    let expected = (one.own_stream(), own.digest());
+    wait_until("what was confirmed is merged", || digests(&two).contains(&expected));
 }
 
 #[test]

@@ -288,7 +288,8 @@ pub struct OutputSection {
     pub end_after_s: Option<f64>,
     /// End when the record has been played and nothing has come or gone for so long.
     pub end_when_quiet_s: Option<f64>,
-    /// At the end, give others so long to get the last packages.
+    /// At the end, give others so long to get the last packages. It is over sooner if all that are heard have
+    /// confirmed them.
     pub linger_ms: u32,
 }
 
