@@ -1,9 +1,12 @@
-//! Speed of the mapper: one scan of 20,000 rays among tree trunks, at 0.1 m and 7 m.
+//! Speed of the mapper: one scan of 20,000 rays among tree trunks, at 0.1 m and 7 m, and the same as states.
 //!
 //! `cargo bench -p flockmap-grid --bench mapper`
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
-use flockmap_grid::{Mapper, MapperConfig, Pose, Preset, Resolution, Scan, Stamp};
+use flockmap_grid::{
+    Mapper, MapperConfig, Pose, Preset, Resolution, Scan, Stamp, State, States, StatesUpdate, Voxel,
+    VoxelBox, Which,
+};
 
 /// Rays spread evenly from −7° to +52°, each ending on the ground 1.5 m below, on one of 60 trunks, or at 30 m.
 fn scan() -> Scan {
@@ -64,12 +67,39 @@ fn bench(c: &mut Criterion) {
                     mapper.insert(&scan, &Pose::IDENTITY, &[]);
                     mapper
                 },
-                |mapper| mapper.take_changes(flockmap_grid::Which::All),
+                |mapper| mapper.take_changes(Which::All),
                 BatchSize::LargeInput,
             );
         });
     }
 }
 
-criterion_group!(benches, bench);
+/// What a mapper elsewhere says: the voxels that a scan changed, and the local map of 14 × 14 × 14 m about the robot.
+fn states(c: &mut Criterion) {
+    let resolution = Resolution::from_metres(0.1).unwrap();
+    let config = MapperConfig::preset(Preset::RogMap, resolution, 7.0);
+    let mut elsewhere = Mapper::new(config.clone()).unwrap();
+    elsewhere.insert(&scan(), &Pose::IDENTITY, &[]);
+    let changed: Vec<(Voxel, State)> = elsewhere.take_changes(Which::All).into_voxels().collect();
+    let region = VoxelBox::new(Voxel::new(-70, -70, -70), [140; 3]).unwrap();
+    let local: Vec<State> = region.voxels().map(|voxel| elsewhere.state(voxel)).collect();
+    let single = States::Voxels(&changed);
+    let whole = States::Box { region, states: &local, clear_unknown: false };
+    for (name, states) in [(format!("{} voxels", changed.len()), single), ("a box of 140³".into(), whole)] {
+        let update = StatesUpdate { stamp: Stamp(0), resolution, sensor: Some([0.0; 3]), states };
+        c.bench_function(&format!("insert_states, {name}, all new"), |b| {
+            b.iter_batched_ref(
+                || Mapper::new(config.clone()).unwrap(),
+                |mapper| mapper.insert_states(&update).unwrap(),
+                BatchSize::LargeInput,
+            );
+        });
+        let mut mapper = Mapper::new(config.clone()).unwrap();
+        c.bench_function(&format!("insert_states, {name}, nothing new"), |b| {
+            b.iter(|| mapper.insert_states(&update).unwrap());
+        });
+    }
+}
+
+criterion_group!(benches, bench, states);
 criterion_main!(benches);

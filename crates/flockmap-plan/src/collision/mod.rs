@@ -21,7 +21,7 @@ pub struct Hit {
 ///
 /// Obstacles are the full cubes of their voxels and the answers are exact, to rounding. Touching counts: leave some
 /// micrometres where a body may stand on something. Positions and lengths are in metres, in the frame of the map.
-/// A question costs two hash look-ups for each block of 8³ voxels that the body's bounding box meets (of a sweep: the
+/// A question costs a hash look-up for each block of 8³ voxels that the body's bounding box meets (of a sweep: the
 /// boxes of its pieces, in order, up to the first hit), and a little for each obstacle in those. What is larger than
 /// [`QUESTION_BLOCKS_MAX`] blocks is refused before anything is looked at.
 ///
