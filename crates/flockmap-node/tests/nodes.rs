@@ -238,7 +238,7 @@ fn counters_are_served_to_prometheus() {
     let address = node.prometheus_address().unwrap();
     let ask = |request: &str| {
         let mut stream = TcpStream::connect(address).unwrap();
-        stream.set_read_timeout(Some(common::PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
         stream.write_all(request.as_bytes()).unwrap();
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
@@ -272,7 +272,7 @@ fn idle_clients_delay_nobody_who_asks_for_counters() {
         client.write_all(b"GET /metr").unwrap();
     }
     let mut client = TcpStream::connect(address).unwrap();
-    client.set_read_timeout(Some(common::PATIENCE)).unwrap();
+    client.set_read_timeout(Some(PATIENCE)).unwrap();
     client.write_all(b"GET /metrics HTTP/1.1\r\n\r\n").unwrap();
     let mut answer = String::new();
     client.read_to_string(&mut answer).unwrap();
