@@ -95,6 +95,7 @@ void fly(int id, const Socket& socket, const sockaddr_in& other, Board& board) {
     options.id = static_cast<std::uint16_t>(id);
     options.resolution_m = 0.2;
     options.range_m = 20.0;
+    options.publish_period_ms = 100;
     // The robot's clock: microseconds since it began. The others have clocks of their own.
     const auto began = std::chrono::steady_clock::now();
     const auto clock = [began] {
@@ -144,7 +145,7 @@ void fly(int id, const Socket& socket, const sockaddr_in& other, Board& board) {
     std::printf("robot %d knows %zu free and %zu occupied voxels; %zu of its datagrams were lost\n", id, info.free,
                 info.occupied, lost);
     // Each of the two walls was seen by one of them only, and is in both maps.
-    for (const double y : {5.05, -5.05}) {
+    for (const double y : {5.05, -4.95}) {
         if (map.state_at({1.05, y, 1.05}) != flockmap::State::Occupied) {
             throw std::runtime_error("a wall is missing");
         }

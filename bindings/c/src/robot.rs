@@ -124,6 +124,12 @@ pub unsafe extern "C" fn flockmap_robot_insert_scan(
     report: *mut Report,
 ) -> Outcome {
     guard("flockmap_robot_insert_scan", || {
+        // Before anything of such a length is looked at.
+        let rays = point_count.saturating_add(no_return_count);
+        if rays > SCAN_POINTS_MAX {
+            let text = format!("{rays} points and rays, expected at most {SCAN_POINTS_MAX} in a scan");
+            return Err(Failure::new(Outcome::ErrorTooLarge, text));
+        }
         let mut args = Args::default();
         // SAFETY: the caller's word, as of the header.
         let (robot, points, no_returns, numbers, report) = unsafe {
@@ -135,11 +141,6 @@ pub unsafe extern "C" fn flockmap_robot_insert_scan(
                 args.wanted(report, 1, "report")?,
             )
         };
-        let rays = points.len().saturating_add(no_returns.len());
-        if rays > SCAN_POINTS_MAX {
-            let text = format!("{rays} points and rays, expected at most {SCAN_POINTS_MAX} in a scan");
-            return Err(Failure::new(Outcome::ErrorTooLarge, text));
-        }
         let pose = pose(numbers, "T_map_sensor")?;
         let scan = Scan { stamp: Stamp(stamp_us), points: points.to_vec(), no_returns: no_returns.to_vec() };
         let made = robot.lock()?.insert_scan(Stamp(now_us), &scan, &pose);

@@ -77,6 +77,9 @@ pub unsafe extern "C" fn flockmap_robot_insert_states(
     report: *mut Report,
 ) -> Outcome {
     guard("flockmap_robot_insert_states", || {
+        if count > StatesUpdate::VOXELS_MAX {
+            return Err(refused(StatesError::TooMany { got: count as u128, max: StatesUpdate::VOXELS_MAX }));
+        }
         let mut args = Args::default();
         // SAFETY: the caller's word, as of the header.
         let (robot, sensor, voxels, states, report) = unsafe {
@@ -89,9 +92,6 @@ pub unsafe extern "C" fn flockmap_robot_insert_states(
             )
         };
         let resolution = resolution(resolution_m)?;
-        if count > StatesUpdate::VOXELS_MAX {
-            return Err(refused(StatesError::TooMany { got: count as u128, max: StatesUpdate::VOXELS_MAX }));
-        }
         let pairs = voxels.iter().zip(states).enumerate();
         let pair = |(at, (&[x, y, z], &byte)): (usize, (&[i32; 3], &u8))| {
             Ok((Voxel::new(x, y, z), state_of(at, byte)?))
@@ -129,6 +129,10 @@ pub unsafe extern "C" fn flockmap_robot_insert_box(
     report: *mut Report,
 ) -> Outcome {
     guard("flockmap_robot_insert_box", || {
+        if state_count > StatesUpdate::BOX_VOXELS_MAX {
+            let max = StatesUpdate::BOX_VOXELS_MAX;
+            return Err(refused(StatesError::TooMany { got: state_count as u128, max }));
+        }
         let mut args = Args::default();
         // SAFETY: the caller's word, as of the header.
         let (robot, sensor, low, size, states, report) = unsafe {
@@ -148,10 +152,6 @@ pub unsafe extern "C" fn flockmap_robot_insert_box(
                 "low {low:?}, size {size:?} is no box: a size is 0, or it leaves the grid"
             ))
         })?;
-        if state_count > StatesUpdate::BOX_VOXELS_MAX {
-            let max = StatesUpdate::BOX_VOXELS_MAX;
-            return Err(refused(StatesError::TooMany { got: state_count as u128, max }));
-        }
         if region.volume() != state_count as u128 {
             return Err(refused(StatesError::BoxStates { got: state_count, region }));
         }

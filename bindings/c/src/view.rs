@@ -105,6 +105,10 @@ pub unsafe extern "C" fn flockmap_view_with_blocks(
         // SAFETY: the caller's word, as of the header.
         let mut to = unsafe { one(&mut args, changed, "changed") }?;
         to.set(0, std::ptr::null_mut());
+        if count > BLOCKS_MAX {
+            let text = format!("{count} blocks, expected at most {BLOCKS_MAX} at a time");
+            return Err(Failure::new(Outcome::ErrorTooLarge, text));
+        }
         // SAFETY: the same.
         let (view, indices, free, occupied) = unsafe {
             (
@@ -114,10 +118,6 @@ pub unsafe extern "C" fn flockmap_view_with_blocks(
                 args.rows::<8, u64>(occupied, count, "occupied")?,
             )
         };
-        if count > BLOCKS_MAX {
-            let text = format!("{count} blocks, expected at most {BLOCKS_MAX} at a time");
-            return Err(Failure::new(Outcome::ErrorTooLarge, text));
-        }
         let mut map = view.map.clone();
         for (at, ((&[x, y, z], free), occupied)) in indices.iter().zip(free).zip(occupied).enumerate() {
             // The block at 2^25 would begin at the last voxel of the grid.
