@@ -1,7 +1,8 @@
 //! A Flockmap robot for real: a [`flockmap::Robot`] driven by sockets, a clock and a sensor.
 //!
 //! [`run`] is what `flockmap node --config robot.toml` does. [`Node::start`] is the same as a library: each
-//! node has a thread of its own, and a process may have many.
+//! node has a thread of its own, and a process may have many; [`ConfiguredNode`] takes the file and leaves signals to
+//! the program.
 //!
 //! ```
 //! use flockmap::{Resolution, RobotConfig, RobotId};
@@ -63,7 +64,7 @@ pub use log::{Level, Log};
 pub use map_output::MapOutput;
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
-pub use run::run;
+pub use run::{ConfiguredNode, run};
 pub use sensor::{
     MESSAGE_VERSION, MessageError, MessageLimits, OwnedStates, Sensor, SensorMessage, StatesMessage,
 };

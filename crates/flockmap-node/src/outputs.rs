@@ -41,12 +41,21 @@ fn check_file(key: &str, path: &Path) -> Result<(), ConfigError> {
     })
 }
 
+/// When the summary is written.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Report {
+    /// To stdout where no file is configured for it.
+    Always,
+    /// To a file that is configured for it.
+    IfConfigured,
+}
+
 /// Saves what was asked for, the map first. What cannot be written where it was wanted goes to the folder for
 /// temporary files, and to stdout if it is the summary and that fails too.
 ///
 /// # Errors
 /// What is not where it was wanted, and where it is. All has been tried then.
-pub(crate) fn save(config: &NodeConfig, ended: &Ended, log: &Log) -> Result<()> {
+pub(crate) fn save(config: &NodeConfig, ended: &Ended, log: &Log, report: Report) -> Result<()> {
     let output = &config.output;
     let mut faults = Vec::new();
     if let Some(path) = &output.save_map_at_end {
@@ -69,7 +78,7 @@ pub(crate) fn save(config: &NodeConfig, ended: &Ended, log: &Log) -> Result<()> 
                 faults.push(format!("{REPORT}: {fault}"));
             }
         }
-    } else {
+    } else if report == Report::Always {
         println!("{json}");
     }
     if faults.is_empty() { Ok(()) } else { bail!(faults.join("; ")) }

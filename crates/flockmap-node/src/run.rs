@@ -9,9 +9,10 @@ use flockmap_io::{RecordOptions, open_record};
 
 use crate::config::{Places, check_applies, read_with_places, seconds, speed, within};
 use crate::kept::Kept;
+use crate::outputs::Report;
 use crate::sensor::repeated;
 use crate::{
-    KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets, outputs,
+    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets, outputs,
 };
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
@@ -21,19 +22,60 @@ use crate::{
 /// A configuration that cannot work, named by its key; a socket or file that cannot be opened. At the end, a
 /// file that could not be written where it was wanted: the text says where it is in place of that.
 pub fn run(config_path: &Path) -> Result<()> {
-    let (config, places) = read_with_places(config_path)?;
-    let log = Log::to_stderr(&config.robot_name());
+    let configuration = read_with_places(config_path)?;
+    let log = Log::to_stderr(&configuration.0.robot_name());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     // Signals count from here on, also while the node starts.
     let signals = {
         let _context = runtime.enter();
         Signals::new().context("cannot listen to signals")?
     };
-    let node = start(&config, &places, config_path, &log)
-        // Whatever names a key says where in the file that is.
-        .map_err(|error| anyhow!(places.locate(&format!("{error:#}"))))?;
-    runtime.block_on(until_ended(&node, signals, &log));
-    outputs::save(&config, &node.join()?, &log)
+    let node = ConfiguredNode::from_parts(configuration, config_path, log)?;
+    runtime.block_on(until_ended(&node.node, signals, &node.log));
+    let (config, log) = (node.config, node.log);
+    let ended = node.node.join()?;
+    outputs::save(&config, &ended, &log, Report::Always)
+}
+
+/// A node started from a configuration, for programs that have signals and outputs of their own.
+#[derive(Debug)]
+pub struct ConfiguredNode {
+    /// The node.
+    pub node: NodeHandle,
+    config: NodeConfig,
+    log: Log,
+}
+
+impl ConfiguredNode {
+    /// Starts the robot of a configuration file.
+    ///
+    /// # Errors
+    /// As of [`run`], as far as the start goes.
+    pub fn start(config_path: &Path, log: Option<Log>) -> Result<Self> {
+        let configuration = read_with_places(config_path)?;
+        let log = log.unwrap_or_else(|| Log::to_stderr(&configuration.0.robot_name()));
+        Self::from_parts(configuration, config_path, log)
+    }
+
+    fn from_parts((config, places): (NodeConfig, Places), config_path: &Path, log: Log) -> Result<Self> {
+        let node = start(&config, &places, config_path, &log)
+            // Whatever names a key says where in the file that is.
+            .map_err(|error| anyhow!(places.locate(&format!("{error:#}"))))?;
+        Ok(Self { node, config, log })
+    }
+
+    /// Waits until the node has ended, without stopping it, and writes the files of `[output]` that are configured.
+    /// Nothing goes to stdout but a report that can be written nowhere else.
+    ///
+    /// # Errors
+    /// The thread of the node panicked, or a file could not be written where it was wanted: what is left of the node
+    /// comes with that.
+    pub fn join(self) -> Result<(Ended, Result<()>)> {
+        let Self { node, config, log } = self;
+        let ended = node.join()?;
+        let saved = outputs::save(&config, &ended, &log, Report::IfConfigured);
+        Ok((ended, saved))
+    }
 }
 
 /// Looks at all that can be wrong, and then starts.
