@@ -282,6 +282,7 @@ pub unsafe extern "C" fn flockmap_robot_layers(
             voxels: layer.len(),
             origin: stream.origin.0,
         });
+        #[expect(clippy::needless_collect, reason = "how many there are is said first")]
         let found: Vec<Layer> = found.collect();
         list(out, count, found.into_iter(), "layers")
     })
