@@ -282,7 +282,48 @@ pub unsafe extern "C" fn flockmap_robot_layers(
             voxels: layer.len(),
             origin: stream.origin.0,
         });
+        #[expect(clippy::needless_collect, reason = "how many there are is said first")]
         let found: Vec<Layer> = found.collect();
         list(out, count, found.into_iter(), "layers")
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_core::{Resolution, RobotConfig};
+    use std::ptr::null_mut;
+
+    #[test]
+    fn a_panic_within_poisons_the_robot_and_nothing_else() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let config = RobotConfig::new(RobotId(1), resolution, 7.0);
+        let robot = RobotHandle::boxed(Robot::new(config, Stamp(0)).unwrap());
+        let mut view = null_mut();
+        // SAFETY: handles that live until they are freed.
+        unsafe {
+            assert_eq!(flockmap_robot_view(robot, &mut view), Outcome::Ok);
+            let failed = guard("f", || {
+                let _held = lock(robot)?;
+                panic!("within")
+            });
+            assert_eq!(failed, Outcome::ErrorInternal);
+            assert_eq!(flockmap_robot_set_muted(robot, 2, 1), Outcome::ErrorPoisoned);
+            let mut state = 9;
+            let point = [0.0; 3];
+            assert_eq!(crate::flockmap_view_states(view, point.as_ptr(), 1, &mut state), Outcome::Ok);
+            assert_eq!(state, 0);
+            flockmap_robot_free(robot);
+            crate::flockmap_view_free(view);
+        }
+    }
+
+    #[test]
+    fn a_pose_of_kilometres_and_a_turn_is_one_and_a_mirror_image_is_none() {
+        let mut turned = [0.0, -1.0, 0.0, 5e3, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+        let [x, ..] = pose(&turned, "T").ok().unwrap().transform([0.0, 1.0, 0.0]);
+        assert!((x - (5e3 - 1.0)).abs() < 1e-9);
+        turned[10] = -1.0;
+        assert!(pose(&turned, "T").is_err());
+    }
 }
