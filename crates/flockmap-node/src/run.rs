@@ -12,7 +12,8 @@ use crate::kept::Kept;
 use crate::outputs::Report;
 use crate::sensor::repeated;
 use crate::{
-    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets, outputs,
+    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets,
+    outputs,
 };
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
