@@ -19,6 +19,9 @@ use crate::heights::HeightMap;
 /// Two corners in metres.
 pub(crate) type Corners = ([f64; 3], [f64; 3]);
 
+/// Indices and states of voxels.
+type Voxels<'py> = (Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<u8>>);
+
 /// Ends, voxels and distances of rays.
 type Rays<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<f64>>);
 
@@ -119,7 +122,7 @@ impl MapView {
         &self,
         py: Python<'py>,
         r#box: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<(Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<u8>>)> {
+    ) -> PyResult<Voxels<'py>> {
         let region = self.region(r#box)?;
         let (indices, states) = py.detach(|| {
             let (mut indices, mut states) = (Vec::new(), Vec::new());

@@ -9,6 +9,29 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Self
 
+__all__ = [
+    "ClosedError",
+    "Collision",
+    "ConfigError",
+    "DatagramError",
+    "DistanceField",
+    "Error",
+    "Event",
+    "FileError",
+    "Frame",
+    "Frontier",
+    "HeightMap",
+    "MapView",
+    "Node",
+    "OccupancyGrid",
+    "PoseError",
+    "Record",
+    "Robot",
+    "ScanReport",
+    "Transmits",
+    "open_record",
+]
+
 #: Seconds as a float, or nanoseconds as an int.
 _Stamp: TypeAlias = float | int
 _Path: TypeAlias = str | PathLike[str]
