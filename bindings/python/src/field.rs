@@ -92,11 +92,7 @@ impl DistanceField {
     }
 
     /// `at` for many points (N, 3): distances (N,) float64 and gradients (N, 3) float64; NaN outside of the box.
-    fn clearances<'py>(
-        &self,
-        py: Python<'py>,
-        points: &Bound<'py, PyAny>,
-    ) -> PyResult<Clearances<'py>> {
+    fn clearances<'py>(&self, py: Python<'py>, points: &Bound<'py, PyAny>) -> PyResult<Clearances<'py>> {
         let points = Points::new("points", points)?;
         let (distances, gradients) = self.read(py, |field| {
             let mut both = vec![(0.0, [0.0; 3]); points.len()];

@@ -118,11 +118,7 @@ impl MapView {
 
     /// Known voxels, of a box or all: indices (N, 3) int32 and states (N,) uint8, in no particular order.
     #[pyo3(signature = (r#box=None))]
-    fn voxels<'py>(
-        &self,
-        py: Python<'py>,
-        r#box: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<Voxels<'py>> {
+    fn voxels<'py>(&self, py: Python<'py>, r#box: Option<&Bound<'py, PyAny>>) -> PyResult<Voxels<'py>> {
         let region = self.region(r#box)?;
         let (indices, states) = py.detach(|| {
             let (mut indices, mut states) = (Vec::new(), Vec::new());
