@@ -55,7 +55,13 @@ impl Points {
         let shape = array.shape();
         if shape == [0] {
             // An empty list.
-            return Ok(Self { start: std::ptr::null(), strides: [0; 2], len: 0, kind, _owner: given.clone().unbind() });
+            return Ok(Self {
+                start: std::ptr::null(),
+                strides: [0; 2],
+                len: 0,
+                kind,
+                _owner: given.clone().unbind(),
+            });
         }
         let (&[len, 3], &[row, column]) = (shape, array.strides()) else {
             return Err(wrong(format!("an array of shape {}", shape_text(shape))));
@@ -150,8 +156,10 @@ fn as_array<'py>(what: &str, given: &Bound<'py, PyAny>) -> PyResult<Bound<'py, P
     let py = given.py();
     let options = [("dtype", "float64")].into_py_dict(py)?;
     let made = py.import("numpy")?.call_method("asarray", (given,), Some(&options));
-    let made = made.map_err(|error| Error::new_err(format!("{what}: {}, expected numbers", error.value(py))))?;
-    made.cast_into::<PyUntypedArray>().map_err(|_| Error::new_err(format!("{what}: no array, expected numbers")))
+    let made =
+        made.map_err(|error| Error::new_err(format!("{what}: {}, expected numbers", error.value(py))))?;
+    made.cast_into::<PyUntypedArray>()
+        .map_err(|_| Error::new_err(format!("{what}: no array, expected numbers")))
 }
 
 /// Three numbers, such as a position in metres.
@@ -184,8 +192,7 @@ fn whole<'py>(what: &str, given: &Bound<'py, PyAny>, expected: &str) -> PyResult
     let wrong = |found: String| Error::new_err(format!("{what}: {found}, expected {expected}"));
     let array = py.import("numpy")?.call_method1("asarray", (given,));
     let array = array.map_err(|error| wrong(error.value(py).to_string()))?;
-    let array =
-        array.cast_into::<PyUntypedArray>().map_err(|_| wrong("no array".into()))?;
+    let array = array.cast_into::<PyUntypedArray>().map_err(|_| wrong("no array".into()))?;
     let dtype = array.dtype();
     let is_whole = dtype.kind() == b'i' || (dtype.kind() == b'u' && dtype.itemsize() < 8) || array.is_empty();
     if !is_whole {

@@ -4,8 +4,18 @@ use pyo3::PyErr;
 use pyo3::create_exception;
 use pyo3::exceptions::PyValueError;
 
-create_exception!(flockmap, Error, PyValueError, "Whatever Flockmap refuses. The text says what was wrong and what to do.");
-create_exception!(flockmap, ConfigError, Error, "Options that cannot work, or a configuration that cannot be read.");
+create_exception!(
+    flockmap,
+    Error,
+    PyValueError,
+    "Whatever Flockmap refuses. The text says what was wrong and what to do."
+);
+create_exception!(
+    flockmap,
+    ConfigError,
+    Error,
+    "Options that cannot work, or a configuration that cannot be read."
+);
 create_exception!(flockmap, PoseError, Error, "A pose or a position that is none, or lies beyond the grid.");
 create_exception!(
     flockmap,

@@ -97,9 +97,7 @@ impl From<Happened> for Event {
             Happened::RunBegun(stream) => Self::of("run-begun", stream),
             Happened::SameIdentity => bare("same-identity"),
             Happened::NoncesExhausted => bare("nonces-exhausted"),
-            Happened::EncodeFailed(error) => {
-                Self { text: Some(error.to_string()), ..bare("encode-failed") }
-            }
+            Happened::EncodeFailed(error) => Self { text: Some(error.to_string()), ..bare("encode-failed") },
             other => Self { text: Some(format!("{other:?}")), ..bare("other") },
         }
     }

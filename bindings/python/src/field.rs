@@ -12,6 +12,9 @@ use crate::errors::{self, Error};
 use crate::given::{corners, obstacles, region};
 use crate::view::{Corners, MapView, rows};
 
+/// Distances, and their gradients.
+type Clearances<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>);
+
 /// For every voxel of a box, how far the nearest obstacle of the box is: Euclidean, from centre to centre, exact. Obstacles
 /// outside of the box do not count.
 ///
@@ -89,11 +92,7 @@ impl DistanceField {
     }
 
     /// `at` for many points (N, 3): distances (N,) float64 and gradients (N, 3) float64; NaN outside of the box.
-    fn clearances<'py>(
-        &self,
-        py: Python<'py>,
-        points: &Bound<'py, PyAny>,
-    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>)> {
+    fn clearances<'py>(&self, py: Python<'py>, points: &Bound<'py, PyAny>) -> PyResult<Clearances<'py>> {
         let points = Points::new("points", points)?;
         let (distances, gradients) = self.read(py, |field| {
             let mut both = vec![(0.0, [0.0; 3]); points.len()];

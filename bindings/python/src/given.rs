@@ -74,10 +74,12 @@ pub(crate) fn resolution(metres: f64) -> PyResult<Resolution> {
 
 /// A box between two corners in metres.
 pub(crate) fn region(side: Resolution, given: &Bound<'_, PyAny>) -> PyResult<VoxelBox> {
-    let expected = "expected two corners in metres, ((x, y, z), (x, y, z)), the first below the second on each axis";
+    let expected =
+        "expected two corners in metres, ((x, y, z), (x, y, z)), the first below the second on each axis";
     // An array of shape (2, 3) is one too.
     let corner = |at: usize| given.get_item(at);
-    let corners = given.len().is_ok_and(|len| len == 2).then(|| Ok((corner(0)?, corner(1)?))).and_then(PyResult::ok);
+    let corners =
+        given.len().is_ok_and(|len| len == 2).then(|| Ok((corner(0)?, corner(1)?))).and_then(PyResult::ok);
     let (low, high) = corners.ok_or_else(|| Error::new_err(format!("box: not a pair, {expected}")))?;
     let (low, high) = (triple("box", &low)?, triple("box", &high)?);
     box_between(side, low, high)

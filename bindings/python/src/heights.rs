@@ -29,7 +29,10 @@ impl HeightMap {
     fn known<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
         let [height, width] = self.shape();
         let known: Vec<bool> = py.detach(|| {
-            (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| self.0.is_known(x, y)).collect()
+            (0..height)
+                .flat_map(|y| (0..width).map(move |x| (x, y)))
+                .map(|(x, y)| self.0.is_known(x, y))
+                .collect()
         });
         known.into_pyarray(py).reshape(self.shape())
     }

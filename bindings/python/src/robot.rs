@@ -5,7 +5,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use flockmap::sync::SwarmKey;
 use flockmap::{
-    Destination, MapperConfig, RobotConfig, RobotId, Scan, Stamp, States, StatesUpdate, Voxel, VoxelBox, epoch,
+    Destination, MapperConfig, RobotConfig, RobotId, Scan, Stamp, States, StatesUpdate, Voxel, VoxelBox,
+    epoch,
 };
 use flockmap_node::{KEY_VARIABLE, NodeConfig};
 use numpy::PyArray2;
@@ -95,12 +96,7 @@ impl Robot {
     /// epoch, now: as above.
     #[staticmethod]
     #[pyo3(signature = (config, *, epoch=None, now=Time(Stamp(0))))]
-    fn from_toml(
-        py: Python<'_>,
-        config: &Bound<'_, PyAny>,
-        epoch: Option<u64>,
-        now: Time,
-    ) -> PyResult<Self> {
+    fn from_toml(py: Python<'_>, config: &Bound<'_, PyAny>, epoch: Option<u64>, now: Time) -> PyResult<Self> {
         let (config, path) = match Toml::of(config)? {
             Toml::Text(text) => (text.parse::<NodeConfig>().map_err(errors::config)?, PathBuf::new()),
             Toml::File(path) => (py.detach(|| NodeConfig::read(&path)).map_err(errors::config)?, path),
@@ -112,19 +108,20 @@ impl Robot {
         let (alignments, offsets) =
             (config.alignments().map_err(errors::config)?, config.clock_offsets().map_err(errors::config)?);
         let made = Self::make(py, robot, now)?;
-        made.robot.with(py, |robot| {
-            for (origin, pose) in &alignments {
-                robot.set_alignment(*origin, pose)?;
-            }
-            for (origin, micros) in offsets {
-                robot.set_clock_offset(origin, Some(micros));
-            }
-            for origin in &config.muted {
-                robot.set_muted(*origin, true);
-            }
-            Ok(())
-        })?
-        .map_err(|error: flockmap::PoseError| errors::pose(error))?;
+        made.robot
+            .with(py, |robot| {
+                for (origin, pose) in &alignments {
+                    robot.set_alignment(*origin, pose)?;
+                }
+                for (origin, micros) in offsets {
+                    robot.set_clock_offset(origin, Some(micros));
+                }
+                for origin in &config.muted {
+                    robot.set_muted(*origin, true);
+                }
+                Ok(())
+            })?
+            .map_err(|error: flockmap::PoseError| errors::pose(error))?;
         Ok(made)
     }
 
@@ -217,7 +214,13 @@ impl Robot {
             let expected = "expected (X, Y, Z) of at least 1 voxel each, within the grid from low on";
             Error::new_err(format!("states: shape {shape:?} from {low:?} on, {expected}"))
         })?;
-        self.update(py, (stamp, now), sensor, resolution, States::Box { region, states: &states, clear_unknown })
+        self.update(
+            py,
+            (stamp, now),
+            sensor,
+            resolution,
+            States::Box { region, states: &states, clear_unknown },
+        )
     }
 
     /// Takes in a datagram of a team-mate.
@@ -246,9 +249,7 @@ impl Robot {
 
     /// The events since the last call, oldest first; 1,024 are kept.
     fn events(&self, py: Python<'_>) -> PyResult<Vec<Event>> {
-        self.robot.with(py, |robot| {
-            core::iter::from_fn(|| robot.poll_event()).map(Event::from).collect()
-        })
+        self.robot.with(py, |robot| core::iter::from_fn(|| robot.poll_event()).map(Event::from).collect())
     }
 
     /// Closes the batch now, with whatever has changed.
@@ -270,7 +271,9 @@ impl Robot {
     #[pyo3(signature = (origin, seconds))]
     fn set_clock_offset(&self, py: Python<'_>, origin: u16, seconds: Option<f64>) -> PyResult<()> {
         if seconds.is_some_and(|seconds| !seconds.is_finite()) {
-            return Err(Error::new_err("seconds is not finite, expected how far the clock is ahead, or None"));
+            return Err(Error::new_err(
+                "seconds is not finite, expected how far the clock is ahead, or None",
+            ));
         }
         let micros = seconds.map(|seconds| (seconds * 1e6).round() as i64);
         self.robot.with(py, |robot| robot.set_clock_offset(RobotId(origin), micros))
@@ -401,9 +404,9 @@ impl Robot {
         let sensor = sensor.map(|given| triple("sensor", given)).transpose()?;
         let now = now.map_or(stamp.0, |now| now.0);
         let update = StatesUpdate { stamp: stamp.0, resolution, sensor, states };
-        let report = self.robot.with(py, |robot| {
-            robot.insert_states(now, &update).map(|report| ScanReport::from(&report))
-        })?;
+        let report = self
+            .robot
+            .with(py, |robot| robot.insert_states(now, &update).map(|report| ScanReport::from(&report)))?;
         report.map_err(errors::refused)
     }
 }
@@ -492,7 +495,9 @@ impl Toml {
             }
         }
         given.extract::<PathBuf>().map(Self::File).map_err(|_| {
-            ConfigError::new_err("expected the path of a TOML file, or a text of TOML (a str with a line break)")
+            ConfigError::new_err(
+                "expected the path of a TOML file, or a text of TOML (a str with a line break)",
+            )
         })
     }
 }
@@ -509,7 +514,8 @@ fn swarm_key(given: &Bound<'_, PyAny>) -> PyResult<SwarmKey> {
         })?;
         return Ok(SwarmKey::from_bytes(bytes));
     }
-    let text: String = given.extract().map_err(|_| ConfigError::new_err("key: expected 32 bytes, or a text"))?;
+    let text: String =
+        given.extract().map_err(|_| ConfigError::new_err("key: expected 32 bytes, or a text"))?;
     text.parse().map_err(|error| errors::config(format!("key: {error}")))
 }
 

@@ -19,6 +19,9 @@ use crate::heights::HeightMap;
 /// Two corners in metres.
 pub(crate) type Corners = ([f64; 3], [f64; 3]);
 
+/// Indices and states of voxels.
+type Voxels<'py> = (Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<u8>>);
+
 /// Ends, voxels and distances of rays.
 type Rays<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<f64>>);
 
@@ -51,9 +54,11 @@ impl MapView {
             return Err(Error::new_err(text));
         }
         let limit = flockmap::grid::VOXEL_LIMIT;
-        let is_within = |v: &Voxel| [v.x, v.y, v.z].iter().all(|at| at.unsigned_abs() <= limit.unsigned_abs());
+        let is_within =
+            |v: &Voxel| [v.x, v.y, v.z].iter().all(|at| at.unsigned_abs() <= limit.unsigned_abs());
         if let Some(voxel) = voxels.iter().find(|voxel| !is_within(voxel)) {
-            let text = format!("indices: voxel {voxel:?} lies beyond the grid, which goes to ±{limit} on each axis");
+            let text =
+                format!("indices: voxel {voxel:?} lies beyond the grid, which goes to ±{limit} on each axis");
             return Err(Error::new_err(text));
         }
         Ok(py.detach(|| Self::of(side, voxels.into_iter().zip(states))))
@@ -95,11 +100,7 @@ impl MapView {
     ///
     /// xyz: (N, 3) float32 or float64, metres. Returns (N,) uint8: 0 Unknown, 1 Free, 2 Occupied. Unknown too where there
     /// are no voxels, and for what is no number.
-    fn states<'py>(
-        &self,
-        py: Python<'py>,
-        xyz: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray1<u8>>> {
+    fn states<'py>(&self, py: Python<'py>, xyz: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<u8>>> {
         let points = Points::new("xyz", xyz)?;
         let numbers = py.detach(|| {
             let mut numbers = vec![0; points.len()];
@@ -117,11 +118,7 @@ impl MapView {
 
     /// Known voxels, of a box or all: indices (N, 3) int32 and states (N,) uint8, in no particular order.
     #[pyo3(signature = (r#box=None))]
-    fn voxels<'py>(
-        &self,
-        py: Python<'py>,
-        r#box: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<(Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<u8>>)> {
+    fn voxels<'py>(&self, py: Python<'py>, r#box: Option<&Bound<'py, PyAny>>) -> PyResult<Voxels<'py>> {
         let region = self.region(r#box)?;
         let (indices, states) = py.detach(|| {
             let (mut indices, mut states) = (Vec::new(), Vec::new());
@@ -171,7 +168,8 @@ impl MapView {
         let ((a, _), (b, _)) = (Points::one_or_many("a", a)?, Points::one_or_many("b", b)?);
         let count = if a.len() == 1 { b.len() } else { a.len() };
         if b.len() != count && b.len() != 1 {
-            let text = format!("a has {} points and b has {}, expected as many, or one of them", a.len(), b.len());
+            let text =
+                format!("a has {} points and b has {}, expected as many, or one of them", a.len(), b.len());
             return Err(Error::new_err(text));
         }
         let cast = py.detach(|| {
@@ -194,7 +192,8 @@ impl MapView {
             }
             Ok(found)
         });
-        let (states, voxels, metres) = cast.map_err(|error: flockmap_plan::QuestionError| errors::refused(error))?;
+        let (states, voxels, metres) =
+            cast.map_err(|error: flockmap_plan::QuestionError| errors::refused(error))?;
         Ok((states.into_pyarray(py), rows(py, voxels)?, metres.into_pyarray(py)))
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,11 +129,11 @@ class BlockMap:
                 states[part] = self._states(self._lookup, points[part])
         return states
 
-    def _states(self, lookup: _Lookup, points: NDArray) -> NDArray[np.uint8]:
+    def _states(self, lookup: _Lookup, points: NDArray[Any]) -> NDArray[np.uint8]:
         # Beyond this there are no voxels; what is no number is there as well.
         with np.errstate(invalid="ignore", over="ignore"):
             place = np.floor(points.astype(np.float64) * (1e6 / self._micrometres))
-            is_voxel = (np.abs(place) <= 2.0**28).all(axis=1)
+            is_voxel: NDArray[np.bool_] = np.all(np.abs(place) <= 2.0**28, axis=1)
         voxels = np.where(is_voxel[:, None], place, 0.0).astype(np.int64)
         rows = lookup.rows(voxels >> 3)
         is_known = is_voxel & (rows >= 0)

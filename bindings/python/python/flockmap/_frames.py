@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +124,14 @@ class Splitter:
 
 def parse(kind: int, body: bytes) -> Frame | None:
     """A frame; None if it is of a kind that is not known here."""
-    parsers = {1: _hello, 2: _blocks, 3: _begin_anew, 4: _poses, 5: _counters, 6: _end}
+    parsers: dict[int, Callable[[_Reader], Frame]] = {
+        1: _hello,
+        2: _blocks,
+        3: _begin_anew,
+        4: _poses,
+        5: _counters,
+        6: _end,
+    }
     return parsers[kind](_Reader(body)) if kind in parsers else None
 
 
@@ -132,7 +141,7 @@ class _Reader:
     def __init__(self, body: bytes) -> None:
         self.body, self.at = body, 0
 
-    def take(self, form: str, what: str) -> tuple:
+    def take(self, form: str, what: str) -> tuple[Any, ...]:
         form = "<" + form
         end = self.at + struct.calcsize(form)
         if end > len(self.body):

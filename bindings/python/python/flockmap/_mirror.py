@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import selectors
 import socket
 import threading
 import time
@@ -64,11 +65,14 @@ class MirrorMap:
 
     def occupied_points(self) -> NDArray[np.float64]:
         """Centres of the Occupied voxels: (N, 3), metres."""
-        return (self._blocks.voxels(OCCUPIED) + 0.5) * self.resolution
+        return self._centres(OCCUPIED)
 
     def free_points(self) -> NDArray[np.float64]:
         """Centres of the Free voxels: (N, 3), metres."""
-        return (self._blocks.voxels(FREE) + 0.5) * self.resolution
+        return self._centres(FREE)
+
+    def _centres(self, state: int) -> NDArray[np.float64]:
+        return (self._blocks.voxels(state).astype(np.float64) + 0.5) * self.resolution
 
     def bounding_box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
         """Corners in metres of the smallest box that holds every known voxel; None if nothing is known."""
@@ -303,8 +307,6 @@ def _target(address: str) -> tuple[socket.AddressFamily, str | tuple[str, int]]:
 
 def _readable(sockets: list[socket.socket], timeout: float) -> list[socket.socket]:
     """Those that have something to read, or have ended. Not by `select`, which takes no file numbers beyond 1,023."""
-    import selectors
-
     with selectors.DefaultSelector() as selector:
         for one in sockets:
             selector.register(one, selectors.EVENT_READ)
