@@ -115,6 +115,11 @@ fn bench(c: &mut Criterion) {
     c.bench_function("an aligned box of 97 × 97 × 97 blocks, Unknown", |b| {
         b.iter(|| collision.aligned_box([21.65; 3], [99.15; 3]).unwrap());
     });
+    // Where all is an obstacle, the most cubes are near.
+    let cautious = Collision::new(&map, Obstacles::NotFree);
+    c.bench_function("a sphere of 38 m swept over 10 m, in the Unknown", |b| {
+        b.iter(|| cautious.swept_sphere([110.0; 3], [100.0, 110.0, 110.0], 38.0).unwrap());
+    });
     c.bench_function("10,000 oriented boxes of 0.6 × 0.4 × 0.3 m", |b| {
         b.iter(|| {
             let meets = |at: &&[f64; 3]| {

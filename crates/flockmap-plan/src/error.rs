@@ -1,6 +1,6 @@
 //! Why a question about a map has no answer.
 
-/// Blocks that one question may look at: 50 ms or so.
+/// Blocks that one question may look at: 0.1 s or so, whatever is in them.
 pub const QUESTION_BLOCKS_MAX: u64 = 1 << 20;
 
 /// Why a question about a map has no answer.

@@ -69,8 +69,7 @@ impl<'a> Collision<'a> {
         }
         let body = OrientedBox::new(pose, half_m);
         let (low, high) = body.bounds();
-        let side = self.view.resolution().metres();
-        self.first_in(&self.region(&[low, high], 0.0)?, |voxel| body.meets(&Cube::of(voxel, side)))
+        self.first_in(&self.region(&[low, high], 0.0)?, |cube| body.meets(cube))
     }
 
     /// What a sphere meets first on the straight way of its centre. Of obstacles met at the same time, the one with
@@ -146,14 +145,24 @@ impl<'a> Collision<'a> {
             let [start, end] = [piece, piece + 1].map(|at| at as f64 / pieces);
             let at = |share: f64| core::array::from_fn(|axis| from[axis] + (to[axis] - from[axis]) * share);
             let region = self.region(&[at(start), at(end)], radius_m)?;
-            for index in region.blocks() {
-                // A little larger, so that rounding loses nothing.
-                let block = Cube::of_block(index, side).grown(side * 1e-6);
-                let sooner = |share: f64| first.is_none_or(|(best, _)| share <= best);
-                if !first_touch(from, to, &block, radius_m).is_some_and(sooner) {
-                    continue;
+            // In the order in which the sphere reaches them: most need not be looked into.
+            let mut reached: Vec<(f64, BlockIndex)> = region
+                .blocks()
+                .filter(|index| self.obstacles_of(*index, &region).next().is_some())
+                .filter_map(|index| {
+                    Some((first_touch(from, to, &Cube::around(index, side), radius_m)?, index))
+                })
+                .collect();
+            reached.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            for (share, index) in reached {
+                if first.is_some_and(|best| best < (share, index.corner())) {
+                    break;
                 }
                 for voxel in self.obstacles_of(index, &region) {
+                    // Where it stands in obstacles, most of them are behind the one that is known.
+                    if first.is_some_and(|best| best <= (share, voxel)) {
+                        continue;
+                    }
                     if let Some(share) = first_touch(from, to, &Cube::of(voxel, side), radius_m)
                         && first.is_none_or(|best| (share, voxel) < best)
                     {
@@ -172,14 +181,18 @@ impl<'a> Collision<'a> {
     fn first_in(
         &self,
         region: &VoxelBox,
-        mut meets: impl FnMut(Voxel) -> bool,
+        meets: impl Fn(&Cube) -> bool,
     ) -> Result<Option<Voxel>, QuestionError> {
         let blocks: f64 = region.size().iter().map(|size| f64::from(*size) / 8.0 + 2.0).product();
         if blocks > QUESTION_BLOCKS_MAX as f64 {
             return Err(QuestionError::TooLarge { blocks });
         }
-        let mut all = region.blocks().flat_map(|index| self.obstacles_of(index, region));
-        Ok(all.find(|voxel| meets(*voxel)))
+        let side = self.view.resolution().metres();
+        let reached = region.blocks().filter(|index| {
+            self.obstacles_of(*index, region).next().is_some() && meets(&Cube::around(*index, side))
+        });
+        let mut all = reached.flat_map(|index| self.obstacles_of(index, region));
+        Ok(all.find(|voxel| meets(&Cube::of(*voxel, side))))
     }
 
     fn obstacles_of(&self, index: BlockIndex, region: &VoxelBox) -> impl Iterator<Item = Voxel> + use<> {

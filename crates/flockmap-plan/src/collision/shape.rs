@@ -14,12 +14,11 @@ impl Cube {
         Self { low: at.map(|at| f64::from(at) * side), high: at.map(|at| f64::from(at + 1) * side) }
     }
 
-    pub(super) fn of_block(index: BlockIndex, side: f64) -> Self {
-        Self::of(Voxel::new(index.x, index.y, index.z), side * f64::from(BLOCK_SIDE))
-    }
-
-    pub(super) fn grown(self, by: f64) -> Self {
-        Self { low: self.low.map(|at| at - by), high: self.high.map(|at| at + by) }
+    /// A block, a little larger, so that rounding loses none of its voxels.
+    pub(super) fn around(index: BlockIndex, side: f64) -> Self {
+        let block = Self::of(Voxel::new(index.x, index.y, index.z), side * f64::from(BLOCK_SIDE));
+        let more = side * 1e-6;
+        Self { low: block.low.map(|at| at - more), high: block.high.map(|at| at + more) }
     }
 }
 
