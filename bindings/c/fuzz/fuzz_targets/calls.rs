@@ -461,7 +461,7 @@ fn call(input: &mut Input<'_>, handles: &mut Handles) -> Outcome {
             }
             38 => {
                 let region = input.region();
-                if region.size.iter().map(|&side| u64::from(side)).product::<u64>() > 1 << 20 {
+                if region.size.iter().map(|&side| u128::from(side)).product::<u128>() > 1 << 20 {
                     return Outcome::None; // well, but too slow to fuzz
                 }
                 let mut made = null_mut();
