@@ -20,7 +20,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// A node: what `flockmap node --config` runs, in this process. It starts at once, on threads of its own.
 ///
 /// As a context manager it is stopped at the end, also on Ctrl-C: it closes its batch, sends what is left, and writes the files
-/// of `[output]`.
+/// of `[output]`. A node that is let go of without `stop` ends too, and writes nothing.
 #[pyclass(frozen, module = "flockmap", name = "Node", weakref)]
 pub(crate) struct Node {
     name: String,

@@ -69,8 +69,7 @@ impl ConfiguredNode {
     /// Nothing goes to stdout but a report that can be written nowhere else.
     ///
     /// # Errors
-    /// The thread of the node panicked, or a file could not be written where it was wanted: what is left of the node
-    /// comes with that.
+    /// The thread of the node panicked. The inner result says which file could not be written where it was wanted.
     pub fn join(self) -> Result<(Ended, Result<()>)> {
         let Self { node, config, log } = self;
         let ended = node.join()?;
