@@ -8,8 +8,8 @@ use flockmap_io::{ExportOptions, export_map, read_map};
 
 use crate::args::{Args, flag, handle, one, text};
 use crate::result::{Failure, Outcome, guard};
-use crate::states::resolution;
 use crate::view::View;
+use crate::voxel::resolution;
 
 /// Writes a map by the ending of the path: .ply or .pcd with the centre of each voxel, or an OctoMap .bt. Equal maps give
 /// equal files; a file that is there is replaced.

@@ -15,6 +15,7 @@ mod robot;
 mod states;
 mod transport;
 mod view;
+mod voxel;
 
 pub use collision::*;
 pub use event::*;
@@ -28,3 +29,4 @@ pub use robot::*;
 pub use states::*;
 pub use transport::*;
 pub use view::*;
+pub use voxel::*;

@@ -1,56 +1,17 @@
 //! States of voxels from a mapper elsewhere, in place of scans.
 
-use flockmap_core::{Resolution, Stamp, State, States, StatesError, StatesUpdate, Voxel, VoxelBox};
+use flockmap_core::{Stamp, State, States, StatesError, StatesUpdate, Voxel, VoxelBox};
 
 use crate::args::{Args, flag, handle};
 use crate::result::{Failure, Outcome, guard};
 use crate::robot::{Report, RobotHandle};
-
-/// What is known of a voxel, as an uint8_t in arrays.
-#[repr(i32)]
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum VoxelState {
-    /// Never observed, or observed without a decision.
-    Unknown = 0,
-    /// Observed to be empty.
-    Free = 1,
-    /// Observed to hold an obstacle.
-    Occupied = 2,
-}
-
-/// As a byte.
-pub(crate) const fn byte_of(state: State) -> u8 {
-    match state {
-        State::Unknown => 0,
-        State::Free => 1,
-        State::Occupied => 2,
-    }
-}
-
-fn state_of(at: usize, byte: u8) -> Result<State, Failure> {
-    match byte {
-        0 => Ok(State::Unknown),
-        1 => Ok(State::Free),
-        2 => Ok(State::Occupied),
-        _ => Err(Failure::argument(format_args!(
-            "states[{at}] is {byte}, expected a flockmap_voxel_state, 0 to 2"
-        ))),
-    }
-}
+use crate::voxel::{resolution, state_of};
 
 fn refused(error: StatesError) -> Failure {
     match error {
         StatesError::TooMany { .. } => Failure::new(Outcome::ErrorTooLarge, error),
         _ => Failure::argument(error),
     }
-}
-
-pub(crate) fn resolution(metres: f64) -> Result<Resolution, Failure> {
-    Resolution::from_metres(metres).ok_or_else(|| {
-        Failure::argument(format_args!(
-            "resolution_m is {metres}, expected the side of a voxel, 0.001 to 100"
-        ))
-    })
 }
 
 fn place(sensor: &[f64]) -> Option<[f64; 3]> {

@@ -6,7 +6,7 @@ use flockmap_plan::box_between;
 
 use crate::args::{Args, flag, handle, list, one};
 use crate::result::{Failure, Outcome, guard};
-use crate::states::{byte_of, resolution};
+use crate::voxel::{byte_of, resolution};
 
 /// Questions that are answered at a time, in memory of a fixed size.
 const CHUNK: usize = 1_024;

@@ -1,10 +1,13 @@
-//! Arrays in: points, voxels and states as numpy has them.
+//! Arrays in, and rows out: points, voxels and states as numpy has them.
 //!
 //! What is read is copied piece by piece, from any strides, so that a call neither needs a contiguous array nor holds
 //! a second one. The GIL is not held meanwhile. If another thread writes to the array in that time, some of the
 //! numbers are old and some new; each of them is a number all the same, and every number is checked where it is used.
 
-use numpy::{PyArray1, PyArrayDescrMethods, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods, dtype};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArrayDescrMethods, PyArrayMethods, PyUntypedArray,
+    PyUntypedArrayMethods, dtype,
+};
 use pyo3::prelude::*;
 use pyo3::types::IntoPyDict;
 
@@ -202,7 +205,7 @@ fn whole<'py>(what: &str, given: &Bound<'py, PyAny>, expected: &str) -> PyResult
 }
 
 /// Indices of voxels: whole numbers of shape (N, 3).
-pub(crate) fn voxels(what: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<Voxel>> {
+fn voxels(what: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<Voxel>> {
     const EXPECTED: &str = "whole numbers of shape (N, 3) within 32 bits";
     let array = whole(what, given, EXPECTED)?;
     let shape = array.cast::<PyUntypedArray>()?.shape().to_vec();
@@ -236,6 +239,26 @@ pub(crate) fn states(what: &str, given: &Bound<'_, PyAny>) -> PyResult<(Vec<usiz
         other => Err(Error::new_err(format!("{what}: a state of {other}, expected {EXPECTED}"))),
     };
     Ok((shape, numbers.into_iter().map(state).collect::<PyResult<_>>()?))
+}
+
+/// Indices of voxels, (N, 3), and a state for each, (N,).
+pub(crate) fn voxels_with_states(
+    indices: &Bound<'_, PyAny>,
+    given: &Bound<'_, PyAny>,
+) -> PyResult<Vec<(Voxel, State)>> {
+    let voxels = voxels("indices", indices)?;
+    let (shape, states) = states("states", given)?;
+    if shape != [voxels.len()] {
+        let text = format!("states: shape {shape:?}, expected [{}] as there are indices", voxels.len());
+        return Err(Error::new_err(text));
+    }
+    Ok(voxels.into_iter().zip(states).collect())
+}
+
+/// Rows of three as an array of (N, 3), without a copy.
+pub(crate) fn rows<T: numpy::Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Bound<'_, PyArray2<T>>> {
+    let count = rows.len();
+    rows.into_flattened().into_pyarray(py).reshape([count, 3])
 }
 
 /// The number of a state in arrays.

@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use crate::arrays::{Points, triple};
 use crate::errors;
 use crate::given::{obstacles, pose};
-use crate::view::MapView;
+use crate::map_view::MapView;
 
 /// Whether bodies collide with the obstacles of a view, as full cubes; exact. Touching counts. Metres, in the frame of the
 /// map. A question that would look at more than 2²⁰ blocks of 8³ voxels is refused.

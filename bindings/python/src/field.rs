@@ -7,10 +7,10 @@ use flockmap_plan::{FieldConfig, Updated};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 
-use crate::arrays::{Points, triple};
+use crate::arrays::{Points, rows, triple};
 use crate::errors::{self, Error};
-use crate::given::{corners, obstacles, region};
-use crate::view::{Corners, MapView, rows};
+use crate::given::{Corners, corners, obstacles, region};
+use crate::map_view::MapView;
 
 /// Distances, and their gradients.
 type Clearances<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>);

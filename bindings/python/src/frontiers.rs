@@ -6,9 +6,9 @@ use flockmap_plan::{FrontierConfig, frontier_cells};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 
+use crate::arrays::rows;
 use crate::errors::{self, Error};
-use crate::given::corners;
-use crate::view::{Corners, rows};
+use crate::given::{Corners, corners};
 
 /// Free voxels beside Unknown ones, near each other.
 #[pyclass(frozen, module = "flockmap", name = "Frontier")]

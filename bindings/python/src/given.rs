@@ -86,8 +86,11 @@ pub(crate) fn region(side: Resolution, given: &Bound<'_, PyAny>) -> PyResult<Vox
         .ok_or_else(|| Error::new_err(format!("box: from {low:?} to {high:?}, {expected}, within the grid")))
 }
 
+/// Two corners in metres.
+pub(crate) type Corners = ([f64; 3], [f64; 3]);
+
 /// The lower and the upper corner of a box in metres.
-pub(crate) fn corners(side: Resolution, region: &VoxelBox) -> ([f64; 3], [f64; 3]) {
+pub(crate) fn corners(side: Resolution, region: &VoxelBox) -> Corners {
     let metres = |index: i32| (i64::from(index) * i64::from(side.micrometres())) as f64 / 1e6;
     let (low, high) = (region.min(), region.max());
     ([low.x, low.y, low.z].map(metres), [high.x, high.y, high.z].map(|index| metres(index + 1)))

@@ -15,6 +15,7 @@ mod frontiers;
 mod given;
 mod grid;
 mod heights;
+mod map_view;
 mod node;
 mod records;
 mod robot;
@@ -40,11 +41,11 @@ mod _flockmap {
     #[pymodule_export]
     use crate::heights::HeightMap;
     #[pymodule_export]
+    use crate::map_view::MapView;
+    #[pymodule_export]
     use crate::node::Node;
     #[pymodule_export]
     use crate::records::{Frame, Record, open_record};
     #[pymodule_export]
     use crate::robot::{Robot, ScanReport, Transmits};
-    #[pymodule_export]
-    use crate::view::MapView;
 }

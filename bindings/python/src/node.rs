@@ -10,9 +10,9 @@ use pyo3::types::PyDict;
 
 use crate::errors::{self, ClosedError, ConfigError, Error};
 use crate::given::pose;
+use crate::map_view::MapView;
 use crate::shared::Shared;
 use crate::values::to_python;
-use crate::view::MapView;
 
 /// How long the node is waited for between two looks at Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);

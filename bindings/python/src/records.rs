@@ -6,10 +6,10 @@ use flockmap_io::RecordOptions;
 use numpy::{PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 
+use crate::arrays::rows;
 use crate::errors::{self, Error};
 use crate::given::pose_rows;
 use crate::shared::Shared;
-use crate::view::rows;
 
 /// Stamps (N,) in seconds, and poses (N, 4, 4).
 type Track<'py> = (Vec<f64>, Bound<'py, PyArray3<f64>>);

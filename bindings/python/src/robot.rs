@@ -13,13 +13,13 @@ use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyString};
 
-use crate::arrays::{Points, states, triple, voxels};
+use crate::arrays::{Points, states, triple, voxels_with_states};
 use crate::errors::{self, ConfigError, DatagramError, Error};
 use crate::event::Event;
 use crate::given::{Time, named, pose, pose_rows, resolution};
+use crate::map_view::MapView;
 use crate::shared::Shared;
 use crate::values::to_python;
-use crate::view::MapView;
 
 /// A robot of a swarm: keeps its own map from its scans, gives datagrams for the others, takes theirs, and fuses what
 /// all have seen into one map. It knows no sockets, threads or clocks.
@@ -174,13 +174,7 @@ impl Robot {
         resolution: Option<f64>,
         now: Option<Time>,
     ) -> PyResult<ScanReport> {
-        let voxels = voxels("indices", indices)?;
-        let (shape, states) = self::states("states", states)?;
-        if shape != [voxels.len()] {
-            let text = format!("states: shape {shape:?}, expected [{}] as there are indices", voxels.len());
-            return Err(Error::new_err(text));
-        }
-        let pairs: Vec<(Voxel, flockmap::State)> = voxels.into_iter().zip(states).collect();
+        let pairs = voxels_with_states(indices, states)?;
         self.update(py, (stamp, now), sensor, resolution, States::Voxels(&pairs))
     }
 

@@ -1,37 +1,27 @@
-//! The fused map at one moment.
+//! What is asked of a map.
 
 use std::path::PathBuf;
 
 use flockmap::{RayEnd, State, Voxel, VoxelBox};
 use flockmap_io::{ExportOptions, export_map};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::arrays::{Points, number_of, states, voxels};
+use crate::arrays::{Points, number_of, rows, voxels_with_states};
 use crate::collision::Collision;
 use crate::errors::{self, Error};
 use crate::field::DistanceField;
 use crate::frontiers::{Frontier, frontier_voxels, frontiers};
-use crate::given::{columns, corners, region, resolution};
+use crate::given::{Corners, columns, corners, region, resolution};
 use crate::grid::OccupancyGrid;
 use crate::heights::HeightMap;
-
-/// Two corners in metres.
-pub(crate) type Corners = ([f64; 3], [f64; 3]);
+use crate::map_view::MapView;
 
 /// Indices and states of voxels.
 type Voxels<'py> = (Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<u8>>);
 
 /// Ends, voxels and distances of rays.
 type Rays<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<f64>>);
-
-/// The map of a robot at one moment: voxels that are Unknown (0), Free (1) or Occupied (2). It stays as it is while the
-/// robot goes on, and outlives it.
-///
-/// Positions are metres in the frame of the robot's map. Voxel (i, j, k) is the cube from (i, j, k) · resolution on. A
-/// `box` is a pair of corners in metres, ((x, y, z), (x, y, z)), the first below the second on each axis.
-#[pyclass(frozen, module = "flockmap", name = "MapView")]
-pub(crate) struct MapView(pub(crate) flockmap::MapView);
 
 #[pymethods]
 impl MapView {
@@ -47,21 +37,16 @@ impl MapView {
         states: &Bound<'_, PyAny>,
     ) -> PyResult<Self> {
         let side = self::resolution(resolution)?;
-        let voxels = voxels("indices", indices)?;
-        let (shape, states) = self::states("states", states)?;
-        if shape != [voxels.len()] {
-            let text = format!("states: shape {shape:?}, expected [{}] as there are indices", voxels.len());
-            return Err(Error::new_err(text));
-        }
+        let voxels = voxels_with_states(indices, states)?;
         let limit = flockmap::grid::VOXEL_LIMIT;
         let is_within =
             |v: &Voxel| [v.x, v.y, v.z].iter().all(|at| at.unsigned_abs() <= limit.unsigned_abs());
-        if let Some(voxel) = voxels.iter().find(|voxel| !is_within(voxel)) {
+        if let Some((voxel, _)) = voxels.iter().find(|(voxel, _)| !is_within(voxel)) {
             let text =
                 format!("indices: voxel {voxel:?} lies beyond the grid, which goes to ±{limit} on each axis");
             return Err(Error::new_err(text));
         }
-        Ok(py.detach(|| Self::of(side, voxels.into_iter().zip(states))))
+        Ok(py.detach(|| Self::of(side, voxels.into_iter())))
     }
 
     /// Reads a map: an OctoMap `.bt`, a `.ply` or `.pcd` that `save` wrote, or a point cloud (`.ply`, `.pcd`, `.las`, `.laz`),
@@ -341,10 +326,4 @@ impl MapView {
         });
         rows(py, centres)
     }
-}
-
-/// Rows of three as an array of (N, 3), without a copy.
-pub(crate) fn rows<T: numpy::Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Bound<'_, PyArray2<T>>> {
-    let count = rows.len();
-    rows.into_flattened().into_pyarray(py).reshape([count, 3])
 }
