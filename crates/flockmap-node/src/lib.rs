@@ -54,9 +54,9 @@ mod warnings;
 
 pub use clock::Clock;
 pub use config::{
-    AlignmentSection, Behaviour, CodecSection, ConfigError, EXAMPLE, FoundKey, KEY_VARIABLE,
-    MapOutputSection, MetricsSection, NodeConfig, OutputSection, Secret, SensorSection, StateSection,
-    StoreSection, TeammatesSection, schema,
+    AlignmentSection, Behaviour, CodecSection, ConfigError, Configuration, EXAMPLE, FoundKey, KEY_VARIABLE,
+    MapOutputSection, MetricsSection, NodeConfig, OutputSection, RosPoses, RosSection, Secret, SensorSection,
+    StateSection, StoreSection, TeammatesSection, schema,
 };
 pub use flockmap_io::{Frame, Frames};
 pub use flockmap_store as store;

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use flockmap::sync::SwarmKey;
 use flockmap_io::{RecordOptions, open_record};
 
-use crate::config::{Places, check_applies, read_with_places, seconds, speed, within};
+use crate::config::{Configuration, check_applies, seconds, speed, within};
 use crate::kept::Kept;
 use crate::outputs::Report;
 use crate::sensor::repeated;
@@ -23,15 +23,15 @@ use crate::{
 /// A configuration that cannot work, named by its key; a socket or file that cannot be opened. At the end, a
 /// file that could not be written where it was wanted: the text says where it is in place of that.
 pub fn run(config_path: &Path) -> Result<()> {
-    let configuration = read_with_places(config_path)?;
-    let log = Log::to_stderr(&configuration.0.robot_name());
+    let configuration = Configuration::read(config_path)?;
+    let log = Log::to_stderr(&configuration.config.robot_name());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     // Signals count from here on, also while the node starts.
     let signals = {
         let _context = runtime.enter();
         Signals::new().context("cannot listen to signals")?
     };
-    let node = ConfiguredNode::from_parts(configuration, config_path, log)?;
+    let node = ConfiguredNode::start_with(configuration, None, log)?;
     runtime.block_on(until_ended(&node.node, signals, &node.log));
     let (config, log) = (node.config, node.log);
     let ended = node.node.join()?;
@@ -53,16 +53,21 @@ impl ConfiguredNode {
     /// # Errors
     /// As of [`run`], as far as the start goes.
     pub fn start(config_path: &Path, log: Option<Log>) -> Result<Self> {
-        let configuration = read_with_places(config_path)?;
-        let log = log.unwrap_or_else(|| Log::to_stderr(&configuration.0.robot_name()));
-        Self::from_parts(configuration, config_path, log)
+        let configuration = Configuration::read(config_path)?;
+        let log = log.unwrap_or_else(|| Log::to_stderr(&configuration.config.robot_name()));
+        Self::start_with(configuration, None, log)
     }
 
-    fn from_parts((config, places): (NodeConfig, Places), config_path: &Path, log: Log) -> Result<Self> {
-        let node = start(&config, &places, config_path, &log)
+    /// Starts the robot of a configuration that was read. Its scans come from `sensor` if that is given, and from what
+    /// `[sensor]` says if not.
+    ///
+    /// # Errors
+    /// As of [`Self::start`]; and a source of scans in `[sensor]` beside the one that is given.
+    pub fn start_with(configuration: Configuration, sensor: Option<Sensor>, log: Log) -> Result<Self> {
+        let node = start(&configuration, sensor, &log)
             // Whatever names a key says where in the file that is.
-            .map_err(|error| anyhow!(places.locate(&format!("{error:#}"))))?;
-        Ok(Self { node, config, log })
+            .map_err(|error| anyhow!(configuration.places.locate(&format!("{error:#}"))))?;
+        Ok(Self { node, config: configuration.config, log })
     }
 
     /// Waits until the node has ended, without stopping it, and writes the files of `[output]` that are configured.
@@ -79,11 +84,15 @@ impl ConfiguredNode {
 }
 
 /// Looks at all that can be wrong, and then starts.
-fn start(config: &NodeConfig, places: &Places, config_path: &Path, log: &Log) -> Result<NodeHandle> {
-    check_applies(places)?;
+fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Result<NodeHandle> {
+    let Configuration { config, places, path } = configuration;
+    check_applies(places, given.is_some())?;
     outputs::check(&config.output)?;
-    let sensor = sensor(config, log)?;
-    let swarm_key = swarm_key(config, config_path, log)?;
+    let sensor = match given {
+        Some(sensor) => sensor,
+        None => sensor(config, log)?,
+    };
+    let swarm_key = swarm_key(config, path, log)?;
     let sockets = UdpSockets::bind(&config.network)?;
     let address = sockets.local_addr()?;
     // Last, as an epoch is used up.
@@ -152,6 +161,9 @@ fn random_bytes<const N: usize>() -> Result<[u8; N]> {
 }
 
 fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
+    if config.ros.is_some() {
+        log.warn("[ros] is for flockmap-ros: this program has no topics of ROS");
+    }
     let section = &config.sensor;
     let limits = config.message_limits()?;
     match (&section.record, section.listen_tcp, &section.listen_unix) {

@@ -15,11 +15,11 @@ const NEEDS: &[(&str, &[&str])] = &[
     ("[sensor] poses", RECORD),
     ("[sensor] unix_mode", &["[sensor] listen_unix"]),
     ("[sensor] stamp_error_max_s", LISTEN),
-    ("[sensor] scan_points_max", &["[sensor] record", "[sensor] listen_tcp", "[sensor] listen_unix"]),
+    ("[sensor] scan_points_max", &["[sensor] record", "[sensor] listen_tcp", "[sensor] listen_unix", ROS]),
     ("[sensor] states_max", LISTEN),
     ("[sensor] box_states_max", LISTEN),
-    ("[teammates] radius_m", LISTEN),
-    ("[teammates] timeout_ms", LISTEN),
+    ("[teammates] radius_m", LISTEN_OR_ROS),
+    ("[teammates] timeout_ms", LISTEN_OR_ROS),
     ("[store] bytes_max", &["[store] path"]),
     ("[store] sync_ms", &["[store] path"]),
     ("[network] multicast_interface", MULTICAST),
@@ -33,6 +33,9 @@ const NEEDS: &[(&str, &[&str])] = &[
 
 const RECORD: &[&str] = &["[sensor] record"];
 const LISTEN: &[&str] = &["[sensor] listen_tcp", "[sensor] listen_unix"];
+const LISTEN_OR_ROS: &[&str] = &["[sensor] listen_tcp", "[sensor] listen_unix", ROS];
+/// Scans come from the program that has the node, whether its section is there or not.
+const ROS: &str = "[ros]";
 const OUTLETS: &[&str] = &["[map_output] listen_unix", "[map_output] listen_tcp"];
 const MULTICAST: &[&str] = &["[network] multicast"];
 
@@ -42,13 +45,16 @@ const EITHER: [&[&str]; 2] = [
     &["[network] broadcast", "[network] multicast"],
 ];
 
-/// Whether each key of a file means something beside the others.
+/// Whether each key of a file means something beside the others. `has_scans`: they come from elsewhere than the
+/// sources of `[sensor]`.
 ///
 /// # Errors
 /// Names the key that does not, and what it is for.
-pub(crate) fn check_applies(places: &Places) -> Result<(), ConfigError> {
+pub(crate) fn check_applies(places: &Places, has_scans: bool) -> Result<(), ConfigError> {
+    let is_given = |key: &str| if key == ROS { has_scans } else { places.has(key) };
     for (key, needs) in NEEDS {
-        if places.has(key) && !needs.iter().any(|needed| places.has(needed)) {
+        if places.has(key) && !needs.iter().any(|needed| is_given(needed)) {
+            let needs: Vec<&str> = needs.iter().copied().filter(|needed| *needed != ROS).collect();
             let expected = format!("{} beside it, without which it means nothing", needs.join(" or "));
             return Err(value(key, "given", expected));
         }
@@ -57,6 +63,15 @@ pub(crate) fn check_applies(places: &Places) -> Result<(), ConfigError> {
         let given: Vec<&str> = keys.iter().copied().filter(|key| places.has(key)).collect();
         if let [first, second, ..] = given[..] {
             return Err(value(first, format!("given, and {second} too"), "one of them"));
+        }
+    }
+    if has_scans {
+        if let Some(key) = EITHER[0].iter().find(|key| places.has(key)) {
+            return Err(value(key, "given", "none: scans come from ROS here"));
+        }
+        if places.has("[output] end_when_quiet_s") {
+            let expected = "not given: from ROS scans may always come, so that it is never over";
+            return Err(value("[output] end_when_quiet_s", "given", expected));
         }
     }
     if places.has("[output] end_when_quiet_s")

@@ -44,7 +44,8 @@ pub(super) fn explain(text: &str, places: &Places, error: &toml::de::Error) -> C
         return parse(missing(message, "").unwrap_or_else(|| message.to_owned()));
     };
     let line = line_of(text, span.start);
-    let at_line = |what: String| parse(format!("line {line}: {what}"));
+    let start = span.start;
+    let at_line = |what: String| parse(places.at_line(text, start, &what));
     let Some((key, is_name)) = places.at(&span) else {
         // No TOML at all, or the whole of it.
         let shown = text.lines().nth(line - 1).unwrap_or_default().trim();

@@ -7,6 +7,7 @@ mod explain;
 mod key;
 mod parse;
 mod places;
+mod ros;
 mod schema;
 
 use std::collections::BTreeMap;
@@ -23,8 +24,8 @@ pub(crate) use applies::check_applies;
 pub(crate) use convert::{seconds, speed, value, within};
 pub use error::ConfigError;
 pub use key::{FoundKey, KEY_VARIABLE, Secret};
-pub(crate) use parse::read_with_places;
-pub(crate) use places::Places;
+pub use parse::Configuration;
+pub use ros::{RosPoses, RosSection};
 pub use schema::schema;
 
 /// A configuration with every key, its meaning and its default: `robot.example.toml`.
@@ -88,6 +89,8 @@ pub struct NodeConfig {
     /// Where planners read the map.
     #[serde(default)]
     pub map_output: MapOutputSection,
+    /// Topics of ROS 2, for `flockmap-ros`.
+    pub ros: Option<RosSection>,
     /// Counters.
     #[serde(default)]
     pub metrics: MetricsSection,

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Read as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use flockmap::{MapperConfig, Resolution, SessionConfig};
@@ -27,7 +27,7 @@ impl NodeConfig {
     /// # Errors
     /// An unknown key is an error that names the key, its line, and the nearest known one.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
-        read_with_places(path.as_ref()).map(|(config, _)| config)
+        Configuration::read(path.as_ref()).map(|read| read.config)
     }
 
     /// Takes the relative paths in it from this folder.
@@ -50,26 +50,94 @@ impl NodeConfig {
     }
 }
 
-/// A configuration file, and where its keys stand.
-pub(crate) fn read_with_places(path: &Path) -> Result<(NodeConfig, Places), ConfigError> {
+/// A configuration, where it is from, and where its keys stand.
+#[derive(Clone, Debug)]
+pub struct Configuration {
+    /// What it says.
+    pub config: NodeConfig,
+    pub(crate) places: Places,
+    /// The file, if there is one.
+    pub(crate) path: PathBuf,
+}
+
+impl Configuration {
+    /// Reads a configuration file, as [`NodeConfig::read`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let text = read_file(path)?;
+        let in_file = |error: ConfigError| parse_error(format!("{}: {error}", path.display()));
+        let config: NodeConfig = text.parse().map_err(in_file)?;
+        let places = Places::of(&text).in_file(path);
+        Ok(Self { config: config.in_folder(folder_of(path)), places, path: path.to_owned() })
+    }
+
+    /// The same with values that count in place of those of the file, or beside them, or without any file.
+    /// They come as tables, as in a file. `source` says where they are from, for errors.
+    ///
+    /// # Errors
+    /// As of [`Self::read`], without a line where values are wrong.
+    pub fn read_with(path: Option<&Path>, values: &toml::Table, source: &str) -> Result<Self, ConfigError> {
+        if let (Some(path), true) = (path, values.is_empty()) {
+            return Self::read(path);
+        }
+        let (mut table, folder) = match path {
+            Some(path) => {
+                let text = read_file(path)?;
+                let no_toml = |error: toml::de::Error| explain(&text, &Places::default(), &error);
+                let in_file = |error: ConfigError| parse_error(format!("{}: {error}", path.display()));
+                (text.parse::<toml::Table>().map_err(no_toml).map_err(in_file)?, folder_of(path))
+            }
+            None => (toml::Table::new(), Path::new("")),
+        };
+        overlay(&mut table, values);
+        // Lines of this text are those of no file.
+        let text = table.to_string();
+        let places = Places::of(&text).without_lines();
+        let file = path.map(|path| format!("{} and ", path.display())).unwrap_or_default();
+        let config =
+            parse(&text, &places).map_err(|error| parse_error(format!("{file}{source}: {error}")))?;
+        Ok(Self { config: config.in_folder(folder), places, path: path.unwrap_or(Path::new("")).to_owned() })
+    }
+}
+
+/// Values in place of others, and beside them.
+fn overlay(table: &mut toml::Table, values: &toml::Table) {
+    for (key, value) in values {
+        match (table.get_mut(key), value) {
+            (Some(toml::Value::Table(inside)), toml::Value::Table(values)) => overlay(inside, values),
+            _ => drop(table.insert(key.clone(), value.clone())),
+        }
+    }
+}
+
+fn read_file(path: &Path) -> Result<String, ConfigError> {
     let fail = |error| ConfigError::Read { path: path.to_owned(), error: read_error(error) };
-    let in_file = |text: &str| ConfigError::Parse { text: format!("{}: {text}", path.display()) };
-    let text = read_text(path, CONFIG_BYTES_MAX).map_err(fail)?;
-    let text = text.ok_or_else(|| in_file("longer than 1 MiB, so no configuration"))?;
-    let config: NodeConfig = text.parse().map_err(|error: ConfigError| in_file(&error.to_string()))?;
-    let places = Places::of(&text).in_file(path);
-    Ok((config.in_folder(path.parent().unwrap_or_else(|| Path::new(""))), places))
+    let too_long = || parse_error(format!("{}: longer than 1 MiB, so no configuration", path.display()));
+    read_text(path, CONFIG_BYTES_MAX).map_err(fail)?.ok_or_else(too_long)
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or_else(|| Path::new(""))
+}
+
+const fn parse_error(text: String) -> ConfigError {
+    ConfigError::Parse { text }
 }
 
 impl FromStr for NodeConfig {
     type Err = ConfigError;
 
     fn from_str(text: &str) -> Result<Self, ConfigError> {
-        let places = Places::of(text);
-        let config = read(text).map_err(|error| explain(text, &places, &error))?;
-        let checked = config.check().map_err(|error| places.locate(&error.to_string()));
-        checked.map(|()| config).map_err(|text| ConfigError::Parse { text })
+        parse(text, &Places::of(text))
     }
+}
+
+fn parse(text: &str, places: &Places) -> Result<NodeConfig, ConfigError> {
+    let config = read(text).map_err(|error| explain(text, places, &error))?;
+    let checked = config.check().map_err(|error| places.locate(&error.to_string()));
+    checked.map(|()| config).map_err(parse_error)
 }
 
 /// Reads a configuration, with the values of its presets below its own.

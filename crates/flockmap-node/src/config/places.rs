@@ -13,6 +13,8 @@ pub(crate) struct Places {
     /// The file, if it is one.
     file: Option<PathBuf>,
     keys: BTreeMap<String, Place>,
+    /// The text is that of no file: its lines mean nothing to anybody.
+    has_no_lines: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -37,6 +39,17 @@ impl Places {
     pub(super) fn in_file(mut self, path: &Path) -> Self {
         self.file = Some(path.to_owned());
         self
+    }
+
+    /// The same for a text that was put together.
+    pub(super) const fn without_lines(mut self) -> Self {
+        self.has_no_lines = true;
+        self
+    }
+
+    /// What is said of bytes of the text, with their line before it.
+    pub(super) fn at_line(&self, text: &str, byte: usize, what: &str) -> String {
+        if self.has_no_lines { what.to_owned() } else { format!("line {}: {what}", line_of(text, byte)) }
     }
 
     fn note(&mut self, text: &str, section: &str, table: &DeTable<'_>) {
@@ -80,7 +93,8 @@ impl Places {
     /// A text with the file, and the line of the first key that it names, before it.
     pub(crate) fn locate(&self, text: &str) -> String {
         let file = self.file.as_ref().map(|file| format!("{}: ", file.display())).unwrap_or_default();
-        let line = self.line_of_first_key(text).map(|line| format!("line {line}: ")).unwrap_or_default();
+        let line = self.line_of_first_key(text).filter(|_| !self.has_no_lines);
+        let line = line.map(|line| format!("line {line}: ")).unwrap_or_default();
         format!("{file}{line}{text}")
     }
 

@@ -1,9 +1,11 @@
 use super::*;
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use flockmap::{Cast, Codec, RobotId};
 use serde_json::Value;
 
+use super::places::Places;
 use crate::UdpSockets;
 
 const MINIMAL: &str = "id = 1\n[map]\nresolution_m = 0.1\nrange_m = 7.0\n";
@@ -61,7 +63,9 @@ fn every_key_is_in_the_example_and_every_example_can_be_uncommented() {
     for (section, key) in keys_of(&schema()) {
         let shown = EXAMPLE.lines().any(|line| {
             let line = line.trim_start_matches('#');
-            line.starts_with(&format!("{key} =")) || line.starts_with(&format!("[{key}"))
+            ["{key} =", "[{key}", "[{section}.{key}]"]
+                .iter()
+                .any(|form| line.starts_with(&form.replace("{section}", &section).replace("{key}", &key)))
         });
         assert!(shown, "{key} of [{section}] is not in the example");
     }
@@ -312,4 +316,49 @@ fn the_epoch_is_kept_where_the_system_keeps_such_things() {
     // What is no path to rely on is as good as none.
     let odd = [("STATE_DIRECTORY", ""), ("XDG_STATE_HOME", "state"), home];
     assert_eq!(folder("", &odd).as_deref(), Some("/home/robot/.local/state/flockmap"));
+}
+
+#[test]
+fn values_count_in_place_of_those_of_a_file_and_without_any() {
+    let folder = tempfile();
+    let file = folder.join("robot.toml");
+    std::fs::write(&file, "id = 1\n[map]\nresolution_m = 0.1\nrange_m = 7.0\n[sensor]\nrange = 1\n").unwrap();
+    let read = |path: Option<&Path>, values: &str| {
+        let values: toml::Table = values.parse().unwrap();
+        let read = Configuration::read_with(path, &values, "the parameters");
+        read.map(|read| read.config).map_err(|error| error.to_string())
+    };
+    let error = read(Some(&file), "map.range_m = 5.0").unwrap_err();
+    let expected = format!("{} and the parameters: `range` is no key of [sensor]", file.display());
+    assert!(error.starts_with(&expected), "{error}");
+    std::fs::write(&file, "id = 1\n[map]\nresolution_m = 0.1\nrange_m = 7.0\n[store]\npath = \"a\"\n")
+        .unwrap();
+    let config =
+        read(Some(&file), "map.range_m = 5.0\nmap.mapper = \"octomap\"\nros.map_frame = \"m\"").unwrap();
+    assert_eq!(config.robot(1).unwrap().mapper.range_m, 5.0);
+    assert_eq!(config.ros.unwrap().map_frame, "m");
+    assert_eq!(config.store.path, Some(folder.join("a")));
+    let alone = read(None, "id = 3\nmap = { resolution_m = 0.2, range_m = 3.0 }").unwrap();
+    assert_eq!(alone.id, RobotId(3));
+    let error = read(None, "id = 3").unwrap_err();
+    assert!(error.starts_with("the parameters: there is no section [map]"), "{error}");
+    let error = read(None, "id = 3\nmap = { resolution_m = 0.2, range_m = -3.0 }").unwrap_err();
+    assert!(error.starts_with("the parameters: [map] range_m is -3"), "{error}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// A folder of its own.
+fn tempfile() -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("flockmap-values-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+#[test]
+fn who_brings_scans_says_no_source_of_them() {
+    let places = |text: &str| Places::of(&format!("{MINIMAL}{text}"));
+    check_applies(&places("[teammates]\nradius_m = 0.5\n[sensor]\nscan_points_max = 9\n"), true).unwrap();
+    check_applies(&places("[teammates]\nradius_m = 0.5\n"), false).unwrap_err();
+    let error = check_applies(&places("[sensor]\nrecord = \"a\"\n"), true).unwrap_err().to_string();
+    assert_eq!(error, "[sensor] record is given, expected none: scans come from ROS here");
 }
