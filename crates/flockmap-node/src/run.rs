@@ -12,8 +12,8 @@ use crate::kept::Kept;
 use crate::outputs::Report;
 use crate::sensor::repeated;
 use crate::{
-    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Sensor, UdpSockets,
-    outputs,
+    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, RosSection, Sensor,
+    UdpSockets, outputs,
 };
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
@@ -161,7 +161,7 @@ fn random_bytes<const N: usize>() -> Result<[u8; N]> {
 }
 
 fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
-    if config.ros.is_some() {
+    if config.ros != RosSection::default() {
         log.warn("[ros] is for flockmap-ros: this program has no topics of ROS");
     }
     let section = &config.sensor;

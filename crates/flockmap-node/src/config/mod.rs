@@ -90,7 +90,8 @@ pub struct NodeConfig {
     #[serde(default)]
     pub map_output: MapOutputSection,
     /// Topics of ROS 2, for `flockmap-ros`.
-    pub ros: Option<RosSection>,
+    #[serde(default)]
+    pub ros: RosSection,
     /// Counters.
     #[serde(default)]
     pub metrics: MetricsSection,

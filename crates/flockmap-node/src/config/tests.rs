@@ -47,6 +47,7 @@ fn the_defaults_in_the_example_are_the_defaults() {
     assert_eq!(given.sensor, default.sensor);
     assert_eq!(given.map_output, default.map_output);
     assert_eq!(given.metrics, default.metrics);
+    assert_eq!(given.ros, default.ros);
     assert_eq!(given.output, default.output);
     assert_eq!(given.store, default.store);
     assert_eq!((given.state, given.muted), (default.state, default.muted));
@@ -336,7 +337,7 @@ fn values_count_in_place_of_those_of_a_file_and_without_any() {
     let config =
         read(Some(&file), "map.range_m = 5.0\nmap.mapper = \"octomap\"\nros.map_frame = \"m\"").unwrap();
     assert_eq!(config.robot(1).unwrap().mapper.range_m, 5.0);
-    assert_eq!(config.ros.unwrap().map_frame, "m");
+    assert_eq!(config.ros.map_frame, "m");
     assert_eq!(config.store.path, Some(folder.join("a")));
     let alone = read(None, "id = 3\nmap = { resolution_m = 0.2, range_m = 3.0 }").unwrap();
     assert_eq!(alone.id, RobotId(3));
