@@ -157,11 +157,14 @@ impl WriteError {
     }
 }
 
-/// A [`ReadError`] before it is known in which file: parsers work on bytes.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub(crate) struct Fault {
-    pub(crate) place: Place,
-    pub(crate) problem: Problem,
+/// What is wrong with bytes that are not, or not yet known to be, of a file: a [`ReadError`] without its path.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+#[error("{place}{problem}")]
+pub struct Fault {
+    /// Where in the bytes.
+    pub place: Place,
+    /// What is wrong there.
+    pub problem: Problem,
 }
 
 impl Fault {

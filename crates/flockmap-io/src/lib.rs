@@ -14,7 +14,6 @@
 #![forbid(unsafe_code)]
 
 mod bytes;
-mod cdr;
 mod cloud;
 mod cloud_reader;
 mod describe;
@@ -41,15 +40,14 @@ mod record_mcap;
 mod record_reader;
 mod record_view;
 mod record_writer;
-mod ros;
+pub mod ros;
 mod rosbag;
-mod track;
 mod writable;
 
 pub use cloud::{CLOUD_BYTES_MAX, CLOUD_POINTS_MAX, PointCloud};
 pub use cloud_reader::read_cloud;
 pub use describe::{Content, Description, Topic, describe};
-pub use error::{Place, Problem, ReadError, TopicOf, WriteError};
+pub use error::{Fault, Place, Problem, ReadError, TopicOf, WriteError};
 pub use export::{ExportOptions, export_map, write_cloud};
 pub use export_flat::{Scale, export_heights, export_occupancy, export_values, occupancy_yaml};
 pub use map_reader::{MapFile, read_map};

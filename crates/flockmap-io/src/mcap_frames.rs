@@ -93,7 +93,8 @@ impl McapFrames {
         if self.no_returns.as_ref() == Some(&message.channel.topic) {
             let header = ros::decode_cloud_header(message.data);
             let rays = ros::decode_points(message.data, points_max, None);
-            self.rays = header.ok().zip(rays.ok()).map(|((header, _), rays)| (header.stamp, rays.points));
+            self.rays =
+                header.ok().zip(rays.ok()).map(|((header, _), rays)| (header.stamp.into(), rays.points));
             return;
         }
         if message.channel.topic != self.topic {

@@ -7,8 +7,7 @@ use flockmap_grid::Stamp;
 use crate::error::{Fault, Place, Problem, ReadError, check_room};
 use crate::mcap_file::Channel;
 use crate::mcap_parts::{McapParts, Message, PartsReader};
-use crate::ros;
-use crate::track::{FrameForest, Track};
+use crate::ros::{self, FrameForest, Track};
 
 /// Most poses, and most scans of a topic, that are kept.
 const ENTRIES_MAX: usize = 1 << 22;
@@ -95,18 +94,22 @@ impl McapIndex {
                 let odometry = ros::decode_odometry(message.data).map_err(in_message)?;
                 self.poses += 1;
                 let topic = self.odometries.entry(channel.topic.clone()).or_insert_with(|| OdometryTopic {
-                    parent: odometry.header.frame,
+                    parent: odometry.parent,
                     child: odometry.child,
                     track: Track::default(),
                 });
-                topic.track.push(odometry.header.stamp, odometry.pose);
+                topic.track.collect(odometry.stamp, odometry.pose);
             }
             ros::TRANSFORMS => {
-                check_room("the number of poses", self.poses + self.transforms.poses(), ENTRIES_MAX)?;
+                check_room("the number of poses", self.poses + self.transforms.collected(), ENTRIES_MAX)?;
                 let fixed = channel.topic.ends_with("tf_static");
                 for t in ros::decode_transforms(message.data).map_err(in_message)? {
                     let namespace = ros::namespace(&channel.topic);
-                    self.transforms.push(namespace, t.header.frame, t.child, (t.header.stamp, t.pose), fixed);
+                    if fixed {
+                        self.transforms.push_fixed(namespace, t.parent, t.child, t.pose);
+                    } else {
+                        self.transforms.collect(namespace, t.parent, t.child, (t.stamp, t.pose));
+                    }
                 }
             }
             _ => {}
@@ -135,15 +138,15 @@ impl CloudTopic {
     fn take(&mut self, message: &[u8]) -> Result<(Stamp, u16), Fault> {
         let (header, points) = ros::decode_cloud_header(message)?;
         self.points = self.points.saturating_add(points);
-        let frame = self.frames.iter().position(|f| *f == header.frame).unwrap_or(self.frames.len());
+        let frame = self.frames.iter().position(|f| *f == header.frame_id).unwrap_or(self.frames.len());
         if frame >= CLOUD_FRAMES_MAX {
             let expected = format!("scans in at most {CLOUD_FRAMES_MAX} frames");
             return Err(Fault::damaged(Place::Whole, expected, "one more"));
         }
         if frame == self.frames.len() {
-            self.frames.push(header.frame);
+            self.frames.push(header.frame_id);
         }
-        Ok((header.stamp, frame as u16))
+        Ok((header.stamp.into(), frame as u16))
     }
 }
 

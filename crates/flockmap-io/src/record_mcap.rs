@@ -12,8 +12,7 @@ use crate::mcap_frames::{Entry, McapFrames};
 use crate::mcap_index::{CloudTopic, McapIndex, OdometryTopic};
 use crate::mcap_parts::McapParts;
 use crate::record::{Frames, Record, RecordOptions, RecordSummary};
-use crate::ros;
-use crate::track::{FrameTree, Reach};
+use crate::ros::{self, FrameTree, Reach};
 
 /// Most scans that may have to wait for an earlier one that lies behind them in the file.
 const WAITING_MAX: usize = 256;
@@ -172,8 +171,8 @@ impl PoseSource<'_> {
     }
 
     fn pose(&self, tree: &FrameTree<'_>, stamp: Stamp, reach: Reach) -> Option<Pose> {
-        let odometry = self.odometry.map(|odometry| odometry.track.at(stamp, reach));
-        let tf = self.tf_from.map(|from| tree.pose(from, self.frame, stamp, reach));
+        let odometry = self.odometry.map(|odometry| odometry.track.at(stamp, reach).ok());
+        let tf = self.tf_from.map(|from| tree.pose(from, self.frame, stamp, reach).ok());
         match (odometry, tf) {
             (Some(t_map_child), Some(t_child_sensor)) => Some(t_map_child?.compose(&t_child_sensor?)),
             (odometry, tf) => odometry.or(tf)?,

@@ -9,7 +9,10 @@ use mcap::records::MessageHeader;
 
 use crate::error::WriteError;
 use crate::record_view::{ColouredPoint, Travelled, VIEW_VOXELS_MAX, ViewSchedule, map_points};
-use crate::ros::{self, Header, Transform};
+use crate::ros::{
+    self, Header, Odometry, PoseWithCovariance, TFMessage, TransformStamped, cloud_of_coloured_points,
+    cloud_of_points, encode,
+};
 
 /// Writes what a robot saw as an MCAP file of ROS 2 messages: `/NAME/points` (`sensor_msgs/msg/PointCloud2`,
 /// x y z as `f32`, in the frame `NAME/lidar`), `/NAME/odometry` (`nav_msgs/msg/Odometry`, `map` →
@@ -99,20 +102,28 @@ impl<W: Write + Seek> RecordWriter<W> {
             let why = "a PointCloud2 holds at most 2³² bytes";
             return Err(WriteError::unfit(&self.path, "a scan", why));
         }
-        let in_sensor = Header { stamp: scan.stamp, frame: self.sensor_frame.clone() };
-        let transform = Transform {
-            header: Header { stamp: scan.stamp, frame: MAP_FRAME.into() },
-            child: self.sensor_frame.clone(),
-            pose: *t_map_sensor,
+        let in_sensor = Header::new(scan.stamp, &self.sensor_frame);
+        let transform = TransformStamped {
+            header: Header::new(scan.stamp, MAP_FRAME),
+            child_frame_id: self.sensor_frame.clone(),
+            transform: (*t_map_sensor).into(),
         };
+        // No covariance and no velocity.
+        let odometry = Odometry {
+            header: transform.header.clone(),
+            child_frame_id: self.sensor_frame.clone(),
+            pose: PoseWithCovariance { pose: transform.transform, ..Default::default() },
+            ..Default::default()
+        };
+        let transforms = TFMessage { transforms: vec![transform] };
         self.sequence = self.sequence.wrapping_add(1);
         // The pose first: a program that plays the file knows where the sensor is when the scan comes.
-        let [cloud, odometry, transforms] = self.schemas;
-        self.message(odometry, &self.topic(ODOMETRY), scan.stamp, &ros::encode_odometry(&transform))?;
-        self.message(transforms, TRANSFORMS, scan.stamp, &ros::encode_transforms(&[transform]))?;
+        let [cloud, of_odometry, of_transforms] = self.schemas;
+        self.message(of_odometry, &self.topic(ODOMETRY), scan.stamp, &encode(&odometry))?;
+        self.message(of_transforms, TRANSFORMS, scan.stamp, &encode(&transforms))?;
         for (topic, points) in [(ros::NO_RETURNS, &scan.no_returns), (POINTS, &scan.points)] {
             if topic == POINTS || !points.is_empty() {
-                let message = ros::encode_points(&in_sensor, points);
+                let message = encode(&cloud_of_points(in_sensor.clone(), points));
                 self.message(cloud, &self.topic(topic), scan.stamp, &message)?;
             }
         }
@@ -137,7 +148,7 @@ impl<W: Write + Seek> RecordWriter<W> {
         occupied: impl IntoIterator<Item = Voxel>,
     ) -> Result<(), WriteError> {
         self.check_stamp(now)?;
-        let header = Header { stamp: now, frame: MAP_FRAME.into() };
+        let header = Header::new(now, MAP_FRAME);
         let [cloud, ..] = self.schemas;
         let pictures: [(String, Vec<ColouredPoint>); 2] = [
             (self.topic(VIEW_MAP), map_points(resolution, occupied, VIEW_VOXELS_MAX)),
@@ -149,7 +160,7 @@ impl<W: Write + Seek> RecordWriter<W> {
         }
         let mut bytes = 0;
         for (topic, points) in pictures {
-            let message = ros::encode_coloured_points(&header, &points);
+            let message = encode(&cloud_of_coloured_points(header.clone(), &points));
             bytes += message.len();
             self.message(cloud, &topic, now, &message)?;
         }
@@ -175,7 +186,7 @@ impl<W: Write + Seek> RecordWriter<W> {
     }
 
     fn check_stamp(&self, stamp: Stamp) -> Result<(), WriteError> {
-        if ros::can_be_written(stamp) {
+        if (0..1i64 << 31).contains(&stamp.0.div_euclid(1_000_000)) {
             return Ok(());
         }
         let why = "ROS 2 counts seconds from 0 to 2³¹ − 1";
