@@ -82,7 +82,9 @@ impl RosArguments {
                 self.ignored.push(flag.into());
                 Ok(())
             }
-            _ => bail!("`{flag}` is none of the arguments that may stand behind --ros-args (-r, -p, --params-file)"),
+            _ => bail!(
+                "`{flag}` is none of the arguments that may stand behind --ros-args (-r, -p, --params-file)"
+            ),
         }
     }
 

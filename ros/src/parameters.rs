@@ -65,7 +65,9 @@ fn of_names(yaml: &Yaml<'_>, above: &str, node: &str, values: &mut Table) -> Res
         let name = name_of(name)?;
         if name == "ros__parameters" {
             if fits(&tokens(above), &tokens(node)) {
-                let Yaml::Mapping(_) = inside else { bail!("`ros__parameters` of {above} has no parameters") };
+                let Yaml::Mapping(_) = inside else {
+                    bail!("`ros__parameters` of {above} has no parameters")
+                };
                 add(inside, "", values)?;
             }
         } else {
@@ -84,9 +86,7 @@ fn fits(pattern: &[&str], node: &[&str]) -> bool {
     match (pattern, node) {
         ([], []) => true,
         (["**", rest @ ..], _) => (0..=node.len()).any(|skipped| fits(rest, &node[skipped..])),
-        ([first, rest @ ..], [token, tokens @ ..]) => {
-            (*first == "*" || first == token) && fits(rest, tokens)
-        }
+        ([first, rest @ ..], [token, tokens @ ..]) => (*first == "*" || first == token) && fits(rest, tokens),
         _ => false,
     }
 }
@@ -107,7 +107,9 @@ fn set(values: &mut Table, name: &str, value: Value) -> Result<()> {
     let mut table = values;
     for section in sections.split('.').filter(|section| !section.is_empty()) {
         let inside = table.entry(section).or_insert_with(|| Value::Table(Table::new()));
-        let Value::Table(inside) = inside else { bail!("`{section}` of `{name}` is a value, and no section") };
+        let Value::Table(inside) = inside else {
+            bail!("`{section}` of `{name}` is a value, and no section")
+        };
         table = inside;
     }
     table.insert(key.to_owned(), value);

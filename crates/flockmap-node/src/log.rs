@@ -61,11 +61,13 @@ impl Log {
         (self.0)(level, text.as_ref());
     }
 
-    pub(crate) fn info(&self, text: impl AsRef<str>) {
+    /// Says a line that is worth to know.
+    pub fn info(&self, text: impl AsRef<str>) {
         self.say(Level::Info, text);
     }
 
-    pub(crate) fn warn(&self, text: impl AsRef<str>) {
+    /// Says a line that should be looked at.
+    pub fn warn(&self, text: impl AsRef<str>) {
         self.say(Level::Warning, text);
     }
 

@@ -14,7 +14,7 @@ const NEEDS: &[(&str, &[&str])] = &[
     ("[sensor] map_frame", RECORD),
     ("[sensor] poses", RECORD),
     ("[sensor] unix_mode", &["[sensor] listen_unix"]),
-    ("[sensor] stamp_error_max_s", LISTEN),
+    ("[sensor] stamp_error_max_s", LISTEN_OR_ROS),
     ("[sensor] scan_points_max", &["[sensor] record", "[sensor] listen_tcp", "[sensor] listen_unix", ROS]),
     ("[sensor] states_max", LISTEN),
     ("[sensor] box_states_max", LISTEN),

@@ -27,6 +27,7 @@ impl NodeConfig {
         self.map_output()?;
         self.end_options()?;
         self.message_limits()?;
+        self.ros.check()?;
         seconds("[metrics] status_period_s", self.metrics.status_period_s)?;
         seconds("[sensor] start_s", self.sensor.start_s)?;
         speed("[sensor] speed", self.sensor.speed)?;

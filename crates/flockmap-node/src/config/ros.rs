@@ -6,6 +6,9 @@ use flockmap::RobotId;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use super::convert::{seconds, within};
+use super::error::ConfigError;
+
 /// `[ros]`: the topics of ROS 2, for the program `flockmap-ros`. `flockmap node` has none.
 ///
 /// A period of 0 means that this is not published.
@@ -90,5 +93,37 @@ impl Default for RosSection {
             robots_period_s: 0.5,
             diagnostics_period_s: 1.0,
         }
+    }
+}
+
+impl RosSection {
+    /// Checks all that can be known without ROS.
+    pub(super) fn check(&self) -> Result<(), ConfigError> {
+        for (key, value) in [
+            ("[ros] pose_wait_s", self.pose_wait_s),
+            ("[ros] pose_gap_max_s", self.pose_gap_max_s),
+            ("[ros] near_period_s", self.near_period_s),
+            ("[ros] all_period_s", self.all_period_s),
+            ("[ros] grid_period_s", self.grid_period_s),
+            ("[ros] octomap_period_s", self.octomap_period_s),
+            ("[ros] field_period_s", self.field_period_s),
+            ("[ros] robots_period_s", self.robots_period_s),
+            ("[ros] diagnostics_period_s", self.diagnostics_period_s),
+        ] {
+            seconds(key, value)?;
+        }
+        let [low, high] = self.grid_band_m;
+        within("[ros] grid_band_m", low, -1e6..=1e6, "two heights of -1,000,000 to 1,000,000 m")?;
+        within("[ros] grid_band_m", high, low..=1e6, "the lower height first")?;
+        for (key, value) in [
+            ("[ros] near_range_m", self.near_range_m),
+            ("[ros] field_range_m", self.field_range_m[0]),
+            ("[ros] field_range_m", self.field_range_m[1]),
+            ("[ros] field_range_m", self.field_range_m[2]),
+            ("[ros] field_distance_max_m", self.field_distance_max_m),
+        ] {
+            within(key, value, 0.0..=1e4, "metres, 0 to 10,000")?;
+        }
+        Ok(())
     }
 }

@@ -1,0 +1,116 @@
+//! The time of ROS, and the clock of the node: stamps go from the one to the other.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use flockmap::Stamp;
+use flockmap_node::Clock;
+
+/// `/clock` that goes on by this much more than the node's clock has jumped.
+const JUMP_MICROS: i64 = 5_000_000;
+
+/// Stamps of scans that are remembered, so that a map gets exactly the stamp of its newest scan.
+const REMEMBERED_MAX: usize = 256;
+
+/// The time of ROS: that of the machine, or of `/clock`.
+#[derive(Debug)]
+pub(crate) struct RosClock {
+    node: Clock,
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    is_simulated: bool,
+    /// How far the simulated time is ahead of the node's clock, once it was heard.
+    ahead: Option<i64>,
+    /// Scans by their stamps on the node's clock and in ROS.
+    remembered: VecDeque<(Stamp, Stamp)>,
+}
+
+/// How the simulated time has jumped.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Jump {
+    /// Back by so many microseconds: what was known of earlier times is of another run.
+    Back(i64),
+    /// On by so many microseconds.
+    On(i64),
+}
+
+impl RosClock {
+    pub(crate) const fn new(node: Clock, is_simulated: bool) -> Self {
+        let state = State { is_simulated, ahead: None, remembered: VecDeque::new() };
+        Self { node, state: Mutex::new(state) }
+    }
+
+    /// What `/clock` says.
+    pub(crate) fn take_clock(&self, time: Stamp) -> Option<Jump> {
+        let ahead = time.micros_since(self.node.now());
+        let before = self.lock().ahead.replace(ahead)?;
+        match ahead.saturating_sub(before) {
+            // A recording that is played slowly, or rests, falls behind by nature; its stamps do not go back.
+            moved if moved < -JUMP_MICROS => Some(Jump::Back(-moved)),
+            moved if moved > JUMP_MICROS => Some(Jump::On(moved)),
+            _ => None,
+        }
+    }
+
+    /// The time of ROS now; `None` before the first `/clock`.
+    pub(crate) fn now(&self) -> Option<Stamp> {
+        Some(self.node.now().plus_micros(self.ahead()?))
+    }
+
+    /// A stamp of ROS on the node's clock; `None` before the first `/clock`. It is remembered.
+    pub(crate) fn to_node(&self, ros: Stamp) -> Option<Stamp> {
+        let node = Stamp(ros.0.saturating_sub(self.ahead()?));
+        let remembered = &mut self.lock().remembered;
+        remembered.truncate(REMEMBERED_MAX - 1);
+        remembered.push_front((node, ros));
+        Some(node)
+    }
+
+    /// A stamp of the node's clock in ROS, exactly that of the scan if it is of one.
+    pub(crate) fn to_ros(&self, node: Stamp) -> Option<Stamp> {
+        let remembered = self.lock().remembered.iter().find(|(of, _)| *of == node).map(|(_, ros)| *ros);
+        remembered.or_else(|| Some(node.plus_micros(self.ahead()?)))
+    }
+
+    fn ahead(&self) -> Option<i64> {
+        let state = self.lock();
+        if state.is_simulated { state.ahead } else { Some(self.node.system_ahead()) }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // What a thread that panicked has left behind is whole.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn simulated_time_is_that_of_the_clock_topic_and_jumps_are_told() {
+        let node = Clock::at(Stamp(1_000_000_000));
+        let clock = RosClock::new(node, true);
+        assert_eq!((clock.now(), clock.to_node(Stamp(5))), (None, None));
+        assert_eq!(clock.take_clock(Stamp(50_000_000)), None);
+        let scan = clock.to_node(Stamp(49_900_000)).unwrap();
+        assert!((scan.micros_since(node.now()) + 100_000).abs() < 1_000_000, "{scan:?}");
+        assert_eq!(clock.to_ros(scan), Some(Stamp(49_900_000)));
+        assert_eq!(clock.take_clock(Stamp(50_500_000)), None);
+        // The scan keeps its stamp, however the clock goes on.
+        assert_eq!(clock.to_ros(scan), Some(Stamp(49_900_000)));
+        assert!(matches!(clock.take_clock(Stamp(10_000_000)), Some(Jump::Back(by)) if by > 39_000_000));
+        assert!(matches!(clock.take_clock(Stamp(90_000_000)), Some(Jump::On(by)) if by > 79_000_000));
+    }
+
+    #[test]
+    fn without_simulation_it_is_the_time_of_the_machine() {
+        let clock = RosClock::new(Clock::new(), false);
+        let now = clock.now().unwrap();
+        let there = clock.to_ros(clock.to_node(now).unwrap()).unwrap();
+        assert_eq!(there, now);
+    }
+}

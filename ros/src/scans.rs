@@ -1,0 +1,265 @@
+//! From messages to scans with poses. Knows no DDS and no clock: the times of arrival are handed in.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use flockmap::{Pose, Scan, Stamp};
+use flockmap_io::Frame;
+use flockmap_io::ros::{
+    Bytes, FrameForest, NoPose, NoPoseThen, Odometry, PointCloud2, Reach, TFMessage, Track, points_of,
+};
+use flockmap_node::{RosPoses, RosSection};
+
+/// Clouds that may wait for their poses.
+const WAITING_MAX: usize = 32;
+/// Bytes of these.
+const WAITING_BYTES_MAX: usize = 256 << 20;
+/// Poses of each frame that are kept: a minute at 1 kHz. 64 bytes each.
+const POSES_MAX: usize = 60_000;
+/// Poses that are older than the newest by more than this are forgotten, as tf2 does it.
+const KEPT_MICROS: i64 = 10_000_000;
+/// A single pose that is no further away than this is taken where there are not two.
+const NEAR_MICROS: i64 = 10_000;
+
+/// What came, and what became of it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub(crate) struct ScanCounts {
+    /// Clouds that came.
+    pub(crate) clouds: u64,
+    /// Handed to the map.
+    pub(crate) mapped: u64,
+    /// Left out: no pose came in time.
+    pub(crate) without_pose: u64,
+    /// Left out: the message is none, or the cloud too large.
+    pub(crate) damaged: u64,
+    /// Left out: too many waited.
+    pub(crate) crowded_out: u64,
+    /// Left out: the time jumped back while they waited.
+    pub(crate) of_another_time: u64,
+    /// Left out: their stamps are off the time of ROS, or this is not known yet.
+    pub(crate) off_time: u64,
+    /// Points that are no finite numbers, left out.
+    pub(crate) points_dropped: u64,
+    /// Poses that came, by tf or odometry.
+    pub(crate) poses: u64,
+    /// Of these, left out: they are none.
+    pub(crate) poses_damaged: u64,
+}
+
+/// What has come out of the messages.
+#[derive(Debug)]
+pub(crate) enum Taken {
+    /// A scan; its stamp is that of ROS.
+    Scan(Frame),
+    /// Something is left out: a line for people.
+    Fault(String),
+}
+
+/// Clouds on their way to the map, in the order in which they came, and the poses for them.
+#[derive(Debug)]
+pub(crate) struct Scans {
+    poses: RosPoses,
+    map_frame: String,
+    wait: Duration,
+    gap_max: i64,
+    points_max: u64,
+    frames: FrameForest,
+    odometry: Track,
+    /// Parent and child of the odometry.
+    odometry_frames: Option<(String, String)>,
+    newest_pose: Option<Stamp>,
+    waiting: VecDeque<Waiting>,
+    waiting_bytes: usize,
+    counts: ScanCounts,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    cloud: PointCloud2<Bytes>,
+    until: Instant,
+}
+
+impl Scans {
+    /// `points_max`: most points of a cloud.
+    pub(crate) fn new(section: &RosSection, points_max: u64) -> Self {
+        Self {
+            poses: section.poses,
+            map_frame: section.map_frame.clone(),
+            wait: Duration::from_secs_f64(section.pose_wait_s),
+            gap_max: (section.pose_gap_max_s * 1e6) as i64,
+            points_max,
+            frames: FrameForest::new(POSES_MAX),
+            odometry: Track::default(),
+            odometry_frames: None,
+            newest_pose: None,
+            waiting: VecDeque::new(),
+            waiting_bytes: 0,
+            counts: ScanCounts::default(),
+        }
+    }
+
+    pub(crate) const fn counts(&self) -> &ScanCounts {
+        &self.counts
+    }
+
+    /// Transforms; `is_fixed`: from `/tf_static`, so they hold at any time.
+    pub(crate) fn take_transforms(&mut self, message: TFMessage, is_fixed: bool) {
+        for transform in message.transforms {
+            self.counts.poses += 1;
+            let Some(pose) = transform.transform.checked() else {
+                self.counts.poses_damaged += 1;
+                continue;
+            };
+            let (parent, child) = (transform.header.frame_id, transform.child_frame_id);
+            if is_fixed {
+                self.frames.push_fixed("", parent, child, pose);
+            } else {
+                let stamp = transform.header.stamp.into();
+                self.frames.push("", parent, child, stamp, pose);
+                self.newest_pose = self.newest_pose.max(Some(stamp));
+            }
+        }
+        if let Some(newest) = self.newest_pose {
+            self.frames.forget_before(newest.plus_micros(-KEPT_MICROS));
+        }
+    }
+
+    /// A pose of the robot.
+    pub(crate) fn take_odometry(&mut self, message: Odometry) {
+        self.counts.poses += 1;
+        let Some(pose) = message.pose.pose.checked() else {
+            self.counts.poses_damaged += 1;
+            return;
+        };
+        let stamp: Stamp = message.header.stamp.into();
+        self.odometry_frames = Some((message.header.frame_id, message.child_frame_id));
+        self.odometry.push(stamp, pose);
+        self.odometry.keep_newest(POSES_MAX);
+        self.odometry.forget_before(stamp.plus_micros(-KEPT_MICROS));
+    }
+
+    /// A cloud. It waits behind those before it.
+    pub(crate) fn take_cloud(&mut self, cloud: PointCloud2<Bytes>, now: Instant) -> Option<String> {
+        self.counts.clouds += 1;
+        self.waiting_bytes += cloud.data.0.len();
+        self.waiting.push_back(Waiting { cloud, until: now + self.wait });
+        let mut crowded_out = 0;
+        // The newest stays, however large it is.
+        while self.waiting.len() > WAITING_MAX
+            || (self.waiting_bytes > WAITING_BYTES_MAX && self.waiting.len() > 1)
+        {
+            self.pop();
+            crowded_out += 1;
+        }
+        self.counts.crowded_out += crowded_out;
+        (crowded_out > 0)
+            .then(|| "scans come faster than their poses: the oldest that waited is left out".into())
+    }
+
+    /// A message that is none.
+    pub(crate) fn take_damaged(&mut self) {
+        self.counts.clouds += 1;
+        self.counts.damaged += 1;
+    }
+
+    /// A scan that came out of [`Self::poll`] has a stamp that cannot be.
+    pub(crate) fn take_back(&mut self) {
+        self.counts.mapped -= 1;
+        self.counts.off_time += 1;
+    }
+
+    /// The time has jumped back: what is known is of another run.
+    pub(crate) fn begin_anew(&mut self) {
+        self.counts.of_another_time += self.waiting.len() as u64;
+        self.waiting.clear();
+        self.waiting_bytes = 0;
+        self.frames.forget_before(Stamp(i64::MAX));
+        self.odometry = Track::default();
+        self.newest_pose = None;
+    }
+
+    /// The next scan with its pose, or why one is left out; `None`: nothing is ready.
+    pub(crate) fn poll(&mut self, now: Instant) -> Option<Taken> {
+        let first = self.waiting.front()?;
+        let stamp: Stamp = first.cloud.header.stamp.into();
+        let frame = &first.cloud.header.frame_id;
+        let found = match self.pose(frame, stamp, 0) {
+            Err(why) if why.may_come() && now < first.until => return None,
+            // A pose that is this near will do, as in a recording.
+            Err(why) => self.pose(frame, stamp, NEAR_MICROS).map_err(|_| why),
+            found => found,
+        };
+        match found {
+            Err(why) => {
+                self.pop();
+                self.counts.without_pose += 1;
+                Some(Taken::Fault(format!("a scan of {:.6} s is left out: {why}", stamp.0 as f64 / 1e6)))
+            }
+            Ok(Posed { pose, is_in_map }) => {
+                let cloud = self.pop()?;
+                Some(self.scan(&cloud, stamp, pose, is_in_map))
+            }
+        }
+    }
+
+    /// When [`Self::poll`] should be asked again though nothing comes.
+    pub(crate) fn poll_timeout(&self) -> Option<Instant> {
+        self.waiting.front().map(|first| first.until)
+    }
+
+    fn pop(&mut self) -> Option<PointCloud2<Bytes>> {
+        let Waiting { cloud, .. } = self.waiting.pop_front()?;
+        self.waiting_bytes -= cloud.data.0.len();
+        Some(cloud)
+    }
+
+    fn scan(&mut self, cloud: &PointCloud2<Bytes>, stamp: Stamp, pose: Pose, is_in_map: bool) -> Taken {
+        let back = is_in_map.then(|| pose.inverse());
+        match points_of(cloud, self.points_max, back.as_ref()) {
+            Ok(cloud) => {
+                self.counts.mapped += 1;
+                self.counts.points_dropped += cloud.dropped;
+                let scan = Scan { stamp, points: cloud.points, no_returns: Vec::new() };
+                Taken::Scan(Frame { scan, t_map_sensor: pose, points_dropped: cloud.dropped })
+            }
+            Err(fault) => {
+                self.counts.damaged += 1;
+                Taken::Fault(format!("a scan of {:.6} s is left out: {fault}", stamp.0 as f64 / 1e6))
+            }
+        }
+    }
+
+    /// Where the sensor was, in the frame of the map.
+    fn pose(&self, frame: &str, stamp: Stamp, near: i64) -> Result<Posed, NoPose> {
+        let reach = Reach { gap_max: self.gap_max, near };
+        let tree = self.frames.seen_from("");
+        if self.poses == RosPoses::Tf {
+            let pose = tree.pose(&self.map_frame, frame, stamp, reach)?;
+            return Ok(Posed { pose, is_in_map: false });
+        }
+        let link = |reason, (parent, child): (&str, &str)| NoPose::Link {
+            parent: parent.to_owned(),
+            child: child.to_owned(),
+            stamp,
+            reason,
+        };
+        let Some((parent, child)) = &self.odometry_frames else {
+            return Err(link(NoPoseThen::NotYet { newest: None }, (&self.map_frame, frame)));
+        };
+        let robot = self.odometry.at(stamp, reach).map_err(|reason| link(reason, (parent, child)))?;
+        if frame == child || child.is_empty() {
+            return Ok(Posed { pose: robot, is_in_map: false });
+        }
+        if frame == parent {
+            return Ok(Posed { pose: robot, is_in_map: true });
+        }
+        let sensor = tree.pose(child, frame, stamp, reach)?;
+        Ok(Posed { pose: robot.compose(&sensor), is_in_map: false })
+    }
+}
+
+/// Where a sensor was, and whether its points are in the map already.
+struct Posed {
+    pose: Pose,
+    is_in_map: bool,
+}
