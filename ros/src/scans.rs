@@ -263,3 +263,129 @@ struct Posed {
     pose: Pose,
     is_in_map: bool,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_io::ros::{Header, Pose as RosPose, PoseWithCovariance, TransformStamped, cloud_of_points};
+
+    fn section(poses: RosPoses) -> RosSection {
+        RosSection { poses, ..RosSection::default() }
+    }
+
+    fn cloud(micros: i64, frame: &str) -> PointCloud2<Bytes> {
+        cloud_of_points(Header::new(Stamp(micros), frame), &[[1.0, 0.0, 0.0], [f32::NAN, 0.0, 0.0]])
+    }
+
+    fn at(x: f64) -> RosPose {
+        RosPose { position: [x, 0.0, 0.0], ..RosPose::default() }
+    }
+
+    fn transform(micros: i64, parent: &str, child: &str, x: f64) -> TFMessage {
+        let header = Header::new(Stamp(micros), parent);
+        TFMessage {
+            transforms: vec![TransformStamped { header, child_frame_id: child.into(), transform: at(x) }],
+        }
+    }
+
+    fn odometry(micros: i64, x: f64) -> Odometry {
+        Odometry {
+            header: Header::new(Stamp(micros), "map"),
+            child_frame_id: "base".into(),
+            pose: PoseWithCovariance { pose: at(x), ..PoseWithCovariance::default() },
+            ..Odometry::default()
+        }
+    }
+
+    /// Where the sensor of the next scan was, along x, and its first point; `Err` is the line for people.
+    fn next(scans: &mut Scans, now: Instant) -> Option<Result<(f64, f32), String>> {
+        Some(match scans.poll(now)? {
+            Taken::Scan(frame) => Ok((frame.t_map_sensor.translation()[0], frame.scan.points[0][0])),
+            Taken::Fault(text) => Err(text),
+        })
+    }
+
+    #[test]
+    fn a_scan_waits_for_the_poses_around_it_and_no_longer_than_it_may() {
+        let (mut scans, now) = (Scans::new(&section(RosPoses::Tf), 100), Instant::now());
+        scans.take_cloud(cloud(1_000_000, "lidar"), now);
+        assert!(next(&mut scans, now).is_none());
+        scans.take_transforms(transform(0, "base", "lidar", 0.5), true);
+        scans.take_transforms(transform(900_000, "map", "base", 1.0), false);
+        assert!(next(&mut scans, now).is_none());
+        scans.take_transforms(transform(1_100_000, "map", "base", 2.0), false);
+        let (x, point) = next(&mut scans, now).unwrap().unwrap();
+        assert!((x - 2.0).abs() < 1e-12 && point == 1.0);
+        // The pose of this one never comes, and the one behind it has its own time.
+        scans.take_cloud(cloud(1_200_000, "lidar"), now);
+        scans.take_cloud(cloud(1_300_000, "lidar"), now + Duration::from_millis(300));
+        assert!(next(&mut scans, now + Duration::from_millis(499)).is_none());
+        let late = now + Duration::from_millis(500);
+        assert!(next(&mut scans, late).unwrap().unwrap_err().contains("1.200000 s is left out"));
+        assert!(next(&mut scans, late).is_none());
+        scans.take_transforms(transform(1_300_000, "map", "base", 3.0), false);
+        assert_eq!(next(&mut scans, late).unwrap().unwrap().0, 3.5);
+        let counts = *scans.counts();
+        assert_eq!((counts.clouds, counts.mapped, counts.without_pose, counts.points_dropped), (3, 2, 1, 2));
+    }
+
+    #[test]
+    fn a_scan_older_than_all_poses_or_in_a_gap_is_not_waited_for() {
+        let (mut scans, now) = (Scans::new(&section(RosPoses::Tf), 100), Instant::now());
+        scans.take_transforms(transform(1_000_000, "map", "lidar", 0.0), false);
+        scans.take_transforms(transform(3_000_000, "map", "lidar", 0.0), false);
+        for (stamp, is_mapped) in [(900_000, false), (995_000, true), (2_000_000, false), (2_995_000, true)] {
+            scans.take_cloud(cloud(stamp, "lidar"), now);
+            assert_eq!(next(&mut scans, now).unwrap().is_ok(), is_mapped, "{stamp}");
+        }
+    }
+
+    #[test]
+    fn odometry_gives_the_pose_of_its_own_frame_of_one_fixed_to_it_and_of_points_in_the_map() {
+        let (mut scans, now) = (Scans::new(&section(RosPoses::Odometry), 100), Instant::now());
+        scans.take_cloud(cloud(0, "base"), now);
+        assert!(next(&mut scans, now).is_none());
+        scans.take_odometry(odometry(0, 4.0));
+        scans.take_transforms(transform(0, "base", "lidar", 0.5), true);
+        assert_eq!(next(&mut scans, now), Some(Ok((4.0, 1.0))));
+        scans.take_cloud(cloud(0, "lidar"), now);
+        assert_eq!(next(&mut scans, now), Some(Ok((4.5, 1.0))));
+        scans.take_cloud(cloud(0, "map"), now);
+        assert_eq!(next(&mut scans, now), Some(Ok((4.0, -3.0))));
+        scans.take_cloud(cloud(0, "elsewhere"), now);
+        let late = now + Duration::from_secs(1);
+        assert!(next(&mut scans, late).unwrap().unwrap_err().contains("\"elsewhere\" is unknown"));
+    }
+
+    #[test]
+    fn what_waits_is_bounded_and_ends_where_time_goes_back() {
+        let (mut scans, now) = (Scans::new(&section(RosPoses::Tf), 100), Instant::now());
+        for stamp in 0..40 {
+            let text = scans.take_cloud(cloud(stamp, "lidar"), now);
+            assert_eq!(text.is_some(), stamp >= WAITING_MAX as i64);
+        }
+        assert_eq!((scans.counts().crowded_out, scans.waiting.len()), (8, WAITING_MAX));
+        scans.begin_anew();
+        assert_eq!((scans.counts().of_another_time, scans.waiting_bytes), (WAITING_MAX as u64, 0));
+        assert!(next(&mut scans, now).is_none() && scans.poll_timeout().is_none());
+        // Large clouds too.
+        let mut large = cloud(0, "lidar");
+        large.data = Bytes(vec![0; WAITING_BYTES_MAX / 2]);
+        for _ in 0..4 {
+            scans.take_cloud(large.clone(), now);
+        }
+        assert_eq!(scans.waiting.len(), 2);
+    }
+
+    #[test]
+    fn poses_and_clouds_that_are_none_are_counted() {
+        let (mut scans, now) = (Scans::new(&section(RosPoses::Tf), 1), Instant::now());
+        let mut message = transform(0, "map", "lidar", f64::NAN);
+        message.transforms.push(transform(0, "map", "lidar", 0.0).transforms.remove(0));
+        scans.take_transforms(message, false);
+        assert_eq!((scans.counts().poses, scans.counts().poses_damaged), (2, 1));
+        scans.take_cloud(cloud(0, "lidar"), now);
+        assert!(next(&mut scans, now).unwrap().unwrap_err().contains("number of points"));
+        assert_eq!(scans.counts().damaged, 1);
+    }
+}
