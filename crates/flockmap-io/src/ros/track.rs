@@ -133,7 +133,7 @@ impl Track {
                 .filter(|entry| away(entry) <= reach.near)
                 .map(|(_, pose)| *pose),
         };
-        found.ok_or(match (previous, next) {
+        found.ok_or_else(|| match (previous, next) {
             (Some((before, _)), Some((after, _))) => NoPoseThen::Gap { before: *before, after: *after },
             (None, Some((oldest, _))) => NoPoseThen::TooOld { oldest: *oldest },
             (newest, None) => NoPoseThen::NotYet { newest: newest.map(|(stamp, _)| *stamp) },
