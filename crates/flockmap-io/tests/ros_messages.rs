@@ -353,10 +353,10 @@ proptest! {
     ) {
         let read = |cloud: &PointCloud2<Bytes>| points_of(cloud, 20, None).unwrap();
         let expected = CloudPoints { points: points.clone(), dropped: 0 };
-        prop_assert_eq!(read(&cloud_of_points(header(), &points)), expected.clone());
+        prop_assert_eq!(&read(&cloud_of_points(header(), &points)), &expected);
         let coloured: Vec<_> = points.iter().map(|point| (*point, [255, 120, 7])).collect();
         let coloured = cloud_of_coloured_points(header(), &coloured);
-        prop_assert_eq!(read(&coloured), expected.clone());
+        prop_assert_eq!(&read(&coloured), &expected);
         let values: Vec<f32> = points.iter().flat_map(|[x, y, z]| [*z, other, *x, *y]).collect();
         let general = cloud_of_floats(header(), &["z", "distance", "x", "y"], &values);
         prop_assert_eq!(general.count(), points.len() as u64);
