@@ -11,6 +11,9 @@
 //! | point cloud | [`read_cloud`]: `.pcd`, `.ply`, `.las`, `.laz` | [`write_cloud`]: `.pcd`, `.ply` |
 //! | plane or band of a map | – | [`export_occupancy`]: `.pgm` or `.png` and a `.yaml`, for Nav2's `map_server`; [`export_heights`], [`export_values`]: `.png` |
 //! | occupancy map | [`read_map`]: `.bt`, and what is written here; [`OctoMap::read`]: `.bt` | [`export_map`]: `.ply`, `.pcd`, `.bt` |
+//! | message of ROS 2 | [`ros::decode`], or serde: clouds, poses, grids, OctoMaps, markers, diagnostics | [`ros::encode`], or serde |
+//!
+//! [`ros`] has the messages and the frames that they speak of, also for programs that get them over the network.
 #![forbid(unsafe_code)]
 
 mod bytes;

@@ -9,8 +9,8 @@
 //!
 //! Lengths are metres, stamps are [`flockmap_grid::Stamp`]s (microseconds), quaternions are x, y, z, w. Strings that
 //! are read may lack their closing zero and may be no UTF-8; one of more than 4,096 bytes is an error. Frames
-//! lose the slash in front that ROS 1 used to put there. Nothing is held of a message beyond a few times its
-//! own bytes, whatever lengths it claims.
+//! lose the slash in front that ROS 1 used to put there. A message that is read takes at most 24
+//! times its own bytes, whatever lengths it claims; most take about as much as they have.
 //!
 //! ```
 //! use flockmap_grid::Stamp;

@@ -8,6 +8,9 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::Folder;
+use flockmap_io::ros::{
+    Bytes, DiagnosticArray, MarkerArray, OccupancyGrid, PointCloud2, RosMessage, TFMessage, decode,
+};
 use flockmap_io::{OctoMap, RecordOptions, open_record, read_cloud};
 
 struct Counting;
@@ -113,4 +116,34 @@ fn small_files_that_ask_for_much_memory_do_not_get_it() {
             bytes.len()
         );
     }
+    check_messages();
+}
+
+/// Messages that claim endless lists, of elements that take the fewest bytes.
+fn check_messages() {
+    fn check<T: RosMessage + serde::de::DeserializeOwned>(count_at: usize) {
+        let mut bytes = vec![0; 1 << 20];
+        bytes[1] = 1;
+        bytes[count_at..count_at + 4].fill(0xff);
+        let mut result = Ok(());
+        let held = peak(|| result = decode::<T>(&bytes).map(drop));
+        println!("{}, list at {count_at}: {held} held", T::SCHEMA);
+        result.expect_err(T::SCHEMA);
+        assert!(held < 24 * bytes.len(), "{} of {} bytes held {held}", T::SCHEMA, bytes.len());
+    }
+    check::<TFMessage>(4);
+    check::<MarkerArray>(4);
+    // Statuses, and the figures of a status.
+    check::<DiagnosticArray>(16);
+    let mut bytes = vec![0; 1 << 20];
+    bytes[1] = 1;
+    bytes[16] = 1;
+    bytes[36..40].fill(0xff);
+    let held = peak(|| drop(decode::<DiagnosticArray>(&bytes).unwrap_err()));
+    assert!(held < 24 * bytes.len(), "figures held {held}");
+    println!("figures: {held} held");
+    // Fields, and points.
+    check::<PointCloud2<Bytes>>(24);
+    check::<PointCloud2<Bytes>>(40);
+    check::<OccupancyGrid>(92);
 }

@@ -231,7 +231,7 @@ impl<'a> FrameTree<'a> {
             });
             pose = match (pose, step) {
                 (Ok(below), Ok(step)) => Ok(step.compose(&below)),
-                (Err(first), Err(second)) if first.may_come() => Err(second),
+                (Err(first), Err(second)) if first.may_come() && !second.may_come() => Err(second),
                 (Err(first), _) | (Ok(_), Err(first)) => Err(first),
             };
             at = &edge.parent;

@@ -133,7 +133,7 @@ impl Track {
                 .filter(|entry| away(entry) <= reach.near)
                 .map(|(_, pose)| *pose),
         };
-        found.ok_or(match (previous, next) {
+        found.ok_or_else(|| match (previous, next) {
             (Some((before, _)), Some((after, _))) => NoPoseThen::Gap { before: *before, after: *after },
             (None, Some((oldest, _))) => NoPoseThen::TooOld { oldest: *oldest },
             (newest, None) => NoPoseThen::NotYet { newest: newest.map(|(stamp, _)| *stamp) },
@@ -151,6 +151,7 @@ fn between(a: &Pose, b: &Pose, share: f64) -> Option<Pose> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     const REACH: Reach = Reach { gap_max: 500_000, near: 10_000 };
 
@@ -184,5 +185,21 @@ mod tests {
         assert_eq!(track.at(Stamp(595_000), REACH).unwrap().translation()[0], 6.0);
         assert_eq!(track.at(Stamp(600_000), REACH).unwrap().translation()[0], 6.0);
         assert!(Track::default().at(Stamp(0), REACH).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn a_log_in_any_order_gives_the_same_track_as_poses_that_come_one_by_one(
+            stamps in prop::collection::vec(0..20i64, 0..40),
+        ) {
+            let (mut log, mut live) = (Track::default(), Track::default());
+            for (x, stamp) in stamps.into_iter().enumerate() {
+                let pose = Pose::from_translation([x as f64, 0.0, 0.0]);
+                log.collect(Stamp(stamp), pose);
+                live.push(Stamp(stamp), pose);
+            }
+            log.sort();
+            prop_assert_eq!(log.poses, live.poses);
+        }
     }
 }
