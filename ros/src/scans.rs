@@ -173,7 +173,7 @@ impl Scans {
         self.counts.of_another_time += self.waiting.len() as u64;
         self.waiting.clear();
         self.waiting_bytes = 0;
-        self.frames.forget_before(Stamp(i64::MAX));
+        self.frames.forget_moving();
         self.odometry = Track::default();
         self.newest_pose = None;
     }
@@ -368,6 +368,14 @@ mod tests {
         scans.begin_anew();
         assert_eq!((scans.counts().of_another_time, scans.waiting_bytes), (WAITING_MAX as u64, 0));
         assert!(next(&mut scans, now).is_none() && scans.poll_timeout().is_none());
+        // What is fixed is said once and stays; what moves is of another time.
+        scans.take_transforms(transform(0, "base", "lidar", 0.5), true);
+        scans.take_transforms(transform(9_000_000, "map", "base", 1.0), false);
+        scans.begin_anew();
+        scans.take_cloud(cloud(1_000_000, "lidar"), now);
+        assert!(next(&mut scans, now).is_none());
+        scans.take_transforms(transform(1_000_000, "map", "base", 2.0), false);
+        assert_eq!(next(&mut scans, now), Some(Ok((2.5, 1.0))));
         // Large clouds too.
         let mut large = cloud(0, "lidar");
         large.data = Bytes(vec![0; WAITING_BYTES_MAX / 2]);

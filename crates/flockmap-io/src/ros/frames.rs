@@ -76,6 +76,11 @@ impl FrameForest {
         self.edges_mut().for_each(|edge| edge.moving.forget_before(stamp));
     }
 
+    /// Forgets all poses with a time; those for all times stay. For a clock that went back.
+    pub fn forget_moving(&mut self) {
+        self.edges_mut().for_each(|edge| edge.moving = Track::default());
+    }
+
     /// [`Self::push`] for a log, which may have millions of poses in any order: [`Self::sort`] puts them in order.
     pub(crate) fn collect(
         &mut self,
