@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use flockmap::Stamp;
+use flockmap_io::ros::Time;
 use flockmap_node::Clock;
 
 /// `/clock` that goes on by this much more than the node's clock has jumped.
@@ -25,7 +26,7 @@ struct State {
     /// How far the simulated time is ahead of the node's clock, once it was heard.
     ahead: Option<i64>,
     /// Scans by their stamps on the node's clock and in ROS.
-    remembered: VecDeque<(Stamp, Stamp)>,
+    remembered: VecDeque<(Stamp, Time)>,
 }
 
 /// How the simulated time has jumped.
@@ -61,18 +62,18 @@ impl RosClock {
     }
 
     /// A stamp of ROS on the node's clock; `None` before the first `/clock`. It is remembered.
-    pub(crate) fn to_node(&self, ros: Stamp) -> Option<Stamp> {
-        let node = Stamp(ros.0.saturating_sub(self.ahead()?));
+    pub(crate) fn to_node(&self, ros: Time) -> Option<Stamp> {
+        let node = Stamp(Stamp::from(ros).0.saturating_sub(self.ahead()?));
         let remembered = &mut self.lock().remembered;
         remembered.truncate(REMEMBERED_MAX - 1);
         remembered.push_front((node, ros));
         Some(node)
     }
 
-    /// A stamp of the node's clock in ROS, exactly that of the scan if it is of one.
-    pub(crate) fn to_ros(&self, node: Stamp) -> Option<Stamp> {
+    /// A stamp of the node's clock in ROS; that of the scan to the nanosecond if it is of one.
+    pub(crate) fn to_ros(&self, node: Stamp) -> Option<Time> {
         let remembered = self.lock().remembered.iter().find(|(of, _)| *of == node).map(|(_, ros)| *ros);
-        remembered.or_else(|| Some(node.plus_micros(self.ahead()?)))
+        remembered.or_else(|| Some(node.plus_micros(self.ahead()?).into()))
     }
 
     fn ahead(&self) -> Option<i64> {
@@ -94,14 +95,15 @@ mod tests {
     fn simulated_time_is_that_of_the_clock_topic_and_jumps_are_told() {
         let node = Clock::at(Stamp(1_000_000_000));
         let clock = RosClock::new(node, true);
-        assert_eq!((clock.now(), clock.to_node(Stamp(5))), (None, None));
+        let time = |micros: i64| Time::from(Stamp(micros));
+        assert_eq!((clock.now(), clock.to_node(time(5))), (None, None));
         assert_eq!(clock.take_clock(Stamp(50_000_000)), None);
-        let scan = clock.to_node(Stamp(49_900_000)).unwrap();
+        let scan = clock.to_node(Time { sec: 49, nanosec: 900_000_123 }).unwrap();
         assert!((scan.micros_since(node.now()) + 100_000).abs() < 1_000_000, "{scan:?}");
-        assert_eq!(clock.to_ros(scan), Some(Stamp(49_900_000)));
+        assert_eq!(clock.to_ros(scan), Some(Time { sec: 49, nanosec: 900_000_123 }));
         assert_eq!(clock.take_clock(Stamp(50_500_000)), None);
         // The scan keeps its stamp, however the clock goes on.
-        assert_eq!(clock.to_ros(scan), Some(Stamp(49_900_000)));
+        assert_eq!(clock.to_ros(scan), Some(Time { sec: 49, nanosec: 900_000_123 }));
         assert!(matches!(clock.take_clock(Stamp(10_000_000)), Some(Jump::Back(by)) if by > 39_000_000));
         assert!(matches!(clock.take_clock(Stamp(90_000_000)), Some(Jump::On(by)) if by > 79_000_000));
     }
@@ -110,7 +112,7 @@ mod tests {
     fn without_simulation_it_is_the_time_of_the_machine() {
         let clock = RosClock::new(Clock::new(), false);
         let now = clock.now().unwrap();
-        let there = clock.to_ros(clock.to_node(now).unwrap()).unwrap();
-        assert_eq!(there, now);
+        let there = clock.to_ros(clock.to_node(now.into()).unwrap()).unwrap();
+        assert_eq!(there, now.into());
     }
 }

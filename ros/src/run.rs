@@ -9,7 +9,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use flockmap::{Pose, RobotId, Stamp};
 use flockmap_io::Frame;
-use flockmap_io::ros::{Bytes, Clock as ClockMessage, Header, Odometry, PointCloud2, PoseStamped, TFMessage};
+use flockmap_io::ros::{
+    Bytes, Clock as ClockMessage, Header, Odometry, PointCloud2, PoseStamped, TFMessage, Time,
+};
 use flockmap_node::{Configuration, ConfiguredNode, Log, RosPoses, RosSection, Sensor};
 use futures::stream::{self, BoxStream, SelectAll, StreamExt};
 use ros2_client::Subscription;
@@ -270,15 +272,20 @@ impl Intake {
     /// Hands what is ready to the node, as far as it has room.
     fn hand_over(&mut self) {
         while self.frames.capacity() > 0 {
-            let mut frame = match self.scans.poll(Instant::now()) {
-                Some(Taken::Scan(frame)) => frame,
+            // Before the first /clock a scan waits for that too.
+            let now = Instant::now();
+            if self.clock.now().is_none() && self.scans.poll_timeout().is_none_or(|until| now < until) {
+                return;
+            }
+            let (mut frame, stamp) = match self.scans.poll(now) {
+                Some(Taken::Scan(frame, stamp)) => (frame, stamp),
                 Some(Taken::Fault(text)) => {
                     self.warn("scan", text);
                     continue;
                 }
                 None => return,
             };
-            match self.stamp(frame.scan.stamp) {
+            match self.stamp(stamp) {
                 Ok(stamp) => {
                     frame.scan.stamp = stamp;
                     // There is room, unless the node has ended.
@@ -293,11 +300,11 @@ impl Intake {
     }
 
     /// The stamp of a scan on the node's clock.
-    fn stamp(&self, ros: Stamp) -> Result<Stamp, String> {
+    fn stamp(&self, ros: Time) -> Result<Stamp, String> {
         let nothing =
             || "scans are left out until /clock says what time it is: use_sim_time is set".to_owned();
         let now = self.clock.now().ok_or_else(nothing)?;
-        let off = ros.micros_since(now);
+        let off = Stamp::from(ros).micros_since(now);
         if off.saturating_abs() > self.stamp_error_max {
             return Err(format!(
                 "a scan is left out: its stamp is {:.3} s {} the time of ROS. For a recording play /clock and set use_sim_time; else set the clock of the sensor",
@@ -397,10 +404,11 @@ fn publish(
                 return;
             };
             let sensor = poses.iter().find(|pose| pose.stream == own);
-            let stamp = sensor.map_or_else(|| clock.now(), |pose| clock.to_ros(pose.seen));
+            let stamp = sensor.map_or_else(|| clock.now().map(Time::from), |pose| clock.to_ros(pose.seen));
             if let Some(stamp) = stamp {
                 let position = sensor.map(|pose| pose.position);
-                let shot = Shot { view, header: Header::new(stamp, frame), poses, position };
+                let header = Header { stamp, frame_id: frame.into() };
+                let shot = Shot { view, header, poses, position };
                 faults.extend(outputs.iter_mut().filter_map(|output| output.publish(&shot, now).err()));
             }
         }

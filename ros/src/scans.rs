@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use flockmap::{Pose, Scan, Stamp};
 use flockmap_io::Frame;
 use flockmap_io::ros::{
-    Bytes, FrameForest, NoPose, NoPoseThen, Odometry, PointCloud2, Reach, TFMessage, Track, points_of,
+    Bytes, FrameForest, NoPose, NoPoseThen, Odometry, PointCloud2, Reach, TFMessage, Time, Track, points_of,
 };
 use flockmap_node::{RosPoses, RosSection};
 
@@ -49,8 +49,8 @@ pub(crate) struct ScanCounts {
 /// What has come out of the messages.
 #[derive(Debug)]
 pub(crate) enum Taken {
-    /// A scan; its stamp is that of ROS.
-    Scan(Frame),
+    /// A scan, with its stamp in ROS.
+    Scan(Frame, Time),
     /// Something is left out: a line for people.
     Fault(String),
 }
@@ -216,11 +216,14 @@ impl Scans {
     fn scan(&mut self, cloud: &PointCloud2<Bytes>, stamp: Stamp, pose: Pose, is_in_map: bool) -> Taken {
         let back = is_in_map.then(|| pose.inverse());
         match points_of(cloud, self.points_max, back.as_ref()) {
-            Ok(cloud) => {
+            Ok(points) => {
                 self.counts.mapped += 1;
-                self.counts.points_dropped += cloud.dropped;
-                let scan = Scan { stamp, points: cloud.points, no_returns: Vec::new() };
-                Taken::Scan(Frame { scan, t_map_sensor: pose, points_dropped: cloud.dropped })
+                self.counts.points_dropped += points.dropped;
+                let scan = Scan { stamp, points: points.points, no_returns: Vec::new() };
+                Taken::Scan(
+                    Frame { scan, t_map_sensor: pose, points_dropped: points.dropped },
+                    cloud.header.stamp,
+                )
             }
             Err(fault) => {
                 self.counts.damaged += 1;
@@ -300,7 +303,7 @@ mod tests {
     /// Where the sensor of the next scan was, along x, and its first point; `Err` is the line for people.
     fn next(scans: &mut Scans, now: Instant) -> Option<Result<(f64, f32), String>> {
         Some(match scans.poll(now)? {
-            Taken::Scan(frame) => Ok((frame.t_map_sensor.translation()[0], frame.scan.points[0][0])),
+            Taken::Scan(frame, _) => Ok((frame.t_map_sensor.translation()[0], frame.scan.points[0][0])),
             Taken::Fault(text) => Err(text),
         })
     }
