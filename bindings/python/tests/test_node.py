@@ -147,7 +147,9 @@ def test_a_node_writes_its_map_when_it_is_stopped(tmp_path):
 
 def test_ctrl_c_ends_a_node_cleanly(tmp_path):
     program = f"""
-        import flockmap
+        import flockmap, signal
+        # Also where the tests run in the background, where a shell has children ignore it.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         try:
             with flockmap.Node({configuration(tmp_path, output='save_map_at_end = "map.bt"')!r}, quiet=True) as node:
                 print("started", flush=True)
@@ -159,6 +161,9 @@ def test_ctrl_c_ends_a_node_cleanly(tmp_path):
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "started\n"
         os.kill(process.pid, signal.SIGINT)
-        assert process.communicate(timeout=60)[0] == "interrupted\n"
+        try:
+            assert process.communicate(timeout=60)[0] == "interrupted\n"
+        finally:
+            process.kill()
         assert process.returncode == 0
     assert (tmp_path / "map.bt").is_file()

@@ -57,6 +57,8 @@ pub(crate) struct Inbox {
     pending: BTreeSet<(Item, RobotId)>,
     /// Damaged, or without room: not asked for again until then.
     backed_off: BTreeMap<Item, Stamp>,
+    /// Of these, packages that had no room to wait: stream, what they wait for, index. At most as many.
+    crowded_out: BTreeSet<(Stream, u32, u32)>,
     /// Packages that a snapshot has to bring. Never empty sets.
     undecodable: BTreeMap<Stream, IntervalSet>,
     /// Packages that build on others and were damaged once.
@@ -107,6 +109,7 @@ impl Inbox {
         Self {
             pending: BTreeSet::new(),
             backed_off: BTreeMap::new(),
+            crowded_out: BTreeSet::new(),
             undecodable: BTreeMap::new(),
             damaged: BTreeSet::new(),
             transfers: Vec::new(),
@@ -217,6 +220,25 @@ impl Inbox {
         self.backed_off.insert(item, now.plus(BACK_OFF));
     }
 
+    /// A package is backed off for one reason: there was no room for it to wait for its base.
+    pub(crate) fn note_crowded_out(&mut self, stream: Stream, base: u32, index: u32) {
+        if self.crowded_out.len() < BACKED_OFF_MAX {
+            self.crowded_out.insert((stream, base, index));
+        }
+    }
+
+    /// Packages that had no room to wait, and need to wait no more, may be asked for again at once. Whether there
+    /// are any.
+    pub(crate) fn welcome_back(&mut self, stream: Stream, store: &Store) -> bool {
+        let upto = (stream, prefix(store, stream), u32::MAX);
+        let mut any = false;
+        while let Some(&(_, base, index)) = self.crowded_out.range((stream, 0, 0)..=upto).next() {
+            self.crowded_out.remove(&(stream, base, index));
+            any |= self.backed_off.remove(&Item::Package { stream, index }).is_some();
+        }
+        any
+    }
+
     pub(crate) fn end_back_off(&mut self, item: Item) {
         self.backed_off.remove(&item);
     }
@@ -275,6 +297,7 @@ impl Inbox {
 
     /// Forgets a stream. What waited of it goes with [`drop_upto`](Self::drop_upto).
     pub(crate) fn forget(&mut self, stream: Stream) {
+        self.crowded_out.retain(|(of, _, _)| *of != stream);
         self.transfers.retain(|transfer| transfer.stream != stream);
         self.pending.retain(|(item, _)| item.stream() != stream);
         self.undecodable.remove(&stream);

@@ -138,6 +138,24 @@ fn what_waits_is_bounded_and_one_stream_does_not_displace_another() {
 }
 
 #[test]
+fn what_had_no_room_to_wait_is_wanted_again_as_soon_as_it_need_not_wait() {
+    let (mut loud, mut bob) = (Sender::new(1), robot(2));
+    let now = Stamp(1_000);
+    let flood: Vec<Package> = (0..1_200).map(|_| loud.send_and_note(false)).collect();
+    loud.give(&mut bob, now, &flood[1..].iter().collect::<Vec<_>>());
+    let rejected = bob.session().counters().rejected;
+    assert_eq!(bob.session().load().backed_off, 1_199 - 1_024);
+    // Still none of them: what they build on is not there.
+    loud.give(&mut bob, now, &[&flood[1_199]]);
+    assert_eq!(bob.session().counters().rejected, rejected + 1);
+    loud.give(&mut bob, now, &[&flood[0]]);
+    assert_eq!(bob.counters().merged, 1_025);
+    loud.give(&mut bob, now, &flood[1_025..].iter().collect::<Vec<_>>());
+    assert!(loud.holds_all(&bob));
+    assert_eq!(bob.session().load().backed_off, 0);
+}
+
+#[test]
 fn a_package_told_alone_waits_for_one_that_looks_at_what_it_changes() {
     let (mut sender, mut bob) = (Sender::new(1), robot(2));
     let packages = [false, false, true, true].map(|is_independent| sender.send_and_note(is_independent));

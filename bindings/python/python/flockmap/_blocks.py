@@ -28,8 +28,8 @@ class BlockMap:
         self._micrometres = micrometres
         self._rows: dict[bytes, int] = {}
         self._count = 0
-        self._index = np.zeros((0, 3), np.int32)
-        self._planes = np.zeros((0, 2, 8), np.uint64)
+        self._index: NDArray[np.int32] = np.zeros((0, 3), np.int32)
+        self._planes: NDArray[np.uint64] = np.zeros((0, 2, 8), np.uint64)
         self._lookup: _Lookup | None = None
 
     def __len__(self) -> int:

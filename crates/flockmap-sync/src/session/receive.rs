@@ -124,6 +124,7 @@ impl Session {
                 Event::CaughtUp { stream, upto } => {
                     self.inbox.drop_upto(stream, upto);
                     self.inbox.release_stream(stream);
+                    self.welcome_back(stream);
                     return Some(Event::CaughtUp { stream, upto });
                 }
                 Event::StreamForgotten(stream) => {
@@ -142,6 +143,7 @@ impl Session {
         self.back_off(self.clocks.now(), package);
         if header.content == ContentKind::Changes {
             let (stream, index, base) = (header.stream, header.index, header.base);
+            self.inbox.note_crowded_out(stream, base, index);
             self.push_event(Event::NoRoomToWait { stream, index, base });
         }
     }
@@ -158,6 +160,7 @@ impl Session {
             (Verdict::Merged, _) => {
                 self.accept(now, package);
                 self.inbox.release(package);
+                self.welcome_back(item.stream());
             }
             (Verdict::Damaged, Item::Chunk { stream, snapshot_id, .. }) => {
                 self.back_off(now, package);
@@ -176,6 +179,13 @@ impl Session {
                 self.note_gap(now, true);
             }
             _ => self.back_off(now, package),
+        }
+    }
+
+    /// More of a stream is in the map: what had no room to wait for it is asked for again.
+    fn welcome_back(&mut self, stream: Stream) {
+        if self.inbox.welcome_back(stream, &self.store) {
+            self.note_gap(self.clocks.now(), true);
         }
     }
 
