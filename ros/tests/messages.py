@@ -6,21 +6,15 @@ CDR bytes go in and out of Cyclone as they are: its Python encoder would take lo
 not be decoded by another's code.
 """
 
-import dataclasses
-import json
-import os
-import signal
-import threading
-
 import numpy as np
-from cyclonedds.core import DDSException, Listener, Policy, Qos, ReadCondition, SampleState, InstanceState, ViewState, WaitSet
+from cyclonedds._clayer import ddspy_take, ddspy_write
+from cyclonedds.core import DDSException, InstanceState, Listener, Policy, Qos, ReadCondition, SampleState, ViewState
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct, make_idl_struct, types
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
-from cyclonedds._clayer import ddspy_take, ddspy_write
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -123,12 +117,12 @@ class Writer:
 
     def write_cdr(self, cdr: bytes) -> None:
         """A message with its 4 bytes of CDR header, as bags keep them."""
-        result = ddspy_write(self.writer._ref, cdr + b"\0" * (-len(cdr) % 4))
+        result = ddspy_write(self.writer._ref, bytes(cdr) + b"\0" * (-len(cdr) % 4))
         if result < 0:
             raise DDSException(result, f"writing {self.name}")
 
     def write(self, message) -> None:
-        self.write_cdr(store.serialize_cdr(message, self.name))
+        self.write_cdr(bytes(store.serialize_cdr(message, self.name)))
 
     def matched(self) -> int:
         return len(self.writer.get_matched_subscriptions())
@@ -175,3 +169,39 @@ def time_message(ns: int):
 
 def header(ns: int, frame: str):
     return store.types["std_msgs/msg/Header"](stamp=time_message(ns), frame_id=frame)
+
+
+# What flockmap-ros publishes below its own name, and with what type.
+OUTPUTS = {
+    "occupied_points": "PointCloud2", "occupied_points_all": "PointCloud2", "grid": "OccupancyGrid",
+    "grid_updates": "OccupancyGridUpdate", "octomap_binary": "Octomap", "distance_field": "PointCloud2", "robots": "MarkerArray",
+}
+
+
+def cloud(stamp: int, frame: str, points: np.ndarray, fields: str = "xyz"):
+    """An array of float32 rows as a PointCloud2."""
+    points = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, len(fields))
+    field = store.types["sensor_msgs/msg/PointField"]
+    return message(
+        "PointCloud2", header=header(stamp, frame), height=1, width=len(points),
+        fields=[field(name=name, offset=4 * i, datatype=7, count=1) for i, name in enumerate(fields)],
+        is_bigendian=False, point_step=points.itemsize * len(fields), row_step=points.nbytes,
+        data=points.view(np.uint8).reshape(-1), is_dense=bool(np.isfinite(points).all()))
+
+
+def floats(message) -> np.ndarray:
+    """The rows of a PointCloud2 all of whose fields are float32."""
+    assert all(f.datatype == 7 and f.offset == 4 * i and f.count == 1 for i, f in enumerate(message.fields)), message.fields
+    assert message.point_step == 4 * len(message.fields) and not message.is_bigendian
+    assert message.row_step == message.point_step * message.width and len(message.data) == message.row_step * message.height
+    return np.frombuffer(message.data.tobytes(), dtype="<f4").reshape(-1, len(message.fields))
+
+
+def transform(stamp: int, parent: str, child: str, translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0, 1.0)):
+    """A TFMessage of one transform."""
+    of = store.types
+    return message("TFMessage", transforms=[of["geometry_msgs/msg/TransformStamped"](
+        header=header(stamp, parent), child_frame_id=child,
+        transform=of["geometry_msgs/msg/Transform"](
+            translation=of["geometry_msgs/msg/Vector3"](*map(float, translation)),
+            rotation=of["geometry_msgs/msg/Quaternion"](*map(float, rotation))))])
