@@ -5,6 +5,9 @@
 usage: compare.py map MAP.bt LISTENED [--band 0.2 2] [--near 10] [--field-range 5 5 2] [--field-max 2] [--position X Y Z]
        compare.py layer REFERENCE.bt GOT.bt      equal where the reference knows; what is only in the other is counted
        compare.py share A.bt B.bt                how many of the voxels that both know are equal
+       compare.py streams REPORT.json...         each layer is the same wherever it is held, and nothing is missing
+       compare.py counts SENT.jsonl LISTENED     every cloud that was sent has been mapped, as /diagnostics says
+       compare.py position SENT.jsonl            where the sensor was at the end
        compare.py latency SENT.jsonl RECEIVED.jsonl     from sending a cloud to the first map with its stamp or a later one
 environment: OCTOMAP_VOXELS, the program (default: octomap_voxels beside this file, built where it is missing)
 exit: 0 equal, 1 not.
@@ -39,12 +42,15 @@ def main() -> int:
     of.add_argument("--position", type=float, nargs=3, help="of the sensor at the end")
     of.add_argument("--frame", default="map")
     of.add_argument("--need", nargs="*", default=[], help="outputs that must be there")
-    for name, first, second in (("layer", "reference", "got"), ("share", "a", "b"), ("latency", "sent", "received")):
+    for name, first, second in (("layer", "reference", "got"), ("share", "a", "b"), ("latency", "sent", "received"),
+                                ("counts", "sent", "listened")):
         of = commands.add_parser(name)
         of.add_argument(first)
         of.add_argument(second)
+    commands.add_parser("streams").add_argument("reports", nargs="+")
+    commands.add_parser("position").add_argument("sent")
     options = parser.parse_args()
-    return {"map": compare_map, "layer": compare_layer, "share": compare_share, "latency": latency}[options.command](options)
+    return {"streams": streams, "counts": counts, "position": position, "map": compare_map, "layer": compare_layer, "share": compare_share, "latency": latency}[options.command](options)
 
 
 # Voxels -------------------------------------------------------------------------------------------------------------------------
@@ -240,6 +246,45 @@ def check_field(report: Report, message, whole: Map, occupied: np.ndarray, side:
     is_right = bool(are_free.all()) and error.max() < 1e-3 and missing == 0 and off < 0.01 and len(rows) > 0
     report.say("distance_field", is_right, f"{len(rows)} points, {int((~are_free).sum())} not free, {missing} missing or too many in the box, "
                f"largest error {error.max():.5f} m, mean distance {rows[:, 3].mean() if len(rows) else 0:.3f} m")
+
+
+# Reports -----------------------------------------------------------------------------------------------------------------------
+
+
+def streams(options) -> int:
+    """Digests are of states and stamps, so equal ones are equal voxel by voxel."""
+    held: dict[tuple, dict] = {}
+    result = 0
+    for path in options.reports:
+        for stream in json.loads(Path(path).read_text())["streams"]:
+            if stream["voxels"]:
+                held.setdefault((stream["origin"], stream["epoch"]), {})[path] = stream
+    for (origin, epoch), by in sorted(held.items()):
+        digests = {s["digest"] for s in by.values()}
+        missing = sum(s["missing"] for s in by.values())
+        is_good = len(digests) == 1 and missing == 0 and len(by) > 1
+        result |= not is_good
+        voxels = "/".join(str(v) for v in sorted({s["voxels"] for s in by.values()}))
+        print(f"{'equal ' if is_good else 'DIFFERS'} layer of robot {origin}: {voxels} voxels, held by {len(by)}, {missing} packages missing")
+    return int(result or not held)
+
+
+def counts(options) -> int:
+    sent = [json.loads(line) for line in open(options.sent)]
+    clouds = sum("stamp" in line for line in sent)
+    values = {}
+    for line in open(Path(options.listened) / "values.jsonl"):
+        for of_part in json.loads(line)["status"].values():
+            values.update(of_part)
+    shown = {k: v for k, v in values.items() if "cloud" in k or "left out" in k or "pose" in k or "no numbers" in k}
+    mapped = int(values.get("clouds mapped", -1))
+    print(f"{'equal ' if mapped == clouds else 'DIFFERS'} clouds: {clouds} sent, {mapped} mapped: {shown}")
+    return int(mapped != clouds)
+
+
+def position(options) -> int:
+    print(*[json.loads(line) for line in open(options.sent)][-1]["position"])
+    return 0
 
 
 # Latency -----------------------------------------------------------------------------------------------------------------------
