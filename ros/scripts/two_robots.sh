@@ -117,7 +117,7 @@ for n in 1 2; do
     eval "pid=\$node_$n"
     kill -0 "$pid" 2> /dev/null || { echo "robot $n ended:"; tail -20 "$dir/$n.log"; exit 1; }
     seconds=$(awk -v hz="$(getconf CLK_TCK)" '{ print ($14 + $15) / hz }' "/proc/$pid/stat")
-    age=$(ps -o etimes= -p "$pid")
+    age=$(ps -o etimes= -p "$pid" | tr -d " ")
     echo "robot $n: processor time $seconds s of $age s, most memory $(awk '/VmHWM/ { print $2 }' "/proc/$pid/status") kB," \
         "out of the radio $(ip netns exec "$name-$n" cat /sys/class/net/radio/statistics/tx_bytes) bytes" | tee "$dir/cost$n.txt"
 done
