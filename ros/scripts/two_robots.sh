@@ -86,7 +86,7 @@ configuration 1 2 ""
 configuration 2 1 ""
 configuration 3 "1 2" 2
 configuration 4 "1 2" 1
-echo 'end_when_quiet_s = 6' | tee -a "$dir/3.toml" >> "$dir/4.toml"
+echo 'end_when_quiet_s = 30' | tee -a "$dir/3.toml" >> "$dir/4.toml"
 start 0 "$dir/radio.log" "$flockmap" radio "${address[1]}" "${address[2]}" "${address[3]}" "${address[4]}" --listen 10.77.0.100:7800 \
     --loss "$LOSS" --delay-ms "$DELAY_MS" --json "$dir/radio.json"
 radio=$started

@@ -35,7 +35,7 @@ def main() -> int:
     parser.add_argument("--namespace", default="", help="before each topic but /tf and /tf_static")
     parser.add_argument("--remap", action="append", default=[], metavar="FROM:=TO")
     parser.add_argument("--points-qos", default=PLAYED["sensor_msgs/msg/PointCloud2"])
-    parser.add_argument("--wait", type=float, default=30.0, help="wait so long for a reader of each topic with clouds")
+    parser.add_argument("--wait", type=float, default=30.0, help="wait so long for readers of clouds and of /clock")
     parser.add_argument("--linger", type=float, default=1.0, help="stay so long after the last message")
     parser.add_argument("--sent", help="file of JSON lines")
     options = parser.parse_args()
@@ -52,11 +52,16 @@ def main() -> int:
     clock = Writer(participant, "/clock", "Clock", "best_effort,volatile,1") if options.clock else None
     clouds = [w for w in writers.values() if w.name.endswith("PointCloud2")]
     deadline = time.monotonic() + options.wait
-    while not all(w.matched() for w in clouds) and time.monotonic() < deadline:
+    while not all(w.matched() for w in clouds + ([clock] if clock else [])) and time.monotonic() < deadline:
         # Who waits for the time before it does anything must not wait for ever.
         if clock:
             clock.write(message("Clock", clock=time_message(start)))
         time.sleep(0.01)
+    if clock:
+        # Topics do not wait for each other: the time must be known before the first cloud has come.
+        for _ in range(30):
+            clock.write(message("Clock", clock=time_message(start)))
+            time.sleep(0.01)
     if not all(w.matched() for w in clouds):
         print(f"play: no reader of some clouds after {options.wait} s", file=sys.stderr)
 

@@ -23,6 +23,7 @@ from rosbags.rosbag2 import Writer as BagWriter
 from messages import (DomainParticipant, Reader, Writer, cloud, dds_name, ddspy_write, floats, message, qos, store, time_message,
                       transform)
 from peer import wall
+from play import shifted
 
 HERE = Path(__file__).parent
 FLOCKMAP_ROS = os.environ.get("FLOCKMAP_ROS")
@@ -359,7 +360,7 @@ def test_a_bag_of_two_robots_with_namespaces(tmp_path):
                     if key not in connections:
                         connections[key] = bag.add_connection(*key, typestore=store)
                     clouds += connection.topic == "/robot2/points"
-                    bag.write(connections[key], at - start + first, bytes(cdr))
+                    bag.write(connections[key], at - start + first, shifted(bytes(cdr), connection.msgtype, first - start))
     made = Node(tmp_path, "-r", "points:=/robot2/points", "-p", "use_sim_time:=true", namespace="/second")
     try:
         played = subprocess.run(
