@@ -36,7 +36,7 @@ Examples:
   flockmap-ros --ros-args --params-file robot1.yaml -r points:=/velodyne_points
   flockmap-ros --config robot1.toml --ros-args -r __ns:=/robot1 -r /tf:=tf -r /tf_static:=tf_static
 
-`flockmap node --example` prints a configuration with every key; those of ROS are in [ros]. DDS uses the loopback
+crates/flockmap-node/robot.example.toml has every key with its default; those of ROS are in [ros]. DDS uses the loopback
 interface alone unless `[ros] interfaces` says others, so that it stays off the radio: docs/ros2.md."
 )]
 struct Options {
