@@ -25,7 +25,7 @@ use crate::names::Names;
 use crate::output::{Cloud, Diagnostics, Field, Grid, Outlet, Output, Robots, Shot, Tree};
 use crate::parameters;
 use crate::scans::{ScanCounts, Scans, Taken};
-use crate::topics::{CLOCK, MAP, POSES, SENSOR, STATUS, TF, TF_STATIC, Topics};
+use crate::topics::{CLOCK, MAP, POSES, SENSOR, SENSOR_RELIABLE, STATUS, TF, TF_STATIC, Topics};
 
 /// Scans that may wait for the node.
 const FRAMES_WAITING_MAX: usize = 4;
@@ -120,7 +120,8 @@ type Inputs = SelectAll<BoxStream<'static, Input>>;
 
 fn subscribe(topics: &mut Topics, section: &RosSection) -> Result<Inputs> {
     let mut inputs = SelectAll::new();
-    let clouds = topics.subscribe("points", SENSOR)?;
+    let clouds =
+        topics.subscribe("points", if section.points_reliable { SENSOR_RELIABLE } else { SENSOR })?;
     inputs.push(messages(clouds, topics.names().topic("points"), true, Input::Cloud));
     let tf: Subscription<TFMessage> = topics.subscribe("/tf", TF)?;
     inputs

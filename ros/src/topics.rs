@@ -22,6 +22,8 @@ const DOMAIN_VARIABLE: &str = "ROS_DOMAIN_ID";
 /// Sensor data: what is late is of no use (REP-2003).
 pub(crate) const SENSOR: QosProfile =
     QosProfile::subscription_default().history(History::KeepLast { depth: 5 });
+/// The same for clouds of several MB, of which some part is lost each time.
+pub(crate) const SENSOR_RELIABLE: QosProfile = SENSOR.reliability(RELIABLE);
 /// The same for small messages that come often.
 pub(crate) const POSES: QosProfile = SENSOR.history(History::KeepLast { depth: 100 });
 /// `/clock`.

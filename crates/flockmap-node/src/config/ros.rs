@@ -17,6 +17,8 @@ use super::error::ConfigError;
 pub struct RosSection {
     /// Frame of tf that the map is in.
     pub map_frame: String,
+    /// Whether scans are asked for again where parts of them are lost. Their publisher must offer it.
+    pub points_reliable: bool,
     /// Where the pose of a scan comes from.
     pub poses: RosPoses,
     /// A scan waits so long for its pose.
@@ -73,6 +75,7 @@ impl Default for RosSection {
     fn default() -> Self {
         Self {
             map_frame: "map".into(),
+            points_reliable: false,
             poses: RosPoses::Tf,
             pose_wait_s: 0.5,
             pose_gap_max_s: 0.5,
