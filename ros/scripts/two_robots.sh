@@ -154,8 +154,10 @@ for n in 1 2; do
         # shellcheck disable=SC2046,SC2086 # words
         compare map "$dir/$n.bt" "$dir/$who$n" --position $("$PYTHON" "$TESTS/compare.py" position "$dir/sent$n.jsonl") --need $needed
     done
-    for output in occupied_points occupied_points_all grid; do
-        compare latency "$dir/sent$n.jsonl" "$dir/early$n/$output.jsonl"
+    for output in occupied_points occupied_points_all "grid grid_updates" distance_field; do
+        files=()
+        for part in $output; do files+=("$dir/early$n/$part.jsonl"); done
+        compare latency "$dir/sent$n.jsonl" "${files[@]}"
     done
 done
 echo "-- layers"

@@ -8,7 +8,7 @@ usage: compare.py map MAP.bt LISTENED [--band 0.2 2] [--near 10] [--field-range 
        compare.py streams REPORT.json...         each layer is the same wherever it is held, and nothing is missing
        compare.py counts SENT.jsonl LISTENED     every cloud that was sent has been mapped, as /diagnostics says
        compare.py position SENT.jsonl            where the sensor was at the end
-       compare.py latency SENT.jsonl RECEIVED.jsonl     from sending a cloud to the first map with its stamp or a later one
+       compare.py latency SENT.jsonl RECEIVED.jsonl...  from sending a cloud to the first map with its stamp or a later one
 environment: OCTOMAP_VOXELS, the program (default: octomap_voxels beside this file, built where it is missing)
 exit: 0 equal, 1 not.
 """
@@ -42,11 +42,13 @@ def main() -> int:
     of.add_argument("--position", type=float, nargs=3, help="of the sensor at the end")
     of.add_argument("--frame", default="map")
     of.add_argument("--need", nargs="*", default=[], help="outputs that must be there")
-    for name, first, second in (("layer", "reference", "got"), ("share", "a", "b"), ("latency", "sent", "received"),
-                                ("counts", "sent", "listened")):
+    for name, first, second in (("layer", "reference", "got"), ("share", "a", "b"), ("counts", "sent", "listened")):
         of = commands.add_parser(name)
         of.add_argument(first)
         of.add_argument(second)
+    of = commands.add_parser("latency")
+    of.add_argument("sent")
+    of.add_argument("received", nargs="+", help="a grid and its updates are one")
     commands.add_parser("streams").add_argument("reports", nargs="+")
     commands.add_parser("position").add_argument("sent")
     options = parser.parse_args()
@@ -294,7 +296,8 @@ def latency(options) -> int:
     sent = [json.loads(line) for line in open(options.sent)]
     # Flockmap keeps stamps in microseconds.
     sent = sorted((line["stamp"] // 1000, line["wall"]) for line in sent if "stamp" in line)
-    received = [json.loads(line) for line in open(options.received)]
+    received = [json.loads(line) for path in options.received for line in open(path)]
+    received.sort(key=lambda m: m["wall"])
     stamps = {stamp for stamp, _ in sent}
     newest = [(m["stamp"] // 1000, m["wall"]) for m in received if "stamp" in m]
     # Each scan until the first message that has it, or a later one.
@@ -310,7 +313,7 @@ def latency(options) -> int:
             seen.add(stamp)
             exact.append(wall - of[stamp])
     foreign = sum(stamp not in stamps for stamp, _ in newest)
-    print(f"{options.received}: {len(newest)} messages, {foreign} with a stamp of no scan that was sent")
+    print(f"{' and '.join(options.received)}: {len(newest)} messages, {foreign} with a stamp of no scan that was sent")
     for name, values in (("from a scan to the map with its stamp", exact), ("from a scan to the first map that has it", waits)):
         if values:
             p = np.percentile(np.array(values) * 1e3, [50, 99, 100])
