@@ -61,9 +61,10 @@ impl RosClock {
         Some(self.node.now().plus_micros(self.ahead()?))
     }
 
-    /// A stamp of ROS on the node's clock; `None` before the first `/clock`. It is remembered.
+    /// When a scan with this stamp was made on the node's clock: not in the future, whatever jitter /clock has. `None`
+    /// before the first `/clock`. It is remembered.
     pub(crate) fn to_node(&self, ros: Time) -> Option<Stamp> {
-        let node = Stamp(Stamp::from(ros).0.saturating_sub(self.ahead()?));
+        let node = Stamp(Stamp::from(ros).0.saturating_sub(self.ahead()?)).min(self.node.now());
         let remembered = &mut self.lock().remembered;
         remembered.truncate(REMEMBERED_MAX - 1);
         remembered.push_front((node, ros));
@@ -104,6 +105,9 @@ mod tests {
         assert_eq!(clock.take_clock(Stamp(50_500_000)), None);
         // The scan keeps its stamp, however the clock goes on.
         assert_eq!(clock.to_ros(scan), Some(Time { sec: 49, nanosec: 900_000_123 }));
+        let early = clock.to_node(time(51_000_000)).unwrap();
+        assert!(early <= node.now());
+        assert_eq!(clock.to_ros(early), Some(time(51_000_000)));
         assert!(matches!(clock.take_clock(Stamp(10_000_000)), Some(Jump::Back(by)) if by > 39_000_000));
         assert!(matches!(clock.take_clock(Stamp(90_000_000)), Some(Jump::On(by)) if by > 79_000_000));
     }
