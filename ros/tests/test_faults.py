@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Reader as BagReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
-from messages import (DomainParticipant, Reader, Writer, cloud, dds_name, ddspy_write, floats, message, qos, store, time_message,
+from messages import (DomainParticipant, Reader, Writer, cloud, dds_name, ddspy_write, floats, header, message, qos, store, time_message,
                       transform)
 from peer import wall
 from play import shifted
@@ -312,12 +312,13 @@ def test_bytes_that_are_no_cloud(node):
     other = DomainParticipant()
     writer = DataWriter(other, Topic(other, dds_name(f"{node.namespace}/points"), lie), qos("best_effort,volatile,5"))
     node.wait(lambda: writer.get_matched_subscriptions())
-    for _ in range(5):
+
+    def write():
         assert ddspy_write(writer._ref, lie(a=[7, 2**32 - 1, 3], b="no cloud").serialize().ljust(64, b"\0")) >= 0
-        time.sleep(0.05)
+
+    node.wait(lambda: node.count(DAMAGED) >= 5, then=write)
     node.must_map()
     print("damaged:", node.count(DAMAGED))
-    assert node.count(DAMAGED) >= 5
 
 
 @pytest.mark.parametrize("points", [200_000, 500_000, 1_000_000, 2_000_000])
@@ -338,6 +339,105 @@ def test_large_clouds(node, points):
     node.must_map()
     if points <= 200_000:
         assert node.count(MAPPED) - mapped >= 4
+
+
+RELIABLE = {"ros": "points_reliable = true", "points_qos": "reliable,volatile,5"}
+
+
+@pytest.mark.parametrize("node", [RELIABLE, {**RELIABLE, "arguments": ["-p", "sensor.scan_points_max:=4000000"]}], indirect=True)
+def test_two_million_points_arrive_where_clouds_are_reliable(node):
+    """And are mapped, or counted as too large for the node's limit of 1,048,576 points."""
+    node.ready()
+    node.must_map()
+    y, z = np.random.default_rng(1).uniform(-5, 5, (2, 2_000_000))
+    large = np.c_[np.full(y.size, 4.0), y, z]
+    counted = MAPPED if node.arguments else DAMAGED
+    for _ in range(3):
+        before = node.count(counted)
+        node.send(large)
+        took = node.wait(lambda: node.count(counted) > before, 20.0)
+        print(f"a cloud of {large.size * 4 / 1e6:.1f} MB: {counted} after {took:.2f} s")
+    node.must_map()
+    if counted == DAMAGED:
+        assert "the number of points in a scan" in node.log()
+
+
+def pose_stamped(stamp: int, x: float):
+    of = store.types
+    pose = of["geometry_msgs/msg/Pose"](
+        position=of["geometry_msgs/msg/Point"](x, 0.0, 0.0), orientation=of["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+    return message("PoseStamped", header=header(stamp, "map"), pose=pose)
+
+
+def occupied_x(node) -> set[float]:
+    """Where walls are in the newest map, along x."""
+    came = node.map.take_cdr()
+    return {round(float(x), 1) for x in floats(node.map.decode(came[-1]))[:, 0]} if came else set()
+
+
+@pytest.mark.parametrize("node", [{"ros": 'poses = "odometry"'}], indirect=True)
+def test_poses_by_odometry_and_tf_static(node):
+    odometry = Writer(node.participant, f"{node.namespace}/odom", "Odometry", "best_effort,volatile,5")
+    fixed = Writer(node.participant, "/tf_static", "TFMessage", "reliable,transient_local,1")
+    fixed.write(transform(0, "base", "lidar", (0.5, 0.0, 0.0)))
+    node.ready()
+    of = store.types
+    none = np.zeros(36)
+    zero = of["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    seen: set[float] = set()
+
+    def send():
+        stamp = node.send(pose=False)
+        twist = of["geometry_msgs/msg/TwistWithCovariance"](of["geometry_msgs/msg/Twist"](zero, zero), none)
+        odometry.write(message("Odometry", header=header(stamp, "map"), child_frame_id="base", twist=twist,
+                               pose=of["geometry_msgs/msg/PoseWithCovariance"](pose_stamped(stamp, 10.0).pose, none)))
+        seen.update(occupied_x(node))
+
+    node.wait(lambda: seen, 10.0, send)
+    # The wall is 3 m before the sensor, this 0.5 m before the robot at 10 m; voxels have 0.2 m.
+    assert seen <= {13.3, 13.5, 13.7}, seen
+
+
+@pytest.mark.parametrize("node", [{"ros": "teammates = { 2 = '/robot2/pose' }\nalignments = { 2 = '/robot2/alignment' }"}], indirect=True)
+def test_a_team_mate_is_no_obstacle_and_an_alignment_that_is_none_is_said(node):
+    poses = Writer(node.participant, "/robot2/pose", "PoseStamped", "reliable,volatile,5")
+    alignments = Writer(node.participant, "/robot2/alignment", "PoseStamped", "reliable,volatile,5")
+    node.ready()
+    node.wait(lambda: poses.matched() and alignments.matched())
+    alignments.write(pose_stamped(time.time_ns(), float("nan")))
+    node.wait(lambda: "the alignment of robot 2 is no pose" in node.log())
+    alignments.write(pose_stamped(time.time_ns(), 5.0))
+    # It stands in the middle of the wall, a little before it.
+    mate, beside = (2.9, 0.0, 0.5), (3.1, -0.9, -0.4)
+    for _ in range(5):
+        poses.write(pose_stamped(time.time_ns(), mate[0]))
+        time.sleep(0.1)
+        node.send(np.array([(3.1, 0.0, 0.1), beside]))
+        node.send(np.array([(3.1, 0.0, 0.1), beside]))
+    node.wait(lambda: node.count(MAPPED) >= 10)
+    time.sleep(0.5)
+    points = floats(node.map.decode(node.map.take_cdr()[-1]))
+    assert len(points) == 1 and np.abs(points[0][:3] - beside).max() <= 0.11, points
+
+
+def test_parameters_alone_are_enough(tmp_path):
+    (tmp_path / "robot.yaml").write_text("""
+/**/flockmap:
+  ros__parameters:
+    id: 7
+    name: by_yaml
+    map: {resolution_m: 0.2, range_m: 10.0}
+    state.path: state
+    network.bind: "127.0.0.1:7702"
+    output: {report_json: report.json, end_after_s: 1.0}
+""")
+    run = subprocess.run([FLOCKMAP_ROS, "--ros-args", "-r", "__ns:=/a", "--params-file", "robot.yaml"], cwd=tmp_path,
+                         capture_output=True, text=True, timeout=30)
+    print(run.stderr)
+    assert run.returncode == 0 and json.loads((tmp_path / "report.json").read_text())["name"] == "by_yaml"
+    wrong = subprocess.run([FLOCKMAP_ROS, "--ros-args", "--params-file", "robot.yaml", "-r", "__ns:=/a", "-p", "map.rang_m:=3.0"],
+                           cwd=tmp_path, capture_output=True, text=True, timeout=30)
+    assert wrong.returncode == 1 and "the parameters: `rang_m` is no key of [map], did you mean `range_m`?" in wrong.stderr, wrong.stderr
 
 
 def test_a_bag_of_two_robots_with_namespaces(tmp_path):
