@@ -2,12 +2,16 @@
 
 mod arguments;
 mod clock;
+mod intake;
 mod links;
 mod names;
 mod output;
 mod parameters;
+mod publishing;
 mod run;
 mod scans;
+mod signals;
+mod team;
 mod topics;
 
 use std::path::PathBuf;

@@ -7,7 +7,7 @@ use flockmap::grid::VoxelBox;
 use flockmap_io::ros::{Bytes, PointCloud2, cloud_of_points};
 use flockmap_plan::box_between;
 
-use super::{Outlet, Output, Shot, cell};
+use super::outlet::{Outlet, Output, Shot, cell};
 
 /// Occupied voxels: all, or those near the robot.
 pub(crate) struct Cloud {

@@ -5,7 +5,7 @@ use std::time::Instant;
 use flockmap_io::ros::{Bytes, PointCloud2, cloud_of_floats};
 use flockmap_plan::{DistanceField, FieldConfig, Obstacles, box_between, grown};
 
-use super::{Outlet, Output, Shot, cell};
+use super::outlet::{Outlet, Output, Shot, cell};
 
 /// Centres of free voxels, each with its distance to the nearest obstacle up to a largest one.
 pub(crate) struct Field {

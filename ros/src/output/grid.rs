@@ -12,7 +12,7 @@ use flockmap_io::ros::{Header, MapMetaData, OccupancyGrid, OccupancyGridUpdate, 
 use flockmap_plan::{ColumnRule, box_between};
 use ros2_client::Publisher;
 
-use super::{Outlet, Output, Shot};
+use super::outlet::{Outlet, Output, Shot};
 
 /// The grid grows by so many voxels at once, so that it seldom does.
 const GROWTH: i32 = 128;

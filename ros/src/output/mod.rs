@@ -5,99 +5,13 @@ mod diagnostics;
 mod field;
 mod grid;
 mod octomap;
+mod outlet;
 mod robots;
-
-use std::time::{Duration, Instant};
-
-use flockmap::{KnownPose, MapView};
-use flockmap_io::ros::{Header, RosMessage};
-use ros2_client::Publisher;
-use serde::Serialize;
-
-use crate::links::Links;
 
 pub(crate) use cloud::Cloud;
 pub(crate) use diagnostics::Diagnostics;
 pub(crate) use field::Field;
 pub(crate) use grid::Grid;
 pub(crate) use octomap::Tree;
+pub(crate) use outlet::{Outlet, Output, Shot};
 pub(crate) use robots::Robots;
-
-/// Whether the map has changed is looked at this often.
-const LOOK_PERIOD: Duration = Duration::from_millis(20);
-
-/// The map at one moment.
-pub(crate) struct Shot {
-    pub(crate) view: MapView,
-    /// Stamp of the newest own scan in it, else the time now; frame of the map.
-    pub(crate) header: Header,
-    /// Where the robots are.
-    pub(crate) poses: Vec<KnownPose>,
-    /// Where the own sensor is.
-    pub(crate) position: Option<[f64; 3]>,
-}
-
-/// Something that is published.
-pub(crate) trait Output: Send {
-    /// Publishes what is due. An error is a line for people.
-    fn publish(&mut self, shot: &Shot, now: Instant) -> Result<(), String>;
-    /// When to be asked again at the earliest.
-    fn due(&self) -> Instant;
-}
-
-/// A topic on which something is published at most so often, and only where somebody listens.
-pub(crate) struct Outlet<M: Serialize> {
-    name: String,
-    publisher: Publisher<M>,
-    links: Links,
-    period: Duration,
-    due: Instant,
-    /// Who listened when it was published last.
-    listeners: usize,
-    /// What was published last: a version of the map, and where the robot was in voxels.
-    last: Option<(u64, [i64; 3])>,
-}
-
-impl<M: RosMessage + Serialize> Outlet<M> {
-    pub(crate) fn new(name: String, publisher: Publisher<M>, links: Links, period_s: f64) -> Self {
-        let period = Duration::from_secs_f64(period_s);
-        Self { name, publisher, links, period, due: Instant::now(), listeners: 0, last: None }
-    }
-
-    pub(crate) const fn due(&self) -> Instant {
-        self.due
-    }
-
-    /// Whether something is to be published now: somebody listens who has not seen it. `place`: what it depends on
-    /// beside the map, such as where the robot is.
-    pub(crate) fn wants(&mut self, version: u64, place: [i64; 3], now: Instant) -> bool {
-        if now < self.due {
-            return false;
-        }
-        let listeners = self.links.count(self.publisher.guid());
-        let is_new = listeners > self.listeners || self.last != Some((version, place));
-        self.listeners = listeners;
-        if listeners == 0 || !is_new {
-            self.due = now + LOOK_PERIOD.min(self.period);
-            return false;
-        }
-        self.due = now + self.period;
-        self.last = Some((version, place));
-        true
-    }
-
-    /// How many listened when [`Self::wants`] was asked last.
-    pub(crate) const fn listeners(&self) -> usize {
-        self.listeners
-    }
-
-    pub(crate) fn send(&self, message: M) -> Result<(), String> {
-        self.publisher.publish(message).map_err(|error| format!("{} was not published: {error}", self.name))
-    }
-}
-
-/// A point in voxels, as something to compare.
-pub(crate) fn cell(view: &MapView, position: Option<[f64; 3]>) -> [i64; 3] {
-    let side = view.resolution().metres();
-    position.map_or([i64::MIN; 3], |at| at.map(|v| (v / side).floor() as i64))
-}

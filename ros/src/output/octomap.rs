@@ -5,7 +5,7 @@ use std::time::Instant;
 use flockmap_io::octomap_tree;
 use flockmap_io::ros::Octomap;
 
-use super::{Outlet, Output, Shot};
+use super::outlet::{Outlet, Output, Shot};
 
 /// The whole map as a tree of occupied and free voxels.
 pub(crate) struct Tree {

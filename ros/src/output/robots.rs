@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use flockmap::{KnownPose, RobotId, Stamp};
 use flockmap_io::ros::{ColorRGBA, Marker, MarkerArray, Pose};
 
-use super::{Outlet, Output, Shot};
+use super::outlet::{Outlet, Output, Shot};
 
 /// A robot that was not heard for so long fades away.
 const SHOWN: Duration = Duration::from_secs(30);
