@@ -8,7 +8,9 @@ use flockmap_io::ros::Time;
 use flockmap_node::Clock;
 
 /// `/clock` that goes on by this much more than the node's clock has jumped.
-const JUMP_MICROS: i64 = 5_000_000;
+const JUMP_ON_MICROS: i64 = 5_000_000;
+/// One that goes back by this much is of another run. By less, messages came out of order.
+const JUMP_BACK_MICROS: i64 = 1_000_000;
 
 /// Stamps of scans that are remembered, so that a map gets exactly the stamp of its newest scan.
 const REMEMBERED_MAX: usize = 256;
@@ -25,6 +27,8 @@ struct State {
     is_simulated: bool,
     /// How far the simulated time is ahead of the node's clock, once it was heard.
     ahead: Option<i64>,
+    /// What `/clock` said last.
+    heard: Option<Stamp>,
     /// Scans by their stamps on the node's clock and in ROS.
     remembered: VecDeque<(Stamp, Time)>,
 }
@@ -40,19 +44,22 @@ pub(crate) enum Jump {
 
 impl RosClock {
     pub(crate) const fn new(node: Clock, is_simulated: bool) -> Self {
-        let state = State { is_simulated, ahead: None, remembered: VecDeque::new() };
+        let state = State { is_simulated, ahead: None, heard: None, remembered: VecDeque::new() };
         Self { node, state: Mutex::new(state) }
     }
 
     /// What `/clock` says.
     pub(crate) fn take_clock(&self, time: Stamp) -> Option<Jump> {
         let ahead = time.micros_since(self.node.now());
-        let before = self.lock().ahead.replace(ahead)?;
-        match ahead.saturating_sub(before) {
-            // A recording that is played slowly, or rests, falls behind by nature; its stamps do not go back.
-            moved if moved < -JUMP_MICROS => Some(Jump::Back(-moved)),
-            moved if moved > JUMP_MICROS => Some(Jump::On(moved)),
-            _ => None,
+        let mut state = self.lock();
+        let (before, heard) = (state.ahead.replace(ahead), state.heard.replace(time));
+        // A recording that is played slowly, or rests, falls behind the node's clock, and does not go back.
+        let back = heard?.micros_since(time);
+        let on = ahead.saturating_sub(before?);
+        if back > JUMP_BACK_MICROS {
+            Some(Jump::Back(back))
+        } else {
+            (on > JUMP_ON_MICROS).then_some(Jump::On(on))
         }
     }
 
@@ -105,6 +112,11 @@ mod tests {
         assert_eq!(clock.take_clock(Stamp(50_500_000)), None);
         // The scan keeps its stamp, however the clock goes on.
         assert_eq!(clock.to_ros(scan), Some(Time { sec: 49, nanosec: 900_000_123 }));
+        // It rested for a while, by this clock for 20 s.
+        let rested = RosClock::new(Clock::at(Stamp(1_020_000_000)), true);
+        rested.lock().ahead = clock.lock().ahead;
+        rested.lock().heard = clock.lock().heard;
+        assert_eq!(rested.take_clock(Stamp(50_600_000)), None);
         let early = clock.to_node(time(51_000_000)).unwrap();
         assert!(early <= node.now());
         assert_eq!(clock.to_ros(early), Some(time(51_000_000)));
