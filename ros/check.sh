@@ -36,7 +36,7 @@ robots() {
 
 faults() {
     programs
-    scripts/faults.sh "$FLOCKMAP" "$ros"
+    scripts/faults.sh "$ros"
 }
 
 step() {
