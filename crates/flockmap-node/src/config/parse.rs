@@ -98,7 +98,11 @@ impl Configuration {
         let file = path.map(|path| format!("{} and ", path.display())).unwrap_or_default();
         let config =
             parse(&text, &places).map_err(|error| parse_error(format!("{file}{source}: {error}")))?;
-        Ok(Self { config: config.in_folder(folder), places, path: path.unwrap_or(Path::new("")).to_owned() })
+        Ok(Self {
+            config: config.in_folder(folder),
+            places,
+            path: path.unwrap_or_else(|| Path::new("")).to_owned(),
+        })
     }
 }
 
