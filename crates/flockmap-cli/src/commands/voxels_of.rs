@@ -15,11 +15,7 @@ use flockmap_io::read_map;
 pub type Voxels = (Resolution, Box<dyn Iterator<Item = (Voxel, State)>>);
 
 /// Reads or maps a file. Options that do not apply to it are refused.
-pub fn voxels_of(
-    file: &PathBuf,
-    map_args: &MapArgs,
-    source: &SourceArgs,
-) -> anyhow::Result<Voxels> {
+pub fn voxels_of(file: &PathBuf, map_args: &MapArgs, source: &SourceArgs) -> anyhow::Result<Voxels> {
     Ok(match ending(file).as_deref() {
         Some("bt" | "pcd" | "ply" | "las" | "laz") => {
             let why = format!("is for records, and {} is a map or a cloud", file.display());

@@ -23,14 +23,19 @@ impl<T: Copy> Canvas<T> {
         Self { width, pixels: vec![(f64::NEG_INFINITY, None); width * height] }
     }
 
-    /// Draws a face in every pixel whose centre is in it. One that has no centre in it is drawn in the pixel of its
-    /// own centre, so that what is small is not lost.
+    /// Draws a face in every pixel whose centre is in it. One that is smaller than a pixel is drawn in the pixel of its
+    /// own centre, so that it is not lost.
     pub fn draw(&mut self, face: &Face, what: T) {
         let Face { corner, edges: [a, b] } = face;
         let area = a[0] * b[1] - a[1] * b[0];
         let height = self.pixels.len() / self.width.max(1);
-        let mut is_drawn = false;
-        if area.abs() > 1e-12 {
+        let is_small = (0..2).all(|axis| a[axis].abs() + b[axis].abs() < 1.0);
+        if is_small {
+            let [x, y, near] = core::array::from_fn(|axis| corner[axis] + (a[axis] + b[axis]) / 2.0);
+            if (0.0..self.width as f64).contains(&x) && (0.0..height as f64).contains(&y) {
+                self.put(x as usize, y as usize, near, what);
+            }
+        } else if area.abs() > 1e-12 {
             let range = |axis: usize, size: usize| {
                 let (low, high) = (a[axis].min(0.0) + b[axis].min(0.0), a[axis].max(0.0) + b[axis].max(0.0));
                 let first = (corner[axis] + low - 0.5).ceil().clamp(0.0, size as f64) as usize;
@@ -45,15 +50,8 @@ impl<T: Copy> Canvas<T> {
                     // A hair more, so that no gap opens between two faces.
                     if (-1e-9..=1.0 + 1e-9).contains(&s) && (-1e-9..=1.0 + 1e-9).contains(&t) {
                         self.put(x, y, corner[2] + s * a[2] + t * b[2], what);
-                        is_drawn = true;
                     }
                 }
-            }
-        }
-        if !is_drawn {
-            let [x, y, near] = core::array::from_fn(|axis| corner[axis] + (a[axis] + b[axis]) / 2.0);
-            if (0.0..self.width as f64).contains(&x) && (0.0..height as f64).contains(&y) {
-                self.put(x as usize, y as usize, near, what);
             }
         }
     }
