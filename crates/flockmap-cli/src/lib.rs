@@ -20,6 +20,7 @@ pub mod picture;
 pub mod program;
 pub mod progress;
 pub mod records;
+pub mod render;
 pub mod report;
 pub mod robot_record;
 pub mod sources;

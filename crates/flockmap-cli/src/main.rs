@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
-use commands::{demo, export, info, key, mirror, node, radio, replay, sim};
+use commands::{demo, export, info, key, mirror, node, radio, render, replay, sim};
 use flockmap_cli::{program, stop};
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
@@ -39,6 +39,7 @@ enum Command {
     Sim(sim::SimCommand),
     Info(info::InfoArgs),
     Export(export::ExportArgs),
+    Render(render::RenderArgs),
     /// Went to a program of its own.
     #[command(hide = true, disable_help_flag = true)]
     Bench {
@@ -63,6 +64,7 @@ fn main() -> ExitCode {
         Command::Sim(command) => sim::run(command),
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
+        Command::Render(args) => render::run(args),
         Command::Bench { words } => Err(anyhow!(
             "benchmarks are in a program of their own: cargo run --release -p flockmap-bench -- {}",
             words.join(" ")

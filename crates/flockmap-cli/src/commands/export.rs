@@ -5,15 +5,14 @@ use std::path::PathBuf;
 
 use anyhow::{bail, ensure};
 use clap::Args;
-use flockmap::grid::{Changes, Mapper};
+use flockmap::grid::Changes;
 use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, OF_BATCHES, SourceArgs};
-use flockmap_cli::progress::Progress;
-use flockmap_cli::sources::{self, ending};
-use flockmap_cli::stop;
-use flockmap_io::{ExportOptions, export_map, read_map};
+use flockmap_cli::sources::ending;
+use flockmap_io::{ExportOptions, export_map};
 
 use super::export_flat::{FlatArgs, OF_PICTURES};
+use super::voxels_of::voxels_of;
 
 /// Map a record and take the map elsewhere, or convert a map or cloud
 #[derive(Args, Debug)]
@@ -63,24 +62,7 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<bool> {
         let why = format!("is for .pgm and .png, and {} holds voxels", args.to.display());
         args.flat.given.refuse(&OF_PICTURES, &why)?;
     }
-    let (resolution, voxels): (_, Box<dyn Iterator<Item = _>>) = match ending(&args.file).as_deref() {
-        Some("bt" | "pcd" | "ply" | "las" | "laz") => {
-            let why = format!("is for records, and {} is a map or a cloud", args.file.display());
-            args.map.given.refuse(&["range", "mapper"], &why)?;
-            args.source.given.refuse_all(&why)?;
-            let map = read_map(&args.file, args.map.resolution()?)?;
-            if map.resolution != args.map.resolution()? {
-                let own =
-                    format!("does not apply: {} has voxels of {:?}", args.file.display(), map.resolution);
-                args.map.given.refuse(&["resolution"], &own)?;
-            }
-            if map.origin != [0.0; 3] {
-                println!("  coordinates are seen from {:?} m, the lowest corner of the cloud", map.origin);
-            }
-            (map.resolution, map.voxels)
-        }
-        _ => (args.map.resolution()?, Box::new(map_sources(args)?.into_voxels())),
-    };
+    let (resolution, voxels) = voxels_of(&args.file, &args.map, &args.source)?;
     if is_picture {
         args.flat.write(&args.to, resolution, &Changes::from_voxels(voxels))?;
         return Ok(true);
@@ -88,29 +70,4 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<bool> {
     let count = export_map(&args.to, resolution, voxels, &ExportOptions { free: args.free })?;
     println!("{}: {} voxels of {} m", args.to.display(), thousands(count), resolution.metres());
     Ok(true)
-}
-
-/// The map that a record, or a simulated flight, makes.
-fn map_sources(args: &ExportArgs) -> anyhow::Result<Changes> {
-    ensure!(
-        args.source.points_topic.len() <= 1,
-        "--points-topic is given {} times, and a map of one robot is exported: give it once",
-        args.source.points_topic.len()
-    );
-    let mut mapper = Mapper::new(args.map.mapper()?)?;
-    let sources = sources::open(std::slice::from_ref(&args.file), &args.source, args.map.range, false)?;
-    let progress = Progress::new("scans", sources.robots.iter().map(|source| source.frames_expected).sum());
-    // Several simulated robots share one frame, so one map holds what all have seen.
-    for frame in sources.robots.into_iter().flat_map(|source| source.frames) {
-        if stop::requested() {
-            eprintln!("warning: ended by Ctrl-C: the map holds what was seen so far");
-            break;
-        }
-        mapper.insert(&frame.scan, &frame.pose, &frame.masks());
-        progress.step();
-    }
-    let blocks = mapper.blocks().map(|(index, block)| (index, *block)).collect();
-    let changes = Changes::from_blocks(blocks);
-    ensure!(!changes.is_empty(), "{}: nothing to export: no voxel is known", args.file.display());
-    Ok(changes)
 }

@@ -9,5 +9,7 @@ pub mod key;
 pub mod mirror;
 pub mod node;
 pub mod radio;
+pub mod render;
 pub mod replay;
 pub mod sim;
+mod voxels_of;
