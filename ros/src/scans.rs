@@ -14,8 +14,10 @@ use flockmap_node::{RosPoses, RosSection};
 const WAITING_MAX: usize = 32;
 /// Bytes of these.
 const WAITING_BYTES_MAX: usize = 256 << 20;
-/// Poses of each frame that are kept: a minute at 1 kHz. 64 bytes each.
-const POSES_MAX: usize = 60_000;
+/// Frames of tf that are known.
+const FRAMES_MAX: usize = 1_000;
+/// Poses of each that are kept: 10 s at 1 kHz. 64 bytes each: 640 MB at most.
+const POSES_MAX: usize = 10_000;
 /// Poses that are older than the newest by more than this are forgotten, as tf2 does it.
 const KEPT_MICROS: i64 = 10_000_000;
 /// A single pose that is no further away than this is taken where there are not two.
@@ -42,7 +44,7 @@ pub(crate) struct ScanCounts {
     pub(crate) points_dropped: u64,
     /// Poses that came, by tf or odometry.
     pub(crate) poses: u64,
-    /// Of these, left out: they are none.
+    /// Of these, left out: they are none, or of a frame too many.
     pub(crate) poses_damaged: u64,
 }
 
@@ -88,7 +90,7 @@ impl Scans {
             wait: Duration::from_secs_f64(section.pose_wait_s),
             gap_max: (section.pose_gap_max_s * 1e6) as i64,
             points_max,
-            frames: FrameForest::new(POSES_MAX),
+            frames: FrameForest::new(FRAMES_MAX, POSES_MAX),
             odometry: Track::default(),
             odometry_frames: None,
             newest_pose: None,
@@ -111,13 +113,14 @@ impl Scans {
                 continue;
             };
             let (parent, child) = (transform.header.frame_id, transform.child_frame_id);
-            if is_fixed {
-                self.frames.push_fixed("", parent, child, pose);
+            let has_room = if is_fixed {
+                self.frames.push_fixed("", parent, child, pose)
             } else {
                 let stamp = transform.header.stamp.into();
-                self.frames.push("", parent, child, stamp, pose);
                 self.newest_pose = self.newest_pose.max(Some(stamp));
-            }
+                self.frames.push("", parent, child, stamp, pose)
+            };
+            self.counts.poses_damaged += u64::from(!has_room);
         }
         if let Some(newest) = self.newest_pose {
             self.frames.forget_before(newest.plus_micros(-KEPT_MICROS));

@@ -58,7 +58,7 @@ proptest! {
         steps in prop::collection::vec(any_step(), 1..80), most in 1..12usize, gap_max in 0..20i64, near in 0..6i64,
     ) {
         let reach = Reach { gap_max, near };
-        let (mut model, mut forest, mut track) = (Model::default(), FrameForest::new(most), Track::default());
+        let (mut model, mut forest, mut track) = (Model::default(), FrameForest::new(FRAMES_MAX, most), Track::default());
         for step in steps {
             match step {
                 Step::Push(stamp, x) => {
@@ -106,7 +106,7 @@ const REACH: Reach = Reach { gap_max: 100, near: 0 };
 
 #[test]
 fn who_asks_too_early_too_late_or_for_nobody_is_told() {
-    let mut forest = FrameForest::new(10);
+    let mut forest = FrameForest::new(FRAMES_MAX, 10);
     let ask = |forest: &FrameForest, root: &str, frame: &str, stamp: i64| {
         forest.seen_from("/points").pose(root, frame, Stamp(stamp), REACH).unwrap_err()
     };
@@ -136,11 +136,14 @@ fn who_asks_too_early_too_late_or_for_nobody_is_told() {
 
 #[test]
 fn frames_without_end_are_left_out() {
-    let mut forest = FrameForest::new(0);
+    let mut forest = FrameForest::new(usize::MAX, 0);
     for frame in 0..FRAMES_MAX {
         assert!(forest.push("", "map".into(), frame.to_string(), Stamp(0), at(0.0)));
     }
     assert!(!forest.push("", "map".into(), "one more".into(), Stamp(0), at(0.0)));
     assert!(!forest.push_fixed("", "map".into(), "one more".into(), at(0.0)));
     assert!(forest.push("", "map".into(), "7".into(), Stamp(1), at(0.0)), "known frames go on");
+    let mut few = FrameForest::new(2, 5);
+    let taken = ["a", "b", "c"].map(|frame| few.push_fixed("", "map".into(), frame.into(), at(0.0)));
+    assert_eq!(taken, [true, true, false]);
 }

@@ -78,7 +78,7 @@ impl Diagnostics {
             ("left out: stamp off the time", scans.off_time),
             ("points that are no numbers", scans.points_dropped),
             ("poses received", scans.poses),
-            ("poses that are none", scans.poses_damaged),
+            ("poses that are none, or of a frame too many", scans.poses_damaged),
             ("publishers and subscribers whose QoS does not fit", incompatible),
         ];
         self.status("scans", level, message, values.map(|(key, value)| (key, value.to_string())))

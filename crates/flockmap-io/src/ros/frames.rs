@@ -20,7 +20,7 @@ pub const FRAMES_MAX: usize = 10_000;
 /// use flockmap_grid::{Pose, Stamp};
 /// use flockmap_io::ros::{FrameForest, Reach};
 ///
-/// let mut forest = FrameForest::new(1_000);
+/// let mut forest = FrameForest::new(100, 1_000);
 /// // Transforms of /tf_static and /tf, which are in the namespace of all.
 /// forest.push_fixed("", "base".into(), "lidar".into(), Pose::from_translation([0.0, 0.0, 0.5]));
 /// forest.push("", "map".into(), "base".into(), Stamp(0), Pose::IDENTITY);
@@ -37,7 +37,8 @@ pub struct FrameForest {
     trees: BTreeMap<String, BTreeMap<String, Edge>>,
     frames: usize,
     poses: usize,
-    poses_max: Option<usize>,
+    /// Most frames, and most poses of each.
+    limits: Option<[usize; 2]>,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -48,16 +49,17 @@ struct Edge {
 }
 
 impl FrameForest {
-    /// A forest that keeps the newest poses of each frame, at most this many and at least one. The default keeps
-    /// all, as a log needs it.
-    pub fn new(poses_max: usize) -> Self {
-        Self { poses_max: Some(poses_max.max(1)), ..Self::default() }
+    /// A forest of at most this many frames, and no more than [`FRAMES_MAX`], that keeps the newest poses of each, at
+    /// most this many and at least one: 64 bytes × `frames_max` × `poses_max`. The default keeps all poses, as a log
+    /// needs it.
+    pub fn new(frames_max: usize, poses_max: usize) -> Self {
+        Self { limits: Some([frames_max.min(FRAMES_MAX), poses_max.max(1)]), ..Self::default() }
     }
 
     /// Takes over `T_parent_child` at a time, in any order. A frame that changes its parent keeps only the new
     /// one. Returns whether there was room for the frame.
     pub fn push(&mut self, namespace: &str, parent: String, child: String, stamp: Stamp, pose: Pose) -> bool {
-        let most = self.poses_max.unwrap_or(usize::MAX);
+        let most = self.limits.map_or(usize::MAX, |[_, poses_max]| poses_max);
         self.with_edge(namespace, parent, child, |edge| {
             edge.moving.push(stamp, pose);
             edge.moving.keep_newest(most);
@@ -110,7 +112,7 @@ impl FrameForest {
         act: impl FnOnce(&mut Edge),
     ) -> bool {
         let is_known = self.trees.get(namespace).is_some_and(|edges| edges.contains_key(&child));
-        if !is_known && self.frames >= FRAMES_MAX {
+        if !is_known && self.frames >= self.limits.map_or(FRAMES_MAX, |[frames_max, _]| frames_max) {
             return false;
         }
         self.frames += usize::from(!is_known);
