@@ -29,7 +29,7 @@ pub struct RosSection {
     pub use_sim_time: bool,
     /// Addresses of the network interfaces that DDS uses.
     pub interfaces: Vec<String>,
-    /// Domain of DDS; default: the environment variable `ROS_DOMAIN_ID`, else 0.
+    /// Domain of DDS. Where it is not given the environment variable `ROS_DOMAIN_ID` counts, else 0.
     pub domain_id: Option<u16>,
     /// Topics of positions of team-mates in the frame of the map, `geometry_msgs/PoseStamped`, by robot.
     pub teammates: BTreeMap<RobotId, String>,
