@@ -1,6 +1,6 @@
 //! The node of ROS with its topics: what they are called, and how they are sent.
 
-use std::net::IpAddr;
+use std::net::{IpAddr, UdpSocket};
 
 use anyhow::{Context as _, Result, anyhow};
 use flockmap_io::ros::RosMessage;
@@ -57,12 +57,7 @@ impl Topics {
                 .with_context(|| format!("{DOMAIN_VARIABLE} is `{text}`, expected a number, 0 to 232"))?,
             _ => 0,
         };
-        let address = |text: &String| {
-            text.parse::<IpAddr>().map_err(|_| {
-                anyhow!("[ros] interfaces has \"{text}\", expected the IP address of an interface, such as \"127.0.0.1\"")
-            })
-        };
-        let interfaces: Vec<IpAddr> = section.interfaces.iter().map(address).collect::<Result<_>>()?;
+        let interfaces = section.interfaces.iter().map(|text| interface(text)).collect::<Result<Vec<_>>>()?;
         let participant = DomainParticipantBuilder::new(domain)
             .with_only_networks(interfaces)
             .build()
@@ -121,5 +116,31 @@ impl Topics {
     /// What discovery says, to be read by one reader.
     pub(crate) fn discovery(&self) -> DomainParticipantStatusListener {
         self.participant.status_listener()
+    }
+}
+
+/// The address of an interface of this machine. DDS would go on with none, and hear nothing.
+fn interface(text: &str) -> Result<IpAddr> {
+    let expected = "expected the IP address of an interface, such as \"127.0.0.1\"";
+    let address: IpAddr = text.parse().map_err(|_| anyhow!("[ros] interfaces has \"{text}\", {expected}"))?;
+    UdpSocket::bind((address, 0)).map_err(|error| {
+        anyhow!("[ros] interfaces has \"{text}\", which no interface here has ({error}): {expected}")
+    })?;
+    Ok(address)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_interface_must_be_there() {
+        assert_eq!(interface("127.0.0.1").unwrap(), IpAddr::from([127, 0, 0, 1]));
+        for (text, part) in
+            [("eth0", "\"eth0\", expected the IP address"), ("203.0.113.5", "no interface here has")]
+        {
+            let error = interface(text).unwrap_err().to_string();
+            assert!(error.contains(part), "{error}");
+        }
     }
 }
