@@ -202,7 +202,7 @@ impl Intake {
                     let _ = self.frames.try_send(frame);
                 }
                 Err(text) => {
-                    self.scans.take_back();
+                    self.scans.count_off_time();
                     self.warn("stamp", text);
                 }
             }

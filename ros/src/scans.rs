@@ -166,7 +166,7 @@ impl Scans {
     }
 
     /// A scan that came out of [`Self::poll`] has a stamp that cannot be.
-    pub(crate) fn take_back(&mut self) {
+    pub(crate) fn count_off_time(&mut self) {
         self.counts.mapped -= 1;
         self.counts.off_time += 1;
     }

@@ -3,11 +3,11 @@
 use std::time::Instant;
 
 use flockmap::MapView;
-use flockmap::grid::VoxelBox;
+use flockmap::grid::{VoxelBox, set_bits};
 use flockmap_io::ros::{Bytes, PointCloud2, cloud_of_points};
 use flockmap_plan::box_between;
 
-use super::outlet::{Outlet, Output, Shot, cell};
+use super::outlet::{Outlet, Output, Shot};
 
 /// Occupied voxels: all, or those near the robot.
 pub(crate) struct Cloud {
@@ -24,7 +24,7 @@ impl Cloud {
 
 impl Output for Cloud {
     fn publish(&mut self, shot: &Shot, now: Instant) -> Result<(), String> {
-        let place = if self.range_m.is_some() { cell(&shot.view, shot.position) } else { [0; 3] };
+        let place = self.range_m.and_then(|_| shot.voxel());
         if !self.outlet.wants(shot.view.version(), place, now) {
             return Ok(());
         }
@@ -46,23 +46,10 @@ impl Output for Cloud {
 }
 
 /// The centres of occupied voxels in a box, in metres.
-pub(super) fn occupied(view: &MapView, region: &VoxelBox) -> Vec<[f32; 3]> {
-    let side = view.resolution().metres();
-    let centre = |v: i32| ((f64::from(v) + 0.5) * side) as f32;
-    let mut points = Vec::new();
-    for (index, block) in view.blocks_in(region) {
-        let low = [index.x, index.y, index.z].map(|v| v * 8);
-        for (z, plane) in (0..).zip(block.occupied()) {
-            let mut left = *plane;
-            while left != 0 {
-                let bit = left.trailing_zeros() as i32;
-                left &= left - 1;
-                let voxel = flockmap::Voxel::new(low[0] + bit % 8, low[1] + bit / 8, low[2] + z);
-                if region.contains(voxel) {
-                    points.push([centre(voxel.x), centre(voxel.y), centre(voxel.z)]);
-                }
-            }
-        }
-    }
-    points
+fn occupied(view: &MapView, region: &VoxelBox) -> Vec<[f32; 3]> {
+    let voxels = view
+        .blocks_in(region)
+        .flat_map(|(index, block)| set_bits(block.occupied()).map(move |place| index.voxel(place)));
+    let inside = voxels.filter(|voxel| region.contains(*voxel));
+    inside.map(|voxel| view.resolution().centre(voxel).map(|v| v as f32)).collect()
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use flockmap_io::ros::{Bytes, PointCloud2, cloud_of_floats};
 use flockmap_plan::{DistanceField, FieldConfig, Obstacles, box_between, grown};
 
-use super::outlet::{Outlet, Output, Shot, cell};
+use super::outlet::{Outlet, Output, Shot};
 
 /// Centres of free voxels, each with its distance to the nearest obstacle up to a largest one.
 pub(crate) struct Field {
@@ -29,7 +29,7 @@ impl Output for Field {
     fn publish(&mut self, shot: &Shot, now: Instant) -> Result<(), String> {
         let view = &shot.view;
         let Some(at) = shot.position else { return Ok(()) };
-        if !self.outlet.wants(view.version(), cell(view, shot.position), now) {
+        if !self.outlet.wants(view.version(), shot.voxel(), now) {
             return Ok(());
         }
         let corner = |sign: f64| core::array::from_fn(|axis| at[axis] + sign * self.range_m[axis]);
@@ -46,12 +46,12 @@ impl Output for Field {
             }
         }
         let Some(field) = &self.field else { return Ok(()) };
-        let centre = |v: i32| ((f64::from(v) + 0.5) * side) as f32;
         let mut values = Vec::new();
         for (voxel, state) in view.voxels_in(&region) {
             if state == flockmap::State::Free {
                 let distance = field.distance(voxel).unwrap_or(f64::INFINITY).min(self.distance_max_m);
-                values.extend([centre(voxel.x), centre(voxel.y), centre(voxel.z), distance as f32]);
+                values.extend(view.resolution().centre(voxel).map(|v| v as f32));
+                values.push(distance as f32);
             }
         }
         self.outlet.send(cloud_of_floats(shot.header.clone(), &["x", "y", "z", "distance"], &values))

@@ -1,8 +1,8 @@
 //! A band of heights as a `nav_msgs/OccupancyGrid`, and what changed of it as `map_msgs/OccupancyGridUpdate`s.
 //!
-//! An update has all that changed since the last full grid. So the newest grid and the newest update are all that a
-//! subscriber needs, also one that comes late or missed some; and behind a full grid an update of one cell takes the
-//! place of the older ones.
+//! An update has all that changed since the last full grid, and all that an update changed since, also where it is as
+//! before again. So the newest grid and the newest update are all that a subscriber needs, also one that comes late or
+//! missed some; and behind a full grid an update of one cell takes the place of the older ones.
 
 use std::time::Instant;
 
@@ -22,10 +22,26 @@ pub(crate) struct Grid {
     outlet: Outlet<OccupancyGrid>,
     updates: Publisher<OccupancyGridUpdate>,
     band_m: [f64; 2],
-    /// What was published in full last.
-    full: Option<Cells>,
-    /// The update behind it: what it says in which rectangle.
+    sent: Sent,
+    /// How many listened when something was published last.
     listeners: usize,
+}
+
+/// What subscribers have.
+#[derive(Default, Debug)]
+struct Sent {
+    /// The last full grid.
+    full: Option<Cells>,
+    /// Where updates since then may have changed it.
+    patched: Option<Rectangle>,
+}
+
+/// What is to be published.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Step {
+    Nothing,
+    Update(Rectangle),
+    Full,
 }
 
 /// Cells, row by row.
@@ -49,7 +65,7 @@ impl Grid {
         updates: Publisher<OccupancyGridUpdate>,
         band_m: [f64; 2],
     ) -> Self {
-        Self { outlet, updates, band_m, full: None, listeners: 0 }
+        Self { outlet, updates, band_m, sent: Sent { full: None, patched: None }, listeners: 0 }
     }
 
     fn update(&self, header: Header, cells: &Cells, of: Rectangle) -> Result<(), String> {
@@ -70,31 +86,51 @@ impl Grid {
 
 impl Output for Grid {
     fn publish(&mut self, shot: &Shot, now: Instant) -> Result<(), String> {
-        if !self.outlet.wants(shot.view.version(), [0; 3], now) {
+        if !self.outlet.wants(shot.view.version(), None, now) {
             return Ok(());
         }
         let is_joined = self.outlet.listeners() > self.listeners;
         self.listeners = self.outlet.listeners();
-        let Some(cells) = Cells::of(&shot.view, self.band_m, self.full.as_ref())? else { return Ok(()) };
-        let changed = self.full.as_ref().filter(|_| !is_joined).and_then(|full| full.difference(&cells));
-        match changed {
-            Some(None) => Ok(()),
-            // Half of the grid or less.
-            Some(Some(of)) if 2 * of.area() <= cells.cells.len() => {
-                self.update(shot.header.clone(), &cells, of)
-            }
-            _ => {
-                self.outlet.send(cells.message(shot))?;
+        let full = self.sent.full.as_ref();
+        let Some(cells) = Cells::of(&shot.view, self.band_m, full)? else { return Ok(()) };
+        let published = match self.sent.step(&cells, is_joined) {
+            Step::Nothing => Ok(()),
+            Step::Update(of) => self.update(shot.header.clone(), &cells, of),
+            Step::Full => {
                 let first = Rectangle { x: [0, 1], y: [0, 1] };
-                self.update(shot.header.clone(), &cells, first)?;
-                self.full = Some(cells);
-                Ok(())
+                let sent = self.outlet.send(cells.message(shot));
+                let sent = sent.and_then(|()| self.update(shot.header.clone(), &cells, first));
+                // Without its update the old one would be taken for its own.
+                self.sent = Sent { full: sent.is_ok().then_some(cells), patched: None };
+                sent
             }
+        };
+        if published.is_err() {
+            self.outlet.forget();
         }
+        published
     }
 
     fn due(&self) -> Instant {
         self.outlet.due()
+    }
+}
+
+impl Sent {
+    /// What makes these cells of all that subscribers may have. `anew`: somebody has nothing.
+    fn step(&mut self, cells: &Cells, anew: bool) -> Step {
+        let Some(full) = self.full.as_ref().filter(|full| !anew && full.region == cells.region) else {
+            return Step::Full;
+        };
+        let changed = full.difference(cells).into_iter().chain(self.patched).reduce(Rectangle::union);
+        match changed {
+            None => Step::Nothing,
+            Some(of) if 2 * of.area() > cells.cells.len() => Step::Full,
+            Some(of) => {
+                self.patched = Some(of);
+                Step::Update(of)
+            }
+        }
     }
 }
 
@@ -121,11 +157,8 @@ impl Cells {
         Ok(Some(Self { region, width: grid.size()[0], cells: grid.to_ros() }))
     }
 
-    /// What is different in another grid: nothing, or a rectangle. `None` if it is of another region.
-    fn difference(&self, other: &Self) -> Option<Option<Rectangle>> {
-        if self.region != other.region {
-            return None;
-        }
+    /// What is different in another grid of the same region.
+    fn difference(&self, other: &Self) -> Option<Rectangle> {
         let mut found: Option<Rectangle> = None;
         let rows = self.cells.chunks(self.width).zip(other.cells.chunks(self.width));
         for (y, (old, new)) in rows.enumerate() {
@@ -136,7 +169,7 @@ impl Cells {
             row.x = [row.x[0].min(first), row.x[1].max(last + 1)];
             row.y[1] = y + 1;
         }
-        Some(found)
+        found
     }
 
     fn message(&self, shot: &Shot) -> OccupancyGrid {
@@ -159,6 +192,12 @@ impl Cells {
 }
 
 impl Rectangle {
+    /// The smallest rectangle that has both.
+    fn union(self, other: Self) -> Self {
+        let both = |a: [usize; 2], b: [usize; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+        Self { x: both(self.x, other.x), y: both(self.y, other.y) }
+    }
+
     const fn area(&self) -> usize {
         (self.x[1] - self.x[0]) * (self.y[1] - self.y[0])
     }
@@ -174,9 +213,17 @@ mod tests {
         Cells { region: VoxelBox::new(Voxel::new(0, 0, 0), size).unwrap(), width, cells }
     }
 
+    fn patch(grid: &mut [i8], width: usize, from: &Cells, of: Rectangle) {
+        for y in of.y[0]..of.y[1] {
+            for x in of.x[0]..of.x[1] {
+                grid[y * width + x] = from.cells[y * width + x];
+            }
+        }
+    }
+
     proptest! {
         #[test]
-        fn a_grid_with_its_update_is_the_new_grid(
+        fn a_difference_is_the_smallest_rectangle_that_makes_one_grid_of_the_other(
             (width, old, new) in (1..9usize, 1..9usize).prop_flat_map(|(w, h)| {
                 let row = || prop::collection::vec(prop_oneof![8 => Just(0i8), 1 => Just(100), 1 => Just(-1)], w * h);
                 (Just(w), row(), row())
@@ -184,21 +231,58 @@ mod tests {
         ) {
             let (before, after) = (cells(width, old.clone()), cells(width, new.clone()));
             let mut patched = old;
-            match before.difference(&after).unwrap() {
-                None => prop_assert_eq!(&patched, &new),
-                Some(of) => {
-                    for y in of.y[0]..of.y[1] {
-                        for x in of.x[0]..of.x[1] {
-                            patched[y * width + x] = new[y * width + x];
-                        }
-                    }
-                    // No smaller one would do.
-                    let differs = |x: usize, y: usize| before.cells[y * width + x] != after.cells[y * width + x];
-                    prop_assert!((of.x[0]..of.x[1]).any(|x| differs(x, of.y[0])));
-                    prop_assert!((of.y[0]..of.y[1]).any(|y| differs(of.x[1] - 1, y)));
-                }
+            if let Some(of) = before.difference(&after) {
+                patch(&mut patched, width, &after, of);
+                // No smaller one would do.
+                let differs = |x: usize, y: usize| before.cells[y * width + x] != after.cells[y * width + x];
+                prop_assert!((of.x[0]..of.x[1]).any(|x| differs(x, of.y[0]) ));
+                prop_assert!((of.x[0]..of.x[1]).any(|x| differs(x, of.y[1] - 1)));
+                prop_assert!((of.y[0]..of.y[1]).any(|y| differs(of.x[0], y)));
+                prop_assert!((of.y[0]..of.y[1]).any(|y| differs(of.x[1] - 1, y)));
             }
             prop_assert_eq!(patched, new);
+        }
+
+        #[test]
+        fn whoever_has_the_newest_grid_and_the_newest_update_has_the_map(
+            // Few cells change at a time, and many change back.
+            steps in prop::collection::vec(
+                (prop::collection::vec((0..64usize, prop_oneof![Just(0i8), Just(100)]), 0..3), any::<bool>(), prop::bool::weighted(0.05)),
+                1..40,
+            )
+        ) {
+            let (mut map, mut sent) = (cells(8, vec![0; 64]), Sent::default());
+            // One got every message, one missed some updates, and one comes now.
+            let (mut every, mut some, mut full) = (Vec::new(), Vec::new(), Vec::new());
+            let mut newest: Option<(Cells, Rectangle)> = None;
+            for (changes, is_missed, anew) in steps {
+                changes.into_iter().for_each(|(at, state)| map.cells[at] = state);
+                match sent.step(&map, anew) {
+                    Step::Nothing => {}
+                    Step::Update(of) => {
+                        patch(&mut every, 8, &map, of);
+                        if !is_missed {
+                            patch(&mut some, 8, &map, of);
+                        }
+                        newest = Some((map.clone(), of));
+                    }
+                    Step::Full => {
+                        for has in [&mut every, &mut some, &mut full] {
+                            has.clone_from(&map.cells);
+                        }
+                        newest = None;
+                        sent = Sent { full: Some(map.clone()), patched: None };
+                    }
+                }
+                prop_assert_eq!(&every, &map.cells);
+                for has in [&full, &some] {
+                    let mut has = has.clone();
+                    if let Some((from, of)) = &newest {
+                        patch(&mut has, 8, from, *of);
+                    }
+                    prop_assert_eq!(&has, &map.cells);
+                }
+            }
         }
     }
 }

@@ -20,7 +20,7 @@ impl Tree {
 
 impl Output for Tree {
     fn publish(&mut self, shot: &Shot, now: Instant) -> Result<(), String> {
-        if !self.outlet.wants(shot.view.version(), [0; 3], now) {
+        if !self.outlet.wants(shot.view.version(), None, now) {
             return Ok(());
         }
         let (data, _) = octomap_tree(shot.view.voxels()).map_err(|voxel| {

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use flockmap::{KnownPose, MapView};
+use flockmap::{KnownPose, MapView, Voxel};
 use flockmap_io::ros::{Header, RosMessage};
 use ros2_client::Publisher;
 use serde::Serialize;
@@ -23,6 +23,13 @@ pub(crate) struct Shot {
     pub(crate) position: Option<[f64; 3]>,
 }
 
+impl Shot {
+    /// The voxel that the own sensor is in.
+    pub(crate) fn voxel(&self) -> Option<Voxel> {
+        self.view.resolution().voxel_at(self.position?)
+    }
+}
+
 /// Something that is published.
 pub(crate) trait Output: Send {
     /// Publishes what is due. An error is a line for people.
@@ -40,8 +47,8 @@ pub(crate) struct Outlet<M: Serialize> {
     due: Instant,
     /// Who listened when it was published last.
     listeners: usize,
-    /// What was published last: a version of the map, and where the robot was in voxels.
-    last: Option<(u64, [i64; 3])>,
+    /// What was published last: a version of the map, and the voxel that the robot was in.
+    last: Option<(u64, Option<Voxel>)>,
 }
 
 impl<M: RosMessage + Serialize> Outlet<M> {
@@ -56,7 +63,7 @@ impl<M: RosMessage + Serialize> Outlet<M> {
 
     /// Whether something is to be published now: somebody listens who has not seen it. `place`: what it depends on
     /// beside the map, such as where the robot is.
-    pub(crate) fn wants(&mut self, version: u64, place: [i64; 3], now: Instant) -> bool {
+    pub(crate) fn wants(&mut self, version: u64, place: Option<Voxel>, now: Instant) -> bool {
         if now < self.due {
             return false;
         }
@@ -77,13 +84,16 @@ impl<M: RosMessage + Serialize> Outlet<M> {
         self.listeners
     }
 
-    pub(crate) fn send(&self, message: M) -> Result<(), String> {
-        self.publisher.publish(message).map_err(|error| format!("{} was not published: {error}", self.name))
+    /// Nothing was published, as far as [`Self::wants`] knows.
+    pub(crate) const fn forget(&mut self) {
+        self.last = None;
     }
-}
 
-/// A point in voxels, as something to compare.
-pub(crate) fn cell(view: &MapView, position: Option<[f64; 3]>) -> [i64; 3] {
-    let side = view.resolution().metres();
-    position.map_or([i64::MIN; 3], |at| at.map(|v| (v / side).floor() as i64))
+    /// Publishes. What could not be published is wanted again.
+    pub(crate) fn send(&mut self, message: M) -> Result<(), String> {
+        self.publisher.publish(message).map_err(|error| {
+            self.forget();
+            format!("{} was not published: {error}", self.name)
+        })
+    }
 }

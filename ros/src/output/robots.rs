@@ -14,11 +14,12 @@ const SHOWN: Duration = Duration::from_secs(30);
 pub(crate) struct Robots {
     outlet: Outlet<MarkerArray>,
     own: RobotId,
+    turn: u64,
 }
 
 impl Robots {
     pub(crate) const fn new(outlet: Outlet<MarkerArray>, own: RobotId) -> Self {
-        Self { outlet, own }
+        Self { outlet, own, turn: 0 }
     }
 
     fn markers(&self, shot: &Shot, robot: &KnownPose) -> [Marker; 2] {
@@ -51,13 +52,15 @@ impl Robots {
 
 impl Output for Robots {
     fn publish(&mut self, shot: &Shot, now: Instant) -> Result<(), String> {
-        // Whoever moves and whoever stands is shown alike: markers fade.
-        let beat = shot.poses.iter().map(|robot| robot.seen).max().unwrap_or(Stamp(0));
-        if !self.outlet.wants(beat.0.cast_unsigned(), [0; 3], now) {
+        // Said again and again, also of who stands still: markers fade.
+        self.turn += 1;
+        if !self.outlet.wants(self.turn, None, now) {
             return Ok(());
         }
-        let newest = |robot: &&KnownPose| beat.micros_since(robot.seen) < SHOWN.as_micros() as i64;
-        let markers = shot.poses.iter().filter(newest).flat_map(|robot| self.markers(shot, robot)).collect();
+        let newest = shot.poses.iter().map(|robot| robot.seen).max().unwrap_or(Stamp(0));
+        let is_shown = |robot: &&KnownPose| newest.micros_since(robot.seen) < SHOWN.as_micros() as i64;
+        let markers =
+            shot.poses.iter().filter(is_shown).flat_map(|robot| self.markers(shot, robot)).collect();
         self.outlet.send(MarkerArray { markers })
     }
 

@@ -56,6 +56,6 @@ fn map_sources(file: &PathBuf, map_args: &MapArgs, source: &SourceArgs) -> anyho
     }
     let blocks = mapper.blocks().map(|(index, block)| (index, *block)).collect();
     let changes = Changes::from_blocks(blocks);
-    ensure!(!changes.is_empty(), "{}: nothing to export: no voxel is known", file.display());
+    ensure!(!changes.is_empty(), "{}: no voxel is known when it is mapped", file.display());
     Ok(changes)
 }

@@ -1,6 +1,6 @@
 //! Faces of cubes drawn over each other: of each pixel the nearest counts.
 
-/// Pixels, each with what is nearest in it. Takes 8 bytes and a `T` for each.
+/// Pixels, each with what is nearest in it. Takes 8 bytes and an `Option<T>` for each.
 #[derive(Clone, Debug)]
 pub struct Canvas<T> {
     width: usize,

@@ -4,8 +4,10 @@ mod camera;
 mod canvas;
 
 use anyhow::{Result, ensure};
-use flockmap::grid::{Resolution, set_bits};
+use flockmap::grid::Resolution;
 use flockmap::{MapView, State, Voxel};
+
+use crate::robot_record::occupied;
 
 pub use camera::Camera;
 pub use canvas::{Canvas, Face};
@@ -91,17 +93,8 @@ impl<'a> Scene<'a> {
     fn of(view: &'a MapView, style: &Style) -> Result<Self> {
         let [low, high] = style.heights_m;
         let cut = [layer(view.resolution(), low), layer(view.resolution(), high)];
-        let mut voxels = Vec::new();
-        for (index, block) in view.blocks() {
-            let corner = [index.x, index.y, index.z].map(|v| v * 8);
-            let at = |place: usize| {
-                let [x, y, z] = [place % 8, place / 8 % 8, place / 64].map(|v| v as i32);
-                Voxel::new(corner[0] + x, corner[1] + y, corner[2] + z)
-            };
-            voxels.extend(
-                set_bits(block.occupied()).map(at).filter(|voxel| (cut[0]..=cut[1]).contains(&voxel.z)),
-            );
-        }
+        let is_within = |voxel: &Voxel| (cut[0]..=cut[1]).contains(&voxel.z);
+        let voxels: Vec<Voxel> = occupied(view.blocks()).filter(is_within).collect();
         ensure!(!voxels.is_empty(), "nothing to draw: no voxel between {low} and {high} m is occupied");
         // Each corner of each cube must be in the picture.
         let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
