@@ -272,6 +272,9 @@ impl<T: Transport> Driver<T> {
                     Err(error) => return self.take_fault(format!("scan left out: {error}")),
                 };
                 self.timings.insert_scan.saturating_record(micros(began.elapsed()));
+                if let Some(outlet) = &mut self.outlet {
+                    outlet.note_scan(&frame.scan, &frame.t_map_sensor);
+                }
                 if let Some(observer) = &mut self.options.observer {
                     observer(now, &self.robot, Observation::Scan { scan: &frame.scan, report: &report });
                 }

@@ -61,7 +61,7 @@ pub use config::{
 pub use flockmap_io::{Frame, Frames};
 pub use flockmap_store as store;
 pub use log::{Level, Log};
-pub use map_output::MapOutput;
+pub use map_output::{MapOutput, MapReaders};
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
 pub use run::{ConfiguredNode, run};

@@ -12,7 +12,7 @@ use tokio::sync::mpsc;
 
 use crate::command::Command;
 use crate::driver::Driver;
-use crate::map_output::Outlet;
+use crate::map_output::{MapReaders, Outlet};
 use crate::options::NodeOptions;
 use crate::sensor::{INPUTS_WAITING_MAX, Input, MessageLimits, Sensor, SensorSocket, play, serve};
 use crate::store::{Store, StoreError, StoreLog};
@@ -51,6 +51,7 @@ pub struct Node;
 struct Addresses {
     sensor: Option<String>,
     map: Vec<String>,
+    map_readers: Option<MapReaders>,
     prometheus: Option<SocketAddr>,
 }
 
@@ -117,6 +118,7 @@ impl Node {
                 .then(|| StoreWriter::start(store, epoch_file, options.log.clone()));
             let addresses = Addresses {
                 sensor: sensor_socket.as_ref().map(|(socket, _)| socket.address()),
+                map_readers: outlet.as_ref().map(Outlet::map_readers),
                 map: outlet.as_ref().map(|outlet| outlet.addresses().to_vec()).unwrap_or_default(),
                 prometheus: prometheus.as_ref().and_then(|listener| listener.local_addr().ok()),
             };
@@ -250,6 +252,12 @@ impl NodeHandle {
     /// Where planners read the map: as `flockmap mirror` takes it.
     pub fn map_addresses(&self) -> &[String] {
         &self.addresses.map
+    }
+
+    /// Where readers of this process connect to the map, if the node has
+    /// [`NodeOptions::map_output`](crate::NodeOptions::map_output).
+    pub const fn map_readers(&self) -> Option<&MapReaders> {
+        self.addresses.map_readers.as_ref()
     }
 
     /// Where counters are served, if they are.

@@ -72,7 +72,7 @@ pub struct NodeOptions {
     pub store: Option<Store>,
     /// Where the epoch is kept if the robot begins anew while it runs; that of the start must be in it already.
     pub epoch_file: Option<EpochFile>,
-    /// Where planners of other processes read the fused map.
+    /// Where planners of other processes read the fused map; with the default, readers of this one alone.
     pub map_output: Option<MapOutput>,
     /// Serve counters as Prometheus text here.
     pub prometheus: Option<SocketAddr>,

@@ -6,18 +6,26 @@ use std::sync::mpsc as std_mpsc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use flockmap::{KnownPose, Resolution, Robot, RobotId, Stamp};
-use flockmap_feed::{NodeCounts, RobotPose};
+use flockmap::sync::PeerInfo;
+use flockmap::{KnownPose, Pose, Resolution, Robot, RobotId, Scan, Stamp};
+use flockmap_feed::{Link, NodeCounts, RobotPose, SeenScan};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
 
 use super::MapOutput;
-use super::given::{Given, Identity, Numbered, Tally, read};
+use super::given::{Connection, Given, Identity, Numbered, Tally, read};
 use super::server::{Listeners, Server};
 use crate::command::Command;
 use crate::{Log, NodeCounters};
 
 /// Counters, and how old poses are, are said so often.
 const COUNTS_PERIOD: Duration = Duration::from_secs(1);
+
+/// Scans are given out so often at most.
+const SCAN_PERIOD: Duration = Duration::from_millis(100);
+
+/// In-process readers that wait to be taken.
+const READERS_WAITING_MAX: usize = 64;
 
 /// Gives views to the thread that serves the readers.
 pub(crate) struct Outlet {
@@ -30,13 +38,30 @@ pub(crate) struct Outlet {
     /// The version of the map, and when it came to it.
     version: u64,
     stamp: Stamp,
-    /// What was given out last, as long as there are readers.
-    given: Option<u64>,
+    /// The map and the scan that were given out last, as long as there are readers.
+    given: Option<[u64; 2]>,
     due: Instant,
     counts_due: Instant,
     known: Vec<KnownPose>,
     poses: Numbered<Vec<RobotPose>>,
     counts: Numbered<NodeCounts>,
+    links: Numbered<Vec<Link>>,
+    scan: Numbered<Option<SeenScan>>,
+    scan_due: Instant,
+    readers: MapReaders,
+}
+
+/// Readers in the same process connect to the map of a node here.
+#[derive(Clone, Debug)]
+pub struct MapReaders(mpsc::Sender<Box<dyn Connection>>);
+
+impl MapReaders {
+    /// Serves a reader as one that comes over a socket, with the same limits: `stream` is the node's end of it.
+    /// It is closed if the node has ended, or 64 others wait.
+    pub fn take(&self, stream: impl AsyncRead + AsyncWrite + Send + Unpin + 'static) {
+        // What is not taken is dropped, and so closed.
+        let _ = self.0.try_send(Box::new(stream));
+    }
 }
 
 impl Outlet {
@@ -58,6 +83,7 @@ impl Outlet {
         let identity = Identity { robot, resolution, feed, name: name.clone(), frame: output.frame.clone() };
         let tally = Arc::<Tally>::default();
         let (give, given) = watch::channel(None);
+        let (readers, readers_in) = mpsc::channel(READERS_WAITING_MAX);
         let (started, start) = std_mpsc::channel();
         let (period, in_thread) = (output.period, Arc::clone(&tally));
         let work = move || {
@@ -67,7 +93,7 @@ impl Outlet {
                 Err(error) => return drop(started.send(Err(here(error)))),
             };
             runtime.block_on(async move {
-                match Listeners::open(&output).await {
+                match Listeners::open(&output, readers_in).await {
                     Err(error) => drop(started.send(Err(error))),
                     Ok(listeners) => {
                         // The caller waits for this.
@@ -98,12 +124,21 @@ impl Outlet {
             known: Vec::new(),
             poses: Numbered::default(),
             counts: Numbered::default(),
+            links: Numbered::default(),
+            scan: Numbered::default(),
+            scan_due: now,
+            readers: MapReaders(readers),
         })
     }
 
     /// Where readers connect.
     pub(crate) fn addresses(&self) -> &[String] {
         &self.addresses
+    }
+
+    /// Where readers of this process connect.
+    pub(crate) fn map_readers(&self) -> MapReaders {
+        self.readers.clone()
     }
 
     /// Readers that there are now.
@@ -119,6 +154,24 @@ impl Outlet {
             map_bytes_out: read(&self.tally.bytes_out),
             ..node
         }
+    }
+
+    /// A scan was mapped. It is thinned where somebody wants scans, and it is time; else this costs nothing.
+    pub(crate) fn note_scan(&mut self, scan: &Scan, t_map_sensor: &Pose) {
+        let now = Instant::now();
+        if !self.tally.wants_scans() || now < self.scan_due {
+            return;
+        }
+        self.scan_due = now + SCAN_PERIOD;
+        let every = scan.points.len().div_ceil(SeenScan::POINTS_MAX).max(1);
+        let finite = |point: &[f32; 3]| point.iter().all(|at| at.is_finite());
+        self.scan.replace(Some(SeenScan {
+            stamp: scan.stamp,
+            position: t_map_sensor.translation(),
+            orientation: t_map_sensor.quaternion_xyzw(),
+            points_all: u32::try_from(scan.points.len()).unwrap_or(u32::MAX),
+            points: scan.points.iter().step_by(every).copied().filter(finite).collect(),
+        }));
     }
 
     /// Gives the map out if there are readers and it is time, or `at_once`. O(1), and O(robots) when it gives.
@@ -138,11 +191,12 @@ impl Outlet {
             // A view that nobody wants would still make every change of the map a copy.
             if self.given.take().is_some() {
                 give.send_replace(None);
+                self.scan.replace(None);
             }
             return;
         }
         let instant = Instant::now();
-        let is_news = self.given != Some(version);
+        let is_news = self.given != Some([version, self.scan.number]);
         let is_count_due = instant >= self.counts_due;
         let is_due = at_once || is_count_due || (is_news && instant >= self.due);
         if !is_due {
@@ -162,18 +216,24 @@ impl Outlet {
         }
         if is_count_due || at_once {
             self.counts.replace(NodeCounts { now, counters: counters() });
+            if self.tally.wants_links() {
+                self.links.replace(links(robot, now));
+            }
             self.counts_due = instant + COUNTS_PERIOD;
         }
         let (poses, counts) = (self.poses.clone(), self.counts.clone());
-        give.send_replace(Some(Arc::new(Given { map: robot.view(), stamp: self.stamp, poses, counts })));
-        self.given = Some(version);
+        let (links, scan) = (self.links.clone(), self.scan.clone());
+        let (map, stamp) = (robot.view(), self.stamp);
+        give.send_replace(Some(Arc::new(Given { map, stamp, poses, counts, links, scan })));
+        self.given = Some([version, self.scan.number]);
         self.due = instant + self.period;
     }
 
     /// When to offer again.
     pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let is_wanted = self.give.is_some() && self.readers() > 0;
-        let due = if self.given == Some(self.version) { self.counts_due } else { self.due };
+        let due =
+            if self.given == Some([self.version, self.scan.number]) { self.counts_due } else { self.due };
         is_wanted.then(|| due.min(self.counts_due))
     }
 
@@ -192,4 +252,27 @@ impl Drop for Outlet {
     fn drop(&mut self) {
         self.end();
     }
+}
+
+/// How the robot hears each of the others. O(peers × streams).
+fn links(robot: &Robot, now: Stamp) -> Vec<Link> {
+    let session = robot.session();
+    let newest = session.store().newest_known(session.own());
+    let confirmed: Vec<_> = session.own_received_by_peers().collect();
+    let link = |peer: PeerInfo| {
+        let missing = session.store().missing(peer.stream).map(|(low, high)| u64::from(high - low) + 1);
+        let confirmed = confirmed.iter().find(|(stream, ..)| *stream == peer.stream);
+        Link {
+            stream: peer.stream,
+            hears_us: peer.hears_us,
+            round_trip: peer.round_trip,
+            loss: peer.loss,
+            bytes_in: peer.traffic_in.bytes,
+            bytes_out: peer.traffic_out.bytes,
+            missing: u32::try_from(missing.sum::<u64>()).unwrap_or(u32::MAX),
+            unconfirmed: newest.saturating_sub(confirmed.map_or(0, |(_, _, upto)| *upto)),
+            silence: Duration::from_micros(now.micros_since(peer.last_heard).max(0).unsigned_abs()),
+        }
+    };
+    session.peers().map(link).collect()
 }

@@ -77,7 +77,7 @@ impl Reader {
             }
         };
         has_said_hello.store(true, Ordering::Relaxed);
-        let counted = self.tally.count();
+        let counted = self.tally.count(&hello);
         // The driver may be asleep, and gives nothing while nobody is there.
         if let Some(commands) = self.commands.upgrade() {
             let _ = commands.send(Command::Robot(Box::new(|_, _| {})));
@@ -97,7 +97,7 @@ impl Reader {
         to: &mut WriteHalf<Box<dyn Connection>>,
     ) -> Result<std::convert::Infallible, Closed> {
         let mut feed: Option<Feed> = None;
-        let (mut poses, mut counts) = (0, 0);
+        let mut sent = [0; 4];
         loop {
             let given = self.given.borrow_and_update().clone();
             let Some(given) = given else {
@@ -114,7 +114,8 @@ impl Reader {
                 continue;
             };
             let mut frames = Vec::new();
-            match feed.next(&given.map) {
+            let next = if hello.no_map { Next::Nothing } else { feed.next(&given.map) };
+            match next {
                 Next::Nothing => {}
                 Next::Anew(frame) => frames = frame,
                 Next::Blocks if feed.origins() => {
@@ -127,14 +128,7 @@ impl Reader {
                 Next::Blocks => frames = feed.blocks_of(&given.map, given.stamp),
             }
             let is_complete = frames.is_empty();
-            if given.poses.number != poses {
-                poses = given.poses.number;
-                frames.extend(Message::Poses(given.poses.value.to_vec()).emit());
-            }
-            if given.counts.number != counts {
-                counts = given.counts.number;
-                frames.extend(Message::Counters((*given.counts.value).clone()).emit());
-            }
+            frames.extend(given.beside_the_map(hello, &mut sent));
             drop(given);
             if frames.is_empty() && is_complete {
                 self.wait(from, to).await?;
@@ -288,8 +282,8 @@ mod tests {
     }
 
     fn given(map: MapView) -> Option<Arc<Given>> {
-        let (poses, counts) = Default::default();
-        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts }))
+        let (poses, counts, links, scan) = Default::default();
+        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts, links, scan }))
     }
 
     /// Time stands still but for what a test waits for.

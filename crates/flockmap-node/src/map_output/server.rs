@@ -46,13 +46,18 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
 /// The sockets that are open.
 pub(super) struct Listeners {
+    /// Readers of the same process.
+    inside: mpsc::Receiver<Box<dyn Connection>>,
     tcp: Option<TcpListener>,
     #[cfg(unix)]
     unix: Option<UnixSocket>,
 }
 
 impl Listeners {
-    pub(super) async fn open(output: &MapOutput) -> Result<Self, (String, io::Error)> {
+    pub(super) async fn open(
+        output: &MapOutput,
+        inside: mpsc::Receiver<Box<dyn Connection>>,
+    ) -> Result<Self, (String, io::Error)> {
         let mut tcp = None;
         if let Some(address) = output.tcp {
             let listener = TcpListener::bind(address).await;
@@ -65,11 +70,11 @@ impl Listeners {
                 let socket = UnixSocket::bind("[map_output] listen_unix", path, *mode);
                 socket.map_err(|error| (path.display().to_string(), error))
             };
-            Ok(Self { tcp, unix: output.unix.as_ref().map(bind).transpose()? })
+            Ok(Self { inside, tcp, unix: output.unix.as_ref().map(bind).transpose()? })
         }
         #[cfg(not(unix))]
         match &output.unix {
-            None => Ok(Self { tcp }),
+            None => Ok(Self { inside, tcp }),
             Some((path, _)) => {
                 let error = io::Error::new(io::ErrorKind::Unsupported, "no Unix sockets here; use TCP");
                 Err((path.display().to_string(), error))
@@ -88,7 +93,8 @@ impl Listeners {
     }
 
     /// The next connection, with bounds on what waits in it.
-    async fn accept(&self) -> io::Result<Box<dyn Connection>> {
+    async fn accept(&mut self) -> io::Result<Box<dyn Connection>> {
+        let inside = self.inside.recv();
         let tcp = async {
             let Some(listener) = &self.tcp else { return std::future::pending().await };
             let (stream, _) = listener.accept().await?;
@@ -108,10 +114,10 @@ impl Listeners {
                 let _ = SockRef::from(&stream).set_send_buffer_size(SEND_BUFFER_BYTES);
                 Ok(Box::new(stream) as Box<dyn Connection>)
             };
-            tokio::select! { tcp = tcp => tcp, unix = unix => unix }
+            tokio::select! { Some(inside) = inside => Ok(inside), tcp = tcp => tcp, unix = unix => unix }
         }
         #[cfg(not(unix))]
-        tcp.await
+        tokio::select! { Some(inside) = inside => Ok(inside), tcp = tcp => tcp }
     }
 }
 
@@ -161,7 +167,7 @@ impl Server {
         }
     }
 
-    pub(super) async fn serve(mut self, listeners: Listeners) {
+    pub(super) async fn serve(mut self, mut listeners: Listeners) {
         let mut ending = self.given.clone();
         let mut has_ended: Pin<Box<dyn Future<Output = ()> + Send>> =
             Box::pin(async move { while ending.changed().await.is_ok() {} });
