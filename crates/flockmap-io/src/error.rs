@@ -131,6 +131,14 @@ pub enum WriteError {
         /// The reason.
         error: mcap::McapError,
     },
+    /// The file has reached the size that it may have.
+    #[error("{}: full: it may have {bytes_max} bytes", path.display())]
+    Full {
+        /// The file.
+        path: PathBuf,
+        /// The limit.
+        bytes_max: u64,
+    },
     /// The format cannot hold what it was given.
     #[error("{}: {what} cannot be written: {why}", path.display())]
     Unfit {

@@ -14,6 +14,7 @@ use crate::command::Command;
 use crate::driver::Driver;
 use crate::map_output::{MapReaders, Outlet};
 use crate::options::NodeOptions;
+use crate::recorder::Recorder;
 use crate::sensor::{INPUTS_WAITING_MAX, Input, MessageLimits, Sensor, SensorSocket, play, serve};
 use crate::store::{Store, StoreError, StoreLog};
 use crate::store_writer::StoreWriter;
@@ -101,6 +102,10 @@ impl Node {
                 let listener = crate::metrics::listen(address).await;
                 prometheus = Some(listener.map_err(system(format!("serve metrics at {address}")))?);
             }
+            if options.record.is_some() {
+                // The recorder is a reader too.
+                options.map_output.get_or_insert_default().readers_max += 1;
+            }
             let mut outlet = None;
             if let Some(output) = options.map_output.take() {
                 let identity = (options.name.clone(), options.robot.id, options.robot.mapper.resolution);
@@ -109,6 +114,17 @@ impl Node {
                     started
                         .map_err(|(place, error)| system(format!("give the map out at {place}"))(error))?,
                 );
+            }
+            let mut recorder = None;
+            if let Some((recording, outlet)) = options.record.take().zip(outlet.as_ref()) {
+                let started = Recorder::start(
+                    &recording,
+                    &options.name,
+                    options.clock,
+                    outlet.map_readers(),
+                    options.log.clone(),
+                );
+                recorder = Some(started.map_err(system("record the flight"))?);
             }
             // After all else that can stop the start: each leaves a segment.
             let store = options.store.take();
@@ -129,7 +145,8 @@ impl Node {
             if let Some(listener) = prometheus {
                 tokio::spawn(crate::metrics::serve(listener, commands));
             }
-            let driver = Driver::new(options, (robot, store), outlet, transport, inputs_in, commands_in);
+            let driver =
+                Driver::new(options, (robot, store), (outlet, recorder), transport, inputs_in, commands_in);
             // The caller waits for this.
             let _ = started.send(addresses);
             let (robot, status) = driver.drive().await;

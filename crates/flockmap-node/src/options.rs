@@ -8,7 +8,7 @@ use flockmap::{Event, Pose, Robot, RobotConfig, RobotId, Scan, ScanReport, Stamp
 
 use crate::sensor::Sensor;
 use crate::store::{EpochFile, Store};
-use crate::{Clock, Log, MapOutput};
+use crate::{Clock, Log, MapOutput, Recording};
 
 /// When a node ends by itself.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -74,6 +74,8 @@ pub struct NodeOptions {
     pub epoch_file: Option<EpochFile>,
     /// Where planners of other processes read the fused map; with the default, readers of this one alone.
     pub map_output: Option<MapOutput>,
+    /// Where the flight is recorded.
+    pub record: Option<Recording>,
     /// Serve counters as Prometheus text here.
     pub prometheus: Option<SocketAddr>,
     /// Log a line of counters each such time.
@@ -100,6 +102,7 @@ impl NodeOptions {
             store: None,
             epoch_file: None,
             map_output: None,
+            record: None,
             prometheus: None,
             status_period: None,
             end: EndOptions::default(),
