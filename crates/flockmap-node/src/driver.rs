@@ -206,7 +206,9 @@ impl<T: Transport> Driver<T> {
     fn offer_map(&mut self, at_once: bool) {
         let counters = self.node_counters();
         let Self { outlet: Some(outlet), robot, options, .. } = self else { return };
-        outlet.offer(robot, options.clock.now(), at_once, || crate::status::counters_of(&counters, robot));
+        let now = options.clock.now();
+        outlet.note_traffic(now, &counters);
+        outlet.offer(robot, now, at_once, || crate::status::counters_of(&counters, robot));
     }
 
     /// Gives the transport the paths on which robots are reached, if they have changed. Before it receives

@@ -100,7 +100,7 @@ fn a_flight_that_was_recorded_plays_back_to_the_map_of_the_node() {
 fn a_record_that_is_full_ends_with_one_warning_and_the_robot_flies_on() {
     let folder = new_dir("record-full");
     let path = folder.join("flight.mcap");
-    let options = FlightOptions { scans: true, bytes_max: 200_000, ..FlightOptions::default() };
+    let options = FlightOptions { scans: true, bytes_max: 100_000, ..FlightOptions::default() };
     let (nodes, lines) = start(path.clone(), options);
     let (map, status) = end(nodes);
     let counters = status.node;
@@ -108,8 +108,8 @@ fn a_record_that_is_full_ends_with_one_warning_and_the_robot_flies_on() {
     assert!(counters.record_scans_left_out > 0 && !map.is_empty());
     let said = lines.lock().unwrap();
     let of_record: Vec<_> = said.iter().filter(|line| line.contains("record")).collect();
-    assert!(matches!(of_record[..], [line] if line.contains("200000 bytes")), "{said:?}");
-    assert!(std::fs::metadata(&path).unwrap().len() <= 200_000);
+    assert!(matches!(of_record[..], [line] if line.contains("100000 bytes")), "{said:?}");
+    assert!(std::fs::metadata(&path).unwrap().len() <= 100_000);
     assert!(open_flight(&path).unwrap().all(|frame| frame.is_ok()), "it is whole");
 }
 

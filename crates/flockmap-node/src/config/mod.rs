@@ -9,6 +9,7 @@ mod parse;
 mod places;
 mod ros;
 mod schema;
+mod token;
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -94,6 +95,9 @@ pub struct NodeConfig {
     /// The flight as a file.
     #[serde(default)]
     pub record: RecordSection,
+    /// The map in a browser.
+    #[serde(default)]
+    pub view: ViewSection,
     /// Topics of ROS 2, for `flockmap-ros`.
     #[serde(default)]
     pub ros: RosSection,
@@ -265,6 +269,19 @@ impl Default for RecordSection {
         let FlightOptions { scans, origins, picture_period, bytes_max } = FlightOptions::default();
         Self { path: None, scans, origins, picture_period_s: picture_period.as_secs_f64(), bytes_max }
     }
+}
+
+/// `[view]`
+#[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ViewSection {
+    /// Show the map here to browsers, with the counters at `/metrics`.
+    pub listen: Option<SocketAddr>,
+    /// What a browser must know: 16 to 128 letters, digits, - and _. Needed beyond the loopback; where it is not
+    /// given, one is drawn at each start. The log says what to open.
+    pub token: Option<Secret>,
+    /// A file with nothing but the token.
+    pub token_file: Option<PathBuf>,
 }
 
 /// `[metrics]`

@@ -3,9 +3,9 @@
 //! Readers of the same process come through [`MapReaders`]. The driver hands out a view, which costs nothing; a thread of its own serves the readers. Each of them gets
 //! what changed since its last frame, so no queue builds up for a slow one, and none waits for another.
 
-mod given;
+mod giver;
 mod outlet;
-mod reader;
+mod said;
 mod server;
 
 use std::net::SocketAddr;
@@ -14,6 +14,7 @@ use std::time::Duration;
 
 pub use outlet::MapReaders;
 pub(crate) use outlet::Outlet;
+pub use said::{links_of, poses_of};
 
 /// Where planners of other processes read the fused map. Whoever can connect can read it all.
 ///

@@ -2,24 +2,29 @@
 
 use std::io;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc as std_mpsc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use flockmap::sync::PeerInfo;
 use flockmap::{KnownPose, Pose, Resolution, Robot, RobotId, Scan, Stamp};
 use flockmap_feed::{Link, NodeCounts, RobotPose, SeenScan};
+use flockmap_view::Series;
+use flockmap_view::serve::{Connection, Given, Identity, Numbered, Tally};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
 
 use super::MapOutput;
-use super::given::{Connection, Given, Identity, Numbered, Tally, read};
+use super::said::{links_of, poses_of};
 use super::server::{Listeners, Server};
 use crate::command::Command;
 use crate::{Log, NodeCounters};
 
 /// Counters, and how old poses are, are said so often.
 const COUNTS_PERIOD: Duration = Duration::from_secs(1);
+
+/// Headers of each datagram, with IPv4.
+const IP_UDP_BYTES: u64 = 28;
 
 /// Scans are given out so often at most.
 const SCAN_PERIOD: Duration = Duration::from_millis(100);
@@ -49,6 +54,9 @@ pub(crate) struct Outlet {
     scan: Numbered<Option<SeenScan>>,
     scan_due: Instant,
     readers: MapReaders,
+    beside: Vec<(&'static str, Arc<AtomicU64>)>,
+    series: Arc<Series>,
+    series_due: Instant,
 }
 
 /// Readers in the same process connect to the map of a node here.
@@ -72,6 +80,7 @@ impl Outlet {
     pub(crate) fn start(
         output: MapOutput,
         (name, robot, resolution): (String, RobotId, Resolution),
+        beside: Vec<(&'static str, Arc<AtomicU64>)>,
         commands: mpsc::WeakUnboundedSender<Command>,
         log: Log,
     ) -> Result<Self, (String, io::Error)> {
@@ -128,6 +137,9 @@ impl Outlet {
             scan: Numbered::default(),
             scan_due: now,
             readers: MapReaders(readers),
+            series: Arc::new(Series::new(series_names(&beside))),
+            beside,
+            series_due: now,
         })
     }
 
@@ -141,6 +153,11 @@ impl Outlet {
         self.readers.clone()
     }
 
+    /// What goes over the radio in each second.
+    pub(crate) fn series(&self) -> Arc<Series> {
+        Arc::clone(&self.series)
+    }
+
     /// Readers that there are now.
     pub(crate) fn readers(&self) -> usize {
         self.tally.readers()
@@ -148,12 +165,8 @@ impl Outlet {
 
     /// The counters of the node with what is counted here.
     pub(crate) fn counters(&self, node: NodeCounters) -> NodeCounters {
-        NodeCounters {
-            map_readers_refused: read(&self.tally.refused),
-            map_readers_closed: read(&self.tally.closed),
-            map_bytes_out: read(&self.tally.bytes_out),
-            ..node
-        }
+        let [map_readers_refused, map_readers_closed, map_bytes_out] = self.tally.totals();
+        NodeCounters { map_readers_refused, map_readers_closed, map_bytes_out, ..node }
     }
 
     /// A scan was mapped. It is thinned where somebody wants scans, and it is time; else this costs nothing.
@@ -172,6 +185,18 @@ impl Outlet {
             points_all: u32::try_from(scan.points.len()).unwrap_or(u32::MAX),
             points: scan.points.iter().step_by(every).copied().filter(finite).collect(),
         }));
+    }
+
+    /// Notes what went over the radio, once a second.
+    pub(crate) fn note_traffic(&mut self, now: Stamp, node: &NodeCounters) {
+        let instant = Instant::now();
+        if instant >= self.series_due {
+            self.series_due = instant + COUNTS_PERIOD;
+            let wire = |bytes: u64, datagrams: u64| bytes + IP_UDP_BYTES * datagrams;
+            let own = [wire(node.bytes_out, node.datagrams_out), wire(node.bytes_in, node.datagrams_in)];
+            let beside = self.beside.iter().map(|(_, count)| count.load(Ordering::Relaxed));
+            self.series.push(now, &own.into_iter().chain(beside).collect::<Vec<_>>());
+        }
     }
 
     /// Gives the map out if there are readers and it is time, or `at_once`. O(1), and O(robots) when it gives.
@@ -196,7 +221,7 @@ impl Outlet {
             return;
         }
         let instant = Instant::now();
-        let is_news = self.given != Some([version, self.scan.number]);
+        let is_news = self.given != Some([version, self.scan.number()]);
         let is_count_due = instant >= self.counts_due;
         let is_due = at_once || is_count_due || (is_news && instant >= self.due);
         if !is_due {
@@ -204,28 +229,25 @@ impl Outlet {
         }
         let known = robot.poses();
         if known != self.known || is_count_due {
-            let age = |seen: Stamp| Duration::from_micros(now.micros_since(seen).max(0).unsigned_abs());
-            let pose = |pose: &KnownPose| RobotPose {
-                stream: pose.stream,
-                position: pose.position,
-                orientation: pose.orientation,
-                age: age(pose.seen),
-            };
-            self.poses.replace(known.iter().map(pose).collect());
+            self.poses.replace(poses_of(robot, now));
             self.known = known;
         }
         if is_count_due || at_once {
-            self.counts.replace(NodeCounts { now, counters: counters() });
+            let beside =
+                self.beside.iter().map(|(name, count)| ((*name).into(), count.load(Ordering::Relaxed)));
+            let counters = counters().into_iter().chain(beside).collect();
+            self.counts.replace(NodeCounts { now, counters });
             if self.tally.wants_links() {
-                self.links.replace(links(robot, now));
+                self.links.replace(links_of(robot, now));
             }
             self.counts_due = instant + COUNTS_PERIOD;
         }
         let (poses, counts) = (self.poses.clone(), self.counts.clone());
         let (links, scan) = (self.links.clone(), self.scan.clone());
         let (map, stamp) = (robot.view(), self.stamp);
-        give.send_replace(Some(Arc::new(Given { map, stamp, poses, counts, links, scan })));
-        self.given = Some([version, self.scan.number]);
+        let playback = Numbered::default();
+        give.send_replace(Some(Arc::new(Given { map, stamp, poses, counts, links, scan, playback })));
+        self.given = Some([version, self.scan.number()]);
         self.due = instant + self.period;
     }
 
@@ -233,8 +255,9 @@ impl Outlet {
     pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let is_wanted = self.give.is_some() && self.readers() > 0;
         let due =
-            if self.given == Some([self.version, self.scan.number]) { self.counts_due } else { self.due };
-        is_wanted.then(|| due.min(self.counts_due))
+            if self.given == Some([self.version, self.scan.number()]) { self.counts_due } else { self.due };
+        let offer = is_wanted.then(|| due.min(self.counts_due));
+        Some(offer.unwrap_or(self.series_due).min(self.series_due))
     }
 
     /// Says the end to the readers, once they have all that was given out, and waits for a moment until that is
@@ -254,25 +277,8 @@ impl Drop for Outlet {
     }
 }
 
-/// How the robot hears each of the others. O(peers × streams).
-fn links(robot: &Robot, now: Stamp) -> Vec<Link> {
-    let session = robot.session();
-    let newest = session.store().newest_known(session.own());
-    let confirmed: Vec<_> = session.own_received_by_peers().collect();
-    let link = |peer: PeerInfo| {
-        let missing = session.store().missing(peer.stream).map(|(low, high)| u64::from(high - low) + 1);
-        let confirmed = confirmed.iter().find(|(stream, ..)| *stream == peer.stream);
-        Link {
-            stream: peer.stream,
-            hears_us: peer.hears_us,
-            round_trip: peer.round_trip,
-            loss: peer.loss,
-            bytes_in: peer.traffic_in.bytes,
-            bytes_out: peer.traffic_out.bytes,
-            missing: u32::try_from(missing.sum::<u64>()).unwrap_or(u32::MAX),
-            unconfirmed: newest.saturating_sub(confirmed.map_or(0, |(_, _, upto)| *upto)),
-            silence: Duration::from_micros(now.micros_since(peer.last_heard).max(0).unsigned_abs()),
-        }
-    };
-    session.peers().map(link).collect()
+/// Counters beside the node's own whose names end so have a line of their own over time.
+fn series_names(beside: &[(&'static str, Arc<AtomicU64>)]) -> Vec<String> {
+    let beside = beside.iter().map(|(name, _)| name.trim_end_matches("_bytes_out"));
+    ["sent", "received"].into_iter().chain(beside).map(str::to_owned).collect()
 }

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use flockmap_feed::Message;
+use flockmap_view::serve::{Closed, Connection, Given, Identity, Reader, Tally};
 use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
@@ -16,8 +17,7 @@ use tokio::task::{AbortHandle, JoinSet};
 use tokio::time::{sleep, timeout};
 
 use super::MapOutput;
-use super::given::{Connection, Given, Identity, Tally, add};
-use super::reader::{Asked, Closed, Reader};
+use super::giver::Driver;
 use crate::Log;
 use crate::advice::listen_error;
 use crate::command::Command;
@@ -127,8 +127,7 @@ pub(super) struct Server {
     readers_max: usize,
     given: watch::Receiver<Option<Arc<Given>>>,
     tally: Arc<Tally>,
-    commands: mpsc::WeakUnboundedSender<Command>,
-    asked: Arc<Asked>,
+    driver: Arc<Driver>,
     log: Log,
     warnings: Warnings,
     places: Vec<Place>,
@@ -157,8 +156,7 @@ impl Server {
             readers_max,
             given,
             tally,
-            commands,
-            asked: Arc::default(),
+            driver: Arc::new(Driver::new(commands)),
             log,
             warnings: Warnings::default(),
             places: Vec::new(),
@@ -201,7 +199,7 @@ impl Server {
             let Some(longest) = self.places.iter().position(silent) else { return self.refuse(stream) };
             // It connected and says nothing: whoever wants something goes first.
             self.places.remove(longest).task.abort();
-            add(&self.tally.refused, 1);
+            self.tally.note_refused();
             self.warn("a connection to the map that had said no hello yet gave way to another one");
         }
         let has_said_hello = Arc::<AtomicBool>::default();
@@ -209,15 +207,14 @@ impl Server {
             identity: Arc::clone(&self.identity),
             given: self.given.clone(),
             tally: Arc::clone(&self.tally),
-            commands: self.commands.clone(),
-            asked: Arc::clone(&self.asked),
+            giver: Arc::<Driver>::clone(&self.driver),
         };
         let task = self.tasks.spawn(reader.serve(stream, Arc::clone(&has_said_hello)));
         self.places.push(Place { has_said_hello, task });
     }
 
     fn refuse(&mut self, mut stream: Box<dyn Connection>) {
-        add(&self.tally.refused, 1);
+        self.tally.note_refused();
         let max = self.readers_max;
         self.warn(&format!(
             "a reader of the map was refused: there are {max}, and [map_output] readers_max allows no more"
@@ -243,9 +240,9 @@ impl Server {
     fn note(&mut self, closed: &Closed) {
         match closed {
             Closed::Gone => {}
-            Closed::Silent => add(&self.tally.refused, 1),
+            Closed::Silent => self.tally.note_refused(),
             Closed::Fault(text) => {
-                add(&self.tally.closed, 1);
+                self.tally.note_closed();
                 self.warn(&format!("a reader of the map was closed: {text}"));
             }
         }

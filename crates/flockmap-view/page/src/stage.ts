@@ -1,0 +1,229 @@
+// The camera, the renderer and when a frame is drawn: only when something changed.
+
+import * as THREE from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { FACES_MAX, Governor, NODES_MAX, type Budget, type Camera } from "./lod";
+
+/** Milliseconds between two words to the worker about the camera. */
+const TELL = 120;
+const MOVE = 450;
+/** A picture that stands still is drawn as sharp as the screen; before, a slow one may be coarser. */
+const REST = 350;
+
+export class Stage {
+  readonly scene = new THREE.Scene();
+  readonly camera = new THREE.PerspectiveCamera(50, 1, 0.1, 1_000);
+  readonly renderer: THREE.WebGLRenderer;
+  readonly controls: OrbitControls;
+  readonly governor = new Governor();
+  /** Called before each frame. */
+  before: (() => void) | null = null;
+  tell: ((camera: Camera, budget: Budget) => void) | null = null;
+  resized: (() => void) | null = null;
+  /** The user has moved the camera: it is not moved any more to fit the map. */
+  touched = false;
+  fps = 0;
+  drawCalls = 0;
+  triangles = 0;
+  width = 1;
+  height = 1;
+  voxel = 1;
+  readonly origin = new THREE.Vector3();
+
+  private wanted = false;
+  private lastFrame = 0;
+  private told = 0;
+  private tellTimer: ReturnType<typeof setTimeout> | undefined;
+  private restTimer: ReturnType<typeof setTimeout> | undefined;
+  private scale = 1;
+  private radius = 50;
+  private readonly centre = new THREE.Vector3();
+  private flight: { from: THREE.Vector3; to: THREE.Vector3; fromTarget: THREE.Vector3; toTarget: THREE.Vector3; begin: number } | null = null;
+  private inset = { left: 0, bottom: 0, top: 0 };
+
+  constructor(canvas: HTMLCanvasElement) {
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
+    this.camera.up.set(0, 0, 1);
+    this.camera.position.set(-30, -45, 40);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = true;
+    this.controls.dampingFactor = 0.18;
+    this.controls.zoomToCursor = true;
+    this.controls.minDistance = 0.2;
+    this.controls.maxDistance = 50_000;
+    this.controls.maxPolarAngle = Math.PI * 0.98;
+    this.controls.addEventListener("change", () => this.request());
+    this.controls.addEventListener("start", () => {
+      this.touched = true;
+      this.flight = null;
+    });
+    new ResizeObserver(() => this.resize()).observe(canvas);
+  }
+
+  /** Asks for a frame. */
+  request(): void {
+    if (this.wanted) return;
+    this.wanted = true;
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  /** What lies over the picture: the map is fitted into the rest. */
+  setInset(inset: { left: number; bottom: number; top: number }): void {
+    this.inset = inset;
+    this.resize();
+  }
+
+  /** Metres in the frame of the map, to the scene. */
+  toScene(at: readonly [number, number, number]): [number, number, number] {
+    const r = this.voxel;
+    return [at[0] - this.origin.x * r, at[1] - this.origin.y * r, at[2] - this.origin.z * r];
+  }
+
+  /** Where the map is, in voxels. Gives whether that is much different from before. */
+  setBounds(bounds: readonly number[]): boolean {
+    const r = this.voxel;
+    const low = new THREE.Vector3(bounds[0], bounds[1], bounds[2]).sub(this.origin).multiplyScalar(r);
+    const high = new THREE.Vector3(bounds[3], bounds[4], bounds[5]).sub(this.origin).multiplyScalar(r);
+    const centre = low.clone().add(high).multiplyScalar(0.5);
+    const radius = Math.max(low.distanceTo(high) / 2, 1);
+    const much = Math.abs(radius - this.radius) > 0.12 * this.radius || centre.distanceTo(this.centre) > 0.15 * this.radius;
+    if (!much) return false;
+    this.centre.copy(centre);
+    this.radius = radius;
+    return true;
+  }
+
+  home(at_once = false): void {
+    this.fit(new THREE.Vector3(-0.42, -0.78, 0.62).normalize(), at_once);
+  }
+
+  top(): void {
+    this.fit(new THREE.Vector3(0, -0.02, 1).normalize(), false);
+  }
+
+  /** Moves the target, and the camera with it: for what is followed. */
+  carry(to: readonly [number, number, number], share: number): void {
+    const step = new THREE.Vector3(...to).sub(this.controls.target).multiplyScalar(share);
+    if (step.length() < 1e-4) return;
+    this.controls.target.add(step);
+    this.camera.position.add(step);
+    this.request();
+  }
+
+  /** Comes as near to the target as one looks at a robot. */
+  near(to: readonly [number, number, number]): void {
+    const target = new THREE.Vector3(...to);
+    const way = this.camera.position.clone().sub(this.controls.target);
+    const length = Math.min(way.length(), Math.max(60 * this.voxel, 8));
+    this.fly(target.clone().add(way.setLength(length)), target, false);
+  }
+
+  /** Pixels of the page that a metre takes at distance 1. */
+  get focal(): number {
+    return this.height / (2 * Math.tan(THREE.MathUtils.degToRad(this.camera.fov / 2)));
+  }
+
+  private fit(direction: THREE.Vector3, atOnce: boolean): void {
+    const free = Math.min((this.width - this.inset.left) / this.width, (this.height - this.inset.bottom - this.inset.top) / this.height);
+    const narrow = Math.min(1, (this.width - this.inset.left) / (this.height - this.inset.bottom - this.inset.top));
+    const distance = ((0.86 * this.radius) / Math.sin(THREE.MathUtils.degToRad(this.camera.fov / 2)) / Math.max(free, 0.25)) / Math.max(narrow, 0.4);
+    this.fly(this.centre.clone().addScaledVector(direction, distance), this.centre.clone(), atOnce);
+  }
+
+  private fly(to: THREE.Vector3, toTarget: THREE.Vector3, atOnce: boolean): void {
+    this.flight = { from: this.camera.position.clone(), to, fromTarget: this.controls.target.clone(), toTarget, begin: performance.now() };
+    if (atOnce || matchMedia("(prefers-reduced-motion: reduce)").matches) this.flight.begin = -Infinity;
+    this.request();
+  }
+
+  private moveOn(now: number): void {
+    const flight = this.flight;
+    if (!flight) return;
+    const t = Math.min(1, (now - flight.begin) / MOVE);
+    const share = t * t * (3 - 2 * t);
+    this.camera.position.lerpVectors(flight.from, flight.to, share);
+    this.controls.target.lerpVectors(flight.fromTarget, flight.toTarget, share);
+    if (t >= 1) this.flight = null;
+    this.request();
+  }
+
+  private frame(now: number): void {
+    this.wanted = false;
+    const ms = now - this.lastFrame;
+    this.lastFrame = now;
+    // Only frames that follow each other at once say how long one takes.
+    if (ms < 1_500 && ms > 0) {
+      this.fps = this.fps === 0 ? 1e3 / ms : 0.85 * this.fps + 0.15 * (1e3 / ms);
+    }
+    this.moveOn(performance.now());
+    this.controls.update();
+    this.before?.();
+    const distance = this.camera.position.distanceTo(this.centre);
+    this.camera.near = Math.max(0.05, Math.min(this.camera.position.distanceTo(this.controls.target) * 0.02, 5));
+    this.camera.far = distance + 1.3 * this.radius + 200;
+    this.camera.updateProjectionMatrix();
+    this.renderer.render(this.scene, this.camera);
+    this.drawCalls = this.renderer.info.render.calls;
+    this.triangles = this.renderer.info.render.triangles;
+    if (this.wanted && ms < 1_500) {
+      const changed = this.governor.frame(ms);
+      const scale = this.governor.mean > 90 ? 0.6 : this.governor.mean < 35 ? 1 : this.scale;
+      if (scale !== this.scale) this.rescale(scale);
+      if (changed) this.told = 0;
+    }
+    clearTimeout(this.restTimer);
+    if (!this.wanted && this.scale < 1) {
+      this.restTimer = setTimeout(() => {
+        this.rescale(1);
+        this.request();
+      }, REST);
+    }
+    this.tellSoon();
+  }
+
+  private rescale(scale: number): void {
+    this.scale = scale;
+    this.resize();
+  }
+
+  private resize(): void {
+    const canvas = this.renderer.domElement;
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+    if (width === 0 || height === 0) return;
+    [this.width, this.height] = [width, height];
+    this.renderer.setPixelRatio(this.ratio);
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    const { left, bottom, top } = this.inset;
+    this.camera.setViewOffset(width, height, -left / 2, (bottom - top) / 2, width, height);
+    this.resized?.();
+    this.request();
+  }
+
+  get ratio(): number {
+    return Math.min(devicePixelRatio, 2) * this.scale;
+  }
+
+  /** Tells the worker where the camera is, now and then while it moves and once when it stands. */
+  tellSoon(): void {
+    clearTimeout(this.tellTimer);
+    const wait = this.told + TELL - performance.now();
+    if (wait > 0) {
+      this.tellTimer = setTimeout(() => this.tellSoon(), wait);
+      return;
+    }
+    this.told = performance.now();
+    const r = this.voxel;
+    const frustum = new THREE.Frustum().setFromProjectionMatrix(
+      new THREE.Matrix4().multiplyMatrices(this.camera.projectionMatrix, this.camera.matrixWorldInverse),
+    );
+    const planes = frustum.planes.flatMap(({ normal: n, constant }) => [n.x, n.y, n.z, constant / r - n.dot(this.origin)]);
+    const eye = this.camera.position.clone().divideScalar(r).add(this.origin);
+    const density = Math.min(devicePixelRatio, 1.5);
+    this.tell?.(
+      { eye: [eye.x, eye.y, eye.z], planes, focal: this.focal * density },
+      { pixels: this.governor.pixels, nodes: NODES_MAX, faces: FACES_MAX },
+    );
+  }
+}
