@@ -157,7 +157,11 @@ impl WriteError {
     }
 
     pub(crate) fn mcap(path: &Path) -> impl FnOnce(mcap::McapError) -> Self + '_ {
-        move |error| Self::Mcap { path: path.to_owned(), error }
+        // What the system says is said, and not that it said something.
+        move |error| match error {
+            mcap::McapError::Io(error) => Self::io(path)(error),
+            error => Self::Mcap { path: path.to_owned(), error },
+        }
     }
 
     pub(crate) fn unfit(path: &Path, what: impl Into<String>, why: impl Into<String>) -> Self {

@@ -101,10 +101,12 @@ impl FlightFile {
         Ok(())
     }
 
-    /// Writes what waits as a whole chunk: from here on it survives the end of the program, however that comes.
+    /// Writes what waits as a whole chunk: from here on it survives the end of the program, and of the power.
     pub(crate) fn flush(&mut self) -> Result<(), WriteError> {
         if self.waiting > 0 {
             self.mcap.flush().map_err(WriteError::mcap(&self.path))?;
+            // A flight that ends with the battery is the one that will be looked at.
+            self.file.sync_data().map_err(WriteError::io(&self.path))?;
             self.chunks += 1 + self.waiting / CHUNK_BYTES;
             self.waiting = 0;
             self.whole = self.file.metadata().map_err(WriteError::io(&self.path))?.len();

@@ -51,8 +51,11 @@ impl Default for FlightOptions {
 /// for people what Foxglove and Rerun both show. `docs/flights.md` has the topics. Reads the feed as any reader does:
 /// [`Self::hello`] goes to the node, and what comes from it is [pushed](Self::push).
 ///
-/// Memory: a [`Mirror`] of the map, a chunk of 1 MiB, one picture (8 MiB at most), the ways of 64 robots (6 MB), 16
-/// bytes for each message of the chunk, and 1 kB for each chunk of the file.
+/// A map that has no room in a mirror (2²⁰ blocks) is not drawn any more, nor is what stands beside it; its feed is
+/// recorded all the same.
+///
+/// Memory: a [`Mirror`] of the map, a chunk of 1 MiB and a message, a picture of 8 MiB while it is drawn and 16 bytes
+/// for each occupied voxel, the ways of 64 robots (6 MB), and 1 kB for each chunk of the file, which is 3.6 MB an hour.
 pub struct FlightRecorder {
     file: FlightFile,
     robot: String,
@@ -121,7 +124,7 @@ impl FlightRecorder {
         self.file.path()
     }
 
-    /// Bytes that are safe from the end of the program.
+    /// Bytes that are safe from the end of the program, and of the power.
     pub const fn bytes(&self) -> u64 {
         self.file.bytes()
     }
@@ -181,7 +184,7 @@ impl FlightRecorder {
         Ok(())
     }
 
-    /// Makes what was recorded safe from the end of the program. To be called about once a second.
+    /// Makes what was recorded safe from the end of the program, and of the power. To be called about once a second.
     ///
     /// # Errors
     /// It cannot be written.

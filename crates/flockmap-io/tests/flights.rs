@@ -159,6 +159,8 @@ fn people_find_pictures_poses_counters_and_links_and_an_index() {
     assert_eq!(count("/alpha/links/robot2"), ("flockmap.Link", 20));
     assert_eq!(count("/alpha/feed"), ("flockmap.FeedFrame", 82));
     assert_eq!(summary.channels.len(), 6, "no topics of scans: {:?}", summary.channels);
+    let error = open_record(folder.join("flight.mcap"), &RecordOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("`scans = true` in its [record]"), "{error}");
 }
 
 #[test]

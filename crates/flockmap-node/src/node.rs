@@ -118,6 +118,15 @@ impl Node {
                         .map_err(|(place, error)| system(format!("give the map out at {place}"))(error))?,
                 );
             }
+            let view_source = outlet.as_ref().map(|outlet| NodeSource {
+                robot: options.robot.id,
+                name: options.name.clone(),
+                readers: outlet.map_readers(),
+                series: outlet.series(),
+            });
+            let view = options.view.take().zip(view_source.clone());
+            let view = view.map(|(view, source)| serve_view(view, source, commands.clone()));
+            let view = view.transpose().map_err(refused)?;
             let mut recorder = None;
             if let Some((recording, outlet)) = options.record.take().zip(outlet.as_ref()) {
                 let started = Recorder::start(
@@ -129,15 +138,6 @@ impl Node {
                 );
                 recorder = Some(started.map_err(system("record the flight"))?);
             }
-            let view_source = outlet.as_ref().map(|outlet| NodeSource {
-                robot: options.robot.id,
-                name: options.name.clone(),
-                readers: outlet.map_readers(),
-                series: outlet.series(),
-            });
-            let view = options.view.take().zip(view_source.clone());
-            let view = view.map(|(view, source)| serve_view(view, source, commands.clone()));
-            let view = view.transpose().map_err(refused)?;
             // After all else that can stop the start: each leaves a segment.
             let store = options.store.take();
             let store = store.map(|store| restore(store, &mut robot, &options)).transpose()?;

@@ -25,6 +25,9 @@ const FLUSH_PERIOD: Duration = Duration::from_secs(1);
 /// Before it connects again, where the node has closed it, since the disk took nothing for too long.
 const CONNECT_PAUSE: Duration = Duration::from_secs(1);
 
+/// For the rest of the map to come, each part of it.
+const REST_TIME: Duration = Duration::from_millis(500);
+
 /// What is read at once, and what may wait to be read.
 const READ_BYTES: usize = 1 << 16;
 
@@ -173,24 +176,37 @@ impl Work {
                         Ok(0) | Err(_) => break,
                         Ok(count) => self.flight.push(self.clock.now(), buffer.get(..count).unwrap_or_default())?,
                     },
-                    Some(frame) = self.scans.recv() => self.take_scan(&frame)?,
+                    scan = self.scans.recv() => match scan {
+                        Some(frame) => self.take_scan(&frame)?,
+                        None => return self.take_rest(stream).await,
+                    },
                     _ = flush.tick() => {
                         self.flight.flush()?;
                         self.shared.bytes.store(self.flight.bytes(), Ordering::Relaxed);
                     }
                 }
             }
-            // The node has ended, or the disk was too slow for it.
-            let rest = async {
+            // The map has ended, or the disk was too slow for it.
+            let scans = async {
                 while let Some(frame) = self.scans.recv().await {
                     self.take_scan(&frame)?;
                 }
                 Ok(())
             };
-            if let Ok(ended) = timeout(CONNECT_PAUSE, rest).await {
+            if let Ok(ended) = timeout(CONNECT_PAUSE, scans).await {
                 return ended;
             }
         }
+    }
+
+    /// The driver has ended the record: what the map still says is recorded, if it ends soon.
+    async fn take_rest(&mut self, mut stream: DuplexStream) -> Result<(), WriteError> {
+        let mut buffer = vec![0; READ_BYTES];
+        // Where the node could not start, it does not end.
+        while let Ok(Ok(count @ 1..)) = timeout(REST_TIME, stream.read(&mut buffer)).await {
+            self.flight.push(self.clock.now(), buffer.get(..count).unwrap_or_default())?;
+        }
+        Ok(())
     }
 
     async fn connect(&mut self) -> DuplexStream {

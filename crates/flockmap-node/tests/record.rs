@@ -124,3 +124,16 @@ fn a_record_that_cannot_be_made_stops_the_start() {
     let text = error.to_string();
     assert!(text.starts_with("cannot record the flight: ") && text.contains("flight.mcap"), "{text}");
 }
+
+#[test]
+fn a_start_that_fails_behind_the_record_ends_it() {
+    let path = new_dir("record-start").join("flight.mcap");
+    let record = Some(Recording { path: path.clone(), options: FlightOptions::default() });
+    let sensor =
+        Sensor::Play { frames: frames(corridor(1, 1)), speed: 0.0, skip: Duration::ZERO, begin: None };
+    let options = NodeOptions { record, sensor, ..NodeOptions::new(config(1)) };
+    let sockets = swarm(1).remove(0);
+    let error = Node::start(options, move || sockets.into_transport()).unwrap_err();
+    assert!(matches!(error, StartError::Option(_)), "{error}");
+    assert!(open_flight(&path).unwrap().all(|frame| frame.is_ok()), "it is whole");
+}
