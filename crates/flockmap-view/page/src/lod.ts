@@ -168,26 +168,38 @@ export function surplus(tree: Tree, keep: Set<Node>, bytesMax: number): Node[] {
   return result;
 }
 
-/** Sets the detail by how long frames take. */
+/** Sets the detail, and the sharpness while something moves, by how long frames take. */
 export class Governor {
   pixels = FINEST;
-  mean = 0;
+  /** Share of the pixels of a side that are drawn while something moves. */
+  sharpness = 1;
+  private mean = 0;
   private since = 0;
 
-  /** A frame that followed the one before at once took so many milliseconds. Says whether the detail changed. */
+  /** A frame took so many milliseconds until it was drawn. Says whether something changed. */
   frame(ms: number): boolean {
-    this.mean = this.since === 0 ? ms : 0.8 * this.mean + 0.2 * ms;
+    this.mean = this.since === 0 ? ms : 0.75 * this.mean + 0.25 * ms;
     this.since++;
-    if (this.since < 8) return false;
-    const before = this.pixels;
-    if (this.mean > 66) this.pixels = Math.min(COARSEST, this.pixels * 1.3);
-    else if (this.mean < 30) this.pixels = Math.max(FINEST, this.pixels / 1.15);
-    if (this.pixels === before) return false;
+    if (this.since < 6) return false;
+    const { pixels, sharpness, mean } = this;
+    if (mean > SLOW) {
+      // Faces go with the square of the size of cells; the step is what brings the frame to its aim, if faces are what it costs.
+      this.sharpness = Math.max(BLUNT, sharpness * 0.8);
+      if (sharpness <= BLUNT || mean > 2 * SLOW) this.pixels = Math.min(COARSEST, pixels * Math.min(1.6, Math.sqrt(mean / AIM)));
+    } else if (mean < FAST) {
+      if (pixels > FINEST) this.pixels = Math.max(FINEST, pixels / 1.15);
+      else this.sharpness = Math.min(1, sharpness * 1.15);
+    }
+    if (this.pixels === pixels && this.sharpness === sharpness) return false;
     this.since = 0;
     return true;
   }
 }
 
+const SLOW = 70;
+const AIM = 48;
+const FAST = 26;
+export const BLUNT = 0.6;
 export const FINEST = 2;
 export const COARSEST = 64;
 export const NODES_MAX = 440;

@@ -9,6 +9,7 @@ const TELL = 120;
 const MOVE = 450;
 /** A picture that stands still is drawn as sharp as the screen; before, a slow one may be coarser. */
 const REST = 350;
+const FENCE_MAX = 3_000;
 
 export class Stage {
   readonly scene = new THREE.Scene();
@@ -30,7 +31,13 @@ export class Stage {
   voxel = 1;
   readonly origin = new THREE.Vector3();
 
+  /** Milliseconds that the newest frame took. */
+  frameMs = 0;
+
   private wanted = false;
+  private drawing = false;
+  /** A frame was asked for while one was drawn. */
+  private asked = false;
   private lastFrame = 0;
   private told = 0;
   private tellTimer: ReturnType<typeof setTimeout> | undefined;
@@ -63,6 +70,11 @@ export class Stage {
 
   /** Asks for a frame. */
   request(): void {
+    if (this.drawing) {
+      this.asked = true;
+      return;
+    }
+    this.asked = false;
     if (this.wanted) return;
     this.wanted = true;
     requestAnimationFrame((now) => this.frame(now));
@@ -152,10 +164,7 @@ export class Stage {
     this.wanted = false;
     const ms = now - this.lastFrame;
     this.lastFrame = now;
-    // Only frames that follow each other at once say how long one takes.
-    if (ms < 1_500 && ms > 0) {
-      this.fps = this.fps === 0 ? 1e3 / ms : 0.85 * this.fps + 0.15 * (1e3 / ms);
-    }
+    if (ms > 0 && ms < 1_500) this.fps = this.fps === 0 ? 1e3 / ms : 0.85 * this.fps + 0.15 * (1e3 / ms);
     this.moveOn(performance.now());
     this.controls.update();
     this.before?.();
@@ -163,26 +172,44 @@ export class Stage {
     this.camera.near = Math.max(0.05, Math.min(this.camera.position.distanceTo(this.controls.target) * 0.02, 5));
     this.camera.far = distance + 1.3 * this.radius + 200;
     this.camera.updateProjectionMatrix();
+    const begin = performance.now();
     this.renderer.render(this.scene, this.camera);
     this.drawCalls = this.renderer.info.render.calls;
     this.triangles = this.renderer.info.render.triangles;
-    if (this.wanted && ms < 1_500) {
-      const changed = this.governor.frame(ms);
-      const scale = this.governor.mean > 90 ? 0.6 : this.governor.mean < 35 ? 1 : this.scale;
-      if (scale !== this.scale) this.rescale(scale);
-      if (changed) this.told = 0;
-    }
+    this.fence(begin);
     clearTimeout(this.restTimer);
-    if (!this.wanted && this.scale < 1) {
-      this.restTimer = setTimeout(() => {
-        this.rescale(1);
-        this.request();
-      }, REST);
-    }
+    if (this.scale < 1) this.restTimer = setTimeout(() => this.rescale(1), REST);
     this.tellSoon();
   }
 
+  /** Waits until the graphics card is done: no next frame before that, and the time it took goes to the governor. */
+  private fence(begin: number): void {
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    const sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    this.drawing = true;
+    const look = (): void => {
+      const done = !sync || gl.isContextLost() || gl.clientWaitSync(sync, 0, 0) !== gl.TIMEOUT_EXPIRED;
+      if (!done && performance.now() - begin < FENCE_MAX) {
+        setTimeout(look, 3);
+        return;
+      }
+      if (sync) gl.deleteSync(sync);
+      this.drawing = false;
+      this.frameMs = performance.now() - begin;
+      // The sharp picture after a movement may take its time.
+      const moving = this.asked;
+      if (this.scale === this.governor.sharpness || moving) {
+        if (this.governor.frame(this.frameMs)) this.told = 0;
+        if (moving && this.scale !== this.governor.sharpness) this.rescale(this.governor.sharpness);
+      }
+      if (this.asked) this.request();
+    };
+    setTimeout(look, 1);
+  }
+
   private rescale(scale: number): void {
+    if (scale === this.scale) return;
     this.scale = scale;
     this.resize();
   }

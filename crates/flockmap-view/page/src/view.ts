@@ -576,6 +576,7 @@ class View {
       faces,
       levels,
       fps: stage.fps,
+      frameMs: stage.frameMs,
       meshBytes: 8 * this.voxels.held,
       mapBytes: map?.bytes ?? null,
       pendingMeshes: map?.pending ?? null,

@@ -177,11 +177,11 @@ function build(): void {
   for (const node of [...missing, ...old]) {
     if (!due(node, begin)) continue;
     if (performance.now() - begin > BUILD) break;
-    const faces = mesh(mirror.blocks, node);
-    node.built = { faces: faces.length / 2, changes: node.changes, at: performance.now(), used: begin };
+    const { count, words } = mesh(mirror.blocks, node);
+    node.built = { faces: count, changes: node.changes, at: performance.now(), used: begin };
     tree.meshes.set(node.id, node);
     const side = node.side;
-    post({ kind: "mesh", id: node.id, level: node.level, origin: [node.x * side, node.y * side, node.z * side], faces }, [faces.buffer]);
+    post({ kind: "mesh", id: node.id, level: node.level, origin: [node.x * side, node.y * side, node.z * side], faces: count, words }, [words.buffer]);
     built++;
   }
   if (built > 0) plan();
