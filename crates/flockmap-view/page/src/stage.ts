@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { FACES_MAX, Governor, NODES_MAX, type Budget, type Camera } from "./lod";
+import { FACES_MAX, FACES_MIN, FINEST, Governor, NODES_MAX, type Budget, type Camera } from "./lod";
 
 /** Milliseconds between two words to the worker about the camera. */
 const TELL = 120;
@@ -16,7 +16,7 @@ export class Stage {
   readonly camera = new THREE.PerspectiveCamera(50, 1, 0.1, 1_000);
   readonly renderer: THREE.WebGLRenderer;
   readonly controls: OrbitControls;
-  readonly governor = new Governor();
+  readonly governor: Governor;
   /** Called before each frame. */
   before: (() => void) | null = null;
   tell: ((camera: Camera, budget: Budget) => void) | null = null;
@@ -49,7 +49,10 @@ export class Stage {
   private inset = { left: 0, bottom: 0, top: 0 };
 
   constructor(canvas: HTMLCanvasElement) {
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    // Without a graphics card smooth edges cost more than all else, and there must be fewer faces from the start.
+    const software = isSoftware();
+    this.governor = new Governor(software ? 4 * FACES_MIN : FACES_MAX / 4);
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !software, powerPreference: "high-performance" });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(-30, -45, 40);
@@ -200,7 +203,7 @@ export class Stage {
       // The sharp picture after a movement may take its time.
       const moving = this.asked;
       if (this.scale === this.governor.sharpness || moving) {
-        if (this.governor.frame(this.frameMs)) this.told = 0;
+        if (this.governor.frame(this.frameMs, this.triangles / 2)) this.told = 0;
         if (moving && this.scale !== this.governor.sharpness) this.rescale(this.governor.sharpness);
       }
       if (this.asked) this.request();
@@ -250,7 +253,16 @@ export class Stage {
     const density = Math.min(devicePixelRatio, 1.5);
     this.tell?.(
       { eye: [eye.x, eye.y, eye.z], planes, focal: this.focal * density },
-      { pixels: this.governor.pixels, nodes: NODES_MAX, faces: FACES_MAX },
+      { pixels: FINEST, nodes: NODES_MAX, faces: this.governor.faces },
     );
   }
+}
+
+/** Whether the browser draws without a graphics card. */
+function isSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? String(gl!.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }

@@ -580,7 +580,7 @@ class View {
       meshBytes: 8 * this.voxels.held,
       mapBytes: map?.bytes ?? null,
       pendingMeshes: map?.pending ?? null,
-      pixels: stage.governor.pixels,
+      facesWanted: Math.round(stage.governor.faces),
       color: this.colouring,
       theme: document.documentElement.dataset.theme,
       paused: this.live ? this.paused : !this.playback?.plays,
