@@ -27,3 +27,4 @@ pub mod sources;
 pub mod stop;
 pub mod swarm;
 pub mod team;
+pub mod view;

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
-use commands::{demo, export, info, key, mirror, node, radio, render, replay, sim};
+use commands::{demo, export, info, key, mirror, node, radio, render, replay, sim, view};
 use flockmap_cli::{program, stop};
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
@@ -22,6 +22,7 @@ struct Cli {
 const START_HERE: &str = "\
 Start here:
   flockmap demo                                 two robots, a forest, a radio that loses every fifth datagram: one minute
+  flockmap demo --view                          the same, seen live in a browser
   flockmap replay forest --loss 0.2             two simulated robots, every fifth datagram lost
   flockmap replay robot1.mcap robot2.mcap       your own records
 
@@ -40,6 +41,7 @@ enum Command {
     Info(info::InfoArgs),
     Export(export::ExportArgs),
     Render(render::RenderArgs),
+    View(view::ViewFileArgs),
     /// Went to a program of its own.
     #[command(hide = true, disable_help_flag = true)]
     Bench {
@@ -65,6 +67,7 @@ fn main() -> ExitCode {
         Command::Info(args) => info::run(args),
         Command::Export(args) => export::run(args),
         Command::Render(args) => render::run(args),
+        Command::View(args) => view::run(args),
         Command::Bench { words } => Err(anyhow!(
             "benchmarks are in a program of their own: cargo run --release -p flockmap-bench -- {}",
             words.join(" ")

@@ -20,6 +20,11 @@ pub fn listen() {
     }
 }
 
+/// Forgets the wish: it was meant for something that has ended.
+pub fn forget() {
+    REQUESTED.store(false, Ordering::SeqCst);
+}
+
 /// Whether the user wants an end.
 pub fn requested() -> bool {
     REQUESTED.load(Ordering::SeqCst)

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flockmap::{Event, Robot, RobotConfig, RobotId, Stamp, Stream};
-use flockmap_netsim::{Datagram, Delivery, RadioConfig, Watch};
+use flockmap_netsim::{Datagram, Delivery, Network, RadioConfig, Watch};
 
 use crate::flight::Flight;
 use crate::measure::Times;
@@ -14,6 +14,7 @@ use crate::member::Measures;
 use crate::picture::MapPicture;
 use crate::report::{Member, Run};
 use crate::sources::{Frame, Source};
+use crate::view::Recorder;
 
 /// After the last scan, virtual time runs on for at most this long until everything has arrived.
 pub const SETTLE_MICROS_MAX: i64 = 600_000_000;
@@ -23,6 +24,16 @@ pub fn run(
     sources: Vec<Source>,
     config: impl Fn(RobotId) -> RobotConfig,
     radio: RadioConfig,
+) -> anyhow::Result<Run> {
+    run_recorded(sources, config, radio, Vec::new())
+}
+
+/// The same, seen by recorders: one for each robot, or none.
+pub fn run_recorded(
+    sources: Vec<Source>,
+    config: impl Fn(RobotId) -> RobotConfig,
+    radio: RadioConfig,
+    mut recorders: Vec<Recorder>,
 ) -> anyhow::Result<Run> {
     let names: Vec<String> = sources.iter().map(|source| source.name.clone()).collect();
     let mut pictures: Vec<Vec<MapPicture>> = names.iter().map(|_| Vec::new()).collect();
@@ -36,6 +47,7 @@ pub fn run(
             let inserted = meters.scan(robot, number, &ids, now, &frame);
             inserted.with_context(|| format!("a scan of robot {}", number + 1))
         })?;
+        record(&mut recorders, &flight.network, &meters);
         if upcoming.next_if(|moment| *moment <= flight.network.now()).is_some() {
             for (pictures, robot) in pictures.iter_mut().zip(flight.network.nodes()) {
                 pictures.push(MapPicture::take(robot, next));
@@ -49,6 +61,9 @@ pub fn run(
     let last_scan = flight.last_scan;
     let arrived = flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_everything);
     let Flight { network, frames, .. } = flight;
+    for (number, recorder) in recorders.into_iter().enumerate() {
+        recorder.finish(network.now(), &network.nodes()[number], &meters.measures[number]);
+    }
     let (now, times) = (network.now(), meters.times.map(|times| times.summary()));
     let inputs = names.into_iter().zip(frames).zip(pictures);
     let members = network.into_nodes().into_iter().zip(inputs).zip(meters.measures);
@@ -57,6 +72,12 @@ pub fn run(
         Member { name, robot, measures, pictures, scans_damaged: frames.damaged }
     });
     Ok(Run { members: members.collect(), last_scan, arrived, times })
+}
+
+fn record(recorders: &mut [Recorder], network: &Network<Robot>, meters: &Meters) {
+    for ((recorder, robot), measures) in recorders.iter_mut().zip(network.nodes()).zip(&meters.measures) {
+        recorder.note(network.now(), robot, measures);
+    }
 }
 
 /// When pictures are taken: after one and two thirds of the longest source. The end is taken in any case.

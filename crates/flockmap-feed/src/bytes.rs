@@ -56,6 +56,23 @@ impl<'a> Fields<'a> {
         self.array(field).map(f64::from_le_bytes)
     }
 
+    pub(crate) fn f32(&mut self, field: &'static str) -> Result<f32, FeedError> {
+        self.array(field).map(f32::from_le_bytes)
+    }
+
+    /// Numbers each of which must be finite.
+    pub(crate) fn finite<const N: usize>(&mut self, field: &'static str) -> Result<[f64; N], FeedError> {
+        let mut numbers = [0.0; N];
+        for number in &mut numbers {
+            *number = self.f64(field)?;
+            if !number.is_finite() {
+                let (kind, got) = (self.kind, number.to_bits());
+                return Err(FeedError::Field { kind, field, got, expected: "finite numbers" });
+            }
+        }
+        Ok(numbers)
+    }
+
     pub(crate) fn plane(&mut self, field: &'static str) -> Result<Plane, FeedError> {
         let mut plane = [0; 8];
         for word in &mut plane {

@@ -22,8 +22,8 @@ pub use client::{Address, AddressError, Client, ClientError};
 pub use error::FeedError;
 pub use feed::{Feed, Next};
 pub use message::{
-    Block, Blocks, FEED_VERSION, FRAME_BYTES_MAX, HELLO_BYTES_MAX, Have, Message, NodeCounts, NodeHello,
-    ReaderHello, RobotPose,
+    Block, Blocks, FEED_VERSION, FRAME_BYTES_MAX, HELLO_BYTES_MAX, Have, Link, Message, NodeCounts,
+    NodeHello, Playback, ReaderHello, RobotPose, SeenScan,
 };
 pub use mirror::{Event, Mirror, MirrorOptions};
 pub use splitter::Splitter;

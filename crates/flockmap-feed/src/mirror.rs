@@ -3,7 +3,8 @@
 use flockmap_grid::{BlockIndex, MapView, Resolution, RobotId, Stamp, StateBlock, Voxel};
 
 use crate::message::{
-    Block, Blocks, FRAME_BYTES_MAX, Have, Message, NodeCounts, NodeHello, ReaderHello, RobotPose,
+    Block, Blocks, FRAME_BYTES_MAX, Have, Link, Message, NodeCounts, NodeHello, Playback, ReaderHello,
+    RobotPose, SeenScan,
 };
 use crate::origins::Origins;
 use crate::{FeedError, Splitter};
@@ -16,6 +17,10 @@ const BLOCKS_MAX: usize = 1 << 20;
 pub struct MirrorOptions {
     /// Whether to ask who saw each voxel last.
     pub origins: bool,
+    /// Whether to ask how robots are heard.
+    pub links: bool,
+    /// Whether to ask for what the sensor sees.
+    pub scans: bool,
     /// Most blocks of 8³ voxels. A block takes 350 bytes, and up to 1.1 kB more with origins; while a new map
     /// comes in place of an old one, both are there. Default 2²⁰, 365 MB.
     pub blocks_max: usize,
@@ -23,7 +28,7 @@ pub struct MirrorOptions {
 
 impl Default for MirrorOptions {
     fn default() -> Self {
-        Self { origins: false, blocks_max: BLOCKS_MAX }
+        Self { origins: false, links: false, scans: false, blocks_max: BLOCKS_MAX }
     }
 }
 
@@ -41,6 +46,12 @@ pub enum Event {
     Poses,
     /// What was counted: [`Mirror::counts`].
     Counters,
+    /// How robots are heard: [`Mirror::links`].
+    Links,
+    /// What the sensor sees: [`Mirror::scan`].
+    Scan,
+    /// Which time of a recording this is: [`Mirror::playback`].
+    Playback,
     /// The node ends the feed: [`Mirror::end`] says why.
     End,
     /// A frame of a kind that is not known here.
@@ -69,6 +80,9 @@ pub struct Mirror {
     stamp: Stamp,
     robots: Vec<RobotPose>,
     counts: NodeCounts,
+    links: Vec<Link>,
+    scan: Option<SeenScan>,
+    playback: Option<Playback>,
     end: Option<String>,
 }
 
@@ -99,6 +113,9 @@ impl Mirror {
             stamp: Stamp(0),
             robots: Vec::new(),
             counts: NodeCounts { now: Stamp(0), counters: Vec::new() },
+            links: Vec::new(),
+            scan: None,
+            playback: None,
             end: None,
         }
     }
@@ -109,7 +126,8 @@ impl Mirror {
         self.splitter = Splitter::new(FRAME_BYTES_MAX);
         self.is_greeted = false;
         self.end = None;
-        ReaderHello { origins: self.options.origins, have: self.have }.emit()
+        let MirrorOptions { origins, links, scans, .. } = self.options;
+        ReaderHello { origins, no_map: false, links, scans, have: self.have }.emit()
     }
 
     /// Takes bytes from the front of `bytes` up to the end of a frame, and says what that has done; `None`
@@ -155,6 +173,21 @@ impl Mirror {
             Message::End(reason) => {
                 self.end = Some(reason);
                 Event::End
+            }
+            Message::Links(links) => {
+                greeted("links")?;
+                self.links = links;
+                Event::Links
+            }
+            Message::Scan(scan) => {
+                greeted("scan")?;
+                self.scan = Some(scan);
+                Event::Scan
+            }
+            Message::Playback(playback) => {
+                greeted("playback")?;
+                self.playback = Some(playback);
+                Event::Playback
             }
             Message::Unknown(kind) => Event::Unknown(kind),
         })
@@ -275,6 +308,21 @@ impl Mirror {
     /// What the node has counted, as said last; about once a second.
     pub const fn counts(&self) -> &NodeCounts {
         &self.counts
+    }
+
+    /// How the other robots are heard, as said last, if it was asked for: [`MirrorOptions::links`].
+    pub fn links(&self) -> &[Link] {
+        &self.links
+    }
+
+    /// What the sensor saw newest, thinned, if it was asked for: [`MirrorOptions::scans`].
+    pub const fn scan(&self) -> Option<&SeenScan> {
+        self.scan.as_ref()
+    }
+
+    /// Which time of a recording the map is of, where one is played.
+    pub const fn playback(&self) -> Option<&Playback> {
+        self.playback.as_ref()
     }
 
     /// Why the node ended this connection, if it did.

@@ -268,7 +268,7 @@ proptest! {
     ) {
         let mut node = Node::new(3);
         (0..30).for_each(|number| node.change(index(number), &states(seed.wrapping_add(u64::from(number)))));
-        let options = MirrorOptions { origins: seed % 2 == 0, blocks_max: 40 };
+        let options = MirrorOptions { origins: seed % 2 == 0, blocks_max: 40, ..MirrorOptions::default() };
         let mut reader = Reader::connect(&node, Mirror::new(options), (0, BTreeMap::new()));
         let mut wire = core::mem::take(&mut reader.wire);
         while let Some(frame) = node.frame(&mut reader.feed, 7) {

@@ -199,8 +199,9 @@ impl<T: Transport> Driver<T> {
     /// Gives the map to its readers, if there are any and it is time, or at once.
     fn offer_map(&mut self, at_once: bool) {
         let Self { outlet: Some(outlet), robot, options, counters, .. } = self else { return };
-        let counters = outlet.counters(*counters);
-        outlet.offer(robot, options.clock.now(), at_once, || crate::status::counters_of(&counters, robot));
+        let (counters, now) = (outlet.counters(*counters), options.clock.now());
+        outlet.note_traffic(now, &counters);
+        outlet.offer(robot, now, at_once, || crate::status::counters_of(&counters, robot));
     }
 
     /// Gives the transport the paths on which robots are reached, if they have changed. Before it receives
@@ -272,6 +273,9 @@ impl<T: Transport> Driver<T> {
                     Err(error) => return self.take_fault(format!("scan left out: {error}")),
                 };
                 self.timings.insert_scan.saturating_record(micros(began.elapsed()));
+                if let Some(outlet) = &mut self.outlet {
+                    outlet.note_scan(&frame.scan, &frame.t_map_sensor);
+                }
                 if let Some(observer) = &mut self.options.observer {
                     observer(now, &self.robot, Observation::Scan { scan: &frame.scan, report: &report });
                 }

@@ -24,6 +24,7 @@
 //! | [`Transport`], [`UdpTransport`] | how datagrams travel; others can stand beside UDP |
 //! | [`Sensor`] | a recording or simulation in real time, a channel, or a socket that any program feeds |
 //! | [`MapOutput`] | sockets where planners of other processes read the fused map, `flockmap_feed` |
+//! | [`ViewOptions`] | the same in a browser, `flockmap_view` |
 //! | [`Node`], [`NodeHandle`] | the robot at work, and access to it while it runs |
 //! | [`store`], [`StoreWriter`] | packages on disk, so that a rebooted robot has its map again, and the epoch of its run |
 //! | [`NodeStatus`], [`Summary`] | counters while it runs, as a line and as Prometheus text; the summary at the end |
@@ -38,7 +39,6 @@ mod driver;
 mod kept;
 mod log;
 mod map_output;
-mod metrics;
 mod node;
 mod options;
 mod outputs;
@@ -51,17 +51,18 @@ mod transport;
 #[cfg(unix)]
 mod unix_socket;
 mod warnings;
+mod web;
 
 pub use clock::Clock;
 pub use config::{
     AlignmentSection, Behaviour, CodecSection, ConfigError, Configuration, EXAMPLE, FoundKey, KEY_VARIABLE,
     MapOutputSection, MetricsSection, NodeConfig, OutputSection, RosPoses, RosSection, Secret, SensorSection,
-    StateSection, StoreSection, TeammatesSection, schema,
+    StateSection, StoreSection, TeammatesSection, ViewSection, schema,
 };
 pub use flockmap_io::{Frame, Frames};
 pub use flockmap_store as store;
 pub use log::{Level, Log};
-pub use map_output::MapOutput;
+pub use map_output::{MapOutput, MapReaders, links_of, poses_of};
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
 pub use run::{ConfiguredNode, run};
@@ -72,3 +73,4 @@ pub use status::{GivenUp, Histogram, NodeCounters, NodeStatus, StreamStatus, Tim
 pub use store_writer::StoreWriter;
 pub use summary::{StreamSummary, Summary, TimingSummary};
 pub use transport::{SendResult, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};
+pub use web::ViewOptions;

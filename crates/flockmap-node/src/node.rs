@@ -3,20 +3,23 @@
 use std::fmt;
 use std::io;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::sync::mpsc as std_mpsc;
 use std::thread::JoinHandle;
 use std::time::Instant;
 
 use flockmap::{Robot, Stamp};
+use flockmap_view::{Source, ViewServer};
 use tokio::sync::mpsc;
 
 use crate::command::Command;
 use crate::driver::Driver;
-use crate::map_output::Outlet;
+use crate::map_output::{MapReaders, Outlet};
 use crate::options::NodeOptions;
 use crate::sensor::{INPUTS_WAITING_MAX, Input, MessageLimits, Sensor, SensorSocket, play, serve};
 use crate::store::{Store, StoreError, StoreLog};
 use crate::store_writer::StoreWriter;
+use crate::web::{NodeSource, serve_counters, serve_view};
 use crate::{Clock, ConfigError, NodeStatus, Summary, Transport};
 
 /// Why a node could not start.
@@ -46,12 +49,14 @@ pub enum StartError {
 #[derive(Debug)]
 pub struct Node;
 
-/// The addresses that the system chose.
-#[derive(Debug)]
+/// The addresses that the system chose, and where programs of this process find the node.
 struct Addresses {
     sensor: Option<String>,
     map: Vec<String>,
+    map_readers: Option<MapReaders>,
     prometheus: Option<SocketAddr>,
+    view: Option<String>,
+    view_source: Option<NodeSource>,
 }
 
 impl Node {
@@ -95,20 +100,28 @@ impl Node {
             let sensor_socket = SensorSocket::open(&options.sensor)
                 .await
                 .map_err(system(format!("open the sensor socket {}", options.sensor.place())))?;
-            let mut prometheus = None;
-            if let Some(address) = options.prometheus {
-                let listener = crate::metrics::listen(address).await;
-                prometheus = Some(listener.map_err(system(format!("serve metrics at {address}")))?);
-            }
+            let refused = |(what, error): (String, io::Error)| system(what)(error);
+            let prometheus = options.prometheus.map(|address| serve_counters(address, commands.clone()));
+            let prometheus = prometheus.transpose().map_err(refused)?;
             let mut outlet = None;
             if let Some(output) = options.map_output.take() {
                 let identity = (options.name.clone(), options.robot.id, options.robot.mapper.resolution);
-                let started = Outlet::start(output, identity, commands.clone(), options.log.clone());
+                let beside = options.counters_beside.clone();
+                let started = Outlet::start(output, identity, beside, commands.clone(), options.log.clone());
                 outlet = Some(
                     started
                         .map_err(|(place, error)| system(format!("give the map out at {place}"))(error))?,
                 );
             }
+            let view_source = outlet.as_ref().map(|outlet| NodeSource {
+                robot: options.robot.id,
+                name: options.name.clone(),
+                readers: outlet.map_readers(),
+                series: outlet.series(),
+            });
+            let view = options.view.take().zip(view_source.clone());
+            let view = view.map(|(view, source)| serve_view(view, source, commands.clone()));
+            let view = view.transpose().map_err(refused)?;
             // After all else that can stop the start: each leaves a segment.
             let store = options.store.take();
             let store = store.map(|store| restore(store, &mut robot, &options)).transpose()?;
@@ -117,20 +130,22 @@ impl Node {
                 .then(|| StoreWriter::start(store, epoch_file, options.log.clone()));
             let addresses = Addresses {
                 sensor: sensor_socket.as_ref().map(|(socket, _)| socket.address()),
+                map_readers: outlet.as_ref().map(Outlet::map_readers),
                 map: outlet.as_ref().map(|outlet| outlet.addresses().to_vec()).unwrap_or_default(),
-                prometheus: prometheus.as_ref().and_then(|listener| listener.local_addr().ok()),
+                prometheus: prometheus.as_ref().map(ViewServer::address),
+                view: view.as_ref().map(ViewServer::url),
+                view_source,
             };
 
             let (inputs, inputs_in) = mpsc::channel(INPUTS_WAITING_MAX);
             let sensor = std::mem::replace(&mut options.sensor, Sensor::None);
             start_sensor(sensor, sensor_socket, options.clock, inputs)?;
-            if let Some(listener) = prometheus {
-                tokio::spawn(crate::metrics::serve(listener, commands));
-            }
             let driver = Driver::new(options, (robot, store), outlet, transport, inputs_in, commands_in);
             // The caller waits for this.
             let _ = started.send(addresses);
             let (robot, status) = driver.drive().await;
+            // Readers have been told the end by now.
+            drop((prometheus, view));
             Ok(Ended { summary: Summary::new(&robot, &status), robot, status })
         })
     }
@@ -222,13 +237,18 @@ impl fmt::Debug for Ended {
 }
 
 /// The handle to a running node. Dropping it stops the node.
-#[derive(Debug)]
 pub struct NodeHandle {
     name: String,
     clock: Clock,
     commands: mpsc::UnboundedSender<Command>,
     thread: JoinHandle<Result<Ended, StartError>>,
     addresses: Addresses,
+}
+
+impl fmt::Debug for NodeHandle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("NodeHandle").field("name", &self.name).finish_non_exhaustive()
+    }
 }
 
 impl NodeHandle {
@@ -250,6 +270,24 @@ impl NodeHandle {
     /// Where planners read the map: as `flockmap mirror` takes it.
     pub fn map_addresses(&self) -> &[String] {
         &self.addresses.map
+    }
+
+    /// Where readers of this process connect to the map, if the node has
+    /// [`NodeOptions::map_output`](crate::NodeOptions::map_output).
+    pub const fn map_readers(&self) -> Option<&MapReaders> {
+        self.addresses.map_readers.as_ref()
+    }
+
+    /// What to open in a browser to see the map, if it is shown.
+    pub fn view_url(&self) -> Option<&str> {
+        self.addresses.view.as_deref()
+    }
+
+    /// The map for a view that shows several robots, if the node has
+    /// [`NodeOptions::map_output`](crate::NodeOptions::map_output).
+    pub fn view_source(&self) -> Option<Arc<dyn Source>> {
+        let source = self.addresses.view_source.clone()?;
+        Some(Arc::new(source))
     }
 
     /// Where counters are served, if they are.

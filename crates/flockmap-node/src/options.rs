@@ -2,13 +2,15 @@
 
 use std::fmt;
 use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use flockmap::{Event, Pose, Robot, RobotConfig, RobotId, Scan, ScanReport, Stamp};
 
 use crate::sensor::Sensor;
 use crate::store::{EpochFile, Store};
-use crate::{Clock, Log, MapOutput};
+use crate::{Clock, Log, MapOutput, ViewOptions};
 
 /// When a node ends by itself.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -72,8 +74,13 @@ pub struct NodeOptions {
     pub store: Option<Store>,
     /// Where the epoch is kept if the robot begins anew while it runs; that of the start must be in it already.
     pub epoch_file: Option<EpochFile>,
-    /// Where planners of other processes read the fused map.
+    /// Where planners of other processes read the fused map; with the default, readers of this one alone.
     pub map_output: Option<MapOutput>,
+    /// Counters of the program around the node, by name: given out with the node's own. The view shows
+    /// `paper_bytes_out` and `racer_bytes_out`.
+    pub counters_beside: Vec<(&'static str, Arc<AtomicU64>)>,
+    /// Show the map in a browser. Needs [`Self::map_output`].
+    pub view: Option<ViewOptions>,
     /// Serve counters as Prometheus text here.
     pub prometheus: Option<SocketAddr>,
     /// Log a line of counters each such time.
@@ -100,6 +107,8 @@ impl NodeOptions {
             store: None,
             epoch_file: None,
             map_output: None,
+            counters_beside: Vec::new(),
+            view: None,
             prometheus: None,
             status_period: None,
             end: EndOptions::default(),

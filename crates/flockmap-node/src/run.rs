@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result, anyhow, bail};
 use flockmap::sync::SwarmKey;
 use flockmap_io::{RecordOptions, open_record};
+use flockmap_view::{Access, Token};
 
 use crate::config::{Configuration, check_applies, seconds, speed, within};
 use crate::kept::Kept;
@@ -13,7 +14,7 @@ use crate::outputs::Report;
 use crate::sensor::repeated;
 use crate::{
     Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, RosSection, Sensor,
-    UdpSockets, outputs,
+    UdpSockets, ViewOptions, outputs,
 };
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
@@ -107,6 +108,7 @@ fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Res
     options.clock_offsets = config.clock_offsets()?;
     options.muted = config.muted.clone();
     options.map_output = map_output(config, log)?;
+    options.view = view(config, log)?;
     options.prometheus = config.metrics.prometheus;
     let period = seconds("[metrics] status_period_s", config.metrics.status_period_s)?;
     options.status_period = (!period.is_zero()).then_some(period);
@@ -120,6 +122,9 @@ fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Res
     }
     for address in node.map_addresses() {
         log.info(format!("gives the map out at {address}"));
+    }
+    if let Some(url) = node.view_url() {
+        log.info(format!("shows the map in a browser at {url}"));
     }
     if let Some(address) = node.prometheus_address() {
         log.info(format!("serves counters at http://{address}/metrics"));
@@ -224,6 +229,21 @@ fn map_output(config: &NodeConfig, log: &Log) -> Result<Option<MapOutput>> {
         log.warn(format!("with unix_mode {mode:04o} every user of this machine can read the map at {path}"));
     }
     Ok(Some(output))
+}
+
+/// Where the map is shown, and to whom.
+fn view(config: &NodeConfig, log: &Log) -> Result<Option<ViewOptions>> {
+    let Some(address) = config.view.listen else { return Ok(None) };
+    let token = config.view_token()?;
+    let access = match token {
+        Some(token) => Access::Token(token),
+        None if address.ip().is_loopback() => Access::Loopback,
+        None => {
+            log.info("[view] has no token: one is drawn, and another one at the next start");
+            Access::Token(Token::draw().context("the system gives no random bytes")?)
+        }
+    };
+    Ok(Some(ViewOptions { address, access }))
 }
 
 /// Waits for the node, and stops it on a signal; a second one stops it at once.

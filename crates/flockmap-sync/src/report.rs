@@ -30,6 +30,8 @@ pub struct PeerInfo {
     pub clock_offset_micros: Option<i64>,
     /// Packages sent to it and not yet confirmed.
     pub in_flight: usize,
+    /// Share of the packages sent to it that were found lost, smoothed over some 64, in parts of 65,536.
+    pub loss: u32,
     /// Heard from it.
     pub traffic_in: Traffic,
     /// Sent to it alone.

@@ -249,6 +249,7 @@ impl Session {
             round_trip: peer.round_trip.mean(),
             clock_offset_micros: self.clock_offset_micros(peer.stream),
             in_flight: peer.in_flight.len(),
+            loss: peer.loss.share(),
             traffic_in: peer.traffic_in,
             traffic_out: peer.traffic_out,
         })

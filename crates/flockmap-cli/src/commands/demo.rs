@@ -5,6 +5,8 @@ use flockmap_cli::outputs;
 use std::io;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
@@ -18,11 +20,14 @@ use flockmap_cli::options::{MapArgs, OF_RECORDS, SourceArgs};
 use flockmap_cli::picture::MapPicture;
 use flockmap_cli::progress::Progress;
 use flockmap_cli::report::{Member, Report, Run, Settings};
-use flockmap_cli::{sources, stop, team};
+use flockmap_cli::view::ViewArgs;
+use flockmap_cli::{sources, stop, team, view};
 use flockmap_node::{
-    Clock, Histogram, Node, NodeHandle, NodeOptions, Observation, SendResult, Sensor, Timings, Transport,
+    Clock, Histogram, MapOutput, Node, NodeHandle, NodeOptions, Observation, SendResult, Sensor, Timings, Transport,
     UdpOptions, UdpSockets,
 };
+
+use flockmap_view::{Content, Kind, ViewServer};
 
 /// Fly a swarm on this machine over a radio that loses every fifth datagram, and report what it cost
 #[derive(Args, Debug)]
@@ -30,6 +35,7 @@ use flockmap_node::{
 #[command(after_help = "\
 Examples:
   flockmap demo
+  flockmap demo --view                              (in a browser, live)
   flockmap demo --loss 0.5 --delay-ms 50
   flockmap demo --scene indoor --robots 5 --seconds 30 --out /tmp/indoor
 
@@ -49,6 +55,8 @@ pub struct DemoArgs {
     /// The radio between the robots.
     #[command(flatten)]
     pub radio: LinkChange,
+    #[command(flatten)]
+    pub view: ViewArgs,
     #[command(flatten)]
     pub map: MapArgs,
     #[command(flatten)]
@@ -94,6 +102,8 @@ struct Flyer {
     measures: Measures,
     pictures: Vec<MapPicture>,
     last_scan: Stamp,
+    /// Bytes that the paper's method and RACER's would have sent so far, for the view.
+    rivals: [Arc<AtomicU64>; 2],
 }
 
 /// Runs the command. Whether everything arrived and every voxel is equal.
@@ -106,10 +116,19 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     let clock = Clock::at(Stamp(0));
     let (updates, reported) = channel();
     let (sockets, radio) = connect(sources.robots.len(), args.radio, args.source.seed)?;
-    let (mut flyers, nodes) = start(sources.robots, sockets, &base, clock, &updates)?;
+    let (mut flyers, nodes) = start(sources.robots, sockets, &base, clock, &updates, args.view.view.is_some())?;
     drop(updates);
+    let server = args.view.view.map(|address| show(address, title.clone(), &nodes)).transpose()?;
+    if server.is_none() {
+        eprintln!("`flockmap demo --view` shows it live in a browser");
+    }
     fly(&mut flyers, &nodes, clock, &reported, seconds);
     let arrived = settle(&mut flyers, &nodes, clock, &reported)?;
+    if let Some(server) = server.as_ref().filter(|_| !stop::requested()) {
+        view::wait("the map", server);
+        // That was no early end.
+        stop::forget();
+    }
     for (flyer, node) in flyers.iter_mut().zip(&nodes) {
         flyer.pictures.extend(picture(node));
         node.stop();
@@ -176,12 +195,19 @@ fn connect(
     Ok((sockets, radio))
 }
 
+/// The page with the maps of all nodes.
+fn show(address: SocketAddr, title: String, nodes: &[NodeHandle]) -> anyhow::Result<ViewServer> {
+    let sources = nodes.iter().filter_map(NodeHandle::view_source).collect();
+    view::start(address, Content { title, kind: Kind::Live, sources, metrics: None })
+}
+
 fn start(
     robots: Vec<sources::Source>,
     sockets: Vec<UdpSockets>,
     base: &RobotConfig,
     clock: Clock,
     updates: &Updates,
+    is_seen: bool,
 ) -> anyhow::Result<(Vec<Flyer>, Vec<NodeHandle>)> {
     let (mut flyers, mut nodes) = (Vec::new(), Vec::new());
     for (number, (source, sockets)) in robots.into_iter().zip(sockets).enumerate() {
@@ -189,6 +215,12 @@ fn start(
         let stream = Stream { origin: config.id, epoch: config.epoch };
         let mut options = NodeOptions::new(config);
         options.name.clone_from(&source.name);
+        let rivals = [Arc::default(), Arc::default()];
+        if is_seen {
+            options.map_output = Some(MapOutput::default());
+            options.counters_beside =
+                vec![("paper_bytes_out", Arc::clone(&rivals[0])), ("racer_bytes_out", Arc::clone(&rivals[1]))];
+        }
         options.clock = clock;
         let place = updates.clone();
         let frames = source.frames.map(move |mut frame| {
@@ -222,7 +254,7 @@ fn start(
         let make = move || Ok(Metered { inner: sockets.into_transport()?, clock, number, updates: meter });
         nodes.push(Node::start(options, make)?);
         let (name, measures, pictures) = (source.name, Measures::default(), Vec::new());
-        flyers.push(Flyer { name, stream, measures, pictures, last_scan: Stamp(0) });
+        flyers.push(Flyer { name, stream, measures, pictures, last_scan: Stamp(0), rivals });
     }
     Ok((flyers, nodes))
 }
@@ -245,6 +277,12 @@ fn fly(
         let flown = since_begin(clock.now()).seconds();
         if moments.next_if(|moment| *moment <= flown).is_some() {
             flyers.iter_mut().zip(nodes).for_each(|(flyer, node)| flyer.pictures.extend(picture(node)));
+        }
+        let copies = nodes.len() as u64 - 1;
+        for Flyer { measures, rivals, .. } in flyers.iter() {
+            for (sent, rival) in [&measures.paper, &measures.racer].into_iter().zip(rivals) {
+                rival.store(sent.wire.total() * copies, Ordering::Relaxed);
+            }
         }
         let statuses: Vec<_> = nodes.iter().filter_map(NodeHandle::status).collect();
         let bytes: u64 = flyers.iter().map(|flyer| flyer.measures.sent.wire.total()).sum();

@@ -72,7 +72,11 @@ pub fn run(args: &MirrorArgs) -> anyhow::Result<bool> {
         let is_known = matches!(ending(path).as_deref(), Some("ply" | "pcd" | "bt"));
         ensure!(is_known, "--out {}: expected a path that ends in .ply, .pcd or .bt", path.display());
     }
-    let mirror = Mirror::new(MirrorOptions { origins: args.origins, blocks_max: args.blocks_max });
+    let mirror = Mirror::new(MirrorOptions {
+        origins: args.origins,
+        blocks_max: args.blocks_max,
+        ..MirrorOptions::default()
+    });
     let mut client = Client::new(args.address.clone(), mirror);
     if let Some(rate) = args.rate_max {
         client = client.at_most(rate);

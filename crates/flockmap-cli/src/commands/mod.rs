@@ -12,4 +12,5 @@ pub mod radio;
 pub mod render;
 pub mod replay;
 pub mod sim;
+pub mod view;
 mod voxels_of;

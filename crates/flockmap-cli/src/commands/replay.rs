@@ -1,15 +1,20 @@
 //! `flockmap replay`: records, or simulated flights, through the whole stack in virtual time.
 
 use flockmap_cli::outputs;
+use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::ensure;
 use clap::Args;
-use flockmap::{Cast, Codec, RobotConfig, SessionConfig};
+use flockmap::{Cast, Codec, RobotConfig, RobotId, SessionConfig};
 use flockmap_cli::options::{MapArgs, SourceArgs, budget, delay_micros, named, share};
 use flockmap_cli::report::{Report, Settings};
-use flockmap_cli::{json_file, sources, swarm};
+use flockmap_cli::sources::Sources;
+use flockmap_cli::view::{Recorder, ViewArgs};
+use flockmap_cli::{json_file, sources, swarm, view};
 use flockmap_netsim::{Link, RadioConfig};
+use flockmap_view::{Content, Kind, Source, ViewServer};
 
 /// Put records through the whole stack in virtual time: map, pack, send, lose, repair, merge
 #[derive(Args, Debug)]
@@ -22,6 +27,7 @@ Examples:
   flockmap replay two_robots/ --points-topic /robot1/points --points-topic /robot2/points
   flockmap replay fr_079.bt --robots 3 --seconds 30 --out report/
   flockmap replay forest --loss 0.3 --budget-kb-s 40
+  flockmap replay forest --loss 0.2 --view           (in a browser, with pause and back in time)
 
 A RECORD is an .mcap (PointCloud2 with odometry or tf), a rosbag2 folder with such files, or a folder with Scans/*.pcd,
 a KITTI pose file and times.txt. Each record is one robot. A single record is cut by time into --robots robots; with
@@ -67,6 +73,8 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "DIR", value_parser = outputs::folder())]
     pub out: Option<PathBuf>,
     #[command(flatten)]
+    pub view: ViewArgs,
+    #[command(flatten)]
     pub map: MapArgs,
     #[command(flatten)]
     pub source: SourceArgs,
@@ -104,7 +112,10 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     };
     let radio = RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() };
     let title = format!("replay of {}", sources.title);
-    let run = swarm::run(sources.robots, |id| RobotConfig { id, ..base.clone() }, radio)?;
+    let view = args.view.view.map(|address| show(address, &sources, &base)).transpose()?;
+    let (server, recorders) = view.unzip();
+    let config = |id| RobotConfig { id, ..base.clone() };
+    let run = swarm::run_recorded(sources.robots, config, radio, recorders.unwrap_or_default())?;
     let settings = Settings::new(&base, args.map.mapper, &radio_in_words(args));
     let report = Report::new(&run, title, settings)?;
     let document = report.document();
@@ -113,7 +124,33 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
     // Whatever became of the other one.
     let page = args.out.as_ref().map_or(Ok(()), |folder| document.write(folder, &report));
     json.and(page)?;
+    if let Some(server) = server {
+        view::wait("the replay", &server);
+    }
     Ok(report.is_good())
+}
+
+/// The page of a replay, and what records it.
+fn show(
+    address: SocketAddr,
+    sources: &Sources,
+    base: &RobotConfig,
+) -> anyhow::Result<(ViewServer, Vec<Recorder>)> {
+    let copies = match base.session.cast {
+        Cast::Broadcast => 1,
+        Cast::Unicast => sources.robots.len() as u64 - 1,
+    };
+    let recorder = |(source, number): (&sources::Source, u16)| {
+        Recorder::new(RobotId(number), &source.name, base.mapper.resolution, copies)
+    };
+    let recorders = sources.robots.iter().zip(1..).map(recorder).collect::<std::io::Result<Vec<_>>>()?;
+    let content = Content {
+        title: format!("replay of {}", sources.title),
+        kind: Kind::Playback,
+        sources: recorders.iter().map(|recorder| Arc::new(recorder.recording()) as Arc<dyn Source>).collect(),
+        metrics: None,
+    };
+    Ok((view::start(address, content)?, recorders))
 }
 
 fn radio_in_words(args: &ReplayArgs) -> String {

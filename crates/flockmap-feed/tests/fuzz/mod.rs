@@ -16,7 +16,7 @@ const MAP_BYTES_MAX: usize = BLOCKS_MAX * 2_048 + 65_536;
 /// hello; and whether the mirror wants origins.
 pub(crate) fn mirror(input: &[u8]) {
     let Some((how, input)) = input.split_first() else { return };
-    let options = MirrorOptions { origins: how & 1 == 1, blocks_max: BLOCKS_MAX };
+    let options = MirrorOptions { origins: how & 1 == 1, blocks_max: BLOCKS_MAX, ..MirrorOptions::default() };
     let mut mirror = Mirror::new(options);
     mirror.connect();
     let wire = if how & 2 == 0 { input.to_vec() } else { framed(input) };

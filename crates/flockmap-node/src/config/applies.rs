@@ -28,6 +28,8 @@ const NEEDS: &[(&str, &[&str])] = &[
     ("[map_output] unix_mode", &["[map_output] listen_unix"]),
     ("[map_output] readers_max", OUTLETS),
     ("[map_output] period_ms", OUTLETS),
+    ("[view] token", &["[view] listen"]),
+    ("[view] token_file", &["[view] listen"]),
     ("[output] save_free", &["[output] save_map_at_end"]),
 ];
 
@@ -36,13 +38,14 @@ const LISTEN: &[&str] = &["[sensor] listen_tcp", "[sensor] listen_unix"];
 const LISTEN_OR_ROS: &[&str] = &["[sensor] listen_tcp", "[sensor] listen_unix", ROS];
 /// Scans come from the program that has the node, whether its section is there or not.
 const ROS: &str = "[ros]";
-const OUTLETS: &[&str] = &["[map_output] listen_unix", "[map_output] listen_tcp"];
+const OUTLETS: &[&str] = &["[map_output] listen_unix", "[map_output] listen_tcp", "[view] listen"];
 const MULTICAST: &[&str] = &["[network] multicast"];
 
 /// Keys of which at most one may be given.
-const EITHER: [&[&str]; 2] = [
+const EITHER: [&[&str]; 3] = [
     &["[sensor] record", "[sensor] listen_tcp", "[sensor] listen_unix"],
     &["[network] broadcast", "[network] multicast"],
+    &["[view] token", "[view] token_file"],
 ];
 
 /// Whether each key of a file means something beside the others. `has_scans`: they come from elsewhere than the

@@ -25,6 +25,7 @@ impl NodeConfig {
         self.clock_offsets()?;
         self.unix_mode()?;
         self.map_output()?;
+        self.view_token()?;
         self.end_options()?;
         self.message_limits()?;
         self.ros.check()?;
@@ -143,7 +144,7 @@ impl NodeConfig {
         let mode = unix_mode("[map_output] unix_mode", &section.unix_mode)?;
         let readers = within("[map_output] readers_max", section.readers_max, 1..=READERS_MAX, "1 to 1,024")?;
         let period = within("[map_output] period_ms", section.period_ms, 1..=60_000, "1 to 60,000")?;
-        if section.listen_unix.is_none() && section.listen_tcp.is_none() {
+        if section.listen_unix.is_none() && section.listen_tcp.is_none() && self.view.listen.is_none() {
             return Ok(None);
         }
         Ok(Some(MapOutput {

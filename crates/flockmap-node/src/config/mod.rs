@@ -9,6 +9,7 @@ mod parse;
 mod places;
 mod ros;
 mod schema;
+mod token;
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -89,6 +90,9 @@ pub struct NodeConfig {
     /// Where planners read the map.
     #[serde(default)]
     pub map_output: MapOutputSection,
+    /// The map in a browser.
+    #[serde(default)]
+    pub view: ViewSection,
     /// Topics of ROS 2, for `flockmap-ros`.
     #[serde(default)]
     pub ros: RosSection,
@@ -237,6 +241,19 @@ impl Default for MapOutputSection {
     fn default() -> Self {
         Self { listen_unix: None, unix_mode: "0600".into(), listen_tcp: None, readers_max: 16, period_ms: 20 }
     }
+}
+
+/// `[view]`
+#[derive(Clone, PartialEq, Eq, Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ViewSection {
+    /// Show the map here to browsers, with the counters at `/metrics`.
+    pub listen: Option<SocketAddr>,
+    /// What a browser must know: 16 to 128 letters, digits, - and _. Needed beyond the loopback; where it is not
+    /// given, one is drawn at each start. The log says what to open.
+    pub token: Option<Secret>,
+    /// A file with nothing but the token.
+    pub token_file: Option<PathBuf>,
 }
 
 /// `[metrics]`

@@ -1,17 +1,19 @@
 //! The fused map for planners of other processes: sockets from which it is read, as `docs/map-output.md` says.
 //!
-//! The driver hands out a view, which costs nothing; a thread of its own serves the readers. Each of them gets
+//! Readers of the same process come through [`MapReaders`]. The driver hands out a view, which costs nothing; a thread of its own serves the readers. Each of them gets
 //! what changed since its last frame, so no queue builds up for a slow one, and none waits for another.
 
-mod given;
+mod giver;
 mod outlet;
-mod reader;
+mod said;
 mod server;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+pub use outlet::MapReaders;
+pub use said::{links_of, poses_of};
 pub(crate) use outlet::Outlet;
 
 /// Where planners of other processes read the fused map. Whoever can connect can read it all.

@@ -2,22 +2,35 @@
 
 use std::io;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc as std_mpsc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use flockmap::{KnownPose, Resolution, Robot, RobotId, Stamp};
-use flockmap_feed::{NodeCounts, RobotPose};
+use flockmap::{KnownPose, Pose, Resolution, Robot, RobotId, Scan, Stamp};
+use flockmap_feed::{Link, NodeCounts, RobotPose, SeenScan};
+use flockmap_view::Series;
+use flockmap_view::serve::{Connection, Given, Identity, Numbered, Tally};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
 
 use super::MapOutput;
-use super::given::{Given, Identity, Numbered, Tally, read};
+use super::said::{links_of, poses_of};
 use super::server::{Listeners, Server};
 use crate::command::Command;
 use crate::{Log, NodeCounters};
 
 /// Counters, and how old poses are, are said so often.
 const COUNTS_PERIOD: Duration = Duration::from_secs(1);
+
+/// Headers of each datagram, with IPv4.
+const IP_UDP_BYTES: u64 = 28;
+
+/// Scans are given out so often at most.
+const SCAN_PERIOD: Duration = Duration::from_millis(100);
+
+/// In-process readers that wait to be taken.
+const READERS_WAITING_MAX: usize = 64;
 
 /// Gives views to the thread that serves the readers.
 pub(crate) struct Outlet {
@@ -30,13 +43,33 @@ pub(crate) struct Outlet {
     /// The version of the map, and when it came to it.
     version: u64,
     stamp: Stamp,
-    /// What was given out last, as long as there are readers.
-    given: Option<u64>,
+    /// The map and the scan that were given out last, as long as there are readers.
+    given: Option<[u64; 2]>,
     due: Instant,
     counts_due: Instant,
     known: Vec<KnownPose>,
     poses: Numbered<Vec<RobotPose>>,
     counts: Numbered<NodeCounts>,
+    links: Numbered<Vec<Link>>,
+    scan: Numbered<Option<SeenScan>>,
+    scan_due: Instant,
+    readers: MapReaders,
+    beside: Vec<(&'static str, Arc<AtomicU64>)>,
+    series: Arc<Series>,
+    series_due: Instant,
+}
+
+/// Readers in the same process connect to the map of a node here.
+#[derive(Clone, Debug)]
+pub struct MapReaders(mpsc::Sender<Box<dyn Connection>>);
+
+impl MapReaders {
+    /// Serves a reader as one that comes over a socket, with the same limits: `stream` is the node's end of it.
+    /// It is closed if the node has ended, or 64 others wait.
+    pub fn take(&self, stream: impl AsyncRead + AsyncWrite + Send + Unpin + 'static) {
+        // What is not taken is dropped, and so closed.
+        let _ = self.0.try_send(Box::new(stream));
+    }
 }
 
 impl Outlet {
@@ -47,6 +80,7 @@ impl Outlet {
     pub(crate) fn start(
         output: MapOutput,
         (name, robot, resolution): (String, RobotId, Resolution),
+        beside: Vec<(&'static str, Arc<AtomicU64>)>,
         commands: mpsc::WeakUnboundedSender<Command>,
         log: Log,
     ) -> Result<Self, (String, io::Error)> {
@@ -58,6 +92,7 @@ impl Outlet {
         let identity = Identity { robot, resolution, feed, name: name.clone(), frame: output.frame.clone() };
         let tally = Arc::<Tally>::default();
         let (give, given) = watch::channel(None);
+        let (readers, readers_in) = mpsc::channel(READERS_WAITING_MAX);
         let (started, start) = std_mpsc::channel();
         let (period, in_thread) = (output.period, Arc::clone(&tally));
         let work = move || {
@@ -67,7 +102,7 @@ impl Outlet {
                 Err(error) => return drop(started.send(Err(here(error)))),
             };
             runtime.block_on(async move {
-                match Listeners::open(&output).await {
+                match Listeners::open(&output, readers_in).await {
                     Err(error) => drop(started.send(Err(error))),
                     Ok(listeners) => {
                         // The caller waits for this.
@@ -98,12 +133,29 @@ impl Outlet {
             known: Vec::new(),
             poses: Numbered::default(),
             counts: Numbered::default(),
+            links: Numbered::default(),
+            scan: Numbered::default(),
+            scan_due: now,
+            readers: MapReaders(readers),
+            series: Arc::new(Series::new(series_names(&beside))),
+            beside,
+            series_due: now,
         })
     }
 
     /// Where readers connect.
     pub(crate) fn addresses(&self) -> &[String] {
         &self.addresses
+    }
+
+    /// Where readers of this process connect.
+    pub(crate) fn map_readers(&self) -> MapReaders {
+        self.readers.clone()
+    }
+
+    /// What goes over the radio in each second.
+    pub(crate) fn series(&self) -> Arc<Series> {
+        Arc::clone(&self.series)
     }
 
     /// Readers that there are now.
@@ -113,11 +165,37 @@ impl Outlet {
 
     /// The counters of the node with what is counted here.
     pub(crate) fn counters(&self, node: NodeCounters) -> NodeCounters {
-        NodeCounters {
-            map_readers_refused: read(&self.tally.refused),
-            map_readers_closed: read(&self.tally.closed),
-            map_bytes_out: read(&self.tally.bytes_out),
-            ..node
+        let [map_readers_refused, map_readers_closed, map_bytes_out] = self.tally.totals();
+        NodeCounters { map_readers_refused, map_readers_closed, map_bytes_out, ..node }
+    }
+
+    /// A scan was mapped. It is thinned where somebody wants scans, and it is time; else this costs nothing.
+    pub(crate) fn note_scan(&mut self, scan: &Scan, t_map_sensor: &Pose) {
+        let now = Instant::now();
+        if !self.tally.wants_scans() || now < self.scan_due {
+            return;
+        }
+        self.scan_due = now + SCAN_PERIOD;
+        let every = scan.points.len().div_ceil(SeenScan::POINTS_MAX).max(1);
+        let finite = |point: &[f32; 3]| point.iter().all(|at| at.is_finite());
+        self.scan.replace(Some(SeenScan {
+            stamp: scan.stamp,
+            position: t_map_sensor.translation(),
+            orientation: t_map_sensor.quaternion_xyzw(),
+            points_all: u32::try_from(scan.points.len()).unwrap_or(u32::MAX),
+            points: scan.points.iter().step_by(every).copied().filter(finite).collect(),
+        }));
+    }
+
+    /// Notes what went over the radio, once a second.
+    pub(crate) fn note_traffic(&mut self, now: Stamp, node: &NodeCounters) {
+        let instant = Instant::now();
+        if instant >= self.series_due {
+            self.series_due = instant + COUNTS_PERIOD;
+            let wire = |bytes: u64, datagrams: u64| bytes + IP_UDP_BYTES * datagrams;
+            let own = [wire(node.bytes_out, node.datagrams_out), wire(node.bytes_in, node.datagrams_in)];
+            let beside = self.beside.iter().map(|(_, count)| count.load(Ordering::Relaxed));
+            self.series.push(now, &own.into_iter().chain(beside).collect::<Vec<_>>());
         }
     }
 
@@ -138,11 +216,12 @@ impl Outlet {
             // A view that nobody wants would still make every change of the map a copy.
             if self.given.take().is_some() {
                 give.send_replace(None);
+                self.scan.replace(None);
             }
             return;
         }
         let instant = Instant::now();
-        let is_news = self.given != Some(version);
+        let is_news = self.given != Some([version, self.scan.number()]);
         let is_count_due = instant >= self.counts_due;
         let is_due = at_once || is_count_due || (is_news && instant >= self.due);
         if !is_due {
@@ -150,31 +229,35 @@ impl Outlet {
         }
         let known = robot.poses();
         if known != self.known || is_count_due {
-            let age = |seen: Stamp| Duration::from_micros(now.micros_since(seen).max(0).unsigned_abs());
-            let pose = |pose: &KnownPose| RobotPose {
-                stream: pose.stream,
-                position: pose.position,
-                orientation: pose.orientation,
-                age: age(pose.seen),
-            };
-            self.poses.replace(known.iter().map(pose).collect());
+            self.poses.replace(poses_of(robot, now));
             self.known = known;
         }
         if is_count_due || at_once {
-            self.counts.replace(NodeCounts { now, counters: counters() });
+            let beside =
+                self.beside.iter().map(|(name, count)| ((*name).into(), count.load(Ordering::Relaxed)));
+            let counters = counters().into_iter().chain(beside).collect();
+            self.counts.replace(NodeCounts { now, counters });
+            if self.tally.wants_links() {
+                self.links.replace(links_of(robot, now));
+            }
             self.counts_due = instant + COUNTS_PERIOD;
         }
         let (poses, counts) = (self.poses.clone(), self.counts.clone());
-        give.send_replace(Some(Arc::new(Given { map: robot.view(), stamp: self.stamp, poses, counts })));
-        self.given = Some(version);
+        let (links, scan) = (self.links.clone(), self.scan.clone());
+        let (map, stamp) = (robot.view(), self.stamp);
+        let playback = Numbered::default();
+        give.send_replace(Some(Arc::new(Given { map, stamp, poses, counts, links, scan, playback })));
+        self.given = Some([version, self.scan.number()]);
         self.due = instant + self.period;
     }
 
     /// When to offer again.
     pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let is_wanted = self.give.is_some() && self.readers() > 0;
-        let due = if self.given == Some(self.version) { self.counts_due } else { self.due };
-        is_wanted.then(|| due.min(self.counts_due))
+        let due =
+            if self.given == Some([self.version, self.scan.number()]) { self.counts_due } else { self.due };
+        let offer = is_wanted.then(|| due.min(self.counts_due));
+        Some(offer.unwrap_or(self.series_due).min(self.series_due))
     }
 
     /// Says the end to the readers, once they have all that was given out, and waits for a moment until that is
@@ -192,4 +275,10 @@ impl Drop for Outlet {
     fn drop(&mut self) {
         self.end();
     }
+}
+
+/// Counters beside the node's own whose names end so have a line of their own over time.
+fn series_names(beside: &[(&'static str, Arc<AtomicU64>)]) -> Vec<String> {
+    let beside = beside.iter().map(|(name, _)| name.trim_end_matches("_bytes_out"));
+    ["sent", "received"].into_iter().chain(beside).map(str::to_owned).collect()
 }

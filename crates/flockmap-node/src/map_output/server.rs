@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use flockmap_feed::Message;
+use flockmap_view::serve::{Closed, Connection, Given, Identity, Reader, Tally};
 use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
@@ -16,8 +17,7 @@ use tokio::task::{AbortHandle, JoinSet};
 use tokio::time::{sleep, timeout};
 
 use super::MapOutput;
-use super::given::{Connection, Given, Identity, Tally, add};
-use super::reader::{Asked, Closed, Reader};
+use super::giver::Driver;
 use crate::Log;
 use crate::advice::listen_error;
 use crate::command::Command;
@@ -46,13 +46,18 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
 /// The sockets that are open.
 pub(super) struct Listeners {
+    /// Readers of the same process.
+    inside: mpsc::Receiver<Box<dyn Connection>>,
     tcp: Option<TcpListener>,
     #[cfg(unix)]
     unix: Option<UnixSocket>,
 }
 
 impl Listeners {
-    pub(super) async fn open(output: &MapOutput) -> Result<Self, (String, io::Error)> {
+    pub(super) async fn open(
+        output: &MapOutput,
+        inside: mpsc::Receiver<Box<dyn Connection>>,
+    ) -> Result<Self, (String, io::Error)> {
         let mut tcp = None;
         if let Some(address) = output.tcp {
             let listener = TcpListener::bind(address).await;
@@ -65,11 +70,11 @@ impl Listeners {
                 let socket = UnixSocket::bind("[map_output] listen_unix", path, *mode);
                 socket.map_err(|error| (path.display().to_string(), error))
             };
-            Ok(Self { tcp, unix: output.unix.as_ref().map(bind).transpose()? })
+            Ok(Self { inside, tcp, unix: output.unix.as_ref().map(bind).transpose()? })
         }
         #[cfg(not(unix))]
         match &output.unix {
-            None => Ok(Self { tcp }),
+            None => Ok(Self { inside, tcp }),
             Some((path, _)) => {
                 let error = io::Error::new(io::ErrorKind::Unsupported, "no Unix sockets here; use TCP");
                 Err((path.display().to_string(), error))
@@ -88,7 +93,8 @@ impl Listeners {
     }
 
     /// The next connection, with bounds on what waits in it.
-    async fn accept(&self) -> io::Result<Box<dyn Connection>> {
+    async fn accept(&mut self) -> io::Result<Box<dyn Connection>> {
+        let inside = self.inside.recv();
         let tcp = async {
             let Some(listener) = &self.tcp else { return std::future::pending().await };
             let (stream, _) = listener.accept().await?;
@@ -108,10 +114,10 @@ impl Listeners {
                 let _ = SockRef::from(&stream).set_send_buffer_size(SEND_BUFFER_BYTES);
                 Ok(Box::new(stream) as Box<dyn Connection>)
             };
-            tokio::select! { tcp = tcp => tcp, unix = unix => unix }
+            tokio::select! { Some(inside) = inside => Ok(inside), tcp = tcp => tcp, unix = unix => unix }
         }
         #[cfg(not(unix))]
-        tcp.await
+        tokio::select! { Some(inside) = inside => Ok(inside), tcp = tcp => tcp }
     }
 }
 
@@ -121,8 +127,7 @@ pub(super) struct Server {
     readers_max: usize,
     given: watch::Receiver<Option<Arc<Given>>>,
     tally: Arc<Tally>,
-    commands: mpsc::WeakUnboundedSender<Command>,
-    asked: Arc<Asked>,
+    driver: Arc<Driver>,
     log: Log,
     warnings: Warnings,
     places: Vec<Place>,
@@ -151,8 +156,7 @@ impl Server {
             readers_max,
             given,
             tally,
-            commands,
-            asked: Arc::default(),
+            driver: Arc::new(Driver::new(commands)),
             log,
             warnings: Warnings::default(),
             places: Vec::new(),
@@ -161,7 +165,7 @@ impl Server {
         }
     }
 
-    pub(super) async fn serve(mut self, listeners: Listeners) {
+    pub(super) async fn serve(mut self, mut listeners: Listeners) {
         let mut ending = self.given.clone();
         let mut has_ended: Pin<Box<dyn Future<Output = ()> + Send>> =
             Box::pin(async move { while ending.changed().await.is_ok() {} });
@@ -195,7 +199,7 @@ impl Server {
             let Some(longest) = self.places.iter().position(silent) else { return self.refuse(stream) };
             // It connected and says nothing: whoever wants something goes first.
             self.places.remove(longest).task.abort();
-            add(&self.tally.refused, 1);
+            self.tally.note_refused();
             self.warn("a connection to the map that had said no hello yet gave way to another one");
         }
         let has_said_hello = Arc::<AtomicBool>::default();
@@ -203,15 +207,14 @@ impl Server {
             identity: Arc::clone(&self.identity),
             given: self.given.clone(),
             tally: Arc::clone(&self.tally),
-            commands: self.commands.clone(),
-            asked: Arc::clone(&self.asked),
+            giver: Arc::<Driver>::clone(&self.driver),
         };
         let task = self.tasks.spawn(reader.serve(stream, Arc::clone(&has_said_hello)));
         self.places.push(Place { has_said_hello, task });
     }
 
     fn refuse(&mut self, mut stream: Box<dyn Connection>) {
-        add(&self.tally.refused, 1);
+        self.tally.note_refused();
         let max = self.readers_max;
         self.warn(&format!(
             "a reader of the map was refused: there are {max}, and [map_output] readers_max allows no more"
@@ -237,9 +240,9 @@ impl Server {
     fn note(&mut self, closed: &Closed) {
         match closed {
             Closed::Gone => {}
-            Closed::Silent => add(&self.tally.refused, 1),
+            Closed::Silent => self.tally.note_refused(),
             Closed::Fault(text) => {
-                add(&self.tally.closed, 1);
+                self.tally.note_closed();
                 self.warn(&format!("a reader of the map was closed: {text}"));
             }
         }

@@ -5,17 +5,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use flockmap::grid::BlockIndex;
-use flockmap::{Robot, Stamp};
-use flockmap_feed::{
-    Block, Feed, FeedError, HELLO_BYTES_MAX, Message, Next, NodeHello, ReaderHello, Splitter,
-};
-use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadHalf, WriteHalf};
-use tokio::sync::{Mutex, mpsc, oneshot, watch};
-use tokio::time::{Instant, sleep_until, timeout};
+use flockmap_feed::{Feed, FeedError, HELLO_BYTES_MAX, Message, Next, NodeHello, ReaderHello, Splitter};
+use flockmap_grid::{BlockIndex, Stamp};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadHalf, WriteHalf};
+use tokio::sync::watch;
+use tokio::time::timeout;
 
-use super::given::{Connection, Given, Identity, Tally, add};
-use crate::command::Command;
+use super::given::{BlocksNow, Given, Giver, Identity, Sent};
+use super::tally::Tally;
 
 /// For the hello to come.
 const HELLO_TIME: Duration = Duration::from_secs(10);
@@ -23,14 +20,16 @@ const HELLO_TIME: Duration = Duration::from_secs(10);
 /// A reader that takes nothing for so long is closed.
 const UNTAKEN_MAX: Duration = Duration::from_secs(60);
 
-/// Blocks of which the driver is asked at once who saw them: 6 ms of its time if each of their voxels is
-/// contested.
-const ASKED_MAX: usize = 64;
-/// It is asked again after so many times what that took: a tenth of its time for all readers together.
-const ASK_REST: u32 = 9;
+/// A connection of any kind.
+pub trait Connection: AsyncRead + AsyncWrite + Send + Unpin {}
+impl<T: AsyncRead + AsyncWrite + Send + Unpin> Connection for T {}
+
+/// Most blocks that are asked for at once with who saw them.
+const ASKED_MAX: usize = 1_024;
 
 /// How a reader ended.
-pub(super) enum Closed {
+#[derive(Debug)]
+pub enum Closed {
     /// It went, or the node did.
     Gone,
     /// It never said what it wants.
@@ -39,17 +38,16 @@ pub(super) enum Closed {
     Fault(String),
 }
 
-/// Readers ask the driver one after the other, and not before this.
-#[derive(Default)]
-pub(super) struct Asked(Mutex<Option<Instant>>);
-
 /// What serves one reader.
-pub(super) struct Reader {
-    pub(super) identity: Arc<Identity>,
-    pub(super) given: watch::Receiver<Option<Arc<Given>>>,
-    pub(super) tally: Arc<Tally>,
-    pub(super) commands: mpsc::WeakUnboundedSender<Command>,
-    pub(super) asked: Arc<Asked>,
+pub struct Reader {
+    /// What the hello says.
+    pub identity: Arc<Identity>,
+    /// What is given out; `None` while nothing is. At its end the reader gets the rest, and is told.
+    pub given: watch::Receiver<Option<Arc<Given>>>,
+    /// Where it is counted.
+    pub tally: Arc<Tally>,
+    /// Who gives.
+    pub giver: Arc<dyn Giver>,
 }
 
 impl From<io::Error> for Closed {
@@ -59,12 +57,8 @@ impl From<io::Error> for Closed {
 }
 
 impl Reader {
-    /// Serves it until it, or the node, goes.
-    pub(super) async fn serve(
-        mut self,
-        stream: Box<dyn Connection>,
-        has_said_hello: Arc<AtomicBool>,
-    ) -> Closed {
+    /// Serves it until it, or who gives, goes. `has_said_hello` is set when it has.
+    pub async fn serve(mut self, stream: Box<dyn Connection>, has_said_hello: Arc<AtomicBool>) -> Closed {
         let (mut from, mut to) = tokio::io::split(stream);
         let hello = match timeout(HELLO_TIME, read_hello(&mut from)).await {
             Err(_) => return Closed::Silent,
@@ -77,11 +71,9 @@ impl Reader {
             }
         };
         has_said_hello.store(true, Ordering::Relaxed);
-        let counted = self.tally.count();
-        // The driver may be asleep, and gives nothing while nobody is there.
-        if let Some(commands) = self.commands.upgrade() {
-            let _ = commands.send(Command::Robot(Box::new(|_, _| {})));
-        }
+        let counted = self.tally.count(&hello);
+        // Nothing is given while nobody is there.
+        self.giver.wake();
         let closed = match self.feed(&hello, &mut from, &mut to).await {
             Ok(never) => match never {},
             Err(closed) => closed,
@@ -97,7 +89,7 @@ impl Reader {
         to: &mut WriteHalf<Box<dyn Connection>>,
     ) -> Result<std::convert::Infallible, Closed> {
         let mut feed: Option<Feed> = None;
-        let (mut poses, mut counts) = (0, 0);
+        let mut sent = Sent::default();
         loop {
             let given = self.given.borrow_and_update().clone();
             let Some(given) = given else {
@@ -114,7 +106,8 @@ impl Reader {
                 continue;
             };
             let mut frames = Vec::new();
-            match feed.next(&given.map) {
+            let next = if hello.no_map { Next::Nothing } else { feed.next(&given.map) };
+            match next {
                 Next::Nothing => {}
                 Next::Anew(frame) => frames = frame,
                 Next::Blocks if feed.origins() => {
@@ -127,14 +120,7 @@ impl Reader {
                 Next::Blocks => frames = feed.blocks_of(&given.map, given.stamp),
             }
             let is_complete = frames.is_empty();
-            if given.poses.number != poses {
-                poses = given.poses.number;
-                frames.extend(Message::Poses(given.poses.value.to_vec()).emit());
-            }
-            if given.counts.number != counts {
-                counts = given.counts.number;
-                frames.extend(Message::Counters((*given.counts.value).clone()).emit());
-            }
+            frames.extend(given.beside_the_map(hello, &mut sent));
             drop(given);
             if frames.is_empty() && is_complete {
                 self.wait(from, to).await?;
@@ -184,29 +170,8 @@ impl Reader {
         stamp: Stamp,
     ) -> Result<Vec<u8>, Closed> {
         let due: Vec<BlockIndex> = feed.due().take(ASKED_MAX).collect();
-        let (answer, result) = oneshot::channel();
-        let ask = move |robot: &mut Robot, now: Stamp| {
-            let began = std::time::Instant::now();
-            let block = |index: BlockIndex| Block {
-                index,
-                states: robot.map().block(index).copied().unwrap_or_default(),
-                origins: robot.fusion().origins(robot.mapper(), index),
-            };
-            let blocks: Vec<Block> = due.into_iter().map(block).collect();
-            // The reader may be gone.
-            let _ = answer.send((blocks, robot.map().version(), now, began.elapsed()));
-        };
-        let mut not_before = self.asked.0.lock().await;
-        if let Some(time) = *not_before {
-            sleep_until(time).await;
-        }
-        // What the driver will not answer any more, it ends.
-        let commands = self.commands.upgrade().ok_or(Closed::Gone)?;
-        commands.send(Command::Robot(Box::new(ask))).map_err(|_| Closed::Gone)?;
-        drop(commands);
-        let (blocks, newest, now, took) = result.await.map_err(|_| Closed::Gone)?;
-        *not_before = Some(Instant::now() + took * ASK_REST);
-        drop(not_before);
+        let answer = self.giver.blocks_with_origins(due).await.ok_or(Closed::Gone)?;
+        let BlocksNow { blocks, newest, now } = answer;
         Ok(feed.blocks(blocks, newest, if newest == version { stamp } else { now }))
     }
 
@@ -228,7 +193,7 @@ impl Reader {
                 if count == 0 {
                     return Err(Closed::Gone);
                 }
-                add(&self.tally.bytes_out, count as u64);
+                self.tally.note_bytes(count);
                 rest = &rest[count..];
             }
             Ok(())
@@ -273,23 +238,36 @@ async fn read_nothing(from: &mut ReadHalf<Box<dyn Connection>>) -> Closed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockmap::{MapView, Resolution, RobotId, State};
     use flockmap_feed::{Event, Mirror};
+    use flockmap_grid::{MapView, Resolution, RobotId, State, StateBlock};
     use tokio::io::{DuplexStream, duplex};
-    use tokio::sync::mpsc::unbounded_channel;
+    use tokio::time::Instant;
+
+    use super::super::given::BlocksFuture;
+
+    /// Gives what is there already.
+    struct Nobody;
+
+    impl Giver for Nobody {
+        fn wake(&self) {}
+
+        fn blocks_with_origins(&self, _: Vec<BlockIndex>) -> BlocksFuture {
+            Box::pin(async { None })
+        }
+    }
 
     /// A map of so many blocks.
     fn map(blocks: i32) -> MapView {
         let mut map = MapView::new(Resolution::from_metres(0.1).unwrap());
-        let mut states = flockmap::grid::StateBlock::default();
+        let mut states = StateBlock::default();
         states.set(5, State::Occupied);
         (0..blocks).for_each(|x| map.set_block(BlockIndex::new(x, 0, 0), &states));
         map
     }
 
     fn given(map: MapView) -> Option<Arc<Given>> {
-        let (poses, counts) = Default::default();
-        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts }))
+        let (poses, counts, links, scan, playback) = Default::default();
+        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts, links, scan, playback }))
     }
 
     /// Time stands still but for what a test waits for.
@@ -304,9 +282,7 @@ mod tests {
             let resolution = Resolution::from_metres(0.1).unwrap();
             let (name, frame) = (String::new(), String::new());
             let identity = Arc::new(Identity { robot: RobotId(1), resolution, feed: 1, name, frame });
-            let commands = unbounded_channel().0.downgrade();
-            let (tally, asked) = Default::default();
-            let reader = Reader { identity, given, tally, commands, asked };
+            let reader = Reader { identity, given, tally: Arc::default(), giver: Arc::new(Nobody) };
             let task = tokio::spawn(reader.serve(Box::new(theirs), Arc::default()));
             test(ours, task, give).await;
         });
