@@ -45,6 +45,7 @@ export class Stage {
   private scale = 1;
   private radius = 50;
   private readonly centre = new THREE.Vector3();
+  private readonly half = new THREE.Vector3(50, 50, 5);
   private flight: { from: THREE.Vector3; to: THREE.Vector3; fromTarget: THREE.Vector3; toTarget: THREE.Vector3; begin: number } | null = null;
   private inset = { left: 0, bottom: 0, top: 0 };
 
@@ -105,6 +106,7 @@ export class Stage {
     const much = Math.abs(radius - this.radius) > 0.12 * this.radius || centre.distanceTo(this.centre) > 0.15 * this.radius;
     if (!much) return false;
     this.centre.copy(centre);
+    this.half.copy(high).sub(low).multiplyScalar(0.5);
     this.radius = radius;
     return true;
   }
@@ -140,10 +142,27 @@ export class Stage {
   }
 
   private fit(direction: THREE.Vector3, atOnce: boolean): void {
-    const free = Math.min((this.width - this.inset.left) / this.width, (this.height - this.inset.bottom - this.inset.top) / this.height);
-    const narrow = Math.min(1, (this.width - this.inset.left) / (this.height - this.inset.bottom - this.inset.top));
-    const distance = ((0.86 * this.radius) / Math.sin(THREE.MathUtils.degToRad(this.camera.fov / 2)) / Math.max(free, 0.25)) / Math.max(narrow, 0.4);
-    this.fly(this.centre.clone().addScaledVector(direction, distance), this.centre.clone(), atOnce);
+    const target = this.centre.clone();
+    const probe = this.camera.clone();
+    probe.clearViewOffset();
+    // How much of the picture is free, as tangents; a camera that looks at the middle of it sees that much to each side.
+    const tan = Math.tan(THREE.MathUtils.degToRad(this.camera.fov / 2));
+    const { left, bottom, top } = this.inset;
+    const [wide, tall] = [(0.94 * tan * (this.width - left)) / this.height, (0.94 * tan * (this.height - bottom - top)) / this.height];
+    let distance = 3 * this.radius;
+    probe.position.copy(target).addScaledVector(direction, distance);
+    probe.lookAt(target);
+    probe.updateMatrixWorld();
+    const inverse = probe.matrixWorldInverse.copy(probe.matrixWorld).invert();
+    const p = new THREE.Vector3();
+    let nearest = 0;
+    for (let corner = 0; corner < 8; corner++) {
+      p.set(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1, corner & 4 ? 1 : -1).multiply(this.half).add(target).applyMatrix4(inverse);
+      // Along the way of the camera the corner stays where it is; so it says itself from where it is seen.
+      nearest = Math.max(nearest, Math.max(Math.abs(p.x) / wide, Math.abs(p.y) / tall) + p.z + distance);
+    }
+    distance = Math.max(nearest, 1);
+    this.fly(target.clone().addScaledVector(direction, distance), target, atOnce);
   }
 
   private fly(to: THREE.Vector3, toTarget: THREE.Vector3, atOnce: boolean): void {

@@ -546,7 +546,7 @@ class View {
       if (this.swarm.robots.length > 5 && a.id !== this.chosen && b.id !== this.chosen) continue;
       const at = a.pose!.at.map((v, i) => (v + b.pose!.at[i]!) / 2) as [number, number, number];
       const text = `${rate(bytes)} · ${share(lost)} lost${missing > 0 ? ` · ${missing} missing` : ""}`;
-      labels.push({ at, text, kind: "link", colour: "", above: 2 });
+      labels.push({ at, text, kind: "link", colour: "", above: 2, ends: [a.pose!.at, b.pose!.at] });
     }
     return labels;
   }

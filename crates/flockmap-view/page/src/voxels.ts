@@ -25,7 +25,7 @@ uniform int colouring;
 uniform vec3 ramps[${2 * RAMP}];
 uniform vec3 robots[${ROBOTS_SHOWN}];
 uniform vec3 older;
-uniform vec3 light[6];
+uniform float light[6];
 out vec3 tint;
 out vec2 place;
 out float shade;
@@ -149,7 +149,7 @@ export class Voxels {
         ramps: { value: ramps },
         robots: { value: new Float32Array(3 * ROBOTS_SHOWN).fill(0.5) },
         older: { value: new THREE.Vector3(...OLDER) },
-        light: { value: new Float32Array(18) },
+        light: { value: new Float32Array(6) },
         section: { value: new THREE.Color(0.2, 0.2, 0.25) },
       },
     });
