@@ -18,6 +18,7 @@ import { Timeline } from "./timeline";
 import { ROBOTS_SHOWN, Voxels, type Colouring } from "./voxels";
 
 const ROBOTS_MAX = 32;
+const SERIES_AGAIN = 5_000;
 const token = new URLSearchParams(location.hash.slice(1)).get("token");
 const query = token === null ? "" : `?token=${encodeURIComponent(token)}`;
 
@@ -234,7 +235,8 @@ class View {
     if (some && !byId<HTMLInputElement>("log").dataset.chosen) byId<HTMLInputElement>("log").checked = true;
     this.dirty.chart = true;
     this.chart();
-    if (!this.live && this.playback?.grows) setTimeout(() => void this.loadSeries(), 10_000);
+    // What other methods would have sent only the server counts, and a recording may grow.
+    if (this.live ? some : this.playback?.grows) setTimeout(() => void this.loadSeries(), SERIES_AGAIN);
   }
 
   private ask(): void {

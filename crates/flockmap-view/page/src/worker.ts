@@ -231,23 +231,28 @@ function tellSlice(): void {
   post(message ?? { kind: "slice", x: 0, y: 0, z: sliceZ, step: 1, width: 0, height: 0, texels: new Uint8Array(0) });
 }
 
-/** Low and high corner of what is occupied, to the side of a node of level 0. */
+/** Low and high corner of what is occupied, to the side of a block. */
 function boundsOf(roots: Node[]): [number, number, number, number, number, number] {
   const bounds: [number, number, number, number, number, number] = [Infinity, Infinity, Infinity, -Infinity, -Infinity, -Infinity];
-  const grow = (node: Node): void => {
-    const side = node.side;
-    const low = [node.x * side, node.y * side, node.z * side] as const;
-    if (low.every((at, axis) => at >= bounds[axis]! && at + side <= bounds[axis + 3]!)) return;
-    if (!node.children) {
-      for (let axis = 0; axis < 3; axis++) {
-        bounds[axis] = Math.min(bounds[axis]!, low[axis]!);
-        bounds[axis + 3] = Math.max(bounds[axis + 3]!, low[axis]! + side);
-      }
-      return;
-    }
-    for (const child of node.children) if (child) grow(child);
+  const grow = (low: readonly [number, number, number], side: number, below: () => void): void => {
+    if (!low.every((at, axis) => at >= bounds[axis]! && at + side <= bounds[axis + 3]!)) below();
   };
-  roots.forEach(grow);
+  const visit = (node: Node): void => {
+    const { side, filled } = node;
+    const low = [node.x * side, node.y * side, node.z * side] as const;
+    grow(low, side, () => {
+      for (const child of node.children ?? []) if (child) visit(child);
+      for (let bit = 0; filled && bit < 512; bit++) {
+        if (((filled[bit >> 5]! >>> (bit & 31)) & 1) === 0) continue;
+        const block = [low[0] + 8 * (bit & 7), low[1] + 8 * ((bit >> 3) & 7), low[2] + 8 * (bit >> 6)] as const;
+        for (let axis = 0; axis < 3; axis++) {
+          bounds[axis] = Math.min(bounds[axis]!, block[axis]!);
+          bounds[axis + 3] = Math.max(bounds[axis + 3]!, block[axis]! + 8);
+        }
+      }
+    });
+  };
+  roots.forEach(visit);
   return bounds;
 }
 
