@@ -65,6 +65,8 @@ class View {
   private paused = false;
   private frozenAt = 0;
   private playback: Playback | null = null;
+  /** Why nothing goes on any more. */
+  private fault: string | null = null;
   private placed = false;
   private homed = false;
   private dirty = { trails: true, links: true, scans: true, chart: true };
@@ -91,7 +93,10 @@ class View {
     this.stage.tell = (camera, budget) => this.say({ kind: "camera", camera, budget });
     this.stage.resized = () => this.bodies.resize();
     worker.onmessage = (event: MessageEvent<FromWorker>) => this.hear(event.data);
-    worker.onerror = (event) => fail(`The page is at fault: ${event.message}`);
+    worker.onerror = (event) => {
+      this.fault = `This page is at fault, and stopped: ${event.message}`;
+      fail(this.fault);
+    };
     const base = new URL(".", location.href);
     base.protocol = base.protocol === "https:" ? "wss:" : "ws:";
     this.say({ kind: "start", feeds: `${base.origin === "null" ? `${base.protocol}//${base.host}` : base.origin}${base.pathname}feed/`, query, live: this.live, robots: list.robots });
@@ -405,7 +410,8 @@ class View {
     const scene = byId("scene");
     scene.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
-      fail("The graphics card was taken away from this page. It loads again when the card is back.");
+      this.fault = "The graphics card was taken away from this page. It loads again when the card is back.";
+      fail(this.fault);
     });
     scene.addEventListener("webglcontextrestored", () => location.reload());
   }
@@ -447,6 +453,7 @@ class View {
   private isSilent = (robot: RobotState): boolean => (this.silence(robot) ?? 0) > SILENT;
 
   private tick(): void {
+    if (this.fault) return;
     const now = Date.now();
     const robot = this.swarm.get(this.chosen)!;
     this.panel.robots(this.chosen, this.followed, (r) => this.silence(r));

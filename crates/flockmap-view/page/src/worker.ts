@@ -8,7 +8,7 @@ import { mesh } from "./mesher";
 import { Mirror } from "./mirror";
 import type { FromWorker, RobotName, ToWorker } from "./protocol";
 import { slice } from "./slice";
-import type { Node } from "./tree";
+import type { Node, Tree } from "./tree";
 
 const ROBOTS_MAX = 32;
 const MESH_BYTES_MAX = 256 << 20;
@@ -30,6 +30,8 @@ let connections = new Map<number, Connection>();
 let camera: Camera | null = null;
 let budget: Budget = { pixels: 4, nodes: NODES_MAX, faces: 1_000_000 };
 let wanted: Wanted[] = [];
+/** The tree that `wanted` is of: the mirror may have got another one since. */
+let planned: Tree | null = null;
 let sliceZ: number | null = null;
 let paused = false;
 let said = "";
@@ -146,6 +148,7 @@ function plan(): void {
   const { tree } = mirror;
   if (!camera) return;
   wanted = choose(tree, camera, budget);
+  planned = tree;
   const show = shown(tree, wanted, NODES_MAX);
   const now = performance.now();
   for (const node of show) node.built!.used = now;
@@ -169,6 +172,7 @@ function due(node: Node, now: number): boolean {
 function build(): void {
   const begin = performance.now();
   const { tree } = mirror;
+  if (planned !== tree) plan();
   const nodes = wanted.map((w) => w.node);
   // The roots are a picture of the whole map that is soon made: there is something to show until finer ones are there.
   const missing = [...tree.roots, ...nodes].filter((node) => !node.built && node.blocks > 0);
