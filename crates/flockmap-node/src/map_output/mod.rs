@@ -13,8 +13,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 pub use outlet::MapReaders;
-pub use said::{links_of, poses_of};
 pub(crate) use outlet::Outlet;
+pub use said::{links_of, poses_of};
 
 /// Where planners of other processes read the fused map. Whoever can connect can read it all.
 ///
