@@ -23,8 +23,8 @@ use flockmap_cli::report::{Member, Report, Run, Settings};
 use flockmap_cli::view::ViewArgs;
 use flockmap_cli::{sources, stop, team, view};
 use flockmap_node::{
-    Clock, Histogram, MapOutput, Node, NodeHandle, NodeOptions, Observation, SendResult, Sensor, Timings, Transport,
-    UdpOptions, UdpSockets,
+    Clock, Histogram, MapOutput, Node, NodeHandle, NodeOptions, Observation, SendResult, Sensor, Timings,
+    Transport, UdpOptions, UdpSockets,
 };
 
 use flockmap_view::{Content, Kind, ViewServer};
@@ -116,7 +116,8 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     let clock = Clock::at(Stamp(0));
     let (updates, reported) = channel();
     let (sockets, radio) = connect(sources.robots.len(), args.radio, args.source.seed)?;
-    let (mut flyers, nodes) = start(sources.robots, sockets, &base, clock, &updates, args.view.view.is_some())?;
+    let (mut flyers, nodes) =
+        start(sources.robots, sockets, &base, clock, &updates, args.view.view.is_some())?;
     drop(updates);
     let server = args.view.view.map(|address| show(address, title.clone(), &nodes)).transpose()?;
     if server.is_none() {
@@ -218,8 +219,10 @@ fn start(
         let rivals = [Arc::default(), Arc::default()];
         if is_seen {
             options.map_output = Some(MapOutput::default());
-            options.counters_beside =
-                vec![("paper_bytes_out", Arc::clone(&rivals[0])), ("racer_bytes_out", Arc::clone(&rivals[1]))];
+            options.counters_beside = vec![
+                ("paper_bytes_out", Arc::clone(&rivals[0])),
+                ("racer_bytes_out", Arc::clone(&rivals[1])),
+            ];
         }
         options.clock = clock;
         let place = updates.clone();

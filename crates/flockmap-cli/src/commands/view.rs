@@ -95,7 +95,10 @@ fn show_record(args: &ViewFileArgs) -> anyhow::Result<()> {
     let mut sources = sources::open(std::slice::from_ref(&args.what), &args.source, args.map.range, false)?;
     sources.robots.truncate(1);
     let title = sources.title;
-    let recorders = sources.robots.iter().map(|source| Recorder::new(RobotId(1), &source.name, base.mapper.resolution, 0));
+    let recorders = sources
+        .robots
+        .iter()
+        .map(|source| Recorder::new(RobotId(1), &source.name, base.mapper.resolution, 0));
     let recorders = recorders.collect::<std::io::Result<Vec<_>>>()?;
     let content = Content {
         title,

@@ -40,7 +40,9 @@ pub fn start(address: SocketAddr, content: Content) -> anyhow::Result<ViewServer
     };
     let server = ViewServer::start(address, access, content).map_err(|error| match &error {
         StartError::System { error: system, .. } if system.kind() == std::io::ErrorKind::AddrInUse => {
-            anyhow::anyhow!("{error}: another program listens there; give another address, such as 127.0.0.1:0")
+            anyhow::anyhow!(
+                "{error}: another program listens there; give another address, such as 127.0.0.1:0"
+            )
         }
         _ => anyhow::Error::new(error),
     })?;

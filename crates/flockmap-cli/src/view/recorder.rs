@@ -30,12 +30,7 @@ pub struct Recorder {
 
 impl Recorder {
     /// Nothing yet, of a swarm of so many robots that a method without broadcast sends a copy to each.
-    pub fn new(
-        robot: RobotId,
-        name: &str,
-        resolution: Resolution,
-        copies: u64,
-    ) -> std::io::Result<Self> {
+    pub fn new(robot: RobotId, name: &str, resolution: Resolution, copies: u64) -> std::io::Result<Self> {
         let names = if copies == 0 { &["sent"][..] } else { &["sent", "paper", "racer"] };
         let series = Arc::new(Series::new(names.iter().map(|name| (*name).to_owned()).collect()));
         let recording = Recording::new(robot, name, resolution, "map")?.with_series(Arc::clone(&series));

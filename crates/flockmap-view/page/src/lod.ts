@@ -168,27 +168,42 @@ export function surplus(tree: Tree, keep: Set<Node>, bytesMax: number): Node[] {
   return result;
 }
 
-/** Sets the detail by how long frames take. */
+/** Sets how many faces are drawn, and how sharp a moving picture is, by how long frames take. */
 export class Governor {
-  pixels = FINEST;
-  mean = 0;
+  /** Share of the pixels of a side that are drawn while something moves. */
+  sharpness = 1;
+  private mean = 0;
   private since = 0;
 
-  /** A frame that followed the one before at once took so many milliseconds. Says whether the detail changed. */
-  frame(ms: number): boolean {
-    this.mean = this.since === 0 ? ms : 0.8 * this.mean + 0.2 * ms;
+  constructor(public faces: number) {}
+
+  /** A frame of so many faces took so many milliseconds. Says whether something changed. */
+  frame(ms: number, faces: number): boolean {
+    this.mean = this.since === 0 ? ms : 0.75 * this.mean + 0.25 * ms;
     this.since++;
-    if (this.since < 8) return false;
-    const before = this.pixels;
-    if (this.mean > 66) this.pixels = Math.min(COARSEST, this.pixels * 1.3);
-    else if (this.mean < 30) this.pixels = Math.max(FINEST, this.pixels / 1.15);
-    if (this.pixels === before) return false;
+    if (this.since < 5) return false;
+    const before = [this.faces, this.sharpness];
+    if (this.mean > SLOW) {
+      // What the frame costs beside the faces is not known: so the way to the aim is gone in steps.
+      const least = Math.min(this.faces, FACES_MIN);
+      this.faces = Math.max(least, Math.min(this.faces, faces) * Math.max(0.4, AIM / this.mean));
+      if (this.faces < 4 * FACES_MIN || this.mean > 2 * SLOW) this.sharpness = Math.max(BLUNT, this.sharpness * 0.8);
+    } else if (this.mean < FAST) {
+      if (this.sharpness < 1) this.sharpness = Math.min(1, this.sharpness * 1.2);
+      else if (faces > 0.7 * this.faces) this.faces = Math.min(FACES_MAX, this.faces * 1.25);
+    }
+    if (before[0] === this.faces && before[1] === this.sharpness) return false;
     this.since = 0;
     return true;
   }
 }
 
+const SLOW = 75;
+const AIM = 55;
+const FAST = 30;
+const BLUNT = 0.6;
+export const FACES_MIN = 40_000;
+/** A cell of so many pixels is fine enough. */
 export const FINEST = 2;
-export const COARSEST = 64;
 export const NODES_MAX = 440;
 export const FACES_MAX = 14_000_000;

@@ -17,14 +17,25 @@ const slots = new Int32Array(512);
 let faces = new Uint32Array(1 << 16);
 let length = 0;
 
-/** The faces of a node. The array is the caller's. */
-export function mesh(blocks: Blocks, node: Node): Uint32Array<ArrayBuffer> {
+/** Faces in a row of the texture that the graphics card reads them from. */
+export const ROW_FACES = 512;
+
+export interface Mesh {
+  count: number;
+  /** Two words a face, filled up to whole rows. The array is the caller's. */
+  words: Uint32Array<ArrayBuffer>;
+}
+
+/** The faces of a node. */
+export function mesh(blocks: Blocks, node: Node): Mesh {
   rows.fill(0);
   length = 0;
   if (node.level === 0) fillBlocks(blocks, node);
   else fillCells(blocks, node, node.x * 64, node.y * 64, node.z * 64, node.level);
   for (let z = 0; z < 64; z++) for (let y = 0; y < 64; y++) row(blocks, node.level, y, z);
-  return faces.slice(0, length);
+  const words = new Uint32Array(2 * ROW_FACES * Math.ceil(length / (2 * ROW_FACES)));
+  words.set(faces.subarray(0, length));
+  return { count: length / 2, words };
 }
 
 function row(blocks: Blocks, level: number, y: number, z: number): void {

@@ -54,7 +54,8 @@ export interface MeshMessage {
   level: number;
   /** Low corner in voxels. */
   origin: [number, number, number];
-  faces: Uint32Array<ArrayBuffer>;
+  faces: number;
+  words: Uint32Array<ArrayBuffer>;
 }
 
 export interface SliceMessage {

@@ -26,18 +26,19 @@ export class Series {
   first = Infinity;
   newest = -Infinity;
 
+  /** Takes what the server knows. It replaces what was counted here for the same seconds. */
   load(json: SeriesJson): void {
-    this.steps.clear();
     const step = Math.max(json.step_s, 1e-3);
-    json.bytes.slice(-STEPS_MAX).forEach((row, i) => {
-      const skipped = Math.max(0, json.bytes.length - STEPS_MAX);
-      const value = (name: Name) => {
-        const bytes = row[json.names.indexOf(name)];
+    const columns = NAMES.map((name) => json.bytes[json.names.indexOf(name)] ?? []);
+    const length = Math.max(0, ...columns.map((column) => column.length));
+    for (let i = Math.max(0, length - STEPS_MAX); i < length; i++) {
+      const [sent, received, paper, racer] = columns.map((column) => {
+        const bytes = column[i];
         return typeof bytes === "number" ? bytes / step : null;
-      };
-      const second = Math.floor(json.begin_us / 1e6 + (i + skipped) * step);
-      this.put(second, { sent: value("sent"), received: value("received"), paper: value("paper"), racer: value("racer") });
-    });
+      });
+      const second = Math.floor(json.begin_us / 1e6 + i * step);
+      this.put(second, { sent: sent!, received: received!, paper: paper!, racer: racer! });
+    }
   }
 
   /** Takes counters; gives bytes a second since the ones before. */
@@ -66,19 +67,25 @@ export class Series {
     return this.steps.get(second)?.[name] ?? null;
   }
 
+  /** The newest second of which it is known; -Infinity if there is none. */
+  newestOf(name: Name): number {
+    for (let s = this.newest; s >= this.first; s--) if (this.at(s, name) !== null) return s;
+    return -Infinity;
+  }
+
   has(name: Name): boolean {
     for (const step of this.steps.values()) if (step[name] !== null) return true;
     return false;
   }
 
   private put(second: number, step: Step): void {
-    this.steps.set(second, step);
-    if (this.steps.size > STEPS_MAX) {
-      this.steps.delete(this.steps.keys().next().value!);
-      this.first = this.steps.keys().next().value!;
-    }
-    this.first = Math.min(this.first, second);
     this.newest = Math.max(this.newest, second);
+    if (second <= this.newest - STEPS_MAX) return;
+    this.steps.set(second, step);
+    this.first = Math.min(this.first, second);
+    if (this.steps.size <= STEPS_MAX) return;
+    for (const old of this.steps.keys()) if (old <= this.newest - STEPS_MAX) this.steps.delete(old);
+    this.first = this.newest - STEPS_MAX + 1;
   }
 }
 

@@ -2,20 +2,21 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { FACES_MAX, Governor, NODES_MAX, type Budget, type Camera } from "./lod";
+import { FACES_MAX, FACES_MIN, FINEST, Governor, NODES_MAX, type Budget, type Camera } from "./lod";
 
 /** Milliseconds between two words to the worker about the camera. */
 const TELL = 120;
 const MOVE = 450;
 /** A picture that stands still is drawn as sharp as the screen; before, a slow one may be coarser. */
 const REST = 350;
+const FENCE_MAX = 3_000;
 
 export class Stage {
   readonly scene = new THREE.Scene();
   readonly camera = new THREE.PerspectiveCamera(50, 1, 0.1, 1_000);
   readonly renderer: THREE.WebGLRenderer;
   readonly controls: OrbitControls;
-  readonly governor = new Governor();
+  readonly governor: Governor;
   /** Called before each frame. */
   before: (() => void) | null = null;
   tell: ((camera: Camera, budget: Budget) => void) | null = null;
@@ -30,7 +31,13 @@ export class Stage {
   voxel = 1;
   readonly origin = new THREE.Vector3();
 
+  /** Milliseconds that the newest frame took. */
+  frameMs = 0;
+
   private wanted = false;
+  private drawing = false;
+  /** A frame was asked for while one was drawn. */
+  private asked = false;
   private lastFrame = 0;
   private told = 0;
   private tellTimer: ReturnType<typeof setTimeout> | undefined;
@@ -38,11 +45,15 @@ export class Stage {
   private scale = 1;
   private radius = 50;
   private readonly centre = new THREE.Vector3();
+  private readonly half = new THREE.Vector3(50, 50, 5);
   private flight: { from: THREE.Vector3; to: THREE.Vector3; fromTarget: THREE.Vector3; toTarget: THREE.Vector3; begin: number } | null = null;
   private inset = { left: 0, bottom: 0, top: 0 };
 
   constructor(canvas: HTMLCanvasElement) {
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    // Without a graphics card smooth edges cost more than all else, and there must be fewer faces from the start.
+    const software = isSoftware();
+    this.governor = new Governor(software ? 4 * FACES_MIN : FACES_MAX / 4);
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !software, powerPreference: "high-performance" });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(-30, -45, 40);
@@ -63,6 +74,11 @@ export class Stage {
 
   /** Asks for a frame. */
   request(): void {
+    if (this.drawing) {
+      this.asked = true;
+      return;
+    }
+    this.asked = false;
     if (this.wanted) return;
     this.wanted = true;
     requestAnimationFrame((now) => this.frame(now));
@@ -90,6 +106,7 @@ export class Stage {
     const much = Math.abs(radius - this.radius) > 0.12 * this.radius || centre.distanceTo(this.centre) > 0.15 * this.radius;
     if (!much) return false;
     this.centre.copy(centre);
+    this.half.copy(high).sub(low).multiplyScalar(0.5);
     this.radius = radius;
     return true;
   }
@@ -125,10 +142,27 @@ export class Stage {
   }
 
   private fit(direction: THREE.Vector3, atOnce: boolean): void {
-    const free = Math.min((this.width - this.inset.left) / this.width, (this.height - this.inset.bottom - this.inset.top) / this.height);
-    const narrow = Math.min(1, (this.width - this.inset.left) / (this.height - this.inset.bottom - this.inset.top));
-    const distance = ((0.86 * this.radius) / Math.sin(THREE.MathUtils.degToRad(this.camera.fov / 2)) / Math.max(free, 0.25)) / Math.max(narrow, 0.4);
-    this.fly(this.centre.clone().addScaledVector(direction, distance), this.centre.clone(), atOnce);
+    const target = this.centre.clone();
+    const probe = this.camera.clone();
+    probe.clearViewOffset();
+    // How much of the picture is free, as tangents; a camera that looks at the middle of it sees that much to each side.
+    const tan = Math.tan(THREE.MathUtils.degToRad(this.camera.fov / 2));
+    const { left, bottom, top } = this.inset;
+    const [wide, tall] = [(0.94 * tan * (this.width - left)) / this.height, (0.94 * tan * (this.height - bottom - top)) / this.height];
+    let distance = 3 * this.radius;
+    probe.position.copy(target).addScaledVector(direction, distance);
+    probe.lookAt(target);
+    probe.updateMatrixWorld();
+    const inverse = probe.matrixWorldInverse.copy(probe.matrixWorld).invert();
+    const p = new THREE.Vector3();
+    let nearest = 0;
+    for (let corner = 0; corner < 8; corner++) {
+      p.set(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1, corner & 4 ? 1 : -1).multiply(this.half).add(target).applyMatrix4(inverse);
+      // Along the way of the camera the corner stays where it is; so it says itself from where it is seen.
+      nearest = Math.max(nearest, Math.max(Math.abs(p.x) / wide, Math.abs(p.y) / tall) + p.z + distance);
+    }
+    distance = Math.max(nearest, 1);
+    this.fly(target.clone().addScaledVector(direction, distance), target, atOnce);
   }
 
   private fly(to: THREE.Vector3, toTarget: THREE.Vector3, atOnce: boolean): void {
@@ -152,10 +186,7 @@ export class Stage {
     this.wanted = false;
     const ms = now - this.lastFrame;
     this.lastFrame = now;
-    // Only frames that follow each other at once say how long one takes.
-    if (ms < 1_500 && ms > 0) {
-      this.fps = this.fps === 0 ? 1e3 / ms : 0.85 * this.fps + 0.15 * (1e3 / ms);
-    }
+    if (ms > 0 && ms < 1_500) this.fps = this.fps === 0 ? 1e3 / ms : 0.85 * this.fps + 0.15 * (1e3 / ms);
     this.moveOn(performance.now());
     this.controls.update();
     this.before?.();
@@ -163,26 +194,44 @@ export class Stage {
     this.camera.near = Math.max(0.05, Math.min(this.camera.position.distanceTo(this.controls.target) * 0.02, 5));
     this.camera.far = distance + 1.3 * this.radius + 200;
     this.camera.updateProjectionMatrix();
+    const begin = performance.now();
     this.renderer.render(this.scene, this.camera);
     this.drawCalls = this.renderer.info.render.calls;
     this.triangles = this.renderer.info.render.triangles;
-    if (this.wanted && ms < 1_500) {
-      const changed = this.governor.frame(ms);
-      const scale = this.governor.mean > 90 ? 0.6 : this.governor.mean < 35 ? 1 : this.scale;
-      if (scale !== this.scale) this.rescale(scale);
-      if (changed) this.told = 0;
-    }
+    this.fence(begin);
     clearTimeout(this.restTimer);
-    if (!this.wanted && this.scale < 1) {
-      this.restTimer = setTimeout(() => {
-        this.rescale(1);
-        this.request();
-      }, REST);
-    }
+    if (this.scale < 1) this.restTimer = setTimeout(() => this.rescale(1), REST);
     this.tellSoon();
   }
 
+  /** Waits until the graphics card is done: no next frame before that, and the time it took goes to the governor. */
+  private fence(begin: number): void {
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    const sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    this.drawing = true;
+    const look = (): void => {
+      const done = !sync || gl.isContextLost() || gl.clientWaitSync(sync, 0, 0) !== gl.TIMEOUT_EXPIRED;
+      if (!done && performance.now() - begin < FENCE_MAX) {
+        setTimeout(look, 3);
+        return;
+      }
+      if (sync) gl.deleteSync(sync);
+      this.drawing = false;
+      this.frameMs = performance.now() - begin;
+      // The sharp picture after a movement may take its time.
+      const moving = this.asked;
+      if (this.scale === this.governor.sharpness || moving) {
+        if (this.governor.frame(this.frameMs, this.triangles / 2)) this.told = 0;
+        if (moving && this.scale !== this.governor.sharpness) this.rescale(this.governor.sharpness);
+      }
+      if (this.asked) this.request();
+    };
+    setTimeout(look, 1);
+  }
+
   private rescale(scale: number): void {
+    if (scale === this.scale) return;
     this.scale = scale;
     this.resize();
   }
@@ -223,7 +272,16 @@ export class Stage {
     const density = Math.min(devicePixelRatio, 1.5);
     this.tell?.(
       { eye: [eye.x, eye.y, eye.z], planes, focal: this.focal * density },
-      { pixels: this.governor.pixels, nodes: NODES_MAX, faces: FACES_MAX },
+      { pixels: FINEST, nodes: NODES_MAX, faces: this.governor.faces },
     );
   }
+}
+
+/** Whether the browser draws without a graphics card. */
+function isSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? String(gl!.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }

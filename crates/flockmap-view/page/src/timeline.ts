@@ -1,17 +1,21 @@
 // The chart of bytes over time, drawn when something changed.
 
 import { clockTime, rate } from "./format";
-import { Series, sum } from "./series";
+import { Series, sum, type Name } from "./series";
 
 /** While live, so many seconds are shown at most. */
 const WINDOW = 600;
 const WINDOW_MIN = 60;
+/** A value that is older than so many seconds is not the one of now. */
+const STALE = 12;
 
 interface Curve {
   label: string;
   colour: string;
   width: number;
   at: (second: number) => number | null;
+  /** The newest second of which it is known. */
+  newest: () => number;
 }
 
 export interface TimelineState {
@@ -58,10 +62,11 @@ export class Timeline {
     const all = [...state.series.values()];
     const own = state.series.get(state.chosen);
     const curves: Curve[] = [];
-    if (all.some((s) => s.has("racer"))) curves.push({ label: "RACER", colour: colour("--racer"), width: 1.3, at: (t) => sum(all, t, "racer") });
-    if (all.some((s) => s.has("paper"))) curves.push({ label: "paper’s method", colour: colour("--paper"), width: 1.3, at: (t) => sum(all, t, "paper") });
-    if (all.length > 1 && own) curves.push({ label: `${state.chosenName} alone`, colour: colour("--own"), width: 1.1, at: (t) => own.at(t, "sent") });
-    curves.push({ label: all.length > 1 ? "all robots send" : "sent", colour: colour("--sum"), width: 1.9, at: (t) => sum(all, t, "sent") });
+    const newestOf = (list: Series[], name: Name) => () => Math.max(-Infinity, ...list.map((s) => s.newestOf(name)));
+    if (all.some((s) => s.has("racer"))) curves.push({ label: "RACER", colour: colour("--racer"), width: 1.3, at: (t) => sum(all, t, "racer"), newest: newestOf(all, "racer") });
+    if (all.some((s) => s.has("paper"))) curves.push({ label: "paper’s method", colour: colour("--paper"), width: 1.3, at: (t) => sum(all, t, "paper"), newest: newestOf(all, "paper") });
+    if (all.length > 1 && own) curves.push({ label: `${state.chosenName} alone`, colour: colour("--own"), width: 1.1, at: (t) => own.at(t, "sent"), newest: newestOf([own], "sent") });
+    curves.push({ label: all.length > 1 ? "all robots send" : "sent", colour: colour("--sum"), width: 1.9, at: (t) => sum(all, t, "sent"), newest: newestOf(all, "sent") });
 
     const newest = Math.max(...all.map((s) => s.newest), -Infinity);
     const first = Math.min(...all.map((s) => s.first), Infinity);
@@ -138,7 +143,7 @@ export class Timeline {
       g.lineTo(x(t), y0);
       g.stroke();
     }
-    this.tell(curves, Math.floor(at ?? newest), known);
+    this.tell(curves, at === undefined ? null : Math.floor(at), newest);
   }
 
   private stroke(g: CanvasRenderingContext2D, curve: Curve, line: [number, number | null][], x: (t: number) => number, y: (b: number) => number): void {
@@ -157,9 +162,12 @@ export class Timeline {
     g.stroke();
   }
 
-  /** The names of the curves, and their values at a second. */
-  private tell(curves: Curve[], second: number, known: boolean): void {
-    const texts = [...curves].reverse().map((curve) => ({ ...curve, value: known ? rate(curve.at(second)) : "–" }));
+  /** The names of the curves, and their values at a second; without one, the newest that is known of each. */
+  private tell(curves: Curve[], second: number | null, newest: number): void {
+    const texts = [...curves].reverse().map((curve) => {
+      const at = second ?? curve.newest();
+      return { ...curve, value: rate(at > newest - STALE ? curve.at(at) : second === null ? null : curve.at(at)) };
+    });
     const key = texts.map((t) => `${t.label} ${t.value} ${t.colour}`).join();
     if (key === this.keys) return;
     this.keys = key;

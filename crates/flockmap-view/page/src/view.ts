@@ -18,6 +18,7 @@ import { Timeline } from "./timeline";
 import { ROBOTS_SHOWN, Voxels, type Colouring } from "./voxels";
 
 const ROBOTS_MAX = 32;
+const SERIES_AGAIN = 5_000;
 const token = new URLSearchParams(location.hash.slice(1)).get("token");
 const query = token === null ? "" : `?token=${encodeURIComponent(token)}`;
 
@@ -64,6 +65,8 @@ class View {
   private paused = false;
   private frozenAt = 0;
   private playback: Playback | null = null;
+  /** Why nothing goes on any more. */
+  private fault: string | null = null;
   private placed = false;
   private homed = false;
   private dirty = { trails: true, links: true, scans: true, chart: true };
@@ -90,7 +93,10 @@ class View {
     this.stage.tell = (camera, budget) => this.say({ kind: "camera", camera, budget });
     this.stage.resized = () => this.bodies.resize();
     worker.onmessage = (event: MessageEvent<FromWorker>) => this.hear(event.data);
-    worker.onerror = (event) => fail(`The page is at fault: ${event.message}`);
+    worker.onerror = (event) => {
+      this.fault = `This page is at fault, and stopped: ${event.message}`;
+      fail(this.fault);
+    };
     const base = new URL(".", location.href);
     base.protocol = base.protocol === "https:" ? "wss:" : "ws:";
     this.say({ kind: "start", feeds: `${base.origin === "null" ? `${base.protocol}//${base.host}` : base.origin}${base.pathname}feed/`, query, live: this.live, robots: list.robots });
@@ -234,7 +240,8 @@ class View {
     if (some && !byId<HTMLInputElement>("log").dataset.chosen) byId<HTMLInputElement>("log").checked = true;
     this.dirty.chart = true;
     this.chart();
-    if (!this.live && this.playback?.grows) setTimeout(() => void this.loadSeries(), 10_000);
+    // What other methods would have sent only the server counts, and a recording may grow.
+    if (this.live ? some : this.playback?.grows) setTimeout(() => void this.loadSeries(), SERIES_AGAIN);
   }
 
   private ask(): void {
@@ -403,7 +410,8 @@ class View {
     const scene = byId("scene");
     scene.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
-      fail("The graphics card was taken away from this page. It loads again when the card is back.");
+      this.fault = "The graphics card was taken away from this page. It loads again when the card is back.";
+      fail(this.fault);
     });
     scene.addEventListener("webglcontextrestored", () => location.reload());
   }
@@ -445,6 +453,7 @@ class View {
   private isSilent = (robot: RobotState): boolean => (this.silence(robot) ?? 0) > SILENT;
 
   private tick(): void {
+    if (this.fault) return;
     const now = Date.now();
     const robot = this.swarm.get(this.chosen)!;
     this.panel.robots(this.chosen, this.followed, (r) => this.silence(r));
@@ -546,7 +555,7 @@ class View {
       if (this.swarm.robots.length > 5 && a.id !== this.chosen && b.id !== this.chosen) continue;
       const at = a.pose!.at.map((v, i) => (v + b.pose!.at[i]!) / 2) as [number, number, number];
       const text = `${rate(bytes)} · ${share(lost)} lost${missing > 0 ? ` · ${missing} missing` : ""}`;
-      labels.push({ at, text, kind: "link", colour: "", above: 2 });
+      labels.push({ at, text, kind: "link", colour: "", above: 2, ends: [a.pose!.at, b.pose!.at] });
     }
     return labels;
   }
@@ -576,10 +585,11 @@ class View {
       faces,
       levels,
       fps: stage.fps,
+      frameMs: stage.frameMs,
       meshBytes: 8 * this.voxels.held,
       mapBytes: map?.bytes ?? null,
       pendingMeshes: map?.pending ?? null,
-      pixels: stage.governor.pixels,
+      facesWanted: Math.round(stage.governor.faces),
       color: this.colouring,
       theme: document.documentElement.dataset.theme,
       paused: this.live ? this.paused : !this.playback?.plays,

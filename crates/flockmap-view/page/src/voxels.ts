@@ -1,7 +1,11 @@
-// The meshes of the map: one draw for each node, instanced faces of 8 bytes, one material for all.
+// The meshes of the map: one draw for each node, faces of 8 bytes, one material for all.
+//
+// The vertex shader reads its face from a texture, by the number of the vertex. Instanced quads would need no texture, but software
+// renderers take each instance for a draw of its own, which was some 10 µs a face.
 
 import * as THREE from "three";
 import { OLDER, RAMP, ramp } from "./colours";
+import { ROW_FACES } from "./mesher";
 import type { MeshMessage } from "./protocol";
 
 export type Colouring = "height" | "robot" | "age";
@@ -10,7 +14,8 @@ export const ROBOTS_SHOWN = 33;
 const VERTEX = /* glsl */ `
 precision highp float;
 precision highp int;
-in uvec2 face;
+precision highp usampler2D;
+uniform usampler2D faces;
 uniform float cell;
 uniform vec3 origin;
 uniform vec2 heights;
@@ -20,7 +25,7 @@ uniform int colouring;
 uniform vec3 ramps[${2 * RAMP}];
 uniform vec3 robots[${ROBOTS_SHOWN}];
 uniform vec3 older;
-uniform vec3 light[6];
+uniform float light[6];
 out vec3 tint;
 out vec2 place;
 out float shade;
@@ -33,6 +38,8 @@ vec3 along(int from, float at) {
 }
 
 void main() {
+  int number = gl_VertexID >> 2;
+  uvec2 face = texelFetch(faces, ivec2(number % ${ROW_FACES}, number / ${ROW_FACES}), 0).rg;
   uint a = face.x;
   uint b = face.y;
   vec3 at = vec3(float(a & 63u), float((a >> 6) & 63u), float((a >> 12) & 63u));
@@ -40,7 +47,7 @@ void main() {
   uint shades = b >> 24;
   vec4 s = vec4(float(shades & 3u), float((shades >> 2) & 3u), float((shades >> 4) & 3u), float(shades >> 6)) / 3.0;
   // The diagonal goes where it does not bend the shade; then the way round makes the outside the front.
-  int corner = gl_VertexID;
+  int corner = gl_VertexID & 3;
   if (s.x + s.w > s.y + s.z) corner = corner == 0 ? 1 : corner == 1 ? 3 : corner == 3 ? 2 : 0;
   if (direction == 0 || direction == 3 || direction == 4) corner = corner == 1 ? 2 : corner == 2 ? 1 : corner;
   float u = float(corner & 1);
@@ -92,15 +99,33 @@ void main() {
   colour = vec4(tint * (0.62 + 0.38 * shade) * (1.0 - edge), 1.0);
 }`;
 
-/** Quads by the number of the vertex alone; the winding of a face depends on its direction. */
-const INDEX = new THREE.BufferAttribute(new Uint16Array([0, 1, 2, 2, 1, 3]), 1);
+/** Two triangles for each face, shared by all meshes up to a number of faces. */
+const indexes = new Map<number, THREE.BufferAttribute>();
+
+function indexFor(faces: number): THREE.BufferAttribute {
+  const size = Math.max(4_096, 2 ** Math.ceil(Math.log2(Math.max(faces, 1))));
+  let index = indexes.get(size);
+  if (!index) {
+    const quads = new Uint32Array(6 * size);
+    for (let i = 0; i < size; i++) quads.set([4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 2, 4 * i + 1, 4 * i + 3], 6 * i);
+    indexes.set(size, (index = new THREE.BufferAttribute(quads, 1)));
+  }
+  return index;
+}
+
+interface Of {
+  cell: number;
+  origin: [number, number, number];
+  faces: number;
+  texture: THREE.DataTexture;
+}
 
 export class Voxels {
   readonly group = new THREE.Group();
   /** Faces of all meshes that are held, shown or not. */
   held = 0;
   private readonly material: THREE.RawShaderMaterial;
-  private readonly meshes = new Map<number, THREE.Mesh<THREE.InstancedBufferGeometry>>();
+  private readonly meshes = new Map<number, THREE.Mesh<THREE.BufferGeometry>>();
   private shown = new Set<number>();
   private voxel = 1;
   private readonly offset = new THREE.Vector3();
@@ -114,6 +139,7 @@ export class Voxels {
       vertexShader: "uniform mat4 projectionMatrix;\nuniform mat4 modelViewMatrix;\n" + VERTEX,
       fragmentShader: FRAGMENT,
       uniforms: {
+        faces: { value: null },
         cell: { value: 1 },
         origin: { value: new THREE.Vector3() },
         heights: { value: new THREE.Vector2(0, 1) },
@@ -123,7 +149,7 @@ export class Voxels {
         ramps: { value: ramps },
         robots: { value: new Float32Array(3 * ROBOTS_SHOWN).fill(0.5) },
         older: { value: new THREE.Vector3(...OLDER) },
-        light: { value: new Float32Array(18) },
+        light: { value: new Float32Array(6) },
         section: { value: new THREE.Color(0.2, 0.2, 0.25) },
       },
     });
@@ -140,31 +166,33 @@ export class Voxels {
   put(message: MeshMessage): void {
     const before = this.meshes.get(message.id);
     if (before) this.drop(message.id, false);
-    const geometry = new THREE.InstancedBufferGeometry();
-    const faces = new THREE.InstancedBufferAttribute(message.faces, 2);
-    faces.gpuType = THREE.IntType;
+    if (message.faces === 0) return;
+    const { faces, words } = message;
+    const texture = new THREE.DataTexture(words, ROW_FACES, words.length / (2 * ROW_FACES), THREE.RGIntegerFormat, THREE.UnsignedIntType);
+    texture.internalFormat = "RG32UI";
+    texture.needsUpdate = true;
     // The graphics card has them then; nobody else needs them.
-    faces.onUpload(function (this: THREE.InstancedBufferAttribute) {
-      (this as { array: Uint32Array }).array = new Uint32Array(0);
-    });
-    geometry.setAttribute("face", faces);
-    geometry.setIndex(INDEX);
-    geometry.instanceCount = message.faces.length / 2;
+    texture.onUpdate = () => ((texture.image as { data: unknown }).data = null);
+    const geometry = new THREE.BufferGeometry();
+    geometry.setIndex(indexFor(faces));
+    geometry.setDrawRange(0, 6 * faces);
     const cell = 2 ** message.level;
     const half = 32 * cell;
     geometry.boundingSphere = new THREE.Sphere(new THREE.Vector3(half, half, half), half * Math.sqrt(3));
     const mesh = new THREE.Mesh(geometry, this.material);
     mesh.matrixAutoUpdate = false;
-    mesh.userData = { cell, origin: message.origin, faces: geometry.instanceCount };
+    const of: Of = { cell, origin: message.origin, faces, texture };
+    mesh.userData = of;
     this.placeMesh(mesh);
     mesh.onBeforeRender = () => {
-      const { cell: side, origin } = mesh.userData as { cell: number; origin: [number, number, number] };
-      this.material.uniforms.cell!.value = side;
-      (this.material.uniforms.origin!.value as THREE.Vector3).set(...origin);
+      const { uniforms } = this.material;
+      uniforms.cell!.value = cell;
+      uniforms.faces!.value = texture;
+      (uniforms.origin!.value as THREE.Vector3).set(...of.origin);
       this.material.uniformsNeedUpdate = true;
     };
     this.meshes.set(message.id, mesh);
-    this.held += geometry.instanceCount;
+    this.held += faces;
     if (this.shown.has(message.id)) this.group.add(mesh);
   }
 
@@ -198,7 +226,7 @@ export class Voxels {
     const levels: Record<number, number> = {};
     let faces = 0;
     for (const child of this.group.children) {
-      const { cell, faces: here } = child.userData as { cell: number; faces: number };
+      const { cell, faces: here } = child.userData as Of;
       const level = Math.log2(cell);
       levels[level] = (levels[level] ?? 0) + 1;
       faces += here;
@@ -207,7 +235,7 @@ export class Voxels {
   }
 
   private placeMesh(mesh: THREE.Mesh): void {
-    const [x, y, z] = (mesh.userData as { origin: [number, number, number] }).origin;
+    const [x, y, z] = (mesh.userData as Of).origin;
     const r = this.voxel;
     mesh.matrix.makeScale(r, r, r).setPosition((x - this.offset.x) * r, (y - this.offset.y) * r, (z - this.offset.z) * r);
     mesh.matrixWorldNeedsUpdate = true;
@@ -219,7 +247,9 @@ export class Voxels {
     this.meshes.delete(id);
     if (forget) this.shown.delete(id);
     this.group.remove(mesh);
-    this.held -= mesh.geometry.instanceCount;
+    const { faces, texture } = mesh.userData as Of;
+    this.held -= faces;
+    texture.dispose();
     // The index is shared: it must not go with the first geometry that goes.
     mesh.geometry.setIndex(null);
     mesh.geometry.dispose();

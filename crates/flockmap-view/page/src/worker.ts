@@ -8,7 +8,7 @@ import { mesh } from "./mesher";
 import { Mirror } from "./mirror";
 import type { FromWorker, RobotName, ToWorker } from "./protocol";
 import { slice } from "./slice";
-import type { Node } from "./tree";
+import type { Node, Tree } from "./tree";
 
 const ROBOTS_MAX = 32;
 const MESH_BYTES_MAX = 256 << 20;
@@ -30,6 +30,8 @@ let connections = new Map<number, Connection>();
 let camera: Camera | null = null;
 let budget: Budget = { pixels: 4, nodes: NODES_MAX, faces: 1_000_000 };
 let wanted: Wanted[] = [];
+/** The tree that `wanted` is of: the mirror may have got another one since. */
+let planned: Tree | null = null;
 let sliceZ: number | null = null;
 let paused = false;
 let said = "";
@@ -146,6 +148,7 @@ function plan(): void {
   const { tree } = mirror;
   if (!camera) return;
   wanted = choose(tree, camera, budget);
+  planned = tree;
   const show = shown(tree, wanted, NODES_MAX);
   const now = performance.now();
   for (const node of show) node.built!.used = now;
@@ -169,6 +172,7 @@ function due(node: Node, now: number): boolean {
 function build(): void {
   const begin = performance.now();
   const { tree } = mirror;
+  if (planned !== tree) plan();
   const nodes = wanted.map((w) => w.node);
   // The roots are a picture of the whole map that is soon made: there is something to show until finer ones are there.
   const missing = [...tree.roots, ...nodes].filter((node) => !node.built && node.blocks > 0);
@@ -177,11 +181,11 @@ function build(): void {
   for (const node of [...missing, ...old]) {
     if (!due(node, begin)) continue;
     if (performance.now() - begin > BUILD) break;
-    const faces = mesh(mirror.blocks, node);
-    node.built = { faces: faces.length / 2, changes: node.changes, at: performance.now(), used: begin };
+    const { count, words } = mesh(mirror.blocks, node);
+    node.built = { faces: count, changes: node.changes, at: performance.now(), used: begin };
     tree.meshes.set(node.id, node);
     const side = node.side;
-    post({ kind: "mesh", id: node.id, level: node.level, origin: [node.x * side, node.y * side, node.z * side], faces }, [faces.buffer]);
+    post({ kind: "mesh", id: node.id, level: node.level, origin: [node.x * side, node.y * side, node.z * side], faces: count, words }, [words.buffer]);
     built++;
   }
   if (built > 0) plan();
@@ -231,23 +235,28 @@ function tellSlice(): void {
   post(message ?? { kind: "slice", x: 0, y: 0, z: sliceZ, step: 1, width: 0, height: 0, texels: new Uint8Array(0) });
 }
 
-/** Low and high corner of what is occupied, to the side of a node of level 0. */
+/** Low and high corner of what is occupied, to the side of a block. */
 function boundsOf(roots: Node[]): [number, number, number, number, number, number] {
   const bounds: [number, number, number, number, number, number] = [Infinity, Infinity, Infinity, -Infinity, -Infinity, -Infinity];
-  const grow = (node: Node): void => {
-    const side = node.side;
-    const low = [node.x * side, node.y * side, node.z * side] as const;
-    if (low.every((at, axis) => at >= bounds[axis]! && at + side <= bounds[axis + 3]!)) return;
-    if (!node.children) {
-      for (let axis = 0; axis < 3; axis++) {
-        bounds[axis] = Math.min(bounds[axis]!, low[axis]!);
-        bounds[axis + 3] = Math.max(bounds[axis + 3]!, low[axis]! + side);
-      }
-      return;
-    }
-    for (const child of node.children) if (child) grow(child);
+  const grow = (low: readonly [number, number, number], side: number, below: () => void): void => {
+    if (!low.every((at, axis) => at >= bounds[axis]! && at + side <= bounds[axis + 3]!)) below();
   };
-  roots.forEach(grow);
+  const visit = (node: Node): void => {
+    const { side, filled } = node;
+    const low = [node.x * side, node.y * side, node.z * side] as const;
+    grow(low, side, () => {
+      for (const child of node.children ?? []) if (child) visit(child);
+      for (let bit = 0; filled && bit < 512; bit++) {
+        if (((filled[bit >> 5]! >>> (bit & 31)) & 1) === 0) continue;
+        const block = [low[0] + 8 * (bit & 7), low[1] + 8 * ((bit >> 3) & 7), low[2] + 8 * (bit >> 6)] as const;
+        for (let axis = 0; axis < 3; axis++) {
+          bounds[axis] = Math.min(bounds[axis]!, block[axis]!);
+          bounds[axis + 3] = Math.max(bounds[axis + 3]!, block[axis]! + 8);
+        }
+      }
+    });
+  };
+  roots.forEach(visit);
   return bounds;
 }
 

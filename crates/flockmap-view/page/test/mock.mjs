@@ -166,12 +166,13 @@ export async function start(options = {}) {
 
   function series(robot) {
     const rows = [];
-    const first = playback ? 0 : 80;
-    for (let s = first; s < (playback ? SECONDS : 200); s++) {
+    const first = playback ? 0 : 20;
+    for (let s = first; s < (playback ? SECONDS : Math.floor((now() - zero) / 1e6)); s++) {
       const wave = 1 + 0.4 * Math.sin(s / 9 + robot.id) + 0.15 * Math.sin(s * 1.7);
       rows.push([Math.round(2_900 * wave), Math.round(3_100 * wave), Math.round(9_100 * wave), s % 40 === 39 ? null : Math.round(93_000 * wave)]);
     }
-    return { begin_us: zero + first * 1e6, step_s: 1, names: ["sent", "received", "paper", "racer"], bytes: rows };
+    const names = ["sent", "received", "paper", "racer"];
+    return { begin_us: zero + first * 1e6, step_s: 1, names, bytes: names.map((_, i) => rows.map((row) => row[i])) };
   }
 
   const server = createServer(async (request, response) => {
