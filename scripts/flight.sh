@@ -106,8 +106,9 @@ for name in plain all; do
 done
 
 echo "-- replayed"
-"$FLOCKMAP" info "$OUT/all.mcap" | grep -E "frames of|poses from"
-"$FLOCKMAP" info "${records[0]}" | grep -E "frames of"
+frames_of() { "$FLOCKMAP" info "$1" | grep "frames of" || true; }
+echo "recorded:$(frames_of "$OUT/all.mcap"); played:$(frames_of "${records[0]}")"
+[ "$(frames_of "$OUT/all.mcap")" = "$(frames_of "${records[0]}")" ] || fault "the record of the flight has other scans than the record it played"
 # Once more without a name: the old flight stays.
 before=$(sha256sum < "$OUT/plain.mcap")
 configuration again 1 "$(recorded plain "")"
@@ -148,7 +149,7 @@ configuration full 1 "$(recorded full "")"
     ulimit -f 1000
     exec "$FLOCKMAP" node --config "$OUT/full.toml" 2> "$OUT/full.log"
 ) || true
-grep -E "error: the record|in .*full.json" "$OUT/full.log" | sed "s#$OUT/##g"
+sed -n "/error: the record/s#$OUT/##gp" "$OUT/full.log"
 [ "$(grep -c "error: the record" "$OUT/full.log")" = 1 ] || fault "a full disk is not told once"
 "$VENV/bin/python" - "$OUT/full.json" << 'END' || fault "with a full disk the robot does not fly on"
 import json, sys
