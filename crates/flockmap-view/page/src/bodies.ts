@@ -58,7 +58,7 @@ export class Bodies {
       mesh.frustumCulled = false;
       mesh.count = 0;
     }
-    this.group.add(this.turned, this.plain, this.turnedRim, this.plainRim, this.trails.mesh, this.links.mesh, this.points, sun, new THREE.HemisphereLight(0xffffff, 0x8888aa, 1.6));
+    this.group.add(this.turned, this.plain, this.turnedRim, this.plainRim, this.trails.mesh, this.links.mesh, this.points, sun, new THREE.HemisphereLight(0xffffff, 0xa0a0b8, 2.3));
     this.points.visible = false;
   }
 
