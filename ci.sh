@@ -58,6 +58,12 @@ heavy() {
     for check in bindings/*/check.sh ros/check.sh; do
         "$check"
     done
+    local data=${FLOCKMAP_DATA:-../shared/data}/hku_mb
+    if [ -f "$data/robot1.mcap" ]; then
+        scripts/flight.sh "$data/robot1.mcap" "$data/robot2.mcap"
+    else
+        echo "left out: scripts/flight.sh, no recordings in $data"
+    fi
 }
 
 step() {

@@ -131,6 +131,14 @@ pub enum WriteError {
         /// The reason.
         error: mcap::McapError,
     },
+    /// The file has reached the size that it may have.
+    #[error("{}: full: it may have {bytes_max} bytes", path.display())]
+    Full {
+        /// The file.
+        path: PathBuf,
+        /// The limit.
+        bytes_max: u64,
+    },
     /// The format cannot hold what it was given.
     #[error("{}: {what} cannot be written: {why}", path.display())]
     Unfit {
@@ -149,7 +157,11 @@ impl WriteError {
     }
 
     pub(crate) fn mcap(path: &Path) -> impl FnOnce(mcap::McapError) -> Self + '_ {
-        move |error| Self::Mcap { path: path.to_owned(), error }
+        // What the system says is said, and not that it said something.
+        move |error| match error {
+            mcap::McapError::Io(error) => Self::io(path)(error),
+            error => Self::Mcap { path: path.to_owned(), error },
+        }
     }
 
     pub(crate) fn unfit(path: &Path, what: impl Into<String>, why: impl Into<String>) -> Self {

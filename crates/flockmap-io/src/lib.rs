@@ -8,6 +8,7 @@
 //! | what | read | written |
 //! |---|---|---|
 //! | record | [`open_record`]: `.mcap` with ROS 2 PointCloud2 + Odometry or tf; rosbag2 folder with such files; folder with `Scans/*.pcd`, poses, `times.txt` | [`RecordWriter`]: `.mcap` |
+//! | flight of a node | [`open_flight`]: its feed | [`FlightRecorder`]: `.mcap`, for Foxglove and Rerun too |
 //! | point cloud | [`read_cloud`]: `.pcd`, `.ply`, `.las`, `.laz` | [`write_cloud`]: `.pcd`, `.ply` |
 //! | plane or band of a map | – | [`export_occupancy`]: `.pgm` or `.png` and a `.yaml`, for Nav2's `map_server`; [`export_heights`], [`export_values`]: `.png` |
 //! | occupancy map | [`read_map`]: `.bt`, and what is written here; [`OctoMap::read`]: `.bt` | [`export_map`]: `.ply`, `.pcd`, `.bt` |
@@ -24,6 +25,10 @@ mod error;
 mod export;
 mod export_flat;
 mod file;
+mod flight_file;
+mod flight_reader;
+mod flight_recorder;
+mod foxglove;
 mod header_lines;
 mod image;
 mod las;
@@ -37,10 +42,12 @@ mod number;
 mod octomap;
 mod pcd;
 mod ply;
+mod protobuf;
 mod record;
 mod record_folder;
 mod record_mcap;
 mod record_reader;
+mod record_scan;
 mod record_view;
 mod record_writer;
 pub mod ros;
@@ -53,6 +60,8 @@ pub use describe::{Content, Description, Topic, describe};
 pub use error::{Fault, Place, Problem, ReadError, TopicOf, WriteError};
 pub use export::{ExportOptions, export_map, write_cloud};
 pub use export_flat::{Scale, export_heights, export_occupancy, export_values, occupancy_yaml};
+pub use flight_reader::{FeedFrame, FlightFrames, open_flight};
+pub use flight_recorder::{FlightOptions, FlightRecorder};
 pub use map_reader::{MapFile, read_map};
 pub use octomap::{Cube, OCTOMAP_BYTES_MAX, OctoMap, octomap_tree, read_octomap_tree};
 pub use record::{Frame, Frames, Record, RecordOptions, RecordSummary};

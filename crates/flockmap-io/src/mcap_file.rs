@@ -23,8 +23,6 @@ use crate::file::ending;
 
 /// Opcode and length in front of each record.
 const RECORD_HEADER_BYTES: u64 = 9;
-/// Channel, sequence, log time and publish time come before the data of a message.
-const MESSAGE_HEADER_BYTES: u64 = 2 + 4 + 8 + 8;
 /// Longest name of a topic, type or encoding.
 const NAME_BYTES_MAX: u32 = 4096;
 
@@ -94,6 +92,8 @@ pub(crate) struct McapReader {
     chunk_at: usize,
     /// Where the open chunk begins in the file.
     chunk_place: Place,
+    /// When the last message was recorded, in nanoseconds.
+    log_time: u64,
     ended: bool,
 }
 
@@ -121,6 +121,7 @@ impl McapReader {
             chunk: Vec::new(),
             chunk_at: 0,
             chunk_place: Place::Whole,
+            log_time: 0,
             ended: false,
         };
         reader.read(0, length.min(MAGIC.len() as u64))?;
@@ -159,6 +160,11 @@ impl McapReader {
         self.chunk.get(found).unwrap_or_default()
     }
 
+    /// When the message that was found last was recorded, in nanoseconds.
+    pub(crate) const fn log_time(&self) -> u64 {
+        self.log_time
+    }
+
     /// Takes the next record of the chunk, which may be a message.
     fn next_in_chunk(&mut self) -> Result<Option<Found>, Fault> {
         let mut bytes = Bytes::new(self.chunk.get(self.chunk_at..).unwrap_or_default(), 0);
@@ -168,8 +174,11 @@ impl McapReader {
         self.chunk_at += bytes.at();
         match opcode {
             op::MESSAGE => {
+                // Channel, sequence, log time, publish time, data.
                 let id = body.u16("a message")?;
-                body.take(MESSAGE_HEADER_BYTES - 2, "a message")?;
+                body.u32("a message")?;
+                self.log_time = body.u64("a message")?;
+                body.u64("a message")?;
                 let channel = self.channels.get(&id).cloned().ok_or_else(|| {
                     let expected = "messages of channels that were announced before";
                     Fault::damaged(Place::Whole, expected, format!("channel {id}"))

@@ -7,6 +7,7 @@ use flockmap_grid::{Pose, Stamp};
 
 use crate::error::{Fault, Place, Problem, ReadError, TopicOf};
 use crate::file::name_of;
+use crate::flight_recorder::FEED_SCHEMA;
 use crate::mcap_file::Channel;
 use crate::mcap_frames::{Entry, McapFrames};
 use crate::mcap_index::{CloudTopic, McapIndex, OdometryTopic};
@@ -132,6 +133,10 @@ fn choose_cloud<'a>(
     if let Some(c) = index.channels.keys().filter(wanted).find(foreign) {
         let expected = format!("messages of {} ({}) in the encoding \"cdr\" of ROS 2", c.topic, c.schema);
         return Err(Fault::foreign(Place::Whole, expected, format!("the encoding \"{}\"", c.encoding)));
+    }
+    if options.points_topic.is_none() && index.channels.keys().any(|c| c.schema == FEED_SCHEMA) {
+        let expected = "scans, which the flight of a node has with `scans = true` in its [record]";
+        return Err(Fault::foreign(Place::Whole, expected, "the feed of a flight without"));
     }
     let expected = match &options.points_topic {
         Some(topic) => format!("scans on the topic {topic} ({} in the encoding \"cdr\")", ros::POINT_CLOUD),

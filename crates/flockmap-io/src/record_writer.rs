@@ -8,11 +8,9 @@ use flockmap_grid::{Pose, Resolution, Scan, Stamp, Voxel};
 use mcap::records::MessageHeader;
 
 use crate::error::WriteError;
+use crate::record_scan::{MAP_FRAME, ODOMETRY, POINTS, TRANSFORMS, check_stamp, scan_messages};
 use crate::record_view::{ColouredPoint, Travelled, VIEW_VOXELS_MAX, ViewSchedule, map_points};
-use crate::ros::{
-    self, Header, Odometry, PoseWithCovariance, TFMessage, TransformStamped, cloud_of_coloured_points,
-    cloud_of_points, encode,
-};
+use crate::ros::{self, Header, cloud_of_coloured_points, encode};
 
 /// Writes what a robot saw as an MCAP file of ROS 2 messages: `/NAME/points` (`sensor_msgs/msg/PointCloud2`,
 /// x y z as `f32`, in the frame `NAME/lidar`), `/NAME/odometry` (`nav_msgs/msg/Odometry`, `map` →
@@ -43,7 +41,6 @@ pub struct RecordWriter<W: Write + Seek = BufWriter<File>> {
     path: PathBuf,
     mcap: mcap::Writer<W>,
     robot: String,
-    sensor_frame: String,
     /// Schemas of PointCloud2, Odometry and TFMessage.
     schemas: [u16; 3],
     sequence: u32,
@@ -51,10 +48,6 @@ pub struct RecordWriter<W: Write + Seek = BufWriter<File>> {
     travelled: Travelled,
 }
 
-const MAP_FRAME: &str = "map";
-const POINTS: &str = "/points";
-const ODOMETRY: &str = "/odometry";
-const TRANSFORMS: &str = "/tf";
 const VIEW_MAP: &str = "/viewer/map";
 const VIEW_PATH: &str = "/viewer/path";
 
@@ -84,9 +77,9 @@ impl<W: Write + Seek> RecordWriter<W> {
             Ok((mcap, schemas))
         };
         let (mcap, schemas) = make().map_err(WriteError::mcap(&path))?;
-        let (robot, sensor_frame) = (robot.to_owned(), format!("{robot}/lidar"));
+        let robot = robot.to_owned();
         let (schedule, travelled) = Default::default();
-        let mut writer = Self { path, mcap, robot, sensor_frame, schemas, sequence: 0, schedule, travelled };
+        let mut writer = Self { path, mcap, robot, schemas, sequence: 0, schedule, travelled };
         let [cloud, odometry, transforms] = schemas;
         writer.channel(cloud, &writer.topic(POINTS))?;
         writer.channel(odometry, &writer.topic(ODOMETRY))?;
@@ -96,37 +89,13 @@ impl<W: Write + Seek> RecordWriter<W> {
 
     /// Writes a scan and `T_map_sensor` at its time. The stamp must lie between 0 and 2³¹ s, as ROS 2 counts it.
     pub fn write(&mut self, scan: &Scan, t_map_sensor: &Pose) -> Result<(), WriteError> {
-        self.check_stamp(scan.stamp)?;
-        let most = (u32::MAX / 12) as usize;
-        if scan.points.len().max(scan.no_returns.len()) > most {
-            let why = "a PointCloud2 holds at most 2³² bytes";
-            return Err(WriteError::unfit(&self.path, "a scan", why));
-        }
-        let in_sensor = Header::new(scan.stamp, &self.sensor_frame);
-        let transform = TransformStamped {
-            header: Header::new(scan.stamp, MAP_FRAME),
-            child_frame_id: self.sensor_frame.clone(),
-            transform: (*t_map_sensor).into(),
-        };
-        // No covariance and no velocity.
-        let odometry = Odometry {
-            header: transform.header.clone(),
-            child_frame_id: self.sensor_frame.clone(),
-            pose: PoseWithCovariance { pose: transform.transform, ..Default::default() },
-            ..Default::default()
-        };
-        let transforms = TFMessage { transforms: vec![transform] };
+        check_stamp(&self.path, scan.stamp)?;
         self.sequence = self.sequence.wrapping_add(1);
-        // The pose first: a program that plays the file knows where the sensor is when the scan comes.
-        let [cloud, of_odometry, of_transforms] = self.schemas;
-        self.message(of_odometry, &self.topic(ODOMETRY), scan.stamp, &encode(&odometry))?;
-        self.message(of_transforms, TRANSFORMS, scan.stamp, &encode(&transforms))?;
-        for (topic, points) in [(ros::NO_RETURNS, &scan.no_returns), (POINTS, &scan.points)] {
-            if topic == POINTS || !points.is_empty() {
-                let message = encode(&cloud_of_points(in_sensor.clone(), points));
-                self.message(cloud, &self.topic(topic), scan.stamp, &message)?;
-            }
-        }
+        let (robot, path) = (self.robot.clone(), self.path.clone());
+        scan_messages(&path, &robot, scan, t_map_sensor, |topic, schema, data| {
+            let schema = self.schema(schema);
+            self.message(schema, topic, scan.stamp, data)
+        })?;
         self.schedule.scan_written(12 * (scan.points.len() + scan.no_returns.len()));
         self.travelled.push(t_map_sensor.translation());
         Ok(())
@@ -147,11 +116,14 @@ impl<W: Write + Seek> RecordWriter<W> {
         resolution: Resolution,
         occupied: impl IntoIterator<Item = Voxel>,
     ) -> Result<(), WriteError> {
-        self.check_stamp(now)?;
+        check_stamp(&self.path, now)?;
         let header = Header::new(now, MAP_FRAME);
         let [cloud, ..] = self.schemas;
         let pictures: [(String, Vec<ColouredPoint>); 2] = [
-            (self.topic(VIEW_MAP), map_points(resolution, occupied, VIEW_VOXELS_MAX)),
+            (
+                self.topic(VIEW_MAP),
+                map_points(resolution, occupied.into_iter().map(|v| (v, None)), VIEW_VOXELS_MAX),
+            ),
             (self.topic(VIEW_PATH), self.travelled.points()),
         ];
         // Both channels come before both messages.
@@ -185,12 +157,13 @@ impl<W: Write + Seek> RecordWriter<W> {
         channel.map_err(WriteError::mcap(&self.path))
     }
 
-    fn check_stamp(&self, stamp: Stamp) -> Result<(), WriteError> {
-        if (0..1i64 << 31).contains(&stamp.0.div_euclid(1_000_000)) {
-            return Ok(());
+    fn schema(&self, name: &str) -> u16 {
+        let [cloud, odometry, transforms] = self.schemas;
+        match name {
+            ros::ODOMETRY => odometry,
+            ros::TRANSFORMS => transforms,
+            _ => cloud,
         }
-        let why = "ROS 2 counts seconds from 0 to 2³¹ − 1";
-        Err(WriteError::unfit(&self.path, format!("the stamp {stamp:?}"), why))
     }
 
     fn message(&mut self, schema: u16, topic: &str, stamp: Stamp, data: &[u8]) -> Result<(), WriteError> {

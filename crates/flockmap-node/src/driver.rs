@@ -10,6 +10,7 @@ use crate::clock::StepWatch;
 use crate::command::Command;
 use crate::map_output::Outlet;
 use crate::options::{NodeOptions, Observation};
+use crate::recorder::Recorder;
 use crate::sensor::Input;
 use crate::status::{StatusLine, histogram};
 use crate::store_writer::StoreWriter;
@@ -31,6 +32,7 @@ pub(crate) struct Driver<T> {
     robot: Robot,
     store: Option<StoreWriter>,
     outlet: Option<Outlet>,
+    recorder: Option<Recorder>,
     /// The highest epoch that was on disk at the start or was given to the store since.
     epoch_kept: u64,
     transport: T,
@@ -58,7 +60,7 @@ impl<T: Transport> Driver<T> {
     pub(crate) fn new(
         options: NodeOptions,
         (mut robot, store): (Robot, Option<StoreWriter>),
-        outlet: Option<Outlet>,
+        (outlet, recorder): (Option<Outlet>, Option<Recorder>),
         transport: T,
         inputs: Receiver<Input>,
         commands: UnboundedReceiver<Command>,
@@ -84,6 +86,7 @@ impl<T: Transport> Driver<T> {
             robot,
             store,
             outlet,
+            recorder,
             transport,
             paths: Vec::new(),
             inputs,
@@ -125,6 +128,9 @@ impl<T: Transport> Driver<T> {
         self.offer_map(true);
         if let Some(outlet) = &mut self.outlet {
             outlet.end();
+        }
+        if let Some(recorder) = &mut self.recorder {
+            recorder.end();
         }
         self.say_status();
         match self.warnings.take_left_out() {
@@ -198,8 +204,9 @@ impl<T: Transport> Driver<T> {
 
     /// Gives the map to its readers, if there are any and it is time, or at once.
     fn offer_map(&mut self, at_once: bool) {
-        let Self { outlet: Some(outlet), robot, options, counters, .. } = self else { return };
-        let (counters, now) = (outlet.counters(*counters), options.clock.now());
+        let counters = self.node_counters();
+        let Self { outlet: Some(outlet), robot, options, .. } = self else { return };
+        let now = options.clock.now();
         outlet.note_traffic(now, &counters);
         outlet.offer(robot, now, at_once, || crate::status::counters_of(&counters, robot));
     }
@@ -278,6 +285,9 @@ impl<T: Transport> Driver<T> {
                 }
                 if let Some(observer) = &mut self.options.observer {
                     observer(now, &self.robot, Observation::Scan { scan: &frame.scan, report: &report });
+                }
+                if let Some(recorder) = &self.recorder {
+                    recorder.note_scan(frame);
                 }
             }
             Input::States(states) => {
@@ -441,6 +451,12 @@ impl<T: Transport> Driver<T> {
         satisfied == session.peers().count() && session.peers().all(|peer| peer.in_flight == 0)
     }
 
+    /// The counters, with those of the threads.
+    fn node_counters(&self) -> NodeCounters {
+        let counters = self.outlet.as_ref().map_or(self.counters, |outlet| outlet.counters(self.counters));
+        self.recorder.as_ref().map_or(counters, |recorder| recorder.counters(counters))
+    }
+
     fn say_status(&mut self) {
         if self.options.status_period.is_some() {
             let age = std::mem::replace(&mut self.recent_age, histogram());
@@ -454,7 +470,7 @@ impl<T: Transport> Driver<T> {
             uptime: self.began.elapsed(),
             quiet_for: self.active.elapsed(),
             sensor_ended: self.inputs_ended,
-            node: self.outlet.as_ref().map_or(self.counters, |outlet| outlet.counters(self.counters)),
+            node: self.node_counters(),
             map_readers: self.outlet.as_ref().map_or(0, Outlet::readers),
             store: self.store.as_ref().map(StoreWriter::counters).unwrap_or_default(),
             ..NodeStatus::new(&self.options.name, &self.robot, &self.timings)

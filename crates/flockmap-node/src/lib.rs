@@ -24,6 +24,7 @@
 //! | [`Transport`], [`UdpTransport`] | how datagrams travel; others can stand beside UDP |
 //! | [`Sensor`] | a recording or simulation in real time, a channel, or a socket that any program feeds |
 //! | [`MapOutput`] | sockets where planners of other processes read the fused map, `flockmap_feed` |
+//! | [`Recording`] | the flight as an MCAP file, [`flockmap_io::FlightRecorder`] |
 //! | [`ViewOptions`] | the same in a browser, `flockmap_view` |
 //! | [`Node`], [`NodeHandle`] | the robot at work, and access to it while it runs |
 //! | [`store`], [`StoreWriter`] | packages on disk, so that a rebooted robot has its map again, and the epoch of its run |
@@ -42,6 +43,7 @@ mod map_output;
 mod node;
 mod options;
 mod outputs;
+mod recorder;
 mod run;
 mod sensor;
 mod status;
@@ -56,15 +58,16 @@ mod web;
 pub use clock::Clock;
 pub use config::{
     AlignmentSection, Behaviour, CodecSection, ConfigError, Configuration, EXAMPLE, FoundKey, KEY_VARIABLE,
-    MapOutputSection, MetricsSection, NodeConfig, OutputSection, RosPoses, RosSection, Secret, SensorSection,
-    StateSection, StoreSection, TeammatesSection, ViewSection, schema,
+    MapOutputSection, MetricsSection, NodeConfig, OutputSection, RecordSection, RosPoses, RosSection, Secret,
+    SensorSection, StateSection, StoreSection, TeammatesSection, ViewSection, schema,
 };
-pub use flockmap_io::{Frame, Frames};
+pub use flockmap_io::{FlightOptions, Frame, Frames};
 pub use flockmap_store as store;
 pub use log::{Level, Log};
 pub use map_output::{MapOutput, MapReaders, links_of, poses_of};
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
+pub use recorder::Recording;
 pub use run::{ConfiguredNode, run};
 pub use sensor::{
     MESSAGE_VERSION, MessageError, MessageLimits, OwnedStates, Sensor, SensorMessage, StatesMessage,

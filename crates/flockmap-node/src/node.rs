@@ -16,6 +16,7 @@ use crate::command::Command;
 use crate::driver::Driver;
 use crate::map_output::{MapReaders, Outlet};
 use crate::options::NodeOptions;
+use crate::recorder::Recorder;
 use crate::sensor::{INPUTS_WAITING_MAX, Input, MessageLimits, Sensor, SensorSocket, play, serve};
 use crate::store::{Store, StoreError, StoreLog};
 use crate::store_writer::StoreWriter;
@@ -103,6 +104,10 @@ impl Node {
             let refused = |(what, error): (String, io::Error)| system(what)(error);
             let prometheus = options.prometheus.map(|address| serve_counters(address, commands.clone()));
             let prometheus = prometheus.transpose().map_err(refused)?;
+            if options.record.is_some() {
+                // The recorder is a reader too.
+                options.map_output.get_or_insert_default().readers_max += 1;
+            }
             let mut outlet = None;
             if let Some(output) = options.map_output.take() {
                 let identity = (options.name.clone(), options.robot.id, options.robot.mapper.resolution);
@@ -122,6 +127,17 @@ impl Node {
             let view = options.view.take().zip(view_source.clone());
             let view = view.map(|(view, source)| serve_view(view, source, commands.clone()));
             let view = view.transpose().map_err(refused)?;
+            let mut recorder = None;
+            if let Some((recording, outlet)) = options.record.take().zip(outlet.as_ref()) {
+                let started = Recorder::start(
+                    &recording,
+                    &options.name,
+                    options.clock,
+                    outlet.map_readers(),
+                    options.log.clone(),
+                );
+                recorder = Some(started.map_err(system("record the flight"))?);
+            }
             // After all else that can stop the start: each leaves a segment.
             let store = options.store.take();
             let store = store.map(|store| restore(store, &mut robot, &options)).transpose()?;
@@ -140,7 +156,8 @@ impl Node {
             let (inputs, inputs_in) = mpsc::channel(INPUTS_WAITING_MAX);
             let sensor = std::mem::replace(&mut options.sensor, Sensor::None);
             start_sensor(sensor, sensor_socket, options.clock, inputs)?;
-            let driver = Driver::new(options, (robot, store), outlet, transport, inputs_in, commands_in);
+            let driver =
+                Driver::new(options, (robot, store), (outlet, recorder), transport, inputs_in, commands_in);
             // The caller waits for this.
             let _ = started.send(addresses);
             let (robot, status) = driver.drive().await;

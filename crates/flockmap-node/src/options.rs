@@ -10,7 +10,7 @@ use flockmap::{Event, Pose, Robot, RobotConfig, RobotId, Scan, ScanReport, Stamp
 
 use crate::sensor::Sensor;
 use crate::store::{EpochFile, Store};
-use crate::{Clock, Log, MapOutput, ViewOptions};
+use crate::{Clock, Log, MapOutput, Recording, ViewOptions};
 
 /// When a node ends by itself.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -76,6 +76,8 @@ pub struct NodeOptions {
     pub epoch_file: Option<EpochFile>,
     /// Where planners of other processes read the fused map; with the default, readers of this one alone.
     pub map_output: Option<MapOutput>,
+    /// Where the flight is recorded.
+    pub record: Option<Recording>,
     /// Counters of the program around the node, by name: given out with the node's own. The view shows
     /// `paper_bytes_out` and `racer_bytes_out`.
     pub counters_beside: Vec<(&'static str, Arc<AtomicU64>)>,
@@ -107,6 +109,7 @@ impl NodeOptions {
             store: None,
             epoch_file: None,
             map_output: None,
+            record: None,
             counters_beside: Vec::new(),
             view: None,
             prometheus: None,

@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 use flockmap_io::{ExportOptions, Unwritable, check_writable, export_map};
 
 use crate::config::{ConfigError, value};
-use crate::{Ended, Log, NodeConfig, OutputSection};
+use crate::{Ended, Log, NodeConfig, OutputSection, RecordSection};
 
 const MAP: &str = "[output] save_map_at_end";
 const REPORT: &str = "[output] report_json";
@@ -26,6 +26,18 @@ pub(crate) fn check(output: &OutputSection) -> Result<()> {
     }
     if let Some(path) = &output.report_json {
         check_file(REPORT, path)?;
+    }
+    Ok(())
+}
+
+/// Checks that the flight can be recorded, and leaves everything as it was.
+pub(crate) fn check_record(record: &RecordSection) -> Result<()> {
+    const KEY: &str = "[record] path";
+    if let Some(path) = &record.path {
+        if path.extension().is_none_or(|end| end != "mcap") {
+            bail!(value(KEY, path.display(), "a file that ends in .mcap"));
+        }
+        check_file(KEY, path)?;
     }
     Ok(())
 }

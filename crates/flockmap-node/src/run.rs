@@ -89,6 +89,7 @@ fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Res
     let Configuration { config, places, path } = configuration;
     check_applies(places, given.is_some())?;
     outputs::check(&config.output)?;
+    outputs::check_record(&config.record)?;
     let sensor = match given {
         Some(sensor) => sensor,
         None => sensor(config, log)?,
@@ -108,6 +109,7 @@ fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Res
     options.clock_offsets = config.clock_offsets()?;
     options.muted = config.muted.clone();
     options.map_output = map_output(config, log)?;
+    options.record = config.recording()?;
     options.view = view(config, log)?;
     options.prometheus = config.metrics.prometheus;
     let period = seconds("[metrics] status_period_s", config.metrics.status_period_s)?;

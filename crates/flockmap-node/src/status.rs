@@ -52,6 +52,12 @@ pub struct NodeCounters {
     pub map_readers_closed: u64,
     /// Bytes of the map that were given out.
     pub map_bytes_out: u64,
+    /// Bytes of the record of the flight that are safe from the end of the program.
+    pub record_bytes: u64,
+    /// Scans that are not in it: the disk did not keep up, or the record has ended.
+    pub record_scans_left_out: u64,
+    /// 1 if it has ended before the flight: it reached its size, or the disk failed.
+    pub record_stopped: u64,
 }
 
 /// Durations in microseconds; what is read back is off by a thousandth at most.
@@ -286,6 +292,7 @@ impl StatusLine {
         let (received, missing) = status.packages();
         let (free, occupied) = status.map_voxels;
         let store = if status.store.failures > 0 { " | STORE OFF" } else { "" };
+        let record = if node.record_stopped > 0 { " | RECORD OFF" } else { "" };
         let given_up = match status.given_up() {
             GivenUp { runs_forgotten: 0, streams_refused: 0 } => String::new(),
             GivenUp { runs_forgotten, streams_refused } => {
@@ -298,7 +305,7 @@ impl StatusLine {
         };
         format!(
             "peers {} | in {rate_in:.1} out {rate_out:.1} KB/s | {} batches | packages {received} received {missing} missing | \
-             map {} voxels, {occupied} occupied | age {age}{store}{given_up}",
+             map {} voxels, {occupied} occupied | age {age}{store}{record}{given_up}",
             status.peers.len(),
             status.robot.batches,
             free + occupied,

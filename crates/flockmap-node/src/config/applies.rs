@@ -28,6 +28,10 @@ const NEEDS: &[(&str, &[&str])] = &[
     ("[map_output] unix_mode", &["[map_output] listen_unix"]),
     ("[map_output] readers_max", OUTLETS),
     ("[map_output] period_ms", OUTLETS),
+    ("[record] scans", RECORDED),
+    ("[record] origins", RECORDED),
+    ("[record] picture_period_s", RECORDED),
+    ("[record] bytes_max", RECORDED),
     ("[view] token", &["[view] listen"]),
     ("[view] token_file", &["[view] listen"]),
     ("[output] save_free", &["[output] save_map_at_end"]),
@@ -39,6 +43,7 @@ const LISTEN_OR_ROS: &[&str] = &["[sensor] listen_tcp", "[sensor] listen_unix", 
 /// Scans come from the program that has the node, whether its section is there or not.
 const ROS: &str = "[ros]";
 const OUTLETS: &[&str] = &["[map_output] listen_unix", "[map_output] listen_tcp", "[view] listen"];
+const RECORDED: &[&str] = &["[record] path"];
 const MULTICAST: &[&str] = &["[network] multicast"];
 
 /// Keys of which at most one may be given.

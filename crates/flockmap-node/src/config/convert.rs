@@ -9,13 +9,16 @@ use flockmap::{Pose, Robot, RobotConfig, RobotId, Stamp, StatesUpdate};
 
 use super::error::ConfigError;
 use super::{AlignmentSection, NodeConfig};
-use crate::{EndOptions, MapOutput, MessageLimits};
+use crate::{EndOptions, FlightOptions, MapOutput, MessageLimits, Recording};
 
 /// Most points that a scan may have.
 const SCAN_POINTS_MAX: u32 = 1 << 26;
 
 /// Most readers of the map.
 const READERS_MAX: u32 = 1_024;
+
+/// Fewest bytes of a record.
+const RECORD_BYTES_MIN: u64 = 1 << 20;
 
 impl NodeConfig {
     /// Checks all that can be known without the machine that it is for.
@@ -25,6 +28,7 @@ impl NodeConfig {
         self.clock_offsets()?;
         self.unix_mode()?;
         self.map_output()?;
+        self.recording()?;
         self.view_token()?;
         self.end_options()?;
         self.message_limits()?;
@@ -154,6 +158,26 @@ impl NodeConfig {
             period: Duration::from_millis(period.into()),
             frame: self.sensor.map_frame.clone().unwrap_or_else(|| "map".into()),
         }))
+    }
+
+    /// How the flight is recorded; `None` if it is not.
+    ///
+    /// # Errors
+    /// Names the key, its value and what was expected.
+    pub(crate) fn recording(&self) -> Result<Option<Recording>, ConfigError> {
+        let section = &self.record;
+        let options = FlightOptions {
+            scans: section.scans,
+            origins: section.origins,
+            picture_period: seconds("[record] picture_period_s", section.picture_period_s)?,
+            bytes_max: within(
+                "[record] bytes_max",
+                section.bytes_max,
+                RECORD_BYTES_MIN..,
+                "at least 1,048,576",
+            )?,
+        };
+        Ok(section.path.clone().map(|path| Recording { path, options }))
     }
 
     /// `T_own_origin` of each robot that has one.

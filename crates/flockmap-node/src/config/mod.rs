@@ -19,6 +19,8 @@ use flockmap::{BatchConfig, Codec, FusionConfig, MapperConfig, Preset, RobotId, 
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use flockmap_io::FlightOptions;
+
 use crate::UdpOptions;
 
 pub(crate) use applies::check_applies;
@@ -90,6 +92,9 @@ pub struct NodeConfig {
     /// Where planners read the map.
     #[serde(default)]
     pub map_output: MapOutputSection,
+    /// The flight as a file.
+    #[serde(default)]
+    pub record: RecordSection,
     /// The map in a browser.
     #[serde(default)]
     pub view: ViewSection,
@@ -240,6 +245,29 @@ pub struct MapOutputSection {
 impl Default for MapOutputSection {
     fn default() -> Self {
         Self { listen_unix: None, unix_mode: "0600".into(), listen_tcp: None, readers_max: 16, period_ms: 20 }
+    }
+}
+
+/// `[record]`
+#[derive(Clone, PartialEq, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RecordSection {
+    /// What the node sees and sends is recorded here, an `.mcap`. If there is one, the new one gets a number.
+    pub path: Option<PathBuf>,
+    /// Whether scans are recorded, so that the flight can be replayed.
+    pub scans: bool,
+    /// Whether it is recorded who saw each voxel last.
+    pub origins: bool,
+    /// The map is drawn so often at most, for Foxglove and Rerun; 0: never.
+    pub picture_period_s: f64,
+    /// Bytes that the file may have.
+    pub bytes_max: u64,
+}
+
+impl Default for RecordSection {
+    fn default() -> Self {
+        let FlightOptions { scans, origins, picture_period, bytes_max } = FlightOptions::default();
+        Self { path: None, scans, origins, picture_period_s: picture_period.as_secs_f64(), bytes_max }
     }
 }
 

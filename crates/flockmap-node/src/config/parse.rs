@@ -32,13 +32,14 @@ impl NodeConfig {
 
     /// Takes the relative paths in it from this folder.
     fn in_folder(mut self, folder: &Path) -> Self {
-        let Self { sensor, map_output, output, store, state, swarm_key_file, .. } = &mut self;
+        let Self { sensor, map_output, record, output, store, state, swarm_key_file, .. } = &mut self;
         for file in [
             swarm_key_file,
             &mut sensor.record,
             &mut sensor.poses,
             &mut sensor.listen_unix,
             &mut map_output.listen_unix,
+            &mut record.path,
             &mut output.save_map_at_end,
             &mut output.report_json,
             &mut store.path,

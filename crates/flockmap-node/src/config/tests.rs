@@ -47,6 +47,7 @@ fn the_defaults_in_the_example_are_the_defaults() {
     assert_eq!(given.sensor, default.sensor);
     assert_eq!(given.map_output, default.map_output);
     assert_eq!(given.metrics, default.metrics);
+    assert_eq!(given.record, default.record);
     assert_eq!(given.ros, default.ros);
     assert_eq!(given.output, default.output);
     assert_eq!(given.store, default.store);
