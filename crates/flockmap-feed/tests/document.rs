@@ -1,6 +1,9 @@
 //! The example in `docs/map-output.md` is what the code says.
 
-use flockmap_feed::{Block, Blocks, Event, Message, Mirror, NodeCounts, NodeHello, ReaderHello, RobotPose};
+use flockmap_feed::{
+    Block, Blocks, Event, Link, Message, Mirror, NodeCounts, NodeHello, Playback, ReaderHello, RobotPose,
+    SeenScan,
+};
 use flockmap_grid::{BlockIndex, Resolution, RobotId, Stamp, State, StateBlock, Stream, Voxel};
 
 /// The frames of the document, each with what is said before it.
@@ -57,6 +60,35 @@ fn the_example_in_the_document_is_what_is_written_and_read() {
             counters: vec![("node_frames".into(), 300)],
         })
         .emit(),
+        Message::Links(vec![Link {
+            stream: Stream { origin: RobotId(2), epoch: 9 },
+            hears_us: true,
+            round_trip: Some(std::time::Duration::from_millis(40)),
+            loss: 13_107,
+            bytes_in: 1_000,
+            bytes_out: 2_000,
+            missing: 3,
+            unconfirmed: 1,
+            silence: std::time::Duration::from_millis(250),
+        }])
+        .emit(),
+        Message::Scan(SeenScan {
+            stamp: stamp.plus_micros(1_400_000),
+            position: [1.0, -2.0, 0.5],
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            points_all: 20_000,
+            points: vec![[3.0, 0.0, 0.5]],
+        })
+        .emit(),
+        Message::Playback(Playback {
+            begin: Stamp(0),
+            end: Stamp(60_000_000),
+            at: Stamp(12_500_000),
+            speed: 2.0,
+            plays: true,
+            grows: false,
+        })
+        .emit(),
         Message::End("the node ends".into()).emit(),
     ];
     let frames = frames();
@@ -72,8 +104,11 @@ fn the_example_in_the_document_is_what_is_written_and_read() {
     while let Some(event) = mirror.push(&mut rest).unwrap() {
         events.push(event);
     }
-    use Event::{Anew, Counters, End, Hello, Poses};
-    assert_eq!(events, [Hello, Anew, Event::Blocks(1), Poses, Counters, End]);
+    use Event::{Anew, Counters, End, Hello, Links, Poses, Scan};
+    assert_eq!(events, [Hello, Anew, Event::Blocks(1), Poses, Counters, Links, Scan, Event::Playback, End]);
+    assert_eq!(mirror.links()[0].missing, 3);
+    assert_eq!(mirror.scan().unwrap().points, [[3.0, 0.0, 0.5]]);
+    assert_eq!(mirror.playback().unwrap().at, Stamp(12_500_000));
     assert!(mirror.is_complete());
     let map = mirror.map().unwrap();
     assert_eq!(map.count(), (2, 2));

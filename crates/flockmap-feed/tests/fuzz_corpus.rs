@@ -7,7 +7,9 @@ mod fuzz;
 
 use std::path::Path;
 
-use flockmap_feed::{Block, Blocks, Have, Message, NodeCounts, NodeHello, ReaderHello, RobotPose};
+use flockmap_feed::{
+    Block, Blocks, Have, Link, Message, NodeCounts, NodeHello, Playback, ReaderHello, RobotPose, SeenScan,
+};
 use flockmap_grid::{BlockIndex, Resolution, RobotId, Stamp, State, StateBlock, Stream};
 
 fn replay(target: &str, made: Vec<Vec<u8>>, run: impl Fn(&[u8])) {
@@ -77,6 +79,26 @@ fn messages() -> Vec<Message> {
         orientation: Some([0.0, 0.0, 0.0, 1.0]),
         age: std::time::Duration::from_millis(3),
     };
+    let link = Link {
+        stream: pose.stream,
+        hears_us: true,
+        round_trip: None,
+        loss: 1 << 16,
+        bytes_in: 1,
+        bytes_out: 2,
+        missing: 3,
+        unconfirmed: 4,
+        silence: std::time::Duration::from_millis(5),
+    };
+    let scan = SeenScan {
+        stamp: Stamp(1),
+        position: [1.0; 3],
+        orientation: [0.5; 4],
+        points_all: 9,
+        points: vec![[1.0, 2.0, 3.0]; 4],
+    };
+    let (begin, end, at) = (Stamp(-5), Stamp(5), Stamp(0));
+    let playback = Playback { begin, end, at, speed: 1.0, plays: true, grows: true };
     vec![
         Message::Hello(hello),
         Message::Anew { began: 4 },
@@ -89,6 +111,9 @@ fn messages() -> Vec<Message> {
         blocks(90, 90, 0, 66),
         Message::Poses(vec![pose; 2]),
         Message::Counters(NodeCounts { now: Stamp(7), counters: vec![("one".into(), 1)] }),
+        Message::Links(vec![link; 3]),
+        Message::Scan(scan),
+        Message::Playback(playback),
         Message::Unknown(77),
         Message::End("over".into()),
     ]
@@ -112,8 +137,13 @@ fn what_readers_say_does_no_harm() {
     let have = Have { feed: 5, began: 6, upto: 7 };
     let hellos = [
         ReaderHello::default(),
-        ReaderHello { origins: true, have: Some(have) },
-        ReaderHello { origins: false, have: Some(Have { feed: u64::MAX, began: u64::MAX, upto: u64::MAX }) },
+        ReaderHello { origins: true, links: true, have: Some(have), ..ReaderHello::default() },
+        ReaderHello {
+            no_map: true,
+            scans: true,
+            have: Some(Have { feed: u64::MAX, began: u64::MAX, upto: u64::MAX }),
+            ..ReaderHello::default()
+        },
     ];
     replay("reader_hello", hellos.map(|hello| hello.emit()).to_vec(), fuzz::hello);
 }

@@ -247,15 +247,15 @@ fn counters_are_served_to_prometheus() {
     let answer = ask("GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n");
     let (head, body) = answer.split_once("\r\n\r\n").unwrap();
     assert!(head.starts_with("HTTP/1.1 200 OK\r\n"), "{head}");
-    assert!(head.contains("Content-Type: text/plain; version=0.0.4; charset=utf-8"), "{head}");
-    assert!(head.contains(&format!("Content-Length: {}", body.len())), "{head}");
+    assert!(head.contains("content-type: text/plain; version=0.0.4; charset=utf-8"), "{head}");
+    assert!(head.contains(&format!("content-length: {}", body.len())), "{head}");
     assert!(body.contains("flockmap_peers{robot=\"robot1\"} 0\n"), "{body}");
     assert!(ask("GET / HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 404"));
     assert!(ask("POST /metrics HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 405"));
     assert!(ask("hello\r\n\r\n").starts_with("HTTP/1.1 400"));
     assert!(
         ask(&format!("GET /metrics HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(9_000)))
-            .starts_with("HTTP/1.1 400")
+            .starts_with("HTTP/1.1 431")
     );
     let head_only = ask("HEAD /metrics HTTP/1.1\r\n\r\n");
     assert!(head_only.starts_with("HTTP/1.1 200") && head_only.ends_with("\r\n\r\n"));

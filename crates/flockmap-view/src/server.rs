@@ -220,11 +220,7 @@ impl Connections {
         });
         let task = self.tasks.spawn(async move {
             let mut http = http1::Builder::new();
-            // One request each: an idle connection holds no place.
-            http.keep_alive(false)
-                .timer(TokioTimer::new())
-                .header_read_timeout(HEAD_TIME)
-                .max_buf_size(HEAD_BYTES_MAX);
+            http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME).max_buf_size(HEAD_BYTES_MAX);
             let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
             // Who is slow or gone gets no answer. What was upgraded goes on in a task of its own.
             let _ = timeout(ANSWER_TIME, connection).await;

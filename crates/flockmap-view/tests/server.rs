@@ -100,12 +100,18 @@ fn the_page_its_parts_and_what_it_asks_for_are_served() {
     let server = server(Access::Loopback, recording());
     let address = server.address();
     assert_eq!(server.url(), format!("http://{address}/"));
-    for (path, mime) in
-        [("/", "text/html"), ("/view.js", "text/javascript"), ("/worker.js", "text/javascript"), ("/view.css", "text/css")]
-    {
+    for (path, mime) in [
+        ("/", "text/html"),
+        ("/view.js", "text/javascript"),
+        ("/worker.js", "text/javascript"),
+        ("/view.css", "text/css"),
+    ] {
         let answer = get(address, path);
         let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-        assert!(head.starts_with("HTTP/1.1 200") && head.contains(&format!("content-type: {mime}")), "{head}");
+        assert!(
+            head.starts_with("HTTP/1.1 200") && head.contains(&format!("content-type: {mime}")),
+            "{head}"
+        );
         assert!(head.contains("frame-ancestors 'none'") && head.contains("nosniff"), "{head}");
         assert!(body.len() > 1_000);
         let packed = ask(
@@ -121,14 +127,20 @@ fn the_page_its_parts_and_what_it_asks_for_are_served() {
     );
     let series = get(address, "/series/7");
     assert!(series.contains(r#""bytes":[[100,100]]"#) && series.contains(r#""names":["sent"]"#), "{series}");
-    for (path, status) in
-        [("/series/8", 404), ("/series/x", 404), ("/x", 404), ("/metrics", 404), ("/feed/7", 426), ("/../x", 404)]
-    {
+    for (path, status) in [
+        ("/series/8", 404),
+        ("/series/x", 404),
+        ("/x", 404),
+        ("/metrics", 404),
+        ("/feed/7", 426),
+        ("/../x", 404),
+    ] {
         assert!(get(address, path).starts_with(&format!("HTTP/1.1 {status}")), "{path}");
     }
     let head = ask(address, &format!("HEAD /robots HTTP/1.1\r\nHost: {address}\r\n\r\n"));
     assert!(head.starts_with("HTTP/1.1 200") && head.ends_with("\r\n\r\n"));
-    let post = ask(address, &format!("POST /robots HTTP/1.1\r\nHost: {address}\r\nContent-Length: 0\r\n\r\n"));
+    let post =
+        ask(address, &format!("POST /robots HTTP/1.1\r\nHost: {address}\r\nContent-Length: 0\r\n\r\n"));
     assert!(post.starts_with("HTTP/1.1 405") && post.contains("allow: GET, HEAD"));
 }
 
@@ -143,7 +155,8 @@ fn a_browser_follows_a_recording_and_seeks_in_it() {
     for words in [r#"{"play": false}"#, r#"{"speed": 4}"#, r#"{"seek_us": 8500000}"#] {
         socket.send(Message::Text(words.into())).unwrap();
     }
-    let is_there = |playback: &Playback| playback.at == Stamp(8_500_000) && !playback.plays && playback.speed == 4.0;
+    let is_there =
+        |playback: &Playback| playback.at == Stamp(8_500_000) && !playback.plays && playback.speed == 4.0;
     read_until(&mut socket, &mut mirror, |mirror| {
         mirror.playback().is_some_and(is_there)
             && mirror.is_complete()
@@ -223,8 +236,7 @@ fn a_thousand_connections_that_say_nothing_keep_nobody_out() {
 #[test]
 fn browsers_beyond_the_limit_are_told() {
     let server = server(Access::Loopback, recording());
-    let mut sockets: Vec<Socket> =
-        (0..64).map(|_| open(server.address(), "/feed/7", &[]).unwrap()).collect();
+    let mut sockets: Vec<Socket> = (0..64).map(|_| open(server.address(), "/feed/7", &[]).unwrap()).collect();
     assert_eq!(status(open(server.address(), "/feed/7", &[])), 503);
     sockets.pop();
     let began = Instant::now();

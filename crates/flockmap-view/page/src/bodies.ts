@@ -33,29 +33,44 @@ export class Bodies {
   private readonly material = new THREE.MeshLambertMaterial();
   private readonly turned = new THREE.InstancedMesh(shape(true), this.material, ROBOTS_MAX);
   private readonly plain = new THREE.InstancedMesh(shape(false), this.material, ROBOTS_MAX);
-  private readonly trails = new Lines(1.1);
-  private readonly links = new Lines(0.8, 9);
+  /** Backs of somewhat larger bodies: a rim that sets them off from what is behind. */
+  private readonly rims = new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.BackSide });
+  private readonly turnedRim = new THREE.InstancedMesh(this.turned.geometry, this.rims, ROBOTS_MAX);
+  private readonly plainRim = new THREE.InstancedMesh(this.plain.geometry, this.rims, ROBOTS_MAX);
+  private readonly trails = new Lines(2.6);
+  private readonly links = new Lines(2, 10);
   private readonly points: THREE.Points<THREE.BufferGeometry, THREE.PointsMaterial>;
 
   constructor(private readonly stage: Stage) {
     const sun = new THREE.DirectionalLight(0xffffff, 2.2);
     sun.position.set(-0.5, -0.8, 1.4);
     const geometry = new THREE.BufferGeometry();
-    this.points = new THREE.Points(geometry, new THREE.PointsMaterial({ size: 2.5, sizeAttenuation: false, vertexColors: true }));
+    this.points = new THREE.Points(geometry, new THREE.PointsMaterial({ size: 3, sizeAttenuation: false, vertexColors: true }));
     this.points.frustumCulled = false;
-    for (const mesh of [this.turned, this.plain]) {
+    // Points lie in the voxels that they made: they are drawn somewhat nearer to the eye, at the same place of the screen.
+    this.points.material.onBeforeCompile = (shader) => {
+      shader.vertexShader = shader.vertexShader.replace(
+        "#include <project_vertex>",
+        "#include <project_vertex>\nmvPosition.xyz *= 1.0 - min(0.35 / length(mvPosition.xyz), 0.3);\ngl_Position = projectionMatrix * mvPosition;",
+      );
+    };
+    for (const mesh of [this.turned, this.plain, this.turnedRim, this.plainRim]) {
       mesh.frustumCulled = false;
       mesh.count = 0;
     }
-    this.group.add(this.turned, this.plain, this.trails.mesh, this.links.mesh, this.points, sun, new THREE.HemisphereLight(0xffffff, 0x8888aa, 1.6));
+    this.group.add(this.turned, this.plain, this.turnedRim, this.plainRim, this.trails.mesh, this.links.mesh, this.points, sun, new THREE.HemisphereLight(0xffffff, 0xa0a0b8, 2.3));
     this.points.visible = false;
+  }
+
+  setTheme(dark: boolean): void {
+    this.rims.color.setStyle(dark ? "#f2f1fa" : "#ffffff", THREE.LinearSRGBColorSpace);
   }
 
   resize(): void {
     const { width, height, ratio } = this.stage;
     this.trails.resize(width, height, ratio);
     this.links.resize(width, height, ratio);
-    this.points.material.size = 2.5 * ratio;
+    this.points.material.size = 3 * ratio;
   }
 
   /** Before each frame: bodies are at least some pixels large, so they depend on the camera. */
@@ -73,11 +88,12 @@ export class Bodies {
       const mesh = robot.pose.turned ? this.turned : this.plain;
       const i = robot.pose.turned ? turned++ : plain++;
       mesh.setMatrixAt(i, matrix);
+      (robot.pose.turned ? this.turnedRim : this.plainRim).setMatrixAt(i, matrix.scale(new THREE.Vector3(1.3, 1.3, 1.5)));
       colour.setRGB(...robot.colour, THREE.LinearSRGBColorSpace);
       if (silent(robot)) colour.setRGB(0.5, 0.5, 0.54, THREE.LinearSRGBColorSpace);
       mesh.setColorAt(i, colour);
     }
-    for (const [mesh, count] of [[this.turned, turned], [this.plain, plain]] as const) {
+    for (const [mesh, count] of [[this.turned, turned], [this.plain, plain], [this.turnedRim, turned], [this.plainRim, plain]] as const) {
       mesh.count = count;
       mesh.visible = count > 0;
       mesh.instanceMatrix.needsUpdate = true;
@@ -126,7 +142,7 @@ export class Bodies {
       for (let k = 0; k + 2 < scan.points.length && i < total; k += 3, i++) {
         p.set(scan.points[k]!, scan.points[k + 1]!, scan.points[k + 2]!).applyQuaternion(q).add(from);
         at.set([p.x, p.y, p.z], 3 * i);
-        tints.set(robot.colour.map((c) => 0.35 + 0.65 * c), 3 * i);
+        tints.set(robot.colour.map((c) => 0.6 + 0.4 * c), 3 * i);
       }
     }
     const { geometry } = this.points;

@@ -36,6 +36,7 @@ export class Stage {
 
   private wanted = false;
   private drawing = false;
+  private sized = false;
   /** A frame was asked for while one was drawn. */
   private asked = false;
   private lastFrame = 0;
@@ -194,6 +195,11 @@ export class Stage {
     this.camera.near = Math.max(0.05, Math.min(this.camera.position.distanceTo(this.controls.target) * 0.02, 5));
     this.camera.far = distance + 1.3 * this.radius + 200;
     this.camera.updateProjectionMatrix();
+    if (!this.sized) {
+      this.renderer.setPixelRatio(this.ratio);
+      this.renderer.setSize(this.width, this.height, false);
+      this.sized = true;
+    }
     const begin = performance.now();
     this.renderer.render(this.scene, this.camera);
     this.drawCalls = this.renderer.info.render.calls;
@@ -241,8 +247,8 @@ export class Stage {
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
     if (width === 0 || height === 0) return;
     [this.width, this.height] = [width, height];
-    this.renderer.setPixelRatio(this.ratio);
-    this.renderer.setSize(width, height, false);
+    // The canvas is emptied when its size changes: so that is left to the next frame.
+    this.sized = false;
     this.camera.aspect = width / height;
     const { left, bottom, top } = this.inset;
     this.camera.setViewOffset(width, height, -left / 2, (bottom - top) / 2, width, height);

@@ -345,6 +345,7 @@ class View {
     const light = [0.8, 0.7, 0.9, 0.6, 0.5, 1.0].map((l) => (dark ? 0.94 * l : 1.02 * l));
     this.voxels.set("light", Float32Array.from(light));
     this.voxels.set("section", new THREE.Color().setStyle(dark ? "#0b0a11" : "#3a3850", THREE.LinearSRGBColorSpace));
+    this.bodies.setTheme(dark);
     const colours = this.sliceColours();
     this.ground.setColours(new THREE.Color().setStyle(dark ? "#8d8aa8" : "#7d7a94", THREE.LinearSRGBColorSpace), dark ? 0.16 : 0.22, colours[0]!, colours[1]!, colours[2]!);
     this.dirty.chart = this.dirty.links = true;
