@@ -178,7 +178,7 @@ export interface Pace {
 }
 
 /** While the camera moves, frames must follow each other; of a still camera one looks at each for long. */
-export const MOVING: Pace = { slow: 75, aim: 55, fast: 30, blunt: 0.5 };
+export const MOVING: Pace = { slow: 110, aim: 80, fast: 35, blunt: 0.5 };
 export const STILL: Pace = { slow: 320, aim: 220, fast: 120, blunt: 1 };
 
 /** Sets how many faces are drawn, and how sharp, by how long frames take. */
@@ -189,6 +189,11 @@ export class Governor {
   private since = 0;
 
   constructor(public faces: number, private readonly pace: Pace) {}
+
+  /** Whether a frame that took so long, of so many faces, leaves room for more of them. */
+  hasRoom(ms: number, faces: number): boolean {
+    return ms < this.pace.fast && faces > 0.7 * this.faces && this.faces < FACES_MAX;
+  }
 
   /** A frame of so many faces took so many milliseconds. Says whether something changed. */
   frame(ms: number, faces: number): boolean {
@@ -213,7 +218,7 @@ export class Governor {
   }
 }
 
-export const FACES_MIN = 40_000;
+export const FACES_MIN = 20_000;
 /** A cell of so many pixels is fine enough. */
 export const FINEST = 2;
 export const NODES_MAX = 440;

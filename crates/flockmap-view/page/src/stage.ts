@@ -26,7 +26,6 @@ export class Stage {
   resized: (() => void) | null = null;
   /** The user has moved the camera: it is not moved any more to fit the map. */
   touched = false;
-  fps = 0;
   drawCalls = 0;
   triangles = 0;
   width = 1;
@@ -47,6 +46,8 @@ export class Stage {
   private moved = -Infinity;
   private drawnAt = 0;
   private lastFrame = 0;
+  /** Milliseconds from frame to frame. */
+  private between = 0;
   private told = 0;
   private tellTimer: ReturnType<typeof setTimeout> | undefined;
   private restTimer: ReturnType<typeof setTimeout> | undefined;
@@ -175,6 +176,11 @@ export class Stage {
     this.fly(target.clone().add(way.setLength(length)), target, false);
   }
 
+  /** Frames a second, of those that followed each other. */
+  get fps(): number {
+    return this.between === 0 ? 0 : 1e3 / this.between;
+  }
+
   /** Pixels of the page that a metre takes at distance 1. */
   get focal(): number {
     return this.height / (2 * Math.tan(THREE.MathUtils.degToRad(this.camera.fov / 2)));
@@ -225,7 +231,7 @@ export class Stage {
     this.wanted = false;
     const ms = now - this.lastFrame;
     this.lastFrame = now;
-    if (ms > 0 && ms < 1_500) this.fps = this.fps === 0 ? 1e3 / ms : 0.85 * this.fps + 0.15 * (1e3 / ms);
+    if (ms > 0 && ms < 1_500) this.between = this.between === 0 ? ms : 0.85 * this.between + 0.15 * ms;
     this.moveOn(performance.now());
     this.controls.update();
     this.before?.();
@@ -268,7 +274,9 @@ export class Stage {
       if (moving) this.rescale(this.moving.sharpness);
       clearTimeout(this.restTimer);
       if (moving) this.restTimer = setTimeout(() => this.rest(), REST);
-      if (this.asked) moving ? this.draw() : this.request();
+      // Where there is room, a still picture becomes finer with each frame.
+      const more = !moving && this.still.hasRoom(this.frameMs, this.triangles / 2);
+      if (this.asked || more) moving ? this.draw() : this.request();
     };
     setTimeout(look, 1);
   }
