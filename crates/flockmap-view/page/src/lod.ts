@@ -187,6 +187,10 @@ export class Governor {
   sharpness = 1;
   private mean = 0;
   private since = 0;
+  /** Before faces were taken away: so many, and how long a frame took. */
+  private before: { faces: number; ms: number } | null = null;
+  /** Evaluations for which the faces stay, because it is not they that are slow. */
+  private hold = 0;
 
   constructor(public faces: number, private readonly pace: Pace) {}
 
@@ -202,11 +206,19 @@ export class Governor {
     this.since++;
     if (this.since < 4) return false;
     const before = [this.faces, this.sharpness];
+    if (this.hold > 0) this.hold--;
     if (this.mean > slow) {
       // First fewer pixels: a blunt picture in motion is seen less than a coarse one. What a frame costs beside the faces is not
-      // known, so the way to the aim is gone in steps.
+      // known, so the way to the aim is gone in steps; and back, where a step did not help.
       if (this.sharpness > blunt) this.sharpness = Math.max(blunt, this.sharpness * Math.max(0.7, Math.sqrt(aim / this.mean)));
-      else this.faces = Math.max(Math.min(this.faces, FACES_MIN), Math.min(this.faces, faces) * Math.max(0.4, aim / this.mean));
+      else if (this.before && faces < 0.8 * this.before.faces && this.mean > HELPED * this.before.ms) {
+        this.faces = this.before.faces;
+        this.before = null;
+        this.hold = HOLD;
+      } else if (this.hold === 0) {
+        this.before = { faces: Math.min(this.faces, faces), ms: this.mean };
+        this.faces = Math.max(Math.min(this.faces, FACES_MIN), this.before.faces * Math.max(0.4, aim / this.mean));
+      }
     } else if (this.mean < fast) {
       if (this.faces < FACES_MAX / 4 && faces > 0.7 * this.faces) this.faces *= 1.3;
       else if (this.sharpness < 1) this.sharpness = Math.min(1, this.sharpness * 1.2);
@@ -218,6 +230,9 @@ export class Governor {
   }
 }
 
+/** A step has helped if a frame takes less than this share of the time before. */
+const HELPED = 0.85;
+const HOLD = 30;
 export const FACES_MIN = 20_000;
 /** A cell of so many pixels is fine enough. */
 export const FINEST = 2;

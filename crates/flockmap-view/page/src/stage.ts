@@ -62,7 +62,8 @@ export class Stage {
     // Without a graphics card smooth edges cost more than all else, and there must be fewer faces from the start.
     this.moving = new Governor(this.software ? 2 * FACES_MIN : FACES_MAX / 4, MOVING);
     this.still = new Governor(this.software ? 4 * FACES_MIN : FACES_MAX / 4, STILL);
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, powerPreference: "high-performance" });
+    const context = canvas.getContext("webgl2", { alpha: false, stencil: false, antialias: !this.software, powerPreference: "high-performance" })!;
+    this.renderer = new THREE.WebGLRenderer({ canvas, context });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(-30, -45, 40);
@@ -229,6 +230,8 @@ export class Stage {
 
   private frame(now: number): void {
     this.wanted = false;
+    // From here on what asks for a frame waits for this one: also the camera, which glides on.
+    this.drawing = true;
     const ms = now - this.lastFrame;
     this.lastFrame = now;
     if (ms > 0 && ms < 1_500) this.between = this.between === 0 ? ms : 0.85 * this.between + 0.15 * ms;
@@ -257,7 +260,6 @@ export class Stage {
     const gl = this.renderer.getContext() as WebGL2RenderingContext;
     const sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
-    this.drawing = true;
     const look = (): void => {
       const done = !sync || gl.isContextLost() || gl.clientWaitSync(sync, 0, 0) !== gl.TIMEOUT_EXPIRED;
       if (!done && performance.now() - begin < FENCE_MAX) {

@@ -332,6 +332,14 @@ test("the governor comes to frames that are fast enough, and back to full detail
       slow.frame(ms, faces);
     }
     assert.ok(ms < Math.max(1.1 * pace.slow, 125) && slow.faces >= FACES_MIN && slow.sharpness >= pace.blunt, `${ms} ms, ${slow.faces} faces`);
+    // Where it is not the faces that are slow, few of them would help nobody.
+    const busy = new Governor(300_000, pace);
+    let least = Infinity;
+    for (let i = 0; i < 120; i++) {
+      busy.frame(500, busy.faces);
+      least = Math.min(least, busy.faces);
+    }
+    assert.ok(busy.faces > 90_000 && least >= FACES_MIN, `${busy.faces}, ${least}`);
     const fast = new Governor(FACES_MIN, pace);
     for (let i = 0; i < 400; i++) fast.frame(8, Math.min(fast.faces, 1e8));
     assert.equal(fast.faces, FACES_MAX);
