@@ -2,6 +2,7 @@
 
 import type { Counters, Link, Playback, Pose, Scan } from "./feed";
 import type { Budget, Camera } from "./lod";
+import type { Command } from "./playhead";
 
 export interface RobotName {
   id: number;
@@ -14,7 +15,7 @@ export type ToWorker =
   | { kind: "camera"; camera: Camera; budget: Budget }
   | { kind: "slice"; z: number | null }
   | { kind: "pause"; paused: boolean }
-  | { kind: "playback"; text: string }
+  | { kind: "playback"; command: Command }
   | { kind: "ask"; what: "blocks" | "faces"; ask: number };
 
 /** What is known of a connection. `retry` is the time, by `Date.now()`, at which it is tried again. */

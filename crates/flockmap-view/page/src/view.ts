@@ -278,7 +278,7 @@ class View {
 
   private pause(): void {
     if (!this.live) {
-      this.say({ kind: "playback", text: JSON.stringify({ play: !this.playback?.plays }) });
+      this.say({ kind: "playback", command: { play: !this.playback?.plays } });
       return;
     }
     this.paused = !this.paused;
@@ -293,7 +293,7 @@ class View {
     const p = this.playback;
     if (!p) return;
     const at = Math.max(p.begin, Math.min(p.end, p.begin + seconds));
-    this.say({ kind: "playback", text: JSON.stringify({ seek_us: Math.round(at * 1e6) }) });
+    this.say({ kind: "playback", command: { seek: at } });
   }
 
   private colour(colouring: Colouring): void {
@@ -401,7 +401,7 @@ class View {
       this.chart();
     };
     byId("scrub").oninput = () => this.seek(Number(byId<HTMLInputElement>("scrub").value));
-    byId("speed").onchange = () => this.say({ kind: "playback", text: JSON.stringify({ speed: Number(byId<HTMLSelectElement>("speed").value) }) });
+    byId("speed").onchange = () => this.say({ kind: "playback", command: { speed: Number(byId<HTMLSelectElement>("speed").value) } });
     const sheet = byId("sheet");
     if (matchMedia("(max-width: 760px)").matches) sheet.setAttribute("aria-expanded", "false");
     sheet.onclick = () => {

@@ -6,7 +6,8 @@ import * as feed from "./feed";
 import { choose, NODES_MAX, shown, surplus, type Budget, type Camera, type Wanted } from "./lod";
 import { mesh } from "./mesher";
 import { Mirror } from "./mirror";
-import type { FromWorker, RobotName, ToWorker } from "./protocol";
+import { Playhead, texts } from "./playhead";
+import type { Connected, FromWorker, RobotName, ToWorker } from "./protocol";
 import { slice } from "./slice";
 import type { Node, Tree } from "./tree";
 
@@ -26,6 +27,7 @@ let chosen = -1;
 let origins = false;
 let scans = false;
 let mirror = newMirror();
+const playhead = new Playhead();
 let connections = new Map<number, Connection>();
 let camera: Camera | null = null;
 let budget: Budget = { pixels: 4, nodes: NODES_MAX, faces: 1_000_000 };
@@ -74,7 +76,8 @@ self.onmessage = (event: MessageEvent<ToWorker>) => {
       mirror.pause(paused);
       break;
     case "playback":
-      connections.get(chosen)?.say(message.text);
+      playhead.command(message.command, connections.keys(), performance.now());
+      for (const text of texts(message.command)) for (const connection of connections.values()) connection.say(text);
       break;
     case "ask":
       post({ kind: "answer", ask: message.ask, value: message.what === "blocks" ? blocksOf() : facesOf() });
@@ -110,7 +113,7 @@ function chosenFeed(robot: number): Connection {
   return new Connection(`${feeds}${robot}${query}`, {
     flags: () => (origins ? feed.WANT_ORIGINS : 0) | feed.WANT_LINKS | (scans ? feed.WANT_SCANS : 0),
     have: () => mirror.have(),
-    state: (connected) => post({ kind: "connected", robot, connected }),
+    state: (state) => connected(robot, state),
     talks: () => live,
     frame: (kind, body) => {
       if (kind <= 3) mirror.frame(kind, body);
@@ -125,7 +128,7 @@ function lightFeed(robot: number): Connection {
   return new Connection(`${feeds}${robot}${query}`, {
     flags: () => feed.WANT_NO_MAP | feed.WANT_LINKS | (scans ? feed.WANT_SCANS : 0),
     have: () => ({ feed: 0n, anew: 0n, upto: 0n }),
-    state: (connected) => post({ kind: "connected", robot, connected }),
+    state: (state) => connected(robot, state),
     talks: () => live,
     frame: (kind, body) => {
       if (kind === 1) feed.readHello(body);
@@ -140,7 +143,20 @@ function other(robot: number, kind: number, body: Uint8Array): void {
   else if (kind === 5) post({ kind: "counters", robot, counters: feed.readCounters(body) });
   else if (kind === 7) post({ kind: "links", robot, links: feed.readLinks(body) });
   else if (kind === 8) post({ kind: "scan", robot, scan: feed.readScan(body) });
-  else if (kind === 9 && robot === chosen) post({ kind: "shown-playback", playback: feed.readPlayback(body) });
+  else if (kind === 9) hearPlayback(robot, feed.readPlayback(body));
+}
+
+function hearPlayback(robot: number, playback: feed.Playback): void {
+  const leads = robot === chosen;
+  const command = playhead.hear(robot, leads, playback, performance.now());
+  for (const text of command ? texts(command) : []) connections.get(robot)?.say(text);
+  // While it goes to where the others are, the page stays there.
+  if (leads && !command) post({ kind: "shown-playback", playback });
+}
+
+function connected(robot: number, state: Connected): void {
+  if (state.state === "open") playhead.opened(robot);
+  post({ kind: "connected", robot, connected: state });
 }
 
 /** Looks which nodes should be shown, and which meshes may go. */

@@ -225,12 +225,19 @@ const parts = {
     const mock = await start({ side: 240, robots: 2, playback: true });
     const { page, close } = await open(mock, { theme: "dark" });
     await until(page, "playback", async () => (await state(page))?.playback);
-    assert.equal((await state(page)).paused, true);
+    await page.getByRole("button", { name: "Pause" }).click();
+    await until(page, "it stands", async () => (await state(page)).paused);
     await page.getByLabel("Time", { exact: true }).fill("60");
     const half = await whole(page, (s) => s.playback.at > s.playback.begin + 59 && s.occupied > 1_000);
     await page.getByRole("button", { name: "Play" }).click();
     await until(page, "it plays", async () => (await state(page)).playback.plays);
     await page.getByLabel("Speed").selectOption("2");
+    const together = () => until(page, "all feeds are at one time", async () => {
+      const heads = mock.heads();
+      const [low, high] = [Math.min(...heads.map((h) => h.at)), Math.max(...heads.map((h) => h.at))];
+      return heads.length === 2 && high - low < 1.3 && new Set(heads.map((h) => `${h.plays} ${h.speed}`)).size === 1;
+    });
+    await together();
     await until(page, "it is faster", async () => (await state(page)).playback.speed === 2);
     await whole(page, (s) => s.occupied > half.occupied);
     await page.locator("#scene").focus();
@@ -243,6 +250,13 @@ const parts = {
     await page.getByLabel("Time", { exact: true }).fill("20");
     await whole(page, (s) => s.occupied < half.occupied && s.occupied > 0);
     await says(page, "#player-time", /0:20 \/ 2:00/);
+    await together();
+    // Another map, other connections: the time stays.
+    await page.keyboard.press("Escape");
+    await page.getByRole("radio", { name: /robot2/ }).check();
+    await whole(page, (s) => s.robot === 2 && s.occupied < half.occupied);
+    await says(page, "#player-time", /0:20 \/ 2:00/);
+    await together();
     await says(page, "#status", /Recording/);
     await close();
     mock.close();

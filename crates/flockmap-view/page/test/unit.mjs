@@ -7,6 +7,7 @@ import { FeedError, helloBytes, readBlocks, readCounters, readHello, readPoses, 
 import { cellPixels, choose, FACES_MAX, FACES_MIN, facesOf, Governor, MOVING, NODES_MAX, shown, STILL, surplus } from "../src/lod.ts";
 import { mesh } from "../src/mesher.ts";
 import { Mirror } from "../src/mirror.ts";
+import { Playhead, texts } from "../src/playhead.ts";
 import { Series, sum } from "../src/series.ts";
 import { slice } from "../src/slice.ts";
 import { Swarm, TRAIL_MAX } from "../src/swarm.ts";
@@ -382,6 +383,29 @@ test("series: of the server, then of counters, with 28 bytes a datagram", () => 
   assert.equal(sum([series, other], 50, "sent"), null);
   for (let t = 0; t < 9_000; t++) other.load({ begin_us: t * 1e6, step_s: 1, names: ["sent"], bytes: [[t]] });
   assert.deepEqual([other.first, other.newest, other.at(3_000, "sent")], [5_400, 8_999, null]);
+});
+
+test("the feeds of a recording are at one time: a new one is told where the others are", () => {
+  const head = new Playhead();
+  const said = (at, plays = true, speed = 1) => ({ begin: 0, end: 100, at, plays, speed, grows: false });
+  assert.equal(head.hear(1, true, said(0), 0), null);
+  assert.equal(head.hear(1, true, said(0.25), 250), null);
+  assert.equal(head.hear(2, false, said(0.2), 300), null);
+  head.command({ seek: 50, play: false }, [1, 2], 1_000);
+  // What was said before the command came is not believed.
+  assert.equal(head.hear(1, true, said(1), 1_100), null);
+  assert.equal(head.hear(2, false, said(50, false), 1_800), null);
+  head.opened(3);
+  assert.deepEqual(head.hear(3, false, said(0), 1_900), { seek: 50, speed: 1, play: false });
+  assert.equal(head.hear(3, false, said(0.1), 2_000), null);
+  // The one that leads comes again.
+  head.opened(1);
+  assert.deepEqual(head.hear(1, true, said(0), 3_000), { seek: 50, speed: 1, play: false });
+  assert.equal(head.hear(1, true, said(50, false), 3_900), null);
+  head.command({ play: true, speed: 4 }, [1], 4_000);
+  assert.equal(head.hear(1, true, said(53.2, true, 4), 4_800), null);
+  assert.deepEqual(head.hear(2, false, said(50, false), 5_800), { seek: 57.2, speed: 4, play: true });
+  assert.deepEqual(texts({ seek: 12.5, speed: 2, play: true }), ['{"seek_us":12500000}', '{"speed":2}', '{"play":true}']);
 });
 
 test("trails have a limit, and keep their first and last point", () => {
