@@ -30,11 +30,12 @@ function shape(heading: boolean): THREE.BufferGeometry {
 
 export class Bodies {
   readonly group = new THREE.Group();
-  private readonly material = new THREE.MeshLambertMaterial();
+  /** Robots are seen also behind obstacles: they are drawn last, over everything. */
+  private readonly material = new THREE.MeshLambertMaterial({ depthTest: false, transparent: true });
   private readonly turned = new THREE.InstancedMesh(shape(true), this.material, ROBOTS_MAX);
   private readonly plain = new THREE.InstancedMesh(shape(false), this.material, ROBOTS_MAX);
   /** Backs of somewhat larger bodies: a rim that sets them off from what is behind. */
-  private readonly rims = new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.BackSide });
+  private readonly rims = new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.BackSide, depthTest: false, transparent: true });
   private readonly turnedRim = new THREE.InstancedMesh(this.turned.geometry, this.rims, ROBOTS_MAX);
   private readonly plainRim = new THREE.InstancedMesh(this.plain.geometry, this.rims, ROBOTS_MAX);
   private readonly trails = new Lines(2.6);
@@ -57,7 +58,10 @@ export class Bodies {
     for (const mesh of [this.turned, this.plain, this.turnedRim, this.plainRim]) {
       mesh.frustumCulled = false;
       mesh.count = 0;
+      mesh.renderOrder = mesh.material === this.rims ? 2 : 3;
     }
+    this.links.mesh.material.depthTest = false;
+    this.links.mesh.renderOrder = 1;
     this.group.add(this.turned, this.plain, this.turnedRim, this.plainRim, this.trails.mesh, this.links.mesh, this.points, sun, new THREE.HemisphereLight(0xffffff, 0xa0a0b8, 2.3));
     this.points.visible = false;
   }

@@ -175,11 +175,13 @@ export interface Pace {
   fast: number;
   /** Share of the pixels of a side to which sharpness may fall. */
   blunt: number;
+  /** So many faces are drawn at least. */
+  least: number;
 }
 
 /** While the camera moves, frames must follow each other; of a still camera one looks at each for long. */
-export const MOVING: Pace = { slow: 110, aim: 80, fast: 35, blunt: 0.5 };
-export const STILL: Pace = { slow: 320, aim: 220, fast: 120, blunt: 1 };
+export const MOVING: Pace = { slow: 110, aim: 80, fast: 35, blunt: 0.5, least: 20_000 };
+export const STILL: Pace = { slow: 320, aim: 220, fast: 120, blunt: 1, least: 60_000 };
 
 /** Sets how many faces are drawn, and how sharp, by how long frames take. */
 export class Governor {
@@ -201,7 +203,7 @@ export class Governor {
 
   /** A frame of so many faces took so many milliseconds. Says whether something changed. */
   frame(ms: number, faces: number): boolean {
-    const { slow, aim, fast, blunt } = this.pace;
+    const { slow, aim, fast, blunt, least } = this.pace;
     this.mean = this.since === 0 ? ms : 0.7 * this.mean + 0.3 * ms;
     this.since++;
     if (this.since < 4) return false;
@@ -217,7 +219,7 @@ export class Governor {
         this.hold = HOLD;
       } else if (this.hold === 0) {
         this.before = { faces: Math.min(this.faces, faces), ms: this.mean };
-        this.faces = Math.max(Math.min(this.faces, FACES_MIN), this.before.faces * Math.max(0.4, aim / this.mean));
+        this.faces = Math.max(Math.min(this.faces, least), this.before.faces * Math.max(0.4, aim / this.mean));
       }
     } else if (this.mean < fast) {
       if (this.faces < FACES_MAX / 4 && faces > 0.7 * this.faces) this.faces *= 1.3;
@@ -233,7 +235,6 @@ export class Governor {
 /** A step has helped if a frame takes less than this share of the time before. */
 const HELPED = 0.85;
 const HOLD = 30;
-export const FACES_MIN = 20_000;
 /** A cell of so many pixels is fine enough. */
 export const FINEST = 2;
 export const NODES_MAX = 440;

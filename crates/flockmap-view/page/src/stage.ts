@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { FACES_MAX, FACES_MIN, FINEST, Governor, MOVING, NODES_MAX, STILL, type Budget, type Camera } from "./lod";
+import { FACES_MAX, FINEST, Governor, MOVING, NODES_MAX, STILL, type Budget, type Camera } from "./lod";
 
 /** Milliseconds between two words to the worker about the camera. */
 const TELL = 120;
@@ -60,8 +60,8 @@ export class Stage {
 
   constructor(canvas: HTMLCanvasElement) {
     // Without a graphics card smooth edges cost more than all else, and there must be fewer faces from the start.
-    this.moving = new Governor(this.software ? 2 * FACES_MIN : FACES_MAX / 4, MOVING);
-    this.still = new Governor(this.software ? 4 * FACES_MIN : FACES_MAX / 4, STILL);
+    this.moving = new Governor(this.software ? 2 * MOVING.least : FACES_MAX / 4, MOVING);
+    this.still = new Governor(this.software ? 2 * STILL.least : FACES_MAX / 4, STILL);
     const context = canvas.getContext("webgl2", { alpha: false, stencil: false, antialias: !this.software, powerPreference: "high-performance" })!;
     this.renderer = new THREE.WebGLRenderer({ canvas, context });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
