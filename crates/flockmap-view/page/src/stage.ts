@@ -2,12 +2,12 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { FACES_MAX, FACES_MIN, FINEST, Governor, NODES_MAX, type Budget, type Camera } from "./lod";
+import { FACES_MAX, FACES_MIN, FINEST, Governor, MOVING, NODES_MAX, STILL, type Budget, type Camera } from "./lod";
 
 /** Milliseconds between two words to the worker about the camera. */
 const TELL = 120;
 const MOVE = 450;
-/** A picture that stands still is drawn as sharp as the screen; before, a slow one may be coarser. */
+/** After so long without a movement the camera stands: the picture becomes as fine and sharp as a still one may be. */
 const REST = 350;
 const FENCE_MAX = 3_000;
 
@@ -16,14 +16,16 @@ export class Stage {
   readonly camera = new THREE.PerspectiveCamera(50, 1, 0.1, 1_000);
   readonly renderer: THREE.WebGLRenderer;
   readonly controls: OrbitControls;
-  readonly governor: Governor;
+  /** Whether the browser draws without a graphics card. */
+  readonly software = isSoftware();
+  readonly moving: Governor;
+  readonly still: Governor;
   /** Called before each frame. */
   before: (() => void) | null = null;
   tell: ((camera: Camera, budget: Budget) => void) | null = null;
   resized: (() => void) | null = null;
   /** The user has moved the camera: it is not moved any more to fit the map. */
   touched = false;
-  fps = 0;
   drawCalls = 0;
   triangles = 0;
   width = 1;
@@ -37,9 +39,15 @@ export class Stage {
   private wanted = false;
   private drawing = false;
   private sized = false;
-  /** A frame was asked for while one was drawn. */
+  /** A frame was asked for while one was drawn, or too soon after it. */
   private asked = false;
+  private askedTimer: ReturnType<typeof setTimeout> | undefined;
+  /** When the camera moved last. */
+  private moved = -Infinity;
+  private drawnAt = 0;
   private lastFrame = 0;
+  /** Milliseconds from frame to frame. */
+  private between = 0;
   private told = 0;
   private tellTimer: ReturnType<typeof setTimeout> | undefined;
   private restTimer: ReturnType<typeof setTimeout> | undefined;
@@ -52,9 +60,10 @@ export class Stage {
 
   constructor(canvas: HTMLCanvasElement) {
     // Without a graphics card smooth edges cost more than all else, and there must be fewer faces from the start.
-    const software = isSoftware();
-    this.governor = new Governor(software ? 4 * FACES_MIN : FACES_MAX / 4);
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !software, powerPreference: "high-performance" });
+    this.moving = new Governor(this.software ? 2 * FACES_MIN : FACES_MAX / 4, MOVING);
+    this.still = new Governor(this.software ? 4 * FACES_MIN : FACES_MAX / 4, STILL);
+    const context = canvas.getContext("webgl2", { alpha: false, stencil: false, antialias: !this.software, powerPreference: "high-performance" })!;
+    this.renderer = new THREE.WebGLRenderer({ canvas, context });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(-30, -45, 40);
@@ -65,7 +74,7 @@ export class Stage {
     this.controls.minDistance = 0.2;
     this.controls.maxDistance = 50_000;
     this.controls.maxPolarAngle = Math.PI * 0.98;
-    this.controls.addEventListener("change", () => this.request());
+    this.controls.addEventListener("change", () => this.move());
     this.controls.addEventListener("start", () => {
       this.touched = true;
       this.flight = null;
@@ -73,16 +82,47 @@ export class Stage {
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
-  /** Asks for a frame. */
+  /**
+   * Asks for a frame because something else than the camera changed. Where frames are slow there is a pause between such ones, so that
+   * the page and the machine have time for other things.
+   */
   request(): void {
-    if (this.drawing) {
+    if (this.drawing || this.isMoving) {
       this.asked = true;
+      if (!this.drawing) this.move();
       return;
     }
+    if (this.wanted) return;
+    const wait = this.drawnAt + Math.min(this.frameMs < 20 ? 0 : 0.7 * this.frameMs, 500) - performance.now();
+    if (wait > 4) {
+      clearTimeout(this.askedTimer);
+      this.askedTimer = setTimeout(() => this.request(), wait);
+      return;
+    }
+    this.draw();
+  }
+
+  /** Asks for a frame because the camera moved. */
+  private move(): void {
+    const stood = !this.isMoving;
+    this.moved = performance.now();
+    if (stood) {
+      this.rescale(this.moving.sharpness);
+      this.told = 0;
+    }
+    if (this.drawing) this.asked = true;
+    else this.draw();
+  }
+
+  private draw(): void {
     this.asked = false;
     if (this.wanted) return;
     this.wanted = true;
     requestAnimationFrame((now) => this.frame(now));
+  }
+
+  private get isMoving(): boolean {
+    return performance.now() - this.moved < REST;
   }
 
   /** What lies over the picture: the map is fitted into the rest. */
@@ -126,7 +166,7 @@ export class Stage {
     if (step.length() < 1e-4) return;
     this.controls.target.add(step);
     this.camera.position.add(step);
-    this.request();
+    this.move();
   }
 
   /** Comes as near to the target as one looks at a robot. */
@@ -135,6 +175,11 @@ export class Stage {
     const way = this.camera.position.clone().sub(this.controls.target);
     const length = Math.min(way.length(), Math.max(60 * this.voxel, 8));
     this.fly(target.clone().add(way.setLength(length)), target, false);
+  }
+
+  /** Frames a second, of those that followed each other. */
+  get fps(): number {
+    return this.between === 0 ? 0 : 1e3 / this.between;
   }
 
   /** Pixels of the page that a metre takes at distance 1. */
@@ -180,14 +225,16 @@ export class Stage {
     this.camera.position.lerpVectors(flight.from, flight.to, share);
     this.controls.target.lerpVectors(flight.fromTarget, flight.toTarget, share);
     if (t >= 1) this.flight = null;
-    this.request();
+    else this.move();
   }
 
   private frame(now: number): void {
     this.wanted = false;
+    // From here on what asks for a frame waits for this one: also the camera, which glides on.
+    this.drawing = true;
     const ms = now - this.lastFrame;
     this.lastFrame = now;
-    if (ms > 0 && ms < 1_500) this.fps = this.fps === 0 ? 1e3 / ms : 0.85 * this.fps + 0.15 * (1e3 / ms);
+    if (ms > 0 && ms < 1_500) this.between = this.between === 0 ? ms : 0.85 * this.between + 0.15 * ms;
     this.moveOn(performance.now());
     this.controls.update();
     this.before?.();
@@ -205,8 +252,6 @@ export class Stage {
     this.drawCalls = this.renderer.info.render.calls;
     this.triangles = this.renderer.info.render.triangles;
     this.fence(begin);
-    clearTimeout(this.restTimer);
-    if (this.scale < 1) this.restTimer = setTimeout(() => this.rescale(1), REST);
     this.tellSoon();
   }
 
@@ -215,7 +260,6 @@ export class Stage {
     const gl = this.renderer.getContext() as WebGL2RenderingContext;
     const sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
-    this.drawing = true;
     const look = (): void => {
       const done = !sync || gl.isContextLost() || gl.clientWaitSync(sync, 0, 0) !== gl.TIMEOUT_EXPIRED;
       if (!done && performance.now() - begin < FENCE_MAX) {
@@ -224,16 +268,27 @@ export class Stage {
       }
       if (sync) gl.deleteSync(sync);
       this.drawing = false;
-      this.frameMs = performance.now() - begin;
-      // The sharp picture after a movement may take its time.
-      const moving = this.asked;
-      if (this.scale === this.governor.sharpness || moving) {
-        if (this.governor.frame(this.frameMs, this.triangles / 2)) this.told = 0;
-        if (moving && this.scale !== this.governor.sharpness) this.rescale(this.governor.sharpness);
-      }
-      if (this.asked) this.request();
+      this.drawnAt = performance.now();
+      this.frameMs = this.drawnAt - begin;
+      const moving = this.isMoving;
+      const governor = moving ? this.moving : this.still;
+      if (governor.frame(this.frameMs, this.triangles / 2)) this.told = 0;
+      if (moving) this.rescale(this.moving.sharpness);
+      clearTimeout(this.restTimer);
+      if (moving) this.restTimer = setTimeout(() => this.rest(), REST);
+      // Where there is room, a still picture becomes finer with each frame.
+      const more = !moving && this.still.hasRoom(this.frameMs, this.triangles / 2);
+      if (this.asked || more) moving ? this.draw() : this.request();
     };
     setTimeout(look, 1);
+  }
+
+  /** The camera stands. */
+  private rest(): void {
+    this.moved = -Infinity;
+    this.rescale(1);
+    this.told = 0;
+    this.request();
   }
 
   private rescale(scale: number): void {
@@ -253,7 +308,7 @@ export class Stage {
     const { left, bottom, top } = this.inset;
     this.camera.setViewOffset(width, height, -left / 2, (bottom - top) / 2, width, height);
     this.resized?.();
-    this.request();
+    if (!this.isMoving) this.request();
   }
 
   get ratio(): number {
@@ -278,7 +333,7 @@ export class Stage {
     const density = Math.min(devicePixelRatio, 1.5);
     this.tell?.(
       { eye: [eye.x, eye.y, eye.z], planes, focal: this.focal * density },
-      { pixels: FINEST, nodes: NODES_MAX, faces: this.governor.faces },
+      { pixels: FINEST, nodes: NODES_MAX, faces: this.isMoving ? this.moving.faces : Math.max(this.still.faces, this.moving.faces) },
     );
   }
 }

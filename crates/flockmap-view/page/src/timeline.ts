@@ -198,5 +198,6 @@ function decades(bottom: number, top: number): number[] {
 
 function tick(bytes: number): string {
   const kb = bytes / 1e3;
+  if (kb >= 1_000) return `${kb / 1e3} MB/s`;
   return kb === 0 ? "0 KB/s" : `${kb >= 1 ? kb.toFixed(0) : kb.toPrecision(1)} KB/s`;
 }

@@ -74,6 +74,8 @@ class View {
   constructor(list: Listing, private readonly worker: Worker) {
     this.live = list.live;
     this.stage = new Stage(byId<HTMLCanvasElement>("scene"));
+    // A blur behind the panels costs more than the map there.
+    document.documentElement.classList.toggle("plain", this.stage.software);
     this.swarm = new Swarm(list.robots);
     this.bodies = new Bodies(this.stage);
     this.labels = new Labels(byId("labels"), this.stage);
@@ -590,7 +592,7 @@ class View {
       meshBytes: 8 * this.voxels.held,
       mapBytes: map?.bytes ?? null,
       pendingMeshes: map?.pending ?? null,
-      facesWanted: Math.round(stage.governor.faces),
+      facesWanted: Math.round(stage.still.faces),
       color: this.colouring,
       theme: document.documentElement.dataset.theme,
       paused: this.live ? this.paused : !this.playback?.plays,

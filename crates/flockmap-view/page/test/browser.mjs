@@ -301,9 +301,9 @@ const parts = {
   },
 
   async "five million occupied voxels"() {
-    const world = forest(1_500, 1_400);
+    const world = forest(1_630, 1_400);
     const { occupied, blocks } = tally(world);
-    assert.ok(occupied >= 4_000_000);
+    assert.ok(occupied >= 5_000_000);
     const mock = await start({ world, robots: 2, still: true });
     const { page, close } = await open(mock);
     const begun = Date.now();
