@@ -55,7 +55,7 @@ seeds() {
 # The bindings and flockmap-ros are workspaces of their own and bring their own tools.
 heavy() {
     local check
-    for check in bindings/*/check.sh ros/check.sh; do
+    for check in bindings/*/check.sh crates/flockmap-view/page/check.sh ros/check.sh; do
         "$check"
     done
     local data=${FLOCKMAP_DATA:-../shared/data}/hku_mb

@@ -11,7 +11,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep_until};
 
 use crate::serve::{BlocksFuture, BlocksNow, Given, Giver, Numbered, Reader, Tally};
-use crate::{Control, Recording};
+use crate::{Control, Recording, Series, Source};
 
 /// The time goes on in steps of this while it plays.
 const TICK: Duration = Duration::from_millis(50);
@@ -22,12 +22,26 @@ const SAY_EVERY: Duration = Duration::from_millis(250);
 /// How fast a recording may be played.
 const SPEEDS: [f32; 2] = [0.1, 100.0];
 
+impl Source for Arc<Recording> {
+    fn id(&self) -> u16 {
+        self.identity().robot.0
+    }
+
+    fn name(&self) -> String {
+        self.identity().name.clone()
+    }
+
+    fn connect(&self, stream: DuplexStream, controls: mpsc::Receiver<Control>) {
+        tokio::spawn(play(Self::clone(self), stream, controls));
+    }
+
+    fn series(&self) -> Option<Arc<Series>> {
+        Recording::series(self)
+    }
+}
+
 /// Serves one browser until it goes.
-pub(crate) async fn play(
-    recording: Arc<Recording>,
-    stream: DuplexStream,
-    mut controls: mpsc::Receiver<Control>,
-) {
+async fn play(recording: Arc<Recording>, stream: DuplexStream, mut controls: mpsc::Receiver<Control>) {
     let mut grown = recording.grown();
     let (_, grows) = *grown.borrow_and_update();
     let shown = Arc::new(Shown { recording: Arc::clone(&recording), moment: Mutex::default() });

@@ -6,12 +6,10 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use flockmap_feed::{Block, Link, NodeCounts, RobotPose};
 use flockmap_grid::{BlockIndex, MapView, Plane, Resolution, RobotId, Stamp, StateBlock};
-use tokio::io::DuplexStream;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 
-use crate::player::play;
+use crate::Series;
 use crate::serve::Identity;
-use crate::{Control, Series, Source};
 
 /// Bytes that a recording may take if nothing else is said.
 const BYTES_MAX: usize = 1 << 30;
@@ -36,13 +34,12 @@ pub struct Step {
     pub counters: Vec<(String, u64)>,
 }
 
-/// The history of a robot's map, that grows or is complete. As a [`Source`] it is played by each browser by itself.
+/// The history of a robot's map, that grows or is complete. As a [`Source`](crate::Source) it is played by each browser by itself.
 ///
 /// Each block has the moments at which it changed, so that any time is as near as any other: to go from one to
 /// another costs as much as there are blocks that changed in between. Where the recording takes more than it may,
 /// every second moment is left out: the map at those that remain stays as it was.
 pub struct Recording {
-    name: String,
     identity: Arc<Identity>,
     bytes_max: usize,
     series: Option<Arc<Series>>,
@@ -108,7 +105,6 @@ impl Recording {
             frame: frame.to_owned(),
         };
         Ok(Self {
-            name: name.to_owned(),
             identity: Arc::new(identity),
             bytes_max: BYTES_MAX,
             series: None,
@@ -169,6 +165,10 @@ impl Recording {
         Arc::clone(&self.identity)
     }
 
+    pub(crate) fn series(&self) -> Option<Arc<Series>> {
+        self.series.clone()
+    }
+
     pub(crate) fn grown(&self) -> watch::Receiver<(usize, bool)> {
         self.grown.subscribe()
     }
@@ -220,24 +220,6 @@ impl Recording {
             };
             Block { index, states: *states, origins }
         })
-    }
-}
-
-impl Source for Arc<Recording> {
-    fn id(&self) -> u16 {
-        self.identity.robot.0
-    }
-
-    fn name(&self) -> String {
-        self.name.clone()
-    }
-
-    fn connect(&self, stream: DuplexStream, controls: mpsc::Receiver<Control>) {
-        tokio::spawn(play(Self::clone(self), stream, controls));
-    }
-
-    fn series(&self) -> Option<Arc<Series>> {
-        self.series.clone()
     }
 }
 

@@ -3,9 +3,11 @@ use std::time::Duration;
 use flockmap_feed::{Event, Mirror, MirrorOptions};
 use flockmap_grid::State;
 use proptest::prelude::*;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
+use tokio::sync::mpsc;
 
 use super::*;
+use crate::{Control, Source};
 
 fn recording() -> Recording {
     Recording::new(RobotId(1), "one", Resolution::from_metres(0.1).unwrap(), "map").unwrap()

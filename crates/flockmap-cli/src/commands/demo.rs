@@ -125,10 +125,8 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     }
     fly(&mut flyers, &nodes, clock, &reported, seconds);
     let arrived = settle(&mut flyers, &nodes, clock, &reported)?;
-    if let Some(server) = server.as_ref().filter(|_| !stop::requested()) {
+    if let Some(server) = &server {
         view::wait("the map", server);
-        // That was no early end.
-        stop::forget();
     }
     for (flyer, node) in flyers.iter_mut().zip(&nodes) {
         flyer.pictures.extend(picture(node));

@@ -11,7 +11,7 @@ use flockmap::grid::Changes;
 use flockmap::{RobotConfig, RobotId};
 use flockmap_cli::options::{MapArgs, OF_BATCHES, SourceArgs};
 use flockmap_cli::sources::ending;
-use flockmap_cli::view::{self, Forwarded, Recorder};
+use flockmap_cli::view::{self, Flight, Forwarded, Recorder};
 use flockmap_cli::{sources, stop, swarm};
 use flockmap_feed::{Address, Block, Client, ClientError, Event, Mirror};
 use flockmap_netsim::RadioConfig;
@@ -28,11 +28,13 @@ const HELLO_TIME: Duration = Duration::from_secs(5);
 Examples:
   flockmap view map.bt
   flockmap view robot1.mcap --resolution 0.2 --range 30     (with pause and back in time)
+  flockmap view flight.mcap                                 (what a node recorded: [record] of its configuration)
   flockmap view robot1.local:7780                           (where its [map_output] listens)
   flockmap view unix:/run/flockmap/map.sock --listen 127.0.0.1:8000
 
-It prints what to open, and serves it until Ctrl-C. A record is mapped with the mapper options while it is looked at. A
-node may have a page of its own, `[view]` of its configuration; several records in one swarm are `flockmap replay --view`.",
+It prints what to open, and serves it until Ctrl-C. A record is mapped with the mapper options while it is looked
+at; the record of a flight holds the maps. A node may have a page of its own, `[view]` of its configuration; several records in
+one swarm are `flockmap replay --view`.",
 mut_args(super::hidden::hide(&[&OF_BATCHES])))]
 pub struct ViewFileArgs {
     /// A map or a point cloud (.bt .pcd .ply .las .laz), a record, or the address of a node: `unix:PATH` or `HOST:PORT`
@@ -59,11 +61,13 @@ pub fn run(args: &ViewFileArgs) -> anyhow::Result<bool> {
         }
         _ => match ending(&args.what).as_deref() {
             Some("bt" | "pcd" | "ply" | "las" | "laz") => show_map(args)?,
+            Some("mcap") => match Flight::open(&args.what)? {
+                Some(flight) => show_flight(args, flight)?,
+                None => show_record(args)?,
+            },
             _ => show_record(args)?,
         },
     }
-    // Ctrl-C was the way to end it.
-    stop::forget();
     Ok(true)
 }
 
@@ -81,6 +85,24 @@ fn show_map(args: &ViewFileArgs) -> anyhow::Result<()> {
     let content = Content { title, kind: Kind::Playback, sources: vec![recording], metrics: None };
     let server = view::start(args.listen, content)?;
     view::wait("the map", &server);
+    Ok(())
+}
+
+/// What a node knew while it flew.
+fn show_flight(args: &ViewFileArgs, flight: Flight) -> anyhow::Result<()> {
+    let why =
+        format!("is for records that are mapped, and {} holds the map of a flight", args.what.display());
+    args.map.given.refuse_all(&why)?;
+    args.source.given.refuse_all(&why)?;
+    let content = Content {
+        title: title_of(&args.what),
+        kind: Kind::Playback,
+        sources: vec![Arc::new(flight.recording())],
+        metrics: None,
+    };
+    let server = view::start(args.listen, content)?;
+    flight.read()?;
+    view::wait("the flight", &server);
     Ok(())
 }
 

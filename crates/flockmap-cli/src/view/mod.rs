@@ -1,5 +1,6 @@
 //! The view of a command: a page in a browser while it works, and for as long after as somebody looks.
 
+mod flight;
 mod forward;
 mod recorder;
 
@@ -10,6 +11,7 @@ use anyhow::Context;
 use clap::Args;
 use flockmap_view::{Access, Content, StartError, Token, ViewServer};
 
+pub use flight::Flight;
 pub use forward::Forwarded;
 pub use recorder::{Recorder, known_blocks};
 
@@ -50,7 +52,8 @@ pub fn start(address: SocketAddr, content: Content) -> anyhow::Result<ViewServer
     Ok(server)
 }
 
-/// Waits until nobody wants to look any more, which Ctrl-C says. That is no early end then.
+/// Waits until nobody wants to look any more, which Ctrl-C says: that is no early end then. Not at all where it was said
+/// before.
 pub fn wait(what: &str, server: &ViewServer) {
     if stop::requested() {
         return;
@@ -59,4 +62,5 @@ pub fn wait(what: &str, server: &ViewServer) {
     while !stop::requested() {
         std::thread::sleep(LOOK_EVERY);
     }
+    stop::forget();
 }
