@@ -11,6 +11,9 @@ pub const SERIES_STEPS_MAX: usize = 3_600;
 
 const STEP_MICROS: i64 = 1_000_000;
 
+/// What was added in up to so many seconds is shared among them; of a longer time nothing is known but its end.
+const SPREAD_MAX: u64 = 3;
+
 /// What went over the radio in each second, by name. At most 115 kB for four names.
 #[derive(Debug)]
 pub struct Series {
@@ -35,7 +38,8 @@ impl Series {
     }
 
     /// Says what has been counted since the beginning, one number for each name; about once a second, with
-    /// stamps that rise. What was added counts for the second of `now`. The first call begins the series.
+    /// stamps that rise. What was added is shared among the seconds since the call before, if they are three at most,
+    /// and else counts for the second of `now`. The first call begins the series.
     pub fn push(&self, now: Stamp, totals: &[u64]) {
         let mut kept = self.kept.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let Some((at, before)) = kept.before.replace((now, totals.to_vec())) else { return };
@@ -56,10 +60,16 @@ impl Series {
                 kept.first += 1;
             }
         }
-        let more = totals.iter().zip(before).map(|(total, before)| total.saturating_sub(before));
-        if let Some(step) = kept.steps.back_mut() {
+        let seconds = second.saturating_sub(at.0.div_euclid(STEP_MICROS)).clamp(1, i64::MAX) as u64;
+        // Who says it not quite each second has not been silent.
+        let seconds = if seconds <= SPREAD_MAX { seconds.min(kept.steps.len() as u64) } else { 1 };
+        let more: Vec<u64> =
+            totals.iter().zip(before).map(|(total, before)| total.saturating_sub(before)).collect();
+        for (back, step) in kept.steps.iter_mut().rev().take(seconds as usize).enumerate() {
             let sums = step.get_or_insert_with(|| vec![0; self.names.len()]);
-            sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+            // What cannot be shared evenly is of the last one.
+            let part = |more: u64| more / seconds + if back == 0 { more % seconds } else { 0 };
+            sums.iter_mut().zip(&more).for_each(|(sum, more)| *sum += part(*more));
         }
     }
 
@@ -86,13 +96,19 @@ mod tests {
     #[test]
     fn each_second_has_what_was_added_in_it_and_gaps_are_said() {
         let series = series();
-        for (ms, totals) in [(10_000, [100, 7]), (11_000, [150, 7]), (11_900, [160, 8]), (14_100, [200, 9])] {
+        for (ms, totals) in [
+            (10_000, [100, 7]),
+            (11_000, [150, 7]),
+            (11_900, [160, 8]),
+            (14_100, [201, 9]),
+            (18_000, [211, 9]),
+        ] {
             series.push(Stamp(ms * 1_000), &totals);
         }
         assert_eq!(
             series.json(),
             json!({ "begin_us": 11_000_000, "step_s": 1, "names": ["sent", "received"],
-                "bytes": [[60, null, null, 40], [1, null, null, 1]] })
+                "bytes": [[60, 13, 13, 15, null, null, null, 10], [1, 0, 0, 1, null, null, null, 0]] })
         );
     }
 
