@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Everything that must hold of the page of the live view, from a fresh clone: the committed bundle is what the sources make, types,
-# tests of mirror, meshes and detail, and the page in Chromium against a made-up server. Prints what it measured.
+# tests of mirror, meshes and detail, and the page in Chromium against a made-up server and against two nodes. Prints what it measured.
 #
-# usage: page/check.sh [bundle | types | unit | browser]    (default: all)
-# environment: CHROMIUM=/usr/bin/chromium; SHOTS=folder for pictures; ONLY=part of the name of a browser test
+# usage: page/check.sh [bundle | types | unit | browser | live]    (default: all)
+# environment: FLOCKMAP=path of the program, else it is built; CHROMIUM=/usr/bin/chromium; SHOTS=folder for pictures; ONLY=part of the name of a browser test
 # needs: node 20 or newer with npm; chromium, which is installed with apt-get where it is missing and that is allowed
 set -euo pipefail
 cd "$(dirname "$0")"
@@ -26,12 +26,26 @@ unit() {
     node --test build/unit.mjs
 }
 
-browser() {
+chromium() {
     if [ ! -x "$CHROMIUM" ]; then
         [ "$(id -u)" = 0 ] || { echo "missing: apt-get install chromium" >&2; exit 1; }
         apt-get update -qq && apt-get install -y -qq chromium > /dev/null
     fi
+}
+
+browser() {
+    chromium
     node test/browser.mjs
+}
+
+# Two nodes and a radio for two minutes: the page has what the first node has, block by block.
+live() {
+    chromium
+    if [ -z "${FLOCKMAP:-}" ]; then
+        cargo build --release --locked -p flockmap-cli --manifest-path ../../../Cargo.toml
+        FLOCKMAP=../../../target/release/flockmap
+    fi
+    FLOCKMAP=$(realpath "$FLOCKMAP") node test/live.mjs
 }
 
 step() {
@@ -42,7 +56,7 @@ step() {
 }
 
 case "${1:-all}" in
-    all) for name in bundle types unit browser; do step "$name"; done ;;
-    bundle | types | unit | browser) step "$1" ;;
+    all) for name in bundle types unit browser live; do step "$name"; done ;;
+    bundle | types | unit | browser | live) step "$1" ;;
     *) sed -n '2,8p' "$0" >&2; exit 2 ;;
 esac
