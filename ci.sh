@@ -55,7 +55,9 @@ seeds() {
 # The bindings and flockmap-ros are workspaces of their own and bring their own tools.
 heavy() {
     local check
-    for check in bindings/*/check.sh crates/flockmap-view/page/check.sh ros/check.sh; do
+    cargo build --release --locked -p flockmap-cli
+    FLOCKMAP=$PWD/target/release/flockmap crates/flockmap-view/page/check.sh
+    for check in bindings/*/check.sh ros/check.sh; do
         "$check"
     done
     local data=${FLOCKMAP_DATA:-../shared/data}/hku_mb

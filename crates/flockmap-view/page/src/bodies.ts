@@ -30,12 +30,11 @@ function shape(heading: boolean): THREE.BufferGeometry {
 
 export class Bodies {
   readonly group = new THREE.Group();
-  /** Robots are seen also behind obstacles: they are drawn last, over everything. */
-  private readonly material = new THREE.MeshLambertMaterial({ depthTest: false, transparent: true });
+  private readonly material = new THREE.MeshLambertMaterial();
   private readonly turned = new THREE.InstancedMesh(shape(true), this.material, ROBOTS_MAX);
   private readonly plain = new THREE.InstancedMesh(shape(false), this.material, ROBOTS_MAX);
   /** Backs of somewhat larger bodies: a rim that sets them off from what is behind. */
-  private readonly rims = new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.BackSide, depthTest: false, transparent: true });
+  private readonly rims = new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.BackSide });
   private readonly turnedRim = new THREE.InstancedMesh(this.turned.geometry, this.rims, ROBOTS_MAX);
   private readonly plainRim = new THREE.InstancedMesh(this.plain.geometry, this.rims, ROBOTS_MAX);
   private readonly trails = new Lines(2.6);
@@ -58,10 +57,12 @@ export class Bodies {
     for (const mesh of [this.turned, this.plain, this.turnedRim, this.plainRim]) {
       mesh.frustumCulled = false;
       mesh.count = 0;
-      mesh.renderOrder = mesh.material === this.rims ? 2 : 3;
     }
-    this.links.mesh.material.depthTest = false;
-    this.links.mesh.renderOrder = 1;
+    // Robots are seen through what they have mapped around them: rims first, then bodies, both after the map.
+    this.material.depthTest = this.rims.depthTest = false;
+    for (const [order, meshes] of [[this.turnedRim, this.plainRim], [this.turned, this.plain]].entries()) {
+      for (const mesh of meshes) mesh.renderOrder = 1 + order;
+    }
     this.group.add(this.turned, this.plain, this.turnedRim, this.plainRim, this.trails.mesh, this.links.mesh, this.points, sun, new THREE.HemisphereLight(0xffffff, 0xa0a0b8, 2.3));
     this.points.visible = false;
   }
@@ -92,7 +93,7 @@ export class Bodies {
       const mesh = robot.pose.turned ? this.turned : this.plain;
       const i = robot.pose.turned ? turned++ : plain++;
       mesh.setMatrixAt(i, matrix);
-      (robot.pose.turned ? this.turnedRim : this.plainRim).setMatrixAt(i, matrix.scale(new THREE.Vector3(1.3, 1.3, 1.5)));
+      (robot.pose.turned ? this.turnedRim : this.plainRim).setMatrixAt(i, matrix.scale(new THREE.Vector3(1.3, 1.3, 1.3)));
       colour.setRGB(...robot.colour, THREE.LinearSRGBColorSpace);
       if (silent(robot)) colour.setRGB(0.5, 0.5, 0.54, THREE.LinearSRGBColorSpace);
       mesh.setColorAt(i, colour);

@@ -168,63 +168,29 @@ export function surplus(tree: Tree, keep: Set<Node>, bytesMax: number): Node[] {
   return result;
 }
 
-/** Milliseconds of a frame: above `slow` it must cost less, to come to `aim`; below `fast` it may cost more. */
-export interface Pace {
-  slow: number;
-  aim: number;
-  fast: number;
-  /** Share of the pixels of a side to which sharpness may fall. */
-  blunt: number;
-  /** So many faces are drawn at least. */
-  least: number;
-}
-
-/** While the camera moves, frames must follow each other; of a still camera one looks at each for long. */
-export const MOVING: Pace = { slow: 110, aim: 80, fast: 35, blunt: 0.5, least: 20_000 };
-export const STILL: Pace = { slow: 320, aim: 220, fast: 120, blunt: 1, least: 60_000 };
-
-/** Sets how many faces are drawn, and how sharp, by how long frames take. */
+/** Sets how many faces are drawn, and how sharp a moving picture is, by how long frames take. */
 export class Governor {
-  /** Share of the pixels of a side that are drawn. */
+  /** Share of the pixels of a side that are drawn while something moves. */
   sharpness = 1;
   private mean = 0;
   private since = 0;
-  /** Before faces were taken away: so many, and how long a frame took. */
-  private before: { faces: number; ms: number } | null = null;
-  /** Evaluations for which the faces stay, because it is not they that are slow. */
-  private hold = 0;
 
-  constructor(public faces: number, private readonly pace: Pace) {}
-
-  /** Whether a frame that took so long, of so many faces, leaves room for more of them. */
-  hasRoom(ms: number, faces: number): boolean {
-    return ms < this.pace.fast && faces > 0.7 * this.faces && this.faces < FACES_MAX;
-  }
+  constructor(public faces: number) {}
 
   /** A frame of so many faces took so many milliseconds. Says whether something changed. */
   frame(ms: number, faces: number): boolean {
-    const { slow, aim, fast, blunt, least } = this.pace;
-    this.mean = this.since === 0 ? ms : 0.7 * this.mean + 0.3 * ms;
+    this.mean = this.since === 0 ? ms : 0.75 * this.mean + 0.25 * ms;
     this.since++;
-    if (this.since < 4) return false;
+    if (this.since < 5) return false;
     const before = [this.faces, this.sharpness];
-    if (this.hold > 0) this.hold--;
-    if (this.mean > slow) {
-      // First fewer pixels: a blunt picture in motion is seen less than a coarse one. What a frame costs beside the faces is not
-      // known, so the way to the aim is gone in steps; and back, where a step did not help.
-      if (this.sharpness > blunt) this.sharpness = Math.max(blunt, this.sharpness * Math.max(0.7, Math.sqrt(aim / this.mean)));
-      else if (this.before && faces < 0.8 * this.before.faces && this.mean > HELPED * this.before.ms) {
-        this.faces = this.before.faces;
-        this.before = null;
-        this.hold = HOLD;
-      } else if (this.hold === 0) {
-        this.before = { faces: Math.min(this.faces, faces), ms: this.mean };
-        this.faces = Math.max(Math.min(this.faces, least), this.before.faces * Math.max(0.4, aim / this.mean));
-      }
-    } else if (this.mean < fast) {
-      if (this.faces < FACES_MAX / 4 && faces > 0.7 * this.faces) this.faces *= 1.3;
-      else if (this.sharpness < 1) this.sharpness = Math.min(1, this.sharpness * 1.2);
-      else if (faces > 0.7 * this.faces) this.faces = Math.min(FACES_MAX, this.faces * 1.3);
+    if (this.mean > SLOW) {
+      // What the frame costs beside the faces is not known: so the way to the aim is gone in steps.
+      const least = Math.min(this.faces, FACES_MIN);
+      this.faces = Math.max(least, Math.min(this.faces, faces) * Math.max(0.4, AIM / this.mean));
+      if (this.faces < 4 * FACES_MIN || this.mean > 2 * SLOW) this.sharpness = Math.max(BLUNT, this.sharpness * 0.8);
+    } else if (this.mean < FAST) {
+      if (this.sharpness < 1) this.sharpness = Math.min(1, this.sharpness * 1.2);
+      else if (faces > 0.7 * this.faces) this.faces = Math.min(FACES_MAX, this.faces * 1.25);
     }
     if (before[0] === this.faces && before[1] === this.sharpness) return false;
     this.since = 0;
@@ -232,9 +198,11 @@ export class Governor {
   }
 }
 
-/** A step has helped if a frame takes less than this share of the time before. */
-const HELPED = 0.85;
-const HOLD = 30;
+export const SLOW = 75;
+const AIM = 55;
+const FAST = 30;
+const BLUNT = 0.6;
+export const FACES_MIN = 40_000;
 /** A cell of so many pixels is fine enough. */
 export const FINEST = 2;
 export const NODES_MAX = 440;

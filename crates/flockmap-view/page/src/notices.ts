@@ -13,7 +13,7 @@ export interface Known {
   /** Seconds for which the map has been behind its newest state. */
   behind: number;
   map: MapState | null;
-  playback: { plays: boolean } | null;
+  playback: { plays: boolean; begin: number; end: number } | null;
   frozenAt: number;
 }
 
@@ -23,7 +23,7 @@ const LATE = 3;
 
 export function tell(known: Known): void {
   const notices: [Level, string][] = [];
-  let state: [Level, string] = known.live ? ["good", "Live"] : ["good", known.playback?.plays ? "Playing" : "Recording"];
+  let state: [Level, string] = known.live ? ["good", "Live"] : ["good", wordOf(known.playback)];
   const { connected, map } = known;
   const old = known.silence === null ? "" : ` What is shown is from ${seconds(known.silence)} ago.`;
   if (connected.state === "over") {
@@ -52,6 +52,11 @@ export function tell(known: Known): void {
     notices.push(["info", `Paused ${seconds((Date.now() - known.frozenAt) / 1e3)}${known.frozenAt > Date.now() - 950 ? "" : " ago"}. What is new is kept, and shown when it goes on.`]);
   }
   show(state, notices);
+}
+
+function wordOf(playback: Known["playback"]): string {
+  if (playback && playback.end <= playback.begin) return "File";
+  return playback?.plays ? "Playing" : "Recording";
 }
 
 /** Words in place of a map, when there can be none. */

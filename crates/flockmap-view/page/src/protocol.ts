@@ -2,7 +2,7 @@
 
 import type { Counters, Link, Playback, Pose, Scan } from "./feed";
 import type { Budget, Camera } from "./lod";
-import type { Command } from "./playhead";
+import type { Wish } from "./present";
 
 export interface RobotName {
   id: number;
@@ -15,7 +15,7 @@ export type ToWorker =
   | { kind: "camera"; camera: Camera; budget: Budget }
   | { kind: "slice"; z: number | null }
   | { kind: "pause"; paused: boolean }
-  | { kind: "playback"; command: Command }
+  | { kind: "playback"; wish: Wish }
   | { kind: "ask"; what: "blocks" | "faces"; ask: number };
 
 /** What is known of a connection. `retry` is the time, by `Date.now()`, at which it is tried again. */
@@ -43,6 +43,8 @@ export interface MapState {
   blocks: number;
   /** In voxels, low corner and high corner; null while nothing is occupied. */
   bounds: [number, number, number, number, number, number] | null;
+  /** Places that are outermost in some direction, in voxels, three numbers each. */
+  outline: number[];
   heights: [number, number] | null;
   pending: number;
   /** Bytes that the worker holds of the map. */

@@ -2,30 +2,34 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { FACES_MAX, FINEST, Governor, MOVING, NODES_MAX, STILL, type Budget, type Camera } from "./lod";
+import { FACES_MAX, FACES_MIN, FINEST, Governor, NODES_MAX, SLOW, type Budget, type Camera } from "./lod";
 
 /** Milliseconds between two words to the worker about the camera. */
 const TELL = 120;
 const MOVE = 450;
-/** After so long without a movement the camera stands: the picture becomes as fine and sharp as a still one may be. */
+/** A picture that stands still is drawn as sharp as the screen; before, a slow one may be coarser. */
 const REST = 350;
 const FENCE_MAX = 3_000;
+/** A camera that has stood for so long sees more faces than one that moves, where frames are slow. */
+const STANDS = 800;
+const FACES_STANDING = 500_000;
+/** Share of the free picture that the map takes. */
+const FILLED = 0.92;
+const HOMES = [[-0.42, -0.78, 0.62], [0.78, -0.42, 0.62]] as const;
 
 export class Stage {
   readonly scene = new THREE.Scene();
   readonly camera = new THREE.PerspectiveCamera(50, 1, 0.1, 1_000);
   readonly renderer: THREE.WebGLRenderer;
   readonly controls: OrbitControls;
-  /** Whether the browser draws without a graphics card. */
-  readonly software = isSoftware();
-  readonly moving: Governor;
-  readonly still: Governor;
+  readonly governor: Governor;
   /** Called before each frame. */
   before: (() => void) | null = null;
   tell: ((camera: Camera, budget: Budget) => void) | null = null;
   resized: (() => void) | null = null;
   /** The user has moved the camera: it is not moved any more to fit the map. */
   touched = false;
+  fps = 0;
   drawCalls = 0;
   triangles = 0;
   width = 1;
@@ -39,31 +43,30 @@ export class Stage {
   private wanted = false;
   private drawing = false;
   private sized = false;
-  /** A frame was asked for while one was drawn, or too soon after it. */
+  /** A frame was asked for while one was drawn. */
   private asked = false;
-  private askedTimer: ReturnType<typeof setTimeout> | undefined;
-  /** When the camera moved last. */
-  private moved = -Infinity;
-  private drawnAt = 0;
   private lastFrame = 0;
-  /** Milliseconds from frame to frame. */
-  private between = 0;
   private told = 0;
   private tellTimer: ReturnType<typeof setTimeout> | undefined;
   private restTimer: ReturnType<typeof setTimeout> | undefined;
+  private standTimer: ReturnType<typeof setTimeout> | undefined;
+  private stands = false;
   private scale = 1;
+  /** Of `HOMES`. */
+  private side = 0;
   private radius = 50;
-  private readonly centre = new THREE.Vector3();
-  private readonly half = new THREE.Vector3(50, 50, 5);
+  private centre = new THREE.Vector3();
+  /** The map as it was when the camera was fitted to it last. */
+  private fitted = { centre: new THREE.Vector3(), radius: 0 };
+  private outline: THREE.Vector3[] = [];
   private flight: { from: THREE.Vector3; to: THREE.Vector3; fromTarget: THREE.Vector3; toTarget: THREE.Vector3; begin: number } | null = null;
   private inset = { left: 0, bottom: 0, top: 0 };
 
   constructor(canvas: HTMLCanvasElement) {
     // Without a graphics card smooth edges cost more than all else, and there must be fewer faces from the start.
-    this.moving = new Governor(this.software ? 2 * MOVING.least : FACES_MAX / 4, MOVING);
-    this.still = new Governor(this.software ? 2 * STILL.least : FACES_MAX / 4, STILL);
-    const context = canvas.getContext("webgl2", { alpha: false, stencil: false, antialias: !this.software, powerPreference: "high-performance" })!;
-    this.renderer = new THREE.WebGLRenderer({ canvas, context });
+    const software = isSoftware();
+    this.governor = new Governor(software ? 4 * FACES_MIN : FACES_MAX / 4);
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !software, powerPreference: "high-performance" });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(-30, -45, 40);
@@ -74,61 +77,48 @@ export class Stage {
     this.controls.minDistance = 0.2;
     this.controls.maxDistance = 50_000;
     this.controls.maxPolarAngle = Math.PI * 0.98;
-    this.controls.addEventListener("change", () => this.move());
+    this.controls.addEventListener("change", () => {
+      this.moves();
+      this.request();
+    });
     this.controls.addEventListener("start", () => {
       this.touched = true;
       this.flight = null;
+      this.moves();
     });
+    this.moves();
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
-  /**
-   * Asks for a frame because something else than the camera changed. Where frames are slow there is a pause between such ones, so that
-   * the page and the machine have time for other things.
-   */
+  private moves(): void {
+    clearTimeout(this.standTimer);
+    this.standTimer = setTimeout(() => this.stand(true), STANDS);
+    if (this.stands) this.stand(false);
+  }
+
+  private stand(stands: boolean): void {
+    this.stands = stands;
+    this.told = 0;
+    this.tellSoon();
+  }
+
+  /** Asks for a frame. */
   request(): void {
-    if (this.drawing || this.isMoving) {
+    if (this.drawing) {
       this.asked = true;
-      if (!this.drawing) this.move();
       return;
     }
-    if (this.wanted) return;
-    const wait = this.drawnAt + Math.min(this.frameMs < 20 ? 0 : 0.7 * this.frameMs, 500) - performance.now();
-    if (wait > 4) {
-      clearTimeout(this.askedTimer);
-      this.askedTimer = setTimeout(() => this.request(), wait);
-      return;
-    }
-    this.draw();
-  }
-
-  /** Asks for a frame because the camera moved. */
-  private move(): void {
-    const stood = !this.isMoving;
-    this.moved = performance.now();
-    if (stood) {
-      this.rescale(this.moving.sharpness);
-      this.told = 0;
-    }
-    if (this.drawing) this.asked = true;
-    else this.draw();
-  }
-
-  private draw(): void {
     this.asked = false;
     if (this.wanted) return;
     this.wanted = true;
     requestAnimationFrame((now) => this.frame(now));
   }
 
-  private get isMoving(): boolean {
-    return performance.now() - this.moved < REST;
-  }
-
   /** What lies over the picture: the map is fitted into the rest. */
   setInset(inset: { left: number; bottom: number; top: number }): void {
+    const same = inset.left === this.inset.left && inset.bottom === this.inset.bottom && inset.top === this.inset.top;
     this.inset = inset;
-    this.resize();
+    if (!same) this.resize();
   }
 
   /** Metres in the frame of the map, to the scene. */
@@ -137,23 +127,28 @@ export class Stage {
     return [at[0] - this.origin.x * r, at[1] - this.origin.y * r, at[2] - this.origin.z * r];
   }
 
-  /** Where the map is, in voxels. Gives whether that is much different from before. */
-  setBounds(bounds: readonly number[]): boolean {
+  /** Where the map is, and places on its outline, in voxels. Gives whether that is much different from before. */
+  setBounds(bounds: readonly number[], outline: readonly number[]): boolean {
     const r = this.voxel;
     const low = new THREE.Vector3(bounds[0], bounds[1], bounds[2]).sub(this.origin).multiplyScalar(r);
     const high = new THREE.Vector3(bounds[3], bounds[4], bounds[5]).sub(this.origin).multiplyScalar(r);
     const centre = low.clone().add(high).multiplyScalar(0.5);
     const radius = Math.max(low.distanceTo(high) / 2, 1);
-    const much = Math.abs(radius - this.radius) > 0.12 * this.radius || centre.distanceTo(this.centre) > 0.15 * this.radius;
-    if (!much) return false;
-    this.centre.copy(centre);
-    this.half.copy(high).sub(low).multiplyScalar(0.5);
-    this.radius = radius;
+    [this.centre, this.radius] = [centre, radius];
+    this.outline = [];
+    for (let i = 0; i + 2 < outline.length; i += 3) this.outline.push(new THREE.Vector3(outline[i], outline[i + 1], outline[i + 2]).sub(this.origin).multiplyScalar(r));
+    const { fitted } = this;
+    if (Math.abs(radius - fitted.radius) <= 0.12 * fitted.radius && centre.distanceTo(fitted.centre) <= 0.15 * fitted.radius) return false;
+    this.fitted = { centre, radius };
     return true;
   }
 
-  home(at_once = false): void {
-    this.fit(new THREE.Vector3(-0.42, -0.78, 0.62).normalize(), at_once);
+  home(atOnce = false): void {
+    // From that side from which a long map is seen larger; not from another one for a little.
+    const sides = HOMES.map(([x, y, z]) => new THREE.Vector3(x, y, z).normalize());
+    const other = 1 - this.side;
+    if (this.whole(sides[other]!).distance < 0.85 * this.whole(sides[this.side]!).distance) this.side = other;
+    this.fit(sides[this.side]!, atOnce);
   }
 
   top(): void {
@@ -166,7 +161,7 @@ export class Stage {
     if (step.length() < 1e-4) return;
     this.controls.target.add(step);
     this.camera.position.add(step);
-    this.move();
+    this.request();
   }
 
   /** Comes as near to the target as one looks at a robot. */
@@ -177,38 +172,44 @@ export class Stage {
     this.fly(target.clone().add(way.setLength(length)), target, false);
   }
 
-  /** Frames a second, of those that followed each other. */
-  get fps(): number {
-    return this.between === 0 ? 0 : 1e3 / this.between;
-  }
-
   /** Pixels of the page that a metre takes at distance 1. */
   get focal(): number {
     return this.height / (2 * Math.tan(THREE.MathUtils.degToRad(this.camera.fov / 2)));
   }
 
   private fit(direction: THREE.Vector3, atOnce: boolean): void {
-    const target = this.centre.clone();
-    const probe = this.camera.clone();
-    probe.clearViewOffset();
+    const { target, distance } = this.whole(direction);
+    this.fly(target.clone().addScaledVector(direction, distance), target, atOnce);
+  }
+
+  /** Where a camera must look, and how far away it must be, to see all of the map. */
+  private whole(direction: THREE.Vector3): { target: THREE.Vector3; distance: number } {
     // How much of the picture is free, as tangents; a camera that looks at the middle of it sees that much to each side.
     const tan = Math.tan(THREE.MathUtils.degToRad(this.camera.fov / 2));
     const { left, bottom, top } = this.inset;
-    const [wide, tall] = [(0.94 * tan * (this.width - left)) / this.height, (0.94 * tan * (this.height - bottom - top)) / this.height];
-    let distance = 3 * this.radius;
-    probe.position.copy(target).addScaledVector(direction, distance);
-    probe.lookAt(target);
-    probe.updateMatrixWorld();
-    const inverse = probe.matrixWorldInverse.copy(probe.matrixWorld).invert();
-    const p = new THREE.Vector3();
-    let nearest = 0;
-    for (let corner = 0; corner < 8; corner++) {
-      p.set(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1, corner & 4 ? 1 : -1).multiply(this.half).add(target).applyMatrix4(inverse);
-      // Along the way of the camera the corner stays where it is; so it says itself from where it is seen.
-      nearest = Math.max(nearest, Math.max(Math.abs(p.x) / wide, Math.abs(p.y) / tall) + p.z + distance);
+    const wide = (FILLED * tan * Math.max(this.width - left, 0.2 * this.width)) / this.height;
+    const tall = (FILLED * tan * Math.max(this.height - bottom - top, 0.2 * this.height)) / this.height;
+    const right = new THREE.Vector3().crossVectors(this.camera.up, direction).normalize();
+    const up = new THREE.Vector3().crossVectors(direction, right);
+    const target = this.centre.clone();
+    let distance = 1;
+    // What is nearer is seen larger: the middle of the picture is found in steps.
+    for (let step = 0; step < 4; step++) {
+      const from = distance;
+      let [low, high, least, most] = [Infinity, -Infinity, Infinity, -Infinity];
+      distance = 1;
+      for (const place of this.outline) {
+        const p = place.clone().sub(target);
+        const [x, y, z] = [p.dot(right), p.dot(up), p.dot(direction)];
+        // Along the way of the camera a place stays where it is; so it says itself from where it is seen.
+        distance = Math.max(distance, Math.max(Math.abs(x) / wide, Math.abs(y) / tall) + z);
+        const seen = step === 0 ? 1 : from / Math.max(from - z, 0.1 * from);
+        [low, high] = [Math.min(low, x * seen), Math.max(high, x * seen)];
+        [least, most] = [Math.min(least, y * seen), Math.max(most, y * seen)];
+      }
+      if (step < 3 && low <= high) target.addScaledVector(right, (low + high) / 2).addScaledVector(up, (least + most) / 2);
     }
-    distance = Math.max(nearest, 1);
-    this.fly(target.clone().addScaledVector(direction, distance), target, atOnce);
+    return { target, distance };
   }
 
   private fly(to: THREE.Vector3, toTarget: THREE.Vector3, atOnce: boolean): void {
@@ -225,16 +226,14 @@ export class Stage {
     this.camera.position.lerpVectors(flight.from, flight.to, share);
     this.controls.target.lerpVectors(flight.fromTarget, flight.toTarget, share);
     if (t >= 1) this.flight = null;
-    else this.move();
+    this.request();
   }
 
   private frame(now: number): void {
     this.wanted = false;
-    // From here on what asks for a frame waits for this one: also the camera, which glides on.
-    this.drawing = true;
     const ms = now - this.lastFrame;
     this.lastFrame = now;
-    if (ms > 0 && ms < 1_500) this.between = this.between === 0 ? ms : 0.85 * this.between + 0.15 * ms;
+    if (ms > 0 && ms < 1_500) this.fps = this.fps === 0 ? 1e3 / ms : 0.85 * this.fps + 0.15 * (1e3 / ms);
     this.moveOn(performance.now());
     this.controls.update();
     this.before?.();
@@ -252,6 +251,8 @@ export class Stage {
     this.drawCalls = this.renderer.info.render.calls;
     this.triangles = this.renderer.info.render.triangles;
     this.fence(begin);
+    clearTimeout(this.restTimer);
+    if (this.scale < 1) this.restTimer = setTimeout(() => this.rescale(1), REST);
     this.tellSoon();
   }
 
@@ -260,6 +261,7 @@ export class Stage {
     const gl = this.renderer.getContext() as WebGL2RenderingContext;
     const sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
+    this.drawing = true;
     const look = (): void => {
       const done = !sync || gl.isContextLost() || gl.clientWaitSync(sync, 0, 0) !== gl.TIMEOUT_EXPIRED;
       if (!done && performance.now() - begin < FENCE_MAX) {
@@ -268,27 +270,19 @@ export class Stage {
       }
       if (sync) gl.deleteSync(sync);
       this.drawing = false;
-      this.drawnAt = performance.now();
-      this.frameMs = this.drawnAt - begin;
-      const moving = this.isMoving;
-      const governor = moving ? this.moving : this.still;
-      if (governor.frame(this.frameMs, this.triangles / 2)) this.told = 0;
-      if (moving) this.rescale(this.moving.sharpness);
-      clearTimeout(this.restTimer);
-      if (moving) this.restTimer = setTimeout(() => this.rest(), REST);
-      // Where there is room, a still picture becomes finer with each frame.
-      const more = !moving && this.still.hasRoom(this.frameMs, this.triangles / 2);
-      if (this.asked || more) moving ? this.draw() : this.request();
+      this.frameMs = performance.now() - begin;
+      // The sharp picture after a movement may take its time.
+      const moving = this.asked;
+      if (!this.stands && (this.scale === this.governor.sharpness || moving)) {
+        if (this.governor.frame(this.frameMs, this.triangles / 2)) this.told = 0;
+        if (moving && this.scale !== this.governor.sharpness) this.rescale(this.governor.sharpness);
+      }
+      if (!this.asked) return;
+      // While only the map changes, a slow picture leaves half of the time to others.
+      if (this.stands && this.frameMs > SLOW) setTimeout(() => this.asked && this.request(), this.frameMs);
+      else this.request();
     };
     setTimeout(look, 1);
-  }
-
-  /** The camera stands. */
-  private rest(): void {
-    this.moved = -Infinity;
-    this.rescale(1);
-    this.told = 0;
-    this.request();
   }
 
   private rescale(scale: number): void {
@@ -308,7 +302,7 @@ export class Stage {
     const { left, bottom, top } = this.inset;
     this.camera.setViewOffset(width, height, -left / 2, (bottom - top) / 2, width, height);
     this.resized?.();
-    if (!this.isMoving) this.request();
+    this.request();
   }
 
   get ratio(): number {
@@ -333,7 +327,7 @@ export class Stage {
     const density = Math.min(devicePixelRatio, 1.5);
     this.tell?.(
       { eye: [eye.x, eye.y, eye.z], planes, focal: this.focal * density },
-      { pixels: FINEST, nodes: NODES_MAX, faces: this.isMoving ? this.moving.faces : Math.max(this.still.faces, this.moving.faces) },
+      { pixels: FINEST, nodes: NODES_MAX, faces: this.stands ? Math.max(this.governor.faces, FACES_STANDING) : this.governor.faces },
     );
   }
 }

@@ -98,7 +98,7 @@ export class Timeline {
       return line;
     });
     const top = nice(Math.max(most, 100));
-    const bottom = state.log ? 10 ** Math.floor(Math.log10(Math.max(Math.min(least, top / 10), 10))) : 0;
+    const bottom = state.log ? 10 ** Math.floor(Math.log10(Math.max(Math.min(least, top / 10), 100))) : 0;
     const [y0, y1] = [h - 1.25 * em, 0.4 * em];
     const y = (bytes: number) => {
       const part = state.log ? Math.log(Math.max(bytes, bottom) / bottom) / Math.log(top / bottom) : bytes / top;
@@ -111,7 +111,7 @@ export class Timeline {
     g.strokeStyle = colour("--rule");
     g.lineWidth = 1;
     g.textAlign = "right";
-    for (const bytes of state.log ? decades(bottom, top) : [0, top / 2, top]) {
+    for (const bytes of state.log ? decades(bottom, top, Math.floor((y0 - y1) / (1.2 * em))) : [0, top / 2, top]) {
       g.beginPath();
       g.moveTo(gutter, Math.round(y(bytes)) + 0.5);
       g.lineTo(w, Math.round(y(bytes)) + 0.5);
@@ -143,7 +143,7 @@ export class Timeline {
       g.lineTo(x(t), y0);
       g.stroke();
     }
-    this.tell(curves, at === undefined ? null : Math.floor(at), newest);
+    this.tell(curves, at === undefined ? null : Math.floor(at), newest, this.hover !== null);
   }
 
   private stroke(g: CanvasRenderingContext2D, curve: Curve, line: [number, number | null][], x: (t: number) => number, y: (b: number) => number): void {
@@ -163,10 +163,13 @@ export class Timeline {
   }
 
   /** The names of the curves, and their values at a second; without one, the newest that is known of each. */
-  private tell(curves: Curve[], second: number | null, newest: number): void {
+  private tell(curves: Curve[], second: number | null, newest: number, pointed: boolean): void {
     const texts = [...curves].reverse().map((curve) => {
       const at = second ?? curve.newest();
-      return { ...curve, value: rate(at > newest - STALE ? curve.at(at) : second === null ? null : curve.at(at)) };
+      // The newest second of a recording may not be over yet.
+      const live = second === null;
+      const bytes = live && at <= newest - STALE ? null : curve.at(at);
+      return { ...curve, value: rate(bytes ?? (live || pointed ? null : curve.at(at - 1))) };
     });
     const key = texts.map((t) => `${t.label} ${t.value} ${t.colour}`).join();
     if (key === this.keys) return;
@@ -190,14 +193,16 @@ function nice(value: number): number {
   return [1, 2, 5, 10].find((n) => n * power >= value)! * power;
 }
 
-function decades(bottom: number, top: number): number[] {
+/** Powers of ten, not more than there is room for. */
+function decades(bottom: number, top: number, most: number): number[] {
   const list: number[] = [];
   for (let at = bottom; at <= top * 1.001; at *= 10) list.push(at);
-  return list;
+  const stride = Math.ceil(list.length / Math.max(most, 1));
+  return list.filter((_, i) => (list.length - 1 - i) % stride === 0);
 }
 
 function tick(bytes: number): string {
   const kb = bytes / 1e3;
-  if (kb >= 1_000) return `${kb / 1e3} MB/s`;
+  if (kb >= 1e3) return `${+(kb / 1e3).toFixed(1)} MB/s`;
   return kb === 0 ? "0 KB/s" : `${kb >= 1 ? kb.toFixed(0) : kb.toPrecision(1)} KB/s`;
 }

@@ -5,8 +5,6 @@ export const FACE_BYTES = 8;
 /** There are never more than 23 levels: the index of a block has 26 bits and a sign. */
 const LEVELS = 23;
 const ROOTS_MAX = 8;
-/** Roots are at least so high: a picture of the map may then always be as coarse as a slow machine needs. */
-const ROOTS_LEVEL = 5;
 
 /** What was built of a node. */
 export interface Built {
@@ -136,7 +134,7 @@ export class Tree {
 
   private root(x: number, y: number, z: number, make: boolean): Node | null {
     for (;;) {
-      const level = this.roots[0]?.level ?? ROOTS_LEVEL;
+      const level = this.roots[0]?.level ?? 0;
       const found = this.roots.find((r) => r.x === x >> level && r.y === y >> level && r.z === z >> level);
       if (found || !make) return found ?? null;
       if (this.roots.length < ROOTS_MAX) {

@@ -19,6 +19,7 @@ import { ROBOTS_SHOWN, Voxels, type Colouring } from "./voxels";
 
 const ROBOTS_MAX = 32;
 const SERIES_AGAIN = 5_000;
+const SEEK_EVERY = 60;
 const token = new URLSearchParams(location.hash.slice(1)).get("token");
 const query = token === null ? "" : `?token=${encodeURIComponent(token)}`;
 
@@ -65,6 +66,8 @@ class View {
   private paused = false;
   private frozenAt = 0;
   private playback: Playback | null = null;
+  /** The time that the players are told next. */
+  private seekTo: number | null = null;
   /** Why nothing goes on any more. */
   private fault: string | null = null;
   private placed = false;
@@ -74,8 +77,6 @@ class View {
   constructor(list: Listing, private readonly worker: Worker) {
     this.live = list.live;
     this.stage = new Stage(byId<HTMLCanvasElement>("scene"));
-    // A blur behind the panels costs more than the map there.
-    document.documentElement.classList.toggle("plain", this.stage.software);
     this.swarm = new Swarm(list.robots);
     this.bodies = new Bodies(this.stage);
     this.labels = new Labels(byId("labels"), this.stage);
@@ -86,6 +87,8 @@ class View {
     this.chosen = list.robots[0]!.id;
     for (const { id } of list.robots) this.series.set(id, new Series());
     write(byId("title"), list.title);
+    byId("title").title = list.title;
+    document.body.classList.toggle("recorded", !this.live);
     if (list.title) document.title = `${list.title} – Flockmap`;
 
     const robots = new Float32Array(3 * ROBOTS_SHOWN).fill(0.5);
@@ -180,7 +183,7 @@ class View {
     if (!this.placed || this.stage.voxel !== map.voxel) this.place(map);
     if (map.heights) this.voxels.set("heights", new THREE.Vector2(map.heights[0], map.heights[1]));
     if (map.bounds) {
-      if (this.stage.setBounds(map.bounds)) {
+      if (this.stage.setBounds(map.bounds, map.outline)) {
         this.ground.setGrid(map.bounds, map.heights?.[0] ?? map.bounds[2]);
         if (!this.stage.touched) {
           this.stage.home(!this.homed);
@@ -207,8 +210,13 @@ class View {
     const before = this.playback;
     if (before && (playback.at < before.at - 0.01 || playback.at > before.at + 2 * Math.max(1, playback.speed))) this.swarm.jump();
     this.playback = playback;
+    // A file has no time: what is about time is not shown then.
+    document.body.classList.toggle("timeless", playback.end <= playback.begin && !playback.grows);
     const scrub = byId<HTMLInputElement>("scrub");
     byId("player").hidden = scrub.hidden = false;
+    if (!before) this.layout();
+    // What came since the series were loaded last.
+    if (before?.grows && !playback.grows) void this.loadSeries();
     scrub.min = "0";
     scrub.max = String(Math.max(0, playback.end - playback.begin));
     scrub.step = "0.1";
@@ -224,8 +232,7 @@ class View {
       if (option) speed.value = option.value;
     }
     this.dirty.chart = true;
-    this.layout();
-    this.chart();
+    if (!playback.plays) this.chart();
   }
 
   private async loadSeries(): Promise<void> {
@@ -243,7 +250,7 @@ class View {
     this.dirty.chart = true;
     this.chart();
     // What other methods would have sent only the server counts, and a recording may grow.
-    if (this.live ? some : this.playback?.grows) setTimeout(() => void this.loadSeries(), SERIES_AGAIN);
+    if (this.live ? some : this.playback?.grows !== false) setTimeout(() => void this.loadSeries(), SERIES_AGAIN);
   }
 
   private ask(): void {
@@ -278,7 +285,8 @@ class View {
 
   private pause(): void {
     if (!this.live) {
-      this.say({ kind: "playback", command: { play: !this.playback?.plays } });
+      if (!this.playback || document.body.classList.contains("timeless")) return;
+      this.say({ kind: "playback", wish: { play: !this.playback?.plays } });
       return;
     }
     this.paused = !this.paused;
@@ -292,8 +300,14 @@ class View {
   private seek(seconds: number): void {
     const p = this.playback;
     if (!p) return;
-    const at = Math.max(p.begin, Math.min(p.end, p.begin + seconds));
-    this.say({ kind: "playback", command: { seek: at } });
+    // A slider that is drawn says more times than a player hears: the newest one of each while counts.
+    if (this.seekTo === null) {
+      setTimeout(() => {
+        this.say({ kind: "playback", wish: { seek: this.seekTo! } });
+        this.seekTo = null;
+      }, SEEK_EVERY);
+    }
+    this.seekTo = Math.max(p.begin, Math.min(p.end, p.begin + seconds));
   }
 
   private colour(colouring: Colouring): void {
@@ -401,7 +415,7 @@ class View {
       this.chart();
     };
     byId("scrub").oninput = () => this.seek(Number(byId<HTMLInputElement>("scrub").value));
-    byId("speed").onchange = () => this.say({ kind: "playback", command: { speed: Number(byId<HTMLSelectElement>("speed").value) } });
+    byId("speed").onchange = () => this.say({ kind: "playback", wish: { speed: Number(byId<HTMLSelectElement>("speed").value) } });
     const sheet = byId("sheet");
     if (matchMedia("(max-width: 760px)").matches) sheet.setAttribute("aria-expanded", "false");
     sheet.onclick = () => {
@@ -409,7 +423,8 @@ class View {
       this.layout();
     };
     window.addEventListener("keydown", (event) => this.key(event, help));
-    new ResizeObserver(() => this.layout()).observe(document.body);
+    const sizes = new ResizeObserver(() => this.layout());
+    for (const element of [document.body, byId("timeline")]) sizes.observe(element);
     const scene = byId("scene");
     scene.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
@@ -502,7 +517,7 @@ class View {
     this.stage.setInset(
       narrow
         ? { left: 0, bottom: innerHeight - panel.top, top: bar.bottom }
-        : { left: panel.right, bottom: innerHeight - timeline.top, top: 0 },
+        : { left: panel.right, bottom: timeline.height > 0 ? innerHeight - timeline.top : 0, top: 0 },
     );
     this.dirty.chart = true;
     this.chart();
@@ -557,7 +572,7 @@ class View {
       // With many robots only what goes to and from the chosen one is in words.
       if (this.swarm.robots.length > 5 && a.id !== this.chosen && b.id !== this.chosen) continue;
       const at = a.pose!.at.map((v, i) => (v + b.pose!.at[i]!) / 2) as [number, number, number];
-      const text = `${rate(bytes)} · ${share(lost)} lost${missing > 0 ? ` · ${missing} missing` : ""}`;
+      const text = `${bytes === null ? "" : `${rate(bytes)} · `}${share(lost)} lost${missing > 0 ? ` · ${missing} missing` : ""}`;
       labels.push({ at, text, kind: "link", colour: "", above: 2, ends: [a.pose!.at, b.pose!.at] });
     }
     return labels;
@@ -587,12 +602,13 @@ class View {
       triangles: stage.triangles,
       faces,
       levels,
+      distance: stage.camera.position.distanceTo(stage.controls.target),
       fps: stage.fps,
       frameMs: stage.frameMs,
       meshBytes: 8 * this.voxels.held,
       mapBytes: map?.bytes ?? null,
       pendingMeshes: map?.pending ?? null,
-      facesWanted: Math.round(stage.still.faces),
+      facesWanted: Math.round(stage.governor.faces),
       color: this.colouring,
       theme: document.documentElement.dataset.theme,
       paused: this.live ? this.paused : !this.playback?.plays,

@@ -64,14 +64,16 @@ void main() {
   if (low >= cut) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   place = vec2(u, v);
   side = cell;
+  float high = clamp((low + 0.5 * cell - heights.x) / max(heights.y - heights.x, 1.0), 0.0, 1.0);
   vec3 colour;
   if (colouring == 1) {
-    colour = robots[min(int(a >> 21 & 255u), ${ROBOTS_SHOWN - 1})];
+    // What is higher is lighter: one colour alone would have no shape.
+    colour = mix(robots[min(int(a >> 21 & 255u), ${ROBOTS_SHOWN - 1})] * (0.78 + 0.22 * high), vec3(1.0), 0.32 * high);
   } else if (colouring == 2) {
     float born = float(b & 0xffffffu);
     colour = born == 0.0 ? older : along(${RAMP}, log(1.0 + max(clock - born, 0.0) / 10.0) / log(601.0));
   } else {
-    colour = along(0, (low + 0.5 * cell - heights.x) / max(heights.y - heights.x, 1.0));
+    colour = along(0, high);
   }
   tint = colour * light[direction];
 }`;

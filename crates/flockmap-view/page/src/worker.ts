@@ -5,8 +5,9 @@ import { Connection } from "./connection";
 import * as feed from "./feed";
 import { choose, NODES_MAX, shown, surplus, type Budget, type Camera, type Wanted } from "./lod";
 import { mesh } from "./mesher";
+import { outline } from "./outline";
 import { Mirror } from "./mirror";
-import { Playhead, texts } from "./playhead";
+import { Present } from "./present";
 import type { Connected, FromWorker, RobotName, ToWorker } from "./protocol";
 import { slice } from "./slice";
 import type { Node, Tree } from "./tree";
@@ -19,6 +20,7 @@ const BUILD = 12;
 const AGAIN = 300;
 const AGAIN_MAX = 3_000;
 
+const NOTHING: feed.Have = { feed: 0n, anew: 0n, upto: 0n };
 let feeds = "";
 let query = "";
 let live = true;
@@ -27,8 +29,8 @@ let chosen = -1;
 let origins = false;
 let scans = false;
 let mirror = newMirror();
-const playhead = new Playhead();
 let connections = new Map<number, Connection>();
+const present = new Present(() => performance.now());
 let camera: Camera | null = null;
 let budget: Budget = { pixels: 4, nodes: NODES_MAX, faces: 1_000_000 };
 let wanted: Wanted[] = [];
@@ -76,8 +78,7 @@ self.onmessage = (event: MessageEvent<ToWorker>) => {
       mirror.pause(paused);
       break;
     case "playback":
-      playhead.command(message.command, connections.keys(), performance.now());
-      for (const text of texts(message.command)) for (const connection of connections.values()) connection.say(text);
+      for (const text of present.wish(message.wish)) for (const connection of connections.values()) connection.say(text);
       break;
     case "ask":
       post({ kind: "answer", ask: message.ask, value: message.what === "blocks" ? blocksOf() : facesOf() });
@@ -108,12 +109,17 @@ function pick(robot: number, withOrigins: boolean, withScans: boolean): void {
   }
 }
 
-/** The feed with the map. */
+function stateOf(robot: number, connected: Connected): void {
+  if (connected.state === "open" && !live) for (const text of present.words()) connections.get(robot)?.say(text);
+  post({ kind: "connected", robot, connected });
+}
+
+/** The feed with the map. Of a recording each connection counts the versions by itself, so it always begins anew. */
 function chosenFeed(robot: number): Connection {
   return new Connection(`${feeds}${robot}${query}`, {
     flags: () => (origins ? feed.WANT_ORIGINS : 0) | feed.WANT_LINKS | (scans ? feed.WANT_SCANS : 0),
-    have: () => mirror.have(),
-    state: (state) => connected(robot, state),
+    have: () => (live ? mirror.have() : NOTHING),
+    state: (connected) => stateOf(robot, connected),
     talks: () => live,
     frame: (kind, body) => {
       if (kind <= 3) mirror.frame(kind, body);
@@ -127,8 +133,8 @@ function chosenFeed(robot: number): Connection {
 function lightFeed(robot: number): Connection {
   return new Connection(`${feeds}${robot}${query}`, {
     flags: () => feed.WANT_NO_MAP | feed.WANT_LINKS | (scans ? feed.WANT_SCANS : 0),
-    have: () => ({ feed: 0n, anew: 0n, upto: 0n }),
-    state: (state) => connected(robot, state),
+    have: () => NOTHING,
+    state: (connected) => stateOf(robot, connected),
     talks: () => live,
     frame: (kind, body) => {
       if (kind === 1) feed.readHello(body);
@@ -143,20 +149,10 @@ function other(robot: number, kind: number, body: Uint8Array): void {
   else if (kind === 5) post({ kind: "counters", robot, counters: feed.readCounters(body) });
   else if (kind === 7) post({ kind: "links", robot, links: feed.readLinks(body) });
   else if (kind === 8) post({ kind: "scan", robot, scan: feed.readScan(body) });
-  else if (kind === 9) hearPlayback(robot, feed.readPlayback(body));
-}
-
-function hearPlayback(robot: number, playback: feed.Playback): void {
-  const leads = robot === chosen;
-  const command = playhead.hear(robot, leads, playback, performance.now());
-  for (const text of command ? texts(command) : []) connections.get(robot)?.say(text);
-  // While it goes to where the others are, the page stays there.
-  if (leads && !command) post({ kind: "shown-playback", playback });
-}
-
-function connected(robot: number, state: Connected): void {
-  if (state.state === "open") playhead.opened(robot);
-  post({ kind: "connected", robot, connected: state });
+  else if (kind === 9 && robot === chosen) {
+    const playback = feed.readPlayback(body);
+    if (present.hear(playback)) post({ kind: "shown-playback", playback });
+  }
 }
 
 /** Looks which nodes should be shown, and which meshes may go. */
@@ -233,6 +229,7 @@ function tellMap(): void {
       free: blocks.free,
       blocks: blocks.count,
       bounds: tree.roots.length > 0 ? boundsOf(tree.roots) : null,
+      outline: outline(blocks),
       heights: low === null || high === null ? null : [low, high + 1],
       pending,
       bytes: blocks.bytes(),

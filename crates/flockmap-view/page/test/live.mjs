@@ -6,9 +6,9 @@
 import assert from "node:assert/strict";
 import { execFileSync, spawn } from "node:child_process";
 import { mkdirSync, mkdtempSync, openSync, readFileSync, rmSync, writeFileSync } from "node:fs";
-import { connect, createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { cable } from "./cable.mjs";
 import { launch, naiveFaces, ownPage, state, until } from "./chromium.mjs";
 
 const { FLOCKMAP, SHOTS } = process.env;
@@ -25,21 +25,6 @@ function run(name, ...args) {
   children.push(child);
   child.ended = new Promise((resolve) => child.on("exit", resolve));
   return child;
-}
-
-/** A cable that can be pulled. */
-function cable(from, to) {
-  const sockets = new Set();
-  const server = createServer((near) => {
-    const far = connect(to, "127.0.0.1");
-    for (const [socket, other] of [[near, far], [far, near]]) {
-      sockets.add(socket);
-      socket.on("error", () => {}).on("close", () => (sockets.delete(socket), other.destroy()));
-      socket.pipe(other);
-    }
-  });
-  server.listen(from, "127.0.0.1");
-  return { pull: () => [...sockets].forEach((socket) => socket.destroy()), close: () => server.close() };
 }
 
 /** Voxels by their blocks, of a .ply of `flockmap mirror`. */

@@ -46,11 +46,10 @@ class Writer {
 export async function start(options = {}) {
   const world = options.world ?? forest(options.side ?? 400);
   const robots = Array.from({ length: options.robots ?? 3 }, (_, i) => ({ id: i + 1, name: `robot${i + 1}`, epoch: 1, out: 40_000 * (i + 1), in: 70_000, datagrams: 300 }));
-  const recorded = options.playback === true;
+  const playback = options.playback ? { at: 0, plays: false, speed: 1 } : null;
   const begun = Date.now();
   const zero = 1_700_000_000_000_000;
-  /** Each connection to a recording is played on its own. */
-  const now = (client) => (client?.playback ? zero + client.playback.at * 1e6 : zero + 1000 * (Date.now() - begun) + 200e6);
+  const now = () => (playback ? zero + playback.at * 1e6 : zero + 1000 * (Date.now() - begun) + 200e6);
   /** Blocks in the order in which they changed last. */
   let order = [...world.blocks.keys()];
   const changedAt = new Map(order.map((key, i) => [key, i + 1]));
@@ -73,15 +72,14 @@ export async function start(options = {}) {
     const z = ground(Math.round(x / VOXEL), Math.round(y / VOXEL)) * VOXEL + 3 + 0.5 * Math.sin(seconds / 3);
     return { at: [x, y, z], turned: [0, 0, Math.sin((a + Math.PI / 2) / 2), Math.cos((a + Math.PI / 2) / 2)] };
   }
-  const time = (client) => (client.playback ? client.playback.at : (Date.now() - begun) / 1000);
+  const time = () => (playback ? playback.at : (Date.now() - begun) / 1000);
 
   /** How far the map is at the time of a playback, as a version. */
-  const limit = (client) => (client.playback ? Math.max(1, Math.round((order.length * client.playback.at) / SECONDS)) : version);
+  const limit = () => (playback ? Math.max(1, Math.round((order.length * playback.at) / SECONDS)) : version);
 
   function blocks(client) {
     const w = new Writer();
-    const newest = limit(client);
-    const playback = client.playback;
+    const newest = limit();
     let count = 0;
     let upto = client.upto;
     while (client.index < order.length && count < (client.origins ? 300 : 460)) {
@@ -100,7 +98,7 @@ export async function start(options = {}) {
     if (client.index >= order.length || upto > newest) upto = newest;
     if (playback && client.index >= newest) upto = newest;
     client.upto = upto;
-    const head = new Writer().u64(upto).u64(Math.max(newest, upto)).u64(now(client)).u8(client.origins ? 1 : 0).u32(count);
+    const head = new Writer().u64(upto).u64(Math.max(newest, upto)).u64(now()).u8(client.origins ? 1 : 0).u32(count);
     return { bytes: new Writer().raw(Buffer.concat(head.parts)).raw(Buffer.concat(w.parts)).frame(2), count };
   }
 
@@ -112,11 +110,10 @@ export async function start(options = {}) {
     return w.u16(2).u16(1).raw(left).u16(2).raw(right);
   }
 
-  function poses(client) {
-    const { robot } = client;
+  function poses(robot) {
     const w = new Writer().u16(robots.length);
     for (const other of robots) {
-      const p = pose(other, time(client));
+      const p = pose(other, time());
       const own = other === robot;
       w.u16(other.id).u64(other.epoch).f64(p.at[0]).f64(p.at[1]).f64(p.at[2]).u8(own ? 1 : 0);
       for (const q of p.turned) w.f64(own ? q : 0);
@@ -125,9 +122,8 @@ export async function start(options = {}) {
     return w.frame(4);
   }
 
-  function counters(client) {
-    const { robot } = client;
-    return new Writer().u64(now(client)).u16(5)
+  function counters(robot) {
+    return new Writer().u64(now()).u16(5)
       .text("node_bytes_out").u64(robot.out).text("node_bytes_in").u64(robot.in)
       .text("node_datagrams_out").u64(robot.datagrams).text("node_datagrams_in").u64(robot.datagrams)
       .text("node_frames").u64(12).frame(5);
@@ -143,8 +139,8 @@ export async function start(options = {}) {
     return w.frame(7);
   }
 
-  function scan(client) {
-    const { at, turned } = pose(client.robot, time(client));
+  function scan(robot) {
+    const { at, turned } = pose(robot, time());
     const points = [];
     const heading = 2 * Math.atan2(turned[2], turned[3]);
     for (let i = 0; i < 700; i++) {
@@ -157,21 +153,21 @@ export async function start(options = {}) {
         break;
       }
     }
-    const w = new Writer().u64(now(client));
+    const w = new Writer().u64(now());
     for (const v of [...at, ...turned]) w.f64(v);
     w.u32(20_000).u32(points.length);
     for (const p of points) for (const c of p) w.f32(c);
     return w.frame(8);
   }
 
-  function shownPlayback({ playback }) {
-    return new Writer().u64(zero).u64(zero + SECONDS * 1e6).u64(zero + playback.at * 1e6).f32(playback.speed).u8(playback.plays ? 1 : 0).frame(9);
+  function shownPlayback() {
+    return new Writer().u64(zero).u64(zero + SECONDS * 1e6).u64(now()).f32(playback.speed).u8(playback.plays ? 1 : 0).frame(9);
   }
 
   function series(robot) {
     const rows = [];
-    const first = recorded ? 0 : 20;
-    for (let s = first; s < (recorded ? SECONDS : Math.floor((now() - zero) / 1e6)); s++) {
+    const first = playback ? 0 : 20;
+    for (let s = first; s < (playback ? SECONDS : Math.floor((now() - zero) / 1e6)); s++) {
       const wave = 1 + 0.4 * Math.sin(s / 9 + robot.id) + 0.15 * Math.sin(s * 1.7);
       rows.push([Math.round(2_900 * wave), Math.round(3_100 * wave), Math.round(9_100 * wave), s % 40 === 39 ? null : Math.round(93_000 * wave)]);
     }
@@ -195,7 +191,7 @@ export async function start(options = {}) {
       return response.end("token?");
     }
     if (url.pathname === "/robots") {
-      return json({ title: recorded ? "replay: forest" : "mock: forest", kind: recorded ? "playback" : "live", robots: robots.map(({ id, name }) => ({ id, name })) });
+      return json({ title: playback ? "replay: forest" : "mock: forest", kind: playback ? "playback" : "live", robots: robots.map(({ id, name }) => ({ id, name })) });
     }
     const robot = robots.find((r) => url.pathname === `/series/${r.id}`);
     if (robot) return json(series(robot));
@@ -215,19 +211,19 @@ export async function start(options = {}) {
     let asked = Buffer.alloc(0);
     let client = null;
     ws.on("message", (data, binary) => {
-      if (!binary) return client && command(client, JSON.parse(data.toString()));
+      if (!binary) return command(JSON.parse(data.toString()));
       asked = Buffer.concat([asked, data]);
       if (client || asked.length < 35) return;
       const flags = asked[10];
       const have = { feed: asked.readBigUInt64LE(11), upto: Number(asked.readBigUInt64LE(27)) };
       const map = (flags & 2) === 0;
-      const goesOn = map && !recorded && have.feed === BigInt(feedId) && have.upto > 0 && !(flags & 1);
-      client = { ws, robot, map, origins: (flags & 1) !== 0, links: (flags & 4) !== 0, scans: (flags & 8) !== 0, upto: goesOn ? have.upto : 0, index: goesOn ? have.upto : 0, first: true, playback: recorded ? { at: 0, plays: true, speed: 1 } : null };
+      const goesOn = map && !playback && have.feed === BigInt(feedId) && have.upto > 0 && !(flags & 1);
+      client = { ws, robot, map, origins: (flags & 1) !== 0, links: (flags & 4) !== 0, scans: (flags & 8) !== 0, upto: goesOn ? have.upto : 0, index: goesOn ? have.upto : 0, first: true };
       clients.add(client);
       const hello = new Writer().raw("FLKM").u8(1).u8((client.origins ? 1 : 0) | (goesOn ? 2 : 0)).u16(robot.id).u32(VOXEL * 1e6).u64(feedId).text(robot.name).text("map");
       send(client, hello.frame(1));
-      if (map && !goesOn) send(client, new Writer().u64(limit(client)).frame(3));
-      if (recorded) send(client, shownPlayback(client));
+      if (map && !goesOn) send(client, new Writer().u64(limit()).frame(3));
+      if (playback) send(client, shownPlayback());
     });
     ws.on("close", () => clients.delete(client));
   }
@@ -240,37 +236,39 @@ export async function start(options = {}) {
     for (let from = cut; from < bytes.length; from += 65_536) client.ws.send(bytes.subarray(from, from + 65_536));
   }
 
-  function anew(client) {
-    if (!client.map) return;
-    [client.upto, client.index, client.first] = [0, 0, true];
-    send(client, new Writer().u64(limit(client)).frame(3));
+  function anew() {
+    for (const client of clients) {
+      if (!client.map) continue;
+      [client.upto, client.index, client.first] = [0, 0, true];
+      send(client, new Writer().u64(limit()).frame(3));
+    }
   }
 
-  function command(client, c) {
-    const { playback } = client;
-    if (!playback) return client.ws.terminate();
+  function command(c) {
+    if (!playback) return;
     if (typeof c.seek_us === "number") {
       const at = Math.max(0, Math.min(SECONDS, (c.seek_us - zero) / 1e6));
       const back = at < playback.at;
       playback.at = at;
-      if (back) anew(client);
+      if (back) anew();
     }
     if (typeof c.play === "boolean") playback.plays = c.play;
     if (typeof c.speed === "number") playback.speed = Math.max(0.1, Math.min(100, c.speed));
-    send(client, shownPlayback(client));
-    send(client, poses(client));
+    for (const client of clients) {
+      send(client, shownPlayback());
+      send(client, poses(client.robot));
+    }
   }
 
   let tick = 0;
   let spot = 0;
   const timer = setInterval(() => {
     tick++;
-    for (const { playback } of clients) {
-      if (!playback?.plays) continue;
+    if (playback?.plays) {
       playback.at = Math.min(SECONDS, playback.at + 0.05 * playback.speed);
       if (playback.at >= SECONDS) playback.plays = false;
     }
-    if (!recorded && !options.still && tick % 4 === 0) {
+    if (!playback && !options.still && tick % 4 === 0) {
       // A box that walks: what it leaves is free again.
       const box = (n, state) => {
         const [x0, y0] = [Math.round(60 * Math.cos(n / 20)), Math.round(60 * Math.sin(n / 20))];
@@ -290,23 +288,23 @@ export async function start(options = {}) {
     }
     for (const client of clients) {
       if (client.ws.bufferedAmount > 1 << 20) continue;
-      const { robot, playback } = client;
+      const { robot } = client;
       if (client.map) {
         for (let i = 0; i < (control.slow ? 1 : 40); i++) {
-          if (!client.first && client.upto >= limit(client)) break;
+          if (!client.first && client.upto >= limit()) break;
           client.first = false;
           if (control.slow && tick % control.slow !== 0) break;
           send(client, blocks(client).bytes);
         }
       }
-      if (!robot.silentSince && (tick % 2 === 0) && (!playback || playback.plays || tick % 20 === 0)) send(client, poses(client));
+      if (!robot.silentSince && (tick % 2 === 0) && (!playback || playback.plays || tick % 20 === 0)) send(client, poses(robot));
       if (tick % 20 === 0) {
-        send(client, counters(client));
+        send(client, counters(robot));
         if (client.links) send(client, links(robot));
-        if (playback) send(client, shownPlayback(client));
+        if (playback) send(client, shownPlayback());
       }
-      if (client.scans && tick % 4 === 0) send(client, scan(client));
-      if (playback?.plays && tick % 5 === 0) send(client, shownPlayback(client));
+      if (client.scans && tick % 4 === 0) send(client, scan(robot));
+      if (playback?.plays && tick % 5 === 0) send(client, shownPlayback());
       // A kind that no reader knows yet.
       if (tick % 40 === 0) send(client, new Writer().raw("from later").frame(200));
     }
@@ -324,8 +322,7 @@ export async function start(options = {}) {
     end: (why) => [...clients].forEach((c) => (send(c, new Writer().raw(why).frame(6)), c.ws.close())),
     /** The node starts again: another feed. */
     restart: () => (feedId++, [...clients].forEach(({ ws }) => ws.terminate())),
-    /** Where each connection to a recording is. */
-    heads: () => [...clients].map(({ playback }) => playback),
+    anew,
     change: (x, y, z, state) => change(world.set(x, y, z, state)),
     close: () => {
       clearInterval(timer);

@@ -1,6 +1,6 @@
 // The picture of the README: the page as it shows a flight through the forest, each voxel in the colour of the robot that saw it last.
 //
-// usage: FLOCKMAP=path node test/shot.mjs OUT.jpg    environment: AT=42, second of the flight; CHROMIUM; OWN=1, the page of this folder
+// usage: FLOCKMAP=path node test/shot.mjs OUT.jpg    environment: AT=40, second of the flight; CHROMIUM; OWN=1, the page of this folder
 //   in the place of the one that the program has
 
 import { spawn } from "node:child_process";
@@ -9,7 +9,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { launch, ownPage, state, until } from "./chromium.mjs";
 
-const [{ FLOCKMAP, AT = "42", OWN }, out] = [process.env, process.argv[2]];
+const [{ FLOCKMAP, AT = "40", OWN }, out] = [process.env, process.argv[2]];
 if (!FLOCKMAP || !out) throw new Error("usage: FLOCKMAP=path node test/shot.mjs OUT.jpg");
 const BYTES_MAX = 250_000;
 const address = `127.0.0.1:${20_000 + (process.pid % 10_000)}`;
@@ -26,10 +26,9 @@ try {
   }, 120);
   // Playing from a little before, so that robots have trails.
   const second = Math.min(Number(AT), end - 1);
-  await page.locator("#scrub").fill(String(Math.max(0, second - 20)));
+  await page.locator("#scrub").fill(String(Math.max(0, second - 15)));
   await page.getByRole("radio", { name: "Robot", exact: true }).check();
   if (!(await state(page)).playback.plays) await page.locator("#play").click();
-  await page.locator("#speed").selectOption("4");
   await until(page, "the moment", async () => {
     const { playback } = await state(page);
     return playback.at - playback.begin >= second;
