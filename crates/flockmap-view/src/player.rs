@@ -46,7 +46,7 @@ async fn play(recording: Arc<Recording>, stream: DuplexStream, mut controls: mps
     let (_, grows) = *grown.borrow_and_update();
     let shown = Arc::new(Shown { recording: Arc::clone(&recording), moment: Mutex::default() });
     let (give, given) = watch::channel(None);
-    let (identity, tally) = (recording.identity(), Arc::<Tally>::default());
+    let (identity, tally) = (recording.player_identity(), Arc::<Tally>::default());
     let reader = Reader { identity, given, tally, giver: Arc::<Shown>::clone(&shown) };
     let reading = tokio::spawn(reader.serve(Box::new(stream), Arc::<AtomicBool>::default()));
     let mut player = Player::new(recording, shown, grows);

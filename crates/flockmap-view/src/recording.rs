@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use flockmap_feed::{Block, Link, NodeCounts, RobotPose};
@@ -40,7 +41,9 @@ pub struct Step {
 /// another costs as much as there are blocks that changed in between. Where the recording takes more than it may,
 /// every second moment is left out: the map at those that remain stays as it was.
 pub struct Recording {
-    identity: Arc<Identity>,
+    identity: Identity,
+    /// That there have been.
+    players: AtomicU64,
     bytes_max: usize,
     series: Option<Arc<Series>>,
     kept: RwLock<Kept>,
@@ -105,7 +108,8 @@ impl Recording {
             frame: frame.to_owned(),
         };
         Ok(Self {
-            identity: Arc::new(identity),
+            identity,
+            players: AtomicU64::new(0),
             bytes_max: BYTES_MAX,
             series: None,
             kept: RwLock::default(),
@@ -161,8 +165,15 @@ impl Recording {
 
     // For players.
 
-    pub(crate) fn identity(&self) -> Arc<Identity> {
-        Arc::clone(&self.identity)
+    pub(crate) fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    /// What a further player says of itself. Each has a feed of its own, since versions count in the player's map:
+    /// what a reader has of one is nothing to another.
+    pub(crate) fn player_identity(&self) -> Arc<Identity> {
+        let number = self.players.fetch_add(1, Ordering::Relaxed);
+        Arc::new(Identity { feed: self.identity.feed.wrapping_add(number).max(1), ..self.identity.clone() })
     }
 
     pub(crate) fn series(&self) -> Option<Arc<Series>> {

@@ -184,6 +184,32 @@ fn a_browser_sees_the_map_of_the_time_that_it_asks_for_forwards_and_back() {
 }
 
 #[test]
+fn what_a_browser_has_of_one_player_is_nothing_to_the_next() {
+    with_time(async {
+        let recording = Arc::new(recording());
+        (0..10).for_each(|second| recording.push(step(second, vec![block(second as i32, Some(1))])));
+        recording.finish();
+        let mut viewer = Viewer::new(&recording, false).await;
+        viewer.controls.send(Control::SeekUs(9_000_000)).await.unwrap();
+        viewer.until(|mirror| Viewer::at(mirror) == 9_000_000 && mirror.is_complete()).await;
+        let have = viewer.mirror.have().unwrap();
+        // It comes back, to a player that is at the beginning.
+        let mut back = Viewer::new(&recording, false).await;
+        std::mem::swap(&mut back.mirror, &mut viewer.mirror);
+        let (pipe, theirs) = tokio::io::duplex(1 << 16);
+        let (controls, controls_in) = mpsc::channel(4);
+        recording.connect(theirs, controls_in);
+        (back.pipe, back.controls) = (pipe, controls);
+        back.controls.send(Control::Play(false)).await.unwrap();
+        back.pipe.write_all(&back.mirror.connect()).await.unwrap();
+        back.until(|mirror| mirror.have().is_some_and(|now| now.feed != have.feed) && mirror.is_complete())
+            .await;
+        assert!(!back.mirror.node().unwrap().goes_on);
+        assert_eq!(blocks_of(back.mirror.map().unwrap()), blocks_of(&recording.map_at(0)));
+    });
+}
+
+#[test]
 fn it_plays_as_fast_as_is_asked_and_stops_at_the_end() {
     with_time(async {
         let recording = Arc::new(recording());

@@ -17,7 +17,7 @@ use tokio::sync::{Semaphore, mpsc};
 use crate::access::{Access, Refusal};
 use crate::page::{FILES, File};
 use crate::socket::{CONTROLS_WAITING_MAX, MESSAGE_BYTES_MAX, PIPE_BYTES, pump};
-use crate::{Content, Source};
+use crate::{Content, Series, Source};
 
 /// Browsers that may follow maps at once, over all sources. Each source has limits of its own.
 pub(crate) const SOCKETS_MAX: usize = 64;
@@ -83,8 +83,8 @@ impl Served {
             None if path == "/robots" && has_page => Ok(self.robots()),
             Some(("series", id)) => {
                 let series = self.source(id)?.series();
-                let series = series.ok_or((StatusCode::NOT_FOUND, "no series of this robot is known"))?;
-                Ok(json_response(&series.json()))
+                let nothing = || Arc::new(Series::new(Vec::new()));
+                Ok(json_response(&series.unwrap_or_else(nothing).json()))
             }
             Some(("feed", id)) => {
                 let source = Arc::clone(self.source(id)?);

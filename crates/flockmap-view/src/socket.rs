@@ -39,9 +39,11 @@ pub(crate) async fn pump(mut socket: WebSocket, mut pipe: DuplexStream, controls
                         matches!(timeout(UNTAKEN_MAX, pipe.write_all(&bytes)).await, Ok(Ok(())))
                     }
                     Some(Ok(Message::Text(text))) => {
-                        let control = serde_json::from_str(&text).ok();
-                        // Of wishes that come faster than they are heard, the later ones are lost: a slider sends more.
-                        control.is_some_and(|control| !is_closed(controls.try_send(control)))
+                        match serde_json::from_str(&text) {
+                            // No wish is lost: the last one counts. Who serves hears them at once.
+                            Ok(control) => controls.send(control).await.is_ok(),
+                            Err(_) => false,
+                        }
                     }
                     Some(Ok(Message::Ping(_) | Message::Pong(_))) => true,
                     Some(Ok(Message::Close(_)) | Err(_)) | None => false,
@@ -54,8 +56,4 @@ pub(crate) async fn pump(mut socket: WebSocket, mut pipe: DuplexStream, controls
     }
     // It may be gone already.
     let _ = timeout(Duration::from_secs(1), socket.send(Message::Close(None))).await;
-}
-
-fn is_closed(sent: Result<(), mpsc::error::TrySendError<Control>>) -> bool {
-    matches!(sent, Err(mpsc::error::TrySendError::Closed(_)))
 }

@@ -27,6 +27,10 @@ try {
   // Playing from a little before, so that robots have trails.
   const second = Math.min(Number(AT), end - 1);
   await page.locator("#scrub").fill(String(Math.max(0, second - 15)));
+  await until(page, "the time before it", async () => {
+    const { playback } = await state(page);
+    return playback.at - playback.begin < second - 5;
+  });
   await page.getByRole("radio", { name: "Robot", exact: true }).check();
   if (!(await state(page)).playback.plays) await page.locator("#play").click();
   await until(page, "the moment", async () => {
