@@ -48,7 +48,7 @@ pub struct ReaderHello {
 pub struct NodeHello {
     /// Whether it says who saw each voxel last.
     pub origins: bool,
-    /// Whether it goes on from what the reader has. Otherwise [`Message::Anew`] follows.
+    /// Whether it goes on from what the reader has. Otherwise [`Message::Anew`](super::Message::Anew) follows.
     pub goes_on: bool,
     /// Whose map it is.
     pub robot: RobotId,
