@@ -8,6 +8,7 @@ use flockmap_grid::Stamp;
 use mcap::records::MessageHeader;
 
 use crate::error::WriteError;
+use crate::flight_view::ViewSink;
 
 /// A chunk is closed when it holds so much, before it is packed.
 const CHUNK_BYTES: u64 = 1 << 20;
@@ -60,47 +61,6 @@ impl FlightFile {
         &self.path
     }
 
-    /// A channel, which is made when it is asked for the first time.
-    pub(crate) fn channel(
-        &mut self,
-        topic: &str,
-        encoding: &str,
-        (schema, schema_encoding, data): (&str, &str, &[u8]),
-    ) -> Result<ChannelId, WriteError> {
-        let schema = self.mcap.add_schema(schema, schema_encoding, data);
-        let channel = schema
-            .and_then(|schema| self.mcap.add_channel(schema, topic, encoding, &Default::default()))
-            .map_err(WriteError::mcap(&self.path))?;
-        Ok(ChannelId(channel))
-    }
-
-    /// Writes a message.
-    ///
-    /// # Errors
-    /// [`WriteError::Full`] where it might have no room: it is left out then.
-    pub(crate) fn message(
-        &mut self,
-        channel: ChannelId,
-        stamp: Stamp,
-        data: &[u8],
-    ) -> Result<(), WriteError> {
-        let bytes = data.len() as u64 + MESSAGE_BYTES;
-        if !self.has_room(bytes) {
-            // What waits may be a tenth of that when it is packed.
-            self.flush()?;
-            if !self.has_room(bytes) {
-                return Err(WriteError::Full { path: self.path.clone(), bytes_max: self.bytes_max });
-            }
-        }
-        self.sequence = self.sequence.wrapping_add(1);
-        let time = stamp.0.max(0).unsigned_abs().saturating_mul(1_000);
-        let sequence = self.sequence;
-        let header = MessageHeader { channel_id: channel.0, sequence, log_time: time, publish_time: time };
-        self.mcap.write_to_known_channel(&header, data).map_err(WriteError::mcap(&self.path))?;
-        self.waiting += bytes;
-        Ok(())
-    }
-
     /// Writes what waits as a whole chunk: from here on it survives the end of the program, and of the power.
     pub(crate) fn flush(&mut self) -> Result<(), WriteError> {
         if self.waiting > 0 {
@@ -141,6 +101,47 @@ impl FlightFile {
     fn has_room(&self, bytes: u64) -> bool {
         let summary = SUMMARY_BYTES + (self.chunks + 2) * CHUNK_INDEX_BYTES;
         self.whole + self.waiting + bytes + summary <= self.bytes_max
+    }
+}
+
+impl ViewSink for FlightFile {
+    type Channel = ChannelId;
+    type Error = WriteError;
+
+    /// A channel, which is made when it is asked for the first time.
+    fn channel(
+        &mut self,
+        topic: &str,
+        encoding: &str,
+        (schema, schema_encoding, data): (&str, &str, &[u8]),
+    ) -> Result<ChannelId, WriteError> {
+        let schema = self.mcap.add_schema(schema, schema_encoding, data);
+        let channel = schema
+            .and_then(|schema| self.mcap.add_channel(schema, topic, encoding, &Default::default()))
+            .map_err(WriteError::mcap(&self.path))?;
+        Ok(ChannelId(channel))
+    }
+
+    /// Writes a message.
+    ///
+    /// # Errors
+    /// [`WriteError::Full`] where it might have no room: it is left out then.
+    fn message(&mut self, channel: ChannelId, stamp: Stamp, data: &[u8]) -> Result<(), WriteError> {
+        let bytes = data.len() as u64 + MESSAGE_BYTES;
+        if !self.has_room(bytes) {
+            // What waits may be a tenth of that when it is packed.
+            self.flush()?;
+            if !self.has_room(bytes) {
+                return Err(WriteError::Full { path: self.path.clone(), bytes_max: self.bytes_max });
+            }
+        }
+        self.sequence = self.sequence.wrapping_add(1);
+        let time = stamp.0.max(0).unsigned_abs().saturating_mul(1_000);
+        let sequence = self.sequence;
+        let header = MessageHeader { channel_id: channel.0, sequence, log_time: time, publish_time: time };
+        self.mcap.write_to_known_channel(&header, data).map_err(WriteError::mcap(&self.path))?;
+        self.waiting += bytes;
+        Ok(())
     }
 }
 

@@ -1,6 +1,6 @@
 //! Messages of Foxglove, which Rerun reads too: <https://docs.foxglove.dev/docs/sdk/schemas>.
 
-use flockmap_grid::Stamp;
+use flockmap_grid::{Pose, Stamp};
 
 use crate::protobuf::{Kind, Message, ProtoFile, Schema};
 use crate::record_view::ColouredPoint;
@@ -54,8 +54,8 @@ const FLOAT32: u64 = 7;
 /// Three coordinates and a colour.
 const POINT_BYTES: u32 = 16;
 
-/// `foxglove.PointCloud`: points with a colour each.
-pub(crate) fn point_cloud(stamp: Stamp, frame: &str, points: &[ColouredPoint]) -> Vec<u8> {
+/// `foxglove.PointCloud`: points with a colour each, and where they are in the frame.
+pub(crate) fn point_cloud(stamp: Stamp, frame: &str, at: &Pose, points: &[ColouredPoint]) -> Vec<u8> {
     let mut data = Vec::with_capacity(points.len() * POINT_BYTES as usize);
     for (point, [red, green, blue]) in points {
         point.iter().for_each(|at| data.extend_from_slice(&at.to_le_bytes()));
@@ -68,8 +68,11 @@ pub(crate) fn point_cloud(stamp: Stamp, frame: &str, points: &[ColouredPoint]) -
     });
     message.text(2, frame);
     message.message(3, |pose| {
-        pose.message(1, |_| {});
-        pose.message(2, |quaternion| quaternion.double(4, 1.0));
+        let doubles = |message: &mut Message, values: &[f64]| {
+            (1..).zip(values).for_each(|(number, value)| message.double(number, *value));
+        };
+        pose.message(1, |position| doubles(position, &at.translation()));
+        pose.message(2, |quaternion| doubles(quaternion, &at.quaternion_xyzw()));
     });
     message.fixed32(4, POINT_BYTES);
     for (name, offset, number) in [

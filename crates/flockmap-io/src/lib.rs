@@ -8,7 +8,7 @@
 //! | what | read | written |
 //! |---|---|---|
 //! | record | [`open_record`]: `.mcap` with ROS 2 PointCloud2 + Odometry or tf; rosbag2 folder with such files; folder with `Scans/*.pcd`, poses, `times.txt` | [`RecordWriter`]: `.mcap` |
-//! | flight of a node | [`open_flight`]: its feed | [`FlightRecorder`]: `.mcap`, for Foxglove and Rerun too |
+//! | flight of a node | [`open_flight`]: its feed | [`FlightRecorder`]: `.mcap`, for Foxglove and Rerun too; [`FlightView`]: the same messages, to an app |
 //! | point cloud | [`read_cloud`]: `.pcd`, `.ply`, `.las`, `.laz` | [`write_cloud`]: `.pcd`, `.ply` |
 //! | plane or band of a map | – | [`export_occupancy`]: `.pgm` or `.png` and a `.yaml`, for Nav2's `map_server`; [`export_heights`], [`export_values`]: `.png` |
 //! | occupancy map | [`read_map`]: `.bt`, and what is written here; [`OctoMap::read`]: `.bt` | [`export_map`]: `.ply`, `.pcd`, `.bt` |
@@ -28,6 +28,7 @@ mod file;
 mod flight_file;
 mod flight_reader;
 mod flight_recorder;
+mod flight_view;
 mod foxglove;
 mod header_lines;
 mod image;
@@ -62,6 +63,7 @@ pub use export::{ExportOptions, export_map, write_cloud};
 pub use export_flat::{Scale, export_heights, export_occupancy, export_values, occupancy_yaml};
 pub use flight_reader::{FeedFrame, FlightFrames, open_flight};
 pub use flight_recorder::{FlightOptions, FlightRecorder};
+pub use flight_view::{FlightView, ViewOptions, ViewSink};
 pub use map_reader::{MapFile, read_map};
 pub use octomap::{Cube, OCTOMAP_BYTES_MAX, OctoMap, octomap_tree, read_octomap_tree};
 pub use record::{Frame, Frames, Record, RecordOptions, RecordSummary};

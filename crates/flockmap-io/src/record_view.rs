@@ -12,6 +12,8 @@ const PATH_POINTS_MAX: usize = 4096;
 const PATH_STEP_M: f64 = 0.1;
 /// Orange: seen well before the colours of the map.
 const PATH_COLOUR: [u8; 3] = [255, 120, 0];
+/// Red: stands out from both.
+pub(crate) const SCAN_COLOUR: [u8; 3] = [255, 60, 60];
 /// Heights over which the colours of the map go from the first to the last; above it they go back again.
 const RAMP_M: f32 = 5.0;
 /// From low to high.

@@ -6,10 +6,13 @@ use std::path::Path;
 use std::time::Duration;
 
 use common::Folder;
-use flockmap_feed::{Block, Blocks, Event, Link, Message, Mirror, NodeCounts, NodeHello, RobotPose};
+use flockmap_feed::{
+    Block, Blocks, Event, Link, Message, Mirror, NodeCounts, NodeHello, RobotPose, SeenScan,
+};
 use flockmap_grid::{BlockIndex, Pose, Resolution, RobotId, Scan, Stamp, State, StateBlock, Stream};
 use flockmap_io::{
-    FlightOptions, FlightRecorder, Problem, RecordOptions, WriteError, open_flight, open_record,
+    FlightOptions, FlightRecorder, FlightView, Problem, RecordOptions, ViewOptions, ViewSink, WriteError,
+    open_flight, open_record,
 };
 
 const SECONDS: i64 = 20;
@@ -242,4 +245,95 @@ fn a_record_of_other_things_has_no_feed_and_what_is_no_record_is_an_error() {
     assert_eq!(open_flight(folder.join("flight.mcap")).unwrap().count(), 0);
     std::fs::write(folder.join("flight.mcap"), "no record at all").unwrap();
     assert!(open_flight(folder.join("flight.mcap")).is_err());
+}
+
+/// Keeps what it is given: topics with their schemas, and messages.
+#[derive(Default)]
+struct Kept {
+    channels: Vec<(String, String, Vec<u8>)>,
+    messages: Vec<(usize, Vec<u8>)>,
+}
+
+impl ViewSink for Kept {
+    type Channel = usize;
+    type Error = std::convert::Infallible;
+
+    fn channel(
+        &mut self,
+        topic: &str,
+        _: &str,
+        (name, _, data): (&str, &str, &[u8]),
+    ) -> Result<usize, Self::Error> {
+        let channel = (topic.to_owned(), name.to_owned(), data.to_vec());
+        let known = self.channels.iter().position(|known| *known == channel);
+        Ok(known.unwrap_or_else(|| {
+            self.channels.push(channel);
+            self.channels.len() - 1
+        }))
+    }
+
+    fn message(&mut self, channel: usize, _: Stamp, data: &[u8]) -> Result<(), Self::Error> {
+        self.messages.push((channel, data.to_vec()));
+        Ok(())
+    }
+}
+
+impl Kept {
+    fn count(&self, topic: &str) -> usize {
+        self.messages.iter().filter(|(channel, _)| self.channels[*channel].0 == topic).count()
+    }
+}
+
+/// Shows an app what comes.
+fn show(view: &mut FlightView<usize>, kept: &mut Kept, mirror: &mut Mirror, mut bytes: &[u8]) {
+    while let Some(event) = mirror.push(&mut bytes).unwrap() {
+        view.note(kept, mirror, event, at(0)).unwrap();
+    }
+}
+
+#[test]
+fn a_view_shows_thinned_scans_where_the_sensor_was_if_they_are_wanted() {
+    let scan = Message::Scan(SeenScan {
+        stamp: at(0),
+        position: [3.0, 0.0, 0.0],
+        orientation: [0.0, 0.0, 0.6, 0.8],
+        points_all: 2,
+        points: vec![[1.0, 2.0, 4.0]; 2],
+    });
+    for scans in [false, true] {
+        let (mut kept, mut mirror) = (Kept::default(), Mirror::default());
+        let options = ViewOptions { scans, origins: false };
+        let mut view = FlightView::new(&mut kept, "alpha", options).unwrap();
+        show(&mut view, &mut kept, &mut mirror, &[frames(0), scan.emit()].concat());
+        assert_eq!(kept.count("/alpha/viewer/scan"), usize::from(scans));
+        if scans {
+            let message = &kept.messages.last().unwrap().1;
+            for double in [3.0f64, 0.6, 0.8] {
+                assert!(message.windows(8).any(|bytes| bytes == double.to_le_bytes()), "{double} is missing");
+            }
+        }
+        assert!(view.is_changed(&mirror));
+        assert_eq!(view.picture(&mirror, at(0)).len(), 2);
+        assert!(!view.is_changed(&mirror));
+    }
+}
+
+#[test]
+fn a_node_that_comes_back_with_other_counters_has_them_under_their_own_names() {
+    let (mut kept, mut mirror) = (Kept::default(), Mirror::default());
+    let mut view = FlightView::new(&mut kept, "alpha", ViewOptions::default()).unwrap();
+    show(&mut view, &mut kept, &mut mirror, &frames(0));
+    mirror.connect();
+    show(&mut view, &mut kept, &mut mirror, &frames(0));
+    let schemas = |kept: &Kept| kept.channels.iter().filter(|channel| channel.0 == "/alpha/counters").count();
+    assert_eq!((schemas(&kept), kept.count("/alpha/counters")), (1, 2), "the same counters");
+    mirror.connect();
+    let again = frames(0);
+    let length = 4 + u32::from_le_bytes(again[..4].try_into().unwrap()) as usize;
+    let counters = NodeCounts { now: at(1), counters: vec![("other".to_owned(), 5)] };
+    let again = [&again[..length], &Message::Counters(counters).emit()].concat();
+    show(&mut view, &mut kept, &mut mirror, &again);
+    assert_eq!(schemas(&kept), 2);
+    let (_, last) = kept.messages.last().unwrap();
+    assert_eq!(last[..], [&[9][..], &5.0f64.to_le_bytes()].concat(), "field 1 is 5");
 }
