@@ -10,7 +10,7 @@ use flockmap_feed::{Block, Mirror};
 use flockmap_io::{FeedFrame, FlightFrames, ReadError, open_flight};
 use flockmap_view::{Recording, Series, Step};
 
-use super::known_blocks;
+use super::recorder::changed_since;
 use crate::measure::IP_UDP_BYTES;
 use crate::stop;
 
@@ -112,9 +112,7 @@ impl Flight {
 
     fn take(&mut self, now: flockmap::Stamp) {
         let Some(map) = self.mirror.map() else { return };
-        let changed = map.changed_since(self.version).unwrap_or_else(|| {
-            map.blocks().map(|(index, _)| index).chain(known_blocks(&self.recording)).collect()
-        });
+        let changed = changed_since(map, self.version, &self.recording);
         self.version = map.version();
         let block = |index: BlockIndex| {
             let states = map.block(index).copied().unwrap_or_default();

@@ -13,7 +13,7 @@ use flockmap_view::{Access, Content, StartError, Token, ViewServer};
 
 pub use flight::Flight;
 pub use forward::Forwarded;
-pub use recorder::{Recorder, known_blocks};
+pub use recorder::Recorder;
 
 use crate::stop;
 

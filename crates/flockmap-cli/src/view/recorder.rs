@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use flockmap::grid::BlockIndex;
-use flockmap::{Resolution, Robot, RobotId, Stamp};
+use flockmap::{MapView, Resolution, Robot, RobotId, Stamp};
 use flockmap_feed::Block;
 use flockmap_node::{links_of, poses_of};
 use flockmap_view::{Recording, Series, Step};
@@ -65,11 +65,7 @@ impl Recorder {
 
     fn take(&mut self, now: Stamp, robot: &Robot, measures: &Measures) {
         let map = robot.map();
-        let changed = map.changed_since(self.version).unwrap_or_else(|| {
-            // Of blocks that were let go the map knows nothing any more.
-            let gone = known_blocks(&self.recording);
-            map.blocks().map(|(index, _)| index).chain(gone).collect()
-        });
+        let changed = changed_since(map, self.version, &self.recording);
         self.version = map.version();
         let block = |index: BlockIndex| Block {
             index,
@@ -93,8 +89,11 @@ impl Recorder {
     }
 }
 
-/// The blocks of which a recording knows something at its end.
-pub fn known_blocks(recording: &Recording) -> Vec<BlockIndex> {
-    let last = recording.map_at(recording.moments().saturating_sub(1));
-    last.blocks().map(|(index, _)| index).collect()
+/// The blocks of a map that are not as a recording has them at its end, which was made of the map at `version`. Where
+/// the map does not know that any more: all of both, since it knows nothing of blocks that it has let go.
+pub(super) fn changed_since(map: &MapView, version: u64, recording: &Recording) -> Vec<BlockIndex> {
+    map.changed_since(version).unwrap_or_else(|| {
+        let last = recording.map_at(recording.moments().saturating_sub(1));
+        map.blocks().chain(last.blocks()).map(|(index, _)| index).collect()
+    })
 }
