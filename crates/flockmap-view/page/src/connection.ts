@@ -58,8 +58,9 @@ export class Connection {
     }, 1_000);
     let reason = "the connection broke";
     socket.onopen = () => {
-      socket.send(helloBytes(this.reader.flags(), this.reader.have()) as Uint8Array<ArrayBuffer>);
+      // A player hears which time it should show before it is asked for anything.
       this.reader.state({ state: "open" });
+      socket.send(helloBytes(this.reader.flags(), this.reader.have()) as Uint8Array<ArrayBuffer>);
     };
     socket.onmessage = (event) => {
       this.last = performance.now();

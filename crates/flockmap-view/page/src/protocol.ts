@@ -82,7 +82,7 @@ export type FromWorker =
   | { kind: "heard"; robot: number }
   | { kind: "poses"; robot: number; poses: Pose[] }
   | { kind: "counters"; robot: number; counters: Counters }
-  | { kind: "links"; robot: number; links: Link[] }
+  | { kind: "links"; robot: number; links: Link[]; at: number }
   | { kind: "scan"; robot: number; scan: Scan }
   | { kind: "shown-playback"; playback: Playback }
   | { kind: "answer"; ask: number; value: unknown };

@@ -5,8 +5,8 @@ import type { Counters } from "./feed";
 const STEPS_MAX = 3_600;
 /** IP and UDP. */
 const HEADERS = 28;
-/** A longer gap between two counters says nothing about single seconds. */
-const GAP_MAX = 10;
+/** A longer gap between two counters, in seconds, says nothing about single seconds. */
+export const GAP_MAX = 10;
 
 export type Name = "sent" | "received" | "paper" | "racer";
 const NAMES: readonly Name[] = ["sent", "received", "paper", "racer"];
@@ -41,8 +41,8 @@ export class Series {
     }
   }
 
-  /** Takes counters; gives bytes a second since the ones before. */
-  count(counters: Counters, append: boolean): { sent: number; received: number } | null {
+  /** Takes counters; gives bytes a second since the ones before. Undefined where those are too near; null where it is not known. */
+  count(counters: Counters, append: boolean): { sent: number; received: number } | null | undefined {
     const value = (name: string) => counters.values.get(name);
     const bytes = (way: "in" | "out") => {
       const payload = value(`node_bytes_${way}`);
@@ -51,7 +51,7 @@ export class Series {
     const [sent, received] = [bytes("out"), bytes("in")];
     if (sent === undefined || received === undefined) return null;
     const before = this.last;
-    if (before && counters.time - before.time < 0.5 && counters.time >= before.time) return null;
+    if (before && counters.time - before.time < 0.5 && counters.time >= before.time) return undefined;
     this.last = { time: counters.time, sent, received };
     const dt = before ? counters.time - before.time : 0;
     if (!before || dt <= 0 || dt > GAP_MAX || sent < before.sent || received < before.received) return null;

@@ -3,6 +3,7 @@
 import { robotColour } from "./colours";
 import type { Counters, Link, Pose, Scan } from "./feed";
 import type { Connected, RobotName } from "./protocol";
+import { GAP_MAX } from "./series";
 
 /** After so many seconds without a word a robot is shown as silent. */
 export const SILENT = 3;
@@ -13,7 +14,7 @@ export interface LinkState extends Link {
   /** Bytes of a second, null before there were two reports. */
   rateIn: number | null;
   rateOut: number | null;
-  /** `Date.now()` when it came. */
+  /** When it was so, in seconds on the clock of what is shown. */
   at: number;
 }
 
@@ -80,15 +81,15 @@ export class Swarm {
     }
   }
 
-  links(from: number, links: Link[]): void {
+  /** Links of a robot at a time, in seconds on the clock of what is shown. */
+  links(from: number, links: Link[], now: number): void {
     const robot = this.byId.get(from);
     if (!robot) return;
-    const now = Date.now();
     const next = new Map<number, LinkState>();
     for (const link of links) {
       const before = robot.links.get(link.robot);
-      const dt = before ? (now - before.at) / 1e3 : 0;
-      const rate = (a: number, b: number | undefined) => (b === undefined || dt < 0.2 || a < b ? null : (a - b) / dt);
+      const dt = now - (before?.at ?? NaN);
+      const rate = (a: number, b: number | undefined) => (b !== undefined && dt >= 0.2 && dt <= GAP_MAX && a >= b ? (a - b) / dt : null);
       next.set(link.robot, { ...link, at: now, rateIn: rate(link.bytesIn, before?.bytesIn), rateOut: rate(link.bytesOut, before?.bytesOut) });
     }
     robot.links = next;

@@ -155,7 +155,7 @@ class View {
         break;
       case "links":
         if (this.paused) break;
-        this.swarm.links(message.robot, message.links);
+        this.swarm.links(message.robot, message.links, message.at);
         this.dirty.links = true;
         this.stage.request();
         break;
@@ -167,8 +167,10 @@ class View {
         break;
       case "counters": {
         robot.counters = message.counters;
-        const rates = this.series.get(robot.id)!.count(message.counters, this.live);
-        if (rates) [robot.rateOut, robot.rateIn] = [rates.sent, rates.received];
+        const series = this.series.get(robot.id)!;
+        const rates = series.count(message.counters, this.live);
+        const known = (name: "sent" | "received") => rates?.[name] ?? series.at(Math.floor(message.counters.time), name);
+        if (rates !== undefined) [robot.rateOut, robot.rateIn] = [known("sent"), known("received")];
         this.dirty.chart = true;
       }
     }

@@ -39,6 +39,8 @@ let planned: Tree | null = null;
 let sliceZ: number | null = null;
 let paused = false;
 let said = "";
+/** Where the player of each robot is, in seconds on the clock of the recording. */
+const times = new Map<number, number>();
 let sliced = "";
 
 /** Tenths of a second since the worker began, from 1 on: 0 is what was there before. */
@@ -147,11 +149,12 @@ function lightFeed(robot: number): Connection {
 function other(robot: number, kind: number, body: Uint8Array): void {
   if (kind === 4) post({ kind: "poses", robot, poses: feed.readPoses(body) });
   else if (kind === 5) post({ kind: "counters", robot, counters: feed.readCounters(body) });
-  else if (kind === 7) post({ kind: "links", robot, links: feed.readLinks(body) });
+  else if (kind === 7) post({ kind: "links", robot, links: feed.readLinks(body), at: live ? Date.now() / 1e3 : times.get(robot) ?? NaN });
   else if (kind === 8) post({ kind: "scan", robot, scan: feed.readScan(body) });
-  else if (kind === 9 && robot === chosen) {
+  else if (kind === 9) {
     const playback = feed.readPlayback(body);
-    if (present.hear(playback)) post({ kind: "shown-playback", playback });
+    times.set(robot, playback.at);
+    if (robot === chosen && present.hear(playback)) post({ kind: "shown-playback", playback });
   }
 }
 

@@ -368,12 +368,30 @@ test("series: of the server, then of counters, with 28 bytes a datagram", () => 
   const counters = (time, out, datagrams) => ({ time, values: new Map([["node_bytes_out", out], ["node_datagrams_out", datagrams], ["node_bytes_in", 0]]) });
   assert.equal(series.count(counters(102.1, 1_000, 10), true), null);
   assert.deepEqual(series.count(counters(103.1, 1_500, 12), true), { sent: 556, received: 0 });
+  assert.equal(series.count(counters(103.2, 1_600, 12), true), undefined, "too near to say");
+  assert.equal(series.count(counters(200, 9_000, 12), true), null, "a jump");
   assert.equal(Math.round(series.at(102, "sent")), 556);
   const other = new Series();
   assert.equal(sum([series, other], 101, "sent"), 20);
   assert.equal(sum([series, other], 50, "sent"), null);
   for (let t = 0; t < 9_000; t++) other.load({ begin_us: t * 1e6, step_s: 1, names: ["sent"], bytes: [[t]] });
   assert.deepEqual([other.first, other.newest, other.at(3_000, "sent")], [5_400, 8_999, null]);
+});
+
+test("rates of a link are over the time that is shown, and unknown after a jump", () => {
+  const swarm = new Swarm([{ id: 1, name: "a" }, { id: 2, name: "b" }]);
+  const rates = (bytes, at) => {
+    swarm.links(1, [{ robot: 2, bytesIn: bytes, bytesOut: 2 * bytes }], at);
+    const link = swarm.get(1).links.get(2);
+    return [link.rateIn, link.rateOut];
+  };
+  const unknown = [null, null];
+  assert.deepEqual(rates(1_000, 100), unknown);
+  assert.deepEqual(rates(1_500, 102), [250, 500]);
+  assert.deepEqual(rates(90_000, 160), unknown, "far ahead");
+  assert.deepEqual(rates(90_300, 161), [300, 600]);
+  assert.deepEqual(rates(1_500, 102), unknown, "back");
+  assert.deepEqual(rates(1_500, NaN), unknown);
 });
 
 test("trails have a limit, and keep their first and last point", () => {
