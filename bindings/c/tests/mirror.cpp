@@ -97,7 +97,7 @@ bool refuses(Mirror& mirror, const Bytes& bytes) {
 
 TEST(the_example_of_the_page_is_read_however_it_is_cut) {
     const auto [reader, node] = example();
-    CHECK(reader.size() == 35 && node.size() == 35 + 13 + 174 + 82 + 35 + 18);
+    CHECK(reader.size() == 35 && node.size() == 35 + 13 + 174 + 82 + 35 + 58 + 89 + 34 + 18);
     for (std::size_t step = 1; step <= node.size(); step += step < 64 ? 1 : 61) {
         Mirror mirror;
         CHECK(mirror.begin() == reader);
