@@ -10,8 +10,9 @@ mod view;
 
 use core::cmp::Reverse;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use crate::layer::SENSOR_BYTES;
+use crate::layer::{SENSOR_BYTES, Unpacked};
 use crate::{
     BlockIndex, Changes, Layer, Mapper, Plane, Pose, PoseError, Resolution, RobotId, ScanReport, Snapshot,
     Stamp, State, StateBlock, Stream, Voxel, set_bits,
@@ -107,6 +108,8 @@ pub struct Fusion {
     origins: BTreeMap<RobotId, Origin>,
     /// Of origins for which nothing was set.
     unset: Origin,
+    /// Cubes of layers, for who reads them.
+    unpacked: Arc<Unpacked>,
     view: MapView,
 }
 
@@ -145,6 +148,7 @@ impl Fusion {
             layer_bytes: 0,
             origins: BTreeMap::new(),
             unset: Origin::new(Alignment::new(&Pose::IDENTITY, resolution)),
+            unpacked: Arc::default(),
             view: MapView::new(resolution),
         }
     }
@@ -193,7 +197,7 @@ impl Fusion {
         now: Stamp,
     ) -> Result<usize, FusionError> {
         // Its sensor is noted when it has been applied.
-        self.check_room(mapper, stream, core::iter::once(changes), 1)?;
+        self.make_room(mapper, stream, || core::iter::once(changes), 1)?;
         Ok(self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(changes, stamp)))
     }
 
@@ -208,8 +212,8 @@ impl Fusion {
         state: &Snapshot,
         now: Stamp,
     ) -> Result<usize, FusionError> {
-        let parts = state.parts.iter().map(|(_, part)| part);
-        self.check_room(mapper, stream, parts, state.sensors.len())?;
+        let parts = || state.parts.iter().map(|(_, part)| part);
+        self.make_room(mapper, stream, parts, state.sensors.len())?;
         let newest = state.parts.iter().map(|(stamp, _)| *stamp).max();
         Ok(self.take_over(mapper, stream, (newest, now), |layer| layer.apply_snapshot(state)))
     }
@@ -219,13 +223,34 @@ impl Fusion {
         self.layer_bytes + self.view.memory_bytes().saturating_sub(mapper.block_count() * VIEW_BLOCK_BYTES)
     }
 
+    /// Packs layers if they would not fit else: the layer of a stream is to take these changes over.
+    fn make_room<'a, P: Iterator<Item = &'a Changes>>(
+        &mut self,
+        mapper: &Mapper,
+        stream: Stream,
+        parts: impl Fn() -> P,
+        sensors: usize,
+    ) -> Result<(), FusionError> {
+        match self.check_room(mapper, stream, parts(), sensors) {
+            Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }) => {
+                let is_own = stream == self.own;
+                let layers = self.sources.keys().copied().filter(|other| (*other == self.own) == is_own);
+                for stream in layers.collect::<Vec<_>>() {
+                    self.change_source(stream, |source| source.layer.pack());
+                }
+                self.check_room(mapper, stream, parts(), sensors)
+            }
+            result => result,
+        }
+    }
+
     /// Whether the layer of a stream may take these changes over, each with a stamp of its own, and so many
     /// sensors.
     fn check_room<'a>(
         &self,
         mapper: &Mapper,
         stream: Stream,
-        parts: impl ExactSizeIterator<Item = &'a Changes>,
+        parts: impl Iterator<Item = &'a Changes>,
         sensors: usize,
     ) -> Result<(), FusionError> {
         let source = self.sources.get(&stream);
@@ -286,7 +311,8 @@ impl Fusion {
 
     /// Changes a source, and the count of bytes with it.
     fn change_source<T>(&mut self, stream: Stream, change: impl FnOnce(&mut Source) -> T) -> T {
-        let source = self.sources.entry(stream).or_default();
+        let nothing = || Source { layer: Layer::new(&self.unpacked), received: Received::default() };
+        let source = self.sources.entry(stream).or_insert_with(nothing);
         let before = source.memory_bytes();
         let result = change(source);
         if stream != self.own {

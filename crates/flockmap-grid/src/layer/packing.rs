@@ -1,0 +1,215 @@
+//! The model by which a cube is packed: what the voxels before say of the next one.
+
+use flockmap_coder::{CodeBit, Probability};
+
+use super::cube::CUBE_SIDE;
+use crate::{BLOCK_VOXELS, Plane, State, StateBlock};
+
+/// A block as it is packed.
+#[derive(Clone)]
+pub(super) struct Voxels {
+    pub(super) states: StateBlock,
+    /// The number of the stamp of each known voxel among all stamps of the cube, the oldest first.
+    pub(super) ranks: [u16; BLOCK_VOXELS],
+    /// The same of the newest stamp.
+    pub(super) newest: u16,
+    pub(super) before: Option<StateBlock>,
+}
+
+impl Default for Voxels {
+    fn default() -> Self {
+        Self { states: StateBlock::default(), ranks: [0; BLOCK_VOXELS], newest: 0, before: None }
+    }
+}
+
+/// Voxels along a side of a cube, and a border on both sides of which nothing is known.
+const SIDE: usize = 8 * CUBE_SIDE + 2;
+/// Steps from a voxel to the one before it along each axis.
+const STEPS: [usize; 3] = [1, SIDE, SIDE * SIDE];
+
+/// How fast probabilities follow: a step of one in 2ⁿ.
+const RATE: u32 = 4;
+const EVEN: Probability = 1 << 15;
+
+/// Blocks to bits or bits to blocks, in the same way. Each voxel is coded with what is known of those around it
+/// that came before: whether it is known, whether it is Occupied, whether its stamp is that of a neighbour.
+pub(super) struct Packing<B> {
+    bits: B,
+    model: Box<Model>,
+    /// 0 Unknown, 1 Free, 2 Occupied.
+    states: Vec<u8>,
+    ranks: Vec<u16>,
+    /// Of the voxel before.
+    last: u16,
+}
+
+struct Model {
+    known: [Probability; 1024],
+    occupied: [Probability; 243],
+    first: [Probability; 64],
+    second: [Probability; 64],
+    is_later: Probability,
+    length: [Probability; 16],
+    digits: [[Probability; 16]; 16],
+    is_newest_used: Probability,
+    is_before_known: Probability,
+    is_regular: Probability,
+    before_known: [Probability; 3],
+    before_occupied: [Probability; 3],
+}
+
+impl<B: CodeBit> Packing<B> {
+    pub(super) fn new(bits: B) -> Self {
+        let model = Model {
+            known: [EVEN; 1024],
+            occupied: [EVEN; 243],
+            first: [EVEN; 64],
+            second: [EVEN; 64],
+            is_later: EVEN,
+            length: [EVEN; 16],
+            digits: [[EVEN; 16]; 16],
+            is_newest_used: EVEN,
+            is_before_known: EVEN,
+            is_regular: EVEN,
+            before_known: [EVEN; 3],
+            before_occupied: [EVEN; 3],
+        };
+        let cells = SIDE * SIDE * SIDE;
+        Self { bits, model: Box::new(model), states: vec![0; cells], ranks: vec![0; cells], last: 0 }
+    }
+
+    pub(super) fn into_bits(self) -> B {
+        self.bits
+    }
+
+    /// Passes the block at a place of the cube. A reader does not look at `truth`. Returns the block.
+    pub(super) fn block(&mut self, place: u32, truth: &Voxels) -> Voxels {
+        let corner = [place & 3, place >> 2 & 3, place >> 4].map(|at| 8 * at as usize + 1);
+        let (mut free, mut occupied): (Plane, Plane) = ([0; 8], [0; 8]);
+        let mut ranks = [0; BLOCK_VOXELS];
+        let mut highest = 0;
+        for (bit, rank) in ranks.iter_mut().enumerate() {
+            let at = (corner[2] + (bit >> 6)) * STEPS[2]
+                + (corner[1] + (bit >> 3 & 7)) * STEPS[1]
+                + corner[0]
+                + (bit & 7);
+            let state = self.state(at, truth.states.get(bit));
+            if state == State::Unknown {
+                continue;
+            }
+            let is_occupied = state == State::Occupied;
+            *(if is_occupied { &mut occupied } else { &mut free }).get_mut(bit >> 6).unwrap_or(&mut 0) |=
+                1 << (bit & 63);
+            *rank = self.rank(at, truth.ranks[bit]);
+            highest = highest.max(*rank);
+            self.states[at] = 1 + u8::from(is_occupied);
+            self.ranks[at] = *rank;
+            self.last = *rank;
+        }
+        let states = StateBlock::new(free, occupied);
+        let newest = self.newest(highest, truth.newest);
+        let before = self.before(&states, &ranks, newest, truth.before);
+        Voxels { states, ranks, newest, before }
+    }
+
+    fn state(&mut self, at: usize, truth: State) -> State {
+        let Self { bits, model, states, .. } = self;
+        let of = |step: usize| usize::from(states[at - step]);
+        let [x, y, z] = STEPS.map(of);
+        let [sx, sy, sz] = STEPS;
+        let diagonal = [sx + sy, sx + sz, sy + sz, sy - sx, sz - sx].map(of);
+        let around = [x, y, z].into_iter().chain(diagonal);
+        let known = around.enumerate().map(|(n, state)| usize::from(state != 0) << n).sum::<usize>();
+        let context = known | usize::from(x == 2) << 8 | usize::from(y == 2 || z == 2) << 9;
+        if !bits.code(&mut model.known[context], truth != State::Unknown, RATE) {
+            return State::Unknown;
+        }
+        let context = (((x * 3 + y) * 3 + z) * 3 + diagonal[3]) * 3 + diagonal[4];
+        match bits.code(&mut model.occupied[context], truth == State::Occupied, RATE) {
+            true => State::Occupied,
+            false => State::Free,
+        }
+    }
+
+    /// The number of a stamp: that of a neighbour, as a rule, or so much earlier or later.
+    fn rank(&mut self, at: usize, truth: u16) -> u16 {
+        let Self { bits, model, states, ranks, last } = self;
+        let known = STEPS.map(|step| states[at - step] != 0);
+        let [x, y, z] = STEPS.map(|step| ranks[at - step]);
+        let agree =
+            [known[0] && known[1] && x == y, known[0] && known[2] && x == z, known[1] && known[2] && y == z];
+        let among = [(known[0], x), (known[2], z), (known[1], y)];
+        let mut others = among.into_iter().filter_map(|(is_known, rank)| is_known.then_some(rank));
+        let first = if agree[2] && !agree[0] { Some(y) } else { others.next() }.unwrap_or(*last);
+        let second = among.into_iter().find(|(is_known, rank)| *is_known && *rank != first);
+        let flags = agree.into_iter().chain(known);
+        let context = flags.enumerate().map(|(n, flag)| usize::from(flag) << n).sum::<usize>();
+        if bits.code(&mut model.first[context], truth == first, RATE) {
+            return first;
+        }
+        if let Some((_, second)) = second
+            && bits.code(&mut model.second[context], truth == second, RATE)
+        {
+            return second;
+        }
+        // As far away: the number of binary digits, then these.
+        let is_later = bits.code(&mut model.is_later, truth > first, RATE);
+        let distance = u32::from(truth.abs_diff(first)).max(1);
+        let mut length = 0;
+        while length < 15 && bits.code(&mut model.length[length], distance >> (length + 1) != 0, RATE) {
+            length += 1;
+        }
+        let mut coded = 1u16;
+        for digit in (0..length).rev() {
+            let probability = &mut model.digits[length][digit];
+            coded = coded << 1 | u16::from(bits.code(probability, distance >> digit & 1 == 1, RATE));
+        }
+        if is_later { first.wrapping_add(coded) } else { first.wrapping_sub(coded) }
+    }
+
+    /// The number of the newest stamp: as a rule a voxel has it.
+    fn newest(&mut self, highest: u16, truth: u16) -> u16 {
+        let Self { bits, model, .. } = self;
+        if bits.code(&mut model.is_newest_used, truth == highest, RATE) {
+            return highest;
+        }
+        let mut even = EVEN;
+        // A probability that does not learn: the rate is beyond its bits.
+        (0..16).fold(0, |coded, digit| {
+            coded | u16::from(bits.code(&mut even, truth >> digit & 1 == 1, 16)) << digit
+        })
+    }
+
+    /// The states before the newest stamp: as a rule those of voxels with another stamp are as they are now.
+    fn before(
+        &mut self,
+        states: &StateBlock,
+        ranks: &[u16; BLOCK_VOXELS],
+        newest: u16,
+        truth: Option<StateBlock>,
+    ) -> Option<StateBlock> {
+        let Self { bits, model, .. } = self;
+        if !bits.code(&mut model.is_before_known, truth.is_some(), RATE) {
+            return None;
+        }
+        let truth = truth.unwrap_or_default();
+        let is_of_newest = |bit: usize| states.get(bit) != State::Unknown && ranks[bit] == newest;
+        let is_regular =
+            B::KNOWS && (0..BLOCK_VOXELS).all(|bit| is_of_newest(bit) || truth.get(bit) == states.get(bit));
+        let is_regular = bits.code(&mut model.is_regular, is_regular, RATE);
+        let mut before = *states;
+        for bit in (0..BLOCK_VOXELS).filter(|bit| !is_regular || is_of_newest(*bit)) {
+            let (context, truth) = (states.get(bit) as usize, truth.get(bit));
+            let is_known = bits.code(&mut model.before_known[context], truth != State::Unknown, RATE);
+            let state = match is_known
+                && bits.code(&mut model.before_occupied[context], truth == State::Occupied, RATE)
+            {
+                true => State::Occupied,
+                false if is_known => State::Free,
+                false => State::Unknown,
+            };
+            before.set(bit, state);
+        }
+        Some(before)
+    }
+}
