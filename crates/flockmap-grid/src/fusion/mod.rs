@@ -234,9 +234,13 @@ impl Fusion {
         match self.check_room(mapper, stream, parts(), sensors) {
             Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }) => {
                 let is_own = stream == self.own;
-                let layers = self.sources.keys().copied().filter(|other| (*other == self.own) == is_own);
-                for stream in layers.collect::<Vec<_>>() {
-                    self.change_source(stream, |source| source.layer.pack());
+                let sources = self.sources.iter_mut().filter(|(other, _)| (**other == self.own) == is_own);
+                for (_, source) in sources {
+                    let before = source.memory_bytes();
+                    source.layer.pack();
+                    if !is_own {
+                        self.layer_bytes = self.layer_bytes + source.memory_bytes() - before;
+                    }
                 }
                 self.check_room(mapper, stream, parts(), sensors)
             }

@@ -18,7 +18,7 @@ fn check_counts(layer: &Layer) {
                 assert!(packed.unpack().memory_bytes() <= packed.open_bytes());
                 assert_eq!(
                     packed.voxels(),
-                    packed.unpack().parts().iter().map(|b| b.states.known_count() as usize).sum()
+                    packed.unpack().parts().iter().map(|b| b.states.known_count() as usize).sum::<usize>()
                 );
             }
         }
