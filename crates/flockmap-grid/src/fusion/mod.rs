@@ -111,6 +111,7 @@ pub struct Fusion {
     /// Cubes of layers, for who reads them.
     unpacked: Arc<Unpacked>,
     view: MapView,
+    refreshed: u64,
 }
 
 /// What came of a stream.
@@ -131,8 +132,11 @@ impl Source {
 /// What is set for the layers of an origin.
 #[derive(Clone, Debug)]
 struct Origin {
+    pose: Pose,
     alignment: Alignment,
     clock_offset_micros: i64,
+    /// Something was fused with another offset.
+    has_other_offsets: bool,
     is_muted: bool,
 }
 
@@ -147,8 +151,9 @@ impl Fusion {
             sources: BTreeMap::new(),
             layer_bytes: 0,
             origins: BTreeMap::new(),
-            unset: Origin::new(Alignment::new(&Pose::IDENTITY, resolution)),
+            unset: Origin::new(resolution),
             unpacked: Arc::default(),
+            refreshed: 0,
             view: MapView::new(resolution),
         }
     }
@@ -237,7 +242,7 @@ impl Fusion {
                 let sources = self.sources.iter_mut().filter(|(other, _)| (**other == self.own) == is_own);
                 for (_, source) in sources {
                     let before = source.memory_bytes();
-                    source.layer.pack();
+                    source.layer.make_room();
                     if !is_own {
                         self.layer_bytes = self.layer_bytes + source.memory_bytes() - before;
                     }
@@ -357,7 +362,7 @@ impl Fusion {
 
     /// Says how an origin's frame lies in this robot's frame. Nothing has to be sent again: the fused map is
     /// made anew from the layers. What comes to lie beyond the end of the grid is left out. O(voxels of all
-    /// layers).
+    /// layers), O(1) if there are none of it or it lies so already.
     ///
     /// # Errors
     /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; nothing is changed
@@ -370,24 +375,48 @@ impl Fusion {
         T_own_origin: &Pose,
     ) -> Result<(), PoseError> {
         T_own_origin.check(self.resolution)?;
+        if self.origin(origin).pose == *T_own_origin {
+            return Ok(());
+        }
         let alignment = Alignment::new(T_own_origin, self.resolution);
-        self.origin_mut(origin).alignment = alignment;
-        self.rebuild(mapper);
+        let set = self.origin_mut(origin);
+        (set.pose, set.alignment) = (*T_own_origin, alignment);
+        self.rebuild_for(mapper, origin);
         Ok(())
     }
 
     /// Says how far this robot's clock is ahead of an origin's: own time = origin's time + offset. Microseconds.
     /// Only what is fused from now on is compared with it, until the next [`Self::rebuild`].
     pub fn set_clock_offset(&mut self, origin: RobotId, micros: i64) {
-        self.origin_mut(origin).clock_offset_micros = micros;
+        let set = self.origin_mut(origin);
+        set.has_other_offsets |= set.clock_offset_micros != micros;
+        set.clock_offset_micros = micros;
+    }
+
+    /// The same for what is fused already too: where something was fused with another offset, the map is made anew.
+    /// O(voxels of all layers), O(1) where nothing was.
+    pub fn apply_clock_offset(&mut self, mapper: &Mapper, origin: RobotId, micros: i64) {
+        self.set_clock_offset(origin, micros);
+        if self.origin(origin).has_other_offsets {
+            self.rebuild_for(mapper, origin);
+        }
     }
 
     /// Leaves an origin's layers out of the fused map, or takes them in again. They are kept in any case.
-    /// O(voxels of all layers).
+    /// O(voxels of all layers), O(1) if there are none of it or it is so already.
     pub fn set_muted(&mut self, mapper: &Mapper, origin: RobotId, is_muted: bool) {
         if self.origin(origin).is_muted != is_muted {
             self.origin_mut(origin).is_muted = is_muted;
+            self.rebuild_for(mapper, origin);
+        }
+    }
+
+    /// Makes the fused map anew, if there are layers of this origin: what it is set to has changed.
+    fn rebuild_for(&mut self, mapper: &Mapper, origin: RobotId) {
+        if self.sources.keys().any(|stream| stream.origin == origin && *stream != self.own) {
             self.rebuild(mapper);
+        } else {
+            self.origin_mut(origin).has_other_offsets = false;
         }
     }
 
@@ -408,6 +437,12 @@ impl Fusion {
         }
         self.refresh(mapper, &reached.into_iter().collect::<Vec<_>>());
         self.view.forget_emptied();
+        self.origins.values_mut().for_each(|origin| origin.has_other_offsets = false);
+    }
+
+    /// How many blocks of the fused map were worked out so far: what calls cost.
+    pub const fn refreshed(&self) -> u64 {
+        self.refreshed
     }
 
     fn origin(&self, id: RobotId) -> &Origin {
@@ -429,6 +464,7 @@ impl Fusion {
     /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that
     /// several know are compared one by one.
     fn refresh(&mut self, mapper: &Mapper, targets: &[(BlockIndex, Plane)]) {
+        self.refreshed += targets.len() as u64;
         for targets in targets.chunks(REFRESHED_AT_ONCE) {
             let mut fused: Vec<_> = targets
                 .iter()
@@ -486,8 +522,10 @@ impl Fusion {
 }
 
 impl Origin {
-    fn new(alignment: Alignment) -> Self {
-        Self { alignment, clock_offset_micros: 0, is_muted: false }
+    fn new(resolution: Resolution) -> Self {
+        let pose = Pose::IDENTITY;
+        let alignment = Alignment::new(&pose, resolution);
+        Self { pose, alignment, clock_offset_micros: 0, has_other_offsets: false, is_muted: false }
     }
 
     /// What a layer says of voxels in the own frame, block by block, with the number of the target.

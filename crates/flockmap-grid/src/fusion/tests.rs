@@ -620,3 +620,37 @@ fn what_an_alignment_brings_beyond_the_end_of_the_grid_is_left_out() {
         }
     }
 }
+
+#[test]
+fn the_same_pose_offset_or_muting_twice_costs_nothing() {
+    let mapper = mapper();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    let changes = source(&[3, 40].map(|x| (Voxel::new(x, 4, 5), State::Occupied)));
+    fusion.apply(&mapper, stream(2), &changes, Stamp(1), Stamp(1)).unwrap();
+    let turned = Pose::from_yaw([1.0, 2.0, 0.0], 0.3);
+    let mut costs = |change: &dyn Fn(&mut Fusion)| {
+        let before = fusion.refreshed();
+        change(&mut fusion);
+        fusion.refreshed() - before
+    };
+    for id in [2, 3].map(RobotId) {
+        let is_there = id == RobotId(2);
+        let align = |fusion: &mut Fusion| fusion.set_alignment(&mapper, id, &turned).unwrap();
+        let mute = |fusion: &mut Fusion| fusion.set_muted(&mapper, id, true);
+        let unmute = |fusion: &mut Fusion| fusion.set_muted(&mapper, id, false);
+        let set_clock = |fusion: &mut Fusion| fusion.apply_clock_offset(&mapper, id, 77);
+        for change in [&align as &dyn Fn(&mut Fusion), &mute, &unmute, &set_clock] {
+            assert_eq!(costs(change) > 0, is_there);
+            assert_eq!(costs(change), 0);
+        }
+    }
+    // Measured in between, it is another one for a while: then it is made anew, once.
+    fusion.set_clock_offset(RobotId(2), 99);
+    fusion.set_clock_offset(RobotId(2), 77);
+    let before = fusion.refreshed();
+    fusion.apply_clock_offset(&mapper, RobotId(2), 77);
+    assert!(fusion.refreshed() > before);
+    let before = fusion.refreshed();
+    fusion.apply_clock_offset(&mapper, RobotId(2), 77);
+    assert_eq!(fusion.refreshed(), before);
+}

@@ -241,9 +241,15 @@ impl Layer {
         }
     }
 
-    /// Packs all that is open: for who needs the room. O(open blocks).
+    /// Packs all that is open. O(open blocks).
     pub fn pack(&mut self) {
         self.pack_untouched(0, usize::MAX);
+    }
+
+    /// Packs all but what had something lately, for who needs the room: what is written to all the time would be
+    /// open again at once. O(open blocks).
+    pub(crate) fn make_room(&mut self) {
+        self.pack_untouched(COLD_WHERE_MANY_ARE_OPEN, usize::MAX);
     }
 
     /// Packs an open cube. Returns the number of its blocks.
