@@ -8,7 +8,7 @@ mod stamps;
 mod unpacked;
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -41,8 +41,11 @@ pub struct Layer {
     open: usize,
     open_bytes: usize,
     packed_bytes: usize,
-    /// How often something was applied.
-    applied: u64,
+    /// Each open cube once, with a value that its `touched` had: those first to which nothing was applied for longest,
+    /// nearly.
+    queue: VecDeque<(u64, BlockIndex)>,
+    /// How often blocks were changed.
+    changed: u64,
     unpacked: Arc<Unpacked>,
     /// By end of batch, where the sensor was. Codecs make use of it; it is no part of what is known.
     sensors: BTreeMap<Stamp, [i32; 3]>,
@@ -60,7 +63,7 @@ enum Place {
 #[derive(Clone, Debug, Default)]
 struct Open {
     cube: Cube,
-    /// [`Layer::applied`] when something was applied to it last.
+    /// [`Layer::changed`] when something was applied to it last.
     touched: u64,
 }
 
@@ -71,15 +74,12 @@ pub(crate) const SENSOR_BYTES: usize = 48;
 /// So many sensors are noted at least before the layer is gone through.
 const SENSORS_NOTED_MIN: usize = 1_024;
 
-/// After each so many changes that were applied, cubes are packed that had none for long.
-const PACKED_EVERY: u64 = 16;
-/// How many blocks then, at most: some 3 ms.
-const PACKED_AT_ONCE: usize = 256;
-/// A cube is packed that had nothing for so many changes: half a minute of a robot that maps, or more.
-const COLD: u64 = 1_024;
-/// The same where more blocks than this are open.
-const OPEN_MAX: usize = 16_384;
-const COLD_WHERE_MANY_ARE_OPEN: u64 = 128;
+/// When blocks were changed so often, it is looked whether some lie cold.
+const LOOKED_EVERY: u64 = 256;
+/// A cube is cold to which nothing was applied while blocks were changed four times as often as there are open ones,
+/// but between these. So what is changed all the time stays open, however large it is, and what a robot has left
+/// behind is packed within half a minute as a rule.
+const COLD: [u64; 2] = [8_192, 65_536];
 
 /// A later batch has changed a block already, or a snapshot has: what it was before is not known any more.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
@@ -99,6 +99,8 @@ pub const LAYER_BLOCK_BYTES_MAX: usize = table_bytes(1, PLACE_BYTES)
     + size_of::<Open>()
     + 2 * CUBE_BLOCK_BYTES
     + BlockStamps::bytes_of(usize::MAX);
+/// An open cube in the queue, which doubles.
+const QUEUE_BYTES: usize = size_of::<(u64, BlockIndex)>();
 /// A cube in the table.
 const PLACE_BYTES: usize = size_of::<(BlockIndex, Place)>();
 
@@ -112,7 +114,7 @@ impl Layer {
     /// stays, unless the new one is Occupied. Returns the blocks and voxels that it took over. O(changes).
     pub fn apply(&mut self, changes: &Changes, stamp: Stamp) -> Vec<(BlockIndex, Plane)> {
         let taken = self.take_over(changes, stamp, true);
-        self.note_applied();
+        self.note_changed(changes.blocks().len());
         taken
     }
 
@@ -123,7 +125,7 @@ impl Layer {
             state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, false)).collect();
         // After the voxels: the sensor of a batch of which nothing stands may be forgotten at once.
         state.sensors.iter().for_each(|(stamp, sensor)| self.note_sensor(*stamp, *sensor));
-        self.note_applied();
+        self.note_changed(state.parts.iter().map(|(_, part)| part.blocks().len()).sum());
         taken
     }
 
@@ -171,9 +173,9 @@ impl Layer {
     fn take_over(&mut self, changes: &Changes, stamp: Stamp, is_batch: bool) -> Vec<(BlockIndex, Plane)> {
         let mut taken = Vec::with_capacity(changes.blocks().len());
         for (index, new) in changes.blocks() {
-            let applied = self.applied;
+            let changed = self.changed;
             let open = self.open(cube_of(*index));
-            open.touched = applied;
+            open.touched = changed;
             let (list, blocks) = (open.cube.list_bytes(), open.cube.len());
             let block = open.cube.entry(*index, stamp);
             let stamps = block.stamps.memory_bytes();
@@ -197,6 +199,7 @@ impl Layer {
     fn open(&mut self, at: BlockIndex) -> &mut Open {
         let place = self.cubes.entry(at).or_insert_with(|| {
             self.open_bytes += size_of::<Open>();
+            self.queue.push_back((self.changed, at));
             Place::Open(Box::default())
         });
         if let Place::Packed(packed) = place {
@@ -204,6 +207,7 @@ impl Layer {
             self.packed_bytes -= packed.memory_bytes();
             self.open_bytes += size_of::<Open>() + cube.memory_bytes();
             self.open += cube.len();
+            self.queue.push_back((self.changed, at));
             *place = Place::Open(Box::new(Open { cube, touched: 0 }));
         }
         match place {
@@ -212,44 +216,39 @@ impl Layer {
         }
     }
 
-    /// Notes that something was applied, and packs now and then what had nothing for long.
-    fn note_applied(&mut self) {
-        self.applied += 1;
-        if self.applied.is_multiple_of(PACKED_EVERY) {
-            let cold = if self.open > OPEN_MAX { COLD_WHERE_MANY_ARE_OPEN } else { COLD };
-            self.pack_untouched(cold, PACKED_AT_ONCE);
+    /// Notes that blocks were changed, and packs as many of those that lie cold now and then: some 10 µs for each.
+    fn note_changed(&mut self, blocks: usize) {
+        let before = self.changed;
+        self.changed += blocks as u64;
+        if self.changed / LOOKED_EVERY > before / LOOKED_EVERY {
+            self.pack_cold((4 * self.open as u64).clamp(COLD[0], COLD[1]), blocks.max(LOOKED_EVERY as usize));
         }
     }
 
-    /// Packs cubes to which nothing was applied by the last `cold` changes, the longest ago first, until `blocks_max`
-    /// blocks are packed.
-    fn pack_untouched(&mut self, cold: u64, blocks_max: usize) {
-        let limit = self.applied.saturating_sub(cold);
-        let is_cold = |place: &Place| match place {
-            Place::Open(open) => (open.touched < limit).then_some(open.touched),
-            Place::Packed(_) => None,
-        };
-        let cold = self.cubes.iter().filter_map(|(at, place)| Some((is_cold(place)?, *at)));
-        let mut cold: Vec<(u64, BlockIndex)> = cold.collect();
-        cold.sort_unstable();
+    /// Packs cubes to which nothing was applied by the last `cold` changes of blocks, the longest ago first, until
+    /// `blocks_max` blocks are packed.
+    fn pack_cold(&mut self, cold: u64, blocks_max: usize) {
+        let limit = self.changed.saturating_sub(cold);
         let mut packed = 0;
-        for (_, at) in cold {
-            if packed >= blocks_max {
-                break;
+        while packed < blocks_max
+            && let Some((_, at)) = self.queue.pop_front_if(|(noted, _)| *noted < limit)
+        {
+            match self.cubes.get(&at) {
+                Some(Place::Open(open)) if open.touched >= limit => self.queue.push_back((open.touched, at)),
+                _ => packed += self.pack_cube(at),
             }
-            packed += self.pack_cube(at);
         }
     }
 
     /// Packs all that is open. O(open blocks).
     pub fn pack(&mut self) {
-        self.pack_untouched(0, usize::MAX);
+        self.pack_cold(0, usize::MAX);
     }
 
     /// Packs all but what had something lately, for who needs the room: what is written to all the time would be
     /// open again at once. O(open blocks).
     pub(crate) fn make_room(&mut self) {
-        self.pack_untouched(COLD_WHERE_MANY_ARE_OPEN, usize::MAX);
+        self.pack_cold(COLD[0], usize::MAX);
     }
 
     /// Packs an open cube. Returns the number of its blocks.
@@ -370,14 +369,14 @@ impl Layer {
     /// Bytes that the layer holds, as asked of the allocator. O(1).
     pub fn memory_bytes(&self) -> usize {
         let beside = table_bytes(self.cubes.len(), PLACE_BYTES) + SENSOR_BYTES * self.sensors.len();
-        beside + self.open_bytes + self.packed_bytes
+        beside + self.open_bytes + self.packed_bytes + self.queue.capacity() * QUEUE_BYTES
     }
 
     /// Bytes that it may hold at most while and after so many blocks are added to it, beside their stamps. O(1).
     pub fn memory_bytes_with(&self, blocks: usize) -> usize {
         // Each in a cube of its own.
         let of_cube = size_of::<Open>() + 2 * CUBE_BLOCK_BYTES;
-        self.memory_bytes() + self.table_growth(blocks) + blocks * of_cube
+        self.memory_bytes() + self.table_growth(blocks) + self.queue_growth(blocks) + blocks * of_cube
     }
 
     /// The most by which taking over these changes, each with a stamp of its own, can make it grow, in bytes
@@ -399,11 +398,12 @@ impl Layer {
                 BlockStamps::bytes_of(stamps)
             });
         }
-        let mut new_cubes = 0;
+        let (mut new_cubes, mut opened) = (0, 0);
         for (at, new) in cubes {
             bytes += match self.cubes.get(&at) {
                 Some(Place::Open(open)) => open.cube.growth_max(new),
                 Some(Place::Packed(packed)) => {
+                    opened += 1;
                     size_of::<Open>() + packed.open_bytes() + Cube::list_bytes_max(packed.len() + new)
                 }
                 None => {
@@ -412,7 +412,13 @@ impl Layer {
                 }
             };
         }
-        (bytes + self.table_growth(new_cubes), new_blocks)
+        (bytes + self.table_growth(new_cubes) + self.queue_growth(new_cubes + opened), new_blocks)
+    }
+
+    /// While the queue grows, the old one is there too.
+    fn queue_growth(&self, cubes: usize) -> usize {
+        let then = self.queue.len() + cubes;
+        if then > self.queue.capacity() { then.next_power_of_two().max(4) * QUEUE_BYTES } else { 0 }
     }
 
     /// While a table grows, the old one is there too.

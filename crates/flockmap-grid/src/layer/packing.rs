@@ -27,6 +27,9 @@ const SIDE: usize = 8 * CUBE_SIDE + 2;
 /// Steps from a voxel to the one before it along each axis.
 const STEPS: [usize; 3] = [1, SIDE, SIDE * SIDE];
 
+/// The voxels of a row along x, by z and y, a bit each.
+type Rows = [[u64; SIDE]; SIDE];
+
 /// How fast probabilities follow: a step of one in 2ⁿ.
 const RATE: u32 = 4;
 const EVEN: Probability = 1 << 15;
@@ -36,8 +39,8 @@ const EVEN: Probability = 1 << 15;
 pub(super) struct Packing<B> {
     bits: B,
     model: Box<Model>,
-    /// 0 Unknown, 1 Free, 2 Occupied.
-    states: Vec<u8>,
+    known: Box<Rows>,
+    occupied: Box<Rows>,
     ranks: Vec<u16>,
     /// Of the voxel before.
     last: u16,
@@ -45,7 +48,7 @@ pub(super) struct Packing<B> {
 
 struct Model {
     known: [Probability; 1024],
-    occupied: [Probability; 243],
+    occupied: [Probability; 1024],
     first: [Probability; 64],
     second: [Probability; 64],
     is_later: Probability,
@@ -62,7 +65,7 @@ impl<B: CodeBit> Packing<B> {
     pub(super) fn new(bits: B) -> Self {
         let model = Model {
             known: [EVEN; 1024],
-            occupied: [EVEN; 243],
+            occupied: [EVEN; 1024],
             first: [EVEN; 64],
             second: [EVEN; 64],
             is_later: EVEN,
@@ -74,8 +77,9 @@ impl<B: CodeBit> Packing<B> {
             before_known: [EVEN; 3],
             before_occupied: [EVEN; 3],
         };
-        let cells = SIDE * SIDE * SIDE;
-        Self { bits, model: Box::new(model), states: vec![0; cells], ranks: vec![0; cells], last: 0 }
+        let rows = || Box::new([[0; SIDE]; SIDE]);
+        let ranks = vec![0; SIDE * SIDE * SIDE];
+        Self { bits, model: Box::new(model), known: rows(), occupied: rows(), ranks, last: 0 }
     }
 
     pub(super) fn into_bits(self) -> B {
@@ -84,27 +88,18 @@ impl<B: CodeBit> Packing<B> {
 
     /// Passes the block at a place of the cube. A reader does not look at `truth`. Returns the block.
     pub(super) fn block(&mut self, place: u32, truth: &Voxels) -> Voxels {
-        let corner = [place & 3, place >> 2 & 3, place >> 4].map(|at| 8 * at as usize + 1);
+        let [cx, cy, cz] = [place & 3, place >> 2 & 3, place >> 4].map(|at| 8 * at as usize + 1);
         let (mut free, mut occupied): (Plane, Plane) = ([0; 8], [0; 8]);
         let mut ranks = [0; BLOCK_VOXELS];
         let mut highest = 0;
-        for (bit, rank) in ranks.iter_mut().enumerate() {
-            let at = (corner[2] + (bit >> 6)) * STEPS[2]
-                + (corner[1] + (bit >> 3 & 7)) * STEPS[1]
-                + corner[0]
-                + (bit & 7);
-            let state = self.state(at, truth.states.get(bit));
-            if state == State::Unknown {
-                continue;
-            }
-            let is_occupied = state == State::Occupied;
-            *(if is_occupied { &mut occupied } else { &mut free }).get_mut(bit >> 6).unwrap_or(&mut 0) |=
-                1 << (bit & 63);
-            *rank = self.rank(at, truth.ranks[bit]);
-            highest = highest.max(*rank);
-            self.states[at] = 1 + u8::from(is_occupied);
-            self.ranks[at] = *rank;
-            self.last = *rank;
+        for (row, ranks) in ranks.as_chunks_mut::<8>().0.iter_mut().enumerate() {
+            let (z, y) = (row >> 3, row & 7);
+            let of_row = |plane: &Plane| (plane[z] >> (8 * y)) as u8;
+            let is = [truth.states.free(), truth.states.occupied()].map(of_row);
+            let [free_row, occupied_row] = self.row([cx, cy + y, cz + z], is, ranks, &truth.ranks[8 * row..]);
+            free[z] |= u64::from(free_row) << (8 * y);
+            occupied[z] |= u64::from(occupied_row) << (8 * y);
+            highest = ranks.iter().fold(highest, |highest: u16, rank| highest.max(*rank));
         }
         let states = StateBlock::new(free, occupied);
         let newest = self.newest(highest, truth.newest);
@@ -112,29 +107,59 @@ impl<B: CodeBit> Packing<B> {
         Voxels { states, ranks, newest, before }
     }
 
-    fn state(&mut self, at: usize, truth: State) -> State {
-        let Self { bits, model, states, .. } = self;
-        let of = |step: usize| usize::from(states[at - step]);
-        let [x, y, z] = STEPS.map(of);
-        let [sx, sy, sz] = STEPS;
-        let diagonal = [sx + sy, sx + sz, sy + sz, sy - sx, sz - sx].map(of);
-        let around = [x, y, z].into_iter().chain(diagonal);
-        let known = around.enumerate().map(|(n, state)| usize::from(state != 0) << n).sum::<usize>();
-        let context = known | usize::from(x == 2) << 8 | usize::from(y == 2 || z == 2) << 9;
-        if !bits.code(&mut model.known[context], truth != State::Unknown, RATE) {
-            return State::Unknown;
+    /// Passes eight voxels along x from a place on: the Free and the Occupied ones, and the numbers of their stamps.
+    #[inline(always)]
+    fn row(&mut self, at: [usize; 3], is: [u8; 2], ranks: &mut [u16; 8], truth: &[u16]) -> [u8; 2] {
+        let [x, y, z] = at;
+        // From the voxel before the first one on: of the row itself, the one before it along y, along z, and both.
+        let around = |rows: &Rows| {
+            [rows[z][y], rows[z][y - 1], rows[z - 1][y], rows[z - 1][y - 1]].map(|row| row >> (x - 1))
+        };
+        let ([mut known, ky, kz, kyz], [mut occupied, oy, oz, _]) =
+            (around(&self.known), around(&self.occupied));
+        let mut found = [0u8; 2];
+        for (n, to) in ranks.iter_mut().enumerate() {
+            let near = [known >> n & 1, ky >> n & 7, kz >> n & 7, kyz >> (n + 1) & 1];
+            let hard = [occupied >> n & 1, oy >> n & 7, oz >> n & 7];
+            let context = near[0]
+                | near[1] << 1
+                | near[2] << 4
+                | near[3] << 7
+                | hard[0] << 8
+                | ((hard[1] | hard[2]) & 2) << 8;
+            let [is_free, is_occupied] = is.map(|row| row >> n & 1 == 1);
+            let probability = &mut self.model.known[context as usize & 1023];
+            if !self.bits.code(probability, is_free || is_occupied, RATE) {
+                continue;
+            }
+            // Of the five at the faces and beside them before: not those at the lower edges.
+            let context = near[0]
+                | near[1] >> 1 << 1
+                | near[2] >> 1 << 3
+                | hard[0] << 5
+                | hard[1] >> 1 << 6
+                | hard[2] >> 1 << 8;
+            let is_occupied =
+                self.bits.code(&mut self.model.occupied[context as usize & 1023], is_occupied, RATE);
+            let flags = [near[0] == 1, near[1] >> 1 & 1 == 1, near[2] >> 1 & 1 == 1];
+            let cell = z * STEPS[2] + y * STEPS[1] + x + n;
+            let rank = self.rank(cell, flags, truth.get(n).copied().unwrap_or(0));
+            self.ranks[cell] = rank;
+            self.last = rank;
+            *to = rank;
+            known |= 2 << n;
+            occupied |= u64::from(is_occupied) << (n + 1);
+            found[usize::from(is_occupied)] |= 1 << n;
         }
-        let context = (((x * 3 + y) * 3 + z) * 3 + diagonal[3]) * 3 + diagonal[4];
-        match bits.code(&mut model.occupied[context], truth == State::Occupied, RATE) {
-            true => State::Occupied,
-            false => State::Free,
-        }
+        self.known[z][y] |= known << (x - 1);
+        self.occupied[z][y] |= occupied << (x - 1);
+        found
     }
 
     /// The number of a stamp: that of a neighbour, as a rule, or so much earlier or later.
-    fn rank(&mut self, at: usize, truth: u16) -> u16 {
-        let Self { bits, model, states, ranks, last } = self;
-        let known = STEPS.map(|step| states[at - step] != 0);
+    #[inline(always)]
+    fn rank(&mut self, at: usize, known: [bool; 3], truth: u16) -> u16 {
+        let Self { bits, model, ranks, last, .. } = self;
         let [x, y, z] = STEPS.map(|step| ranks[at - step]);
         let agree =
             [known[0] && known[1] && x == y, known[0] && known[2] && x == z, known[1] && known[2] && y == z];

@@ -85,11 +85,12 @@ proptest! {
 fn what_had_nothing_for_long_is_packed_and_what_is_seen_again_and_again_is_not() {
     let mut layer = Layer::default();
     let wall = |x: i32| Changes::from_voxels((0..8).map(|y| (Voxel::new(x, y, 0), State::Occupied)));
-    for step in 0..4_000 {
+    for step in 0..60_000 {
         layer.apply(&wall(40 * step), Stamp(2 * i64::from(step)));
         layer.apply(&wall(-1), Stamp(2 * i64::from(step) + 1));
     }
-    assert!(layer.packed_count() > 3_300, "{} of {}", layer.packed_count(), layer.block_count());
+    assert!(layer.open < 34_000, "{} of {} are open", layer.open, layer.block_count());
+    assert!(layer.packed_count() > 0);
     assert!(matches!(layer.cubes[&cube_of(Voxel::new(-1, 0, 0).block())], Place::Open(_)));
     check_counts(&layer);
 }
