@@ -7,7 +7,7 @@ use crate::{BlockIndex, Stamp};
 pub(super) const CUBE_SIDE: usize = 4;
 
 /// The blocks of a cube that are there, in ascending order of their places.
-#[derive(Clone, PartialEq, Debug, Default)]
+#[derive(PartialEq, Debug, Default)]
 pub(super) struct Cube {
     /// A bit for each place at which there is a block: `z·16 + y·4 + x` of its place in the cube.
     places: u64,
@@ -24,6 +24,15 @@ pub(super) const fn cube_of(index: BlockIndex) -> BlockIndex {
 
 pub(super) const fn place_of(index: BlockIndex) -> u32 {
     ((index.z & 3) << 4 | (index.y & 3) << 2 | (index.x & 3)) as u32
+}
+
+impl Clone for Cube {
+    /// With as much room: it takes as many bytes.
+    fn clone(&self) -> Self {
+        let mut blocks = Vec::with_capacity(self.blocks.capacity());
+        blocks.extend_from_slice(&self.blocks);
+        Self { places: self.places, blocks }
+    }
 }
 
 impl Cube {

@@ -216,7 +216,7 @@ impl Layer {
         }
     }
 
-    /// Notes that blocks were changed, and packs as many of those that lie cold now and then: some 10 µs for each.
+    /// Notes that blocks were changed, and packs as many of those that lie cold now and then: some 15 µs for each.
     fn note_changed(&mut self, blocks: usize) {
         let before = self.changed;
         self.changed += blocks as u64;
@@ -264,7 +264,7 @@ impl Layer {
         blocks
     }
 
-    /// State of a voxel. A cube that is packed is unpacked for it: some 10 µs for each of its blocks, if it was not
+    /// State of a voxel. A cube that is packed is unpacked for it: some 15 µs for each of its blocks, if it was not
     /// read just before.
     pub fn state(&self, voxel: Voxel) -> State {
         self.get(voxel).map_or(State::Unknown, |(state, _)| state)

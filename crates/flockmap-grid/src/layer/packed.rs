@@ -24,7 +24,7 @@ pub(super) struct PackedCube {
 const PACKED_BYTES: usize = size_of::<PackedCube>() + 2 * size_of::<usize>();
 
 impl PackedCube {
-    /// Packs a cube that has a block. Some 10 µs for each block; the model learns anew in each cube.
+    /// Packs a cube that has a block. Some 15 µs for each block; the model learns anew in each cube.
     pub(super) fn pack(cube: &Cube) -> Self {
         let blocks = cube.parts();
         let mut palette: Vec<Stamp> = blocks.iter().map(|block| block.stamps.newest()).collect();
@@ -60,7 +60,7 @@ impl PackedCube {
         }
     }
 
-    /// The cube again: equal to the one that was packed, but for stamps in palettes that no voxel has. Some 10 µs
+    /// The cube again: equal to the one that was packed, but for stamps in palettes that no voxel has. Some 15 µs
     /// for each block.
     pub(super) fn unpack(&self) -> Cube {
         let (palette, bits) = take_palette(&self.bytes);

@@ -57,8 +57,8 @@ struct Model {
     is_newest_used: Probability,
     is_before_known: Probability,
     is_regular: Probability,
-    before_known: [Probability; 3],
-    before_occupied: [Probability; 3],
+    before_known: [Probability; 192],
+    before_occupied: [Probability; 192],
 }
 
 impl<B: CodeBit> Packing<B> {
@@ -74,8 +74,8 @@ impl<B: CodeBit> Packing<B> {
             is_newest_used: EVEN,
             is_before_known: EVEN,
             is_regular: EVEN,
-            before_known: [EVEN; 3],
-            before_occupied: [EVEN; 3],
+            before_known: [EVEN; 192],
+            before_occupied: [EVEN; 192],
         };
         let rows = || Box::new([[0; SIDE]; SIDE]);
         let ranks = vec![0; SIDE * SIDE * SIDE];
@@ -224,7 +224,13 @@ impl<B: CodeBit> Packing<B> {
         let is_regular = bits.code(&mut model.is_regular, is_regular, RATE);
         let mut before = *states;
         for bit in (0..BLOCK_VOXELS).filter(|bit| !is_regular || is_of_newest(*bit)) {
-            let (context, truth) = (states.get(bit) as usize, truth.get(bit));
+            // Of the voxels before it in the block: what they were, if they have the newest stamp.
+            let neighbours = [(1, bit & 7), (8, bit & 56), (64, bit & 448)];
+            let context = neighbours.into_iter().fold(states.get(bit) as usize, |context, (step, inside)| {
+                let is_told = inside != 0 && is_of_newest(bit - step);
+                4 * context + if is_told { before.get(bit - step) as usize } else { 3 }
+            });
+            let truth = truth.get(bit);
             let is_known = bits.code(&mut model.before_known[context], truth != State::Unknown, RATE);
             let state = match is_known
                 && bits.code(&mut model.before_occupied[context], truth == State::Occupied, RATE)

@@ -6,7 +6,7 @@ use crate::{BLOCK_VOXELS, Plane, Stamp};
 /// Stamps of the voxels of a block, as a palette and an index into it for each voxel. A block is touched by a few
 /// dozen batches as a rule, so a byte a voxel is enough; with more than 256 stamps in use it takes two.
 /// At most 9.2 kB: 1,024 palette entries, the half of them of no use any more, and 512 indices of two bytes.
-#[derive(Clone, PartialEq, Debug)]
+#[derive(PartialEq, Debug)]
 pub(super) struct BlockStamps {
     palette: Vec<Stamp>,
     indices: Indices,
@@ -22,6 +22,15 @@ enum Indices {
     One,
     Narrow(Box<[u8; BLOCK_VOXELS]>),
     Wide(Box<[u16; BLOCK_VOXELS]>),
+}
+
+impl Clone for BlockStamps {
+    /// With as much room: it takes as many bytes, and grows in the same steps.
+    fn clone(&self) -> Self {
+        let mut palette = Vec::with_capacity(self.palette.capacity());
+        palette.extend_from_slice(&self.palette);
+        Self { palette, indices: self.indices.clone(), newest: self.newest }
+    }
 }
 
 impl BlockStamps {

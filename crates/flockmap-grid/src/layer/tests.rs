@@ -75,6 +75,11 @@ proptest! {
         layer.pack();
         check_counts(&layer);
         prop_assert_eq!(all_of(&layer, &stamps), all_of(&never, &stamps));
+        let mut copy = never.clone();
+        check_counts(&copy);
+        copy.pack();
+        check_counts(&copy);
+        prop_assert_eq!(all_of(&copy, &stamps), all_of(&never, &stamps));
         let mut copy = layer.clone();
         copy.apply(&Changes::from_voxels([(Voxel::new(1, 1, 1), State::Occupied)]), Stamp(100));
         prop_assert_eq!(all_of(&layer, &stamps), all_of(&never, &stamps), "a copy is one of its own");
