@@ -10,6 +10,7 @@ mod catch_up;
 mod codec_run;
 mod codecs;
 mod field;
+mod layers;
 mod mapping;
 mod paper;
 mod place;
@@ -43,6 +44,7 @@ Start here:
 enum Command {
     Codecs(Box<codecs::CodecsArgs>),
     States(Box<states::StatesArgs>),
+    Layers(Box<layers::LayersArgs>),
     Mapping(mapping::MappingArgs),
     Field(field::FieldArgs),
     CatchUp(Box<catch_up::CatchUpArgs>),
@@ -61,6 +63,7 @@ fn main() -> ExitCode {
     program::exit_code(match &cli.command {
         Command::Codecs(args) => codecs::run(args),
         Command::States(args) => states::run(args),
+        Command::Layers(args) => layers::run(args),
         Command::Mapping(args) => mapping::run(args),
         Command::Field(args) => field::run(args),
         Command::CatchUp(args) => catch_up::run(args),

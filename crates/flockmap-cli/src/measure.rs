@@ -277,7 +277,7 @@ pub type Block = (BlockIndex, StateBlock);
 
 /// The blocks of a layer.
 pub fn blocks_of(layer: &Layer) -> impl Iterator<Item = Block> {
-    layer.blocks().map(|(index, block)| (index, *block))
+    layer.blocks()
 }
 
 /// The blocks of two maps by place; where one has none, nothing is known.

@@ -16,7 +16,6 @@ mod origin;
 mod pose;
 mod scan;
 mod snapshot;
-mod stamps;
 mod states;
 #[cfg(feature = "serde")]
 #[doc(hidden)]

@@ -247,7 +247,8 @@ impl Robot {
     }
 
     /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again. What comes
-    /// to lie beyond the end of the grid is left out of the fused map. O(voxels known).
+    /// to lie beyond the end of the grid is left out of the fused map. O(voxels known); O(1) where nothing of it
+    /// came, or it lies so already.
     ///
     /// # Errors
     /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; the alignment stays
@@ -260,16 +261,16 @@ impl Robot {
     /// Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is
     /// measured. `None`: measure again. With its own id: how far its clock was ahead in former runs, 0 if it
     /// goes on through a restart; else that is measured through others that heard those runs. The fused map
-    /// is made anew. O(voxels known).
+    /// is made anew. O(voxels known); O(1) where all was fused with this offset.
     pub fn set_clock_offset(&mut self, origin: RobotId, micros: Option<i64>) {
         self.session.set_clock_offset(origin, micros);
         if let Some(micros) = micros {
-            self.fusion.set_clock_offset(origin, micros.saturating_neg());
-            self.fusion.rebuild(&self.mapper);
+            self.fusion.apply_clock_offset(&self.mapper, origin, micros.saturating_neg());
         }
     }
 
-    /// Leaves a robot's layers out of the fused map, or takes them in again. O(voxels known).
+    /// Leaves a robot's layers out of the fused map, or takes them in again. O(voxels known); O(1) where nothing of
+    /// it came, or it is so already.
     pub fn set_muted(&mut self, origin: RobotId, is_muted: bool) {
         self.fusion.set_muted(&self.mapper, origin, is_muted);
     }

@@ -79,7 +79,7 @@ impl Receiver for PackageReceiver {
     }
 
     fn states(&self) -> Box<dyn Iterator<Item = (BlockIndex, StateBlock)> + '_> {
-        Box::new(self.layer.blocks().map(|(index, block)| (index, *block)))
+        Box::new(self.layer.blocks())
     }
 
     fn layer(&self) -> Option<&Layer> {

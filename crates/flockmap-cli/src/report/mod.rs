@@ -417,7 +417,7 @@ fn pairs(robots: &[Member]) -> Vec<Pair> {
             // What the origin's own map knows now must be what it published, too. A voxel that has become
             // Unknown since stays as published.
             for (index, block) in origin.mapper().blocks() {
-                let received = layer.block(index).copied().unwrap_or_default();
+                let received = layer.block(index).unwrap_or_default();
                 let wrong: u32 = block.minus(&received).known_count();
                 compared.equal = compared.equal.saturating_sub(u64::from(wrong));
             }

@@ -5,7 +5,6 @@ use flockmap_grid::BaseSuperseded;
 
 use super::block_box::BlockBox;
 use super::cells::Bits;
-use super::coder::Probability;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::known::Known;
 use super::log2::log2;
@@ -13,6 +12,7 @@ use super::model::Model;
 use super::order::Changed;
 use super::orientation::Orientation;
 use super::tables::{TableSet, Tables, voxel_probability};
+use flockmap_coder::Probability;
 
 /// Blocks that are looked at: so many from the front and so many from the middle, at most one in
 /// `SAMPLE_PART`.

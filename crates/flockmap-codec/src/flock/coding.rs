@@ -1,20 +1,20 @@
 //! Decisions to bytes, and bytes to decisions: one piece of code, so that both learn alike.
 
 use super::cells::Bits;
-use super::coder::{CodeBit, Probability};
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::tables::{
     KIND_PROBABILITIES, Levels, Probabilities, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
 use crate::work;
+use flockmap_coder::{CodeBit, Probability};
 
 /// How fast a probability follows what happens: a step of one in 2ⁿ.
 const VOXEL_RATE: u32 = 5;
 const KIND_RATE: u32 = 4;
 const FLAG_RATE: u32 = 6;
 
-/// The decisions of one package. With a [`BitWriter`](super::coder::BitWriter) they are written; with a
-/// [`BitReader`](super::coder::BitReader) they are read, and any bytes give some.
+/// The decisions of one package. With a [`BitWriter`](flockmap_coder::BitWriter) they are written; with a
+/// [`BitReader`](flockmap_coder::BitReader) they are read, and any bytes give some.
 pub(crate) struct Coding<'a, B> {
     probabilities: &'a mut Probabilities,
     tables: &'static Tables,

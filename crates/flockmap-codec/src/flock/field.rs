@@ -65,7 +65,7 @@ impl Field {
     ) -> Result<KnownClasses, BaseSuperseded> {
         match self.slots.get(self.places.of(block)) {
             Some(&slot) if slot != NOT_ASKED => Ok(self.classes_in(slot)),
-            _ => Ok(known.block(block)?.map(KnownClasses::of).unwrap_or_default()),
+            _ => Ok(known.block(block)?.map(|states| KnownClasses::of(&states)).unwrap_or_default()),
         }
     }
 
@@ -88,7 +88,7 @@ impl Field {
         }
         for ((_, classes), states) in found.iter_mut().zip(states) {
             if let Some(states) = states {
-                *classes = KnownClasses::of(states);
+                *classes = KnownClasses::of(&states);
             }
         }
         Ok(())
@@ -136,7 +136,7 @@ impl Field {
             }
         }
         for (number, place, states) in found.into_iter().take(count) {
-            slots[number % 27] = self.admit(place, states, orientation);
+            slots[number % 27] = self.admit(place, states.as_ref(), orientation);
         }
         Ok(slots)
     }

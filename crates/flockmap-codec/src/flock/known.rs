@@ -34,10 +34,10 @@ impl<'a> Known<'a> {
     }
 
     /// What was known of a block before the batch.
-    pub(crate) fn block(&self, index: BlockIndex) -> Result<Option<&'a StateBlock>, BaseSuperseded> {
+    pub(crate) fn block(&self, index: BlockIndex) -> Result<Option<StateBlock>, BaseSuperseded> {
         let (layer, batch_end) = match self.before {
             Before::Nothing => return Ok(None),
-            Before::States(states) => return Ok(states.get(&index)),
+            Before::States(states) => return Ok(states.get(&index).copied()),
             Before::Batch(layer, batch_end) => (layer, batch_end),
         };
         Ok(layer.known_before(index, batch_end)?.map(|(states, newest)| {

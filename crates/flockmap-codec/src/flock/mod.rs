@@ -12,7 +12,6 @@ mod block;
 mod block_box;
 mod cells;
 mod choice;
-mod coder;
 mod coding;
 mod decide;
 mod field;

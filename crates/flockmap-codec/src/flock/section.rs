@@ -9,7 +9,6 @@
 use flockmap_grid::{BLOCK_SIDE, BaseSuperseded, Changes, VOXEL_LIMIT, VoxelBox};
 
 use super::block_box::{BOX_BLOCKS_MAX, BlockBox};
-use super::coder::{BitReader, BitWriter};
 use super::coding::Coding;
 use super::decide::Decide;
 use super::field::AHEAD;
@@ -26,6 +25,7 @@ use crate::codec::Codec;
 use crate::error::PackageError;
 use crate::fields::Fields;
 use crate::work::{self, CHANGED_STEPS, TAKEN_IN_STEPS, Work};
+use flockmap_coder::{BitReader, BitWriter};
 
 /// Zeros at the end of a payload that is short for its work, at most, unless it has one block: another
 /// package takes no more.

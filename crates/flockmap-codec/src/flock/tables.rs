@@ -6,9 +6,9 @@
 
 use std::sync::OnceLock;
 
-use super::coder::Probability;
 use super::decide::RowKind;
 use crate::deflate::inflate_exact;
+use flockmap_coder::Probability;
 
 /// Levels of likelihood: steps of ¼ in ln(p / (1 − p)), level 32 is even.
 pub(crate) const LEVELS: usize = 64;

@@ -9,7 +9,6 @@ use flockmap_grid::{Changes, Layer};
 
 use super::block_box::BlockBox;
 use super::cells::Bits;
-use super::coder::Probability;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::flags::Flags;
 use super::known::Known;
@@ -22,6 +21,7 @@ use super::tables::{
 };
 use crate::deflate::{Deflater, inflate_exact};
 use crate::source::Batch;
+use flockmap_coder::Probability;
 
 /// Changed voxels in a package of usual size. The voxels at its rim have less beside them.
 const PACKAGE_VOXELS: usize = 1_500;

@@ -89,7 +89,7 @@ impl Alignment {
                     sources.each(|source, block| add(source, block, &plane_within(source, ends[0], ends[1])));
                 } else {
                     self.backward.near_voxels(&self.forward, *index, mask, |source, plane| {
-                        layer.block(source).into_iter().for_each(|block| add(source, block, plane));
+                        layer.block(source).into_iter().for_each(|block| add(source, &block, plane));
                     });
                 }
             }
@@ -115,7 +115,7 @@ impl Alignment {
     }
 
     /// The voxels of `mask` whose centres lie in free voxels.
-    fn free(&self, sources: &Sources<'_>, index: BlockIndex, mask: &Plane) -> Plane {
+    fn free(&self, sources: &Sources, index: BlockIndex, mask: &Plane) -> Plane {
         let planes = sources.planes(StateBlock::free);
         let mut free = [0; 8];
         self.backward.each_row(index, mask, |first, bits, voxels| {
@@ -147,13 +147,13 @@ impl Alignment {
 }
 
 /// The blocks of a layer in which lies what it says of a block of another grid: three along each axis at most.
-struct Sources<'a> {
+struct Sources {
     low: BlockIndex,
-    blocks: [Option<&'a StateBlock>; 27],
+    blocks: [Option<StateBlock>; 27],
 }
 
-impl<'a> Sources<'a> {
-    fn new(layer: &'a Layer, ends: [Voxel; 2]) -> Self {
+impl Sources {
+    fn new(layer: &Layer, ends: [Voxel; 2]) -> Self {
         let [low, high] = ends.map(Voxel::block);
         let mut blocks = [None; 27];
         for z in low.z..=high.z.min(low.z + 2) {
@@ -175,7 +175,7 @@ impl<'a> Sources<'a> {
     fn each(&self, mut found: impl FnMut(BlockIndex, &StateBlock)) {
         for (number, block) in (0..27).zip(self.blocks) {
             if let Some(block) = block.filter(|block| *block.occupied() != [0; 8]) {
-                found(numbered(self.low, number), block);
+                found(numbered(self.low, number), &block);
             }
         }
     }
@@ -185,7 +185,7 @@ impl<'a> Sources<'a> {
         let mut planes = [0; 32 * 8];
         for (to, block) in planes.chunks_exact_mut(8).zip(self.blocks) {
             if let Some(block) = block {
-                to.copy_from_slice(plane(block));
+                to.copy_from_slice(plane(&block));
             }
         }
         planes

@@ -10,8 +10,9 @@ mod view;
 
 use core::cmp::Reverse;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use crate::layer::SENSOR_BYTES;
+use crate::layer::{SENSOR_BYTES, Unpacked};
 use crate::{
     BlockIndex, Changes, Layer, Mapper, Plane, Pose, PoseError, Resolution, RobotId, ScanReport, Snapshot,
     Stamp, State, StateBlock, Stream, Voxel, set_bits,
@@ -31,8 +32,9 @@ pub struct FusionConfig {
     #[cfg_attr(feature = "serde", serde(rename = "own_priority_ms", with = "crate::units::Times::<1_000>"))]
     pub own_priority_micros: i64,
     /// Most bytes that the layers of all other streams may hold together, with what they add to the fused
-    /// map; what goes beyond is refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule, and 11 kB if
-    /// each of its voxels changed last in another batch. One merge may go beyond by what it adds to the fused
+    /// map; what goes beyond is refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule while it is changed, and
+    /// 11 kB if each of its voxels changed last in another batch; 0.1 kB, when nothing near it has changed for long.
+    /// One merge may go beyond by what it adds to the fused
     /// map in new places, at most 64 MiB. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "layers_mb", with = "crate::units::Mebibytes"))]
     pub layer_bytes_max: usize,
@@ -107,7 +109,10 @@ pub struct Fusion {
     origins: BTreeMap<RobotId, Origin>,
     /// Of origins for which nothing was set.
     unset: Origin,
+    /// Cubes of layers, for who reads them.
+    unpacked: Arc<Unpacked>,
     view: MapView,
+    refreshed: u64,
 }
 
 /// What came of a stream.
@@ -128,8 +133,11 @@ impl Source {
 /// What is set for the layers of an origin.
 #[derive(Clone, Debug)]
 struct Origin {
+    pose: Pose,
     alignment: Alignment,
     clock_offset_micros: i64,
+    /// Something was fused with another offset.
+    has_other_offsets: bool,
     is_muted: bool,
 }
 
@@ -144,7 +152,9 @@ impl Fusion {
             sources: BTreeMap::new(),
             layer_bytes: 0,
             origins: BTreeMap::new(),
-            unset: Origin::new(Alignment::new(&Pose::IDENTITY, resolution)),
+            unset: Origin::new(resolution),
+            unpacked: Arc::default(),
+            refreshed: 0,
             view: MapView::new(resolution),
         }
     }
@@ -193,7 +203,7 @@ impl Fusion {
         now: Stamp,
     ) -> Result<usize, FusionError> {
         // Its sensor is noted when it has been applied.
-        self.check_room(mapper, stream, core::iter::once(changes), 1)?;
+        self.make_room(mapper, stream, || core::iter::once(changes), 1)?;
         Ok(self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(changes, stamp)))
     }
 
@@ -208,8 +218,8 @@ impl Fusion {
         state: &Snapshot,
         now: Stamp,
     ) -> Result<usize, FusionError> {
-        let parts = state.parts.iter().map(|(_, part)| part);
-        self.check_room(mapper, stream, parts, state.sensors.len())?;
+        let parts = || state.parts.iter().map(|(_, part)| part);
+        self.make_room(mapper, stream, parts, state.sensors.len())?;
         let newest = state.parts.iter().map(|(stamp, _)| *stamp).max();
         Ok(self.take_over(mapper, stream, (newest, now), |layer| layer.apply_snapshot(state)))
     }
@@ -219,13 +229,38 @@ impl Fusion {
         self.layer_bytes + self.view.memory_bytes().saturating_sub(mapper.block_count() * VIEW_BLOCK_BYTES)
     }
 
+    /// Packs layers if they would not fit else: the layer of a stream is to take these changes over.
+    fn make_room<'a, P: Iterator<Item = &'a Changes>>(
+        &mut self,
+        mapper: &Mapper,
+        stream: Stream,
+        parts: impl Fn() -> P,
+        sensors: usize,
+    ) -> Result<(), FusionError> {
+        match self.check_room(mapper, stream, parts(), sensors) {
+            Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }) => {
+                let is_own = stream == self.own;
+                let sources = self.sources.iter_mut().filter(|(other, _)| (**other == self.own) == is_own);
+                for (_, source) in sources {
+                    let before = source.memory_bytes();
+                    source.layer.make_room();
+                    if !is_own {
+                        self.layer_bytes = self.layer_bytes + source.memory_bytes() - before;
+                    }
+                }
+                self.check_room(mapper, stream, parts(), sensors)
+            }
+            result => result,
+        }
+    }
+
     /// Whether the layer of a stream may take these changes over, each with a stamp of its own, and so many
     /// sensors.
     fn check_room<'a>(
         &self,
         mapper: &Mapper,
         stream: Stream,
-        parts: impl ExactSizeIterator<Item = &'a Changes>,
+        parts: impl Iterator<Item = &'a Changes>,
         sensors: usize,
     ) -> Result<(), FusionError> {
         let source = self.sources.get(&stream);
@@ -286,7 +321,8 @@ impl Fusion {
 
     /// Changes a source, and the count of bytes with it.
     fn change_source<T>(&mut self, stream: Stream, change: impl FnOnce(&mut Source) -> T) -> T {
-        let source = self.sources.entry(stream).or_default();
+        let nothing = || Source { layer: Layer::new(&self.unpacked), received: Received::default() };
+        let source = self.sources.entry(stream).or_insert_with(nothing);
         let before = source.memory_bytes();
         let result = change(source);
         if stream != self.own {
@@ -327,7 +363,7 @@ impl Fusion {
 
     /// Says how an origin's frame lies in this robot's frame. Nothing has to be sent again: the fused map is
     /// made anew from the layers. What comes to lie beyond the end of the grid is left out. O(voxels of all
-    /// layers).
+    /// layers), O(1) if there are none of it or it lies so already.
     ///
     /// # Errors
     /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; nothing is changed
@@ -340,24 +376,48 @@ impl Fusion {
         T_own_origin: &Pose,
     ) -> Result<(), PoseError> {
         T_own_origin.check(self.resolution)?;
+        if self.origin(origin).pose == *T_own_origin {
+            return Ok(());
+        }
         let alignment = Alignment::new(T_own_origin, self.resolution);
-        self.origin_mut(origin).alignment = alignment;
-        self.rebuild(mapper);
+        let set = self.origin_mut(origin);
+        (set.pose, set.alignment) = (*T_own_origin, alignment);
+        self.rebuild_for(mapper, origin);
         Ok(())
     }
 
     /// Says how far this robot's clock is ahead of an origin's: own time = origin's time + offset. Microseconds.
     /// Only what is fused from now on is compared with it, until the next [`Self::rebuild`].
     pub fn set_clock_offset(&mut self, origin: RobotId, micros: i64) {
-        self.origin_mut(origin).clock_offset_micros = micros;
+        let set = self.origin_mut(origin);
+        set.has_other_offsets |= set.clock_offset_micros != micros;
+        set.clock_offset_micros = micros;
+    }
+
+    /// The same for what is fused already too: where something was fused with another offset, the map is made anew.
+    /// O(voxels of all layers), O(1) where nothing was.
+    pub fn apply_clock_offset(&mut self, mapper: &Mapper, origin: RobotId, micros: i64) {
+        self.set_clock_offset(origin, micros);
+        if self.origin(origin).has_other_offsets {
+            self.rebuild_for(mapper, origin);
+        }
     }
 
     /// Leaves an origin's layers out of the fused map, or takes them in again. They are kept in any case.
-    /// O(voxels of all layers).
+    /// O(voxels of all layers), O(1) if there are none of it or it is so already.
     pub fn set_muted(&mut self, mapper: &Mapper, origin: RobotId, is_muted: bool) {
         if self.origin(origin).is_muted != is_muted {
             self.origin_mut(origin).is_muted = is_muted;
+            self.rebuild_for(mapper, origin);
+        }
+    }
+
+    /// Makes the fused map anew, if there are layers of this origin: what it is set to has changed.
+    fn rebuild_for(&mut self, mapper: &Mapper, origin: RobotId) {
+        if self.sources.keys().any(|stream| stream.origin == origin && *stream != self.own) {
             self.rebuild(mapper);
+        } else {
+            self.origin_mut(origin).has_other_offsets = false;
         }
     }
 
@@ -378,6 +438,12 @@ impl Fusion {
         }
         self.refresh(mapper, &reached.into_iter().collect::<Vec<_>>());
         self.view.forget_emptied();
+        self.origins.values_mut().for_each(|origin| origin.has_other_offsets = false);
+    }
+
+    /// How many blocks of the fused map were worked out so far: what calls cost.
+    pub const fn refreshed(&self) -> u64 {
+        self.refreshed
     }
 
     fn origin(&self, id: RobotId) -> &Origin {
@@ -399,6 +465,7 @@ impl Fusion {
     /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that
     /// several know are compared one by one.
     fn refresh(&mut self, mapper: &Mapper, targets: &[(BlockIndex, Plane)]) {
+        self.refreshed += targets.len() as u64;
         for targets in targets.chunks(REFRESHED_AT_ONCE) {
             let mut fused: Vec<_> = targets
                 .iter()
@@ -456,8 +523,10 @@ impl Fusion {
 }
 
 impl Origin {
-    fn new(alignment: Alignment) -> Self {
-        Self { alignment, clock_offset_micros: 0, is_muted: false }
+    fn new(resolution: Resolution) -> Self {
+        let pose = Pose::IDENTITY;
+        let alignment = Alignment::new(&pose, resolution);
+        Self { pose, alignment, clock_offset_micros: 0, has_other_offsets: false, is_muted: false }
     }
 
     /// What a layer says of voxels in the own frame, block by block, with the number of the target.

@@ -366,26 +366,22 @@ fn layers_beyond_their_limit_are_refused_and_nothing_is_changed() {
             Err(error) => {
                 let after =
                     (fusion.layer(stream(2)).map(Layer::digest), fusion.memory_bytes_of_others(&mapper));
-                assert_eq!(before, after);
+                // To make room, what there is may have been packed.
+                assert!(before.0 == after.0 && after.1 <= before.1);
                 break error;
             }
         }
         assert!(fusion.memory_bytes_of_others(&mapper) <= 40_000);
     };
     let FusionError::LayersFull { held, more, max: 40_000 } = full else { panic!("{full}") };
-    assert!(held + more > 40_000 && held > 13_000 && (16..99).contains(&blocks), "{full}, {blocks} blocks");
-    assert_eq!(
-        fusion.apply(&mapper, stream(2), &apart(0..4), Stamp(2), Stamp(2)),
-        Ok(4),
-        "the same blocks fit"
-    );
+    assert!(held + more > 40_000 && held > 13_000 && (40..400).contains(&blocks), "{full}, {blocks} blocks");
     let beyond = apart(500..504);
     assert!(matches!(
-        fusion.apply(&mapper, stream(3), &apart(0..100), Stamp(1), Stamp(1)),
+        fusion.apply(&mapper, stream(3), &apart(0..500), Stamp(1), Stamp(1)),
         Err(FusionError::LayersFull { .. })
     ));
     assert!(fusion.layer(stream(3)).is_none());
-    assert_eq!(fusion.map().state(Voxel::new(9 * 99, 9 * 99, 99)), State::Unknown);
+    assert_eq!(fusion.map().state(Voxel::new(9 * 499, 9 * 499, 499)), State::Unknown);
     fusion.forget(&mapper, stream(2));
     assert_eq!(fusion.memory_bytes_of_others(&mapper), 0);
     assert_eq!(fusion.apply(&mapper, stream(3), &beyond, Stamp(1), Stamp(1)), Ok(4));
@@ -419,13 +415,13 @@ fn what_others_tell_leaves_the_own_layer_its_room_and_the_other_way_round() {
     for (first, second) in [(OWN, stream(2)), (stream(2), OWN)] {
         let mut fusion = Fusion::new(OWN, resolution(), config.clone());
         let taken = |fusion: &mut Fusion, stream| {
-            (0..100)
+            (0..2_000)
                 .take_while(|n| fusion.apply(&mapper, stream, &apart(*n..n + 1), Stamp(1), Stamp(1)).is_ok())
                 .count()
         };
-        assert!((10..100).contains(&taken(&mut fusion, first)));
-        assert!((10..100).contains(&taken(&mut fusion, second)));
-        let own_full = fusion.apply(&mapper, OWN, &apart(100..200), Stamp(2), Stamp(2));
+        assert!((10..1_000).contains(&taken(&mut fusion, first)));
+        assert!((10..1_000).contains(&taken(&mut fusion, second)));
+        let own_full = fusion.apply(&mapper, OWN, &apart(2_000..2_100), Stamp(2), Stamp(2));
         assert!(matches!(own_full, Err(FusionError::OwnLayerFull { .. })), "{own_full:?}");
     }
 }
@@ -623,4 +619,38 @@ fn what_an_alignment_brings_beyond_the_end_of_the_grid_is_left_out() {
             fusion.rebuild(&mapper);
         }
     }
+}
+
+#[test]
+fn the_same_pose_offset_or_muting_twice_costs_nothing() {
+    let mapper = mapper();
+    let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+    let changes = source(&[3, 40].map(|x| (Voxel::new(x, 4, 5), State::Occupied)));
+    fusion.apply(&mapper, stream(2), &changes, Stamp(1), Stamp(1)).unwrap();
+    let turned = Pose::from_yaw([1.0, 2.0, 0.0], 0.3);
+    let mut costs = |change: &dyn Fn(&mut Fusion)| {
+        let before = fusion.refreshed();
+        change(&mut fusion);
+        fusion.refreshed() - before
+    };
+    for id in [2, 3].map(RobotId) {
+        let is_there = id == RobotId(2);
+        let align = |fusion: &mut Fusion| fusion.set_alignment(&mapper, id, &turned).unwrap();
+        let mute = |fusion: &mut Fusion| fusion.set_muted(&mapper, id, true);
+        let unmute = |fusion: &mut Fusion| fusion.set_muted(&mapper, id, false);
+        let set_clock = |fusion: &mut Fusion| fusion.apply_clock_offset(&mapper, id, 77);
+        for change in [&align as &dyn Fn(&mut Fusion), &mute, &unmute, &set_clock] {
+            assert_eq!(costs(change) > 0, is_there);
+            assert_eq!(costs(change), 0);
+        }
+    }
+    // Measured in between, it is another one for a while: then it is made anew, once.
+    fusion.set_clock_offset(RobotId(2), 99);
+    fusion.set_clock_offset(RobotId(2), 77);
+    let before = fusion.refreshed();
+    fusion.apply_clock_offset(&mapper, RobotId(2), 77);
+    assert!(fusion.refreshed() > before);
+    let before = fusion.refreshed();
+    fusion.apply_clock_offset(&mapper, RobotId(2), 77);
+    assert_eq!(fusion.refreshed(), before);
 }

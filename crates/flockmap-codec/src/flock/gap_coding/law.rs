@@ -5,7 +5,7 @@
 //! probabilities of the bits of g: first, in groups of 2ⁿ voxels, whether the gap goes beyond the next group,
 //! then the place in the group from the highest bit to the lowest.
 
-use crate::flock::coder::FineBits;
+use flockmap_coder::FineBits;
 
 /// Groups of so many voxels, as a power of two, are enough for one change in 2²⁷ voxels: (1 − 2⁻²⁷)^(2²⁷) <
 /// ½.

@@ -8,9 +8,9 @@ use super::limits::{bytes_min, voxels_max};
 use super::places::Order;
 use crate::codec::Codec;
 use crate::error::PackageError;
-use crate::flock::coder::{BitReader, BitWriter, FineBits};
 use crate::limits::BOX_VOXELS_MAX;
 use crate::work::{self, Work};
+use flockmap_coder::{BitReader, BitWriter, FineBits};
 
 /// Appends the payload for `changes`, all inside `region`, which has at most [`BOX_VOXELS_MAX`] voxels. No
 /// changes: no bytes.

@@ -9,8 +9,8 @@ use super::limits::{bytes_min, voxels_max};
 use super::payload::{encode, number};
 use crate::codec::Codec;
 use crate::error::PackageError;
-use crate::flock::coder::BitWriter;
 use crate::work::Work;
+use flockmap_coder::BitWriter;
 
 #[path = "../../../tests/common/random.rs"]
 mod random;

@@ -4,9 +4,24 @@
 //! The writer keeps an interval of numbers, `low` and `range`. Each bit takes a share of it that is as large
 //! as the bit is likely; when the range falls below 2³², the four leading bytes go out. Integers only, so
 //! that every machine agrees.
+//!
+//! ```
+//! use flockmap_coder::{BitReader, BitWriter, CodeBit};
+//!
+//! let bits = [true, true, false, true, true, true, true];
+//! let mut bytes = Vec::new();
+//! let (mut writer, mut probability) = (BitWriter::new(&mut bytes), 1 << 15);
+//! bits.iter().for_each(|bit| {
+//!     writer.code(&mut probability, *bit, 4);
+//! });
+//! writer.finish();
+//! let (mut reader, mut probability) = (BitReader::new(&bytes), 1 << 15);
+//! assert!(bits.iter().all(|bit| reader.code(&mut probability, false, 4) == *bit));
+//! ```
+#![forbid(unsafe_code)]
 
 /// How likely a bit is set, in 65,536ths: 1 … 65,535.
-pub(crate) type Probability = u16;
+pub type Probability = u16;
 
 const REFILL_BELOW: u64 = 1 << 32;
 
@@ -22,7 +37,7 @@ fn learn(probability: &mut Probability, bit: bool, rate: u32) {
 }
 
 /// A direction in which bits go: to bytes or from bytes.
-pub(crate) trait CodeBit {
+pub trait CodeBit {
     /// Whether it looks at `truth`: it writes.
     const KNOWS: bool;
 
@@ -39,7 +54,7 @@ pub(crate) trait CodeBit {
 }
 
 /// The same for probabilities of 32 bits: one change among 100 million voxels is too unlikely for 16.
-pub(crate) trait FineBits {
+pub trait FineBits {
     /// A bit that is set with this probability, in 2⁻³²: 1 … 2³² − 1. A reader does not look at `truth`.
     /// Returns the bit.
     fn bit(&mut self, probability: u32, truth: bool) -> bool;
@@ -47,7 +62,7 @@ pub(crate) trait FineBits {
 
 /// Appends bits to some bytes.
 #[derive(Debug)]
-pub(crate) struct BitWriter<'a> {
+pub struct BitWriter<'a> {
     low: u64,
     range: u64,
     out: &'a mut Vec<u8>,
@@ -55,13 +70,13 @@ pub(crate) struct BitWriter<'a> {
 }
 
 impl<'a> BitWriter<'a> {
-    pub(crate) fn new(out: &'a mut Vec<u8>) -> Self {
+    /// Appends to these bytes.
+    pub fn new(out: &'a mut Vec<u8>) -> Self {
         Self { low: 0, range: u64::MAX, start: out.len(), out }
     }
 
     /// Writes a bit that is set with this probability.
-    #[cfg(test)]
-    pub(crate) fn put(&mut self, probability: Probability, bit: bool) {
+    pub fn put(&mut self, probability: Probability, bit: bool) {
         self.take((self.range >> 16) * u64::from(probability), bit);
     }
 
@@ -86,12 +101,12 @@ impl<'a> BitWriter<'a> {
     }
 
     /// Where the writer stands.
-    pub(crate) fn mark(&self) -> Mark {
+    pub fn mark(&self) -> Mark {
         Mark { low: self.low, range: self.range, length: self.out.len(), last: self.out.last().copied() }
     }
 
     /// Takes back what was written after a mark, the newest.
-    pub(crate) fn back_to(&mut self, mark: &Mark) {
+    pub fn back_to(&mut self, mark: &Mark) {
         self.out.truncate(mark.length);
         (self.low, self.range) = (mark.low, mark.range);
         // A carry changes the last byte, and only one can have come so far.
@@ -119,12 +134,12 @@ impl<'a> BitWriter<'a> {
     }
 
     /// At most so many bytes if it were finished now, what stood before included.
-    pub(crate) fn finished_len(&self) -> usize {
+    pub fn finished_len(&self) -> usize {
         self.out.len() + self.end().1
     }
 
     /// The last bytes. As few as name the interval: what a reader finds beyond the end is zeros.
-    pub(crate) fn finish(self) {
+    pub fn finish(self) {
         let (number, length) = self.end();
         if number >> 64 != 0 {
             add_one(self.out, self.start);
@@ -187,7 +202,7 @@ fn put_four(out: &mut Vec<u8>, four: u32) {
 
 /// Where a [`BitWriter`] stood.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Mark {
+pub struct Mark {
     low: u64,
     range: u64,
     length: usize,
@@ -197,7 +212,7 @@ pub(crate) struct Mark {
 /// Reads what a [`BitWriter`] wrote, with the same probabilities. Any bytes give some bits; no bytes give
 /// bits too.
 #[derive(Clone, Debug)]
-pub(crate) struct BitReader<'a> {
+pub struct BitReader<'a> {
     range: u64,
     /// What is read ahead, less what the bits so far have taken. Always below `range` for bytes of a writer.
     code: u64,
@@ -205,15 +220,15 @@ pub(crate) struct BitReader<'a> {
 }
 
 impl<'a> BitReader<'a> {
-    pub(crate) fn new(bytes: &'a [u8]) -> Self {
+    /// Reads these bytes.
+    pub fn new(bytes: &'a [u8]) -> Self {
         let (high, rest) = next_four(bytes);
         let (low, rest) = next_four(rest);
         Self { range: u64::MAX, code: u64::from(high) << 32 | u64::from(low), bytes: rest }
     }
 
     /// The next bit, which was written with this probability.
-    #[cfg(test)]
-    pub(crate) fn get(&mut self, probability: Probability) -> bool {
+    pub fn get(&mut self, probability: Probability) -> bool {
         self.take((self.range >> 16) * u64::from(probability))
     }
 

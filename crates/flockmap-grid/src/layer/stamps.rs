@@ -6,8 +6,8 @@ use crate::{BLOCK_VOXELS, Plane, Stamp};
 /// Stamps of the voxels of a block, as a palette and an index into it for each voxel. A block is touched by a few
 /// dozen batches as a rule, so a byte a voxel is enough; with more than 256 stamps in use it takes two.
 /// At most 9.2 kB: 1,024 palette entries, the half of them of no use any more, and 512 indices of two bytes.
-#[derive(Clone, Debug)]
-pub(crate) struct BlockStamps {
+#[derive(PartialEq, Debug)]
+pub(super) struct BlockStamps {
     palette: Vec<Stamp>,
     indices: Indices,
     newest: Stamp,
@@ -16,7 +16,7 @@ pub(crate) struct BlockStamps {
 /// Most stamps in a palette.
 const STAMPS_MAX: usize = 2 * BLOCK_VOXELS;
 
-#[derive(Clone, Debug)]
+#[derive(Clone, PartialEq, Debug)]
 enum Indices {
     /// All voxels have the only stamp of the palette.
     One,
@@ -24,24 +24,39 @@ enum Indices {
     Wide(Box<[u16; BLOCK_VOXELS]>),
 }
 
+impl Clone for BlockStamps {
+    /// With as much room: it takes as many bytes, and grows in the same steps.
+    fn clone(&self) -> Self {
+        let mut palette = Vec::with_capacity(self.palette.capacity());
+        palette.extend_from_slice(&self.palette);
+        Self { palette, indices: self.indices.clone(), newest: self.newest }
+    }
+}
+
 impl BlockStamps {
     /// One stamp for all voxels.
-    pub(crate) fn new(stamp: Stamp) -> Self {
+    pub(super) fn new(stamp: Stamp) -> Self {
         Self { palette: vec![stamp], indices: Indices::One, newest: stamp }
     }
 
+    /// The stamps of a palette without one that is of no use, by the number of each voxel in it.
+    pub(super) fn from_parts(palette: Vec<Stamp>, numbers: &[u16; BLOCK_VOXELS], newest: Stamp) -> Self {
+        let indices = Indices::of(palette.len(), numbers);
+        Self { palette, indices, newest }
+    }
+
     /// Stamp of the voxel with this bit number.
-    pub(crate) fn get(&self, bit: usize) -> Stamp {
+    pub(super) fn get(&self, bit: usize) -> Stamp {
         self.palette[self.index(bit)]
     }
 
     /// The newest stamp that a voxel may have.
-    pub(crate) const fn newest(&self) -> Stamp {
+    pub(super) const fn newest(&self) -> Stamp {
         self.newest
     }
 
     /// Gives the voxels of `mask` this stamp. `in_use` are the voxels whose stamps matter.
-    pub(crate) fn set(&mut self, mask: &Plane, stamp: Stamp, in_use: &Plane) {
+    pub(super) fn set(&mut self, mask: &Plane, stamp: Stamp, in_use: &Plane) {
         self.newest = self.newest.max(stamp);
         let number = match self.palette.iter().rposition(|s| *s == stamp) {
             Some(number) => number,
@@ -61,7 +76,7 @@ impl BlockStamps {
         }
     }
 
-    pub(crate) fn memory_bytes(&self) -> usize {
+    pub(super) fn memory_bytes(&self) -> usize {
         self.palette.capacity() * size_of::<Stamp>()
             + match self.indices {
                 Indices::One => 0,
@@ -71,12 +86,12 @@ impl BlockStamps {
     }
 
     /// The most bytes that so many further stamps can add.
-    pub(crate) fn growth_max(&self, further: usize) -> usize {
+    pub(super) fn growth_max(&self, further: usize) -> usize {
         Self::bytes_of(self.palette.len() + further).saturating_sub(self.memory_bytes())
     }
 
     /// The most bytes that so many stamps take. The palette is a list that doubles.
-    pub(crate) const fn bytes_of(stamps: usize) -> usize {
+    pub(super) const fn bytes_of(stamps: usize) -> usize {
         let stamps = if stamps < STAMPS_MAX { stamps } else { STAMPS_MAX };
         match stamps {
             0 | 1 => size_of::<Stamp>(),
@@ -88,7 +103,7 @@ impl BlockStamps {
 
     /// Calls `found` with each stamp that a voxel of `in_use` has, once. O(voxels), less if there is but one
     /// stamp.
-    pub(crate) fn for_each_in_use(&self, in_use: &Plane, mut found: impl FnMut(Stamp)) {
+    pub(super) fn for_each_in_use(&self, in_use: &Plane, mut found: impl FnMut(Stamp)) {
         if let Indices::One = self.indices {
             if *in_use != [0; 8] {
                 found(self.palette[0]);
@@ -150,13 +165,18 @@ impl BlockStamps {
         if palette.is_empty() {
             palette.push(self.newest());
         }
+        self.indices = Indices::of(palette.len(), &renumbered);
         self.palette = palette;
-        self.indices = if self.palette.len() == 1 {
-            Indices::One
-        } else if self.palette.len() <= 256 {
-            Indices::Narrow(Box::new(renumbered.map(|n| n as u8)))
-        } else {
-            Indices::Wide(Box::new(renumbered))
-        };
+    }
+}
+
+impl Indices {
+    /// Of a palette with so many stamps, at least one.
+    fn of(stamps: usize, numbers: &[u16; BLOCK_VOXELS]) -> Self {
+        match stamps {
+            0 | 1 => Self::One,
+            2..=256 => Self::Narrow(Box::new(numbers.map(|number| number as u8))),
+            _ => Self::Wide(Box::new(*numbers)),
+        }
     }
 }
