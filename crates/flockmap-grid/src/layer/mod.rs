@@ -216,6 +216,42 @@ impl Layer {
         }
     }
 
+    /// Unpacks what lies in a box or next to it: for who is about to read and change it block by block. No more than
+    /// so many blocks, some 15 µs each, and no more bytes than there is room for; what stays packed can be read too.
+    pub(crate) fn open_near(&mut self, region: &VoxelBox, mut blocks_left: usize, mut room: usize) {
+        let [min, max] = [region.min().block(), region.max().block()];
+        let low = cube_of(BlockIndex { x: min.x - 1, y: min.y - 1, z: min.z - 1 });
+        let high = cube_of(BlockIndex { x: max.x + 1, y: max.y + 1, z: max.z + 1 });
+        let is_near = |at: BlockIndex| {
+            [(at.x, low.x, high.x), (at.y, low.y, high.y), (at.z, low.z, high.z)]
+                .into_iter()
+                .all(|(at, low, high)| (low..=high).contains(&at))
+        };
+        let packed = |at: BlockIndex| match self.cubes.get(&at) {
+            Some(Place::Packed(packed)) => Some((at, packed.len(), packed.open_bytes() + size_of::<Open>())),
+            _ => None,
+        };
+        // The box of a hostile package may be larger than the map.
+        let sides = [(low.x, high.x), (low.y, high.y), (low.z, high.z)];
+        let cubes = sides.map(|(low, high)| u128::from(high.abs_diff(low)) + 1).into_iter().product::<u128>();
+        let mut near: Vec<_> = if cubes <= self.cubes.len() as u128 {
+            let all = (low.x..=high.x).flat_map(|x| {
+                (low.y..=high.y).flat_map(move |y| (low.z..=high.z).map(move |z| BlockIndex { x, y, z }))
+            });
+            all.filter_map(packed).collect()
+        } else {
+            self.cubes.keys().copied().filter(|at| is_near(*at)).filter_map(packed).collect()
+        };
+        near.sort_unstable();
+        for (at, blocks, bytes) in near {
+            if blocks <= blocks_left && bytes <= room {
+                (blocks_left, room) = (blocks_left - blocks, room - bytes);
+                let changed = self.changed;
+                self.open(at).touched = changed;
+            }
+        }
+    }
+
     /// Notes that blocks were changed, and packs as many of those that lie cold now and then: some 15 µs for each.
     fn note_changed(&mut self, blocks: usize) {
         let before = self.changed;
