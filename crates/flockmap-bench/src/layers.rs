@@ -32,7 +32,7 @@ pub struct LayersArgs {
     #[arg(value_name = "RECORD", required = true)]
     pub records: Vec<PathBuf>,
     /// Length of the corridor
-    #[arg(long, value_name = "M", default_value_t = 200)]
+    #[arg(long, value_name = "M", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub metres: u32,
     /// Write the table as JSON
     #[arg(long, value_name = "FILE", value_parser = outputs::file())]
@@ -183,6 +183,9 @@ fn print(rows: &[Row]) {
             ("same", &|row| if row.is_same { "yes" } else { "no" }.to_owned()),
         ],
     );
+    if stop::requested() {
+        println!("partial: ended by Ctrl-C\n");
+    }
     print!("{table}");
     println!(
         "\n  Bytes with stamps and all that finds a block: when the record is over, what lies cold is packed; and all of it packed."

@@ -8,6 +8,7 @@
 mod block;
 mod changes;
 mod fusion;
+mod index_range;
 mod layer;
 mod mapper;
 mod memory;
@@ -25,7 +26,7 @@ mod voxel;
 pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, meet, plane_within, set_bits, voxel_bit};
 pub use changes::Changes;
 pub use fusion::{Fusion, FusionConfig, FusionError, MapView, RayEnd};
-pub use layer::{BaseSuperseded, LAYER_BLOCK_BYTES_MAX, Layer};
+pub use layer::{BaseSuperseded, LAYER_BLOCK_BYTES_MAX, Layer, UNPACKED_BYTES_MAX};
 pub use mapper::{
     ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport, Sphere,
     Which,

@@ -1,5 +1,7 @@
 //! The most that others can make a robot hold, reckoned from its options.
 
+use flockmap_grid::UNPACKED_BYTES_MAX;
+
 use crate::RobotConfig;
 use crate::events::{EVENTS_BYTES_MAX, EVENTS_MAX};
 use crate::readers::bytes_max as readers_bytes_max;
@@ -17,7 +19,7 @@ impl RobotConfig {
     /// The most bytes that others can make a robot with these options hold on the heap, whatever they send,
     /// as asked of the allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the
     /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read
-    /// (half as much), events that nobody takes. By default 1.1 GB, by broadcast 1.4 GB, of which honest
+    /// (half as much), parts of layers that were unpacked to be read, events that nobody takes. By default 1.1 GB, by broadcast 1.4 GB, of which honest
     /// robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth
@@ -28,7 +30,8 @@ impl RobotConfig {
         self.session.memory_max()
             + self.fusion.layer_bytes_max
             + readers_bytes_max(self.fusion.layer_bytes_max)
-            + self.session.transfers_max * UNMERGED
+            + self.session.transfers_max * (UNMERGED + UNPACKED_BYTES_MAX)
+            + UNPACKED_BYTES_MAX
             + EVENTS_BYTES_MAX
             + EVENTS_MAX * EVENT
             + WORK

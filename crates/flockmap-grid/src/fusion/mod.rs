@@ -32,10 +32,10 @@ pub struct FusionConfig {
     #[cfg_attr(feature = "serde", serde(rename = "own_priority_ms", with = "crate::units::Times::<1_000>"))]
     pub own_priority_micros: i64,
     /// Most bytes that the layers of all other streams may hold together, with what they add to the fused
-    /// map; what goes beyond is refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule while it is changed, and
-    /// 11 kB if each of its voxels changed last in another batch; 0.1 kB, when nothing near it has changed for long.
-    /// One merge may go beyond by what it adds to the fused
-    /// map in new places, at most 64 MiB. Default 512 MiB.
+    /// map; what goes beyond is refused. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule while it is
+    /// changed, and 11 kB if each of its voxels changed last in another batch; 0.1 kB, when nothing near it has
+    /// changed for long. One merge may go beyond by what it adds to the fused map in new places, at most
+    /// 64 MiB. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "layers_mb", with = "crate::units::Mebibytes"))]
     pub layer_bytes_max: usize,
     /// The same for the layer of the own stream: what of the own map was published. Default 256 MiB.
@@ -229,7 +229,7 @@ impl Fusion {
 
     /// Says that what a stream knows of a box, and next to it, is about to be read and changed block by block: what of
     /// it lies packed is unpacked at once, as far as there is room. At most 1,024 blocks, some 15 µs each; the rest
-    /// is unpacked as it is read, a little more slowly.
+    /// is unpacked as it is read, some of it more than once.
     pub fn open_near(&mut self, mapper: &Mapper, stream: Stream, region: &VoxelBox) {
         let (held, max) = match self.sources.get(&stream) {
             Some(source) if stream == self.own => {

@@ -1,4 +1,4 @@
-//! A cube of a layer that nobody touches, in a twentieth of the bytes.
+//! A cube of a layer in which nothing changes, in a tenth of the bytes or less.
 
 use flockmap_coder::{BitReader, BitWriter};
 

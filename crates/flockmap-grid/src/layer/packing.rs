@@ -34,7 +34,7 @@ type Rows = [[u64; SIDE]; SIDE];
 const RATE: u32 = 4;
 const EVEN: Probability = 1 << 15;
 
-/// Blocks to bits or bits to blocks, in the same way. Each voxel is coded with what is known of those around it
+/// Blocks to bits, or bits to blocks: one piece of code, so that both learn alike. Each voxel is coded with what is known of those around it
 /// that came before: whether it is known, whether it is Occupied, whether its stamp is that of a neighbour.
 pub(super) struct Packing<B> {
     bits: B,
@@ -57,8 +57,8 @@ struct Model {
     is_newest_used: Probability,
     is_before_known: Probability,
     is_regular: Probability,
-    before_known: [Probability; 192],
-    before_occupied: [Probability; 192],
+    before_known: [Probability; 3],
+    before_occupied: [Probability; 3],
 }
 
 impl<B: CodeBit> Packing<B> {
@@ -74,8 +74,8 @@ impl<B: CodeBit> Packing<B> {
             is_newest_used: EVEN,
             is_before_known: EVEN,
             is_regular: EVEN,
-            before_known: [EVEN; 192],
-            before_occupied: [EVEN; 192],
+            before_known: [EVEN; 3],
+            before_occupied: [EVEN; 3],
         };
         let rows = || Box::new([[0; SIDE]; SIDE]);
         let ranks = vec![0; SIDE * SIDE * SIDE];
@@ -119,6 +119,8 @@ impl<B: CodeBit> Packing<B> {
             (around(&self.known), around(&self.occupied));
         let mut found = [0u8; 2];
         for (n, to) in ranks.iter_mut().enumerate() {
+            // What is known, and what is Occupied, of the voxels before it along x; y; z; y and z: of the middle two also
+            // their neighbours along x.
             let near = [known >> n & 1, ky >> n & 7, kz >> n & 7, kyz >> (n + 1) & 1];
             let hard = [occupied >> n & 1, oy >> n & 7, oz >> n & 7];
             let context = near[0]
@@ -132,7 +134,7 @@ impl<B: CodeBit> Packing<B> {
             if !self.bits.code(probability, is_free || is_occupied, RATE) {
                 continue;
             }
-            // Of the five at the faces and beside them before: not those at the lower edges.
+            // The same, but for the voxels that are before it along two axes.
             let context = near[0]
                 | near[1] >> 1 << 1
                 | near[2] >> 1 << 3
@@ -224,20 +226,13 @@ impl<B: CodeBit> Packing<B> {
         let is_regular = bits.code(&mut model.is_regular, is_regular, RATE);
         let mut before = *states;
         for bit in (0..BLOCK_VOXELS).filter(|bit| !is_regular || is_of_newest(*bit)) {
-            // Of the voxels before it in the block: what they were, if they have the newest stamp.
-            let neighbours = [(1, bit & 7), (8, bit & 56), (64, bit & 448)];
-            let context = neighbours.into_iter().fold(states.get(bit) as usize, |context, (step, inside)| {
-                let is_told = inside != 0 && is_of_newest(bit - step);
-                4 * context + if is_told { before.get(bit - step) as usize } else { 3 }
-            });
-            let truth = truth.get(bit);
-            let is_known = bits.code(&mut model.before_known[context], truth != State::Unknown, RATE);
-            let state = match is_known
-                && bits.code(&mut model.before_occupied[context], truth == State::Occupied, RATE)
-            {
-                true => State::Occupied,
-                false if is_known => State::Free,
-                false => State::Unknown,
+            let (context, truth) = (states.get(bit) as usize, truth.get(bit));
+            let state = if !bits.code(&mut model.before_known[context], truth != State::Unknown, RATE) {
+                State::Unknown
+            } else if bits.code(&mut model.before_occupied[context], truth == State::Occupied, RATE) {
+                State::Occupied
+            } else {
+                State::Free
             };
             before.set(bit, state);
         }

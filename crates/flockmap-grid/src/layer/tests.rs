@@ -1,6 +1,8 @@
 //! A layer beside a naive model.
 
+use super::memory::QUEUE_BYTES;
 use super::*;
+use crate::{SnapshotVoxels, VoxelBox};
 use proptest::prelude::*;
 
 /// What it counts as it goes is what there is.

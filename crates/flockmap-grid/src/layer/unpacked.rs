@@ -7,8 +7,9 @@ use super::packed::PackedCube;
 
 /// Most cubes that are kept: a block and its neighbours lie in eight.
 const CUBES_MAX: usize = 8;
-/// Most bytes that they may take, but for a single one: 64 blocks take 600 kB at most.
-const BYTES_MAX: usize = 1 << 20;
+/// Most bytes that cubes of layers take which are kept unpacked for who reads them: in a robot, and in each snapshot
+/// that is being received. (One cube takes 0.6 MB at most.)
+pub const UNPACKED_BYTES_MAX: usize = 1 << 20;
 
 /// Cubes of any number of layers. What is packed does not change, so that it is known by where it lies.
 #[derive(Debug, Default)]
@@ -31,7 +32,7 @@ impl Unpacked {
             // The newest come last.
             let fits = kept.iter().rev().take(CUBES_MAX - 1).take_while(|(of, _)| {
                 bytes += of.open_bytes();
-                bytes <= BYTES_MAX
+                bytes <= UNPACKED_BYTES_MAX
             });
             let stay = fits.count();
             let gone = kept.len() - stay;

@@ -1,0 +1,109 @@
+//! What of a layer is open, and what is packed.
+
+use std::sync::Arc;
+
+use super::cube::cube_of;
+use super::packed::PackedCube;
+use super::{Layer, Open, Place};
+use crate::index_range::IndexRange;
+use crate::{BlockIndex, VoxelBox};
+
+/// When blocks were changed so often, it is looked whether some lie cold.
+const LOOKED_EVERY: u64 = 256;
+/// A cube is cold to which nothing was applied while blocks were changed four times as often as there are open ones,
+/// but between these. So what is changed all the time stays open, however large it is, and what a robot has left
+/// behind is packed within half a minute as a rule.
+const COLD: [u64; 2] = [8_192, 65_536];
+
+impl Layer {
+    /// The cube at a place of the table to write to, unpacked if need be.
+    pub(super) fn open(&mut self, at: BlockIndex) -> &mut Open {
+        let place = self.cubes.entry(at).or_insert_with(|| {
+            self.open_bytes += size_of::<Open>();
+            self.queue.push_back((self.changed, at));
+            Place::Open(Box::default())
+        });
+        if let Place::Packed(packed) = place {
+            let cube = packed.unpack();
+            self.packed_bytes -= packed.memory_bytes();
+            self.open_bytes += size_of::<Open>() + cube.memory_bytes();
+            self.open += cube.len();
+            self.queue.push_back((self.changed, at));
+            *place = Place::Open(Box::new(Open { cube, touched: 0 }));
+        }
+        match place {
+            Place::Open(open) => open,
+            Place::Packed(_) => unreachable!("it was unpacked"),
+        }
+    }
+
+    /// Unpacks what lies in a box or next to it: for who is about to read and change it block by block. No more than
+    /// so many blocks, some 15 µs each, and no more bytes than there is room for; what stays packed can be read too.
+    pub(crate) fn open_near(&mut self, region: &VoxelBox, mut blocks_left: usize, mut room: usize) {
+        let [min, max] = [region.min().block(), region.max().block()];
+        let low = cube_of(BlockIndex { x: min.x - 1, y: min.y - 1, z: min.z - 1 });
+        let high = cube_of(BlockIndex { x: max.x + 1, y: max.y + 1, z: max.z + 1 });
+        let near = IndexRange::new(low, high).among(&self.cubes).into_iter();
+        let packed = near.filter_map(|(at, place)| match place {
+            Place::Packed(packed) => Some((at, packed.len(), packed.open_bytes() + size_of::<Open>())),
+            Place::Open(_) => None,
+        });
+        let mut near: Vec<_> = packed.collect();
+        near.sort_unstable();
+        for (at, blocks, bytes) in near {
+            if blocks <= blocks_left && bytes <= room {
+                (blocks_left, room) = (blocks_left - blocks, room - bytes);
+                let changed = self.changed;
+                self.open(at).touched = changed;
+            }
+        }
+    }
+
+    /// Notes that blocks were changed, and packs as many of those that lie cold now and then: some 15 µs for each.
+    pub(super) fn note_changed(&mut self, blocks: usize) {
+        let before = self.changed;
+        self.changed += blocks as u64;
+        if self.changed / LOOKED_EVERY > before / LOOKED_EVERY {
+            self.pack_cold((4 * self.open as u64).clamp(COLD[0], COLD[1]), blocks.max(LOOKED_EVERY as usize));
+        }
+    }
+
+    /// Packs cubes to which nothing was applied by the last `cold` changes of blocks, the longest ago first, until
+    /// `blocks_max` blocks are packed.
+    fn pack_cold(&mut self, cold: u64, blocks_max: usize) {
+        let limit = self.changed.saturating_sub(cold);
+        let mut packed = 0;
+        while packed < blocks_max
+            && let Some((_, at)) = self.queue.pop_front_if(|(noted, _)| *noted < limit)
+        {
+            match self.cubes.get(&at) {
+                Some(Place::Open(open)) if open.touched >= limit => self.queue.push_back((open.touched, at)),
+                _ => packed += self.pack_cube(at),
+            }
+        }
+    }
+
+    /// Packs all that is open. O(open blocks).
+    pub fn pack(&mut self) {
+        self.pack_cold(0, usize::MAX);
+    }
+
+    /// Packs all but what had something lately, for who needs the room: what is written to all the time would be
+    /// open again at once. O(open blocks).
+    pub(crate) fn make_room(&mut self) {
+        self.pack_cold(COLD[0], usize::MAX);
+    }
+
+    /// Packs an open cube. Returns the number of its blocks.
+    fn pack_cube(&mut self, at: BlockIndex) -> usize {
+        let Some(place) = self.cubes.get_mut(&at) else { return 0 };
+        let Place::Open(open) = place else { return 0 };
+        let (blocks, bytes) = (open.cube.len(), size_of::<Open>() + open.cube.memory_bytes());
+        let packed = PackedCube::pack(&open.cube);
+        self.open_bytes -= bytes;
+        self.open -= blocks;
+        self.packed_bytes += packed.memory_bytes();
+        *place = Place::Packed(Arc::new(packed));
+        blocks
+    }
+}
