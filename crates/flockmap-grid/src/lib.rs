@@ -8,7 +8,6 @@
 mod block;
 mod changes;
 mod fusion;
-mod index_range;
 mod layer;
 mod mapper;
 mod memory;

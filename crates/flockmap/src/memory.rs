@@ -18,9 +18,9 @@ const WORK: usize = 64 << 20;
 impl RobotConfig {
     /// The most bytes that others can make a robot with these options hold on the heap, whatever they send,
     /// as asked of the allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the
-    /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read
-    /// (half as much), parts of layers that were unpacked to be read, events that nobody takes. By default 1.1 GB, by broadcast 1.4 GB, of which honest
-    /// robots make it hold a tenth.
+    /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read (half as
+    /// much), parts of layers that were unpacked to be read, events that nobody takes. By default 1.1 GB, by
+    /// broadcast 1.4 GB, of which honest robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth
     /// of it in the fused map) and the own layer (`fusion.own_layer_bytes_max`). A

@@ -386,10 +386,6 @@ impl Robot {
         if mutation::is(Mutation::BlockLeftOut) && changes.blocks().len() > 1 {
             coded = Cow::Owned(Changes::from_blocks(changes.blocks()[1..].to_vec()));
         }
-        if let Some(region) = coded.bounding_box() {
-            let own = self.own_stream();
-            self.fusion.open_near(&self.mapper, own, &region);
-        }
         let packages = match self.publisher.encode(now, &batch, &coded, &self.fusion, &mut self.counters) {
             Ok(packages) => packages,
             Err(error) => return self.push_event(Event::EncodeFailed(error)),

@@ -212,7 +212,7 @@ fn hostile_packages_cannot_make_a_robot_hold_more_than_is_stated() {
 
     // One that is larger than all that are being read may be.
     let mut sender = Sender::new(2);
-    let chunks = sender.send_state(28);
+    let chunks = sender.send_state(32);
     case("a snapshot that is too large", config(16 << 20), 10_000_000, |robot| {
         let mut refused = 0;
         for chunk in &chunks {

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use crate::layer::{SENSOR_BYTES, Unpacked};
 use crate::{
     BlockIndex, Changes, Layer, Mapper, Plane, Pose, PoseError, Resolution, RobotId, ScanReport, Snapshot,
-    Stamp, State, StateBlock, Stream, Voxel, VoxelBox, set_bits,
+    Stamp, State, StateBlock, Stream, Voxel, set_bits,
 };
 use align::Alignment;
 use received::Received;
@@ -60,9 +60,6 @@ impl Default for FusionConfig {
 /// Blocks of the fused map that a new block of a layer in another frame is taken to add, before it is there
 /// and they are counted.
 const REACHED_BLOCKS: usize = 4;
-
-/// Blocks of a layer that are unpacked before they are needed.
-const OPENED_AT_ONCE: usize = 1_024;
 
 /// Blocks of the fused map that are worked out together: enough that what they have in common is looked at
 /// once, few enough that what is noted of them, half a kilobyte each, stays small.
@@ -225,22 +222,6 @@ impl Fusion {
         self.make_room(mapper, stream, parts, state.sensors.len())?;
         let newest = state.parts.iter().map(|(stamp, _)| *stamp).max();
         Ok(self.take_over(mapper, stream, (newest, now), |layer| layer.apply_snapshot(state)))
-    }
-
-    /// Says that what a stream knows of a box, and next to it, is about to be read and changed block by block: what of
-    /// it lies packed is unpacked at once, as far as there is room. At most 1,024 blocks, some 15 µs each; the rest
-    /// is unpacked as it is read, some of it more than once.
-    pub fn open_near(&mut self, mapper: &Mapper, stream: Stream, region: &VoxelBox) {
-        let (held, max) = match self.sources.get(&stream) {
-            Some(source) if stream == self.own => {
-                (source.layer.memory_bytes(), self.config.own_layer_bytes_max)
-            }
-            Some(_) => (self.memory_bytes_of_others(mapper), self.config.layer_bytes_max),
-            None => return,
-        };
-        self.change_source(stream, |source| {
-            source.layer.open_near(region, OPENED_AT_ONCE, max.saturating_sub(held));
-        });
     }
 
     /// Bytes that the layers of others hold, with what of the fused map the own map does not account for. O(1).

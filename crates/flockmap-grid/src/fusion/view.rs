@@ -6,7 +6,6 @@ use rustc_hash::FxHashMap;
 
 use super::region::{BLOCK_BYTES_MAX, Region, region_of};
 use crate::changes::bounding_box;
-use crate::index_range::IndexRange;
 use crate::memory::table_bytes;
 use crate::{BlockIndex, Changes, Plane, Resolution, State, StateBlock, Voxel, VoxelBox, voxel_bit};
 
@@ -127,7 +126,12 @@ impl MapView {
     pub fn blocks_in(&self, region: &VoxelBox) -> impl Iterator<Item = (BlockIndex, &StateBlock)> + use<'_> {
         let [low, high] = [region.min().block(), region.max().block()];
         let [first, last] = [region_of(low), region_of(high)];
-        let regions = IndexRange::new(first, last).among(&self.regions);
+        let regions: Vec<(BlockIndex, &Region)> = if count_between(first, last) < self.regions.len() as u128 {
+            between(first, last).filter_map(|at| Some((at, self.regions.get(&at)?.as_ref()))).collect()
+        } else {
+            let all = self.regions.iter().map(|(at, region)| (*at, region.as_ref()));
+            all.filter(|(at, _)| is_between(*at, first, last)).collect()
+        };
         let blocks = regions.into_iter().flat_map(move |(at, region)| region.blocks_between(at, low, high));
         blocks.filter(|(_, states)| !states.is_empty())
     }
@@ -279,4 +283,24 @@ impl MapView {
         self.emptied = 0;
         self.emptied_since = self.version;
     }
+}
+
+/// The indices from `low` to `high`, z fastest.
+fn between(low: BlockIndex, high: BlockIndex) -> impl Iterator<Item = BlockIndex> {
+    (low.x..=high.x).flat_map(move |x| {
+        (low.y..=high.y).flat_map(move |y| (low.z..=high.z).map(move |z| BlockIndex { x, y, z }))
+    })
+}
+
+fn count_between(low: BlockIndex, high: BlockIndex) -> u128 {
+    [(low.x, high.x), (low.y, high.y), (low.z, high.z)]
+        .map(|(low, high)| u128::from(high.abs_diff(low)) + 1)
+        .into_iter()
+        .product()
+}
+
+fn is_between(index: BlockIndex, low: BlockIndex, high: BlockIndex) -> bool {
+    (low.x..=high.x).contains(&index.x)
+        && (low.y..=high.y).contains(&index.y)
+        && (low.z..=high.z).contains(&index.z)
 }

@@ -2,18 +2,16 @@
 
 use std::sync::Arc;
 
-use super::cube::cube_of;
 use super::packed::PackedCube;
 use super::{Layer, Open, Place};
-use crate::index_range::IndexRange;
-use crate::{BlockIndex, VoxelBox};
+use crate::BlockIndex;
 
 /// When blocks were changed so often, it is looked whether some lie cold.
 const LOOKED_EVERY: u64 = 256;
 /// A cube is cold to which nothing was applied while blocks were changed four times as often as there are open ones,
 /// but between these. So what is changed all the time stays open, however large it is, and what a robot has left
 /// behind is packed within half a minute as a rule.
-const COLD: [u64; 2] = [8_192, 65_536];
+const COLD: [u64; 2] = [32_768, 131_072];
 
 impl Layer {
     /// The cube at a place of the table to write to, unpacked if need be.
@@ -24,7 +22,7 @@ impl Layer {
             Place::Open(Box::default())
         });
         if let Place::Packed(packed) = place {
-            let cube = packed.unpack();
+            let cube = self.unpacked.take(packed);
             self.packed_bytes -= packed.memory_bytes();
             self.open_bytes += size_of::<Open>() + cube.memory_bytes();
             self.open += cube.len();
@@ -34,28 +32,6 @@ impl Layer {
         match place {
             Place::Open(open) => open,
             Place::Packed(_) => unreachable!("it was unpacked"),
-        }
-    }
-
-    /// Unpacks what lies in a box or next to it: for who is about to read and change it block by block. No more than
-    /// so many blocks, some 15 µs each, and no more bytes than there is room for; what stays packed can be read too.
-    pub(crate) fn open_near(&mut self, region: &VoxelBox, mut blocks_left: usize, mut room: usize) {
-        let [min, max] = [region.min().block(), region.max().block()];
-        let low = cube_of(BlockIndex { x: min.x - 1, y: min.y - 1, z: min.z - 1 });
-        let high = cube_of(BlockIndex { x: max.x + 1, y: max.y + 1, z: max.z + 1 });
-        let near = IndexRange::new(low, high).among(&self.cubes).into_iter();
-        let packed = near.filter_map(|(at, place)| match place {
-            Place::Packed(packed) => Some((at, packed.len(), packed.open_bytes() + size_of::<Open>())),
-            Place::Open(_) => None,
-        });
-        let mut near: Vec<_> = packed.collect();
-        near.sort_unstable();
-        for (at, blocks, bytes) in near {
-            if blocks <= blocks_left && bytes <= room {
-                (blocks_left, room) = (blocks_left - blocks, room - bytes);
-                let changed = self.changed;
-                self.open(at).touched = changed;
-            }
         }
     }
 

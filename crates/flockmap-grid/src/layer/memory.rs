@@ -16,7 +16,7 @@ pub const LAYER_BLOCK_BYTES_MAX: usize = table_bytes(1, PLACE_BYTES)
     + BlockStamps::bytes_of(usize::MAX)
     + 4 * QUEUE_BYTES;
 /// An open cube in the queue, which doubles.
-pub(super) const QUEUE_BYTES: usize = size_of::<(u64, BlockIndex)>();
+const QUEUE_BYTES: usize = size_of::<(u64, BlockIndex)>();
 /// A cube in the table.
 const PLACE_BYTES: usize = size_of::<(BlockIndex, Place)>();
 

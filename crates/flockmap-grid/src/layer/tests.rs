@@ -1,8 +1,7 @@
 //! A layer beside a naive model.
 
-use super::memory::QUEUE_BYTES;
 use super::*;
-use crate::{SnapshotVoxels, VoxelBox};
+use crate::SnapshotVoxels;
 use proptest::prelude::*;
 
 /// What it counts as it goes is what there is.
@@ -92,45 +91,14 @@ proptest! {
 fn what_had_nothing_for_long_is_packed_and_what_is_seen_again_and_again_is_not() {
     let mut layer = Layer::default();
     let wall = |x: i32| Changes::from_voxels((0..8).map(|y| (Voxel::new(x, y, 0), State::Occupied)));
-    for step in 0..60_000 {
+    for step in 0..90_000 {
         layer.apply(&wall(40 * step), Stamp(2 * i64::from(step)));
         layer.apply(&wall(-1), Stamp(2 * i64::from(step) + 1));
     }
-    assert!(layer.open < 34_000, "{} of {} are open", layer.open, layer.block_count());
+    assert!(layer.open < 66_000, "{} of {} are open", layer.open, layer.block_count());
     assert!(layer.packed_count() > 0);
     assert!(matches!(layer.cubes[&cube_of(Voxel::new(-1, 0, 0).block())], Place::Open(_)));
     check_counts(&layer);
-}
-
-proptest! {
-    #[test]
-    fn what_is_about_to_be_read_is_unpacked_as_far_as_there_is_room(
-        packages in prop::collection::vec(package(), 1..12), corner in (-6..12i32, -6..12i32, -3..9i32),
-        size in (1..20u32, 1..20u32, 1..20u32), blocks_max in 0..200usize, room in 0..100_000usize, far in 0..3i32,
-    ) {
-        let mut layer = Layer::default();
-        for (stamp, voxels) in &packages {
-            // Some of it lies far away, so that boxes are small beside the map and the other way round.
-            let at = |voxel: Voxel| Voxel::new(voxel.x + 4_000 * (stamp.0 as i32 % 3) * far, voxel.y, voxel.z);
-            layer.apply(&Changes::from_voxels(voxels.iter().map(|(v, state)| (at(*v), *state))), *stamp);
-        }
-        layer.pack();
-        let (before, packed) = (all_of(&layer, &[Stamp(300)]), layer.memory_bytes());
-        let region = VoxelBox::new(Voxel::new(corner.0, corner.1, corner.2), [size.0, size.1, size.2]).unwrap();
-        layer.open_near(&region, blocks_max, room);
-        prop_assert!(layer.open <= blocks_max && layer.memory_bytes() <= packed + room + 64 * QUEUE_BYTES);
-        check_counts(&layer);
-        prop_assert_eq!(all_of(&layer, &[Stamp(300)]), before);
-        let mut whole = layer.clone();
-        whole.open_near(&region, usize::MAX, usize::MAX);
-        let near = |a: i32, low: i32, high: i32| (low - 1..=high + 1).contains(&a);
-        for (index, _) in whole.blocks() {
-            let (low, high) = (region.min().block(), region.max().block());
-            let is_near = near(index.x, low.x, high.x) && near(index.y, low.y, high.y) && near(index.z, low.z, high.z);
-            let is_open = matches!(whole.cubes[&cube_of(index)], Place::Open(_));
-            prop_assert!(is_open || !is_near, "{:?} is packed", index);
-        }
-    }
 }
 
 #[test]

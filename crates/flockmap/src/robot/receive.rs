@@ -92,7 +92,6 @@ impl Robot {
     fn merge_package(&mut self, now: Stamp, package: &Package) -> Result<Event, Refusal> {
         let header = *package.header();
         let stream = header.stream;
-        self.fusion.open_near(&self.mapper, stream, &header.region);
         let content = self.decoder.decode_against(package, self.fusion.layer(stream));
         self.counters.steps += self.decoder.take_steps();
         let changes = match content? {
