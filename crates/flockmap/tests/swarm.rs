@@ -110,6 +110,7 @@ fn a_team_mates_frame_may_change_later_without_a_resend() {
     assert_eq!(bob.map().state_at([3.1, 0.1, 0.1]), State::Occupied);
     let turned = Pose::from_yaw([0.0, 10.0, 0.0], core::f64::consts::FRAC_PI_2);
     bob.set_alignment(RobotId(1), &turned).unwrap();
+    bob.finish_rebuild();
     assert_eq!(bob.map().state_at([3.1, 0.1, 0.1]), State::Unknown);
     assert_eq!(bob.map().state_at(turned.transform([3.1, 0.1, 0.1])), State::Occupied);
     assert_eq!(swarm.bytes, bytes);
