@@ -50,8 +50,14 @@ impl Fused {
     }
 
     /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that
-    /// several know are compared one by one.
-    pub(super) fn refresh(&mut self, sources: &Sources, mapper: &Mapper, targets: &[(BlockIndex, Plane)]) {
+    /// several know are compared one by one. Returns how often a layer was looked into for one of these.
+    pub(super) fn refresh(
+        &mut self,
+        sources: &Sources,
+        mapper: &Mapper,
+        targets: &[(BlockIndex, Plane)],
+    ) -> usize {
+        let (layers, mut looked) = (self.heard(sources).count(), 0);
         for targets in targets.chunks(REFRESHED_AT_ONCE) {
             let mut fused: Vec<_> = targets
                 .iter()
@@ -73,12 +79,14 @@ impl Fused {
             for (((index, mask), mut fused), contested) in targets.iter().zip(fused).zip(contested) {
                 if contested != [0; 8] {
                     for bit in set_bits(&contested) {
+                        looked += layers;
                         fused.set(bit, self.winner(sources, mapper, index.voxel(bit)));
                     }
                 }
                 self.view.write(*index, mask, &fused);
             }
         }
+        looked
     }
 
     /// The state that was observed last on this robot's clock; of those observed together, Occupied.

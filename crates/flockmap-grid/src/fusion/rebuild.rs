@@ -56,8 +56,8 @@ impl Rebuild {
         }
     }
 
-    /// Works out `blocks_max` blocks at most, one at least, and goes through as many blocks of layers and what of
-    /// a cube goes beyond that. Returns how many blocks it has worked out.
+    /// Works out `blocks_max` blocks at most, one at least, and fewer where much is contested; goes through as many
+    /// blocks of layers, and what of a cube goes beyond that. Returns how many blocks it has worked out.
     pub(super) fn work(
         &mut self,
         shown: &Fused,
@@ -70,13 +70,13 @@ impl Rebuild {
             if let Some((number, at)) = self.cubes.pop_if(|_| self.targets.is_empty()) {
                 left = left.saturating_sub(self.find(shown, sources, number, at));
             }
-            let now = self.targets.split_off(self.targets.len().saturating_sub(left));
+            let now = self.targets.split_off(self.targets.len().saturating_sub(left.min(AT_ONCE)));
             if now.is_empty() && self.cubes.is_empty() {
                 break;
             }
-            self.fused.refresh(sources, mapper, &now);
+            let looked = self.fused.refresh(sources, mapper, &now);
             worked_out += now.len();
-            left -= now.len();
+            left = left.saturating_sub(now.len() + looked / LOOKS_PER_BLOCK);
         }
         worked_out
     }
@@ -117,6 +117,12 @@ impl Rebuild {
         *shown = Fused { is_next: false, ..fused };
     }
 }
+
+/// Blocks that are worked out together, before it is seen how much of them was contested.
+const AT_ONCE: usize = 32;
+
+/// To look into a slanted layer for a voxel so often takes as long as to work out a block that is not contested.
+const LOOKS_PER_BLOCK: usize = 32;
 
 /// The ends of the grid: a block may lie half beyond.
 const LOWEST: Voxel = Voxel::new(-VOXEL_LIMIT, -VOXEL_LIMIT, -VOXEL_LIMIT);
