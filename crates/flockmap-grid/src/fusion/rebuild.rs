@@ -56,7 +56,7 @@ impl Rebuild {
         }
     }
 
-    /// Works out `blocks_max` blocks at most, one at least, and fewer where much is contested; goes through as many
+    /// Works out `blocks_max` blocks at most (0 counts as 1), and fewer where much is contested; goes through as many
     /// blocks of layers, and what of a cube goes beyond that. Returns how many blocks it has worked out.
     pub(super) fn work(
         &mut self,
