@@ -655,20 +655,22 @@ flockmap_result flockmap_robot_insert_scan(struct flockmap_robot *robot,
                                            struct flockmap_scan_report *report);
 
 // Says how a robot's frame lies in this one's: 16 numbers, row by row, which take a point in the frame of `origin` to
-// this robot's. May change at any time. FLOCKMAP_ERROR_ARGUMENT if it is no pose; the one before is kept then. O(voxels
-// known). Any thread.
+// this robot's. May change at any time. The map stays as it is until it has been made by the new one, a part with each
+// call of flockmap_robot_handle_timeout, which is due until then. FLOCKMAP_ERROR_ARGUMENT if it is no pose; the one
+// before is kept then. Any thread.
 flockmap_result flockmap_robot_set_alignment(struct flockmap_robot *robot,
                                              uint16_t origin,
                                              const double *T_own_origin);
 
 // Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is measured.
-// `is_measured` 1: measure again, `ahead_us` is not used; else 0. O(voxels known). Any thread.
+// `is_measured` 1: measure again, `ahead_us` is not used; else 0. Comes into force as an alignment does. Any thread.
 flockmap_result flockmap_robot_set_clock_offset(struct flockmap_robot *robot,
                                                 uint16_t origin,
                                                 int64_t ahead_us,
                                                 int32_t is_measured);
 
-// Leaves what a robot observed out of the fused map (`is_muted` 1), or takes it in again (0). O(voxels known). Any thread.
+// Leaves what a robot observed out of the fused map (`is_muted` 1), or takes it in again (0). Comes into force as an
+// alignment does. Any thread.
 flockmap_result flockmap_robot_set_muted(struct flockmap_robot *robot,
                                          uint16_t origin,
                                          int32_t is_muted);

@@ -149,8 +149,9 @@ pub unsafe extern "C" fn flockmap_robot_insert_scan(
 }
 
 /// Says how a robot's frame lies in this one's: 16 numbers, row by row, which take a point in the frame of `origin` to
-/// this robot's. May change at any time. FLOCKMAP_ERROR_ARGUMENT if it is no pose; the one before is kept then. O(voxels
-/// known). Any thread.
+/// this robot's. May change at any time. The map stays as it is until it has been made by the new one, a part with each
+/// call of flockmap_robot_handle_timeout, which is due until then. FLOCKMAP_ERROR_ARGUMENT if it is no pose; the one
+/// before is kept then. Any thread.
 #[unsafe(no_mangle)]
 #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
 pub unsafe extern "C" fn flockmap_robot_set_alignment(
@@ -169,7 +170,7 @@ pub unsafe extern "C" fn flockmap_robot_set_alignment(
 }
 
 /// Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is measured.
-/// `is_measured` 1: measure again, `ahead_us` is not used; else 0. O(voxels known). Any thread.
+/// `is_measured` 1: measure again, `ahead_us` is not used; else 0. Comes into force as an alignment does. Any thread.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockmap_robot_set_clock_offset(
     robot: *mut RobotHandle,
@@ -185,7 +186,8 @@ pub unsafe extern "C" fn flockmap_robot_set_clock_offset(
     })
 }
 
-/// Leaves what a robot observed out of the fused map (`is_muted` 1), or takes it in again (0). O(voxels known). Any thread.
+/// Leaves what a robot observed out of the fused map (`is_muted` 1), or takes it in again (0). Comes into force as an
+/// alignment does. Any thread.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockmap_robot_set_muted(
     robot: *mut RobotHandle,

@@ -251,7 +251,8 @@ impl Robot {
         self.robot.with(py, |robot| robot.flush(now.0))
     }
 
-    /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again.
+    /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again. The map stays as it is
+    /// until it has been made by the new one, a part with each handle_timeout, which is due until then.
     ///
     /// T_own_origin: (4, 4) float64.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
@@ -261,7 +262,8 @@ impl Robot {
         set.map_err(errors::pose)
     }
 
-    /// Says how far a robot's clock is ahead of this one's, in seconds; None: measure it again.
+    /// Says how far a robot's clock is ahead of this one's, in seconds; None: measure it again. Comes into
+    /// force as an alignment does.
     #[pyo3(signature = (origin, seconds))]
     fn set_clock_offset(&self, py: Python<'_>, origin: u16, seconds: Option<f64>) -> PyResult<()> {
         if seconds.is_some_and(|seconds| !seconds.is_finite()) {
@@ -273,7 +275,7 @@ impl Robot {
         self.robot.with(py, |robot| robot.set_clock_offset(RobotId(origin), micros))
     }
 
-    /// Leaves a robot's observations out of the map, or takes them in again.
+    /// Leaves a robot's observations out of the map, or takes them in again. Comes into force as an alignment does.
     fn set_muted(&self, py: Python<'_>, origin: u16, is_muted: bool) -> PyResult<()> {
         self.robot.with(py, |robot| robot.set_muted(RobotId(origin), is_muted))
     }

@@ -156,5 +156,8 @@ def test_alignment_moves_what_others_saw():
     drive([alice, bob], 0.1, 5)
     moved = bob.view().occupied_points()
     assert moved[:, 0].min() == pytest.approx(alice.view().occupied_points()[:, 0].min() + 1.0)
+    # It comes into force a part with each call, and is due until it has.
     bob.set_muted(1, True)
+    assert bob.poll_timeout() <= 6.0
+    bob.handle_timeout(6.0)
     assert bob.view().count() == (0, 0)

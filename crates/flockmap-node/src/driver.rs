@@ -76,6 +76,8 @@ impl<T: Transport> Driver<T> {
         for origin in &options.muted {
             robot.set_muted(*origin, true);
         }
+        // What was restored is shown to nobody before it lies where it belongs.
+        robot.finish_rebuild();
         let now = Instant::now();
         let clock_steps = StepWatch::new(options.clock);
         // A rate needs some time to be one.

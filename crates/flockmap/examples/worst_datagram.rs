@@ -175,6 +175,7 @@ fn robot_for(case: &Case, layer: &Layer, pose: &Pose) -> Robot {
         }
     }
     robot.set_alignment(SENDER.origin, pose).unwrap();
+    robot.finish_rebuild();
     robot
 }
 

@@ -68,7 +68,7 @@ pub enum Event {
     /// A robot has not been heard for a while.
     PeerLost(Stream),
     /// An ended run of a robot was forgotten, since there were too many streams or too many runs of one
-    /// robot: its map is gone here.
+    /// robot: its layer is gone here, and the fused map is made without it.
     RunForgotten(Stream),
     /// The own id was used with a higher epoch, by an earlier run whose clock was ahead or by another robot:
     /// so this one has begun anew above that, with what it had published until then. A driver that keeps

@@ -60,4 +60,4 @@ pub use flockmap_grid::{
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
 pub use publisher::Packer;
-pub use robot::{KnownPose, RestoreError, Robot};
+pub use robot::{KnownPose, REBUILD_BLOCKS, RestoreError, Robot};

@@ -25,7 +25,8 @@ impl RobotConfig {
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth
     /// of it in the fused map) and the own layer (`fusion.own_layer_bytes_max`). A
     /// [`MapView`](flockmap_grid::MapView) that is kept while the map goes on takes as much as the fused map
-    /// once more. An alignment that is set when the layers are full already may make the fused map larger.
+    /// once more. An alignment that is set when the layers are full already may make the fused map larger, and until
+    /// it is in force there are two of them: meanwhile, less is taken into the layers.
     pub const fn memory_of_others_max(&self) -> usize {
         self.session.memory_max()
             + self.fusion.layer_bytes_max

@@ -27,6 +27,10 @@ use crate::publisher::Publisher;
 use crate::readers::Readers;
 use crate::{Event, RobotConfig, RobotCounters, RobotError};
 
+/// Blocks of the fused map that one call of [`Robot::handle_timeout`] works out at most while the map is made anew:
+/// each takes 10 to 40 µs.
+pub const REBUILD_BLOCKS: usize = 256;
+
 /// Team-mates whose positions are kept.
 const TEAMMATES_MAX: usize = 1_024;
 
@@ -190,10 +194,12 @@ impl Robot {
         self.counters.blocks_forgotten += report.forgotten.len() as u64;
     }
 
-    /// Lets time pass: closes the batch that is due, and does what the session has to do.
+    /// Lets time pass: closes the batch that is due, does what the session has to do, and goes on with the fused map
+    /// if that is being made by what was set: [`REBUILD_BLOCKS`] blocks of it, some milliseconds.
     pub fn handle_timeout(&mut self, now: Stamp) {
         let now = self.advance(now);
         self.session.handle_timeout(now);
+        self.fusion.work(&self.mapper, REBUILD_BLOCKS);
         while let Some((batch, changes)) = {
             let Self { publisher, session, mapper, fusion, counters, .. } = self;
             publisher.poll(now, || session.pace(now), mapper, fusion, counters)
@@ -246,33 +252,40 @@ impl Robot {
         self.answer_session(now);
     }
 
-    /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again. What comes
-    /// to lie beyond the end of the grid is left out of the fused map. O(voxels known); O(1) where nothing of it
-    /// came, or it lies so already.
+    /// Says how a robot's frame lies in this one's. May change at any time; nothing is sent again. The fused map stays
+    /// as it is until it has been made by the new alignment, which [`handle_timeout`](Self::handle_timeout) does a part
+    /// at a time; [`is_rebuilding`](Self::is_rebuilding) says whether it is done. Another one that is set meanwhile
+    /// comes into force after it. What comes to lie beyond the end of the grid is left out. O(streams).
     ///
     /// # Errors
     /// [`PoseError`] if it is no pose, or brings the origin of the frame beyond the grid; the alignment stays
     /// as it was then.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn set_alignment(&mut self, origin: RobotId, T_own_origin: &Pose) -> Result<(), PoseError> {
-        self.fusion.set_alignment(&self.mapper, origin, T_own_origin)
+        self.fusion.set_alignment(origin, T_own_origin)
     }
 
     /// Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is
     /// measured. `None`: measure again. With its own id: how far its clock was ahead in former runs, 0 if it
-    /// goes on through a restart; else that is measured through others that heard those runs. The fused map
-    /// is made anew. O(voxels known); O(1) where all was fused with this offset.
+    /// goes on through a restart; else that is measured through others that heard those runs. Comes into force as an
+    /// alignment does. O(streams).
     pub fn set_clock_offset(&mut self, origin: RobotId, micros: Option<i64>) {
         self.session.set_clock_offset(origin, micros);
         if let Some(micros) = micros {
-            self.fusion.apply_clock_offset(&self.mapper, origin, micros.saturating_neg());
+            self.fusion.apply_clock_offset(origin, micros.saturating_neg());
         }
     }
 
-    /// Leaves a robot's layers out of the fused map, or takes them in again. O(voxels known); O(1) where nothing of
-    /// it came, or it is so already.
+    /// Leaves a robot's layers out of the fused map, or takes them in again. Comes into force as an alignment does.
+    /// O(streams).
     pub fn set_muted(&mut self, origin: RobotId, is_muted: bool) {
-        self.fusion.set_muted(&self.mapper, origin, is_muted);
+        self.fusion.set_muted(origin, is_muted);
+    }
+
+    /// Lets all that was set come into force at once. O(voxels of the layers concerned): seconds on a large map. For
+    /// tools and tests; a robot that flies has [`handle_timeout`](Self::handle_timeout) do it.
+    pub fn finish_rebuild(&mut self) {
+        while self.fusion.work(&self.mapper, usize::MAX) {}
     }
 
     /// Says where a team-mate is, in metres in the frame of the own map, so that it is not taken for an
@@ -300,9 +313,12 @@ impl Robot {
         transmit
     }
 
-    /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once.
+    /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once, as
+    /// long as the fused map [is being made anew](Self::is_rebuilding).
     pub fn poll_timeout(&self) -> Option<Stamp> {
-        [self.publisher.poll_timeout(&self.mapper), self.session.poll_timeout()].into_iter().flatten().min()
+        let rebuild = self.is_rebuilding().then_some(self.now);
+        let due = [self.publisher.poll_timeout(&self.mapper), self.session.poll_timeout(), rebuild];
+        due.into_iter().flatten().min()
     }
 
     /// The next event.
@@ -320,6 +336,12 @@ impl Robot {
     /// The fused map.
     pub const fn map(&self) -> &MapView {
         self.fusion.map()
+    }
+
+    /// Whether the fused map is being made anew: an alignment, a clock offset or a muting that was set, or a run that
+    /// was forgotten, is not in force yet.
+    pub fn is_rebuilding(&self) -> bool {
+        self.fusion.is_rebuilding()
     }
 
     /// The own map.

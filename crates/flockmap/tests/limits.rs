@@ -80,6 +80,7 @@ fn what_is_no_pose_or_lies_beyond_the_grid_is_refused_and_nothing_changes() {
     let turned = Pose::from_yaw([1.0, 2.0, 0.0], 0.5);
     let robot = &mut pair.robots[1];
     robot.set_alignment(RobotId(1), &turned).unwrap();
+    robot.finish_rebuild();
     let before: Vec<_> = robot.map().voxels().collect();
     assert!(before.iter().any(|(_, state)| *state == State::Occupied));
     let none = [
@@ -109,6 +110,7 @@ fn what_is_no_pose_or_lies_beyond_the_grid_is_refused_and_nothing_changes() {
     }
     // The first robot's wall is still where its alignment was.
     robot.set_alignment(RobotId(1), &turned).unwrap();
+    assert!(!robot.is_rebuilding());
     assert_eq!(robot.map().voxels().collect::<Vec<_>>(), before);
 }
 
@@ -193,14 +195,17 @@ fn a_faulty_team_mate_hides_nothing_either_whatever_its_clock_is_taken_for() {
             faulty.send(&mut robot, now, stamp, &[(place, State::Free), (Voxel::new(31, 0, 0), State::Free)]);
             assert_eq!(robot.map().state(place), State::Free);
             robot.set_clock_offset(RobotId(1), Some(then));
+            robot.finish_rebuild();
             let report = robot.insert_scan(now, &wall(now, 3.05), &Pose::IDENTITY).unwrap();
             assert_eq!(report.stamp, now);
             let at = || format!("{ahead} µs ahead of a clock that is {offset} µs ahead, and {then} later");
             assert_eq!(robot.map().state(place), State::Occupied, "{}", at());
             // Made from scratch, the map is the same.
             let kept: Vec<_> = robot.map().voxels().collect();
-            robot.set_muted(RobotId(1), true);
-            robot.set_muted(RobotId(1), false);
+            for is_muted in [true, false] {
+                robot.set_muted(RobotId(1), is_muted);
+                robot.finish_rebuild();
+            }
             assert_eq!(robot.map().voxels().collect::<Vec<_>>(), kept, "{}", at());
         }
     }

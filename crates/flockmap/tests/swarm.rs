@@ -105,11 +105,20 @@ fn a_team_mates_frame_may_change_later_without_a_resend() {
     let scan = flockmap::Scan { stamp: swarm.now, points: vec![[3.0, 0.1, 0.1]], no_returns: Vec::new() };
     swarm.scan(0, &scan, &Pose::IDENTITY);
     swarm.settle(10_000);
-    let bytes = swarm.bytes;
+    let (bytes, now) = (swarm.bytes, swarm.now);
     let bob = &mut swarm.robots[1];
     assert_eq!(bob.map().state_at([3.1, 0.1, 0.1]), State::Occupied);
     let turned = Pose::from_yaw([0.0, 10.0, 0.0], core::f64::consts::FRAC_PI_2);
     bob.set_alignment(RobotId(1), &turned).unwrap();
+    // It comes into force by calls that are due; until then the map stands.
+    assert_eq!(bob.map().state_at([3.1, 0.1, 0.1]), State::Occupied);
+    let mut calls = 0;
+    while bob.is_rebuilding() {
+        assert!(bob.poll_timeout().unwrap() <= now);
+        bob.handle_timeout(now);
+        calls += 1;
+    }
+    assert!((1..10).contains(&calls), "{calls}");
     assert_eq!(bob.map().state_at([3.1, 0.1, 0.1]), State::Unknown);
     assert_eq!(bob.map().state_at(turned.transform([3.1, 0.1, 0.1])), State::Occupied);
     assert_eq!(swarm.bytes, bytes);

@@ -98,7 +98,8 @@ fn a_map_made_anew_leaves_nothing_behind() {
     map.set([(Voxel::new(0, 0, 5), State::Occupied), (Voxel::new(9, 9, 9), State::Free)]);
     grid.update(map.fusion.map());
     assert_eq!(grid.cell_state(grid.cells().cell_at([0.0, 0.0, 0.5]).unwrap()), CellState::Occupied);
-    map.fusion.set_muted(&map.mapper, RobotId(2), true);
+    map.fusion.set_muted(RobotId(2), true);
+    map.fusion.rebuild(&map.mapper);
     grid.update(map.fusion.map());
     assert!((0..grid.count()).all(|cell| grid.cell_state(cell) == CellState::Unknown));
     assert!((0..grid.count()).all(|cell| grid.is_passable(cell, true) && !grid.is_crowded(cell)));

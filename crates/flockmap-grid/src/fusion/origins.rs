@@ -8,16 +8,16 @@ use crate::{BlockIndex, Mapper, Plane, RobotId, Stamp, Stream, set_bits};
 impl Fusion {
     /// Whose observation each known voxel of a block is: the robots in ascending order of their ids, with voxels
     /// that no two of them share, together all that are known. Where several say the same of the same time, the
-    /// own robot, then the lowest id. Worked out anew by the rules of fusion as they are now, so nothing is
+    /// own robot, then the lowest id. Worked out anew by the rules of fusion as they are in force, so nothing is
     /// kept for it; a clock offset that was measured since a voxel was fused counts already. O(streams), and a
     /// look into each layer for every voxel that several have seen: up to a tenth of a millisecond.
     pub fn origins(&self, mapper: &Mapper, index: BlockIndex) -> Vec<(RobotId, Plane)> {
-        let Some(states) = self.view.block(index) else { return Vec::new() };
+        let Some(states) = self.shown.view.block(index) else { return Vec::new() };
         let targets = [(index, states.known())];
         let mut seen = mapper.block(index).map_or([0; 8], |block| block.known());
         let mut contested = [0u64; 8];
         let mut others = BTreeMap::<RobotId, Plane>::new();
-        for (id, origin, source) in self.heard() {
+        for (id, origin, source) in self.shown.heard(&self.sources) {
             origin.blocks(&source.layer, &targets, |_, source| {
                 let (new, plane) = (source.known(), others.entry(id).or_default());
                 for z in 0..8 {
@@ -30,29 +30,29 @@ impl Fusion {
         for bit in set_bits(&contested) {
             let (word, mask) = (bit / 64, 1 << (bit % 64));
             others.values_mut().for_each(|plane| plane[word] &= !mask);
-            if let Some((_, id)) = self.last_observation(mapper, index.voxel(bit)) {
+            if let Some((_, id)) = self.shown.last_observation(&self.sources, mapper, index.voxel(bit)) {
                 others.entry(id).or_default()[word] |= mask;
             }
         }
         // What is nobody else's is the own robot's, with what is its own by a former run.
         let mut own = targets[0].1;
-        for (_, plane) in others.iter().filter(|(id, _)| **id != self.own.origin) {
+        for (_, plane) in others.iter().filter(|(id, _)| **id != self.sources.own.origin) {
             own = core::array::from_fn(|z| own[z] & !plane[z]);
         }
-        others.insert(self.own.origin, own);
+        others.insert(self.sources.own.origin, own);
         others.into_iter().filter(|(_, plane)| *plane != [0; 8]).collect()
     }
 
     /// Where the sensor of each stream of others was in its newest batch, as far as was said: metres in the
     /// own frame, to a sixteenth of a voxel, and when, on the own clock. O(streams).
     pub fn sensors(&self) -> impl Iterator<Item = (Stream, [f64; 3], Stamp)> {
-        let others = self.sources.iter().filter(|(stream, _)| **stream != self.own);
+        let others = self.sources.iter().filter(|(stream, _)| *stream != self.sources.own);
         others.filter_map(|(stream, source)| {
             let (stamp, sensor) = source.layer.newest_sensor()?;
-            let origin = self.origin(stream.origin);
-            let at = origin.alignment.transform(sensor.map(|at| f64::from(at) / 16.0));
+            let origin = self.shown.settings.origin(stream.origin);
+            let at = origin.alignment().transform(sensor.map(|at| f64::from(at) / 16.0));
             let made = source.received.made(stamp, origin.clock_offset_micros);
-            Some((*stream, at.map(|at| at * self.resolution.metres()), made))
+            Some((stream, at.map(|at| at * self.resolution.metres()), made))
         })
     }
 }

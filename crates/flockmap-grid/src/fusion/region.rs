@@ -51,6 +51,11 @@ impl Region {
         self.rank(index).ok().map(|rank| &self.blocks[rank].states)
     }
 
+    /// The version at which a block changed last.
+    pub(super) fn changed_at(&self, index: BlockIndex) -> Option<u64> {
+        self.rank(index).ok().map(|rank| self.blocks[rank].version)
+    }
+
     /// All blocks in ascending order of their places. `at` is the region's own index.
     pub(super) fn blocks(&self, at: BlockIndex) -> impl Iterator<Item = (BlockIndex, &ViewBlock)> {
         set_bits(&self.places).map(move |place| index_of(at, place)).zip(&self.blocks)

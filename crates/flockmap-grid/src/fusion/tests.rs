@@ -1,7 +1,11 @@
+mod rebuild;
+
+use std::collections::BTreeMap;
+
 use proptest::prelude::*;
 
 use super::*;
-use crate::{MapperConfig, Preset, Scan, VoxelBox, Which};
+use crate::{MapperConfig, Pose, Preset, Scan, State, StateBlock, Voxel, VoxelBox, Which, set_bits};
 
 const OWN: Stream = Stream { origin: RobotId(1), epoch: 1 };
 
@@ -15,6 +19,12 @@ fn mapper() -> Mapper {
 
 fn stream(origin: u16) -> Stream {
     Stream { origin: RobotId(origin), epoch: 1 }
+}
+
+/// Lets come into force what was set, a few blocks at a time.
+fn finish(fusion: &mut Fusion, mapper: &Mapper) {
+    while fusion.work(mapper, 5) {}
+    assert!(!fusion.is_rebuilding());
 }
 
 /// The rules of fusion voxel by voxel, in plain words, over a box that holds everything: the state, and the
@@ -144,7 +154,8 @@ proptest! {
                     arrivals.push((stream(origin), Stamp(stamp), now));
                 }
                 Event::Align { origin, pose } if with_alignment => {
-                    fusion.set_alignment(&mapper, RobotId(origin), &pose).unwrap();
+                    fusion.set_alignment(RobotId(origin), &pose).unwrap();
+                    finish(&mut fusion, &mapper);
                     alignments.insert(origin, pose);
                 }
                 Event::Align { .. } => {}
@@ -199,13 +210,15 @@ fn a_map_that_is_made_anew_has_changed_where_it_came_out_otherwise() {
     fusion.apply(&mapper, stream(2), &row(0..40), Stamp(1), Stamp(1)).unwrap();
     fusion.apply(&mapper, stream(3), &row(38..42), Stamp(1), Stamp(1)).unwrap();
     let before = fusion.view();
-    fusion.set_muted(&mapper, RobotId(3), true);
+    fusion.set_muted(RobotId(3), true);
+    finish(&mut fusion, &mapper);
     let gone = [BlockIndex::new(0, 40, 0), BlockIndex::new(0, 41, 0)];
     assert_eq!(fusion.map().changed_since(before.version()), Some(gone.to_vec()));
     assert_eq!(fusion.map().block(gone[0]), None);
     assert_eq!((fusion.map().blocks().count(), fusion.map().block_count()), (40, 40));
     // With most of the map goes the knowledge of what it was.
-    fusion.set_muted(&mapper, RobotId(2), true);
+    fusion.set_muted(RobotId(2), true);
+    finish(&mut fusion, &mapper);
     assert_eq!(fusion.map().changed_since(before.version()), None);
     assert_eq!(fusion.map().changed_since(fusion.map().version()), Some(Vec::new()));
     assert_eq!((fusion.map().block_count(), fusion.memory_bytes_of_others(&mapper) > 0), (0, true));
@@ -326,9 +339,11 @@ fn muting_an_origin_takes_it_out_and_unmuting_brings_it_back_without_a_resend() 
     let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
     let voxel = Voxel::new(1, 2, 3);
     fusion.apply(&mapper, stream(2), &source(&[(voxel, State::Occupied)]), Stamp(1), Stamp(1)).unwrap();
-    fusion.set_muted(&mapper, RobotId(2), true);
+    fusion.set_muted(RobotId(2), true);
+    finish(&mut fusion, &mapper);
     assert_eq!(fusion.map().state(voxel), State::Unknown);
-    fusion.set_muted(&mapper, RobotId(2), false);
+    fusion.set_muted(RobotId(2), false);
+    finish(&mut fusion, &mapper);
     assert_eq!(fusion.map().state(voxel), State::Occupied);
 }
 
@@ -386,7 +401,9 @@ fn layers_beyond_their_limit_are_refused_and_nothing_is_changed() {
     ));
     assert!(fusion.layer(stream(3)).is_none());
     assert_eq!(fusion.map().state(Voxel::new(9 * 99, 9 * 99, 99)), State::Unknown);
-    fusion.forget(&mapper, stream(2));
+    fusion.forget(stream(2));
+    assert!(fusion.memory_bytes_of_others(&mapper) > 13_000, "it is in the map yet");
+    finish(&mut fusion, &mapper);
     assert_eq!(fusion.memory_bytes_of_others(&mapper), 0);
     assert_eq!(fusion.apply(&mapper, stream(3), &beyond, Stamp(1), Stamp(1)), Ok(4));
 }
@@ -570,7 +587,8 @@ fn an_alignment_that_is_none_is_refused_and_the_map_stays() {
     let voxels = [(Voxel::new(5, -9, 2), State::Occupied), (Voxel::new(4, -9, 2), State::Free)];
     fusion.apply(&mapper, stream(2), &source(&voxels), Stamp(1), Stamp(1)).unwrap();
     let turned = Pose::from_yaw([3.0, 2.0, 1.0], 0.4);
-    fusion.set_alignment(&mapper, RobotId(2), &turned).unwrap();
+    fusion.set_alignment(RobotId(2), &turned).unwrap();
+    finish(&mut fusion, &mapper);
     let before: Vec<_> = fusion.map().voxels().collect();
     let far = Pose::new([1.7e308, 1.7e308, 0.0], [0.0, 0.0, 0.382, 0.924]).unwrap();
     for pose in [
@@ -581,7 +599,8 @@ fn an_alignment_that_is_none_is_refused_and_the_map_stays() {
         far,
         Pose::from_translation([0.0, 0.0, 134_217_728.0]),
     ] {
-        assert!(fusion.set_alignment(&mapper, RobotId(2), &pose).is_err(), "{pose:?}");
+        assert!(fusion.set_alignment(RobotId(2), &pose).is_err(), "{pose:?}");
+        assert!(!fusion.is_rebuilding());
         assert_eq!(fusion.map().voxels().collect::<Vec<_>>(), before);
     }
     fusion.rebuild(&mapper);
@@ -600,7 +619,7 @@ fn what_an_alignment_brings_beyond_the_end_of_the_grid_is_left_out() {
     for (x, yaw) in [(1.25, 0.0), (1.0, 0.0), (600.0, 0.0), (1.25, 1e-9), (-1.25, core::f64::consts::PI)] {
         let pose = Pose::from_yaw([x, 0.1, 0.0], yaw);
         let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
-        fusion.set_alignment(&mapper, RobotId(2), &pose).unwrap();
+        fusion.set_alignment(RobotId(2), &pose).unwrap();
         let changes = Changes::from_voxels(near_the_end(end));
         fusion.apply(&mapper, stream(2), &changes, Stamp(1), Stamp(1)).unwrap();
         for _ in 0..2 {
@@ -635,14 +654,15 @@ fn the_same_pose_offset_or_muting_twice_costs_nothing() {
     let mut costs = |change: &dyn Fn(&mut Fusion)| {
         let before = fusion.refreshed();
         change(&mut fusion);
+        finish(&mut fusion, &mapper);
         fusion.refreshed() - before
     };
     for id in [2, 3].map(RobotId) {
         let is_there = id == RobotId(2);
-        let align = |fusion: &mut Fusion| fusion.set_alignment(&mapper, id, &turned).unwrap();
-        let mute = |fusion: &mut Fusion| fusion.set_muted(&mapper, id, true);
-        let unmute = |fusion: &mut Fusion| fusion.set_muted(&mapper, id, false);
-        let set_clock = |fusion: &mut Fusion| fusion.apply_clock_offset(&mapper, id, 77);
+        let align = |fusion: &mut Fusion| fusion.set_alignment(id, &turned).unwrap();
+        let mute = |fusion: &mut Fusion| fusion.set_muted(id, true);
+        let unmute = |fusion: &mut Fusion| fusion.set_muted(id, false);
+        let set_clock = |fusion: &mut Fusion| fusion.apply_clock_offset(id, 77);
         for change in [&align as &dyn Fn(&mut Fusion), &mute, &unmute, &set_clock] {
             assert_eq!(costs(change) > 0, is_there);
             assert_eq!(costs(change), 0);
@@ -652,9 +672,11 @@ fn the_same_pose_offset_or_muting_twice_costs_nothing() {
     fusion.set_clock_offset(RobotId(2), 99);
     fusion.set_clock_offset(RobotId(2), 77);
     let before = fusion.refreshed();
-    fusion.apply_clock_offset(&mapper, RobotId(2), 77);
+    fusion.apply_clock_offset(RobotId(2), 77);
+    finish(&mut fusion, &mapper);
     assert!(fusion.refreshed() > before);
     let before = fusion.refreshed();
-    fusion.apply_clock_offset(&mapper, RobotId(2), 77);
+    fusion.apply_clock_offset(RobotId(2), 77);
+    finish(&mut fusion, &mapper);
     assert_eq!(fusion.refreshed(), before);
 }

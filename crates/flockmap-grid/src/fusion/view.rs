@@ -1,5 +1,7 @@
 //! The fused map as a planner reads it.
 
+mod staging;
+
 use std::sync::Arc;
 
 use rustc_hash::FxHashMap;
@@ -251,15 +253,20 @@ impl MapView {
         if new == old {
             return;
         }
+        self.set_states(index, new);
+    }
+
+    /// Sets the states of a block, which counts as changed.
+    fn set_states(&mut self, index: BlockIndex, states: StateBlock) {
         self.version += 1;
         let regions = Arc::make_mut(&mut self.regions);
         let region = regions.entry(region_of(index)).or_default();
         self.region_bytes -= region.memory_bytes();
         let region = Arc::make_mut(region);
-        let before = region.set(index, new, self.version);
+        let before = region.set(index, states, self.version);
         self.region_bytes += region.memory_bytes();
         self.blocks += usize::from(before.is_none());
-        self.emptied += usize::from(new.is_empty());
+        self.emptied += usize::from(states.is_empty());
         self.emptied -= usize::from(before.is_some_and(|before| before.is_empty()));
     }
 

@@ -244,6 +244,22 @@ impl Layer {
         })
     }
 
+    /// The indices of all cubes, in no order. O(cubes).
+    pub(crate) fn cube_indices(&self) -> impl Iterator<Item = BlockIndex> {
+        self.cubes.keys().copied()
+    }
+
+    /// The blocks of a cube with what of them is known. Cost as of [`Self::state`].
+    pub(crate) fn known_in_cube(&self, at: BlockIndex) -> Vec<(BlockIndex, Plane)> {
+        let known =
+            |cube: &Cube| cube.blocks(at).map(|(index, block)| (index, block.states.known())).collect();
+        match self.cubes.get(&at) {
+            None => Vec::new(),
+            Some(Place::Open(open)) => known(&open.cube),
+            Some(Place::Packed(packed)) => known(&self.unpacked.cube(packed)),
+        }
+    }
+
     /// Every known voxel with its state, block by block in ascending order. O(n log n) in blocks.
     pub fn voxels(&self) -> impl Iterator<Item = (Voxel, State)> {
         Changes::from_blocks(self.blocks().collect()).into_voxels()

@@ -30,7 +30,7 @@ impl Robot {
                 }
                 SessionEvent::StreamForgotten(stream) => {
                     self.readers.drop_upto(stream, u32::MAX);
-                    self.fusion.forget(&self.mapper, stream);
+                    self.fusion.forget(stream);
                     self.push_event(Event::RunForgotten(stream));
                 }
                 SessionEvent::EpochTooLow { used } => self.begin_anew(now, used),

@@ -111,8 +111,9 @@ impl Swarm {
                     self.robots[robot].handle_timeout(self.now);
                     self.drain(robot);
                     let due = self.robots[robot].poll_timeout();
+                    // A map that is being made anew takes as many calls as it takes.
                     assert!(
-                        due.is_none_or(|due| due > self.now),
+                        due.is_none_or(|due| due > self.now) || self.robots[robot].is_rebuilding(),
                         "drained at {:?}, due at {due:?}",
                         self.now
                     );

@@ -17,6 +17,10 @@ pub(in crate::swarm) fn wrong_fused(
     robot: &Robot,
     ahead: impl Fn(RobotId) -> Option<i64>,
 ) -> Option<Finding> {
+    // Until it is made anew, it has what a run said that was forgotten.
+    if robot.is_rebuilding() {
+        return None;
+    }
     let (own, mapper) = (robot.own_stream(), robot.mapper());
     let layers: Vec<_> = robot.fusion().layers().filter(|(stream, _)| *stream != own).collect();
     let priority = robot.config().fusion.own_priority_micros;

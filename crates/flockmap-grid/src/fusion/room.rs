@@ -1,0 +1,77 @@
+//! Whether layers may take more.
+
+use super::view::VIEW_BLOCK_BYTES;
+use super::{Fusion, FusionError};
+use crate::layer::SENSOR_BYTES;
+use crate::{Changes, Mapper, Stream};
+
+/// Blocks of the fused map that a new block of a layer in another frame is taken to add, before it is there
+/// and they are counted.
+const REACHED_BLOCKS: usize = 4;
+
+impl Fusion {
+    /// Bytes that the layers of others hold, those that are leaving too, with what of the fused map, and of the one
+    /// that is being made, the own map does not account for. O(1); O(regions of 64³ voxels) while a map is being made.
+    pub fn memory_bytes_of_others(&self, mapper: &Mapper) -> usize {
+        let beside = self.next.as_ref().map(|next| next.fused.view.memory_bytes_beside(&self.shown.view));
+        let maps = self.shown.view.memory_bytes() + beside.unwrap_or(0);
+        self.sources.bytes() + maps.saturating_sub(mapper.block_count() * VIEW_BLOCK_BYTES)
+    }
+
+    /// Packs layers if they would not fit else: the layer of a stream is to take these changes over.
+    pub(super) fn make_room<'a, P: Iterator<Item = &'a Changes>>(
+        &mut self,
+        mapper: &Mapper,
+        stream: Stream,
+        parts: impl Fn() -> P,
+        sensors: usize,
+    ) -> Result<(), FusionError> {
+        match self.check_room(mapper, stream, parts(), sensors) {
+            Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }) => {
+                self.sources.make_room(stream == self.sources.own);
+                self.check_room(mapper, stream, parts(), sensors)
+            }
+            result => result,
+        }
+    }
+
+    /// Whether the layer of a stream may take these changes over, each with a stamp of its own, and so many
+    /// sensors.
+    fn check_room<'a>(
+        &self,
+        mapper: &Mapper,
+        stream: Stream,
+        parts: impl Iterator<Item = &'a Changes>,
+        sensors: usize,
+    ) -> Result<(), FusionError> {
+        let source = self.sources.get(stream);
+        if source.is_none() && self.sources.is_full(self.config.streams_max) {
+            return Err(FusionError::StreamsFull(stream, self.config.streams_max));
+        }
+        let nothing = Default::default();
+        let source = source.unwrap_or(&nothing);
+        let (growth, new_blocks) = source.layer.growth_max(parts);
+        let layer_growth = growth + sensors * SENSOR_BYTES;
+        if stream == self.sources.own {
+            let (held, max) = (source.layer.memory_bytes(), self.config.own_layer_bytes_max);
+            let is_within = held + layer_growth <= max;
+            return is_within.then_some(()).ok_or(FusionError::OwnLayerFull {
+                held,
+                more: layer_growth,
+                max,
+            });
+        }
+        let reached = self.maps().map(|fused| {
+            let origin = fused.settings.origin(stream.origin);
+            match (origin.is_muted, origin.alignment().is_identity()) {
+                (true, _) => 0,
+                (false, true) => new_blocks,
+                (false, false) => new_blocks * REACHED_BLOCKS,
+            }
+        });
+        let reached: usize = reached.sum();
+        let (held, max) = (self.memory_bytes_of_others(mapper), self.config.layer_bytes_max);
+        let more = layer_growth + source.received.growth_max() + reached * VIEW_BLOCK_BYTES;
+        if held + more <= max { Ok(()) } else { Err(FusionError::LayersFull { held, more, max }) }
+    }
+}

@@ -1,0 +1,160 @@
+//! The layers of all streams, with those that are leaving.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::received::Received;
+use crate::layer::Unpacked;
+use crate::{Layer, RobotId, Stream};
+
+/// What came of a stream.
+#[derive(Default)]
+pub(super) struct Source {
+    /// The same on every robot that has applied the same, with the stamps of the origin.
+    pub layer: Layer,
+    /// When it came here. Of the own stream nothing is noted: the mapper says what was seen when.
+    pub received: Received,
+    /// No two sources have the same, also of a stream that comes back.
+    number: u64,
+}
+
+/// Of all streams.
+pub(super) struct Sources {
+    pub own: Stream,
+    sources: BTreeMap<Stream, Source>,
+    /// Forgotten, and still in the map that is shown.
+    leaving: Vec<Leaving>,
+    /// Of the sources of others, with those that are leaving.
+    bytes: usize,
+    /// Cubes of layers, for who reads them.
+    unpacked: Arc<Unpacked>,
+    numbers: u64,
+}
+
+struct Leaving {
+    stream: Stream,
+    source: Source,
+    /// The map that is being made does not have it any more.
+    is_left_out: bool,
+}
+
+impl Source {
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.layer.memory_bytes() + self.received.memory_bytes()
+    }
+
+    pub(super) const fn number(&self) -> u64 {
+        self.number
+    }
+}
+
+impl Sources {
+    pub(super) fn new(own: Stream) -> Self {
+        Self {
+            own,
+            sources: BTreeMap::new(),
+            leaving: Vec::new(),
+            bytes: 0,
+            unpacked: Arc::default(),
+            numbers: 0,
+        }
+    }
+
+    pub(super) fn get(&self, stream: Stream) -> Option<&Source> {
+        self.sources.get(&stream)
+    }
+
+    /// All but those that are leaving, in ascending order of their streams.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (Stream, &Source)> {
+        self.sources.iter().map(|(stream, source)| (*stream, source))
+    }
+
+    /// All but the own one, with those that are leaving, as long as they are in the map that is shown, or in the
+    /// one that is being made. With each whether it is leaving.
+    pub(super) fn of_others(&self, is_next: bool) -> impl Iterator<Item = (Stream, &Source, bool)> {
+        let leaving = self.leaving.iter().filter(move |leaving| !(is_next && leaving.is_left_out));
+        let leaving = leaving.map(|leaving| (leaving.stream, &leaving.source, true));
+        let others = self.iter().filter(|(stream, _)| *stream != self.own);
+        others.map(|(stream, source)| (stream, source, false)).chain(leaving)
+    }
+
+    /// Whether there is something of an origin in a map, or was.
+    pub(super) fn has_of(&self, origin: RobotId) -> bool {
+        self.of_others(false).any(|(stream, _, _)| stream.origin == origin)
+    }
+
+    /// Of the sources of others, with those that are leaving.
+    pub(super) const fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// Whether there are as many as there may be, beside as many that are leaving.
+    pub(super) fn is_full(&self, max: usize) -> bool {
+        self.sources.len() >= max || self.leaving.len() >= max
+    }
+
+    pub(super) const fn is_any_leaving(&self) -> bool {
+        !self.leaving.is_empty()
+    }
+
+    /// Changes a source, which is made if need be, and the count of bytes with it.
+    pub(super) fn change<T>(&mut self, stream: Stream, change: impl FnOnce(&mut Source) -> T) -> T {
+        let source = self.sources.entry(stream).or_insert_with(|| {
+            self.numbers += 1;
+            let (layer, received) = (Layer::new(&self.unpacked), Received::default());
+            Source { layer, received, number: self.numbers }
+        });
+        let before = source.memory_bytes();
+        let result = change(source);
+        if stream != self.own {
+            self.bytes = self.bytes + source.memory_bytes() - before;
+        }
+        result
+    }
+
+    /// Packs what others said, or what was published.
+    pub(super) fn make_room(&mut self, is_own: bool) {
+        for (stream, source) in &mut self.sources {
+            if (*stream == self.own) == is_own {
+                let before = source.memory_bytes();
+                source.layer.make_room();
+                if !is_own {
+                    self.bytes = self.bytes + source.memory_bytes() - before;
+                }
+            }
+        }
+    }
+
+    /// The own stream is another one; the source of the former one is gone.
+    pub(super) fn begin_run(&mut self, own: Stream) {
+        self.sources.remove(&self.own);
+        self.own = own;
+    }
+
+    /// The source of a stream leaves; the own one is in no map, so it is gone at once.
+    pub(super) fn forget(&mut self, stream: Stream) {
+        if let Some(source) = self.sources.remove(&stream)
+            && stream != self.own
+        {
+            self.leaving.push(Leaving { stream, source, is_left_out: false });
+        }
+    }
+
+    /// Those that are leaving now are not in the map that is made from now on.
+    pub(super) fn leave_out(&mut self) {
+        self.leaving.iter_mut().for_each(|leaving| leaving.is_left_out = true);
+    }
+
+    /// The map that was made without those that were left out is shown: they are gone. Returns of whom they were.
+    pub(super) fn drop_left_out(&mut self) -> Vec<RobotId> {
+        let mut dropped = Vec::new();
+        self.leaving.retain(|Leaving { stream, source, is_left_out }| {
+            if *is_left_out {
+                self.bytes -= source.memory_bytes();
+                dropped.push(stream.origin);
+            }
+            !is_left_out
+        });
+        dropped
+    }
+}

@@ -1,0 +1,50 @@
+//! A map that takes the place of another one, for who follows versions.
+
+use std::sync::Arc;
+
+use super::{MapView, region_of};
+
+/// By how much the versions of a staged map are ahead: more than any map changes while it is being made, and little
+/// enough for as many to follow one another.
+const STAGED_AHEAD: u64 = 1 << 32;
+
+impl MapView {
+    /// A copy that is to be changed, and to take the place of this map when it is ready. Its changes have versions
+    /// that this map does not come to meanwhile. O(1).
+    pub(in crate::fusion) fn staged(&self) -> Self {
+        Self { version: self.version + STAGED_AHEAD, ..self.clone() }
+    }
+
+    /// Takes the place of the map that it was made from when that had the version `began`. Who had that map at any
+    /// version hears of all blocks that differ: of those that were changed here, since their versions are newer, and
+    /// of those that were changed there alone, which count as changed now. O(regions, blocks that changed there).
+    pub(in crate::fusion) fn supersede(&mut self, former: &Self, began: u64) {
+        self.version = self.version.max(former.version + 1);
+        let Some(changed) = former.changed_since(began) else {
+            // Blocks that came and went there cannot be named.
+            self.version += 1;
+            self.emptied_since = self.version;
+            return;
+        };
+        for index in changed {
+            let region = self.regions.get(&region_of(index));
+            let is_changed = region.and_then(|r| r.changed_at(index)).is_some_and(|at| at > began);
+            if !is_changed {
+                let states = self.block(index).copied().unwrap_or_default();
+                self.set_states(index, states);
+            }
+        }
+    }
+
+    /// Bytes that this map holds beside those that it shares with another one. O(regions of 64³ voxels).
+    pub(in crate::fusion) fn memory_bytes_beside(&self, other: &Self) -> usize {
+        if Arc::ptr_eq(&self.regions, &other.regions) {
+            return 0;
+        }
+        let is_shared = |(at, region): (_, &Arc<_>)| {
+            other.regions.get(at).is_some_and(|theirs| Arc::ptr_eq(region, theirs))
+        };
+        let shared = self.regions.iter().filter(|region| is_shared(*region));
+        self.memory_bytes() - shared.map(|(_, region)| region.memory_bytes()).sum::<usize>()
+    }
+}

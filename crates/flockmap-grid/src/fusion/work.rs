@@ -1,0 +1,82 @@
+//! The map is made anew a part at a time, or at once.
+
+use std::collections::BTreeMap;
+
+use super::Fusion;
+use super::rebuild::Rebuild;
+use crate::{BlockIndex, Mapper, Plane};
+
+impl Fusion {
+    /// Goes on making the map by what was set: works out `blocks_max` blocks at most (0 counts as 1), fewer where much
+    /// is contested, and goes through as many blocks of layers. The map stays as it is, but for what is seen and received, until all that differs
+    /// is worked out; then it is the new one. Whether there is more to do. O(`blocks_max`), 10 to 40 µs for a block as
+    /// a rule; O(cubes of 4³ blocks of the layers) when it begins, O(blocks that changed meanwhile) when it ends.
+    pub fn work(&mut self, mapper: &Mapper, blocks_max: usize) -> bool {
+        if self.next.is_none() {
+            self.begin();
+        }
+        let Some(mut next) = self.next.take() else { return false };
+        self.refreshed += next.work(&self.shown, &self.sources, mapper, blocks_max) as u64;
+        if next.is_done() {
+            next.finish(&mut self.shown);
+            self.forget_left_out();
+        } else {
+            self.next = Some(next);
+        }
+        self.is_rebuilding()
+    }
+
+    /// Whether something was set or forgotten that is not in force yet: call [`Self::work`].
+    pub fn is_rebuilding(&self) -> bool {
+        self.next.is_some() || !self.due.is_empty() || self.sources.is_any_leaving()
+    }
+
+    /// Cubes of 4³ blocks of layers that are still to be gone through for the map that is being made; `None` if none is.
+    pub fn cubes_left(&self) -> Option<usize> {
+        self.next.as_ref().map(Rebuild::cubes_left)
+    }
+
+    /// Makes the fused map anew from the mapper and all layers, by what is set: what comes out as it was is no change.
+    /// All at once, O(voxels).
+    pub fn rebuild(&mut self, mapper: &Mapper) {
+        self.next = None;
+        self.due.clear();
+        self.sources.leave_out();
+        self.forget_left_out();
+        self.shown.settings = self.wanted.clone();
+        self.shown.outdated.clear();
+        let mut reached: BTreeMap<BlockIndex, Plane> = mapper.blocks().map(|(i, b)| (i, b.known())).collect();
+        for (index, states) in self.shown.view.blocks() {
+            let all = reached.entry(index).or_default();
+            *all = core::array::from_fn(|z| all[z] | states.known()[z]);
+        }
+        for (id, _, source) in self.shown.heard(&self.sources) {
+            let known: Vec<_> = source.layer.blocks().map(|(index, block)| (index, block.known())).collect();
+            for (index, mask) in self.shown.reach(id, &known).iter() {
+                let all = reached.entry(*index).or_default();
+                *all = core::array::from_fn(|z| all[z] | mask[z]);
+            }
+        }
+        let reached: Vec<_> = reached.into_iter().collect();
+        self.refreshed += reached.len() as u64;
+        self.shown.refresh(&self.sources, mapper, &reached);
+        self.shown.view.forget_emptied();
+    }
+
+    /// Begins to make the map by what is set now, if that makes a difference.
+    fn begin(&mut self) {
+        let Self { shown, wanted, due, sources, .. } = self;
+        let mut due = core::mem::take(due);
+        due.retain(|id| !wanted.origin(*id).is_as(shown.settings.origin(*id)) || shown.outdated.contains(id));
+        if !due.is_empty() || sources.is_any_leaving() {
+            self.next = Some(Rebuild::begin(shown, wanted.clone(), &due, sources));
+        }
+    }
+
+    /// What was left out is in no map any more.
+    fn forget_left_out(&mut self) {
+        for origin in self.sources.drop_left_out() {
+            self.forget_plain(origin);
+        }
+    }
+}
