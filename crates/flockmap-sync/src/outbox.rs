@@ -18,6 +18,9 @@ pub(crate) struct Outbox {
     pub(crate) snapshots: Vec<Outgoing>,
     /// When the driver is asked again for a snapshot of a stream.
     pub(crate) asked: BTreeMap<Stream, Stamp>,
+    /// Of histories with gaps: what was held of them when a snapshot was asked for that is not there yet. More may
+    /// come while it is made, which it does not contain.
+    pub(crate) held_when_asked: BTreeMap<Stream, IntervalSet>,
     pub(crate) path_waiting: PathsWaiting,
     /// The peer that was served last.
     pub(crate) served: RobotId,
@@ -84,6 +87,7 @@ impl Outbox {
         Self {
             snapshots: Vec::new(),
             asked: BTreeMap::new(),
+            held_when_asked: BTreeMap::new(),
             path_waiting: PathsWaiting::new(),
             served: RobotId(0),
             radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),

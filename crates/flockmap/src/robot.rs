@@ -4,6 +4,7 @@ mod begin;
 mod poses;
 mod receive;
 mod restore;
+mod snapshots;
 
 pub use poses::KnownPose;
 pub use restore::RestoreError;
@@ -13,7 +14,7 @@ use std::collections::BTreeMap;
 
 use std::borrow::Cow;
 
-use flockmap_codec::{Batch, Decoder, Span};
+use flockmap_codec::{Batch, Decoder};
 use flockmap_grid::{
     Changes, Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, StatesError,
     StatesUpdate, Stream,
@@ -25,6 +26,7 @@ use flockmap_sync::{Path, Session, Transmit};
 use crate::events::Events;
 use crate::publisher::Publisher;
 use crate::readers::Readers;
+use crate::snapshots::Snapshots;
 use crate::{Event, RobotConfig, RobotCounters, RobotError};
 
 /// Team-mates whose positions are kept.
@@ -44,6 +46,7 @@ pub struct Robot {
     publisher: Publisher,
     session: Session,
     readers: Readers,
+    snapshots: Snapshots,
     decoder: Decoder,
     fusion: Fusion,
     teammates: BTreeMap<RobotId, Teammate>,
@@ -81,6 +84,7 @@ impl Robot {
             mapper: Mapper::new(config.mapper.clone())?,
             publisher: Publisher::new(&config, own, now),
             readers: Readers::new(config.fusion.layer_bytes_max),
+            snapshots: Snapshots::default(),
             decoder: Decoder::new(),
             session: Session::new(own, config.session.clone(), config.seed)?,
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
@@ -200,6 +204,7 @@ impl Robot {
         } {
             self.publish(now, batch, changes);
         }
+        self.go_on_with_snapshots(now);
         self.answer_session(now);
     }
 
@@ -300,9 +305,12 @@ impl Robot {
         transmit
     }
 
-    /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once.
+    /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once, as
+    /// long as there is work that goes on in slices.
     pub fn poll_timeout(&self) -> Option<Stamp> {
-        [self.publisher.poll_timeout(&self.mapper), self.session.poll_timeout()].into_iter().flatten().min()
+        let at_once = self.snapshots.is_busy().then_some(self.now);
+        let due = [at_once, self.publisher.poll_timeout(&self.mapper), self.session.poll_timeout()];
+        due.into_iter().flatten().min()
     }
 
     /// The next event.
@@ -366,20 +374,6 @@ impl Robot {
         &self.config
     }
 
-    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too
-    /// much of it.
-    fn provide_snapshot(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
-        let stream = span.stream;
-        let Self { publisher, fusion, config, .. } = self;
-        match publisher.encode_state(span, newer_than, fusion, config, bytes_max) {
-            Ok(chunks) => {
-                self.counters.snapshots += u64::from(!chunks.is_empty());
-                self.session.provide_snapshot(now, stream, chunks);
-            }
-            Err(error) => self.push_event(Event::EncodeFailed(error)),
-        }
-    }
-
     /// Codes a batch, gives it to the session and takes it into the own layer.
     fn publish(&mut self, now: Stamp, batch: Batch, changes: Changes) {
         let mut coded = Cow::Borrowed(&changes);
@@ -413,6 +407,7 @@ impl Robot {
 
     /// The time of an input. A clock that is set back stands still until it has come up again.
     fn advance(&mut self, now: Stamp) -> Stamp {
+        self.snapshots.note_call();
         self.now = self.now.max(now);
         self.now
     }
