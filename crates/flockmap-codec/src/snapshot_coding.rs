@@ -35,10 +35,20 @@ pub struct SnapshotCoding<S> {
 }
 
 enum Stage {
-    Flock { writer: Box<flock::SnapshotWriter>, id: Hasher },
-    Paper { writer: Box<paper::SnapshotWriter>, id: Hasher },
+    Flock {
+        writer: Box<flock::SnapshotWriter>,
+        id: Hasher,
+    },
+    Paper {
+        writer: Box<paper::SnapshotWriter>,
+        id: Hasher,
+    },
     /// All is coded; chunks get their headers.
-    Sealing { drafts: std::vec::IntoIter<ChunkDraft>, id: u32, chunks: Vec<Package> },
+    Sealing {
+        drafts: std::vec::IntoIter<ChunkDraft>,
+        id: u32,
+        chunks: Vec<Package>,
+    },
 }
 
 impl<S: Borrow<SnapshotVoxels>> SnapshotCoding<S> {
@@ -63,6 +73,16 @@ impl<S: Borrow<SnapshotVoxels>> SnapshotCoding<S> {
         let headers = Headers::new(codec, span, resolution, state.borrow(), bytes_max);
         let stage = headers.begin(state.borrow());
         Ok(Self { headers, state, codec, stage, flock: Vec::new() })
+    }
+
+    /// Bytes of payload of the chunks so far, for who has no use for more than some. O(chunks).
+    pub fn bytes(&self) -> usize {
+        match &self.stage {
+            Stage::Flock { writer, .. } => writer.bytes(),
+            Stage::Paper { writer, .. } => writer.bytes(),
+            // No more come.
+            Stage::Sealing { .. } => 0,
+        }
     }
 
     /// Goes on until it has taken so many steps, or a section, a part or a chunk more. Returns the steps taken, and

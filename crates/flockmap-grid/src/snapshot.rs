@@ -68,9 +68,11 @@ impl Records {
             }
         } else {
             let voxels = set_bits(&block.known());
-            self.0.extend(voxels.map(|place| {
-                place as u16 | if block.get(place) == State::Occupied { OCCUPIED } else { 0 }
-            }));
+            self.0.extend(
+                voxels.map(|place| {
+                    place as u16 | if block.get(place) == State::Occupied { OCCUPIED } else { 0 }
+                }),
+            );
         }
         (self.0.capacity() - before) * size_of::<u16>()
     }
@@ -105,11 +107,7 @@ fn block_of(words: &[u16], count: usize) -> StateBlock {
 
 impl SnapshotVoxels {
     /// Adds what is known of a block that was not added yet: what each stamp says of it, each stamp once.
-    pub(crate) fn add_block(
-        &mut self,
-        index: BlockIndex,
-        said: impl Iterator<Item = (Stamp, StateBlock)>,
-    ) {
+    pub(crate) fn add_block(&mut self, index: BlockIndex, said: impl Iterator<Item = (Stamp, StateBlock)>) {
         let Ok(number) = u32::try_from(self.blocks.len()) else {
             self.is_too_large = true;
             return;

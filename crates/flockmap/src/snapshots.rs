@@ -5,11 +5,13 @@ use std::collections::VecDeque;
 use flockmap_codec::{Codec, EncodeError, Encoder, Package, SnapshotCoding, Span};
 use flockmap_grid::{Layer, Resolution, SnapshotReader, SnapshotVoxels, Stamp, Stream};
 
-/// Steps of work in one call: 5 to 8 ms of a slow core. Each may take a cube, a chunk or the beginning of a part
+/// Steps of work in one call: some 5 ms of a slow core. Each may take a cube, a chunk or the beginning of a part
 /// more.
-pub(crate) const STEPS_MAX: u64 = 2_000_000;
+const STEPS_MAX: u64 = 1_500_000;
 /// Reading a block of a layer, in steps of the codec.
 const BLOCK_STEPS: u64 = 8_000;
+/// Looking whether a sensor is that of a stamp that was read.
+const SENSOR_STEPS: u64 = 32;
 /// Most snapshots that are wanted at a time, each of another stream. The session asks again for what finds no place.
 const MAKING_MAX: usize = 8;
 /// Most bytes that one may take while it is made, beside its chunks: 30 million voxels of LiDAR scans take half.
@@ -44,6 +46,8 @@ enum Stage {
 pub(crate) struct Form {
     pub(crate) codec: Codec,
     pub(crate) resolution: Resolution,
+    /// Chunks of more bytes are of no use to the session.
+    pub(crate) chunks_bytes_max: usize,
 }
 
 impl Snapshots {
@@ -113,6 +117,10 @@ impl Making {
         match &mut self.stage {
             Stage::Coding(coding) => {
                 let (coding, encoder) = &mut **coding;
+                // The paper's codec, which is tried after `flock`, may need half of it.
+                if coding.bytes() > 2 * form.chunks_bytes_max {
+                    return Ok((1, Some(Vec::new())));
+                }
                 encoder.go_on(coding, steps_max)
             }
             Stage::Reading(reader) => {
@@ -126,11 +134,86 @@ impl Making {
                     return Ok((steps, None));
                 }
                 let Some(state) = core::mem::take(reader).finish() else { return Ok((1, Some(Vec::new()))) };
+                let steps = BLOCK_STEPS + SENSOR_STEPS * state.sensors().len() as u64;
                 let Self { span, bytes_max, .. } = *self;
                 let coding = SnapshotCoding::new(form.codec, span, form.resolution, state, bytes_max)?;
                 self.stage = Stage::Coding(Box::new((coding, Encoder::new())));
-                Ok((BLOCK_STEPS, None))
+                Ok((steps, None))
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_grid::{Changes, RobotId, State, Voxel};
+
+    const FORM: Form = Form {
+        codec: Codec::Flock,
+        resolution: match Resolution::from_micrometres(100_000) {
+            Some(resolution) => resolution,
+            None => panic!("a resolution"),
+        },
+        chunks_bytes_max: 1 << 20,
+    };
+
+    fn span(origin: u16) -> Span {
+        Span { stream: Stream { origin: RobotId(origin), epoch: 1 }, since: 0, upto: 1 }
+    }
+
+    fn layer() -> Layer {
+        let mut layer = Layer::default();
+        let cube = (0..16).flat_map(|x| (0..16).flat_map(move |y| (0..16).map(move |z| (x, y, z))));
+        let voxels = cube.map(|(x, y, z)| (Voxel::new(x, y, z), State::Free));
+        layer.apply(&Changes::from_voxels(voxels), Stamp(1));
+        layer
+    }
+
+    #[test]
+    fn each_stream_has_one_at_a_time_and_they_come_in_the_order_in_which_they_were_wanted() {
+        let (layer, mut snapshots) = (layer(), Snapshots::default());
+        for origin in [3, 1, 3, 2, 1] {
+            snapshots.begin(&layer, span(origin), None, 1_150);
+        }
+        assert!(snapshots.go_on(FORM).is_none(), "no call has begun");
+        snapshots.note_call();
+        let mut made = Vec::new();
+        while let Some((stream, chunks)) = snapshots.go_on(FORM) {
+            assert!(!chunks.unwrap().is_empty());
+            made.push(stream.origin.0);
+        }
+        assert_eq!(made, [3, 1, 2]);
+        assert!(!snapshots.is_busy());
+    }
+
+    #[test]
+    fn one_whose_layer_is_forgotten_is_let_go_of() {
+        let (layer, mut snapshots) = (layer(), Snapshots::default());
+        snapshots.begin(&layer, span(1), None, 1_150);
+        snapshots.begin(&layer, span(2), None, 1_150);
+        snapshots.forget(span(1).stream);
+        snapshots.note_call();
+        assert_eq!(snapshots.go_on(FORM).map(|(stream, _)| stream), Some(span(2).stream));
+        assert!(!snapshots.is_busy());
+    }
+
+    #[test]
+    fn no_more_wait_than_have_a_place_and_what_is_too_long_is_none() {
+        let (layer, mut snapshots) = (layer(), Snapshots::default());
+        for origin in 0..20 {
+            snapshots.begin(&layer, span(origin), None, 1_150);
+        }
+        assert_eq!(snapshots.streams().count(), MAKING_MAX);
+        snapshots.forget(span(0).stream);
+        snapshots.begin(&layer, span(0), Some(Stamp(1)), 1_150);
+        assert_eq!(snapshots.streams().last(), Some(span(0).stream));
+        let mut made = Vec::new();
+        for _ in 0..20 {
+            snapshots.note_call();
+            made.extend(std::iter::from_fn(|| snapshots.go_on(FORM)));
+        }
+        let last = made.last().map(|(stream, chunks)| (*stream, chunks.as_ref().map_or(9, Vec::len)));
+        assert_eq!(last, Some((span(0).stream, 0)), "nothing is newer");
     }
 }

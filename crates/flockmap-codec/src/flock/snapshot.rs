@@ -166,6 +166,11 @@ impl SnapshotWriter {
         Ok(steps)
     }
 
+    /// Bytes of the chunks so far. O(chunks).
+    pub(crate) fn bytes(&self) -> usize {
+        self.done.iter().map(|chunk| chunk.payload.len()).sum()
+    }
+
     /// All chunks, at least one; after all is coded.
     pub(crate) fn finish(mut self) -> Result<Vec<ChunkDraft>, EncodeError> {
         if !self.chunk.sections.is_empty() || self.done.is_empty() {

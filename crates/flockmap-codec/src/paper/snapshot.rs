@@ -61,7 +61,8 @@ impl SnapshotWriter {
                 let Some(parts) = self.runs.next_run(RUN_VOXELS_MAX) else { break };
                 steps += blocks_of(&parts);
                 let blocks = parts.iter().flat_map(|(_, part)| part.blocks().iter().copied()).collect();
-                let piece = Piece::new(Changes::from_blocks(blocks), parts).ok_or(EncodeError::OutsideGrid)?;
+                let piece =
+                    Piece::new(Changes::from_blocks(blocks), parts).ok_or(EncodeError::OutsideGrid)?;
                 self.fit = Some(Fit::new(self.codec, Others::Unknown, piece));
                 continue;
             };
@@ -74,6 +75,11 @@ impl SnapshotWriter {
             }
         }
         Ok(steps)
+    }
+
+    /// Bytes of the chunks so far. O(chunks).
+    pub(crate) fn bytes(&self) -> usize {
+        self.done.iter().map(|chunk| chunk.payload.len()).sum()
     }
 
     /// All chunks, at least one; after all is coded.

@@ -1,13 +1,13 @@
 //! Snapshots: the map as it is, sent in place of the packages that made it.
 
 use super::Session;
-use crate::{Cast, IntervalSet};
 use crate::event::Event;
 use crate::item::Item;
-use crate::outbox::Outgoing;
+use crate::outbox::{Coming, Outgoing};
 use crate::peer::{Peer, Sending, has_no_robot};
 use crate::store::Missing;
 use crate::wire::CONTENTS_BYTES_MAX;
+use crate::{Cast, IntervalSet};
 use core::time::Duration;
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -38,6 +38,9 @@ impl Session {
     pub fn provide_snapshot(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) {
         let now = self.advance(now);
         let held = self.outbox.held_when_asked.remove(&stream);
+        if self.outbox.coming.remove(&stream).is_some_and(|coming| coming.until.is_some()) {
+            self.mark_queues_stale();
+        }
         let Some(outgoing) = self.check_chunks(now, stream, chunks, held) else {
             self.outbox.asked.insert(stream, now.plus(ASK_AGAIN_DECLINED));
             return;
@@ -56,12 +59,16 @@ impl Session {
         }
     }
 
-    /// The snapshot of a stream is still being made: it is not asked for again within the next 2 s.
+    /// The snapshot of a stream that was asked for is being made: for the next 2 s it is not asked for again, and who
+    /// needs it is not sent the packages that it contains.
     pub fn snapshot_is_coming(&mut self, now: Stamp, stream: Stream) {
         let now = self.advance(now);
-        if self.store.received(stream).is_some() {
-            self.outbox.asked.insert(stream, now.plus(ASK_AGAIN));
+        let Some(coming) = self.outbox.coming.get_mut(&stream) else { return };
+        let until = now.plus(ASK_AGAIN);
+        if coming.until.replace(until).is_none() {
+            self.mark_queues_stale();
         }
+        self.outbox.asked.insert(stream, until);
     }
 
     /// Drops snapshots that nobody is sent, those first that were not used for longest. What is in flight to
@@ -204,7 +211,18 @@ impl Session {
     /// Asks the driver for a state of a stream, unless that was done a moment ago. `held`: what is held of a history
     /// with gaps.
     fn request_snapshot(&mut self, now: Stamp, stream: Stream, wanted: Event, held: Option<IntervalSet>) {
-        if self.outbox.asked.get(&stream).is_none_or(|&again| again <= now) {
+        let Event::SnapshotWanted { since, upto, peer, .. } = wanted else { return };
+        let coming = self.outbox.coming.get_mut(&stream);
+        let is_coming = coming.is_some_and(|coming| {
+            let is_coming = coming.until.is_some_and(|until| until > now);
+            if is_coming && coming.since <= since {
+                coming.peers.insert(peer);
+            }
+            is_coming
+        });
+        if !is_coming && self.outbox.asked.get(&stream).is_none_or(|&again| again <= now) {
+            let peers = [peer].into();
+            self.outbox.coming.insert(stream, Coming { since, upto, until: None, peers });
             // Of several events the driver may answer the first: what was held then, the layer holds in any case.
             if let Some(held) = held {
                 self.outbox.held_when_asked.entry(stream).or_insert(held);

@@ -4,8 +4,8 @@ use flockmap_codec::Span;
 use flockmap_grid::Stamp;
 
 use super::Robot;
-use crate::Event;
 use crate::snapshots::Form;
+use crate::{Event, RobotConfig};
 
 impl Robot {
     /// Begins a snapshot of the layer of a stream as it is, or of what of it is newer than a stamp. A small one is
@@ -32,7 +32,9 @@ impl Robot {
     /// Makes some more of the snapshots that were begun, as far as this call has time for it, and gives the session
     /// what is complete.
     pub(super) fn go_on_with_snapshots(&mut self, now: Stamp) {
-        let form = Form { codec: self.config.codec, resolution: self.config.mapper.resolution };
+        let RobotConfig { codec, ref mapper, ref session, .. } = self.config;
+        let chunks_bytes_max = session.snapshot_bytes_max;
+        let form = Form { codec, resolution: mapper.resolution, chunks_bytes_max };
         while let Some((stream, result)) = self.snapshots.go_on(form) {
             match result {
                 Ok(chunks) => {
