@@ -98,7 +98,7 @@ fn block_of(words: &[u16], count: usize) -> StateBlock {
     } else {
         for word in words {
             let place = usize::from(word % OCCUPIED);
-            planes[usize::from(*word >= OCCUPIED)][place / 64 & 7] |= 1 << (place % 64);
+            planes[usize::from(*word >= OCCUPIED)][place / 64] |= 1 << (place % 64);
         }
     }
     let [free, occupied] = planes;

@@ -37,7 +37,7 @@ struct Making {
 }
 
 enum Stage {
-    Reading(SnapshotReader),
+    Reading(Box<SnapshotReader>),
     Coding(Box<(SnapshotCoding<SnapshotVoxels>, Encoder)>),
 }
 
@@ -60,7 +60,7 @@ impl Snapshots {
     /// made, or there are too many. O(cubes).
     pub(crate) fn begin(&mut self, layer: &Layer, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
         if self.making.len() < MAKING_MAX && !self.is_making(span.stream) {
-            let stage = Stage::Reading(layer.read_snapshot(newer_than));
+            let stage = Stage::Reading(Box::new(layer.read_snapshot(newer_than)));
             self.making.push_back(Making { span, bytes_max, stage });
         }
     }
@@ -133,7 +133,9 @@ impl Making {
                 if blocks > 0 {
                     return Ok((steps, None));
                 }
-                let Some(state) = core::mem::take(reader).finish() else { return Ok((1, Some(Vec::new()))) };
+                let Some(state) = core::mem::take(&mut **reader).finish() else {
+                    return Ok((1, Some(Vec::new())));
+                };
                 let steps = BLOCK_STEPS + SENSOR_STEPS * state.sensors().len() as u64;
                 let Self { span, bytes_max, .. } = *self;
                 let coding = SnapshotCoding::new(form.codec, span, form.resolution, state, bytes_max)?;
