@@ -33,21 +33,20 @@ pub(crate) fn of_chunk(parts: &[(Stamp, Changes)], sensors: &[(Stamp, [i32; 3])]
 }
 
 /// The id of a snapshot: a check of its whole state, of the packages that it contains, and of all that decides
-/// how it is cut and coded, since chunks may be coded against each other.
-pub(crate) fn snapshot_id(
+/// how it is cut and coded, since chunks may be coded against each other. Its parts follow, in order.
+pub(crate) fn begin_snapshot_id(
     codec: Codec,
     bytes_max: usize,
     [since, upto]: [u32; 2],
     state: &SnapshotVoxels,
-) -> u32 {
+) -> Hasher {
     let mut hasher = Hasher::new();
     hasher.update(&[codec.id()]);
     hasher.update(&(bytes_max as u64).to_le_bytes());
     hasher.update(&since.to_le_bytes());
     hasher.update(&upto.to_le_bytes());
     hash_sensors(&mut hasher, state.sensors());
-    state.parts().for_each(|(stamp, changes)| hash_part(&mut hasher, stamp, &changes));
-    hasher.finalize()
+    hasher
 }
 
 fn hash_sensors(hasher: &mut Hasher, sensors: &[(Stamp, [i32; 3])]) {
@@ -57,7 +56,8 @@ fn hash_sensors(hasher: &mut Hasher, sensors: &[(Stamp, [i32; 3])]) {
     }
 }
 
-fn hash_part(hasher: &mut Hasher, stamp: Stamp, changes: &Changes) {
+/// A part of a snapshot.
+pub(crate) fn hash_part(hasher: &mut Hasher, stamp: Stamp, changes: &Changes) {
     hasher.update(&stamp.0.to_le_bytes());
     hash_changes(hasher, changes);
 }

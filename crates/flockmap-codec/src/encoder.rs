@@ -1,6 +1,8 @@
 //! From changes, or from the state of a layer, to packages.
 
-use flockmap_grid::{Changes, Resolution, Snapshot, SnapshotVoxels, Stamp, Stream, VoxelBox};
+use core::borrow::Borrow;
+
+use flockmap_grid::{Changes, Resolution, Snapshot, SnapshotVoxels, Stream, VoxelBox};
 
 use crate::base::Base;
 use crate::check;
@@ -11,6 +13,7 @@ use crate::header::{ContentKind, Header};
 use crate::limits::PACKAGE_BYTES_MIN;
 use crate::package::Package;
 use crate::priority::Priority;
+use crate::snapshot_coding::SnapshotCoding;
 use crate::source::{Batch, Span};
 use crate::{flock, paper};
 
@@ -138,15 +141,15 @@ impl Encoder {
     ) -> Result<Vec<Package>, EncodeError> {
         check_rules(state)?;
         let voxels = SnapshotVoxels::from_state(state);
-        let voxels = voxels.ok_or(EncodeError::Snapshot { rule: "at most 2²⁷ stamps and blocks" })?;
+        let voxels = voxels.ok_or(EncodeError::Snapshot { rule: "at most 2³² blocks" })?;
         let span = Span { stream, since: 0, upto: upto_index };
         self.encode_span(codec, span, resolution, &voxels, bytes_max)
     }
 
     /// The same of a state in less memory, that need not be whole: see
-    /// [`Layer::snapshot_voxels`](flockmap_grid::Layer::snapshot_voxels). Takes at most some 20 bytes for each
-    /// voxel of a map of dense blocks while it works, beside what the encoder keeps: 140 to 300 for each
-    /// block, the chunks, and 15 MB where they are of another codec than [`Codec::Flock`].
+    /// [`Layer::snapshot_voxels`](flockmap_grid::Layer::snapshot_voxels). What it takes while it works, beside what
+    /// the encoder keeps, is said at [`SnapshotCoding`]; 15 MB more where chunks are of another codec than
+    /// [`Codec::Flock`].
     pub fn encode_span(
         &mut self,
         codec: Codec,
@@ -155,75 +158,31 @@ impl Encoder {
         state: &SnapshotVoxels,
         bytes_max: usize,
     ) -> Result<Vec<Package>, EncodeError> {
-        if span.upto == 0 || span.since >= span.upto {
-            return Err(EncodeError::IndexOutOfRange { first: span.since, count: 1 });
+        let mut coding = SnapshotCoding::new(codec, span, resolution, state, bytes_max)?;
+        loop {
+            if let (_, Some(chunks)) = self.go_on(&mut coding, u64::MAX)? {
+                return Ok(chunks);
+            }
         }
-        check_limit(bytes_max)?;
-        let mut encode = |codec| self.chunks(codec, span, resolution, state, bytes_max);
-        let bytes = |chunks: &[Package]| chunks.iter().map(|chunk| chunk.bytes().len()).sum::<usize>();
-        let chunks = match encode(codec) {
-            // Not even a block fits; the paper's chunks can be cut further.
-            Err(EncodeError::BytesMaxTooSmall { .. }) if codec == Codec::Flock => Vec::new(),
-            chunks => chunks?,
-        };
-        let is_settled = !chunks.is_empty() && bytes(&chunks) * 8 <= FLOCK_BITS_MAX * state.len();
-        if codec != Codec::Flock || is_settled {
-            return Ok(chunks);
-        }
-        // A history without a pattern: the paper's codec may be shorter.
-        let paper = encode(Codec::Paper)?;
-        Ok(if chunks.is_empty() || bytes(&paper) < bytes(&chunks) { paper } else { chunks })
     }
 
-    /// A state in one codec.
-    fn chunks(
+    /// Does some of the work of a snapshot: until it has taken `steps_max` steps, at least 1, or what cannot be
+    /// stopped in more: the beginning of a part (what has one stamp), or a chunk. A step is some 3 ns, a chunk of
+    /// [`Codec::Flock`] has at most half a million. Returns the steps taken; and all chunks, when they are made.
+    ///
+    /// # Errors
+    /// [`EncodeError`]; the work is of no use then.
+    pub fn go_on<S: Borrow<SnapshotVoxels>>(
         &mut self,
-        codec: Codec,
-        Span { stream, since, upto }: Span,
-        resolution: Resolution,
-        state: &SnapshotVoxels,
-        bytes_max: usize,
-    ) -> Result<Vec<Package>, EncodeError> {
-        let id = check::snapshot_id(codec, bytes_max, [since, upto], state);
-        let header = |region: VoxelBox, [batch_start, batch_end]: [Stamp; 2], chunk, chunks| Header {
-            stream,
-            index: upto,
-            batch_start,
-            batch_end,
-            base: 0,
-            is_independent: true,
-            resolution,
-            region,
-            codec,
-            content: ContentKind::Snapshot { since, id, chunk, chunks },
-            priority: Priority::Obstacles,
-        };
-        // There are no more chunks than voxels, or than blocks where these are not cut.
-        let most = if codec == Codec::Flock { state.part_blocks() } else { state.len() };
-        let most = u32::try_from(most).unwrap_or(u32::MAX);
-        let room = |region: &VoxelBox, ends: [Stamp; 2]| {
-            bytes_max.saturating_sub(header(*region, ends, most, most).byte_len())
-        };
-        let drafts = if codec == Codec::Flock {
-            flock::encode_snapshot(self.flock.get_or_insert_default(), state, room)?
-        } else {
-            paper::encode_snapshot(&mut self.paper, codec, state, room)?
-        };
-        let count = u32::try_from(drafts.len()).unwrap_or(u32::MAX);
-        let packages = (0..count).zip(drafts).map(|(number, draft)| {
-            let header = header(draft.region, draft.ends, number, count);
-            check_length(Package::seal(&header, &draft.payload, &draft.content), bytes_max)
-        });
-        packages.collect()
+        coding: &mut SnapshotCoding<S>,
+        steps_max: u64,
+    ) -> Result<(u64, Option<Vec<Package>>), EncodeError> {
+        coding.step(&mut self.paper, &mut self.flock, steps_max)
     }
 }
 
 /// No package comes near this: those of the largest box have some 50 MB.
 const WHOLE_BYTES_MAX: usize = 1 << 30;
-
-/// Bits of a voxel from which on a snapshot in `flock` is compared with one of the paper. Maps of real
-/// flights take one or less.
-const FLOCK_BITS_MAX: usize = 3;
 
 fn changes_header(codec: Codec, batch: &Batch, index: u32, region: VoxelBox) -> Header {
     Header {

@@ -17,6 +17,7 @@
 //! | `piece`, `draft`, `deflate` | changes cut in two; what has no header yet; zlib |
 //! | `paper/` | two bits for each voxel along a Hilbert walk, then zlib; and what the paper compares with |
 //! | `flock/` | decisions of an arithmetic coder with trained contexts |
+//! | `snapshot_coding` | a snapshot on its way to chunks, coded in pieces |
 //! | `encoder`, `decoder` | both codecs behind one face |
 //!
 //! `paper/` and `flock/` have the same shape: encode a batch, decode a batch, encode a snapshot,
@@ -64,6 +65,7 @@ mod package;
 mod paper;
 mod piece;
 mod priority;
+mod snapshot_coding;
 mod source;
 mod work;
 
@@ -82,4 +84,5 @@ pub use limits::{BOX_VOXELS_MAX, FORMAT_VERSION, PACKAGE_BYTES_MAX, PACKAGE_BYTE
 pub use package::{Content, Package};
 pub use paper::hilbert_order;
 pub use priority::{FAR_METRES, Priority};
+pub use snapshot_coding::SnapshotCoding;
 pub use source::{Batch, Span};

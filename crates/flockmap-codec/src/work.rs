@@ -35,6 +35,11 @@ pub(crate) const CHANGE_STEPS: u64 = 16;
 pub(crate) const GAP_CODED_BLOCK_STEPS: u64 = 320;
 /// Places of blocks, those round a box with it, for one step: `flock` has a table of them.
 const PLACES_PER_STEP: u64 = 4;
+/// For a block of a part of a snapshot, to take it from where it is kept, and sort, check and note it: what a snapshot
+/// costs to make beside what it costs to read.
+pub(crate) const PART_BLOCK_STEPS: u64 = 256;
+/// For a chunk to get its header.
+pub(crate) const SEAL_STEPS: u64 = 1_024;
 /// Voxels of a zlib stream for one step.
 const VOXELS_PER_STEP: u64 = 32;
 /// A group of codes that sets a voxel, and each byte of it that does.

@@ -25,7 +25,7 @@ mod voxel;
 pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, meet, plane_within, set_bits, voxel_bit};
 pub use changes::Changes;
 pub use fusion::{Fusion, FusionConfig, FusionError, MapView, RayEnd};
-pub use layer::{BaseSuperseded, LAYER_BLOCK_BYTES_MAX, Layer, UNPACKED_BYTES_MAX};
+pub use layer::{BaseSuperseded, LAYER_BLOCK_BYTES_MAX, Layer, SnapshotReader, UNPACKED_BYTES_MAX};
 pub use mapper::{
     ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport, Sphere,
     Which,
@@ -33,6 +33,6 @@ pub use mapper::{
 pub use origin::{RobotId, Stamp, Stream, epoch, seconds_of_epoch};
 pub use pose::{Pose, PoseError};
 pub use scan::Scan;
-pub use snapshot::{Snapshot, SnapshotVoxels};
+pub use snapshot::{BlockRuns, Snapshot, SnapshotVoxels};
 pub use states::{States, StatesError, StatesUpdate};
 pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};

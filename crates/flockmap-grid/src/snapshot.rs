@@ -1,7 +1,10 @@
 //! The state of a region as it is now, in place of the history of its changes.
 
+use std::collections::BTreeMap;
+
 use crate::block::set_bits;
-use crate::{BlockIndex, Changes, Stamp, State, StateBlock, VoxelBox};
+use crate::changes::bounding_box;
+use crate::{BlockIndex, Changes, Plane, Stamp, State, StateBlock, VoxelBox};
 
 /// What a layer holds in a box: every known voxel with its state and the stamp that it got it at.
 /// Sent when too many packages are missing ("the current OGM as it is", Sec. IV-B of the paper).
@@ -19,85 +22,154 @@ pub struct Snapshot {
     pub sensors: Vec<(Stamp, [i32; 3])>,
 }
 
-/// A [`Snapshot`] in 8 bytes for each voxel, 12 for each block and 28 for each stamp, of which the parts are
-/// made one after the other.
-#[derive(Clone, PartialEq, Eq, Debug)]
+/// A [`Snapshot`] in at most 2 bytes for each voxel, 6 for each block of each stamp, 12 for each block and some 60 for
+/// each stamp, and up to a quarter more; of which the parts are made one after the other.
+#[derive(Clone, Debug, Default)]
 pub struct SnapshotVoxels {
-    region: VoxelBox,
-    /// Ascending.
-    stamps: Vec<Stamp>,
-    /// Ascending.
+    /// `None` while nothing is known.
+    region: Option<VoxelBox>,
     blocks: Vec<BlockIndex>,
-    /// Ascending: from the highest bit 27 bits of number of the stamp, 27 bits of number of the block, 9 bits
-    /// of place in the block, and whether it is Occupied.
-    voxels: Vec<u64>,
+    /// What each stamp says of blocks, by their place in `blocks`.
+    parts: BTreeMap<Stamp, Records>,
     sensors: Vec<(Stamp, [i32; 3])>,
+    voxels: usize,
+    part_blocks: usize,
+    /// Of all records.
+    record_bytes: usize,
+    /// There are more blocks than can be numbered.
+    is_too_large: bool,
 }
 
-const PLACE_SHIFT: u32 = 1;
-const BLOCK_SHIFT: u32 = PLACE_SHIFT + 9;
-const STAMP_SHIFT: u32 = BLOCK_SHIFT + NUMBER_BITS;
-const NUMBER_BITS: u32 = 27;
-const NUMBER_MASK: u64 = (1 << NUMBER_BITS) - 1;
+/// Blocks with a number each: two words for the number, one for how many voxels are known, then a word for each of
+/// them: its place in the block, and 512 more if it is Occupied. Where that is longer, the words of the planes.
+#[derive(Clone, Debug, Default)]
+struct Records(Vec<u16>);
 
-impl SnapshotVoxels {
-    /// `blocks` and `stamps` ascend; `voxels` gives each known voxel once: number of its stamp, number of its
-    /// block, place in the block, state. `None` if there are more than 2²⁷ blocks or stamps.
-    pub(crate) fn new(
-        region: VoxelBox,
-        stamps: Vec<Stamp>,
-        blocks: Vec<BlockIndex>,
-        voxels_max: usize,
-        voxels: impl Iterator<Item = (u32, u32, usize, State)>,
-        sensors: Vec<(Stamp, [i32; 3])>,
-    ) -> Option<Self> {
-        if stamps.len() > 1 << NUMBER_BITS || blocks.len() > 1 << NUMBER_BITS {
-            return None;
+/// So many voxels take as much as the planes of all.
+const LISTED_MAX: usize = 64;
+const OCCUPIED: u16 = 512;
+/// A stamp in a map, about.
+const PART_BYTES: usize = 60;
+
+impl Records {
+    /// Adds a block. Returns by how many bytes it grew.
+    fn push(&mut self, number: u32, block: &StateBlock) -> usize {
+        let count = block.known_count() as usize;
+        let words = 3 + count.min(LISTED_MAX);
+        let before = self.0.capacity();
+        if self.0.len() + words > before {
+            // By a quarter: there are many, and a list that doubles is half empty.
+            self.0.reserve_exact(words.max(self.0.len() / 4));
         }
-        let mut all = Vec::with_capacity(voxels_max);
-        all.extend(voxels.map(|(stamp, block, place, state)| {
-            u64::from(stamp) << STAMP_SHIFT
-                | u64::from(block) << BLOCK_SHIFT
-                | (place as u64) << PLACE_SHIFT
-                | u64::from(state == State::Occupied)
-        }));
-        // In place: an ordinary sort would hold half of it once more.
-        all.sort_unstable();
-        Some(Self { region, stamps, blocks, voxels: all, sensors })
+        self.0.extend_from_slice(&[number as u16, (number >> 16) as u16, count as u16]);
+        if count > LISTED_MAX {
+            for plane in [block.free(), block.occupied()] {
+                self.0.extend(plane.iter().flat_map(|word| [0, 16, 32, 48].map(|at| (word >> at) as u16)));
+            }
+        } else {
+            let voxels = set_bits(&block.known());
+            self.0.extend(
+                voxels.map(|place| {
+                    place as u16 | if block.get(place) == State::Occupied { OCCUPIED } else { 0 }
+                }),
+            );
+        }
+        (self.0.capacity() - before) * size_of::<u16>()
     }
 
-    /// Of a state that keeps the rules of [`Snapshot`]. `None` if it has more than 2²⁷ blocks or stamps.
+    fn iter(&self) -> impl Iterator<Item = (u32, StateBlock)> + '_ {
+        let mut rest = self.0.as_slice();
+        core::iter::from_fn(move || {
+            let ([low, high, count], after) = rest.split_first_chunk()?;
+            let (words, after) = after.split_at_checked(usize::from(*count).min(LISTED_MAX))?;
+            rest = after;
+            Some((u32::from(*low) | u32::from(*high) << 16, block_of(words, usize::from(*count))))
+        })
+    }
+}
+
+/// The block that the words of a record with so many voxels say.
+fn block_of(words: &[u16], count: usize) -> StateBlock {
+    let mut planes: [Plane; 2] = [[0; 8]; 2];
+    if count > LISTED_MAX {
+        for (word, four) in planes.as_flattened_mut().iter_mut().zip(words.as_chunks::<4>().0) {
+            *word = four.iter().rev().fold(0, |word, part| word << 16 | u64::from(*part));
+        }
+    } else {
+        for word in words {
+            let place = usize::from(word % OCCUPIED);
+            planes[usize::from(*word >= OCCUPIED)][place / 64] |= 1 << (place % 64);
+        }
+    }
+    let [free, occupied] = planes;
+    StateBlock::new(free, occupied)
+}
+
+impl SnapshotVoxels {
+    /// Adds what is known of a block that was not added yet: what each stamp says of it, each stamp once.
+    pub(crate) fn add_block(&mut self, index: BlockIndex, said: impl Iterator<Item = (Stamp, StateBlock)>) {
+        let Ok(number) = u32::try_from(self.blocks.len()) else {
+            self.is_too_large = true;
+            return;
+        };
+        let mut known = StateBlock::default();
+        for (stamp, block) in said {
+            self.add_record(stamp, number, &block);
+            known.overlay(&block);
+        }
+        if let Some(part) = bounding_box(core::iter::once((index, &known))) {
+            self.region = Some(self.region.map_or(part, |region| region.union(&part)));
+            self.blocks.push(index);
+        }
+    }
+
+    fn add_record(&mut self, stamp: Stamp, number: u32, block: &StateBlock) {
+        self.record_bytes += self.parts.entry(stamp).or_default().push(number, block);
+        self.voxels += block.known_count() as usize;
+        self.part_blocks += 1;
+    }
+
+    /// Keeps those of these sensors that are of its stamps. O(stamps + sensors).
+    pub(crate) fn set_sensors(&mut self, sensors: BTreeMap<Stamp, [i32; 3]>) {
+        self.sensors = sensors.into_iter().filter(|(stamp, _)| self.parts.contains_key(stamp)).collect();
+    }
+
+    /// `None` if it says nothing, or not all.
+    pub(crate) fn complete(self) -> Option<Self> {
+        (self.region.is_some() && !self.is_too_large).then_some(self)
+    }
+
+    /// Of a state that keeps the rules of [`Snapshot`]. `None` if it has more than 2³² blocks.
     pub fn from_state(state: &Snapshot) -> Option<Self> {
-        let stamps: Vec<Stamp> = state.parts.iter().map(|(stamp, _)| *stamp).collect();
-        let all = || state.parts.iter().flat_map(|(_, part)| part.blocks());
-        let mut blocks: Vec<BlockIndex> = all().map(|(index, _)| *index).collect();
-        blocks.sort_unstable();
-        blocks.dedup();
-        let count = all().map(|(_, block)| block.known_count() as usize).sum();
-        let places_of = blocks.clone();
-        let voxels = (0..).zip(&state.parts).flat_map(|(stamp, (_, part))| {
-            let places_of = &places_of;
-            part.blocks().iter().flat_map(move |(index, block)| {
-                let number = places_of.partition_point(|other| other < index) as u32;
-                set_bits(&block.known()).map(move |place| (stamp, number, place, block.get(place)))
-            })
-        });
-        Self::new(state.region, stamps, blocks, count, voxels, state.sensors.clone())
+        let mut all = Self { region: Some(state.region), sensors: state.sensors.clone(), ..Self::default() };
+        let mut numbers = rustc_hash::FxHashMap::<BlockIndex, u32>::default();
+        for (stamp, part) in &state.parts {
+            for (index, block) in part.blocks() {
+                let next = u32::try_from(all.blocks.len()).ok()?;
+                let number = *numbers.entry(*index).or_insert_with(|| {
+                    all.blocks.push(*index);
+                    next
+                });
+                all.add_record(*stamp, number, block);
+            }
+        }
+        Some(all)
     }
 
     /// The box that this speaks of.
-    pub const fn region(&self) -> VoxelBox {
-        self.region
+    pub fn region(&self) -> VoxelBox {
+        // Whoever makes one sees to it that there is one.
+        self.region.unwrap_or_else(|| BlockIndex::new(0, 0, 0).voxel_box())
     }
 
     /// Number of known voxels.
-    pub fn len(&self) -> usize {
-        self.voxels.len()
+    pub const fn len(&self) -> usize {
+        self.voxels
     }
 
     /// Whether nothing is known.
-    pub fn is_empty(&self) -> bool {
-        self.voxels.is_empty()
+    pub const fn is_empty(&self) -> bool {
+        self.voxels == 0
     }
 
     /// As [`Snapshot::sensors`].
@@ -107,63 +179,94 @@ impl SnapshotVoxels {
 
     /// The parts of the [`Snapshot`], each made when it is asked for.
     pub fn parts(&self) -> impl Iterator<Item = (Stamp, Changes)> + '_ {
-        self.voxels.chunk_by(|a, b| a >> STAMP_SHIFT == b >> STAMP_SHIFT).map(|part| self.part(part))
+        self.parts.iter().map(|(stamp, part)| (*stamp, self.part(part)))
+    }
+
+    /// The first part, or the next one after this stamp. O(voxels of the part, log stamps).
+    pub fn part_after(&self, stamp: Option<Stamp>) -> Option<(Stamp, Changes)> {
+        self.records_after(stamp).map(|(stamp, part)| (stamp, self.part(part)))
+    }
+
+    fn records_after(&self, stamp: Option<Stamp>) -> Option<(Stamp, &Records)> {
+        use core::ops::Bound::{Excluded, Unbounded};
+        let from = stamp.map_or(Unbounded, Excluded);
+        self.parts.range((from, Unbounded)).next().map(|(stamp, part)| (*stamp, part))
+    }
+
+    fn part(&self, part: &Records) -> Changes {
+        let block = |number: u32| self.blocks.get(number as usize).copied();
+        let blocks = part.iter().filter_map(|(number, states)| Some((block(number)?, states)));
+        Changes::from_blocks(blocks.collect())
     }
 
     /// The parts again, of one run of blocks after the other: so many that they have `voxels_max` voxels or
-    /// one block. Takes 8 bytes more for each voxel.
+    /// one block. Takes as much once more.
     pub fn runs(&self, voxels_max: usize) -> impl Iterator<Item = Vec<(Stamp, Changes)>> + '_ {
-        let in_block_order = |voxel: &u64| voxel & ((1 << STAMP_SHIFT) - 1);
-        let mut rest = self.voxels.clone();
-        // Backwards, since they are taken from the end.
-        rest.sort_unstable_by_key(|voxel| core::cmp::Reverse(in_block_order(voxel)));
-        core::iter::from_fn(move || {
-            let mut start = rest.len();
-            for of_block in rest
-                .chunk_by(|a, b| in_block_order(a) >> BLOCK_SHIFT == in_block_order(b) >> BLOCK_SHIFT)
-                .rev()
-            {
-                let is_first = start == rest.len();
-                if !is_first && rest.len() - start + of_block.len() > voxels_max {
-                    break;
-                }
-                start -= of_block.len();
-            }
-            let mut run = rest.split_off(start);
-            run.sort_unstable();
-            let parts = run.chunk_by(|a, b| a >> STAMP_SHIFT == b >> STAMP_SHIFT);
-            (!run.is_empty()).then(|| parts.map(|part| self.part(part)).collect())
-        })
+        let mut runs = BlockRuns::default();
+        while runs.take_in(self).is_some() {}
+        core::iter::from_fn(move || runs.next_run(voxels_max))
     }
 
-    /// What voxels of one stamp say.
-    fn part(&self, voxels: &[u64]) -> (Stamp, Changes) {
-        let stamp = voxels.first().map_or(0, |voxel| voxel >> STAMP_SHIFT);
-        let mut blocks: Vec<(BlockIndex, StateBlock)> = Vec::new();
-        for of_block in voxels.chunk_by(|a, b| a >> BLOCK_SHIFT == b >> BLOCK_SHIFT) {
-            let mut block = StateBlock::default();
-            for voxel in of_block {
-                let state = if voxel & 1 == 1 { State::Occupied } else { State::Free };
-                block.set((voxel >> PLACE_SHIFT & 511) as usize, state);
-            }
-            let number = of_block.first().map_or(0, |voxel| voxel >> BLOCK_SHIFT & NUMBER_MASK);
-            blocks.push((self.blocks[number as usize], block));
-        }
-        (self.stamps[stamp as usize], Changes::from_blocks(blocks))
-    }
-
-    /// Blocks with known voxels, or more.
-    pub fn block_count(&self) -> usize {
+    /// Blocks with known voxels.
+    pub const fn block_count(&self) -> usize {
         self.blocks.len()
     }
 
     /// Blocks of all parts, counted together.
-    pub fn part_blocks(&self) -> usize {
-        self.voxels.chunk_by(|a, b| a >> BLOCK_SHIFT == b >> BLOCK_SHIFT).count()
+    pub const fn part_blocks(&self) -> usize {
+        self.part_blocks
+    }
+
+    /// Bytes that it holds, about. O(1).
+    pub fn memory_bytes(&self) -> usize {
+        self.blocks.capacity() * size_of::<BlockIndex>() + self.record_bytes + self.parts.len() * PART_BYTES
     }
 
     /// The same with all parts made.
     pub fn to_state(&self) -> Snapshot {
-        Snapshot { region: self.region, parts: self.parts().collect(), sensors: self.sensors.clone() }
+        Snapshot { region: self.region(), parts: self.parts().collect(), sensors: self.sensors.clone() }
+    }
+}
+
+/// What [`SnapshotVoxels`] say, block by block in ascending order in place of stamp by stamp.
+#[derive(Debug, Default)]
+pub struct BlockRuns {
+    /// Ascending; those of which something was taken in.
+    stamps: Vec<Stamp>,
+    /// What each stamp says of a block, by its place in `stamps`.
+    blocks: BTreeMap<BlockIndex, Records>,
+}
+
+impl BlockRuns {
+    /// Takes in the part after those that were taken in before. Returns its stamp and what it says; `None` if there
+    /// are no more. O(voxels of the part).
+    pub fn take_in(&mut self, state: &SnapshotVoxels) -> Option<(Stamp, Changes)> {
+        let (stamp, part) = state.part_after(self.stamps.last().copied())?;
+        let number = self.stamps.len() as u32;
+        for (index, block) in part.blocks() {
+            self.blocks.entry(*index).or_default().push(number, block);
+        }
+        self.stamps.push(stamp);
+        Some((stamp, part))
+    }
+
+    /// The parts of the next blocks, and lets go of them: of as many as have `voxels_max` voxels together, or of one.
+    /// `None` if all are gone. After all parts are taken in.
+    pub fn next_run(&mut self, voxels_max: usize) -> Option<Vec<(Stamp, Changes)>> {
+        let mut run = BTreeMap::<u32, Vec<(BlockIndex, StateBlock)>>::new();
+        let mut voxels = 0;
+        while let Some(first) = self.blocks.first_entry() {
+            voxels += first.get().iter().map(|(_, block)| block.known_count() as usize).sum::<usize>();
+            if voxels > voxels_max && !run.is_empty() {
+                break;
+            }
+            let (index, records) = first.remove_entry();
+            records.iter().for_each(|(number, block)| run.entry(number).or_default().push((index, block)));
+        }
+        let parts = run.into_iter().filter_map(|(number, blocks)| {
+            Some((*self.stamps.get(number as usize)?, Changes::from_blocks(blocks)))
+        });
+        let parts: Vec<_> = parts.collect();
+        (!parts.is_empty()).then_some(parts)
     }
 }

@@ -14,9 +14,10 @@ pub enum Event {
     /// [`verdict`](crate::Session::verdict), before any other call.
     Received(Package),
     /// A peer misses so much of a stream that the state as it is costs less, or packages that are not stored
-    /// any more. Encode the layer of the stream, or what of it is newer than a stamp, as chunks with `since`
-    /// and index `upto` and call [`provide_snapshot`](crate::Session::provide_snapshot) before any other
-    /// input.
+    /// any more. Encode the layer of the stream as it is now, or what of it is newer than a stamp, as chunks with
+    /// `since` and index `upto` and call [`provide_snapshot`](crate::Session::provide_snapshot). That may take
+    /// a while ([`snapshot_is_coming`](crate::Session::snapshot_is_coming)); further events for the same stream
+    /// need no answer until then.
     SnapshotWanted {
         /// The stream whose layer is wanted.
         stream: Stream,

@@ -57,7 +57,8 @@ impl SessionConfig {
         // indices.
         let work = WORK + streams * (256 * 32 + 2 * received);
         self.store_bytes_max
-            + streams * (received + STREAM)
+            // What is held, and what was held when a snapshot was asked for.
+            + streams * (2 * received + STREAM)
             + self.peers_max * peer
             + silent_links
             + replays

@@ -9,7 +9,7 @@ use crate::wire::Contents;
 use crate::{SessionConfig, Store};
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What waits to be sent, and the budgets that let it go.
 #[derive(Debug)]
@@ -18,6 +18,11 @@ pub(crate) struct Outbox {
     pub(crate) snapshots: Vec<Outgoing>,
     /// When the driver is asked again for a snapshot of a stream.
     pub(crate) asked: BTreeMap<Stream, Stamp>,
+    /// Of histories with gaps: what was held of them when a snapshot was asked for that is not there yet. More may
+    /// come while it is made, which it does not contain.
+    pub(crate) held_when_asked: BTreeMap<Stream, IntervalSet>,
+    /// Snapshots that were asked for and are not there yet.
+    pub(crate) coming: BTreeMap<Stream, Coming>,
     pub(crate) path_waiting: PathsWaiting,
     /// The peer that was served last.
     pub(crate) served: RobotId,
@@ -40,6 +45,17 @@ pub(crate) struct Outgoing {
     pub(crate) chunks: Vec<Package>,
     pub(crate) bytes: usize,
     pub(crate) used_at: Stamp,
+}
+
+/// A snapshot that was asked for and is not there yet.
+#[derive(Debug)]
+pub(crate) struct Coming {
+    pub(crate) since: u32,
+    pub(crate) upto: u32,
+    /// It counts on its coming until then; `None`: the driver has not said that it makes it.
+    pub(crate) until: Option<Stamp>,
+    /// Who will be sent it.
+    pub(crate) peers: BTreeSet<RobotId>,
 }
 
 impl Outgoing {
@@ -84,12 +100,21 @@ impl Outbox {
         Self {
             snapshots: Vec::new(),
             asked: BTreeMap::new(),
+            held_when_asked: BTreeMap::new(),
+            coming: BTreeMap::new(),
             path_waiting: PathsWaiting::new(),
             served: RobotId(0),
             radio: config.radio_bytes_per_s.map(|rate| Pacer::new(rate, burst_bytes(rate, config.burst_ms))),
             superseded: None,
             silent_links: BTreeMap::new(),
         }
+    }
+
+    /// Which packages a snapshot brings to a peer that is being made for it: those after the first, up to the second.
+    pub(crate) fn coming_to(&self, now: Stamp, stream: Stream, peer: RobotId) -> Option<(u32, u32)> {
+        let coming = self.coming.get(&stream)?;
+        let is_coming = coming.until.is_some_and(|until| until > now) && coming.peers.contains(&peer);
+        is_coming.then_some((coming.since, coming.upto))
     }
 
     /// A snapshot that can be sent.

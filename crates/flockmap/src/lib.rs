@@ -45,6 +45,7 @@ mod memory;
 mod publisher;
 mod readers;
 mod robot;
+mod snapshots;
 
 pub use config::{BatchConfig, RobotConfig, RobotError};
 pub use counters::RobotCounters;

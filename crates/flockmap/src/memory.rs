@@ -5,6 +5,7 @@ use flockmap_grid::UNPACKED_BYTES_MAX;
 use crate::RobotConfig;
 use crate::events::{EVENTS_BYTES_MAX, EVENTS_MAX};
 use crate::readers::bytes_max as readers_bytes_max;
+use crate::snapshots::BYTES_MAX as SNAPSHOT_BYTES_MAX;
 
 /// An event, beside its changes.
 const EVENT: usize = 256;
@@ -19,11 +20,14 @@ impl RobotConfig {
     /// The most bytes that others can make a robot with these options hold on the heap, whatever they send,
     /// as asked of the allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the
     /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read (half as
-    /// much), parts of layers that were unpacked to be read, events that nobody takes. By default 1.1 GB, by
-    /// broadcast 1.4 GB, of which honest robots make it hold a tenth.
+    /// much), parts of layers that were unpacked to be read, events that nobody takes; a snapshot that is being
+    /// made, 256 MiB at most, and layers as they were when snapshots of them were wanted, which are shared with the
+    /// layers but for what changes until they are read. By default 2.0 GB, by broadcast 2.3 GB, of which honest
+    /// robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth
-    /// of it in the fused map) and the own layer (`fusion.own_layer_bytes_max`). A
+    /// of it in the fused map) and the own layer (`fusion.own_layer_bytes_max`; what changes of it while a snapshot of
+    /// it is made is there twice). A
     /// [`MapView`](flockmap_grid::MapView) that is kept while the map goes on takes as much as the fused map
     /// once more. An alignment that is set when the layers are full already may make the fused map larger, and until
     /// it is in force there are two of them: meanwhile, less is taken into the layers.
@@ -33,6 +37,10 @@ impl RobotConfig {
             + readers_bytes_max(self.fusion.layer_bytes_max)
             + self.session.transfers_max * (UNMERGED + UNPACKED_BYTES_MAX)
             + UNPACKED_BYTES_MAX
+            // Copies of layers; the state that is coded; its chunks, in two codecs.
+            + self.fusion.layer_bytes_max
+            + SNAPSHOT_BYTES_MAX
+            + 4 * self.session.snapshot_bytes_max
             + EVENTS_BYTES_MAX
             + EVENTS_MAX * EVENT
             + WORK

@@ -6,7 +6,7 @@ mod repair;
 mod sent;
 
 use core::time::Duration;
-use flockmap_codec::{Base, Batch, Codec, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package, Span};
+use flockmap_codec::{Base, Batch, Codec, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package};
 use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Plane, Stamp, Stream, Which};
 use flockmap_sync::{Pace, Session};
 
@@ -203,24 +203,6 @@ impl Publisher {
             self.requests_seen = requests;
             self.repair.note_received(session.own_received_by_peers());
         }
-    }
-
-    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too
-    /// much of it. Nothing if it cannot be given.
-    pub(crate) fn encode_state(
-        &mut self,
-        span: Span,
-        newer_than: Option<Stamp>,
-        fusion: &Fusion,
-        config: &RobotConfig,
-        bytes_max: usize,
-    ) -> Result<Vec<Package>, EncodeError> {
-        let is_whole = span.stream != self.stream || self.own_layer_has_all();
-        let layer = fusion.layer(span.stream).filter(|_| is_whole);
-        let Some(state) = layer.and_then(|layer| layer.snapshot_voxels(newer_than)) else {
-            return Ok(Vec::new());
-        };
-        self.encoder.encode_span(self.codec, span, config.mapper.resolution, &state, bytes_max)
     }
 
     /// Voxels that have changed and are still to be published.

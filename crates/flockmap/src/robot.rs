@@ -4,6 +4,7 @@ mod begin;
 mod poses;
 mod receive;
 mod restore;
+mod snapshots;
 
 pub use poses::KnownPose;
 pub use restore::RestoreError;
@@ -13,7 +14,7 @@ use std::collections::BTreeMap;
 
 use std::borrow::Cow;
 
-use flockmap_codec::{Batch, Decoder, Span};
+use flockmap_codec::{Batch, Decoder};
 use flockmap_grid::{
     Changes, Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, StatesError,
     StatesUpdate, Stream,
@@ -25,6 +26,7 @@ use flockmap_sync::{Path, Session, Transmit};
 use crate::events::Events;
 use crate::publisher::Publisher;
 use crate::readers::Readers;
+use crate::snapshots::Snapshots;
 use crate::{Event, RobotConfig, RobotCounters, RobotError};
 
 /// Blocks of the fused map that one call of [`Robot::handle_timeout`] works out at most while the map is made anew:
@@ -48,6 +50,7 @@ pub struct Robot {
     publisher: Publisher,
     session: Session,
     readers: Readers,
+    snapshots: Snapshots,
     decoder: Decoder,
     fusion: Fusion,
     teammates: BTreeMap<RobotId, Teammate>,
@@ -85,6 +88,7 @@ impl Robot {
             mapper: Mapper::new(config.mapper.clone())?,
             publisher: Publisher::new(&config, own, now),
             readers: Readers::new(config.fusion.layer_bytes_max),
+            snapshots: Snapshots::default(),
             decoder: Decoder::new(),
             session: Session::new(own, config.session.clone(), config.seed)?,
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
@@ -206,6 +210,7 @@ impl Robot {
         } {
             self.publish(now, batch, changes);
         }
+        self.go_on_with_snapshots(now);
         self.answer_session(now);
     }
 
@@ -314,10 +319,12 @@ impl Robot {
     }
 
     /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once, as
-    /// long as the fused map [is being made anew](Self::is_rebuilding).
+    /// long as there is work that goes on in slices: the fused map [is being made anew](Self::is_rebuilding), or a
+    /// snapshot for a peer.
     pub fn poll_timeout(&self) -> Option<Stamp> {
-        let rebuild = self.is_rebuilding().then_some(self.now);
-        let due = [self.publisher.poll_timeout(&self.mapper), self.session.poll_timeout(), rebuild];
+        let is_busy = self.is_rebuilding() || self.snapshots.is_busy();
+        let at_once = is_busy.then_some(self.now);
+        let due = [at_once, self.publisher.poll_timeout(&self.mapper), self.session.poll_timeout()];
         due.into_iter().flatten().min()
     }
 
@@ -388,20 +395,6 @@ impl Robot {
         &self.config
     }
 
-    /// Codes the layer of a stream as it is, or what of it is newer than a stamp, for a peer that misses too
-    /// much of it.
-    fn provide_snapshot(&mut self, now: Stamp, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
-        let stream = span.stream;
-        let Self { publisher, fusion, config, .. } = self;
-        match publisher.encode_state(span, newer_than, fusion, config, bytes_max) {
-            Ok(chunks) => {
-                self.counters.snapshots += u64::from(!chunks.is_empty());
-                self.session.provide_snapshot(now, stream, chunks);
-            }
-            Err(error) => self.push_event(Event::EncodeFailed(error)),
-        }
-    }
-
     /// Codes a batch, gives it to the session and takes it into the own layer.
     fn publish(&mut self, now: Stamp, batch: Batch, changes: Changes) {
         let mut coded = Cow::Borrowed(&changes);
@@ -435,6 +428,7 @@ impl Robot {
 
     /// The time of an input. A clock that is set back stands still until it has come up again.
     fn advance(&mut self, now: Stamp) -> Stamp {
+        self.snapshots.note_call();
         self.now = self.now.max(now);
         self.now
     }

@@ -35,4 +35,4 @@ pub mod training;
 
 pub(crate) use batch::{decode_batch, encode_batch, sensor};
 pub(crate) use section::Workspace;
-pub(crate) use snapshot::{decode_chunk, encode_snapshot};
+pub(crate) use snapshot::{SnapshotWriter, decode_chunk};

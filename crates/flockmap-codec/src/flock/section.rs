@@ -49,6 +49,8 @@ pub(crate) struct Section {
     pub(crate) payload: Vec<u8>,
     /// What it takes to decode it.
     pub(crate) steps: u64,
+    /// The same of all that was tried before it was this.
+    pub(crate) tried: u64,
 }
 
 /// Codes as many blocks from the front of `blocks`, which are in order, as go into `room` bytes; `room` says
@@ -64,7 +66,7 @@ pub(crate) fn encode(
     room: impl Fn(&VoxelBox) -> usize,
 ) -> Result<(Section, usize), BaseSuperseded> {
     let set = habits.tables(&mut workspace.model, known, sensor, blocks)?;
-    let mut before = 0;
+    let (mut before, mut tried) = (0, 0);
     loop {
         // The box is that of as many blocks as may go in, so that it is known from the start.
         let nearly = boxes(blocks, u64::MAX).next().and_then(|region| region.voxels());
@@ -80,6 +82,7 @@ pub(crate) fn encode(
         let room = room(&voxels);
         let coded = blocks.get(..reach).unwrap_or_default();
         let (payload, count, steps) = write(workspace, known, set, sensor, coded, region, spare, room)?;
+        tried += steps;
         let changes = order::changes_of(&blocks[..count]);
         habits.learn(payload.len(), changes.len());
         // All went in, and there is room for more: again, with a larger box.
@@ -87,7 +90,7 @@ pub(crate) fn encode(
             before = reach;
             continue;
         }
-        return Ok((Section { changes, region: voxels, payload, steps }, count));
+        return Ok((Section { changes, region: voxels, payload, steps, tried }, count));
     }
 }
 

@@ -40,62 +40,144 @@ const SECTION_BYTES_MIN: usize = 100;
 /// What the head of a section takes at most: stamp, corner, size, length.
 const SECTION_HEAD_MAX: usize = 10 + 3 * 5 + 3 * 5 + 3;
 
-/// Codes the parts of a state. `room` says how many bytes the payload of a chunk may have that spans a box
-/// and some stamps. A chunk of a single block may be longer.
-pub(crate) fn encode_snapshot(
-    workspace: &mut Workspace,
-    state: &SnapshotVoxels,
-    room: impl Fn(&VoxelBox, [Stamp; 2]) -> usize,
-) -> Result<Vec<ChunkDraft>, EncodeError> {
-    let mut coded = FxHashMap::<BlockIndex, StateBlock>::default();
-    coded.reserve(state.block_count());
-    let mut habits = Habits::new(&[TableSet::Dense, TableSet::Sparse]);
-    // A chunk can grow to this as sections are added, and its header with it.
-    let largest = BlockBox::around(&state.region());
-    let left_in = |chunk: &Chunk, stamp: Stamp| {
-        let first = chunk.sections.first().map_or(stamp, |section| section.stamp);
-        let room = largest.voxels().map_or(0, |region| room(&region, [first, stamp]));
-        // Corners are the longer the larger the chunk.
-        room.saturating_sub(chunk.payload(largest).len() + SECTION_HEAD_MAX)
-    };
-    let (mut done, mut chunk, mut is_begun) = (Vec::new(), Chunk::default(), false);
-    for (stamp, part) in state.parts() {
-        let at = state.sensors().binary_search_by_key(&stamp, |(stamp, _)| *stamp).ok();
-        let sensor = at.and_then(|at| state.sensors().get(at)).map_or_else(|| middle(&part), |(_, at)| *at);
-        let sensor = whole(sensor);
-        let known = Known::of_states(&coded);
-        let blocks = order::in_order(&part, sensor);
+/// Codes the parts of a state, some at a time.
+pub(crate) struct SnapshotWriter {
+    /// What all parts before this one say.
+    coded: FxHashMap<BlockIndex, StateBlock>,
+    habits: Habits,
+    /// A chunk can grow to this as sections are added, and its header with it.
+    largest: BlockBox,
+    part: Option<Part>,
+    /// The stamp of the part that was begun last.
+    begun: Option<Stamp>,
+    chunk: Chunk,
+    /// A chunk may be closed for want of room.
+    is_begun: bool,
+    done: Vec<ChunkDraft>,
+}
+
+/// The part that is being coded.
+struct Part {
+    stamp: Stamp,
+    sensor: [i32; 3],
+    /// In order.
+    blocks: Vec<(BlockIndex, StateBlock)>,
+    /// So many of them are in sections.
+    next: usize,
+}
+
+impl SnapshotWriter {
+    pub(crate) fn new(state: &SnapshotVoxels) -> Self {
+        let mut coded = FxHashMap::default();
+        coded.reserve(state.block_count());
+        Self {
+            coded,
+            habits: Habits::new(&[TableSet::Dense, TableSet::Sparse]),
+            largest: BlockBox::around(&state.region()),
+            part: None,
+            begun: None,
+            chunk: Chunk::default(),
+            is_begun: false,
+            done: Vec::new(),
+        }
+    }
+
+    /// Goes on until it has taken so many steps, or a section or the beginning of a part more. `room` says how many
+    /// bytes the payload of a chunk may have that spans a box and some stamps; a chunk of a single block may be
+    /// longer. `seen` is called with each part before it is coded. Returns the steps taken; 0: all is coded.
+    pub(crate) fn step(
+        &mut self,
+        workspace: &mut Workspace,
+        state: &SnapshotVoxels,
+        room: impl Fn(&VoxelBox, [Stamp; 2]) -> usize,
+        mut seen: impl FnMut(Stamp, &Changes),
+        steps_max: u64,
+    ) -> Result<u64, EncodeError> {
+        let mut steps = 0;
+        while steps < steps_max {
+            let Some(mut part) = self.part.take() else {
+                let Some((stamp, changes)) = state.part_after(self.begun) else { break };
+                self.begun = Some(stamp);
+                seen(stamp, &changes);
+                let at = state.sensors().binary_search_by_key(&stamp, |(stamp, _)| *stamp).ok();
+                let sensor = at.and_then(|at| state.sensors().get(at));
+                let sensor = whole(sensor.map_or_else(|| middle(&changes), |(_, at)| *at));
+                let blocks = order::in_order(&changes, sensor).into_iter().copied().collect();
+                steps += work::PART_BLOCK_STEPS * changes.blocks().len() as u64;
+                self.part = Some(Part { stamp, sensor, blocks, next: 0 });
+                continue;
+            };
+            steps += self.code(workspace, &mut part, &room, steps_max - steps)?;
+            if part.next < part.blocks.len() {
+                self.part = Some(part);
+            } else {
+                let blocks = part.blocks.iter();
+                blocks.for_each(|(index, block)| self.coded.entry(*index).or_default().overlay(block));
+            }
+        }
+        Ok(steps)
+    }
+
+    /// Codes sections of a part, at least one, until it has taken so many steps.
+    fn code(
+        &mut self,
+        workspace: &mut Workspace,
+        part: &mut Part,
+        room: impl Fn(&VoxelBox, [Stamp; 2]) -> usize,
+        steps_max: u64,
+    ) -> Result<u64, EncodeError> {
+        let Self { coded, habits, largest, chunk, is_begun, done, .. } = self;
+        let (stamp, sensor, largest) = (part.stamp, part.sensor, *largest);
+        let left_in = |chunk: &Chunk| {
+            let first = chunk.sections.first().map_or(stamp, |section| section.stamp);
+            let room = largest.voxels().map_or(0, |region| room(&region, [first, stamp]));
+            // Corners are the longer the larger the chunk.
+            room.saturating_sub(chunk.payload(largest).len() + SECTION_HEAD_MAX)
+        };
+        let known = Known::of_states(coded);
+        let blocks: Vec<_> = part.blocks.iter().skip(part.next).collect();
         let mut rest = blocks.as_slice();
-        while !rest.is_empty() {
-            let mut left = left_in(&chunk, stamp);
+        let mut steps = 0;
+        while !rest.is_empty() && steps < steps_max {
+            let mut left = left_in(chunk);
             // Where chunks are this small, one that was begun for want of room may be left empty: bytes that
             // stay as they are.
-            if left < SECTION_BYTES_MIN && is_begun {
-                done.push(core::mem::take(&mut chunk).draft(largest)?);
-                left = left_in(&chunk, stamp);
+            if left < SECTION_BYTES_MIN && *is_begun {
+                done.push(core::mem::take(chunk).draft(largest)?);
+                left = left_in(chunk);
             }
-            is_begun = true;
-            let coded =
-                section::encode(workspace, &known, &mut habits, sensor, rest, chunk.spare(), |_| left);
+            *is_begun = true;
+            let section = section::encode(workspace, &known, habits, sensor, rest, chunk.spare(), |_| left);
             // Parts come in the order of their stamps, so that nothing in `coded` is as new.
-            let Ok((section, count)) = coded else {
+            let Ok((section, count)) = section else {
                 unreachable!("what is known before a part is never gone")
             };
+            steps += section.tried;
             let blocks = chunk.blocks() + BlockBox::around(&section.region).volume();
             if !chunk.sections.is_empty() && (section.payload.len() > left || blocks > BOX_BLOCKS_MAX) {
                 // Not even one block goes in any more, or no box as large as this.
-                done.push(core::mem::take(&mut chunk).draft(largest)?);
+                done.push(core::mem::take(chunk).draft(largest)?);
                 continue;
             }
             rest = rest.get(count..).unwrap_or_default();
             chunk.add(stamp, sensor, section);
         }
-        part.blocks().iter().for_each(|(index, block)| coded.entry(*index).or_default().overlay(block));
+        part.next = part.blocks.len() - rest.len();
+        Ok(steps)
     }
-    if !chunk.sections.is_empty() || done.is_empty() {
-        done.push(chunk.draft(largest)?);
+
+    /// Bytes of the chunks so far. O(chunks).
+    pub(crate) fn bytes(&self) -> usize {
+        self.done.iter().map(|chunk| chunk.payload.len()).sum()
     }
-    Ok(done)
+
+    /// All chunks, at least one; after all is coded.
+    pub(crate) fn finish(mut self) -> Result<Vec<ChunkDraft>, EncodeError> {
+        if !self.chunk.sections.is_empty() || self.done.is_empty() {
+            self.done.push(self.chunk.draft(self.largest)?);
+        }
+        Ok(self.done)
+    }
 }
 
 /// The middle of some changes, in sixteenths of a voxel.
@@ -140,7 +222,7 @@ impl Chunk {
 
     fn add(&mut self, stamp: Stamp, sensor: [i32; 3], section: Section) {
         add_sensor(&mut self.sensors, stamp, sensor);
-        let Section { changes, region, payload, steps } = section;
+        let Section { changes, region, payload, steps, .. } = section;
         self.steps += steps;
         self.sections.push(Stamped { stamp, region: BlockBox::around(&region), payload });
         match self.parts.last_mut() {

@@ -55,38 +55,70 @@ pub(super) fn fit(
     whole: Piece,
     room: impl Fn(&Piece) -> usize,
 ) -> Vec<(Piece, Vec<u8>)> {
-    let mut forecast = Forecast::new(codec, others);
-    let mut done = Vec::new();
-    let mut waiting = vec![whole];
-    while let Some(piece) = waiting.pop() {
-        let room = room(&piece);
-        // What it takes; `None` if no package can hold it.
-        let needed = if piece.region.volume() > u128::from(BOX_VOXELS_MAX) {
-            None
-        } else {
-            let expected = forecast.payload_bytes(&piece);
-            // What cannot be cut is tried in any case.
-            if expected > room + room / 10 && piece.states.len() > 1 {
-                Some(expected)
-            } else {
-                let steps = writer.encode(codec, &piece, others);
-                forecast.learn(&piece, writer.payload.len());
-                Some(writer.payload.len()).filter(|_| writer.is_decodable(codec, &piece, others, steps))
-            }
-        };
-        // Aimed a little below full, since a piece that is just too large costs two half-full ones.
-        let count = match needed {
-            Some(needed) if needed <= room => 1,
-            Some(needed) => needed.div_ceil((room * 19 / 20).max(1)).max(2),
-            None => 2,
-        };
-        let halves = if count == 1 { None } else { piece.cut(count / 2, count, forecast.measure()) };
-        match halves {
-            Some([head, tail]) => waiting.extend([tail, head]),
-            None => done.push((piece, writer.payload.clone())),
-        }
+    let mut fit = Fit::new(codec, others, whole);
+    core::iter::from_fn(|| fit.next(writer, &room)).collect()
+}
+
+/// The same, piece by piece.
+pub(super) struct Fit {
+    codec: Codec,
+    others: Others,
+    forecast: Forecast,
+    waiting: Vec<Piece>,
+    steps: u64,
+}
+
+impl Fit {
+    pub(super) fn new(codec: Codec, others: Others, whole: Piece) -> Self {
+        Self { codec, others, forecast: Forecast::new(codec, others), waiting: vec![whole], steps: 0 }
     }
-    done
+
+    /// The next piece that fits, with its payload. `None` if all are done.
+    pub(super) fn next(
+        &mut self,
+        writer: &mut Writer,
+        room: impl Fn(&Piece) -> usize,
+    ) -> Option<(Piece, Vec<u8>)> {
+        let Self { codec, others, forecast, .. } = self;
+        let (codec, others) = (*codec, *others);
+        while let Some(piece) = self.waiting.pop() {
+            let room = room(&piece);
+            // What it takes; `None` if no package can hold it.
+            let needed = if piece.region.volume() > u128::from(BOX_VOXELS_MAX) {
+                None
+            } else {
+                let expected = forecast.payload_bytes(&piece);
+                // What cannot be cut is tried in any case.
+                if expected > room + room / 10 && piece.states.len() > 1 {
+                    Some(expected)
+                } else {
+                    let steps = writer.encode(codec, &piece, others);
+                    self.steps += steps;
+                    forecast.learn(&piece, writer.payload.len());
+                    Some(writer.payload.len()).filter(|_| writer.is_decodable(codec, &piece, others, steps))
+                }
+            };
+            // Aimed a little below full, since a piece that is just too large costs two half-full ones.
+            let count = match needed {
+                Some(needed) if needed <= room => 1,
+                Some(needed) => needed.div_ceil((room * 19 / 20).max(1)).max(2),
+                None => 2,
+            };
+            let halves = if count == 1 { None } else { piece.cut(count / 2, count, forecast.measure()) };
+            let blocks = piece.parts.iter().map(|(_, part)| part.blocks().len()).sum::<usize>();
+            self.steps += work::BLOCK_STEPS * (piece.states.blocks().len() + blocks) as u64;
+            match halves {
+                Some([head, tail]) => self.waiting.extend([tail, head]),
+                None => return Some((piece, writer.payload.clone())),
+            }
+        }
+        None
+    }
+
+    /// The steps of work taken since this was called last.
+    pub(super) const fn take_steps(&mut self) -> u64 {
+        core::mem::replace(&mut self.steps, 0)
+    }
 }
 
 /// What the payload of a piece will take, judged by the pieces before it.

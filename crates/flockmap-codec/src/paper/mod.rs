@@ -20,5 +20,5 @@ pub use hilbert::hilbert_order;
 
 pub(crate) use batch::{decode_batch, encode_batch, encode_whole};
 pub(crate) use fit::Writer;
-pub(crate) use snapshot::{decode_chunk, encode_snapshot};
+pub(crate) use snapshot::{SnapshotWriter, decode_chunk};
 pub(crate) use states::Scratch;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::packed::PackedCube;
-use super::{Layer, Open, Place};
+use super::{Layer, OPEN_BYTES, Open, Place};
 use crate::BlockIndex;
 
 /// When blocks were changed so often, it is looked whether some lie cold.
@@ -17,20 +17,20 @@ impl Layer {
     /// The cube at a place of the table to write to, unpacked if need be.
     pub(super) fn open(&mut self, at: BlockIndex) -> &mut Open {
         let place = self.cubes.entry(at).or_insert_with(|| {
-            self.open_bytes += size_of::<Open>();
+            self.open_bytes += OPEN_BYTES;
             self.queue.push_back((self.changed, at));
-            Place::Open(Box::default())
+            Place::Open(Arc::default())
         });
         if let Place::Packed(packed) = place {
             let cube = self.unpacked.take(packed);
             self.packed_bytes -= packed.memory_bytes();
-            self.open_bytes += size_of::<Open>() + cube.memory_bytes();
+            self.open_bytes += OPEN_BYTES + cube.memory_bytes();
             self.open += cube.len();
             self.queue.push_back((self.changed, at));
-            *place = Place::Open(Box::new(Open { cube, touched: 0 }));
+            *place = Place::Open(Arc::new(Open { cube, touched: 0 }));
         }
         match place {
-            Place::Open(open) => open,
+            Place::Open(open) => Arc::make_mut(open),
             Place::Packed(_) => unreachable!("it was unpacked"),
         }
     }
@@ -74,7 +74,7 @@ impl Layer {
     fn pack_cube(&mut self, at: BlockIndex) -> usize {
         let Some(place) = self.cubes.get_mut(&at) else { return 0 };
         let Place::Open(open) = place else { return 0 };
-        let (blocks, bytes) = (open.cube.len(), size_of::<Open>() + open.cube.memory_bytes());
+        let (blocks, bytes) = (open.cube.len(), OPEN_BYTES + open.cube.memory_bytes());
         let packed = PackedCube::pack(&open.cube);
         self.open_bytes -= bytes;
         self.open -= blocks;

@@ -4,14 +4,14 @@ use rustc_hash::FxHashMap;
 
 use super::cube::{CUBE_BLOCK_BYTES, Cube, cube_of};
 use super::stamps::BlockStamps;
-use super::{Layer, Open, Place, SENSOR_BYTES};
+use super::{Layer, OPEN_BYTES, Place, SENSOR_BYTES};
 use crate::memory::table_bytes;
 use crate::{BlockIndex, Changes};
 
 /// Most bytes that one block of a layer can take: 512 voxels that changed last in 512 different batches, alone in
 /// its cube.
 pub const LAYER_BLOCK_BYTES_MAX: usize = table_bytes(1, PLACE_BYTES)
-    + size_of::<Open>()
+    + OPEN_BYTES
     + 2 * CUBE_BLOCK_BYTES
     + BlockStamps::bytes_of(usize::MAX)
     + 4 * QUEUE_BYTES;
@@ -30,7 +30,7 @@ impl Layer {
     /// Bytes that it may hold at most while and after so many blocks are added to it, beside their stamps. O(1).
     pub fn memory_bytes_with(&self, blocks: usize) -> usize {
         // Each in a cube of its own.
-        let of_cube = size_of::<Open>() + 2 * CUBE_BLOCK_BYTES;
+        let of_cube = OPEN_BYTES + 2 * CUBE_BLOCK_BYTES;
         self.memory_bytes() + self.table_growth(blocks) + self.queue_growth(blocks) + blocks * of_cube
     }
 
@@ -59,11 +59,11 @@ impl Layer {
                 Some(Place::Open(open)) => open.cube.growth_max(new),
                 Some(Place::Packed(packed)) => {
                     opened += 1;
-                    size_of::<Open>() + packed.open_bytes() + Cube::list_bytes_max(packed.len() + new)
+                    OPEN_BYTES + packed.open_bytes() + Cube::list_bytes_max(packed.len() + new)
                 }
                 None => {
                     new_cubes += 1;
-                    size_of::<Open>() + Cube::list_bytes_max(new)
+                    OPEN_BYTES + Cube::list_bytes_max(new)
                 }
             };
         }

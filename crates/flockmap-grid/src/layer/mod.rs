@@ -22,6 +22,7 @@ use block::LayerBlock;
 use cube::{Cube, cube_of};
 pub use memory::LAYER_BLOCK_BYTES_MAX;
 use packed::PackedCube;
+pub use snapshots::SnapshotReader;
 pub use unpacked::UNPACKED_BYTES_MAX;
 pub(crate) use unpacked::Unpacked;
 
@@ -32,7 +33,7 @@ pub(crate) use unpacked::Unpacked;
 ///
 /// Blocks lie in cubes of 4³. A cube that nothing was applied to for a while is packed, to a tenth of a byte or two
 /// for each voxel of a scanned place, its stamp included; it is unpacked when it is read or something is applied to
-/// it. A copy of a layer shares what is packed.
+/// it. A copy of a layer shares all cubes until one of the two changes them: it takes O(cubes).
 #[derive(Clone, Debug, Default)]
 pub struct Layer {
     cubes: FxHashMap<BlockIndex, Place>,
@@ -54,10 +55,10 @@ pub struct Layer {
     sensors_noted: usize,
 }
 
-/// A cube of blocks where it lies.
+/// A cube of blocks where it lies. Copies of a layer share it until one of them changes it.
 #[derive(Clone, Debug)]
 enum Place {
-    Open(Box<Open>),
+    Open(Arc<Open>),
     Packed(Arc<PackedCube>),
 }
 
@@ -67,6 +68,9 @@ struct Open {
     /// [`Layer::changed`] when something was applied to it last.
     touched: u64,
 }
+
+/// An open cube beside its blocks, and the two counts of who shares it.
+const OPEN_BYTES: usize = size_of::<Open>() + 2 * size_of::<usize>();
 
 /// Most batches whose sensor a layer remembers; the oldest are forgotten.
 const SENSORS_MAX: usize = 1 << 16;

@@ -1,12 +1,11 @@
 //! Snapshots of a layer.
 
-use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
 
-use super::Layer;
+use super::{Layer, Place};
 use crate::block::set_bits;
-use crate::changes::bounding_box;
 use crate::snapshot::SnapshotVoxels;
-use crate::{BlockIndex, Snapshot, Stamp, StateBlock, VoxelBox};
+use crate::{BlockIndex, Plane, Snapshot, Stamp, StateBlock};
 
 impl Layer {
     /// The whole layer with its stamps, such that applying its parts to an empty layer gives this one. `None`
@@ -22,71 +21,89 @@ impl Layer {
         self.snapshot_voxels(Some(stamp)).map(|voxels| voxels.to_state())
     }
 
-    /// The same in 8 bytes for each voxel: of the whole layer, or what is newer than a stamp. Takes no more
-    /// while it works, beside 16 bytes for each block and each stamp. `None` if that is nothing, or more than
-    /// 2²⁷ blocks or stamps. O(n log n) in voxels.
+    /// The same in 2 bytes for each voxel, see [`SnapshotVoxels`]: of the whole layer, or what is newer than a
+    /// stamp. `None` if that is nothing, or more than 2³² blocks. O(voxels).
     pub fn snapshot_voxels(&self, newer_than: Option<Stamp>) -> Option<SnapshotVoxels> {
-        let is_wanted = |stamp: Stamp| newer_than.is_none_or(|limit| stamp > limit);
-        let wanted = || {
-            let cubes = self.cubes.iter().filter(|(_, place)| place.newest().is_some_and(is_wanted));
-            cubes.map(|(at, place)| (*at, place.read()))
-        };
-        let mut blocks: Vec<BlockIndex> =
-            Vec::with_capacity(if newer_than.is_none() { self.blocks } else { 0 });
-        let mut number_of = FxHashMap::<Stamp, u32>::default();
-        let (mut region, mut count, mut last) = (None::<VoxelBox>, 0, None);
-        for (at, cube) in wanted() {
-            for (index, block) in cube.blocks(at).filter(|(_, block)| is_wanted(block.stamps.newest())) {
-                let mut known = [0; 8];
+        self.read_snapshot(newer_than).finish()
+    }
+
+    /// The same, to be read in pieces: the layer as it is now, whatever becomes of it meanwhile. O(cubes), and 32
+    /// bytes for each.
+    pub fn read_snapshot(&self, newer_than: Option<Stamp>) -> SnapshotReader {
+        let is_wanted =
+            |place: &&Place| newer_than.is_none_or(|limit| place.newest().is_some_and(|at| at > limit));
+        let cubes = self.cubes.iter().filter(|(_, place)| is_wanted(place));
+        SnapshotReader {
+            newer_than,
+            cubes: cubes.map(|(at, place)| (*at, place.clone())).collect(),
+            sensors: self.sensors.clone(),
+            groups: Vec::new(),
+            voxels: SnapshotVoxels::default(),
+        }
+    }
+}
+
+/// The state of a layer as it was when this was made, which is read in pieces while the layer goes on. It shares the
+/// cubes of the layer; those that the layer changes or forgets meanwhile stay until they are read. Beside that it takes
+/// what [`SnapshotVoxels`] take.
+#[derive(Debug, Default)]
+pub struct SnapshotReader {
+    newer_than: Option<Stamp>,
+    /// Still to be read.
+    cubes: Vec<(BlockIndex, Place)>,
+    sensors: BTreeMap<Stamp, [i32; 3]>,
+    /// Kept from block to block: what it says of each stamp, Free and Occupied.
+    groups: Vec<(Stamp, [Plane; 2])>,
+    voxels: SnapshotVoxels,
+}
+
+impl SnapshotReader {
+    /// Reads whole cubes, of at most 64 blocks, until it has read `blocks_max` blocks or all. Returns the number of
+    /// blocks read; 0 if there are no more. Some 20 µs for each.
+    pub fn step(&mut self, blocks_max: usize) -> usize {
+        let mut read = 0;
+        while read < blocks_max
+            && let Some((at, place)) = self.cubes.pop()
+        {
+            let cube = place.read();
+            for (index, block) in cube.blocks(at) {
+                self.groups.clear();
+                let (mut last, mut of_last) = (None, 0);
                 for bit in set_bits(&block.states.known()) {
                     let stamp = block.stamps.get(bit);
-                    if !is_wanted(stamp) {
+                    if self.newer_than.is_some_and(|limit| stamp <= limit) {
                         continue;
                     }
                     if last != Some(stamp) {
-                        number_of.insert(stamp, 0);
                         last = Some(stamp);
+                        of_last = self.groups.iter().rposition(|(of, _)| *of == stamp).unwrap_or_else(|| {
+                            self.groups.push((stamp, [[0; 8]; 2]));
+                            self.groups.len() - 1
+                        });
                     }
-                    known[bit / 64] |= 1 << (bit % 64);
-                    count += 1;
+                    let is_occupied = block.states.occupied()[bit / 64] >> (bit % 64) & 1 == 1;
+                    self.groups[of_last].1[usize::from(is_occupied)][bit / 64] |= 1 << (bit % 64);
                 }
-                let part = bounding_box(core::iter::once((index, &StateBlock::new(known, [0; 8]))));
-                region = match (region, part) {
-                    (Some(a), Some(b)) => Some(a.union(&b)),
-                    (a, b) => a.or(b),
-                };
-                blocks.push(index);
+                let groups = self.groups.iter();
+                self.voxels.add_block(
+                    index,
+                    groups.map(|(stamp, [free, occupied])| (*stamp, StateBlock::new(*free, *occupied))),
+                );
             }
+            read += cube.len();
         }
-        blocks.sort_unstable();
-        let mut stamps: Vec<Stamp> = number_of.keys().copied().collect();
-        stamps.sort_unstable();
-        for (number, stamp) in (0..).zip(&stamps) {
-            number_of.insert(*stamp, number);
-        }
-        let sensors = stamps.iter().filter_map(|stamp| Some((*stamp, *self.sensors.get(stamp)?))).collect();
-        let region = region?;
-        let places_of = blocks.clone();
-        let voxels = wanted().flat_map(|(at, cube)| {
-            let mut of_cube = Vec::new();
-            let mut last = (Stamp(0), None);
-            for (index, block) in cube.blocks(at) {
-                let Ok(number) = places_of.binary_search(&index) else { continue };
-                for bit in set_bits(&block.states.known()) {
-                    let stamp = block.stamps.get(bit);
-                    if !is_wanted(stamp) {
-                        continue;
-                    }
-                    let of_stamp = match last {
-                        (same, Some(of_stamp)) if same == stamp => of_stamp,
-                        _ => number_of.get(&stamp).copied().unwrap_or(0),
-                    };
-                    last = (stamp, Some(of_stamp));
-                    of_cube.push((of_stamp, number as u32, bit, block.states.get(bit)));
-                }
-            }
-            of_cube
-        });
-        SnapshotVoxels::new(region, stamps, blocks, count, voxels, sensors)
+        read
+    }
+
+    /// What was read so far, but for sensors.
+    pub const fn read(&self) -> &SnapshotVoxels {
+        &self.voxels
+    }
+
+    /// All that was read, after the rest is read too. `None` if that is nothing, or more than 2³² blocks.
+    pub fn finish(mut self) -> Option<SnapshotVoxels> {
+        while self.step(usize::MAX) > 0 {}
+        self.voxels.set_sensors(self.sensors);
+        self.voxels.complete()
     }
 }

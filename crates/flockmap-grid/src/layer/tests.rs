@@ -12,7 +12,7 @@ fn check_counts(layer: &Layer) {
         match place {
             Place::Open(place) => {
                 open += place.cube.len();
-                open_bytes += size_of::<Open>() + place.cube.memory_bytes();
+                open_bytes += OPEN_BYTES + place.cube.memory_bytes();
             }
             Place::Packed(packed) => {
                 packed_bytes += packed.memory_bytes();

@@ -50,11 +50,12 @@ impl Session {
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
             let Some(theirs) = peer.streams.get(&stream) else { continue };
             let upto = self.store.newest_known(stream);
-            // What a snapshot brings that is in flight is not sent beside it.
-            let (since, after) = match &theirs.sending {
-                Some(sending) => (sending.since, sending.upto.saturating_add(1)),
-                None => (0, 1),
+            // What a snapshot brings that is in flight, or being made, is not sent beside it.
+            let of_snapshot = match &theirs.sending {
+                Some(sending) => Some((sending.since, sending.upto)),
+                None => self.outbox.coming_to(now, stream, peer.stream.origin),
             };
+            let (since, after) = of_snapshot.map_or((0, 1), |(since, upto)| (since, upto.saturating_add(1)));
             let before = theirs.received_or_in_flight.missing(theirs.from.max(1), since);
             let mut missing: Vec<(u32, u32)> =
                 before.chain(theirs.received_or_in_flight.missing(theirs.from.max(after), upto)).collect();

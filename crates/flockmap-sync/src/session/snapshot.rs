@@ -1,13 +1,13 @@
 //! Snapshots: the map as it is, sent in place of the packages that made it.
 
 use super::Session;
-use crate::Cast;
 use crate::event::Event;
 use crate::item::Item;
-use crate::outbox::Outgoing;
+use crate::outbox::{Coming, Outgoing};
 use crate::peer::{Peer, Sending, has_no_robot};
 use crate::store::Missing;
 use crate::wire::CONTENTS_BYTES_MAX;
+use crate::{Cast, IntervalSet};
 use core::time::Duration;
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -32,9 +32,16 @@ impl Session {
     /// The answer to [`Event::SnapshotWanted`]: the layer of the stream, or what of it is newer, as chunks,
     /// all of one snapshot, all with `since` and the index `upto` of the event. No chunks: there is none to
     /// give now; it is asked for again later. Chunks that cannot be used are counted and dropped.
+    ///
+    /// It may come some calls later ([`Self::snapshot_is_coming`]): what it says is the layer as it was when the event
+    /// was taken. Of each stream only one can be on its way.
     pub fn provide_snapshot(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) {
         let now = self.advance(now);
-        let Some(outgoing) = self.check_chunks(now, stream, chunks) else {
+        let held = self.outbox.held_when_asked.remove(&stream);
+        if self.outbox.coming.remove(&stream).is_some_and(|coming| coming.until.is_some()) {
+            self.mark_queues_stale();
+        }
+        let Some(outgoing) = self.check_chunks(now, stream, chunks, held) else {
             self.outbox.asked.insert(stream, now.plus(ASK_AGAIN_DECLINED));
             return;
         };
@@ -50,6 +57,18 @@ impl Session {
         for id in ids {
             self.review_snapshot(now, id, stream);
         }
+    }
+
+    /// The snapshot of a stream that was asked for is being made: for the next 2 s it is not asked for again, and who
+    /// needs it is not sent the packages that it contains.
+    pub fn snapshot_is_coming(&mut self, now: Stamp, stream: Stream) {
+        let now = self.advance(now);
+        let Some(coming) = self.outbox.coming.get_mut(&stream) else { return };
+        let until = now.plus(ASK_AGAIN);
+        if coming.until.replace(until).is_none() {
+            self.mark_queues_stale();
+        }
+        self.outbox.asked.insert(stream, until);
     }
 
     /// Drops snapshots that nobody is sent, those first that were not used for longest. What is in flight to
@@ -72,7 +91,14 @@ impl Session {
         }
     }
 
-    fn check_chunks(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) -> Option<Outgoing> {
+    /// `held`: where the history has gaps, what was held of it when the snapshot was asked for.
+    fn check_chunks(
+        &mut self,
+        now: Stamp,
+        stream: Stream,
+        chunks: Vec<Package>,
+        held: Option<IntervalSet>,
+    ) -> Option<Outgoing> {
         let first = chunks.first()?.header();
         let (upto, count) = (first.index, chunks.len() as u32);
         let ContentKind::Snapshot { since, id: snapshot_id, .. } = first.content else {
@@ -84,9 +110,11 @@ impl Session {
         let received = self.store.received(stream)?;
         // One of a history with gaps says by itself no more than its newest package.
         let is_whole = received.contains_range(1, upto);
-        let contents = (!is_whole).then(|| received.within(1, upto));
+        let held = if is_whole { None } else { held };
+        let contents = held.map(|held| held.within(1, upto));
+        let is_sound = contents.as_ref().is_some_and(|held| since + 1 == upto && held.contains(upto));
         let usable = bytes <= self.config.snapshot_bytes_max
-            && (is_whole || (since + 1 == upto && received.contains(upto)))
+            && (is_whole || is_sound)
             && (0..).zip(&chunks).all(|(number, chunk)| {
                 chunk.header().stream == stream
                     && chunk.header().index == upto
@@ -170,7 +198,8 @@ impl Session {
         } else {
             let (since, bytes_max) = (upto - 1, PARTS_CHUNK_BYTES_MAX);
             let wanted = Event::SnapshotWanted { stream, since, newer_than: None, upto, bytes_max, peer: id };
-            self.request_snapshot(now, stream, wanted);
+            let held = Some(received.clone());
+            self.request_snapshot(now, stream, wanted, held);
         }
     }
 
@@ -179,9 +208,25 @@ impl Session {
         stream != self.identity.own && (self.store.is_superseded(stream) || has_no_robot(&self.peers, stream))
     }
 
-    /// Asks the driver for a state of a stream, unless that was done a moment ago.
-    fn request_snapshot(&mut self, now: Stamp, stream: Stream, wanted: Event) {
-        if self.outbox.asked.get(&stream).is_none_or(|&again| again <= now) {
+    /// Asks the driver for a state of a stream, unless that was done a moment ago. `held`: what is held of a history
+    /// with gaps.
+    fn request_snapshot(&mut self, now: Stamp, stream: Stream, wanted: Event, held: Option<IntervalSet>) {
+        let Event::SnapshotWanted { since, upto, peer, .. } = wanted else { return };
+        let coming = self.outbox.coming.get_mut(&stream);
+        let is_coming = coming.is_some_and(|coming| {
+            let is_coming = coming.until.is_some_and(|until| until > now);
+            if is_coming && coming.since <= since {
+                coming.peers.insert(peer);
+            }
+            is_coming
+        });
+        if !is_coming && self.outbox.asked.get(&stream).is_none_or(|&again| again <= now) {
+            let peers = [peer].into();
+            self.outbox.coming.insert(stream, Coming { since, upto, until: None, peers });
+            // Of several events the driver may answer the first: what was held then, the layer holds in any case.
+            if let Some(held) = held {
+                self.outbox.held_when_asked.entry(stream).or_insert(held);
+            }
             self.outbox.asked.insert(stream, now.plus(ASK_AGAIN));
             self.report.counters.snapshots_wanted += 1;
             self.push_event(wanted);
@@ -264,7 +309,7 @@ impl Session {
         }
         let bytes_max = self.package_bytes_max();
         let wanted = Event::SnapshotWanted { stream, since, newer_than, upto: prefix, bytes_max, peer: id };
-        self.request_snapshot(now, stream, wanted);
+        self.request_snapshot(now, stream, wanted, None);
     }
 
     fn begin_to_send(&mut self, now: Stamp, id: RobotId, at: usize) {

@@ -38,6 +38,8 @@ impl Session {
         self.inbox.forget(stream);
         self.outbox.snapshots.retain(|outgoing| outgoing.stream != stream);
         self.outbox.asked.remove(&stream);
+        self.outbox.held_when_asked.remove(&stream);
+        self.outbox.coming.remove(&stream);
         self.clocks.forget(stream);
         self.push_event(Event::StreamForgotten(stream));
     }

@@ -20,7 +20,7 @@ impl Robot {
                     self.session.verdict(now, &package, verdict);
                 }
                 SessionEvent::SnapshotWanted { stream, since, newer_than, upto, bytes_max, .. } => {
-                    self.provide_snapshot(now, Span { stream, since, upto }, newer_than, bytes_max);
+                    self.begin_snapshot(now, Span { stream, since, upto }, newer_than, bytes_max);
                 }
                 SessionEvent::SnapshotDropped { stream, snapshot_id } => {
                     self.readers.drop_one((stream, snapshot_id))
@@ -30,6 +30,7 @@ impl Robot {
                 }
                 SessionEvent::StreamForgotten(stream) => {
                     self.readers.drop_upto(stream, u32::MAX);
+                    self.snapshots.forget(stream);
                     self.fusion.forget(stream);
                     self.push_event(Event::RunForgotten(stream));
                 }
