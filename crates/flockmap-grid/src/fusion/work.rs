@@ -8,9 +8,10 @@ use crate::{BlockIndex, Mapper, Plane};
 
 impl Fusion {
     /// Goes on making the map by what was set: works out `blocks_max` blocks at most (0 counts as 1), fewer where much
-    /// is contested, and goes through as many blocks of layers. The map stays as it is, but for what is seen and received, until all that differs
-    /// is worked out; then it is the new one. Whether there is more to do. O(`blocks_max`), 10 to 40 µs for a block as
-    /// a rule; O(cubes of 4³ blocks of the layers) when it begins, O(blocks that changed meanwhile) when it ends.
+    /// is contested, and goes through as many blocks of layers. The map stays as it is, but for what is seen and
+    /// received, until all that differs is worked out; then it is the new one. Returns whether there is more to do.
+    /// O(`blocks_max`), 10 to 40 µs for a block as a rule; O(cubes of 4³ blocks of the layers) when it begins, O(blocks
+    /// that changed meanwhile) when it ends.
     pub fn work(&mut self, mapper: &Mapper, blocks_max: usize) -> bool {
         if self.next.is_none() {
             self.begin();

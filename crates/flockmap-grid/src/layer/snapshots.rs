@@ -27,8 +27,8 @@ impl Layer {
         self.read_snapshot(newer_than).finish()
     }
 
-    /// The same, to be read in pieces: the layer as it is now, whatever becomes of it meanwhile. O(cubes), and 32
-    /// bytes for each.
+    /// The same, to be read in pieces: the layer as it is now, whatever becomes of it meanwhile. O(cubes +
+    /// sensors), and 32 bytes for each cube.
     pub fn read_snapshot(&self, newer_than: Option<Stamp>) -> SnapshotReader {
         let is_wanted =
             |place: &&Place| newer_than.is_none_or(|limit| place.newest().is_some_and(|at| at > limit));

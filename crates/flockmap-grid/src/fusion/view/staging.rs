@@ -48,3 +48,29 @@ impl MapView {
         self.memory_bytes() - shared.map(|(_, region)| region.memory_bytes()).sum::<usize>()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{BlockIndex, Resolution, State, StateBlock};
+
+    /// Blocks that came and went in the former map cannot be named after it let go of them: who saw one of them must
+    /// not be told that little has changed.
+    #[test]
+    fn who_saw_a_block_that_came_and_went_meanwhile_begins_anew() {
+        let mut occupied = StateBlock::default();
+        occupied.set(0, State::Occupied);
+        let at = |n: i32| BlockIndex::new(n, 0, 0);
+        let mut former = MapView::new(Resolution::from_metres(0.1).unwrap());
+        (0..8).for_each(|n| former.set_block(at(n), &occupied));
+        let (mut next, began) = (former.staged(), former.version());
+        (100..104).for_each(|n| former.set_block(at(n), &occupied));
+        let seen = former.clone();
+        assert!(seen.block(at(100)).is_some());
+        (100..104).for_each(|n| former.set_block(at(n), &StateBlock::default()));
+        assert_eq!(former.changed_since(began), None, "they were let go of");
+        next.supersede(&former, began);
+        assert_eq!(next.changed_since(seen.version()), None);
+        assert_eq!(next.changed_since(next.version()), Some(Vec::new()));
+    }
+}
