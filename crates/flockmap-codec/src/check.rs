@@ -5,6 +5,7 @@ use crc32fast::Hasher;
 use flockmap_grid::{Changes, SnapshotVoxels, Stamp};
 
 use crate::codec::Codec;
+use crate::source::Span;
 
 /// The check of a package. `header` is its bytes up to the check. With the length of the payload a package
 /// that lost its end, or got another, is damaged for every codec.
@@ -37,14 +38,17 @@ pub(crate) fn of_chunk(parts: &[(Stamp, Changes)], sensors: &[(Stamp, [i32; 3])]
 pub(crate) fn begin_snapshot_id(
     codec: Codec,
     bytes_max: usize,
-    [since, upto]: [u32; 2],
+    span: &Span,
     state: &SnapshotVoxels,
 ) -> Hasher {
     let mut hasher = Hasher::new();
     hasher.update(&[codec.id()]);
     hasher.update(&(bytes_max as u64).to_le_bytes());
-    hasher.update(&since.to_le_bytes());
-    hasher.update(&upto.to_le_bytes());
+    hasher.update(&span.since.to_le_bytes());
+    hasher.update(&span.upto.to_le_bytes());
+    if let Some(lost_upto) = span.lost_upto {
+        hasher.update(&lost_upto.0.to_le_bytes());
+    }
     hash_sensors(&mut hasher, state.sensors());
     hasher
 }

@@ -30,13 +30,6 @@ pub enum PackageError {
         /// The number of the codec.
         found: u8,
     },
-    /// A kind of content, or a flag beside it, that this version does not know. It is refused and not
-    /// skipped, since it may change what the rest means.
-    #[error("package content kind {found:#x} is not known; the sender may be newer")]
-    ContentKind {
-        /// The number of the kind, flags included.
-        found: u8,
-    },
     /// A number that is too large, or written longer than needed.
     #[error("package field {field} at byte {offset} is no number of at most {max} in its shortest form")]
     Number {

@@ -37,6 +37,9 @@ pub struct Header {
     pub codec: Codec,
     /// Changes or snapshot.
     pub content: ContentKind,
+    /// Of a snapshot: who made it had to drop some of what it should hold for want of room, none of it newer than
+    /// this stamp. `None`: nothing is lacking; so of all changes.
+    pub lost_upto: Option<Stamp>,
     /// What to send first where there is not room for all. Of a snapshot always `Obstacles`.
     pub priority: Priority,
 }
@@ -79,6 +82,8 @@ const KIND_CHANGES: u8 = 0;
 const KIND_SNAPSHOT: u8 = 1;
 /// Changes that are coded without what was before, and are to be merged after their base.
 const KIND_INDEPENDENT: u8 = 2;
+/// A snapshot that lacks what was dropped.
+const KIND_SNAPSHOT_IN_PART: u8 = 3;
 /// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority; bit 7:
 /// the box is made of whole blocks, and counted in these.
 const BOX_IN_BLOCKS: u8 = 1 << 7;
@@ -96,6 +101,7 @@ impl Header {
         let kind = match self.content {
             ContentKind::Changes if self.is_independent && self.base != 0 => KIND_INDEPENDENT,
             ContentKind::Changes => KIND_CHANGES,
+            ContentKind::Snapshot { .. } if self.lost_upto.is_some() => KIND_SNAPSHOT_IN_PART,
             ContentKind::Snapshot { .. } => KIND_SNAPSHOT,
         };
         out.push(FORMAT_VERSION);
@@ -115,6 +121,9 @@ impl Header {
                 out.extend_from_slice(&id.to_le_bytes());
                 put_varint(out, u64::from(chunk));
                 put_varint(out, u64::from(chunks));
+                if let Some(lost_upto) = self.lost_upto {
+                    put_zigzag(out, lost_upto.0.wrapping_sub(epoch_micros(self.stream.epoch)));
+                }
             }
         }
     }
@@ -138,12 +147,10 @@ impl Header {
         let (codec, kind, priority) = (all & 7, all >> KIND_SHIFT & 3, all >> PRIORITY_SHIFT & 3);
         let codec = Codec::from_id(codec).ok_or(PackageError::Codec { found: codec })?;
         let unit = if all & BOX_IN_BLOCKS == 0 { 1 } else { BLOCK_SIDE };
-        if ![KIND_CHANGES, KIND_SNAPSHOT, KIND_INDEPENDENT].contains(&kind) {
-            return Err(PackageError::ContentKind { found: kind });
-        }
         let priority = Priority::ALL.get(usize::from(priority)).copied();
         let priority = priority.ok_or_else(|| wrong("priorities are 0 to 2"))?;
-        if kind == KIND_SNAPSHOT && priority != Priority::Obstacles {
+        let is_snapshot = [KIND_SNAPSHOT, KIND_SNAPSHOT_IN_PART].contains(&kind);
+        if is_snapshot && priority != Priority::Obstacles {
             return Err(wrong("a snapshot has priority 0"));
         }
         let u32_max = u64::from(u32::MAX);
@@ -163,13 +170,18 @@ impl Header {
         if unit == 1 && is_in_blocks(&region) {
             return Err(wrong("a box of whole blocks is counted in blocks"));
         }
-        let (content, base) = if kind == KIND_SNAPSHOT {
+        let mut lost_upto = None;
+        let (content, base) = if is_snapshot {
             let since = read_back(&mut reader, index, "since", "a span begins after an earlier package")?;
             let id = reader.u32_le("snapshot id")?;
             let chunk = reader.number("chunk", u32_max)? as u32;
             let chunks = reader.number("chunks", u32_max)? as u32;
             if chunk >= chunks {
                 return Err(wrong("a chunk number is below the number of chunks"));
+            }
+            if kind == KIND_SNAPSHOT_IN_PART {
+                let lost = reader.signed("newest stamp dropped")?;
+                lost_upto = Some(Stamp(lost.wrapping_add(epoch_micros(epoch))));
             }
             (ContentKind::Snapshot { since, id, chunk, chunks }, 0)
         } else {
@@ -194,6 +206,7 @@ impl Header {
             region,
             codec,
             content,
+            lost_upto,
             priority,
         };
         Ok((header, Tail { checked, check }, reader.rest()))

@@ -3,7 +3,7 @@
 use core::borrow::Borrow;
 
 use crc32fast::Hasher;
-use flockmap_grid::{Resolution, SnapshotVoxels, Stamp, VoxelBox};
+use flockmap_grid::{BLOCK_SIDE, Resolution, SnapshotVoxels, Stamp, Voxel, VoxelBox};
 
 use crate::check;
 use crate::codec::Codec;
@@ -172,6 +172,21 @@ impl<S: Borrow<SnapshotVoxels>> SnapshotCoding<S> {
     }
 }
 
+impl Package {
+    /// The only chunk of a snapshot of which everything was dropped for want of room: it says no more than that.
+    /// `None` where nothing was ([`Span::lost_upto`]), or `span` is none.
+    pub fn of_dropped(span: Span, resolution: Resolution) -> Option<Self> {
+        let lost_upto = span.lost_upto.filter(|_| span.since < span.upto)?;
+        let state = SnapshotVoxels::default();
+        let headers = Headers::new(Codec::Flock, span, resolution, &state, 0);
+        let id = check::begin_snapshot_id(Codec::Flock, 0, &span, &state).finalize();
+        // Any box of a block will do.
+        let region = VoxelBox::new(Voxel::new(0, 0, 0), [BLOCK_SIDE as u32; 3])?;
+        let header = headers.header(region, [lost_upto; 2], id, [0, 1]);
+        Some(Self::seal(&header, &[], &check::of_chunk(&[], &[])))
+    }
+}
+
 /// What the headers of all chunks in one codec have in common.
 #[derive(Clone, Copy)]
 struct Headers {
@@ -197,8 +212,7 @@ impl Headers {
     }
 
     fn begin(&self, state: &SnapshotVoxels) -> Stage {
-        let Span { since, upto, .. } = self.span;
-        let id = check::begin_snapshot_id(self.codec, self.bytes_max, [since, upto], state);
+        let id = check::begin_snapshot_id(self.codec, self.bytes_max, &self.span, state);
         if self.codec == Codec::Flock {
             Stage::Flock { writer: Box::new(flock::SnapshotWriter::new(state)), id }
         } else {
@@ -213,7 +227,7 @@ impl Headers {
         id: u32,
         [chunk, chunks]: [u32; 2],
     ) -> Header {
-        let Span { stream, since, upto } = self.span;
+        let Span { stream, since, upto, lost_upto } = self.span;
         Header {
             stream,
             index: upto,
@@ -225,6 +239,7 @@ impl Headers {
             region,
             codec: self.codec,
             content: ContentKind::Snapshot { since, id, chunk, chunks },
+            lost_upto,
             priority: Priority::Obstacles,
         }
     }

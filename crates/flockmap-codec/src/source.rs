@@ -29,4 +29,6 @@ pub struct Span {
     pub since: u32,
     /// The newest package whose changes, with those of all before it, are in the state; from 1.
     pub upto: u32,
+    /// Some of that was dropped for want of room and is lacking, none of it newer than this. `None`: nothing is.
+    pub lost_upto: Option<Stamp>,
 }

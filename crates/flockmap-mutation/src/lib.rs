@@ -57,11 +57,19 @@ pub enum Mutation {
     WorkUnlimited,
     /// Each request begins with the same robot: what does not fit behind it is never named.
     OriginsNotInOrder,
+    /// What comes late is taken over where something newer may have been dropped.
+    LateTakenOver,
+    /// A snapshot of a layer of which something was dropped passes for a whole one.
+    DropUnsaid,
+    /// What was dropped stays in the fused map.
+    DroppedShown,
+    /// What was lacking is not asked for when there is room again.
+    RestUnasked,
 }
 
 impl Mutation {
     /// All of them.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 28] = [
         Self::StampCompareDropped,
         Self::LedgerIgnored,
         Self::CheckSkipped,
@@ -86,6 +94,10 @@ impl Mutation {
         Self::GapStatesWithheld,
         Self::WorkUnlimited,
         Self::OriginsNotInOrder,
+        Self::LateTakenOver,
+        Self::DropUnsaid,
+        Self::DroppedShown,
+        Self::RestUnasked,
     ];
 }
 

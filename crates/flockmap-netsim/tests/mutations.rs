@@ -13,6 +13,9 @@ const fn finder(mutation: Mutation) -> &'static str {
         Mutation::StampCompareDropped | Mutation::AcceptedUnmerged | Mutation::SnapshotReceivedTooEarly => {
             "layer"
         }
+        Mutation::LateTakenOver | Mutation::DropUnsaid => "layer",
+        Mutation::DroppedShown => "fused",
+        Mutation::RestUnasked => "agreement",
         Mutation::LedgerIgnored | Mutation::HoldingsIgnored => "twice",
         Mutation::CheckSkipped => "voxel",
         Mutation::BudgetIgnored => "budget",

@@ -30,7 +30,7 @@ pub struct StreamCopy {
 }
 
 enum What {
-    /// All packages received are in the layer.
+    /// All packages received are in the layer, but for what was dropped of them.
     State { layer: Layer, received: IntervalSet },
     /// The layer lacks what some of them say.
     Packages(Vec<Package>),
@@ -38,7 +38,8 @@ enum What {
     Nothing(&'static str),
 }
 
-const OWN_LAYER_FULL: &str = "the own layer was full, so that it lacks what was published last, and not all own packages are in memory any more: raise own_layer_mb";
+const OWN_LAYER_LACKS: &str =
+    "there was no place for the own layer, and not all own packages are in memory any more";
 
 impl StreamCopy {
     /// The first stream after `after` that the robot has something of, with no event of the robot left
@@ -69,13 +70,23 @@ impl StreamCopy {
             What::Nothing(why) => return Err(why.into()),
         };
         let cannot = |why: &str| format!("the snapshot of {stream:?} cannot be coded: {why}");
-        let Some(upto) = received.last().filter(|_| !layer.is_empty()) else { return Ok(Vec::new()) };
-        let state = layer.snapshot_voxels(None).ok_or_else(|| cannot("it is too large"))?;
+        let Some(upto) = received.last() else { return Ok(Vec::new()) };
         // One of a history with gaps says by itself no more than its newest package.
         let is_whole = received.contains_range(1, upto);
-        let span = Span { stream, since: if is_whole { 0 } else { upto - 1 }, upto };
-        let chunks = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
-        let chunks = chunks.map_err(|error| cannot(&error.to_string()))?;
+        let span = Span {
+            stream,
+            since: if is_whole { 0 } else { upto - 1 },
+            upto,
+            lost_upto: layer.lost_upto(),
+        };
+        let chunks = match layer.snapshot_voxels(None) {
+            Some(state) => {
+                let chunks = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
+                chunks.map_err(|error| cannot(&error.to_string()))?
+            }
+            None if layer.is_empty() => Package::of_dropped(span, resolution).into_iter().collect(),
+            None => return Err(cannot("it is too large")),
+        };
         let contents = match chunks.first().map(|chunk| chunk.header().content) {
             Some(ContentKind::Snapshot { id: snapshot_id, .. }) if !is_whole => {
                 Some(Contents { stream, snapshot_id, intervals: received.intervals().to_vec() })
@@ -90,12 +101,16 @@ impl What {
     fn of(robot: &Robot, stream: Stream) -> Option<Self> {
         let (session, received) = (robot.session(), robot.session().received(stream)?);
         let stored = || session.store().range(stream, 1, u32::MAX).map(|(_, p)| p.package.clone());
-        if stream == robot.own_stream() && !robot.own_layer_has_all() {
+        let layer = robot.fusion().layer(stream);
+        let lacks_packages = stream == robot.own_stream() && !robot.own_layer_has_all();
+        if lacks_packages || layer.is_some_and(|layer| layer.lost_upto().is_some()) {
             let packages: Vec<Package> = stored().collect();
             let is_all = packages.len() as u64 == received.count();
-            return Some(if is_all { Self::Packages(packages) } else { Self::Nothing(OWN_LAYER_FULL) });
+            if is_all || lacks_packages {
+                return Some(if is_all { Self::Packages(packages) } else { Self::Nothing(OWN_LAYER_LACKS) });
+            }
         }
-        Some(Self::State { layer: robot.fusion().layer(stream)?.clone(), received: received.clone() })
+        Some(Self::State { layer: layer?.clone(), received: received.clone() })
     }
 }
 

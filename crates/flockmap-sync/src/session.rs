@@ -8,6 +8,7 @@ mod paths;
 mod plan;
 mod receive;
 mod request;
+mod rest;
 mod same_id;
 mod sealing;
 mod send;
@@ -31,6 +32,7 @@ use crate::{Cast, ConfigError, Counters, IntervalSet, SessionConfig, Store};
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
+use rest::Lacks;
 use std::collections::BTreeMap;
 
 /// Events that wait for the driver; more are dropped, counted, and come again by a later request.
@@ -79,6 +81,7 @@ pub struct Session {
     inbox: Inbox,
     outbox: Outbox,
     schedule: Schedule,
+    lacks: Lacks,
     report: Report,
 }
 
@@ -94,6 +97,7 @@ impl Session {
             inbox: Inbox::new(config.transfers_max),
             outbox: Outbox::new(&config),
             schedule: Schedule::new(seed ^ (u64::from(own.origin.0) << 32) ^ own.epoch),
+            lacks: Lacks::new(),
             report: Report::default(),
             config,
         })

@@ -38,6 +38,11 @@ impl StampIndex {
         }
     }
 
+    /// The first package that is known to be newer than a stamp, with all after it. O(stamps).
+    pub(crate) fn first_after(&self, stamp: Stamp) -> Option<u32> {
+        self.0.iter().find(|(_, known)| **known > stamp).map(|(index, _)| *index)
+    }
+
     /// A stamp that no package from `index` on is older than, as late as is known. `None` if nothing is known
     /// of any up to that one.
     pub(crate) fn not_after(&self, index: u32) -> Option<Stamp> {

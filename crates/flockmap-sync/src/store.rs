@@ -167,6 +167,14 @@ impl Store {
         Some(Stamp(self.stamp_not_after(stream, next)?.0.checked_sub(1)?))
     }
 
+    /// No package that is held is after this one and as old as a stamp, as far as is known. O(1).
+    pub(crate) fn index_upto(&self, stream: Stream, stamp: Stamp) -> u32 {
+        let Some(stream_store) = self.streams.get(&stream) else { return 0 };
+        let first_after = stream_store.stamp_index.first_after(stamp);
+        let last = stream_store.received.last().unwrap_or(0);
+        first_after.map_or(last, |index| last.min(index.saturating_sub(1)))
+    }
+
     /// The first of these packages that is not stored.
     pub(crate) fn first_unstored(&self, stream: Stream, missing: &IntervalSet) -> Option<u32> {
         missing.intervals().iter().find_map(|&(low, high)| {

@@ -46,6 +46,10 @@ pub struct RobotCounters {
     pub steps: u64,
     /// Packages of others for which there was no room.
     pub no_room: u64,
+    /// Blocks of layers that were dropped for want of room, or did not come in ([`Event::Dropped`]).
+    ///
+    /// [`Event::Dropped`]: crate::Event::Dropped
+    pub blocks_dropped: u64,
     /// Packages of others with voxels of another size.
     pub foreign_resolution: u64,
     /// Snapshots made for others.

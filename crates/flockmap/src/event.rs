@@ -63,6 +63,22 @@ pub enum Event {
         /// The newest package contained.
         upto: u32,
     },
+    /// For want of room something was dropped from a layer, or did not come in: the own one (`own_layer_bytes_max`),
+    /// or that of another (`layer_bytes_max`). What is far and old goes first. Its packages count as held, and are
+    /// passed on as long as they are stored.
+    Dropped {
+        /// The stream.
+        stream: Stream,
+        /// Blocks of 8³ voxels.
+        blocks: usize,
+        /// None of it is newer, on the origin's clock.
+        newest: Stamp,
+    },
+    /// Of a stream of which something was lacking all has come: nothing is lacking any more.
+    Complete {
+        /// The stream.
+        stream: Stream,
+    },
     /// A robot was heard for the first time, or again, or in a new run.
     PeerSeen(Stream),
     /// A robot has not been heard for a while.

@@ -153,16 +153,18 @@ impl Publisher {
         self.packer.close(now, mapper)
     }
 
-    /// The packages of a batch, coded against what the others will hold; without, if repair is slow.
+    /// The packages of a batch, coded against what the others will hold; without (`is_independent`), if some of them
+    /// do not hold it any more, or repair is slow.
     pub(crate) fn encode(
         &mut self,
         now: Stamp,
         batch: &Batch,
         changes: &Changes,
+        is_independent: bool,
         fusion: &Fusion,
         counters: &mut RobotCounters,
     ) -> Result<Vec<Package>, EncodeError> {
-        let is_independent = self.own_layer != OwnLayer::IsWhole || self.repair.is_slow();
+        let is_independent = is_independent || self.own_layer != OwnLayer::IsWhole || self.repair.is_slow();
         counters.batches_independent += u64::from(is_independent && self.codec == Codec::Flock);
         let layer = fusion.layer(self.stream).filter(|_| !is_independent);
         let base = Base { layer, batches: self.sent.batches(), readers: self.sent.readers() };
@@ -171,7 +173,8 @@ impl Publisher {
             self.encoder.encode_batch_against(codec, batch, first, changes, Some(base), PACKAGE_BYTES_MAX)
         };
         let coded = match encode(&base) {
-            // The own layer holds something as new, which no batch should meet: it can be published all the same.
+            // Something was dropped there, which others hold; or the own layer holds something as new, which no batch
+            // should meet. It can be published all the same.
             Err(EncodeError::BaseSuperseded(_)) => encode(&Base { layer: None, ..base }),
             coded => coded,
         };

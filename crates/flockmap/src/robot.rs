@@ -4,6 +4,7 @@ mod begin;
 mod poses;
 mod receive;
 mod restore;
+mod room;
 mod snapshots;
 
 pub use poses::KnownPose;
@@ -58,6 +59,8 @@ pub struct Robot {
     pose: Option<(Stamp, Pose)>,
     events: Events,
     counters: RobotCounters,
+    /// Bytes of the layers of others when something was dropped last, until there is room again.
+    full_at: Option<usize>,
 }
 
 struct Teammate {
@@ -96,6 +99,7 @@ impl Robot {
             pose: None,
             events: Events::default(),
             counters: RobotCounters::default(),
+            full_at: None,
             config,
         })
     }
@@ -204,6 +208,7 @@ impl Robot {
         let now = self.advance(now);
         self.session.handle_timeout(now);
         self.fusion.work(&self.mapper, REBUILD_BLOCKS);
+        self.note_room();
         while let Some((batch, changes)) = {
             let Self { publisher, session, mapper, fusion, counters, .. } = self;
             publisher.poll(now, || session.pace(now), mapper, fusion, counters)
@@ -373,6 +378,12 @@ impl Robot {
         self.publisher.unpublished(&self.mapper, &self.fusion)
     }
 
+    /// Whether something of others was dropped for want of room, and there is no room for it yet: then nothing that
+    /// is lacking is asked for.
+    pub const fn is_full(&self) -> bool {
+        self.full_at.is_some()
+    }
+
     /// What was counted.
     pub const fn counters(&self) -> &RobotCounters {
         &self.counters
@@ -383,9 +394,8 @@ impl Robot {
         self.publisher.stream()
     }
 
-    /// Whether all that was published is in the own layer, [`Fusion::layer`] of [`Self::own_stream`]. Not
-    /// once it was full (`fusion.own_layer_bytes_max`): then it says less than the packages, and a snapshot
-    /// made of it would pass for all of them.
+    /// Whether all that was published is in the own layer, [`Fusion::layer`] of [`Self::own_stream`], but for what
+    /// was dropped for want of room ([`Layer::lost_upto`](flockmap_grid::Layer::lost_upto)).
     pub fn own_layer_has_all(&self) -> bool {
         self.publisher.own_layer_has_all()
     }
@@ -401,7 +411,9 @@ impl Robot {
         if mutation::is(Mutation::BlockLeftOut) && changes.blocks().len() > 1 {
             coded = Cow::Owned(Changes::from_blocks(changes.blocks()[1..].to_vec()));
         }
-        let packages = match self.publisher.encode(now, &batch, &coded, &self.fusion, &mut self.counters) {
+        let is_independent = self.session.is_independent_wanted();
+        let Self { publisher, fusion, counters, .. } = self;
+        let packages = match publisher.encode(now, &batch, &coded, is_independent, fusion, counters) {
             Ok(packages) => packages,
             Err(error) => return self.push_event(Event::EncodeFailed(error)),
         };
@@ -421,6 +433,7 @@ impl Robot {
             let index = packages.last().map_or(0, |package| package.header().index);
             self.push_event(Event::Refused { stream: own, index, reason: error.into() });
         }
+        self.note_dropped();
         self.fusion.note_sensor(own, batch.end, batch.sensor);
         self.push_event(Event::BatchClosed { batch, changes, packages });
         self.answer_session(now);

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use flockmap_codec::{Codec, EncodeError, Encoder, Package, SnapshotCoding, Span};
+use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_grid::{Layer, Resolution, SnapshotReader, SnapshotVoxels, Stamp, Stream};
 
 /// Steps of work in one call: some 5 ms of a slow core. Each may take a cube, a chunk or the beginning of a part
@@ -61,6 +62,8 @@ impl Snapshots {
     pub(crate) fn begin(&mut self, layer: &Layer, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
         if self.making.len() < MAKING_MAX && !self.is_making(span.stream) {
             let stage = Stage::Reading(Box::new(layer.read_snapshot(newer_than)));
+            let lost_upto = layer.lost_upto().filter(|lost| newer_than.is_none_or(|limit| *lost > limit));
+            let span = Span { lost_upto: lost_upto.filter(|_| !mutation::is(Mutation::DropUnsaid)), ..span };
             self.making.push_back(Making { span, bytes_max, stage });
         }
     }
@@ -134,7 +137,8 @@ impl Making {
                     return Ok((steps, None));
                 }
                 let Some(state) = core::mem::take(&mut **reader).finish() else {
-                    return Ok((1, Some(Vec::new())));
+                    let nothing = Package::of_dropped(self.span, form.resolution);
+                    return Ok((1, Some(nothing.into_iter().collect())));
                 };
                 let steps = BLOCK_STEPS + SENSOR_STEPS * state.sensors().len() as u64;
                 let Self { span, bytes_max, .. } = *self;
@@ -161,7 +165,7 @@ mod tests {
     };
 
     fn span(origin: u16) -> Span {
-        Span { stream: Stream { origin: RobotId(origin), epoch: 1 }, since: 0, upto: 1 }
+        Span { stream: Stream { origin: RobotId(origin), epoch: 1 }, since: 0, upto: 1, lost_upto: None }
     }
 
     fn layer() -> Layer {

@@ -2,6 +2,7 @@
 //! IV-C).
 
 mod align;
+mod dropping;
 mod fused;
 mod origins;
 mod rebuild;
@@ -21,10 +22,12 @@ use std::collections::BTreeSet;
 use crate::{
     BlockIndex, Changes, Layer, Mapper, Plane, Resolution, RobotId, ScanReport, Snapshot, Stamp, Stream,
 };
+use dropping::Dropping;
 use fused::Fused;
 use rebuild::Rebuild;
 use settings::Settings;
 use sources::Sources;
+pub use dropping::Dropped;
 pub use view::{MapView, RayEnd};
 
 /// How layers become one map.
@@ -113,6 +116,7 @@ pub struct Fusion {
     /// Origins for which something was set that neither the map nor the one that is being made has.
     due: BTreeSet<RobotId>,
     refreshed: u64,
+    dropping: Dropping,
 }
 
 impl Fusion {
@@ -129,6 +133,7 @@ impl Fusion {
             wanted: settings,
             due: BTreeSet::new(),
             refreshed: 0,
+            dropping: Dropping::default(),
         }
     }
 
@@ -154,6 +159,7 @@ impl Fusion {
 
     /// Takes in what the mapper made of a scan.
     pub fn own_scan(&mut self, mapper: &Mapper, report: &ScanReport) {
+        self.note_near(report.sensor);
         self.refresh(mapper, |_| Cow::Borrowed(&report.touched));
         let forgotten: Vec<_> = report.forgotten.iter().map(|index| (*index, [u64::MAX; 8])).collect();
         self.refresh(mapper, |_| Cow::Borrowed(&forgotten));
@@ -165,8 +171,11 @@ impl Fusion {
     /// what the robot sees itself, what came now counts as made now at the latest, to a quarter of a second.
     /// Returns how many voxels of the layer were taken over (older ones are not).
     ///
+    /// At the limit what is far and old goes for it, or it goes itself where it is farther and older than all that is
+    /// there: [`Self::take_dropped`] says what.
+    ///
     /// # Errors
-    /// [`FusionError`] if the layers would grow beyond their limits; nothing is changed then.
+    /// [`FusionError`] if there is no room, and nothing that could go for it; nothing is changed then.
     pub fn apply(
         &mut self,
         mapper: &Mapper,
@@ -176,25 +185,62 @@ impl Fusion {
         now: Stamp,
     ) -> Result<usize, FusionError> {
         // Its sensor is noted when it has been applied.
-        self.make_room(mapper, stream, || core::iter::once(changes), 1)?;
+        let room = self.make_room(mapper, stream, || core::iter::once(changes), 1);
+        if Self::is_full(room)? {
+            let mut parts = vec![(stamp, changes.clone())];
+            self.make_room_by_dropping(mapper, stream, &mut parts, 1, now)?;
+            let changes = parts.pop().map(|(_, changes)| changes).unwrap_or_default();
+            return Ok(self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(&changes, stamp)));
+        }
         Ok(self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(changes, stamp)))
     }
 
-    /// The same for a snapshot, or a chunk of one: every voxel has its own stamp.
+    /// The same for a snapshot, or a chunk of one: every voxel has its own stamp. `is_rest`: it has all packages of
+    /// which something is lacking here ([`Layer::lost_upto`]), so that what was dropped comes back.
     ///
     /// # Errors
-    /// [`FusionError`] if the layers would grow beyond their limits; nothing is changed then.
+    /// [`FusionError`], as for [`Self::apply`].
     pub fn apply_snapshot(
         &mut self,
         mapper: &Mapper,
         stream: Stream,
         state: &Snapshot,
+        is_rest: bool,
         now: Stamp,
     ) -> Result<usize, FusionError> {
         let parts = || state.parts.iter().map(|(_, part)| part);
-        self.make_room(mapper, stream, parts, state.sensors.len())?;
+        let mut state = Cow::Borrowed(state);
+        if Self::is_full(self.make_room(mapper, stream, parts, state.sensors.len()))? {
+            let Snapshot { region, mut parts, mut sensors } = state.into_owned();
+            self.make_room_by_dropping(mapper, stream, &mut parts, sensors.len(), now)?;
+            if parts.is_empty() {
+                sensors.clear();
+            }
+            state = Cow::Owned(Snapshot { region, parts, sensors });
+        }
         let newest = state.parts.iter().map(|(stamp, _)| *stamp).max();
-        Ok(self.take_over(mapper, stream, (newest, now), |layer| layer.apply_snapshot(state)))
+        Ok(self.take_over(mapper, stream, (newest, now), |layer| match is_rest {
+            true => layer.apply_rest(&state),
+            false => layer.apply_snapshot(&state),
+        }))
+    }
+
+    /// Before something of a snapshot is taken over whose sender had dropped something, nothing newer than
+    /// `lost_upto`, and which brings packages that are not held: takes out what it may make outdated without saying
+    /// so, and forgets from then on nothing of that. O(voxels of the layer).
+    pub fn begin_part(&mut self, mapper: &Mapper, stream: Stream, lost_upto: Stamp) {
+        if self.sources.get(stream).is_none() && self.sources.is_full(self.config.streams_max) {
+            return;
+        }
+        let known = self.sources.change(stream, |source| source.layer.begin_part(lost_upto));
+        self.show_without(mapper, stream, &known);
+    }
+
+    /// All that was lacking of a layer has come.
+    pub fn end_lack(&mut self, stream: Stream) {
+        if self.sources.get(stream).is_some() {
+            self.sources.change(stream, |source| source.layer.end_lack());
+        }
     }
 
     /// Lets a layer take something over that came now, up to this stamp, and brings what it took into the
@@ -208,10 +254,16 @@ impl Fusion {
     ) -> usize {
         let clock_offset_micros = self.wanted.origin(stream.origin).clock_offset_micros;
         let newest = newest.filter(|_| stream != self.sources.own);
-        let (taken, is_made_otherwise) = self.sources.change(stream, |source| {
+        let ((taken, ignored), is_made_otherwise) = self.sources.change(stream, |source| {
             let changed = newest.is_some_and(|stamp| source.received.note(stamp, now, clock_offset_micros));
-            (apply(&mut source.layer), changed)
+            let before = source.layer.ignored();
+            let taken = apply(&mut source.layer);
+            ((taken, source.layer.ignored() > before), changed)
         });
+        if ignored {
+            // It is lacking as what was dropped before is.
+            self.note_dropped(stream, 0, Stamp(i64::MIN));
+        }
         if is_made_otherwise {
             // As after another clock offset: what was fused stays until it is made anew.
             self.maps_mut().for_each(|fused| {

@@ -18,6 +18,15 @@ impl Fusion {
         self.sources.bytes() + maps.saturating_sub(mapper.block_count() * VIEW_BLOCK_BYTES)
     }
 
+    /// Whether there is no room that could be made. An error if there are too many streams.
+    pub(super) fn is_full(room: Result<(), FusionError>) -> Result<bool, FusionError> {
+        match room {
+            Ok(()) => Ok(false),
+            Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }) => Ok(true),
+            Err(error) => Err(error),
+        }
+    }
+
     /// Packs layers if they would not fit else: the layer of a stream is to take these changes over.
     pub(super) fn make_room<'a, P: Iterator<Item = &'a Changes>>(
         &mut self,

@@ -304,6 +304,7 @@ fn a_snapshot_fuses_as_its_parts_do_and_leaves_no_past() {
             &mapper,
             stream(2),
             &Snapshot { region, parts, sensors: Vec::new() },
+            false,
             Stamp(2)
         ),
         Ok(2)

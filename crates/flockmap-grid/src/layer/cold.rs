@@ -17,6 +17,7 @@ impl Layer {
     /// The cube at a place of the table to write to, unpacked if need be.
     pub(super) fn open(&mut self, at: BlockIndex) -> &mut Open {
         let place = self.cubes.entry(at).or_insert_with(|| {
+            self.dropped.note_there(at);
             self.open_bytes += OPEN_BYTES;
             self.queue.push_back((self.changed, at));
             Place::Open(Arc::default())

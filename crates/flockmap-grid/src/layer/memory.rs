@@ -23,8 +23,8 @@ const PLACE_BYTES: usize = size_of::<(BlockIndex, Place)>();
 impl Layer {
     /// Bytes that the layer holds, as asked of the allocator. O(1).
     pub fn memory_bytes(&self) -> usize {
-        let beside = table_bytes(self.cubes.len(), PLACE_BYTES) + SENSOR_BYTES * self.sensors.len();
-        beside + self.open_bytes + self.packed_bytes + self.queue.capacity() * QUEUE_BYTES
+        let beside = table_bytes(self.cubes.capacity(), PLACE_BYTES) + SENSOR_BYTES * self.sensors.len();
+        beside + self.dropped.memory_bytes() + self.open_bytes + self.packed_bytes + self.queue.capacity() * QUEUE_BYTES
     }
 
     /// Bytes that it may hold at most while and after so many blocks are added to it, beside their stamps. O(1).
@@ -78,7 +78,9 @@ impl Layer {
 
     /// While a table grows, the old one is there too.
     fn table_growth(&self, cubes: usize) -> usize {
-        let [now, then] = [0, cubes].map(|more| table_bytes(self.cubes.len() + more, PLACE_BYTES));
+        // From one of which cubes were taken out, there may be more room than it shows.
+        let now = table_bytes(self.cubes.capacity(), PLACE_BYTES);
+        let then = table_bytes(self.cubes.len() + cubes, PLACE_BYTES);
         if then > now { then } else { 0 }
     }
 }

@@ -3,6 +3,7 @@
 mod block;
 mod cold;
 mod cube;
+mod dropped;
 mod memory;
 mod packed;
 mod packing;
@@ -20,6 +21,8 @@ use crate::block::set_bits;
 use crate::{BlockIndex, Changes, Plane, Snapshot, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::LayerBlock;
 use cube::{Cube, cube_of};
+use dropped::Dropped;
+pub(crate) use dropped::cube_at;
 pub use memory::LAYER_BLOCK_BYTES_MAX;
 use packed::PackedCube;
 pub use snapshots::SnapshotReader;
@@ -53,6 +56,9 @@ pub struct Layer {
     sensors: BTreeMap<Stamp, [i32; 3]>,
     /// How many were noted since the layer was last gone through for those of which nothing stands any more.
     sensors_noted: usize,
+    dropped: Dropped,
+    /// Voxels that were ignored, since something newer may have been dropped.
+    ignored: u64,
 }
 
 /// A cube of blocks where it lies. Copies of a layer share it until one of them changes it.
@@ -67,6 +73,16 @@ struct Open {
     cube: Cube,
     /// [`Layer::changed`] when something was applied to it last.
     touched: u64,
+}
+
+/// By what something comes that is taken over.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum By {
+    /// A batch: what was there before remains known.
+    Batch,
+    Snapshot,
+    /// A snapshot that brings back what was dropped.
+    Rest,
 }
 
 /// An open cube beside its blocks, and the two counts of who shares it.
@@ -100,7 +116,7 @@ impl Layer {
     /// Takes over each change that is newer than what is known of its voxel. At equal stamps the known one
     /// stays, unless the new one is Occupied. Returns the blocks and voxels that it took over. O(changes).
     pub fn apply(&mut self, changes: &Changes, stamp: Stamp) -> Vec<(BlockIndex, Plane)> {
-        let taken = self.take_over(changes, stamp, true);
+        let taken = self.take_over(changes, stamp, By::Batch);
         self.note_changed(changes.blocks().len());
         taken
     }
@@ -108,8 +124,23 @@ impl Layer {
     /// The same for every voxel of a snapshot, each with its own stamp. Returns the blocks and voxels that it
     /// took over, a block once for each stamp. O(voxels).
     pub fn apply_snapshot(&mut self, state: &Snapshot) -> Vec<(BlockIndex, Plane)> {
+        self.take_over_snapshot(state, By::Snapshot)
+    }
+
+    /// The same for a snapshot of as many packages as anything is lacking of, or more: what it says comes back also
+    /// where something was dropped.
+    pub(crate) fn apply_rest(&mut self, state: &Snapshot) -> Vec<(BlockIndex, Plane)> {
+        self.take_over_snapshot(state, By::Rest)
+    }
+
+    /// How many voxels were ignored so far, since something newer may have been dropped.
+    pub(crate) const fn ignored(&self) -> u64 {
+        self.ignored
+    }
+
+    fn take_over_snapshot(&mut self, state: &Snapshot, by: By) -> Vec<(BlockIndex, Plane)> {
         let taken =
-            state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, false)).collect();
+            state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, by)).collect();
         // After the voxels: the sensor of a batch of which nothing stands may be forgotten at once.
         state.sensors.iter().for_each(|(stamp, sensor)| self.note_sensor(*stamp, *sensor));
         self.note_changed(state.parts.iter().map(|(_, part)| part.blocks().len()).sum());
@@ -156,17 +187,30 @@ impl Layer {
         self.sensors.retain(|stamp, _| !unseen.contains(stamp));
     }
 
-    /// `is_batch`: the changes are of one batch, and what was there before remains known.
-    fn take_over(&mut self, changes: &Changes, stamp: Stamp, is_batch: bool) -> Vec<(BlockIndex, Plane)> {
+    fn take_over(&mut self, changes: &Changes, stamp: Stamp, by: By) -> Vec<(BlockIndex, Plane)> {
         let mut taken = Vec::with_capacity(changes.blocks().len());
         for (index, new) in changes.blocks() {
+            let mut new = Cow::Borrowed(new);
+            if by != By::Rest
+                && self.limit_of(cube_of(*index)).is_some_and(|limit| stamp <= limit)
+                && !flockmap_mutation::is(flockmap_mutation::Mutation::LateTakenOver)
+            {
+                // Where a voxel is known, nothing newer was dropped.
+                let known = self.block(*index).map_or([0; 8], |states| states.known());
+                let left = new.masked(&known);
+                self.ignored += u64::from(new.known_count() - left.known_count());
+                if left.is_empty() {
+                    continue;
+                }
+                new = Cow::Owned(left);
+            }
             let changed = self.changed;
             let open = self.open(cube_of(*index));
             open.touched = changed;
             let (list, blocks) = (open.cube.list_bytes(), open.cube.len());
             let block = open.cube.entry(*index, stamp);
             let stamps = block.stamps.memory_bytes();
-            let mask = block.take_over(new, stamp, is_batch);
+            let mask = block.take_over(&new, stamp, by == By::Batch);
             let grown = block.stamps.memory_bytes();
             let (list_grown, blocks_grown) = (open.cube.list_bytes(), open.cube.len());
             // The stamps of a block that is new count from nothing.
@@ -218,7 +262,7 @@ impl Layer {
     ///
     /// # Errors
     /// [`BaseSuperseded`] if something newer has been applied to the block, or a snapshot that says more of
-    /// it than was known.
+    /// it than was known, or if something of it may have been dropped.
     pub fn block_before(
         &self,
         index: BlockIndex,
@@ -236,6 +280,10 @@ impl Layer {
         index: BlockIndex,
         stamp: Stamp,
     ) -> Result<Option<(StateBlock, Stamp)>, BaseSuperseded> {
+        if let Some(limit) = self.limit_of(cube_of(index)) {
+            // What was known may be gone.
+            return Err(BaseSuperseded { block: index, newest: limit, stamp });
+        }
         let known = self.with_block(index, |block| block.known_before(stamp)).transpose();
         known.map_err(|newest| BaseSuperseded { block: index, newest, stamp })
     }

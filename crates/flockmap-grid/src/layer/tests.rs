@@ -1,5 +1,7 @@
 //! A layer beside a naive model.
 
+mod dropped;
+
 use super::*;
 use crate::SnapshotVoxels;
 use proptest::prelude::*;

@@ -52,6 +52,7 @@ impl Costly {
             region: VoxelBox::new(Voxel::new(corner, corner, corner), [SIDE; 3])?,
             codec: Codec::Flock,
             content: ContentKind::Changes,
+            lost_upto: None,
             priority: Priority::NearFree,
         };
         let payload: Vec<u8> = (0..8 + self.random.below(64)).map(|_| self.random.next_u64() as u8).collect();

@@ -23,3 +23,4 @@ pub(super) const CLOCKS: u64 = 0x5357_000d;
 pub(super) const DISK: u64 = 0x5357_000e;
 pub(super) const RUNS: u64 = 0x5357_000f;
 pub(super) const COSTLY: u64 = 0x5357_0010;
+pub(super) const CAPS: u64 = 0x5357_0011;

@@ -8,7 +8,7 @@ use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
 use crate::{Burst, IP_UDP_BYTES, Link, RadioConfig};
 use flockmap::sync::SwarmKey;
-use flockmap::{BatchConfig, Cast, Codec, Resolution, RobotConfig, RobotId};
+use flockmap::{BatchConfig, Cast, Codec, FusionConfig, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::random::Random;
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
@@ -97,6 +97,16 @@ impl Settings {
                 notes.push(format!("robot {} has room for {limits}", number + 1));
             }
         }
+        let caps = sessions.iter().enumerate().map(|(number, _)| {
+            let mut fusion = FusionConfig::default();
+            if trouble.has_small_layers {
+                let mut random = purpose::of_robot(seed, purpose::CAPS, number);
+                let limits = trouble::cap(&mut random, &mut fusion);
+                notes.push(format!("robot {} has room for {limits}", number + 1));
+            }
+            fusion
+        });
+        let mut caps: Vec<FusionConfig> = caps.collect();
         if let Some(budget) = options.budget_bytes_per_s {
             sessions.iter_mut().for_each(|session| session.radio_bytes_per_s = Some(budget.max(500)));
             notes.push(format!("but {budget} bytes/s, as asked"));
@@ -108,6 +118,7 @@ impl Settings {
                 .unwrap_or_else(|| unreachable!("these are allowed"));
             let mut config = RobotConfig::new(RobotId(number as u16 + 1), resolution, RANGE_M);
             config.session = session;
+            config.fusion = core::mem::take(&mut caps[number]);
             config.session.swarm_key.clone_from(&key);
             config.seed = seed;
             config.batch = draw_batch(&mut random, options.is_calm);

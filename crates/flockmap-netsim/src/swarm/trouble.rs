@@ -5,7 +5,7 @@
 use super::SwarmOptions;
 use super::preset::{RadioNumbers, Topology};
 use super::purpose;
-use flockmap::{Cast, SessionConfig};
+use flockmap::{Cast, FusionConfig, SessionConfig};
 use flockmap_worlds::random::Random;
 
 /// Share of flights with each kind.
@@ -15,6 +15,7 @@ const CLOCKS: f64 = 0.2;
 const DISKS: f64 = 0.15;
 const PATHS: f64 = 0.8;
 const COSTLY: f64 = 0.1;
+const CAPS: f64 = 0.25;
 
 /// What a clock shows when its robot starts again.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -44,6 +45,8 @@ pub(super) struct Trouble {
     pub(super) has_paths: bool,
     /// A faulty robot sends packages that cost more than they may.
     pub(super) is_costly: bool,
+    /// Limits of layers drawn small.
+    pub(super) has_small_layers: bool,
 }
 
 impl Trouble {
@@ -58,6 +61,7 @@ impl Trouble {
             (true, false, true) => Boot::Rewinds,
             _ => Boot::GoesOn,
         };
+        let has_small_layers = Random::new(options.seed, purpose::CAPS).happens(CAPS) && !options.is_calm;
         let mut random = Random::new(options.seed, purpose::FIELD);
         // Seldom hundreds.
         let restarts = 12 + (random.unit() * random.unit() * random.unit() * 288.0) as usize;
@@ -69,6 +73,7 @@ impl Trouble {
             has_faulty_disks,
             has_paths,
             is_costly,
+            has_small_layers,
         }
     }
 
@@ -141,6 +146,20 @@ pub(super) fn limit(
         notes.push(format!("{budget} bytes/s"));
     }
     notes.join(", ")
+}
+
+/// Small limits of the layers of one robot, and what they are, as text.
+pub(super) fn cap(random: &mut Random, fusion: &mut FusionConfig) -> String {
+    let mut notes = Vec::new();
+    if random.happens(0.6) {
+        fusion.layer_bytes_max = 12_000 + random.below(120_000) as usize;
+        notes.push(format!("{} bytes of layers of others", fusion.layer_bytes_max));
+    }
+    if random.happens(0.4) {
+        fusion.own_layer_bytes_max = 12_000 + random.below(60_000) as usize;
+        notes.push(format!("{} bytes of its own layer", fusion.own_layer_bytes_max));
+    }
+    if notes.is_empty() { "as much as ever".to_owned() } else { notes.join(", ") }
 }
 
 /// Steps of the clock that stamps a robot's scans: when, and by how many microseconds.

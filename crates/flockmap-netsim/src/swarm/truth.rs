@@ -104,7 +104,8 @@ impl Published {
         })
     }
 
-    /// The first of some voxels of which a layer has something older than what the received packages say.
+    /// The first of some voxels of which a layer has something older than what the received packages say. It may have
+    /// nothing where it says that something as old was dropped.
     pub(super) fn find_older(
         &self,
         mut voxels: impl Iterator<Item = Voxel>,
@@ -116,7 +117,10 @@ impl Published {
             let Observation { index, stamp, state } =
                 *published.iter().rev().find(|one| received.contains(one.index))?;
             let found = layer.and_then(|layer| layer.get(voxel));
-            let is_right = found.is_some_and(|(is, at)| at > stamp || (at == stamp && is == state));
+            let is_right = match found {
+                Some((is, at)) => at > stamp || (at == stamp && is == state),
+                None => layer.and_then(Layer::lost_upto).is_some_and(|lost| stamp <= lost),
+            };
             (!is_right).then(|| Wrong {
                 voxel,
                 expected: format!("{state:?} at {stamp:?}, as package {index} says, or newer"),

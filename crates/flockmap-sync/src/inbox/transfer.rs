@@ -23,6 +23,12 @@ pub(crate) struct Transfer {
     pub(crate) accepted: IntervalSet,
     /// What it contains, where it is a part of a history with gaps.
     pub(crate) contents: Option<IntervalSet>,
+    /// It lacks something itself, nothing newer than this.
+    pub(crate) lost_upto: Option<Stamp>,
+    /// Its packages are all held: it brings what was dropped of them.
+    pub(crate) is_rest: bool,
+    /// Something of the stream was dropped since it began.
+    pub(crate) is_spoiled: bool,
     pub(crate) touched: Stamp,
 }
 
@@ -44,6 +50,9 @@ impl Transfer {
             chunks,
             accepted: IntervalSet::new(RECEIVED_INTERVALS_MAX),
             contents: None,
+            lost_upto: None,
+            is_rest: false,
+            is_spoiled: false,
             touched: now,
         }
     }
@@ -51,6 +60,7 @@ impl Transfer {
     /// None of its chunks counts any more.
     pub(crate) fn restart(&mut self) {
         self.accepted = IntervalSet::new(RECEIVED_INTERVALS_MAX);
+        self.is_spoiled = false;
     }
 
     /// Whether chunks of both belong together: cut by the same robot from the same state.
@@ -66,6 +76,9 @@ impl Transfer {
 
     /// Whether all that it brings is held already.
     pub(crate) fn is_in(&self, received: &IntervalSet) -> bool {
+        if self.is_rest {
+            return false;
+        }
         let rest = self.contents.as_ref().map(|contents| contents.difference(received));
         received.contains_range(1, self.upto) || rest.is_some_and(|rest| rest.is_empty())
     }

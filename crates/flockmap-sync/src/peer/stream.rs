@@ -54,6 +54,11 @@ pub(crate) struct PeerStream {
     pub(crate) missing_then: (Stamp, IntervalSet),
     pub(crate) sending: Option<Sending>,
     pub(crate) snapshot_request: Option<PeerRequest>,
+    /// Something of the stream is lacking there; and whether the peer can decode hardly anything that is not
+    /// independent.
+    pub(crate) in_part: Option<bool>,
+    /// It wants all that there is here, of packages 1 to this one at least.
+    pub(crate) rest_wanted: Option<u32>,
 }
 
 /// A snapshot that the peer wants.
@@ -77,6 +82,8 @@ impl PeerStream {
             missing_then: (now, IntervalSet::new(PEER_INTERVALS_MAX)),
             sending: None,
             snapshot_request: None,
+            in_part: None,
+            rest_wanted: None,
         }
     }
 

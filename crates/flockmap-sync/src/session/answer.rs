@@ -153,6 +153,13 @@ impl Session {
                     stated_since: since,
                 });
             }
+            let in_part = request.in_part.iter().find(|in_part| in_part.stream == stream);
+            let own = self.identity.own.origin;
+            let rest = request.rests.iter().find(|rest| rest.stream == stream && rest.holder == own);
+            if in_part.is_some() || request.covers(stream.origin) {
+                theirs.in_part = in_part.map(|in_part| in_part.wants_independent);
+                theirs.rest_wanted = rest.map(|rest| rest.upto);
+            }
         }
         let is_ours = |progress: &&TransferProgress| progress.source == self.identity.own.origin;
         for progress in request.transfers.iter().filter(is_ours) {

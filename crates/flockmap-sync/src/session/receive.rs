@@ -30,8 +30,11 @@ impl Session {
                 match package.header().content {
                     ContentKind::Changes => self.receive_changes(now, sender.origin, package),
                     ContentKind::Snapshot { since, id: snapshot_id, chunk, chunks } => {
-                        let incoming =
-                            Transfer::new(sender.origin, stream, [since, index], snapshot_id, chunks, now);
+                        let lost_upto = package.header().lost_upto;
+                        let incoming = Transfer {
+                            lost_upto,
+                            ..Transfer::new(sender.origin, stream, [since, index], snapshot_id, chunks, now)
+                        };
                         self.receive_chunk(now, incoming, chunk, package);
                     }
                 }
@@ -124,6 +127,7 @@ impl Session {
                 Event::CaughtUp { stream, upto } => {
                     self.inbox.drop_upto(stream, upto);
                     self.inbox.release_stream(stream);
+                    self.restart_rests(stream, upto);
                     self.welcome_back(stream);
                     return Some(Event::CaughtUp { stream, upto });
                 }

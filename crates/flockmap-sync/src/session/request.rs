@@ -23,6 +23,7 @@ const SEALED_REQUEST_BYTES_MIN: usize = 299;
 impl Session {
     pub(super) fn transmit_request(&mut self, now: Stamp) -> Option<Transmit> {
         self.finish_transfers(now);
+        self.choose_whom_to_ask(now);
         let timers = &self.schedule.timers;
         let for_gap = timers.is_due(Timer::Gap, now);
         let for_all = [Timer::Request, Timer::Greeting, Timer::Probe].iter().any(|t| timers.is_due(*t, now));
@@ -126,6 +127,9 @@ impl Session {
         });
         let mut transfers: Vec<TransferProgress> = transfers.collect();
         rotate(&mut transfers, count);
+        let (mut in_part, mut rests) = self.say_lacks();
+        rotate(&mut in_part, count);
+        rotate(&mut rests, count);
         let request = Request {
             origins: Some(OriginRange::all_from(self.schedule.cursor)),
             all_echoes: true,
@@ -135,6 +139,8 @@ impl Session {
             transfers,
             clocks: self.clock_reports(),
             snapshot_requests: self.snapshot_requests(now),
+            in_part,
+            rests,
         };
         (request, urgent)
     }

@@ -138,6 +138,7 @@ impl Session {
         // A snapshot that had to go for others is sent to nobody any more.
         theirs.sending.take_if(|sending| self.outbox.snapshot(stream, sending.snapshot_id).is_none());
         if !self.goes_on_with_parts(now, id, stream) {
+            self.review_rest(now, id, stream);
             self.review_whole(now, id, stream, relay_rank);
             self.review_parts(now, id, stream, relay_rank);
         }
@@ -168,6 +169,9 @@ impl Session {
         let Some(received) = self.store.received(stream) else { return };
         let beyond = received.within(received.prefix().saturating_add(2), u32::MAX);
         let (Some(upto), Some(touched)) = (beyond.last(), self.store.touched(stream)) else { return };
+        if !self.can_give(stream, upto) {
+            return;
+        }
         let is_withheld = mutation::is(Mutation::GapStatesWithheld);
         if !self.has_ended(stream) || now.since(touched) < GAP_STANDS || is_withheld {
             return;
@@ -210,7 +214,7 @@ impl Session {
 
     /// Asks the driver for a state of a stream, unless that was done a moment ago. `held`: what is held of a history
     /// with gaps.
-    fn request_snapshot(&mut self, now: Stamp, stream: Stream, wanted: Event, held: Option<IntervalSet>) {
+    pub(super) fn request_snapshot(&mut self, now: Stamp, stream: Stream, wanted: Event, held: Option<IntervalSet>) {
         let Event::SnapshotWanted { since, upto, peer, .. } = wanted else { return };
         let coming = self.outbox.coming.get_mut(&stream);
         let is_coming = coming.is_some_and(|coming| {
@@ -237,7 +241,7 @@ impl Session {
     fn review_whole(&mut self, now: Stamp, id: RobotId, stream: Stream, relay_rank: u32) {
         let Some(received) = self.store.received(stream) else { return };
         let prefix = received.prefix();
-        if prefix == 0 {
+        if prefix == 0 || !self.can_give(stream, prefix) {
             return;
         }
         let Some(peer) = self.peers.get_mut(&id) else { return };
@@ -255,7 +259,8 @@ impl Session {
         }
         if let Some(sending) = &mut theirs.sending {
             // What it cannot decode it states as held.
-            let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto);
+            let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto)
+                || theirs.rest_wanted.is_some_and(|upto| sending.since == 0 && upto <= sending.upto);
             // Of what lies above it the next one may be short.
             let is_sound = sending.since <= since_max;
             if is_sound && (is_wanted || !theirs.received.contains_range(1, sending.upto)) {
@@ -312,7 +317,7 @@ impl Session {
         self.request_snapshot(now, stream, wanted, None);
     }
 
-    fn begin_to_send(&mut self, now: Stamp, id: RobotId, at: usize) {
+    pub(super) fn begin_to_send(&mut self, now: Stamp, id: RobotId, at: usize) {
         let (Some(peer), Some(outgoing)) = (self.peers.get_mut(&id), self.outbox.snapshots.get_mut(at))
         else {
             return;

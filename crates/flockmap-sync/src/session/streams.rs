@@ -40,6 +40,7 @@ impl Session {
         self.outbox.asked.remove(&stream);
         self.outbox.held_when_asked.remove(&stream);
         self.outbox.coming.remove(&stream);
+        self.lacks.forget(stream);
         self.clocks.forget(stream);
         self.push_event(Event::StreamForgotten(stream));
     }

@@ -1,6 +1,7 @@
 //! Snapshots that come in, chunk by chunk.
 
 use super::Session;
+use super::rest::Complete;
 use crate::IntervalSet;
 use crate::event::Event;
 use crate::inbox::Transfer;
@@ -9,10 +10,12 @@ use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 impl Session {
-    pub(super) fn receive_chunk(&mut self, now: Stamp, chunk_of: Transfer, chunk: u32, package: Package) {
+    pub(super) fn receive_chunk(&mut self, now: Stamp, mut chunk_of: Transfer, chunk: u32, package: Package) {
         let (stream, upto) = (chunk_of.stream, chunk_of.upto);
         self.store.note_newest(stream, upto, now);
-        if self.store.received(stream).is_some_and(|received| received.contains_range(1, upto)) {
+        let is_held = self.store.received(stream).is_some_and(|received| received.contains_range(1, upto));
+        chunk_of.is_rest = is_held && self.takes_rest(&chunk_of);
+        if is_held && !chunk_of.is_rest {
             self.report.counters.duplicates += 1;
             return;
         }
@@ -92,13 +95,12 @@ impl Session {
     pub(super) fn finish_transfers(&mut self, now: Stamp) {
         let complete = self.inbox.transfers.iter().filter(|transfer| transfer.is_complete());
         let mut complete: Vec<_> = complete
-            .map(|t| {
-                (t.stream, t.since, t.upto, t.contents.clone().map(|contents| (t.snapshot_id, contents)))
-            })
+            .map(|t| (Complete::of(t), t.contents.clone().map(|contents| (t.snapshot_id, contents))))
             .collect();
         // One may be what the next one waits for.
-        complete.sort_unstable_by_key(|(stream, since, upto, _)| (*stream, *since, *upto));
-        for (stream, since, upto, contents) in complete {
+        complete.sort_unstable_by_key(|(of, _)| (of.stream, of.since, of.upto));
+        for (of, contents) in complete {
+            let Complete { stream, since, upto, .. } = of;
             let Some(received) = self.store.received(stream) else { continue };
             // What is wanting before it comes as packages, or by another snapshot.
             let prefix = received.prefix();
@@ -109,11 +111,18 @@ impl Session {
                 (None, Some((snapshot_id, contents))) => {
                     (contents.difference(received), Some((snapshot_id, contents)))
                 }
-                (None, None) => continue,
+                (None, None) => {
+                    // Its packages are held already: if it is anything, the rest of what was lacking.
+                    if prefix >= upto {
+                        self.note_complete(&of);
+                    }
+                    continue;
+                }
             };
             if news.is_empty() {
                 continue;
             }
+            let is_whole = contents.is_none();
             let mut is_received = true;
             for &(low, high) in news.intervals() {
                 is_received &= self.store.hold(stream, low, high, now).is_ok();
@@ -121,6 +130,9 @@ impl Session {
             self.inbox.settle(stream, &news);
             if is_received {
                 self.report.counters.caught_up += 1;
+                if is_whole {
+                    self.note_complete(&of);
+                }
                 let upto = self.store.received(stream).map_or(0, IntervalSet::prefix);
                 if let Some((snapshot_id, received)) = contents {
                     self.push_event(Event::SnapshotContains { stream, snapshot_id, received });
@@ -134,6 +146,18 @@ impl Session {
                 self.report.counters.too_fragmented += 1;
             }
         }
-        self.report.counters.transfers_dropped += self.inbox.drop_done(now, &self.store);
+        let Self { inbox, store, .. } = self;
+        inbox.transfers.iter_mut().for_each(|transfer| transfer.is_rest &= !transfer.is_complete());
+        self.report.counters.transfers_dropped += inbox.drop_done(now, store);
+    }
+
+    /// What was read is let go of of snapshots with no packages beyond these; those that bring the rest of a stream
+    /// begin again.
+    pub(super) fn restart_rests(&mut self, stream: Stream, upto: u32) {
+        let rests = self.inbox.transfers.iter().filter(|t| t.is_rest && t.stream == stream && t.upto <= upto);
+        let rests: Vec<u32> = rests.map(|transfer| transfer.snapshot_id).collect();
+        for snapshot_id in rests {
+            self.restart_snapshot(self.clocks.now(), stream, snapshot_id);
+        }
     }
 }

@@ -58,6 +58,11 @@ fn sample() -> Request {
             from: 1,
             undecodable: set(&[(777, 777), (780, 900)]),
         }],
+        in_part: vec![
+            InPart { stream, wants_independent: false },
+            InPart { stream: other, wants_independent: true },
+        ],
+        rests: vec![RestRequest { stream: other, holder: RobotId(300), upto: 1_000 }],
     }
 }
 

@@ -14,13 +14,18 @@ impl Robot {
     pub(super) fn answer_session(&mut self, now: Stamp) {
         use flockmap_sync::Event as SessionEvent;
         while let Some(event) = self.session.poll_event() {
+            // Before what the event brings may be dropped in turn.
+            for stream in self.session.take_complete() {
+                self.fusion.end_lack(stream);
+                self.push_event(Event::Complete { stream });
+            }
             match event {
                 SessionEvent::Received(package) => {
                     let verdict = self.receive(now, &package);
                     self.session.verdict(now, &package, verdict);
                 }
                 SessionEvent::SnapshotWanted { stream, since, newer_than, upto, bytes_max, .. } => {
-                    self.begin_snapshot(now, Span { stream, since, upto }, newer_than, bytes_max);
+                    self.begin_snapshot(now, Span { stream, since, upto, lost_upto: None }, newer_than, bytes_max);
                 }
                 SessionEvent::SnapshotDropped { stream, snapshot_id } => {
                     self.readers.drop_one((stream, snapshot_id))
@@ -48,6 +53,10 @@ impl Robot {
                 SessionEvent::NoncesExhausted => self.push_event(Event::NoncesExhausted),
                 _ => {}
             }
+        }
+        for stream in self.session.take_complete() {
+            self.fusion.end_lack(stream);
+            self.push_event(Event::Complete { stream });
         }
     }
 
@@ -101,6 +110,7 @@ impl Robot {
         };
         self.note_clock(stream);
         let taken = self.fusion.apply(&self.mapper, stream, &changes, header.batch_end, now)?;
+        self.note_dropped();
         if let Some(sensor) = package.sensor() {
             self.fusion.note_sensor(stream, header.batch_end, sensor);
         }
@@ -124,9 +134,16 @@ impl Robot {
     }
 
     fn merge_snapshot(&mut self, now: Stamp, package: &Package, state: &Snapshot) -> Result<Event, Refusal> {
-        let stream = package.header().stream;
+        let &Header { stream, index: upto, lost_upto, .. } = package.header();
         self.note_clock(stream);
-        let taken = self.fusion.apply_snapshot(&self.mapper, stream, state, now)?;
+        if let Some(lost_upto) = lost_upto
+            && self.session.begin_part(stream, upto, lost_upto)
+        {
+            self.fusion.begin_part(&self.mapper, stream, lost_upto);
+        }
+        let is_rest = self.session.has_lacking(stream, upto);
+        let taken = self.fusion.apply_snapshot(&self.mapper, stream, state, is_rest, now)?;
+        self.note_dropped();
         Ok(merged(package, Changes::default(), taken))
     }
 

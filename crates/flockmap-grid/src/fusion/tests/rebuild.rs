@@ -301,11 +301,12 @@ fn the_limit_of_bytes_counts_both_maps() {
     let config = FusionConfig { layer_bytes_max: 200_000, ..FusionConfig::default() };
     let mut fusion = Fusion::new(OWN, resolution(), config);
     let mut blocks = 0;
-    while fusion.apply(&mapper, stream(2), &row(blocks..blocks + 1, State::Free), Stamp(1), Stamp(1)).is_ok()
-    {
+    while fusion.take_dropped().is_empty() {
+        fusion.apply(&mapper, stream(2), &row(blocks..blocks + 1, State::Free), Stamp(1), Stamp(1)).unwrap();
         blocks += 1;
     }
     let held = fusion.memory_bytes_of_others(&mapper);
+    fusion.forget(stream(2));
     fusion.set_alignment(RobotId(2), &Pose::from_translation([64.0, 0.0, 0.0])).unwrap();
     while fusion.work(&mapper, 9) {
         let view = fusion.next.as_ref().map_or(0, |next| next.fused.view.memory_bytes());

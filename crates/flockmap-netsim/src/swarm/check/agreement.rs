@@ -11,10 +11,15 @@
 //! through the smallest budget, six times for each robot that has to get them. For each damaged package of
 //! one run that a robot was sent, a pause and four requests more: that the next one is damaged may show only
 //! when the one before it has arrived again (WIRE.md, "Packages that do not decode"). Where epochs come from
-//! clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between.
+//! clocks and dice, 80 s more: a robot that has to begin anew more than once waits in between. Where layers have small
+//! limits, 40 s more for each robot that may be asked in vain for what was dropped.
+//!
+//! A robot that had to drop something holds its packages, and need not have it back. One of which something is lacking
+//! otherwise has all that a robot which it hears has.
 
 use super::quiet::period_micros;
 use crate::swarm::truth::Truth;
+use flockmap::grid::Layer;
 use flockmap::sync::{IntervalSet, Relay};
 use flockmap::{Cast, Robot, RobotId, Stream};
 
@@ -27,6 +32,9 @@ pub(in crate::swarm) type Forgotten = Vec<(Stream, bool)>;
 /// A robot that begins anew once more does so after pauses of 10, 20, 40 s.
 const ANEW: i64 = 80_000_000;
 
+/// Who was asked for what was dropped, and does not give it, is given up after so long.
+const REST: i64 = 40_000_000;
+
 /// A package that does not decode is asked for again after so long.
 const REFUSED: i64 = 10_000_000;
 
@@ -36,7 +44,7 @@ pub(in crate::swarm) fn bound(
     robots: &[&Robot],
     hops: usize,
     (published_bytes, published_packages): (u64, u64),
-    may_begin_anew: bool,
+    [may_begin_anew, has_small_layers]: [bool; 2],
     damaged: u32,
 ) -> i64 {
     let configs = || robots.iter().map(|robot| robot.session().config());
@@ -55,6 +63,7 @@ pub(in crate::swarm) fn bound(
     let damaged = i64::from(damaged) * (REFUSED + 4 * period);
     50_000_000
         + anew
+        + if has_small_layers { REST * robots.len() as i64 } else { 0 }
         + damaged
         + hops as i64 * (4 * period + robots.len() as i64 * relay + 2_000_000)
         + sending as i64
@@ -86,6 +95,9 @@ pub(in crate::swarm) fn disagreement(
     robots: &[&Robot],
     forgotten: &Forgotten,
 ) -> Option<(RobotId, String)> {
+    if let Some(lacks) = robots.iter().find_map(|robot| lacks_rest(robots, robot)) {
+        return Some(lacks);
+    }
     let nothing = IntervalSet::new(0);
     for (stream, _) in truth.streams() {
         let is_alive = robots.iter().any(|robot| robot.own_stream() == stream);
@@ -109,6 +121,26 @@ pub(in crate::swarm) fn disagreement(
                     return Some((id, lacks));
                 }
             }
+        }
+    }
+    None
+}
+
+/// What was dropped elsewhere, and is there where the robot can have it from: it has room for it.
+fn lacks_rest(robots: &[&Robot], robot: &Robot) -> Option<(RobotId, String)> {
+    let session = robot.session();
+    let lacking = session.streams().filter(|stream| session.lost_upto(*stream).is_some());
+    let lacking = lacking.filter(|stream| *stream != robot.own_stream() && !robot.is_full());
+    for stream in lacking {
+        let is_asked = session.rests_wanted().any(|wanted| wanted == stream);
+        let has_all = |peer: &&&Robot| {
+            let theirs = peer.session();
+            let is_heard = session.peers().any(|known| known.stream == peer.own_stream() && known.hears_us);
+            let received = theirs.received(stream).map_or(0, IntervalSet::prefix);
+            is_heard && theirs.lost_upto(stream).is_none() && received >= session.store().newest_known(stream)
+        };
+        if is_asked || robots.iter().any(|peer| has_all(&peer)) {
+            return Some((robot.own_stream().origin, format!("the rest of {stream:?}")));
         }
     }
     None
@@ -146,7 +178,13 @@ pub(in crate::swarm) fn unequal_layer(robots: &[&Robot]) -> Option<(RobotId, Str
         let Some(own) = origin.fusion().layer(stream) else { continue };
         let digest = own.digest();
         for robot in robots {
-            if robot.fusion().layer(stream).map(flockmap::grid::Layer::digest) != Some(digest) {
+            let layer = robot.fusion().layer(stream);
+            // Of what was dropped the checker `layer` knows that it is not wrong.
+            let is_in_part = |layer: &Layer| layer.lost_upto().is_some();
+            if is_in_part(own) || layer.is_some_and(is_in_part) {
+                continue;
+            }
+            if layer.map(Layer::digest) != Some(digest) {
                 let differs = format!("its layer of {stream:?} is not the one of {stream:?} itself");
                 return Some((robot.own_stream().origin, differs));
             }

@@ -2,6 +2,7 @@
 //! confirmed.
 
 use super::Finding;
+use flockmap::grid::Layer;
 use flockmap::{Cast, Robot};
 
 const MEMORY: &str = "memory";
@@ -16,6 +17,8 @@ const WAITING_MAX: usize = 1_024;
 const WAITING_BYTES_MAX: usize = 1 << 20;
 /// Intervals in the indices of one stream.
 const INTERVALS_MAX: usize = 1_024;
+/// By how much one merge may go beyond the limit of layers, in a map that is as small as the simulator's.
+const VIEW_SLACK: usize = 64 << 10;
 
 /// After every input of a robot. O(peers + streams).
 pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
@@ -23,6 +26,9 @@ pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
     let load = session.load();
     let received = session.streams().filter_map(|stream| session.received(stream));
     let intervals = received.map(|received| received.intervals().len()).max();
+    let fusion = &robot.config().fusion;
+    let others = robot.fusion().memory_bytes_of_others(robot.mapper());
+    let own = robot.fusion().layer(robot.own_stream()).map_or(0, Layer::memory_bytes);
     // By broadcast, what goes to another peer is noted beyond the limit, up to twice as much.
     let in_flight_max = config.in_flight_max * if config.cast == Cast::Broadcast { 2 } else { 1 };
     let limits = [
@@ -34,6 +40,8 @@ pub(in crate::swarm) fn limits(robot: &Robot) -> Option<Finding> {
         (MEMORY, "snapshots received at once", load.transfers, config.transfers_max),
         (MEMORY, "packages that wait", load.waiting, WAITING_MAX),
         (MEMORY, "bytes of packages that wait", load.waiting_bytes, WAITING_BYTES_MAX),
+        (MEMORY, "bytes of layers of others", others, fusion.layer_bytes_max + VIEW_SLACK),
+        (MEMORY, "bytes of the own layer", own, fusion.own_layer_bytes_max + VIEW_SLACK),
         (MEMORY, "intervals received of a stream", intervals.unwrap_or(0), INTERVALS_MAX),
         (IN_FLIGHT, "packages in flight to a peer", load.in_flight_most, in_flight_max),
     ];

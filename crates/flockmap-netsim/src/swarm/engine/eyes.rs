@@ -125,6 +125,11 @@ impl Eyes {
                     self.say(format!("{run:?} begins while flying"));
                     *self.seen.entry("run begun while flying").or_default() += 1;
                 }
+                Event::Dropped { .. } => *self.seen.entry("dropped for want of room").or_default() += 1,
+                Event::Complete { stream } => {
+                    *self.seen.entry("what was dropped has come back").or_default() += 1;
+                    self.found(id, check::whole(&self.truth, &robot, stream));
+                }
                 Event::RunForgotten(run) => {
                     // The own run that another one replaces while flying: older ones are wanted as before.
                     let is_replaced = member.replaced.take_if(|replaced| *replaced == run).is_some();

@@ -72,12 +72,13 @@ impl Engine {
         let truth = &self.eyes.truth;
         let bytes: u64 = truth.streams().map(|(_, published)| published.bytes).sum();
         let packages: u64 = truth.streams().map(|(stream, _)| u64::from(truth.last(stream))).sum();
-        let may_begin_anew = self.eyes.settings.trouble.has_epochs_of_clocks();
+        let trouble = &self.eyes.settings.trouble;
+        let may = [trouble.has_epochs_of_clocks(), trouble.has_small_layers];
         // What is not packed yet is as much again at the most.
         let published = (2 * bytes + 10_000, 2 * packages + 10);
         let hops = numbers.hops(count);
         let damaged = self.eyes.broken.packages_max();
-        self.agreement_within = check::bound(&self.robots(), hops, published, may_begin_anew, damaged);
+        self.agreement_within = check::bound(&self.robots(), hops, published, may, damaged);
         if let Some(seconds) = self.eyes.settings.options.until_agreement_s {
             self.agreement_within = i64::from(seconds) * 1_000_000;
         }

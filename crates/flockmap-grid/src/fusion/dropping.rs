@@ -1,0 +1,211 @@
+//! At the limit: what is far and old goes for what is near and new.
+
+use core::cmp::Reverse;
+use std::collections::BTreeSet;
+
+use super::{Fusion, FusionError};
+use crate::layer::cube_at;
+use crate::{BLOCK_SIDE, BlockIndex, Changes, Mapper, Plane, Stamp, Stream};
+
+/// What was dropped of a layer for want of room.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Dropped {
+    /// The stream.
+    pub stream: Stream,
+    /// Blocks of 8³ voxels that were in the layer, or that came and found no room.
+    pub blocks: usize,
+    /// None of it is newer than this, on the clock of the origin.
+    pub newest: Stamp,
+}
+
+/// What is dropped next, and what was dropped.
+#[derive(Default)]
+pub(super) struct Dropping {
+    /// Of the own layer, and of those of others: what is worst last.
+    next: [Vec<Candidate>; 2],
+    /// Where the sensor of the own robot was last, in blocks.
+    near: Option<[f64; 3]>,
+    dropped: Vec<Dropped>,
+}
+
+/// A cube of a layer, as it was when it was looked at.
+struct Candidate {
+    rank: u64,
+    stream: Stream,
+    at: BlockIndex,
+    newest: Stamp,
+}
+
+/// So many of all cubes are chosen at a time.
+const CHOSEN_SHARE: usize = 8;
+/// Blocks along a side of a cube.
+const CUBE_SIDE: f64 = 4.0;
+
+impl Fusion {
+    /// What was dropped since this was asked last, of each stream once.
+    pub fn take_dropped(&mut self) -> Vec<Dropped> {
+        core::mem::take(&mut self.dropping.dropped)
+    }
+
+    /// Notes where the own robot is: metres in its map.
+    pub(super) fn note_near(&mut self, sensor: Option<[f64; 3]>) {
+        let block_m = self.resolution.metres() * f64::from(BLOCK_SIDE);
+        self.dropping.near = sensor.map(|at| at.map(|at| at / block_m)).or(self.dropping.near);
+    }
+
+    /// Makes room for parts that a layer is to take over: packs cubes, drops the farthest and oldest ones, and leaves
+    /// out of the parts what is farther and older still. Each part has a stamp. O(cubes) once for an eighth of them;
+    /// beside that O(blocks of what is dropped), some 20 µs for each.
+    ///
+    /// # Errors
+    /// [`FusionError`] where nothing helps for now; nothing is changed then but that cubes are packed.
+    pub(super) fn make_room_by_dropping(
+        &mut self,
+        mapper: &Mapper,
+        stream: Stream,
+        parts: &mut Vec<(Stamp, Changes)>,
+        sensors: usize,
+        now: Stamp,
+    ) -> Result<(), FusionError> {
+        let is_own = stream == self.sources.own;
+        loop {
+            match self.make_room(mapper, stream, || parts.iter().map(|(_, part)| part), sensors) {
+                Err(FusionError::OwnLayerFull { .. }) => {}
+                // What was forgotten goes first, in a moment.
+                Err(FusionError::LayersFull { .. }) if !self.sources.is_any_leaving() => {}
+                result => return result,
+            }
+            let worst = self.worst(is_own, now).map_or(0, |candidate| candidate.rank);
+            if !self.leave_out(mapper, stream, parts, worst, now)
+                && let Some(Candidate { stream, at, .. }) = self.dropping.next[usize::from(is_own)].pop()
+            {
+                let layer = |source: &mut super::sources::Source| source.layer.drop_cube(at);
+                let (known, newest) = self.sources.change(stream, |source| (layer(source), source.layer.lost_upto()));
+                self.show_without(mapper, stream, &known);
+                self.note_dropped(stream, known.len(), newest.unwrap_or_default());
+            }
+            if parts.is_empty() {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Leaves out of parts what is not worth that something of this rank is dropped for it. Whether that is any.
+    fn leave_out(
+        &mut self,
+        mapper: &Mapper,
+        stream: Stream,
+        parts: &mut Vec<(Stamp, Changes)>,
+        worst: u64,
+        now: Stamp,
+    ) -> bool {
+        let mut refused = Vec::new();
+        let near = |fusion: &Self, at, stamp| fusion.rank(stream, at, stamp, now) >= worst;
+        for (stamp, part) in parts.iter_mut() {
+            let (out, stay): (Vec<_>, Vec<_>) =
+                part.blocks().iter().partition(|(index, _)| near(self, cube_at(*index), *stamp));
+            if !out.is_empty() {
+                let cubes: BTreeSet<BlockIndex> = out.iter().map(|(index, _)| cube_at(*index)).collect();
+                refused.extend(cubes.into_iter().map(|at| (at, *stamp)));
+                self.note_dropped(stream, out.len(), *stamp);
+                *part = Changes::from_blocks(stay);
+            }
+        }
+        parts.retain(|(_, part)| !part.is_empty());
+        for (at, stamp) in &refused {
+            let known = self.sources.change(stream, |source| source.layer.refuse(*at, *stamp));
+            self.show_without(mapper, stream, &known);
+        }
+        !refused.is_empty()
+    }
+
+    /// The cube that is to go next, if there is any.
+    fn worst(&mut self, is_own: bool, now: Stamp) -> Option<&Candidate> {
+        let list = usize::from(is_own);
+        for is_first in [true, false] {
+            while let Some(candidate) = self.dropping.next[list].last() {
+                let source = self.sources.get(candidate.stream);
+                if source.and_then(|source| source.layer.newest_in(candidate.at)) == Some(candidate.newest) {
+                    return self.dropping.next[list].last();
+                }
+                self.dropping.next[list].pop();
+            }
+            if is_first {
+                self.dropping.next[list] = self.choose(is_own, now);
+            }
+        }
+        None
+    }
+
+    /// The eighth of all cubes that are farthest and oldest, the worst last. O(cubes).
+    fn choose(&self, is_own: bool, now: Stamp) -> Vec<Candidate> {
+        let own = self.sources.own;
+        let concerned = self.sources.iter().filter(|(stream, _)| (*stream == own) == is_own);
+        let mut all: Vec<Candidate> = concerned
+            .flat_map(|(stream, source)| {
+                source.layer.cubes_with_newest().map(move |(at, newest)| (stream, at, newest))
+            })
+            .map(|(stream, at, newest)| Candidate { rank: self.rank(stream, at, newest, now), stream, at, newest })
+            .collect();
+        let key = |candidate: &Candidate| (Reverse(candidate.rank), candidate.stream, candidate.at);
+        let count = all.len().div_ceil(CHOSEN_SHARE);
+        if count < all.len() {
+            all.select_nth_unstable_by_key(count, key);
+            all.truncate(count);
+        }
+        all.sort_unstable_by_key(|candidate| Reverse(key(candidate)));
+        all
+    }
+
+    /// How little a cube is worth: its distance from the own robot times its age.
+    fn rank(&self, stream: Stream, at: BlockIndex, stamp: Stamp, now: Stamp) -> u64 {
+        let origin = self.wanted.origin(stream.origin);
+        let centre = [at.x, at.y, at.z].map(|at| (f64::from(at) + 0.5) * CUBE_SIDE);
+        let distance = self.dropping.near.map_or(0, |near| {
+            let block_m = self.resolution.metres() * f64::from(BLOCK_SIDE);
+            let centre = if stream == self.sources.own {
+                centre
+            } else {
+                origin.pose().transform(centre.map(|at| at * block_m)).map(|at| at / block_m)
+            };
+            let squares = centre.iter().zip(near).map(|(at, near)| (at - near) * (at - near));
+            squares.sum::<f64>().sqrt() as u64
+        });
+        let made = match self.sources.get(stream) {
+            Some(source) if stream != self.sources.own => source.received.made(stamp, origin.clock_offset_micros),
+            _ => stamp,
+        };
+        let age_ms = now.micros_since(made).max(0) as u64 / 1_000;
+        (distance + 1).saturating_mul(age_ms + 1)
+    }
+
+    /// Something is gone from a layer: the fused map, and the one that is being made, are worked out there anew.
+    pub(super) fn show_without(&mut self, mapper: &Mapper, stream: Stream, known: &[(BlockIndex, Plane)]) {
+        let is_kept = flockmap_mutation::is(flockmap_mutation::Mutation::DroppedShown);
+        if stream == self.sources.own || known.is_empty() || is_kept {
+            return;
+        }
+        // The map that is being made began as the one that is shown.
+        let reached: Vec<Vec<(BlockIndex, Plane)>> =
+            self.maps().map(|fused| fused.reach(stream.origin, known).into_owned()).collect();
+        for reached in reached {
+            self.refresh(mapper, |_| std::borrow::Cow::Borrowed(&reached));
+        }
+        self.shown.view.forget_emptied();
+    }
+
+    pub(super) fn note_dropped(&mut self, stream: Stream, blocks: usize, newest: Stamp) {
+        match self.dropping.dropped.iter_mut().find(|dropped| dropped.stream == stream) {
+            Some(dropped) => {
+                dropped.blocks += blocks;
+                dropped.newest = dropped.newest.max(newest);
+            }
+            None => self.dropping.dropped.push(Dropped { stream, blocks, newest }),
+        }
+    }
+
+    /// Of whom layers are that lack something.
+    pub fn is_in_part(&self, stream: Stream) -> bool {
+        self.layer(stream).is_some_and(|layer| layer.lost_upto().is_some())
+    }
+}

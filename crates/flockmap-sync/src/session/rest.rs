@@ -1,0 +1,260 @@
+//! Streams of which something is lacking here, since it was dropped for want of room: who says so, and how it comes
+//! back when there is room again.
+//!
+//! What was dropped counts as held: nobody sends it unasked. A robot that has room asks one robot after the other for a
+//! snapshot of all that it has, those first of which nothing is lacking.
+
+use super::Session;
+use crate::event::Event;
+use crate::inbox::{ABANDONED, Transfer};
+use crate::peer::Peer;
+use crate::wire::{InPart, RestRequest};
+use flockmap_grid::{RobotId, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The streams of which something is lacking. At most as many as there are streams.
+#[derive(Debug)]
+pub(crate) struct Lacks {
+    streams: BTreeMap<Stream, Lack>,
+    /// There is room for what is lacking.
+    has_room: bool,
+    /// Nothing is lacking of these any more, and the driver does not know yet.
+    ended: Vec<Stream>,
+}
+
+/// What is lacking of a stream.
+#[derive(Debug)]
+struct Lack {
+    /// Nothing that is newer.
+    upto: Stamp,
+    /// It may be anywhere, so that packages are decoded only if they are independent.
+    is_anywhere: bool,
+    /// A snapshot has begun to come that lacks something itself, of packages up to this one and up to this stamp: what
+    /// was known before as new as that was let go of.
+    begun: Option<(u32, Stamp)>,
+    /// Who is asked for the rest, and since when.
+    asked: Option<(RobotId, Stamp)>,
+    /// Who has given what it has, or gave nothing in time.
+    done: BTreeSet<RobotId>,
+}
+
+impl Lacks {
+    pub(crate) const fn new() -> Self {
+        Self { streams: BTreeMap::new(), has_room: true, ended: Vec::new() }
+    }
+
+    fn lack(&mut self, stream: Stream, upto: Stamp) -> &mut Lack {
+        let nothing = || Lack { upto, is_anywhere: false, begun: None, asked: None, done: BTreeSet::new() };
+        let lack = self.streams.entry(stream).or_insert_with(nothing);
+        lack.upto = lack.upto.max(upto);
+        lack
+    }
+
+    pub(super) fn forget(&mut self, stream: Stream) {
+        self.streams.remove(&stream);
+        self.ended.retain(|ended| *ended != stream);
+    }
+}
+
+impl Session {
+    /// Something of a stream was dropped from its layer for want of room, or is lacking there since it came late:
+    /// nothing newer than `upto`. `is_anywhere`: of hardly any place it can be said that nothing was dropped there.
+    pub fn note_dropped(&mut self, stream: Stream, upto: Stamp, is_anywhere: bool) {
+        if std::env::var("DBG").is_ok() { eprintln!("{:?} dropped {stream:?} {upto:?}", self.identity.own.origin); }
+        let lack = self.lacks.lack(stream, upto);
+        lack.is_anywhere |= is_anywhere;
+        self.spoil_transfers(stream);
+    }
+
+    /// Before a chunk is merged of a snapshot that lacks something of packages 1 to `upto`, nothing newer than
+    /// `lost_upto`: whether what is known of the stream that is as old has to be taken out first, since the snapshot may
+    /// make it outdated without saying so. Then that counts as lacking.
+    pub fn begin_part(&mut self, stream: Stream, upto: u32, lost_upto: Stamp) -> bool {
+        let is_held = self.store.received(stream).is_some_and(|received| received.contains_range(1, upto));
+        let begun = self.lacks.streams.get(&stream).and_then(|lack| lack.begun);
+        if is_held || begun.is_some_and(|(index, stamp)| index >= upto && stamp >= lost_upto) {
+            return false;
+        }
+        let (index, stamp) = begun.unwrap_or((upto, lost_upto));
+        let lack = self.lacks.lack(stream, lost_upto);
+        (lack.begun, lack.is_anywhere) = (Some((index.max(upto), stamp.max(lost_upto))), true);
+        self.spoil_transfers(stream);
+        true
+    }
+
+    /// Whether a snapshot with packages 1 to `upto` has all packages of which something is lacking here: what it says
+    /// may come back where something was dropped.
+    pub fn has_lacking(&self, stream: Stream, upto: u32) -> bool {
+        self.lacking_upto(stream).is_some_and(|lacking| upto >= lacking)
+    }
+
+    /// Of a stream of which something is lacking here: that is nothing newer than this. `None`: nothing is lacking.
+    pub fn lost_upto(&self, stream: Stream) -> Option<Stamp> {
+        self.lacks.streams.get(&stream).map(|lack| lack.upto)
+    }
+
+    /// Whether there is room for what is lacking, so that it can be asked for.
+    pub fn set_has_room(&mut self, has_room: bool) {
+        if has_room && !self.lacks.has_room {
+            self.lacks.streams.values_mut().for_each(|lack| lack.done.clear());
+        }
+        self.lacks.has_room = has_room;
+    }
+
+    /// Streams of which nothing is lacking any more, since all of it has come. To be asked for with each event, before
+    /// the event is dealt with.
+    pub fn take_complete(&mut self) -> Vec<Stream> {
+        core::mem::take(&mut self.lacks.ended)
+    }
+
+    /// Whether some robot here can decode hardly anything of the own stream that is not independent.
+    pub fn is_independent_wanted(&self) -> bool {
+        let own = self.identity.own;
+        let wants = |peer: &Peer| peer.streams.get(&own).and_then(|theirs| theirs.in_part) == Some(true);
+        self.peers.values().any(wants)
+    }
+
+    /// The streams for whose rest somebody is asked.
+    pub fn rests_wanted(&self) -> impl Iterator<Item = Stream> + '_ {
+        let asked = self.lacks.streams.iter().filter(|(_, lack)| lack.asked.is_some());
+        asked.map(|(stream, _)| *stream)
+    }
+
+    /// All packages of which something is lacking are up to this one.
+    fn lacking_upto(&self, stream: Stream) -> Option<u32> {
+        let lack = self.lacks.streams.get(&stream)?;
+        let by_stamp = self.store.index_upto(stream, lack.upto);
+        Some(match lack.begun {
+            Some((index, stamp)) if lack.upto <= stamp => by_stamp.min(index),
+            _ => by_stamp,
+        })
+    }
+
+    /// What snapshots that are coming brought may be gone again.
+    fn spoil_transfers(&mut self, stream: Stream) {
+        let transfers = self.inbox.transfers.iter_mut().filter(|transfer| transfer.stream == stream);
+        transfers.for_each(|transfer| transfer.is_spoiled = true);
+    }
+
+    /// Whether a snapshot that is coming, whose packages are all held, is the rest of its stream.
+    pub(super) fn takes_rest(&self, transfer: &Transfer) -> bool {
+        let Some(lack) = self.lacks.streams.get(&transfer.stream) else { return false };
+        let is_asked = lack.asked.is_some_and(|(robot, _)| robot == transfer.source);
+        // What was stored on the own disk is given unasked.
+        (is_asked || transfer.source == self.identity.own.origin)
+            && transfer.since == 0
+            && self.has_lacking(transfer.stream, transfer.upto)
+    }
+
+    /// All chunks of a snapshot were merged.
+    pub(super) fn note_complete(&mut self, transfer: &Complete) {
+        let &Complete { source, stream, since, upto, is_whole } = transfer;
+        if std::env::var("DBG").is_ok() { eprintln!("{:?} complete {source:?} {stream:?} {since} {upto} whole {is_whole} lack {:?} lacking {:?}", self.identity.own.origin, self.lacks.streams.get(&stream), self.lacking_upto(stream)); }
+        let is_all = since == 0 && is_whole && self.has_lacking(stream, upto);
+        let Some(lack) = self.lacks.streams.get_mut(&stream) else { return };
+        if is_all {
+            self.lacks.forget(stream);
+            self.lacks.ended.push(stream);
+        } else if since == 0 {
+            lack.done.insert(source);
+            lack.asked = lack.asked.filter(|(robot, _)| *robot != source);
+        }
+    }
+
+    /// Chooses who is asked for the rest of each stream. O(streams that lack something · peers).
+    pub(super) fn choose_whom_to_ask(&mut self, now: Stamp) {
+        let lacking: Vec<Stream> = self.lacks.streams.keys().copied().filter(|s| *s != self.identity.own).collect();
+        for stream in lacking {
+            let Some(upto) = self.lacking_upto(stream) else { continue };
+            let comes_since = |source: RobotId| {
+                let is_of = |t: &&Transfer| (t.source, t.stream) == (source, stream);
+                self.inbox.transfers.iter().filter(is_of).map(|transfer| transfer.touched).max()
+            };
+            let Some(lack) = self.lacks.streams.get(&stream) else { continue };
+            let (mut asked, mut given_up) = (lack.asked, None);
+            if let Some((robot, since)) = asked {
+                let since = comes_since(robot).map_or(since, |touched| touched.max(since));
+                let is_late = now.since(since) > ABANDONED;
+                if is_late || !self.peers.contains_key(&robot) || !self.lacks.has_room {
+                    given_up = Some(robot).filter(|_| is_late);
+                    asked = None;
+                }
+            }
+            if asked.is_none() && self.lacks.has_room && !mutation::is(Mutation::RestUnasked) {
+                let has_all = |peer: &&Peer| {
+                    let theirs = peer.streams.get(&stream);
+                    theirs.is_some_and(|theirs| theirs.received.contains_range(1, upto))
+                        && !lack.done.contains(&peer.stream.origin)
+                        && Some(peer.stream.origin) != given_up
+                };
+                let lacks_too = |peer: &&Peer| peer.streams.get(&stream).is_some_and(|s| s.in_part.is_some());
+                let chosen = self.peers.values().filter(has_all).min_by_key(|peer| (lacks_too(peer), peer.stream));
+                asked = chosen.map(|peer| (peer.stream.origin, now));
+            }
+            if std::env::var("DBG").is_ok() { eprintln!("{now:?} {:?} asks {asked:?} for {stream:?} upto {upto} room {} given up {given_up:?} done {:?}", self.identity.own.origin, self.lacks.has_room, lack.done); }
+            let lack = self.lacks.lack(stream, Stamp(i64::MIN));
+            lack.asked = asked;
+            lack.done.extend(given_up);
+        }
+    }
+
+    /// What a request says of it.
+    pub(super) fn say_lacks(&self) -> (Vec<InPart>, Vec<RestRequest>) {
+        let lacks = self.lacks.streams.iter();
+        let in_part = lacks.clone().map(|(&stream, lack)| InPart { stream, wants_independent: lack.is_anywhere });
+        let rests = lacks.filter_map(|(&stream, lack)| {
+            let (holder, _) = lack.asked?;
+            Some(RestRequest { stream, holder, upto: self.lacking_upto(stream)? })
+        });
+        (in_part.collect(), rests.collect())
+    }
+
+    /// Decides whether a peer that asked for it is given the rest of a stream.
+    pub(super) fn review_rest(&mut self, now: Stamp, id: RobotId, stream: Stream) {
+        let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else { return };
+        let Some(wanted) = theirs.rest_wanted else { return };
+        if let Some(sending) = &mut theirs.sending {
+            sending.note_silence(now);
+            return;
+        }
+        let prefix = self.store.received(stream).map_or(0, |received| received.prefix());
+        if prefix < wanted.max(1) {
+            return;
+        }
+        let is_it = |o: &crate::outbox::Outgoing| {
+            o.stream == stream && o.since == 0 && o.upto >= wanted && o.contents.is_none()
+        };
+        if let Some(at) = self.outbox.snapshots.iter().rposition(is_it) {
+            self.begin_to_send(now, id, at);
+        } else {
+            let bytes_max = self.package_bytes_max();
+            let wanted =
+                Event::SnapshotWanted { stream, since: 0, newer_than: None, upto: prefix, bytes_max, peer: id };
+            self.request_snapshot(now, stream, wanted, None);
+        }
+    }
+
+    /// Whether a snapshot of packages up to one can be made here: else it would lack something of later ones.
+    pub(super) fn can_give(&self, stream: Stream, upto: u32) -> bool {
+        let lost = self.lacks.streams.get(&stream);
+        lost.is_none_or(|lack| self.store.index_upto(stream, lack.upto) <= upto)
+    }
+}
+
+/// A snapshot of which all chunks were merged.
+pub(super) struct Complete {
+    pub(super) source: RobotId,
+    pub(super) stream: Stream,
+    pub(super) since: u32,
+    pub(super) upto: u32,
+    /// It lacks nothing, and nothing of it was dropped since.
+    pub(super) is_whole: bool,
+}
+
+impl Complete {
+    pub(super) const fn of(transfer: &Transfer) -> Self {
+        let &Transfer { source, stream, since, upto, lost_upto, is_spoiled, .. } = transfer;
+        Self { source, stream, since, upto, is_whole: lost_upto.is_none() && !is_spoiled }
+    }
+}
