@@ -154,6 +154,10 @@ enum flockmap_event_kind
   FLOCKMAP_EVENT_KIND_NONCES_EXHAUSTED = 11,
   // Own changes could not be coded. Please report it. `text`: why.
   FLOCKMAP_EVENT_KIND_ENCODE_FAILED = 12,
+  // For want of room `count` blocks of a layer were dropped, or did not come in: the farthest and oldest.
+  FLOCKMAP_EVENT_KIND_DROPPED = 13,
+  // Of a stream of which something was lacking all has come.
+  FLOCKMAP_EVENT_KIND_COMPLETE = 14,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -301,6 +305,8 @@ typedef struct flockmap_counters {
   uint64_t datagrams_foreign;
   // With a swarm key: datagrams that nobody with the key made.
   uint64_t datagrams_forged;
+  // Blocks of layers that were dropped for want of room, or did not come in.
+  uint64_t blocks_dropped;
 } flockmap_counters;
 
 // Voxels from `low` on, `size` of them along x, y, z. A voxel (x, y, z) covers x * r to (x + 1) * r metres, and so on,

@@ -38,6 +38,10 @@ pub enum EventKind {
     NoncesExhausted = 11,
     /// Own changes could not be coded. Please report it. `text`: why.
     EncodeFailed = 12,
+    /// For want of room `count` blocks of a layer were dropped, or did not come in: the farthest and oldest.
+    Dropped = 13,
+    /// Of a stream of which something was lacking all has come.
+    Complete = 14,
 }
 
 /// Bytes of the text of an event, with the 0 at its end.
@@ -106,6 +110,8 @@ fn record(event: &Event) -> EventRecord {
         Event::SameIdentity => plain(EventKind::SameIdentity, None),
         Event::NoncesExhausted => plain(EventKind::NoncesExhausted, None),
         Event::EncodeFailed(error) => of(EventKind::EncodeFailed, None, 0, 0, error.to_string()),
+        Event::Dropped { stream, blocks, .. } => of(EventKind::Dropped, Some(stream), *blocks, 0, String::new()),
+        Event::Complete { stream } => plain(EventKind::Complete, Some(stream)),
         _ => plain(EventKind::Other, None),
     }
 }
@@ -172,6 +178,8 @@ pub struct Counters {
     pub datagrams_foreign: u64,
     /// With a swarm key: datagrams that nobody with the key made.
     pub datagrams_forged: u64,
+    /// Blocks of layers that were dropped for want of room, or did not come in.
+    pub blocks_dropped: u64,
 }
 
 /// What a robot counted. `counters` is the caller's. Any thread.
@@ -203,6 +211,7 @@ pub unsafe extern "C" fn flockmap_robot_counters(
                 foreign_resolution: own.foreign_resolution,
                 snapshots: own.snapshots,
                 events_dropped: own.events_dropped,
+                blocks_dropped: own.blocks_dropped,
                 datagrams_out: session.out().datagrams,
                 bytes_out: session.out().bytes,
                 lost: session.lost,

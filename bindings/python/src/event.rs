@@ -8,7 +8,8 @@ use pyo3::types::PyBytes;
 ///
 /// Kinds: "batch-closed" (own changes go out), "merged" (a package of another robot is in the map), "refused" (a package
 /// was not taken in; `text` says why), "snapshot-contains", "caught-up", "peer-seen", "peer-lost", "run-forgotten",
-/// "run-begun", "same-identity", "nonces-exhausted", "encode-failed", "other".
+/// "run-begun", "dropped" (for want of room, the farthest and oldest blocks), "complete" (nothing of a stream is lacking any
+/// more), "same-identity", "nonces-exhausted", "encode-failed", "other".
 #[pyclass(frozen, module = "flockmap", name = "Event")]
 #[derive(Default)]
 pub(crate) struct Event {
@@ -36,6 +37,9 @@ pub(crate) struct Event {
     /// What was wrong, if something was.
     #[pyo3(get)]
     text: Option<String>,
+    /// Blocks of 8 x 8 x 8 voxels that were dropped.
+    #[pyo3(get)]
+    blocks: Option<usize>,
     packages: Vec<Vec<u8>>,
 }
 
@@ -95,6 +99,10 @@ impl From<Happened> for Event {
             Happened::PeerLost(stream) => Self::of("peer-lost", stream),
             Happened::RunForgotten(stream) => Self::of("run-forgotten", stream),
             Happened::RunBegun(stream) => Self::of("run-begun", stream),
+            Happened::Dropped { stream, blocks, .. } => {
+                Self { blocks: Some(blocks), ..Self::of("dropped", stream) }
+            }
+            Happened::Complete { stream } => Self::of("complete", stream),
             Happened::SameIdentity => bare("same-identity"),
             Happened::NoncesExhausted => bare("nonces-exhausted"),
             Happened::EncodeFailed(error) => Self { text: Some(error.to_string()), ..bare("encode-failed") },

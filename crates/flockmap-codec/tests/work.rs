@@ -105,6 +105,7 @@ fn cube(side: u32, byte: u8) -> Package {
         region: VoxelBox::new(Voxel::new(0, 0, 0), [side; 3]).unwrap(),
         codec: Codec::Paper,
         content: flockmap_codec::ContentKind::Changes,
+        lost_upto: None,
         priority: Priority::NearFree,
     };
     let package = Package::from_parts(&header, &payload, 0);

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use flockmap::{Event, Path, Robot, Stamp};
+use flockmap::{Event, Path, Robot, Stamp, Stream};
 use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 
 use crate::alone::Alone;
@@ -50,6 +50,8 @@ pub(crate) struct Driver<T> {
     line: StatusLine,
     clock_steps: StepWatch,
     warnings: Warnings,
+    /// Whether it was said that the own layer, and those of others, are full.
+    said_full: [bool; 2],
     alone: Alone,
     counters: NodeCounters,
     timings: Timings,
@@ -101,6 +103,7 @@ impl<T: Transport> Driver<T> {
             line: StatusLine::default(),
             clock_steps,
             warnings: Warnings::default(),
+            said_full: [false; 2],
             alone: Alone::new(now),
             counters: NodeCounters::default(),
             timings: Timings::default(),
@@ -386,6 +389,10 @@ impl<T: Transport> Driver<T> {
                 Event::RunForgotten(run) => {
                     self.warn(&format!("the map of {run:?}, which has ended, is dropped for a newer one: raise streams_max or epochs_max to keep more"));
                 }
+                Event::Dropped { stream, .. } => self.say_full(stream),
+                Event::Complete { stream } => {
+                    self.options.log.info(format!("nothing of {stream:?} is lacking any more"));
+                }
                 Event::SameIdentity => {
                     self.warn("another robot uses the id of this one; give one of them another");
                 }
@@ -399,6 +406,25 @@ impl<T: Transport> Driver<T> {
                 _ => {}
             }
         }
+    }
+
+    /// Says once that layers are full.
+    fn say_full(&mut self, stream: Stream) {
+        let is_own = stream == self.robot.own_stream();
+        if std::mem::replace(&mut self.said_full[usize::from(is_own)], true) {
+            return;
+        }
+        let text = if is_own {
+            "the own layer is full: what is farthest away and oldest is dropped from it for what is new. The own map \
+             keeps it, but who joins late gets it only from team-mates. Raise own_layer_mb to keep more"
+                .to_owned()
+        } else {
+            format!(
+                "the layers of others are full: what is farthest away and oldest is dropped for what is new, first of \
+                 {stream:?}. It is asked for again when there is room. Raise layers_mb to keep more"
+            )
+        };
+        self.options.log.warn(text);
     }
 
     /// Keeps the run that was begun while flying, at the first event of it.

@@ -105,6 +105,8 @@ pub struct StreamStatus {
     pub newest: u32,
     /// Voxels in its layer.
     pub voxels: usize,
+    /// Whether something of it was dropped for want of room, here or where it came from, and is lacking.
+    pub is_in_part: bool,
 }
 
 /// What a robot has dropped, since it may know only so many streams and so many runs of each robot.
@@ -114,6 +116,8 @@ pub struct GivenUp {
     pub runs_forgotten: u64,
     /// Packages and lists of streams for which there was no room, each time counted.
     pub streams_refused: u64,
+    /// Blocks of layers that were dropped for want of room, or did not come in: the farthest and oldest.
+    pub blocks_dropped: u64,
 }
 
 /// A node at one moment.
@@ -162,6 +166,7 @@ impl NodeStatus {
                 missing: missing.map(|(low, high)| u64::from(high - low) + 1).sum(),
                 newest: session.store().newest_known(stream),
                 voxels: fusion.layer(stream).map_or(0, flockmap::grid::Layer::len),
+                is_in_part: fusion.is_in_part(stream),
             }
         };
         Self {
@@ -188,10 +193,12 @@ impl NodeStatus {
         (sum(|s| s.received), sum(|s| s.missing))
     }
 
-    /// What this robot has dropped for want of room. Anything but 0: raise `streams_max` or `epochs_max`.
+    /// What this robot has dropped for want of room. Anything but 0: raise `streams_max` or `epochs_max`, or
+    /// `layers_mb` and `own_layer_mb`.
     pub const fn given_up(&self) -> GivenUp {
         let Counters { streams_forgotten, too_many_streams, .. } = self.session;
-        GivenUp { runs_forgotten: streams_forgotten, streams_refused: too_many_streams }
+        let blocks_dropped = self.robot.blocks_dropped;
+        GivenUp { runs_forgotten: streams_forgotten, streams_refused: too_many_streams, blocks_dropped }
     }
 
     /// All counters by name, of the node, the robot, the session and the store.
@@ -238,6 +245,7 @@ impl NodeStatus {
         metric("gauge", "packages_held", by_stream(&|s| s.received as f64));
         metric("gauge", "packages_missing", by_stream(&|s| s.missing as f64));
         metric("gauge", "layer_voxels", by_stream(&|s| s.voxels as f64));
+        metric("gauge", "layer_in_part", by_stream(&|s| f64::from(u8::from(s.is_in_part))));
 
         let by_peer = |value: &dyn Fn(&PeerInfo) -> Option<f64>| {
             let label = |p: &PeerInfo| format!(",peer=\"{}\"", p.stream.origin);
@@ -294,10 +302,14 @@ impl StatusLine {
         let store = if status.store.failures > 0 { " | STORE OFF" } else { "" };
         let record = if node.record_stopped > 0 { " | RECORD OFF" } else { "" };
         let given_up = match status.given_up() {
-            GivenUp { runs_forgotten: 0, streams_refused: 0 } => String::new(),
-            GivenUp { runs_forgotten, streams_refused } => {
+            GivenUp { runs_forgotten: 0, streams_refused: 0, .. } => String::new(),
+            GivenUp { runs_forgotten, streams_refused, .. } => {
                 format!(" | GIVEN UP {runs_forgotten} runs, {streams_refused} refused")
             }
+        };
+        let full = match status.robot.blocks_dropped {
+            0 => String::new(),
+            blocks => format!(" | FULL, {blocks} far and old blocks dropped"),
         };
         let age = match age.len() {
             0 => "–".to_owned(),
@@ -305,7 +317,7 @@ impl StatusLine {
         };
         format!(
             "peers {} | in {rate_in:.1} out {rate_out:.1} KB/s | {} batches | packages {received} received {missing} missing | \
-             map {} voxels, {occupied} occupied | age {age}{store}{record}{given_up}",
+             map {} voxels, {occupied} occupied | age {age}{store}{record}{given_up}{full}",
             status.peers.len(),
             status.robot.batches,
             free + occupied,
@@ -404,7 +416,11 @@ mod tests {
         (now.session.streams_forgotten, now.session.too_many_streams) = (3, 12);
         let third = line.next(&now, &age);
         assert!(third.ends_with("age 0.25 s | GIVEN UP 3 runs, 12 refused"), "{third}");
-        assert_eq!(now.given_up(), GivenUp { runs_forgotten: 3, streams_refused: 12 });
+        now.robot.blocks_dropped = 7;
+        let fourth = line.next(&now, &age);
+        assert!(fourth.ends_with("12 refused | FULL, 7 far and old blocks dropped"), "{fourth}");
+        let expected = GivenUp { runs_forgotten: 3, streams_refused: 12, blocks_dropped: 7 };
+        assert_eq!(now.given_up(), expected);
     }
 
     #[test]

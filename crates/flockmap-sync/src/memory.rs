@@ -9,8 +9,9 @@ use crate::{Cast, SessionConfig};
 const INTERVAL: usize = 8;
 /// A list that was joined from two has room for both, and a queue may have room for twice what it holds.
 const GROWTH: usize = 2;
-/// What is known of a stream beside the list of held indices: undecodable indices (64 intervals), places in maps.
-const STREAM: usize = 2_048;
+/// What is known of a stream beside the list of held indices: undecodable indices (64 intervals), whom what
+/// is lacking was had from (256), places in maps.
+const STREAM: usize = 3_072;
 /// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the
 /// queue (256 items), runs that had no place, its pacer, its clock.
 const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 30_720;

@@ -229,6 +229,7 @@ fn package(case: &Case, draft: &Draft, index: u32, decoder: &mut Decoder, layer:
         region: VoxelBox::new(Voxel::new(x, y, z), draft.size)?,
         codec: case.codec,
         content,
+        lost_upto: None,
         priority: Priority::Obstacles,
     };
     let mut check = 0;

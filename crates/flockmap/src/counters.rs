@@ -58,7 +58,7 @@ pub struct RobotCounters {
     pub snapshot_steps_most: u64,
     /// Runs begun while flying, since the own id was used with a higher epoch.
     pub runs_begun: u64,
-    /// Own batches that were coded independently, since repair was slow.
+    /// Own batches that were coded independently, since repair was slow, or something was dropped here or elsewhere.
     pub batches_independent: u64,
     /// Events dropped since nobody polled them.
     pub events_dropped: u64,

@@ -175,7 +175,10 @@ impl Publisher {
         let coded = match encode(&base) {
             // Something was dropped there, which others hold; or the own layer holds something as new, which no batch
             // should meet. It can be published all the same.
-            Err(EncodeError::BaseSuperseded(_)) => encode(&Base { layer: None, ..base }),
+            Err(EncodeError::BaseSuperseded(_)) => {
+                counters.batches_independent += 1;
+                encode(&Base { layer: None, ..base })
+            }
             coded => coded,
         };
         // Else the map goes on without these changes, and what is published next counts on them.

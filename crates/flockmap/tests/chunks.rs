@@ -139,18 +139,19 @@ fn a_damaged_chunk_makes_the_snapshot_begin_again_and_does_no_harm() {
 }
 
 #[test]
-fn without_room_for_a_chunk_it_is_asked_for_again_and_nothing_is_lost() {
+fn what_of_a_snapshot_has_no_room_is_known_to_be_lacking_and_not_asked_for_again() {
     let (chunks, _, _) = chunks(5);
     let mut config = config(9);
     config.fusion.layer_bytes_max = 60_000;
     let mut bob = Robot::new(config, Stamp(0)).unwrap();
     let now = Stamp(60_000_000);
-    for (round, expected) in [(0, 1), (1, 2)] {
-        give(&mut bob, 1, now.plus_micros(11_000_000 * round), &chunks.iter().collect::<Vec<_>>());
-        assert_eq!(bob.counters().no_room, expected, "the same chunk again, and no later one");
-    }
-    assert!(bob.session().received(chunks[0].header().stream).is_none_or(|received| !received.contains(9)));
-    assert_eq!(bob.counters().damaged, 0);
+    give(&mut bob, 1, now, &chunks.iter().collect::<Vec<_>>());
+    let stream = chunks[0].header().stream;
+    assert!(bob.session().received(stream).unwrap().contains_range(1, 9));
+    assert!(bob.session().lost_upto(stream).is_some() && bob.fusion().is_in_part(stream) && bob.is_full());
+    assert!(bob.fusion().memory_bytes_of_others(bob.mapper()) <= 60_000);
+    assert!(bob.counters().blocks_dropped > 0);
+    assert_eq!((bob.counters().no_room, bob.counters().damaged), (0, 0));
 }
 
 /// Once four were read at a time and each new one pushed another out, so that of seven in turns none was ever

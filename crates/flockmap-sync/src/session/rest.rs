@@ -11,7 +11,10 @@ use crate::peer::Peer;
 use crate::wire::{InPart, RestRequest};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, VecDeque};
+
+/// Robots remembered that gave what they have of a stream, or did not; of more, the first is asked again.
+const NOTED_MAX: usize = 128;
 
 /// The streams of which something is lacking. At most as many as there are streams.
 #[derive(Debug)]
@@ -35,8 +38,18 @@ struct Lack {
     begun: Option<(u32, Stamp)>,
     /// Who is asked for the rest, and since when.
     asked: Option<(RobotId, Stamp)>,
-    /// Who has given what it has, or gave nothing in time.
-    done: BTreeSet<RobotId>,
+    /// Who has given what it has, and lacks something itself: the last ones.
+    done: VecDeque<RobotId>,
+    /// Who gave nothing in time, since all were asked last.
+    late: VecDeque<RobotId>,
+}
+
+/// Notes a robot among the last ones.
+fn note(robots: &mut VecDeque<RobotId>, robot: RobotId) {
+    if !robots.contains(&robot) {
+        robots.push_back(robot);
+    }
+    robots.drain(..robots.len().saturating_sub(NOTED_MAX));
 }
 
 impl Lacks {
@@ -45,7 +58,7 @@ impl Lacks {
     }
 
     fn lack(&mut self, stream: Stream, upto: Stamp) -> &mut Lack {
-        let nothing = || Lack { upto, is_anywhere: false, begun: None, asked: None, done: BTreeSet::new() };
+        let nothing = || Lack { upto, is_anywhere: false, begun: None, asked: None, done: VecDeque::new(), late: VecDeque::new() };
         let lack = self.streams.entry(stream).or_insert_with(nothing);
         lack.upto = lack.upto.max(upto);
         lack
@@ -61,7 +74,9 @@ impl Session {
     /// Something of a stream was dropped from its layer for want of room, or is lacking there since it came late:
     /// nothing newer than `upto`. `is_anywhere`: of hardly any place it can be said that nothing was dropped there.
     pub fn note_dropped(&mut self, stream: Stream, upto: Stamp, is_anywhere: bool) {
-        if std::env::var("DBG").is_ok() { eprintln!("{:?} dropped {stream:?} {upto:?}", self.identity.own.origin); }
+        if self.store.received(stream).is_none() {
+            return;
+        }
         let lack = self.lacks.lack(stream, upto);
         lack.is_anywhere |= is_anywhere;
         self.spoil_transfers(stream);
@@ -149,15 +164,17 @@ impl Session {
 
     /// All chunks of a snapshot were merged.
     pub(super) fn note_complete(&mut self, transfer: &Complete) {
-        let &Complete { source, stream, since, upto, is_whole } = transfer;
-        if std::env::var("DBG").is_ok() { eprintln!("{:?} complete {source:?} {stream:?} {since} {upto} whole {is_whole} lack {:?} lacking {:?}", self.identity.own.origin, self.lacks.streams.get(&stream), self.lacking_upto(stream)); }
-        let is_all = since == 0 && is_whole && self.has_lacking(stream, upto);
+        let &Complete { source, stream, since, upto, lacks_too, is_spoiled } = transfer;
+        let is_all = since == 0 && !lacks_too && !is_spoiled && self.has_lacking(stream, upto);
         let Some(lack) = self.lacks.streams.get_mut(&stream) else { return };
         if is_all {
             self.lacks.forget(stream);
             self.lacks.ended.push(stream);
         } else if since == 0 {
-            lack.done.insert(source);
+            // One that lacks nothing can give it once more.
+            if lacks_too {
+                note(&mut lack.done, source);
+            }
             lack.asked = lack.asked.filter(|(robot, _)| *robot != source);
         }
     }
@@ -186,16 +203,19 @@ impl Session {
                     let theirs = peer.streams.get(&stream);
                     theirs.is_some_and(|theirs| theirs.received.contains_range(1, upto))
                         && !lack.done.contains(&peer.stream.origin)
+                        && !lack.late.contains(&peer.stream.origin)
                         && Some(peer.stream.origin) != given_up
                 };
                 let lacks_too = |peer: &&Peer| peer.streams.get(&stream).is_some_and(|s| s.in_part.is_some());
                 let chosen = self.peers.values().filter(has_all).min_by_key(|peer| (lacks_too(peer), peer.stream));
                 asked = chosen.map(|peer| (peer.stream.origin, now));
             }
-            if std::env::var("DBG").is_ok() { eprintln!("{now:?} {:?} asks {asked:?} for {stream:?} upto {upto} room {} given up {given_up:?} done {:?}", self.identity.own.origin, self.lacks.has_room, lack.done); }
-            let lack = self.lacks.lack(stream, Stamp(i64::MIN));
+                let lack = self.lacks.lack(stream, Stamp(i64::MIN));
             lack.asked = asked;
-            lack.done.extend(given_up);
+            given_up.into_iter().for_each(|robot| note(&mut lack.late, robot));
+            if asked.is_none() {
+                lack.late.clear();
+            }
         }
     }
 
@@ -248,13 +268,15 @@ pub(super) struct Complete {
     pub(super) stream: Stream,
     pub(super) since: u32,
     pub(super) upto: u32,
-    /// It lacks nothing, and nothing of it was dropped since.
-    pub(super) is_whole: bool,
+    /// It lacks something itself.
+    lacks_too: bool,
+    /// Something of the stream was dropped since it began.
+    is_spoiled: bool,
 }
 
 impl Complete {
     pub(super) const fn of(transfer: &Transfer) -> Self {
         let &Transfer { source, stream, since, upto, lost_upto, is_spoiled, .. } = transfer;
-        Self { source, stream, since, upto, is_whole: lost_upto.is_none() && !is_spoiled }
+        Self { source, stream, since, upto, lacks_too: lost_upto.is_some(), is_spoiled }
     }
 }

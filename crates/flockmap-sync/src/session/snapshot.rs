@@ -131,14 +131,15 @@ impl Session {
 
     /// Decides whether a peer gets the snapshot of a stream, or of a part of its history, instead of packages.
     pub(super) fn review_snapshot(&mut self, now: Stamp, id: RobotId, stream: Stream) {
-        let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) else {
-            return;
-        };
         let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else { return };
         // A snapshot that had to go for others is sent to nobody any more.
         theirs.sending.take_if(|sending| self.outbox.snapshot(stream, sending.snapshot_id).is_none());
-        if !self.goes_on_with_parts(now, id, stream) {
-            self.review_rest(now, id, stream);
+        if self.goes_on_with_parts(now, id, stream) {
+            return;
+        }
+        // Who asks this robot is answered, whatever its place in the line of relays.
+        self.review_rest(now, id, stream);
+        if let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) {
             self.review_whole(now, id, stream, relay_rank);
             self.review_parts(now, id, stream, relay_rank);
         }
@@ -288,7 +289,10 @@ impl Session {
             .outbox
             .at_hand(stream, since_max)
             .map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
-        if wanted.is_none() && !self.config.snapshot_is_worth(&all, estimate) {
+        // A snapshot that lacks something is no good where packages bring all.
+        let is_in_part = self.lost_upto(stream).is_some_and(|lost| newer_than.is_none_or(|limit| lost > limit));
+        let is_worth = all.unstored || (!is_in_part && self.config.snapshot_is_worth(&all, estimate));
+        if wanted.is_none() && !is_worth {
             return;
         }
         let at_hand = self.outbox.at_hand(stream, since_max).filter(|&at| {
