@@ -9,6 +9,16 @@ use crate::{Changes, Mapper, Stream};
 /// and they are counted.
 const REACHED_BLOCKS: usize = 4;
 
+/// To which nothing was applied by so many changes of blocks, that is packed where room is wanting.
+const COLD: u64 = 32_768;
+/// Most blocks that are packed for one change, some 15 µs each; where there is no room then, it is refused, and the
+/// next one finds more. The own layer may not refuse what fits: it is packed until that does.
+const PACKED_AT_ONCE: usize = 512;
+/// Of these, so many before it is looked again whether there is room.
+const PACKED_AT_A_TIME: usize = 64;
+/// Packed for each change when seven eighths are taken, so that rarely much is to be packed for one.
+const PACKED_AHEAD: usize = 128;
+
 impl Fusion {
     /// Bytes that the layers of others hold, those that are leaving too, with what of the fused map, and of the one
     /// that is being made, the own map does not account for. O(1); O(regions of 64³ voxels) while a map is being made.
@@ -18,7 +28,7 @@ impl Fusion {
         self.sources.bytes() + maps.saturating_sub(mapper.block_count() * VIEW_BLOCK_BYTES)
     }
 
-    /// Packs layers if they would not fit else: the layer of a stream is to take these changes over.
+    /// Packs layers if they would not fit else, or soon: the layer of a stream is to take these changes over.
     pub(super) fn make_room<'a, P: Iterator<Item = &'a Changes>>(
         &mut self,
         mapper: &Mapper,
@@ -26,12 +36,28 @@ impl Fusion {
         parts: impl Fn() -> P,
         sensors: usize,
     ) -> Result<(), FusionError> {
-        match self.check_room(mapper, stream, parts(), sensors) {
-            Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }) => {
-                self.sources.make_room(stream == self.sources.own);
-                self.check_room(mapper, stream, parts(), sensors)
+        let is_own = stream == self.sources.own;
+        let (held, max) = if is_own {
+            let own = self.sources.get(stream).map(|source| source.layer.memory_bytes());
+            (own.unwrap_or(0), self.config.own_layer_bytes_max)
+        } else {
+            (self.memory_bytes_of_others(mapper), self.config.layer_bytes_max)
+        };
+        if held > max / 8 * 7 {
+            self.sources.make_room(is_own, COLD, PACKED_AHEAD);
+        }
+        let mut packed = 0;
+        loop {
+            let result = self.check_room(mapper, stream, parts(), sensors);
+            let is_full =
+                matches!(result, Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }));
+            if !is_full || packed >= PACKED_AT_ONCE && !is_own {
+                return result;
             }
-            result => result,
+            match self.sources.make_room(is_own, COLD, PACKED_AT_A_TIME) {
+                0 => return result,
+                more => packed += more,
+            }
         }
     }
 
