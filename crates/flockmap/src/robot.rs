@@ -54,6 +54,8 @@ pub struct Robot {
     fusion: Fusion,
     /// A run that was begun while flying publishes what the one before had published.
     republishing: Option<Republishing>,
+    /// What is left for packages in this call.
+    merge_steps_left: u64,
     /// Which long work goes on next.
     turn: slices::Work,
     /// The last slice was left out for a batch.
@@ -98,6 +100,7 @@ impl Robot {
             session: Session::new(own, config.session.clone(), config.seed)?,
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
             republishing: None,
+            merge_steps_left: 0,
             turn: slices::Work::default(),
             is_slice_due: false,
             teammates: BTreeMap::new(),
@@ -234,7 +237,9 @@ impl Robot {
         publisher.poll(now, || session.pace(now), mapper, fusion, counters)
     }
 
-    /// Takes in a datagram: what it brings is decoded, merged and fused before this returns.
+    /// Takes in a datagram: what it brings is decoded, merged and fused before this returns, but for what goes beyond
+    /// some milliseconds of that, where many packages waited for one: [`poll_timeout`](Self::poll_timeout) says "at
+    /// once" then, and each further call goes on with it.
     ///
     /// # Errors
     /// What was wrong with it. It is counted already and needs no action.
@@ -345,7 +350,7 @@ impl Robot {
 
     /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once, as
     /// long as there is work that goes on in slices: the fused map [is being made anew](Self::is_rebuilding), a
-    /// snapshot for a peer, or what a former run had published.
+    /// snapshot for a peer, what a former run had published, or packages that waited for one another.
     pub fn poll_timeout(&self) -> Option<Stamp> {
         let at_once = self.is_busy().then_some(self.now);
         let batch = self.publisher.poll_timeout(&self.mapper).filter(|_| self.republishing.is_none());
@@ -463,6 +468,7 @@ impl Robot {
     fn advance(&mut self, now: Stamp) -> Stamp {
         self.snapshots.note_call();
         self.readers.free();
+        self.merge_steps_left = receive::MERGE_STEPS_MAX;
         self.now = self.now.max(now);
         self.now
     }

@@ -3,7 +3,7 @@
 use flockmap::codec::{ContentKind, Encoder, Span};
 use flockmap::{
     Codec, Event, Package, Pose, Resolution, Robot, RobotConfig, RobotId, Scan, Stamp, State, States,
-    StatesUpdate, Stream, Voxel, VoxelBox, epoch, seconds_of_epoch,
+    StatesUpdate, Stream, Voxel, VoxelBox, epoch,
 };
 
 /// What a call may take: its steps, and a cube of blocks or what cannot be stopped in more.
@@ -174,7 +174,7 @@ fn who_asks_again_while_a_snapshot_is_made_does_not_make_it_begin_again() {
 /// Tells a robot that there was a later run of it, until it begins anew.
 fn begin_anew(a: &mut Robot, now: &mut Stamp) {
     let begun = a.counters().runs_begun;
-    let seconds = seconds_of_epoch(a.own_stream().epoch) + 9;
+    let seconds = flockmap::grid::seconds_of_epoch(a.own_stream().epoch) + 9;
     let mut later = robot(a.own_stream().origin.0, seconds, *now);
     insert_slab(&mut later, *now, 30, 0);
     let mut witness = robot(3, 5, *now);
@@ -267,4 +267,55 @@ fn a_run_begun_anew_in_the_middle_of_that_publishes_all_of_it_again() {
         assert_eq!(a.counters().runs_begun, 2);
         assert_eq!(a.fusion().layer(a.own_stream()).unwrap().digest(), before, "after {calls} calls");
     }
+}
+
+/// A map goes to a robot that joins late, but for one datagram. Returns the robots, the time, what was withheld, and
+/// which datagram was the first of which something could be merged.
+fn join_without(withheld: Option<usize>) -> (Robot, Robot, Stamp, Option<Vec<u8>>, usize) {
+    let (mut a, mut now) = full(1, 5);
+    let mut b = robot(2, 5, now);
+    let (mut number, mut first, mut kept) = (0, None, None);
+    for _ in 0..1_000 {
+        now = now.plus_micros(10_000);
+        a.handle_timeout(now);
+        b.handle_timeout(now);
+        while let Some(datagram) = a.poll_transmit(now) {
+            number += 1;
+            if withheld == Some(number) {
+                kept = Some(datagram.bytes);
+                continue;
+            }
+            let _ = b.handle_datagram(now, &datagram.bytes);
+            while let Some(event) = b.poll_event() {
+                if let Event::Merged { .. } = event {
+                    first.get_or_insert(number);
+                }
+            }
+            if b.session().counters().waited >= 100 || withheld.is_none() && first.is_some() {
+                return (a, b, now, kept, first.unwrap_or(0));
+            }
+        }
+        send(&mut b, &mut a, now);
+    }
+    panic!("nothing came");
+}
+
+#[test]
+fn what_waited_for_a_chunk_is_merged_some_in_each_call() {
+    let (.., first) = join_without(None);
+    let (mut a, mut b, mut now, withheld, _) = join_without(Some(first));
+    let _ = b.handle_datagram(now, &withheld.expect("the first chunk"));
+    let mut calls = Vec::new();
+    loop {
+        let merged = std::iter::from_fn(|| b.poll_event());
+        calls.push(merged.filter(|event| matches!(event, Event::Merged { .. })).count());
+        if !b.session().has_events() {
+            break;
+        }
+        assert!(is_busy(&b, now), "there is more to do at once");
+        b.handle_timeout(now);
+    }
+    assert!(calls.iter().sum::<usize>() > 100, "{calls:?}");
+    assert!(calls.iter().all(|merged| (1..=16).contains(merged)), "{calls:?}");
+    catch_up(&mut a, &mut b, &mut now);
 }

@@ -8,6 +8,8 @@ use crate::BlockIndex;
 
 /// When blocks were changed so often, it is looked whether some lie cold.
 const LOOKED_EVERY: u64 = 256;
+/// Blocks that are packed then.
+const PACKED_AT_ONCE: usize = 256;
 /// A cube is cold to which nothing was applied while blocks were changed four times as often as there are open ones,
 /// but between these. So what is changed all the time stays open, however large it is, and what a robot has left
 /// behind is packed within half a minute as a rule.
@@ -35,12 +37,15 @@ impl Layer {
         }
     }
 
-    /// Notes that blocks were changed, and packs as many of those that lie cold now and then: some 15 µs for each.
+    /// Notes that blocks were changed, and packs some of those that lie cold now and then, about 15 µs for each: more
+    /// of them where they have lain cold for long.
     pub(super) fn note_changed(&mut self, blocks: usize) {
         let before = self.changed;
         self.changed += blocks as u64;
         if self.changed / LOOKED_EVERY > before / LOOKED_EVERY {
-            self.pack_cold((4 * self.open as u64).clamp(COLD[0], COLD[1]), blocks.max(LOOKED_EVERY as usize));
+            let cold = (4 * self.open as u64).clamp(COLD[0], COLD[1]);
+            let is_behind = self.queue.front().is_some_and(|(noted, _)| noted + 2 * cold < self.changed);
+            self.pack_cold(cold, if is_behind { 2 * PACKED_AT_ONCE } else { PACKED_AT_ONCE });
         }
     }
 

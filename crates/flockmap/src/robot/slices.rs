@@ -35,6 +35,7 @@ impl Robot {
     pub(super) fn is_busy(&self) -> bool {
         [Work::Rebuild, Work::Snapshots, Work::Republish].into_iter().any(|work| self.has(work))
             || self.readers.is_any_discarded()
+            || self.session.has_events()
     }
 
     /// Does a slice of the long work whose turn it is: of one kind, so that slices do not add up.
