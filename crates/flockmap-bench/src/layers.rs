@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::ensure;
 use clap::Args;
 use flockmap::grid::Layer;
-use flockmap::{BatchConfig, MapperConfig, Pose, Scan, Stamp};
+use flockmap::{BatchConfig, MapperConfig, Pose, Scan};
 use flockmap_cli::document::DataTable;
 use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, SourceArgs};
@@ -15,6 +15,7 @@ use flockmap_cli::{json_file, outputs, sources, stop};
 use serde::Serialize;
 
 use crate::batcher::{Batcher, Step};
+use crate::corridor;
 
 /// What the layers of records take in memory, open and packed, and how long packing takes
 #[derive(Args, Debug)]
@@ -65,15 +66,14 @@ pub fn run(args: &LayersArgs) -> anyhow::Result<bool> {
     let mut rows = Vec::new();
     if args.records.iter().any(|record| record.as_os_str() == "corridor") {
         ensure!(args.records.len() == 1, "corridor stands alone: it is no record");
-        let scans = args.metres * 10 / 4;
+        let scans = corridor::scans(args.metres);
         let progress = Progress::new("scans", scans.into());
         let mut maker = Maker::new(&mapper, batch)?;
         for step in 0..scans {
             if stop::requested() {
                 break;
             }
-            let pose = Pose::from_translation([f64::from(step) * 0.4, 0.0, 0.0]);
-            maker.scan(&corridor(step), &pose)?;
+            maker.scan(&corridor::scan(step), &corridor::pose(step))?;
             progress.step();
         }
         drop(progress);
@@ -153,18 +153,6 @@ impl Row {
             is_same,
         }
     }
-}
-
-/// A scan of 720 rays all around, whose ends are 4 to 5.6 m away, each time others.
-fn corridor(step: u32) -> Scan {
-    let rays = (0..60u32).flat_map(|i| (0..12u32).map(move |j| (i, j)));
-    let points = rays.map(|(i, j)| {
-        let around = i as f32 / 60.0 * core::f32::consts::TAU + step as f32 * 0.01;
-        let up = (j as f32 - 6.0) * 0.1;
-        let far = 4.0 + ((i * 7 + step * 3 + j) % 5) as f32 * 0.4;
-        [far * up.cos() * around.cos(), far * up.cos() * around.sin(), far * up.sin()]
-    });
-    Scan { stamp: Stamp(i64::from(step) * 200_000), points: points.collect(), no_returns: Vec::new() }
 }
 
 fn print(rows: &[Row]) {

@@ -6,9 +6,11 @@
 mod application;
 mod baselines;
 mod batcher;
+mod calls;
 mod catch_up;
 mod codec_run;
 mod codecs;
+mod corridor;
 mod field;
 mod layers;
 mod mapping;
@@ -45,6 +47,7 @@ enum Command {
     Codecs(Box<codecs::CodecsArgs>),
     States(Box<states::StatesArgs>),
     Layers(Box<layers::LayersArgs>),
+    Calls(calls::CallsArgs),
     Mapping(mapping::MappingArgs),
     Field(field::FieldArgs),
     CatchUp(Box<catch_up::CatchUpArgs>),
@@ -64,6 +67,7 @@ fn main() -> ExitCode {
         Command::Codecs(args) => codecs::run(args),
         Command::States(args) => states::run(args),
         Command::Layers(args) => layers::run(args),
+        Command::Calls(args) => calls::run(args),
         Command::Mapping(args) => mapping::run(args),
         Command::Field(args) => field::run(args),
         Command::CatchUp(args) => catch_up::run(args),

@@ -1,6 +1,6 @@
 //! From a package back to its content.
 
-use flockmap_grid::{Layer, Snapshot};
+use flockmap_grid::{DiscardedLayer, Layer, Snapshot};
 use flockmap_mutation::{self as mutation, Mutation};
 
 use crate::check;
@@ -115,16 +115,22 @@ impl Decoder {
         if chunk != before.next || header.codec != Codec::Flock {
             return Err(PackageError::ChunkMissing { chunk: before.next });
         }
-        let ChunksRead { mut coded, next } = core::mem::take(before);
+        let ChunksRead { mut coded, next, .. } = core::mem::take(before);
         let (payload, ends) = (package.payload(), [header.batch_start, header.batch_end]);
         let mut work = Work::new(header.codec, payload.len());
         let state =
             flock::decode_chunk(&mut self.flock, &mut coded, payload, &header.region, ends, &mut work);
         self.steps = work.taken();
-        let state = state?;
-        package.verify(&check::of_chunk(&state.parts, &state.sensors))?;
-        *before = ChunksRead { coded, next: next.saturating_add(1) };
-        Ok(state)
+        let checked = state.and_then(|state| {
+            package.verify(&check::of_chunk(&state.parts, &state.sensors))?;
+            Ok(state)
+        });
+        *before = match &checked {
+            Ok(_) => ChunksRead { coded, next: next.saturating_add(1), spoilt: Layer::default() },
+            // To let go of it takes a while, which is for the caller to spend.
+            Err(_) => ChunksRead { spoilt: coded, ..ChunksRead::default() },
+        };
+        checked
     }
 
     /// Steps of work that the last package took, as `WIRE.md` counts them; of a refused one those up to its
@@ -146,6 +152,8 @@ impl Decoder {
 pub struct ChunksRead {
     coded: Layer,
     next: u32,
+    /// What was read before one that was wrong. Nobody looks at it any more.
+    spoilt: Layer,
 }
 
 impl ChunksRead {
@@ -162,6 +170,11 @@ impl ChunksRead {
     /// Bytes that it holds. O(1).
     pub fn memory_bytes(&self) -> usize {
         self.coded.memory_bytes()
+    }
+
+    /// Lets go of it, but not at once.
+    pub fn discard(self) -> impl Iterator<Item = DiscardedLayer> {
+        [self.coded, self.spoilt].into_iter().filter(|layer| !layer.is_empty()).map(Layer::discard)
     }
 
     /// Bytes that it may hold at most while and after this chunk is read, beside the stamps of the voxels of

@@ -61,25 +61,12 @@ pub(crate) struct Driver<T> {
 impl<T: Transport> Driver<T> {
     pub(crate) fn new(
         options: NodeOptions,
-        (mut robot, store): (Robot, Option<StoreWriter>),
+        (robot, store): (Robot, Option<StoreWriter>),
         (outlet, recorder): (Option<Outlet>, Option<Recorder>),
         transport: T,
         inputs: Receiver<Input>,
         commands: UnboundedReceiver<Command>,
     ) -> Self {
-        for (origin, pose) in &options.alignments {
-            if let Err(error) = robot.set_alignment(*origin, pose) {
-                options.log.warn(format!("no alignment of {origin:?}: {error}"));
-            }
-        }
-        for (origin, micros) in &options.clock_offsets {
-            robot.set_clock_offset(*origin, Some(*micros));
-        }
-        for origin in &options.muted {
-            robot.set_muted(*origin, true);
-        }
-        // What was restored is shown to nobody before it lies where it belongs.
-        robot.finish_rebuild();
         let now = Instant::now();
         let clock_steps = StepWatch::new(options.clock);
         // A rate needs some time to be one.
@@ -476,7 +463,8 @@ impl<T: Transport> Driver<T> {
         let session = self.robot.session();
         let newest = session.store().newest_known(session.own());
         let satisfied = session.own_received_by_peers().filter(|(_, _, upto)| *upto >= newest).count();
-        satisfied == session.peers().count() && session.peers().all(|peer| peer.in_flight == 0)
+        let is_all_out = !self.robot.is_republishing();
+        is_all_out && satisfied == session.peers().count() && session.peers().all(|peer| peer.in_flight == 0)
     }
 
     /// The counters, with those of the threads.

@@ -139,6 +139,7 @@ impl Node {
                 recorder = Some(started.map_err(system("record the flight"))?);
             }
             // After all else that can stop the start: each leaves a segment.
+            set_all(&mut robot, &options);
             let store = options.store.take();
             let store = store.map(|store| restore(store, &mut robot, &options)).transpose()?;
             let epoch_file = options.epoch_file.take();
@@ -165,6 +166,22 @@ impl Node {
             drop((prometheus, view));
             Ok(Ended { summary: Summary::new(&robot, &status), robot, status })
         })
+    }
+}
+
+/// Tells the robot what the options say of others. Before it is given anything of theirs, so that all of it comes to lie
+/// where it belongs at once.
+fn set_all(robot: &mut Robot, options: &NodeOptions) {
+    for (origin, pose) in &options.alignments {
+        if let Err(error) = robot.set_alignment(*origin, pose) {
+            options.log.warn(format!("no alignment of {origin:?}: {error}"));
+        }
+    }
+    for (origin, micros) in &options.clock_offsets {
+        robot.set_clock_offset(*origin, Some(*micros));
+    }
+    for origin in &options.muted {
+        robot.set_muted(*origin, true);
     }
 }
 

@@ -161,6 +161,11 @@ impl Inbox {
         }
     }
 
+    /// Whether something may be next of what waited.
+    pub(crate) const fn is_releasing(&self) -> bool {
+        self.releasing.is_some()
+    }
+
     /// The next of what waited for something that was merged.
     pub(crate) fn next_released(&mut self, store: &Store) -> Option<Package> {
         loop {

@@ -44,6 +44,7 @@ mod events;
 mod memory;
 mod publisher;
 mod readers;
+mod republishing;
 mod robot;
 mod snapshots;
 

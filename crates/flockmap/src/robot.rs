@@ -5,10 +5,12 @@ mod poses;
 mod receive;
 mod restore;
 mod room;
+mod slices;
 mod snapshots;
 
 pub use poses::KnownPose;
 pub use restore::RestoreError;
+pub use slices::REBUILD_BLOCKS;
 
 use core::time::Duration;
 use std::collections::BTreeMap;
@@ -27,12 +29,9 @@ use flockmap_sync::{Path, Session, Transmit};
 use crate::events::Events;
 use crate::publisher::Publisher;
 use crate::readers::Readers;
+use crate::republishing::Republishing;
 use crate::snapshots::Snapshots;
 use crate::{Event, RobotConfig, RobotCounters, RobotError};
-
-/// Blocks of the fused map that one call of [`Robot::handle_timeout`] works out at most while the map is made anew:
-/// each takes 10 to 40 µs.
-pub const REBUILD_BLOCKS: usize = 256;
 
 /// Team-mates whose positions are kept.
 const TEAMMATES_MAX: usize = 1_024;
@@ -54,6 +53,14 @@ pub struct Robot {
     snapshots: Snapshots,
     decoder: Decoder,
     fusion: Fusion,
+    /// A run that was begun while flying publishes what the one before had published.
+    republishing: Option<Republishing>,
+    /// What is left for packages in this call.
+    merge_steps_left: u64,
+    /// Which long work goes on next.
+    turn: slices::Work,
+    /// The last slice was left out for a batch.
+    is_slice_due: bool,
     teammates: BTreeMap<RobotId, Teammate>,
     /// Of the newest scan.
     pose: Option<(Stamp, Pose)>,
@@ -95,6 +102,10 @@ impl Robot {
             decoder: Decoder::new(),
             session: Session::new(own, config.session.clone(), config.seed)?,
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
+            republishing: None,
+            merge_steps_left: 0,
+            turn: slices::Work::default(),
+            is_slice_due: false,
             teammates: BTreeMap::new(),
             pose: None,
             events: Events::default(),
@@ -202,24 +213,38 @@ impl Robot {
         self.counters.blocks_forgotten += report.forgotten.len() as u64;
     }
 
-    /// Lets time pass: closes the batch that is due, does what the session has to do, and goes on with the fused map
-    /// if that is being made by what was set: [`REBUILD_BLOCKS`] blocks of it, some milliseconds.
+    /// Lets time pass: closes the batch that is due, does what the session has to do, and goes on with what takes long:
+    /// the fused map by what was set, a snapshot for a peer, what a former run had published. Of one of these a slice,
+    /// some milliseconds, and none if a batch was closed, unless that was so the last time too.
     pub fn handle_timeout(&mut self, now: Stamp) {
         let now = self.advance(now);
         self.session.handle_timeout(now);
-        self.fusion.work(&self.mapper, REBUILD_BLOCKS);
         self.note_room();
-        while let Some((batch, changes)) = {
-            let Self { publisher, session, mapper, fusion, counters, .. } = self;
-            publisher.poll(now, || session.pace(now), mapper, fusion, counters)
-        } {
+        let batches = self.counters.batches;
+        while let Some((batch, changes)) = self.poll_batch(now) {
             self.publish(now, batch, changes);
         }
-        self.go_on_with_snapshots(now);
+        if self.counters.batches == batches || self.is_slice_due {
+            self.is_slice_due = false;
+            self.do_slice(now);
+        } else {
+            self.is_slice_due = true;
+        }
         self.answer_session(now);
     }
 
-    /// Takes in a datagram: what it brings is decoded, merged and fused before this returns.
+    /// The batch that is due. What a former run had published goes out before.
+    fn poll_batch(&mut self, now: Stamp) -> Option<(Batch, Changes)> {
+        let Self { publisher, session, mapper, fusion, counters, republishing, .. } = self;
+        if republishing.is_some() {
+            return None;
+        }
+        publisher.poll(now, || session.pace(now), mapper, fusion, counters)
+    }
+
+    /// Takes in a datagram: what it brings is decoded, merged and fused before this returns, but for what goes beyond
+    /// some milliseconds of that, where many packages waited for one: [`poll_timeout`](Self::poll_timeout) says "at
+    /// once" then, and each further call goes on with it.
     ///
     /// # Errors
     /// What was wrong with it. It is counted already and needs no action.
@@ -253,9 +278,14 @@ impl Robot {
         self.publisher.note_requests(&self.session);
     }
 
-    /// Closes the batch now, with whatever has changed.
+    /// Closes the batch now, with whatever has changed; where what a former run had published
+    /// [is still to go out](Self::is_republishing), after that.
     pub fn flush(&mut self, now: Stamp) {
         let now = self.advance(now);
+        if let Some(republishing) = &mut self.republishing {
+            republishing.is_flush_wanted = true;
+            return;
+        }
         if let Some((batch, changes)) = self.publisher.flush(now, &mut self.mapper) {
             self.publish(now, batch, changes);
         }
@@ -324,12 +354,12 @@ impl Robot {
     }
 
     /// When to call [`handle_timeout`](Self::handle_timeout) at the latest. May lie in the past: then at once, as
-    /// long as there is work that goes on in slices: the fused map [is being made anew](Self::is_rebuilding), or a
-    /// snapshot for a peer.
+    /// long as there is work that goes on in slices: the fused map [is being made anew](Self::is_rebuilding), a
+    /// snapshot for a peer, what a former run had published, or packages that waited for one another.
     pub fn poll_timeout(&self) -> Option<Stamp> {
-        let is_busy = self.is_rebuilding() || self.snapshots.is_busy();
-        let at_once = is_busy.then_some(self.now);
-        let due = [at_once, self.publisher.poll_timeout(&self.mapper), self.session.poll_timeout()];
+        let at_once = self.is_busy().then_some(self.now);
+        let batch = self.publisher.poll_timeout(&self.mapper).filter(|_| self.republishing.is_none());
+        let due = [at_once, batch, self.session.poll_timeout()];
         due.into_iter().flatten().min()
     }
 
@@ -356,6 +386,12 @@ impl Robot {
         self.fusion.is_rebuilding()
     }
 
+    /// Whether what a former run had published still goes out in this one, which was begun while flying
+    /// ([`Event::RunBegun`]). What changes meanwhile waits for that.
+    pub const fn is_republishing(&self) -> bool {
+        self.republishing.is_some()
+    }
+
     /// The own map.
     pub const fn mapper(&self) -> &Mapper {
         &self.mapper
@@ -373,9 +409,11 @@ impl Robot {
 
     /// Voxels that have changed and are still to be published. What a team-mate is believed to know better,
     /// where a budget made the own observation late, is not among them: it is published when it is seen
-    /// again, or by [`flush`](Self::flush). O(blocks with changes).
+    /// again, or by [`flush`](Self::flush). With what a former run had published and is still to go out. O(blocks with
+    /// changes).
     pub fn unpublished(&self) -> usize {
-        self.publisher.unpublished(&self.mapper, &self.fusion)
+        let former = self.republishing.as_ref().map_or(0, Republishing::voxels_left);
+        former + self.publisher.unpublished(&self.mapper, &self.fusion)
     }
 
     /// Whether something of others was dropped for want of room, and there is no room for it yet: then nothing that
@@ -442,6 +480,8 @@ impl Robot {
     /// The time of an input. A clock that is set back stands still until it has come up again.
     fn advance(&mut self, now: Stamp) -> Stamp {
         self.snapshots.note_call();
+        self.readers.free();
+        self.merge_steps_left = receive::MERGE_STEPS_MAX;
         self.now = self.now.max(now);
         self.now
     }

@@ -171,30 +171,151 @@ fn who_asks_again_while_a_snapshot_is_made_does_not_make_it_begin_again() {
     }
 }
 
+/// Tells a robot that there was a later run of it, until it begins anew.
+fn begin_anew(a: &mut Robot, now: &mut Stamp) {
+    let begun = a.counters().runs_begun;
+    let seconds = flockmap::grid::seconds_of_epoch(a.own_stream().epoch) + 9;
+    let mut later = robot(a.own_stream().origin.0, seconds, *now);
+    insert_slab(&mut later, *now, 30, 0);
+    let mut witness = robot(3, 5, *now);
+    send(&mut later, &mut witness, *now);
+    assert!(witness.session().received(later.own_stream()).is_some());
+    while a.counters().runs_begun == begun {
+        *now = now.plus_micros(200_000);
+        witness.handle_timeout(*now);
+        send(&mut witness, a, *now);
+    }
+}
+
 #[test]
 fn a_run_that_begins_anew_while_a_snapshot_is_made_lets_go_of_it() {
     let (mut a, mut now) = full(1, 5);
-    // Somebody holds packages of a later run of this robot.
-    let mut later = robot(1, 9, now);
-    insert_slab(&mut later, now, 30, 0);
-    let mut witness = robot(3, 5, now);
-    send(&mut later, &mut witness, now);
-    assert!(witness.session().received(later.own_stream()).is_some());
-
     let mut b = robot(2, 5, now);
     send(&mut b, &mut a, now);
     assert!(is_busy(&a, now));
     let former: Stream = a.own_stream();
-    for _ in 0..50 {
-        now = now.plus_micros(200_000);
-        witness.handle_timeout(now);
-        send(&mut witness, &mut a, now);
-        if a.counters().runs_begun > 0 {
-            break;
-        }
-    }
+    begin_anew(&mut a, &mut now);
     assert_eq!((a.counters().runs_begun, a.counters().snapshots), (1, 0));
     assert_ne!(a.own_stream(), former);
     let merged = catch_up(&mut a, &mut b, &mut now);
     assert!(merged.iter().all(|package| package.header().stream != former));
+}
+
+/// The blocks that were published in each call until all is out, and the ends of the batches.
+fn republish(a: &mut Robot, now: &mut Stamp) -> (Vec<usize>, Vec<Stamp>) {
+    let (mut calls, mut ends) = (Vec::new(), Vec::new());
+    while a.is_republishing() {
+        assert!(is_busy(a, *now), "there is something to do at once");
+        *now = now.plus_micros(1_000);
+        a.handle_timeout(*now);
+        let mut blocks = 0;
+        while let Some(event) = a.poll_event() {
+            if let Event::BatchClosed { batch, changes, .. } = event {
+                blocks += changes.blocks().len();
+                ends.push(batch.end);
+            }
+        }
+        calls.push(blocks);
+    }
+    (calls, ends)
+}
+
+#[test]
+fn a_run_begun_anew_publishes_what_the_former_one_had_a_part_at_a_time_and_then_what_is_new() {
+    let (mut a, mut now) = full(1, 5);
+    let before = a.fusion().layer(a.own_stream()).unwrap().clone();
+    let batch_most =
+        before.snapshot().unwrap().parts.iter().map(|(_, part)| part.blocks().len()).max().unwrap();
+    begin_anew(&mut a, &mut now);
+    assert!(
+        a.is_republishing() && a.fusion().layer(a.own_stream()).is_none(),
+        "not in the call that says so"
+    );
+    assert_eq!(a.unpublished(), before.len());
+    // What is seen meanwhile, and even what somebody wants to go out at once, waits.
+    let seen = now;
+    insert_slab(&mut a, seen, 40, 0);
+    let (calls, ends) = republish(&mut a, &mut now);
+    let reading = calls.iter().take_while(|blocks| **blocks == 0).count();
+    assert!(reading >= before.block_count() / 512, "{reading} calls to read {} blocks", before.block_count());
+    assert!(calls.iter().all(|blocks| *blocks < 64 + batch_most), "{calls:?}, batches of {batch_most}");
+    assert!(ends.is_sorted() && ends.last() == Some(&seen), "in the order of the stamps: {ends:?}");
+    assert_eq!(a.unpublished(), 0);
+    let after = a.fusion().layer(a.own_stream()).unwrap();
+    assert_eq!(after.len(), before.len() + 120 * 120 * 8);
+    let mut all = before;
+    let slab = after.snapshot_since(seen.plus_micros(-1)).unwrap();
+    all.apply_snapshot(&slab);
+    assert_eq!(all.digest(), after.digest(), "nothing old looks new, and nothing is lost");
+    catch_up(&mut a, &mut robot(2, 5, now), &mut now);
+}
+
+#[test]
+fn a_run_begun_anew_in_the_middle_of_that_publishes_all_of_it_again() {
+    for calls in [1, 5, 12] {
+        let (mut a, mut now) = full(1, 5);
+        let before = a.fusion().layer(a.own_stream()).unwrap().digest();
+        begin_anew(&mut a, &mut now);
+        for _ in 0..calls {
+            a.handle_timeout(now);
+        }
+        assert!(a.is_republishing());
+        // The session takes no second one so soon.
+        now = now.plus_micros(15_000_000);
+        begin_anew(&mut a, &mut now);
+        let _ = republish(&mut a, &mut now);
+        assert_eq!(a.counters().runs_begun, 2);
+        assert_eq!(a.fusion().layer(a.own_stream()).unwrap().digest(), before, "after {calls} calls");
+    }
+}
+
+/// A map goes to a robot that joins late, but for one datagram. Returns the robots, the time, what was withheld, and
+/// which datagram was the first of which something could be merged.
+fn join_without(withheld: Option<usize>) -> (Robot, Robot, Stamp, Option<Vec<u8>>, usize) {
+    let (mut a, mut now) = full(1, 5);
+    let mut b = robot(2, 5, now);
+    let (mut number, mut first, mut kept) = (0, None, None);
+    for _ in 0..1_000 {
+        now = now.plus_micros(10_000);
+        a.handle_timeout(now);
+        b.handle_timeout(now);
+        while let Some(datagram) = a.poll_transmit(now) {
+            number += 1;
+            if withheld == Some(number) {
+                kept = Some(datagram.bytes);
+                continue;
+            }
+            let _ = b.handle_datagram(now, &datagram.bytes);
+            while let Some(event) = b.poll_event() {
+                if let Event::Merged { .. } = event {
+                    first.get_or_insert(number);
+                }
+            }
+            if b.session().counters().waited >= 100 || withheld.is_none() && first.is_some() {
+                return (a, b, now, kept, first.unwrap_or(0));
+            }
+        }
+        send(&mut b, &mut a, now);
+    }
+    panic!("nothing came");
+}
+
+#[test]
+fn what_waited_for_a_chunk_is_merged_some_in_each_call() {
+    let (.., first) = join_without(None);
+    let (mut a, mut b, mut now, withheld, _) = join_without(Some(first));
+    let _ = b.handle_datagram(now, &withheld.expect("the first chunk"));
+    let mut calls = Vec::new();
+    loop {
+        let merged = std::iter::from_fn(|| b.poll_event());
+        calls.push(merged.filter(|event| matches!(event, Event::Merged { .. })).count());
+        if !b.session().has_events() {
+            break;
+        }
+        assert!(is_busy(&b, now), "there is more to do at once");
+        b.handle_timeout(now);
+    }
+    assert!(calls.iter().sum::<usize>() > 100, "{calls:?}");
+    assert!(calls.iter().all(|merged| (1..=16).contains(merged)), "{calls:?}");
+    catch_up(&mut a, &mut b, &mut now);
 }

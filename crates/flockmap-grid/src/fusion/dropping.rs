@@ -53,12 +53,12 @@ impl Fusion {
         self.dropping.near = sensor.map(|at| at.map(|at| at / block_m)).or(self.dropping.near);
     }
 
-    /// Makes room for parts that a layer is to take over: packs cubes, drops the farthest and oldest ones, and leaves
+    /// Makes room for parts that a layer is to take over, where packing makes none: drops the farthest and oldest ones, and leaves
     /// out of the parts what is farther and older still. Each part has a stamp. O(cubes) once for an eighth of them;
     /// beside that O(blocks of what is dropped), some 20 µs for each.
     ///
     /// # Errors
-    /// [`FusionError`] where nothing helps for now; nothing is changed then but that cubes are packed.
+    /// [`FusionError`] where something that was forgotten gives room in a moment; nothing is changed then.
     pub(super) fn make_room_by_dropping(
         &mut self,
         mapper: &Mapper,
@@ -69,10 +69,11 @@ impl Fusion {
     ) -> Result<(), FusionError> {
         let is_own = stream == self.sources.own;
         loop {
-            match self.make_room(mapper, stream, || parts.iter().map(|(_, part)| part), sensors) {
+            match self.check_room(mapper, stream, parts.iter().map(|(_, part)| part), sensors) {
                 Err(FusionError::OwnLayerFull { .. }) => {}
                 // What was forgotten goes first, in a moment.
-                Err(FusionError::LayersFull { .. }) if !self.sources.is_any_leaving() => {}
+                Err(FusionError::LayersFull { .. })
+                    if !self.sources.is_any_leaving() && !self.sources.is_any_discarded() => {}
                 result => return result,
             }
             let worst = self.worst(is_own, now).map_or(0, |candidate| candidate.rank);

@@ -284,7 +284,8 @@ impl Fusion {
         }
     }
 
-    /// The own stream is another one from now on, without a layer; that of the former one is forgotten.
+    /// The own stream is another one from now on, without a layer; that of the former one is forgotten, and let go of
+    /// by [`Self::work`].
     pub fn begin_run(&mut self, own: Stream) {
         self.sources.begin_run(own);
     }

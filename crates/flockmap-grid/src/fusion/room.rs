@@ -9,6 +9,16 @@ use crate::{Changes, Mapper, Stream};
 /// and they are counted.
 const REACHED_BLOCKS: usize = 4;
 
+/// To which nothing was applied by so many changes of blocks, that is packed where room is wanting; where the cap is
+/// small, by one for each 256 bytes of it.
+const COLD: u64 = 32_768;
+/// Most blocks that are packed for one change, some 15 µs each; where there is no room then, something is dropped.
+const PACKED_AT_ONCE: usize = 512;
+/// Of these, so many before it is looked again whether there is room.
+const PACKED_AT_A_TIME: usize = 64;
+/// Packed for each change when seven eighths are taken, so that rarely much is to be packed for one.
+const PACKED_AHEAD: usize = 128;
+
 impl Fusion {
     /// Bytes that the layers of others hold, those that are leaving too, with what of the fused map, and of the one
     /// that is being made, the own map does not account for. O(1); O(regions of 64³ voxels) while a map is being made.
@@ -27,7 +37,7 @@ impl Fusion {
         }
     }
 
-    /// Packs layers if they would not fit else: the layer of a stream is to take these changes over.
+    /// Packs layers if they would not fit else, or soon: the layer of a stream is to take these changes over.
     pub(super) fn make_room<'a, P: Iterator<Item = &'a Changes>>(
         &mut self,
         mapper: &Mapper,
@@ -35,18 +45,35 @@ impl Fusion {
         parts: impl Fn() -> P,
         sensors: usize,
     ) -> Result<(), FusionError> {
-        match self.check_room(mapper, stream, parts(), sensors) {
-            Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }) => {
-                self.sources.make_room(stream == self.sources.own);
-                self.check_room(mapper, stream, parts(), sensors)
+        let is_own = stream == self.sources.own;
+        let (held, max) = if is_own {
+            let own = self.sources.get(stream).map(|source| source.layer.memory_bytes());
+            (own.unwrap_or(0), self.config.own_layer_bytes_max)
+        } else {
+            (self.memory_bytes_of_others(mapper), self.config.layer_bytes_max)
+        };
+        let cold = COLD.min(max as u64 / 256);
+        if held > max / 8 * 7 {
+            self.sources.make_room(is_own, cold, PACKED_AHEAD);
+        }
+        let mut packed = 0;
+        loop {
+            let result = self.check_room(mapper, stream, parts(), sensors);
+            let is_full =
+                matches!(result, Err(FusionError::LayersFull { .. } | FusionError::OwnLayerFull { .. }));
+            if !is_full || packed >= PACKED_AT_ONCE {
+                return result;
             }
-            result => result,
+            match self.sources.make_room(is_own, cold, PACKED_AT_A_TIME) {
+                0 => return result,
+                more => packed += more,
+            }
         }
     }
 
     /// Whether the layer of a stream may take these changes over, each with a stamp of its own, and so many
     /// sensors.
-    fn check_room<'a>(
+    pub(super) fn check_room<'a>(
         &self,
         mapper: &Mapper,
         stream: Stream,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::received::Received;
 use crate::layer::Unpacked;
-use crate::{Layer, RobotId, Stream};
+use crate::{DiscardedLayer, Layer, RobotId, Stream};
 
 /// What came of a stream.
 #[derive(Default)]
@@ -24,7 +24,9 @@ pub(super) struct Sources {
     sources: BTreeMap<Stream, Source>,
     /// Forgotten, and still in the map that is shown.
     leaving: Vec<Leaving>,
-    /// Of the sources of others, with those that are leaving.
+    /// In no map any more, and not yet let go of, with the bytes that count for them until they are.
+    discarded: Vec<(DiscardedLayer, usize)>,
+    /// Of the sources of others, with those that are leaving or discarded.
     bytes: usize,
     /// Cubes of layers, for who reads them.
     unpacked: Arc<Unpacked>,
@@ -54,6 +56,7 @@ impl Sources {
             own,
             sources: BTreeMap::new(),
             leaving: Vec::new(),
+            discarded: Vec::new(),
             bytes: 0,
             unpacked: Arc::default(),
             numbers: 0,
@@ -83,7 +86,7 @@ impl Sources {
         self.of_others(false).any(|(stream, _, _)| stream.origin == origin)
     }
 
-    /// Of the sources of others, with those that are leaving.
+    /// Of the sources of others, with those that are leaving or discarded.
     pub(super) const fn bytes(&self) -> usize {
         self.bytes
     }
@@ -95,6 +98,10 @@ impl Sources {
 
     pub(super) const fn is_any_leaving(&self) -> bool {
         !self.leaving.is_empty()
+    }
+
+    pub(super) const fn is_any_discarded(&self) -> bool {
+        !self.discarded.is_empty()
     }
 
     /// Changes a source, which is made if need be, and the count of bytes with it.
@@ -112,22 +119,26 @@ impl Sources {
         result
     }
 
-    /// Packs what others said, or what was published.
-    pub(super) fn make_room(&mut self, is_own: bool) {
+    /// Packs what others said, or what was published: [`Layer::make_room`]. Returns how many blocks it has packed.
+    pub(super) fn make_room(&mut self, is_own: bool, cold: u64, blocks_max: usize) -> usize {
+        let mut packed = 0;
         for (stream, source) in &mut self.sources {
-            if (*stream == self.own) == is_own {
+            if packed < blocks_max && (*stream == self.own) == is_own {
                 let before = source.memory_bytes();
-                source.layer.make_room();
+                packed += source.layer.make_room(cold, blocks_max - packed);
                 if !is_own {
                     self.bytes = self.bytes + source.memory_bytes() - before;
                 }
             }
         }
+        packed
     }
 
-    /// The own stream is another one; the source of the former one is gone.
+    /// The own stream is another one; the source of the former one is in no map, and is discarded.
     pub(super) fn begin_run(&mut self, own: Stream) {
-        self.sources.remove(&self.own);
+        if let Some(source) = self.sources.remove(&self.own) {
+            self.discarded.push((source.layer.discard(), 0));
+        }
         self.own = own;
     }
 
@@ -145,16 +156,29 @@ impl Sources {
         self.leaving.iter_mut().for_each(|leaving| leaving.is_left_out = true);
     }
 
-    /// The map that was made without those that were left out is shown: they are gone. Returns of whom they were.
-    pub(super) fn drop_left_out(&mut self) -> Vec<RobotId> {
+    /// The map that was made without those that were left out is shown: they are discarded. Returns of whom they were.
+    pub(super) fn discard_left_out(&mut self) -> Vec<RobotId> {
         let mut dropped = Vec::new();
-        self.leaving.retain(|Leaving { stream, source, is_left_out }| {
-            if *is_left_out {
-                self.bytes -= source.memory_bytes();
-                dropped.push(stream.origin);
-            }
-            !is_left_out
-        });
+        for Leaving { stream, source, .. } in self.leaving.extract_if(.., |leaving| leaving.is_left_out) {
+            dropped.push(stream.origin);
+            let bytes = source.memory_bytes();
+            self.discarded.push((source.layer.discard(), bytes));
+        }
         dropped
+    }
+
+    /// Lets go of what is discarded, `blocks_max` blocks at most, and what of a cube goes beyond that.
+    pub(super) fn free(&mut self, mut blocks_max: usize) {
+        while blocks_max > 0
+            && let Some((layer, bytes)) = self.discarded.last_mut()
+        {
+            match layer.free(blocks_max) {
+                0 => {
+                    self.bytes -= *bytes;
+                    self.discarded.pop();
+                }
+                freed => blocks_max = blocks_max.saturating_sub(freed),
+            }
+        }
     }
 }

@@ -6,30 +6,41 @@ use super::Fusion;
 use super::rebuild::Rebuild;
 use crate::{BlockIndex, Mapper, Plane};
 
+/// So many blocks of a layer are let go of in the time in which one block of the map is worked out.
+const FREED_PER_BLOCK: usize = 16;
+
 impl Fusion {
     /// Goes on making the map by what was set: works out `blocks_max` blocks at most (0 counts as 1), fewer where much
     /// is contested, and goes through as many blocks of layers. The map stays as it is, but for what is seen and
-    /// received, until all that differs is worked out; then it is the new one. Returns whether there is more to do.
+    /// received, until all that differs is worked out; then it is the new one. Layers that were forgotten are let go of
+    /// a part at a time as well. Returns whether there is more to do.
     /// O(`blocks_max`), 10 to 40 µs for a block as a rule; O(cubes of 4³ blocks of the layers) when it begins, O(blocks
     /// that changed meanwhile) when it ends.
     pub fn work(&mut self, mapper: &Mapper, blocks_max: usize) -> bool {
         if self.next.is_none() {
             self.begin();
         }
-        let Some(mut next) = self.next.take() else { return false };
-        self.refreshed += next.work(&self.shown, &self.sources, mapper, blocks_max) as u64;
-        if next.is_done() {
-            next.finish(&mut self.shown);
-            self.forget_left_out();
-        } else {
-            self.next = Some(next);
+        if let Some(mut next) = self.next.take() {
+            self.refreshed += next.work(&self.shown, &self.sources, mapper, blocks_max) as u64;
+            if next.is_done() {
+                next.finish(&mut self.shown);
+                self.forget_left_out();
+            } else {
+                self.next = Some(next);
+            }
         }
-        self.is_rebuilding()
+        self.sources.free(blocks_max.max(1).saturating_mul(FREED_PER_BLOCK));
+        self.has_work()
     }
 
     /// Whether something was set or forgotten that is not in force yet: call [`Self::work`].
     pub fn is_rebuilding(&self) -> bool {
         self.next.is_some() || !self.due.is_empty() || self.sources.is_any_leaving()
+    }
+
+    /// Whether [`Self::work`] has anything to do: the map is made anew, or layers that were forgotten are let go of.
+    pub fn has_work(&self) -> bool {
+        self.is_rebuilding() || self.sources.is_any_discarded()
     }
 
     /// Cubes of 4³ blocks of layers that are still to be gone through for the map that is being made; `None` if none is.
@@ -44,6 +55,7 @@ impl Fusion {
         self.due.clear();
         self.sources.leave_out();
         self.forget_left_out();
+        self.sources.free(usize::MAX);
         self.shown.settings = self.wanted.clone();
         self.shown.outdated.clear();
         let mut reached: BTreeMap<BlockIndex, Plane> = mapper.blocks().map(|(i, b)| (i, b.known())).collect();
@@ -76,7 +88,7 @@ impl Fusion {
 
     /// What was left out is in no map any more.
     fn forget_left_out(&mut self) {
-        for origin in self.sources.drop_left_out() {
+        for origin in self.sources.discard_left_out() {
             self.forget_plain(origin);
         }
     }

@@ -8,6 +8,8 @@ use crate::BlockIndex;
 
 /// When blocks were changed so often, it is looked whether some lie cold.
 const LOOKED_EVERY: u64 = 256;
+/// Blocks that are packed then.
+const PACKED_AT_ONCE: usize = 256;
 /// A cube is cold to which nothing was applied while blocks were changed four times as often as there are open ones,
 /// but between these. So what is changed all the time stays open, however large it is, and what a robot has left
 /// behind is packed within half a minute as a rule.
@@ -36,18 +38,21 @@ impl Layer {
         }
     }
 
-    /// Notes that blocks were changed, and packs as many of those that lie cold now and then: some 15 µs for each.
+    /// Notes that blocks were changed, and packs some of those that lie cold now and then, about 15 µs for each: more
+    /// of them where they have lain cold for long.
     pub(super) fn note_changed(&mut self, blocks: usize) {
         let before = self.changed;
         self.changed += blocks as u64;
         if self.changed / LOOKED_EVERY > before / LOOKED_EVERY {
-            self.pack_cold((4 * self.open as u64).clamp(COLD[0], COLD[1]), blocks.max(LOOKED_EVERY as usize));
+            let cold = (4 * self.open as u64).clamp(COLD[0], COLD[1]);
+            let is_behind = self.queue.front().is_some_and(|(noted, _)| noted + 2 * cold < self.changed);
+            self.pack_cold(cold, if is_behind { 2 * PACKED_AT_ONCE } else { PACKED_AT_ONCE });
         }
     }
 
     /// Packs cubes to which nothing was applied by the last `cold` changes of blocks, the longest ago first, until
-    /// `blocks_max` blocks are packed.
-    fn pack_cold(&mut self, cold: u64, blocks_max: usize) {
+    /// `blocks_max` blocks are packed. Returns how many blocks it has packed.
+    fn pack_cold(&mut self, cold: u64, blocks_max: usize) -> usize {
         let limit = self.changed.saturating_sub(cold);
         let mut packed = 0;
         while packed < blocks_max
@@ -58,6 +63,7 @@ impl Layer {
                 _ => packed += self.pack_cube(at),
             }
         }
+        packed
     }
 
     /// Packs all that is open. O(open blocks).
@@ -65,10 +71,11 @@ impl Layer {
         self.pack_cold(0, usize::MAX);
     }
 
-    /// Packs all but what had something lately, for who needs the room: what is written to all the time would be
-    /// open again at once. O(open blocks).
-    pub(crate) fn make_room(&mut self) {
-        self.pack_cold(COLD[0], usize::MAX);
+    /// Packs whole cubes until `blocks_max` blocks are packed, but none to which something was applied by the last
+    /// `cold` changes of blocks: what is written to all the time would be open again at once. Returns how many blocks
+    /// it has packed, some 15 µs each.
+    pub(crate) fn make_room(&mut self, cold: u64, blocks_max: usize) -> usize {
+        self.pack_cold(cold, blocks_max)
     }
 
     /// Packs an open cube. Returns the number of its blocks.

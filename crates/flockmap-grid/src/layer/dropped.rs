@@ -96,6 +96,7 @@ impl Layer {
     pub(crate) fn drop_cube(&mut self, at: BlockIndex) -> Vec<(BlockIndex, Plane)> {
         let known = self.known_in_cube(at);
         let newest = self.cubes.get(&at).and_then(Place::newest);
+        self.voxels -= known.iter().flat_map(|(_, plane)| plane).map(|word| word.count_ones() as usize).sum::<usize>();
         self.take_out(at);
         if let Some(newest) = newest {
             self.note_dropped(at, newest);
@@ -138,7 +139,7 @@ impl Layer {
         dropped.thin(|at| cubes.contains_key(at));
     }
 
-    /// Takes a cube out of the table.
+    /// Takes a cube, whose voxels are not counted any more, out of the table.
     fn take_out(&mut self, at: BlockIndex) {
         match self.cubes.remove(&at) {
             None => {}

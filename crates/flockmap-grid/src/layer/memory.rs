@@ -4,7 +4,7 @@ use rustc_hash::FxHashMap;
 
 use super::cube::{CUBE_BLOCK_BYTES, Cube, cube_of};
 use super::stamps::BlockStamps;
-use super::{Layer, OPEN_BYTES, Place, SENSOR_BYTES};
+use super::{Layer, OPEN_BYTES, Place};
 use crate::memory::table_bytes;
 use crate::{BlockIndex, Changes};
 
@@ -23,7 +23,7 @@ const PLACE_BYTES: usize = size_of::<(BlockIndex, Place)>();
 impl Layer {
     /// Bytes that the layer holds, as asked of the allocator. O(1).
     pub fn memory_bytes(&self) -> usize {
-        let beside = table_bytes(self.cubes.capacity(), PLACE_BYTES) + SENSOR_BYTES * self.sensors.len();
+        let beside = table_bytes(self.cubes.capacity(), PLACE_BYTES) + self.sensors.memory_bytes();
         beside + self.dropped.memory_bytes() + self.open_bytes + self.packed_bytes + self.queue.capacity() * QUEUE_BYTES
     }
 

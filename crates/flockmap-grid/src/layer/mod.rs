@@ -3,28 +3,33 @@
 mod block;
 mod cold;
 mod cube;
+mod discarded;
 mod dropped;
 mod memory;
 mod packed;
 mod packing;
+mod sensors;
 mod snapshots;
 mod stamps;
 mod unpacked;
 
 use std::borrow::Cow;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::Arc;
 
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashMap;
 
 use crate::block::set_bits;
 use crate::{BlockIndex, Changes, Plane, Snapshot, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::LayerBlock;
 use cube::{Cube, cube_of};
+pub use discarded::DiscardedLayer;
 use dropped::Dropped;
 pub(crate) use dropped::cube_at;
 pub use memory::LAYER_BLOCK_BYTES_MAX;
 use packed::PackedCube;
+pub(crate) use sensors::SENSOR_BYTES;
+use sensors::Sensors;
 pub use snapshots::SnapshotReader;
 pub use unpacked::UNPACKED_BYTES_MAX;
 pub(crate) use unpacked::Unpacked;
@@ -42,6 +47,7 @@ pub struct Layer {
     cubes: FxHashMap<BlockIndex, Place>,
     newest: Option<Stamp>,
     blocks: usize,
+    voxels: usize,
     /// Of cubes that are open, and how many bytes these take on the heap.
     open: usize,
     open_bytes: usize,
@@ -52,10 +58,7 @@ pub struct Layer {
     /// How often blocks were changed.
     changed: u64,
     unpacked: Arc<Unpacked>,
-    /// By end of batch, where the sensor was. Codecs make use of it; it is no part of what is known.
-    sensors: BTreeMap<Stamp, [i32; 3]>,
-    /// How many were noted since the layer was last gone through for those of which nothing stands any more.
-    sensors_noted: usize,
+    sensors: Sensors,
     dropped: Dropped,
     /// Voxels that were ignored, since something newer may have been dropped.
     ignored: u64,
@@ -87,13 +90,6 @@ enum By {
 
 /// An open cube beside its blocks, and the two counts of who shares it.
 const OPEN_BYTES: usize = size_of::<Open>() + 2 * size_of::<usize>();
-
-/// Most batches whose sensor a layer remembers; the oldest are forgotten.
-const SENSORS_MAX: usize = 1 << 16;
-/// A sensor in its map.
-pub(crate) const SENSOR_BYTES: usize = 48;
-/// So many sensors are noted at least before the layer is gone through.
-const SENSORS_NOTED_MIN: usize = 1_024;
 
 /// A later batch has changed a block already, or a snapshot has: what it was before is not known any more.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
@@ -142,53 +138,14 @@ impl Layer {
         let taken =
             state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, by)).collect();
         // After the voxels: the sensor of a batch of which nothing stands may be forgotten at once.
-        state.sensors.iter().for_each(|(stamp, sensor)| self.note_sensor(*stamp, *sensor));
+        self.note_sensors(&state.sensors);
         self.note_changed(state.parts.iter().map(|(_, part)| part.blocks().len()).sum());
         taken
     }
 
-    /// Notes where the sensor was in the batch that ended at `stamp`, in sixteenths of a voxel; to be called
-    /// after its voxels were taken over. Of at most 2¹⁶ batches, 48 bytes each; batches of which no voxel
-    /// stands any more are forgotten now and then. O(log n) over time.
-    pub fn note_sensor(&mut self, stamp: Stamp, sensor: [i32; 3]) {
-        if self.sensors.insert(stamp, sensor).is_some() {
-            return;
-        }
-        self.sensors_noted += 1;
-        // So rare that going through all blocks costs little for each.
-        if self.sensors_noted >= SENSORS_NOTED_MIN.max(self.blocks / 4).max(self.sensors.len() / 2) {
-            self.forget_sensors();
-        }
-        if self.sensors.len() > SENSORS_MAX {
-            self.sensors.pop_first();
-        }
-    }
-
-    /// Where the sensor was in the newest batch of which that is known, in sixteenths of a voxel. O(log n).
-    pub fn newest_sensor(&self) -> Option<(Stamp, [i32; 3])> {
-        self.sensors.last_key_value().map(|(stamp, sensor)| (*stamp, *sensor))
-    }
-
-    /// Forgets the sensors of batches of which no voxel stands. O(voxels of open cubes, stamps of packed ones).
-    fn forget_sensors(&mut self) {
-        self.sensors_noted = 0;
-        let mut unseen: FxHashSet<Stamp> = self.sensors.keys().copied().collect();
-        for place in self.cubes.values() {
-            let mut found = |stamp| {
-                unseen.remove(&stamp);
-            };
-            match place {
-                Place::Open(open) => open.cube.parts().iter().for_each(|block| {
-                    block.stamps.for_each_in_use(&block.states.known(), &mut found);
-                }),
-                Place::Packed(packed) => packed.for_each_stamp(found),
-            }
-        }
-        self.sensors.retain(|stamp, _| !unseen.contains(stamp));
-    }
-
     fn take_over(&mut self, changes: &Changes, stamp: Stamp, by: By) -> Vec<(BlockIndex, Plane)> {
         let mut taken = Vec::with_capacity(changes.blocks().len());
+        self.sensors.note_stamp(stamp);
         for (index, new) in changes.blocks() {
             let mut new = Cow::Borrowed(new);
             if by != By::Rest
@@ -209,14 +166,17 @@ impl Layer {
             open.touched = changed;
             let (list, blocks) = (open.cube.list_bytes(), open.cube.len());
             let block = open.cube.entry(*index, stamp);
-            let stamps = block.stamps.memory_bytes();
+            let (stamps, known) = (block.stamps.memory_bytes(), block.states.known_count() as usize);
             let mask = block.take_over(&new, stamp, by == By::Batch);
             let grown = block.stamps.memory_bytes();
+            // Nothing ever becomes Unknown.
+            let new_voxels = block.states.known_count() as usize - known;
             let (list_grown, blocks_grown) = (open.cube.list_bytes(), open.cube.len());
             // The stamps of a block that is new count from nothing.
             let before = if blocks_grown > blocks { 0 } else { stamps };
             self.open_bytes = self.open_bytes + list_grown - list + grown - before;
             self.blocks += blocks_grown - blocks;
+            self.voxels += new_voxels;
             self.open += blocks_grown - blocks;
             if mask != [0; 8] {
                 taken.push((*index, mask));
@@ -317,15 +277,9 @@ impl Layer {
         Changes::from_blocks(self.blocks().collect()).into_voxels()
     }
 
-    /// Number of known voxels. O(open blocks, packed cubes).
-    pub fn len(&self) -> usize {
-        let of = |place: &Place| match place {
-            Place::Open(open) => {
-                open.cube.parts().iter().map(|block| block.states.known_count() as usize).sum()
-            }
-            Place::Packed(packed) => packed.voxels(),
-        };
-        self.cubes.values().map(of).sum()
+    /// Number of known voxels. O(1).
+    pub const fn len(&self) -> usize {
+        self.voxels
     }
 
     /// Whether nothing is known.

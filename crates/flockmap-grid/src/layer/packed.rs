@@ -16,7 +16,6 @@ pub(super) struct PackedCube {
     bytes: Box<[u8]>,
     places: u64,
     newest: Stamp,
-    voxels: u32,
     open_bytes: u32,
 }
 
@@ -55,7 +54,6 @@ impl PackedCube {
             bytes: bytes.into_boxed_slice(),
             places: cube.places(),
             newest: palette.last().copied().unwrap_or_default(),
-            voxels: blocks.iter().map(|block| block.states.known_count()).sum(),
             open_bytes: cube.memory_bytes() as u32,
         }
     }
@@ -110,11 +108,6 @@ impl PackedCube {
     /// The newest stamp of all blocks.
     pub(super) const fn newest(&self) -> Stamp {
         self.newest
-    }
-
-    /// Number of known voxels.
-    pub(super) const fn voxels(&self) -> usize {
-        self.voxels as usize
     }
 
     /// Number of blocks.

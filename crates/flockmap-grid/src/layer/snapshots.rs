@@ -36,7 +36,7 @@ impl Layer {
         SnapshotReader {
             newer_than,
             cubes: cubes.map(|(at, place)| (*at, place.clone())).collect(),
-            sensors: self.sensors.clone(),
+            sensors: self.sensors.by_stamp().clone(),
             groups: Vec::new(),
             voxels: SnapshotVoxels::default(),
         }

@@ -2,15 +2,19 @@
 
 mod dropped;
 
+use std::collections::BTreeMap;
+
+use super::sensors::SENSORS_NOTED_MIN;
 use super::*;
 use crate::SnapshotVoxels;
 use proptest::prelude::*;
 
 /// What it counts as it goes is what there is.
 fn check_counts(layer: &Layer) {
-    let (mut blocks, mut open, mut open_bytes, mut packed_bytes) = (0, 0, 0, 0);
+    let (mut blocks, mut voxels, mut open, mut open_bytes, mut packed_bytes) = (0, 0, 0, 0, 0);
     for place in layer.cubes.values() {
         blocks += place.read().len();
+        voxels += place.read().parts().iter().map(|b| b.states.known_count() as usize).sum::<usize>();
         match place {
             Place::Open(place) => {
                 open += place.cube.len();
@@ -19,15 +23,11 @@ fn check_counts(layer: &Layer) {
             Place::Packed(packed) => {
                 packed_bytes += packed.memory_bytes();
                 assert!(packed.unpack().memory_bytes() <= packed.open_bytes());
-                assert_eq!(
-                    packed.voxels(),
-                    packed.unpack().parts().iter().map(|b| b.states.known_count() as usize).sum::<usize>()
-                );
             }
         }
     }
-    let counted = (layer.blocks, layer.open, layer.open_bytes, layer.packed_bytes);
-    assert_eq!(counted, (blocks, open, open_bytes, packed_bytes));
+    let counted = (layer.blocks, layer.voxels, layer.open, layer.open_bytes, layer.packed_bytes);
+    assert_eq!(counted, (blocks, voxels, open, open_bytes, packed_bytes));
     assert_eq!(layer.packed_count(), blocks - open);
 }
 
@@ -44,7 +44,14 @@ fn all_of(layer: &Layer, stamps: &[Stamp]) -> impl PartialEq + std::fmt::Debug +
         })
         .collect();
     let since: Vec<_> = stamps.iter().map(|stamp| layer.snapshot_since(*stamp)).collect();
-    (blocks, voxels, before, since, layer.digest(), (layer.len(), layer.newest(), layer.sensors.clone()))
+    (
+        blocks,
+        voxels,
+        before,
+        since,
+        layer.digest(),
+        (layer.len(), layer.newest(), layer.sensors.by_stamp().clone()),
+    )
 }
 
 proptest! {
@@ -200,7 +207,7 @@ proptest! {
         let snapshot = layer.snapshot().unwrap();
         let standing: Vec<_> = snapshot.parts.iter().map(|(stamp, _)| (*stamp, all[stamp])).collect();
         prop_assert_eq!(&snapshot.sensors, &standing, "every sensor of a batch that stands is there");
-        prop_assert_eq!(layer.sensors.len(), standing.len(), "and no other");
+        prop_assert_eq!(layer.sensors.by_stamp().len(), standing.len(), "and no other");
     }
 
     #[test]
@@ -360,7 +367,11 @@ fn sensors_of_a_flight_that_sees_the_same_place_again_and_again_do_not_pile_up()
         layer.apply(&Changes::from_voxels([(kept(batch), State::Free)]), Stamp(batch));
         layer.note_sensor(Stamp(batch), [batch as i32, 0, 0]);
         // 200 batches stand at the end, and the blocks are as few.
-        assert!(layer.sensors.len() < 200 + 2 * SENSORS_NOTED_MIN, "{} of {batch}", layer.sensors.len());
+        assert!(
+            layer.sensors.by_stamp().len() < 200 + 2 * SENSORS_NOTED_MIN,
+            "{} of {batch}",
+            layer.sensors.by_stamp().len()
+        );
     }
     let snapshot = layer.snapshot().unwrap();
     assert_eq!(snapshot.sensors.len(), snapshot.parts.len());
@@ -368,6 +379,48 @@ fn sensors_of_a_flight_that_sees_the_same_place_again_and_again_do_not_pile_up()
     let mut again = Layer::default();
     again.apply_snapshot(&snapshot);
     assert_eq!(again.snapshot().unwrap(), snapshot);
+}
+
+#[test]
+fn a_call_that_notes_a_sensor_goes_through_a_bounded_part_of_the_layer_and_in_time_through_all() {
+    let mut layer = Layer::default();
+    // Two stamps to a block: what is older than the last two rounds does not stand.
+    let block = |number: i32| Voxel::new(8 * (number % 64), 8 * (number / 64), 0);
+    let (blocks, cube) = (8_192, 64);
+    for number in 0..blocks {
+        let changes = Changes::from_voxels([(block(number), State::Free)]);
+        layer.apply(&changes, Stamp(0));
+    }
+    let mut swept = 0;
+    for batch in 1..40_000 {
+        layer.apply(&Changes::from_voxels([(block(batch % 64), State::Free)]), Stamp(batch.into()));
+        assert!(layer.sensors.note(Stamp(batch.into()), [batch, 0, 0]));
+        let looked = layer.sweep_sensors(100);
+        assert!(looked < 100 + cube, "{looked} blocks in one call");
+        swept += looked;
+        assert!(layer.sensors.by_stamp().len() < 3 * blocks as usize, "{batch}");
+    }
+    assert!(swept > 3 * blocks as usize, "{swept}");
+    layer.forget_sensors();
+    let standing: Vec<Stamp> = layer.sensors.by_stamp().keys().copied().collect();
+    assert_eq!(standing, (40_000 - 64..40_000).map(Stamp).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_layer_is_let_go_of_a_part_at_a_time() {
+    let mut layer = Layer::default();
+    let (blocks, cube) = (4_096, 64);
+    for number in 0..blocks {
+        let voxel = Voxel::new(8 * (number % 64), 8 * (number / 64), 0);
+        layer.apply(&Changes::from_voxels([(voxel, State::Free)]), Stamp(number.into()));
+    }
+    let (bytes, mut discarded, mut freed) = (layer.memory_bytes(), layer.discard(), Vec::new());
+    assert_eq!(discarded.memory_bytes(), bytes);
+    while let more @ 1.. = discarded.free(100) {
+        freed.push(more);
+    }
+    assert!(freed.iter().all(|more| *more < 100 + cube), "{freed:?}");
+    assert_eq!(freed.iter().sum::<usize>(), blocks as usize);
 }
 
 #[test]

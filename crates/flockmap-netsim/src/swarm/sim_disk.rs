@@ -94,6 +94,10 @@ impl SimDisk {
 
     /// Lets a compaction go on, with no event of the robot left unread.
     pub(super) fn go_on(&mut self, robot: &Robot) {
+        // The run before is still needed.
+        if robot.is_republishing() {
+            return;
+        }
         let Some(Run { log, compaction, .. }) = &mut self.run else { return };
         if compaction.is_none() {
             *compaction = log.begin_compaction();

@@ -102,8 +102,13 @@ impl Session {
         }
     }
 
-    /// The next event, until `None`. A package comes when it can be decoded: what has to wait for others is
-    /// kept here.
+    /// Whether there may be an event to poll.
+    pub fn has_events(&self) -> bool {
+        self.inbox.is_releasing() || !self.report.events.is_empty()
+    }
+
+    /// The next event, until `None`, or as many as the driver has time for: the others wait. A package comes when it
+    /// can be decoded: what has to wait for others is kept here.
     pub fn poll_event(&mut self) -> Option<Event> {
         loop {
             if let Some(package) = self.inbox.next_released(&self.store) {

@@ -36,6 +36,11 @@ impl Session {
             peer.queue_stale = true;
         }
         self.inbox.forget(stream);
+        // What of it was not polled yet must not be taken for what comes of it from now on.
+        self.inbox.drop_upto(stream, u32::MAX);
+        self.report
+            .events
+            .retain(|event| !matches!(event, Event::Received(package) if package.header().stream == stream));
         self.outbox.snapshots.retain(|outgoing| outgoing.stream != stream);
         self.outbox.asked.remove(&stream);
         self.outbox.held_when_asked.remove(&stream);

@@ -5,17 +5,20 @@ use flockmap_grid::{Stamp, Stream, epoch, seconds_of_epoch};
 
 use super::Robot;
 use crate::Event;
+use crate::republishing::{Former, Republishing};
 
 impl Robot {
-    /// Begins a run above an epoch, and publishes in it what the one before had published, with the same
-    /// stamps: so nothing old looks new, and what nobody had taken any more is there again. O(voxels
-    /// published).
+    /// Begins a run above an epoch, and begins to publish in it what the one before had published, with the same
+    /// stamps: so nothing old looks new, and what nobody had taken any more is there again. O(cubes of 4³ blocks of
+    /// the own layer).
     pub(super) fn begin_anew(&mut self, now: Stamp, used: u64) {
         let Some(above) = self.epoch_above(used) else {
             // The last one of all: nothing is above it.
             return self.push_event(Event::SameIdentity);
         };
-        let published = self.fusion.layer(self.own_stream()).and_then(|layer| layer.snapshot());
+        // What is still to be published of an earlier run is all that this one has published.
+        let published = self.fusion.layer(self.own_stream()).filter(|_| self.republishing.is_none());
+        let published = published.filter(|layer| !layer.is_empty()).map(Republishing::new);
         if !self.session.begin_run(now, above) {
             return;
         }
@@ -24,14 +27,25 @@ impl Robot {
         self.publisher.begin_run(own);
         self.counters.runs_begun += 1;
         self.push_event(Event::RunBegun(own));
-        let Some(published) = published else { return };
-        let mut start = published.parts.first().map_or(now, |(stamp, _)| *stamp);
-        for (end, changes) in published.parts {
-            let sensor =
-                published.sensors.iter().find(|(stamp, _)| *stamp == end).map_or([0; 3], |(_, at)| *at);
-            let resolution = self.config.mapper.resolution;
-            self.publish(now, Batch { stream: own, start, end, resolution, sensor }, changes);
-            start = end;
+        match &mut self.republishing {
+            Some(republishing) => republishing.begin_again(),
+            None => self.republishing = published,
+        }
+    }
+
+    /// Publishes some more of what the former run had published; then what has changed since, if somebody wants that.
+    pub(super) fn go_on_with_republishing(&mut self, now: Stamp) {
+        let Some(mut republishing) = self.republishing.take() else { return };
+        let (stream, resolution) = (self.own_stream(), self.config.mapper.resolution);
+        match republishing.step() {
+            Some(former) => {
+                self.republishing = Some(republishing);
+                for Former { start, end, sensor, changes } in former {
+                    self.publish(now, Batch { stream, start, end, resolution, sensor }, changes);
+                }
+            }
+            None if republishing.is_flush_wanted => self.flush(now),
+            None => {}
         }
     }
 

@@ -9,16 +9,21 @@ use super::Robot;
 use crate::readers::{Readers, SnapshotId};
 use crate::{Event, Refusal};
 
+/// Steps of work on packages in one call, as the codec counts them: some 5 ms of a slow core. The last one may go
+/// beyond. What is left of many that waited for one waits for the next call.
+pub(super) const MERGE_STEPS_MAX: u64 = 1_500_000;
+/// To merge a block of a package, in steps of the codec.
+const BLOCK_STEPS: u64 = 8_000;
+
 impl Robot {
-    /// Gives every event of the session its answer.
+    /// Gives the events of the session their answers, as far as this call has time for it.
     pub(super) fn answer_session(&mut self, now: Stamp) {
         use flockmap_sync::Event as SessionEvent;
-        while let Some(event) = self.session.poll_event() {
+        while self.merge_steps_left > 0
+            && let Some(event) = self.session.poll_event()
+        {
             // Before what the event brings may be dropped in turn.
-            for stream in self.session.take_complete() {
-                self.fusion.end_lack(stream);
-                self.push_event(Event::Complete { stream });
-            }
+            self.note_complete();
             match event {
                 SessionEvent::Received(package) => {
                     let verdict = self.receive(now, &package);
@@ -54,10 +59,7 @@ impl Robot {
                 _ => {}
             }
         }
-        for stream in self.session.take_complete() {
-            self.fusion.end_lack(stream);
-            self.push_event(Event::Complete { stream });
-        }
+        self.note_complete();
     }
 
     /// Decodes and merges a package; the verdict on it.
@@ -103,12 +105,13 @@ impl Robot {
         let header = *package.header();
         let stream = header.stream;
         let content = self.decoder.decode_against(package, self.fusion.layer(stream));
-        self.counters.steps += self.decoder.take_steps();
+        self.note_decoded();
         let changes = match content? {
             Content::Changes(changes) => changes,
             Content::Snapshot(state) => return self.merge_snapshot(now, package, &state),
         };
         self.note_clock(stream);
+        self.note_merging(changes.blocks().len());
         let taken = self.fusion.apply(&self.mapper, stream, &changes, header.batch_end, now)?;
         self.note_dropped();
         if let Some(sensor) = package.sensor() {
@@ -123,7 +126,7 @@ impl Robot {
             self.session.restart_snapshot(now, stream, snapshot_id);
         }
         let read = self.readers.read(now, id, &mut self.decoder, chunk);
-        self.counters.steps += self.decoder.take_steps();
+        self.note_decoded();
         let state = read.inspect_err(|_| self.readers.drop_one(id))?;
         let merged = self.merge_snapshot(now, chunk, &state);
         match merged {
@@ -136,6 +139,7 @@ impl Robot {
     fn merge_snapshot(&mut self, now: Stamp, package: &Package, state: &Snapshot) -> Result<Event, Refusal> {
         let &Header { stream, index: upto, lost_upto, .. } = package.header();
         self.note_clock(stream);
+        self.note_merging(state.parts.iter().map(|(_, part)| part.blocks().len()).sum());
         if let Some(lost_upto) = lost_upto
             && self.session.begin_part(stream, upto, lost_upto)
         {
@@ -145,6 +149,16 @@ impl Robot {
         let taken = self.fusion.apply_snapshot(&self.mapper, stream, state, is_rest, now)?;
         self.note_dropped();
         Ok(merged(package, Changes::default(), taken))
+    }
+
+    fn note_decoded(&mut self) {
+        let steps = self.decoder.take_steps();
+        self.counters.steps += steps;
+        self.merge_steps_left = self.merge_steps_left.saturating_sub(steps);
+    }
+
+    const fn note_merging(&mut self, blocks: usize) {
+        self.merge_steps_left = self.merge_steps_left.saturating_sub(blocks as u64 * BLOCK_STEPS);
     }
 
     /// Sets for the fusion how far the clock of a stream is off.

@@ -46,6 +46,8 @@ impl Robot {
             return Err(RestoreError::NotFormer { got, own });
         }
         let now = self.advance(now);
+        // What waited for it is merged with it: what comes next from the store may need all of that.
+        self.merge_steps_left = u64::MAX;
         let is_taken = self.session.deliver_stored(now, package);
         self.answer_session(now);
         if is_taken { Ok(()) } else { Err(RestoreError::NoRoom(got)) }

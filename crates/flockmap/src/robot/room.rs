@@ -22,6 +22,14 @@ impl Robot {
         }
     }
 
+    /// Takes in of which streams nothing is lacking any more.
+    pub(super) fn note_complete(&mut self) {
+        for stream in self.session.take_complete() {
+            self.fusion.end_lack(stream);
+            self.push_event(Event::Complete { stream });
+        }
+    }
+
     /// Says when there is room again for what was dropped: when the layers of others have shrunk to half.
     pub(super) fn note_room(&mut self) {
         let has_shrunk = |full| 2 * self.fusion.memory_bytes_of_others(&self.mapper) < full;

@@ -110,7 +110,7 @@ proptest! {
                 let before = (sliced.refreshed(), sliced.is_rebuilding(), voxels(&sliced));
                 let is_more = sliced.work(&mapper, *blocks_max);
                 prop_assert!(sliced.refreshed() - before.0 <= (*blocks_max).max(1) as u64);
-                prop_assert_eq!(is_more, sliced.is_rebuilding());
+                prop_assert_eq!(is_more, sliced.has_work());
                 prop_assert!(sliced.cubes_left().is_none() || voxels(&sliced) == before.2, "half of the new");
                 prop_assert!(before.1 || sliced.refreshed() == before.0);
             }

@@ -138,3 +138,40 @@ fn what_others_tell_leaves_the_own_layer_its_room_and_the_other_way_round() {
         assert!((10..100).contains(&taken(second)));
     }
 }
+
+#[test]
+fn where_room_is_wanting_some_of_what_lies_cold_is_packed_at_a_time_and_the_own_layer_takes_what_fits() {
+    let mapper = mapper();
+    // A thousand blocks in a new place.
+    let batch = |number: i32| {
+        let voxels = (0..1_000).map(|n| (Voxel::new(8 * (n % 32), 8 * (n / 32), 8 * number), State::Free));
+        Changes::from_voxels(voxels)
+    };
+    for of in [OWN, stream(2)] {
+        let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());
+        for number in 0..36 {
+            let stamp = Stamp(number.into());
+            fusion.apply(&mapper, of, &batch(number), stamp, stamp).unwrap();
+        }
+        let packed = |fusion: &Fusion| fusion.layer(of).unwrap().packed_count();
+        assert_eq!(packed(&fusion), 0);
+        fusion.config.layer_bytes_max = fusion.memory_bytes_of_others(&mapper);
+        fusion.config.own_layer_bytes_max = fusion.layer(of).unwrap().memory_bytes();
+        let mut calls = Vec::new();
+        loop {
+            let before = packed(&fusion);
+            let taken = fusion.apply(&mapper, of, &batch(36), Stamp(36), Stamp(36));
+            calls.push(packed(&fusion) - before);
+            if taken.is_ok() {
+                break;
+            }
+        }
+        let total: usize = calls.iter().sum();
+        assert!(0 < total && total < 36_000 - 32_768 + 64, "{calls:?}");
+        if of == OWN {
+            assert_eq!(calls.len(), 1, "what is published cannot be refused");
+        } else {
+            assert!(calls.iter().all(|packed| *packed <= 128 + 512 + 2 * 64), "{calls:?}");
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! Long work, of which each call of [`Robot::handle_timeout`] does a slice.
+
+use flockmap_grid::Stamp;
+
+use super::Robot;
+
+/// Blocks of the fused map that one call of [`Robot::handle_timeout`] works out at most while the map is made anew:
+/// each takes 10 to 40 µs.
+pub const REBUILD_BLOCKS: usize = 256;
+
+/// What takes long, each in its turn.
+#[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
+pub(super) enum Work {
+    /// The fused map by what was set, and layers that were forgotten.
+    #[default]
+    Rebuild,
+    /// Snapshots for peers.
+    Snapshots,
+    /// What a former run published.
+    Republish,
+}
+
+impl Work {
+    const fn next(self) -> Self {
+        match self {
+            Self::Rebuild => Self::Snapshots,
+            Self::Snapshots => Self::Republish,
+            Self::Republish => Self::Rebuild,
+        }
+    }
+}
+
+impl Robot {
+    /// Whether there is work that goes on in slices.
+    pub(super) fn is_busy(&self) -> bool {
+        [Work::Rebuild, Work::Snapshots, Work::Republish].into_iter().any(|work| self.has(work))
+            || self.readers.is_any_discarded()
+            || self.session.has_events()
+    }
+
+    /// Does a slice of the long work whose turn it is: of one kind, so that slices do not add up.
+    pub(super) fn do_slice(&mut self, now: Stamp) {
+        let turns = [self.turn, self.turn.next(), self.turn.next().next()];
+        let Some(work) = turns.into_iter().find(|work| self.has(*work)) else { return };
+        self.turn = work.next();
+        match work {
+            Work::Rebuild => drop(self.fusion.work(&self.mapper, REBUILD_BLOCKS)),
+            Work::Snapshots => self.go_on_with_snapshots(now),
+            Work::Republish => self.go_on_with_republishing(now),
+        }
+    }
+
+    fn has(&self, work: Work) -> bool {
+        match work {
+            Work::Rebuild => self.fusion.has_work(),
+            Work::Snapshots => self.snapshots.is_busy(),
+            Work::Republish => self.republishing.is_some(),
+        }
+    }
+}
