@@ -39,6 +39,7 @@
 
 mod config;
 mod counters;
+mod effort;
 mod event;
 mod events;
 mod memory;

@@ -26,6 +26,7 @@ use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::wire::DatagramError;
 use flockmap_sync::{Path, Session, Transmit};
 
+use crate::effort::{MERGE_STEPS_MAX, Work};
 use crate::events::Events;
 use crate::publisher::Publisher;
 use crate::readers::Readers;
@@ -58,7 +59,7 @@ pub struct Robot {
     /// What is left for packages in this call.
     merge_steps_left: u64,
     /// Which long work goes on next.
-    turn: slices::Work,
+    turn: Work,
     /// The last slice was left out for a batch.
     is_slice_due: bool,
     teammates: BTreeMap<RobotId, Teammate>,
@@ -104,7 +105,7 @@ impl Robot {
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
             republishing: None,
             merge_steps_left: 0,
-            turn: slices::Work::default(),
+            turn: Work::default(),
             is_slice_due: false,
             teammates: BTreeMap::new(),
             pose: None,
@@ -481,7 +482,7 @@ impl Robot {
     fn advance(&mut self, now: Stamp) -> Stamp {
         self.snapshots.note_call();
         self.readers.free();
-        self.merge_steps_left = receive::MERGE_STEPS_MAX;
+        self.merge_steps_left = MERGE_STEPS_MAX;
         self.now = self.now.max(now);
         self.now
     }

@@ -11,6 +11,7 @@ mod packing;
 mod sensors;
 mod snapshots;
 mod stamps;
+mod sweep;
 mod unpacked;
 
 use std::borrow::Cow;

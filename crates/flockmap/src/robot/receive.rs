@@ -6,14 +6,9 @@ use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::Verdict;
 
 use super::Robot;
+use crate::effort::MERGE_BLOCK_STEPS;
 use crate::readers::{Readers, SnapshotId};
 use crate::{Event, Refusal};
-
-/// Steps of work on packages in one call, as the codec counts them: some 5 ms of a slow core. The last one may go
-/// beyond. What is left of many that waited for one waits for the next call.
-pub(super) const MERGE_STEPS_MAX: u64 = 1_500_000;
-/// To merge a block of a package, in steps of the codec.
-const BLOCK_STEPS: u64 = 8_000;
 
 impl Robot {
     /// Gives the events of the session their answers, as far as this call has time for it.
@@ -158,7 +153,7 @@ impl Robot {
     }
 
     const fn note_merging(&mut self, blocks: usize) {
-        self.merge_steps_left = self.merge_steps_left.saturating_sub(blocks as u64 * BLOCK_STEPS);
+        self.merge_steps_left = self.merge_steps_left.saturating_sub(blocks as u64 * MERGE_BLOCK_STEPS);
     }
 
     /// Sets for the fusion how far the clock of a stream is off.

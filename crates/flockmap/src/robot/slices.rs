@@ -3,32 +3,11 @@
 use flockmap_grid::Stamp;
 
 use super::Robot;
+use crate::effort::Work;
 
 /// Blocks of the fused map that one call of [`Robot::handle_timeout`] works out at most while the map is made anew:
 /// each takes 10 to 40 µs.
 pub const REBUILD_BLOCKS: usize = 256;
-
-/// What takes long, each in its turn.
-#[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
-pub(super) enum Work {
-    /// The fused map by what was set, and layers that were forgotten.
-    #[default]
-    Rebuild,
-    /// Snapshots for peers.
-    Snapshots,
-    /// What a former run published.
-    Republish,
-}
-
-impl Work {
-    const fn next(self) -> Self {
-        match self {
-            Self::Rebuild => Self::Snapshots,
-            Self::Snapshots => Self::Republish,
-            Self::Republish => Self::Rebuild,
-        }
-    }
-}
 
 impl Robot {
     /// Whether there is work that goes on in slices.
