@@ -8,7 +8,6 @@ mod packed;
 mod packing;
 mod snapshots;
 mod stamps;
-mod unpacked;
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
@@ -17,14 +16,13 @@ use std::sync::Arc;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::block::set_bits;
+use crate::unpacked::{Packed, Unpacked};
 use crate::{BlockIndex, Changes, Plane, Snapshot, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::LayerBlock;
 use cube::{Cube, cube_of};
 pub use memory::LAYER_BLOCK_BYTES_MAX;
-use packed::PackedCube;
+pub(crate) use packed::PackedCube;
 pub use snapshots::SnapshotReader;
-pub use unpacked::UNPACKED_BYTES_MAX;
-pub(crate) use unpacked::Unpacked;
 
 /// State and stamp of every voxel that one stream has published, in the frame of its origin.
 ///
@@ -48,7 +46,7 @@ pub struct Layer {
     queue: VecDeque<(u64, BlockIndex)>,
     /// How often blocks were changed.
     changed: u64,
-    unpacked: Arc<Unpacked>,
+    unpacked: Arc<Unpacked<PackedCube>>,
     /// By end of batch, where the sensor was. Codecs make use of it; it is no part of what is known.
     sensors: BTreeMap<Stamp, [i32; 3]>,
     /// How many were noted since the layer was last gone through for those of which nothing stands any more.
@@ -93,7 +91,7 @@ pub struct BaseSuperseded {
 
 impl Layer {
     /// Nothing is known. `unpacked` are cubes that were unpacked to be read, of other layers too.
-    pub(crate) fn new(unpacked: &Arc<Unpacked>) -> Self {
+    pub(crate) fn new(unpacked: &Arc<Unpacked<PackedCube>>) -> Self {
         Self { unpacked: Arc::clone(unpacked), ..Self::default() }
     }
 
@@ -202,7 +200,7 @@ impl Layer {
     fn with_block<T>(&self, index: BlockIndex, read: impl FnOnce(&LayerBlock) -> T) -> Option<T> {
         match self.cubes.get(&cube_of(index))? {
             Place::Open(open) => open.cube.block(index).map(read),
-            Place::Packed(packed) if packed.has(index) => self.unpacked.cube(packed).block(index).map(read),
+            Place::Packed(packed) if packed.has(index) => self.unpacked.read(packed).block(index).map(read),
             Place::Packed(_) => None,
         }
     }
@@ -260,7 +258,7 @@ impl Layer {
         match self.cubes.get(&at) {
             None => Vec::new(),
             Some(Place::Open(open)) => known(&open.cube),
-            Some(Place::Packed(packed)) => known(&self.unpacked.cube(packed)),
+            Some(Place::Packed(packed)) => known(&self.unpacked.read(packed)),
         }
     }
 
