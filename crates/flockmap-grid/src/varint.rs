@@ -22,3 +22,20 @@ pub(crate) fn take(bytes: &mut &[u8]) -> u64 {
     }
     number
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn what_is_put_is_taken(numbers in prop::collection::vec(prop_oneof![0..300u64, any::<u64>()], 0..20)) {
+            let mut bytes = Vec::new();
+            numbers.iter().for_each(|number| put(&mut bytes, *number));
+            let mut rest = &*bytes;
+            prop_assert_eq!(numbers.iter().map(|_| take(&mut rest)).collect::<Vec<_>>(), numbers);
+            prop_assert_eq!((rest, take(&mut rest)), (&[][..], 0));
+        }
+    }
+}

@@ -1,6 +1,6 @@
 //! Where the known meets the unknown.
 
-use flockmap_grid::{BlockIndex, MapView, Plane, Voxel, VoxelBox, plane_within, set_bits};
+use flockmap_grid::{BlockIndex, MapView, Plane, StateBlock, Voxel, VoxelBox, plane_within, set_bits};
 
 use crate::lattice::{Lattice, distance, flood};
 use crate::space::TooLarge;
@@ -42,6 +42,7 @@ pub struct Frontier {
 pub fn frontier_cells(view: &MapView, region: &VoxelBox) -> Vec<(BlockIndex, Plane)> {
     let (low, high) = (region.min(), region.max());
     let (first, last) = (low.block(), high.block());
+    let view = &view.open_in(region);
     let unknown = |[x, y, z]: [i32; 3]| -> Plane {
         let index = BlockIndex::new(x, y, z);
         let inside = if first.x < x && x < last.x && first.y < y && y < last.y && first.z < z && z < last.z {
@@ -54,7 +55,7 @@ pub fn frontier_cells(view: &MapView, region: &VoxelBox) -> Vec<(BlockIndex, Pla
             None => inside,
         }
     };
-    let frontier = |(index, block): (BlockIndex, &flockmap_grid::StateBlock)| {
+    let frontier = |(index, block): (BlockIndex, StateBlock)| {
         if *block.free() == [0; 8] {
             return None;
         }

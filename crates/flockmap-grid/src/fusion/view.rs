@@ -218,11 +218,13 @@ impl MapView {
     pub fn count(&self) -> (usize, usize) {
         let ones = |plane: &Plane| plane.iter().map(|w| w.count_ones() as usize).sum::<usize>();
         self.regions.iter().fold((0, 0), |(free, occupied), (_, place)| match place {
-            Place::Open { region, .. } => {
-                region.parts().iter().map(|block| &block.states).fold((free, occupied), |(free, occupied), b| {
+            Place::Open { region, .. } => region
+                .parts()
+                .iter()
+                .map(|block| &block.states)
+                .fold((free, occupied), |(free, occupied), b| {
                     (free + ones(b.free()), occupied + ones(b.occupied()))
-                })
-            }
+                }),
             Place::Packed(packed) => {
                 let [more_free, more_occupied] = packed.counts().map(|count| count as usize);
                 (free + more_free, occupied + more_occupied)
@@ -298,6 +300,11 @@ impl MapView {
         self.blocks -= self.emptied;
         self.emptied = 0;
         self.emptied_since = self.version;
+    }
+
+    #[cfg(test)]
+    pub(super) fn check_counts(&self) {
+        self.regions.check_counts();
     }
 
     /// A region to be read.

@@ -196,7 +196,7 @@ impl<'a> Collision<'a> {
     }
 
     fn obstacles_of(&self, index: BlockIndex, region: &VoxelBox) -> impl Iterator<Item = Voxel> + use<> {
-        let (plane, within) = (self.obstacles.of(self.view.block(index)), region.plane(index));
+        let (plane, within) = (self.obstacles.of(self.view.block(index).as_ref()), region.plane(index));
         set_bits(&core::array::from_fn(|z| plane[z] & within[z])).map(move |bit| index.voxel(bit))
     }
 

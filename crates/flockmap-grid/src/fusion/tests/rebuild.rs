@@ -47,12 +47,12 @@ struct Client {
 
 impl Client {
     fn look(&mut self, map: &MapView) {
-        let all = || map.blocks().map(|(index, block)| (index, *block)).collect::<BTreeMap<_, _>>();
+        let all = || map.blocks().collect::<BTreeMap<_, _>>();
         match map.changed_since(self.at) {
             None => self.blocks = all(),
             Some(changed) => changed.into_iter().for_each(|index| {
                 match map.block(index) {
-                    Some(block) => self.blocks.insert(index, *block),
+                    Some(block) => self.blocks.insert(index, block),
                     None => self.blocks.remove(&index),
                 };
             }),

@@ -174,3 +174,58 @@ const fn folded(number: i64) -> u64 {
 const fn unfolded(folded: u64) -> i64 {
     (folded >> 1) as i64 ^ -((folded & 1) as i64)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::State;
+    use proptest::prelude::*;
+
+    fn region() -> impl Strategy<Value = Region> {
+        let version = prop_oneof![8 => 0..400u64, 1 => any::<u64>()];
+        let block = (any::<[u64; 3]>(), 0..4u8, version);
+        prop::collection::btree_map(0..512usize, block, 1..60).prop_map(|blocks| {
+            let mut region = Region::default();
+            for (place, ([a, b, c], kind, version)) in blocks {
+                let states = match kind {
+                    0 => StateBlock::default(),
+                    1 => StateBlock::new([a & b; 8], [c & !(a & b); 8]),
+                    _ => StateBlock::new(
+                        [u64::MAX, a, 0, a & b, 0, 0, 0, 0],
+                        [0, 0, a & b & c, 0, 0, 0, b & c, 0],
+                    ),
+                };
+                region.set(
+                    indices(BlockIndex::new(0, 0, 0), &[u64::MAX; 8]).nth(place).unwrap(),
+                    states,
+                    version,
+                );
+            }
+            region
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_unpacked_is_what_was_packed(mut region in region(), at in -5..5i32) {
+            let at = BlockIndex::new(at, -at, 3);
+            let packed = PackedRegion::pack(at, &region);
+            prop_assert_eq!(&packed.unpack(), &region);
+            prop_assert!(packed.unpack().memory_bytes() <= packed.open_bytes());
+            let versions: Vec<_> = indices(at, region.places()).zip(region.parts().iter().map(|b| b.version)).collect();
+            prop_assert_eq!(packed.versions(at), versions);
+            prop_assert_eq!((packed.version(), packed.len()), (region.version(), region.parts().len()));
+            prop_assert_eq!(packed.has_emptied(), region.has_emptied());
+            for index in indices(at, &[u64::MAX; 8]) {
+                prop_assert_eq!(packed.is_known(index), region.block(index).is_some_and(|b| !b.is_empty()));
+            }
+            let voxels = || region.parts().iter().flat_map(|b| (0..512).map(|bit| b.states.get(bit)));
+            let counts = [State::Free, State::Occupied].map(|state| voxels().filter(|s| *s == state).count() as u32);
+            prop_assert_eq!(packed.counts(), counts);
+            let packed = packed.without_emptied();
+            region.forget_emptied();
+            prop_assert_eq!(&packed.unpack(), &region);
+            prop_assert!(!packed.has_emptied());
+        }
+    }
+}

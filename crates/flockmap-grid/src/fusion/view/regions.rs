@@ -180,6 +180,19 @@ impl Regions {
         }
     }
 
+    /// What it counts as it goes is what there is.
+    #[cfg(test)]
+    pub(super) fn check_counts(&self) {
+        let sum = |of: fn(&Place) -> usize| self.places.values().map(of).sum::<usize>();
+        assert_eq!((self.bytes, self.open), (sum(Place::memory_bytes), sum(Place::open_count)));
+        let is_open = |at: &&BlockIndex| matches!(self.places[*at], Place::Open { .. });
+        let mut open: Vec<_> = self.places.keys().filter(is_open).collect();
+        let mut queue: Vec<_> = self.queue.iter().collect();
+        open.sort_unstable();
+        queue.sort_unstable();
+        assert_eq!(open, queue, "each open region stands in the queue once");
+    }
+
     /// Notes that a block is written to, and packs some of those that lie cold now and then.
     fn note_written(&mut self) {
         self.written += 1;
