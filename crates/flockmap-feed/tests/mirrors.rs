@@ -179,7 +179,7 @@ impl Reader {
             Some(changed) => {
                 for index in changed {
                     match map.block(index) {
-                        Some(states) => known.insert(index, *states),
+                        Some(states) => known.insert(index, states),
                         None => known.remove(&index),
                     };
                 }
