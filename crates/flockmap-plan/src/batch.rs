@@ -8,15 +8,13 @@ use crate::error::{QUESTION_BLOCKS_MAX, QuestionError};
 /// voxels. A block is looked up once for points in a row that lie in it.
 pub fn states(view: &MapView, points: &[[f64; 3]], states: &mut [State]) -> Result<(), QuestionError> {
     same(points.len(), states.len())?;
-    let mut last = None;
+    let (mut last, mut block) = (None, None);
     for (point, state) in points.iter().zip(states) {
         *state = view.resolution().voxel_at(*point).map_or(State::Unknown, |voxel| {
-            let block = match last {
-                Some((index, block)) if index == voxel.block() => block,
-                _ => view.block(voxel.block()),
-            };
-            last = Some((voxel.block(), block));
-            block.map_or(State::Unknown, |block| block.get(voxel_bit(voxel)))
+            if last != Some(voxel.block()) {
+                (last, block) = (Some(voxel.block()), view.block(voxel.block()));
+            }
+            block.as_ref().map_or(State::Unknown, |block| block.get(voxel_bit(voxel)))
         });
     }
     Ok(())

@@ -117,6 +117,7 @@ proptest! {
             clients[1].look(sliced.map());
             if *looks {
                 clients[0].look(sliced.map());
+                sliced.maps_mut().for_each(|fused| fused.view.pack());
             }
         }
         // What was measured alone counts for what is fused from then on.
