@@ -201,6 +201,23 @@ fn what_nothing_is_written_to_for_long_is_packed_a_bounded_part_at_a_time() {
 }
 
 #[test]
+fn a_region_that_was_emptied_before_it_was_packed_is_let_go() {
+    let mut map = MapView::new(resolution());
+    let far = |n: i32| BlockIndex::new(20 * n, 0, 0);
+    (0..24).for_each(|n| map.set_block(far(n), &StateBlock::new([3; 8], [4; 8])));
+    map.set_block(far(0), &StateBlock::default());
+    map.pack();
+    map.check_counts();
+    assert_eq!((map.block(far(0)), map.changed_since(24)), (None, Some(vec![far(0)])));
+    (1..4).for_each(|n| map.set_block(far(n), &StateBlock::default()));
+    map.check_counts();
+    assert_eq!((map.block_count(), map.changed_since(24)), (20, None));
+    (4..24).for_each(|n| map.set_block(far(n), &StateBlock::default()));
+    map.check_counts();
+    assert!(map.block_count() == 0 && map.changed_since(map.version()) == Some(Vec::new()));
+}
+
+#[test]
 fn rays_stop_at_obstacles_and_at_the_unknown() {
     let mapper = mapper();
     let mut fusion = Fusion::new(OWN, resolution(), FusionConfig::default());

@@ -12,11 +12,9 @@ use crate::memory::table_bytes;
 use crate::unpacked::{Packed, Unpacked};
 use crate::{BlockIndex, StateBlock};
 
-/// When blocks were written to so often, it is looked whether some regions lie cold, and as many blocks are packed at
+/// When blocks were written to so often, it is looked whether so many regions lie cold, and so many blocks are packed at
 /// most, or one region of up to 512.
 const LOOKED_EVERY: u64 = 256;
-/// So many regions are looked at then. So each is looked at some times before it can be cold.
-const LOOKED_AT: usize = 32;
 /// A region is cold to which nothing was written while blocks were written to four times as often as there are open
 /// ones, but between these. To write what was there counts: so what a robot looks at stays open, however large it is,
 /// and what it has left behind is packed within half a minute as a rule.
@@ -143,17 +141,21 @@ impl Regions {
     pub(super) fn forget_emptied(&mut self) {
         let Self { places, bytes, open, .. } = self;
         places.retain(|_, place| {
-            if place.has_emptied() {
-                *bytes -= place.memory_bytes();
-                *open -= place.open_count();
-                match place {
-                    Place::Open { region, .. } => Arc::make_mut(region).forget_emptied(),
-                    Place::Packed(packed) => *packed = Arc::new(packed.without_emptied()),
-                }
-                *open += place.open_count();
-                *bytes += place.memory_bytes();
+            if !place.has_emptied() {
+                return true;
             }
-            !place.is_empty()
+            *bytes -= place.memory_bytes();
+            *open -= place.open_count();
+            match place {
+                Place::Open { region, .. } => Arc::make_mut(region).forget_emptied(),
+                Place::Packed(packed) => *packed = Arc::new(packed.without_emptied()),
+            }
+            if place.is_empty() {
+                return false;
+            }
+            *open += place.open_count();
+            *bytes += place.memory_bytes();
+            true
         });
         places.shrink_to_fit();
         self.queue.retain(|at| places.contains_key(at));
@@ -205,7 +207,7 @@ impl Regions {
         let cold = (4 * self.open as u64).clamp(COLD[0], COLD[1]);
         let limit = self.written.saturating_sub(cold);
         let mut packed = 0;
-        for _ in 0..LOOKED_AT.min(self.queue.len()) {
+        for _ in 0..self.queue.len().min(LOOKED_EVERY as usize) {
             let Some(at) = self.queue.pop_front() else { break };
             match self.places.get(&at) {
                 Some(Place::Open { touched, .. }) if *touched >= limit => self.queue.push_back(at),
