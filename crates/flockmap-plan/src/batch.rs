@@ -5,15 +5,19 @@ use flockmap_grid::{MapView, RayEnd, State, voxel_bit};
 use crate::error::{QUESTION_BLOCKS_MAX, QuestionError};
 
 /// States at many points (metres, frame of the map), as [`MapView::state_at`] has them: Unknown where there are no
-/// voxels. A block is looked up once for points in a row that lie in it.
+/// voxels. A block is looked up twice at most for points in a row that lie in it.
 pub fn states(view: &MapView, points: &[[f64; 3]], states: &mut [State]) -> Result<(), QuestionError> {
     same(points.len(), states.len())?;
-    let (mut last, mut block) = (None, None);
+    let (mut last, mut kept) = (None, None);
     for (point, state) in points.iter().zip(states) {
         *state = view.resolution().voxel_at(*point).map_or(State::Unknown, |voxel| {
-            if last != Some(voxel.block()) {
-                (last, block) = (Some(voxel.block()), view.block(voxel.block()));
+            let index = voxel.block();
+            if last != Some(index) {
+                // A block is copied for the second point: few have one where points are anywhere.
+                (last, kept) = (Some(index), None);
+                return view.state(voxel);
             }
+            let block = kept.get_or_insert_with(|| view.block(index));
             block.as_ref().map_or(State::Unknown, |block| block.get(voxel_bit(voxel)))
         });
     }

@@ -55,7 +55,7 @@ pub fn frontier_cells(view: &MapView, region: &VoxelBox) -> Vec<(BlockIndex, Pla
             None => inside,
         }
     };
-    let frontier = |(index, block): (BlockIndex, StateBlock)| {
+    let frontier = |index: BlockIndex, block: &StateBlock| {
         if *block.free() == [0; 8] {
             return None;
         }
@@ -74,7 +74,8 @@ pub fn frontier_cells(view: &MapView, region: &VoxelBox) -> Vec<(BlockIndex, Pla
         let cells: Plane = core::array::from_fn(|slice| block.free()[slice] & inside[slice] & near[slice]);
         (cells != [0; 8]).then_some((index, cells))
     };
-    let mut cells: Vec<_> = view.blocks_in(region).filter_map(frontier).collect();
+    let mut cells = Vec::new();
+    view.for_each_in(region, |index, block| cells.extend(frontier(index, block)));
     cells.sort_unstable_by_key(|(index, _)| *index);
     cells
 }

@@ -162,6 +162,20 @@ impl MapView {
         blocks.filter(|(_, states)| !states.is_empty())
     }
 
+    /// Calls `found` with the same blocks, where they lie: for who has much to read.
+    pub fn for_each_in(&self, region: &VoxelBox, mut found: impl FnMut(BlockIndex, &StateBlock)) {
+        let [low, high] = [region.min().block(), region.max().block()];
+        for (at, place) in self.regions_between(low, high) {
+            let region = place.read(&self.unpacked);
+            for (rank, index) in region.ranks_between(at, low, high) {
+                let states = &region.parts()[rank].states;
+                if !states.is_empty() {
+                    found(index, states);
+                }
+            }
+        }
+    }
+
     /// The same map with nothing packed that shares voxels with a box, for who reads that block by block. O(1) if
     /// nothing is packed there, else O(regions of 64³ voxels, blocks of the box).
     pub fn open_in(&self, region: &VoxelBox) -> Self {

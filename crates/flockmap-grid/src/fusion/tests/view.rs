@@ -30,6 +30,11 @@ proptest! {
             assert_eq!(Some(block), view.block(index));
             index
         }).collect();
+        let mut among = found.iter();
+        view.for_each_in(&region, |index, block| {
+            assert_eq!((Some(&index), Some(*block)), (among.next(), view.block(index)));
+        });
+        prop_assert_eq!(among.next(), None);
         found.sort_unstable();
         let known = || blocks.iter().filter(|(_, is_kept)| **is_kept).map(|(index, _)| *index);
         let expected: Vec<BlockIndex> =
