@@ -18,7 +18,7 @@ fn indices() -> impl Iterator<Item = BlockIndex> {
 }
 
 fn wall(index: BlockIndex, n: i32) -> StateBlock {
-    let free = u64::MAX << (index.x + n & 31);
+    let free = u64::MAX << ((index.x + n) & 31);
     StateBlock::new([free; 8], [!free & 0xFF00_FF01; 8])
 }
 

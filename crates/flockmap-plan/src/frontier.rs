@@ -50,10 +50,11 @@ pub fn frontier_cells(view: &MapView, region: &VoxelBox) -> Vec<(BlockIndex, Pla
         } else {
             plane_within(index, low, high)
         };
-        match view.block(index) {
-            Some(block) => core::array::from_fn(|slice| inside[slice] & !block.known()[slice]),
-            None => inside,
-        }
+        let of_block = |block: &StateBlock| {
+            let known = block.known();
+            core::array::from_fn(|slice| inside[slice] & !known[slice])
+        };
+        view.with_block(index, of_block).unwrap_or(inside)
     };
     let frontier = |index: BlockIndex, block: &StateBlock| {
         if *block.free() == [0; 8] {

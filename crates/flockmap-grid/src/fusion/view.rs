@@ -326,9 +326,9 @@ impl MapView {
         Some(self.regions.get(at)?.read(&self.unpacked))
     }
 
-    /// Reads a block that is there.
+    /// Reads a block where it lies; `None` if it is not there. Nothing may be known of one that is there.
     #[inline]
-    fn with_block<T>(&self, index: BlockIndex, read: impl FnOnce(&StateBlock) -> T) -> Option<T> {
+    pub fn with_block<T>(&self, index: BlockIndex, read: impl FnOnce(&StateBlock) -> T) -> Option<T> {
         match self.regions.get(region_of(index))? {
             Place::Open { region, .. } => region.block(index).map(read),
             Place::Packed(packed) if packed.is_known(index) => {
