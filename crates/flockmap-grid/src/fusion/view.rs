@@ -17,7 +17,7 @@ use regions::{Place, REGION_BLOCK_BYTES_MAX, Reading, Regions};
 /// The fused map at one moment. Made by [`super::Fusion::view`] in O(1); stays as it is while the map goes
 /// on. The next write after a view was made copies the touched regions of 64³ voxels, at most 80 kB each.
 ///
-/// A region to which nothing was written for long is packed, to a fifth of the bytes or less. What is packed is the same
+/// A region to which nothing was written for long is packed, to a quarter of the bytes or less. What is packed is the same
 /// to the bit, and is unpacked when it is read or written to: some 7 µs for each of its blocks, if it was not read just
 /// before. The map and all its views share what was unpacked last. Who reads a box block by block asks for the map with
 /// that box open ([`Self::open_in`]).

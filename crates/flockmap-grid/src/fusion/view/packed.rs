@@ -1,4 +1,4 @@
-//! A region of the fused map in which nothing changes, in a fifth of the bytes or less.
+//! A region of the fused map in which nothing changes, in a quarter of the bytes or less, as a rule.
 
 use flockmap_coder::{BitReader, BitWriter};
 
