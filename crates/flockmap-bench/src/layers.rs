@@ -1,4 +1,4 @@
-//! `flockmap-bench layers`: what layers take, open and packed.
+//! `flockmap-bench layers`: what layers take, and the fused map of what they say, open and packed.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::ensure;
 use clap::Args;
 use flockmap::grid::Layer;
-use flockmap::{BatchConfig, MapperConfig, Pose, Scan};
+use flockmap::{BatchConfig, Changes, MapView, MapperConfig, Pose, Scan, Stamp};
 use flockmap_cli::document::DataTable;
 use flockmap_cli::numbers::thousands;
 use flockmap_cli::options::{MapArgs, SourceArgs};
@@ -17,7 +17,7 @@ use serde::Serialize;
 use crate::batcher::{Batcher, Step};
 use crate::corridor;
 
-/// What the layers of records take in memory, open and packed, and how long packing takes
+/// What the layers of records and a map of what they say take in memory, open and packed, and how long packing takes
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -27,7 +27,7 @@ Examples:
 
 `corridor` is a straight flight past walls that are never the same, of 720 rays every 0.4 m: everything is new, and
 nothing is seen twice.
-Exit code 1 if a layer is not the same after it was packed.")]
+Exit code 1 if a layer or a map is not the same after it was packed.")]
 pub struct LayersArgs {
     /// Records, or one world: forest, indoor, or a .bt .pcd .ply .las .laz file; or `corridor`
     #[arg(value_name = "RECORD", required = true)]
@@ -57,7 +57,20 @@ struct Row {
     packed_bytes: usize,
     pack_us_per_block: f64,
     unpack_us_per_block: f64,
+    map: MapRow,
     is_same: bool,
+}
+
+/// The fused map of a robot that has heard this layer and nothing else.
+#[derive(Serialize, Debug)]
+struct MapRow {
+    open: usize,
+    /// As it lies when the record is over; all of it open; all of it packed.
+    bytes: usize,
+    open_bytes: usize,
+    packed_bytes: usize,
+    pack_us_per_block: f64,
+    unpack_us_per_block: f64,
 }
 
 /// Runs the command. Whether all layers were the same after they were packed.
@@ -77,7 +90,7 @@ pub fn run(args: &LayersArgs) -> anyhow::Result<bool> {
             progress.step();
         }
         drop(progress);
-        rows.push(Row::of(format!("corridor of {} m", args.metres), &maker.finish()));
+        rows.push(Row::of(format!("corridor of {} m", args.metres), maker.finish()));
     } else {
         let sources = sources::open(&args.records, &args.source, args.map.range, false)?;
         let progress = Progress::new("scans", sources.robots.iter().map(|robot| robot.frames_expected).sum());
@@ -90,7 +103,7 @@ pub fn run(args: &LayersArgs) -> anyhow::Result<bool> {
                 maker.scan(&frame.scan, &frame.pose)?;
                 progress.step();
             }
-            rows.push(Row::of(source.name, &maker.finish()));
+            rows.push(Row::of(source.name, maker.finish()));
         }
     }
     print(&rows);
@@ -98,41 +111,50 @@ pub fn run(args: &LayersArgs) -> anyhow::Result<bool> {
     Ok(rows.iter().all(|row| row.is_same))
 }
 
-/// Makes the own layer of a robot.
+/// Makes the own layer of a robot, and the map of one that hears it.
 struct Maker {
     batcher: Batcher,
     layer: Layer,
+    map: MapView,
 }
 
 impl Maker {
     fn new(mapper: &MapperConfig, batch: BatchConfig) -> anyhow::Result<Self> {
-        Ok(Self { batcher: Batcher::new(0, mapper, batch)?, layer: Layer::default() })
+        let batcher = Batcher::new(0, mapper, batch)?;
+        Ok(Self { batcher, layer: Layer::default(), map: MapView::new(mapper.resolution) })
     }
 
     fn scan(&mut self, scan: &Scan, pose: &Pose) -> anyhow::Result<()> {
-        let layer = &mut self.layer;
+        let Self { layer, map, .. } = self;
         self.batcher.scan(scan, pose, &[], |_, step| {
             if let Step::Closed(batch, changes) = step {
-                layer.apply(&changes, batch.end);
+                take_over(layer, map, &changes, batch.end);
             }
             Ok(())
         })
     }
 
-    fn finish(mut self) -> Layer {
+    fn finish(mut self) -> (Layer, MapView) {
         if let Some((batch, changes)) = self.batcher.end() {
-            self.layer.apply(&changes, batch.end);
+            take_over(&mut self.layer, &mut self.map, &changes, batch.end);
         }
-        self.layer
+        (self.layer, self.map)
+    }
+}
+
+fn take_over(layer: &mut Layer, map: &mut MapView, changes: &Changes, stamp: Stamp) {
+    layer.apply(changes, stamp);
+    for (index, new) in changes.blocks() {
+        let mut states = map.block(*index).unwrap_or_default();
+        states.overlay(new);
+        map.set_block(*index, &states);
     }
 }
 
 impl Row {
-    fn of(name: String, layer: &Layer) -> Self {
+    fn of(name: String, (layer, map): (Layer, MapView)) -> Self {
         let (digest, blocks, open) =
             (layer.digest(), layer.block_count(), layer.block_count() - layer.packed_count());
-        let per_block =
-            |started: Instant, blocks: usize| started.elapsed().as_secs_f64() * 1e6 / blocks.max(1) as f64;
         let mut again = layer.clone();
         let started = Instant::now();
         again.pack();
@@ -140,7 +162,8 @@ impl Row {
         let started = Instant::now();
         let counted = again.blocks().count();
         let unpack_us_per_block = per_block(started, blocks);
-        let is_same = counted == blocks && again.digest() == digest;
+        let (map, is_map_same) = MapRow::of(&map);
+        let is_same = counted == blocks && again.digest() == digest && is_map_same;
         Self {
             name,
             voxels: layer.len(),
@@ -150,9 +173,41 @@ impl Row {
             packed_bytes: again.memory_bytes(),
             pack_us_per_block,
             unpack_us_per_block,
+            map,
             is_same,
         }
     }
+}
+
+impl MapRow {
+    /// And whether it was the same after it was packed.
+    fn of(map: &MapView) -> (Self, bool) {
+        let opened = |map: &MapView| map.bounding_box().map_or_else(|| map.clone(), |all| map.open_in(&all));
+        let open = opened(map);
+        let mut packed = open.clone();
+        let started = Instant::now();
+        packed.pack();
+        let pack_us_per_block = per_block(started, map.block_count());
+        let started = Instant::now();
+        let again = opened(&packed);
+        let unpack_us_per_block = per_block(started, packed.packed_count());
+        let row = Self {
+            open: map.block_count() - map.packed_count(),
+            bytes: map.memory_bytes(),
+            open_bytes: open.memory_bytes(),
+            packed_bytes: packed.memory_bytes(),
+            pack_us_per_block,
+            unpack_us_per_block,
+        };
+        let is_same = again.changed_since(0) == map.changed_since(0)
+            && open.blocks().all(|(index, states)| again.block(index) == Some(states));
+        (row, is_same)
+    }
+}
+
+/// Microseconds since then for each of so many blocks.
+fn per_block(started: Instant, blocks: usize) -> f64 {
+    started.elapsed().as_secs_f64() * 1e6 / blocks.max(1) as f64
 }
 
 fn print(rows: &[Row]) {
@@ -171,11 +226,27 @@ fn print(rows: &[Row]) {
             ("same", &|row| if row.is_same { "yes" } else { "no" }.to_owned()),
         ],
     );
+    let per_block = |row: &Row, bytes: usize| format!("{:.1}", bytes as f64 / row.blocks.max(1) as f64);
+    let maps = DataTable::of_text(
+        rows,
+        &[
+            ("fused map", &|row| row.name.clone()),
+            ("open", &|row| thousands(row.map.open as u64)),
+            ("B/voxel", &|row| per_voxel(row, row.map.bytes)),
+            ("open B/voxel", &|row| per_voxel(row, row.map.open_bytes)),
+            ("packed B/voxel", &|row| per_voxel(row, row.map.packed_bytes)),
+            ("open B/block", &|row| per_block(row, row.map.open_bytes)),
+            ("packed B/block", &|row| per_block(row, row.map.packed_bytes)),
+            ("pack µs/block", &|row| format!("{:.1}", row.map.pack_us_per_block)),
+            ("unpack µs/block", &|row| format!("{:.1}", row.map.unpack_us_per_block)),
+        ],
+    );
     if stop::requested() {
         println!("partial: ended by Ctrl-C\n");
     }
-    print!("{table}");
+    print!("{table}\n{maps}");
     println!(
-        "\n  Bytes with stamps and all that finds a block: when the record is over, what lies cold is packed; and all of it packed."
+        "\n  Bytes with stamps and all that finds a block: when the record is over, what lies cold is packed; and all of it packed.\n  \
+         The fused map is that of a robot which has heard the layer and nothing else."
     );
 }

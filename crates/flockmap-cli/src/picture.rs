@@ -1,5 +1,6 @@
 //! Maps seen from above, as pictures.
 
+use std::borrow::Borrow;
 use std::collections::{BTreeMap, HashMap};
 
 use base64::Engine;
@@ -121,9 +122,9 @@ impl Canvas {
         Some(Self { side: snapshot.view.resolution().metres(), span, ground: ground(&snapshot.view) })
     }
 
-    fn draw<'a>(
+    fn draw(
         &self,
-        blocks: impl Iterator<Item = (BlockIndex, &'a StateBlock)>,
+        blocks: impl Iterator<Item = (BlockIndex, impl Borrow<StateBlock>)>,
         own_columns: &HashMap<(i32, i32), u64>,
     ) -> anyhow::Result<Picture> {
         let Self { side, span, ground } = self;
@@ -139,6 +140,7 @@ impl Canvas {
             let near = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (index.x + dx, index.y + dy)));
             let ground = near.filter_map(|at| ground.get(&at)).min().copied();
             let column = block_columns.entry((index.x, index.y)).or_insert([-2; 64]);
+            let block = block.borrow();
             for bit in set_bits(&block.known()) {
                 let above = ground.map_or(from, |ground| index.voxel(bit).z - ground);
                 let is_obstacle = block.get(bit) == State::Occupied && (from..=to).contains(&above);

@@ -1,5 +1,6 @@
 //! The file of one simulated robot while it is written.
 
+use std::borrow::Borrow;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -95,10 +96,10 @@ pub fn file_bytes(file: &Path) -> anyhow::Result<u64> {
 }
 
 /// The occupied voxels of blocks, in no particular order.
-pub fn occupied<'a>(
-    blocks: impl Iterator<Item = (BlockIndex, &'a StateBlock)>,
+pub fn occupied(
+    blocks: impl Iterator<Item = (BlockIndex, impl Borrow<StateBlock>)>,
 ) -> impl Iterator<Item = Voxel> {
-    blocks.flat_map(|(index, block)| set_bits(block.occupied()).map(move |bit| index.voxel(bit)))
+    blocks.flat_map(|(index, block)| set_bits(block.borrow().occupied()).map(move |bit| index.voxel(bit)))
 }
 
 /// Makes the folder for records, and warns of files in it that belong to an earlier flight with more robots.

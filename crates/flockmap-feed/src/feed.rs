@@ -168,15 +168,11 @@ impl Feed {
     }
 
     /// The same without origins, from a view. `stamp`: when it came to be, on the node's clock.
-    #[expect(clippy::needless_collect, reason = "the frame takes blocks off the list that is read")]
     pub fn blocks_of(&mut self, map: &MapView, stamp: Stamp) -> Vec<u8> {
         // No more than fits; each takes 140 bytes.
         let due: Vec<BlockIndex> = self.due().take(FRAME_BYTES / 140 + 1).collect();
-        let block = |index| Block {
-            index,
-            states: map.block(index).copied().unwrap_or_default(),
-            origins: Vec::new(),
-        };
-        self.blocks(due.into_iter().map(block), map.version(), stamp)
+        let states = map.states_of(&due);
+        let block = |(index, states)| Block { index, states, origins: Vec::new() };
+        self.blocks(due.into_iter().zip(states).map(block), map.version(), stamp)
     }
 }

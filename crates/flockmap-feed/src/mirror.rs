@@ -342,7 +342,7 @@ impl Kept {
         for index in gone.into_iter().filter(|index| other.map.block(*index).is_none()) {
             self.map.set_block(index, &StateBlock::default());
         }
-        other.map.blocks().for_each(|(index, states)| self.map.set_block(index, states));
+        other.map.blocks().for_each(|(index, states)| self.map.set_block(index, &states));
         self.origins = other.origins;
     }
 }

@@ -115,7 +115,7 @@ impl Node {
                 let due: Vec<BlockIndex> = feed.due().take(most).collect();
                 let with_origins = feed.origins();
                 let block = |index| {
-                    let states = self.map.block(index).copied().unwrap_or_default();
+                    let states = self.map.block(index).unwrap_or_default();
                     let origins =
                         if with_origins { origins(index, &states, self.map.version()) } else { Vec::new() };
                     Block { index, states, origins }
@@ -175,18 +175,18 @@ impl Reader {
         // A planner that asks what changed since it asked last has the same map.
         let (version, known) = &mut self.planner;
         match map.changed_since(*version) {
-            None => *known = map.blocks().map(|(index, states)| (index, *states)).collect(),
+            None => *known = map.blocks().collect(),
             Some(changed) => {
                 for index in changed {
                     match map.block(index) {
-                        Some(states) => known.insert(index, *states),
+                        Some(states) => known.insert(index, states),
                         None => known.remove(&index),
                     };
                 }
             }
         }
         *version = map.version();
-        let all: BTreeMap<_, _> = map.blocks().map(|(index, states)| (index, *states)).collect();
+        let all: BTreeMap<_, _> = map.blocks().collect();
         assert_eq!(*known, all);
     }
 }

@@ -1,7 +1,7 @@
 //! A set of voxels with their new state: what one map package says.
 
 use crate::block::{extent, plane_within, set_bits, voxel_bit};
-use crate::{BlockIndex, State, StateBlock, Voxel, VoxelBox};
+use crate::{BlockIndex, Plane, State, StateBlock, Voxel, VoxelBox};
 
 /// Voxels that changed and the state that each has now, Free or Occupied. A change to Unknown is never sent
 /// (Sec. III-B of the paper), so a voxel that is neither is unchanged.
@@ -83,7 +83,7 @@ impl Changes {
 
     /// The smallest box that holds every change (the paper's "local OGM box"); `None` if there is none.
     pub fn bounding_box(&self) -> Option<VoxelBox> {
-        bounding_box(self.blocks.iter().map(|(index, block)| (*index, block)))
+        bounding_box(self.blocks.iter().map(|(index, block)| (*index, block.known())))
     }
 
     /// The changes that lie in `region`.
@@ -105,13 +105,11 @@ impl Changes {
     }
 }
 
-/// The smallest box that holds every known voxel of some blocks.
-pub(crate) fn bounding_box<'a>(
-    blocks: impl Iterator<Item = (BlockIndex, &'a StateBlock)>,
-) -> Option<VoxelBox> {
+/// The smallest box that holds all these voxels of blocks.
+pub(crate) fn bounding_box(blocks: impl Iterator<Item = (BlockIndex, Plane)>) -> Option<VoxelBox> {
     let mut ends: Option<[Voxel; 2]> = None;
-    for (index, block) in blocks.filter(|(_, block)| !block.is_empty()) {
-        let (low, high) = extent(&block.known());
+    for (index, plane) in blocks.filter(|(_, plane)| *plane != [0; 8]) {
+        let (low, high) = extent(&plane);
         let corner = index.corner();
         let [low, high] = [low, high].map(|[x, y, z]| Voxel::new(corner.x + x, corner.y + y, corner.z + z));
         let [lowest, highest] = ends.unwrap_or([low, high]);

@@ -13,6 +13,7 @@ mod mapper;
 mod memory;
 #[doc(hidden)]
 mod origin;
+mod packing;
 mod pose;
 mod scan;
 mod snapshot;
@@ -20,13 +21,15 @@ mod states;
 #[cfg(feature = "serde")]
 #[doc(hidden)]
 pub mod units;
+mod unpacked;
+mod varint;
 mod voxel;
 
 pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, meet, plane_within, set_bits, voxel_bit};
 pub use changes::Changes;
 pub use fusion::{Dropped, Fusion, FusionConfig, FusionError, MapView, RayEnd};
 pub use layer::{
-    BaseSuperseded, DiscardedLayer, LAYER_BLOCK_BYTES_MAX, Layer, SnapshotReader, UNPACKED_BYTES_MAX,
+    BaseSuperseded, DiscardedLayer, LAYER_BLOCK_BYTES_MAX, Layer, SnapshotReader,
 };
 pub use mapper::{
     ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport, Sphere,
@@ -37,4 +40,5 @@ pub use pose::{Pose, PoseError};
 pub use scan::Scan;
 pub use snapshot::{BlockRuns, Snapshot, SnapshotVoxels};
 pub use states::{States, StatesError, StatesUpdate};
+pub use unpacked::UNPACKED_BYTES_MAX;
 pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};

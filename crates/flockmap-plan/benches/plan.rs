@@ -53,7 +53,7 @@ fn bench(c: &mut Criterion) {
         // One more trunk, 0.3 m wide and 2 m high.
         let mut after = map.clone();
         for voxel in VoxelBox::new(Voxel::new(20, 20, -9), [3, 3, 20]).unwrap().voxels() {
-            let mut block = after.block(voxel.block()).copied().unwrap_or_default();
+            let mut block = after.block(voxel.block()).unwrap_or_default();
             block.set(voxel_bit(voxel), State::Occupied);
             after.set_block(voxel.block(), &block);
         }
@@ -64,7 +64,7 @@ fn bench(c: &mut Criterion) {
         // Of every block one voxel is another: what an update has to do at most.
         let mut after = map.clone();
         for index in region.blocks() {
-            let mut block = map.block(index).copied().unwrap_or_default();
+            let mut block = map.block(index).unwrap_or_default();
             let is_occupied = block.get(219) == State::Occupied;
             block.set(219, if is_occupied { State::Free } else { State::Occupied });
             after.set_block(index, &block);

@@ -5,18 +5,20 @@ use flockmap_grid::{MapView, RayEnd, State, voxel_bit};
 use crate::error::{QUESTION_BLOCKS_MAX, QuestionError};
 
 /// States at many points (metres, frame of the map), as [`MapView::state_at`] has them: Unknown where there are no
-/// voxels. A block is looked up once for points in a row that lie in it.
+/// voxels. A block is looked up twice at most for points in a row that lie in it.
 pub fn states(view: &MapView, points: &[[f64; 3]], states: &mut [State]) -> Result<(), QuestionError> {
     same(points.len(), states.len())?;
-    let mut last = None;
+    let (mut last, mut kept) = (None, None);
     for (point, state) in points.iter().zip(states) {
         *state = view.resolution().voxel_at(*point).map_or(State::Unknown, |voxel| {
-            let block = match last {
-                Some((index, block)) if index == voxel.block() => block,
-                _ => view.block(voxel.block()),
-            };
-            last = Some((voxel.block(), block));
-            block.map_or(State::Unknown, |block| block.get(voxel_bit(voxel)))
+            let index = voxel.block();
+            if last != Some(index) {
+                // A block is copied for the second point: few have one where points are anywhere.
+                (last, kept) = (Some(index), None);
+                return view.state(voxel);
+            }
+            let block = kept.get_or_insert_with(|| view.block(index));
+            block.as_ref().map_or(State::Unknown, |block| block.get(voxel_bit(voxel)))
         });
     }
     Ok(())

@@ -1,6 +1,6 @@
 //! Where the known meets the unknown.
 
-use flockmap_grid::{BlockIndex, MapView, Plane, Voxel, VoxelBox, plane_within, set_bits};
+use flockmap_grid::{BlockIndex, MapView, Plane, StateBlock, Voxel, VoxelBox, plane_within, set_bits};
 
 use crate::lattice::{Lattice, distance, flood};
 use crate::space::TooLarge;
@@ -42,6 +42,7 @@ pub struct Frontier {
 pub fn frontier_cells(view: &MapView, region: &VoxelBox) -> Vec<(BlockIndex, Plane)> {
     let (low, high) = (region.min(), region.max());
     let (first, last) = (low.block(), high.block());
+    let view = &view.open_in(region);
     let unknown = |[x, y, z]: [i32; 3]| -> Plane {
         let index = BlockIndex::new(x, y, z);
         let inside = if first.x < x && x < last.x && first.y < y && y < last.y && first.z < z && z < last.z {
@@ -49,12 +50,13 @@ pub fn frontier_cells(view: &MapView, region: &VoxelBox) -> Vec<(BlockIndex, Pla
         } else {
             plane_within(index, low, high)
         };
-        match view.block(index) {
-            Some(block) => core::array::from_fn(|slice| inside[slice] & !block.known()[slice]),
-            None => inside,
-        }
+        let of_block = |block: &StateBlock| {
+            let known = block.known();
+            core::array::from_fn(|slice| inside[slice] & !known[slice])
+        };
+        view.with_block(index, of_block).unwrap_or(inside)
     };
-    let frontier = |(index, block): (BlockIndex, &flockmap_grid::StateBlock)| {
+    let frontier = |index: BlockIndex, block: &StateBlock| {
         if *block.free() == [0; 8] {
             return None;
         }
@@ -73,7 +75,8 @@ pub fn frontier_cells(view: &MapView, region: &VoxelBox) -> Vec<(BlockIndex, Pla
         let cells: Plane = core::array::from_fn(|slice| block.free()[slice] & inside[slice] & near[slice]);
         (cells != [0; 8]).then_some((index, cells))
     };
-    let mut cells: Vec<_> = view.blocks_in(region).filter_map(frontier).collect();
+    let mut cells = Vec::new();
+    view.for_each_in(region, |index, block| cells.extend(frontier(index, block)));
     cells.sort_unstable_by_key(|(index, _)| *index);
     cells
 }

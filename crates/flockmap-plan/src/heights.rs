@@ -33,7 +33,7 @@ impl HeightMap {
         let ([width, height], [nx, ny], low) = (columns.size(), columns.tiles(), region.min());
         let mut known = vec![0; nx * ny];
         let (mut lowest, mut highest) = (vec![i32::MAX; width * height], vec![i32::MIN; width * height]);
-        for (index, block) in view.blocks_in(region) {
+        view.for_each_in(region, |index, block| {
             let (corner, slices, tile) = (index.corner(), columns.slices(index), columns.tile_of(index));
             known[tile] |= block.known()[slices.clone()].iter().fold(0, |all, slice| all | slice);
             // The columns of the box that a word names.
@@ -54,7 +54,7 @@ impl HeightMap {
             for (z, first) in firsts(block.occupied(), slices.rev()) {
                 cells(first).for_each(|cell| highest[cell] = highest[cell].max(corner.z + z as i32));
             }
-        }
+        });
         columns.trim(&mut known);
         Ok(Self { resolution: view.resolution(), columns, known, lowest, highest })
     }

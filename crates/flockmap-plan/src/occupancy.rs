@@ -44,8 +44,7 @@ impl OccupancyGrid {
         let mut free = match rule {
             ColumnRule::AnyFree => {
                 let mut free = vec![0; nx * ny];
-                // From within, an iterator of iterators is a plain loop.
-                view.blocks_in(region).for_each(|(index, block)| {
+                view.for_each_in(region, |index, block| {
                     let (tile, slices) = (columns.tile_of(index), columns.slices(index));
                     occupied[tile] |=
                         block.occupied()[slices.clone()].iter().fold(0, |all, slice| all | slice);
@@ -55,8 +54,7 @@ impl OccupancyGrid {
             }
             ColumnRule::AllFree => {
                 let mut columns_of = vec![(u64::MAX, 0); nx * ny];
-                // From within, an iterator of iterators is a plain loop.
-                view.blocks_in(region).for_each(|(index, block)| {
+                view.for_each_in(region, |index, block| {
                     let (tile, slices) = (columns.tile_of(index), columns.slices(index));
                     occupied[tile] |=
                         block.occupied()[slices.clone()].iter().fold(0, |all, slice| all | slice);

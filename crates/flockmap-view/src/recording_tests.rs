@@ -29,8 +29,7 @@ fn step(second: i64, blocks: Vec<Block>) -> Step {
 
 /// The blocks of a map that are not empty.
 fn blocks_of(map: &MapView) -> Vec<(BlockIndex, StateBlock)> {
-    let mut blocks: Vec<_> =
-        map.blocks().filter(|(_, b)| !b.is_empty()).map(|(index, b)| (index, *b)).collect();
+    let mut blocks: Vec<_> = map.blocks().filter(|(_, b)| !b.is_empty()).collect();
     blocks.sort_unstable_by_key(|(index, _)| *index);
     blocks
 }
@@ -112,7 +111,7 @@ fn a_recording_keeps_to_its_bytes_and_ends_as_it_should() {
     assert!(recording.moments() > 40, "{}", recording.moments());
     let last = recording.map_at(recording.moments() - 1);
     assert_eq!(last.block_count(), 51);
-    assert_eq!(last.block(BlockIndex::new(49, 0, 0)), Some(&block(49, Some(4_999 % 512)).states));
+    assert_eq!(last.block(BlockIndex::new(49, 0, 0)), Some(block(49, Some(4_999 % 512)).states));
 }
 
 /// A browser's mirror on a recording, in a time that stands still but for what is waited for.

@@ -20,23 +20,23 @@ impl RobotConfig {
     /// The most bytes that others can make a robot with these options hold on the heap, whatever they send,
     /// as asked of the allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the
     /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read (half as
-    /// much), parts of layers that were unpacked to be read, events that nobody takes; a snapshot that is being
-    /// made, 256 MiB at most, and layers as they were when snapshots of them were wanted, which are shared with the
-    /// layers but for what changes until they are read. By default 2.0 GB, by broadcast 2.3 GB, of which honest
+    /// much), parts of layers and of the fused map that were unpacked to be read, events that nobody takes; a snapshot
+    /// that is being made, 256 MiB at most, and layers as they were when snapshots of them were wanted, which are shared
+    /// with the layers but for what changes until they are read. By default 2.0 GB, by broadcast 2.3 GB, of which honest
     /// robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth
     /// of it in the fused map) and the own layer (`fusion.own_layer_bytes_max`; what changes of it while a snapshot of
-    /// it is made is there twice). A
-    /// [`MapView`](flockmap_grid::MapView) that is kept while the map goes on takes as much as the fused map
-    /// once more. An alignment that is set when the layers are full already may make the fused map larger, and until
-    /// it is in force there are two of them: meanwhile, less is taken into the layers.
+    /// it is made is there twice). A [`MapView`](flockmap_grid::MapView) that is kept while the map goes on takes once
+    /// more what the fused map took when it was made. An alignment that is set when the layers are full already may make
+    /// the fused map larger, and until it is in force there are two of them: meanwhile, less is taken into the layers.
     pub const fn memory_of_others_max(&self) -> usize {
         self.session.memory_max()
             + self.fusion.layer_bytes_max
             + readers_bytes_max(self.fusion.layer_bytes_max)
             + self.session.transfers_max * (UNMERGED + UNPACKED_BYTES_MAX)
-            + UNPACKED_BYTES_MAX
+            // Of layers, and of the fused map.
+            + 2 * UNPACKED_BYTES_MAX
             // Copies of layers; the state that is coded; its chunks, in two codecs.
             + self.fusion.layer_bytes_max
             + SNAPSHOT_BYTES_MAX

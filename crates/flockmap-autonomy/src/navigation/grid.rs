@@ -184,7 +184,7 @@ impl NavigationGrid {
             all.collect::<BTreeSet<_>>().into_iter().collect()
         };
         for index in map.changed_since(self.version).unwrap_or_else(everything) {
-            self.take_in(index, map.block(index).copied().unwrap_or_default());
+            self.take_in(index, map.block(index).unwrap_or_default());
         }
         self.version = map.version();
     }

@@ -84,7 +84,8 @@ impl Fused {
                 for (index, block) in ours.map().blocks() {
                     let Some(other) = theirs.map().block(index) else { continue };
                     let saw = we_saw.get(&index).zip(they_saw.get(&index));
-                    shared.add(block, other, |z| saw.map_or(0, |(we, they)| we.known()[z] & they.known()[z]));
+                    shared
+                        .add(&block, &other, |z| saw.map_or(0, |(we, they)| we.known()[z] & they.known()[z]));
                 }
                 all.merge(shared);
                 let robots = [ours, theirs].map(|robot| robot.own_stream().origin.0);

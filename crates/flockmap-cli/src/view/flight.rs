@@ -115,7 +115,7 @@ impl Flight {
         let changed = changed_since(map, self.version, &self.recording);
         self.version = map.version();
         let block = |index: BlockIndex| {
-            let states = map.block(index).copied().unwrap_or_default();
+            let states = map.block(index).unwrap_or_default();
             Block { index, states, origins: origins_of(&self.mirror, index, &states.known()) }
         };
         self.recording.push(Step {

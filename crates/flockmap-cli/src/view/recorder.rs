@@ -69,7 +69,7 @@ impl Recorder {
         self.version = map.version();
         let block = |index: BlockIndex| Block {
             index,
-            states: map.block(index).copied().unwrap_or_default(),
+            states: map.block(index).unwrap_or_default(),
             origins: robot.fusion().origins(robot.mapper(), index),
         };
         let wire = measures.sent.wire.total();

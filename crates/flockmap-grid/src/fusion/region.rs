@@ -4,10 +4,13 @@
 use crate::block::bits;
 use crate::{BlockIndex, Plane, StateBlock, Voxel, plane_within, set_bits, voxel_bit};
 
+/// Blocks along a side of a region.
+pub(super) const REGION_SIDE: usize = 8;
+
 /// Blocks in ascending order of their places, each 136 bytes, and which places they are of: a block is found
 /// by counting those before it. A layer of them lies together in memory, as slices of a map are read. To put a
 /// new one in moves those behind it: on average some 10 kB in a region of 512.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, PartialEq, Debug, Default)]
 pub(super) struct Region {
     /// A bit for each place at which there is a block. Places are counted as the voxels of a block are.
     places: Plane,
@@ -19,7 +22,7 @@ pub(super) struct Region {
 }
 
 /// The states of a block, and the version of the map with which they came.
-#[derive(Clone, Debug)]
+#[derive(Clone, PartialEq, Debug)]
 pub(super) struct ViewBlock {
     pub states: StateBlock,
     pub version: u64,
@@ -36,6 +39,22 @@ pub(super) fn region_of(index: BlockIndex) -> BlockIndex {
 }
 
 impl Region {
+    /// Of blocks at these places, in their order. `version` is of the block that changed last, of those also that were
+    /// let go.
+    pub(super) fn from_parts(places: Plane, blocks: Vec<ViewBlock>, version: u64) -> Self {
+        Self { places, below: below(&places), blocks, version }
+    }
+
+    /// A bit for each place at which there is a block.
+    pub(super) const fn places(&self) -> &Plane {
+        &self.places
+    }
+
+    /// In ascending order of their places.
+    pub(super) fn parts(&self) -> &[ViewBlock] {
+        &self.blocks
+    }
+
     /// Of the block that changed last.
     pub(super) const fn version(&self) -> u64 {
         self.version
@@ -43,7 +62,7 @@ impl Region {
 
     /// Bytes on the heap: at most [`BLOCK_BYTES_MAX`] for each block, so none if there is none.
     pub(super) fn memory_bytes(&self) -> usize {
-        if self.is_empty() { 0 } else { REGION_BYTES + self.blocks.capacity() * size_of::<ViewBlock>() }
+        if self.is_empty() { 0 } else { bytes_of(self.blocks.capacity()) }
     }
 
     /// The states of the block at this index, of which the region is that of [`region_of`].
@@ -56,25 +75,21 @@ impl Region {
         self.rank(index).ok().map(|rank| self.blocks[rank].version)
     }
 
-    /// All blocks in ascending order of their places. `at` is the region's own index.
-    pub(super) fn blocks(&self, at: BlockIndex) -> impl Iterator<Item = (BlockIndex, &ViewBlock)> {
-        set_bits(&self.places).map(move |place| index_of(at, place)).zip(&self.blocks)
-    }
-
-    /// The blocks from `low` to `high` in the same order.
-    pub(super) fn blocks_between(
+    /// The numbers of the blocks from `low` to `high` among all, ascending, with their indices. `at` is the region's
+    /// own index.
+    pub(super) fn ranks_between(
         &self,
         at: BlockIndex,
         low: BlockIndex,
         high: BlockIndex,
-    ) -> impl Iterator<Item = (BlockIndex, &StateBlock)> {
+    ) -> impl Iterator<Item = (usize, BlockIndex)> + use<> {
         let [low, high] = [as_voxel(low).highest(at.voxel(0)), as_voxel(high).lowest(at.voxel(511))];
-        let within = plane_within(at, low, high);
+        let (within, places, below) = (plane_within(at, low, high), self.places, self.below);
         (0..8).filter(move |z| within[*z] != 0).flat_map(move |z| {
-            let blocks = &self.blocks[usize::from(self.below[z])..];
+            let ranks = usize::from(below[z])..;
             let inside = move |(place, _): &(usize, _)| within[z] >> place & 1 == 1;
-            let found = bits(self.places[z]).zip(blocks).filter(inside);
-            found.map(move |(place, block)| (index_of(at, z * 64 + place), &block.states))
+            let found = bits(places[z]).zip(ranks).filter(inside);
+            found.map(move |(place, rank)| (rank, index_of(at, z * 64 + place)))
         })
     }
 
@@ -89,7 +104,7 @@ impl Region {
                     self.blocks.reserve_exact(self.blocks.len() / 8 + 1);
                 }
                 self.blocks.insert(rank, block);
-                let place = voxel_bit(as_voxel(index));
+                let place = place_of(index);
                 self.places[place / 64] |= 1 << (place % 64);
                 self.below[place / 64 + 1..].iter_mut().for_each(|below| *below += 1);
                 None
@@ -108,12 +123,7 @@ impl Region {
         }
         self.blocks.retain(|block| !block.states.is_empty());
         self.blocks.shrink_to_fit();
-        self.places = kept;
-        let mut below = 0;
-        for (layer, places) in self.below.iter_mut().zip(&self.places) {
-            *layer = below;
-            below += places.count_ones() as u16;
-        }
+        (self.places, self.below) = (kept, below(&kept));
     }
 
     /// Whether there is a block of which nothing is known.
@@ -128,11 +138,36 @@ impl Region {
 
     /// Where a block is among the blocks, or where it would be.
     fn rank(&self, index: BlockIndex) -> Result<usize, usize> {
-        let place = voxel_bit(as_voxel(index));
+        let place = place_of(index);
         let (places, bit) = (self.places[place / 64], 1 << (place % 64));
         let rank = usize::from(self.below[place / 64]) + (places & (bit - 1)).count_ones() as usize;
         if places & bit == 0 { Err(rank) } else { Ok(rank) }
     }
+}
+
+/// The blocks at these places, in ascending order. `at` is the region's own index.
+pub(super) fn indices(at: BlockIndex, places: &Plane) -> impl Iterator<Item = BlockIndex> + use<> {
+    set_bits(places).map(move |place| index_of(at, place))
+}
+
+/// The place of a block in its region, counted as the voxels of a block are.
+pub(super) const fn place_of(index: BlockIndex) -> usize {
+    voxel_bit(as_voxel(index))
+}
+
+/// Bytes of a region with room for so many blocks.
+pub(super) const fn bytes_of(blocks: usize) -> usize {
+    REGION_BYTES + blocks * size_of::<ViewBlock>()
+}
+
+/// Places in the layers below each.
+fn below(places: &Plane) -> [u16; 8] {
+    let mut all = 0;
+    places.map(|layer| {
+        let below = all;
+        all += layer.count_ones() as u16;
+        below
+    })
 }
 
 /// A region is of blocks what a block is of voxels.

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::received::Received;
-use crate::layer::Unpacked;
+use crate::layer::PackedCube;
+use crate::unpacked::Unpacked;
 use crate::{DiscardedLayer, Layer, RobotId, Stream};
 
 /// What came of a stream.
@@ -29,7 +30,7 @@ pub(super) struct Sources {
     /// Of the sources of others, with those that are leaving or discarded.
     bytes: usize,
     /// Cubes of layers, for who reads them.
-    unpacked: Arc<Unpacked>,
+    unpacked: Arc<Unpacked<PackedCube>>,
     numbers: u64,
 }
 

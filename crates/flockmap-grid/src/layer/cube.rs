@@ -8,7 +8,7 @@ pub(super) const CUBE_SIDE: usize = 4;
 
 /// The blocks of a cube that are there, in ascending order of their places.
 #[derive(PartialEq, Debug, Default)]
-pub(super) struct Cube {
+pub(crate) struct Cube {
     /// A bit for each place at which there is a block: `z·16 + y·4 + x` of its place in the cube.
     places: u64,
     blocks: Vec<LayerBlock>,

@@ -6,6 +6,7 @@ use super::cube::{CUBE_BLOCK_BYTES, Cube, cube_of};
 use super::stamps::BlockStamps;
 use super::{Layer, OPEN_BYTES, Place};
 use crate::memory::table_bytes;
+use crate::unpacked::Packed;
 use crate::{BlockIndex, Changes};
 
 /// Most bytes that one block of a layer can take: 512 voxels that changed last in 512 different batches, alone in

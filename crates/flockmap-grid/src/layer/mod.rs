@@ -12,7 +12,6 @@ mod sensors;
 mod snapshots;
 mod stamps;
 mod sweep;
-mod unpacked;
 
 use std::borrow::Cow;
 use std::collections::VecDeque;
@@ -21,6 +20,7 @@ use std::sync::Arc;
 use rustc_hash::FxHashMap;
 
 use crate::block::set_bits;
+use crate::unpacked::{Packed, Unpacked};
 use crate::{BlockIndex, Changes, Plane, Snapshot, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::LayerBlock;
 use cube::{Cube, cube_of};
@@ -28,12 +28,10 @@ pub use discarded::DiscardedLayer;
 use dropped::Dropped;
 pub(crate) use dropped::cube_at;
 pub use memory::LAYER_BLOCK_BYTES_MAX;
-use packed::PackedCube;
+pub(crate) use packed::PackedCube;
 pub(crate) use sensors::SENSOR_BYTES;
 use sensors::Sensors;
 pub use snapshots::SnapshotReader;
-pub use unpacked::UNPACKED_BYTES_MAX;
-pub(crate) use unpacked::Unpacked;
 
 /// State and stamp of every voxel that one stream has published, in the frame of its origin.
 ///
@@ -58,7 +56,7 @@ pub struct Layer {
     queue: VecDeque<(u64, BlockIndex)>,
     /// How often blocks were changed.
     changed: u64,
-    unpacked: Arc<Unpacked>,
+    unpacked: Arc<Unpacked<PackedCube>>,
     sensors: Sensors,
     dropped: Dropped,
     /// Voxels that were ignored, since something newer may have been dropped.
@@ -106,7 +104,7 @@ pub struct BaseSuperseded {
 
 impl Layer {
     /// Nothing is known. `unpacked` are cubes that were unpacked to be read, of other layers too.
-    pub(crate) fn new(unpacked: &Arc<Unpacked>) -> Self {
+    pub(crate) fn new(unpacked: &Arc<Unpacked<PackedCube>>) -> Self {
         Self { unpacked: Arc::clone(unpacked), ..Self::default() }
     }
 
@@ -207,7 +205,7 @@ impl Layer {
     fn with_block<T>(&self, index: BlockIndex, read: impl FnOnce(&LayerBlock) -> T) -> Option<T> {
         match self.cubes.get(&cube_of(index))? {
             Place::Open(open) => open.cube.block(index).map(read),
-            Place::Packed(packed) if packed.has(index) => self.unpacked.cube(packed).block(index).map(read),
+            Place::Packed(packed) if packed.has(index) => self.unpacked.read(packed).block(index).map(read),
             Place::Packed(_) => None,
         }
     }
@@ -269,7 +267,7 @@ impl Layer {
         match self.cubes.get(&at) {
             None => Vec::new(),
             Some(Place::Open(open)) => known(&open.cube),
-            Some(Place::Packed(packed)) => known(&self.unpacked.cube(packed)),
+            Some(Place::Packed(packed)) => known(&self.unpacked.read(packed)),
         }
     }
 

@@ -6,11 +6,12 @@ use super::block::LayerBlock;
 use super::cube::{Cube, places};
 use super::packing::{Packing, Voxels};
 use super::stamps::BlockStamps;
-use crate::{BLOCK_VOXELS, BlockIndex, Stamp, set_bits};
+use crate::unpacked::Packed;
+use crate::{BLOCK_VOXELS, BlockIndex, Stamp, set_bits, varint};
 
 /// What a [`Cube`] holds, exactly. Kept in memory alone: its form is not promised to anybody.
 #[derive(Debug)]
-pub(super) struct PackedCube {
+pub(crate) struct PackedCube {
     /// The palette: how many stamps, the oldest, how much later each of the others is than the one before. Then
     /// the blocks as bits of the coder.
     bytes: Box<[u8]>,
@@ -58,9 +59,38 @@ impl PackedCube {
         }
     }
 
+    /// Calls `found` with each stamp that a voxel has, once, and perhaps with others. O(stamps).
+    pub(super) fn for_each_stamp(&self, found: impl FnMut(Stamp)) {
+        take_palette(&self.bytes).0.into_iter().for_each(found);
+    }
+
+    /// Whether there is a block, which is in this cube.
+    pub(super) fn has(&self, index: BlockIndex) -> bool {
+        self.places >> super::cube::place_of(index) & 1 == 1
+    }
+
+    /// The newest stamp of all blocks.
+    pub(super) const fn newest(&self) -> Stamp {
+        self.newest
+    }
+
+    /// Number of blocks.
+    pub(super) const fn len(&self) -> usize {
+        self.places.count_ones() as usize
+    }
+
+    /// Bytes on the heap, itself included.
+    pub(super) const fn memory_bytes(&self) -> usize {
+        self.bytes.len() + PACKED_BYTES
+    }
+}
+
+impl Packed for PackedCube {
+    type Open = Cube;
+
     /// The cube again: equal to the one that was packed, but for stamps in palettes that no voxel has. Some 15 µs
     /// for each block.
-    pub(super) fn unpack(&self) -> Cube {
+    fn unpack(&self) -> Cube {
         let (palette, bits) = take_palette(&self.bytes);
         let mut packing = Packing::new(BitReader::new(bits));
         // Of each stamp: for which block it has a number in its palette, and which.
@@ -95,78 +125,30 @@ impl PackedCube {
         Cube::from_parts(self.places, blocks)
     }
 
-    /// Calls `found` with each stamp that a voxel has, once, and perhaps with others. O(stamps).
-    pub(super) fn for_each_stamp(&self, found: impl FnMut(Stamp)) {
-        take_palette(&self.bytes).0.into_iter().for_each(found);
-    }
-
-    /// Whether there is a block, which is in this cube.
-    pub(super) fn has(&self, index: BlockIndex) -> bool {
-        self.places >> super::cube::place_of(index) & 1 == 1
-    }
-
-    /// The newest stamp of all blocks.
-    pub(super) const fn newest(&self) -> Stamp {
-        self.newest
-    }
-
-    /// Number of blocks.
-    pub(super) const fn len(&self) -> usize {
-        self.places.count_ones() as usize
-    }
-
-    /// The most bytes of the heap that it takes unpacked.
-    pub(super) const fn open_bytes(&self) -> usize {
+    fn open_bytes(&self) -> usize {
         self.open_bytes as usize
-    }
-
-    /// Bytes on the heap, itself included.
-    pub(super) const fn memory_bytes(&self) -> usize {
-        self.bytes.len() + PACKED_BYTES
     }
 }
 
 fn put_palette(bytes: &mut Vec<u8>, palette: &[Stamp]) {
-    put(bytes, palette.len() as u64);
+    varint::put(bytes, palette.len() as u64);
     let mut before = palette.first().copied().unwrap_or_default();
     bytes.extend_from_slice(&before.0.to_le_bytes());
     for stamp in palette.iter().skip(1) {
-        put(bytes, stamp.0.wrapping_sub(before.0) as u64);
+        varint::put(bytes, stamp.0.wrapping_sub(before.0) as u64);
         before = *stamp;
     }
 }
 
 /// The palette, and the bytes after it.
 fn take_palette(mut bytes: &[u8]) -> (Vec<Stamp>, &[u8]) {
-    let count = take(&mut bytes);
+    let count = varint::take(&mut bytes);
     let (first, mut rest) = bytes.split_first_chunk().unwrap_or((&[0; 8], &[]));
     let mut stamp = i64::from_le_bytes(*first);
     let mut palette = vec![Stamp(stamp)];
     for _ in 1..count {
-        stamp = stamp.wrapping_add(take(&mut rest) as i64);
+        stamp = stamp.wrapping_add(varint::take(&mut rest) as i64);
         palette.push(Stamp(stamp));
     }
     (palette, rest)
-}
-
-/// A number, seven bits to a byte, the lowest first.
-fn put(bytes: &mut Vec<u8>, mut number: u64) {
-    while number > 127 {
-        bytes.push(number as u8 | 128);
-        number >>= 7;
-    }
-    bytes.push(number as u8);
-}
-
-fn take(bytes: &mut &[u8]) -> u64 {
-    let mut number = 0;
-    for shift in (0..64).step_by(7) {
-        let Some((byte, rest)) = bytes.split_first() else { break };
-        *bytes = rest;
-        number |= u64::from(byte & 127) << shift;
-        if byte & 128 == 0 {
-            break;
-        }
-    }
-    number
 }

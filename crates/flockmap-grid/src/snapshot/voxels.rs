@@ -102,7 +102,7 @@ impl SnapshotVoxels {
             self.add_record(stamp, number, &block);
             known.overlay(&block);
         }
-        if let Some(part) = bounding_box(core::iter::once((index, &known))) {
+        if let Some(part) = bounding_box(core::iter::once((index, known.known()))) {
             self.region = Some(self.region.map_or(part, |region| region.union(&part)));
             self.blocks.push(index);
         }

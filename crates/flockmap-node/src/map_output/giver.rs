@@ -50,12 +50,13 @@ impl Giver for Driver {
             let (answer, result) = oneshot::channel();
             let ask = move |robot: &mut Robot, now: Stamp| {
                 let began = StdInstant::now();
-                let block = |index: BlockIndex| Block {
+                let states = robot.map().states_of(&due);
+                let block = |(index, states)| Block {
                     index,
-                    states: robot.map().block(index).copied().unwrap_or_default(),
+                    states,
                     origins: robot.fusion().origins(robot.mapper(), index),
                 };
-                let blocks = due.into_iter().map(block).collect();
+                let blocks = due.into_iter().zip(states).map(block).collect();
                 let blocks = BlocksNow { blocks, newest: robot.map().version(), now };
                 // The reader may be gone.
                 let _ = answer.send((blocks, began.elapsed()));

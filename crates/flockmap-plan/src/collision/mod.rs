@@ -196,7 +196,8 @@ impl<'a> Collision<'a> {
     }
 
     fn obstacles_of(&self, index: BlockIndex, region: &VoxelBox) -> impl Iterator<Item = Voxel> + use<> {
-        let (plane, within) = (self.obstacles.of(self.view.block(index)), region.plane(index));
+        let plane = self.view.with_block(index, |block| self.obstacles.of(Some(block)));
+        let (plane, within) = (plane.unwrap_or_else(|| self.obstacles.of(None)), region.plane(index));
         set_bits(&core::array::from_fn(|z| plane[z] & within[z])).map(move |bit| index.voxel(bit))
     }
 

@@ -28,7 +28,7 @@ impl DistanceField {
     pub fn inflated(&self, view: &MapView, radius_m: f64) -> MapView {
         let mut map = view.clone();
         for (index, plane) in self.within(radius_m) {
-            let mut block = view.block(index).copied().unwrap_or_default();
+            let mut block = view.block(index).unwrap_or_default();
             block.overlay(&StateBlock::new([0; 8], plane));
             map.set_block(index, &block);
         }

@@ -62,10 +62,11 @@ impl<T: Cell> Passes<T> {
             pass.resize(shape.len() as usize, [T::NONE; LANES]);
         }
         let (low, high) = (shape.region.min().block(), shape.region.max().block());
+        let view = view.open_in(&shape.region);
         let mut rows = Rows::new(shape);
         for z in low.z..=high.z {
             for y in low.y..=high.y {
-                rows.load(shape, view, obstacles, y, z);
+                rows.load(shape, &view, obstacles, y, z);
                 rows.each(shape, |at, group| self.along_x[at] = group);
             }
         }
@@ -187,7 +188,8 @@ impl Rows {
             let from = (low.x - corner).max(0);
             let to = (high.x - corner).min(7);
             let mask = (0xFFu8 << from) & (0xFF >> (7 - to));
-            let plane = obstacles.of(view.block(BlockIndex::new(x, y, z)));
+            let plane = view.with_block(BlockIndex::new(x, y, z), |block| obstacles.of(Some(block)));
+            let plane = plane.unwrap_or_else(|| obstacles.of(None));
             for (z, slice) in plane.into_iter().enumerate() {
                 for (y, byte) in slice.to_le_bytes().into_iter().enumerate() {
                     self.bytes[(z * 8 + y) * length + at] = byte & mask;

@@ -29,7 +29,7 @@ pub(crate) fn empty() -> MapView {
 /// Sets voxels of a map one after the other.
 pub(crate) fn write(map: &mut MapView, voxels: &[(Voxel, State)]) {
     for (voxel, state) in voxels {
-        let mut block = map.block(voxel.block()).copied().unwrap_or_default();
+        let mut block = map.block(voxel.block()).unwrap_or_default();
         block.set(voxel_bit(*voxel), *state);
         map.set_block(voxel.block(), &block);
     }

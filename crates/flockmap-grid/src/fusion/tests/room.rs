@@ -9,9 +9,9 @@ fn apart(blocks: core::ops::Range<i32>) -> Changes {
 
 /// Everything is as if the map were made anew.
 fn check_view(fusion: &mut Fusion, mapper: &Mapper) {
-    let mut blocks: Vec<_> = fusion.map().blocks().map(|(index, states)| (index, *states)).collect();
+    let mut blocks: Vec<_> = fusion.map().blocks().collect();
     fusion.rebuild(mapper);
-    let mut anew: Vec<_> = fusion.map().blocks().map(|(index, states)| (index, *states)).collect();
+    let mut anew: Vec<_> = fusion.map().blocks().collect();
     for list in [&mut blocks, &mut anew] {
         list.retain(|(_, states)| !states.is_empty());
         list.sort_unstable_by_key(|(index, _)| *index);

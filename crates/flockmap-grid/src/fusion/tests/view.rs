@@ -30,6 +30,11 @@ proptest! {
             assert_eq!(Some(block), view.block(index));
             index
         }).collect();
+        let mut among = found.iter();
+        view.for_each_in(&region, |index, block| {
+            assert_eq!((Some(&index), Some(*block)), (among.next(), view.block(index)));
+        });
+        prop_assert_eq!(among.next(), None);
         found.sort_unstable();
         let known = || blocks.iter().filter(|(_, is_kept)| **is_kept).map(|(index, _)| *index);
         let expected: Vec<BlockIndex> =
@@ -57,14 +62,14 @@ proptest! {
             for ([x, y, z], bit, state) in step {
                 let index = BlockIndex::new(x, y, z);
                 let state = [State::Unknown, State::Free, State::Occupied][usize::from(state)];
-                let mut block = map.block(index).copied().unwrap_or_default();
+                let mut block = map.block(index).unwrap_or_default();
                 // All of it, now and then: so that blocks are emptied.
                 if bit % 7 == 0 { block = StateBlock::default() } else { block.set(bit, state) }
                 map.set_block(index, &block);
                 model.insert(index, block);
             }
             model.retain(|_, block| !block.is_empty());
-            prop_assert_eq!(map.blocks().map(|(i, b)| (i, *b)).collect::<BTreeMap<_, _>>(), model.clone());
+            prop_assert_eq!(map.blocks().collect::<BTreeMap<_, _>>(), model.clone());
             prop_assert_eq!(map.block_count(), model.len());
             if pause {
                 continue;
@@ -74,7 +79,7 @@ proptest! {
                 let Some(changed) = map.versions_since(at) else {
                     mirror = MapView::new(resolution());
                     for (index, block) in map.blocks() {
-                        mirror.set_block(index, block);
+                        mirror.set_block(index, &block);
                     }
                     at = map.version();
                     break;
@@ -85,12 +90,136 @@ proptest! {
                 let Some((last, _)) = changed.last() else { break };
                 at = *last;
                 for (_, index) in changed {
-                    mirror.set_block(index, &map.block(index).copied().unwrap_or_default());
+                    mirror.set_block(index, &map.block(index).unwrap_or_default());
                 }
             }
-            prop_assert_eq!(mirror.blocks().map(|(i, b)| (i, *b)).collect::<BTreeMap<_, _>>(), model.clone());
+            prop_assert_eq!(mirror.blocks().collect::<BTreeMap<_, _>>(), model.clone());
         }
     }
+}
+
+/// What can be asked of a map, in order.
+fn all_of(map: &MapView, versions: &[u64]) -> impl PartialEq + std::fmt::Debug + use<> {
+    let blocks: BTreeMap<_, _> = map.blocks().collect();
+    let each: Vec<_> = blocks.keys().map(|index| map.block(*index)).collect();
+    let indices: Vec<_> =
+        (-9..10).map(|x| BlockIndex::new(x, x & 7, 0)).chain(blocks.keys().copied()).collect();
+    let changed: Vec<_> = versions.iter().map(|version| map.changed_since(*version)).collect();
+    let since: Vec<_> = versions
+        .iter()
+        .map(|version| map.versions_since(*version).map(|since| since.collect::<BTreeMap<_, _>>()))
+        .collect();
+    let region = VoxelBox::spanning(Voxel::new(-20, -9, 0), Voxel::new(30, 40, 21)).unwrap();
+    let within: BTreeMap<_, _> = map.blocks_in(&region).collect();
+    let opened: BTreeMap<_, _> = map.open_in(&region).blocks().collect();
+    let rays: Vec<_> = (0..9)
+        .map(|n| {
+            map.cast_ray([f64::from(n) * 3.0 - 20.0, 3.1, 0.3], [9.7, f64::from(n) - 7.0, 2.0], n % 2 == 0)
+        })
+        .collect();
+    assert_eq!(opened, blocks);
+    (
+        (blocks, each, map.states_of(&indices), within, rays),
+        (changed, since, map.version(), map.bounding_box(), map.count(), map.block_count()),
+    )
+}
+
+proptest! {
+    #[test]
+    fn a_map_that_is_packed_now_and_then_is_one_that_never_was(
+        steps in prop::collection::vec(
+            (prop::collection::vec((index(1 << 20), any::<[u64; 2]>(), 0..9u8), 1..30), any::<bool>()), 1..12
+        ),
+    ) {
+        let (mut map, mut never) = (MapView::new(resolution()), MapView::new(resolution()));
+        let (mut copies, mut versions) = (Vec::new(), vec![0]);
+        for (blocks, packs) in &steps {
+            for (index, [free, occupied], kind) in blocks {
+                let states = match kind {
+                    0 => StateBlock::default(),
+                    1 => never.block(*index).unwrap_or_default(),
+                    2 => StateBlock::new([*free; 8], [*occupied & !*free; 8]),
+                    _ => StateBlock::new([*free, 0, u64::MAX, 0, 0, 0, *free, 1], [0, *occupied, 0, 0, 7, 0, 0, 0]),
+                };
+                map.set_block(*index, &states);
+                never.set_block(*index, &states);
+            }
+            let copy = map.clone();
+            if *packs {
+                map.pack();
+                map.check_counts();
+            }
+            versions.push(never.version());
+            copies.push((copy, never.clone()));
+        }
+        map.check_counts();
+        never.check_counts();
+        prop_assert_eq!(all_of(&map, &versions), all_of(&never, &versions));
+        for (copy, never) in copies {
+            copy.check_counts();
+            prop_assert_eq!(all_of(&copy, &versions), all_of(&never, &versions), "a copy stays as it was");
+        }
+        // In place of what it was made from, which is packed too.
+        let began = map.version();
+        let (mut next, mut never_next) = (map.staged(), never.staged());
+        for index in (-9..10).map(|x| BlockIndex::new(x, 0, 0)) {
+            next.set_block(index, &StateBlock::new([5; 8], [0; 8]));
+            never_next.set_block(index, &StateBlock::new([5; 8], [0; 8]));
+            let later = BlockIndex::new(0, index.x, 0);
+            map.set_block(later, &StateBlock::default());
+            never.set_block(later, &StateBlock::default());
+        }
+        next.pack();
+        map.pack();
+        next.supersede(&map, began);
+        never_next.supersede(&never, began);
+        next.forget_emptied();
+        never_next.forget_emptied();
+        next.check_counts();
+        prop_assert_eq!(all_of(&next, &versions), all_of(&never_next, &versions));
+    }
+}
+
+#[test]
+fn what_nothing_is_written_to_for_long_is_packed_a_bounded_part_at_a_time() {
+    let mut map = MapView::new(resolution());
+    let wall = StateBlock::new([0xFFFF; 8], [0xFF_0000; 8]);
+    let dense =
+        (0..16).flat_map(|x| (0..16).flat_map(move |y| (0..16).map(move |z| BlockIndex::new(x, y, z))));
+    dense.for_each(|index| map.set_block(index, &wall));
+    assert_eq!((map.block_count(), map.packed_count()), (4_096, 0));
+    let open_bytes = map.memory_bytes();
+    let here = |n: i32| BlockIndex::new(100 + n % 8, 0, 0);
+    let mut most = 0;
+    for n in 0..70_000 {
+        let before = map.packed_count();
+        // Nothing changes here any more: what is looked at stays open all the same.
+        map.set_block(here(n), &wall);
+        most = most.max(map.packed_count() - before);
+        assert!(n < 20_000 || (4_096..4_104).contains(&map.packed_count()) || n < 60_000);
+    }
+    assert!((1..=512).contains(&most), "{most} blocks at once");
+    assert_eq!((map.block_count(), map.packed_count()), (4_104, 4_096));
+    map.check_counts();
+    assert!(map.memory_bytes() < open_bytes / 20, "{} of {open_bytes} bytes", map.memory_bytes());
+    assert_eq!(map.version(), 4_104, "to be packed is no change");
+}
+
+#[test]
+fn a_region_that_was_emptied_before_it_was_packed_is_let_go() {
+    let mut map = MapView::new(resolution());
+    let far = |n: i32| BlockIndex::new(20 * n, 0, 0);
+    (0..24).for_each(|n| map.set_block(far(n), &StateBlock::new([3; 8], [4; 8])));
+    map.set_block(far(0), &StateBlock::default());
+    map.pack();
+    map.check_counts();
+    assert_eq!((map.block(far(0)), map.changed_since(24)), (None, Some(vec![far(0)])));
+    (1..4).for_each(|n| map.set_block(far(n), &StateBlock::default()));
+    map.check_counts();
+    assert_eq!((map.block_count(), map.changed_since(24)), (20, None));
+    (4..24).for_each(|n| map.set_block(far(n), &StateBlock::default()));
+    map.check_counts();
+    assert!(map.block_count() == 0 && map.changed_since(map.version()) == Some(Vec::new()));
 }
 
 #[test]

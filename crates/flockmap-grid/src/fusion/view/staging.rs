@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use super::{MapView, region_of};
+use super::MapView;
+use super::regions::Place;
+use crate::fusion::region::region_of;
 
 /// By how much the versions of a staged map are ahead: more than any map changes while it is being made, and little
 /// enough for as many to follow one another.
@@ -27,11 +29,10 @@ impl MapView {
             return;
         };
         for index in changed {
-            let region = self.regions.get(&region_of(index));
-            let is_changed = region.and_then(|r| r.changed_at(index)).is_some_and(|at| at > began);
+            let place = self.regions.get(region_of(index)).filter(|place| place.version() > began);
+            let is_changed = place.and_then(|place| place.changed_at(index)).is_some_and(|at| at > began);
             if !is_changed {
-                let states = self.block(index).copied().unwrap_or_default();
-                self.set_states(index, states);
+                self.change(index, Some);
             }
         }
     }
@@ -41,11 +42,11 @@ impl MapView {
         if Arc::ptr_eq(&self.regions, &other.regions) {
             return 0;
         }
-        let is_shared = |(at, region): (_, &Arc<_>)| {
-            other.regions.get(at).is_some_and(|theirs| Arc::ptr_eq(region, theirs))
+        let is_shared = |(at, place): &(_, &Place)| {
+            other.regions.get(*at).is_some_and(|theirs| place.is_shared_with(theirs))
         };
-        let shared = self.regions.iter().filter(|region| is_shared(*region));
-        self.memory_bytes() - shared.map(|(_, region)| region.memory_bytes()).sum::<usize>()
+        let shared = self.regions.iter().filter(is_shared);
+        self.memory_bytes() - shared.map(|(_, place)| place.memory_bytes()).sum::<usize>()
     }
 }
 

@@ -29,7 +29,7 @@ pub(in crate::swarm) fn wrong_fused(
     blocks.extend(robot.map().blocks().map(|(index, _)| index));
     for block in blocks {
         let corner = block.corner();
-        let fused = robot.map().block(block).copied().unwrap_or_default();
+        let fused = robot.map().block(block).unwrap_or_default();
         let mapped = mapper.block(block).copied().unwrap_or_default();
         let published: Vec<_> = layers
             .iter()
