@@ -28,9 +28,7 @@ mod voxel;
 pub use block::{BLOCK_VOXELS, Plane, StateBlock, bit_of, meet, plane_within, set_bits, voxel_bit};
 pub use changes::Changes;
 pub use fusion::{Dropped, Fusion, FusionConfig, FusionError, MapView, RayEnd};
-pub use layer::{
-    BaseSuperseded, DiscardedLayer, LAYER_BLOCK_BYTES_MAX, Layer, SnapshotReader,
-};
+pub use layer::{BaseSuperseded, DiscardedLayer, LAYER_BLOCK_BYTES_MAX, Layer, SnapshotReader};
 pub use mapper::{
     ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport, Sphere,
     Which,

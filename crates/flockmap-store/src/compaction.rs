@@ -73,12 +73,8 @@ impl StreamCopy {
         let Some(upto) = received.last() else { return Ok(Vec::new()) };
         // One of a history with gaps says by itself no more than its newest package.
         let is_whole = received.contains_range(1, upto);
-        let span = Span {
-            stream,
-            since: if is_whole { 0 } else { upto - 1 },
-            upto,
-            lost_upto: layer.lost_upto(),
-        };
+        let span =
+            Span { stream, since: if is_whole { 0 } else { upto - 1 }, upto, lost_upto: layer.lost_upto() };
         let chunks = match layer.snapshot_voxels(None) {
             Some(state) => {
                 let chunks = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);

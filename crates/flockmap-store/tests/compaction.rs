@@ -313,7 +313,10 @@ fn fly_with_a_full_own_layer(disk: &MemoryDisk, store_bytes_max: usize) -> (Vec<
             writer.log.note(swarm.now, &event);
         }
     }
-    assert!(swarm.robots[0].counters().blocks_dropped > 0 && swarm.robots[0].fusion().is_in_part(swarm.robots[0].own_stream()));
+    assert!(
+        swarm.robots[0].counters().blocks_dropped > 0
+            && swarm.robots[0].fusion().is_in_part(swarm.robots[0].own_stream())
+    );
     compact_now(&mut writer, &swarm.robots[0]);
     (packages, writer)
 }

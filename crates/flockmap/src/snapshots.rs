@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use flockmap_codec::{Codec, EncodeError, Encoder, Package, SnapshotCoding, Span};
-use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_grid::{Layer, Resolution, SnapshotReader, SnapshotVoxels, Stamp, Stream};
+use flockmap_mutation::{self as mutation, Mutation};
 
 /// Steps of work in one call: some 5 ms of a slow core. Each may take a cube, a chunk or the beginning of a part
 /// more.

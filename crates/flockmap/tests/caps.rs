@@ -51,8 +51,9 @@ fn lacks(part: &Layer, whole: &Layer) -> usize {
 
 /// Bytes that flow in a minute in which nobody has anything to say but requests.
 fn check_quiet(swarm: &mut Swarm) {
-    let packages =
-        |swarm: &Swarm| swarm.robots.iter().map(|r| r.session().counters().packages_out.datagrams).sum::<u64>();
+    let packages = |swarm: &Swarm| {
+        swarm.robots.iter().map(|r| r.session().counters().packages_out.datagrams).sum::<u64>()
+    };
     let before = packages(swarm);
     swarm.run(60_000);
     assert_eq!(packages(swarm), before, "something is sent in vain");
@@ -113,7 +114,9 @@ fn who_joins_late_gets_what_an_origin_that_dropped_still_has_and_the_rest_from_w
         swarm.run(30_000);
         assert!(holds_all(&swarm, 2, own), "seed {seed}");
         assert_eq!(lacks(layer(&swarm, 2, own), layer(&swarm, 1, own)), dropped, "seed {seed}");
-        assert!(swarm.robots[2].fusion().is_in_part(own) && swarm.robots[2].session().lost_upto(own).is_some());
+        assert!(
+            swarm.robots[2].fusion().is_in_part(own) && swarm.robots[2].session().lost_upto(own).is_some()
+        );
         check_quiet(&mut swarm);
         // What the origin says now it can decode.
         let independent = swarm.robots[0].counters().batches_independent;
@@ -126,8 +129,12 @@ fn who_joins_late_gets_what_an_origin_that_dropped_still_has_and_the_rest_from_w
         swarm.cut.clear();
         swarm.run(40_000);
         assert_eq!(layer(&swarm, 2, own).digest(), layer(&swarm, 1, own).digest(), "seed {seed}");
-        assert!(!swarm.robots[2].fusion().is_in_part(own) && swarm.robots[2].session().lost_upto(own).is_none());
-        assert!(swarm.events[2].iter().any(|event| matches!(event, Event::Complete { stream } if *stream == own)));
+        assert!(
+            !swarm.robots[2].fusion().is_in_part(own) && swarm.robots[2].session().lost_upto(own).is_none()
+        );
+        assert!(
+            swarm.events[2].iter().any(|event| matches!(event, Event::Complete { stream } if *stream == own))
+        );
         check_quiet(&mut swarm);
     }
 }

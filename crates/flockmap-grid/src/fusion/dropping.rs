@@ -81,7 +81,8 @@ impl Fusion {
                 && let Some(Candidate { stream, at, .. }) = self.dropping.next[usize::from(is_own)].pop()
             {
                 let layer = |source: &mut super::sources::Source| source.layer.drop_cube(at);
-                let (known, newest) = self.sources.change(stream, |source| (layer(source), source.layer.lost_upto()));
+                let (known, newest) =
+                    self.sources.change(stream, |source| (layer(source), source.layer.lost_upto()));
                 self.show_without(mapper, stream, &known);
                 self.note_dropped(stream, known.len(), newest.unwrap_or_default());
             }
@@ -146,7 +147,12 @@ impl Fusion {
             .flat_map(|(stream, source)| {
                 source.layer.cubes_with_newest().map(move |(at, newest)| (stream, at, newest))
             })
-            .map(|(stream, at, newest)| Candidate { rank: self.rank(stream, at, newest, now), stream, at, newest })
+            .map(|(stream, at, newest)| Candidate {
+                rank: self.rank(stream, at, newest, now),
+                stream,
+                at,
+                newest,
+            })
             .collect();
         let key = |candidate: &Candidate| (Reverse(candidate.rank), candidate.stream, candidate.at);
         let count = all.len().div_ceil(CHOSEN_SHARE);
@@ -173,7 +179,9 @@ impl Fusion {
             squares.sum::<f64>().sqrt() as u64
         });
         let made = match self.sources.get(stream) {
-            Some(source) if stream != self.sources.own => source.received.made(stamp, origin.clock_offset_micros),
+            Some(source) if stream != self.sources.own => {
+                source.received.made(stamp, origin.clock_offset_micros)
+            }
             _ => stamp,
         };
         let age_ms = now.micros_since(made).max(0) as u64 / 1_000;

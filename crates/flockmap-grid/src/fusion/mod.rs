@@ -22,12 +22,12 @@ use std::collections::BTreeSet;
 use crate::{
     BlockIndex, Changes, Layer, Mapper, Plane, Resolution, RobotId, ScanReport, Snapshot, Stamp, Stream,
 };
+pub use dropping::Dropped;
 use dropping::Dropping;
 use fused::Fused;
 use rebuild::Rebuild;
 use settings::Settings;
 use sources::Sources;
-pub use dropping::Dropped;
 pub use view::{MapView, RayEnd};
 
 /// How layers become one map.
@@ -190,7 +190,9 @@ impl Fusion {
             let mut parts = vec![(stamp, changes.clone())];
             self.make_room_by_dropping(mapper, stream, &mut parts, 1, now)?;
             let changes = parts.pop().map(|(_, changes)| changes).unwrap_or_default();
-            return Ok(self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(&changes, stamp)));
+            return Ok(
+                self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(&changes, stamp))
+            );
         }
         Ok(self.take_over(mapper, stream, (Some(stamp), now), |layer| layer.apply(changes, stamp)))
     }

@@ -66,8 +66,17 @@ impl Fusion {
     /// [`Self::work`]; and with the last one of an origin how far its clock is off, unless it has an alignment or
     /// is muted. O(streams).
     pub fn forget(&mut self, stream: Stream) {
+        let origin = stream.origin;
         self.sources.forget(stream);
-        self.forget_plain(stream.origin);
+        if self.wanted.origin(origin).is_plain()
+            && !self.sources.iter().any(|(stream, _)| stream.origin == origin)
+        {
+            // What comes of the origin from now on is not of the clock that was known; the map says otherwise until it
+            // is made anew.
+            self.wanted.forget(origin);
+            self.due.insert(origin);
+        }
+        self.forget_plain(origin);
     }
 
     /// Forgets what is set for an origin of which there is nothing. Else the list would grow with every robot that

@@ -96,7 +96,8 @@ impl Layer {
     pub(crate) fn drop_cube(&mut self, at: BlockIndex) -> Vec<(BlockIndex, Plane)> {
         let known = self.known_in_cube(at);
         let newest = self.cubes.get(&at).and_then(Place::newest);
-        self.voxels -= known.iter().flat_map(|(_, plane)| plane).map(|word| word.count_ones() as usize).sum::<usize>();
+        self.voxels -=
+            known.iter().flat_map(|(_, plane)| plane).map(|word| word.count_ones() as usize).sum::<usize>();
         self.take_out(at);
         if let Some(newest) = newest {
             self.note_dropped(at, newest);

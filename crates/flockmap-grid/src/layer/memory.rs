@@ -25,7 +25,11 @@ impl Layer {
     /// Bytes that the layer holds, as asked of the allocator. O(1).
     pub fn memory_bytes(&self) -> usize {
         let beside = table_bytes(self.cubes.capacity(), PLACE_BYTES) + self.sensors.memory_bytes();
-        beside + self.dropped.memory_bytes() + self.open_bytes + self.packed_bytes + self.queue.capacity() * QUEUE_BYTES
+        beside
+            + self.dropped.memory_bytes()
+            + self.open_bytes
+            + self.packed_bytes
+            + self.queue.capacity() * QUEUE_BYTES
     }
 
     /// Bytes that it may hold at most while and after so many blocks are added to it, beside their stamps. O(1).

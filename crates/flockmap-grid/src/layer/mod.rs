@@ -134,8 +134,7 @@ impl Layer {
     }
 
     fn take_over_snapshot(&mut self, state: &Snapshot, by: By) -> Vec<(BlockIndex, Plane)> {
-        let taken =
-            state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, by)).collect();
+        let taken = state.parts.iter().flat_map(|(stamp, part)| self.take_over(part, *stamp, by)).collect();
         // After the voxels: the sensor of a batch of which nothing stands may be forgotten at once.
         self.note_sensors(&state.sensors);
         self.note_changed(state.parts.iter().map(|(_, part)| part.blocks().len()).sum());

@@ -23,7 +23,7 @@ const SEALED_REQUEST_BYTES_MIN: usize = 299;
 impl Session {
     pub(super) fn transmit_request(&mut self, now: Stamp) -> Option<Transmit> {
         self.finish_transfers(now);
-        self.choose_whom_to_ask(now);
+        self.choose_who_is_asked(now);
         let timers = &self.schedule.timers;
         let for_gap = timers.is_due(Timer::Gap, now);
         let for_all = [Timer::Request, Timer::Greeting, Timer::Probe].iter().any(|t| timers.is_due(*t, now));

@@ -58,7 +58,14 @@ impl Lacks {
     }
 
     fn lack(&mut self, stream: Stream, upto: Stamp) -> &mut Lack {
-        let nothing = || Lack { upto, is_anywhere: false, begun: None, asked: None, done: VecDeque::new(), late: VecDeque::new() };
+        let nothing = || Lack {
+            upto,
+            is_anywhere: false,
+            begun: None,
+            asked: None,
+            done: VecDeque::new(),
+            late: VecDeque::new(),
+        };
         let lack = self.streams.entry(stream).or_insert_with(nothing);
         lack.upto = lack.upto.max(upto);
         lack
@@ -101,7 +108,10 @@ impl Session {
     /// Whether a snapshot with packages 1 to `upto` has all packages of which something is lacking here: what it says
     /// may come back where something was dropped.
     pub fn has_lacking(&self, stream: Stream, upto: u32) -> bool {
+        // Of packages that another snapshot brings when it is complete something may be gone as well.
+        let is_beyond = |t: &Transfer| t.stream == stream && t.is_spoiled && t.upto > upto;
         self.lacking_upto(stream).is_some_and(|lacking| upto >= lacking)
+            && !self.inbox.transfers.iter().any(is_beyond)
     }
 
     /// Of a stream of which something is lacking here: that is nothing newer than this. `None`: nothing is lacking.
@@ -130,10 +140,12 @@ impl Session {
         self.peers.values().any(wants)
     }
 
-    /// The streams for whose rest somebody is asked.
+    /// The streams for whose rest somebody is asked, or will be. O(streams that lack something · peers).
     pub fn rests_wanted(&self) -> impl Iterator<Item = Stream> + '_ {
-        let asked = self.lacks.streams.iter().filter(|(_, lack)| lack.asked.is_some());
-        asked.map(|(stream, _)| *stream)
+        let streams = self.lacks.streams.iter();
+        let wanted =
+            streams.filter(|(stream, lack)| lack.asked.is_some() || self.who_has_rest(**stream).is_some());
+        wanted.map(|(stream, _)| *stream)
     }
 
     /// All packages of which something is lacking are up to this one.
@@ -164,8 +176,10 @@ impl Session {
 
     /// All chunks of a snapshot were merged.
     pub(super) fn note_complete(&mut self, transfer: &Complete) {
-        let &Complete { source, stream, since, upto, lacks_too, is_spoiled } = transfer;
-        let is_all = since == 0 && !lacks_too && !is_spoiled && self.has_lacking(stream, upto);
+        let &Complete { source, stream, since, upto, lacks_too } = transfer;
+        // Nor may anything be gone again of packages that another one brings when it is complete.
+        let is_any_spoiled = self.inbox.transfers.iter().any(|t| t.stream == stream && t.is_spoiled);
+        let is_all = since == 0 && !lacks_too && !is_any_spoiled && self.has_lacking(stream, upto);
         let Some(lack) = self.lacks.streams.get_mut(&stream) else { return };
         if is_all {
             self.lacks.forget(stream);
@@ -180,10 +194,10 @@ impl Session {
     }
 
     /// Chooses who is asked for the rest of each stream. O(streams that lack something · peers).
-    pub(super) fn choose_whom_to_ask(&mut self, now: Stamp) {
-        let lacking: Vec<Stream> = self.lacks.streams.keys().copied().filter(|s| *s != self.identity.own).collect();
+    pub(super) fn choose_who_is_asked(&mut self, now: Stamp) {
+        let lacking: Vec<Stream> =
+            self.lacks.streams.keys().copied().filter(|s| *s != self.identity.own).collect();
         for stream in lacking {
-            let Some(upto) = self.lacking_upto(stream) else { continue };
             let comes_since = |source: RobotId| {
                 let is_of = |t: &&Transfer| (t.source, t.stream) == (source, stream);
                 self.inbox.transfers.iter().filter(is_of).map(|transfer| transfer.touched).max()
@@ -198,31 +212,42 @@ impl Session {
                     asked = None;
                 }
             }
-            if asked.is_none() && self.lacks.has_room && !mutation::is(Mutation::RestUnasked) {
-                let has_all = |peer: &&Peer| {
-                    let theirs = peer.streams.get(&stream);
-                    theirs.is_some_and(|theirs| theirs.received.contains_range(1, upto))
-                        && !lack.done.contains(&peer.stream.origin)
-                        && !lack.late.contains(&peer.stream.origin)
-                        && Some(peer.stream.origin) != given_up
-                };
-                let lacks_too = |peer: &&Peer| peer.streams.get(&stream).is_some_and(|s| s.in_part.is_some());
-                let chosen = self.peers.values().filter(has_all).min_by_key(|peer| (lacks_too(peer), peer.stream));
-                asked = chosen.map(|peer| (peer.stream.origin, now));
+            if let Some(lack) = self.lacks.streams.get_mut(&stream) {
+                given_up.into_iter().for_each(|robot| note(&mut lack.late, robot));
             }
-                let lack = self.lacks.lack(stream, Stamp(i64::MIN));
-            lack.asked = asked;
-            given_up.into_iter().for_each(|robot| note(&mut lack.late, robot));
-            if asked.is_none() {
-                lack.late.clear();
+            let asked = asked.or_else(|| Some((self.who_has_rest(stream)?, now)));
+            if let Some(lack) = self.lacks.streams.get_mut(&stream) {
+                lack.asked = asked;
+                if asked.is_none() {
+                    lack.late.clear();
+                }
             }
         }
+    }
+
+    /// Who may have what is lacking of a stream and was not asked yet, if there is room for it.
+    fn who_has_rest(&self, stream: Stream) -> Option<RobotId> {
+        let (lack, upto) = (self.lacks.streams.get(&stream)?, self.lacking_upto(stream)?);
+        let lacks_too =
+            |peer: &Peer| peer.streams.get(&stream).is_some_and(|theirs| theirs.in_part.is_some());
+        let has_all = |peer: &&Peer| {
+            let theirs = peer.streams.get(&stream);
+            theirs.is_some_and(|theirs| theirs.received.contains_range(1, upto))
+                // It may have got the rest itself meanwhile.
+                && !(lacks_too(peer) && lack.done.contains(&peer.stream.origin))
+                && !lack.late.contains(&peer.stream.origin)
+        };
+        let is_possible =
+            self.lacks.has_room && stream != self.identity.own && !mutation::is(Mutation::RestUnasked);
+        let peers = self.peers.values().filter(|_| is_possible).filter(has_all);
+        peers.min_by_key(|peer| (lacks_too(peer), peer.stream)).map(|peer| peer.stream.origin)
     }
 
     /// What a request says of it.
     pub(super) fn say_lacks(&self) -> (Vec<InPart>, Vec<RestRequest>) {
         let lacks = self.lacks.streams.iter();
-        let in_part = lacks.clone().map(|(&stream, lack)| InPart { stream, wants_independent: lack.is_anywhere });
+        let in_part =
+            lacks.clone().map(|(&stream, lack)| InPart { stream, wants_independent: lack.is_anywhere });
         let rests = lacks.filter_map(|(&stream, lack)| {
             let (holder, _) = lack.asked?;
             Some(RestRequest { stream, holder, upto: self.lacking_upto(stream)? })
@@ -230,10 +255,16 @@ impl Session {
         (in_part.collect(), rests.collect())
     }
 
-    /// Decides whether a peer that asked for it is given the rest of a stream.
-    pub(super) fn review_rest(&mut self, now: Stamp, id: RobotId, stream: Stream) {
+    /// Decides whether a peer that asked for it is given the rest of a stream. `is_relay`: it is given what it lacks
+    /// unasked as well.
+    pub(super) fn review_rest(&mut self, now: Stamp, id: RobotId, stream: Stream, is_relay: bool) {
         let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else { return };
-        let Some(wanted) = theirs.rest_wanted else { return };
+        let Some(wanted) = theirs.rest_wanted else {
+            if !is_relay {
+                theirs.sending = None;
+            }
+            return;
+        };
         if let Some(sending) = &mut theirs.sending {
             sending.note_silence(now);
             return;
@@ -249,8 +280,14 @@ impl Session {
             self.begin_to_send(now, id, at);
         } else {
             let bytes_max = self.package_bytes_max();
-            let wanted =
-                Event::SnapshotWanted { stream, since: 0, newer_than: None, upto: prefix, bytes_max, peer: id };
+            let wanted = Event::SnapshotWanted {
+                stream,
+                since: 0,
+                newer_than: None,
+                upto: prefix,
+                bytes_max,
+                peer: id,
+            };
             self.request_snapshot(now, stream, wanted, None);
         }
     }
@@ -270,13 +307,11 @@ pub(super) struct Complete {
     pub(super) upto: u32,
     /// It lacks something itself.
     lacks_too: bool,
-    /// Something of the stream was dropped since it began.
-    is_spoiled: bool,
 }
 
 impl Complete {
     pub(super) const fn of(transfer: &Transfer) -> Self {
-        let &Transfer { source, stream, since, upto, lost_upto, is_spoiled, .. } = transfer;
-        Self { source, stream, since, upto, lacks_too: lost_upto.is_some(), is_spoiled }
+        let &Transfer { source, stream, since, upto, lost_upto, .. } = transfer;
+        Self { source, stream, since, upto, lacks_too: lost_upto.is_some() }
     }
 }

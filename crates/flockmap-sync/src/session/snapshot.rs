@@ -138,8 +138,9 @@ impl Session {
             return;
         }
         // Who asks this robot is answered, whatever its place in the line of relays.
-        self.review_rest(now, id, stream);
-        if let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) {
+        let relay_rank = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream));
+        self.review_rest(now, id, stream, relay_rank.is_some());
+        if let Some(relay_rank) = relay_rank {
             self.review_whole(now, id, stream, relay_rank);
             self.review_parts(now, id, stream, relay_rank);
         }
@@ -215,7 +216,13 @@ impl Session {
 
     /// Asks the driver for a state of a stream, unless that was done a moment ago. `held`: what is held of a history
     /// with gaps.
-    pub(super) fn request_snapshot(&mut self, now: Stamp, stream: Stream, wanted: Event, held: Option<IntervalSet>) {
+    pub(super) fn request_snapshot(
+        &mut self,
+        now: Stamp,
+        stream: Stream,
+        wanted: Event,
+        held: Option<IntervalSet>,
+    ) {
         let Event::SnapshotWanted { since, upto, peer, .. } = wanted else { return };
         let coming = self.outbox.coming.get_mut(&stream);
         let is_coming = coming.is_some_and(|coming| {
@@ -290,7 +297,8 @@ impl Session {
             .at_hand(stream, since_max)
             .map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
         // A snapshot that lacks something is no good where packages bring all.
-        let is_in_part = self.lost_upto(stream).is_some_and(|lost| newer_than.is_none_or(|limit| lost > limit));
+        let is_in_part =
+            self.lost_upto(stream).is_some_and(|lost| newer_than.is_none_or(|limit| lost > limit));
         let is_worth = all.unstored || (!is_in_part && self.config.snapshot_is_worth(&all, estimate));
         if wanted.is_none() && !is_worth {
             return;

@@ -25,7 +25,12 @@ impl Robot {
                     self.session.verdict(now, &package, verdict);
                 }
                 SessionEvent::SnapshotWanted { stream, since, newer_than, upto, bytes_max, .. } => {
-                    self.begin_snapshot(now, Span { stream, since, upto, lost_upto: None }, newer_than, bytes_max);
+                    self.begin_snapshot(
+                        now,
+                        Span { stream, since, upto, lost_upto: None },
+                        newer_than,
+                        bytes_max,
+                    );
                 }
                 SessionEvent::SnapshotDropped { stream, snapshot_id } => {
                     self.readers.drop_one((stream, snapshot_id))

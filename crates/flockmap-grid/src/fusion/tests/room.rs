@@ -90,7 +90,8 @@ fn more_streams_than_may_be_are_refused_and_what_is_forgotten_gives_its_room_in_
     let full = fusion.apply(&mapper, stream(4), &apart(0..1), Stamp(1), Stamp(1));
     assert_eq!(full, Err(FusionError::StreamsFull(stream(4), 2)));
     fusion.forget(stream(2));
-    let mut more = (100..200).map(|n| (n, fusion.apply(&mapper, stream(3), &apart(n..n + 1), Stamp(2), Stamp(2))));
+    let mut more =
+        (100..200).map(|n| (n, fusion.apply(&mapper, stream(3), &apart(n..n + 1), Stamp(2), Stamp(2))));
     let Some((n, full)) = more.find(|(_, taken)| taken.is_err()) else { panic!("there is room for all") };
     drop(more);
     assert!(matches!(full, Err(FusionError::LayersFull { .. })) && fusion.take_dropped().is_empty());

@@ -59,7 +59,8 @@ impl Robot {
     }
 
     fn take(&mut self, index: usize, packages: &Packages, is_refused: bool) {
-        let (changes, stamp) = (Changes::from_voxels(packages[index].iter().copied()), Stamp(index as i64 + 1));
+        let (changes, stamp) =
+            (Changes::from_voxels(packages[index].iter().copied()), Stamp(index as i64 + 1));
         if is_refused {
             changes.blocks().iter().for_each(|(block, _)| drop(self.layer.refuse(cube_of(*block), stamp)));
         } else {
@@ -82,7 +83,10 @@ impl Robot {
         }
         for (voxel, (_, stamp)) in newest {
             let limit = self.layer.limit_of(cube_of(voxel.block()));
-            assert!(known.contains(&voxel) || limit.is_some_and(|limit| stamp <= limit), "{voxel:?} {stamp:?}");
+            assert!(
+                known.contains(&voxel) || limit.is_some_and(|limit| stamp <= limit),
+                "{voxel:?} {stamp:?}"
+            );
             // Nothing is coded against what others have otherwise.
             let has_all = self.layer.known_before(voxel.block(), Stamp(99)).is_ok();
             assert!(known.contains(&voxel) || !has_all);
