@@ -31,7 +31,7 @@ pub struct StreamCopy {
 
 enum What {
     /// All packages received are in the layer, but for what was dropped of them.
-    State { layer: Layer, received: IntervalSet },
+    State { layer: Box<Layer>, received: IntervalSet },
     /// The layer lacks what some of them say.
     Packages(Vec<Package>),
     /// And they are not all there any more.
@@ -106,7 +106,7 @@ impl What {
                 return Some(if is_all { Self::Packages(packages) } else { Self::Nothing(OWN_LAYER_LACKS) });
             }
         }
-        Some(Self::State { layer: layer?.clone(), received: received.clone() })
+        Some(Self::State { layer: Box::new(layer?.clone()), received: received.clone() })
     }
 }
 

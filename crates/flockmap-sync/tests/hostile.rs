@@ -103,7 +103,13 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
     };
     let received = |random: &mut Random| {
         let stream = if random.happens(0.3) { Stream { origin: own, epoch: 1 } } else { any_stream(random) };
-        Received { is_oldest_wanted: random.happens(0.2), stream, from: 1, received: any_set(random) }
+        Received {
+            in_part: None,
+            is_oldest_wanted: random.happens(0.2),
+            stream,
+            from: 1,
+            received: any_set(random),
+        }
     };
     Request {
         origins: random.happens(0.5).then(|| OriginRange {

@@ -33,6 +33,7 @@ impl Robot {
         let echo =
             Echo { robot: OWN.origin, epoch_low: 1, stamp_low: (self.now - 2 * DELAY) as u32, age_micros: 0 };
         let received = received.map(|received| Received {
+            in_part: None,
             stream: OWN,
             is_oldest_wanted: false,
             from: 1,

@@ -232,6 +232,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
                     let lists = (first..first + 2).map(|k| {
                         let received = torn(10 + 1_000 * round, 255);
                         Received {
+                            in_part: None,
                             is_oldest_wanted: false,
                             stream: stream(k),
                             from: if round == 0 { 1 } else { 10 + 1_000 * round },
@@ -303,6 +304,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
         }
         for n in [0, 1, 2, 3, 0, 1, 2, 3] {
             let received = (0..4).map(|k| Received {
+                in_part: None,
                 is_oldest_wanted: false,
                 stream: stream(k),
                 from: 1,

@@ -57,6 +57,7 @@ impl One {
         });
         let request = Request {
             received: vec![Received {
+                in_part: None,
                 stream: own,
                 is_oldest_wanted: false,
                 from: 1,
@@ -199,7 +200,8 @@ fn a_snapshot_whose_sender_has_forgotten_the_stream_has_its_place_no_longer() {
         requests.next_back().unwrap().transfers.iter().map(|transfer| transfer.source.0).collect::<Vec<_>>()
     };
     let received = IntervalSet::from_intervals(64, vec![(1, 20)]);
-    let holds = || Received { stream, is_oldest_wanted: false, from: 1, received: received.clone() };
+    let holds =
+        || Received { in_part: None, stream, is_oldest_wanted: false, from: 1, received: received.clone() };
     assert_eq!(named_after(vec![holds()]), [3]);
     assert_eq!(named_after(vec![holds()]), [3]);
     assert_eq!(named_after(Vec::new()), [0; 0]);

@@ -29,6 +29,7 @@ fn sent_beside(chunks: u32) -> usize {
         // Robot 9 flies in a later run, and comes before robot 1 in the line of those who answer.
         echoes: vec![Echo { robot: RobotId(9), epoch_low: 2, stamp_low: 0, age_micros: 0 }],
         received: vec![Received {
+            in_part: None,
             stream: former,
             is_oldest_wanted: false,
             from: 1,

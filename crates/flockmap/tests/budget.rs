@@ -89,8 +89,13 @@ fn who_never_has_enough_cannot_hold_back_the_map_of_the_others() {
             // It hears this robot, and states that it holds all but the newest five, again and again.
             let newest = robot.session().received(own).and_then(|received| received.last()).unwrap_or(0);
             let received = IntervalSet::from_intervals(4, vec![(1, newest.max(6) - 5)]);
-            let received =
-                (newest > 5).then_some(Received { is_oldest_wanted: false, stream: own, from: 1, received });
+            let received = (newest > 5).then_some(Received {
+                in_part: None,
+                is_oldest_wanted: false,
+                stream: own,
+                from: 1,
+                received,
+            });
             let echo = Echo { robot: own.origin, epoch_low: 1, stamp_low: 0, age_micros: 0 };
             let request = Request {
                 origins: Some(OriginRange::all_from(RobotId(0))),

@@ -97,10 +97,12 @@ impl Session {
                 if !is_named && origins.contains(stream.origin) && !is_superseded {
                     theirs.received = IntervalSet::new(PEER_INTERVALS_MAX);
                     theirs.from = 1;
+                    (theirs.in_part, theirs.rest_wanted) = (None, None);
                 }
                 is_named || peer.takes_new_streams || !origins.contains(stream.origin)
             });
         }
+        let own = self.identity.own.origin;
         for stated in &request.received {
             self.note_own_id(now, stated.stream);
             let Some(peer) = self.peers.get_mut(&id) else { return };
@@ -126,6 +128,9 @@ impl Session {
             let Some(peer) = self.peers.get_mut(&id) else { return };
             let theirs =
                 peer.streams.entry(stated.stream).or_insert_with(|| PeerStream::new(stated.from, now));
+            theirs.in_part = stated.in_part.map(|in_part| in_part.wants_independent);
+            let rest = stated.in_part.and_then(|in_part| in_part.rest);
+            theirs.rest_wanted = rest.filter(|rest| rest.holder == own).map(|rest| rest.upto);
             // Of what lies below the list, the last request still holds.
             let below = theirs.received.within(0, stated.from.saturating_sub(1));
             if mutation::is(Mutation::HoldingsIgnored) {
@@ -152,13 +157,6 @@ impl Session {
                     undecodable: wanted.undecodable.clone(),
                     stated_since: since,
                 });
-            }
-            let in_part = request.in_part.iter().find(|in_part| in_part.stream == stream);
-            let own = self.identity.own.origin;
-            let rest = request.rests.iter().find(|rest| rest.stream == stream && rest.holder == own);
-            if in_part.is_some() || request.covers(stream.origin) {
-                theirs.in_part = in_part.map(|in_part| in_part.wants_independent);
-                theirs.rest_wanted = rest.map(|rest| rest.upto);
             }
         }
         let is_ours = |progress: &&TransferProgress| progress.source == self.identity.own.origin;

@@ -127,9 +127,6 @@ impl Session {
         });
         let mut transfers: Vec<TransferProgress> = transfers.collect();
         rotate(&mut transfers, count);
-        let (mut in_part, mut rests) = self.say_lacks();
-        rotate(&mut in_part, count);
-        rotate(&mut rests, count);
         let request = Request {
             origins: Some(OriginRange::all_from(self.schedule.cursor)),
             all_echoes: true,
@@ -139,8 +136,6 @@ impl Session {
             transfers,
             clocks: self.clock_reports(),
             snapshot_requests: self.snapshot_requests(now),
-            in_part,
-            rests,
         };
         (request, urgent)
     }
@@ -152,6 +147,7 @@ impl Session {
         let list = |stream: Stream| Received {
             stream,
             is_oldest_wanted: self.store.is_oldest_wanted(stream),
+            in_part: self.in_part(stream),
             from: 1,
             received: self.stated_as_received(stream, now),
         };

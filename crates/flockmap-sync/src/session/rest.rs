@@ -244,15 +244,11 @@ impl Session {
     }
 
     /// What a request says of it.
-    pub(super) fn say_lacks(&self) -> (Vec<InPart>, Vec<RestRequest>) {
-        let lacks = self.lacks.streams.iter();
-        let in_part =
-            lacks.clone().map(|(&stream, lack)| InPart { stream, wants_independent: lack.is_anywhere });
-        let rests = lacks.filter_map(|(&stream, lack)| {
-            let (holder, _) = lack.asked?;
-            Some(RestRequest { stream, holder, upto: self.lacking_upto(stream)? })
-        });
-        (in_part.collect(), rests.collect())
+    pub(super) fn in_part(&self, stream: Stream) -> Option<InPart> {
+        let lack = self.lacks.streams.get(&stream)?;
+        let upto = self.lacking_upto(stream).unwrap_or(0);
+        let rest = lack.asked.map(|(holder, _)| RestRequest { holder, upto });
+        Some(InPart { wants_independent: lack.is_anywhere, rest })
     }
 
     /// Decides whether a peer that asked for it is given the rest of a stream. `is_relay`: it is given what it lacks

@@ -35,8 +35,8 @@ type 3 transfer: source varint, origin varint, epoch varint, since varint, upto 
 type 4 origins: first origin varint, last origin varint
 type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
 type 6 snapshot request: origin varint, epoch varint, since varint, intervals of undecodable indices
-type 8 streams in part: (origin varint, epoch varint, flags varint (1 independent packages wanted))*
-type 9 requests for the rest: (origin varint, epoch varint, holder varint, upto varint)*
+type 8 received, something is lacking: origin varint, epoch varint, flags u8 (1 as type 7, 2 independent packages wanted, 4 rest wanted), \
+holder varint and upto varint if the rest is wanted, intervals
 type 16 package: map package
 type 17 package of the sender's own run: map package without origin and epoch
 type 18 contents of a partial snapshot: origin varint, epoch varint, snapshot id u32, intervals

@@ -14,15 +14,15 @@ const ORIGINS: u8 = 4;
 const CLOCKS: u8 = 5;
 const SNAPSHOT_REQUEST: u8 = 6;
 const RECEIVED_FROM_OLDEST: u8 = 7;
-const IN_PART: u8 = 8;
-const REST_REQUEST: u8 = 9;
+const RECEIVED_IN_PART: u8 = 8;
 
 const ALL_ORIGINS: u8 = 1;
 const ALL_ECHOES: u8 = 2;
-/// In the flags of a stream in part.
-const WANTS_INDEPENDENT: u64 = 1;
-/// Most bytes of a stream in part, and of a request for the rest.
-const LACK_BYTES_MAX: usize = 3 + 10 + 3 + 5;
+
+/// Flags of a list of held indices of a stream in part.
+const FROM_OLDEST: u8 = 1;
+const WANTS_INDEPENDENT: u8 = 2;
+const WANTS_REST: u8 = 4;
 const NO_NEW_STREAMS: u8 = 4;
 
 /// Record with a range of origins.
@@ -59,6 +59,8 @@ pub struct Received {
     pub stream: Stream,
     /// Earlier runs of this origin are not wanted any more.
     pub is_oldest_wanted: bool,
+    /// Something of it is lacking.
+    pub in_part: Option<InPart>,
     /// Nothing is said of indices below this one; 1 if the list is whole.
     pub from: u32,
     /// The indices held, none of them below `from`.
@@ -107,21 +109,19 @@ pub struct SnapshotRequest {
     pub undecodable: IntervalSet,
 }
 
-/// A stream of which something was dropped for want of room, and is lacking, though its packages are stated as held.
+/// Of a stream something is lacking, since there was no room for it, though its packages are stated as held.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct InPart {
-    /// The stream.
-    pub stream: Stream,
     /// It may be lacking anywhere: of packages that are not independent next to none can be decoded.
     pub wants_independent: bool,
+    /// All that a robot holds of the stream is wanted from it.
+    pub rest: Option<RestRequest>,
 }
 
-/// All that a robot holds of a stream is wanted from it: something is lacking of packages that are held.
+/// From whom the rest of a stream is wanted.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct RestRequest {
-    /// The stream.
-    pub stream: Stream,
-    /// Who is to give it.
+    /// This robot is to give it.
     pub holder: RobotId,
     /// A snapshot will do that has packages 1 to this one at least.
     pub upto: u32,
@@ -187,10 +187,6 @@ pub struct Request {
     pub clocks: Vec<ClockReport>,
     /// The snapshots that it wants.
     pub snapshot_requests: Vec<SnapshotRequest>,
-    /// Of which streams something is lacking.
-    pub in_part: Vec<InPart>,
-    /// And from whom it is wanted.
-    pub rests: Vec<RestRequest>,
 }
 
 impl Request {
@@ -212,18 +208,15 @@ impl Request {
             let mut reader = Reader::new(content);
             let (read, what) = match id {
                 ECHOES => (request.read_echoes(&mut reader), "echo"),
-                RECEIVED | RECEIVED_FROM_OLDEST => (
-                    request.read_received(&mut reader, id == RECEIVED_FROM_OLDEST, intervals_max),
-                    "list of held indices",
-                ),
+                RECEIVED | RECEIVED_FROM_OLDEST | RECEIVED_IN_PART => {
+                    (request.read_received(&mut reader, id, intervals_max), "list of held indices")
+                }
                 TRANSFER => (request.read_transfer(&mut reader, intervals_max), "transfer"),
                 ORIGINS => (request.read_origins(&mut reader), "range of origins"),
                 CLOCKS => (request.read_clocks(&mut reader), "clock"),
                 SNAPSHOT_REQUEST => {
                     (request.read_snapshot_request(&mut reader, intervals_max), "snapshot request")
                 }
-                IN_PART => (request.read_in_part(&mut reader), "stream in part"),
-                REST_REQUEST => (request.read_rest(&mut reader), "request for the rest"),
                 _ => continue,
             };
             read.ok_or_else(|| datagram.malformed(what))?;
@@ -243,15 +236,22 @@ impl Request {
         Some(())
     }
 
-    fn read_received(
-        &mut self,
-        reader: &mut Reader<'_>,
-        is_oldest_wanted: bool,
-        intervals_max: usize,
-    ) -> Option<()> {
+    fn read_received(&mut self, reader: &mut Reader<'_>, id: u8, intervals_max: usize) -> Option<()> {
         let stream = read_stream(reader)?;
+        let mut is_oldest_wanted = id == RECEIVED_FROM_OLDEST;
+        let mut in_part = None;
+        if id == RECEIVED_IN_PART {
+            let flags = reader.u8()?;
+            is_oldest_wanted = flags & FROM_OLDEST != 0;
+            let rest = if flags & WANTS_REST == 0 {
+                None
+            } else {
+                Some(RestRequest { holder: RobotId(reader.varint_u16()?), upto: reader.varint_u32()? })
+            };
+            in_part = Some(InPart { wants_independent: flags & WANTS_INDEPENDENT != 0, rest });
+        }
         let (from, received) = read_intervals(reader, intervals_max)?;
-        self.received.push(Received { stream, is_oldest_wanted, from, received });
+        self.received.push(Received { stream, is_oldest_wanted, in_part, from, received });
         Some(())
     }
 
@@ -301,23 +301,6 @@ impl Request {
         Some(())
     }
 
-    fn read_in_part(&mut self, reader: &mut Reader<'_>) -> Option<()> {
-        while !reader.is_empty() {
-            let (stream, flags) = (read_stream(reader)?, reader.varint()?);
-            self.in_part.push(InPart { stream, wants_independent: flags & WANTS_INDEPENDENT != 0 });
-        }
-        Some(())
-    }
-
-    fn read_rest(&mut self, reader: &mut Reader<'_>) -> Option<()> {
-        while !reader.is_empty() {
-            let stream = read_stream(reader)?;
-            let (holder, upto) = (RobotId(reader.varint_u16()?), reader.varint_u32()?);
-            self.rests.push(RestRequest { stream, holder, upto });
-        }
-        Some(())
-    }
-
     /// Writes the request into at most `bytes_max` bytes, with nothing that is urgent: [`Self::emit_in_order`].
     pub fn emit(&self, header: DatagramHeader, bytes_max: usize) -> Vec<u8> {
         self.emit_in_order(header, bytes_max, 0).0
@@ -326,8 +309,8 @@ impl Request {
     /// Writes the request into at most `bytes_max` bytes (200 to [`DATAGRAM_BYTES_MAX`]); also returns which
     /// origins it covers.
     ///
-    /// What does not fit is cut: echoes get at most a quarter of the room, clocks, snapshot requests, streams in part and
-    /// requests for the rest an eighth each. Of the rest half is for transfers that need it, since one that is not named would be sent
+    /// What does not fit is cut: echoes get at most a quarter of the room, clocks and snapshot requests an
+    /// eighth each. Of the rest half is for transfers that need it, since one that is not named would be sent
     /// for ever. The first `urgent` lists of held indices get half of what remains; then come the origins in
     /// their order, each with all of its runs, as many as fit. `origins` of `self` is what is covered if all
     /// fit. A list that does not fit loses its lowest intervals. However small the room, a run is named.
@@ -379,22 +362,6 @@ impl Request {
                 requests_end,
             );
         }
-
-        for InPart { stream, wants_independent } in &self.in_part {
-            if content.len() + LACK_BYTES_MAX <= list_max / 2 {
-                put_stream(&mut content, *stream);
-                put_varint(&mut content, u64::from(*wants_independent) * WANTS_INDEPENDENT);
-            }
-        }
-        put_unless_empty(&mut out, IN_PART, &mut content);
-        for RestRequest { stream, holder, upto } in &self.rests {
-            if content.len() + LACK_BYTES_MAX <= list_max / 2 {
-                put_stream(&mut content, *stream);
-                put_varint(&mut content, u64::from(holder.0));
-                put_varint(&mut content, u64::from(*upto));
-            }
-        }
-        put_unless_empty(&mut out, REST_REQUEST, &mut content);
 
         let mut trial = out.clone();
         self.put_transfers(&mut trial, out.len() + (bytes_max - out.len()) / 2);
@@ -505,7 +472,23 @@ pub(super) fn put_list(
 fn put_received(out: &mut Vec<u8>, received: &Received, end: usize) -> bool {
     let mut content = Vec::new();
     put_stream(&mut content, received.stream);
-    let id = if received.is_oldest_wanted { RECEIVED_FROM_OLDEST } else { RECEIVED };
+    let id = match received.in_part {
+        Some(InPart { wants_independent, rest }) => {
+            let flag = |is_set, flag| if is_set { flag } else { 0 };
+            content.push(
+                flag(received.is_oldest_wanted, FROM_OLDEST)
+                    | flag(wants_independent, WANTS_INDEPENDENT)
+                    | flag(rest.is_some(), WANTS_REST),
+            );
+            if let Some(RestRequest { holder, upto }) = rest {
+                put_varint(&mut content, u64::from(holder.0));
+                put_varint(&mut content, u64::from(upto));
+            }
+            RECEIVED_IN_PART
+        }
+        None if received.is_oldest_wanted => RECEIVED_FROM_OLDEST,
+        None => RECEIVED,
+    };
     put_list(out, id, &mut content, received.from, &received.received, end)
 }
 

@@ -127,6 +127,7 @@ pub(crate) fn request(choices: &mut Choices<'_>, now: Stamp) -> Vec<u8> {
         let (stream, received) = (stream(choices), set(choices));
         let from = if choices.below(4) == 3 { received.first().unwrap_or(1) } else { 1 };
         request.received.push(Received {
+            in_part: None,
             is_oldest_wanted: false,
             stream,
             from,

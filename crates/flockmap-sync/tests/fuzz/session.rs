@@ -152,7 +152,13 @@ impl Run<'_> {
             let upto = newest.saturating_sub(choices.below(6));
             if stream != peer && upto > 0 {
                 let received = IntervalSet::from_intervals(1, vec![(1, upto)]);
-                request.received.push(Received { is_oldest_wanted: false, stream, from: 1, received });
+                request.received.push(Received {
+                    in_part: None,
+                    is_oldest_wanted: false,
+                    stream,
+                    from: 1,
+                    received,
+                });
             }
         }
         if let Some((stream, (since, upto), snapshot_id, chunks)) = self.given {
