@@ -15,6 +15,7 @@ mod inbox;
 mod interval_set;
 mod item;
 mod key;
+mod lacks;
 mod link;
 mod memory;
 mod outbox;

@@ -22,6 +22,7 @@ use crate::config::ms;
 use crate::event::{Destination, Event, PublishError, Transmit};
 use crate::identity::Identity;
 use crate::inbox::{Inbox, PENDING_MAX};
+use crate::lacks::Lacks;
 use crate::outbox::Outbox;
 use crate::peer::Peer;
 use crate::report::{Load, PeerInfo, Report};
@@ -32,7 +33,6 @@ use crate::{Cast, ConfigError, Counters, IntervalSet, SessionConfig, Store};
 use flockmap_codec::{ContentKind, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
-use rest::Lacks;
 use std::collections::BTreeMap;
 
 /// Events that wait for the driver; more are dropped, counted, and come again by a later request.

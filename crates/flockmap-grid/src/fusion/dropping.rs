@@ -3,38 +3,10 @@
 use core::cmp::Reverse;
 use std::collections::BTreeSet;
 
+use super::dropped::{Candidate, Dropped};
 use super::{Fusion, FusionError};
-use crate::layer::cube_at;
+use crate::layer::cube_of;
 use crate::{BLOCK_SIDE, BlockIndex, Changes, Mapper, Plane, Stamp, Stream};
-
-/// What was dropped of a layer for want of room.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Dropped {
-    /// The stream.
-    pub stream: Stream,
-    /// Blocks of 8³ voxels that were in the layer, or that came and found no room.
-    pub blocks: usize,
-    /// None of it is newer than this, on the clock of the origin.
-    pub newest: Stamp,
-}
-
-/// What is dropped next, and what was dropped.
-#[derive(Default)]
-pub(super) struct Dropping {
-    /// Of the own layer, and of those of others: what is worst last.
-    next: [Vec<Candidate>; 2],
-    /// Where the sensor of the own robot was last, in blocks.
-    near: Option<[f64; 3]>,
-    dropped: Vec<Dropped>,
-}
-
-/// A cube of a layer, as it was when it was looked at.
-struct Candidate {
-    rank: u64,
-    stream: Stream,
-    at: BlockIndex,
-    newest: Stamp,
-}
 
 /// So many of all cubes are chosen at a time.
 const CHOSEN_SHARE: usize = 8;
@@ -105,9 +77,9 @@ impl Fusion {
         let near = |fusion: &Self, at, stamp| fusion.rank(stream, at, stamp, now) >= worst;
         for (stamp, part) in parts.iter_mut() {
             let (out, stay): (Vec<_>, Vec<_>) =
-                part.blocks().iter().partition(|(index, _)| near(self, cube_at(*index), *stamp));
+                part.blocks().iter().partition(|(index, _)| near(self, cube_of(*index), *stamp));
             if !out.is_empty() {
-                let cubes: BTreeSet<BlockIndex> = out.iter().map(|(index, _)| cube_at(*index)).collect();
+                let cubes: BTreeSet<BlockIndex> = out.iter().map(|(index, _)| cube_of(*index)).collect();
                 refused.extend(cubes.into_iter().map(|at| (at, *stamp)));
                 self.note_dropped(stream, out.len(), *stamp);
                 *part = Changes::from_blocks(stay);

@@ -2,6 +2,7 @@
 //! IV-C).
 
 mod align;
+mod dropped;
 mod dropping;
 mod fused;
 mod origins;
@@ -22,8 +23,8 @@ use std::collections::BTreeSet;
 use crate::{
     BlockIndex, Changes, Layer, Mapper, Plane, Resolution, RobotId, ScanReport, Snapshot, Stamp, Stream,
 };
-pub use dropping::Dropped;
-use dropping::Dropping;
+pub use dropped::Dropped;
+use dropped::Dropping;
 use fused::Fused;
 use rebuild::Rebuild;
 use settings::Settings;

@@ -18,7 +18,7 @@ pub(crate) struct Cube {
 pub(super) const CUBE_BLOCK_BYTES: usize = size_of::<LayerBlock>();
 
 /// The cube of a block, by its lowest block divided by the side.
-pub(super) const fn cube_of(index: BlockIndex) -> BlockIndex {
+pub(crate) const fn cube_of(index: BlockIndex) -> BlockIndex {
     BlockIndex { x: index.x >> 2, y: index.y >> 2, z: index.z >> 2 }
 }
 

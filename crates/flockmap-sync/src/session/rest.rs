@@ -7,75 +7,11 @@
 use super::Session;
 use crate::event::Event;
 use crate::inbox::{ABANDONED, Transfer};
+use crate::lacks::note;
 use crate::peer::Peer;
 use crate::wire::{InPart, RestRequest};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
-use std::collections::{BTreeMap, VecDeque};
-
-/// Robots remembered that gave what they have of a stream, or did not; of more, the first is asked again.
-const NOTED_MAX: usize = 128;
-
-/// The streams of which something is lacking. At most as many as there are streams.
-#[derive(Debug)]
-pub(crate) struct Lacks {
-    streams: BTreeMap<Stream, Lack>,
-    /// There is room for what is lacking.
-    has_room: bool,
-    /// Nothing is lacking of these any more, and the driver does not know yet.
-    ended: Vec<Stream>,
-}
-
-/// What is lacking of a stream.
-#[derive(Debug)]
-struct Lack {
-    /// Nothing that is newer.
-    upto: Stamp,
-    /// It may be anywhere, so that packages are decoded only if they are independent.
-    is_anywhere: bool,
-    /// A snapshot has begun to come that lacks something itself, of packages up to this one and up to this stamp: what
-    /// was known before as new as that was let go of.
-    begun: Option<(u32, Stamp)>,
-    /// Who is asked for the rest, and since when.
-    asked: Option<(RobotId, Stamp)>,
-    /// Who has given what it has, and lacks something itself: the last ones.
-    done: VecDeque<RobotId>,
-    /// Who gave nothing in time, since all were asked last.
-    late: VecDeque<RobotId>,
-}
-
-/// Notes a robot among the last ones.
-fn note(robots: &mut VecDeque<RobotId>, robot: RobotId) {
-    if !robots.contains(&robot) {
-        robots.push_back(robot);
-    }
-    robots.drain(..robots.len().saturating_sub(NOTED_MAX));
-}
-
-impl Lacks {
-    pub(crate) const fn new() -> Self {
-        Self { streams: BTreeMap::new(), has_room: true, ended: Vec::new() }
-    }
-
-    fn lack(&mut self, stream: Stream, upto: Stamp) -> &mut Lack {
-        let nothing = || Lack {
-            upto,
-            is_anywhere: false,
-            begun: None,
-            asked: None,
-            done: VecDeque::new(),
-            late: VecDeque::new(),
-        };
-        let lack = self.streams.entry(stream).or_insert_with(nothing);
-        lack.upto = lack.upto.max(upto);
-        lack
-    }
-
-    pub(super) fn forget(&mut self, stream: Stream) {
-        self.streams.remove(&stream);
-        self.ended.retain(|ended| *ended != stream);
-    }
-}
 
 impl Session {
     /// Something of a stream was dropped from its layer for want of room, or is lacking there since it came late:
