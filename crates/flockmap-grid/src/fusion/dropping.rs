@@ -25,9 +25,9 @@ impl Fusion {
         self.dropping.near = sensor.map(|at| at.map(|at| at / block_m)).or(self.dropping.near);
     }
 
-    /// Makes room for parts that a layer is to take over, where packing makes none: drops the farthest and oldest ones, and leaves
-    /// out of the parts what is farther and older still. Each part has a stamp. O(cubes) once for an eighth of them;
-    /// beside that O(blocks of what is dropped), some 20 µs for each.
+    /// Makes room for parts that a layer is to take over, where packing makes none: drops the farthest and oldest
+    /// cubes, and leaves out of the parts what is farther and older still. Each part has a stamp. O(cubes) once for an
+    /// eighth of them; beside that O(blocks of what is dropped), some 20 µs for each.
     ///
     /// # Errors
     /// [`FusionError`] where something that was forgotten gives room in a moment; nothing is changed then.

@@ -41,9 +41,9 @@ pub struct FusionConfig {
     #[cfg_attr(feature = "serde", serde(rename = "own_priority_ms", with = "crate::units::Times::<1_000>"))]
     pub own_priority_micros: i64,
     /// Most bytes that the layers of all other streams may hold together, with what they add to the fused
-    /// map; beyond that what is far and old is dropped for what is near and new. A block of 8³ voxels takes 0.5 to 1.5 kB as a rule while it is
-    /// changed, and 11 kB if each of its voxels changed last in another batch; 0.1 kB, when nothing near it has
-    /// changed for long. One merge may go beyond by what it adds to the fused map in new places, at most
+    /// map; beyond that what is far and old is dropped for what is near and new. A block of 8³ voxels takes 0.5 to
+    /// 1.5 kB as a rule while it is changed, and 11 kB if each of its voxels changed last in another batch; 0.1 kB,
+    /// when nothing near it has changed for long. One merge may go beyond by what it adds to the fused map in new places, at most
     /// 64 MiB. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "layers_mb", with = "crate::units::Mebibytes"))]
     pub layer_bytes_max: usize,
