@@ -279,6 +279,11 @@ impl Inbox {
         self.pending.retain(|(item, _)| !is_of_set(item));
     }
 
+    /// Whether something of a snapshot was given out to be read, from whomever it came.
+    pub(crate) fn has_read(&self, stream: Stream, snapshot_id: u32) -> bool {
+        self.chains.has((stream, snapshot_id))
+    }
+
     /// What these packages of a stream say is in the map: those that waited, for a verdict or for a snapshot,
     /// need none.
     pub(crate) fn settle(&mut self, stream: Stream, known: &IntervalSet) {

@@ -1,8 +1,6 @@
 //! At the limit: what is far and old goes for what is near and new.
 
 use core::cmp::Reverse;
-use std::collections::BTreeSet;
-
 use super::dropped::{Candidate, Dropped};
 use super::{Fusion, FusionError};
 use crate::layer::cube_of;
@@ -73,22 +71,29 @@ impl Fusion {
         worst: u64,
         now: Stamp,
     ) -> bool {
+        // With what is there of its cube it goes or stays.
+        let newest = |fusion: &Self, at, stamp: Stamp| {
+            let held = fusion.sources.get(stream).and_then(|source| source.layer.newest_in(at));
+            held.map_or(stamp, |held| held.max(stamp))
+        };
         let mut refused = Vec::new();
-        let near = |fusion: &Self, at, stamp| fusion.rank(stream, at, stamp, now) >= worst;
         for (stamp, part) in parts.iter_mut() {
-            let (out, stay): (Vec<_>, Vec<_>) =
-                part.blocks().iter().partition(|(index, _)| near(self, cube_of(*index), *stamp));
+            let is_out = |index: BlockIndex| {
+                let at = cube_of(index);
+                self.rank(stream, at, newest(self, at, *stamp), now) >= worst
+            };
+            let (out, stay): (Vec<_>, Vec<_>) = part.blocks().iter().partition(|(index, _)| is_out(*index));
             if !out.is_empty() {
-                let cubes: BTreeSet<BlockIndex> = out.iter().map(|(index, _)| cube_of(*index)).collect();
-                refused.extend(cubes.into_iter().map(|at| (at, *stamp)));
-                self.note_dropped(stream, out.len(), *stamp);
+                refused.extend(out.iter().map(|(index, _)| (cube_of(*index), *stamp)));
                 *part = Changes::from_blocks(stay);
             }
         }
         parts.retain(|(_, part)| !part.is_empty());
         for (at, stamp) in &refused {
+            let newest = newest(self, *at, *stamp);
             let known = self.sources.change(stream, |source| source.layer.refuse(*at, *stamp));
             self.show_without(mapper, stream, &known);
+            self.note_dropped(stream, known.len().max(1), newest);
         }
         !refused.is_empty()
     }

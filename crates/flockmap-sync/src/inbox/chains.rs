@@ -113,6 +113,11 @@ impl Chains {
         chain.waiting.remove(&chain.next)
     }
 
+    /// Whether there is one.
+    pub(crate) fn has(&self, id: ChainId) -> bool {
+        self.chains.iter().any(|chain| chain.id == id)
+    }
+
     /// Lets go of a snapshot.
     pub(crate) fn drop_one(&mut self, id: ChainId) {
         self.chains.retain(|chain| chain.id != id);

@@ -94,6 +94,21 @@ impl Session {
         })
     }
 
+    /// A snapshot begins to come. The same may have come before, from anybody, and may be gone again: the rest of a
+    /// stream is read anew then, and any other does not count as all.
+    pub(super) fn begin_anew_where_dropped(&mut self, transfer: &mut Transfer) {
+        let (stream, snapshot_id) = (transfer.stream, transfer.snapshot_id);
+        if !self.lacks.streams.contains_key(&stream) || !self.inbox.has_read(stream, snapshot_id) {
+            return;
+        }
+        if transfer.is_rest {
+            self.inbox.restart(stream, snapshot_id);
+            self.push_event(Event::SnapshotDropped { stream, snapshot_id });
+        } else {
+            transfer.is_spoiled = true;
+        }
+    }
+
     /// What snapshots that are coming brought may be gone again.
     fn spoil_transfers(&mut self, stream: Stream) {
         let transfers = self.inbox.transfers.iter_mut().filter(|transfer| transfer.stream == stream);

@@ -40,6 +40,7 @@ impl Session {
                     self.report.counters.too_many_transfers += 1;
                     return;
                 }
+                self.begin_anew_where_dropped(&mut chunk_of);
                 self.inbox.transfers.push(chunk_of);
                 self.inbox.transfers.len() - 1
             }
