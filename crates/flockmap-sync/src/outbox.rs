@@ -42,6 +42,8 @@ pub(crate) struct Outgoing {
     pub(crate) upto: u32,
     /// What it contains, where that has gaps.
     pub(crate) contents: Option<IntervalSet>,
+    /// It lacks something that was dropped.
+    pub(crate) is_in_part: bool,
     pub(crate) chunks: Vec<Package>,
     pub(crate) bytes: usize,
     pub(crate) used_at: Stamp,
@@ -144,10 +146,14 @@ impl Outbox {
         })
     }
 
-    /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise.
-    pub(crate) fn at_hand(&self, stream: Stream, since_max: u32) -> Option<usize> {
+    /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise; none that lacks
+    /// something unless one that is made now would (`is_in_part`).
+    pub(crate) fn at_hand(&self, stream: Stream, since_max: u32, is_in_part: bool) -> Option<usize> {
         self.snapshots.iter().rposition(|outgoing| {
-            outgoing.stream == stream && outgoing.contents.is_none() && outgoing.since <= since_max
+            outgoing.stream == stream
+                && outgoing.contents.is_none()
+                && outgoing.since <= since_max
+                && (is_in_part || !outgoing.is_in_part)
         })
     }
 }

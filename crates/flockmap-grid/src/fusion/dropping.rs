@@ -1,10 +1,10 @@
 //! At the limit: what is far and old goes for what is near and new.
 
-use core::cmp::Reverse;
 use super::dropped::{Candidate, Dropped};
 use super::{Fusion, FusionError};
 use crate::layer::cube_of;
 use crate::{BLOCK_SIDE, BlockIndex, Changes, Mapper, Plane, Stamp, Stream};
+use core::cmp::Reverse;
 
 /// So many of all cubes are chosen at a time.
 const CHOSEN_SHARE: usize = 8;

@@ -213,15 +213,24 @@ impl Session {
             return;
         };
         if let Some(sending) = &mut theirs.sending {
-            sending.note_silence(now);
-            return;
+            // What it lacks beside the rest comes first.
+            if is_relay || (sending.since == 0 && sending.upto >= wanted) {
+                sending.note_silence(now);
+                return;
+            }
+            theirs.sending = None;
         }
         let prefix = self.store.received(stream).map_or(0, |received| received.prefix());
         if prefix < wanted.max(1) {
             return;
         }
+        let is_in_part = self.lost_upto(stream).is_some();
         let is_it = |o: &crate::outbox::Outgoing| {
-            o.stream == stream && o.since == 0 && o.upto >= wanted && o.contents.is_none()
+            o.stream == stream
+                && o.since == 0
+                && o.upto >= wanted
+                && o.contents.is_none()
+                && (is_in_part || !o.is_in_part)
         };
         if let Some(at) = self.outbox.snapshots.iter().rposition(is_it) {
             self.begin_to_send(now, id, at);

@@ -100,6 +100,7 @@ impl Session {
         held: Option<IntervalSet>,
     ) -> Option<Outgoing> {
         let first = chunks.first()?.header();
+        let is_in_part = first.lost_upto.is_some();
         let (upto, count) = (first.index, chunks.len() as u32);
         let ContentKind::Snapshot { since, id: snapshot_id, .. } = first.content else {
             self.report.counters.snapshots_unusable += 1;
@@ -126,7 +127,7 @@ impl Session {
             self.report.counters.snapshots_unusable += 1;
             return None;
         }
-        Some(Outgoing { stream, snapshot_id, since, upto, contents, chunks, bytes, used_at: now })
+        Some(Outgoing { stream, snapshot_id, since, upto, contents, is_in_part, chunks, bytes, used_at: now })
     }
 
     /// Decides whether a peer gets the snapshot of a stream, or of a part of its history, instead of packages.
@@ -170,6 +171,8 @@ impl Session {
     fn review_parts(&mut self, now: Stamp, id: RobotId, stream: Stream, relay_rank: u32) {
         let Some(received) = self.store.received(stream) else { return };
         let beyond = received.within(received.prefix().saturating_add(2), u32::MAX);
+        // Where what was dropped may be of packages beyond the gap, it goes for those before it too.
+        let beyond = if self.can_give(stream, received.prefix()) { beyond } else { received.clone() };
         let (Some(upto), Some(touched)) = (beyond.last(), self.store.touched(stream)) else { return };
         if !self.can_give(stream, upto) {
             return;
@@ -249,9 +252,10 @@ impl Session {
     fn review_whole(&mut self, now: Stamp, id: RobotId, stream: Stream, relay_rank: u32) {
         let Some(received) = self.store.received(stream) else { return };
         let prefix = received.prefix();
-        if prefix == 0 || !self.can_give(stream, prefix) {
+        if prefix == 0 {
             return;
         }
+        let can_give = self.can_give(stream, prefix);
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(theirs) = peer.theirs(stream, now) else { return };
         // What of a request lies beyond what is held here is somebody else's to fulfil.
@@ -291,19 +295,17 @@ impl Session {
         let newer_than = self.store.newer_than(stream, since_max);
         let since = if newer_than.is_some() { since_max } else { 0 };
         let all = self.store.weigh(stream, &missing, prefix);
-        // The newest state at hand that will do, if any, shows what one costs.
-        let estimate = self
-            .outbox
-            .at_hand(stream, since_max)
-            .map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
-        // A snapshot that lacks something is no good where packages bring all.
         let is_in_part =
             self.lost_upto(stream).is_some_and(|lost| newer_than.is_none_or(|limit| lost > limit));
+        // The newest state at hand that will do, if any, shows what one costs.
+        let at_hand = self.outbox.at_hand(stream, since_max, is_in_part);
+        let estimate = at_hand.map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
+        // A snapshot that lacks something is no good where packages bring all.
         let is_worth = all.unstored || (!is_in_part && self.config.snapshot_is_worth(&all, estimate));
-        if wanted.is_none() && !is_worth {
+        if !can_give || (wanted.is_none() && !is_worth) {
             return;
         }
-        let at_hand = self.outbox.at_hand(stream, since_max).filter(|&at| {
+        let at_hand = at_hand.filter(|&at| {
             // One that is on the air already costs nothing more; any other should not say much that is known.
             self.outbox.snapshots[at].is_near(since)
                 || self.is_on_air(stream, self.outbox.snapshots[at].snapshot_id, id)

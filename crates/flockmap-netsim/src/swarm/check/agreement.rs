@@ -95,14 +95,14 @@ pub(in crate::swarm) fn disagreement(
     robots: &[&Robot],
     forgotten: &Forgotten,
 ) -> Option<(RobotId, String)> {
-    if let Some(lacks) = robots.iter().find_map(|robot| lacks_rest(robots, robot)) {
-        return Some(lacks);
-    }
     let nothing = IntervalSet::new(0);
     for (stream, _) in truth.streams() {
         let is_alive = robots.iter().any(|robot| robot.own_stream() == stream);
         if !is_alive && !is_passed_on(robots, forgotten, stream) {
             continue;
+        }
+        if let Some(robot) = robots.iter().find(|robot| lacks_rest(robots, robot, stream)) {
+            return Some((robot.own_stream().origin, format!("the rest of {stream:?}")));
         }
         for robot in robots {
             let id = robot.own_stream().origin;
@@ -126,24 +126,20 @@ pub(in crate::swarm) fn disagreement(
     None
 }
 
-/// What was dropped elsewhere, and is there where the robot can have it from: it has room for it.
-fn lacks_rest(robots: &[&Robot], robot: &Robot) -> Option<(RobotId, String)> {
+/// Whether something of a stream is lacking that was dropped elsewhere, and is there where the robot can have it from:
+/// it has room for it.
+fn lacks_rest(robots: &[&Robot], robot: &Robot, stream: Stream) -> bool {
     let session = robot.session();
-    let lacking = session.streams().filter(|stream| session.lost_upto(*stream).is_some());
-    let lacking = lacking.filter(|stream| *stream != robot.own_stream() && !robot.is_full());
-    for stream in lacking {
-        let is_asked = session.rests_wanted().any(|wanted| wanted == stream);
-        let has_all = |peer: &&&Robot| {
-            let theirs = peer.session();
-            let is_heard = session.peers().any(|known| known.stream == peer.own_stream() && known.hears_us);
-            let received = theirs.received(stream).map_or(0, IntervalSet::prefix);
-            is_heard && theirs.lost_upto(stream).is_none() && received >= session.store().newest_known(stream)
-        };
-        if is_asked || robots.iter().any(|peer| has_all(&peer)) {
-            return Some((robot.own_stream().origin, format!("the rest of {stream:?}")));
-        }
+    if session.lost_upto(stream).is_none() || stream == robot.own_stream() || robot.is_full() {
+        return false;
     }
-    None
+    let has_all = |peer: &&&Robot| {
+        let theirs = peer.session();
+        let is_heard = session.peers().any(|known| known.stream == peer.own_stream() && known.hears_us);
+        let received = theirs.received(stream).map_or(0, IntervalSet::prefix);
+        is_heard && theirs.lost_upto(stream).is_none() && received >= session.store().newest_known(stream)
+    };
+    session.rests_wanted().any(|wanted| wanted == stream) || robots.iter().any(|peer| has_all(&peer))
 }
 
 /// Whether some run that has ended is left out: then its packages may still be in flight to some robot when
