@@ -139,17 +139,24 @@ fn who_joins_late_gets_what_an_origin_that_dropped_still_has_and_the_rest_from_w
     }
 }
 
-#[test]
-fn what_was_dropped_comes_back_when_a_run_that_is_forgotten_gives_room() {
+/// The second robot hears the first one, by packages or by a snapshot; then much of the third, so that of the first
+/// something has to go; and then that run of the third is forgotten.
+fn drop_and_get_back(joins_late: bool) {
     let mut configs = configs(3, 20_000);
     configs[1].fusion.layer_bytes_max = 700_000;
     configs[1].session.epochs_max = 1;
     let (again, mut swarm) = (configs[2].clone(), Swarm::new(configs, PERFECT, 4));
     let mut random = Random(4);
-    // The third robot sees much, so that of the first something has to go.
+    if joins_late {
+        swarm.cut = vec![(0, 1), (0, 2)];
+    }
     fly(&mut swarm, 0, 0..60, &mut random);
-    fly(&mut swarm, 2, 0..300, &mut random);
+    swarm.cut.clear();
+    swarm.run(10_000);
     let first = swarm.robots[0].own_stream();
+    assert_eq!(layer(&swarm, 1, first).digest(), layer(&swarm, 0, first).digest());
+    assert_eq!(swarm.robots[1].session().counters().caught_up > 0, joins_late);
+    fly(&mut swarm, 2, 0..300, &mut random);
     assert!(lacks(layer(&swarm, 1, first), layer(&swarm, 0, first)) > 1_000 && swarm.robots[1].is_full());
     // It begins again, and its former run goes.
     let mut again = RobotConfig { epoch: 9, ..again };
@@ -161,6 +168,17 @@ fn what_was_dropped_comes_back_when_a_run_that_is_forgotten_gives_room() {
     assert_eq!(layer(&swarm, 1, first).digest(), layer(&swarm, 0, first).digest());
     assert!(swarm.robots[1].fusion().layers().all(|(_, layer)| layer.lost_upto().is_none()));
     check_quiet(&mut swarm);
+}
+
+#[test]
+fn what_was_dropped_comes_back_when_a_run_that_is_forgotten_gives_room() {
+    drop_and_get_back(false);
+}
+
+/// Once its chunks counted as read, since they had been read when it came first.
+#[test]
+fn a_snapshot_that_came_before_is_read_anew_when_something_of_it_was_dropped() {
+    drop_and_get_back(true);
 }
 
 #[test]
