@@ -135,6 +135,8 @@ impl Session {
         if is_all {
             self.lacks.forget(stream);
             self.lacks.ended.push(stream);
+            // A better one can be given now.
+            self.outbox.snapshots.retain(|outgoing| outgoing.stream != stream || !outgoing.is_in_part);
         } else if since == 0 {
             // One that lacks nothing can give it once more.
             if lacks_too {
