@@ -144,7 +144,6 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
             request(random, Stream { origin: own, epoch: 1 }),
             request(random, Stream { origin: RobotId(2), epoch: 1 }),
         ],
-        ..Request::default()
     }
     .emit(header, 1_200)
 }
