@@ -11,7 +11,7 @@ use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Plane, Stamp, Stream, W
 use flockmap_sync::{Pace, Session};
 
 use crate::{RobotConfig, RobotCounters};
-use cost::Cost;
+use cost::{Cost, Room};
 pub use packer::Packer;
 use repair::RepairDelay;
 use sent::SentHistory;
@@ -118,15 +118,16 @@ impl Publisher {
         if self.packer.deadline(mapper).is_none_or(|due| due > now) {
             return None;
         }
-        let (bytes_per_s, waits) = match pace() {
+        let (room, waits) = match pace() {
+            // What waited and is known better by a team-mate stays, also while nobody seems to listen.
+            Pace::Free if self.packer.is_behind() => (Room::UNLIMITED, false),
             Pace::Free => {
                 self.deferred = None;
                 return self.packer.close_due(now, mapper);
             }
-            Pace::AllSent { bytes_per_s } => (bytes_per_s, false),
-            Pace::Waiting { bytes_per_s } => (bytes_per_s, true),
+            Pace::AllSent { bytes_per_s } => (self.cost.room(bytes_per_s), false),
+            Pace::Waiting { bytes_per_s } => (self.cost.room(bytes_per_s), true),
         };
-        let room = self.cost.room(bytes_per_s);
         let since = self.deferred.map_or(now, |deferred| deferred.since);
         if waits && now.since(since) < room.defer_max {
             counters.batches_deferred += u64::from(self.deferred.is_none());

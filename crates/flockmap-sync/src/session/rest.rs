@@ -8,6 +8,7 @@ use super::Session;
 use crate::event::Event;
 use crate::inbox::{ABANDONED, Transfer};
 use crate::lacks::note;
+use crate::outbox::Outgoing;
 use crate::peer::Peer;
 use crate::wire::{InPart, RestRequest};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -227,7 +228,7 @@ impl Session {
             return;
         }
         let is_in_part = self.lost_upto(stream).is_some();
-        let is_it = |o: &crate::outbox::Outgoing| {
+        let is_it = |o: &Outgoing| {
             o.stream == stream
                 && o.since == 0
                 && o.upto >= wanted

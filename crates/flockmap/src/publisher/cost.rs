@@ -37,6 +37,12 @@ pub(crate) struct Room {
     pub(crate) defer_max: Duration,
 }
 
+impl Room {
+    /// Of a radio without a budget.
+    pub(crate) const UNLIMITED: Self =
+        Self { obstacles: usize::MAX, voxels: usize::MAX, defer_max: Duration::ZERO };
+}
+
 impl Default for Cost {
     fn default() -> Self {
         Self { obstacle: COST_INITIAL, voxel: COST_INITIAL }
