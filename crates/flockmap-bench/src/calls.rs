@@ -1,6 +1,6 @@
 //! `flockmap-bench calls`: the longest single call of a robot that holds a large map.
 
-mod meter;
+pub mod meter;
 mod pair;
 
 use std::path::PathBuf;

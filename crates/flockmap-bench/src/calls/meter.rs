@@ -9,6 +9,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Call {
+    InsertScan,
     HandleDatagram,
     HandleTimeout,
     PollTransmit,
@@ -24,6 +25,7 @@ impl Call {
     /// As it is called in the code.
     pub const fn name(self) -> &'static str {
         match self {
+            Self::InsertScan => "insert_scan",
             Self::HandleDatagram => "handle_datagram",
             Self::HandleTimeout => "handle_timeout",
             Self::PollTransmit => "poll_transmit",
@@ -52,6 +54,11 @@ pub struct Meter(pub BTreeMap<Call, Taken>);
 impl Meter {
     /// Does a call and notes how long it took.
     pub fn time<T>(&mut self, call: Call, work: impl FnOnce() -> T) -> T {
+        self.timed(call, work).0
+    }
+
+    /// The same, and how long it took.
+    pub fn timed<T>(&mut self, call: Call, work: impl FnOnce() -> T) -> (T, Duration) {
         let began = processor_time();
         let result = work();
         let took = processor_time().saturating_sub(began);
@@ -59,7 +66,12 @@ impl Meter {
         taken.calls += 1;
         taken.longest = taken.longest.max(took);
         taken.sum += took;
-        result
+        (result, took)
+    }
+
+    /// All calls together.
+    pub fn sum(&self) -> Duration {
+        self.0.values().map(|taken| taken.sum).sum()
     }
 }
 
