@@ -11,6 +11,7 @@ mod catch_up;
 mod codec_run;
 mod codecs;
 mod corridor;
+mod day;
 mod field;
 mod layers;
 mod mapping;
@@ -48,6 +49,7 @@ enum Command {
     States(Box<states::StatesArgs>),
     Layers(Box<layers::LayersArgs>),
     Calls(calls::CallsArgs),
+    Day(day::DayArgs),
     Mapping(mapping::MappingArgs),
     Field(field::FieldArgs),
     CatchUp(Box<catch_up::CatchUpArgs>),
@@ -68,6 +70,7 @@ fn main() -> ExitCode {
         Command::States(args) => states::run(args),
         Command::Layers(args) => layers::run(args),
         Command::Calls(args) => calls::run(args),
+        Command::Day(args) => day::run(args),
         Command::Mapping(args) => mapping::run(args),
         Command::Field(args) => field::run(args),
         Command::CatchUp(args) => catch_up::run(args),

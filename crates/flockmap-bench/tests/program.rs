@@ -98,3 +98,30 @@ fn the_mapper_makes_the_same_map_as_octomap() {
     assert!(known > 10_000.0 && equal / known > 0.999, "{differences}");
     assert_eq!(output["mappers"].as_array().unwrap().len(), 4);
 }
+
+#[test]
+fn who_joins_at_the_end_of_a_day_gets_all_of_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("day.json");
+    let text = good(&format!("day --robots 2 --metres 20 --json {}", path.display()));
+    assert!(text.contains("It held all") && text.contains("Its fused map is that of robot 1."), "{text}");
+    let output = json(&path);
+    let robots = output["robots"].as_array().unwrap();
+    assert_eq!(robots.len(), 3, "the late joiner is one of them");
+    assert!(robots.iter().all(|row| row["is_same"] == true && row["blocks_dropped"] == 0), "{robots:?}");
+    let seen: Vec<u64> = robots.iter().map(|row| row["voxels"].as_u64().unwrap()).collect();
+    assert!(seen[0] > 500_000 && seen[1] > 500_000 && seen[0] != seen[1], "{seen:?}");
+    assert_eq!(seen[2], 0);
+    let joiner = &output["joiner"];
+    assert_eq!(robots[2]["voxels_of_others"], seen[0] + seen[1]);
+    for stream in joiner["streams"].as_array().unwrap() {
+        assert_eq!(stream["packages"], stream["packages_published"]);
+        assert!(["lacking", "beyond", "different"].iter().all(|name| stream["difference"][name] == 0));
+    }
+    let times = output["times"].as_array().unwrap();
+    assert!(times.iter().all(|row| row["packing"]["median_ms"].as_f64().unwrap() > 0.0), "{times:?}");
+    assert_eq!(output["calls"].as_array().unwrap().len(), 5, "two that fly, then three");
+
+    let alone = good("day --robots 1 --metres 5 --no-joiner");
+    assert!(alone.contains("all agree") && !alone.contains("late joiner"), "{alone}");
+}
