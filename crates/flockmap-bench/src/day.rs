@@ -26,8 +26,8 @@ use swarm::{Member, Swarm, Waited};
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
-  flockmap-bench day --metres 100                         a minute: 3 robots, 10 million voxels
-  flockmap-bench day --json day.json                      30 km together, a billion voxels: some hours, and some GB
+  flockmap-bench day --metres 100                         a quarter of a minute: 3 robots, 10 million voxels
+  flockmap-bench day --json day.json                      30 km together, a billion voxels: an hour, and some GB
   flockmap-bench day --robots 2 --metres 1000 --no-joiner
 
 Each robot flies a straight corridor of its own, 100 m beside the next one, of which every metre is new and nothing is
@@ -160,16 +160,19 @@ impl Day {
         self.note_stage(if self.outcome.is_agreed { "all agree" } else { "waited for all to agree" });
         self.note_calls("flight");
         self.outcome.robots = compare::flown(&self.swarm);
+        self.note_stage("layers compared");
         Ok(())
     }
 
     fn join_late(&mut self) -> anyhow::Result<()> {
         let (flown, began) = (self.swarm.members.len(), self.swarm.now);
+        let snapshots_before = self.swarm.snapshots();
         self.swarm.members.push(Member::new(robot(flown as u16 + 1, began)?));
         let waited = self.wait("late joiner", |swarm| {
             swarm.members.last().is_some_and(|joiner| swarm.is_served(joiner))
         })?;
         self.note_stage("the late joiner is done");
+        let snapshots = self.swarm.snapshots() - snapshots_before;
         let (flown, joiner) = self.swarm.members.split_at(flown);
         let joiner = joiner.first().context("nobody has joined")?;
         let processor_s = joiner.meter.sum().as_secs_f64();
@@ -180,11 +183,13 @@ impl Day {
             processor_s,
             bytes: joiner.bytes,
             datagrams: joiner.datagrams,
+            snapshots,
             streams,
             map,
         };
         self.outcome.robots.push(RobotRow { is_same: row.has_same_layers(), ..RobotRow::of(joiner) });
         self.outcome.joiner = Some(row);
+        self.note_stage("the late joiner compared");
         self.note_calls("late joiner");
         Ok(())
     }

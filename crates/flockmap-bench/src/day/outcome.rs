@@ -80,6 +80,8 @@ pub struct JoinerRow {
     pub processor_s: f64,
     pub bytes: u64,
     pub datagrams: u64,
+    /// That were made for it, some maybe in vain.
+    pub snapshots: u64,
     pub streams: Vec<StreamRow>,
     /// `None`: not compared, since not all layers are whole.
     pub map: Option<MapRow>,
@@ -220,17 +222,17 @@ fn robots(rows: &[RobotRow]) -> DataTable {
 }
 
 fn times(rows: &[TimesRow]) -> DataTable {
-    let ms = |ms: f64| format!("{ms:.2}");
+    let ms = |of: &TimeSummary, ms: f64| if of.count > 0 { format!("{ms:.2}") } else { none() };
     DataTable::of_text(
         rows,
         &[
             ("processor time", &|row| row.part.to_owned()),
             ("batches", &|row| thousands(row.packing.count as u64)),
-            ("t_pack median ms", &|row| ms(row.packing.median_ms)),
-            ("99 % ms", &|row| ms(row.packing.p99_ms)),
+            ("t_pack median ms", &|row| ms(&row.packing, row.packing.median_ms)),
+            ("99 % ms", &|row| ms(&row.packing, row.packing.p99_ms)),
             ("datagrams", &|row| thousands(row.inserting.count as u64)),
-            ("t_recv2insert median ms", &|row| ms(row.inserting.median_ms)),
-            ("99 % ms", &|row| ms(row.inserting.p99_ms)),
+            ("t_recv2insert median ms", &|row| ms(&row.inserting, row.inserting.median_ms)),
+            ("99 % ms", &|row| ms(&row.inserting, row.inserting.p99_ms)),
         ],
     )
 }
@@ -286,13 +288,14 @@ fn joined(rows: &[StreamRow]) -> DataTable {
 
 /// What the tables do not say of the late joiner.
 fn words(joiner: &JoinerRow) -> String {
-    let JoinerRow { holds_all, virtual_s, processor_s, bytes, datagrams, streams, map } = joiner;
+    let JoinerRow { holds_all, virtual_s, processor_s, bytes, datagrams, snapshots, streams, map } = joiner;
     let outcome = if *holds_all { "It held all" } else { "IT DOES NOT HOLD ALL; the last that was new came" };
     let mut text = format!(
         "  {outcome} after {virtual_s:.1} s of virtual time and {processor_s:.1} s of its processor time, with {} \
-         bytes in {} datagrams.",
+         bytes in {} datagrams. Snapshots made for it: {}.",
         thousands(*bytes),
-        thousands(*datagrams)
+        thousands(*datagrams),
+        thousands(*snapshots)
     );
     for row in streams.iter().filter(|row| row.is_same() != Some(true)) {
         let StreamRow { robot, packages, packages_published, voxels, voxels_published, .. } = row;

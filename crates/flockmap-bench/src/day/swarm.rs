@@ -196,6 +196,11 @@ impl Swarm {
         self.members.iter().map(of).fold((0, 0), |all, one| (all.0 + one.0, all.1 + one.1))
     }
 
+    /// Snapshots that all have made for others.
+    pub fn snapshots(&self) -> u64 {
+        self.members.iter().map(|member| member.robot.counters().snapshots).sum()
+    }
+
     /// Whether each has published what it saw and holds what all others have published.
     pub fn is_agreed(&self) -> bool {
         self.members.iter().all(|member| member.robot.unpublished() == 0 && self.is_served(member))
