@@ -211,3 +211,20 @@ impl Swarm {
         self.members.iter().all(|other| member.holds_all_of(other))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::{Resolution, RobotConfig, RobotId};
+
+    #[test]
+    fn nobody_waits_for_ever() {
+        let resolution = Resolution::from_micrometres(100_000).unwrap();
+        let robots = [1, 2].map(|id| Robot::new(RobotConfig::new(RobotId(id), resolution, 7.0), Stamp(0)));
+        let mut swarm = Swarm::new(robots.map(|robot| Member::new(robot.unwrap())).into());
+        let waited = swarm.until(|_| false, |_| ()).unwrap();
+        assert!(!waited.is_done && waited.newest == Stamp(0));
+        assert_eq!(swarm.now.since(waited.newest), GIVE_UP);
+        assert!(swarm.is_agreed(), "nobody has published anything");
+    }
+}
