@@ -49,6 +49,9 @@ pub(crate) fn begin_snapshot_id(
     if let Some(lost_upto) = span.lost_upto {
         hasher.update(&lost_upto.0.to_le_bytes());
     }
+    if let Some(changed_upto) = span.changed_upto {
+        hasher.update(&changed_upto.to_le_bytes());
+    }
     hash_sensors(&mut hasher, state.sensors());
     hasher
 }

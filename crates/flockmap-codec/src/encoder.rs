@@ -142,7 +142,7 @@ impl Encoder {
         check_rules(state)?;
         let voxels = SnapshotVoxels::from_state(state);
         let voxels = voxels.ok_or(EncodeError::Snapshot { rule: "at most 2³² blocks" })?;
-        let span = Span { stream, since: 0, upto: upto_index, lost_upto: None };
+        let span = Span { stream, since: 0, upto: upto_index, lost_upto: None, changed_upto: None };
         self.encode_span(codec, span, resolution, &voxels, bytes_max)
     }
 
@@ -197,6 +197,7 @@ fn changes_header(codec: Codec, batch: &Batch, index: u32, region: VoxelBox) -> 
         codec,
         content: ContentKind::Changes,
         lost_upto: None,
+        changed_upto: None,
         priority: Priority::Obstacles,
     }
 }

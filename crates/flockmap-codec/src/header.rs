@@ -40,6 +40,9 @@ pub struct Header {
     /// Of a snapshot: who made it had to drop some of what it should hold for want of room, none of it newer than
     /// this stamp. `None`: nothing is lacking; so of all changes.
     pub lost_upto: Option<Stamp>,
+    /// Of a snapshot: who made it knew of packages that are not contained, up to this one at most, and what these changed
+    /// is not in it, nor what was there before. `None`: nothing is lacking for that; so of all changes. Above `since`.
+    pub changed_upto: Option<u32>,
     /// What to send first where there is not room for all. Of a snapshot always `Obstacles`.
     pub priority: Priority,
 }
@@ -51,7 +54,7 @@ pub enum ContentKind {
     Changes,
     /// One chunk of the state of the stream after packages 1 to `index`, or of the part of it that packages
     /// after `since` made. Who has packages 1 to `since` and all chunks of the snapshot knows all that packages 1
-    /// to `index` said.
+    /// to `index` said, but for what later ones changed ([`Header::changed_upto`]).
     Snapshot {
         /// 0: the whole state. Else the chunks hold every voxel whose newest change is in the packages from
         /// `since` + 1 to `index`, and may hold others. Below `index`.
@@ -84,8 +87,8 @@ const KIND_SNAPSHOT: u8 = 1;
 const KIND_INDEPENDENT: u8 = 2;
 /// A snapshot that lacks what was dropped.
 const KIND_SNAPSHOT_IN_PART: u8 = 3;
-/// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority; bit 7:
-/// the box is made of whole blocks, and counted in these.
+/// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority, or of a snapshot
+/// bit 5: what later packages changed is lacking; bit 7: the box is made of whole blocks, and counted in these.
 const BOX_IN_BLOCKS: u8 = 1 << 7;
 const KIND_SHIFT: u32 = 3;
 const PRIORITY_SHIFT: u32 = 5;
@@ -106,7 +109,11 @@ impl Header {
         };
         out.push(FORMAT_VERSION);
         let (unit, flag) = if is_in_blocks(&self.region) { (BLOCK_SIDE, BOX_IN_BLOCKS) } else { (1, 0) };
-        out.push(self.codec.id() | kind << KIND_SHIFT | (self.priority as u8) << PRIORITY_SHIFT | flag);
+        let priority = match self.content {
+            ContentKind::Changes => self.priority as u8,
+            ContentKind::Snapshot { .. } => u8::from(self.changed_upto.is_some()),
+        };
+        out.push(self.codec.id() | kind << KIND_SHIFT | priority << PRIORITY_SHIFT | flag);
         put_varint(out, u64::from(self.stream.origin.0));
         put_varint(out, self.stream.epoch);
         put_varint(out, u64::from(self.index));
@@ -123,6 +130,9 @@ impl Header {
                 put_varint(out, u64::from(chunks));
                 if let Some(lost_upto) = self.lost_upto {
                     put_zigzag(out, lost_upto.0.wrapping_sub(epoch_micros(self.stream.epoch)));
+                }
+                if let Some(changed_upto) = self.changed_upto {
+                    put_zigzag(out, i64::from(changed_upto) - i64::from(self.index));
                 }
             }
         }
@@ -147,9 +157,11 @@ impl Header {
         let (codec, kind, priority) = (all & 7, all >> KIND_SHIFT & 3, all >> PRIORITY_SHIFT & 3);
         let codec = Codec::from_id(codec).ok_or(PackageError::Codec { found: codec })?;
         let unit = if all & BOX_IN_BLOCKS == 0 { 1 } else { BLOCK_SIDE };
+        let is_snapshot = [KIND_SNAPSHOT, KIND_SNAPSHOT_IN_PART].contains(&kind);
+        let (is_piece, priority) =
+            if is_snapshot { (priority & 1 == 1, priority >> 1) } else { (false, priority) };
         let priority = Priority::ALL.get(usize::from(priority)).copied();
         let priority = priority.ok_or_else(|| wrong("priorities are 0 to 2"))?;
-        let is_snapshot = [KIND_SNAPSHOT, KIND_SNAPSHOT_IN_PART].contains(&kind);
         if is_snapshot && priority != Priority::Obstacles {
             return Err(wrong("a snapshot has priority 0"));
         }
@@ -170,7 +182,7 @@ impl Header {
         if unit == 1 && is_in_blocks(&region) {
             return Err(wrong("a box of whole blocks is counted in blocks"));
         }
-        let mut lost_upto = None;
+        let (mut lost_upto, mut changed_upto) = (None, None);
         let (content, base) = if is_snapshot {
             let since = read_back(&mut reader, index, "since", "a span begins after an earlier package")?;
             let id = reader.u32_le("snapshot id")?;
@@ -182,6 +194,12 @@ impl Header {
             if kind == KIND_SNAPSHOT_IN_PART {
                 let lost = reader.signed("newest stamp dropped")?;
                 lost_upto = Some(Stamp(lost.wrapping_add(epoch_micros(epoch))));
+            }
+            if is_piece {
+                let upto = reader.signed("changed upto")?.checked_add(i64::from(index));
+                changed_upto = upto.and_then(|upto| u32::try_from(upto).ok()).filter(|upto| *upto > since);
+                changed_upto
+                    .ok_or_else(|| wrong("what is lacking of a snapshot is in packages after since"))?;
             }
             (ContentKind::Snapshot { since, id, chunk, chunks }, 0)
         } else {
@@ -207,6 +225,7 @@ impl Header {
             codec,
             content,
             lost_upto,
+            changed_upto,
             priority,
         };
         Ok((header, Tail { checked, check }, reader.rest()))

@@ -227,7 +227,7 @@ impl Headers {
         id: u32,
         [chunk, chunks]: [u32; 2],
     ) -> Header {
-        let Span { stream, since, upto, lost_upto } = self.span;
+        let Span { stream, since, upto, lost_upto, changed_upto } = self.span;
         Header {
             stream,
             index: upto,
@@ -240,6 +240,7 @@ impl Headers {
             codec: self.codec,
             content: ContentKind::Snapshot { since, id, chunk, chunks },
             lost_upto,
+            changed_upto,
             priority: Priority::Obstacles,
         }
     }

@@ -31,4 +31,6 @@ pub struct Span {
     pub upto: u32,
     /// Some of that was dropped for want of room and is lacking, none of it newer than this. `None`: nothing is.
     pub lost_upto: Option<Stamp>,
+    /// What packages that are not contained changed is lacking, up to this one at most. `None`: nothing is.
+    pub changed_upto: Option<u32>,
 }

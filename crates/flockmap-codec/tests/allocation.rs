@@ -178,6 +178,7 @@ fn a_snapshot_takes_few_bytes_for_each_known_voxel() {
                     since: u32::from(newer_than.is_some()),
                     upto: 9,
                     lost_upto: None,
+                    changed_upto: None,
                 };
                 encoder.encode_span(codec, span, resolution(), &state, PACKAGE_BYTES_MAX).unwrap()
             });

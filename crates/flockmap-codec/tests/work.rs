@@ -106,6 +106,7 @@ fn cube(side: u32, byte: u8) -> Package {
         codec: Codec::Paper,
         content: flockmap_codec::ContentKind::Changes,
         lost_upto: None,
+        changed_upto: None,
         priority: Priority::NearFree,
     };
     let package = Package::from_parts(&header, &payload, 0);

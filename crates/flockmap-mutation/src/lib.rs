@@ -65,11 +65,13 @@ pub enum Mutation {
     DroppedShown,
     /// What was lacking is not asked for when there is room again.
     RestUnasked,
+    /// A piece of a state passes for all of it.
+    PieceUnsaid,
 }
 
 impl Mutation {
     /// All of them.
-    pub const ALL: [Self; 28] = [
+    pub const ALL: [Self; 29] = [
         Self::StampCompareDropped,
         Self::LedgerIgnored,
         Self::CheckSkipped,
@@ -98,6 +100,7 @@ impl Mutation {
         Self::DropUnsaid,
         Self::DroppedShown,
         Self::RestUnasked,
+        Self::PieceUnsaid,
     ];
 }
 

@@ -13,7 +13,7 @@ const fn finder(mutation: Mutation) -> &'static str {
         Mutation::StampCompareDropped | Mutation::AcceptedUnmerged | Mutation::SnapshotReceivedTooEarly => {
             "layer"
         }
-        Mutation::LateTakenOver | Mutation::DropUnsaid => "layer",
+        Mutation::LateTakenOver | Mutation::DropUnsaid | Mutation::PieceUnsaid => "layer",
         Mutation::DroppedShown => "fused",
         Mutation::RestUnasked => "agreement",
         Mutation::LedgerIgnored | Mutation::HoldingsIgnored => "twice",

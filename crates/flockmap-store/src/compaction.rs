@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use flockmap::codec::{ContentKind, Encoder, PACKAGE_BYTES_MAX, Span};
 use flockmap::grid::Layer;
-use flockmap::sync::IntervalSet;
-use flockmap::{Codec, Package, Resolution, Robot, Stream};
+use flockmap::sync::{Cuts, IntervalSet};
+use flockmap::{Codec, Package, Piece, PieceLimit, PieceReader, Resolution, Robot, Stream};
 
 use crate::log::create;
 use crate::record::{Contents, Record};
@@ -17,6 +17,9 @@ use crate::{Disk, DiskFile};
 
 /// What the name of a compacted segment ends with until it is complete.
 pub(crate) const UNFINISHED: &str = ".unfinished";
+
+/// How much of a state is coded at once: some 70 MB, 5 million bytes of chunks.
+const PIECE: PieceLimit = PieceLimit { bytes: 64 << 20, voxels: 32 << 20 };
 
 /// Records are handed to the system in portions of about so many bytes.
 const PORTION_BYTES: usize = 64 << 10;
@@ -31,7 +34,7 @@ pub struct StreamCopy {
 
 enum What {
     /// All packages received are in the layer, but for what was dropped of them.
-    State { layer: Box<Layer>, received: IntervalSet },
+    State { layer: Box<Layer>, received: IntervalSet, cuts: Cuts },
     /// The layer lacks what some of them say.
     Packages(Vec<Package>),
     /// And they are not all there any more.
@@ -64,8 +67,8 @@ impl StreamCopy {
     /// The records that make the same layer again.
     fn into_records(self, encoder: &mut Encoder) -> Result<Vec<Record>, String> {
         let Self { stream, codec, resolution, what } = self;
-        let (layer, received) = match what {
-            What::State { layer, received } => (layer, received),
+        let (layer, received, cuts) = match what {
+            What::State { layer, received, cuts } => (layer, received, cuts),
             What::Packages(packages) => return Ok(packages.into_iter().map(Record::Package).collect()),
             What::Nothing(why) => return Err(why.into()),
         };
@@ -73,16 +76,35 @@ impl StreamCopy {
         let Some(upto) = received.last() else { return Ok(Vec::new()) };
         // One of a history with gaps says by itself no more than its newest package.
         let is_whole = received.contains_range(1, upto);
-        let span =
-            Span { stream, since: if is_whole { 0 } else { upto - 1 }, upto, lost_upto: layer.lost_upto() };
-        let chunks = match layer.snapshot_voxels(None) {
-            Some(state) => {
-                let chunks = encoder.encode_span(codec, span, resolution, &state, PACKAGE_BYTES_MAX);
-                chunks.map_err(|error| cannot(&error.to_string()))?
+        let (since, changed_upto) = (if is_whole { 0 } else { upto - 1 }, cuts.changed_upto);
+        let mut span = Span { stream, since, upto, lost_upto: layer.lost_upto(), changed_upto };
+        let (mut chunks, mut newer_than, mut limit) = (Vec::new(), None, PIECE);
+        loop {
+            let cuts = Some(cuts.clone()).filter(|_| is_whole);
+            let mut reader = PieceReader::new(&layer, span, newer_than, cuts, limit);
+            while reader.step(usize::MAX) > 0 {}
+            let rest = match reader.finish() {
+                Piece::State(of, state, rest) => {
+                    let piece = encoder.encode_span(codec, of, resolution, &state, PACKAGE_BYTES_MAX);
+                    chunks.extend(piece.map_err(|error| cannot(&error.to_string()))?);
+                    span.since = of.upto;
+                    rest
+                }
+                Piece::Nothing(of) => {
+                    chunks.extend(Package::of_dropped(of, resolution));
+                    None
+                }
+                // No package is known to which the older part goes.
+                Piece::TooMuch => {
+                    limit = PieceLimit { bytes: limit.bytes * 2, voxels: limit.voxels * 2 };
+                    continue;
+                }
+            };
+            if rest.is_none() {
+                break;
             }
-            None if layer.is_empty() => Package::of_dropped(span, resolution).into_iter().collect(),
-            None => return Err(cannot("it is too large")),
-        };
+            (newer_than, limit) = (rest, PIECE);
+        }
         let contents = match chunks.first().map(|chunk| chunk.header().content) {
             Some(ContentKind::Snapshot { id: snapshot_id, .. }) if !is_whole => {
                 Some(Contents { stream, snapshot_id, intervals: received.intervals().to_vec() })
@@ -106,7 +128,8 @@ impl What {
                 return Some(if is_all { Self::Packages(packages) } else { Self::Nothing(OWN_LAYER_LACKS) });
             }
         }
-        Some(Self::State { layer: Box::new(layer?.clone()), received: received.clone() })
+        let cuts = session.cuts(stream, received.prefix());
+        Some(Self::State { layer: Box::new(layer?.clone()), received: received.clone(), cuts })
     }
 }
 

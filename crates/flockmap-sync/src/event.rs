@@ -31,6 +31,8 @@ pub enum Event {
         upto: u32,
         /// No chunk may have more bytes.
         bytes_max: usize,
+        /// Where that is too much for one snapshot, the older part of it will do, up to an earlier package.
+        in_pieces: bool,
         /// The peer that misses it.
         peer: RobotId,
     },

@@ -39,5 +39,5 @@ pub use interval_set::{IntervalSet, TooFragmented};
 pub use key::{KeyError, SwarmKey};
 pub use path::Path;
 pub use report::{Load, Pace, PeerInfo};
-pub use session::Session;
+pub use session::{Cuts, Session};
 pub use store::{RECEIVED_INTERVALS_MAX, Store, StoreLimits, Stored};

@@ -44,6 +44,8 @@ pub(crate) struct Outgoing {
     pub(crate) contents: Option<IntervalSet>,
     /// It lacks something that was dropped.
     pub(crate) is_in_part: bool,
+    /// It is a piece of the state: what it lacks was changed by packages up to this one.
+    pub(crate) changed_upto: Option<u32>,
     pub(crate) chunks: Vec<Package>,
     pub(crate) bytes: usize,
     pub(crate) used_at: Stamp,
@@ -83,6 +85,7 @@ impl Outgoing {
             snapshot_id,
             since,
             upto,
+            pieces_upto: self.changed_upto.unwrap_or(upto).max(upto),
             named_at: now,
             unheeded: 1,
             lost_at: now,
@@ -147,13 +150,14 @@ impl Outbox {
     }
 
     /// The newest state at hand for a peer that has or gets packages 1 to `since_max` otherwise; none that lacks
-    /// something unless one that is made now would (`is_in_part`).
+    /// something unless one that is made now would (`is_in_part`), and no piece that says nothing more.
     pub(crate) fn at_hand(&self, stream: Stream, since_max: u32, is_in_part: bool) -> Option<usize> {
         self.snapshots.iter().rposition(|outgoing| {
             outgoing.stream == stream
                 && outgoing.contents.is_none()
                 && outgoing.since <= since_max
                 && (is_in_part || !outgoing.is_in_part)
+                && (outgoing.changed_upto.is_none() || outgoing.upto > since_max)
         })
     }
 }

@@ -5,6 +5,7 @@ mod answer;
 mod datagram;
 mod pace;
 mod paths;
+mod pieces;
 mod plan;
 mod receive;
 mod request;
@@ -16,6 +17,8 @@ mod snapshot;
 mod streams;
 mod timing;
 mod transfers;
+
+pub use pieces::Cuts;
 
 use crate::clocks::Clocks;
 use crate::config::ms;

@@ -43,6 +43,11 @@ impl StampIndex {
         self.0.iter().find(|(_, known)| **known > stamp).map(|(index, _)| *index)
     }
 
+    /// The packages that are known, with their stamps, as far as these do not descend. O(stamps).
+    pub(crate) fn points(&self) -> impl Iterator<Item = (u32, Stamp)> + '_ {
+        self.0.iter().map(|(index, stamp)| (*index, *stamp))
+    }
+
     /// A stamp that no package from `index` on is older than, as late as is known. `None` if nothing is known
     /// of any up to that one.
     pub(crate) fn not_after(&self, index: u32) -> Option<Stamp> {

@@ -51,6 +51,8 @@ struct StreamStore {
     bytes: usize,
     /// When something of it was news last.
     touched: Stamp,
+    /// What packages up to this one changed may be lacking, of those that are not held.
+    changed_upto: u32,
 }
 
 /// Packages by stream. *Held* is what was taken into the map; *stored* is what of it can be sent on as it came.
@@ -173,6 +175,33 @@ impl Store {
         let first_after = stream_store.stamp_index.first_after(stamp);
         let last = stream_store.received.last().unwrap_or(0);
         first_after.map_or(last, |index| last.min(index.saturating_sub(1)))
+    }
+
+    /// Packages with their stamps, ascending, of which some are known for as long as the stream lasts: up to 512. What a
+    /// layer holds of packages up to one of them is not newer than its stamp. O(stamps).
+    pub fn stamps(&self, stream: Stream) -> impl Iterator<Item = (u32, Stamp)> + '_ {
+        self.streams.get(&stream).into_iter().flat_map(|stream_store| stream_store.stamp_index.points())
+    }
+
+    /// Of packages that are held, what later ones up to this one changed may be lacking in the layer; 0 for none.
+    pub(crate) fn changed_upto(&self, stream: Stream) -> u32 {
+        self.streams.get(&stream).map_or(0, |stream_store| stream_store.changed_upto)
+    }
+
+    /// Notes that of packages that will be held, what later ones up to this one changed may be lacking.
+    pub(crate) fn note_changed(&mut self, stream: Stream, upto: u32) {
+        if let Some(stream_store) = self.streams.get_mut(&stream) {
+            stream_store.changed_upto = stream_store.changed_upto.max(upto);
+        }
+    }
+
+    /// Notes that all that is in the layer of packages up to one is not newer than this stamp, or than those of packages
+    /// before it.
+    pub(crate) fn note_stamp(&mut self, stream: Stream, upto: u32, stamp: Stamp) {
+        if let Some(StreamStore { stamp_index, .. }) = self.streams.get_mut(&stream) {
+            let before = stamp_index.not_after(upto);
+            stamp_index.note(upto, before.map_or(stamp, |before| before.max(stamp)));
+        }
     }
 
     /// The first of these packages that is not stored.
@@ -417,6 +446,7 @@ impl StreamStore {
             stamp_index: StampIndex::new(),
             bytes: 0,
             touched: now,
+            changed_upto: 0,
         }
     }
 }

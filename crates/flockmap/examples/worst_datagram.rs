@@ -230,6 +230,7 @@ fn package(case: &Case, draft: &Draft, index: u32, decoder: &mut Decoder, layer:
         codec: case.codec,
         content,
         lost_upto: None,
+        changed_upto: None,
         priority: Priority::Obstacles,
     };
     let mut check = 0;

@@ -55,6 +55,10 @@ pub struct RobotConfig {
     pub session: SessionConfig,
     /// How the layers become one map.
     pub fusion: FusionConfig,
+    /// A state that would take more bytes while a snapshot of it is made goes in pieces, the oldest first: some 3 bytes for
+    /// each voxel, and 140 to 300 for each block. Where it cannot be cut, it may take 256 MiB; one that takes more is not
+    /// made. Default 64 MiB.
+    pub snapshot_piece_bytes: usize,
     /// Returns within this distance of a team-mate's position are taken for the team-mate. Metres, 0 or more.
     /// Default 0.5.
     pub teammate_radius_m: f64,
@@ -76,6 +80,7 @@ impl RobotConfig {
             repair_delay_max_ms: 2_000,
             session: SessionConfig::default(),
             fusion: FusionConfig::default(),
+            snapshot_piece_bytes: 64 << 20,
             teammate_radius_m: 0.5,
             teammate_timeout_ms: 1_000,
             seed: 0,

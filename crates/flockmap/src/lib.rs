@@ -43,6 +43,7 @@ mod effort;
 mod event;
 mod events;
 mod memory;
+mod piece;
 mod publisher;
 mod readers;
 mod republishing;
@@ -62,5 +63,6 @@ pub use flockmap_grid::{
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
+pub use piece::{Piece, PieceLimit, PieceReader};
 pub use publisher::Packer;
 pub use robot::{KnownPose, REBUILD_BLOCKS, RestoreError, Robot};

@@ -3,8 +3,11 @@
 use std::collections::VecDeque;
 
 use flockmap_codec::{Codec, EncodeError, Encoder, Package, SnapshotCoding, Span};
-use flockmap_grid::{Layer, Resolution, SnapshotReader, SnapshotVoxels, Stamp, Stream};
+use flockmap_grid::{Layer, Resolution, SnapshotVoxels, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
+use flockmap_sync::Cuts;
+
+use crate::piece::{Piece, PieceLimit, PieceReader};
 
 /// Steps of work in one call: some 5 ms of a slow core. Each may take a cube, a chunk or the beginning of a part
 /// more.
@@ -17,8 +20,10 @@ const SENSOR_STEPS: u64 = 32;
 const MAKING_MAX: usize = 8;
 /// Most bytes that one may take while it is made, beside its chunks: 30 million voxels of LiDAR scans take half.
 pub(crate) const BYTES_MAX: usize = 256 << 20;
-/// Of these, for each block when it is coded: a table of what was said, which may be half empty.
-const CODED_BLOCK_BYTES: usize = 300;
+/// Least bytes that a piece may take, where the usual size makes chunks that are too long.
+const PIECE_BYTES_MIN: usize = 4 << 10;
+/// Voxels of a piece for each byte that the session keeps for chunks: `flock` takes one to three bits for a voxel.
+const PIECE_VOXELS: u64 = 2;
 
 /// Makes snapshots of layers as they were when they were wanted, one after the other. Of the layers it keeps copies,
 /// which take what the layers change or forget meanwhile.
@@ -32,14 +37,28 @@ pub(crate) struct Snapshots {
 }
 
 struct Making {
-    span: Span,
-    bytes_max: usize,
+    wanted: Wanted,
+    /// A copy, in case that a piece of another size is needed.
+    layer: Layer,
+    /// Bytes that a piece may take, if all of it is too much.
+    piece_bytes: usize,
     stage: Stage,
 }
 
 enum Stage {
-    Reading(Box<SnapshotReader>),
+    Reading(Box<PieceReader>),
     Coding(Box<(SnapshotCoding<SnapshotVoxels>, Encoder)>),
+}
+
+/// A snapshot that is wanted.
+#[derive(Clone)]
+pub(crate) struct Wanted {
+    pub(crate) span: Span,
+    pub(crate) newer_than: Option<Stamp>,
+    /// Of a chunk.
+    pub(crate) bytes_max: usize,
+    /// By what it may be cut, if a piece will do.
+    pub(crate) cuts: Option<Cuts>,
 }
 
 /// How the chunks of a robot are made.
@@ -49,6 +68,8 @@ pub(crate) struct Form {
     pub(crate) resolution: Resolution,
     /// Chunks of more bytes are of no use to the session.
     pub(crate) chunks_bytes_max: usize,
+    /// Bytes that a piece may take while it is made, as a rule.
+    pub(crate) piece_bytes: usize,
 }
 
 impl Snapshots {
@@ -59,12 +80,10 @@ impl Snapshots {
 
     /// Begins one of a layer as it is now, or of what of it is newer than a stamp, unless one of the stream is being
     /// made, or there are too many. O(cubes).
-    pub(crate) fn begin(&mut self, layer: &Layer, span: Span, newer_than: Option<Stamp>, bytes_max: usize) {
-        if self.making.len() < MAKING_MAX && !self.is_making(span.stream) {
-            let stage = Stage::Reading(Box::new(layer.read_snapshot(newer_than)));
-            let lost_upto = layer.lost_upto().filter(|lost| newer_than.is_none_or(|limit| *lost > limit));
-            let span = Span { lost_upto: lost_upto.filter(|_| !mutation::is(Mutation::DropUnsaid)), ..span };
-            self.making.push_back(Making { span, bytes_max, stage });
+    pub(crate) fn begin(&mut self, layer: &Layer, wanted: Wanted, form: Form) {
+        let stream = wanted.span.stream;
+        if self.making.len() < MAKING_MAX && !self.is_making(stream) {
+            self.making.push_back(Making::new(layer.clone(), wanted, form));
         }
     }
 
@@ -83,7 +102,7 @@ impl Snapshots {
             self.left = self.left.saturating_sub(steps);
             self.most = self.most.max(STEPS_MAX - self.left + beyond);
             if let Some(result) = made {
-                return self.making.pop_front().map(|making| (making.span.stream, result));
+                return self.making.pop_front().map(|making| (making.wanted.span.stream, result));
             }
         }
         None
@@ -91,12 +110,12 @@ impl Snapshots {
 
     /// Lets go of the one of a stream.
     pub(crate) fn forget(&mut self, stream: Stream) {
-        self.making.retain(|making| making.span.stream != stream);
+        self.making.retain(|making| making.wanted.span.stream != stream);
     }
 
     /// The streams of those being made.
     pub(crate) fn streams(&self) -> impl Iterator<Item = Stream> + '_ {
-        self.making.iter().map(|making| making.span.stream)
+        self.making.iter().map(|making| making.wanted.span.stream)
     }
 
     fn is_making(&self, stream: Stream) -> bool {
@@ -115,6 +134,13 @@ impl Snapshots {
 }
 
 impl Making {
+    fn new(layer: Layer, mut wanted: Wanted, form: Form) -> Self {
+        let lost_upto = layer.lost_upto().filter(|lost| wanted.newer_than.is_none_or(|limit| *lost > limit));
+        wanted.span.lost_upto = lost_upto.filter(|_| !mutation::is(Mutation::DropUnsaid));
+        let stage = read(&layer, &wanted, form.piece_bytes, form);
+        Self { wanted, layer, piece_bytes: form.piece_bytes, stage }
+    }
+
     /// Does some of it. Returns the steps taken, and the chunks when they are made.
     fn step(&mut self, form: Form, steps_max: u64) -> Result<(u64, Option<Vec<Package>>), EncodeError> {
         match &mut self.stage {
@@ -122,32 +148,64 @@ impl Making {
                 let (coding, encoder) = &mut **coding;
                 // The paper's codec, which is tried after `flock`, may need half of it.
                 if coding.bytes() > 2 * form.chunks_bytes_max {
-                    return Ok((1, Some(Vec::new())));
+                    return Ok((1, self.try_other(false, form)));
                 }
-                encoder.go_on(coding, steps_max)
+                let (steps, made) = encoder.go_on(coding, steps_max)?;
+                let is_too_long = |chunks: &Vec<Package>| {
+                    chunks.iter().map(|chunk| chunk.bytes().len()).sum::<usize>() > form.chunks_bytes_max
+                };
+                Ok((
+                    steps,
+                    if made.as_ref().is_some_and(is_too_long) { self.try_other(false, form) } else { made },
+                ))
             }
             Stage::Reading(reader) => {
                 let blocks = reader.step(steps_max.div_ceil(BLOCK_STEPS) as usize);
                 let steps = blocks as u64 * BLOCK_STEPS;
-                let read = reader.read();
-                if read.memory_bytes() + read.block_count() * CODED_BLOCK_BYTES > BYTES_MAX {
+                if reader.bytes() > BYTES_MAX {
                     return Ok((steps, Some(Vec::new())));
                 }
                 if blocks > 0 {
                     return Ok((steps, None));
                 }
-                let Some(state) = core::mem::take(&mut **reader).finish() else {
-                    let nothing = Package::of_dropped(self.span, form.resolution);
-                    return Ok((1, Some(nothing.into_iter().collect())));
+                let (span, state) = match reader.finish() {
+                    Piece::State(span, state, _) => (span, state),
+                    Piece::Nothing(span) => {
+                        let nothing = Package::of_dropped(span, form.resolution);
+                        return Ok((1, Some(nothing.into_iter().collect())));
+                    }
+                    Piece::TooMuch => return Ok((1, self.try_other(true, form))),
                 };
                 let steps = BLOCK_STEPS + SENSOR_STEPS * state.sensors().len() as u64;
-                let Self { span, bytes_max, .. } = *self;
+                let Wanted { bytes_max, .. } = self.wanted;
                 let coding = SnapshotCoding::new(form.codec, span, form.resolution, state, bytes_max)?;
                 self.stage = Stage::Coding(Box::new((coding, Encoder::new())));
                 Ok((steps, None))
             }
         }
     }
+
+    /// Begins anew with a larger or a smaller piece. No chunks at all if that was tried.
+    fn try_other(&mut self, is_larger: bool, form: Form) -> Option<Vec<Package>> {
+        let bytes = if is_larger { self.piece_bytes * 2 } else { self.piece_bytes / 2 };
+        let is_back =
+            if is_larger { self.piece_bytes < form.piece_bytes } else { self.piece_bytes > form.piece_bytes };
+        if self.wanted.cuts.is_none() || is_back || !(PIECE_BYTES_MIN..=BYTES_MAX).contains(&bytes) {
+            return Some(Vec::new());
+        }
+        self.piece_bytes = bytes;
+        self.stage = read(&self.layer, &self.wanted, bytes, form);
+        None
+    }
+}
+
+/// Begins to read a state that may take so many bytes.
+fn read(layer: &Layer, wanted: &Wanted, bytes: usize, form: Form) -> Stage {
+    let Wanted { span, newer_than, ref cuts, .. } = *wanted;
+    let voxels = u128::from(PIECE_VOXELS) * form.chunks_bytes_max as u128 * bytes as u128;
+    let voxels = usize::try_from(voxels / form.piece_bytes.max(1) as u128).unwrap_or(usize::MAX);
+    let limit = PieceLimit { bytes, voxels };
+    Stage::Reading(Box::new(PieceReader::new(layer, span, newer_than, cuts.clone(), limit)))
 }
 
 #[cfg(test)]
@@ -162,10 +220,16 @@ mod tests {
             None => panic!("a resolution"),
         },
         chunks_bytes_max: 1 << 20,
+        piece_bytes: 64 << 20,
     };
 
     fn span(origin: u16) -> Span {
-        Span { stream: Stream { origin: RobotId(origin), epoch: 1 }, since: 0, upto: 1, lost_upto: None }
+        let stream = Stream { origin: RobotId(origin), epoch: 1 };
+        Span { stream, since: 0, upto: 1, lost_upto: None, changed_upto: None }
+    }
+
+    fn wanted(origin: u16, newer_than: Option<Stamp>) -> Wanted {
+        Wanted { span: span(origin), newer_than, bytes_max: 1_150, cuts: None }
     }
 
     fn layer() -> Layer {
@@ -180,7 +244,7 @@ mod tests {
     fn each_stream_has_one_at_a_time_and_they_come_in_the_order_in_which_they_were_wanted() {
         let (layer, mut snapshots) = (layer(), Snapshots::default());
         for origin in [3, 1, 3, 2, 1] {
-            snapshots.begin(&layer, span(origin), None, 1_150);
+            snapshots.begin(&layer, wanted(origin, None), FORM);
         }
         assert!(snapshots.go_on(FORM).is_none(), "no call has begun");
         snapshots.note_call();
@@ -196,8 +260,8 @@ mod tests {
     #[test]
     fn one_whose_layer_is_forgotten_is_let_go_of() {
         let (layer, mut snapshots) = (layer(), Snapshots::default());
-        snapshots.begin(&layer, span(1), None, 1_150);
-        snapshots.begin(&layer, span(2), None, 1_150);
+        snapshots.begin(&layer, wanted(1, None), FORM);
+        snapshots.begin(&layer, wanted(2, None), FORM);
         snapshots.forget(span(1).stream);
         snapshots.note_call();
         assert_eq!(snapshots.go_on(FORM).map(|(stream, _)| stream), Some(span(2).stream));
@@ -208,11 +272,11 @@ mod tests {
     fn no_more_wait_than_have_a_place_and_what_is_too_long_is_none() {
         let (layer, mut snapshots) = (layer(), Snapshots::default());
         for origin in 0..20 {
-            snapshots.begin(&layer, span(origin), None, 1_150);
+            snapshots.begin(&layer, wanted(origin, None), FORM);
         }
         assert_eq!(snapshots.streams().count(), MAKING_MAX);
         snapshots.forget(span(0).stream);
-        snapshots.begin(&layer, span(0), Some(Stamp(1)), 1_150);
+        snapshots.begin(&layer, wanted(0, Some(Stamp(1))), FORM);
         assert_eq!(snapshots.streams().last(), Some(span(0).stream));
         let mut made = Vec::new();
         for _ in 0..20 {

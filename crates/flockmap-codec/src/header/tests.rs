@@ -19,7 +19,12 @@ fn header() -> impl Strategy<Value = Header> {
         (any::<u32>(), any::<u32>(), 0..9u32, 9..2_000u32)
             .prop_map(|(since, id, chunk, chunks)| ContentKind::Snapshot { since, id, chunk, chunks }),
     ];
-    let content = (content, 0..Priority::ALL.len(), proptest::option::of(any::<i64>()));
+    let content = (
+        content,
+        0..Priority::ALL.len(),
+        proptest::option::of(any::<i64>()),
+        proptest::option::of(any::<u32>()),
+    );
     let codec = (0..Codec::ALL.len()).prop_map(|at| Codec::ALL[at]);
     (numbers, [stamp.clone(), stamp], region, codec, content).prop_map(
         |(
@@ -27,7 +32,7 @@ fn header() -> impl Strategy<Value = Header> {
             stamps,
             (corner, size),
             codec,
-            (mut content, priority, lost_upto),
+            (mut content, priority, lost_upto, later),
         )| {
             if let ContentKind::Snapshot { since, .. } = &mut content {
                 *since %= index;
@@ -51,6 +56,10 @@ fn header() -> impl Strategy<Value = Header> {
                 codec,
                 content,
                 lost_upto: lost_upto.filter(|_| content != ContentKind::Changes).map(Stamp),
+                changed_upto: later.filter(|_| content != ContentKind::Changes).map(|later| match content {
+                    ContentKind::Snapshot { since, .. } => later.max(since + 1),
+                    ContentKind::Changes => later,
+                }),
             }
         },
     )
@@ -113,6 +122,7 @@ fn a_usual_header_takes_few_bytes() {
         codec: Codec::Paper,
         content: ContentKind::Changes,
         lost_upto: None,
+        changed_upto: None,
         priority: Priority::NearFree,
     };
     assert_eq!(written(&header).len(), 37);
@@ -134,8 +144,20 @@ fn numbers_out_of_range_are_refused() {
     assert_eq!(blocks, "package header: a box of whole blocks is counted in blocks");
     assert_eq!(refused(&|b| b[15] = 5), "package header: a base is an earlier package");
     assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
-    let urgent_state = refused(&|b| b[1] |= KIND_SNAPSHOT << KIND_SHIFT | 1 << 5);
+    let urgent_state = refused(&|b| b[1] |= KIND_SNAPSHOT << KIND_SHIFT | 2 << 5);
     assert_eq!(urgent_state, "package header: a snapshot has priority 0");
+    let snapshot = |end: &[u8]| {
+        let mut bytes =
+            vec![FORMAT_VERSION, 2 | KIND_SNAPSHOT << KIND_SHIFT | 1 << 5, 1, 0, 5, 0, 0, 0xc8, 1];
+        bytes.extend(
+            [0; 6].into_iter().chain([0, 9, 9, 9, 9, 0, 1]).chain(end.iter().copied()).chain([1, 2, 3, 4]),
+        );
+        Header::read(&bytes).map(|(header, ..)| header.changed_upto).map_err(|error| error.to_string())
+    };
+    assert_eq!(snapshot(&[14]), Ok(Some(12)));
+    let rule = "package header: what is lacking of a snapshot is in packages after since";
+    assert_eq!(snapshot(&[9]), Err(rule.into()));
+    assert_eq!(snapshot(&[0xff, 0xff, 0xff, 0xff, 0x0f]), Err(rule.into()));
     assert_eq!(refused(&|b| b[1] = 7), "package codec 7 is not known; the sender may be newer");
     let late = refused(&|b| {
         b[1] |= KIND_SNAPSHOT << KIND_SHIFT;

@@ -339,6 +339,17 @@ impl Place {
             Self::Packed(packed) => Some(packed.newest()),
         }
     }
+
+    /// No voxel is older. O(blocks) of what is open.
+    fn oldest(&self) -> Stamp {
+        match self {
+            Self::Open(open) => {
+                let blocks = open.cube.parts().iter();
+                blocks.map(|block| block.stamps.oldest()).min().unwrap_or_default()
+            }
+            Self::Packed(packed) => packed.oldest(),
+        }
+    }
 }
 
 /// SplitMix64's finaliser over the sum of both.

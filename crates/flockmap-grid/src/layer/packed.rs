@@ -74,6 +74,13 @@ impl PackedCube {
         self.newest
     }
 
+    /// The oldest stamp of all blocks.
+    pub(super) fn oldest(&self) -> Stamp {
+        let mut bytes = &*self.bytes;
+        varint::take(&mut bytes);
+        Stamp(i64::from_le_bytes(*bytes.first_chunk().unwrap_or(&[0; 8])))
+    }
+
     /// Number of blocks.
     pub(super) const fn len(&self) -> usize {
         self.places.count_ones() as usize

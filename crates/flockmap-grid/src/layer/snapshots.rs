@@ -1,6 +1,7 @@
 //! Snapshots of a layer.
 
-use std::collections::BTreeMap;
+use core::cmp::Ordering;
+use std::collections::{BTreeMap, BinaryHeap};
 
 use super::{Layer, Place};
 use crate::block::set_bits;
@@ -33,9 +34,12 @@ impl Layer {
         let is_wanted =
             |place: &&Place| newer_than.is_none_or(|limit| place.newest().is_some_and(|at| at > limit));
         let cubes = self.cubes.iter().filter(|(_, place)| is_wanted(place));
+        let unread =
+            cubes.map(|(at, place)| Unread { oldest: place.oldest(), at: *at, place: place.clone() });
         SnapshotReader {
             newer_than,
-            cubes: cubes.map(|(at, place)| (*at, place.clone())).collect(),
+            upto: None,
+            cubes: unread.collect::<Vec<_>>().into(),
             sensors: self.sensors.by_stamp().clone(),
             groups: Vec::new(),
             voxels: SnapshotVoxels::default(),
@@ -49,13 +53,45 @@ impl Layer {
 #[derive(Debug, Default)]
 pub struct SnapshotReader {
     newer_than: Option<Stamp>,
-    /// Still to be read.
-    cubes: Vec<(BlockIndex, Place)>,
+    /// Of what is newer nothing is read any more.
+    upto: Option<Stamp>,
+    /// Still to be read, those with the oldest stamps first.
+    cubes: BinaryHeap<Unread>,
     sensors: BTreeMap<Stamp, [i32; 3]>,
     /// Kept from block to block: what it says of each stamp, Free and Occupied.
     groups: Vec<(Stamp, [Plane; 2])>,
     voxels: SnapshotVoxels,
 }
+
+/// A cube to be read.
+#[derive(Debug)]
+struct Unread {
+    /// No voxel of it is older.
+    oldest: Stamp,
+    at: BlockIndex,
+    place: Place,
+}
+
+impl Ord for Unread {
+    /// The one that is read first is the greatest.
+    fn cmp(&self, other: &Self) -> Ordering {
+        (other.oldest, other.at).cmp(&(self.oldest, self.at))
+    }
+}
+
+impl PartialOrd for Unread {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Unread {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Unread {}
 
 impl SnapshotReader {
     /// Reads whole cubes, of at most 64 blocks, until it has read `blocks_max` blocks or all. Returns the number of
@@ -63,15 +99,21 @@ impl SnapshotReader {
     pub fn step(&mut self, blocks_max: usize) -> usize {
         let mut read = 0;
         while read < blocks_max
-            && let Some((at, place)) = self.cubes.pop()
+            && let Some(Unread { oldest, at, place }) = self.cubes.pop()
         {
+            if self.upto.is_some_and(|upto| oldest > upto) {
+                self.cubes.clear();
+                break;
+            }
             let cube = place.read();
             for (index, block) in cube.blocks(at) {
                 self.groups.clear();
                 let (mut last, mut of_last) = (None, 0);
                 for bit in set_bits(&block.states.known()) {
                     let stamp = block.stamps.get(bit);
-                    if self.newer_than.is_some_and(|limit| stamp <= limit) {
+                    if self.newer_than.is_some_and(|limit| stamp <= limit)
+                        || self.upto.is_some_and(|upto| stamp > upto)
+                    {
                         continue;
                     }
                     if last != Some(stamp) {
@@ -93,6 +135,28 @@ impl SnapshotReader {
             read += cube.len();
         }
         read
+    }
+
+    /// Lets go of what is newest until what is left is small enough, and reads nothing as new any more; but what has the
+    /// oldest stamp stays. So the state becomes what of it is not newer than [`Self::upto`].
+    pub fn keep_oldest(&mut self, is_small: impl Fn(&SnapshotVoxels) -> bool) {
+        while !is_small(&self.voxels) && self.voxels.has_newer() {
+            let newest = self.voxels.drop_newest();
+            self.upto = newest.map(|stamp| stamp.plus_micros(-1));
+        }
+    }
+
+    /// Lets go of what is newer than a stamp.
+    pub fn keep_upto(&mut self, upto: Stamp) {
+        while self.voxels.newest().is_some_and(|newest| newest > upto) {
+            self.voxels.drop_newest();
+        }
+        self.upto = Some(self.upto.map_or(upto, |before| before.min(upto)));
+    }
+
+    /// `None`: all of the state is read, or will be. Else what is not newer.
+    pub const fn upto(&self) -> Option<Stamp> {
+        self.upto
     }
 
     /// What was read so far, but for sensors.

@@ -55,6 +55,11 @@ impl BlockStamps {
         self.newest
     }
 
+    /// No voxel's stamp is older.
+    pub(super) fn oldest(&self) -> Stamp {
+        self.palette.iter().copied().min().unwrap_or_default()
+    }
+
     /// Gives the voxels of `mask` this stamp. `in_use` are the voxels whose stamps matter.
     pub(super) fn set(&mut self, mask: &Plane, stamp: Stamp, in_use: &Plane) {
         self.newest = self.newest.max(stamp);

@@ -7,13 +7,16 @@ use crate::block::set_bits;
 use crate::changes::bounding_box;
 use crate::{BlockIndex, Changes, Plane, Stamp, State, StateBlock, VoxelBox};
 
-/// A [`Snapshot`] in at most 2 bytes for each voxel, 6 for each block of each stamp, 12 for each block and some 60 for
+/// A [`Snapshot`] in at most 2 bytes for each voxel, 6 for each block of each stamp, 16 for each block and some 60 for
 /// each stamp, and up to a quarter more; of which the parts are made one after the other.
 #[derive(Clone, Debug, Default)]
 pub struct SnapshotVoxels {
     /// `None` while nothing is known.
     region: Option<VoxelBox>,
     blocks: Vec<BlockIndex>,
+    /// How many stamps say something of each of them: 0 if those were let go of.
+    uses: Vec<u32>,
+    used: usize,
     /// What each stamp says of blocks, by their place in `blocks`.
     parts: BTreeMap<Stamp, Records>,
     sensors: Vec<(Stamp, [i32; 3])>,
@@ -63,12 +66,21 @@ impl Records {
     }
 
     fn iter(&self) -> impl Iterator<Item = (u32, StateBlock)> + '_ {
+        self.words().map(|(number, words, count)| (number, block_of(words, count)))
+    }
+
+    /// The numbers of its blocks, and how many voxels each has.
+    fn counts(&self) -> impl Iterator<Item = (u32, usize)> + '_ {
+        self.words().map(|(number, _, count)| (number, count))
+    }
+
+    fn words(&self) -> impl Iterator<Item = (u32, &[u16], usize)> + '_ {
         let mut rest = self.0.as_slice();
         core::iter::from_fn(move || {
             let ([low, high, count], after) = rest.split_first_chunk()?;
             let (words, after) = after.split_at_checked(usize::from(*count).min(LISTED_MAX))?;
             rest = after;
-            Some((u32::from(*low) | u32::from(*high) << 16, block_of(words, usize::from(*count))))
+            Some((u32::from(*low) | u32::from(*high) << 16, words, usize::from(*count)))
         })
     }
 }
@@ -97,14 +109,17 @@ impl SnapshotVoxels {
             self.is_too_large = true;
             return;
         };
-        let mut known = StateBlock::default();
+        let (mut known, mut uses) = (StateBlock::default(), 0);
         for (stamp, block) in said {
             self.add_record(stamp, number, &block);
             known.overlay(&block);
+            uses += 1;
         }
         if let Some(part) = bounding_box(core::iter::once((index, known.known()))) {
             self.region = Some(self.region.map_or(part, |region| region.union(&part)));
             self.blocks.push(index);
+            self.uses.push(uses);
+            self.used += 1;
         }
     }
 
@@ -112,6 +127,31 @@ impl SnapshotVoxels {
         self.record_bytes += self.parts.entry(stamp).or_default().push(number, block);
         self.voxels += block.known_count() as usize;
         self.part_blocks += 1;
+    }
+
+    /// The newest stamp.
+    pub(crate) fn newest(&self) -> Option<Stamp> {
+        self.parts.last_key_value().map(|(stamp, _)| *stamp)
+    }
+
+    /// Whether there is more than one stamp.
+    pub(crate) fn has_newer(&self) -> bool {
+        self.parts.len() > 1
+    }
+
+    /// Lets go of what has the newest stamp. O(voxels of it).
+    pub(crate) fn drop_newest(&mut self) -> Option<Stamp> {
+        let (stamp, part) = self.parts.pop_last()?;
+        self.record_bytes -= part.0.capacity() * size_of::<u16>();
+        for (number, voxels) in part.counts() {
+            self.voxels -= voxels;
+            self.part_blocks -= 1;
+            if let Some(uses) = self.uses.get_mut(number as usize) {
+                *uses -= 1;
+                self.used -= usize::from(*uses == 0);
+            }
+        }
+        Some(stamp)
     }
 
     /// Keeps those of these sensors that are of its stamps. O(stamps + sensors).
@@ -133,11 +173,16 @@ impl SnapshotVoxels {
                 let next = u32::try_from(all.blocks.len()).ok()?;
                 let number = *numbers.entry(*index).or_insert_with(|| {
                     all.blocks.push(*index);
+                    all.uses.push(0);
                     next
                 });
                 all.add_record(*stamp, number, block);
+                if let Some(uses) = all.uses.get_mut(number as usize) {
+                    *uses += 1;
+                }
             }
         }
+        all.used = all.blocks.len();
         Some(all)
     }
 
@@ -194,7 +239,7 @@ impl SnapshotVoxels {
 
     /// Blocks with known voxels.
     pub const fn block_count(&self) -> usize {
-        self.blocks.len()
+        self.used
     }
 
     /// Blocks of all parts, counted together.
@@ -204,7 +249,8 @@ impl SnapshotVoxels {
 
     /// Bytes that it holds, about. O(1).
     pub fn memory_bytes(&self) -> usize {
-        self.blocks.capacity() * size_of::<BlockIndex>() + self.record_bytes + self.parts.len() * PART_BYTES
+        let block_bytes = size_of::<BlockIndex>() + size_of::<u32>();
+        self.blocks.capacity() * block_bytes + self.record_bytes + self.parts.len() * PART_BYTES
     }
 
     /// The same with all parts made.

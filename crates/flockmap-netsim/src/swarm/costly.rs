@@ -53,6 +53,7 @@ impl Costly {
             codec: Codec::Flock,
             content: ContentKind::Changes,
             lost_upto: None,
+            changed_upto: None,
             priority: Priority::NearFree,
         };
         let payload: Vec<u8> = (0..8 + self.random.below(64)).map(|_| self.random.next_u64() as u8).collect();

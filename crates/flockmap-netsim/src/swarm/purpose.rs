@@ -24,3 +24,4 @@ pub(super) const DISK: u64 = 0x5357_000e;
 pub(super) const RUNS: u64 = 0x5357_000f;
 pub(super) const COSTLY: u64 = 0x5357_0010;
 pub(super) const CAPS: u64 = 0x5357_0011;
+pub(super) const PIECES: u64 = 0x5357_0012;

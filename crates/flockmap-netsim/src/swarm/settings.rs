@@ -119,6 +119,10 @@ impl Settings {
             let mut config = RobotConfig::new(RobotId(number as u16 + 1), resolution, RANGE_M);
             config.session = session;
             config.fusion = core::mem::take(&mut caps[number]);
+            if trouble.has_pieces {
+                let mut random = purpose::of_robot(seed, purpose::PIECES, number);
+                config.snapshot_piece_bytes = 8_000 + random.below(80_000) as usize;
+            }
             config.session.swarm_key.clone_from(&key);
             config.seed = seed;
             config.batch = draw_batch(&mut random, options.is_calm);

@@ -16,6 +16,7 @@ const DISKS: f64 = 0.15;
 const PATHS: f64 = 0.8;
 const COSTLY: f64 = 0.1;
 const CAPS: f64 = 0.25;
+const PIECES: f64 = 0.25;
 
 /// What a clock shows when its robot starts again.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -47,6 +48,8 @@ pub(super) struct Trouble {
     pub(super) is_costly: bool,
     /// Limits of layers drawn small.
     pub(super) has_small_layers: bool,
+    /// Snapshots go in small pieces.
+    pub(super) has_pieces: bool,
 }
 
 impl Trouble {
@@ -62,6 +65,7 @@ impl Trouble {
             _ => Boot::GoesOn,
         };
         let has_small_layers = Random::new(options.seed, purpose::CAPS).happens(CAPS) && !options.is_calm;
+        let has_pieces = Random::new(options.seed, purpose::PIECES).happens(PIECES) && !options.is_calm;
         let mut random = Random::new(options.seed, purpose::FIELD);
         // Seldom hundreds.
         let restarts = 12 + (random.unit() * random.unit() * random.unit() * 288.0) as usize;
@@ -74,6 +78,7 @@ impl Trouble {
             has_paths,
             is_costly,
             has_small_layers,
+            has_pieces,
         }
     }
 
@@ -102,6 +107,7 @@ impl Trouble {
             (boot == Boot::Rewinds, "clocks are set back at each start"),
             (self.has_steps, "clocks that stamp scans are stepped while flying"),
             (self.has_faulty_disks, "disks fail"),
+            (self.has_pieces, "snapshots go in small pieces"),
             (self.is_costly, "packages that cost more than they may"),
         ];
         notes.into_iter().filter(|(holds, _)| *holds).map(|(_, note)| note.to_owned()).collect()

@@ -105,17 +105,23 @@ impl Published {
     }
 
     /// The first of some voxels of which a layer has something older than what the received packages say. It may have
-    /// nothing where it says that something as old was dropped.
+    /// nothing where it says that something as old was dropped; and anything where a later package, up to `changed_upto`,
+    /// that was not received says something of the voxel.
     pub(super) fn find_older(
         &self,
         mut voxels: impl Iterator<Item = Voxel>,
         layer: Option<&Layer>,
         received: &IntervalSet,
+        changed_upto: u32,
     ) -> Option<Wrong> {
         voxels.find_map(|voxel| {
             let published = self.observations.get(&voxel)?;
             let Observation { index, stamp, state } =
                 *published.iter().rev().find(|one| received.contains(one.index))?;
+            let is_later = |one: &Observation| one.index > index && one.index <= changed_upto;
+            if published.iter().any(is_later) {
+                return None;
+            }
             let found = layer.and_then(|layer| layer.get(voxel));
             let is_right = match found {
                 Some((is, at)) => at > stamp || (at == stamp && is == state),

@@ -25,6 +25,10 @@ pub(crate) struct Transfer {
     pub(crate) contents: Option<IntervalSet>,
     /// It lacks something itself, nothing newer than this.
     pub(crate) lost_upto: Option<Stamp>,
+    /// It is a piece of a state: what it lacks was changed by packages up to this one.
+    pub(crate) changed_upto: Option<u32>,
+    /// The newest stamp in its chunks so far.
+    pub(crate) newest: Stamp,
     /// Its packages are all held: it brings what was dropped of them.
     pub(crate) is_rest: bool,
     /// Something of the stream was dropped since it began.
@@ -51,6 +55,8 @@ impl Transfer {
             accepted: IntervalSet::new(RECEIVED_INTERVALS_MAX),
             contents: None,
             lost_upto: None,
+            changed_upto: None,
+            newest: Stamp(i64::MIN),
             is_rest: false,
             is_spoiled: false,
             touched: now,

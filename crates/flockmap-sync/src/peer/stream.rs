@@ -25,6 +25,8 @@ pub(crate) struct Sending {
     pub(crate) snapshot_id: u32,
     pub(crate) since: u32,
     pub(crate) upto: u32,
+    /// It is a piece: what it lacks, and packages up to this one that build on that, come by further ones. Else `upto`.
+    pub(crate) pieces_upto: u32,
     /// When the peer last spoke of the snapshot, or it was begun.
     pub(crate) named_at: Stamp,
     /// 0: the peer spoke of the snapshot. Else how often chunks got lost since then, or since it was begun,
@@ -57,6 +59,9 @@ pub(crate) struct PeerStream {
     /// Something of the stream is lacking there; and whether the peer can decode hardly anything that is not
     /// independent.
     pub(crate) in_part: Option<bool>,
+    /// Packages up to this one that build on others it can hardly decode before it holds all of them: it was sent a piece
+    /// of a state.
+    pub(crate) pieces_upto: u32,
     /// It wants all that there is here, of packages 1 to this one at least.
     pub(crate) rest_wanted: Option<u32>,
 }
@@ -83,6 +88,7 @@ impl PeerStream {
             sending: None,
             snapshot_request: None,
             in_part: None,
+            pieces_upto: 0,
             rest_wanted: None,
         }
     }
@@ -96,6 +102,14 @@ impl PeerStream {
 }
 
 impl PeerStream {
+    /// Begins to send it a snapshot.
+    pub(crate) fn begin(&mut self, sending: Sending) {
+        if sending.pieces_upto > sending.upto {
+            self.pieces_upto = self.pieces_upto.max(sending.pieces_upto);
+        }
+        self.sending = Some(sending);
+    }
+
     /// Notes that an item need not be sent now; whether that was news. A view that is too torn to note it
     /// says no. Such an item is not sent either: it would be sent again and again.
     pub(crate) fn cover(&mut self, item: Item) -> bool {

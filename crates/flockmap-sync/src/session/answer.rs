@@ -355,6 +355,6 @@ fn send_what_has_a_place(
         && outgoing.since <= since_max
         && outgoing.helps(&theirs.received)
     {
-        theirs.sending = Some(outgoing.sending(now));
+        theirs.begin(outgoing.sending(now));
     }
 }

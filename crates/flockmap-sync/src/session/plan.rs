@@ -50,9 +50,9 @@ impl Session {
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
             let Some(theirs) = peer.streams.get(&stream) else { continue };
             let upto = self.store.newest_known(stream);
-            // What a snapshot brings that is in flight, or being made, is not sent beside it.
+            // What a snapshot or its next pieces bring that is in flight, or being made, is not sent beside it.
             let of_snapshot = match &theirs.sending {
-                Some(sending) => Some((sending.since, sending.upto)),
+                Some(sending) => Some((sending.since, sending.pieces_upto)),
                 None => self.outbox.coming_to(now, stream, peer.stream.origin),
             };
             let (since, after) = of_snapshot.map_or((0, 1), |(since, upto)| (since, upto.saturating_add(1)));

@@ -7,7 +7,7 @@ use crate::item::Item;
 use crate::store::NoRoom;
 use crate::wire::Contents;
 use crate::{Cast, IntervalSet};
-use flockmap_codec::{Codec, ContentKind, Package};
+use flockmap_codec::{Codec, ContentKind, Header, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 impl Session {
@@ -30,9 +30,10 @@ impl Session {
                 match package.header().content {
                     ContentKind::Changes => self.receive_changes(now, sender.origin, package),
                     ContentKind::Snapshot { since, id: snapshot_id, chunk, chunks } => {
-                        let lost_upto = package.header().lost_upto;
+                        let &Header { lost_upto, changed_upto, .. } = package.header();
                         let incoming = Transfer {
                             lost_upto,
+                            changed_upto,
                             ..Transfer::new(sender.origin, stream, [since, index], snapshot_id, chunks, now)
                         };
                         self.receive_chunk(now, incoming, chunk, package);
@@ -216,7 +217,7 @@ impl Session {
             match item {
                 Item::Package { stream, index } => self.accept_changes(now, stream, index, package),
                 Item::Chunk { stream, snapshot_id, chunk } => {
-                    self.accept_chunk(now, from, stream, snapshot_id, chunk)
+                    self.accept_chunk(now, from, (stream, snapshot_id), chunk, package.header().batch_end)
                 }
             }
             self.note_activity(now);

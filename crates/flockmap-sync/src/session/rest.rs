@@ -128,7 +128,7 @@ impl Session {
 
     /// All chunks of a snapshot were merged.
     pub(super) fn note_complete(&mut self, transfer: &Complete) {
-        let &Complete { source, stream, since, upto, lacks_too } = transfer;
+        let &Complete { source, stream, since, upto, lacks_too, .. } = transfer;
         // Nor may anything be gone again of packages that another one brings when it is complete.
         let is_any_spoiled = self.inbox.transfers.iter().any(|t| t.stream == stream && t.is_spoiled);
         let is_all = since == 0 && !lacks_too && !is_any_spoiled && self.has_lacking(stream, upto);
@@ -245,6 +245,7 @@ impl Session {
                 newer_than: None,
                 upto: prefix,
                 bytes_max,
+                in_pieces: false,
                 peer: id,
             };
             self.request_snapshot(now, stream, wanted, None);
@@ -264,13 +265,16 @@ pub(super) struct Complete {
     pub(super) stream: Stream,
     pub(super) since: u32,
     pub(super) upto: u32,
+    /// Of a piece of a state: its newest stamp.
+    pub(super) newest_of_piece: Option<Stamp>,
     /// It lacks something itself.
     lacks_too: bool,
 }
 
 impl Complete {
-    pub(super) const fn of(transfer: &Transfer) -> Self {
-        let &Transfer { source, stream, since, upto, lost_upto, .. } = transfer;
-        Self { source, stream, since, upto, lacks_too: lost_upto.is_some() }
+    pub(super) fn of(transfer: &Transfer) -> Self {
+        let &Transfer { source, stream, since, upto, lost_upto, changed_upto, newest, .. } = transfer;
+        let newest_of_piece = changed_upto.map(|_| newest);
+        Self { source, stream, since, upto, newest_of_piece, lacks_too: lost_upto.is_some() }
     }
 }

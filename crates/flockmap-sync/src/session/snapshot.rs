@@ -100,7 +100,7 @@ impl Session {
         held: Option<IntervalSet>,
     ) -> Option<Outgoing> {
         let first = chunks.first()?.header();
-        let is_in_part = first.lost_upto.is_some();
+        let (is_in_part, changed_upto) = (first.lost_upto.is_some(), first.changed_upto);
         let (upto, count) = (first.index, chunks.len() as u32);
         let ContentKind::Snapshot { since, id: snapshot_id, .. } = first.content else {
             self.report.counters.snapshots_unusable += 1;
@@ -127,7 +127,18 @@ impl Session {
             self.report.counters.snapshots_unusable += 1;
             return None;
         }
-        Some(Outgoing { stream, snapshot_id, since, upto, contents, is_in_part, chunks, bytes, used_at: now })
+        Some(Outgoing {
+            stream,
+            snapshot_id,
+            since,
+            upto,
+            contents,
+            is_in_part,
+            changed_upto,
+            chunks,
+            bytes,
+            used_at: now,
+        })
     }
 
     /// Decides whether a peer gets the snapshot of a stream, or of a part of its history, instead of packages.
@@ -206,7 +217,9 @@ impl Session {
             self.begin_to_send(now, id, at);
         } else {
             let (since, bytes_max) = (upto - 1, PARTS_CHUNK_BYTES_MAX);
-            let wanted = Event::SnapshotWanted { stream, since, newer_than: None, upto, bytes_max, peer: id };
+            let (newer_than, in_pieces) = (None, false);
+            let wanted =
+                Event::SnapshotWanted { stream, since, newer_than, upto, bytes_max, in_pieces, peer: id };
             let held = Some(received.clone());
             self.request_snapshot(now, stream, wanted, held);
         }
@@ -270,8 +283,10 @@ impl Session {
             since_max = since_max.min(since);
         }
         if let Some(sending) = &mut theirs.sending {
+            let is_piece = sending.pieces_upto > sending.upto;
             // What it cannot decode it states as held.
             let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto)
+                || request.is_some_and(|(since, ..)| is_piece && since < sending.upto)
                 || theirs.rest_wanted.is_some_and(|upto| sending.since == 0 && upto <= sending.upto);
             // Of what lies above it the next one may be short.
             let is_sound = sending.since <= since_max;
@@ -281,6 +296,8 @@ impl Session {
             }
             theirs.sending = None;
         }
+        // Packages would be of no use to who has a piece.
+        let is_begun = theirs.received.prefix() < theirs.pieces_upto.min(prefix);
         let mut missing = lacks;
         if relay_rank > 0 {
             missing = missing.intersection(&theirs.overdue);
@@ -301,7 +318,8 @@ impl Session {
         let at_hand = self.outbox.at_hand(stream, since_max, is_in_part);
         let estimate = at_hand.map_or(0, |at| self.outbox.snapshots[at].cost(since, prefix));
         // A snapshot that lacks something is no good where packages bring all.
-        let is_worth = all.unstored || (!is_in_part && self.config.snapshot_is_worth(&all, estimate));
+        let is_worth =
+            all.unstored || is_begun || (!is_in_part && self.config.snapshot_is_worth(&all, estimate));
         if !can_give || (wanted.is_none() && !is_worth) {
             return;
         }
@@ -311,6 +329,11 @@ impl Session {
                 || self.is_on_air(stream, self.outbox.snapshots[at].snapshot_id, id)
         });
         if let Some(at) = at_hand {
+            if self.outbox.snapshots[at].changed_upto.is_some() {
+                // One that is made now would be another piece.
+                self.begin_to_send(now, id, at);
+                return;
+            }
             let (upto, cost) = (self.outbox.snapshots[at].upto, self.outbox.snapshots[at].bytes as u64);
             let received_or_in_flight = self.store.weigh(stream, &missing, upto);
             let rest = all.bytes - received_or_in_flight.bytes;
@@ -327,7 +350,9 @@ impl Session {
             }
         }
         let bytes_max = self.package_bytes_max();
-        let wanted = Event::SnapshotWanted { stream, since, newer_than, upto: prefix, bytes_max, peer: id };
+        let (upto, in_pieces) = (prefix, true);
+        let wanted =
+            Event::SnapshotWanted { stream, since, newer_than, upto, bytes_max, in_pieces, peer: id };
         self.request_snapshot(now, stream, wanted, None);
     }
 
@@ -338,7 +363,7 @@ impl Session {
         };
         outgoing.used_at = now;
         if let Some(theirs) = peer.streams.get_mut(&outgoing.stream) {
-            theirs.sending = Some(outgoing.sending(now));
+            theirs.begin(outgoing.sending(now));
         }
         peer.queue_stale = true;
     }

@@ -62,9 +62,9 @@ impl Session {
         &mut self,
         now: Stamp,
         from: RobotId,
-        stream: Stream,
-        snapshot_id: u32,
+        (stream, snapshot_id): (Stream, u32),
         chunk: u32,
+        newest: Stamp,
     ) {
         let found = self
             .inbox
@@ -72,6 +72,8 @@ impl Session {
             .iter()
             .position(|t| (t.source, t.stream, t.snapshot_id) == (from, stream, snapshot_id));
         let Some(at) = found else { return };
+        let transfer = &mut self.inbox.transfers[at];
+        transfer.newest = transfer.newest.max(newest);
         match self.inbox.transfers[at].accepted.insert(chunk + 1) {
             Ok(is_new) => self.report.counters.chunks_accepted += u64::from(is_new),
             Err(_) => {
@@ -133,6 +135,9 @@ impl Session {
                 self.report.counters.caught_up += 1;
                 if is_whole {
                     self.note_complete(&of);
+                    if let Some(newest) = of.newest_of_piece {
+                        self.store.note_stamp(stream, upto, newest);
+                    }
                 }
                 let upto = self.store.received(stream).map_or(0, IntervalSet::prefix);
                 if let Some((snapshot_id, received)) = contents {

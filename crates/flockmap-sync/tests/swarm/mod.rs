@@ -253,7 +253,7 @@ impl Swarm {
                             .encoder
                             .encode_span(
                                 Codec::Paper,
-                                Span { stream, since, upto, lost_upto: None },
+                                Span { stream, since, upto, lost_upto: None, changed_upto: None },
                                 resolution,
                                 &state,
                                 PACKAGE_BYTES_MAX,

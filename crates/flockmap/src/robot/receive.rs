@@ -8,6 +8,7 @@ use flockmap_sync::Verdict;
 use super::Robot;
 use crate::effort::MERGE_BLOCK_STEPS;
 use crate::readers::{Readers, SnapshotId};
+use crate::snapshots::Wanted;
 use crate::{Event, Refusal};
 
 impl Robot {
@@ -24,13 +25,19 @@ impl Robot {
                     let verdict = self.receive(now, &package);
                     self.session.verdict(now, &package, verdict);
                 }
-                SessionEvent::SnapshotWanted { stream, since, newer_than, upto, bytes_max, .. } => {
-                    self.begin_snapshot(
-                        now,
-                        Span { stream, since, upto, lost_upto: None },
-                        newer_than,
-                        bytes_max,
-                    );
+                SessionEvent::SnapshotWanted {
+                    stream,
+                    since,
+                    newer_than,
+                    upto,
+                    bytes_max,
+                    in_pieces,
+                    ..
+                } => {
+                    let cuts = self.session.cuts(stream, upto);
+                    let span = Span { stream, since, upto, lost_upto: None, changed_upto: cuts.changed_upto };
+                    let cuts = Some(cuts).filter(|_| in_pieces);
+                    self.begin_snapshot(now, Wanted { span, newer_than, bytes_max, cuts });
                 }
                 SessionEvent::SnapshotDropped { stream, snapshot_id } => {
                     self.readers.drop_one((stream, snapshot_id))
@@ -104,6 +111,7 @@ impl Robot {
     fn merge_package(&mut self, now: Stamp, package: &Package) -> Result<Event, Refusal> {
         let header = *package.header();
         let stream = header.stream;
+        self.session.check_base(package)?;
         let content = self.decoder.decode_against(package, self.fusion.layer(stream));
         self.note_decoded();
         let changes = match content? {
@@ -138,6 +146,7 @@ impl Robot {
 
     fn merge_snapshot(&mut self, now: Stamp, package: &Package, state: &Snapshot) -> Result<Event, Refusal> {
         let &Header { stream, index: upto, lost_upto, .. } = package.header();
+        self.session.note_piece(package.header());
         self.note_clock(stream);
         self.note_merging(state.parts.iter().map(|(_, part)| part.blocks().len()).sum());
         if let Some(lost_upto) = lost_upto

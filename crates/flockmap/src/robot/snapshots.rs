@@ -1,27 +1,21 @@
 //! Snapshots for peers that miss too much: begun when the session wants one, made in slices.
 
-use flockmap_codec::Span;
 use flockmap_grid::Stamp;
 
 use super::Robot;
-use crate::snapshots::Form;
+use crate::snapshots::{Form, Wanted};
 use crate::{Event, RobotConfig};
 
 impl Robot {
     /// Begins a snapshot of the layer of a stream as it is, or of what of it is newer than a stamp. A small one is
     /// made at once.
-    pub(super) fn begin_snapshot(
-        &mut self,
-        now: Stamp,
-        span: Span,
-        newer_than: Option<Stamp>,
-        bytes_max: usize,
-    ) {
-        let stream = span.stream;
+    pub(super) fn begin_snapshot(&mut self, now: Stamp, wanted: Wanted) {
+        let stream = wanted.span.stream;
+        let form = self.snapshot_form();
         let is_whole = stream != self.own_stream() || self.own_layer_has_all();
         match self.fusion.layer(stream).filter(|_| is_whole) {
             Some(layer) => {
-                self.snapshots.begin(layer, span, newer_than, bytes_max);
+                self.snapshots.begin(layer, wanted, form);
                 self.go_on_with_snapshots(now);
             }
             // There is none to give.
@@ -32,9 +26,7 @@ impl Robot {
     /// Makes some more of the snapshots that were begun, as far as this call has time for it, and gives the session
     /// what is complete.
     pub(super) fn go_on_with_snapshots(&mut self, now: Stamp) {
-        let RobotConfig { codec, ref mapper, ref session, .. } = self.config;
-        let chunks_bytes_max = session.snapshot_bytes_max;
-        let form = Form { codec, resolution: mapper.resolution, chunks_bytes_max };
+        let form = self.snapshot_form();
         while let Some((stream, result)) = self.snapshots.go_on(form) {
             match result {
                 Ok(chunks) => {
@@ -47,6 +39,17 @@ impl Robot {
         self.counters.snapshot_steps_most = self.snapshots.steps_most();
         for stream in self.snapshots.streams() {
             self.session.snapshot_is_coming(now, stream);
+        }
+    }
+
+    const fn snapshot_form(&self) -> Form {
+        let RobotConfig { codec, ref mapper, ref session, snapshot_piece_bytes: piece_bytes, .. } =
+            self.config;
+        Form {
+            codec,
+            resolution: mapper.resolution,
+            chunks_bytes_max: session.snapshot_bytes_max,
+            piece_bytes,
         }
     }
 }

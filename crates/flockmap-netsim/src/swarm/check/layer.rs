@@ -25,7 +25,8 @@ fn older(
     voxels: impl Iterator<Item = Voxel>,
 ) -> Option<Finding> {
     let received = robot.session().received(stream)?;
-    let wrong = published.find_older(voxels, robot.fusion().layer(stream), received)?;
+    let changed_upto = robot.session().cuts(stream, u32::MAX).changed_upto.unwrap_or(0);
+    let wrong = published.find_older(voxels, robot.fusion().layer(stream), received, changed_upto)?;
     Some(Finding::of_voxel(NAME, stream, wrong))
 }
 

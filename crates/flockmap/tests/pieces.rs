@@ -1,0 +1,125 @@
+//! A state that is too large for one snapshot comes in pieces, the oldest first: all of it, whatever goes on meanwhile.
+
+#[allow(dead_code, reason = "layers are compared one by one here")]
+mod common;
+
+use common::{PERFECT, Radio, Random, Swarm, config, scan};
+use flockmap::{Codec, Event, Pose, RobotConfig, Stream};
+
+const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.05, damage: 0.01, delay_ms: (5.0, 60.0) };
+
+/// Robots that keep next to no packages, and whose snapshots have a hundred thousand voxels at most.
+fn configs(count: u16) -> Vec<RobotConfig> {
+    let small = |id| {
+        let mut config = RobotConfig { codec: Codec::Flock, ..config(id) };
+        config.session.store_bytes_max = 20_000;
+        config.session.snapshot_bytes_max = 20_000;
+        config
+    };
+    (1..=count).map(small).collect()
+}
+
+/// A robot flies so many tenths of a second, to and fro over sixty metres.
+fn fly(swarm: &mut Swarm, robot: usize, ticks: std::ops::Range<i32>, random: &mut Random) {
+    for tick in ticks {
+        let scan = scan(random, swarm.now);
+        let x = f64::from((tick % 300 - 150).abs()) * 0.4;
+        swarm.scan(robot, &scan, &Pose::from_translation([x, 0.0, 0.0]));
+        swarm.run(100);
+    }
+    swarm.robots[robot].flush(swarm.now);
+}
+
+fn digest(swarm: &Swarm, robot: usize, stream: Stream) -> Option<u64> {
+    swarm.robots[robot].fusion().layer(stream).map(flockmap::grid::Layer::digest)
+}
+
+fn prefix(swarm: &Swarm, robot: usize, stream: Stream) -> u32 {
+    swarm.robots[robot].session().received(stream).map_or(0, |received| received.prefix())
+}
+
+/// Up to where a robot held all packages of a stream when a snapshot had come.
+fn caught_up(swarm: &Swarm, robot: usize, stream: Stream) -> Vec<u32> {
+    let upto = |event: &Event| match event {
+        Event::CaughtUp { stream: of, upto } if *of == stream => Some(*upto),
+        _ => None,
+    };
+    swarm.events[robot].iter().filter_map(upto).collect()
+}
+
+fn is_in_pieces(swarm: &Swarm, robot: usize, stream: Stream) -> bool {
+    swarm.robots[robot].session().cuts(stream, u32::MAX).changed_upto.is_some()
+}
+
+#[test]
+fn who_joins_late_gets_all_of_a_state_that_is_too_large_for_one_snapshot() {
+    for (radio, seed) in [(PERFECT, 1), (LOSSY, 2), (LOSSY, 3)] {
+        let mut swarm = Swarm::new(configs(2), radio, seed);
+        swarm.cut = vec![(0, 1)];
+        let mut random = Random(seed);
+        fly(&mut swarm, 0, 0..700, &mut random);
+        let own = swarm.robots[0].own_stream();
+        assert!(swarm.robots[0].fusion().layer(own).unwrap().len() > 150_000);
+        swarm.cut.clear();
+        swarm.run(60_000);
+        assert_eq!(digest(&swarm, 1, own), digest(&swarm, 0, own), "seed {seed}");
+        assert_eq!(prefix(&swarm, 1, own), prefix(&swarm, 0, own), "seed {seed}");
+        let pieces = caught_up(&swarm, 1, own);
+        assert!(pieces.len() >= 3 && pieces.is_sorted(), "seed {seed}: {pieces:?}");
+        assert!(!is_in_pieces(&swarm, 1, own));
+        // Each was made once.
+        assert!(swarm.robots[0].counters().snapshots <= pieces.len() as u64 + 1, "seed {seed}");
+        assert_eq!(swarm.robots[1].counters().damaged, 0, "seed {seed}");
+    }
+}
+
+#[test]
+fn what_the_origin_says_while_pieces_come_arrives_too() {
+    for (radio, seed) in [(PERFECT, 4), (LOSSY, 5)] {
+        let mut swarm = Swarm::new(configs(2), radio, seed);
+        swarm.cut = vec![(0, 1)];
+        let mut random = Random(seed);
+        fly(&mut swarm, 0, 0..500, &mut random);
+        let own = swarm.robots[0].own_stream();
+        swarm.cut.clear();
+        // It flies over what it has seen: much of what the pieces say is outdated before they have come.
+        fly(&mut swarm, 0, 500..800, &mut random);
+        assert!(caught_up(&swarm, 1, own).len() >= 2, "seed {seed}");
+        swarm.run(60_000);
+        assert_eq!(digest(&swarm, 1, own), digest(&swarm, 0, own), "seed {seed}");
+        assert_eq!(swarm.robots[1].counters().damaged, 0, "seed {seed}");
+    }
+}
+
+#[test]
+fn who_has_some_pieces_passes_on_what_it_has_when_the_origin_is_gone() {
+    for (radio, seed) in [(PERFECT, 6), (LOSSY, 7)] {
+        let mut swarm = Swarm::new(configs(3), radio, seed);
+        swarm.cut = vec![(0, 1), (0, 2), (1, 2)];
+        let mut random = Random(seed);
+        fly(&mut swarm, 0, 0..700, &mut random);
+        let own = swarm.robots[0].own_stream();
+        swarm.cut = vec![(0, 2), (1, 2)];
+        let mut steps = 0;
+        while caught_up(&swarm, 1, own).len() < 2 {
+            swarm.run(20);
+            steps += 1;
+            assert!(steps < 3_000, "seed {seed}");
+        }
+        // The origin goes out of reach.
+        swarm.cut = vec![(0, 1), (0, 2)];
+        assert!(is_in_pieces(&swarm, 1, own) && prefix(&swarm, 1, own) < prefix(&swarm, 0, own));
+        swarm.run(60_000);
+        assert!(prefix(&swarm, 2, own) > 0, "seed {seed}");
+        assert_eq!(prefix(&swarm, 2, own), prefix(&swarm, 1, own), "seed {seed}");
+        assert!(is_in_pieces(&swarm, 2, own), "seed {seed}");
+        // It comes back.
+        swarm.cut.clear();
+        swarm.run(90_000);
+        for robot in [1, 2] {
+            assert_eq!(digest(&swarm, robot, own), digest(&swarm, 0, own), "seed {seed}, robot {robot}");
+            assert!(!is_in_pieces(&swarm, robot, own), "seed {seed}, robot {robot}");
+            assert_eq!(swarm.robots[robot].counters().damaged, 0, "seed {seed}");
+        }
+    }
+}
