@@ -22,7 +22,7 @@ impl RobotConfig {
     /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read (half as
     /// much), parts of layers and of the fused map that were unpacked to be read, events that nobody takes; a snapshot
     /// that is being made, 256 MiB at most, and layers as they were when snapshots of them were wanted, which are shared
-    /// with the layers but for what changes until they are read. By default 2.0 GB, by broadcast 2.3 GB, of which honest
+    /// with the layers but for what changes until they are read. By default 2.7 GB, by broadcast 3.0 GB, of which honest
     /// robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth

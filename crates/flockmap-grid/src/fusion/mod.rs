@@ -44,7 +44,7 @@ pub struct FusionConfig {
     /// map; beyond that what is far and old is dropped for what is near and new. A block of 8³ voxels takes 0.5 to
     /// 1.5 kB as a rule while it is changed, and 11 kB if each of its voxels changed last in another batch; 0.1 kB,
     /// when nothing near it has changed for long. One merge may go beyond by what it adds to the fused map in new places, at most
-    /// 64 MiB. Default 512 MiB.
+    /// 64 MiB. Default 768 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "layers_mb", with = "crate::units::Mebibytes"))]
     pub layer_bytes_max: usize,
     /// The same for the layer of the own stream: what of the own map was published. Who joins late gets what is left
@@ -60,7 +60,7 @@ impl Default for FusionConfig {
     fn default() -> Self {
         Self {
             own_priority_micros: 1_000_000,
-            layer_bytes_max: 512 << 20,
+            layer_bytes_max: 768 << 20,
             own_layer_bytes_max: 256 << 20,
             streams_max: 256,
         }
