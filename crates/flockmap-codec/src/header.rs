@@ -41,8 +41,10 @@ pub struct Header {
     /// this stamp. `None`: nothing is lacking; so of all changes.
     pub lost_upto: Option<Stamp>,
     /// Of a snapshot: who made it knew of packages that are not contained, up to this one at most, and what these changed
-    /// is not in it, nor what was there before. `None`: nothing is lacking for that; so of all changes. Above `since`.
+    /// is not in it, nor what was there before. `None`: nothing is lacking for that; so of all changes. From 1.
     pub changed_upto: Option<u32>,
+    /// Of a snapshot with that: nothing is in it that is newer than the packages that are contained.
+    pub is_cut: bool,
     /// What to send first where there is not room for all. Of a snapshot always `Obstacles`.
     pub priority: Priority,
 }
@@ -88,7 +90,8 @@ const KIND_INDEPENDENT: u8 = 2;
 /// A snapshot that lacks what was dropped.
 const KIND_SNAPSHOT_IN_PART: u8 = 3;
 /// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority, or of a snapshot
-/// bit 5: what later packages changed is lacking; bit 7: the box is made of whole blocks, and counted in these.
+/// bit 5: what later packages changed is lacking, and with that bit 6: what they say too; bit 7: the box is made of whole
+/// blocks, and counted in these.
 const BOX_IN_BLOCKS: u8 = 1 << 7;
 const KIND_SHIFT: u32 = 3;
 const PRIORITY_SHIFT: u32 = 5;
@@ -111,7 +114,9 @@ impl Header {
         let (unit, flag) = if is_in_blocks(&self.region) { (BLOCK_SIDE, BOX_IN_BLOCKS) } else { (1, 0) };
         let priority = match self.content {
             ContentKind::Changes => self.priority as u8,
-            ContentKind::Snapshot { .. } => u8::from(self.changed_upto.is_some()),
+            ContentKind::Snapshot { .. } => {
+                u8::from(self.changed_upto.is_some()) | u8::from(self.is_cut) << 1
+            }
         };
         out.push(self.codec.id() | kind << KIND_SHIFT | priority << PRIORITY_SHIFT | flag);
         put_varint(out, u64::from(self.stream.origin.0));
@@ -158,13 +163,12 @@ impl Header {
         let codec = Codec::from_id(codec).ok_or(PackageError::Codec { found: codec })?;
         let unit = if all & BOX_IN_BLOCKS == 0 { 1 } else { BLOCK_SIDE };
         let is_snapshot = [KIND_SNAPSHOT, KIND_SNAPSHOT_IN_PART].contains(&kind);
-        let (is_piece, priority) =
-            if is_snapshot { (priority & 1 == 1, priority >> 1) } else { (false, priority) };
-        let priority = Priority::ALL.get(usize::from(priority)).copied();
-        let priority = priority.ok_or_else(|| wrong("priorities are 0 to 2"))?;
-        if is_snapshot && priority != Priority::Obstacles {
-            return Err(wrong("a snapshot has priority 0"));
+        let (is_piece, is_cut) = (is_snapshot && priority & 1 == 1, is_snapshot && priority & 2 == 2);
+        if is_cut && !is_piece {
+            return Err(wrong("a snapshot that is cut says up to which package"));
         }
+        let priority = Priority::ALL.get(if is_snapshot { 0 } else { usize::from(priority) }).copied();
+        let priority = priority.ok_or_else(|| wrong("priorities are 0 to 2"))?;
         let u32_max = u64::from(u32::MAX);
         let origin = RobotId(reader.number("origin", u64::from(u16::MAX))? as u16);
         let epoch = reader.number("epoch", u64::MAX)?;
@@ -197,9 +201,8 @@ impl Header {
             }
             if is_piece {
                 let upto = reader.signed("changed upto")?.checked_add(i64::from(index));
-                changed_upto = upto.and_then(|upto| u32::try_from(upto).ok()).filter(|upto| *upto > since);
-                changed_upto
-                    .ok_or_else(|| wrong("what is lacking of a snapshot is in packages after since"))?;
+                changed_upto = upto.and_then(|upto| u32::try_from(upto).ok()).filter(|upto| *upto > 0);
+                changed_upto.ok_or_else(|| wrong("indices begin at 1"))?;
             }
             (ContentKind::Snapshot { since, id, chunk, chunks }, 0)
         } else {
@@ -226,6 +229,7 @@ impl Header {
             content,
             lost_upto,
             changed_upto,
+            is_cut,
             priority,
         };
         Ok((header, Tail { checked, check }, reader.rest()))

@@ -33,4 +33,6 @@ pub struct Span {
     pub lost_upto: Option<Stamp>,
     /// What packages that are not contained changed is lacking, up to this one at most. `None`: nothing is.
     pub changed_upto: Option<u32>,
+    /// And nothing is there that is newer than these packages.
+    pub is_cut: bool,
 }

@@ -107,6 +107,7 @@ fn cube(side: u32, byte: u8) -> Package {
         content: flockmap_codec::ContentKind::Changes,
         lost_upto: None,
         changed_upto: None,
+        is_cut: false,
         priority: Priority::NearFree,
     };
     let package = Package::from_parts(&header, &payload, 0);

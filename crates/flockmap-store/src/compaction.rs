@@ -77,7 +77,8 @@ impl StreamCopy {
         // One of a history with gaps says by itself no more than its newest package.
         let is_whole = received.contains_range(1, upto);
         let (since, changed_upto) = (if is_whole { 0 } else { upto - 1 }, cuts.changed_upto);
-        let mut span = Span { stream, since, upto, lost_upto: layer.lost_upto(), changed_upto };
+        let mut span =
+            Span { stream, since, upto, lost_upto: layer.lost_upto(), changed_upto, is_cut: false };
         let (mut chunks, mut newer_than, mut limit) = (Vec::new(), None, PIECE);
         loop {
             let cuts = Some(cuts.clone()).filter(|_| is_whole);

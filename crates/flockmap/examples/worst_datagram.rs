@@ -231,6 +231,7 @@ fn package(case: &Case, draft: &Draft, index: u32, decoder: &mut Decoder, layer:
         content,
         lost_upto: None,
         changed_upto: None,
+        is_cut: false,
         priority: Priority::Obstacles,
     };
     let mut check = 0;

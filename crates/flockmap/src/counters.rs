@@ -54,6 +54,8 @@ pub struct RobotCounters {
     pub foreign_resolution: u64,
     /// Snapshots made for others.
     pub snapshots: u64,
+    /// Of these, pieces of a state that was too large for one.
+    pub snapshot_pieces: u64,
     /// Most steps of work that one call took for these; a step is some 3 ns.
     pub snapshot_steps_most: u64,
     /// Runs begun while flying, since the own id was used with a higher epoch.

@@ -77,7 +77,7 @@ impl PieceReader {
             let Some((upto, stamp)) = cuts.upto(span.since, limit) else { return Piece::TooMuch };
             reader.keep_upto(stamp);
             let changed_upto = Some(cuts.newest).filter(|_| !mutation::is(Mutation::PieceUnsaid));
-            span = Span { upto, changed_upto, ..span };
+            span = Span { upto, changed_upto, is_cut: changed_upto.is_some(), ..span };
         }
         let rest = reader.upto();
         match reader.finish() {

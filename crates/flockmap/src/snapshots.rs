@@ -225,7 +225,7 @@ mod tests {
 
     fn span(origin: u16) -> Span {
         let stream = Stream { origin: RobotId(origin), epoch: 1 };
-        Span { stream, since: 0, upto: 1, lost_upto: None, changed_upto: None }
+        Span { stream, since: 0, upto: 1, lost_upto: None, changed_upto: None, is_cut: false }
     }
 
     fn wanted(origin: u16, newer_than: Option<Stamp>) -> Wanted {

@@ -56,10 +56,8 @@ fn header() -> impl Strategy<Value = Header> {
                 codec,
                 content,
                 lost_upto: lost_upto.filter(|_| content != ContentKind::Changes).map(Stamp),
-                changed_upto: later.filter(|_| content != ContentKind::Changes).map(|later| match content {
-                    ContentKind::Snapshot { since, .. } => later.max(since + 1),
-                    ContentKind::Changes => later,
-                }),
+                changed_upto: later.filter(|_| content != ContentKind::Changes).map(|later| later.max(1)),
+                is_cut: later.is_some_and(|later| later % 2 == 0) && content != ContentKind::Changes,
             }
         },
     )
@@ -123,6 +121,7 @@ fn a_usual_header_takes_few_bytes() {
         content: ContentKind::Changes,
         lost_upto: None,
         changed_upto: None,
+        is_cut: false,
         priority: Priority::NearFree,
     };
     assert_eq!(written(&header).len(), 37);
@@ -145,7 +144,7 @@ fn numbers_out_of_range_are_refused() {
     assert_eq!(refused(&|b| b[15] = 5), "package header: a base is an earlier package");
     assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
     let urgent_state = refused(&|b| b[1] |= KIND_SNAPSHOT << KIND_SHIFT | 2 << 5);
-    assert_eq!(urgent_state, "package header: a snapshot has priority 0");
+    assert_eq!(urgent_state, "package header: a snapshot that is cut says up to which package");
     let snapshot = |end: &[u8]| {
         let mut bytes =
             vec![FORMAT_VERSION, 2 | KIND_SNAPSHOT << KIND_SHIFT | 1 << 5, 1, 0, 5, 0, 0, 0xc8, 1];
@@ -155,7 +154,7 @@ fn numbers_out_of_range_are_refused() {
         Header::read(&bytes).map(|(header, ..)| header.changed_upto).map_err(|error| error.to_string())
     };
     assert_eq!(snapshot(&[14]), Ok(Some(12)));
-    let rule = "package header: what is lacking of a snapshot is in packages after since";
+    let rule = "package header: indices begin at 1";
     assert_eq!(snapshot(&[9]), Err(rule.into()));
     assert_eq!(snapshot(&[0xff, 0xff, 0xff, 0xff, 0x0f]), Err(rule.into()));
     assert_eq!(refused(&|b| b[1] = 7), "package codec 7 is not known; the sender may be newer");

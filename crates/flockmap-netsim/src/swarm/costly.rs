@@ -54,6 +54,7 @@ impl Costly {
             content: ContentKind::Changes,
             lost_upto: None,
             changed_upto: None,
+            is_cut: false,
             priority: Priority::NearFree,
         };
         let payload: Vec<u8> = (0..8 + self.random.below(64)).map(|_| self.random.next_u64() as u8).collect();

@@ -27,6 +27,7 @@ pub(super) fn add_counters(seen: &mut Seen, robot: &Robot) {
         ("undecodable, snapshot needed", s.undecodable),
         ("snapshots asked for", s.snapshots_wanted),
         ("snapshots complete", s.caught_up),
+        ("snapshots that were a piece", r.snapshot_pieces),
         ("chunks sent", s.chunks_sent),
         ("dropped from the store", robot.session().store().dropped()),
         ("waited for the budget", s.delayed_by_budget),

@@ -121,7 +121,7 @@ impl Settings {
             config.fusion = core::mem::take(&mut caps[number]);
             if trouble.has_pieces {
                 let mut random = purpose::of_robot(seed, purpose::PIECES, number);
-                config.snapshot_piece_bytes = 8_000 + random.below(80_000) as usize;
+                config.snapshot_piece_bytes = 3_000 + random.below(30_000) as usize;
             }
             config.session.swarm_key.clone_from(&key);
             config.seed = seed;

@@ -25,8 +25,8 @@ pub(crate) struct Transfer {
     pub(crate) contents: Option<IntervalSet>,
     /// It lacks something itself, nothing newer than this.
     pub(crate) lost_upto: Option<Stamp>,
-    /// It is a piece of a state: what it lacks was changed by packages up to this one.
-    pub(crate) changed_upto: Option<u32>,
+    /// It is a piece of a state that says nothing newer than its packages.
+    pub(crate) is_cut: bool,
     /// The newest stamp in its chunks so far.
     pub(crate) newest: Stamp,
     /// Its packages are all held: it brings what was dropped of them.
@@ -55,7 +55,7 @@ impl Transfer {
             accepted: IntervalSet::new(RECEIVED_INTERVALS_MAX),
             contents: None,
             lost_upto: None,
-            changed_upto: None,
+            is_cut: false,
             newest: Stamp(i64::MIN),
             is_rest: false,
             is_spoiled: false,

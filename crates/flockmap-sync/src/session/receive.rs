@@ -30,10 +30,10 @@ impl Session {
                 match package.header().content {
                     ContentKind::Changes => self.receive_changes(now, sender.origin, package),
                     ContentKind::Snapshot { since, id: snapshot_id, chunk, chunks } => {
-                        let &Header { lost_upto, changed_upto, .. } = package.header();
+                        let &Header { lost_upto, is_cut, .. } = package.header();
                         let incoming = Transfer {
                             lost_upto,
-                            changed_upto,
+                            is_cut,
                             ..Transfer::new(sender.origin, stream, [since, index], snapshot_id, chunks, now)
                         };
                         self.receive_chunk(now, incoming, chunk, package);

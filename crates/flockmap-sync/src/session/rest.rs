@@ -265,7 +265,7 @@ pub(super) struct Complete {
     pub(super) stream: Stream,
     pub(super) since: u32,
     pub(super) upto: u32,
-    /// Of a piece of a state: its newest stamp.
+    /// Of a piece that says nothing newer than its packages: its newest stamp.
     pub(super) newest_of_piece: Option<Stamp>,
     /// It lacks something itself.
     lacks_too: bool,
@@ -273,8 +273,8 @@ pub(super) struct Complete {
 
 impl Complete {
     pub(super) fn of(transfer: &Transfer) -> Self {
-        let &Transfer { source, stream, since, upto, lost_upto, changed_upto, newest, .. } = transfer;
-        let newest_of_piece = changed_upto.map(|_| newest);
+        let &Transfer { source, stream, since, upto, lost_upto, is_cut, newest, .. } = transfer;
+        let newest_of_piece = is_cut.then_some(newest);
         Self { source, stream, since, upto, newest_of_piece, lacks_too: lost_upto.is_some() }
     }
 }

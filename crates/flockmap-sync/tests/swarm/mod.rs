@@ -253,7 +253,14 @@ impl Swarm {
                             .encoder
                             .encode_span(
                                 Codec::Paper,
-                                Span { stream, since, upto, lost_upto: None, changed_upto: None },
+                                Span {
+                                    stream,
+                                    since,
+                                    upto,
+                                    lost_upto: None,
+                                    changed_upto: None,
+                                    is_cut: false,
+                                },
                                 resolution,
                                 &state,
                                 PACKAGE_BYTES_MAX,

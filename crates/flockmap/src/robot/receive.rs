@@ -35,7 +35,14 @@ impl Robot {
                     ..
                 } => {
                     let cuts = self.session.cuts(stream, upto);
-                    let span = Span { stream, since, upto, lost_upto: None, changed_upto: cuts.changed_upto };
+                    let span = Span {
+                        stream,
+                        since,
+                        upto,
+                        lost_upto: None,
+                        changed_upto: cuts.changed_upto,
+                        is_cut: false,
+                    };
                     let cuts = Some(cuts).filter(|_| in_pieces);
                     self.begin_snapshot(now, Wanted { span, newer_than, bytes_max, cuts });
                 }

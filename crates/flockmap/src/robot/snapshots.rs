@@ -1,5 +1,6 @@
 //! Snapshots for peers that miss too much: begun when the session wants one, made in slices.
 
+use flockmap_codec::Package;
 use flockmap_grid::Stamp;
 
 use super::Robot;
@@ -31,6 +32,8 @@ impl Robot {
             match result {
                 Ok(chunks) => {
                     self.counters.snapshots += u64::from(!chunks.is_empty());
+                    let is_piece = |chunk: &Package| chunk.header().changed_upto.is_some();
+                    self.counters.snapshot_pieces += u64::from(chunks.first().is_some_and(is_piece));
                     self.session.provide_snapshot(now, stream, chunks);
                 }
                 Err(error) => self.push_event(Event::EncodeFailed(error)),
