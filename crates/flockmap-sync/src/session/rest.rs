@@ -89,7 +89,12 @@ impl Session {
     fn lacking_upto(&self, stream: Stream) -> Option<u32> {
         let lack = self.lacks.streams.get(&stream)?;
         let by_stamp = self.store.index_upto(stream, lack.upto);
+        let holds =
+            |index| self.store.received(stream).is_some_and(|received| received.contains_range(1, index));
         Some(match lack.begun {
+            // Until its packages are held nothing is known of the stamps of those: they may count later without coming
+            // again.
+            Some((index, _)) if !holds(index) => by_stamp.max(index),
             Some((index, stamp)) if lack.upto <= stamp => by_stamp.min(index),
             _ => by_stamp,
         })
