@@ -4,9 +4,12 @@ mod common;
 
 use common::{PERFECT, Radio, Random, Swarm, config, scan};
 use flockmap::codec::Encoder;
-use flockmap::codec::{Content, ContentKind};
+use flockmap::codec::{Content, ContentKind, Span};
+use flockmap::grid::{Snapshot, SnapshotVoxels};
 use flockmap::sync::wire::{DatagramHeader, Kind, PackagesWriter};
-use flockmap::{Codec, Event, Package, Pose, Robot, RobotConfig, RobotId, Stamp, Stream};
+use flockmap::{
+    Changes, Codec, Event, Package, Pose, Robot, RobotConfig, RobotId, Stamp, State, Stream, Voxel,
+};
 
 const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.1, damage: 0.02, delay_ms: (5.0, 80.0) };
 
@@ -227,4 +230,38 @@ fn renamed(chunks: &[Package], origin: u16) -> Vec<Package> {
     let chunks = chunks.unwrap();
     let Ok(Content::Snapshot(_)) = chunks[0].decode() else { panic!("the first chunk is independent") };
     chunks
+}
+
+/// A snapshot in one chunk that lacks something, as new as a stamp at most.
+fn in_part(since: u32, upto: u32, lost_upto: i64, voxel: Voxel, stamp: i64) -> Package {
+    let stream = Stream { origin: RobotId(1), epoch: 1 };
+    let lost_upto = Some(Stamp(lost_upto));
+    let span = Span { stream, since, upto, lost_upto, changed_upto: None, is_cut: false };
+    let changes = Changes::from_voxels([(voxel, State::Free)]);
+    let region = changes.bounding_box().unwrap();
+    let state = Snapshot { region, parts: vec![(Stamp(stamp), changes)], sensors: Vec::new() };
+    let state = SnapshotVoxels::from_state(&state).unwrap();
+    let chunks = Encoder::new().encode_span(Codec::Flock, span, common::resolution(), &state, 1_150).unwrap();
+    chunks.into_iter().next().unwrap()
+}
+
+#[test]
+fn of_two_snapshots_in_part_the_older_one_brings_nothing_back_that_the_newer_one_may_have_made_outdated() {
+    let [old, new] = [Voxel::new(1, 2, 3), Voxel::new(40, 2, 3)];
+    // Something as new as 20 was dropped by who made the newer one: what it was, nobody here knows.
+    let newer = in_part(3, 17, 20, new, 30);
+    let older = in_part(0, 3, 5, old, 4);
+    let now = Stamp(60_000_000);
+    // It waits for the packages before it, gives its place to one that need not wait, and comes once more.
+    let mut narrow = config(9);
+    narrow.session.transfers_max = 1;
+    let mut bob = Robot::new(narrow, Stamp(0)).unwrap();
+    give(&mut bob, 1, now, &[&newer]);
+    give(&mut bob, 2, now, &[&older]);
+    give(&mut bob, 3, now, &[&newer]);
+    let stream = newer.header().stream;
+    assert!(bob.session().received(stream).unwrap().contains_range(1, 17));
+    let layer = bob.fusion().layer(stream).unwrap();
+    assert_eq!((layer.get(old), layer.get(new)), (None, Some((State::Free, Stamp(30)))));
+    assert_eq!((layer.lost_upto(), bob.session().lost_upto(stream)), (Some(Stamp(20)), Some(Stamp(20))));
 }
