@@ -3,8 +3,8 @@
 use flockmap_grid::Stamp;
 use std::collections::BTreeMap;
 
-/// Packages of one stream whose stamps are remembered; when there are more, every second one is forgotten.
-/// Worst case 16 KiB.
+/// Packages of one stream whose stamps are remembered; of more, one is forgotten whose neighbours are nearest to each
+/// other, so that they lie evenly over the whole stream. Worst case 16 KiB.
 const STAMPS_MAX: usize = 512;
 
 /// Stamps of some packages of a stream. Stamps do not descend from one package to the next, so the one of an
@@ -30,11 +30,16 @@ impl StampIndex {
         }
         self.0.insert(index, stamp);
         if self.0.len() > STAMPS_MAX {
-            let mut is_kept = false;
-            self.0.retain(|_, _| {
-                is_kept = !is_kept;
-                is_kept
-            });
+            self.forget_one();
+        }
+    }
+
+    fn forget_one(&mut self) {
+        let indices = self.0.keys();
+        let between = indices.clone().zip(indices.clone().skip(1)).zip(indices.skip(2));
+        let nearest = between.min_by_key(|((before, _), after)| **after - **before);
+        if let Some(((_, &index), _)) = nearest {
+            self.0.remove(&index);
         }
     }
 
@@ -58,6 +63,18 @@ impl StampIndex {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn of_a_long_stream_they_lie_evenly() {
+        let mut stamp_index = StampIndex::new();
+        for index in 1..=100_000u32 {
+            stamp_index.note(index, Stamp(i64::from(index)));
+        }
+        let points: Vec<u32> = stamp_index.points().map(|(index, _)| index).collect();
+        assert_eq!((points.len(), points[0], points[STAMPS_MAX - 1]), (STAMPS_MAX, 1, 100_000));
+        let widest = points.windows(2).map(|pair| pair[1] - pair[0]).max();
+        assert!(widest <= Some(2 * 100_000 / STAMPS_MAX as u32 + 2), "{widest:?}");
+    }
 
     #[test]
     fn the_stamp_is_never_after_that_of_the_package_and_the_first_ones_stay() {
