@@ -8,7 +8,7 @@ use std::sync::Arc;
 use flockmap::codec::{ContentKind, Encoder, PACKAGE_BYTES_MAX, Span};
 use flockmap::grid::Layer;
 use flockmap::sync::{Cuts, IntervalSet};
-use flockmap::{Codec, Package, Piece, PieceLimit, PieceReader, Resolution, Robot, Stream};
+use flockmap::{Codec, PIECE_BYTES, Package, Piece, PieceReader, Resolution, Robot, Stream};
 
 use crate::log::create;
 use crate::record::{Contents, Record};
@@ -17,9 +17,6 @@ use crate::{Disk, DiskFile};
 
 /// What the name of a compacted segment ends with until it is complete.
 pub(crate) const UNFINISHED: &str = ".unfinished";
-
-/// How much of a state is coded at once: some 70 MB, 5 million bytes of chunks.
-const PIECE: PieceLimit = PieceLimit { bytes: 64 << 20, voxels: 32 << 20 };
 
 /// Records are handed to the system in portions of about so many bytes.
 const PORTION_BYTES: usize = 64 << 10;
@@ -79,32 +76,33 @@ impl StreamCopy {
         let (since, changed_upto) = (if is_whole { 0 } else { upto - 1 }, cuts.changed_upto);
         let mut span =
             Span { stream, since, upto, lost_upto: layer.lost_upto(), changed_upto, is_cut: false };
-        let (mut chunks, mut newer_than, mut limit) = (Vec::new(), None, PIECE);
+        let (mut chunks, mut newer_than) = (Vec::new(), None);
         loop {
             let cuts = Some(cuts.clone()).filter(|_| is_whole);
-            let mut reader = PieceReader::new(&layer, span, newer_than, cuts, limit);
-            while reader.step(usize::MAX) > 0 {}
-            let rest = match reader.finish() {
+            let mut bytes_max = PIECE_BYTES;
+            let mut reader = PieceReader::new(&layer, span, newer_than, cuts, bytes_max);
+            let piece = loop {
+                while reader.step(usize::MAX) > 0 {}
+                match reader.take() {
+                    Piece::TooMuch => {
+                        bytes_max = bytes_max.saturating_mul(2);
+                        reader.restart(bytes_max);
+                    }
+                    piece => break piece,
+                }
+            };
+            match piece {
                 Piece::State(of, state, rest) => {
                     let piece = encoder.encode_span(codec, of, resolution, &state, PACKAGE_BYTES_MAX);
                     chunks.extend(piece.map_err(|error| cannot(&error.to_string()))?);
-                    span.since = of.upto;
-                    rest
+                    (span.since, newer_than) = (of.upto, rest);
                 }
-                Piece::Nothing(of) => {
-                    chunks.extend(Package::of_dropped(of, resolution));
-                    None
-                }
-                // No package is known to which the older part goes.
-                Piece::TooMuch => {
-                    limit = PieceLimit { bytes: limit.bytes * 2, voxels: limit.voxels * 2 };
-                    continue;
-                }
-            };
-            if rest.is_none() {
+                Piece::Nothing(of) => chunks.extend(Package::of_dropped(of, resolution)),
+                Piece::TooMuch => {}
+            }
+            if newer_than.is_none() {
                 break;
             }
-            (newer_than, limit) = (rest, PIECE);
         }
         let contents = match chunks.first().map(|chunk| chunk.header().content) {
             Some(ContentKind::Snapshot { id: snapshot_id, .. }) if !is_whole => {

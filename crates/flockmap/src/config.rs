@@ -4,6 +4,8 @@ use flockmap_codec::Codec;
 use flockmap_grid::{FusionConfig, MapperConfig, Preset, Resolution, RobotId};
 use flockmap_sync::SessionConfig;
 
+use crate::piece::PIECE_BYTES;
+
 /// When a batch of mapping is closed and sent (the paper's Alg. 1, line 13).
 ///
 /// Under a byte budget a batch that is due waits until the packages before it have been sent. What changes
@@ -56,8 +58,8 @@ pub struct RobotConfig {
     /// How the layers become one map.
     pub fusion: FusionConfig,
     /// A state that would take more bytes while a snapshot of it is made goes in pieces, the oldest first: some 3 bytes for
-    /// each voxel, and 140 to 300 for each block. Where it cannot be cut, it may take 256 MiB; one that takes more is not
-    /// made. Default 64 MiB.
+    /// each voxel, and 140 to 300 for each block. At most three times `session.snapshot_bytes_max` counts. What cannot be
+    /// cut may take 256 MiB, and is not made if it would take more. Default 48 MiB.
     pub snapshot_piece_bytes: usize,
     /// Returns within this distance of a team-mate's position are taken for the team-mate. Metres, 0 or more.
     /// Default 0.5.
@@ -80,7 +82,7 @@ impl RobotConfig {
             repair_delay_max_ms: 2_000,
             session: SessionConfig::default(),
             fusion: FusionConfig::default(),
-            snapshot_piece_bytes: 64 << 20,
+            snapshot_piece_bytes: PIECE_BYTES,
             teammate_radius_m: 0.5,
             teammate_timeout_ms: 1_000,
             seed: 0,

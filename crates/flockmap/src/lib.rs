@@ -63,6 +63,6 @@ pub use flockmap_grid::{
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
-pub use piece::{Piece, PieceLimit, PieceReader};
+pub use piece::{PIECE_BYTES, Piece, PieceReader};
 pub use publisher::Packer;
 pub use robot::{KnownPose, REBUILD_BLOCKS, RestoreError, Robot};

@@ -7,7 +7,7 @@ use flockmap_grid::{Layer, Resolution, SnapshotVoxels, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::Cuts;
 
-use crate::piece::{Piece, PieceLimit, PieceReader};
+use crate::piece::{Piece, PieceReader};
 
 /// Steps of work in one call: some 5 ms of a slow core. Each may take a cube, a chunk or the beginning of a part
 /// more.
@@ -20,10 +20,9 @@ const SENSOR_STEPS: u64 = 32;
 const MAKING_MAX: usize = 8;
 /// Most bytes that one may take while it is made, beside its chunks: 30 million voxels of LiDAR scans take half.
 pub(crate) const BYTES_MAX: usize = 256 << 20;
-/// Least bytes that a piece may take, where the usual size makes chunks that are too long.
-const PIECE_BYTES_MIN: usize = 4 << 10;
-/// Voxels of a piece for each byte that the session keeps for chunks: `flock` takes one to three bits for a voxel.
-const PIECE_VOXELS: u64 = 2;
+/// Bytes that a piece may take while it is made for each byte that its chunks may have together: a voxel takes 7 bits or
+/// more here, and one to three in chunks of `flock`.
+const PIECE_SHARE: usize = 3;
 
 /// Makes snapshots of layers as they were when they were wanted, one after the other. Of the layers it keeps copies,
 /// which take what the layers change or forget meanwhile.
@@ -37,21 +36,17 @@ pub(crate) struct Snapshots {
 }
 
 struct Making {
-    wanted: Wanted,
-    /// A copy, in case that a piece of another size is needed.
-    layer: Layer,
+    stream: Stream,
+    /// Of a chunk.
+    bytes_max: usize,
     /// Bytes that a piece may take, if all of it is too much.
     piece_bytes: usize,
-    stage: Stage,
-}
-
-enum Stage {
-    Reading(Box<PieceReader>),
-    Coding(Box<(SnapshotCoding<SnapshotVoxels>, Encoder)>),
+    reader: PieceReader,
+    /// Of what was read.
+    coding: Option<Box<(SnapshotCoding<SnapshotVoxels>, Encoder)>>,
 }
 
 /// A snapshot that is wanted.
-#[derive(Clone)]
 pub(crate) struct Wanted {
     pub(crate) span: Span,
     pub(crate) newer_than: Option<Stamp>,
@@ -83,7 +78,7 @@ impl Snapshots {
     pub(crate) fn begin(&mut self, layer: &Layer, wanted: Wanted, form: Form) {
         let stream = wanted.span.stream;
         if self.making.len() < MAKING_MAX && !self.is_making(stream) {
-            self.making.push_back(Making::new(layer.clone(), wanted, form));
+            self.making.push_back(Making::new(layer, wanted, form));
         }
     }
 
@@ -102,7 +97,7 @@ impl Snapshots {
             self.left = self.left.saturating_sub(steps);
             self.most = self.most.max(STEPS_MAX - self.left + beyond);
             if let Some(result) = made {
-                return self.making.pop_front().map(|making| (making.wanted.span.stream, result));
+                return self.making.pop_front().map(|making| (making.stream, result));
             }
         }
         None
@@ -110,12 +105,12 @@ impl Snapshots {
 
     /// Lets go of the one of a stream.
     pub(crate) fn forget(&mut self, stream: Stream) {
-        self.making.retain(|making| making.wanted.span.stream != stream);
+        self.making.retain(|making| making.stream != stream);
     }
 
     /// The streams of those being made.
     pub(crate) fn streams(&self) -> impl Iterator<Item = Stream> + '_ {
-        self.making.iter().map(|making| making.wanted.span.stream)
+        self.making.iter().map(|making| making.stream)
     }
 
     fn is_making(&self, stream: Stream) -> bool {
@@ -134,78 +129,50 @@ impl Snapshots {
 }
 
 impl Making {
-    fn new(layer: Layer, mut wanted: Wanted, form: Form) -> Self {
-        let lost_upto = layer.lost_upto().filter(|lost| wanted.newer_than.is_none_or(|limit| *lost > limit));
-        wanted.span.lost_upto = lost_upto.filter(|_| !mutation::is(Mutation::DropUnsaid));
-        let stage = read(&layer, &wanted, form.piece_bytes, form);
-        Self { wanted, layer, piece_bytes: form.piece_bytes, stage }
+    fn new(layer: &Layer, wanted: Wanted, form: Form) -> Self {
+        let Wanted { mut span, newer_than, bytes_max, cuts } = wanted;
+        let lost_upto = layer.lost_upto().filter(|lost| newer_than.is_none_or(|limit| *lost > limit));
+        span.lost_upto = lost_upto.filter(|_| !mutation::is(Mutation::DropUnsaid));
+        let piece_bytes = form.piece_bytes.min(PIECE_SHARE.saturating_mul(form.chunks_bytes_max));
+        let reader = PieceReader::new(layer, span, newer_than, cuts, piece_bytes);
+        Self { stream: span.stream, bytes_max, piece_bytes, reader, coding: None }
     }
 
     /// Does some of it. Returns the steps taken, and the chunks when they are made.
     fn step(&mut self, form: Form, steps_max: u64) -> Result<(u64, Option<Vec<Package>>), EncodeError> {
-        match &mut self.stage {
-            Stage::Coding(coding) => {
-                let (coding, encoder) = &mut **coding;
-                // The paper's codec, which is tried after `flock`, may need half of it.
-                if coding.bytes() > 2 * form.chunks_bytes_max {
-                    return Ok((1, self.try_other(false, form)));
-                }
-                let (steps, made) = encoder.go_on(coding, steps_max)?;
-                let is_too_long = |chunks: &Vec<Package>| {
-                    chunks.iter().map(|chunk| chunk.bytes().len()).sum::<usize>() > form.chunks_bytes_max
-                };
-                Ok((
-                    steps,
-                    if made.as_ref().is_some_and(is_too_long) { self.try_other(false, form) } else { made },
-                ))
+        if let Some(coding) = &mut self.coding {
+            let (coding, encoder) = &mut **coding;
+            // The paper's codec, which is tried after `flock`, may need half of it.
+            if coding.bytes() > 2 * form.chunks_bytes_max {
+                return Ok((1, Some(Vec::new())));
             }
-            Stage::Reading(reader) => {
-                let blocks = reader.step(steps_max.div_ceil(BLOCK_STEPS) as usize);
-                let steps = blocks as u64 * BLOCK_STEPS;
-                if reader.bytes() > BYTES_MAX {
-                    return Ok((steps, Some(Vec::new())));
-                }
-                if blocks > 0 {
-                    return Ok((steps, None));
-                }
-                let (span, state) = match reader.finish() {
-                    Piece::State(span, state, _) => (span, state),
-                    Piece::Nothing(span) => {
-                        let nothing = Package::of_dropped(span, form.resolution);
-                        return Ok((1, Some(nothing.into_iter().collect())));
-                    }
-                    Piece::TooMuch => return Ok((1, self.try_other(true, form))),
-                };
-                let steps = BLOCK_STEPS + SENSOR_STEPS * state.sensors().len() as u64;
-                let Wanted { bytes_max, .. } = self.wanted;
-                let coding = SnapshotCoding::new(form.codec, span, form.resolution, state, bytes_max)?;
-                self.stage = Stage::Coding(Box::new((coding, Encoder::new())));
-                Ok((steps, None))
+            return encoder.go_on(coding, steps_max);
+        }
+        let blocks = self.reader.step(steps_max.div_ceil(BLOCK_STEPS) as usize);
+        let steps = blocks as u64 * BLOCK_STEPS;
+        if self.reader.bytes() > BYTES_MAX {
+            return Ok((steps, Some(Vec::new())));
+        }
+        if blocks > 0 {
+            return Ok((steps, None));
+        }
+        let (span, state) = match self.reader.take() {
+            Piece::State(span, state, _) => (span, state),
+            Piece::Nothing(span) => {
+                let nothing = Package::of_dropped(span, form.resolution);
+                return Ok((1, Some(nothing.into_iter().collect())));
             }
-        }
+            Piece::TooMuch => {
+                self.piece_bytes *= 2;
+                let is_begun = self.piece_bytes <= BYTES_MAX && self.reader.restart(self.piece_bytes);
+                return Ok((1, (!is_begun).then(Vec::new)));
+            }
+        };
+        let steps = BLOCK_STEPS + SENSOR_STEPS * state.sensors().len() as u64;
+        let coding = SnapshotCoding::new(form.codec, span, form.resolution, state, self.bytes_max)?;
+        self.coding = Some(Box::new((coding, Encoder::new())));
+        Ok((steps, None))
     }
-
-    /// Begins anew with a larger or a smaller piece. No chunks at all if that was tried.
-    fn try_other(&mut self, is_larger: bool, form: Form) -> Option<Vec<Package>> {
-        let bytes = if is_larger { self.piece_bytes * 2 } else { self.piece_bytes / 2 };
-        let is_back =
-            if is_larger { self.piece_bytes < form.piece_bytes } else { self.piece_bytes > form.piece_bytes };
-        if self.wanted.cuts.is_none() || is_back || !(PIECE_BYTES_MIN..=BYTES_MAX).contains(&bytes) {
-            return Some(Vec::new());
-        }
-        self.piece_bytes = bytes;
-        self.stage = read(&self.layer, &self.wanted, bytes, form);
-        None
-    }
-}
-
-/// Begins to read a state that may take so many bytes.
-fn read(layer: &Layer, wanted: &Wanted, bytes: usize, form: Form) -> Stage {
-    let Wanted { span, newer_than, ref cuts, .. } = *wanted;
-    let voxels = u128::from(PIECE_VOXELS) * form.chunks_bytes_max as u128 * bytes as u128;
-    let voxels = usize::try_from(voxels / form.piece_bytes.max(1) as u128).unwrap_or(usize::MAX);
-    let limit = PieceLimit { bytes, voxels };
-    Stage::Reading(Box::new(PieceReader::new(layer, span, newer_than, cuts.clone(), limit)))
 }
 
 #[cfg(test)]
@@ -220,7 +187,7 @@ mod tests {
             None => panic!("a resolution"),
         },
         chunks_bytes_max: 1 << 20,
-        piece_bytes: 64 << 20,
+        piece_bytes: crate::PIECE_BYTES,
     };
 
     fn span(origin: u16) -> Span {

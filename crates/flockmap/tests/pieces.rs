@@ -8,12 +8,12 @@ use flockmap::{Codec, Event, Pose, RobotConfig, Stream};
 
 const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.05, damage: 0.01, delay_ms: (5.0, 60.0) };
 
-/// Robots that keep next to no packages, and whose snapshots have a hundred thousand voxels at most.
+/// Robots that keep next to no packages, and whose snapshots have 60 kB at most: the changes of a second or two.
 fn configs(count: u16) -> Vec<RobotConfig> {
     let small = |id| {
         let mut config = RobotConfig { codec: Codec::Flock, ..config(id) };
         config.session.store_bytes_max = 20_000;
-        config.session.snapshot_bytes_max = 20_000;
+        config.session.snapshot_bytes_max = 60_000;
         config
     };
     (1..=count).map(small).collect()

@@ -39,7 +39,8 @@ impl Layer {
         SnapshotReader {
             newer_than,
             upto: None,
-            cubes: unread.collect::<Vec<_>>().into(),
+            unread: unread.collect::<Vec<_>>().into(),
+            done: Vec::new(),
             sensors: self.sensors.by_stamp().clone(),
             groups: Vec::new(),
             voxels: SnapshotVoxels::default(),
@@ -48,15 +49,17 @@ impl Layer {
 }
 
 /// The state of a layer as it was when this was made, which is read in pieces while the layer goes on. It shares the
-/// cubes of the layer; those that the layer changes or forgets meanwhile stay until they are read. Beside that it takes
-/// what [`SnapshotVoxels`] take.
+/// cubes of the layer; those that the layer changes or forgets meanwhile stay as long as it does. Beside that it takes what
+/// [`SnapshotVoxels`] take.
 #[derive(Debug, Default)]
 pub struct SnapshotReader {
     newer_than: Option<Stamp>,
     /// Of what is newer nothing is read any more.
     upto: Option<Stamp>,
     /// Still to be read, those with the oldest stamps first.
-    cubes: BinaryHeap<Unread>,
+    unread: BinaryHeap<Unread>,
+    /// Kept in case that all is read again.
+    done: Vec<Unread>,
     sensors: BTreeMap<Stamp, [i32; 3]>,
     /// Kept from block to block: what it says of each stamp, Free and Occupied.
     groups: Vec<(Stamp, [Plane; 2])>,
@@ -99,13 +102,10 @@ impl SnapshotReader {
     pub fn step(&mut self, blocks_max: usize) -> usize {
         let mut read = 0;
         while read < blocks_max
-            && let Some(Unread { oldest, at, place }) = self.cubes.pop()
+            && self.unread.peek().is_some_and(|next| self.upto.is_none_or(|upto| next.oldest <= upto))
+            && let Some(next) = self.unread.pop()
         {
-            if self.upto.is_some_and(|upto| oldest > upto) {
-                self.cubes.clear();
-                break;
-            }
-            let cube = place.read();
+            let (at, cube) = (next.at, next.place.read());
             for (index, block) in cube.blocks(at) {
                 self.groups.clear();
                 let (mut last, mut of_last) = (None, 0);
@@ -133,6 +133,8 @@ impl SnapshotReader {
                 );
             }
             read += cube.len();
+            drop(cube);
+            self.done.push(next);
         }
         read
     }
@@ -166,8 +168,20 @@ impl SnapshotReader {
 
     /// All that was read, after the rest is read too. `None` if that is nothing, or more than 2³² blocks.
     pub fn finish(mut self) -> Option<SnapshotVoxels> {
+        self.take()
+    }
+
+    /// The same; then it can be read [once more](Self::restart).
+    pub fn take(&mut self) -> Option<SnapshotVoxels> {
         while self.step(usize::MAX) > 0 {}
-        self.voxels.set_sensors(self.sensors);
-        self.voxels.complete()
+        let mut voxels = core::mem::take(&mut self.voxels);
+        voxels.set_sensors(&self.sensors);
+        voxels.complete()
+    }
+
+    /// Reads the same state once more, all of it. O(cubes).
+    pub fn restart(&mut self) {
+        self.unread.append(&mut core::mem::take(&mut self.done).into());
+        (self.voxels, self.upto) = (SnapshotVoxels::default(), None);
     }
 }

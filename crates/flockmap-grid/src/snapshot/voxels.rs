@@ -155,8 +155,9 @@ impl SnapshotVoxels {
     }
 
     /// Keeps those of these sensors that are of its stamps. O(stamps + sensors).
-    pub(crate) fn set_sensors(&mut self, sensors: BTreeMap<Stamp, [i32; 3]>) {
-        self.sensors = sensors.into_iter().filter(|(stamp, _)| self.parts.contains_key(stamp)).collect();
+    pub(crate) fn set_sensors(&mut self, sensors: &BTreeMap<Stamp, [i32; 3]>) {
+        let is_of_part = |(stamp, _): &(&Stamp, &[i32; 3])| self.parts.contains_key(*stamp);
+        self.sensors = sensors.iter().filter(is_of_part).map(|(stamp, at)| (*stamp, *at)).collect();
     }
 
     /// `None` if it says nothing, or not all.
