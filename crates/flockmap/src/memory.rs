@@ -21,8 +21,8 @@ impl RobotConfig {
     /// as asked of the allocator: the session ([`memory_max`](flockmap_sync::SessionConfig::memory_max)), the
     /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read (half as
     /// much), parts of layers and of the fused map that were unpacked to be read, events that nobody takes; a snapshot
-    /// that is being made, 256 MiB at most, and layers as they were when snapshots of them were wanted, which are shared
-    /// with the layers but for what changes until they are read. By default 2.7 GB, by broadcast 3.0 GB, of which honest
+    /// that is being made, 256 MiB at most, and the layer as it was when that was begun, which is shared with the layer
+    /// but for what changes until it is made. By default 2.7 GB, by broadcast 3.0 GB, of which honest
     /// robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth
@@ -37,7 +37,7 @@ impl RobotConfig {
             + self.session.transfers_max * (UNMERGED + UNPACKED_BYTES_MAX)
             // Of layers, and of the fused map.
             + 2 * UNPACKED_BYTES_MAX
-            // Copies of layers; the state that is coded; its chunks, in two codecs.
+            // A copy of a layer; the state that is coded; its chunks, in two codecs.
             + self.fusion.layer_bytes_max
             + SNAPSHOT_BYTES_MAX
             + 4 * self.session.snapshot_bytes_max

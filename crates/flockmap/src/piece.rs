@@ -59,6 +59,11 @@ impl PieceReader {
         blocks
     }
 
+    /// Cubes of the layer that are still to be read.
+    pub fn cubes(&self) -> usize {
+        self.reader.cubes()
+    }
+
     /// Bytes that it takes to make a snapshot of what was read so far.
     pub fn bytes(&self) -> usize {
         bytes_of(self.reader.read())

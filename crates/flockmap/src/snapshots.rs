@@ -16,19 +16,22 @@ const STEPS_MAX: u64 = 1_500_000;
 const BLOCK_STEPS: u64 = 8_000;
 /// Looking whether a sensor is that of a stamp that was read.
 const SENSOR_STEPS: u64 = 32;
-/// Most snapshots that are wanted at a time, each of another stream. The session asks again for what finds no place.
-const MAKING_MAX: usize = 8;
+/// Listing a cube that is to be read.
+const CUBE_STEPS: u64 = 40;
+/// Most snapshots that wait for their turn, each of another stream. The session asks again for what finds no place.
+const WANTED_MAX: usize = 8;
 /// Most bytes that one may take while it is made, beside its chunks: 30 million voxels of LiDAR scans take half.
 pub(crate) const BYTES_MAX: usize = 256 << 20;
 /// Bytes that a piece may take while it is made for each byte that its chunks may have together: a voxel takes 7 bits or
 /// more here, and one to three in chunks of `flock`.
 const PIECE_SHARE: usize = 3;
 
-/// Makes snapshots of layers as they were when they were wanted, one after the other. Of the layers it keeps copies,
-/// which take what the layers change or forget meanwhile.
+/// Makes the snapshots that are wanted one after the other, each of a layer as it is when its turn comes. It shares the
+/// cubes of that layer, and keeps those that the layer changes or forgets meanwhile.
 #[derive(Default)]
 pub(crate) struct Snapshots {
-    making: VecDeque<Making>,
+    wanted: VecDeque<Wanted>,
+    making: Option<Making>,
     /// What is left of the steps of this call.
     left: u64,
     /// Most steps that were taken in one call, and of those that went beyond the limit, by how many.
@@ -46,14 +49,17 @@ struct Making {
     coding: Option<Box<(SnapshotCoding<SnapshotVoxels>, Encoder)>>,
 }
 
-/// A snapshot that is wanted.
+/// A snapshot that is wanted: of packages 1 to `upto` of a stream, or what of it is newer than a stamp.
+#[derive(Clone, Copy)]
 pub(crate) struct Wanted {
-    pub(crate) span: Span,
+    pub(crate) stream: Stream,
+    pub(crate) since: u32,
+    pub(crate) upto: u32,
     pub(crate) newer_than: Option<Stamp>,
     /// Of a chunk.
     pub(crate) bytes_max: usize,
-    /// By what it may be cut, if a piece will do.
-    pub(crate) cuts: Option<Cuts>,
+    /// A piece of it will do.
+    pub(crate) in_pieces: bool,
 }
 
 /// How the chunks of a robot are made.
@@ -73,53 +79,63 @@ impl Snapshots {
         self.left = STEPS_MAX;
     }
 
-    /// Begins one of a layer as it is now, or of what of it is newer than a stamp, unless one of the stream is being
-    /// made, or there are too many. O(cubes).
-    pub(crate) fn begin(&mut self, layer: &Layer, wanted: Wanted, form: Form) {
-        let stream = wanted.span.stream;
-        if self.making.len() < MAKING_MAX && !self.is_making(stream) {
-            self.making.push_back(Making::new(layer, wanted, form));
+    /// Notes that one is wanted, unless one of the stream is already, or there are too many.
+    pub(crate) fn want(&mut self, wanted: Wanted) {
+        if self.wanted.len() < WANTED_MAX && self.streams().all(|stream| stream != wanted.stream) {
+            self.wanted.push_back(wanted);
         }
     }
 
-    /// Goes on with the one that was begun first, as far as this call has time for it. Returns the stream and the
-    /// chunks of one that is complete, none if it would take too much memory; `None` if nothing is left to do in
-    /// this call.
+    /// The one whose turn it is to [begin](Self::begin), if this call has time for it.
+    pub(crate) fn take_turn(&mut self) -> Option<Wanted> {
+        if self.making.is_none() && self.left > 0 { self.wanted.pop_front() } else { None }
+    }
+
+    /// Begins one of a layer as it is now. O(cubes).
+    pub(crate) fn begin(&mut self, layer: &Layer, wanted: Wanted, cuts: Cuts, form: Form) {
+        let making = Making::new(layer, wanted, cuts, form);
+        self.spend(CUBE_STEPS * making.reader.cubes() as u64);
+        self.making = Some(making);
+    }
+
+    /// Goes on with the one that was begun, as far as this call has time for it. Returns the stream and the chunks of
+    /// one that is complete, none if it would take too much memory; `None` if nothing is left to do in this call.
     pub(crate) fn go_on(&mut self, form: Form) -> Option<(Stream, Result<Vec<Package>, EncodeError>)> {
         while self.left > 0
-            && let Some(making) = self.making.front_mut()
+            && let Some(making) = &mut self.making
         {
             let (steps, made) = match making.step(form, self.left) {
                 Ok((steps, made)) => (steps, made.map(Ok)),
                 Err(error) => (1, Some(Err(error))),
             };
-            let beyond = steps.saturating_sub(self.left);
-            self.left = self.left.saturating_sub(steps);
-            self.most = self.most.max(STEPS_MAX - self.left + beyond);
+            self.spend(steps);
             if let Some(result) = made {
-                return self.making.pop_front().map(|making| (making.stream, result));
+                return self.making.take().map(|making| (making.stream, result));
             }
         }
         None
     }
 
+    fn spend(&mut self, steps: u64) {
+        let beyond = steps.saturating_sub(self.left);
+        self.left = self.left.saturating_sub(steps);
+        self.most = self.most.max(STEPS_MAX - self.left + beyond);
+    }
+
     /// Lets go of the one of a stream.
     pub(crate) fn forget(&mut self, stream: Stream) {
-        self.making.retain(|making| making.stream != stream);
+        self.wanted.retain(|wanted| wanted.stream != stream);
+        self.making.take_if(|making| making.stream == stream);
     }
 
-    /// The streams of those being made.
+    /// The streams of those that are wanted or being made.
     pub(crate) fn streams(&self) -> impl Iterator<Item = Stream> + '_ {
-        self.making.iter().map(|making| making.stream)
-    }
-
-    fn is_making(&self, stream: Stream) -> bool {
-        self.streams().any(|other| other == stream)
+        self.making.iter().map(|making| making.stream).chain(self.wanted.iter().map(|wanted| wanted.stream))
     }
 
     /// Whether there is work.
     pub(crate) fn is_busy(&self) -> bool {
-        !self.making.is_empty()
+        self.making.is_some() || !self.wanted.is_empty()
     }
 
     /// Most steps of work that were taken in one call.
@@ -129,13 +145,16 @@ impl Snapshots {
 }
 
 impl Making {
-    fn new(layer: &Layer, wanted: Wanted, form: Form) -> Self {
-        let Wanted { mut span, newer_than, bytes_max, cuts } = wanted;
+    fn new(layer: &Layer, wanted: Wanted, cuts: Cuts, form: Form) -> Self {
+        let Wanted { stream, since, upto, newer_than, bytes_max, in_pieces } = wanted;
         let lost_upto = layer.lost_upto().filter(|lost| newer_than.is_none_or(|limit| *lost > limit));
-        span.lost_upto = lost_upto.filter(|_| !mutation::is(Mutation::DropUnsaid));
+        let lost_upto = lost_upto.filter(|_| !mutation::is(Mutation::DropUnsaid));
+        let changed_upto = cuts.changed_upto;
+        let span = Span { stream, since, upto, lost_upto, changed_upto, is_cut: false };
+        let cuts = Some(cuts).filter(|_| in_pieces);
         let piece_bytes = form.piece_bytes.min(PIECE_SHARE.saturating_mul(form.chunks_bytes_max));
         let reader = PieceReader::new(layer, span, newer_than, cuts, piece_bytes);
-        Self { stream: span.stream, bytes_max, piece_bytes, reader, coding: None }
+        Self { stream, bytes_max, piece_bytes, reader, coding: None }
     }
 
     /// Does some of it. Returns the steps taken, and the chunks when they are made.
@@ -190,13 +209,24 @@ mod tests {
         piece_bytes: crate::PIECE_BYTES,
     };
 
-    fn span(origin: u16) -> Span {
-        let stream = Stream { origin: RobotId(origin), epoch: 1 };
-        Span { stream, since: 0, upto: 1, lost_upto: None, changed_upto: None, is_cut: false }
+    fn stream(origin: u16) -> Stream {
+        Stream { origin: RobotId(origin), epoch: 1 }
     }
 
     fn wanted(origin: u16, newer_than: Option<Stamp>) -> Wanted {
-        Wanted { span: span(origin), newer_than, bytes_max: 1_150, cuts: None }
+        Wanted { stream: stream(origin), since: 0, upto: 1, newer_than, bytes_max: 1_150, in_pieces: false }
+    }
+
+    /// The next one that is made in this call, of the same layer as all others.
+    fn go_on(
+        snapshots: &mut Snapshots,
+        layer: &Layer,
+    ) -> Option<(Stream, Result<Vec<Package>, EncodeError>)> {
+        if let Some(wanted) = snapshots.take_turn() {
+            let cuts = Cuts { stamps: Vec::new(), newest: 1, changed_upto: None };
+            snapshots.begin(layer, wanted, cuts, FORM);
+        }
+        snapshots.go_on(FORM)
     }
 
     fn layer() -> Layer {
@@ -211,12 +241,12 @@ mod tests {
     fn each_stream_has_one_at_a_time_and_they_come_in_the_order_in_which_they_were_wanted() {
         let (layer, mut snapshots) = (layer(), Snapshots::default());
         for origin in [3, 1, 3, 2, 1] {
-            snapshots.begin(&layer, wanted(origin, None), FORM);
+            snapshots.want(wanted(origin, None));
         }
-        assert!(snapshots.go_on(FORM).is_none(), "no call has begun");
+        assert!(go_on(&mut snapshots, &layer).is_none(), "no call has begun");
         snapshots.note_call();
         let mut made = Vec::new();
-        while let Some((stream, chunks)) = snapshots.go_on(FORM) {
+        while let Some((stream, chunks)) = go_on(&mut snapshots, &layer) {
             assert!(!chunks.unwrap().is_empty());
             made.push(stream.origin.0);
         }
@@ -227,11 +257,11 @@ mod tests {
     #[test]
     fn one_whose_layer_is_forgotten_is_let_go_of() {
         let (layer, mut snapshots) = (layer(), Snapshots::default());
-        snapshots.begin(&layer, wanted(1, None), FORM);
-        snapshots.begin(&layer, wanted(2, None), FORM);
-        snapshots.forget(span(1).stream);
+        snapshots.want(wanted(1, None));
+        snapshots.want(wanted(2, None));
+        snapshots.forget(stream(1));
         snapshots.note_call();
-        assert_eq!(snapshots.go_on(FORM).map(|(stream, _)| stream), Some(span(2).stream));
+        assert_eq!(go_on(&mut snapshots, &layer).map(|(stream, _)| stream), Some(stream(2)));
         assert!(!snapshots.is_busy());
     }
 
@@ -239,18 +269,18 @@ mod tests {
     fn no_more_wait_than_have_a_place_and_what_is_too_long_is_none() {
         let (layer, mut snapshots) = (layer(), Snapshots::default());
         for origin in 0..20 {
-            snapshots.begin(&layer, wanted(origin, None), FORM);
+            snapshots.want(wanted(origin, None));
         }
-        assert_eq!(snapshots.streams().count(), MAKING_MAX);
-        snapshots.forget(span(0).stream);
-        snapshots.begin(&layer, wanted(0, Some(Stamp(1))), FORM);
-        assert_eq!(snapshots.streams().last(), Some(span(0).stream));
+        assert_eq!(snapshots.streams().count(), WANTED_MAX);
+        snapshots.forget(stream(0));
+        snapshots.want(wanted(0, Some(Stamp(1))));
+        assert_eq!(snapshots.streams().last(), Some(stream(0)));
         let mut made = Vec::new();
         for _ in 0..20 {
             snapshots.note_call();
-            made.extend(std::iter::from_fn(|| snapshots.go_on(FORM)));
+            made.extend(std::iter::from_fn(|| go_on(&mut snapshots, &layer)));
         }
         let last = made.last().map(|(stream, chunks)| (*stream, chunks.as_ref().map_or(9, Vec::len)));
-        assert_eq!(last, Some((span(0).stream, 0)), "nothing is newer");
+        assert_eq!(last, Some((stream(0), 0)), "nothing is newer");
     }
 }

@@ -16,6 +16,8 @@ pub(crate) struct PackedCube {
     /// the blocks as bits of the coder.
     bytes: Box<[u8]>,
     places: u64,
+    /// No voxel is older, and none newer. The first of the palette once more, for who looks at many cubes.
+    oldest: Stamp,
     newest: Stamp,
     open_bytes: u32,
 }
@@ -54,6 +56,7 @@ impl PackedCube {
         Self {
             bytes: bytes.into_boxed_slice(),
             places: cube.places(),
+            oldest: palette.first().copied().unwrap_or_default(),
             newest: palette.last().copied().unwrap_or_default(),
             open_bytes: cube.memory_bytes() as u32,
         }
@@ -75,10 +78,8 @@ impl PackedCube {
     }
 
     /// The oldest stamp of all blocks.
-    pub(super) fn oldest(&self) -> Stamp {
-        let mut bytes = &*self.bytes;
-        varint::take(&mut bytes);
-        Stamp(i64::from_le_bytes(*bytes.first_chunk().unwrap_or(&[0; 8])))
+    pub(super) const fn oldest(&self) -> Stamp {
+        self.oldest
     }
 
     /// Number of blocks.

@@ -161,6 +161,11 @@ impl SnapshotReader {
         self.upto
     }
 
+    /// Cubes that are still to be read, in which there may be something.
+    pub fn cubes(&self) -> usize {
+        self.unread.len()
+    }
+
     /// What was read so far, but for sensors.
     pub const fn read(&self) -> &SnapshotVoxels {
         &self.voxels

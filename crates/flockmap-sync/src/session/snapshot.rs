@@ -34,7 +34,7 @@ impl Session {
     /// give now; it is asked for again later. Chunks that cannot be used are counted and dropped.
     ///
     /// It may come some calls later ([`Self::snapshot_is_coming`]): what it says is the layer as it was when the event
-    /// was taken. Of each stream only one can be on its way.
+    /// was taken, or at some time since. Of each stream only one can be on its way.
     pub fn provide_snapshot(&mut self, now: Stamp, stream: Stream, chunks: Vec<Package>) {
         let now = self.advance(now);
         let held = self.outbox.held_when_asked.remove(&stream);

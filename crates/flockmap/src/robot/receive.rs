@@ -1,6 +1,6 @@
 //! What comes in: packages of others are decoded and merged, and the session gets the verdict.
 
-use flockmap_codec::{Content, Header, Package, PackageError, Span};
+use flockmap_codec::{Content, Header, Package, PackageError};
 use flockmap_grid::{Changes, Snapshot, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::Verdict;
@@ -34,17 +34,10 @@ impl Robot {
                     in_pieces,
                     ..
                 } => {
-                    let cuts = self.session.cuts(stream, upto);
-                    let span = Span {
-                        stream,
-                        since,
-                        upto,
-                        lost_upto: None,
-                        changed_upto: cuts.changed_upto,
-                        is_cut: false,
-                    };
-                    let cuts = Some(cuts).filter(|_| in_pieces);
-                    self.begin_snapshot(now, Wanted { span, newer_than, bytes_max, cuts });
+                    let wanted = Wanted { stream, since, upto, newer_than, bytes_max, in_pieces };
+                    self.snapshots.want(wanted);
+                    // A small one is made at once.
+                    self.go_on_with_snapshots(now);
                 }
                 SessionEvent::SnapshotDropped { stream, snapshot_id } => {
                     self.readers.drop_one((stream, snapshot_id))

@@ -4,31 +4,26 @@ use flockmap_codec::Package;
 use flockmap_grid::Stamp;
 
 use super::Robot;
-use crate::snapshots::{Form, Wanted};
+use crate::snapshots::Form;
 use crate::{Event, RobotConfig};
 
 impl Robot {
-    /// Begins a snapshot of the layer of a stream as it is, or of what of it is newer than a stamp. A small one is
-    /// made at once.
-    pub(super) fn begin_snapshot(&mut self, now: Stamp, wanted: Wanted) {
-        let stream = wanted.span.stream;
-        let form = self.snapshot_form();
-        let is_whole = stream != self.own_stream() || self.own_layer_has_all();
-        match self.fusion.layer(stream).filter(|_| is_whole) {
-            Some(layer) => {
-                self.snapshots.begin(layer, wanted, form);
-                self.go_on_with_snapshots(now);
-            }
-            // There is none to give.
-            None => self.session.provide_snapshot(now, stream, Vec::new()),
-        }
-    }
-
-    /// Makes some more of the snapshots that were begun, as far as this call has time for it, and gives the session
-    /// what is complete.
+    /// Begins and makes some more of the snapshots that are wanted, as far as this call has time for it, and gives the
+    /// session what is complete.
     pub(super) fn go_on_with_snapshots(&mut self, now: Stamp) {
         let form = self.snapshot_form();
-        while let Some((stream, result)) = self.snapshots.go_on(form) {
+        loop {
+            if let Some(wanted) = self.snapshots.take_turn() {
+                let stream = wanted.stream;
+                let is_whole = stream != self.own_stream() || self.own_layer_has_all();
+                let Some(layer) = self.fusion.layer(stream).filter(|_| is_whole) else {
+                    // There is none to give.
+                    self.session.provide_snapshot(now, stream, Vec::new());
+                    continue;
+                };
+                self.snapshots.begin(layer, wanted, self.session.cuts(stream, wanted.upto), form);
+            }
+            let Some((stream, result)) = self.snapshots.go_on(form) else { break };
             match result {
                 Ok(chunks) => {
                     self.counters.snapshots += u64::from(!chunks.is_empty());
