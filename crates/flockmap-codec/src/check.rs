@@ -51,6 +51,7 @@ pub(crate) fn begin_snapshot_id(
     }
     if let Some(changed_upto) = span.changed_upto {
         hasher.update(&changed_upto.to_le_bytes());
+        hasher.update(&[u8::from(span.is_cut) | u8::from(span.is_of_all) << 1]);
     }
     hash_sensors(&mut hasher, state.sensors());
     hasher

@@ -142,8 +142,15 @@ impl Encoder {
         check_rules(state)?;
         let voxels = SnapshotVoxels::from_state(state);
         let voxels = voxels.ok_or(EncodeError::Snapshot { rule: "at most 2³² blocks" })?;
-        let span =
-            Span { stream, since: 0, upto: upto_index, lost_upto: None, changed_upto: None, is_cut: false };
+        let span = Span {
+            stream,
+            since: 0,
+            upto: upto_index,
+            lost_upto: None,
+            changed_upto: None,
+            is_cut: false,
+            is_of_all: false,
+        };
         self.encode_span(codec, span, resolution, &voxels, bytes_max)
     }
 
@@ -200,6 +207,7 @@ fn changes_header(codec: Codec, batch: &Batch, index: u32, region: VoxelBox) -> 
         lost_upto: None,
         changed_upto: None,
         is_cut: false,
+        is_of_all: false,
         priority: Priority::Obstacles,
     }
 }

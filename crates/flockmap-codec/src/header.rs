@@ -45,6 +45,9 @@ pub struct Header {
     pub changed_upto: Option<u32>,
     /// Of a snapshot with that: nothing is in it that is newer than the packages that are contained.
     pub is_cut: bool,
+    /// Of a snapshot that is cut: who made it held all packages up to `changed_upto`. So what it says of a voxel is the
+    /// newest that they say.
+    pub is_of_all: bool,
     /// What to send first where there is not room for all. Of a snapshot always `Obstacles`.
     pub priority: Priority,
 }
@@ -90,13 +93,18 @@ const KIND_INDEPENDENT: u8 = 2;
 /// A snapshot that lacks what was dropped.
 const KIND_SNAPSHOT_IN_PART: u8 = 3;
 /// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority, or of a snapshot
-/// bit 5: what later packages changed is lacking, and with that bit 6: what they say too; bit 7: the box is made of whole
-/// blocks, and counted in these.
+/// what of later packages is lacking; bit 7: the box is made of whole blocks, and counted in these.
 const BOX_IN_BLOCKS: u8 = 1 << 7;
 const KIND_SHIFT: u32 = 3;
 const PRIORITY_SHIFT: u32 = 5;
 /// The stream stands behind version, codec and kind.
 pub(crate) const STREAM_AT: usize = 2;
+/// What a snapshot has in place of a priority: what packages that are not contained changed is lacking …
+const CHANGED_LATER: u8 = 1;
+/// … and all that is newer …
+const CUT: u8 = 3;
+/// … of the state of a robot that held all of them.
+const CUT_OF_ALL: u8 = 2;
 /// Voxels along the side of a block.
 const BLOCK_SIDE: u32 = 8;
 
@@ -114,9 +122,12 @@ impl Header {
         let (unit, flag) = if is_in_blocks(&self.region) { (BLOCK_SIDE, BOX_IN_BLOCKS) } else { (1, 0) };
         let priority = match self.content {
             ContentKind::Changes => self.priority as u8,
-            ContentKind::Snapshot { .. } => {
-                u8::from(self.changed_upto.is_some()) | u8::from(self.is_cut) << 1
-            }
+            ContentKind::Snapshot { .. } => match (self.changed_upto, self.is_cut, self.is_of_all) {
+                (None, ..) => 0,
+                (Some(_), false, _) => CHANGED_LATER,
+                (Some(_), true, false) => CUT,
+                (Some(_), true, true) => CUT_OF_ALL,
+            },
         };
         out.push(self.codec.id() | kind << KIND_SHIFT | priority << PRIORITY_SHIFT | flag);
         put_varint(out, u64::from(self.stream.origin.0));
@@ -143,6 +154,11 @@ impl Header {
         }
     }
 
+    /// Of a snapshot: of all packages up to this one, nothing newer is known of what it says.
+    pub fn newest_of(&self) -> u32 {
+        self.changed_upto.filter(|_| self.is_of_all).map_or(self.index, |upto| upto.max(self.index))
+    }
+
     /// Bytes of the header, with the check.
     pub(crate) fn byte_len(&self) -> usize {
         let mut bytes = Vec::with_capacity(96);
@@ -163,10 +179,8 @@ impl Header {
         let codec = Codec::from_id(codec).ok_or(PackageError::Codec { found: codec })?;
         let unit = if all & BOX_IN_BLOCKS == 0 { 1 } else { BLOCK_SIDE };
         let is_snapshot = [KIND_SNAPSHOT, KIND_SNAPSHOT_IN_PART].contains(&kind);
-        let (is_piece, is_cut) = (is_snapshot && priority & 1 == 1, is_snapshot && priority & 2 == 2);
-        if is_cut && !is_piece {
-            return Err(wrong("a snapshot that is cut says up to which package"));
-        }
+        let later = if is_snapshot { priority } else { 0 };
+        let (is_cut, is_of_all) = ([CUT, CUT_OF_ALL].contains(&later), later == CUT_OF_ALL);
         let priority = Priority::ALL.get(if is_snapshot { 0 } else { usize::from(priority) }).copied();
         let priority = priority.ok_or_else(|| wrong("priorities are 0 to 2"))?;
         let u32_max = u64::from(u32::MAX);
@@ -199,7 +213,7 @@ impl Header {
                 let lost = reader.signed("newest stamp dropped")?;
                 lost_upto = Some(Stamp(lost.wrapping_add(epoch_micros(epoch))));
             }
-            if is_piece {
+            if later != 0 {
                 let upto = reader.signed("changed upto")?.checked_add(i64::from(index));
                 changed_upto = upto.and_then(|upto| u32::try_from(upto).ok()).filter(|upto| *upto > 0);
                 changed_upto.ok_or_else(|| wrong("indices begin at 1"))?;
@@ -230,6 +244,7 @@ impl Header {
             lost_upto,
             changed_upto,
             is_cut,
+            is_of_all,
             priority,
         };
         Ok((header, Tail { checked, check }, reader.rest()))

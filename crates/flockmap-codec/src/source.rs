@@ -35,4 +35,6 @@ pub struct Span {
     pub changed_upto: Option<u32>,
     /// And nothing is there that is newer than these packages.
     pub is_cut: bool,
+    /// And it is of the state of who held all packages up to `changed_upto`.
+    pub is_of_all: bool,
 }

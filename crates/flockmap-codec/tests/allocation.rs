@@ -180,6 +180,7 @@ fn a_snapshot_takes_few_bytes_for_each_known_voxel() {
                     lost_upto: None,
                     changed_upto: None,
                     is_cut: false,
+                    is_of_all: false,
                 };
                 encoder.encode_span(codec, span, resolution(), &state, PACKAGE_BYTES_MAX).unwrap()
             });

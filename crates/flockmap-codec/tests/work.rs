@@ -108,6 +108,7 @@ fn cube(side: u32, byte: u8) -> Package {
         lost_upto: None,
         changed_upto: None,
         is_cut: false,
+        is_of_all: false,
         priority: Priority::NearFree,
     };
     let package = Package::from_parts(&header, &payload, 0);

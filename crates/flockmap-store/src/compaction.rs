@@ -74,34 +74,30 @@ impl StreamCopy {
         // One of a history with gaps says by itself no more than its newest package.
         let is_whole = received.contains_range(1, upto);
         let (since, changed_upto) = (if is_whole { 0 } else { upto - 1 }, cuts.changed_upto);
-        let mut span =
-            Span { stream, since, upto, lost_upto: layer.lost_upto(), changed_upto, is_cut: false };
-        let (mut chunks, mut newer_than) = (Vec::new(), None);
+        let span =
+            Span { stream, since, upto, lost_upto: None, changed_upto, is_cut: false, is_of_all: false };
+        let cuts = Some(cuts).filter(|_| is_whole);
+        let (mut chunks, mut bytes_max) = (Vec::new(), PIECE_BYTES);
+        let mut reader = PieceReader::new(&layer, span, None, cuts, bytes_max);
         loop {
-            let cuts = Some(cuts.clone()).filter(|_| is_whole);
-            let mut bytes_max = PIECE_BYTES;
-            let mut reader = PieceReader::new(&layer, span, newer_than, cuts, bytes_max);
-            let piece = loop {
-                while reader.step(usize::MAX) > 0 {}
-                match reader.take() {
-                    Piece::TooMuch => {
-                        bytes_max = bytes_max.saturating_mul(2);
-                        reader.restart(bytes_max);
-                    }
-                    piece => break piece,
+            while reader.step(usize::MAX) > 0 {}
+            match reader.take() {
+                Piece::TooMuch => {
+                    bytes_max = bytes_max.saturating_mul(2);
+                    reader.restart(bytes_max);
                 }
-            };
-            match piece {
                 Piece::State(of, state, rest) => {
                     let piece = encoder.encode_span(codec, of, resolution, &state, PACKAGE_BYTES_MAX);
                     chunks.extend(piece.map_err(|error| cannot(&error.to_string()))?);
-                    (span.since, newer_than) = (of.upto, rest);
+                    bytes_max = PIECE_BYTES;
+                    if rest.is_none() || !reader.go_on(of.upto, rest, bytes_max) {
+                        break;
+                    }
                 }
-                Piece::Nothing(of) => chunks.extend(Package::of_dropped(of, resolution)),
-                Piece::TooMuch => {}
-            }
-            if newer_than.is_none() {
-                break;
+                Piece::Nothing(of) => {
+                    chunks.extend(Package::of_dropped(of, resolution));
+                    break;
+                }
             }
         }
         let contents = match chunks.first().map(|chunk| chunk.header().content) {

@@ -28,10 +28,21 @@ pub(crate) struct Lack {
     pub(crate) begun: Option<(u32, Stamp)>,
     /// Who is asked for the rest, and since when.
     pub(crate) asked: Option<(RobotId, Stamp)>,
+    /// What has come of the rest, since something was dropped last.
+    pub(crate) rest: Rest,
     /// Who has given what it has, and lacks something itself: the last ones.
     pub(crate) done: VecDeque<RobotId>,
     /// Who gave nothing in time, since all were asked last.
     pub(crate) late: VecDeque<RobotId>,
+}
+
+/// What has come again of a stream of which something was lacking, by a snapshot or by pieces of a state.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Rest {
+    /// All that packages 1 to this one say, as far as who gave it had it.
+    pub(crate) upto: u32,
+    /// And some of that it lacked.
+    pub(crate) lacks_too: bool,
 }
 
 /// Notes a robot among the last ones.
@@ -54,6 +65,7 @@ impl Lacks {
             is_anywhere: false,
             begun: None,
             asked: None,
+            rest: Rest::default(),
             done: VecDeque::new(),
             late: VecDeque::new(),
         };

@@ -46,6 +46,8 @@ pub(crate) struct Outgoing {
     pub(crate) is_in_part: bool,
     /// It is a piece of the state: what it lacks was changed by packages up to this one.
     pub(crate) changed_upto: Option<u32>,
+    /// Of all packages up to this one, nothing newer is known of what it says.
+    pub(crate) newest_of: u32,
     pub(crate) chunks: Vec<Package>,
     pub(crate) bytes: usize,
     pub(crate) used_at: Stamp,
@@ -86,6 +88,7 @@ impl Outgoing {
             since,
             upto,
             pieces_upto: self.changed_upto.unwrap_or(upto).max(upto),
+            newest_of: self.newest_of,
             named_at: now,
             unheeded: 1,
             lost_at: now,

@@ -232,6 +232,7 @@ fn package(case: &Case, draft: &Draft, index: u32, decoder: &mut Decoder, layer:
         lost_upto: None,
         changed_upto: None,
         is_cut: false,
+        is_of_all: false,
         priority: Priority::Obstacles,
     };
     let mut check = 0;

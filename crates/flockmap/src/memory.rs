@@ -5,7 +5,7 @@ use flockmap_grid::UNPACKED_BYTES_MAX;
 use crate::RobotConfig;
 use crate::events::{EVENTS_BYTES_MAX, EVENTS_MAX};
 use crate::readers::bytes_max as readers_bytes_max;
-use crate::snapshots::BYTES_MAX as SNAPSHOT_BYTES_MAX;
+use crate::snapshots::{BYTES_MAX as SNAPSHOT_BYTES_MAX, KEPT_BYTES_MAX};
 
 /// An event, beside its changes.
 const EVENT: usize = 256;
@@ -22,7 +22,8 @@ impl RobotConfig {
     /// layers and what they add to the fused map (`fusion.layer_bytes_max`), snapshots that are being read (half as
     /// much), parts of layers and of the fused map that were unpacked to be read, events that nobody takes; a snapshot
     /// that is being made, 256 MiB at most, and the layer as it was when that was begun, which is shared with the layer
-    /// but for what changes until it is made. By default 2.7 GB, by broadcast 3.0 GB, of which honest
+    /// but for what changes until it is made; and layers as they were of which further pieces are to be made, 32 MiB beside
+    /// what they share. By default 2.7 GB, by broadcast 3.0 GB, of which honest
     /// robots make it hold a tenth.
     ///
     /// Beside that there is what the robot itself sees: the own map (`mapper.memory_bytes_max`, and a sixth
@@ -40,6 +41,7 @@ impl RobotConfig {
             // A copy of a layer; the state that is coded; its chunks, in two codecs.
             + self.fusion.layer_bytes_max
             + SNAPSHOT_BYTES_MAX
+            + KEPT_BYTES_MAX
             + 4 * self.session.snapshot_bytes_max
             + EVENTS_BYTES_MAX
             + EVENTS_MAX * EVENT

@@ -13,11 +13,15 @@ pub const PIECE_BYTES: usize = 48 << 20;
 
 /// Reads a state in steps: of a layer as it is now, whatever becomes of it meanwhile. Where it would take more bytes than
 /// a limit to make a snapshot of it, some 3 for each voxel and 140 to 300 for each block, what is newest is left out; a
-/// further piece brings that.
+/// [further piece](Self::go_on) of the same state brings that.
 #[derive(Debug)]
 pub struct PieceReader {
     reader: SnapshotReader,
     span: Span,
+    /// Since where it was listed, and since where it is read.
+    listed_since: u32,
+    ended_at: u32,
+    newer_than: Option<Stamp>,
     cuts: Option<Cuts>,
     bytes_max: usize,
 }
@@ -35,8 +39,8 @@ pub enum Piece {
 }
 
 impl PieceReader {
-    /// Begins to read a layer, or what of it is newer than a stamp; it contains the packages of `span`. It can be cut by
-    /// `cuts`, unless something was dropped of it: of what age, a piece could not say. O(cubes).
+    /// Begins to read a layer, or what of it is newer than a stamp; it contains the packages of `span`, and what the
+    /// layer lacks, it lacks. It can be cut by `cuts`. O(cubes).
     pub fn new(
         layer: &Layer,
         span: Span,
@@ -44,8 +48,10 @@ impl PieceReader {
         cuts: Option<Cuts>,
         bytes_max: usize,
     ) -> Self {
-        let cuts = cuts.filter(|_| layer.lost_upto().is_none());
-        Self { reader: layer.read_snapshot(newer_than), span, cuts, bytes_max }
+        let lost_upto = layer.lost_upto().filter(|_| !mutation::is(Mutation::DropUnsaid));
+        let (reader, span) = (layer.read_snapshot(newer_than), Span { lost_upto, ..span });
+        let Span { since, upto, .. } = span;
+        Self { reader, span, listed_since: since, ended_at: upto, newer_than, cuts, bytes_max }
     }
 
     /// Reads some blocks, and the rest of a cube. Returns how many; 0: all is read. Some 20 µs for each.
@@ -69,9 +75,16 @@ impl PieceReader {
         bytes_of(self.reader.read())
     }
 
-    /// What was read, after [`Self::step`] has read all. It can be read [once more](Self::restart).
+    /// Bytes that it takes beside that and beside what it shares with the layer.
+    pub fn bytes_beside(&self) -> usize {
+        self.reader.memory_bytes()
+    }
+
+    /// What was read, after [`Self::step`] has read all.
     pub fn take(&mut self) -> Piece {
-        let (reader, mut span) = (&mut self.reader, self.span);
+        // What is lacking and older, who gets this lacks already.
+        let lost_upto = self.span.lost_upto.filter(|lost| self.newer_than.is_none_or(|limit| *lost > limit));
+        let (reader, mut span) = (&mut self.reader, Span { lost_upto, ..self.span });
         if let (Some(cuts), Some(limit)) = (&self.cuts, reader.upto()) {
             let Some((upto, stamp)) = cuts.upto(span.since, limit) else { return Piece::TooMuch };
             reader.keep_upto(stamp);
@@ -80,22 +93,45 @@ impl PieceReader {
                 return Piece::TooMuch;
             }
             let changed_upto = Some(cuts.newest).filter(|_| !mutation::is(Mutation::PieceUnsaid));
-            span = Span { upto, changed_upto, is_cut: changed_upto.is_some(), ..span };
+            let is_cut = changed_upto.is_some();
+            span = Span { upto, changed_upto, is_cut, is_of_all: is_cut && cuts.has_all, ..span };
         }
         let rest = reader.upto();
+        self.ended_at = span.upto;
         match reader.take() {
             Some(state) => Piece::State(span, state, rest),
             None => Piece::Nothing(span),
         }
     }
 
-    /// Reads the same state once more, with a larger limit. `false` if there is nothing to cut it by. O(cubes).
+    /// Reads the same once more, with a larger limit. `false` if there is nothing to cut it by. O(cubes).
     pub fn restart(&mut self, bytes_max: usize) -> bool {
         if self.cuts.is_some() {
-            self.reader.restart();
+            self.reader.restart(self.newer_than);
             self.bytes_max = bytes_max;
         }
         self.cuts.is_some()
+    }
+
+    /// The newest package of the piece that was taken last.
+    pub const fn ended_at(&self) -> u32 {
+        self.ended_at
+    }
+
+    /// Whether there is something of packages after this one, and all of it.
+    pub fn has(&self, since: u32) -> bool {
+        (self.listed_since..self.span.upto).contains(&since)
+    }
+
+    /// Reads a further piece of the same state: what is newer than the stamp, of packages after `since`. `false` if
+    /// [there is none](Self::has). O(cubes).
+    pub fn go_on(&mut self, since: u32, newer_than: Option<Stamp>, bytes_max: usize) -> bool {
+        let has_it = self.has(since);
+        if has_it {
+            (self.span.since, self.newer_than, self.bytes_max) = (since, newer_than, bytes_max);
+            self.reader.restart(newer_than);
+        }
+        has_it
     }
 }
 
@@ -111,16 +147,15 @@ mod tests {
 
     fn span(since: u32, upto: u32) -> Span {
         let stream = Stream { origin: RobotId(1), epoch: 1 };
-        Span { stream, since, upto, lost_upto: None, changed_upto: None, is_cut: false }
+        Span { stream, since, upto, lost_upto: None, changed_upto: None, is_cut: false, is_of_all: false }
     }
 
     /// All pieces of a layer, one after the other, each as large as it has to be.
     fn pieces(layer: &Layer, cuts: &Cuts, bytes_max: usize) -> Vec<(Span, SnapshotVoxels)> {
-        let (mut pieces, mut since, mut newer_than) = (Vec::new(), 0, None);
+        let mut pieces = Vec::new();
+        let mut reader = PieceReader::new(layer, span(0, cuts.newest), None, Some(cuts.clone()), bytes_max);
         loop {
             let mut bytes_max = bytes_max;
-            let of = span(since, cuts.newest);
-            let mut reader = PieceReader::new(layer, of, newer_than, Some(cuts.clone()), bytes_max);
             let (of, state, rest) = loop {
                 while reader.step(1) > 0 {}
                 match reader.take() {
@@ -136,7 +171,7 @@ mod tests {
             if rest.is_none() {
                 return pieces;
             }
-            (since, newer_than) = (of.upto, rest);
+            assert!(reader.go_on(of.upto, rest, bytes_max));
         }
     }
 
@@ -155,7 +190,7 @@ mod tests {
                     stamps.push((number, Stamp(i64::from(number) * 10)));
                 }
             }
-            let cuts = Cuts { stamps, newest: seen.len() as u32, changed_upto: None };
+            let cuts = Cuts { stamps, newest: seen.len() as u32, has_all: true, changed_upto: None };
             let (mut together, mut before) = (Layer::default(), 0);
             for (of, state) in pieces(&layer, &cuts, bytes_max) {
                 prop_assert!(of.since == before && of.upto > before && !state.is_empty());
@@ -165,7 +200,7 @@ mod tests {
                     together.apply(&part, stamp);
                 }
                 prop_assert_eq!(of.changed_upto, (of.upto < cuts.newest).then_some(cuts.newest));
-                prop_assert_eq!(of.is_cut, of.changed_upto.is_some());
+                prop_assert_eq!((of.is_cut, of.is_of_all), (of.changed_upto.is_some(), of.changed_upto.is_some()));
             }
             prop_assert_eq!(before, cuts.newest, "all packages are contained");
             prop_assert_eq!(together.digest(), layer.digest());

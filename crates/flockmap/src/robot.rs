@@ -19,8 +19,8 @@ use std::borrow::Cow;
 
 use flockmap_codec::{Batch, Decoder};
 use flockmap_grid::{
-    Changes, Fusion, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp, StatesError,
-    StatesUpdate, Stream,
+    Changes, Fusion, Layer, MapView, Mapper, Pose, PoseError, RobotId, Scan, ScanReport, Sphere, Stamp,
+    StatesError, StatesUpdate, Stream,
 };
 use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::wire::DatagramError;
@@ -481,6 +481,8 @@ impl Robot {
     /// The time of an input. A clock that is set back stands still until it has come up again.
     fn advance(&mut self, now: Stamp) -> Stamp {
         self.snapshots.note_call();
+        let fusion = &self.fusion;
+        self.snapshots.trim_kept(|stream| fusion.layer(stream).map(Layer::bytes_left_in_copies));
         self.readers.free();
         self.merge_steps_left = MERGE_STEPS_MAX;
         self.now = self.now.max(now);

@@ -4,7 +4,6 @@ use std::collections::VecDeque;
 
 use flockmap_codec::{Codec, EncodeError, Encoder, Package, SnapshotCoding, Span};
 use flockmap_grid::{Layer, Resolution, SnapshotVoxels, Stamp, Stream};
-use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::Cuts;
 
 use crate::piece::{Piece, PieceReader};
@@ -22,16 +21,23 @@ const CUBE_STEPS: u64 = 40;
 const WANTED_MAX: usize = 8;
 /// Most bytes that one may take while it is made, beside its chunks: 30 million voxels of LiDAR scans take half.
 pub(crate) const BYTES_MAX: usize = 256 << 20;
+/// States kept of which only a piece was made so far: what is there twice for them, all together. Beyond, the one that was
+/// used longest ago goes.
+pub(crate) const KEPT_BYTES_MAX: usize = 32 << 20;
+const KEPT_MAX: usize = 8;
 /// Bytes that a piece may take while it is made for each byte that its chunks may have together: a voxel takes 7 bits or
 /// more here, and one to three in chunks of `flock`.
 const PIECE_SHARE: usize = 3;
 
 /// Makes the snapshots that are wanted one after the other, each of a layer as it is when its turn comes. It shares the
-/// cubes of that layer, and keeps those that the layer changes or forgets meanwhile.
+/// cubes of that layer, and keeps those that the layer changes or forgets meanwhile. All pieces of a state are of the layer
+/// as it was when the first one was begun: what is dropped of it meanwhile, they say all the same.
 #[derive(Default)]
 pub(crate) struct Snapshots {
     wanted: VecDeque<Wanted>,
     making: Option<Making>,
+    /// What further pieces are made of, those used last at the end.
+    kept: VecDeque<Source>,
     /// What is left of the steps of this call.
     left: u64,
     /// Most steps that were taken in one call, and of those that went beyond the limit, by how many.
@@ -39,14 +45,23 @@ pub(crate) struct Snapshots {
 }
 
 struct Making {
-    stream: Stream,
+    source: Source,
     /// Of a chunk.
     bytes_max: usize,
     /// Bytes that a piece may take, if all of it is too much.
     piece_bytes: usize,
-    reader: PieceReader,
+    /// Further pieces are to be made.
+    is_cut: bool,
     /// Of what was read.
     coding: Option<Box<(SnapshotCoding<SnapshotVoxels>, Encoder)>>,
+}
+
+/// What a snapshot is made of.
+struct Source {
+    stream: Stream,
+    reader: PieceReader,
+    /// [`Layer::bytes_left_in_copies`] when it was begun.
+    left: u64,
 }
 
 /// A snapshot that is wanted: of packages 1 to `upto` of a stream, or what of it is newer than a stamp.
@@ -91,11 +106,33 @@ impl Snapshots {
         if self.making.is_none() && self.left > 0 { self.wanted.pop_front() } else { None }
     }
 
-    /// Begins one of a layer as it is now. O(cubes).
+    /// Begins one of a layer as it is now, or the next piece of one as it was. O(cubes).
     pub(crate) fn begin(&mut self, layer: &Layer, wanted: Wanted, cuts: Cuts, form: Form) {
-        let making = Making::new(layer, wanted, cuts, form);
-        self.spend(CUBE_STEPS * making.reader.cubes() as u64);
+        let kept = self.kept_for(&wanted).and_then(|at| self.kept.remove(at));
+        let making = Making::new(layer, wanted, cuts, form, kept);
+        self.spend(CUBE_STEPS * making.source.reader.cubes() as u64);
         self.making = Some(making);
+    }
+
+    /// The state of which a piece ended where this one is to begin, or any other one of the stream.
+    fn kept_for(&self, wanted: &Wanted) -> Option<usize> {
+        let is_of = |source: &Source| source.stream == wanted.stream && source.reader.has(wanted.since);
+        let ends_there = |source: &Source| is_of(source) && source.reader.ended_at() == wanted.since;
+        let (exact, any) = (self.kept.iter().rposition(ends_there), self.kept.iter().rposition(is_of));
+        exact.or(any).filter(|_| wanted.in_pieces && wanted.since > 0)
+    }
+
+    /// Lets go of what was kept for further pieces where that is too much by now. `left`: of a layer that is there, its
+    /// [`Layer::bytes_left_in_copies`].
+    pub(crate) fn trim_kept(&mut self, left: impl Fn(Stream) -> Option<u64>) {
+        self.kept.retain(|source| left(source.stream).is_some());
+        let bytes = |source: &Source| {
+            let alone = left(source.stream).map_or(0, |left| left.saturating_sub(source.left));
+            source.reader.bytes_beside() as u64 + alone
+        };
+        while self.kept.len() > KEPT_MAX || self.kept.iter().map(bytes).sum::<u64>() > KEPT_BYTES_MAX as u64 {
+            self.kept.pop_front();
+        }
     }
 
     /// Goes on with the one that was begun, as far as this call has time for it. Returns the stream and the chunks of
@@ -110,7 +147,10 @@ impl Snapshots {
             };
             self.spend(steps);
             if let Some(result) = made {
-                return self.making.take().map(|making| (making.stream, result));
+                let Making { source, is_cut, .. } = self.making.take()?;
+                let stream = source.stream;
+                self.kept.extend(Some(source).filter(|_| is_cut));
+                return Some((stream, result));
             }
         }
         None
@@ -125,12 +165,16 @@ impl Snapshots {
     /// Lets go of the one of a stream.
     pub(crate) fn forget(&mut self, stream: Stream) {
         self.wanted.retain(|wanted| wanted.stream != stream);
-        self.making.take_if(|making| making.stream == stream);
+        self.kept.retain(|source| source.stream != stream);
+        self.making.take_if(|making| making.source.stream == stream);
     }
 
     /// The streams of those that are wanted or being made.
     pub(crate) fn streams(&self) -> impl Iterator<Item = Stream> + '_ {
-        self.making.iter().map(|making| making.stream).chain(self.wanted.iter().map(|wanted| wanted.stream))
+        self.making
+            .iter()
+            .map(|making| making.source.stream)
+            .chain(self.wanted.iter().map(|wanted| wanted.stream))
     }
 
     /// Whether there is work.
@@ -145,16 +189,22 @@ impl Snapshots {
 }
 
 impl Making {
-    fn new(layer: &Layer, wanted: Wanted, cuts: Cuts, form: Form) -> Self {
+    /// `kept`: of the same stream, a state of which a piece was made.
+    fn new(layer: &Layer, wanted: Wanted, cuts: Cuts, form: Form, kept: Option<Source>) -> Self {
         let Wanted { stream, since, upto, newer_than, bytes_max, in_pieces } = wanted;
-        let lost_upto = layer.lost_upto().filter(|lost| newer_than.is_none_or(|limit| *lost > limit));
-        let lost_upto = lost_upto.filter(|_| !mutation::is(Mutation::DropUnsaid));
-        let changed_upto = cuts.changed_upto;
-        let span = Span { stream, since, upto, lost_upto, changed_upto, is_cut: false };
-        let cuts = Some(cuts).filter(|_| in_pieces);
         let piece_bytes = form.piece_bytes.min(PIECE_SHARE.saturating_mul(form.chunks_bytes_max));
-        let reader = PieceReader::new(layer, span, newer_than, cuts, piece_bytes);
-        Self { stream, bytes_max, piece_bytes, reader, coding: None }
+        let begin = || {
+            let changed_upto = cuts.changed_upto;
+            let span =
+                Span { stream, since, upto, lost_upto: None, changed_upto, is_cut: false, is_of_all: false };
+            let cuts = Some(cuts).filter(|_| in_pieces);
+            let reader = PieceReader::new(layer, span, newer_than, cuts, piece_bytes);
+            Source { stream, reader, left: layer.bytes_left_in_copies() }
+        };
+        let mut kept = kept;
+        let source =
+            kept.take_if(|source| source.reader.go_on(since, newer_than, piece_bytes)).unwrap_or_else(begin);
+        Self { source, bytes_max, piece_bytes, is_cut: false, coding: None }
     }
 
     /// Does some of it. Returns the steps taken, and the chunks when they are made.
@@ -167,23 +217,26 @@ impl Making {
             }
             return encoder.go_on(coding, steps_max);
         }
-        let blocks = self.reader.step(steps_max.div_ceil(BLOCK_STEPS) as usize);
+        let blocks = self.source.reader.step(steps_max.div_ceil(BLOCK_STEPS) as usize);
         let steps = blocks as u64 * BLOCK_STEPS;
-        if self.reader.bytes() > BYTES_MAX {
+        if self.source.reader.bytes() > BYTES_MAX {
             return Ok((steps, Some(Vec::new())));
         }
         if blocks > 0 {
             return Ok((steps, None));
         }
-        let (span, state) = match self.reader.take() {
-            Piece::State(span, state, _) => (span, state),
+        let (span, state) = match self.source.reader.take() {
+            Piece::State(span, state, rest) => {
+                self.is_cut = rest.is_some();
+                (span, state)
+            }
             Piece::Nothing(span) => {
                 let nothing = Package::of_dropped(span, form.resolution);
                 return Ok((1, Some(nothing.into_iter().collect())));
             }
             Piece::TooMuch => {
                 self.piece_bytes *= 2;
-                let is_begun = self.piece_bytes <= BYTES_MAX && self.reader.restart(self.piece_bytes);
+                let is_begun = self.piece_bytes <= BYTES_MAX && self.source.reader.restart(self.piece_bytes);
                 return Ok((1, (!is_begun).then(Vec::new)));
             }
         };
@@ -223,7 +276,7 @@ mod tests {
         layer: &Layer,
     ) -> Option<(Stream, Result<Vec<Package>, EncodeError>)> {
         if let Some(wanted) = snapshots.take_turn() {
-            let cuts = Cuts { stamps: Vec::new(), newest: 1, changed_upto: None };
+            let cuts = Cuts { stamps: Vec::new(), newest: 1, has_all: true, changed_upto: None };
             snapshots.begin(layer, wanted, cuts, FORM);
         }
         snapshots.go_on(FORM)

@@ -30,6 +30,16 @@ fn fly(swarm: &mut Swarm, robot: usize, ticks: std::ops::Range<i32>, random: &mu
     swarm.robots[robot].flush(swarm.now);
 }
 
+/// The same, always on.
+fn fly_away(swarm: &mut Swarm, robot: usize, ticks: std::ops::Range<i32>, random: &mut Random) {
+    for tick in ticks {
+        let scan = scan(random, swarm.now);
+        swarm.scan(robot, &scan, &Pose::from_translation([f64::from(tick) * 0.4, 0.0, 0.0]));
+        swarm.run(100);
+    }
+    swarm.robots[robot].flush(swarm.now);
+}
+
 fn digest(swarm: &Swarm, robot: usize, stream: Stream) -> Option<u64> {
     swarm.robots[robot].fusion().layer(stream).map(flockmap::grid::Layer::digest)
 }
@@ -121,5 +131,68 @@ fn who_has_some_pieces_passes_on_what_it_has_when_the_origin_is_gone() {
             assert!(!is_in_pieces(&swarm, robot, own), "seed {seed}, robot {robot}");
             assert_eq!(swarm.robots[robot].counters().damaged, 0, "seed {seed}");
         }
+    }
+}
+
+/// What an origin that has dropped some of its layer still holds, somebody else holds as well.
+fn holds_what_is_left(swarm: &Swarm, robot: usize, own: Stream) -> bool {
+    let [left, theirs] = [0, robot].map(|robot| swarm.robots[robot].fusion().layer(own).unwrap());
+    assert!(left.lost_upto().is_some() && left.len() > 100_000, "{}", left.len());
+    left.voxels().all(|(voxel, _)| left.get(voxel) == theirs.get(voxel))
+}
+
+/// The origin has no room for all that it has seen.
+fn configs_of_full(count: u16) -> Vec<RobotConfig> {
+    let mut configs = configs(count);
+    configs[0].fusion.own_layer_bytes_max = 600_000;
+    configs
+}
+
+#[test]
+fn who_joins_late_gets_all_that_is_left_in_pieces_of_a_state_of_which_something_was_dropped() {
+    for (radio, seed) in [(PERFECT, 8), (LOSSY, 9), (LOSSY, 10)] {
+        let mut swarm = Swarm::new(configs_of_full(2), radio, seed);
+        swarm.cut = vec![(0, 1)];
+        let mut random = Random(seed);
+        fly_away(&mut swarm, 0, 0..700, &mut random);
+        let own = swarm.robots[0].own_stream();
+        swarm.cut.clear();
+        // Pieces come while it flies on, and drops what the next one is to say.
+        fly_away(&mut swarm, 0, 700..800, &mut random);
+        let dropped = swarm.robots[0].counters().blocks_dropped;
+        swarm.run(60_000);
+        assert!(dropped > 0 && holds_what_is_left(&swarm, 1, own), "seed {seed}");
+        assert_eq!(prefix(&swarm, 1, own), prefix(&swarm, 0, own), "seed {seed}");
+        assert!(caught_up(&swarm, 1, own).len() >= 3, "seed {seed}: {:?}", caught_up(&swarm, 1, own));
+        assert!(swarm.robots[1].fusion().is_in_part(own) && !is_in_pieces(&swarm, 1, own));
+        assert_eq!(swarm.robots[1].counters().damaged, 0, "seed {seed}");
+    }
+}
+
+#[test]
+fn the_rest_of_a_state_comes_in_pieces_too() {
+    for (radio, seed) in [(PERFECT, 11), (LOSSY, 12)] {
+        let mut swarm = Swarm::new(configs_of_full(3), radio, seed);
+        swarm.cut = vec![(0, 2), (1, 2)];
+        let mut random = Random(seed);
+        fly_away(&mut swarm, 0, 0..700, &mut random);
+        swarm.run(5_000);
+        let own = swarm.robots[0].own_stream();
+        swarm.cut = vec![(1, 2)];
+        swarm.run(40_000);
+        assert!(
+            swarm.robots[2].fusion().is_in_part(own) && holds_what_is_left(&swarm, 2, own),
+            "seed {seed}"
+        );
+        // Then it hears who has all of it.
+        let made = swarm.robots[1].counters().snapshot_pieces;
+        swarm.cut.clear();
+        swarm.run(60_000);
+        assert!(swarm.robots[1].counters().snapshot_pieces >= made + 2, "seed {seed}");
+        assert_eq!(digest(&swarm, 2, own), digest(&swarm, 1, own), "seed {seed}");
+        assert!(!swarm.robots[2].fusion().is_in_part(own), "seed {seed}");
+        let is_complete = |event: &Event| matches!(event, Event::Complete { stream } if *stream == own);
+        assert!(swarm.events[2].iter().any(is_complete), "seed {seed}");
+        assert_eq!(swarm.robots[2].counters().damaged, 0, "seed {seed}");
     }
 }

@@ -58,6 +58,7 @@ fn header() -> impl Strategy<Value = Header> {
                 lost_upto: lost_upto.filter(|_| content != ContentKind::Changes).map(Stamp),
                 changed_upto: later.filter(|_| content != ContentKind::Changes).map(|later| later.max(1)),
                 is_cut: later.is_some_and(|later| later % 2 == 0) && content != ContentKind::Changes,
+                is_of_all: later.is_some_and(|later| later % 4 == 0) && content != ContentKind::Changes,
             }
         },
     )
@@ -122,6 +123,7 @@ fn a_usual_header_takes_few_bytes() {
         lost_upto: None,
         changed_upto: None,
         is_cut: false,
+        is_of_all: false,
         priority: Priority::NearFree,
     };
     assert_eq!(written(&header).len(), 37);
@@ -143,20 +145,21 @@ fn numbers_out_of_range_are_refused() {
     assert_eq!(blocks, "package header: a box of whole blocks is counted in blocks");
     assert_eq!(refused(&|b| b[15] = 5), "package header: a base is an earlier package");
     assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
-    let urgent_state = refused(&|b| b[1] |= KIND_SNAPSHOT << KIND_SHIFT | 2 << 5);
-    assert_eq!(urgent_state, "package header: a snapshot that is cut says up to which package");
-    let snapshot = |end: &[u8]| {
+    let snapshot = |later: u8, end: &[u8]| {
         let mut bytes =
-            vec![FORMAT_VERSION, 2 | KIND_SNAPSHOT << KIND_SHIFT | 1 << 5, 1, 0, 5, 0, 0, 0xc8, 1];
+            vec![FORMAT_VERSION, 2 | KIND_SNAPSHOT << KIND_SHIFT | later << 5, 1, 0, 5, 0, 0, 0xc8, 1];
         bytes.extend(
             [0; 6].into_iter().chain([0, 9, 9, 9, 9, 0, 1]).chain(end.iter().copied()).chain([1, 2, 3, 4]),
         );
-        Header::read(&bytes).map(|(header, ..)| header.changed_upto).map_err(|error| error.to_string())
+        let said = |header: Header| (header.changed_upto, header.newest_of());
+        Header::read(&bytes).map(|(header, ..)| said(header)).map_err(|error| error.to_string())
     };
-    assert_eq!(snapshot(&[14]), Ok(Some(12)));
+    assert_eq!(snapshot(CHANGED_LATER, &[14]), Ok((Some(12), 5)));
+    assert_eq!(snapshot(CUT, &[14]), Ok((Some(12), 5)));
+    assert_eq!(snapshot(CUT_OF_ALL, &[14]), Ok((Some(12), 12)));
     let rule = "package header: indices begin at 1";
-    assert_eq!(snapshot(&[9]), Err(rule.into()));
-    assert_eq!(snapshot(&[0xff, 0xff, 0xff, 0xff, 0x0f]), Err(rule.into()));
+    assert_eq!(snapshot(CUT, &[9]), Err(rule.into()));
+    assert_eq!(snapshot(CUT, &[0xff, 0xff, 0xff, 0xff, 0x0f]), Err(rule.into()));
     assert_eq!(refused(&|b| b[1] = 7), "package codec 7 is not known; the sender may be newer");
     let late = refused(&|b| {
         b[1] |= KIND_SNAPSHOT << KIND_SHIFT;

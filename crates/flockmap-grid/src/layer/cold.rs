@@ -27,11 +27,13 @@ impl Layer {
         if let Place::Packed(packed) = place {
             let cube = self.unpacked.take(packed);
             self.packed_bytes -= packed.memory_bytes();
+            self.left_in_copies += place.bytes_in_copies();
             self.open_bytes += OPEN_BYTES + cube.memory_bytes();
             self.open += cube.len();
             self.queue.push_back((self.changed, at));
             *place = Place::Open(Arc::new(Open { cube, touched: 0 }));
         }
+        self.left_in_copies += place.bytes_in_copies();
         match place {
             Place::Open(open) => Arc::make_mut(open),
             Place::Packed(_) => unreachable!("it was unpacked"),
@@ -84,6 +86,7 @@ impl Layer {
         let Place::Open(open) = place else { return 0 };
         let (blocks, bytes) = (open.cube.len(), OPEN_BYTES + open.cube.memory_bytes());
         let packed = PackedCube::pack(&open.cube);
+        self.left_in_copies += place.bytes_in_copies();
         self.open_bytes -= bytes;
         self.open -= blocks;
         self.packed_bytes += packed.memory_bytes();

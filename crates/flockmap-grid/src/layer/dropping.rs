@@ -50,10 +50,12 @@ impl Layer {
     pub(crate) fn begin_part(&mut self, lost_upto: Stamp) -> Vec<(BlockIndex, Plane)> {
         let known: Vec<_> = self.blocks().map(|(index, states)| (index, states.known())).collect();
         let newer = self.snapshot_since(lost_upto);
+        self.left_in_copies += self.cubes.values().map(Place::bytes_in_copies).sum::<u64>();
         let mut dropped = core::mem::take(&mut self.dropped);
         dropped.floor = dropped.floor.max(Some(lost_upto));
         dropped.newest = dropped.newest.max(Some(lost_upto));
-        *self = Self { dropped, newest: self.newest, ignored: self.ignored, ..Self::new(&self.unpacked) };
+        let Self { newest, ignored, left_in_copies, .. } = *self;
+        *self = Self { dropped, newest, ignored, left_in_copies, ..Self::new(&self.unpacked) };
         if let Some(newer) = newer {
             self.apply_rest(&newer);
         }
@@ -73,7 +75,9 @@ impl Layer {
 
     /// Takes a cube, whose voxels are not counted any more, out of the table.
     fn take_out(&mut self, at: BlockIndex) {
-        match self.cubes.remove(&at) {
+        let place = self.cubes.remove(&at);
+        self.left_in_copies += place.as_ref().map_or(0, Place::bytes_in_copies);
+        match place {
             None => {}
             Some(Place::Open(open)) => {
                 self.open_bytes -= super::OPEN_BYTES + open.cube.memory_bytes();

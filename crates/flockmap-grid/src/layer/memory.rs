@@ -32,6 +32,12 @@ impl Layer {
             + self.queue.capacity() * QUEUE_BYTES
     }
 
+    /// Bytes of what left the layer or was changed there while a copy of it kept it, counted up: by how much this has grown
+    /// since a copy was made, the copy keeps alone at most. O(1).
+    pub const fn bytes_left_in_copies(&self) -> u64 {
+        self.left_in_copies
+    }
+
     /// Bytes that it may hold at most while and after so many blocks are added to it, beside their stamps. O(1).
     pub fn memory_bytes_with(&self, blocks: usize) -> usize {
         // Each in a cube of its own.

@@ -62,6 +62,7 @@ pub struct Layer {
     dropped: Dropped,
     /// Voxels that were ignored, since something newer may have been dropped.
     ignored: u64,
+    left_in_copies: u64,
 }
 
 /// A cube of blocks where it lies. Copies of a layer share it until one of them changes it.
@@ -338,6 +339,16 @@ impl Place {
             Self::Open(open) => open.cube.parts().iter().map(|block| block.stamps.newest()).max(),
             Self::Packed(packed) => Some(packed.newest()),
         }
+    }
+
+    /// Bytes that copies of the layer keep of it when it leaves the layer, or is changed there; 0 if there is none.
+    fn bytes_in_copies(&self) -> u64 {
+        let bytes = match self {
+            Self::Open(open) if Arc::strong_count(open) > 1 => OPEN_BYTES + open.cube.memory_bytes(),
+            Self::Packed(packed) if Arc::strong_count(packed) > 1 => packed.memory_bytes(),
+            _ => 0,
+        };
+        bytes as u64
     }
 
     /// No voxel is older. O(blocks) of what is open.

@@ -3,6 +3,7 @@
 use core::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
 
+use super::sensors::SENSOR_BYTES;
 use super::{Layer, Place};
 use crate::block::set_bits;
 use crate::snapshot::SnapshotVoxels;
@@ -184,9 +185,20 @@ impl SnapshotReader {
         voxels.complete()
     }
 
-    /// Reads the same state once more, all of it. O(cubes).
-    pub fn restart(&mut self) {
-        self.unread.append(&mut core::mem::take(&mut self.done).into());
-        (self.voxels, self.upto) = (SnapshotVoxels::default(), None);
+    /// Reads the same state once more: all of it, or what is newer than a stamp. O(cubes).
+    pub fn restart(&mut self, newer_than: Option<Stamp>) {
+        self.done.append(&mut core::mem::take(&mut self.unread).into_vec());
+        let is_wanted =
+            |cube: &Unread| newer_than.is_none_or(|limit| cube.place.newest().is_some_and(|at| at > limit));
+        let (unread, done): (Vec<_>, Vec<_>) =
+            core::mem::take(&mut self.done).into_iter().partition(is_wanted);
+        (self.unread, self.done) = (unread.into(), done);
+        (self.voxels, self.upto, self.newer_than) = (SnapshotVoxels::default(), None, newer_than);
+    }
+
+    /// Bytes that it takes beside what was read and what it shares with the layer. O(1).
+    pub fn memory_bytes(&self) -> usize {
+        (self.unread.capacity() + self.done.capacity()) * size_of::<Unread>()
+            + self.sensors.len() * SENSOR_BYTES
     }
 }

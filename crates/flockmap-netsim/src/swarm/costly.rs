@@ -55,6 +55,7 @@ impl Costly {
             lost_upto: None,
             changed_upto: None,
             is_cut: false,
+            is_of_all: false,
             priority: Priority::NearFree,
         };
         let payload: Vec<u8> = (0..8 + self.random.below(64)).map(|_| self.random.next_u64() as u8).collect();

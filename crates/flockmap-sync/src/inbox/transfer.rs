@@ -27,6 +27,8 @@ pub(crate) struct Transfer {
     pub(crate) lost_upto: Option<Stamp>,
     /// It is a piece of a state that says nothing newer than its packages.
     pub(crate) is_cut: bool,
+    /// Of all packages up to this one, nothing newer is known of what it says.
+    pub(crate) newest_of: u32,
     /// The newest stamp in its chunks so far.
     pub(crate) newest: Stamp,
     /// Its packages are all held: it brings what was dropped of them.
@@ -56,6 +58,7 @@ impl Transfer {
             contents: None,
             lost_upto: None,
             is_cut: false,
+            newest_of: upto,
             newest: Stamp(i64::MIN),
             is_rest: false,
             is_spoiled: false,

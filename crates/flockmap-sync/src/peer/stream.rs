@@ -3,6 +3,7 @@
 use crate::IntervalSet;
 use crate::inbox::ABANDONED;
 use crate::item::Item;
+use crate::wire::RestRequest;
 use flockmap_grid::Stamp;
 
 /// Intervals kept of what a peer states to hold of one stream; of more, the newest.
@@ -27,6 +28,8 @@ pub(crate) struct Sending {
     pub(crate) upto: u32,
     /// It is a piece: what it lacks, and packages up to this one that build on that, come by further ones. Else `upto`.
     pub(crate) pieces_upto: u32,
+    /// [`Outgoing::newest_of`](crate::outbox::Outgoing::newest_of).
+    pub(crate) newest_of: u32,
     /// When the peer last spoke of the snapshot, or it was begun.
     pub(crate) named_at: Stamp,
     /// 0: the peer spoke of the snapshot. Else how often chunks got lost since then, or since it was begun,
@@ -62,8 +65,8 @@ pub(crate) struct PeerStream {
     /// Packages up to this one that build on others it can hardly decode before it holds all of them: it was sent a piece
     /// of a state.
     pub(crate) pieces_upto: u32,
-    /// It wants all that there is here, of packages 1 to this one at least.
-    pub(crate) rest_wanted: Option<u32>,
+    /// It wants all that there is here.
+    pub(crate) rest_wanted: Option<RestRequest>,
 }
 
 /// A snapshot that the peer wants.
@@ -131,6 +134,11 @@ impl Sending {
         self.unheeded >= UNHEEDED_MAX
     }
 
+    /// Whether it brings more of the rest of a stream.
+    pub(crate) const fn brings_rest(&self, wanted: &RestRequest) -> bool {
+        brings_rest([self.since, self.upto, self.newest_of], wanted)
+    }
+
     /// Chunks got lost, and the peer does not speak of the snapshot.
     pub(crate) fn note_unheeded(&mut self, now: Stamp) {
         self.unheeded = self.unheeded.saturating_add(1).min(UNHEEDED_MAX);
@@ -145,4 +153,9 @@ impl Sending {
             self.accepted = IntervalSet::new(PEER_INTERVALS_MAX);
         }
     }
+}
+
+/// Whether a snapshot, since a package up to one, that says the newest up to a third, brings more of the rest of a stream.
+pub(crate) const fn brings_rest([since, upto, newest_of]: [u32; 3], wanted: &RestRequest) -> bool {
+    since <= wanted.since && upto > wanted.since && newest_of >= wanted.upto
 }

@@ -130,7 +130,7 @@ impl Session {
                 peer.streams.entry(stated.stream).or_insert_with(|| PeerStream::new(stated.from, now));
             theirs.in_part = stated.in_part.map(|in_part| in_part.wants_independent);
             let rest = stated.in_part.and_then(|in_part| in_part.rest);
-            theirs.rest_wanted = rest.filter(|rest| rest.holder == own).map(|rest| rest.upto);
+            theirs.rest_wanted = rest.filter(|rest| rest.holder == own);
             // Of what lies below the list, the last request still holds.
             let below = theirs.received.within(0, stated.from.saturating_sub(1));
             if mutation::is(Mutation::HoldingsIgnored) {

@@ -12,6 +12,8 @@ pub struct Cuts {
     pub stamps: Vec<(u32, Stamp)>,
     /// What packages up to this one changed is not in what is older than that.
     pub newest: u32,
+    /// All packages up to that one are held.
+    pub has_all: bool,
     /// What packages up to this one changed is lacking in any case, since not all of them are held. `None`:
     /// nothing is.
     pub changed_upto: Option<u32>,
@@ -24,7 +26,8 @@ impl Session {
         let (prefix, last) = received.map_or((0, None), |received| (received.prefix(), received.last()));
         let changed_upto = Some(self.store.changed_upto(stream)).filter(|changed| *changed > prefix);
         let stamps = self.store.stamps(stream).filter(|(index, _)| *index < upto).collect();
-        Cuts { stamps, newest: last.max(changed_upto).unwrap_or(0), changed_upto }
+        let newest = last.max(changed_upto).unwrap_or(0);
+        Cuts { stamps, newest, has_all: prefix == newest, changed_upto }
     }
 
     /// A chunk of a snapshot is about to be merged: if it is of a piece, what later packages changed may be lacking in

@@ -34,6 +34,7 @@ impl Session {
                         let incoming = Transfer {
                             lost_upto,
                             is_cut,
+                            newest_of: package.header().newest_of(),
                             ..Transfer::new(sender.origin, stream, [since, index], snapshot_id, chunks, now)
                         };
                         self.receive_chunk(now, incoming, chunk, package);

@@ -7,10 +7,11 @@
 use super::Session;
 use crate::event::Event;
 use crate::inbox::{ABANDONED, Transfer};
-use crate::lacks::note;
+use crate::lacks::{Lack, Rest, note};
 use crate::outbox::Outgoing;
-use crate::peer::Peer;
+use crate::peer::{Peer, brings_rest};
 use crate::wire::{InPart, RestRequest};
+use flockmap_codec::{ContentKind, Header};
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
@@ -26,11 +27,16 @@ impl Session {
         self.spoil_transfers(stream);
     }
 
-    /// Before a chunk is merged of a snapshot that lacks something of packages 1 to `upto`, nothing newer than
-    /// `lost_upto`: whether what is known of the stream that is as old has to be taken out first, since the snapshot may
-    /// make it outdated without saying so. Then that counts as lacking.
-    pub fn begin_part(&mut self, stream: Stream, upto: u32, lost_upto: Stamp) -> bool {
-        let is_held = self.store.received(stream).is_some_and(|received| received.contains_range(1, upto));
+    /// Before a chunk is merged of a snapshot that lacks something ([`Header::lost_upto`]): whether what is known of the
+    /// stream that is as old has to be taken out first, since the snapshot may make it outdated without saying so. Then that
+    /// counts as lacking.
+    pub fn begin_part(&mut self, header: &Header) -> bool {
+        let &Header { stream, index, changed_upto, lost_upto: Some(lost_upto), .. } = header else {
+            return false;
+        };
+        let is_held = self.store.received(stream).is_some_and(|received| received.contains_range(1, index));
+        // All pieces of a state are made of the same one, which lacked the same.
+        let upto = changed_upto.map_or(index, |changed| changed.max(index));
         let begun = self.lacks.streams.get(&stream).and_then(|lack| lack.begun);
         if is_held || begun.is_some_and(|(index, stamp)| index >= upto && stamp >= lost_upto) {
             return false;
@@ -42,9 +48,19 @@ impl Session {
         true
     }
 
-    /// Whether a snapshot with packages 1 to `upto` has all packages of which something is lacking here: what it says
-    /// may come back where something was dropped.
-    pub fn has_lacking(&self, stream: Stream, upto: u32) -> bool {
+    /// Whether what a chunk of a snapshot says may come back where something was dropped: it is of a state that has all
+    /// packages of which something is lacking here.
+    pub fn brings_back(&self, header: &Header) -> bool {
+        let &Header { stream, content: ContentKind::Snapshot { id, .. }, .. } = header else {
+            return false;
+        };
+        // A state of a history with gaps has not.
+        let has_gaps = |t: &Transfer| (t.stream, t.snapshot_id) == (stream, id) && t.contents.is_some();
+        self.has_lacking(stream, header.newest_of()) && !self.inbox.transfers.iter().any(has_gaps)
+    }
+
+    /// Whether a state that says the newest of packages 1 to `upto` has all packages of which something is lacking here.
+    fn has_lacking(&self, stream: Stream, upto: u32) -> bool {
         // Of packages that another snapshot brings when it is complete something may be gone as well.
         let is_beyond = |t: &Transfer| t.stream == stream && t.is_spoiled && t.upto > upto;
         self.lacking_upto(stream).is_some_and(|lacking| upto >= lacking)
@@ -119,6 +135,9 @@ impl Session {
     fn spoil_transfers(&mut self, stream: Stream) {
         let transfers = self.inbox.transfers.iter_mut().filter(|transfer| transfer.stream == stream);
         transfers.for_each(|transfer| transfer.is_spoiled = true);
+        if let Some(lack) = self.lacks.streams.get_mut(&stream) {
+            lack.rest = Rest::default();
+        }
     }
 
     /// Whether a snapshot that is coming, whose packages are all held, is the rest of its stream.
@@ -127,25 +146,39 @@ impl Session {
         let is_asked = lack.asked.is_some_and(|(robot, _)| robot == transfer.source);
         // What was stored on the own disk is given unasked.
         (is_asked || transfer.source == self.identity.own.origin)
-            && transfer.since == 0
-            && self.has_lacking(transfer.stream, transfer.upto)
+            && transfer.since <= lack.rest.upto
+            && transfer.upto > lack.rest.upto
+            && self.has_lacking(transfer.stream, transfer.newest_of)
     }
 
     /// All chunks of a snapshot were merged.
-    pub(super) fn note_complete(&mut self, transfer: &Complete) {
-        let &Complete { source, stream, since, upto, lacks_too, .. } = transfer;
+    pub(super) fn note_complete(&mut self, now: Stamp, transfer: &Complete) {
+        let &Complete { source, stream, since, upto, newest_of, lacks_too, .. } = transfer;
         // Nor may anything be gone again of packages that another one brings when it is complete.
         let is_any_spoiled = self.inbox.transfers.iter().any(|t| t.stream == stream && t.is_spoiled);
-        let is_all = since == 0 && !lacks_too && !is_any_spoiled && self.has_lacking(stream, upto);
-        let Some(lack) = self.lacks.streams.get_mut(&stream) else { return };
-        if is_all {
+        let is_of_rest = !is_any_spoiled && self.has_lacking(stream, newest_of);
+        let Some(lacking) = self.lacking_upto(stream) else { return };
+        let is_next = |lack: &&mut Lack| since <= lack.rest.upto && !transfer.has_gaps;
+        let Some(lack) = self.lacks.streams.get_mut(&stream).filter(is_next) else { return };
+        let rest = &mut lack.rest;
+        if is_of_rest {
+            *rest = Rest { upto: rest.upto.max(upto), lacks_too: rest.lacks_too || lacks_too };
+            if rest.upto < lacking {
+                // Further pieces are to come.
+                lack.asked = lack.asked.map(|(robot, _)| (robot, now));
+                self.greet(now);
+                return;
+            }
+        }
+        let Rest { lacks_too, .. } = core::mem::take(rest);
+        if is_of_rest && !lacks_too {
             self.lacks.forget(stream);
             self.lacks.ended.push(stream);
             // A better one can be given now.
             self.outbox.snapshots.retain(|outgoing| outgoing.stream != stream || !outgoing.is_in_part);
-        } else if since == 0 {
+        } else {
             // One that lacks nothing can give it once more.
-            if lacks_too {
+            if lacks_too || transfer.lacks_too {
                 note(&mut lack.done, source);
             }
             lack.asked = lack.asked.filter(|(robot, _)| *robot != source);
@@ -196,8 +229,12 @@ impl Session {
                 && !(lacks_too(peer) && lack.done.contains(&peer.stream.origin))
                 && !lack.late.contains(&peer.stream.origin)
         };
-        let is_possible =
-            self.lacks.has_room && stream != self.identity.own && !mutation::is(Mutation::RestUnasked);
+        // Of a state that comes in pieces there is more to come.
+        let prefix = self.store.received(stream).map_or(0, |received| received.prefix());
+        let is_possible = self.lacks.has_room
+            && stream != self.identity.own
+            && self.store.changed_upto(stream) <= prefix
+            && !mutation::is(Mutation::RestUnasked);
         let peers = self.peers.values().filter(|_| is_possible).filter(has_all);
         peers.min_by_key(|peer| (lacks_too(peer), peer.stream)).map(|peer| peer.stream.origin)
     }
@@ -206,7 +243,8 @@ impl Session {
     pub(super) fn in_part(&self, stream: Stream) -> Option<InPart> {
         let lack = self.lacks.streams.get(&stream)?;
         let upto = self.lacking_upto(stream).unwrap_or(0);
-        let rest = lack.asked.map(|(holder, _)| RestRequest { holder, upto });
+        let since = lack.rest.upto;
+        let rest = lack.asked.map(|(holder, _)| RestRequest { holder, upto, since });
         Some(InPart { wants_independent: lack.is_anywhere, rest })
     }
 
@@ -222,37 +260,32 @@ impl Session {
         };
         if let Some(sending) = &mut theirs.sending {
             // What it lacks beside the rest comes first.
-            if is_relay || (sending.since == 0 && sending.upto >= wanted) {
+            if is_relay || sending.brings_rest(&wanted) {
                 sending.note_silence(now);
                 return;
             }
             theirs.sending = None;
         }
         let prefix = self.store.received(stream).map_or(0, |received| received.prefix());
-        if prefix < wanted.max(1) {
+        if prefix < wanted.upto.max(1) {
             return;
         }
         let is_in_part = self.lost_upto(stream).is_some();
         let is_it = |o: &Outgoing| {
             o.stream == stream
-                && o.since == 0
-                && o.upto >= wanted
+                && brings_rest([o.since, o.upto, o.newest_of], &wanted)
                 && o.contents.is_none()
                 && (is_in_part || !o.is_in_part)
         };
         if let Some(at) = self.outbox.snapshots.iter().rposition(is_it) {
             self.begin_to_send(now, id, at);
         } else {
-            let bytes_max = self.package_bytes_max();
-            let wanted = Event::SnapshotWanted {
-                stream,
-                since: 0,
-                newer_than: None,
-                upto: prefix,
-                bytes_max,
-                in_pieces: false,
-                peer: id,
-            };
+            let (upto, bytes_max) = (prefix, self.package_bytes_max());
+            let newer_than = self.store.newer_than(stream, wanted.since);
+            let since = if newer_than.is_some() { wanted.since } else { 0 };
+            let in_pieces = self.cuts(stream, upto).has_all;
+            let wanted =
+                Event::SnapshotWanted { stream, since, newer_than, upto, bytes_max, in_pieces, peer: id };
             self.request_snapshot(now, stream, wanted, None);
         }
     }
@@ -270,16 +303,20 @@ pub(super) struct Complete {
     pub(super) stream: Stream,
     pub(super) since: u32,
     pub(super) upto: u32,
+    newest_of: u32,
     /// Of a piece that says nothing newer than its packages: its newest stamp.
     pub(super) newest_of_piece: Option<Stamp>,
     /// It lacks something itself.
     lacks_too: bool,
+    /// It is a state of a history with gaps.
+    has_gaps: bool,
 }
 
 impl Complete {
     pub(super) fn of(transfer: &Transfer) -> Self {
-        let &Transfer { source, stream, since, upto, lost_upto, is_cut, newest, .. } = transfer;
+        let &Transfer { source, stream, since, upto, newest_of, lost_upto, is_cut, newest, .. } = transfer;
         let newest_of_piece = is_cut.then_some(newest);
-        Self { source, stream, since, upto, newest_of_piece, lacks_too: lost_upto.is_some() }
+        let (lacks_too, has_gaps) = (lost_upto.is_some(), transfer.contents.is_some());
+        Self { source, stream, since, upto, newest_of, newest_of_piece, lacks_too, has_gaps }
     }
 }

@@ -101,6 +101,7 @@ impl Session {
     ) -> Option<Outgoing> {
         let first = chunks.first()?.header();
         let (is_in_part, changed_upto) = (first.lost_upto.is_some(), first.changed_upto);
+        let newest_of = first.newest_of();
         let (upto, count) = (first.index, chunks.len() as u32);
         let ContentKind::Snapshot { since, id: snapshot_id, .. } = first.content else {
             self.report.counters.snapshots_unusable += 1;
@@ -135,6 +136,7 @@ impl Session {
             contents,
             is_in_part,
             changed_upto,
+            newest_of,
             chunks,
             bytes,
             used_at: now,
@@ -287,7 +289,7 @@ impl Session {
             // What it cannot decode it states as held.
             let is_wanted = wanted.is_some_and(|upto| upto <= sending.upto)
                 || request.is_some_and(|(since, ..)| is_piece && since < sending.upto)
-                || theirs.rest_wanted.is_some_and(|upto| sending.since == 0 && upto <= sending.upto);
+                || theirs.rest_wanted.is_some_and(|rest| sending.brings_rest(&rest));
             // Of what lies above it the next one may be short.
             let is_sound = sending.since <= since_max;
             if is_sound && (is_wanted || !theirs.received.contains_range(1, sending.upto)) {

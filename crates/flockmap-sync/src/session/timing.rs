@@ -137,12 +137,17 @@ impl Session {
         self.gaps(now).next().is_some()
     }
 
-    /// The streams with gaps that somebody may fill now, by packages or by a snapshot.
+    /// The streams with gaps that somebody may fill now, by packages or by a snapshot, or whose rest is coming.
     pub(super) fn gaps(&self, now: Stamp) -> impl Iterator<Item = Stream> + '_ {
         self.store.streams().filter(move |&stream| {
             let newest = self.store.newest_known(stream);
             stream != self.identity.own
                 && (self.inbox.undecodable().contains_key(&stream)
+                    || self
+                        .inbox
+                        .transfers
+                        .iter()
+                        .any(|transfer| transfer.is_rest && transfer.stream == stream)
                     || self.stated_as_received(stream, now).missing(1, newest).next().is_some())
         })
     }

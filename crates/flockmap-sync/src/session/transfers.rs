@@ -117,7 +117,7 @@ impl Session {
                 (None, None) => {
                     // Its packages are held already: if it is anything, the rest of what was lacking.
                     if prefix >= upto {
-                        self.note_complete(&of);
+                        self.note_complete(now, &of);
                     }
                     continue;
                 }
@@ -134,7 +134,7 @@ impl Session {
             if is_received {
                 self.report.counters.caught_up += 1;
                 if is_whole {
-                    self.note_complete(&of);
+                    self.note_complete(now, &of);
                     if let Some(newest) = of.newest_of_piece {
                         self.store.note_stamp(stream, upto, newest);
                     }

@@ -23,6 +23,7 @@ const ALL_ECHOES: u8 = 2;
 const FROM_OLDEST: u8 = 1;
 const WANTS_INDEPENDENT: u8 = 2;
 const WANTS_REST: u8 = 4;
+const WANTS_REST_SINCE: u8 = 8;
 const NO_NEW_STREAMS: u8 = 4;
 
 /// Record with a range of origins.
@@ -123,8 +124,10 @@ pub struct InPart {
 pub struct RestRequest {
     /// This robot is to give it.
     pub holder: RobotId,
-    /// A snapshot will do that has packages 1 to this one at least.
+    /// A snapshot will do that has packages 1 to this one at least, or a piece of such a state.
     pub upto: u32,
+    /// What packages 1 to this one say has come already; 0: nothing.
+    pub since: u32,
 }
 
 /// How far the receipt of a snapshot is.
@@ -246,7 +249,9 @@ impl Request {
             let rest = if flags & WANTS_REST == 0 {
                 None
             } else {
-                Some(RestRequest { holder: RobotId(reader.varint_u16()?), upto: reader.varint_u32()? })
+                let (holder, upto) = (RobotId(reader.varint_u16()?), reader.varint_u32()?);
+                let since = if flags & WANTS_REST_SINCE == 0 { 0 } else { reader.varint_u32()? };
+                Some(RestRequest { holder, upto, since })
             };
             in_part = Some(InPart { wants_independent: flags & WANTS_INDEPENDENT != 0, rest });
         }
@@ -478,11 +483,15 @@ fn put_received(out: &mut Vec<u8>, received: &Received, end: usize) -> bool {
             content.push(
                 flag(received.is_oldest_wanted, FROM_OLDEST)
                     | flag(wants_independent, WANTS_INDEPENDENT)
-                    | flag(rest.is_some(), WANTS_REST),
+                    | flag(rest.is_some(), WANTS_REST)
+                    | flag(rest.is_some_and(|rest| rest.since > 0), WANTS_REST_SINCE),
             );
-            if let Some(RestRequest { holder, upto }) = rest {
+            if let Some(RestRequest { holder, upto, since }) = rest {
                 put_varint(&mut content, u64::from(holder.0));
                 put_varint(&mut content, u64::from(upto));
+                if since > 0 {
+                    put_varint(&mut content, u64::from(since));
+                }
             }
             RECEIVED_IN_PART
         }

@@ -260,6 +260,7 @@ impl Swarm {
                                     lost_upto: None,
                                     changed_upto: None,
                                     is_cut: false,
+                                    is_of_all: false,
                                 },
                                 resolution,
                                 &state,

@@ -145,16 +145,17 @@ impl Robot {
     }
 
     fn merge_snapshot(&mut self, now: Stamp, package: &Package, state: &Snapshot) -> Result<Event, Refusal> {
-        let &Header { stream, index: upto, lost_upto, .. } = package.header();
-        self.session.note_piece(package.header());
+        let header = package.header();
+        let stream = header.stream;
+        self.session.note_piece(header);
         self.note_clock(stream);
         self.note_merging(state.parts.iter().map(|(_, part)| part.blocks().len()).sum());
-        if let Some(lost_upto) = lost_upto
-            && self.session.begin_part(stream, upto, lost_upto)
+        if self.session.begin_part(header)
+            && let Some(lost_upto) = header.lost_upto
         {
             self.fusion.begin_part(&self.mapper, stream, lost_upto);
         }
-        let is_rest = self.session.has_lacking(stream, upto);
+        let is_rest = self.session.brings_back(header);
         let taken = self.fusion.apply_snapshot(&self.mapper, stream, state, is_rest, now)?;
         self.note_dropped();
         Ok(merged(package, Changes::default(), taken))
