@@ -110,7 +110,9 @@ fn record(event: &Event) -> EventRecord {
         Event::SameIdentity => plain(EventKind::SameIdentity, None),
         Event::NoncesExhausted => plain(EventKind::NoncesExhausted, None),
         Event::EncodeFailed(error) => of(EventKind::EncodeFailed, None, 0, 0, error.to_string()),
-        Event::Dropped { stream, blocks, .. } => of(EventKind::Dropped, Some(stream), *blocks, 0, String::new()),
+        Event::Dropped { stream, blocks, .. } => {
+            of(EventKind::Dropped, Some(stream), *blocks, 0, String::new())
+        }
         Event::Complete { stream } => plain(EventKind::Complete, Some(stream)),
         _ => plain(EventKind::Other, None),
     }

@@ -29,6 +29,8 @@ Examples:
   flockmap-bench day --metres 100                         a quarter of a minute: 3 robots, 10 million voxels
   flockmap-bench day --json day.json                      30 km together, a billion voxels: an hour, and some GB
   flockmap-bench day --robots 2 --metres 1000 --no-joiner
+  flockmap-bench day --robots 1 --metres 5000 --own-layer-mb 64
+                                                          it drops what is far and old: the late joiner gets what is left
 
 Each robot flies a straight corridor of its own, 100 m beside the next one, of which every metre is new and nothing is
 seen twice, as `flockmap-bench layers corridor` has it: 2 m/s, five scans a second. All robots are of default options,
@@ -49,6 +51,9 @@ What the tables say:
            map beside that of robot 1, if all layers are whole. No change to Unknown is sent: what robot 1 has published
            and then taken back, or forgotten where its own map is full (512 MiB), the joiner keeps
 
+Of what a robot has dropped of its own layer for want of room, the others may still hold all; then all is wanted, and
+else what is left.
+
 Exit code 1 if anything is lacking or not the same.")]
 pub struct DayArgs {
     /// Robots that fly
@@ -57,6 +62,9 @@ pub struct DayArgs {
     /// Way that each of them flies: 33,500 voxels a metre
     #[arg(long, value_name = "M", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub metres: u32,
+    /// Most memory of a robot's own layer [default: that of every robot, 256 MiB, which is 17 km]
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u16).range(1..=4_096))]
+    pub own_layer_mb: Option<u16>,
     /// Nobody joins late
     #[arg(long)]
     pub no_joiner: bool,
@@ -97,7 +105,8 @@ struct Day {
 
 impl Day {
     fn new(args: &DayArgs) -> anyhow::Result<Self> {
-        let robots = (1..=args.robots).map(|id| robot(id, Stamp(0)).map(Member::new));
+        let own_layer_bytes = args.own_layer_mb.map(|mib| usize::from(mib) << 20);
+        let robots = (1..=args.robots).map(|id| robot(id, Stamp(0), own_layer_bytes).map(Member::new));
         Ok(Self {
             swarm: Swarm::new(robots.collect::<anyhow::Result<_>>()?),
             scans: corridor::scans(args.metres),
@@ -167,7 +176,7 @@ impl Day {
     fn join_late(&mut self) -> anyhow::Result<()> {
         let (flown, began) = (self.swarm.members.len(), self.swarm.now);
         let snapshots_before = self.swarm.snapshots();
-        self.swarm.members.push(Member::new(robot(flown as u16 + 1, began)?));
+        self.swarm.members.push(Member::new(robot(flown as u16 + 1, began, None)?));
         let waited = self.wait("late joiner", |swarm| {
             swarm.members.last().is_some_and(|joiner| swarm.is_served(joiner))
         })?;
@@ -222,8 +231,9 @@ impl Day {
     }
 }
 
-fn robot(id: u16, now: Stamp) -> anyhow::Result<Robot> {
+fn robot(id: u16, now: Stamp, own_layer_bytes: Option<usize>) -> anyhow::Result<Robot> {
     let resolution = Resolution::from_micrometres(100_000).context("no resolution")?;
-    let config = RobotConfig { seed: id.into(), ..RobotConfig::new(RobotId(id), resolution, 7.0) };
+    let mut config = RobotConfig { seed: id.into(), ..RobotConfig::new(RobotId(id), resolution, 7.0) };
+    config.fusion.own_layer_bytes_max = own_layer_bytes.unwrap_or(config.fusion.own_layer_bytes_max);
     Ok(Robot::new(config, now)?)
 }

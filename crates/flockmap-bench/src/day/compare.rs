@@ -6,7 +6,7 @@ use flockmap_cli::stop;
 
 use super::outcome::{MapRow, RobotRow, StreamRow};
 use super::same;
-use super::swarm::{Member, Swarm};
+use super::swarm::{Member, Swarm, whole_layer};
 
 /// What each robot that flew holds, and whether its layers are those of their origins: by digests, since each layer is
 /// compared with several.
@@ -22,7 +22,8 @@ pub fn flown(swarm: &Swarm) -> Vec<RobotRow> {
             progress.step();
             member.robot.fusion().layer(stream).filter(|_| !stop::requested()).map(Layer::digest)
         };
-        let wanted = digest_of(origin);
+        let whole = members.iter().find(|member| member.whole(origin).is_some());
+        let wanted = digest_of(whole.unwrap_or(origin));
         for (is_same, member) in are_same.iter_mut().zip(members).filter(|(_, one)| one.id() != origin.id()) {
             *is_same &= member.held_upto(stream) == origin.published();
             *is_same &= wanted.is_some() && digest_of(member) == wanted;
@@ -37,7 +38,7 @@ pub fn flown(swarm: &Swarm) -> Vec<RobotRow> {
 /// What one that joined late holds of each that flew, and how its fused map differs from that of the first of them, if
 /// all layers of both are whole.
 pub fn joined(joiner: &Member, flown: &[Member]) -> (Vec<StreamRow>, Option<MapRow>) {
-    let streams: Vec<StreamRow> = flown.iter().map(|origin| stream(joiner, origin)).collect();
+    let streams: Vec<StreamRow> = flown.iter().map(|origin| stream(joiner, origin, flown)).collect();
     let first = flown.first().filter(|first| {
         let is_whole = |origin: &Member| !first.robot.fusion().is_in_part(origin.robot.own_stream());
         streams.iter().all(|row| row.is_same() == Some(true)) && flown.iter().all(is_whole)
@@ -51,10 +52,13 @@ pub fn joined(joiner: &Member, flown: &[Member]) -> (Vec<StreamRow>, Option<MapR
     (streams, map)
 }
 
-fn stream(joiner: &Member, origin: &Member) -> StreamRow {
+fn stream(joiner: &Member, origin: &Member, flown: &[Member]) -> StreamRow {
     let stream = origin.robot.own_stream();
     let held = joiner.robot.fusion().layer(stream);
-    let difference = origin.own_layer().and_then(|wanted| {
+    // What of it is left, or all.
+    let whole = whole_layer(flown, origin);
+    let left = whole.or(origin.own_layer());
+    let difference = left.and_then(|wanted| {
         let progress =
             Progress::new(&format!("blocks of robot {}", origin.id()), wanted.block_count() as u64);
         same::of_layers(held, wanted, &progress)
@@ -64,7 +68,8 @@ fn stream(joiner: &Member, origin: &Member) -> StreamRow {
         packages: joiner.held_upto(stream),
         packages_published: origin.published(),
         voxels: held.map_or(0, Layer::len),
-        voxels_published: origin.own_layer().map_or(0, Layer::len),
+        voxels_left: left.map_or(0, Layer::len),
+        is_dropped: whole.is_none(),
         difference,
     }
 }

@@ -73,7 +73,7 @@ pub struct StageRow {
 /// The robot that joined late.
 #[derive(Serialize, Debug)]
 pub struct JoinerRow {
-    /// All packages of all robots, and nothing of them was dropped.
+    /// All packages of all robots, and of these all that anybody has.
     pub holds_all: bool,
     /// Until it held all, or until the last time that something new came.
     pub virtual_s: f64,
@@ -95,7 +95,9 @@ pub struct StreamRow {
     pub packages: u32,
     pub packages_published: u32,
     pub voxels: usize,
-    pub voxels_published: usize,
+    pub voxels_left: usize,
+    /// Nobody has all of it.
+    pub is_dropped: bool,
     /// `None`: not compared.
     pub difference: Option<Difference>,
 }
@@ -144,8 +146,10 @@ impl CallsRow {
 impl StreamRow {
     /// `None`: not compared.
     pub fn is_same(&self) -> Option<bool> {
-        let difference = self.difference?;
-        Some(self.packages == self.packages_published && difference.is_none())
+        let Difference { lacking, beyond, different } = self.difference?;
+        // Of what its robot has dropped, packages may still have come.
+        let is_beyond = beyond > 0 && !self.is_dropped;
+        Some(self.packages == self.packages_published && lacking + different == 0 && !is_beyond)
     }
 }
 
@@ -158,7 +162,7 @@ impl JoinerRow {
     fn is_good(&self) -> bool {
         self.holds_all
             && self.has_same_layers() == Some(true)
-            && self.map.as_ref().is_some_and(|map| map.difference.is_none())
+            && self.map.as_ref().is_none_or(|map| map.difference.is_none())
     }
 }
 
@@ -277,7 +281,7 @@ fn joined(rows: &[StreamRow]) -> DataTable {
             ("packages", &|row| thousands(row.packages.into())),
             ("published", &|row| thousands(row.packages_published.into())),
             ("voxels", &|row| thousands(row.voxels as u64)),
-            ("published", &|row| thousands(row.voxels_published as u64)),
+            ("there", &|row| thousands(row.voxels_left as u64)),
             ("lacking", &|row| voxels(row, |all| all.lacking)),
             ("beyond", &|row| voxels(row, |all| all.beyond)),
             ("different", &|row| voxels(row, |all| all.different)),
@@ -298,13 +302,13 @@ fn words(joiner: &JoinerRow) -> String {
         thousands(*snapshots)
     );
     for row in streams.iter().filter(|row| row.is_same() != Some(true)) {
-        let StreamRow { robot, packages, packages_published, voxels, voxels_published, .. } = row;
+        let StreamRow { robot, packages, packages_published, voxels, voxels_left, .. } = row;
         text += &format!(
             "\n  Of robot {robot} it lacks {} of {} packages, and has {} of {} voxels.",
             thousands(packages_published.saturating_sub(*packages).into()),
             thousands((*packages_published).into()),
             thousands(*voxels as u64),
-            thousands(*voxels_published as u64)
+            thousands(*voxels_left as u64)
         );
     }
     let Some(MapRow { difference, kept, blocks_forgotten }) = map else {

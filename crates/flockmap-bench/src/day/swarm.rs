@@ -91,10 +91,15 @@ impl Member {
         self.robot.session().store().newest_known(self.robot.own_stream())
     }
 
-    /// Whether it holds all that another one has published, and its layer lacks nothing.
+    /// Whether it holds all packages that another one has published.
     fn holds_all_of(&self, other: &Self) -> bool {
-        let stream = other.robot.own_stream();
-        self.held_upto(stream) == other.published() && !self.robot.fusion().is_in_part(stream)
+        self.held_upto(other.robot.own_stream()) == other.published()
+    }
+
+    /// Its layer of another one, if that lacks nothing.
+    pub fn whole(&self, other: &Self) -> Option<&Layer> {
+        let (fusion, stream) = (self.robot.fusion(), other.robot.own_stream());
+        fusion.layer(stream).filter(|_| self.holds_all_of(other) && !fusion.is_in_part(stream))
     }
 
     /// Voxels in the layers of all others.
@@ -206,10 +211,19 @@ impl Swarm {
         self.members.iter().all(|member| member.robot.unpublished() == 0 && self.is_served(member))
     }
 
-    /// Whether one holds what all have published.
+    /// Whether one holds what all others have published, and what was dropped of that only if nobody has it.
     pub fn is_served(&self, member: &Member) -> bool {
-        self.members.iter().all(|other| member.holds_all_of(other))
+        self.members.iter().filter(|other| other.id() != member.id()).all(|other| {
+            let is_lost = || whole_layer(&self.members, other).is_none();
+            member.holds_all_of(other)
+                && (other.published() == 0 || member.whole(other).is_some() || is_lost())
+        })
     }
+}
+
+/// The layer of one that flew, of who has all of it.
+pub fn whole_layer<'a>(members: &'a [Member], origin: &Member) -> Option<&'a Layer> {
+    members.iter().find_map(|member| member.whole(origin))
 }
 
 #[cfg(test)]
