@@ -57,7 +57,7 @@ fn stream(joiner: &Member, origin: &Member, flown: &[Member]) -> StreamRow {
     let held = joiner.robot.fusion().layer(stream);
     // What of it is left, or all.
     let whole = whole_layer(flown, origin);
-    let left = whole.or(origin.own_layer());
+    let left = whole.or_else(|| origin.own_layer());
     let difference = left.and_then(|wanted| {
         let progress =
             Progress::new(&format!("blocks of robot {}", origin.id()), wanted.block_count() as u64);
