@@ -142,15 +142,7 @@ impl Encoder {
         check_rules(state)?;
         let voxels = SnapshotVoxels::from_state(state);
         let voxels = voxels.ok_or(EncodeError::Snapshot { rule: "at most 2³² blocks" })?;
-        let span = Span {
-            stream,
-            since: 0,
-            upto: upto_index,
-            lost_upto: None,
-            changed_upto: None,
-            is_cut: false,
-            is_of_all: false,
-        };
+        let span = Span::new(stream, 0, upto_index);
         self.encode_span(codec, span, resolution, &voxels, bytes_max)
     }
 

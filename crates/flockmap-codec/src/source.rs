@@ -38,3 +38,10 @@ pub struct Span {
     /// And it is of the state of who held all packages up to `changed_upto`.
     pub is_of_all: bool,
 }
+
+impl Span {
+    /// Of a state in which nothing is lacking.
+    pub const fn new(stream: Stream, since: u32, upto: u32) -> Self {
+        Self { stream, since, upto, lost_upto: None, changed_upto: None, is_cut: false, is_of_all: false }
+    }
+}

@@ -173,15 +173,7 @@ fn a_snapshot_takes_few_bytes_for_each_known_voxel() {
         for newer_than in [None, Some(Stamp(60_000_000))] {
             let (peak, chunks) = peak_of(|| {
                 let state = layer.snapshot_voxels(newer_than).unwrap();
-                let span = Span {
-                    stream: stream(),
-                    since: u32::from(newer_than.is_some()),
-                    upto: 9,
-                    lost_upto: None,
-                    changed_upto: None,
-                    is_cut: false,
-                    is_of_all: false,
-                };
+                let span = Span::new(stream(), u32::from(newer_than.is_some()), 9);
                 encoder.encode_span(codec, span, resolution(), &state, PACKAGE_BYTES_MAX).unwrap()
             });
             let bytes: usize = chunks.iter().map(|chunk| chunk.bytes().len()).sum();

@@ -34,7 +34,7 @@ proptest! {
             layer.pack();
         }
         let newer_than = since.map(Stamp);
-        let span = Span { stream: stream(), since: u32::from(since.is_some()), upto: 9, lost_upto: None, changed_upto: None, is_cut: false, is_of_all: false };
+        let span = Span::new(stream(), u32::from(since.is_some()), 9);
         let Some(state) = layer.snapshot_voxels(newer_than) else { return Ok(()) };
         let at_once = Encoder::new().encode_span(codec, span, resolution(), &state, bytes_max);
 
@@ -94,15 +94,7 @@ fn no_slice_takes_much_more_than_it_may() {
     assert_eq!(read, blocks);
     let state = reader.finish().unwrap();
     for codec in [Codec::Flock, Codec::Paper] {
-        let span = Span {
-            stream: stream(),
-            since: 0,
-            upto: 9,
-            lost_upto: None,
-            changed_upto: None,
-            is_cut: false,
-            is_of_all: false,
-        };
+        let span = Span::new(stream(), 0, 9);
         let mut coding = SnapshotCoding::new(codec, span, resolution(), &state, 1_150).unwrap();
         let mut encoder = Encoder::new();
         let (mut slices, mut most) = (0, 0);
@@ -124,15 +116,7 @@ fn no_slice_takes_much_more_than_it_may() {
 fn work_that_cannot_be_done_says_so_before_it_begins() {
     let state = layer().snapshot_voxels(None).unwrap();
     let begin = |since, upto, bytes_max| {
-        let span = Span {
-            stream: stream(),
-            since,
-            upto,
-            lost_upto: None,
-            changed_upto: None,
-            is_cut: false,
-            is_of_all: false,
-        };
+        let span = Span::new(stream(), since, upto);
         SnapshotCoding::new(Codec::Flock, span, resolution(), &state, bytes_max).err()
     };
     assert_eq!(begin(3, 3, 1_150), Some(EncodeError::IndexOutOfRange { first: 3, count: 1 }));

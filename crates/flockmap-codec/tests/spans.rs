@@ -71,7 +71,7 @@ proptest! {
             let since = since.index(upto);
             let newer_than = (since > 0).then(|| packages[since].header().batch_end.plus_micros(-1));
             let state = after[upto].snapshot_voxels(newer_than).unwrap();
-            let span = Span { stream: stream(), since: since as u32, upto: upto as u32, lost_upto: None, changed_upto: None, is_cut: false, is_of_all: false };
+            let span = Span::new(stream(), since as u32, upto as u32);
             (span, encoder.encode_span(codec, span, resolution(), &state, PACKAGE_BYTES_MIN).unwrap())
         }).collect();
         let all: Vec<Delivery> =

@@ -72,6 +72,14 @@ impl<P: Packed> Unpacked<P> {
         found.map_or_else(|| packed.unpack(), Arc::unwrap_or_clone)
     }
 
+    /// It is not read any more.
+    pub(crate) fn forget(&self, packed: &Arc<P>) {
+        let mut kept = self.kept();
+        if let Some(at) = position(&kept, packed) {
+            kept.remove(at);
+        }
+    }
+
     /// Never held while something is unpacked.
     fn kept(&self) -> MutexGuard<'_, Kept<P>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)

@@ -37,8 +37,7 @@ fn coded_once(swarm: &Swarm, since: u32) -> usize {
     let newer_than = (since > 0).then(|| next.plus_micros(-1));
     let state = robot.layers[&stream].snapshot_voxels(newer_than).unwrap();
     let resolution = Resolution::from_metres(0.1).unwrap();
-    let span =
-        Span { stream, since, upto, lost_upto: None, changed_upto: None, is_cut: false, is_of_all: false };
+    let span = Span::new(stream, since, upto);
     let chunks = Encoder::new().encode_span(Codec::Paper, span, resolution, &state, PACKAGE_BYTES_MAX);
     chunks.unwrap().iter().map(|chunk| chunk.bytes().len()).sum()
 }
@@ -163,15 +162,7 @@ fn sets_that_nothing_more_comes_of_take_no_place_from_one_that_goes_on() {
         let newer_than = robot.session.store().stamp_not_after(own, since + 1).unwrap().plus_micros(-1);
         let state = robot.layers[&own].snapshot_voxels(Some(newer_than)).unwrap();
         let resolution = Resolution::from_metres(0.1).unwrap();
-        let span = Span {
-            stream: own,
-            since,
-            upto,
-            lost_upto: None,
-            changed_upto: None,
-            is_cut: false,
-            is_of_all: false,
-        };
+        let span = Span::new(own, since, upto);
         Encoder::new().encode_span(Codec::Raw, span, resolution, &state, PACKAGE_BYTES_MAX).unwrap()
     };
     let upto = swarm.robots[&1].session.received(own).unwrap().prefix();

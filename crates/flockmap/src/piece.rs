@@ -147,7 +147,7 @@ mod tests {
 
     fn span(since: u32, upto: u32) -> Span {
         let stream = Stream { origin: RobotId(1), epoch: 1 };
-        Span { stream, since, upto, lost_upto: None, changed_upto: None, is_cut: false, is_of_all: false }
+        Span::new(stream, since, upto)
     }
 
     /// All pieces of a layer, one after the other, each as large as it has to be.

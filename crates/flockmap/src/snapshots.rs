@@ -190,18 +190,16 @@ impl Snapshots {
 
 impl Making {
     /// `kept`: of the same stream, a state of which a piece was made.
-    fn new(layer: &Layer, wanted: Wanted, cuts: Cuts, form: Form, kept: Option<Source>) -> Self {
+    fn new(layer: &Layer, wanted: Wanted, cuts: Cuts, form: Form, mut kept: Option<Source>) -> Self {
         let Wanted { stream, since, upto, newer_than, bytes_max, in_pieces } = wanted;
         let piece_bytes = form.piece_bytes.min(PIECE_SHARE.saturating_mul(form.chunks_bytes_max));
         let begin = || {
             let changed_upto = cuts.changed_upto;
-            let span =
-                Span { stream, since, upto, lost_upto: None, changed_upto, is_cut: false, is_of_all: false };
+            let span = Span { changed_upto, ..Span::new(stream, since, upto) };
             let cuts = Some(cuts).filter(|_| in_pieces);
             let reader = PieceReader::new(layer, span, newer_than, cuts, piece_bytes);
             Source { stream, reader, left: layer.bytes_left_in_copies() }
         };
-        let mut kept = kept;
         let source =
             kept.take_if(|source| source.reader.go_on(since, newer_than, piece_bytes)).unwrap_or_else(begin);
         Self { source, bytes_max, piece_bytes, is_cut: false, coding: None }
@@ -335,5 +333,39 @@ mod tests {
         }
         let last = made.last().map(|(stream, chunks)| (*stream, chunks.as_ref().map_or(9, Vec::len)));
         assert_eq!(last, Some((stream(0), 0)), "nothing is newer");
+    }
+
+    #[test]
+    fn what_is_kept_for_further_pieces_is_let_go_of_at_its_limit() {
+        // Two stamps, each of which is too much for a piece.
+        let mut layer = layer();
+        let later = (0..16).map(|x| (Voxel::new(x, 40, 0), State::Free));
+        layer.apply(&Changes::from_voxels(later), Stamp(2));
+        let form = Form { piece_bytes: 1, ..FORM };
+        let mut snapshots = Snapshots::default();
+        let make = |snapshots: &mut Snapshots, since| {
+            let cuts = Cuts { stamps: vec![(1, Stamp(1))], newest: 2, has_all: true, changed_upto: None };
+            let newer_than = (since > 0).then_some(Stamp(1));
+            snapshots.want(Wanted { since, upto: 2, in_pieces: true, ..wanted(1, newer_than) });
+            snapshots.note_call();
+            let wanted = snapshots.take_turn().unwrap();
+            snapshots.begin(&layer, wanted, cuts, form);
+            snapshots.go_on(form).unwrap().1.unwrap()
+        };
+        let header = *make(&mut snapshots, 0)[0].header();
+        assert_eq!((header.index, header.changed_upto, header.is_of_all), (1, Some(2), true));
+        let beside = snapshots.kept[0].reader.bytes_beside() as u64;
+        let most = KEPT_BYTES_MAX as u64 - beside;
+        snapshots.trim_kept(|_| Some(most));
+        assert_eq!(snapshots.kept.len(), 1);
+        snapshots.trim_kept(|_| Some(most + 1));
+        assert_eq!(snapshots.kept.len(), 0);
+        make(&mut snapshots, 0);
+        snapshots.trim_kept(|_| None);
+        assert_eq!(snapshots.kept.len(), 0, "the layer is gone");
+        // The last piece leaves nothing to be kept.
+        make(&mut snapshots, 0);
+        let header = *make(&mut snapshots, 1)[0].header();
+        assert_eq!((header.index, header.changed_upto, snapshots.kept.len()), (2, None, 0));
     }
 }

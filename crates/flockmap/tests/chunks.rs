@@ -236,7 +236,7 @@ fn renamed(chunks: &[Package], origin: u16) -> Vec<Package> {
 fn in_part(since: u32, upto: u32, lost_upto: i64, voxel: Voxel, stamp: i64) -> Package {
     let stream = Stream { origin: RobotId(1), epoch: 1 };
     let lost_upto = Some(Stamp(lost_upto));
-    let span = Span { stream, since, upto, lost_upto, changed_upto: None, is_cut: false, is_of_all: false };
+    let span = Span { lost_upto, ..Span::new(stream, since, upto) };
     let changes = Changes::from_voxels([(voxel, State::Free)]);
     let region = changes.bounding_box().unwrap();
     let state = Snapshot { region, parts: vec![(Stamp(stamp), changes)], sensors: Vec::new() };

@@ -19,25 +19,24 @@ fn configs(count: u16) -> Vec<RobotConfig> {
     (1..=count).map(small).collect()
 }
 
-/// A robot flies so many tenths of a second, to and fro over sixty metres.
-fn fly(swarm: &mut Swarm, robot: usize, ticks: std::ops::Range<i32>, random: &mut Random) {
-    for tick in ticks {
-        let scan = scan(random, swarm.now);
-        let x = f64::from((tick % 300 - 150).abs()) * 0.4;
-        swarm.scan(robot, &scan, &Pose::from_translation([x, 0.0, 0.0]));
-        swarm.run(100);
-    }
-    swarm.robots[robot].flush(swarm.now);
+/// Where a robot is that flies to and fro over sixty metres, by tenths of a second.
+fn to_and_fro(tick: i32) -> i32 {
+    (tick % 300 - 150).abs()
 }
 
 /// The same, always on.
-fn fly_away(swarm: &mut Swarm, robot: usize, ticks: std::ops::Range<i32>, random: &mut Random) {
+fn away(tick: i32) -> i32 {
+    tick
+}
+
+/// The first robot flies so many tenths of a second, 40 cm in each.
+fn fly(swarm: &mut Swarm, ticks: std::ops::Range<i32>, path: fn(i32) -> i32, random: &mut Random) {
     for tick in ticks {
         let scan = scan(random, swarm.now);
-        swarm.scan(robot, &scan, &Pose::from_translation([f64::from(tick) * 0.4, 0.0, 0.0]));
+        swarm.scan(0, &scan, &Pose::from_translation([f64::from(path(tick)) * 0.4, 0.0, 0.0]));
         swarm.run(100);
     }
-    swarm.robots[robot].flush(swarm.now);
+    swarm.robots[0].flush(swarm.now);
 }
 
 fn digest(swarm: &Swarm, robot: usize, stream: Stream) -> Option<u64> {
@@ -67,7 +66,7 @@ fn who_joins_late_gets_all_of_a_state_that_is_too_large_for_one_snapshot() {
         let mut swarm = Swarm::new(configs(2), radio, seed);
         swarm.cut = vec![(0, 1)];
         let mut random = Random(seed);
-        fly(&mut swarm, 0, 0..700, &mut random);
+        fly(&mut swarm, 0..700, to_and_fro, &mut random);
         let own = swarm.robots[0].own_stream();
         assert!(swarm.robots[0].fusion().layer(own).unwrap().len() > 150_000);
         swarm.cut.clear();
@@ -89,11 +88,11 @@ fn what_the_origin_says_while_pieces_come_arrives_too() {
         let mut swarm = Swarm::new(configs(2), radio, seed);
         swarm.cut = vec![(0, 1)];
         let mut random = Random(seed);
-        fly(&mut swarm, 0, 0..500, &mut random);
+        fly(&mut swarm, 0..500, to_and_fro, &mut random);
         let own = swarm.robots[0].own_stream();
         swarm.cut.clear();
         // It flies over what it has seen: much of what the pieces say is outdated before they have come.
-        fly(&mut swarm, 0, 500..800, &mut random);
+        fly(&mut swarm, 500..800, to_and_fro, &mut random);
         assert!(caught_up(&swarm, 1, own).len() >= 2, "seed {seed}");
         swarm.run(60_000);
         assert_eq!(digest(&swarm, 1, own), digest(&swarm, 0, own), "seed {seed}");
@@ -107,7 +106,7 @@ fn who_has_some_pieces_passes_on_what_it_has_when_the_origin_is_gone() {
         let mut swarm = Swarm::new(configs(3), radio, seed);
         swarm.cut = vec![(0, 1), (0, 2), (1, 2)];
         let mut random = Random(seed);
-        fly(&mut swarm, 0, 0..700, &mut random);
+        fly(&mut swarm, 0..700, to_and_fro, &mut random);
         let own = swarm.robots[0].own_stream();
         swarm.cut = vec![(0, 2), (1, 2)];
         let mut steps = 0;
@@ -154,11 +153,11 @@ fn who_joins_late_gets_all_that_is_left_in_pieces_of_a_state_of_which_something_
         let mut swarm = Swarm::new(configs_of_full(2), radio, seed);
         swarm.cut = vec![(0, 1)];
         let mut random = Random(seed);
-        fly_away(&mut swarm, 0, 0..700, &mut random);
+        fly(&mut swarm, 0..700, away, &mut random);
         let own = swarm.robots[0].own_stream();
         swarm.cut.clear();
         // Pieces come while it flies on, and drops what the next one is to say.
-        fly_away(&mut swarm, 0, 700..800, &mut random);
+        fly(&mut swarm, 700..800, away, &mut random);
         let dropped = swarm.robots[0].counters().blocks_dropped;
         swarm.run(60_000);
         assert!(dropped > 0 && holds_what_is_left(&swarm, 1, own), "seed {seed}");
@@ -175,7 +174,7 @@ fn the_rest_of_a_state_comes_in_pieces_too() {
         let mut swarm = Swarm::new(configs_of_full(3), radio, seed);
         swarm.cut = vec![(0, 2), (1, 2)];
         let mut random = Random(seed);
-        fly_away(&mut swarm, 0, 0..700, &mut random);
+        fly(&mut swarm, 0..700, away, &mut random);
         swarm.run(5_000);
         let own = swarm.robots[0].own_stream();
         swarm.cut = vec![(1, 2)];

@@ -141,15 +141,7 @@ fn while_a_snapshot_is_made_the_robot_goes_on_and_the_snapshot_is_of_when_it_was
         others.map(|package| package.header().index).filter(|index| *index <= upto).collect();
     assert!(beside.is_empty(), "{beside:?} of {upto} came beside {} chunks", chunks.len());
     let state = layer.snapshot_voxels(None).unwrap();
-    let span = Span {
-        stream: a.own_stream(),
-        since: 0,
-        upto,
-        lost_upto: None,
-        changed_upto: None,
-        is_cut: false,
-        is_of_all: false,
-    };
+    let span = Span::new(a.own_stream(), 0, upto);
     let at_once = Encoder::new().encode_span(Codec::Flock, span, resolution(), &state, CHUNK_BYTES_MAX);
     assert_eq!(chunks, at_once.unwrap());
     assert_eq!(a.counters().snapshots, 1);

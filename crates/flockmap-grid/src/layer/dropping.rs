@@ -76,6 +76,9 @@ impl Layer {
     /// Takes a cube, whose voxels are not counted any more, out of the table.
     fn take_out(&mut self, at: BlockIndex) {
         let place = self.cubes.remove(&at);
+        if let Some(Place::Packed(packed)) = &place {
+            self.unpacked.forget(packed);
+        }
         self.left_in_copies += place.as_ref().map_or(0, Place::bytes_in_copies);
         match place {
             None => {}

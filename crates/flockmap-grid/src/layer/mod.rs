@@ -62,6 +62,7 @@ pub struct Layer {
     dropped: Dropped,
     /// Voxels that were ignored, since something newer may have been dropped.
     ignored: u64,
+    /// [`Self::bytes_left_in_copies`].
     left_in_copies: u64,
 }
 

@@ -434,3 +434,27 @@ fn the_digest_tells_states_and_stamps_apart() {
     assert_ne!(of(State::Free, 7), of(State::Occupied, 7));
     assert_ne!(of(State::Free, 7), of(State::Free, 8));
 }
+
+#[test]
+fn what_leaves_a_layer_is_counted_where_a_copy_keeps_it_and_nowhere_else() {
+    let at = |x: i32| Changes::from_voxels([(Voxel::new(x * 32, 0, 0), State::Free)]);
+    let mut layer = Layer::default();
+    (0..4).for_each(|x| drop(layer.apply(&at(x), Stamp(1))));
+    layer.pack();
+    layer.apply(&at(0), Stamp(2));
+    layer.drop_cube(BlockIndex::new(0, 0, 0));
+    assert_eq!(layer.bytes_left_in_copies(), 0, "there is no copy");
+    let reader = layer.read_snapshot(None);
+    let each = layer.packed_bytes as u64 / 3;
+    // Dropped, and opened to be changed.
+    layer.drop_cube(cube_of(Voxel::new(32, 0, 0).block()));
+    let left = layer.bytes_left_in_copies();
+    assert_eq!(left, each);
+    layer.apply(&at(2), Stamp(3));
+    assert_eq!(layer.bytes_left_in_copies(), 2 * each);
+    layer.apply(&at(2), Stamp(4));
+    assert_eq!(layer.bytes_left_in_copies(), 2 * each, "the copy has another one");
+    drop(reader);
+    layer.drop_cube(cube_of(Voxel::new(96, 0, 0).block()));
+    assert_eq!(layer.bytes_left_in_copies(), 2 * each);
+}

@@ -52,15 +52,7 @@ impl Maker {
         let state = Snapshot { region, parts: vec![(Stamp(1), part)], sensors: Vec::new() };
         let voxels = SnapshotVoxels::from_state(&state).unwrap();
         let bytes_max = if chunks > 1 { PACKAGE_BYTES_MIN } else { PACKAGE_BYTES_MAX };
-        let span = Span {
-            stream,
-            since,
-            upto,
-            lost_upto: None,
-            changed_upto: None,
-            is_cut: false,
-            is_of_all: false,
-        };
+        let span = Span::new(stream, since, upto);
         // A span that ends before it begins cannot be encoded.
         self.encoder.encode_span(Codec::Raw, span, resolution(), &voxels, bytes_max).unwrap_or_default()
     }

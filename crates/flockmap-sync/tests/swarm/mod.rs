@@ -253,15 +253,7 @@ impl Swarm {
                             .encoder
                             .encode_span(
                                 Codec::Paper,
-                                Span {
-                                    stream,
-                                    since,
-                                    upto,
-                                    lost_upto: None,
-                                    changed_upto: None,
-                                    is_cut: false,
-                                    is_of_all: false,
-                                },
+                                Span::new(stream, since, upto),
                                 resolution,
                                 &state,
                                 PACKAGE_BYTES_MAX,
