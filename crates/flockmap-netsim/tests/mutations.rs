@@ -61,6 +61,7 @@ const fn first_seed(mutation: Mutation) -> u64 {
         Mutation::GapStatesWithheld => 1_000_023_671,
         Mutation::WorkUnlimited => 50,
         Mutation::OriginsNotInOrder => 18,
+        Mutation::LateTakenOver => 230,
         _ => 1,
     }
 }

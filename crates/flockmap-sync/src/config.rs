@@ -129,8 +129,9 @@ pub struct SessionConfig {
     /// budget times T. What goes to every peer at once has to fit: the limit only holds if one request to
     /// each, at most 308 bytes (327 with a key), fits into the budget; below 2,000, into 1,300 bytes.
     ///
-    /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (an eighth of
-    /// the budget over time, but three within `peer_timeout_ms`), so that control leaves room for the map.
+    /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (a twelfth of
+    /// the budget over time, those for gaps an eighth), so that control leaves room for the map. Peers then
+    /// wait for longer before they count this robot as gone.
     #[cfg_attr(
         feature = "serde",
         serde(rename = "budget_kb_s", with = "flockmap_grid::units::UnlessZero::<1_024, 500>")
@@ -143,6 +144,10 @@ pub struct SessionConfig {
         serde(rename = "link_budget_kb_s", with = "flockmap_grid::units::UnlessZero::<1_024, 500>")
     )]
     pub link_bytes_per_s: Option<u32>,
+    /// Find what the radio carries, by how long what is sent and heard waits, and send no more; the budgets
+    /// above remain limits. Begins with 250,000 bytes a second, doubles that as long as it is used and
+    /// nothing waits, and goes down to 20. Default yes; the paper does not.
+    pub congestion_control: bool,
     /// How much of a second's budget may go out at once; the rest is spread. 10 to 1,000. Default 50.
     pub burst_ms: u32,
     /// Bytes counted for each datagram beside its payload. Default 28: IPv4 and UDP headers.
@@ -213,6 +218,7 @@ impl Default for SessionConfig {
             snapshot_range_max: None,
             radio_bytes_per_s: Some(2_000_000),
             link_bytes_per_s: None,
+            congestion_control: true,
             burst_ms: 50,
             datagram_overhead_bytes: 28,
             datagram_bytes_max: DATAGRAM_BYTES_MAX,
@@ -259,6 +265,7 @@ impl SessionConfig {
             in_flight: InFlight::PreviousRequest,
             snapshot_bytes_min: None,
             snapshot_range_max: Some(100),
+            congestion_control: false,
             ..Self::default()
         }
     }

@@ -42,6 +42,12 @@ pub struct Counters {
     pub sent: u64,
     /// Of these: packages of other origins.
     pub relayed: u64,
+    /// Datagrams of repair symbols sent.
+    pub coded_sent: u64,
+    /// Packages found from repair symbols.
+    pub mended: u64,
+    /// Blocks of packages of which the repair symbols were false, so that all of them were dropped.
+    pub mending_failed: u64,
     /// Chunks of snapshots sent.
     pub chunks_sent: u64,
     /// Packages that a peer confirmed by a request.

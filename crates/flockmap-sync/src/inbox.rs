@@ -435,6 +435,10 @@ impl Inbox {
     }
 
     /// Packages that wait for those that they build on, and their bytes with bookkeeping.
+    pub(crate) fn waiting_package(&self, stream: Stream, index: u32) -> Option<&Package> {
+        self.waiting.get(stream, index)
+    }
+
     pub(crate) fn waiting(&self) -> (usize, usize) {
         self.waiting.load()
     }

@@ -7,6 +7,7 @@
 #![forbid(unsafe_code)]
 
 mod clocks;
+mod coded;
 mod config;
 mod counters;
 mod event;
@@ -22,6 +23,7 @@ mod outbox;
 mod pacer;
 mod path;
 mod peer;
+mod rate;
 mod replay;
 mod report;
 mod schedule;

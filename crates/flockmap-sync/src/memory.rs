@@ -10,11 +10,11 @@ const INTERVAL: usize = 8;
 /// A list that was joined from two has room for both, and a queue may have room for twice what it holds.
 const GROWTH: usize = 2;
 /// What is known of a stream beside the list of held indices: undecodable indices (64 intervals), whom what
-/// is lacking was had from (256), places in maps.
-const STREAM: usize = 3_072;
+/// is lacking was had from (256), what went out to everyone (256 intervals), places in maps.
+const STREAM: usize = 3_072 + 2 * GROWTH * 256 * INTERVAL;
 /// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the
 /// queue (256 items), runs that had no place, its pacer, its clock.
-const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 30_720;
+const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 36_864;
 /// What a peer states of one stream: seven lists of at most 256 intervals.
 const VIEW: usize = 7 * GROWTH * 256 * INTERVAL + 512;
 /// A package that was sent and not yet confirmed.
@@ -33,6 +33,10 @@ const EVENTS: usize = 4_096;
 const PACKAGE: usize = 200;
 /// Rejected packages that are remembered: so many, in a map.
 const BACKED_OFF: usize = 1_024 * 100;
+/// What went out to everyone lately (256 items), what the radio is found to carry, and by broadcast coded repair: symbols
+/// that were received, a block of which symbols are sent, and what is there while symbols are solved for.
+const RADIO: usize = 64 << 10;
+const CODED: usize = (256 << 10) + (256 << 10) + (32 << 20);
 /// What one input makes and lets go again: a request with all its lists, a plan of what to send.
 const WORK: usize = 512 << 10;
 
@@ -70,6 +74,8 @@ impl SessionConfig {
             + WAITING_BYTES_MAX
             + self.transfers_max * CHUNKS_WAITING_MAX * (DATAGRAM_BYTES_MAX + 2 * PACKAGE)
             + BACKED_OFF
+            + RADIO
+            + if matches!(self.cast, Cast::Broadcast) { CODED } else { 0 }
             + work
     }
 }

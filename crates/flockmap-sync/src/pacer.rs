@@ -14,14 +14,55 @@ const SLOT_MICROS: i64 = 10_000;
 /// Budgets of at least so much hold in every second.
 const THIN_BYTES_PER_S: i64 = 2_000;
 
-/// Says when so many bytes may be sent. Memory: at most 102 slots of 16 bytes.
+/// What may go out at once, refilled at a rate.
 #[derive(Clone, Debug)]
-pub(crate) struct Pacer {
+pub(crate) struct Bucket {
     bytes_per_s: i64,
     /// Bytes · 10⁶: what may be sent at once.
     burst: i64,
     tokens: i64,
     filled_at: Stamp,
+}
+
+impl Bucket {
+    pub(crate) fn new(bytes_per_s: u32, burst_bytes: u32) -> Self {
+        let burst = i64::from(burst_bytes) * SECOND_MICROS;
+        Self { bytes_per_s: i64::from(bytes_per_s), burst, tokens: burst, filled_at: Stamp(i64::MIN) }
+    }
+
+    /// Another rate from now on.
+    pub(crate) fn set(&mut self, now: Stamp, bytes_per_s: u32, burst_bytes: u32) {
+        self.advance(now);
+        (self.bytes_per_s, self.burst) = (bytes_per_s.into(), i64::from(burst_bytes) * SECOND_MICROS);
+        self.tokens = self.tokens.min(self.burst);
+    }
+
+    /// `None` if `bytes` may be sent now, else the earliest time at which they may.
+    pub(crate) fn wait(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
+        self.advance(now);
+        // A debt is allowed for one datagram longer than the burst: it is paid before the next.
+        let lacking = (bytes as i64 * SECOND_MICROS).min(self.burst) - self.tokens;
+        (lacking > 0).then(|| now.plus_micros(ceil_div(lacking, self.bytes_per_s)))
+    }
+
+    /// Counts bytes as sent.
+    pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
+        self.advance(now);
+        self.tokens -= bytes as i64 * SECOND_MICROS;
+    }
+
+    fn advance(&mut self, now: Stamp) {
+        let elapsed = now.micros_since(self.filled_at).clamp(0, SECOND_MICROS * 3_600);
+        self.tokens = self.tokens.saturating_add(elapsed.saturating_mul(self.bytes_per_s)).min(self.burst);
+        self.filled_at = self.filled_at.max(now);
+    }
+}
+
+/// Says when so many bytes may be sent. Memory: at most 102 slots of 16 bytes.
+#[derive(Clone, Debug)]
+pub(crate) struct Pacer {
+    bytes_per_s: i64,
+    bucket: Bucket,
     /// Number of the slot and bytes sent in it, over the last second.
     sent: VecDeque<(i64, i64)>,
     sent_sum: i64,
@@ -32,13 +73,10 @@ impl Pacer {
     /// Of less than 2,000 bytes a second: at most `burst_bytes` + `bytes_per_s` · T in any T seconds.
     pub(crate) fn new(bytes_per_s: u32, burst_bytes: u32) -> Self {
         let is_thin = i64::from(bytes_per_s) < THIN_BYTES_PER_S;
-        let burst =
-            i64::from(if is_thin { burst_bytes } else { burst_bytes.min(bytes_per_s) }) * SECOND_MICROS;
+        let burst = if is_thin { burst_bytes } else { burst_bytes.min(bytes_per_s) };
         Self {
             bytes_per_s: i64::from(bytes_per_s),
-            burst,
-            tokens: burst,
-            filled_at: Stamp(i64::MIN),
+            bucket: Bucket::new(bytes_per_s, burst),
             sent: VecDeque::new(),
             sent_sum: 0,
         }
@@ -50,9 +88,7 @@ impl Pacer {
             return None;
         }
         self.advance(now);
-        // A debt is allowed for one datagram longer than the burst: it is paid before the next.
-        let lacking = (bytes as i64 * SECOND_MICROS).min(self.burst) - self.tokens;
-        let bucket = (lacking > 0).then(|| now.plus_micros(ceil_div(lacking, self.bytes_per_s)));
+        let bucket = self.bucket.wait(now, bytes);
         if self.bytes_per_s < THIN_BYTES_PER_S {
             return bucket;
         }
@@ -75,7 +111,7 @@ impl Pacer {
     /// Counts bytes as sent.
     pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
         self.advance(now);
-        self.tokens -= bytes as i64 * SECOND_MICROS;
+        self.bucket.spend(now, bytes);
         if self.bytes_per_s < THIN_BYTES_PER_S {
             return;
         }
@@ -88,9 +124,6 @@ impl Pacer {
     }
 
     fn advance(&mut self, now: Stamp) {
-        let elapsed = now.micros_since(self.filled_at).clamp(0, SECOND_MICROS * 3_600);
-        self.tokens = self.tokens.saturating_add(elapsed.saturating_mul(self.bytes_per_s)).min(self.burst);
-        self.filled_at = self.filled_at.max(now);
         while let Some(&(slot, sent)) = self.sent.front()
             && (slot + 1) * SLOT_MICROS + SECOND_MICROS <= now.0
         {

@@ -10,6 +10,7 @@ use crate::item::Item;
 use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
 use crate::path::PeerPath;
+use crate::rate::{Arrival, Waiting};
 use crate::wire::OriginRange;
 use crate::{IntervalSet, SessionConfig};
 use core::time::Duration;
@@ -30,6 +31,10 @@ const SILENT_PAUSES: i64 = 8;
 /// And not before this time.
 const SILENT_MIN_MICROS: i64 = 1_500_000;
 
+/// Of the pauses that a peer announces so many may pass in silence before it is forgotten …
+const PAUSES_MISSED: u32 = 3;
+/// … and none counts for longer.
+const NEXT_WITHIN_MAX: Duration = Duration::from_secs(600);
 /// A robot has heard those in reach, and said so, after this time.
 const ACQUAINTANCE: Duration = Duration::from_secs(1);
 
@@ -43,7 +48,7 @@ pub(crate) fn is_heard(peers: &BTreeMap<RobotId, Peer>, robot: RobotId) -> bool 
 pub(crate) fn has_no_robot(peers: &BTreeMap<RobotId, Peer>, run: Stream) -> bool {
     match peers.get(&run.origin) {
         Some(peer) => peer.stream != run,
-        None => !peers.values().any(|peer| peer.hears.contains(&(run.origin, run.epoch as u16))),
+        None => !peers.values().any(|peer| peer.hears.get(&run.origin) == Some(&(run.epoch as u16))),
     }
 }
 
@@ -59,9 +64,15 @@ pub(crate) struct Peer {
     pub(crate) newest_stamp_at: Stamp,
     /// Send stamp and time of receipt of its last request, once there was one.
     pub(crate) request: Option<(Stamp, Stamp)>,
+    /// Within which it said that it will be heard again; zero: as usual.
+    pub(crate) next_within: Duration,
     /// Whom it hears, with the low bits of the run's epoch, by its last request; whether that list was whole.
-    pub(crate) hears: Vec<(RobotId, u16)>,
+    pub(crate) hears: BTreeMap<RobotId, u16>,
     pub(crate) hears_all_listed: bool,
+    /// It has met others since it said last whom it hears.
+    pub(crate) is_meeting: bool,
+    /// It was told that it is heard.
+    pub(crate) is_greeted: bool,
     /// Number + 1 of the origins that its requests have covered so far: of these it holds no run that it has
     /// not named.
     origins: IntervalSet,
@@ -86,6 +97,12 @@ pub(crate) struct Peer {
     pub(crate) round_trip: RoundTrip,
     pub(crate) clock: ClockFilter,
     pub(crate) loss: Loss,
+    /// How long datagrams to it and from it wait.
+    pub(crate) waiting_out: Waiting,
+    pub(crate) waiting_in: Waiting,
+    /// How long its last datagram waited.
+    pub(crate) waited_in: Duration,
+    pub(crate) arrival: Option<Arrival>,
     pub(crate) pacer: Option<Pacer>,
     /// A datagram of packages for it waits for its link's budget; and how many requests to everyone went out
     /// meanwhile.
@@ -105,8 +122,11 @@ impl Peer {
             newest_stamp: Stamp(i64::MIN),
             newest_stamp_at: now,
             request: None,
-            hears: Vec::new(),
+            next_within: Duration::ZERO,
+            hears: BTreeMap::new(),
             hears_all_listed: false,
+            is_meeting: false,
+            is_greeted: false,
             origins: IntervalSet::new(ORIGIN_INTERVALS_MAX),
             unplaced: BTreeSet::new(),
             takes_new_streams: false,
@@ -120,6 +140,10 @@ impl Peer {
             round_trip: RoundTrip::new(ms(config.round_trip_initial_ms)),
             clock: ClockFilter::default(),
             loss: Loss::default(),
+            waiting_out: Waiting::default(),
+            waiting_in: Waiting::default(),
+            waited_in: Duration::ZERO,
+            arrival: None,
             pacer: config
                 .link_bytes_per_s
                 .map(|rate| Pacer::new(rate, crate::pacer::burst_bytes(rate, config.burst_ms))),
@@ -139,9 +163,15 @@ impl Peer {
         self.last_heard = now;
     }
 
+    /// Not heard for so long it is forgotten.
+    pub(crate) fn timeout(&self, config: &SessionConfig) -> Duration {
+        ms(config.peer_timeout_ms).max(PAUSES_MISSED * self.next_within.min(NEXT_WITHIN_MAX))
+    }
+
     /// Whether it may not have said yet whom it hears.
-    pub(crate) fn is_new(&self, now: Stamp) -> bool {
-        now.since(self.first_heard) < ACQUAINTANCE
+    pub(crate) fn is_new(&self, now: Stamp, peers: usize) -> bool {
+        // The more there are, the longer it takes.
+        now.since(self.first_heard) < ACQUAINTANCE * (1 + peers as u32 / 4)
     }
 
     /// Whether it has said nothing for far longer than usual: then most of what is sent to it is sent in vain.
@@ -156,7 +186,7 @@ impl Peer {
 
     /// Whether its last request names this robot among those that it hears.
     fn lists(&self, robot: RobotId) -> bool {
-        self.hears.iter().any(|(heard, _)| *heard == robot)
+        self.hears.contains_key(&robot)
     }
 
     /// Whether the peer wants packages of this stream at all.

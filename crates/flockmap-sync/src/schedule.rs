@@ -12,9 +12,17 @@ pub(crate) struct Schedule {
     /// Requests for gaps since one was filled last, or a new one was seen.
     pub(crate) gap_tries: u32,
     pub(crate) probes_left: u8,
+    /// Greetings that followed each other.
+    pub(crate) greetings: u32,
     pub(crate) last: Stamp,
     /// Least pause after the last request, so that requests leave most of a small budget to packages.
     pub(crate) budget_pause: Duration,
+    /// Until then the budget takes no request.
+    pub(crate) blocked_until: Option<Stamp>,
+    /// As `budget_pause`, after the last short one.
+    pub(crate) short_pause: Duration,
+    /// When the last whole one went out.
+    pub(crate) last_whole: Stamp,
     pub(crate) last_activity: Stamp,
     /// Requests made: lists that do not fit begin at another place each time.
     pub(crate) count: usize,
@@ -37,8 +45,12 @@ impl Schedule {
             random: seed,
             gap_tries: 0,
             probes_left: 0,
+            greetings: 0,
             last: never,
             budget_pause: Duration::ZERO,
+            short_pause: Duration::ZERO,
+            blocked_until: None,
+            last_whole: never,
             last_activity: never,
             count: 0,
             cursor: RobotId(0),

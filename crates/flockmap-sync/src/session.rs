@@ -2,6 +2,7 @@
 //! threads or clocks.
 
 mod answer;
+mod coded;
 mod datagram;
 mod pace;
 mod paths;
@@ -21,7 +22,7 @@ mod transfers;
 pub use pieces::Cuts;
 
 use crate::clocks::Clocks;
-use crate::config::ms;
+use crate::coded::Mender;
 use crate::event::{Destination, Event, PublishError, Transmit};
 use crate::identity::Identity;
 use crate::inbox::{Inbox, PENDING_MAX};
@@ -82,6 +83,7 @@ pub struct Session {
     store: Store,
     peers: BTreeMap<RobotId, Peer>,
     inbox: Inbox,
+    mender: Mender,
     outbox: Outbox,
     schedule: Schedule,
     lacks: Lacks,
@@ -98,6 +100,7 @@ impl Session {
             store: Store::new(own, config.store_limits()),
             peers: BTreeMap::new(),
             inbox: Inbox::new(config.transfers_max),
+            mender: Mender::default(),
             outbox: Outbox::new(&config),
             schedule: Schedule::new(seed ^ (u64::from(own.origin.0) << 32) ^ own.epoch),
             lacks: Lacks::new(),
@@ -195,6 +198,9 @@ impl Session {
         } else if self.is_superseded() {
             // Requests wait with them.
             None
+        } else if let Some(until) = self.schedule.blocked_until.filter(|until| *until > now) {
+            self.schedule.timers.set_sooner(Timer::Budget, until);
+            None
         } else if self.request_due(now) {
             self.transmit_request(now)
         } else {
@@ -209,8 +215,7 @@ impl Session {
         if mutation::is(Mutation::TimeStandsStill) {
             return Some(self.clocks.now());
         }
-        let lost =
-            self.peers.values().map(|peer| peer.last_heard.plus(ms(self.config.peer_timeout_ms))).min();
+        let lost = self.peers.values().map(|peer| peer.last_heard.plus(peer.timeout(&self.config))).min();
         // A request that is due already waits for the budget, like everything else: the timer of that says
         // until when.
         let budget = self.schedule.timers.get(Timer::Budget);
@@ -314,15 +319,17 @@ impl Session {
     /// Moves the own clock on and forgets peers that fell silent.
     fn advance(&mut self, now: Stamp) -> Stamp {
         let now = self.clocks.advance(now);
-        let timeout = ms(self.config.peer_timeout_ms);
-        while let Some(lost) =
-            self.peers.values().find(|peer| now.since(peer.last_heard) >= timeout).map(|peer| peer.stream)
-        {
+        while let Some(lost) = self.lost_peer(now) {
             self.silence(lost.origin);
             self.identity.replays.forget_window(lost.origin);
             self.push_event(Event::PeerLost(lost));
         }
         now
+    }
+
+    fn lost_peer(&self, now: Stamp) -> Option<Stream> {
+        let is_lost = |peer: &&Peer| now.since(peer.last_heard) >= peer.timeout(&self.config);
+        self.peers.values().find(is_lost).map(|peer| peer.stream)
     }
 
     /// Forgets a peer, but not what its link's budget has seen.
@@ -332,6 +339,12 @@ impl Session {
             self.outbox.silent_links.pop_first();
         }
         self.outbox.silent_links.extend(pacer.map(|pacer| (id, pacer)));
+    }
+
+    /// What may be sent in a second, in all.
+    fn radio_bytes_per_s(&self) -> Option<u32> {
+        let found = self.outbox.rate.as_ref().map(crate::rate::Rate::bytes_per_s);
+        self.config.radio_bytes_per_s.into_iter().chain(found).min()
     }
 
     fn push_event(&mut self, event: Event) {

@@ -6,12 +6,16 @@
 //! the swarm has a key, datagrams travel sealed: [`seal_datagram`] on the one side, [`SealedDatagram`] on the
 //! other.
 
+mod coded;
 mod datagram;
 mod packages;
 mod path;
 mod request;
 mod sealed;
 
+// The session does not use it yet.
+#[allow(unused_imports)]
+pub(crate) use coded::{Coded, parse_coded};
 pub use datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, HEADER_BYTES, Kind, LAYOUT, WIRE_VERSION,
 };

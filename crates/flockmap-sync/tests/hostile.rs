@@ -118,6 +118,8 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
         }),
         all_echoes: random.happens(0.5),
         no_new_streams: random.happens(0.2),
+        is_short: random.happens(0.2),
+        next_within_ms: if random.happens(0.2) { random.next() as u32 } else { 0 },
         echoes: (0..random.below(4))
             .map(|i| Echo {
                 robot: if i == 0 { own } else { RobotId(random.next() as u16) },

@@ -38,6 +38,8 @@ fn config() -> SessionConfig {
         transfers_max: 1,
         snapshot_bytes_max: 100_000,
         radio_bytes_per_s: None,
+        // What goes out fills limits too.
+        congestion_control: false,
         ..SessionConfig::default()
     }
 }
@@ -220,12 +222,14 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
             victim.hold(stream(n), 100_000);
         }
         // The echoes put this robot down the line of those who answer, so that it keeps what stays missing.
-        let echoes = [2, 3, OWN.origin.0].map(|robot| Echo {
-            robot: RobotId(robot),
-            epoch_low: 1,
-            stamp_low: 0,
-            age_micros: 0,
-        });
+        let echoes = |now: Stamp| {
+            [2, 3, OWN.origin.0].map(|robot| Echo {
+                robot: RobotId(robot),
+                epoch_low: 1,
+                stamp_low: now.0 as u32,
+                age_micros: 0,
+            })
+        };
         for round in 0..3u32 {
             for n in 0..32 {
                 for first in (0..64).step_by(2) {
@@ -240,7 +244,7 @@ fn hostile_peers_cannot_make_a_session_hold_more_than_is_stated() {
                         }
                     });
                     let request = Request {
-                        echoes: echoes.to_vec(),
+                        echoes: echoes(victim.now).to_vec(),
                         all_echoes: true,
                         received: lists.collect(),
                         snapshot_requests: vec![SnapshotRequest {

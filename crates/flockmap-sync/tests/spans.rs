@@ -9,7 +9,12 @@ use swarm::{MS, Radio, SECOND, Swarm};
 
 /// A store that keeps some 60 packages.
 fn small() -> SessionConfig {
-    SessionConfig { store_bytes_max: 80_000, snapshot_bytes_min: None, ..SessionConfig::default() }
+    SessionConfig {
+        store_bytes_max: 80_000,
+        snapshot_bytes_min: None,
+        congestion_control: false,
+        ..SessionConfig::default()
+    }
 }
 
 fn fly(swarm: &mut Swarm, batches: usize) {
@@ -230,9 +235,9 @@ fn sets_that_are_sent_do_not_push_each_other_out_at_their_sender() {
     swarm.cut(2, 3);
     swarm.start(3, 1, config);
     swarm.run(90 * SECOND);
-    // Once for each, and once more for the one that had to wait for the other.
+    // Once for each, and once or twice more for the one that had to wait for the other.
     let asked = wanted(&swarm, 1).len() - asked;
-    assert!(asked <= 3, "asked {asked} times for two states");
+    assert!(asked <= 4, "asked {asked} times for two states");
     swarm.assert_in_sync(&streams);
 }
 

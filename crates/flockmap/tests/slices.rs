@@ -21,6 +21,8 @@ fn robot(id: u16, number: u32, now: Stamp) -> Robot {
     config.epoch = epoch(number, 1);
     config.seed = u64::from(id);
     config.session.snapshot_bytes_min = Some(1_000);
+    // This is about what comes in at once.
+    config.session.congestion_control = false;
     Robot::new(config, now).unwrap()
 }
 

@@ -12,6 +12,8 @@ pub(super) fn add_counters(seen: &mut Seen, robot: &Robot) {
         ("packages", r.packages),
         ("packages sent", s.sent),
         ("relayed", s.relayed),
+        ("datagrams of repair symbols", s.coded_sent),
+        ("mended by repair symbols", s.mended),
         ("suppressed, heard from another", s.suppressed),
         ("found lost and sent again", s.lost),
         ("filled a gap", s.repaired),

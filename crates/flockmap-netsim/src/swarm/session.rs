@@ -13,12 +13,13 @@ pub(super) struct Drawn<'a> {
     pub(super) radio: &'a RadioNumbers,
     pub(super) plan: &'a [(i64, Action)],
     pub(super) is_calm: bool,
+    pub(super) has_budgets: bool,
 }
 
 /// The session of each robot, and what is special about them, as text.
 pub(super) fn draw(random: &mut Random, swarm: &Drawn<'_>) -> (Vec<SessionConfig>, Vec<String>) {
     let mut notes = Vec::new();
-    let budget = swarm.radio.budget(swarm.robots);
+    let budget = if swarm.has_budgets { swarm.radio.budget(swarm.robots) } else { None };
     let budget_text =
         |budget: Option<u32>| budget.map_or_else(|| "none".to_owned(), |b| format!("{b} bytes/s"));
     let mut common =

@@ -83,7 +83,14 @@ impl Settings {
         let has_key = plan_random.happens(0.2) && !options.is_calm;
         let broken = if is_broken && !has_key { plan_random.range(0.005, 0.08) } else { 0.0 };
         let mut random = Random::new(seed, purpose::SESSION);
-        let swarm = session::Drawn { robots, cast, radio: &radio, plan: &plan, is_calm: options.is_calm };
+        let swarm = session::Drawn {
+            robots,
+            cast,
+            radio: &radio,
+            plan: &plan,
+            is_calm: options.is_calm,
+            has_budgets: !is_table,
+        };
         let key = has_key
             .then(|| SwarmKey::from_bytes(core::array::from_fn(|at| (seed >> (at % 8)) as u8 ^ at as u8)));
         let (mut sessions, mut notes) = session::draw(&mut random, &swarm);

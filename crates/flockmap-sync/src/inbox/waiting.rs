@@ -65,6 +65,11 @@ impl Waiting {
         (self.packages.len(), self.bytes.values().sum())
     }
 
+    /// A package that waits.
+    pub(crate) fn get(&self, stream: Stream, index: u32) -> Option<&Package> {
+        self.packages.get(&(stream, index))
+    }
+
     fn take(&mut self, stream: Stream, index: u32) -> Option<Package> {
         let package = self.packages.remove(&(stream, index))?;
         self.let_go(stream, &package);

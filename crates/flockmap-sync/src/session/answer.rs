@@ -3,9 +3,11 @@
 
 use super::Session;
 use super::snapshot::OFFER_PAUSE;
+use crate::config::ms;
 use crate::item::Item;
 use crate::outbox::Outbox;
 use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, Sending, SentPackage};
+use crate::rate::Arrival;
 use crate::wire::{DatagramHeader, Request, TransferProgress};
 use crate::{Cast, InFlight, IntervalSet, Relay};
 use core::time::Duration;
@@ -16,6 +18,9 @@ use std::collections::BTreeSet;
 /// A stamp below an earlier one means that a later datagram came first, since the clock of a run never goes
 /// back. But the earlier one may be false where there is no key: then it counts for so long.
 const UNSEALED_STAMP_COUNTS: Duration = Duration::from_secs(5);
+
+/// Of those whom a peer hears so many are kept.
+const HEARS_MAX: usize = 256;
 
 /// A peer that got one package in so many of those that it missed one relay delay ago is being served.
 const SERVED_SHARE: u64 = 16;
@@ -35,7 +40,10 @@ impl Session {
         self.settle_in_flight(now, id, request, echo);
         let streams: Vec<Stream> = self.store.streams().collect();
         for stream in streams {
-            self.note_overdue(now, id, stream, request);
+            // What it says nothing of may have come long ago.
+            if request.covers(stream.origin) || request.received.iter().any(|named| named.stream == stream) {
+                self.note_overdue(now, id, stream, request);
+            }
             self.review_snapshot(now, id, stream);
         }
     }
@@ -56,9 +64,20 @@ impl Session {
         let peer = self.peers.get_mut(&header.sender.origin)?;
         peer.request = Some((header.stamp, now));
         peer.queue_stale = true;
-        peer.hears = request.echoes.iter().map(|echo| (echo.robot, echo.epoch_low)).collect();
-        peer.hears_all_listed = request.all_echoes;
-        peer.clocks.clone_from(&request.clocks);
+        peer.next_within = ms(request.next_within_ms);
+        let hears = request.echoes.iter().map(|echo| (echo.robot, echo.epoch_low));
+        if request.is_short {
+            for (robot, epoch_low) in hears {
+                peer.is_meeting |= peer.hears.insert(robot, epoch_low).is_none();
+            }
+            while peer.hears.len() > HEARS_MAX {
+                peer.hears.pop_first();
+            }
+        } else {
+            peer.hears = hears.collect();
+            (peer.hears_all_listed, peer.is_meeting) = (request.all_echoes, false);
+            peer.clocks.clone_from(&request.clocks);
+        }
         let own = |echo: &&crate::wire::Echo| {
             echo.robot == self.identity.own.origin && echo.epoch_low == self.identity.own.epoch as u16
         };
@@ -66,6 +85,12 @@ impl Session {
         let (sent, age) = (echo.stamp(now), Duration::from_micros(echo.age_micros.into()));
         if let Some(round_trip) = now.since(sent).checked_sub(age) {
             peer.round_trip.sample(round_trip);
+        }
+        let arrival = Arrival { sent, arrived: header.stamp.plus_micros(-i64::from(echo.age_micros)) };
+        let waited = peer.waiting_out.sample(now, arrival.arrived.micros_since(sent));
+        let before = peer.arrival.replace(arrival);
+        if let Some(rate) = &mut self.outbox.rate {
+            rate.note_arrival(now, arrival, before, waited);
         }
         peer.clock.sample(sent, header.stamp.plus_micros(-i64::from(echo.age_micros)), header.stamp, now);
         if let Some(offset) = peer.clock.offset()
@@ -186,9 +211,11 @@ impl Session {
         request: &Request,
         echo: Option<(Stamp, Duration)>,
     ) {
+        let timeout = self.round_trip_timeout(id);
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let patience = self.config.patience(peer.round_trip.variation());
-        let timeout = peer.round_trip.timeout();
+        // What it says is as old as its request waited, and what was sent before that waited about as long.
+        let timeout = timeout + 2 * peer.waited_in;
         let is_lost = |sent: &SentPackage| match self.config.in_flight {
             InFlight::PreviousRequest => sent.requests >= 2,
             InFlight::RoundTrip => match echo.filter(|(stamp, _)| *stamp >= sent.at) {
@@ -257,6 +284,10 @@ impl Session {
         }
         self.report.counters.confirmed += confirmed;
         self.report.counters.lost += lost;
+        if lost > 0 {
+            self.outbox.await_more_losses(now, self.peers.len());
+        }
+        let Some(peer) = self.peers.get_mut(&id) else { return };
         peer.loss.sample(confirmed, lost);
 
         for theirs in peer.streams.values_mut() {
@@ -273,14 +304,25 @@ impl Session {
         }
     }
 
+    /// After this time without a sign of a peer, what was sent to it counts as lost. One that has not said yet when
+    /// something came is taken to be as far as the farthest.
+    fn round_trip_timeout(&self, id: RobotId) -> Duration {
+        let measured = |peer: &Peer| peer.round_trip.mean().map(|_| peer.round_trip.timeout());
+        let own = self.peers.get(&id).and_then(measured);
+        let farthest = || self.peers.values().filter_map(measured).max();
+        own.or_else(farthest).unwrap_or_else(|| ms(self.config.round_trip_initial_ms))
+    }
+
     /// For a relay that is not first in line: what was missing at a request one relay delay ago, and still is.
     fn note_overdue(&mut self, now: Stamp, id: RobotId, stream: Stream, request: &Request) {
         let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) else {
             return;
         };
+        let patience = self.round_trip_timeout(id);
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(received) = self.store.received(stream) else { return };
-        let delay = self.config.relay_delay(relay_rank);
+        // Where answers take long, they are waited for as long.
+        let delay = self.config.relay_delay(relay_rank).max(relay_rank * 2 * patience);
         let Some(theirs) = peer.theirs(stream, now) else { return };
         if relay_rank == 0 {
             return;
@@ -318,7 +360,8 @@ impl Session {
             Relay::Ranked => {
                 // A new peer has not said yet whom it hears: probably the same robots as this one.
                 let hears = |robot| {
-                    peer.hears(robot) || (peer.is_new(self.clocks.now()) && self.peers.contains_key(&robot))
+                    let is_meeting = peer.is_meeting || peer.is_new(self.clocks.now(), self.peers.len());
+                    peer.hears(robot) || (is_meeting && self.peers.contains_key(&robot))
                 };
                 let hears_origin = stream.origin != peer.stream.origin && hears(stream.origin);
                 // Whom this robot does not hear stands elsewhere in the swarm, and rarely holds the same.
@@ -327,7 +370,11 @@ impl Session {
                         && robot != stream.origin
                         && self.peers.contains_key(&robot)
                 };
-                let others = peer.hears.iter().filter(|(robot, _)| before(*robot)).count() as u32;
+                // Of whom a peer hears more than fit into its request it is not known.
+                let others = match peer.hears_all_listed {
+                    true => peer.hears.keys().filter(|robot| before(**robot)).count(),
+                    false => self.peers.keys().filter(|robot| before(**robot)).count(),
+                } as u32;
                 Some(u32::from(hears_origin) + others)
             }
         }

@@ -1,14 +1,16 @@
 //! Datagrams that come in: what is wrong with them, and whom they make known.
 
 use super::Session;
+use crate::Cast;
 use crate::event::Event;
 use crate::path::Path;
 use crate::peer::{PEER_INTERVALS_MAX, Peer};
 use crate::store::RECEIVED_INTERVALS_MAX;
 use crate::wire::{
     Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, asks_for_request, is_sealed,
-    parse_contents, parse_packages,
+    parse_coded, parse_contents, parse_packages,
 };
+use core::time::Duration;
 use flockmap_grid::{Stamp, Stream};
 
 impl Session {
@@ -37,6 +39,10 @@ impl Session {
     ) -> Result<(), DatagramError> {
         let now = self.advance(now);
         let result = self.take_datagram(now, path, bytes);
+        let sharing = (self.config.cast == Cast::Broadcast).then_some(self.peers.len());
+        if self.outbox.rate.as_mut().is_some_and(|rate| rate.review(now, sharing)) {
+            (self.outbox.blocked_until, self.schedule.blocked_until) = (None, None);
+        }
         if let Err(error) = &result {
             let counter = match error {
                 DatagramError::Length { .. } | DatagramError::Magic { .. } | DatagramError::Check { .. } => {
@@ -108,6 +114,7 @@ impl Session {
             }
             Kind::Packages => {
                 let packages = parse_packages(&datagram)?;
+                let coded = parse_coded(&datagram)?;
                 let contents = parse_contents(&datagram, RECEIVED_INTERVALS_MAX)?;
                 self.hear(now, &header, path, bytes.len())?;
                 self.report
@@ -115,6 +122,7 @@ impl Session {
                     .packages_in
                     .add(1, bytes.len() + self.config.datagram_overhead_bytes as usize);
                 self.receive_packages(now, header.sender, packages, contents);
+                self.receive_coded(now, header.sender, coded);
                 if asks_for_request(&datagram) {
                     self.greet(now);
                 }
@@ -156,6 +164,9 @@ impl Session {
             peer.path = before.as_ref().map(|before| before.path).unwrap_or_default();
             let before = before.and_then(|before| before.pacer);
             peer.pacer = before.or_else(|| self.outbox.silent_links.remove(&id)).or(peer.pacer);
+            for &(at, item) in &self.outbox.broadcasts {
+                peer.cover(item, at, self.config.in_flight_max);
+            }
             self.peers.insert(id, peer);
             self.push_event(Event::PeerSeen(stream));
             self.greet(now);
@@ -165,6 +176,11 @@ impl Session {
         let newest_counts = self.stamp_counts(now.since(newest_at));
         if let Some(peer) = self.peers.get_mut(&id) {
             peer.note_heard(now);
+            let waited = peer.waiting_in.sample(now, now.micros_since(header.stamp));
+            peer.waited_in = Duration::from_micros(waited.unwrap_or(0).max(0) as u64);
+            if let Some(rate) = &mut self.outbox.rate {
+                rate.note_heard(now, bytes + overhead, waited);
+            }
             peer.traffic_in.add(1, bytes + overhead);
             if header.stamp > peer.newest_stamp || !newest_counts {
                 peer.newest_stamp = header.stamp;

@@ -44,7 +44,7 @@ impl Session {
             Cast::Unicast => in_step + catching_up,
             Cast::Broadcast => 1,
         };
-        let radio = self.config.radio_bytes_per_s.map(|rate| rate / copies.max(1));
+        let radio = self.radio_bytes_per_s().map(|rate| rate / copies.max(1));
         match radio.into_iter().chain(self.config.link_bytes_per_s).min() {
             Some(bytes_per_s) if waits || (in_step == 0 && catching_up > 0) => Pace::Waiting { bytes_per_s },
             Some(bytes_per_s) if in_step > 0 => Pace::AllSent { bytes_per_s },

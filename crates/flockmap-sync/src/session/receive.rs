@@ -6,7 +6,7 @@ use crate::inbox::{Intake, Ready, Transfer, Verdict};
 use crate::item::Item;
 use crate::store::NoRoom;
 use crate::wire::Contents;
-use crate::{Cast, IntervalSet};
+use crate::{Cast, IntervalSet, Relay};
 use flockmap_codec::{Codec, ContentKind, Header, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
@@ -52,7 +52,7 @@ impl Session {
         }
     }
 
-    fn receive_changes(&mut self, now: Stamp, from: RobotId, package: Package) {
+    pub(super) fn receive_changes(&mut self, now: Stamp, from: RobotId, package: Package) {
         let (stream, index) = (package.header().stream, package.header().index);
         let newest = self.store.newest_known(stream);
         if self.store.note_newest(stream, index, now) && index - newest > 1 {
@@ -231,6 +231,7 @@ impl Session {
             offset.map_or(now, |offset| package.header().batch_end.plus_micros(offset.saturating_neg()));
         let fills_gap =
             self.store.received(stream).and_then(IntervalSet::last).is_some_and(|last| last > index);
+        let peers = self.peers.len();
         match self.store.insert(package, now, fresh_at) {
             Ok(is_new) => {
                 // A span may have waited for this one.
@@ -247,7 +248,15 @@ impl Session {
                 if is_new && fills_gap {
                     self.note_gap_filled();
                 }
-                self.mark_queues_stale();
+                // Who hears the origin gets it from there, unless it stays missing for long: that a request says.
+                for peer in self.peers.values_mut() {
+                    peer.queue_stale |= self.config.relay != Relay::Ranked
+                        || peer.is_new(now, peers)
+                        || !peer.hears(stream.origin);
+                }
+                if is_new {
+                    self.mend_with(now, stream, index);
+                }
             }
             Err(NoRoom::Intervals) => self.report.counters.too_fragmented += 1,
             Err(_) => self.report.counters.too_many_streams += 1,

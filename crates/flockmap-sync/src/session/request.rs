@@ -1,6 +1,7 @@
 //! Requests: what they say.
 
 use super::Session;
+use super::timing::SMALL_SWARM;
 use crate::event::{Destination, Transmit};
 use crate::timers::Timer;
 use crate::wire::{
@@ -27,28 +28,38 @@ impl Session {
         let timers = &self.schedule.timers;
         let for_gap = timers.is_due(Timer::Gap, now);
         let for_all = [Timer::Request, Timer::Greeting, Timer::Probe].iter().any(|t| timers.is_due(*t, now));
+        let is_small = self.peers.len() <= SMALL_SWARM;
+        let is_short = !timers.is_due(Timer::Request, now) && !is_small && self.schedule.count > 0;
         let to = if for_gap && !for_all { self.whom_to_ask(now) } else { Destination::Everyone };
         let copies = self.copies(to);
         let header = self.header(now, Kind::Request);
-        let (request, urgent) = self.request(now);
+        let (request, urgent) = if is_short { self.short_request(now, for_all) } else { self.request(now) };
         let (bytes, origins) = request.emit_in_order(header, self.request_bytes_max(copies as usize), urgent);
         let each = bytes.len() + self.overhead(Kind::Request);
         if !self.spend(now, to, each, copies as usize) {
             return None;
         }
-        self.schedule.budget_pause = self.budget_pause(each, copies as usize);
+        if is_short || is_small {
+            self.schedule.short_pause = self.budget_pause(each, copies as usize, true);
+        }
+        if !is_short {
+            self.schedule.budget_pause = self.budget_pause(each, copies as usize, false);
+        }
         self.report.counters.requests_out.add(copies, each);
         if let Destination::Peer(id) = to
             && let Some(peer) = self.peers.get_mut(&id)
         {
             peer.traffic_out.add(1, each);
         }
-        if to == Destination::Everyone {
+        if to == Destination::Everyone && !is_short {
             self.move_cursor(origins);
+        }
+        if to == Destination::Everyone {
+            self.peers.values_mut().for_each(|peer| peer.is_greeted = true);
             self.note_superseded();
             self.schedule.superseded = None;
         }
-        self.schedule_next(now, for_gap, to);
+        self.schedule_next(now, for_gap, is_short, to);
         let path = match to {
             Destination::Peer(id) => self.peers.get(&id).and_then(|peer| peer.path.valid()),
             Destination::Everyone => None,
@@ -59,23 +70,24 @@ impl Session {
     /// Takes bytes from the budgets of the radio and of the links. `false`, with nothing taken: one of them
     /// has no room, and a timer says when it has.
     pub(super) fn spend(&mut self, now: Stamp, to: Destination, each: usize, copies: usize) -> bool {
-        let radio = self.outbox.radio.iter_mut().map(|radio| (radio, each * copies));
         let links = self.peers.iter_mut().filter(|(id, _)| to.includes(**id));
-        let links = links.filter_map(|(_, peer)| Some((peer.pacer.as_mut()?, each)));
-        let mut pacers: Vec<_> = radio.chain(links).collect();
-        if let Some(ready) = pacers.iter_mut().filter_map(|(pacer, bytes)| pacer.wait(now, *bytes)).max() {
+        let mut links: Vec<_> = links.filter_map(|(_, peer)| peer.pacer.as_mut()).collect();
+        let radio = self.outbox.wait(now, each * copies);
+        if let Some(ready) = links.iter_mut().filter_map(|link| link.wait(now, each)).max().max(radio) {
             self.schedule.timers.set(Timer::Budget, ready);
+            self.schedule.blocked_until = Some(ready);
             self.report.counters.delayed_by_budget += 1;
             return false;
         }
-        pacers.into_iter().for_each(|(pacer, bytes)| pacer.spend(now, bytes));
+        links.into_iter().for_each(|link| link.spend(now, each));
+        self.outbox.spend(now, each * copies);
         true
     }
 
     /// Longest request that leaves most of a second's worth of a small budget to packages.
     fn request_bytes_max(&self, copies: usize) -> usize {
         let link = self.config.link_bytes_per_s.map(|rate| rate as usize);
-        let radio = self.config.radio_bytes_per_s.map(|rate| rate as usize / copies.max(1));
+        let radio = self.request_bytes_per_s().map(|rate| rate as usize / copies.max(1));
         let rate = link.into_iter().chain(radio).min().unwrap_or(usize::MAX);
         let least = REQUEST_BYTES_MIN.min(SEALED_REQUEST_BYTES_MIN - self.seal_bytes(Kind::Request));
         (rate / BUDGET_SHARE_AT_ONCE)
@@ -97,6 +109,27 @@ impl Session {
             }
         }
         Destination::Everyone
+    }
+
+    /// Milliseconds within which this robot will be heard again, where a thin radio makes that long.
+    fn next_within_ms(&self) -> u32 {
+        let pause = self.budget_pause(self.request_bytes_max(1) + self.overhead(Kind::Request), 1, false);
+        let ms = u32::try_from(pause.as_millis()).unwrap_or(u32::MAX);
+        if ms > self.config.request_period_idle_ms { ms.saturating_add(ms / 4) } else { 0 }
+    }
+
+    /// What is missing, and whom it may be had from; `is_greeting`: the newest own package and who is met, too.
+    fn short_request(&self, now: Stamp, is_greeting: bool) -> (Request, usize) {
+        let (mut request, urgent) = self.request(now);
+        request.received.truncate(urgent);
+        let urgent = request.received.len();
+        if self.peers.len() > SMALL_SWARM {
+            let is_asked = |robot| request.received.iter().any(|received| received.stream.origin == robot);
+            let is_met = |robot| self.peers.get(&robot).is_some_and(|peer| is_greeting && !peer.is_greeted);
+            request.echoes.retain(|echo| is_asked(echo.robot) || is_met(echo.robot));
+            request.all_echoes = false;
+        }
+        (Request { is_short: true, origins: None, clocks: Vec::new(), ..request }, urgent)
     }
 
     /// What there is to say; and how many of the lists of held indices are urgent: the own one, and those
@@ -131,6 +164,8 @@ impl Session {
             origins: Some(OriginRange::all_from(self.schedule.cursor)),
             all_echoes: true,
             no_new_streams: self.store.is_full(),
+            is_short: false,
+            next_within_ms: self.next_within_ms(),
             echoes,
             received,
             transfers,

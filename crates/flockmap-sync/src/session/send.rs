@@ -6,7 +6,7 @@ use crate::event::{Destination, Transmit};
 use crate::item::Item;
 use crate::timers::Timer;
 use crate::wire::{Kind, PackagesWriter};
-use flockmap_grid::{RobotId, Stamp};
+use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
 /// Items looked at to fill up a datagram.
@@ -31,6 +31,10 @@ enum Attempt {
 impl Session {
     /// The next datagram of packages, serving the peers in turn.
     pub(super) fn transmit_packages(&mut self, now: Stamp) -> Option<Transmit> {
+        if let Some(until) = self.outbox.blocked_until.filter(|until| *until > now) {
+            self.schedule.timers.set_sooner(Timer::Budget, until);
+            return None;
+        }
         let superseded = self.outbox.superseded.take();
         let after = |id: &&RobotId| **id > self.outbox.served;
         let ids: Vec<RobotId> = self
@@ -80,39 +84,61 @@ impl Session {
         if peer.queue_stale {
             self.plan(now, id);
         }
-        let (writer, positions) = self.bundle(now, id);
+        let (mut writer, mut positions) = self.bundle(now, id);
         if positions.is_empty() {
             return Attempt::Nothing;
         }
+        let first = positions.first().and_then(|at| self.peers.get(&id)?.queue.get(*at).copied());
+        let mending = first.and_then(|item| self.mending(now, item));
         let window = self.peers.get(&id).map_or(0, |peer| peer.in_flight.len());
         if window >= self.config.in_flight_max && !mutation::is(Mutation::WindowIgnored) {
             self.report.counters.delayed_by_window += 1;
             return Attempt::Nothing;
         }
+        let mut items = Vec::with_capacity(positions.len());
+        let mut mended = None;
+        if let Some(mending) = mending {
+            writer = mending.writer;
+            positions.clear();
+            mended = Some((mending.stream, mending.mended));
+        }
         let cost = writer.bytes() + self.overhead(Kind::Packages);
         let Some(peer) = self.peers.get_mut(&id) else { return Attempt::Nothing };
         let link = peer.pacer.as_mut().and_then(|pacer| pacer.wait(now, cost));
-        let radio = self.outbox.radio.as_mut().and_then(|radio| radio.wait(now, cost));
+        let radio = self.outbox.wait(now, cost);
         if let Some(ready) = link.max(radio) {
             self.schedule.timers.set_sooner(Timer::Budget, ready);
             self.report.counters.delayed_by_budget += 1;
             if radio.is_some() {
+                self.outbox.blocked_until = radio;
                 return Attempt::BudgetExhausted;
             }
             peer.superseded = Some(superseded.unwrap_or(0));
             return Attempt::Nothing;
         }
-        for pacer in [peer.pacer.as_mut(), self.outbox.radio.as_mut()].into_iter().flatten() {
-            pacer.spend(now, cost);
-        }
-        let mut items = Vec::with_capacity(positions.len());
+        self.outbox.spend(now, cost);
+        peer.pacer.iter_mut().for_each(|pacer| pacer.spend(now, cost));
         for position in positions.into_iter().rev() {
             items.extend(peer.queue.remove(position));
         }
         items.reverse();
         // The queue may have been cut to its bound: look again when it is empty.
         peer.queue_stale |= peer.queue.is_empty();
+        if let Some((stream, mended)) = mended {
+            self.report.counters.coded_sent += 1;
+            self.note_sent_coded(now, stream, &mended);
+        }
         Attempt::Send { bytes: writer.finish(), items }
+    }
+
+    /// Notes what repair symbols bring to each peer.
+    fn note_sent_coded(&mut self, now: Stamp, stream: Stream, mended: &[(RobotId, Vec<u32>)]) {
+        for (id, indices) in mended {
+            let Some(peer) = self.peers.get_mut(id) else { continue };
+            for &index in indices {
+                peer.cover(Item::Package { stream, index }, now, 2 * self.config.in_flight_max);
+            }
+        }
     }
 
     /// Fills a datagram from the peer's queue; the places in the queue of what went in. Drops from the front of
@@ -130,8 +156,14 @@ impl Session {
         let Some(peer) = self.peers.get(&id) else { return (writer, positions) };
         let room = self.config.in_flight_max.saturating_sub(peer.in_flight.len()).max(1);
         let mut sent = None;
+        let is_gathering = self.outbox.repairs_at > now && self.config.cast == Cast::Broadcast;
+        let mut is_held = false;
         for (position, &item) in peer.queue.iter().enumerate().take(BUNDLE_LOOKAHEAD) {
             if positions.len() >= room || !peer.lacks(item) {
+                continue;
+            }
+            if is_gathering && self.outbox.was_sent(item) {
+                is_held = true;
                 continue;
             }
             let contents = self.outbox.contents(item).filter(|contents| sent != Some(contents.snapshot_id));
@@ -146,6 +178,9 @@ impl Session {
             {
                 positions.push(position);
             }
+        }
+        if is_held {
+            self.schedule.timers.set_sooner(Timer::Budget, self.outbox.repairs_at);
         }
         if positions.len() == room && !positions.is_empty() {
             writer.ask_for_request();
@@ -165,10 +200,13 @@ impl Session {
             self.report.counters.relayed += u64::from(item.stream().origin != self.identity.own.origin);
             self.report.counters.chunks_sent += u64::from(matches!(item, Item::Chunk { .. }));
         }
-        let own = self.identity.own.origin;
+        if to == Destination::Everyone {
+            self.outbox.note_broadcast(now, items);
+        }
         for (&other, peer) in &mut self.peers {
-            if other == id || (to == Destination::Everyone && peer.hears(own)) {
-                // What everyone hears is noted for everyone, as far as twice the limit goes.
+            if other == id || to == Destination::Everyone {
+                // What everyone hears is noted for everyone, as far as twice the limit goes. A peer that has not
+                // said yet that it hears this robot may hear it all the same.
                 for &item in items {
                     peer.cover(item, now, 2 * self.config.in_flight_max);
                 }

@@ -21,7 +21,7 @@ const GAP_TRIES: u32 = 10;
 /// In a swarm larger than [`SMALL_SWARM`], whose requests add up on the radio.
 const GAP_TRIES_OF_MANY: u32 = 3;
 /// Peers of a small swarm.
-const SMALL_SWARM: usize = 8;
+pub(super) const SMALL_SWARM: usize = 8;
 /// After so many requests that brought nothing, a gap does not count as something that flows.
 const ACTIVE_TRIES: u32 = 64;
 /// Longest pause between requests for gaps that stay; periodic ones go on beside them.
@@ -32,21 +32,29 @@ const PROBES: u8 = 2;
 const PROBE_AFTER: Duration = Duration::from_millis(120);
 /// Share of losses above which that is worth a datagram; below, the next packages show it soon enough.
 const PROBE_LOSS_MIN: u32 = crate::link::LOSS_ONE / 6;
-/// Requests take at most one part in so many of a budget over time …
-const BUDGET_SHARE_OVER_TIME: u64 = 8;
+/// However thin the radio, peers do not lose sight of this robot for longer.
+const BUDGET_PAUSE_MAX: Duration = Duration::from_secs(300);
+/// Whole requests take at most one part in so many of what may be sent, and short ones.
+const WHOLE_SHARE: u64 = 12;
+const SHORT_SHARE: u64 = 8;
+/// As long as nobody knows what the radio carries, whole requests of all robots together keep to their share of so many
+/// bytes a second.
+const STARTING_BYTES_PER_S: usize = 100_000;
 
 impl Session {
     /// Packages flow: the next periodic request is due sooner.
     pub(super) fn note_activity(&mut self, now: Stamp) {
         let period = ms(self.config.request_period_active_ms);
-        let soon = now.plus(period).max(self.schedule.last.plus(self.schedule.budget_pause));
+        let soon = now.plus(period).max(self.schedule.last_whole.plus(self.schedule.budget_pause));
         self.schedule.last_activity = now;
         self.schedule.timers.set_sooner(Timer::Request, soon);
     }
 
     /// A new peer: it should learn soon that it is heard.
     pub(super) fn greet(&mut self, now: Stamp) {
-        let pause = GREETING_PAUSE.max(self.schedule.budget_pause);
+        // Where many meet at once, each greeting greets all who were met since the last.
+        let doublings = 2 * self.schedule.greetings.min(4);
+        let pause = (GREETING_PAUSE * (1 << doublings)).max(self.schedule.short_pause);
         let at = now.max(self.schedule.last.plus(pause));
         let at = at.plus(self.schedule.jitter(GREETING_JITTER));
         self.schedule.timers.set_sooner(Timer::Greeting, at);
@@ -93,7 +101,7 @@ impl Session {
         let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
         let shortest = ms(self.config.gap_request_pause_ms).max(round_trip);
         let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
-        shortest.saturating_mul(1 << doublings).min(GAP_PAUSE_MAX).max(self.schedule.budget_pause)
+        shortest.saturating_mul(1 << doublings).min(GAP_PAUSE_MAX).max(self.schedule.short_pause)
     }
 
     /// A gap was filled: answers come, so what is still missing is worth asking for soon.
@@ -152,21 +160,28 @@ impl Session {
         })
     }
 
-    /// Pause after a request of so many bytes, so that requests take no more than their share of the budget;
-    /// short enough that the peers do not lose sight of this robot.
-    pub(super) fn budget_pause(&self, each: usize, copies: usize) -> Duration {
+    /// Pause after a request of so many bytes, so that requests take no more than their share of the budget.
+    pub(super) fn budget_pause(&self, each: usize, copies: usize, is_short: bool) -> Duration {
+        let share = if is_short { SHORT_SHARE } else { WHOLE_SHARE };
         let pause = |bytes: usize, rate: Option<u32>| {
-            let micros =
-                |rate: u32| bytes as u64 * BUDGET_SHARE_OVER_TIME * 1_000_000 / u64::from(rate.max(1));
+            let micros = |rate: u32| bytes as u64 * share * 1_000_000 / u64::from(rate.max(1));
             Duration::from_micros(rate.map_or(0, micros))
         };
-        pause(each * copies, self.config.radio_bytes_per_s)
-            .max(pause(each, self.config.link_bytes_per_s))
-            .min(ms(self.config.peer_timeout_ms) / 3)
+        let radio = if is_short { self.radio_bytes_per_s() } else { self.request_bytes_per_s() };
+        pause(each * copies, radio).max(pause(each, self.config.link_bytes_per_s)).min(BUDGET_PAUSE_MAX)
     }
 
-    pub(super) fn schedule_next(&mut self, now: Stamp, for_gap: bool, to: Destination) {
-        if to == Destination::Everyone {
+    /// The rate of which whole requests take their share.
+    pub(super) fn request_bytes_per_s(&self) -> Option<u32> {
+        let starting = (STARTING_BYTES_PER_S / (self.peers.len() + 1)) as u32;
+        let starting = self.outbox.rate.as_ref().filter(|rate| rate.is_starting()).map(|_| starting);
+        self.radio_bytes_per_s().into_iter().chain(starting).min()
+    }
+
+    pub(super) fn schedule_next(&mut self, now: Stamp, for_gap: bool, is_short: bool, to: Destination) {
+        let is_small = self.peers.len() <= SMALL_SWARM;
+        if to == Destination::Everyone && (!is_short || is_small) {
+            self.schedule.last_whole = now;
             let flows = now.since(self.schedule.last_activity) < ms(self.config.active_for_ms);
             let active = flows || (self.schedule.gap_tries < ACTIVE_TRIES && self.has_gap(now));
             let period = match active {
@@ -176,13 +191,17 @@ impl Session {
             let period = ms(period).max(self.schedule.budget_pause);
             let jittered = period - period / 10 + self.schedule.jitter(period / 5);
             self.schedule.timers.set(Timer::Request, now.plus(jittered));
+        }
+        if to == Destination::Everyone {
+            let is_greeting = self.schedule.timers.get(Timer::Greeting).is_some();
+            self.schedule.greetings = if is_greeting { self.schedule.greetings.saturating_add(1) } else { 0 };
             self.schedule.timers.stop(Timer::Greeting);
             let timeouts = self.peers.values().map(|peer| peer.round_trip.timeout());
             self.schedule.probes_left = self.schedule.probes_left.saturating_sub(1);
             if self.schedule.probes_left == 0 {
                 self.schedule.timers.stop(Timer::Probe);
             } else if self.schedule.timers.get(Timer::Probe).is_some() {
-                let pause = timeouts.fold(self.schedule.budget_pause, Duration::max);
+                let pause = timeouts.fold(self.schedule.short_pause, Duration::max);
                 self.schedule.timers.set(Timer::Probe, now.plus(pause));
             }
         }

@@ -8,7 +8,7 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 pub const DATAGRAM_BYTES_MAX: usize = 1_200;
 
 /// The version of the layout. Any change of the layout of what stands in `WIRE.md` is a change of this.
-pub const WIRE_VERSION: u8 = 4;
+pub const WIRE_VERSION: u8 = 5;
 
 /// Bytes of the header of a datagram that is not sealed.
 pub const HEADER_BYTES: usize = 28;
@@ -24,7 +24,7 @@ header: magic 2 'FM', version u8, kind u8, swarm u16, sender u16, epoch u64, sta
 sealed: 128 more in the kind, 64 more where it is for one robot; magic, version, kind, swarm, sender, epoch as above, counter u48, \
 in kinds 1 and 3 salt 16; sealed with the swarm key: stamp i64, what follows the header; tag 16. \
 XChaCha20-Poly1305, nonce: salt, recipient u16 or 0, counter with its highest bit set for one robot; associated data: all before what is sealed
-kind 1 request: flags u8 (1 all origins, 2 all echoes, 4 no new streams), records
+kind 1 request: flags u8 (1 all origins, 2 all echoes, 4 no new streams, 8 short), records
 kind 2 packages: records
 kind 3 path: records
 record: type u8, length varint, content
@@ -37,10 +37,18 @@ type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
 type 6 snapshot request: origin varint, epoch varint, since varint, intervals of undecodable indices
 type 8 received, something is lacking: origin varint, epoch varint, flags u8 (1 as type 7, 2 independent packages wanted, 4 rest wanted, 8 some of it is there), \
 holder varint and upto varint if the rest is wanted, since varint if some of it is there, intervals
+type 9 the sender will be heard again: within milliseconds varint
 type 16 package: map package
 type 17 package of the sender's own run: map package without origin and epoch
 type 18 contents of a partial snapshot: origin varint, epoch varint, snapshot id u32, intervals
 type 19 the sender may send no more before it knows what has arrived: nothing
+type 20 repair symbols: origin varint, epoch varint, first index varint, packages u8, \
+u8 (symbol bytes / 16 - 1, 16 for each bit b of a number), fewest source symbols of a package u8, \
+source symbols of each package - fewest (b bits each, lowest first, zeros to a whole byte), crc32 u32 of the source symbols, \
+number of the first varint (below 2^21), symbols
+type 21 repair symbols of the sender's own run: as type 20 without origin and epoch
+source symbols: for each package bytes of padding u8, map package without origin and epoch, zeros; \
+repair symbol r: encoding symbol K + r of RFC 6330, of one source block with K source symbols
 type 32 challenge: number u64
 type 33 answer: number u64
 intervals: from varint, (gap - to from, then to end + 2 - varint, length - 1 varint)*

@@ -68,9 +68,9 @@ pub fn parse_packages(datagram: &Datagram<'_>) -> Result<Vec<Package>, DatagramE
 /// Collects packages into one datagram for as long as they fit.
 #[derive(Clone, Debug)]
 pub struct PackagesWriter {
-    sender: Stream,
-    bytes: Vec<u8>,
-    bytes_max: usize,
+    pub(super) sender: Stream,
+    pub(super) bytes: Vec<u8>,
+    pub(super) bytes_max: usize,
 }
 
 impl PackagesWriter {

@@ -15,6 +15,7 @@ const CLOCKS: u8 = 5;
 const SNAPSHOT_REQUEST: u8 = 6;
 const RECEIVED_FROM_OLDEST: u8 = 7;
 const RECEIVED_IN_PART: u8 = 8;
+const NEXT_WITHIN: u8 = 9;
 
 const ALL_ORIGINS: u8 = 1;
 const ALL_ECHOES: u8 = 2;
@@ -25,6 +26,7 @@ const WANTS_INDEPENDENT: u8 = 2;
 const WANTS_REST: u8 = 4;
 const WANTS_REST_SINCE: u8 = 8;
 const NO_NEW_STREAMS: u8 = 4;
+const IS_SHORT: u8 = 8;
 
 /// Record with a range of origins.
 const ORIGINS_BYTES_MAX: usize = 8;
@@ -179,6 +181,12 @@ pub struct Request {
     pub all_echoes: bool,
     /// The sender has no room for streams that it does not name.
     pub no_new_streams: bool,
+    /// It says no more than what has changed or is missing: whom the sender hears beside those in `echoes`, and what
+    /// it knows of clocks, stands in the request before.
+    pub is_short: bool,
+    /// Milliseconds within which the sender will be heard again, where that is longer than usual: its radio is
+    /// thin. 0: as usual.
+    pub next_within_ms: u32,
     /// The peers that the sender hears.
     pub echoes: Vec<Echo>,
     /// What the sender holds. To be written: what matters most first, then all runs by their origins, in the
@@ -205,6 +213,7 @@ impl Request {
             origins: (datagram.flags & ALL_ORIGINS != 0).then_some(OriginRange::all_from(RobotId(0))),
             all_echoes: datagram.flags & ALL_ECHOES != 0,
             no_new_streams: datagram.flags & NO_NEW_STREAMS != 0,
+            is_short: datagram.flags & IS_SHORT != 0,
             ..Self::default()
         };
         for (id, content) in datagram.records() {
@@ -216,6 +225,7 @@ impl Request {
                 }
                 TRANSFER => (request.read_transfer(&mut reader, intervals_max), "transfer"),
                 ORIGINS => (request.read_origins(&mut reader), "range of origins"),
+                NEXT_WITHIN => (request.read_next_within(&mut reader), "time to the next request"),
                 CLOCKS => (request.read_clocks(&mut reader), "clock"),
                 SNAPSHOT_REQUEST => {
                     (request.read_snapshot_request(&mut reader, intervals_max), "snapshot request")
@@ -285,6 +295,11 @@ impl Request {
         reader.is_empty().then_some(())
     }
 
+    fn read_next_within(&mut self, reader: &mut Reader<'_>) -> Option<()> {
+        self.next_within_ms = reader.varint_u32()?;
+        reader.is_empty().then_some(())
+    }
+
     fn read_clocks(&mut self, reader: &mut Reader<'_>) -> Option<()> {
         while !reader.is_empty() {
             self.clocks.push(ClockReport {
@@ -330,9 +345,14 @@ impl Request {
         let flags_at = out.len();
         out.push(0);
         let list_max = (bytes_max - out.len()) / 4;
-        let mut flags = u8::from(self.no_new_streams) * NO_NEW_STREAMS;
+        let flag = |is_set, flag| if is_set { flag } else { 0 };
+        let mut flags = flag(self.no_new_streams, NO_NEW_STREAMS) | flag(self.is_short, IS_SHORT);
 
         let mut content = Vec::new();
+        if self.next_within_ms > 0 {
+            put_varint(&mut content, u64::from(self.next_within_ms));
+        }
+        put_unless_empty(&mut out, NEXT_WITHIN, &mut content);
         let echoes_fit = self.echoes.len().min(list_max / Echo::BYTES_MAX);
         for echo in &self.echoes[..echoes_fit] {
             content.extend(echo.robot.0.to_le_bytes());

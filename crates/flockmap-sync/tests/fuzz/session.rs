@@ -34,7 +34,8 @@ pub(crate) fn run(input: &[u8]) -> Counters {
         run.step(&mut choices);
         limits(run.session);
         let config = run.session.config();
-        let has_budget = config.radio_bytes_per_s.or(config.link_bytes_per_s).is_some();
+        let has_budget =
+            config.congestion_control || config.radio_bytes_per_s.or(config.link_bytes_per_s).is_some();
         let pace = run.session.pace(run.now);
         assert!(has_budget || pace == Pace::Free, "a pace without a budget");
     }

@@ -23,6 +23,12 @@ pub struct SimTableArgs {
     /// Rows for up to so many robots, 2 to 100
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub robots_max: usize,
+    /// Rows of this number of robots alone, 2 to 100
+    #[arg(long, value_name = "N", conflicts_with = "robots_max")]
+    pub robots: Option<usize>,
+    /// Rows of this radio alone
+    #[arg(long, value_name = "RADIO")]
+    pub radio: Option<RadioPreset>,
     /// Write the table to this file
     #[arg(long, value_name = "FILE")]
     pub file: Option<PathBuf>,
@@ -34,12 +40,14 @@ pub struct SimTableArgs {
 /// Runs the command. False if the file says something else.
 pub fn run(args: &SimTableArgs) -> anyhow::Result<bool> {
     ensure!((2..=100).contains(&args.robots_max), "--robots-max must be 2 to 100");
+    ensure!(args.robots.is_none_or(|robots| (2..=100).contains(&robots)), "--robots must be 2 to 100");
     if let Some(file) = args.file.as_ref().filter(|_| !args.check) {
         check_writable(file).map_err(|error| anyhow!("--file {}: {error}", file.display()))?;
     }
-    let counts = || table::ROBOTS.into_iter().filter(|robots| *robots <= args.robots_max);
-    let cells: Vec<_> =
-        RadioPreset::ALL.into_iter().flat_map(|radio| counts().map(move |robots| (radio, robots))).collect();
+    let up_to = table::ROBOTS.into_iter().filter(|robots| *robots <= args.robots_max).collect();
+    let counts: Vec<usize> = args.robots.map_or(up_to, |robots| vec![robots]);
+    let radios = RadioPreset::ALL.into_iter().filter(|radio| args.radio.is_none_or(|only| only == *radio));
+    let cells: Vec<_> = radios.flat_map(|radio| counts.iter().map(move |robots| (radio, *robots))).collect();
     let Some(rows) = fly_all(&cells)? else { return Ok(false) };
     let text = table::head() + &rows.concat();
     print!("{text}");
@@ -65,22 +73,24 @@ fn check(file: &Path, rows: &[String]) -> anyhow::Result<bool> {
 
 /// The rows in order; `None` if Ctrl-C came first.
 fn fly_all(cells: &[(RadioPreset, usize)]) -> anyhow::Result<Option<Vec<String>>> {
+    let flights = cells.iter().flat_map(|cell| (1..=table::SEEDS).map(|seed| (*cell, seed)));
     // The big ones first, so that no core waits for one at the end.
-    let mut order: Vec<usize> = (0..cells.len()).collect();
-    order.sort_by_key(|number| core::cmp::Reverse(cells[*number].1));
-    let progress = Progress::new("rows", cells.len() as u64);
-    let mut rows = in_parallel(cores(), order, |number| {
-        let (radio, robots) = cells[number];
-        let row = table::row(radio, robots);
+    let mut order: Vec<_> = flights.enumerate().collect();
+    order.sort_by_key(|(_, ((_, robots), _))| core::cmp::Reverse(*robots));
+    let count = order.len();
+    let progress = Progress::new("flights", count as u64);
+    let mut flown = in_parallel(cores(), order, |(number, ((radio, robots), seed))| {
+        let report = table::flight(radio, robots, seed);
         progress.step();
-        (number, row)
+        (number, report)
     });
-    if rows.len() < cells.len() {
+    if flown.len() < count {
         return Ok(None);
     }
-    rows.sort_by_key(|(number, _)| *number);
-    let row = |(_, row): (usize, Result<String, _>)| {
-        row.map_err(|failure| anyhow!("a checker found something: {failure}"))
-    };
-    rows.into_iter().map(row).collect::<anyhow::Result<_>>().map(Some)
+    flown.sort_by_key(|(number, _)| *number);
+    let flown: Vec<_> = flown.into_iter().map(|(_, report)| report).collect();
+    let rows = cells.iter().zip(flown.chunks(table::SEEDS as usize)).map(|(&(radio, robots), flights)| {
+        table::row(radio, robots, flights).map_err(|failure| anyhow!("a checker found something: {failure}"))
+    });
+    rows.collect::<anyhow::Result<_>>().map(Some)
 }

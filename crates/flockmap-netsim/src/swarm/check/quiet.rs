@@ -3,7 +3,7 @@
 //! latest after the time in which all have to agree.
 
 use super::Finding;
-use flockmap::{Package, RobotId, SessionConfig};
+use flockmap::{Cast, Package, RobotId, SessionConfig};
 
 const NAME: &str = "quiet";
 
@@ -54,11 +54,13 @@ impl Quiet {
 
 /// Longest pause between two requests to everyone, in microseconds.
 pub(in crate::swarm) fn period_micros(config: &SessionConfig) -> i64 {
-    let is_small = |rate: Option<u32>| rate.is_some_and(|rate| rate < 20_000);
-    let mut period = i64::from(config.request_period_idle_ms.max(config.request_period_active_ms)) * 1_100;
-    if is_small(config.radio_bytes_per_s) || is_small(config.link_bytes_per_s) {
-        // A small budget makes them rarer, but three come within the time after which a peer counts as gone.
-        period = period.max(i64::from(config.peer_timeout_ms) * 1_100 / 3);
-    }
-    period
+    let period = i64::from(config.request_period_idle_ms.max(config.request_period_active_ms)) * 1_100;
+    // Whole requests take a twelfth of a budget, each at most half a second of it, or 327 bytes.
+    let copies = if config.cast == Cast::Unicast { config.peers_max as i64 } else { 1 };
+    let rates = [
+        config.radio_bytes_per_s.map(|rate| i64::from(rate) / copies),
+        config.link_bytes_per_s.map(i64::from),
+    ];
+    let pause = |rate: i64| 12 * 1_100_000 * 327.max(rate / 2).min(1_228) / rate.max(1);
+    rates.into_iter().flatten().map(pause).fold(period, i64::max)
 }

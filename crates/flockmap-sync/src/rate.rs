@@ -1,0 +1,281 @@
+//! What the radio carries, found by the robot itself: congestion control.
+//!
+//! Loss says little on a radio, so it goes by delay, as LEDBAT (RFC 6817) and CoDel (RFC 8289) do: of what was
+//! sent and heard in a while, the least time that a datagram waited. If even that is long, a queue stands: the
+//! rate goes down to the part of what is carried that is this robot's. Else it goes up, as long as it is used.
+//!
+//! Waiting is measured without clocks that agree, against the least delay of the last minutes.
+
+use crate::pacer::{Bucket, burst_bytes};
+use core::time::Duration;
+use flockmap_grid::Stamp;
+use std::collections::VecDeque;
+
+/// The rate before anything is known of the radio.
+const INITIAL: u32 = 250_000;
+/// Least rate: a full datagram in a minute.
+const MIN: u32 = 20;
+const MAX: u32 = 1 << 30;
+/// A queue stands if nothing waited less than this …
+const STANDING: i64 = 100_000;
+/// … and the time of two full datagrams, at most this.
+const STANDING_MAX: i64 = 2_000_000;
+const FULL_DATAGRAM: i64 = 1_228;
+const SECOND: i64 = 1_000_000;
+/// A verdict takes so many samples, over so long …
+const OWN_SAMPLES: u32 = 3;
+const HEARD_SAMPLES: u32 = 8;
+const WINDOW_MIN: i64 = 500_000;
+/// … or fewer over so long.
+const WINDOW_LONG: i64 = 2_000_000;
+/// Samples of a window that brought no verdict are forgotten after so long.
+const WINDOW_MAX: i64 = 20_000_000;
+
+/// How long datagrams in one direction wait: each delay against the least one of the last minutes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Waiting {
+    /// The least delay of this span of time and of the one before, in microseconds, of two clocks.
+    least: Option<[i64; 2]>,
+    since: Option<Stamp>,
+}
+
+const SPAN: Duration = Duration::from_secs(60);
+const NOISE: i64 = 20_000;
+/// Who seems to have waited longer has another clock now.
+const WAITED_MAX: i64 = 300_000_000;
+
+impl Waiting {
+    /// Microseconds that a datagram waited, from its delay: of two clocks that do not agree. `None`: that is not
+    /// known, since nothing waited less before, or a clock was set.
+    pub(crate) fn sample(&mut self, now: Stamp, delay: i64) -> Option<i64> {
+        let is_first = self.least.is_none();
+        let [mut this, mut before] = self.least.unwrap_or([delay; 2]);
+        let is_less = delay < this.min(before).saturating_sub(NOISE);
+        if now.since(*self.since.get_or_insert(now)) >= SPAN {
+            (this, before, self.since) = (delay, this, Some(now));
+        }
+        this = this.min(delay);
+        self.least = Some([this, before]);
+        let waited = delay.saturating_sub(this.min(before));
+        (!is_first && !is_less && waited < WAITED_MAX).then_some(waited)
+    }
+}
+
+/// Bytes sent so far, by the time at which they were.
+#[derive(Clone, Debug, Default)]
+struct SentLog {
+    bytes: u64,
+    /// At most [`LOG_MAX`], not nearer to each other than [`LOG_GRAIN`].
+    points: VecDeque<(Stamp, u64)>,
+}
+
+const LOG_MAX: usize = 512;
+const LOG_GRAIN: i64 = 50_000;
+
+impl SentLog {
+    fn add(&mut self, now: Stamp, bytes: u64) {
+        self.bytes += bytes;
+        match self.points.back_mut() {
+            Some(last) if now.micros_since(last.0) < LOG_GRAIN => last.1 = self.bytes,
+            _ => self.points.push_back((now, self.bytes)),
+        }
+        if self.points.len() > LOG_MAX {
+            self.points.pop_front();
+        }
+    }
+
+    /// Bytes sent up to a time.
+    fn upto(&self, at: Stamp) -> Option<u64> {
+        let after = self.points.partition_point(|(sent, _)| *sent <= at);
+        self.points.get(after.checked_sub(1)?).map(|(_, bytes)| *bytes)
+    }
+}
+
+/// What was seen since the last verdict.
+#[derive(Clone, Debug)]
+struct Window {
+    since: Stamp,
+    sent: u64,
+    heard: u64,
+    /// Samples, and the least wait of them: of own datagrams, each counted once, and of others'.
+    own: (u32, i64),
+    others: (u32, i64),
+}
+
+impl Window {
+    const fn new(since: Stamp, sent: u64) -> Self {
+        Self { since, sent, heard: 0, own: (0, i64::MAX), others: (0, i64::MAX) }
+    }
+}
+
+/// The last datagram of which a peer said that it has arrived: when it was sent, and when it came, by its clock.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Arrival {
+    pub(crate) sent: Stamp,
+    pub(crate) arrived: Stamp,
+}
+
+/// The rate of one robot. Memory: 8 KiB.
+#[derive(Clone, Debug)]
+pub(crate) struct Rate {
+    bytes_per_s: u32,
+    bucket: Bucket,
+    /// What was sent before says nothing of this rate.
+    changed_at: Stamp,
+    /// No limit was met yet: the rate may double.
+    is_starting: bool,
+    log: SentLog,
+    window: Option<Window>,
+    newest_own: Stamp,
+    /// What all together could send when a queue stood last, where all is heard.
+    capacity: i64,
+    /// Own bytes a second that arrived, by what was said last.
+    delivered: Option<u32>,
+}
+
+/// What may go out at once.
+fn burst(bytes_per_s: u32) -> u32 {
+    burst_bytes(bytes_per_s, 50).max(1_300)
+}
+
+impl Rate {
+    pub(crate) fn new() -> Self {
+        Self {
+            bytes_per_s: INITIAL,
+            bucket: Bucket::new(INITIAL, burst(INITIAL)),
+            changed_at: Stamp(i64::MIN),
+            is_starting: true,
+            log: SentLog::default(),
+            window: None,
+            newest_own: Stamp(i64::MIN),
+            capacity: 0,
+            delivered: None,
+        }
+    }
+
+    /// No limit was met yet.
+    pub(crate) const fn is_starting(&self) -> bool {
+        self.is_starting
+    }
+
+    pub(crate) const fn bytes_per_s(&self) -> u32 {
+        self.bytes_per_s
+    }
+
+    /// `None` if `bytes` may be sent now, else the earliest time at which they may.
+    pub(crate) fn wait(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
+        self.bucket.wait(now, bytes)
+    }
+
+    /// Bytes go out, all copies of them.
+    pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
+        self.bucket.spend(now, bytes);
+        self.log.add(now, bytes as u64);
+    }
+
+    /// A datagram of another robot was heard, which had waited for so long; `None`: that says nothing.
+    pub(crate) fn note_heard(&mut self, now: Stamp, bytes: usize, waited: Option<i64>) {
+        let (changed_at, window) = (self.changed_at, self.window(now));
+        window.heard += bytes as u64;
+        if let Some(waited) = waited.filter(|&waited| now.plus_micros(-waited) >= changed_at) {
+            window.others = (window.others.0 + 1, window.others.1.min(waited));
+        }
+    }
+
+    /// A peer says when an own datagram came, which had waited for so long; `before` is what it said last.
+    pub(crate) fn note_arrival(
+        &mut self,
+        now: Stamp,
+        arrival: Arrival,
+        before: Option<Arrival>,
+        waited: Option<i64>,
+    ) {
+        let passed = before.map(|before| (before, arrival.arrived.micros_since(before.arrived)));
+        if let Some((before, passed)) =
+            passed.filter(|(_, passed)| (SECOND / 4..60 * SECOND).contains(passed))
+            && let (Some(then), Some(now)) = (self.log.upto(before.sent), self.log.upto(arrival.sent))
+        {
+            let rate = now.saturating_sub(then) * SECOND as u64 / passed as u64;
+            self.delivered = Some(rate.min(MAX.into()) as u32);
+        }
+        if let Some(waited) = waited.filter(|_| arrival.sent >= self.changed_at) {
+            let is_new = arrival.sent > self.newest_own;
+            self.newest_own = self.newest_own.max(arrival.sent);
+            let window = self.window(now);
+            window.own = (window.own.0 + u32::from(is_new), window.own.1.min(waited));
+        }
+    }
+
+    fn window(&mut self, now: Stamp) -> &mut Window {
+        let sent = self.log.bytes;
+        if self.window.as_ref().is_some_and(|window| now.micros_since(window.since) > WINDOW_MAX) {
+            self.window = None;
+        }
+        self.window.get_or_insert_with(|| Window::new(now, sent))
+    }
+
+    /// Comes to a verdict if enough was seen; whether the rate is another one now. `peers`: who shares the radio,
+    /// where all that they send is heard.
+    pub(crate) fn review(&mut self, now: Stamp, peers: Option<usize>) -> bool {
+        let Some(window) = &self.window else { return false };
+        let passed = now.micros_since(window.since);
+        let Some(least) = window.least_wait(passed, peers.is_some()) else { return false };
+        let per_second = |bytes: u64| (bytes.min(1 << 40) as i64 * SECOND / passed).min(MAX.into());
+        let sent = per_second(self.log.bytes - window.sent);
+        let own = self.delivered.map_or(sent, |delivered| sent.min(delivered.into()));
+        let carried = own + per_second(window.heard);
+        let robots = peers.map_or(1, |peers| peers as i64 + 1);
+        let share = if peers.is_some() { carried / robots } else { 0 };
+        let two_datagrams = 2 * FULL_DATAGRAM * SECOND / if peers.is_some() { carried } else { own }.max(1);
+        let limit = STANDING + two_datagrams.min(STANDING_MAX);
+        let before = i64::from(self.bytes_per_s);
+        let to = if least > limit {
+            let (part, of) = match least {
+                least if least > 16 * limit => (4, 10),
+                least if self.is_starting || least > 4 * limit => (6, 10),
+                _ => (85, 100),
+            };
+            // As long as nobody said what arrived, who hears all others knows what is carried.
+            let own = match (self.delivered, peers) {
+                (Some(_), _) => own,
+                (None, Some(_)) => 0,
+                (None, None) => own / 2,
+            };
+            (self.is_starting, self.capacity, self.changed_at) = (false, carried, now);
+            (own.max(share) * part / of).min(before)
+        } else if before < 2 * sent.max(share) {
+            let more = if self.is_starting { before } else { before / 8 + 4 };
+            // What was carried before and is not now, those who send share.
+            let unused = if peers.is_some() { self.capacity * 9 / 10 - carried } else { 0 };
+            before + more + 2 * unused.max(0) / robots
+        } else {
+            before
+        };
+        self.window = None;
+        self.bytes_per_s = to.clamp(MIN.into(), MAX.into()) as u32;
+        self.bucket.set(now, self.bytes_per_s, burst(self.bytes_per_s));
+        i64::from(self.bytes_per_s) != before
+    }
+}
+
+impl Window {
+    /// The least time that something waited, if enough was seen in the time that passed.
+    fn least_wait(&self, passed: i64, is_heard_by_all: bool) -> Option<i64> {
+        if passed < WINDOW_MIN {
+            return None;
+        }
+        let is_long = passed >= WINDOW_LONG;
+        let enough = if is_long && is_heard_by_all { HEARD_SAMPLES / 2 } else { HEARD_SAMPLES };
+        match (self.own, self.others) {
+            ((count, least), _) if count >= OWN_SAMPLES => Some(least),
+            // Where each sends to one robot, the waiting of others says little of the own.
+            ((count, least), _) if count > 0 && is_long && !is_heard_by_all => Some(least),
+            (_, (count, least)) if count >= enough => Some(least),
+            ((count, least), _) if count > 0 && is_long => Some(least),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,182 @@
+//! Robots that share a medium, each with a rate of its own.
+
+use super::*;
+use std::collections::BTreeMap;
+
+const STEP: i64 = 10_000;
+const BYTES: usize = 600;
+
+/// Of each robot so many bytes wait at the most; what comes on top is lost.
+const QUEUE_BYTES: usize = 16 << 10;
+
+/// A medium that carries so many bytes a second, one datagram after the other.
+struct Medium {
+    bytes_per_s: i64,
+    busy_until: i64,
+    /// Who sent, when, when it arrives.
+    in_flight: VecDeque<(usize, Stamp, i64)>,
+}
+
+struct Robot {
+    rate: Rate,
+    /// From and to each other robot, and what that said last.
+    waits: BTreeMap<usize, (Waiting, Waiting, Option<Arrival>)>,
+    newest: BTreeMap<usize, Arrival>,
+    sent: u64,
+    /// Bytes a second that it would send.
+    wants: u64,
+    clock: i64,
+}
+
+struct Swarm {
+    medium: Medium,
+    robots: Vec<Robot>,
+    now: i64,
+    arrived: Vec<u64>,
+    waited_most: i64,
+}
+
+impl Swarm {
+    fn new(robots: usize, bytes_per_s: i64, wants: u64) -> Self {
+        let robot = |number| Robot {
+            rate: Rate::new(),
+            waits: BTreeMap::new(),
+            newest: BTreeMap::new(),
+            sent: 0,
+            wants,
+            clock: (number as i64 - 2) * 77_000_000,
+        };
+        Self {
+            medium: Medium { bytes_per_s, busy_until: 0, in_flight: VecDeque::new() },
+            robots: (0..robots).map(robot).collect(),
+            now: 0,
+            arrived: vec![0; robots],
+            waited_most: 0,
+        }
+    }
+
+    fn run(&mut self, seconds: i64) {
+        self.arrived.fill(0);
+        self.waited_most = 0;
+        for _ in 0..seconds * SECOND / STEP {
+            self.now += STEP;
+            self.step();
+        }
+    }
+
+    fn step(&mut self) {
+        let count = self.robots.len();
+        for number in (0..count).map(|k| (k + (self.now / STEP) as usize) % count) {
+            let robot = &mut self.robots[number];
+            let now = Stamp(self.now + robot.clock);
+            while robot.sent < robot.wants * self.now as u64 / SECOND as u64
+                && robot.rate.wait(now, BYTES).is_none()
+            {
+                robot.rate.spend(now, BYTES);
+                robot.sent += BYTES as u64;
+                let waiting = self.medium.in_flight.iter().filter(|(from, ..)| *from == number).count();
+                if waiting * BYTES > QUEUE_BYTES {
+                    continue;
+                }
+                let takes = BYTES as i64 * SECOND / self.medium.bytes_per_s;
+                self.medium.busy_until = self.medium.busy_until.max(self.now) + takes;
+                self.medium.in_flight.push_back((number, now, self.medium.busy_until + 20_000));
+            }
+        }
+        while let Some((from, sent, at)) = self.medium.in_flight.pop_front_if(|(.., at)| *at <= self.now) {
+            self.arrived[from] += BYTES as u64;
+            self.waited_most = self.waited_most.max(at - (sent.0 - self.robots[from].clock));
+            for to in (0..count).filter(|to| *to != from) {
+                let robot = &mut self.robots[to];
+                let now = Stamp(self.now + robot.clock);
+                let (waiting_in, ..) = robot.waits.entry(from).or_default();
+                let waited = waiting_in.sample(now, now.micros_since(sent));
+                robot.rate.note_heard(now, BYTES, waited);
+                robot.newest.insert(from, Arrival { sent, arrived: now });
+                robot.rate.review(now, Some(count - 1));
+            }
+        }
+        // Each tells one other what came, in turn.
+        if self.now % (SECOND / 10) == 0 {
+            let teller = (self.now / (SECOND / 10)) as usize % count;
+            let newest = core::mem::take(&mut self.robots[teller].newest);
+            for (about, arrival) in newest {
+                let robot = &mut self.robots[about];
+                let now = Stamp(self.now + robot.clock);
+                let (_, waiting_out, before) = robot.waits.entry(teller).or_default();
+                let waited = waiting_out.sample(now, arrival.arrived.micros_since(arrival.sent));
+                let before = before.replace(arrival);
+                robot.rate.note_arrival(now, arrival, before, waited);
+                robot.rate.review(now, Some(count - 1));
+            }
+        }
+    }
+}
+
+#[test]
+fn robots_that_share_a_thin_radio_find_what_it_carries_and_share_it() {
+    for (robots, bytes_per_s) in [(2, 6_250), (5, 6_250), (20, 6_250), (5, 125_000), (20, 125_000)] {
+        let mut swarm = Swarm::new(robots, bytes_per_s, 1_000_000);
+        swarm.run(120);
+        swarm.run(60);
+        let arrived: u64 = swarm.arrived.iter().sum();
+        let used = arrived as f64 / 60.0 / bytes_per_s as f64;
+        let [least, most] = [swarm.arrived.iter().min(), swarm.arrived.iter().max()].map(|all| *all.unwrap());
+        let case = format!("{robots} robots, {bytes_per_s} bytes/s");
+        println!("{case}: {used:.2} used, {least} to {most} bytes, {} ms waited", swarm.waited_most / 1_000);
+        assert!(used > 0.7, "{case}: {used:.2} of it used");
+        assert!(swarm.waited_most < 10 * SECOND, "{case}: {} ms waited", swarm.waited_most / 1_000);
+        assert!(least > 0 && most < 6 * least, "{case}: {least} to {most} bytes");
+    }
+}
+
+#[test]
+fn a_radio_that_carries_more_than_is_sent_slows_nobody_down() {
+    for wants in [1_000, 20_000, 100_000] {
+        let mut swarm = Swarm::new(4, 1_000_000, wants);
+        swarm.run(60);
+        assert!(swarm.robots.iter().all(|robot| robot.rate.is_starting()), "{wants}");
+        assert!(swarm.waited_most < SECOND / 10, "{wants}: {} ms", swarm.waited_most / 1_000);
+    }
+}
+
+#[test]
+fn who_sends_more_and_more_is_let() {
+    let mut swarm = Swarm::new(2, 20_000_000, 4_000_000);
+    swarm.run(20);
+    assert!(swarm.robots.iter().all(|robot| robot.rate.bytes_per_s() > 3_000_000));
+}
+
+#[test]
+fn a_rate_goes_up_again_when_others_fall_silent() {
+    let mut swarm = Swarm::new(10, 20_000, 1_000_000);
+    swarm.run(60);
+    let before = swarm.robots[0].rate.bytes_per_s();
+    assert!(before < 12_000, "{before}");
+    for robot in &mut swarm.robots[1..] {
+        robot.wants = 0;
+    }
+    swarm.run(60);
+    let after = swarm.robots[0].rate.bytes_per_s();
+    assert!(after > 2 * before || after > 15_000, "{before}, then {after} bytes/s");
+}
+
+#[test]
+fn stamps_that_make_no_sense_do_no_harm() {
+    let ends = [Stamp(i64::MIN), Stamp(-1), Stamp(0), Stamp(1), Stamp(i64::MAX)];
+    let mut rate = Rate::new();
+    let (mut waiting, mut before) = (Waiting::default(), None);
+    for now in ends {
+        for sent in ends {
+            for arrived in ends {
+                let waited = waiting.sample(now, arrived.micros_since(sent));
+                let arrival = Arrival { sent, arrived };
+                rate.note_heard(now, 1_228, waited);
+                rate.note_arrival(now, arrival, before.replace(arrival), waited);
+                rate.review(now, Some(usize::MAX >> 2));
+                rate.review(now, None);
+                assert!((MIN..=MAX).contains(&rate.bytes_per_s()));
+            }
+        }
+    }
+}
