@@ -225,7 +225,7 @@ impl Peer {
     /// What is known of the peer's holdings of a stream. A stream that it did not name, where it names all, is
     /// one of which it holds nothing.
     pub(crate) fn theirs(&mut self, stream: Stream, now: Stamp) -> Option<&mut PeerStream> {
-        if self.takes_unnamed(stream) && !self.streams.contains_key(&stream) {
+        if !self.streams.contains_key(&stream) && self.takes_unnamed(stream) {
             let mut theirs = PeerStream::new(1, now);
             // What went out while it took nothing of the stream may find room now.
             self.in_flight.iter().filter(|sent| sent.item.stream() == stream).for_each(|sent| {

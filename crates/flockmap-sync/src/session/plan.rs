@@ -4,7 +4,7 @@ use super::Session;
 use crate::item::Item;
 use crate::peer::Peer;
 use crate::store::Stored;
-use crate::{IntervalSet, Order};
+use crate::{IntervalSet, Order, Relay};
 use flockmap_codec::Priority;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::cmp::Reverse;
@@ -49,6 +49,15 @@ impl Session {
             // Without push, a request is answered with what there was when it came.
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
             let Some(theirs) = peer.streams.get(&stream) else { continue };
+            // Of most streams of a crowd: the origin answers, and nothing stayed missing for long.
+            if self.config.relay == Relay::Ranked
+                && stream.origin != self.identity.own.origin
+                && theirs.overdue.is_empty()
+                && theirs.sending.is_none()
+                && peer.hears(stream.origin)
+            {
+                continue;
+            }
             let upto = self.store.newest_known(stream);
             // What a snapshot or its next pieces bring that is in flight, or being made, is not sent beside it.
             let of_snapshot = match &theirs.sending {

@@ -84,6 +84,9 @@ impl Session {
         if peer.queue_stale {
             self.plan(now, id);
         }
+        if self.peers.get(&id).is_none_or(|peer| peer.queue.is_empty()) {
+            return Attempt::Nothing;
+        }
         let (mut writer, mut positions) = self.bundle(now, id);
         if positions.is_empty() {
             return Attempt::Nothing;
