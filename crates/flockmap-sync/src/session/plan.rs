@@ -52,6 +52,8 @@ impl Session {
             // Of most streams of a crowd: the origin answers, and nothing stayed missing for long.
             if self.config.relay == Relay::Ranked
                 && stream.origin != self.identity.own.origin
+                // Its own former run a peer has from others.
+                && stream.origin != peer.stream.origin
                 && theirs.overdue.is_empty()
                 && theirs.sending.is_none()
                 && peer.hears(stream.origin)

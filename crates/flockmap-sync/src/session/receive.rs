@@ -252,6 +252,7 @@ impl Session {
                 for peer in self.peers.values_mut() {
                     peer.queue_stale |= self.config.relay != Relay::Ranked
                         || peer.is_new(now, peers)
+                        || stream.origin == peer.stream.origin
                         || !peer.hears(stream.origin);
                 }
                 if is_new {
